@@ -1,0 +1,61 @@
+# Needs make and Python 3.11 or newer; everything else goes into .venv.
+# PYTHON=/path/to/python chooses the interpreter .venv is made from.
+
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test lint format prove clean
+
+BIN := .venv/bin
+PIP := $(BIN)/python -m pip install --disable-pip-version-check --quiet -c constraints.txt
+PYTHONS := $(PYTHON) python3 python3.13 python3.12 python3.11 python3.14 python
+
+help: ## list these targets
+	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile | expand -t 16
+
+setup: .venv/.installed ## make .venv and .venv/bin/handcal
+	@echo "Ready: .venv/bin/handcal --help"
+
+demo: setup ## simulate a recording, calibrate it, write report and data
+	$(BIN)/handcal demo
+
+test: lint ## all quick checks and tests
+	$(BIN)/python -m pytest -m "not prove"
+
+prove: .venv/.installed-dev ## the slow statistics, with their tables
+	$(BIN)/python -m pytest -m prove -s
+
+lint: .venv/.installed-dev ## style, types and the direction of imports
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+format: .venv/.installed-dev ## put the code into the project's format
+	$(BIN)/ruff check --fix
+	$(BIN)/ruff format
+
+clean: ## remove .venv, caches, builds and the demo's output
+	rm -rf .venv .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf build dist demo-out
+	find src sim tests -name __pycache__ -prune -exec rm -rf {} +
+
+# The stamps below are touched last, so that a step that broke off is done again.
+
+.venv/.created:
+	@for p in $(PYTHONS); do \
+	  if "$$p" -c 'import ensurepip, sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then \
+	    echo "Making .venv with $$("$$p" --version)."; \
+	    "$$p" -m venv --clear .venv && touch $@; exit; \
+	  fi; \
+	done; \
+	echo "handcal needs Python 3.11 or newer with venv and pip; none was found (make PYTHON=/path/to/python names one)." >&2; \
+	exit 1
+
+.venv/.installed: .venv/.created pyproject.toml constraints.txt
+	@echo "Installing handcal into .venv; the first time this takes a minute or two."
+	@$(PIP) -e .
+	@touch $@
+
+.venv/.installed-dev: .venv/.installed
+	@echo "Installing the tools for the tests into .venv."
+	@$(PIP) -e ".[dev]"
+	@touch $@

@@ -1,0 +1,196 @@
+"""Frozen dataclasses that travel between the modules. Nothing here computes.
+
+Shapes are written as (n, 3); units are SI unless a name says otherwise
+(the conventions are in ``handcal/__init__.py``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+class HandcalError(Exception):
+    """A sentence for the user: why there is no result. Exit status 1."""
+
+
+class InputError(HandcalError):
+    """A sentence for the user: what is wrong with a file or an option. Exit status 2."""
+
+
+@dataclass(frozen=True)
+class Imu:
+    """Inertial readings on one time base, the gyro's.
+
+    t: (n,) s since the start of the recording, strictly increasing.
+    gyro: (n, 3) rad/s; accel: (n, 3) m/s^2, specific force. Both finite.
+    valid: (n,) False where a reading is known not to be a measurement
+        (saturated, masked out); the filter trusts it only within +-full scale.
+    """
+
+    t: Array
+    gyro: Array
+    accel: Array
+    valid: BoolArray
+
+
+@dataclass(frozen=True)
+class Series:
+    """One further stream. t: (m,) s on the IMU's clock, increasing; value: (m, d).
+
+    heading d=1 (yaw of body x, rad, in (-pi, pi]); mag d=3 (tesla, body axes);
+    temperature d=1 (degC); pose d=7 (position m, quaternion w x y z of C_wb, the
+    marker's axes in the pose's world); reference d=6 (gyro rad/s, accel m/s^2).
+    """
+
+    t: Array
+    value: Array
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What was recorded, in SI and in handcal's conventions.
+
+    path: where it came from. streams: by name ("heading", "mag", "temperature",
+    "pose", "reference"), only those present. start_ns: absolute time of t = 0,
+    ns since 1970 (0 if unknown). warnings: what the reader repaired, in sentences.
+    """
+
+    path: str
+    imu: Imu
+    streams: Mapping[str, Series] = field(default_factory=dict)
+    start_ns: int = 0
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def duration_s(self) -> float:
+        return float(self.imu.t[-1] - self.imu.t[0])
+
+    @property
+    def rate_hz(self) -> float:
+        """Median sampling rate of the IMU."""
+        return float(1.0 / np.median(np.diff(self.imu.t)))
+
+
+@dataclass(frozen=True)
+class NavState:
+    """Navigation solution at one instant. p_n (3,) m, v_n (3,) m/s, C_nb (3, 3)."""
+
+    t: float
+    p_n: Array
+    v_n: Array
+    C_nb: Array
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One estimated number and how far it can be trusted."""
+
+    effect: str
+    name: str
+    value: float
+    sigma: float
+    unit: str
+    prior_sigma: float
+    converged_at_s: float | None
+
+    @property
+    def observable(self) -> bool:
+        """Contract: sigma below half of its prior."""
+        return self.sigma < 0.5 * self.prior_sigma
+
+
+@dataclass(frozen=True)
+class NoiseLevel:
+    """One noise level that the recording was found to have."""
+
+    name: str
+    value: float
+    unit: str
+    estimated: bool
+
+
+@dataclass(frozen=True)
+class History:
+    """The filter's solution over time, k rows.
+
+    t (k,) s; p_n (k, 3) m; v_n (k, 3) m/s; q_nb (k, 4) quaternion w x y z of C_nb;
+    yaw (k,) rad; nav_sigma (k, 9): of position, velocity, attitude error (rotation
+    vector in n); parameters (k, m) and parameter_sigma (k, m), columns as in
+    Result.parameters.
+    """
+
+    t: Array
+    p_n: Array
+    v_n: Array
+    q_nb: Array
+    yaw: Array
+    nav_sigma: Array
+    parameters: Array
+    parameter_sigma: Array
+
+
+@dataclass(frozen=True)
+class Innovations:
+    """What one kind of observation said against the prediction, k updates of dimension d.
+
+    t (k,) s; residual (k, d) observed minus predicted; sigma (k, d): square root of
+    the diagonal of S; nis (k,): residual' S^-1 residual; skipped: updates left out
+    (a heading while body x is near the vertical); unit of the residual.
+    """
+
+    t: Array
+    residual: Array
+    sigma: Array
+    nis: Array
+    skipped: int
+    unit: str
+    channels: tuple[str, ...]
+
+    @property
+    def mean_nis(self) -> float | None:
+        """NIS per degree of freedom, 1 for a consistent filter."""
+        if self.nis.size == 0:
+            return None
+        return float(self.nis.mean() / self.residual.shape[1])
+
+
+@dataclass(frozen=True)
+class Result:
+    """What ``calibrate`` learnt from one recording.
+
+    covariance: (m, m) of the parameters, rows as in ``parameters``. assume:
+    "fixed-point" or "rest-only". innovations: by observation kind. observed: the
+    heading or magnetometer headings the filter was given, (k, 2) of t and rad, or
+    None. rests: (r, 2) start and end of each detected rest, s.
+    """
+
+    recording: Recording
+    assume: str
+    parameters: tuple[Parameter, ...]
+    covariance: Array
+    noise: tuple[NoiseLevel, ...]
+    history: History
+    innovations: Mapping[str, Innovations]
+    log_evidence: float
+    rests: Array
+    warnings: tuple[str, ...]
+    observed_heading: Array | None = None
+
+    @property
+    def observations(self) -> int:
+        """Number of scalar observations used."""
+        return int(sum(i.residual.size for i in self.innovations.values()))
+
+    def parameter(self, effect: str, name: str) -> Parameter:
+        """The parameter of that effect and name; KeyError if it was not estimated."""
+        for p in self.parameters:
+            if p.effect == effect and p.name == name:
+                return p
+        raise KeyError(f"{effect}.{name}")
