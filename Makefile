@@ -27,7 +27,7 @@ lint: .venv/.installed-dev ## style, types and the direction of imports
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
-	$(BIN)/lint-imports
+	$(BIN)/lint-imports --no-logo
 
 format: .venv/.installed-dev ## put the code into the project's format
 	$(BIN)/ruff check --fix
