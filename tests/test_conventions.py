@@ -15,9 +15,11 @@ HEAVY = ("numpy", "scipy", "numba", "filterpy", "rerun", "matplotlib")
 
 
 def test_every_public_function_has_a_docstring():
+    """Classes too; what a module with a leading underscore holds is not public."""
     missing = [
         f"{path.relative_to(ROOT)}:{node.lineno} {node.name}"
         for path in SOURCES
+        if path.name == "__init__.py" or not path.name.startswith("_")
         for node in ast.parse(path.read_text()).body
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef)
         and not node.name.startswith("_")
