@@ -1,0 +1,125 @@
+"""The command `simulate`. What is slow to import is imported where it is used."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, NoReturn
+
+import typer
+
+
+def simulate(
+    scenario: Annotated[
+        str,
+        typer.Argument(help="z-turn, three-turns, free-hand, travel or static."),
+    ],
+    out: Annotated[
+        Path, typer.Option("-o", "--out", metavar="FILE.mcap", help="The recording to write.")
+    ],
+    heading_sigma: Annotated[
+        float | None,
+        typer.Option(metavar="DEG", help="White noise of heading, deg [5; perfect device: 0]."),
+    ] = None,
+    no_heading: Annotated[bool, typer.Option("--no-heading", help="No heading sensor.")] = False,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Same seed, same file [from the system].")
+    ] = None,
+    effect: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="ID=v,v,...",
+            help="Set an effect, values in the order of its parameters (repeatable); "
+            "a wrong one lists them.",
+        ),
+    ] = None,
+    device: Annotated[
+        str,
+        typer.Option(help="consumer (drawn at random), paper (paper 002) or perfect."),
+    ] = "consumer",
+    perfect: Annotated[bool, typer.Option("--perfect", help="Same as --device perfect.")] = False,
+    rate: Annotated[
+        float | None, typer.Option(metavar="HZ", help="Sampling rate of the IMU [100].")
+    ] = None,
+    heading_rate: Annotated[
+        float | None,
+        typer.Option(metavar="HZ", help="Rate of heading [consumer: 50; else with the IMU]."),
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option(metavar="S", help="Length; the motion is stretched to it.")
+    ] = None,
+    bias_gyro_deg_h: Annotated[
+        str | None, typer.Option(metavar="X,Y,Z", help="Gyro biases, deg/h.")
+    ] = None,
+    bias_accel_mg: Annotated[
+        str | None, typer.Option(metavar="X,Y,Z", help="Accelerometer biases, mg.")
+    ] = None,
+    temperature: Annotated[
+        bool, typer.Option("--temperature", help="Report the temperature too.")
+    ] = False,
+    mag: Annotated[bool, typer.Option("--mag", help="With a magnetometer.")] = False,
+    pose: Annotated[bool, typer.Option("--pose", help="With measured poses.")] = False,
+    reference: Annotated[
+        bool, typer.Option("--reference", help="With a trusted IMU on the same body.")
+    ] = False,
+    no_sway: Annotated[
+        bool, typer.Option("--no-sway", help="A hand that holds perfectly still.")
+    ] = False,
+    sway: Annotated[
+        float | None,
+        typer.Option(help="Scale of hand sway and tremor [1; paper device: 0].", min=0.0),
+    ] = None,
+    latitude: Annotated[
+        float | None,
+        typer.Option(metavar="DEG", help="True gravity and Earth rate there.", min=-90, max=90),
+    ] = None,
+    height: Annotated[
+        float, typer.Option(metavar="M", help="Height above the ellipsoid, with --latitude.")
+    ] = 0.0,
+    start_heading: Annotated[
+        float | None, typer.Option(metavar="DEG", help="Yaw at the start [random; paper: 0].")
+    ] = None,
+    start_tilt: Annotated[
+        str | None,
+        typer.Option(metavar="PITCH,ROLL", help="Tilt at the start, deg [random; paper: 0,0]."),
+    ] = None,
+    clockwise: Annotated[
+        bool | None,
+        typer.Option(
+            "--clockwise/--counter-clockwise", help="Which way it turns [random; paper: counter-]."
+        ),
+    ] = None,
+) -> None:
+    """Write a recording of a simulated device in a simulated hand, and what was true."""
+    from handcal_sim.errors import SimulationError
+    from handcal_sim.request import Request, simulated
+
+    request = Request(
+        scenario=scenario, seed=seed, device="perfect" if perfect else device,
+        effects=tuple(effect or ()), rate_hz=rate, duration_s=duration,
+        heading=not no_heading, heading_sigma_deg=heading_sigma, heading_rate_hz=heading_rate,
+        bias_gyro_deg_h=bias_gyro_deg_h, bias_accel_mg=bias_accel_mg,
+        temperature=temperature, mag=mag, pose=pose, reference=reference,
+        sway=0.0 if no_sway else sway, latitude_deg=latitude, height_m=height,
+        start_heading_deg=start_heading, start_tilt_deg=start_tilt, clockwise=clockwise,
+    )  # fmt: skip
+    try:
+        world, used = simulated(request)
+        from handcal_sim.mcap_writer import write
+
+        count = write(world, out)
+    except SimulationError as problem:
+        _wrong(str(problem))
+    except OSError as problem:
+        _wrong(f"cannot write {out}: {problem.strerror or problem}")
+    if seed is None:
+        print(f"seed {used}", file=sys.stderr)
+    streams = ", ".join(f"/{name}" for name in ("imu", *world.streams))
+    length = world.parameters["duration_s"]
+    print(f"{out}: {scenario}, {length:g} s, {streams}; {count} messages, seed {used}")
+
+
+def _wrong(sentence: str) -> NoReturn:
+    """Wrong use: one line, exit status 2."""
+    print(f"simulate: {sentence}", file=sys.stderr)
+    raise typer.Exit(2)

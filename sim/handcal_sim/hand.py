@@ -1,0 +1,76 @@
+"""What a hand adds unasked: slow sway of the held point, wobble, and tremor.
+
+Sway and wobble are Gaussian wander of low frequency, small at rest and larger in
+proportion to the rate of turning. Physiological tremor lies at 8 to 12 Hz, with
+0.05 to 0.3 mm from peak to peak. All are sums of sinusoids with random amplitudes,
+hence as smooth as the motion that they ride on.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from handcal_sim import profiles
+from handcal_sim.motion import Motion
+from handcal_sim.profiles import Array
+
+
+@dataclass(frozen=True)
+class Hand:
+    """Root mean squares for each axis.
+
+    sway_m, wobble_rad: at rest; ..._per_rate: in addition for each rad/s of turning;
+    tremor_m: displacement; tremor_rad_s: rate of turning, at 8 to 12 Hz.
+    """
+
+    sway_m: float = 0.0
+    sway_per_rate_m: float = 0.0
+    wobble_rad: float = 0.0
+    wobble_per_rate_rad: float = 0.0
+    tremor_m: float = 0.0
+    tremor_rad_s: float = 0.0
+
+
+def random_hand(rng: np.random.Generator, scale: float = 1.0) -> Hand:
+    """Somebody's hand; scale 0 holds perfectly still, 1 is usual."""
+    draw = rng.uniform(
+        [0.5e-3, 3e-3, math.radians(0.1), math.radians(0.3), 0.012e-3, math.radians(0.1)],
+        [2.0e-3, 9e-3, math.radians(0.4), math.radians(1.0), 0.075e-3, math.radians(0.5)],
+    )
+    return Hand(*(float(scale * x) for x in draw))
+
+
+def in_hand(motion: Motion, hand: Hand, rng: np.random.Generator) -> Motion:
+    """The motion as this hand carries it out."""
+    size = np.array([hand.sway_m] * 3 + [hand.wobble_rad] * 3)
+    more = np.array([hand.sway_per_rate_m] * 3 + [hand.wobble_per_rate_rad] * 3)
+    slow = _wander(rng, 14, 0.08, 1.4, 0.4)
+    moving = _wander(rng, 14, 0.08, 1.4, 0.4)
+    omega, sin, cos = _wander(rng, 8, 8.0, 12.0, math.inf)
+    shake = np.array([hand.tremor_m] * 3 + [hand.tremor_rad_s] * 3)
+    per_rad_s = np.where(np.arange(6) < 3, 1.0, 1.0 / omega[:, None])
+    resting = profiles.sinusoids(
+        np.concatenate([slow[0], omega]),
+        np.vstack([slow[1] * size, sin * shake * per_rad_s]),
+        np.vstack([slow[2] * size, cos * shake * per_rad_s]),
+    )
+    turning = profiles.sinusoids(moving[0], moving[1] * more, moving[2] * more)
+    wander = profiles.add(
+        profiles.multiply(motion.held, resting), profiles.multiply(motion.activity, turning)
+    )
+    return replace(motion, wander=wander)
+
+
+def _wander(
+    rng: np.random.Generator, count: int, low_hz: float, high_hz: float, corner_hz: float
+) -> tuple[Array, Array, Array]:
+    """Frequencies and amplitudes of six Gaussian signals with unit rms, falling beyond corner."""
+    edges = np.linspace(low_hz, high_hz, count + 1)
+    f = rng.uniform(edges[:-1], edges[1:])
+    weight = (1.0 / (1.0 + (f / corner_hz) ** 2))[:, None]
+    sin, cos = weight * rng.standard_normal((2, count, 6))
+    rms = np.sqrt(0.5 * np.sum(sin**2 + cos**2, axis=0))
+    return 2.0 * math.pi * f, sin / rms, cos / rms
