@@ -1,0 +1,87 @@
+"""A small recording that is physically consistent, for the tests of readers and writer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from mcap.writer import CompressionType, Writer
+
+from handcal.types import Imu, Recording, Series
+
+START_NS = 1_700_000_000_123_456_789
+
+
+def sample(
+    seed: int = 0, *, n: int = 400, rate_hz: float = 100.0, streams: bool = True
+) -> Recording:
+    """Rest, then turning about all axes, with a jittering clock; all streams if asked."""
+    rng = np.random.default_rng(seed)
+    jitter = rng.integers(-500_000, 500_000, n)
+    ns = np.arange(n) * round(1e9 / rate_hz) + jitter
+    t = (ns - ns[0]) / 1e9
+    amplitude, phase = rng.uniform(1.0, 3.0, 3), rng.uniform(0, 6, 3)
+    moving = np.clip((t - 0.8) / 0.3, 0, 1)[:, None]
+    omega = moving * amplitude * np.sin(t[:, None] * 3.0 + phase)
+    up = np.empty((n, 3))
+    up[0] = [0.0, 0.6, 0.8]
+    for k in range(n - 1):
+        rotation = 0.5 * (omega[k] + omega[k + 1]) * (t[k + 1] - t[k])
+        turned = up[k] - np.cross(rotation, up[k])
+        up[k + 1] = turned / np.linalg.norm(turned)
+    gyro = omega + rng.normal(0, 1e-3, (n, 3))
+    accel = 9.80665 * up + rng.normal(0, 1e-2, (n, 3))
+    imu = Imu(t, gyro, accel, np.ones(n, dtype=np.bool_))
+    further = {}
+    if streams:
+        slow = t[::7]
+        q = np.cumsum(rng.normal(0, 0.05, (len(slow), 4)), axis=0) + [1.0, 0, 0, 0]
+        q /= np.linalg.norm(q, axis=1)[:, None]
+        further = {
+            "heading": Series(slow, rng.uniform(-np.pi, np.pi, (len(slow), 1))),
+            "mag": Series(slow, rng.normal(0, 3e-5, (len(slow), 3))),
+            "temperature": Series(slow, rng.normal(25, 1, (len(slow), 1))),
+            "pose": Series(slow, np.hstack([rng.normal(0, 1, (len(slow), 3)), q])),
+            "reference": Series(t, np.hstack([gyro, accel]) + rng.normal(0, 1e-3, (n, 6))),
+        }
+    return Recording("sample", imu, further, START_NS)
+
+
+def write_channels(
+    path: Path,
+    channels: list[tuple[str, str, str]],
+    messages: list[tuple[int, int, bytes]],
+    *,
+    compression: CompressionType = CompressionType.ZSTD,
+    chunk_size: int = 8192,
+    use_chunking: bool = True,
+    data_crc: bool = False,
+) -> Path:
+    """An MCAP of (topic, schema, encoding) channels and (channel, log time, data) messages."""
+    with path.open("wb") as file:
+        writer = Writer(
+            file,
+            chunk_size=chunk_size,
+            compression=compression,
+            use_chunking=use_chunking,
+            enable_data_crcs=data_crc,
+        )
+        writer.start(profile="ros2", library="test")
+        ids = []
+        for topic, schema, encoding in channels:
+            kind = "jsonschema" if encoding == "json" else "ros2msg"
+            schema_id = writer.register_schema(schema, kind, b"")
+            ids.append(writer.register_channel(topic, encoding, schema_id))
+        for channel, log_time, data in messages:
+            writer.add_message(ids[channel], log_time, data, log_time)
+        writer.finish()
+    return path
+
+
+def edited(path: Path, change: Callable[[bytearray], None]) -> Path:
+    """The file with its bytes changed in place."""
+    data = bytearray(path.read_bytes())
+    change(data)
+    path.write_bytes(data)
+    return path
