@@ -23,7 +23,7 @@ def simulate(
     ] = None,
     no_heading: Annotated[bool, typer.Option("--no-heading", help="No heading sensor.")] = False,
     seed: Annotated[
-        int | None, typer.Option(min=0, help="Same seed, same file [from the system].")
+        int | None, typer.Option(help="Same seed, same file [from the system].")
     ] = None,
     effect: Annotated[
         list[str] | None,
@@ -67,11 +67,11 @@ def simulate(
     ] = False,
     sway: Annotated[
         float | None,
-        typer.Option(help="Scale of hand sway and tremor [1; paper device: 0].", min=0.0),
+        typer.Option(help="Scale of hand sway and tremor [1; paper device: 0]."),
     ] = None,
     latitude: Annotated[
         float | None,
-        typer.Option(metavar="DEG", help="True gravity and Earth rate there.", min=-90, max=90),
+        typer.Option(metavar="DEG", help="True gravity and Earth rate there."),
     ] = None,
     height: Annotated[
         float, typer.Option(metavar="M", help="Height above the ellipsoid, with --latitude.")

@@ -156,11 +156,19 @@ def apply(world: World, effects: Mapping[str, Sequence[float]]) -> World:
     """The world with these effects set."""
     for name, values in effects.items():
         check(name, values)
-        if name.startswith("heading_") and world.phone.heading is None and world.phone.mag is None:
-            raise SimulationError(f"{name} needs a heading sensor or a magnetometer")
+        _check_sensor(world.phone, name)
         for parameter, value in zip(EFFECTS[name], values, strict=True):
             world = _set(world, parameter.field.split("."), parameter.index, float(value), name)
     return world
+
+
+def _check_sensor(phone: Phone, name: str) -> None:
+    if phone.heading is not None or not name.startswith("heading_"):
+        return
+    if phone.mag is None:
+        raise SimulationError(f"{name} needs a heading sensor or a magnetometer")
+    if name == "heading_hard_iron":
+        raise SimulationError("heading_hard_iron needs a heading sensor; see mag_hard_iron")
 
 
 def _set(owner: Any, path: list[str], index: tuple[int, ...], value: float, effect: str) -> Any:

@@ -24,7 +24,7 @@ from handcal_sim.phone import (
 )
 from handcal_sim.profiles import Array
 from handcal_sim.scenario import World, simulate
-from handcal_sim.sensors import Earth, earth_at
+from handcal_sim.sensors import ASSUMED, Earth, earth_at
 
 
 @dataclass(frozen=True)
@@ -59,16 +59,14 @@ def simulated(request: Request) -> tuple[World, int]:
     seed = request.seed
     if seed is None:
         seed = int(np.random.SeedSequence().generate_state(1)[0])
+    if seed < 0:
+        raise SimulationError("--seed must not be negative")
     effects: dict[str, tuple[float, ...]] = {}
     for text in request.effects:
         name, values = parse_effect(text)
         if name in effects:
             raise SimulationError(f"{name} is given twice")
         effects[name] = values
-    if request.latitude_deg is None:
-        earth = Earth()
-    else:
-        earth = earth_at(request.latitude_deg * DEG, request.height_m)
     usual = 0.0 if request.device == "paper" else 1.0
     world = simulate(
         request.scenario,
@@ -78,9 +76,17 @@ def simulated(request: Request) -> tuple[World, int]:
         duration_s=request.duration_s,
         start=lambda rng: _start(request, rng),
         sway=usual if request.sway is None else request.sway,
-        earth=earth,
+        earth=_earth(request),
     )
     return world, seed
+
+
+def _earth(request: Request) -> Earth:
+    if request.latitude_deg is None:
+        return ASSUMED
+    if not (abs(request.latitude_deg) <= 90.0 and abs(request.height_m) <= 1e5):
+        raise SimulationError("no such place: --latitude is in deg, --height in m")
+    return earth_at(request.latitude_deg * DEG, request.height_m)
 
 
 def _phone(request: Request, effects: set[str], rng: np.random.Generator) -> Phone:
@@ -130,7 +136,8 @@ def _start(request: Request, rng: np.random.Generator) -> Start:
     if request.device == "paper":
         start = Start()
     if request.start_heading_deg is not None:
-        start = replace(start, heading=request.start_heading_deg * DEG)
+        (heading,) = DEG * _numbers("--start-heading", str(request.start_heading_deg), 1)
+        start = replace(start, heading=float(heading))
     if request.start_tilt_deg is not None:
         pitch, roll = DEG * _numbers("--start-tilt", request.start_tilt_deg, 2)
         start = replace(start, pitch=float(pitch), roll=float(roll))
@@ -145,5 +152,5 @@ def _numbers(option: str, text: str, count: int) -> Array:
     except ValueError:
         values = np.zeros(0)
     if len(values) != count or not np.all(np.isfinite(values)):
-        raise SimulationError(f"{option} takes {count} numbers with commas between, not {text!r}")
+        raise SimulationError(f"{option} takes {count} number(s) with commas between, not {text!r}")
     return values

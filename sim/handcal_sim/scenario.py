@@ -12,11 +12,12 @@ import numpy as np
 
 from handcal_sim import aiding, hand, sensors
 from handcal_sim import effects as catalogue
+from handcal_sim.errors import SimulationError
 from handcal_sim.hand import Hand
 from handcal_sim.motion import Motion, Start, build, random_start
 from handcal_sim.phone import Clocking, Phone, consumer_phone
 from handcal_sim.profiles import Array
-from handcal_sim.sensors import Earth, ImuReadings, Truth
+from handcal_sim.sensors import ASSUMED, Earth, ImuReadings, Truth
 
 # Each part draws from a generator of its own: changing one leaves the others' draws alone,
 # so that two worlds of one seed differ by nothing but what was asked for.
@@ -41,7 +42,8 @@ class World:
     imu: gyro and accelerometer readings (n, 6). streams: heading (n, 1), mag (n, 3),
     temperature (n, 1), pose (n, 7: position, quaternion x y z w), reference (n, 6).
     t: (n,) true instants of the IMU samples; truth: the IMU's place at those.
-    parameters: everything that was injected, ready for JSON.
+    parameters: everything that was injected, ready for JSON; a walking bias begins at its
+    value under `effects` and has the mean of that plus `mean_walk`.
     """
 
     imu: Stream
@@ -60,7 +62,7 @@ def simulate(
     duration_s: float | None = None,
     start: Start | Callable[[np.random.Generator], Start] = random_start,
     sway: float = 1.0,
-    earth: Earth = Earth(),  # noqa: B008
+    earth: Earth = ASSUMED,
 ) -> World:
     """What a device records in a hand.
 
@@ -68,6 +70,8 @@ def simulate(
     the order of its parameters; they replace the phone's. sway: 0 holds perfectly still,
     1 is usual. SimulationError on what cannot be.
     """
+    if not 0.0 <= sway < math.inf:
+        raise SimulationError(f"sway {sway:g} is not a factor of 0 or more")
     rngs = _generators(seed)
     device = phone(rngs["device"]) if callable(phone) else phone
     setup = catalogue.apply(catalogue.World(device, earth), effects or {})

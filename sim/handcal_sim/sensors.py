@@ -37,6 +37,9 @@ class Earth:
         return rate
 
 
+ASSUMED = Earth()
+
+
 def earth_at(latitude_rad: float, height_m: float = 0.0) -> Earth:
     """Normal gravity of WGS84 (Somigliana, second-order height formula) and the Earth's turning."""
     s2 = math.sin(latitude_rad) ** 2
