@@ -36,7 +36,7 @@ def sample(
     further = {}
     if streams:
         slow = t[::7]
-        q = np.cumsum(rng.normal(0, 0.05, (len(slow), 4)), axis=0) + [1.0, 0, 0, 0]
+        q = np.array([1.0, 0, 0, 0]) + np.cumsum(rng.normal(0, 0.05, (len(slow), 4)), axis=0)
         q /= np.linalg.norm(q, axis=1)[:, None]
         further = {
             "heading": Series(slow, rng.uniform(-np.pi, np.pi, (len(slow), 1))),
@@ -57,6 +57,7 @@ def write_channels(
     chunk_size: int = 8192,
     use_chunking: bool = True,
     data_crc: bool = False,
+    crcs: bool = True,
 ) -> Path:
     """An MCAP of (topic, schema, encoding) channels and (channel, log time, data) messages."""
     with path.open("wb") as file:
@@ -66,6 +67,7 @@ def write_channels(
             compression=compression,
             use_chunking=use_chunking,
             enable_data_crcs=data_crc,
+            enable_crcs=crcs,
         )
         writer.start(profile="ros2", library="test")
         ids = []

@@ -45,10 +45,9 @@ def columns(ns: IntArray, value: Array, valid: BoolArray | None = None) -> Colum
 
 def nanoseconds(seconds: Array, factor: float = 1e9) -> IntArray:
     """Stamps as whole ns. Errors: InputError beyond what 64 bits hold."""
-    ns = seconds * factor
-    if not np.all(np.abs(ns) < 9e18):
+    if not np.all(np.abs(seconds) < 9e18 / factor):
         raise InputError("A time stamp is not a number or further away than 280 years.")
-    return np.rint(ns).astype(np.int64)
+    return np.rint(seconds * factor).astype(np.int64)
 
 
 def assemble(

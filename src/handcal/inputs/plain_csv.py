@@ -202,9 +202,9 @@ def _filled(lines: list[str], separator: str) -> list[str]:
 
 def _measured(name: str, held: Columns, warnings: list[str]) -> Columns:
     """A slower stream in a table is blank, or repeats itself until its next reading."""
-    held = held.rows(~np.all(np.isnan(held.value), axis=1))
-    if len(held.ns) < 2:
-        return held
+    blank = np.all(np.isnan(held.value), axis=1)
+    if blank.any() or len(held.ns) < 2:
+        return held.rows(~blank)
     fresh = np.concatenate([[True], np.any(np.diff(held.value, axis=0) != 0, axis=1)])
     if name == "temperature" or fresh.mean() > 0.5:
         return held
