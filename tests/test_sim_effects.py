@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handcal_sim import effects, phone, scenario
+from handcal_sim import effects, motion, phone, profiles, scenario, sensors
 from handcal_sim.errors import SimulationError
 
 # The ids that users know, with the names of their parameters in order.
@@ -259,10 +259,9 @@ def test_a_fast_clock_stamps_too_late_but_not_on_other_devices():
         np.testing.assert_array_equal(world.streams[name].values, PLAIN.streams[name].values)
 
 
-def test_a_slow_gyro_weakens_and_delays_a_sinusoid():
-    from handcal_sim import motion, profiles, sensors
-
-    omega, tau = 8.0, 0.05
+@pytest.mark.parametrize("tau", [1e-9, 1e-3, 0.05, 0.3])
+def test_a_slow_gyro_weakens_and_delays_a_sinusoid(tau):
+    omega = 8.0
     swing = profiles.sinusoids(np.array([omega]), np.array([[0.0, 0.0, 0.5]]), np.zeros((1, 3)))
     made = motion.Motion(
         "swing",
@@ -274,12 +273,15 @@ def test_a_slow_gyro_weakens_and_delays_a_sinusoid():
         profiles.constant([0.0]),
         (),
     )
-    t = np.arange(2.0, 20.0, 0.0137)
+    t = np.arange(0.0, 20.0, 0.0137)
     rate = sensors.lagged_rate(made, sensors.ASSUMED, tau, t)
     lag, gain = math.atan(omega * tau), 1.0 / math.hypot(1.0, omega * tau)
     # Linear between 1 ms: h^2/12 of the second derivative, 256 rad/s^3, is 2e-5 rad/s.
     expected = 0.5 * omega * gain * np.cos(omega * t - lag)
     np.testing.assert_allclose(rate[:, 2], expected, atol=3e-5)
+
+
+def test_a_slow_gyro_is_late_by_its_time_constant():
     world = recorded(gyro_bandwidth=[0.02])
     np.testing.assert_array_equal(world.imu.values[:, 3:], PLAIN.imu.values[:, 3:])
     change = world.imu.values[:, :3] - PLAIN.imu.values[:, :3]
@@ -309,6 +311,7 @@ def test_effects_are_read_from_text(text, expected):
         ("gyro_bias_step=1,2,3,nan", r"finite numbers: .* in rad/s,rad/s,rad/s,s"),
         ("gyro_bandwidth=-0.1", r"tau must not be negative"),
         ("heading_outliers=1.5", r"must not exceed 1"),
+        ("clock_rate=-1e6", r"ppm must lie within 100000"),
         ("heading_correlated_noise=0.1,0", r"tau must be above 0"),
     ],
 )

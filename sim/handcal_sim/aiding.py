@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from handcal_sim.motion import Motion, euler_matrix, evaluate, into
-from handcal_sim.phone import Heading, HeadingErrors, Magnetometer, Phone, Pose, Reference
+from handcal_sim.phone import Heading, HeadingErrors, Magnetometer, Pose, Reference
 from handcal_sim.profiles import Array
 from handcal_sim.sensors import Earth, truth_at
 
@@ -116,8 +116,3 @@ def quaternion(C: Array) -> Array:
     q = q / np.linalg.norm(q, axis=1, keepdims=True)
     positive: Array = np.where(q[:, 3:] < 0.0, -q, q)
     return positive
-
-
-def heading_errors_of_mag(phone: Phone) -> HeadingErrors | None:
-    """Without a heading sensor, errors of heading are those of the magnetometer."""
-    return phone.heading_errors if phone.heading is None else None

@@ -19,11 +19,11 @@ def simulate(
     ],
     heading_sigma: Annotated[
         float | None,
-        typer.Option(metavar="DEG", help="White noise of heading, deg [5; perfect device: 0]."),
+        typer.Option(metavar="DEG", help="White noise of heading, deg (5; perfect device: 0)."),
     ] = None,
     no_heading: Annotated[bool, typer.Option("--no-heading", help="No heading sensor.")] = False,
     seed: Annotated[
-        int | None, typer.Option(help="Same seed, same file [from the system].")
+        int | None, typer.Option(help="Same seed, same file (drawn, and said).")
     ] = None,
     effect: Annotated[
         list[str] | None,
@@ -39,14 +39,14 @@ def simulate(
     ] = "consumer",
     perfect: Annotated[bool, typer.Option("--perfect", help="Same as --device perfect.")] = False,
     rate: Annotated[
-        float | None, typer.Option(metavar="HZ", help="Sampling rate of the IMU [100].")
+        float | None, typer.Option(metavar="HZ", help="Sampling rate of the IMU (100).")
     ] = None,
     heading_rate: Annotated[
         float | None,
-        typer.Option(metavar="HZ", help="Rate of heading [consumer: 50; else with the IMU]."),
+        typer.Option(metavar="HZ", help="Rate of heading (consumer: 50; else with the IMU)."),
     ] = None,
     duration: Annotated[
-        float | None, typer.Option(metavar="S", help="Length; the motion is stretched to it.")
+        float | None, typer.Option(metavar="S", help="Length; turns are stretched to it.")
     ] = None,
     bias_gyro_deg_h: Annotated[
         str | None, typer.Option(metavar="X,Y,Z", help="Gyro biases, deg/h.")
@@ -67,7 +67,7 @@ def simulate(
     ] = False,
     sway: Annotated[
         float | None,
-        typer.Option(help="Scale of hand sway and tremor [1; paper device: 0]."),
+        typer.Option(help="Scale of hand sway and tremor (1; paper device: 0)."),
     ] = None,
     latitude: Annotated[
         float | None,
@@ -77,16 +77,16 @@ def simulate(
         float, typer.Option(metavar="M", help="Height above the ellipsoid, with --latitude.")
     ] = 0.0,
     start_heading: Annotated[
-        float | None, typer.Option(metavar="DEG", help="Yaw at the start [random; paper: 0].")
+        float | None, typer.Option(metavar="DEG", help="Yaw at the start (random; paper: 0).")
     ] = None,
     start_tilt: Annotated[
         str | None,
-        typer.Option(metavar="PITCH,ROLL", help="Tilt at the start, deg [random; paper: 0,0]."),
+        typer.Option(metavar="PITCH,ROLL", help="Tilt at the start, deg (random; paper: 0,0)."),
     ] = None,
     clockwise: Annotated[
         bool | None,
         typer.Option(
-            "--clockwise/--counter-clockwise", help="Which way it turns [random; paper: counter-]."
+            "--clockwise/--counter-clockwise", help="Which way it turns (random; paper: counter-)."
         ),
     ] = None,
 ) -> None:

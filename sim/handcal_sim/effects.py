@@ -20,7 +20,7 @@ AXES = "xyz"
 
 
 @dataclass(frozen=True)
-class World:
+class Setup:
     """All that an effect may change."""
 
     phone: Phone
@@ -134,6 +134,8 @@ def check(name: str, values: Sequence[float]) -> None:
             raise SimulationError(f"{name}: {parameter.name} must not be negative")
     if name == "heading_outliers" and values[0] > 1.0:
         raise SimulationError("heading_outliers: fraction must not exceed 1")
+    if name == "clock_rate" and abs(values[0]) > 1e5:
+        raise SimulationError("clock_rate: ppm must lie within 100000 either way")
     if name == "heading_correlated_noise" and values[1] == 0.0:
         raise SimulationError("heading_correlated_noise: tau must be above 0")
 
@@ -152,14 +154,14 @@ def unit(name: str) -> str:
     return units[0] if len(set(units)) == 1 else ",".join(units)
 
 
-def apply(world: World, effects: Mapping[str, Sequence[float]]) -> World:
-    """The world with these effects set."""
+def apply(setup: Setup, effects: Mapping[str, Sequence[float]]) -> Setup:
+    """The setup with these effects set."""
     for name, values in effects.items():
         check(name, values)
-        _check_sensor(world.phone, name)
+        _check_sensor(setup.phone, name)
         for parameter, value in zip(EFFECTS[name], values, strict=True):
-            world = _set(world, parameter.field.split("."), parameter.index, float(value), name)
-    return world
+            setup = _set(setup, parameter.field.split("."), parameter.index, float(value), name)
+    return setup
 
 
 def _check_sensor(phone: Phone, name: str) -> None:
@@ -185,11 +187,11 @@ def _set(owner: Any, path: list[str], index: tuple[int, ...], value: float, effe
     return replace(owner, **{head: tuple(new.tolist()) if isinstance(old, tuple) else new})
 
 
-def values_of(world: World, name: str) -> list[float] | None:
-    """What the effect's parameters are in this world; None without the sensor."""
+def values_of(setup: Setup, name: str) -> list[float] | None:
+    """What the effect's parameters are in this setup; None without the sensor."""
     found = []
     for parameter in EFFECTS[name]:
-        owner: Any = world
+        owner: Any = setup
         for step in parameter.field.split("."):
             owner = None if owner is None else getattr(owner, step)
         if owner is None:

@@ -74,7 +74,7 @@ def simulate(
         raise SimulationError(f"sway {sway:g} is not a factor of 0 or more")
     rngs = _generators(seed)
     device = phone(rngs["device"]) if callable(phone) else phone
-    setup = catalogue.apply(catalogue.World(device, earth), effects or {})
+    setup = catalogue.apply(catalogue.Setup(device, earth), effects or {})
     began = start(rngs["start"]) if callable(start) else start
     motion = build(scenario, duration_s, began, rngs["motion"])
     holder = hand.random_hand(rngs["hand"], sway)
@@ -129,7 +129,8 @@ def _streams(
         streams["heading"] = Stream(stamps, read)
     if phone.mag is not None:
         stamps, t = on_device(phone.mag.clocking)
-        of_mag = aiding.heading_errors_of_mag(phone)
+        # Without a heading sensor, errors of heading are those of the magnetometer.
+        of_mag = phone.heading_errors if phone.heading is None else None
         read = aiding.read_mag(phone.mag, of_mag, motion, t, rngs["mag"])
         streams["mag"] = Stream(stamps, read)
     if phone.thermometer.reported or _warms(phone):
@@ -158,7 +159,7 @@ def _warms(phone: Phone) -> bool:
 
 
 def _parameters(
-    setup: catalogue.World,
+    setup: catalogue.Setup,
     motion: Motion,
     start: Start,
     holder: Hand,

@@ -124,14 +124,14 @@ def accel_error(accel: Accel, at: Truth, warm: Array) -> Array:
 def lagged_rate(motion: Motion, earth: Earth, lag_s: float, t: Array) -> Array:
     """True rate through a first-order low pass, at the instants t (n, 3).
 
-    The rate is taken at 1 kHz or more (20 points per time constant) and held to be linear
-    between, which the filter then treats exactly.
+    The rate is taken at 1 kHz and held to be linear between, which the filter then treats
+    exactly, whatever its time constant.
     """
     from scipy.interpolate import CubicSpline
     from scipy.signal import lfilter
 
-    step = min(1e-3, lag_s / 20.0)
-    before = 20.0 * lag_s
+    step = 1e-3
+    before = min(20.0 * lag_s, 20.0)
     grid = np.arange(t[0] - before, t[-1] + 4.0 * step, step)
     rate = truth_at(motion, earth, np.zeros(3), grid).omega
     decay = math.exp(-step / lag_s)
