@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -87,3 +89,41 @@ def edited(path: Path, change: Callable[[bytearray], None]) -> Path:
     change(data)
     path.write_bytes(data)
     return path
+
+
+IMU, POSE = "sensor_msgs/msg/Imu", "geometry_msgs/msg/PoseStamped"
+QUATERNION = "geometry_msgs/msg/QuaternionStamped"
+Message = tuple[int, int, bytes]
+
+
+def cdr(ns: int, floats: list[float], order: str = "<", frame: bytes = b"imu") -> bytes:
+    """A stamped message, packed field by field."""
+    head = struct.pack(f"{order}iII", ns // 10**9, ns % 10**9, len(frame) + 1) + frame + b"\0"
+    head += b"\0" * (-len(head) % 8)
+    return bytes([0, order == "<", 0, 0]) + head + struct.pack(f"{order}{len(floats)}d", *floats)
+
+
+def imu_floats(gyro: np.ndarray, accel: np.ndarray) -> list[float]:
+    return [0, 0, 0, 1, -1, *[0] * 8, *gyro.tolist(), *[0] * 9, *accel.tolist(), *[0] * 9]
+
+
+def imu_messages(
+    recording: Recording, channel: int = 0, order: str = "<", frame: bytes = b"imu"
+) -> list[Message]:
+    stamps = START_NS + np.rint(recording.imu.t * 1e9).astype(np.int64)
+    rows = zip(stamps.tolist(), recording.imu.gyro, recording.imu.accel, strict=True)
+    return [(channel, ns, cdr(ns, imu_floats(g, f), order, frame)) for ns, g, f in rows]
+
+
+def imu_json(recording: Recording, stamped: bool = True) -> list[Message]:
+    stamps = START_NS + np.rint(recording.imu.t * 1e9).astype(np.int64)
+    messages = []
+    for ns, g, f in zip(stamps.tolist(), recording.imu.gyro, recording.imu.accel, strict=True):
+        tree: dict[str, object] = {
+            "angular_velocity": dict(zip("xyz", g.tolist(), strict=True)),
+            "linear_acceleration": dict(zip("xyz", f.tolist(), strict=True)),
+        }
+        if stamped:
+            tree["header"] = {"stamp": {"sec": ns // 10**9, "nanosec": ns % 10**9}}
+        messages.append((0, ns, json.dumps(tree).encode()))
+    return messages

@@ -1,0 +1,155 @@
+"""Plain CSV: units, further columns, tables that are none; and ``load`` itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from sample_recording import sample
+
+from handcal.inputs import load
+from handcal.types import InputError, Recording
+
+DEG, G = np.pi / 180, 9.80665
+HEADER = "t,gx,gy,gz,ax,ay,az"
+
+
+def write_csv(path: Path, header: str, table: np.ndarray, separator: str = ",") -> Path:
+    rows = [separator.join(repr(float(v)) for v in row) for row in table]
+    target = path / "a.csv"
+    target.write_text("\n".join([header, *rows]) + "\n")
+    return target
+
+
+def rows_of(recording: Recording) -> np.ndarray:
+    imu = recording.imu
+    return np.column_stack([imu.t, imu.gyro, imu.accel])
+
+
+def test_simple_names_are_si(tmp_path: Path) -> None:
+    table = rows_of(sample())
+    table[:, 0] += 5  # whatever the clock counts from, it is not 1970
+    back = load(write_csv(tmp_path, HEADER, table))
+    np.testing.assert_array_equal(back.imu.t, sample().imu.t)
+    np.testing.assert_array_equal(back.imu.gyro, sample().imu.gyro)
+    np.testing.assert_array_equal(back.imu.accel, sample().imu.accel)
+    assert back.start_ns == 0
+    assert back.warnings == ()
+
+
+SCALED = np.array([1e3, *[1 / DEG] * 3, *[1 / G] * 3])
+
+
+@pytest.mark.parametrize(
+    ("header", "units"),
+    [
+        (HEADER, {"time": "ms", "gyro": "deg/s", "accel": "g"}),
+        (
+            "Time (ms),Gyroscope X (deg/s),Gyroscope Y (dps),Gyroscope Z (°/s),"
+            "Accelerometer X (g),Accelerometer Y (g),Accelerometer Z (G)",
+            None,
+        ),
+        (
+            "timestamp [ms];gyro_x [dps];gyro_y [dps];gyro_z [dps];acc_x [g];acc_y [g];acc_z [g]",
+            None,
+        ),
+    ],
+)
+def test_units_by_header_or_option(tmp_path: Path, header: str, units: dict[str, str]) -> None:
+    separator = ";" if ";" in header else ","
+    path = write_csv(tmp_path, header, rows_of(sample()) * SCALED, separator)
+    back = load(path, units=units)
+    np.testing.assert_allclose(back.imu.t, sample().imu.t, atol=1e-9)
+    np.testing.assert_allclose(back.imu.gyro, sample().imu.gyro, rtol=1e-13)
+    np.testing.assert_allclose(back.imu.accel, sample().imu.accel, rtol=1e-13)
+
+
+def test_nanoseconds_since_1970_keep_their_last_digit(tmp_path: Path) -> None:
+    path = write_csv(tmp_path, HEADER, rows_of(sample()))
+    header, *rows = path.read_text().splitlines()
+    start = 1_700_000_000_123_456_789
+    stamps = [start + round(float(row.split(",")[0]) * 1e9) for row in rows]
+    rows = [f"{ns},{row.split(',', 1)[1]}" for ns, row in zip(stamps, rows, strict=True)]
+    path.write_text("\n".join([header, *rows]))
+    back = load(path, units={"time": "ns"})
+    assert back.start_ns == start
+    np.testing.assert_array_equal(back.imu.t, sample().imu.t)
+
+
+def test_further_columns_and_empty_cells(tmp_path: Path) -> None:
+    """A magnetometer in every fourth row only; yaw in degrees beyond half a turn."""
+    path = write_csv(tmp_path, HEADER, rows_of(sample()))
+    _, *rows = path.read_text().splitlines()
+    rows = [
+        f"{row},{'20,-5,43' if k % 4 == 0 else ' ,,'},{25 + k / 100},{k % 360},x"
+        for k, row in enumerate(rows)
+    ]
+    header = f"{HEADER},mx (uT),my (uT),mz (uT),temp,heading (deg),note"
+    path.write_text("\n".join([header, *rows]))
+    back = load(path)
+    assert len(back.streams["mag"].t) == 100
+    np.testing.assert_allclose(back.streams["mag"].value[7], [20e-6, -5e-6, 43e-6])
+    assert back.streams["temperature"].value[100, 0] == 26
+    assert back.streams["heading"].value[180, 0] == pytest.approx(np.pi)
+    assert back.streams["heading"].value[270, 0] == pytest.approx(-np.pi / 2)
+    assert "'note'" in back.warnings[0]
+
+
+@pytest.mark.parametrize(
+    ("text", "match"),
+    [
+        ("t,gx,gy,gz,foo,bar\n1,2,3,4,5,6\n", r"accel x.*'foo', 'bar'.*Expected: t, gx"),
+        (HEADER + "\n", "no rows"),
+        (HEADER + "\n1,2,3,4,5,6,seven\n", "from line 2.*seven"),
+        (HEADER + "\n1,2,3\n", "from line 2"),
+        (HEADER + "\n1,1,2,3,4,5,6\n2,1,2,3,4,5,6\n", "2 IMU samples over 1.0 s"),
+        ("t (h),gx,gy,gz,ax,ay,az\n1,2,3,4,5,6,7\n", "unit of column 't .h.'"),
+        (HEADER + ",mx\n1,2,3,4,5,6,7,8\n", "lacks columns for mag y, mag z"),
+        ("\x00\x01\x02", "lacks columns"),
+        (HEADER + "\n1e300,2,3,4,5,6,7\n", "280 years"),
+        (HEADER + "\nnan,2,3,4,5,6,7\n", "280 years"),
+    ],
+)
+def test_bad_tables_are_sentences(tmp_path: Path, text: str, match: str) -> None:
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(InputError, match=match):
+        load(tmp_path / "a.csv")
+
+
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.one_of(st.binary(max_size=200), st.text(",;\t\n 019.eE-+naif\0#\"'", max_size=99)))
+def test_any_table_gives_a_sentence(tmp_path: Path, tail: bytes | str) -> None:
+    tail = tail.encode() if isinstance(tail, str) else tail
+    for head in (b"", HEADER.encode() + b"\n"):
+        (tmp_path / "a.csv").write_bytes(head + tail)
+        with pytest.raises(InputError):
+            load(tmp_path / "a.csv")
+
+
+def test_what_is_understood_is_listed(tmp_path: Path) -> None:
+    (tmp_path / "a.txt").write_text("hello")
+    with pytest.raises(InputError, match=r"MCAP.*CSV.*Sensor Logger"):
+        load(tmp_path / "a.txt")
+    with pytest.raises(InputError, match="does not exist"):
+        load(tmp_path / "b.txt")
+    with pytest.raises(InputError, match="no known format"):
+        load(tmp_path)
+
+
+@pytest.mark.parametrize("units", [{"speed": "m/s"}, {"accel": "furlong"}])
+def test_units_that_do_not_exist(tmp_path: Path, units: dict[str, str]) -> None:
+    path = write_csv(tmp_path, HEADER, rows_of(sample()))
+    with pytest.raises(InputError, match="--units"):
+        load(path, units=units)
+
+
+def test_real_csv(real_recordings: Path) -> None:
+    back = load(real_recordings / "xio_fusion.csv")
+    assert back.duration_s == pytest.approx(135.33, abs=0.01)
+    np.testing.assert_allclose(back.imu.accel[:50].mean(axis=0)[2], G * 0.995, atol=0.1)
+    assert abs(np.degrees(back.imu.gyro[:50]).mean()) < 1
+    strength = np.linalg.norm(back.streams["mag"].value, axis=1)
+    assert 2e-5 < np.median(strength) < 8e-5
