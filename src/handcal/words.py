@@ -1,0 +1,284 @@
+"""The words and units in which results are shown, the same in terminal, report and dashboard.
+
+``shown`` turns an SI unit into the one a person thinks in; ``verdict``, ``nis_word`` and
+``not_shown`` say in sentences what the numbers mean. Nothing here formats for a medium.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from handcal.effects import catalogue
+from handcal.types import Innovations, NoiseLevel, Parameter, Result
+
+NBSP = "\u00a0"
+_DEG = 180.0 / math.pi
+_MG = 1000.0 / 9.80665
+
+# SI unit without brackets and blanks -> (shown unit, factor, used up to this shown value)
+_UNITS: dict[str, tuple[tuple[str, float, float], ...]] = {
+    "rad/s": (("deg/h", 3600 * _DEG, 100.0), ("deg/s", _DEG, math.inf)),
+    "m/s^2": (("mg", _MG, math.inf),),
+    "1": (("ppm", 1e6, 1000.0), ("%", 100.0, math.inf)),
+    "1e-6": (("ppm", 1.0, math.inf),),
+    "rad": (("mrad", 1000.0, 5.0), ("deg", _DEG, math.inf)),
+    "m": (("mm", 1000.0, 1000.0), ("m", 1.0, math.inf)),
+    "s": (("ms", 1000.0, 1000.0), ("s", 1.0, math.inf)),
+    "m/s": (("mm/s", 1000.0, 1000.0), ("m/s", 1.0, math.inf)),
+    "tesla": (("µT", 1e6, math.inf),),
+    "s/rad": (("%/(100 deg/s)", 1e4 / _DEG, math.inf),),
+    "s^2/m": (("mg/g²", 1000.0 * 9.80665, math.inf),),
+    "rad/s/m/s^2": (("deg/s/g", _DEG * 9.80665, math.inf),),
+    "rad/s/K": (("deg/s/K", _DEG, math.inf),),
+    "m/s^2/K": (("mg/K", _MG, math.inf),),
+    "rad/s/sqrts": (("deg/s/√s", _DEG, math.inf),),
+    "m/s^2/sqrts": (("mg/√s", _MG, math.inf),),
+    "rad/s/sqrtHz": (("mdeg/s/√Hz", 1000 * _DEG, 1000.0), ("deg/s/√Hz", _DEG, math.inf)),
+    "m/s^2/sqrtHz": (("µg/√Hz", 1000 * _MG, 1000.0), ("mg/√Hz", _MG, math.inf)),
+    "rad/sqrts": (("deg/√s", _DEG, math.inf),),
+    "m/s/sqrts": (("mm/s/√s", 1000.0, math.inf),),
+}
+
+# Title, and the motion that shows it ({axis}: the names concerned), of the baseline and of
+# effects that have no file in the catalogue; those that have one say it there.
+_EFFECTS: dict[str, tuple[str, str]] = {
+    "gyro_bias": ("Gyro bias", "rests, and turns about more than one axis"),
+    "accel_bias": ("Accelerometer bias", "rests with {axis} pointing up, down and level"),
+    "gyro_misalignment": ("Gyro misalignment", "full turns about each axis on its own"),
+    "accel_misalignment": ("Accelerometer misalignment", "rests in many different poses"),
+    "gyro_g_sensitivity": ("Gyro g-sensitivity", "rests with every axis up and down"),
+    "gyro_quadratic": ("Gyro quadratic error", "slow and fast turns about {axis}"),
+    "gyro_cross_products": ("Gyro cross products", "fast turns about two axes at once"),
+    "accel_cross_products": ("Accelerometer cross products", "rests on edges and corners"),
+    "accel_asymmetry": ("Accelerometer asymmetry", "rests with {axis} up, level and down"),
+    "size_effect": ("Size effect", "fast turns that start and stop abruptly, about every axis"),
+    "gyro_temperature": ("Gyro temperature slope", "rests while the device warms up or cools"),
+    "accel_temperature": ("Accelerometer temperature slope", "rests while the device warms up"),
+    "accel_delay": ("Accelerometer delay", "brisk shaking turns"),
+    "gyro_bandwidth": ("Gyro bandwidth", "quick turns to and fro"),
+    "gyro_bias_walk": ("Gyro bias walk", "a longer recording with rests throughout"),
+    "accel_bias_walk": ("Accelerometer bias walk", "a longer recording with rests throughout"),
+    "gyro_bias_step": ("Gyro bias step", "rests before and after the step"),
+    "heading_hard_iron": ("Heading hard iron", "a full level turn"),
+    "heading_soft_iron": ("Heading soft iron", "a full level turn"),
+    "mag_hard_iron": ("Magnetometer hard iron", "turns with every axis up and down"),
+    "heading_delay": ("Heading delay", "brisk level turns to and fro"),
+    "pose_delay": ("Pose delay", "brisk turns to and fro"),
+    "heading_drift": ("Heading drift", "a longer recording with turns about several axes"),
+    "heading_correlated_noise": ("Correlated heading noise", "a longer recording"),
+    "heading_outliers": ("Heading outliers", "a longer recording"),
+    "gravity": ("Gravity", "rests in many poses, or the site's own latitude (--latitude)"),
+    "earth_rate": ("Earth rate", "minutes of rest in several headings, or --latitude"),
+    "clock_rate": ("Clock rate", "a second clock, such as a measured pose"),
+}
+
+_NOISE = {
+    "gyro_noise": "Gyro noise",
+    "accel_noise": "Accelerometer noise",
+    "heading_noise": "Heading noise",
+    "hand_sway": "Hand sway",
+}
+
+_STREAMS = {"imu": "IMU", "mag": "magnetometer"}
+_ASSUME = {
+    "fixed-point": "the held point stayed in its place",
+    "rest-only": "the device stood still in the detected rests alone",
+}
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A unit for people and the factor that takes SI to it."""
+
+    unit: str
+    factor: float
+
+    def value(self, value: float, sigma: float | None = None, sign: bool = False) -> str:
+        """The number with as many digits as ``sigma`` (SI) justifies, three without one."""
+        scaled = value * self.factor
+        if not math.isfinite(scaled):
+            return "–"
+        size = abs(self.factor * sigma) if sigma is not None else 0.0
+        if not (math.isfinite(size) and size > 0):
+            return f"{scaled:.0f}" if abs(scaled) >= 1000 else f"{scaled:.3g}"
+        digits = min(max(1 - math.floor(math.log10(size)), 0), 7)
+        return f"{scaled:{'+' if sign else ''}.{digits}f}".replace("-", "−")
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """level "good", "partly" or "poor"; a headline; the sentences that follow it."""
+
+    level: str
+    headline: str
+    sentences: tuple[str, ...]
+
+
+def shown(unit: str, values: Iterable[float]) -> Shown:
+    """The friendly unit for numbers of this SI unit and size."""
+    key = unit.replace("(", "").replace(")", "").replace(" ", "")
+    largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
+    for name, factor, limit in _UNITS.get(key, ()):
+        if largest * factor <= limit:
+            return Shown(name, factor)
+    return Shown("" if unit == "1" else unit, 1.0)
+
+
+def shown_group(parameters: Sequence[Parameter]) -> Shown:
+    """One friendly unit for all parameters of an effect that share an SI unit."""
+    return shown(parameters[0].unit, [v for p in parameters for v in (p.value, p.sigma)])
+
+
+def residual_unit(innovations: Innovations) -> Shown:
+    """The friendly unit of an observation kind's residuals; angles always in degrees."""
+    if innovations.unit == "rad":
+        return Shown("deg", _DEG)
+    typical = sorted(float(s) for s in innovations.sigma.ravel())
+    return shown(innovations.unit, typical[len(typical) // 2 : len(typical) // 2 + 1])
+
+
+def by_effect(parameters: Sequence[Parameter]) -> dict[tuple[str, str], list[Parameter]]:
+    """Parameters grouped by (effect, SI unit), in their order."""
+    groups: dict[tuple[str, str], list[Parameter]] = {}
+    for p in parameters:
+        groups.setdefault((p.effect, p.unit), []).append(p)
+    return groups
+
+
+def effect_title(effect: str) -> str:
+    """The effect's name for people; an unknown id with its underscores taken out."""
+    return _effect(effect)[0]
+
+
+def _effect(effect: str) -> tuple[str, str]:
+    """Title and motion."""
+    if (known := catalogue().get(effect)) is not None:
+        return known.title.removesuffix(" error"), known.motion[:1].lower() + known.motion[1:]
+    unknown = (effect.replace("_", " ").capitalize(), "a longer and more varied motion")
+    return _EFFECTS.get(effect, unknown)
+
+
+def parameter_name(p: Parameter) -> str:
+    """The name beside its effect's title; empty where it would only repeat that."""
+    return "" if effect_title(p.effect).lower().endswith(" " + p.name.lower()) else p.name
+
+
+def parameter_title(p: Parameter) -> str:
+    """ "Gyro bias x", "Heading delay"."""
+    return f"{effect_title(p.effect)} {parameter_name(p)}".rstrip()
+
+
+def noise_line(level: NoiseLevel) -> tuple[str, str, str]:
+    """(title, value in a friendly unit, where it comes from)."""
+    unit = shown(level.unit, [level.value])
+    title = _NOISE.get(level.name, level.name.replace("_", " ").capitalize())
+    source = "found in this recording" if level.estimated else "assumed"
+    return title, f"{unit.value(level.value)}{NBSP}{unit.unit}", source
+
+
+def stream_title(name: str) -> str:
+    """The stream's name for people."""
+    return _STREAMS.get(name, name)
+
+
+def assume_sentence(assume: str) -> str:
+    """What the filter took for granted about the hand."""
+    return f"It was assumed that {_ASSUME.get(assume, assume)}."
+
+
+def nis_word(innovations: Innovations) -> str:
+    """Whether the filter's own error bounds agree with what it saw.
+
+    Thousands of updates make a chi-square test reject models that are perfectly
+    usable, so "consistent" is NIS per degree of freedom from 0.5 to 1.6: sigmas
+    right to about a quarter.
+    """
+    mean = innovations.mean_nis
+    if mean is None:
+        return "no data"
+    return "too confident" if mean > 1.6 else "too cautious" if mean < 0.5 else "consistent"
+
+
+def nis_sentence(kind: str, innovations: Innovations) -> str | None:
+    """What a NIS away from one means for the numbers above; None where it is consistent."""
+    word, mean = nis_word(innovations), innovations.mean_nis
+    if mean is None or word == "consistent":
+        return None
+    if word == "too confident":
+        return (
+            f"The {kind} observations scatter {math.sqrt(mean):.1f} times as far as the filter "
+            f"expects: true errors may be that much larger than the ± values."
+        )
+    return (
+        f"The {kind} observations agree {1 / math.sqrt(mean):.1f} times better than the filter "
+        f"expects: the ± values are on the large side."
+    )
+
+
+def counted(n: int, noun: str) -> str:
+    """ "1 rest", "2 rests"."""
+    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
+
+
+def _listed(items: Sequence[str]) -> str:
+    return items[0] if len(items) == 1 else ", ".join(items[:-1]) + " and " + items[-1]
+
+
+def _known_to(parameters: Sequence[Parameter]) -> str:
+    worst, unit = max(p.sigma for p in parameters), shown_group(parameters)
+    title = effect_title(parameters[0].effect).lower()
+    return f"{title} ±{unit.value(worst, worst)}{NBSP}{unit.unit}"
+
+
+def verdict(result: Result) -> Verdict:
+    """What was learnt, and whether it can be trusted, in a few sentences."""
+    learnt = [p for p in result.parameters if p.observable]
+    biases = [p for p in result.parameters if p.effect in ("gyro_bias", "accel_bias")]
+    n, of = len(learnt), len(result.parameters)
+    doubts = [s for k, i in result.innovations.items() if (s := nis_sentence(k, i))]
+    overconfident = any(nis_word(i) == "too confident" for i in result.innovations.values())
+    if not any(p.observable for p in biases):
+        level, headline = "poor", "This motion did not show the sensor's biases."
+    elif n == of and not overconfident:
+        level, headline = "good", "Every parameter was learnt, and the numbers hold together."
+    elif overconfident:
+        level, headline = "partly", "Something in this recording is not explained by the model."
+    else:
+        level, headline = "partly", f"{n} of {of} parameters were learnt from this motion."
+    sentences: list[str] = []
+    groups = [g for g in by_effect(learnt).values() if len(g) and g[0].unit]
+    if groups:
+        sentences.append(f"Known to one sigma: {_listed([_known_to(g) for g in groups])}.")
+    if result.innovations and not doubts:
+        sentences.append("The errors agree with the bounds the filter set itself.")
+    sentences += doubts
+    if overconfident:
+        sentences.append(
+            "Usual causes: a held point that moved, or an effect that --effects did not include."
+        )
+    return Verdict(level, headline, tuple(sentences))
+
+
+def not_shown(result: Result) -> tuple[str, ...]:
+    """A sentence for each effect that this motion left unknown, with what would show it."""
+    sentences = []
+    heading = "heading" in result.innovations or "mag" in result.innovations
+    for (effect, _), group in by_effect(result.parameters).items():
+        hidden = [p for p in group if not p.observable]
+        if not hidden:
+            continue
+        names = _listed([p.name for p in hidden])
+        best, unit = min(hidden, key=lambda p: p.sigma / p.prior_sigma), shown_group(group)
+        motion = _effect(effect)[1].format(axis=names).rstrip(".")
+        subject = _listed([parameter_title(hidden[0]), *(p.name for p in hidden[1:])])
+        now, before = unit.value(best.sigma, best.sigma), unit.value(best.prior_sigma)
+        why = f"{subject}: ±{now}{NBSP}{unit.unit} now, against ±{before}{NBSP}{unit.unit} before"
+        if effect == "gyro_bias" and not heading:
+            motion += (
+                ". Without a heading, the bias of the axis that stays vertical looks like a slow "
+                "turn: turn about a second axis too, or record a magnetometer or compass heading"
+            )
+        sentences.append(f"{why}. What would show it: {motion}.")
+    return tuple(sentences)

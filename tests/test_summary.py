@@ -1,0 +1,166 @@
+"""Numbers and words of a result: the JSON of the contract, units, verdicts."""
+
+import io
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from fake_result import fake_result
+from rich.console import Console
+
+from handcal import summary, words
+from handcal.types import HandcalError, Innovations
+
+
+def innovations(nis_scale: float, updates: int = 400, seed: int = 3) -> Innovations:
+    rng = np.random.default_rng(seed)
+    residual = math.sqrt(nis_scale) * rng.normal(0, 0.1, (updates, 3))
+    sigma = np.full((updates, 3), 0.1)
+    t = np.arange(updates) * 0.1
+    names = ("position_x", "position_y", "position_z")
+    return Innovations(t, residual, sigma, ((residual / sigma) ** 2).sum(1), 0, "m", names)
+
+
+def no_nulls_in_lists(node: object) -> bool:
+    if isinstance(node, dict):
+        return all(no_nulls_in_lists(v) for v in node.values())
+    return not isinstance(node, list) or all(v is not None and no_nulls_in_lists(v) for v in node)
+
+
+def test_the_json_has_the_contracts_fields():
+    document = summary.calibration_json(fake_result())
+    assert set(document) == {"schema", "recording", "parameters", "noise", "fit", "warnings"}
+    assert document["schema"] == "handcal/calibration/1"
+    assert set(document["recording"]) == {"path", "duration_s", "imu_rate_hz", "streams", "assume"}
+    assert document["recording"]["imu_rate_hz"] == pytest.approx(100)
+    assert set(document["fit"]) == {"log_evidence", "observations", "nis", "whiteness"}
+    for p in document["parameters"]:
+        assert set(p) == {
+            "effect",
+            "name",
+            "value",
+            "sigma",
+            "unit",
+            "observable",
+            "converged_at_s",
+        }
+    for n in document["noise"]:
+        assert set(n) == {"name", "value", "unit"}
+    by_name = {(p["effect"], p["name"]): p for p in document["parameters"]}
+    assert by_name["gyro_bias", "x"]["value"] == 0.0121
+    assert by_name["gyro_scale", "z"]["observable"] is False
+    assert no_nulls_in_lists(document)
+
+
+def test_json_holds_no_number_that_json_cannot(tmp_path):
+    result = fake_result(extra=False)
+    first = replace(result.parameters[0], value=math.nan, sigma=math.inf)
+    broken = replace(result, parameters=(first, *result.parameters[1:]), log_evidence=math.nan)
+    summary.write_json(summary.calibration_json(broken), tmp_path / "x.json")
+    document = json.loads((tmp_path / "x.json").read_text(), parse_constant=pytest.fail)
+    assert document["parameters"][0]["value"] is None
+    assert document["parameters"][0]["sigma"] is None
+    assert document["fit"]["log_evidence"] is None
+
+
+def test_several_results_are_a_list_of_recordings():
+    one = fake_result(extra=False)
+    assert summary.calibration_json([one]) == summary.calibration_json(one)
+    document = summary.calibration_json([one, fake_result()])
+    assert document["parameters"] == []
+    assert [len(r["parameters"]) for r in document["recordings"]] == [6, 13]
+
+
+def test_a_folder_that_does_not_exist_is_a_sentence(tmp_path):
+    with pytest.raises(HandcalError, match="could not be written"):
+        summary.write_json({}, tmp_path / "none" / "x.json")
+
+
+def test_whiteness_tells_white_from_alike():
+    white = innovations(1.0, 2000)
+    assert abs(summary.whiteness(white)) < 0.05
+    slow = replace(white, residual=np.repeat(white.residual[::10], 10, axis=0))
+    assert summary.whiteness(slow) == pytest.approx(0.9, abs=0.05)
+    assert summary.whiteness(innovations(1.0, 2)) is None
+
+
+def test_running_nis_stays_in_its_band_as_often_as_it_should():
+    """Windows that do not overlap, of white innovations: 95 % inside, give or take."""
+    i = innovations(1.0, 20_000, seed=1)
+    low, high = summary.nis_band(20 * 3)
+    t, mean = summary.windowed_nis(i, 20)
+    inside = ((mean >= low) & (mean <= high))[::20].mean()
+    assert len(t) == len(mean) == 20_000 - 19
+    assert t[0] == i.t[19]
+    assert abs(inside - 0.95) < 4 * math.sqrt(0.95 * 0.05 / 1000)
+
+
+@pytest.mark.parametrize(
+    ("unit", "value", "sigma", "text"),
+    [
+        ("rad/s", math.radians(0.5), math.radians(0.012), "0.500 deg/s"),
+        ("rad/s", math.radians(10 / 3600), math.radians(1 / 3600), "10.0 deg/h"),
+        ("m/s^2", 9.80665e-3, 0.5e-3, "1.000 mg"),
+        ("1", 0.005, 1e-4, "0.500 %"),
+        ("1", -200e-6, 10e-6, "−200 ppm"),
+        ("m", 0.1, 0.002, "100.0 mm"),
+        ("(rad/s)/(m/s^2)", math.radians(0.1) / 9.80665, 1e-5, "0.1000 deg/s/g"),
+        ("s/rad", 0.01 / math.radians(100), 1e-4, "1.000 %/(100 deg/s)"),
+        ("furlong", 3.0, 0.5, "3.00 furlong"),
+    ],
+)
+def test_units_for_people(unit, value, sigma, text):
+    shown = words.shown(unit, [value])
+    assert f"{shown.value(value, sigma)} {shown.unit}" == text
+
+
+def test_digits_follow_sigma():
+    assert words.Shown("", 1.0).value(1.23456, 0.012) == "1.235"
+    assert words.Shown("", 1.0).value(1234.5, 37.0) == "1234"
+    assert words.Shown("", 1.0).value(-0.5, 0.1, sign=True) == "−0.50"
+    assert words.Shown("", 1.0).value(math.nan, 0.1) == "–"
+
+
+@pytest.mark.parametrize(
+    ("scale", "word"), [(1.0, "consistent"), (9.0, "too confident"), (0.1, "too cautious")]
+)
+def test_nis_in_a_word(scale, word):
+    i = innovations(scale)
+    assert words.nis_word(i) == word
+    assert (words.nis_sentence("position", i) is None) == (word == "consistent")
+
+
+def test_the_verdict_says_what_was_learnt_and_what_was_not():
+    assert words.verdict(fake_result(extra=False)).level == "good"
+    partly = words.verdict(fake_result())
+    assert (partly.level, partly.headline) == (
+        "partly",
+        "12 of 13 parameters were learnt from this motion.",
+    )
+    doubtful = words.verdict(fake_result(extra=False, overconfident=True))
+    assert doubtful.level == "partly"
+    assert any("3.1 times as far" in s for s in doubtful.sentences)
+    (sentence,) = words.not_shown(fake_result())
+    assert "z" in sentence
+    assert "turn" in sentence
+
+
+def test_without_a_heading_the_advice_is_a_second_axis_or_a_heading():
+    (sentence,) = words.not_shown(fake_result(heading=False, extra=False))
+    assert sentence.startswith("Gyro bias z")
+    assert "second axis" in sentence
+    assert "heading" in sentence
+
+
+def test_the_terminal_table_shows_every_parameter():
+    out = io.StringIO()
+    result = fake_result()
+    summary.print_summary(result, Console(file=out, width=100, color_system=None))
+    text = out.getvalue()
+    for p in result.parameters:
+        assert words.parameter_title(p) in text
+    assert "could not show" in text
+    assert "too confident" not in text
+    assert max(len(line.rstrip()) for line in text.splitlines()) <= 100
