@@ -1,0 +1,320 @@
+"""Results in the Rerun viewer, saved or streamed. The only file that imports rerun.
+
+Entities: ``/device`` (the phone in 3-D), ``/heading``, ``/parameters/EFFECT``,
+``/innovation/KIND``, ``/nis/KIND``, ``/imu`` and ``/summary``; timeline ``time``,
+seconds since the start of the recording. Saving and streaming fill the same entities.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from handcal import summary
+from handcal.frames import Frame, Group, Kind, Layout, frames_of, layout_of
+from handcal.types import Array, HandcalError, Result
+from handcal.viewer import viewer
+
+APPLICATION = "handcal"
+TIMELINE = "time"
+NIS_WINDOW = 20  # updates
+DEG = 180.0 / np.pi
+# Okabe-Ito's vermilion, green, blue, light enough for the viewer's dark background
+XYZ = ((240, 130, 60), (40, 190, 140), (80, 165, 240))
+GREY = (140, 146, 156)
+PHONE_M = (0.072, 0.150, 0.009)
+
+
+def _plot(layout: Layout, origin: str, name: str, legend: bool = True, **limits: Any) -> Any:
+    """One time series; without a legend, which would list every band, the title says it."""
+    axis = None
+    if layout.span:
+        start, end = (rrb.TimeRangeBoundary.absolute(seconds=t) for t in layout.span)
+        axis = rrb.TimeAxis(view_range=rrb.TimeRange(start=start, end=end))
+    return rrb.TimeSeriesView(
+        origin=origin, name=name, axis_x=axis, axis_y=rrb.ScalarAxis(**limits) if limits else None,
+        plot_legend=rrb.PlotLegend("RightTop", visible=legend),
+    )  # fmt: skip
+
+
+def _key(names: Sequence[str]) -> str:
+    """What the colours mean, for a title: three colours, of x y z."""
+    return "  (orange x, green y, blue z)" if len(names) == 3 else ""
+
+
+def blueprint(layout: Layout) -> rrb.Blueprint:
+    """Attitude and heading on the left, parameters in the middle, consistency on the right."""
+    eye = rrb.EyeControls3D(
+        position=(0.16, -0.27, 0.15), look_target=(0, 0, -0.01), eye_up=(0, 0, 1)
+    )
+    grid = rrb.LineGrid3D(visible=True, spacing=0.05)
+    device = rrb.Spatial3DView(
+        origin="/", contents=["/device/**", "/level/**"], name="Attitude",
+        eye_controls=eye, line_grid=grid,
+    )  # fmt: skip
+
+    def parameters(g: Group, key: bool = True) -> Any:
+        limits = {"range": g.range} if g.range else {}
+        name = f"{g.title}, 3 sigma{_key(g.names)}" if key else g.title
+        return _plot(layout, f"/parameters/{g.effect}", name, legend=not _key(g.names), **limits)
+
+    def innovation(kind: str, k: Kind) -> Any:
+        name = f"Innovation: {kind}, {k.shown.unit}, 3 sigma{_key(k.channels)}"
+        return _plot(layout, f"/innovation/{kind}", name, legend=False)
+
+    bias = [g for g in layout.groups if g.effect in ("gyro_bias", "accel_bias")]
+    other = [parameters(g, key=False) for g in layout.groups if g not in bias]
+    right = [innovation(kind, k) for kind, k in layout.kinds.items()]
+    if right:
+        right.append(_plot(layout, "/nis", "NIS per degree of freedom (1 is right), 95 % band"))
+    heading = _plot(layout, "/heading", "Heading, deg", range=(-190.0, 190.0))
+    text = rrb.TextDocumentView(origin="/summary", name="Result")
+    readings = [_plot(layout, "/imu/gyro", "Gyro, deg/s"),
+                _plot(layout, "/imu/accel", "Accelerometer, m/s²")]  # fmt: skip
+    columns = [
+        rrb.Vertical(device, heading, rrb.Tabs(text, *readings, active_tab=0), row_shares=[4, 3, 3])
+    ]
+    middle = [parameters(g) for g in bias] + ([rrb.Tabs(*other, active_tab=0)] if other else [])
+    columns += [rrb.Vertical(*views) for views in (middle, right) if views]
+    panels = (rrb.BlueprintPanel(state="hidden"), rrb.SelectionPanel(state="hidden"))
+    time_panel = rrb.TimePanel(state="collapsed", timeline=TIMELINE)
+    return rrb.Blueprint(rrb.Horizontal(*columns), *panels, time_panel)
+
+
+def _lines(names: Iterable[str], colours: Iterable[Sequence[int]], width: float = 1.5) -> Any:
+    names, colours = list(names), list(colours)
+    return rr.SeriesLines(names=names, colors=colours, widths=[width] * len(names))
+
+
+def _colours(n: int) -> list[tuple[int, int, int]]:
+    return [XYZ[i % 3] for i in range(n)] if n > 1 else [XYZ[2]]
+
+
+def _dim(colours: Iterable[Sequence[int]]) -> list[tuple[int, ...]]:
+    """Band lines: the same hue, darker; upper bounds of all, then lower bounds of all."""
+    half = [tuple(int(0.55 * v) for v in c) for c in colours]
+    return half + half
+
+
+def _log_static(rec: rr.RecordingStream, layout: Layout) -> None:
+    def static(entity: str, *what: Any) -> None:
+        rec.log(entity, *what, static=True)
+
+    static("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+    sizes = [PHONE_M, (0.066, 0.140, 0.001)]
+    centres = [(0, 0, 0), (0, 0, PHONE_M[2] / 2)]
+    boxes = rr.Boxes3D(sizes=sizes, centers=centres, fill_mode="solid",
+                       colors=[(70, 78, 92), (150, 175, 205)])  # fmt: skip
+    static("/device/box", boxes)
+    arrows = rr.Arrows3D(vectors=0.11 * np.eye(3), colors=XYZ, labels=["x", "y", "z"], radii=0.0016)
+    static("/device/axes", arrows)
+    level = rr.Arrows3D(vectors=[(0.1, 0, 0), (0, 0.1, 0)], origins=[(-0.15, -0.1, 0)] * 2,
+                        colors=[GREY] * 2, labels=["east", "north"], radii=0.0007)  # fmt: skip
+    static("/level", level)
+    static("/summary", rr.TextDocument(layout.text, media_type="text/markdown"))
+    static("/heading/estimated", _lines(["estimated"], [XYZ[2]], 2.5))
+    if layout.heading:
+        dots = rr.SeriesPoints(names="measured", colors=XYZ[0], markers="circle", marker_sizes=1.0)
+        static("/heading/measured", dots)
+    for g in layout.groups:
+        colours = _colours(len(g.columns))
+        static(f"/parameters/{g.effect}/estimate", _lines(g.names, colours, 2.0))
+        bounds = [f"{n} {s}3σ" for s in "+−" for n in g.names]
+        static(f"/parameters/{g.effect}/band", _lines(bounds, _dim(colours), 0.8))
+    for n, (kind, k) in enumerate(layout.kinds.items()):
+        colours = _colours(len(k.channels))
+        dots = rr.SeriesPoints(
+            names=list(k.channels), colors=colours,
+            markers=["circle"] * len(colours), marker_sizes=[1.2] * len(colours),
+        )  # fmt: skip
+        static(f"/innovation/{kind}/residual", dots)
+        bounds = [f"{c} {s}3σ" for s in "+−" for c in k.channels]
+        static(f"/innovation/{kind}/bounds", _lines(bounds, _dim(colours), 1.0))
+        static(f"/nis/{kind}", _lines([kind], [XYZ[(n + 2) % 3]]))
+    static("/nis/band", _lines(["2.5 %", "97.5 %"], [GREY, GREY], 1.0))
+    for entity in ("/imu/gyro", "/imu/accel"):
+        static(entity, _lines("xyz", XYZ, 1.0))
+
+
+def _columns(rec: rr.RecordingStream, entity: str, t: Array, values: Array) -> None:
+    """Send (k,) or (k, d) scalars of one entity at once; d series in one plot."""
+    table = np.asarray(values, dtype=float).reshape(t.size, -1)
+    if t.size == 0:
+        return
+    columns = rr.Scalars.columns(scalars=table.ravel()).partition([table.shape[1]] * t.size)
+    rec.send_columns(entity, indexes=[rr.TimeColumn(TIMELINE, duration=t)], columns=columns)
+
+
+def _gapped(t: Array, angle: Array) -> tuple[Array, Array]:
+    """Degrees with a NaN between the two sides of each jump at +-180."""
+    degrees = DEG * angle
+    cuts = np.flatnonzero(np.abs(np.diff(degrees)) > 180.0) + 1
+    return np.insert(t, cuts, 0.5 * (t[cuts - 1] + t[cuts])), np.insert(degrees, cuts, np.nan)
+
+
+def _bounds(value: Array, sigma: Array) -> Array:
+    """(..., 2 d): value + 3 sigma of all, then value - 3 sigma of all."""
+    return np.concatenate([value + 3 * sigma, value - 3 * sigma], axis=-1)
+
+
+def log_result(rec: rr.RecordingStream, result: Result) -> None:
+    """Send a whole result, by columns; some tens of milliseconds for a minute of data."""
+    layout, h = layout_of(result), result.history
+    _log_static(rec, layout)
+    quaternion = np.roll(h.q_nb, -1, axis=1)  # rerun has x y z w
+    rec.send_columns(
+        "/device", indexes=[rr.TimeColumn(TIMELINE, duration=h.t)],
+        columns=rr.Transform3D.columns(translation=h.p_n, quaternion=quaternion),
+    )  # fmt: skip
+    _columns(rec, "/heading/estimated", *_gapped(h.t, h.yaw))
+    if (seen := result.observed_heading) is not None:
+        _columns(rec, "/heading/measured", seen[:, 0], DEG * seen[:, 1])
+    for g in layout.groups:
+        value, sigma = (g.shown.factor * a[:, g.columns] for a in (h.parameters, h.parameter_sigma))
+        _columns(rec, f"/parameters/{g.effect}/estimate", h.t, value)
+        _columns(rec, f"/parameters/{g.effect}/band", h.t, _bounds(value, sigma))
+    for kind, k in layout.kinds.items():
+        i = result.innovations[kind]
+        _columns(rec, f"/innovation/{kind}/residual", i.t, k.shown.factor * i.residual)
+        band = _bounds(np.zeros_like(i.sigma), k.shown.factor * i.sigma)
+        _columns(rec, f"/innovation/{kind}/bounds", i.t, band)
+        _columns(rec, f"/nis/{kind}", *summary.windowed_nis(i, NIS_WINDOW))
+    if layout.kinds:
+        _columns(rec, "/nis/band", h.t[[0, -1]], np.tile(_nis_band(layout), (2, 1)))
+    imu = result.recording.imu
+    _columns(rec, "/imu/gyro", imu.t, DEG * imu.gyro)
+    _columns(rec, "/imu/accel", imu.t, imu.accel)
+
+
+def _nis_band(layout: Layout) -> tuple[float, float]:
+    """The band of the kind with fewest channels, the widest."""
+    return summary.nis_band(NIS_WINDOW * min(len(k.channels) for k in layout.kinds.values()))
+
+
+def save_rrd(result: Result, path: str | Path) -> None:
+    """Write the result as a file that ``rerun FILE.rrd`` opens, blueprint included."""
+    rec = rr.RecordingStream(APPLICATION)
+    rec.set_sinks(file_sink(path), default_blueprint=blueprint(layout_of(result)))
+    log_result(rec, result)
+    rec.flush()
+    rec.disconnect()
+
+
+def file_sink(path: str | Path) -> Any:
+    """A sink that writes an .rrd file; a sentence if that is impossible."""
+    try:
+        with open(path, "wb"):
+            pass
+    except OSError as e:
+        raise HandcalError(f"{path} could not be written: {e.strerror or e}.") from e
+    return rr.FileSink(path)
+
+
+def stream(
+    frames: Iterable[Frame],
+    layout: Layout,
+    sinks: Sequence[Any],
+    speed: float = 1.0,
+    watched: Callable[[], bool] = lambda: True,
+) -> int:
+    """Log frames as they come, ``speed`` times as fast as they happened (0: no waiting).
+
+    ``sinks`` are rerun's (GrpcSink, FileSink). Ends early when ``watched`` says no.
+    Returns the number of frames.
+    """
+    rec = rr.RecordingStream(APPLICATION)
+    plan = blueprint(layout)
+    rec.set_sinks(*sinks, default_blueprint=plan)
+    rec.send_blueprint(plan, make_active=True, make_default=True)
+    _log_static(rec, layout)
+    recent: dict[str, deque[float]] = {k: deque(maxlen=NIS_WINDOW) for k in layout.kinds}
+    started, first, count = time.monotonic(), None, 0
+    for frame in frames:
+        first = frame.t if first is None else first
+        if speed > 0:
+            time.sleep(max(started + (frame.t - first) / speed - time.monotonic(), 0.0))
+        if not watched():
+            break
+        rec.set_time(TIMELINE, duration=frame.t)
+        _log_frame(rec, layout, frame, recent)
+        count += 1
+    _flush(rec, watched)
+    rec.disconnect()
+    return count
+
+
+def _flush(rec: rr.RecordingStream, watched: Callable[[], bool]) -> None:
+    """Until everything has arrived. Without a limit, this would wait for a closed viewer."""
+    for _ in range(30):
+        if not watched():
+            return
+        try:
+            rec.flush(timeout_sec=2.0)
+            return
+        except RuntimeError as e:
+            reason = e
+    raise HandcalError(f"Not everything could be written or shown: {reason}.") from reason
+
+
+def _log_frame(
+    rec: rr.RecordingStream, layout: Layout, frame: Frame, recent: dict[str, deque[float]]
+) -> None:
+    quaternion = rr.Quaternion(xyzw=np.roll(frame.q_nb, -1))
+    rec.log("/device", rr.Transform3D(translation=frame.p_n, quaternion=quaternion))
+    rec.log("/heading/estimated", rr.Scalars(DEG * frame.yaw))
+    if frame.heading is not None:
+        rec.log("/heading/measured", rr.Scalars(DEG * frame.heading))
+    for g in layout.groups:
+        value, sigma = (
+            g.shown.factor * a[list(g.columns)] for a in (frame.parameters, frame.sigma)
+        )
+        rec.log(f"/parameters/{g.effect}/estimate", rr.Scalars(value))
+        rec.log(f"/parameters/{g.effect}/band", rr.Scalars(_bounds(value, sigma)))
+    for o in frame.observed:
+        k = layout.kinds[o.kind]
+        band = _bounds(np.zeros_like(o.sigma), k.shown.factor * o.sigma)
+        rec.log(f"/innovation/{o.kind}/residual", rr.Scalars(k.shown.factor * o.residual))
+        rec.log(f"/innovation/{o.kind}/bounds", rr.Scalars(band))
+        recent[o.kind].append(o.nis / len(k.channels))
+        rec.log(f"/nis/{o.kind}", rr.Scalars(float(np.mean(recent[o.kind]))))
+    if frame.observed:
+        rec.log("/nis/band", rr.Scalars(_nis_band(layout)))
+    if frame.gyro is not None:
+        rec.log("/imu/gyro", rr.Scalars(DEG * frame.gyro))
+    if frame.accel is not None:
+        rec.log("/imu/accel", rr.Scalars(frame.accel))
+
+
+def replay(
+    result: Result,
+    *,
+    speed: float = 1.0,
+    rrd: str | Path | None = None,
+    show: bool = True,
+    web: bool = False,
+    port: int | None = None,
+    say: Callable[[str], None] = print,
+) -> None:
+    """Stream a result as it came about: into a viewer, a file, or both at once.
+
+    Returns when the person closes the viewer, which ends the stream too; the web viewer
+    ends by Ctrl-C.
+    """
+    files = [file_sink(rrd)] if rrd else []
+    frames, layout = frames_of(result), layout_of(result)
+    if not show:
+        stream(frames, layout, files, speed)
+        return
+    with viewer(web=web, port=port) as shown:
+        if shown.web_url:
+            say(f"watch at {shown.web_url} (Ctrl-C ends it)")
+        sinks = [rr.GrpcSink(shown.url), *files]
+        stream(frames, layout, sinks, speed, lambda: shown.process.poll() is None)
+        shown.wait()

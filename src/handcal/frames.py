@@ -1,0 +1,145 @@
+"""What the dashboard shows, frame by frame and as a plan; nothing here draws."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from handcal import words
+from handcal.types import Array, Parameter, Result
+
+
+@dataclass(frozen=True)
+class Observed:
+    """One update: residual (d,) and sigma (d,) in SI, and its NIS."""
+
+    kind: str
+    residual: Array
+    sigma: Array
+    nis: float
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What the filter knows at time t (s), enough to draw it.
+
+    p_n (3,) m; q_nb (4,) w x y z; yaw rad; parameters and sigma (m,), ordered as in
+    ``Layout.parameters``; the updates since the last frame; the last measured heading
+    since then, rad; the latest reading, gyro rad/s and accel m/s^2, each (3,).
+    """
+
+    t: float
+    p_n: Array
+    q_nb: Array
+    yaw: float
+    parameters: Array
+    sigma: Array
+    observed: tuple[Observed, ...] = ()
+    heading: float | None = None
+    gyro: Array | None = None
+    accel: Array | None = None
+
+
+@dataclass(frozen=True)
+class Group:
+    """The parameters of one effect: their columns, how they are shown, a range to plot."""
+
+    effect: str
+    title: str
+    names: tuple[str, ...]
+    columns: tuple[int, ...]
+    shown: words.Shown
+    range: tuple[float, float] | None
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of observation: its channels and how residuals are shown."""
+
+    channels: tuple[str, ...]
+    shown: words.Shown
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What there will be to see, known before the first frame.
+
+    span: first and last t of the plots, s, where known; text: Markdown.
+    """
+
+    groups: tuple[Group, ...]
+    kinds: Mapping[str, Kind]
+    heading: bool
+    text: str
+    span: tuple[float, float] | None = None
+
+
+def layout_of(result: Result) -> Layout:
+    """The layout that suits a finished result, with ranges fitted to its numbers."""
+    columns: dict[tuple[str, str], list[int]] = {}
+    for c, p in enumerate(result.parameters):
+        columns.setdefault((p.effect, p.unit), []).append(c)
+    kinds = {
+        kind: Kind(
+            tuple(c.removeprefix(kind).strip("_") or kind for c in i.channels),
+            words.residual_unit(i),
+        )
+        for kind, i in result.innovations.items()
+        if i.t.size
+    }
+    groups = tuple(_group(result, effect, tuple(cs)) for (effect, _), cs in columns.items())
+    span = (float(result.history.t[0]), float(result.history.t[-1]))
+    return Layout(groups, kinds, result.observed_heading is not None, _markdown(result), span)
+
+
+def _group(result: Result, effect: str, columns: tuple[int, ...]) -> Group:
+    parameters: list[Parameter] = [result.parameters[c] for c in columns]
+    unit, h = words.shown_group(parameters), result.history
+    late = h.t >= h.t[0] + 0.25 * (h.t[-1] - h.t[0])
+    value, band = (a[late][:, columns] for a in (h.parameters, 3 * h.parameter_sigma))
+    low, high = unit.factor * (value - band).min(), unit.factor * (value + band).max()
+    margin = 0.15 * (high - low)
+    limits = (float(low - margin), float(high + margin)) if high > low else None
+    title = f"{words.effect_title(effect)}, {unit.unit}".rstrip(", ")
+    return Group(effect, title, tuple(p.name for p in parameters), columns, unit, limits)
+
+
+def _markdown(result: Result) -> str:
+    judged = words.verdict(result)
+    lines = [f"## {judged.headline}", *judged.sentences, "", "| | value | ± 1 sigma | |",
+             "|---|---:|---:|---|"]  # fmt: skip
+    for group in words.by_effect(result.parameters).values():
+        unit = words.shown_group(group)
+        lines += [
+            f"| {words.parameter_title(p)} | {unit.value(p.value, p.sigma, sign=True)} "
+            f"| {unit.value(p.sigma, p.sigma)} | {unit.unit} |"
+            for p in group
+        ]
+    lines += ["", *(f"- {s}" for s in words.not_shown(result))]
+    return "\n".join(lines)
+
+
+def frames_of(result: Result, rate_hz: float = 30.0) -> Iterator[Frame]:
+    """The frames a filter would have yielded on its way to this result, at most ``rate_hz``."""
+    h, imu = result.history, result.recording.imu
+    tick = np.floor((h.t - h.t[0]) * rate_hz + 1e-9)
+    rows = np.flatnonzero(np.diff(tick, prepend=-1.0) > 0)
+    after = -np.inf
+    for row in rows:
+        t = float(h.t[row])
+        observed = tuple(
+            Observed(kind, i.residual[j], i.sigma[j], float(i.nis[j]))
+            for kind, i in result.innovations.items()
+            for j in np.flatnonzero((i.t > after) & (i.t <= t))
+        )
+        seen = result.observed_heading
+        heading = None
+        if seen is not None and (new := (seen[:, 0] > after) & (seen[:, 0] <= t)).any():
+            heading = float(seen[new, 1][-1])
+        n = max(int(np.searchsorted(imu.t, t, side="right")) - 1, 0)
+        state = (h.p_n[row], h.q_nb[row], float(h.yaw[row]))
+        known = (h.parameters[row], h.parameter_sigma[row])
+        yield Frame(t, *state, *known, observed, heading, imu.gyro[n], imu.accel[n])
+        after = t
