@@ -1,0 +1,296 @@
+"""The command line: ``handcal COMMAND``. Everything slow is imported where it is used.
+
+Exit status: 0 done; 1 no result (a sentence says why); 2 wrong use or unreadable
+input; 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from handcal.commands import Commands, run, say
+from handcal.progress import progress
+
+if TYPE_CHECKING:
+    from handcal.types import Recording, Result
+
+
+class Assume(StrEnum):
+    """What may be taken for granted about the hand."""
+
+    auto = "auto"
+    fixed_point = "fixed-point"
+    rest_only = "rest-only"
+
+
+class Engine(StrEnum):
+    """Which implementation of the same filter runs."""
+
+    compiled = "compiled"
+    filterpy = "filterpy"
+
+
+app = typer.Typer(
+    cls=Commands, add_completion=False, pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)  # fmt: skip
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from handcal import __version__
+
+        print(f"handcal {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Say which version.")
+    ] = False,
+) -> None:
+    """Calibrate cheap inertial sensors while they are simply turned in the hand."""
+
+
+# Options that several commands share.
+Topics = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--topic",
+        metavar="NAME=TOPIC",
+        help="Which MCAP topic is which stream, as imu=/phone/imu (repeatable).",
+    ),
+]
+Units = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME=UNIT,...", help="Units in the file where they are not SI: accel=g,gyro=deg/s."
+    ),
+]
+Effects = Annotated[
+    str,
+    typer.Option(
+        metavar="ID,...", help="Effects to estimate beyond constant biases: gyro_scale,lever_arm."
+    ),
+]
+HeadingSigma = Annotated[
+    float | None,
+    typer.Option(
+        metavar="DEG", min=0.0, help="Noise of the heading; found from the data if not given."
+    ),
+]
+Assumption = Annotated[
+    Assume,
+    typer.Option(
+        help="fixed-point: the held point stays in its place; rest-only: still in detected rests "
+        "alone; auto: chosen by evidence."
+    ),
+]
+Latitude = Annotated[
+    float | None,
+    typer.Option(
+        metavar="DEG", min=-90.0, max=90.0, help="Take gravity and the Earth's turning from here."
+    ),
+]
+Height = Annotated[
+    float, typer.Option(metavar="M", help="Height above the ellipsoid, with --latitude.")
+]
+Ignore = Annotated[
+    list[str] | None,
+    typer.Option(metavar="STREAM", help="Leave a stream out: heading, mag, pose (repeatable)."),
+]
+NoiseUntil = Annotated[
+    float | None,
+    typer.Option(metavar="S", min=0.0, help="Find noise levels in the first S seconds only."),
+]
+EngineOption = Annotated[
+    Engine, typer.Option(help="compiled, or filterpy: slower, the same mathematics.")
+]
+Rrd = Annotated[
+    Path | None, typer.Option(metavar="FILE.rrd", help="Save a recording for the Rerun viewer.")
+]
+
+
+def _pairs(items: list[str], option: str) -> dict[str, str]:
+    """NAME=VALUE strings as a dictionary. Errors: InputError."""
+    from handcal.types import InputError
+
+    pairs: dict[str, str] = {}
+    for item in items:
+        name, equals, value = item.partition("=")
+        if not (equals and name.strip()):
+            raise InputError(f"{option} {item}: expected NAME=VALUE.")
+        pairs[name.strip()] = value.strip()
+    return pairs
+
+
+def _load(path: Path, topics: list[str] | None, units: str | None) -> Recording:
+    import handcal
+
+    chosen = _pairs(topics or [], "--topic")
+    said = _pairs([u for u in (units or "").split(",") if u.strip()], "--units")
+    with progress(f"reading {path.name}") as report:
+        recording: Recording = handcal.load(path, topics=chosen, units=said, progress=report)
+    return recording
+
+
+def _calibrated(recording: Recording, effects: str, **settings: Any) -> Result:
+    """Run the filter with the options as typed: angles in degrees, enums, None for unset."""
+    import handcal
+    from handcal.types import InputError
+
+    for name in ("heading_sigma", "latitude", "height", "noise_until"):
+        value = settings[name]
+        if value is not None and not math.isfinite(value):
+            raise InputError(f"--{name.replace('_', '-')} {value}: expected a finite number.")
+    for name in ("heading_sigma", "latitude"):
+        if settings[name] is not None:
+            settings[name] = math.radians(settings[name])
+    settings |= {"assume": str(settings["assume"]), "engine": str(settings["engine"])}
+    settings["ignore"] = tuple(settings["ignore"] or ())
+    ids = tuple(e.strip() for e in effects.split(",") if e.strip())
+    with progress(f"calibrating {Path(recording.path).name}") as report:
+        result: Result = handcal.calibrate(recording, effects=ids, progress=report, **settings)
+    return result
+
+
+def _beside(path: Path, recording: Recording, several: bool) -> Path:
+    """The output of one of several files has the recording's name added to it."""
+    return path.with_stem(f"{path.stem}-{Path(recording.path).stem}") if several else path
+
+
+@app.command()
+def calibrate(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings.")],
+    effects: Effects = "",
+    heading_sigma: HeadingSigma = None,
+    assume: Assumption = Assume.auto,
+    latitude: Latitude = None,
+    height: Height = 0.0,
+    topic: Topics = None,
+    units: Units = None,
+    ignore: Ignore = None,
+    noise_until: NoiseUntil = None,
+    engine: EngineOption = Engine.compiled,
+    json: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write the numbers as JSON; - for standard output."),
+    ] = None,
+    report: Annotated[
+        Path | None, typer.Option(metavar="FILE.html", help="Write a report to read.")
+    ] = None,
+    rrd: Rrd = None,
+) -> None:
+    """Run the filter over recordings: sensor errors, how well they are known, what is missing."""
+    results = []
+    for path in files:
+        recording = _load(path, topic, units)
+        result = _calibrated(
+            recording, effects, heading_sigma=heading_sigma, assume=assume, latitude=latitude,
+            height=height, ignore=ignore, noise_until=noise_until, engine=engine,
+        )  # fmt: skip
+        results.append(result)
+        if str(json) != "-":
+            _show(result)
+        if report:
+            from handcal.report import write_report
+
+            write_report(result, _beside(report, recording, len(files) > 1))
+        if rrd:
+            from handcal.dashboard import save_rrd
+
+            save_rrd(result, _beside(rrd, recording, len(files) > 1))
+    if json:
+        from handcal.summary import calibration_json, write_json
+
+        write_json(calibration_json(results), json)
+
+
+def _show(result: Result) -> None:
+    from rich.console import Console
+
+    from handcal.summary import print_summary
+
+    print_summary(result, Console())
+
+
+@app.command("import")
+def import_(
+    source: Annotated[
+        Path, typer.Argument(metavar="SOURCE", help="A phone log or any other format.")
+    ],
+    out: Annotated[
+        Path, typer.Option("-o", "--out", metavar="FILE.mcap", help="Recording to write.")
+    ],
+    topic: Topics = None,
+    units: Units = None,
+) -> None:
+    """Turn a phone log or another format into an MCAP recording."""
+    from handcal.export import write_mcap
+
+    recording = _load(source, topic, units)
+    write_mcap(recording, out)
+    for warning in recording.warnings:
+        say(warning)
+    streams = ", ".join(["imu", *recording.streams])
+    print(f"{out}: {recording.duration_s:.1f} s at {recording.rate_hz:.0f} Hz, {streams}")
+
+
+@app.command()
+def replay(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording.")],
+    speed: Annotated[
+        float, typer.Option(min=0.0, help="Times as fast as it happened; 0: no waiting.")
+    ] = 1.0,
+    web: Annotated[
+        bool, typer.Option("--web", help="Watch in a browser instead of a window.")
+    ] = False,
+    no_viewer: Annotated[bool, typer.Option("--no-viewer", help="Only write --rrd.")] = False,
+    port: Annotated[
+        int | None, typer.Option(min=1, max=65535, help="Port of the viewer, on this machine only.")
+    ] = None,
+    rrd: Rrd = None,
+    effects: Effects = "",
+    heading_sigma: HeadingSigma = None,
+    assume: Assumption = Assume.auto,
+    latitude: Latitude = None,
+    height: Height = 0.0,
+    topic: Topics = None,
+    units: Units = None,
+    ignore: Ignore = None,
+    noise_until: NoiseUntil = None,
+    engine: EngineOption = Engine.compiled,
+) -> None:
+    """Calibrate a recording, then stream it into the Rerun viewer as it happened."""
+    from handcal.types import InputError
+    from handcal.viewer import require_display
+
+    if no_viewer and rrd is None:
+        raise InputError("--no-viewer without --rrd FILE.rrd leaves nothing to do.")
+    if not (no_viewer or web):
+        require_display()
+    result = _calibrated(
+        _load(file, topic, units), effects, heading_sigma=heading_sigma, assume=assume,
+        latitude=latitude, height=height, ignore=ignore, noise_until=noise_until, engine=engine,
+    )  # fmt: skip
+    # rerun reports a viewer that its owner has closed as errors; set before its import
+    os.environ.setdefault("RUST_LOG", "warn,re_grpc_client=off,re_sdk=off")
+    from handcal import dashboard
+
+    dashboard.replay(result, speed=speed, rrd=rrd, show=not no_viewer, web=web, port=port, say=say)
+
+
+def main() -> None:
+    """The ``handcal`` command. Leaves by SystemExit."""
+    run(app)
+
+
+if __name__ == "__main__":
+    main()

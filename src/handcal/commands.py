@@ -1,0 +1,125 @@
+"""How the command line finds its commands, and how it ends.
+
+Commands are the caller's own and those of the entry-point group ``handcal.commands``:
+plain functions with typer annotations, imported only when called.
+"""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import importlib.util
+import os
+import sys
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import Any, NoReturn
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+FIRST = ("demo", "calibrate", "explain", "replay", "import", "simulate")
+INTERRUPTED = 130
+
+
+class Commands(TyperGroup):
+    """The commands of this file and of the entry points; errors become one line and a status."""
+
+    listing = False
+
+    def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002
+        """Names, the most used first."""
+        names = {*self.commands, *_plugins()}
+        order = {name: n for n, name in enumerate(FIRST)}
+        return sorted(names, key=lambda name: (order.get(name, len(order)), name))
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ARG002
+        """The command; for the list of commands only its name and its first line."""
+        plugin = _plugins().get(cmd_name)
+        if cmd_name in self.commands or plugin is None:
+            return self.commands.get(cmd_name)
+        if self.listing:
+            return TyperCommand(cmd_name, help=_first_line(plugin))
+        return _loaded(plugin)
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """The list of commands, without importing any of them."""
+        self.listing = True
+        try:
+            super().format_help(ctx, formatter)
+        finally:
+            self.listing = False
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run a command; what goes wrong for a known reason ends in one line on stderr."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            say("interrupted")
+            raise typer.Exit(INTERRUPTED) from None
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            say(f"{error.filename or 'Files'}: {error.strerror or error}.")
+            raise typer.Exit(1) from None
+        except Exception as error:
+            from handcal.types import HandcalError, InputError
+
+            if not isinstance(error, HandcalError):
+                raise
+            say(str(error))
+            raise typer.Exit(2 if isinstance(error, InputError) else 1) from None
+
+
+def _plugins() -> dict[str, EntryPoint]:
+    return {e.name: e for e in entry_points(group="handcal.commands")}
+
+
+def _first_line(plugin: EntryPoint) -> str:
+    """The first line of the function's docstring, read from the source without running it."""
+    with contextlib.suppress(ImportError, OSError, SyntaxError, AttributeError, ValueError):
+        spec = importlib.util.find_spec(plugin.module)
+        if spec and spec.origin:
+            for node in ast.parse(Path(spec.origin).read_text(encoding="utf-8")).body:
+                if isinstance(node, ast.FunctionDef) and node.name == plugin.attr:
+                    return (ast.get_docstring(node) or "").split("\n\n")[0]
+    return "not installed completely" if not plugin.dist else f"from {plugin.dist.name}"
+
+
+def _loaded(plugin: EntryPoint) -> Any:
+    from handcal.types import HandcalError
+
+    try:
+        function = plugin.load()
+    except (ImportError, AttributeError, SyntaxError) as e:
+        raise HandcalError(f"The command '{plugin.name}' could not be loaded: {e}.") from e
+    single = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    single.command(plugin.name)(function)
+    return typer.main.get_command(single)
+
+
+def say(text: str) -> None:
+    """One line on stderr."""
+    print(f"handcal: {' '.join(text.split())}", file=sys.stderr)
+
+
+def run(app: typer.Typer) -> NoReturn:
+    """Run the command line and leave by SystemExit; wrong use is one line, not a page."""
+    arguments = sys.argv[1:] or ["--help"]
+    try:
+        try:
+            command = typer.main.get_command(app)
+            status = command.main(arguments, prog_name="handcal", standalone_mode=False)
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError:  # whoever read the output has had enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        status = 1
+    except Exception as error:
+        if not hasattr(error, "format_message"):  # of every usage error, whichever click it is
+            raise
+        context = getattr(error, "ctx", None)
+        path = context.command_path if context else "handcal"
+        say(f"{error.format_message().rstrip('.')}. See '{path} --help'.")
+        status = 2
+    sys.exit(status if isinstance(status, int) else 0)

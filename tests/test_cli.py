@@ -1,0 +1,214 @@
+"""The command line from outside: statuses, one-line errors, files written."""
+
+import json
+import subprocess
+import sys
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+from fake_result import fake_result
+
+import handcal
+from handcal import cli, commands
+from handcal.types import HandcalError, InputError
+
+
+def run(*arguments: str, **options) -> subprocess.CompletedProcess:
+    command = [sys.executable, "-m", "handcal.cli", *arguments]
+    return subprocess.run(
+        command, capture_output=True, text=True, check=False, timeout=60, **options
+    )
+
+
+@pytest.fixture
+def main(monkeypatch, capsys):
+    """The command line in this process, loading and calibrating nothing."""
+    monkeypatch.setitem(handcal.__dict__, "load", lambda *_, **__: fake_result().recording)
+    calls = []
+
+    def calibrate(_, **settings):
+        calls.append(settings)
+        settings["progress"](0.5)
+        return fake_result()
+
+    monkeypatch.setitem(handcal.__dict__, "calibrate", calibrate)
+
+    def call(*arguments: str):
+        monkeypatch.setattr(sys, "argv", ["handcal", *arguments])
+        with pytest.raises(SystemExit) as stop:
+            cli.main()
+        captured = capsys.readouterr()
+        return stop.value.code, captured.out, captured.err
+
+    call.calls = calls
+    return call
+
+
+def test_version_and_help():
+    assert run("--version").stdout == f"handcal {handcal.__version__}\n"
+    shown = run("--help")
+    assert shown.returncode == 0
+    for name in ("calibrate", "import", "replay"):
+        assert name in shown.stdout
+    assert run().stdout == shown.stdout
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["calibrate", "nothing-there.mcap"],
+        ["calibrate"],
+        ["calibrate", "x", "--assume", "nonsense"],
+        ["calibrate", "x", "--latitude", "91"],
+        ["calibrate", "x", "--units", "accel"],
+        ["import", "x"],
+        ["replay", "x", "--no-viewer"],
+        ["nonsense"],
+        ["--nonsense"],
+    ],
+)
+def test_wrong_use_is_status_2_and_one_line(arguments):
+    done = run(*arguments)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert len(done.stderr.splitlines()) == 1
+    assert done.stderr.startswith("handcal: ")
+
+
+def test_a_reader_that_has_had_enough_is_no_error():
+    command = f"{sys.executable} -m handcal.cli calibrate --help | head -n 1"
+    done = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
+    assert done.stderr == ""
+
+
+def test_calibrate_writes_what_it_is_asked_for(main, tmp_path):
+    names = {"--json": "x.json", "--report": "x.html", "--rrd": "x.rrd"}
+    options = [s for option, name in names.items() for s in (option, str(tmp_path / name))]
+    status, out, err = main("calibrate", "x.mcap", *options)
+    assert (status, err) == (0, "")
+    assert "Gyro bias x" in out
+    assert json.loads((tmp_path / "x.json").read_text())["schema"] == "handcal/calibration/1"
+    assert all((tmp_path / name).stat().st_size > 1000 for name in names.values())
+
+
+def test_json_on_standard_output_is_nothing_but_json(main):
+    status, out, _ = main("calibrate", "x.mcap", "--json", "-")
+    assert status == 0
+    assert len(json.loads(out)["parameters"]) == 13
+
+
+def test_several_files_get_a_page_each(main, tmp_path):
+    status, _, _ = main("calibrate", "a", "b", "--json", str(tmp_path / "x.json"))
+    assert status == 0
+    assert len(json.loads((tmp_path / "x.json").read_text())["recordings"]) == 2
+    recording = fake_result().recording
+    assert cli._beside(Path("out/x.html"), recording, True) == Path("out/x-hand-motion.html")
+
+
+def test_options_reach_the_filter_in_si(main):
+    main("calibrate", "x", "--effects", "gyro_scale, lever_arm", "--heading-sigma", "180",
+         "--latitude", "90", "--assume", "rest-only", "--ignore", "mag", "--ignore", "pose",
+         "--noise-until", "10", "--engine", "filterpy")  # fmt: skip
+    (settings,) = main.calls
+    del settings["progress"]
+    assert settings == {
+        "effects": ("gyro_scale", "lever_arm"), "heading_sigma": pytest.approx(3.14159265),
+        "latitude": pytest.approx(1.57079633), "height": 0.0, "assume": "rest-only",
+        "ignore": ("mag", "pose"), "noise_until": 10.0, "engine": "filterpy",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("error", "status"),
+    [
+        (HandcalError("The motion shows\nnothing."), 1),
+        (InputError("No such effect."), 2),
+        (KeyboardInterrupt(), 130),
+        (PermissionError(13, "Permission denied", "x.mcap"), 1),
+    ],
+)
+def test_errors_are_one_line_and_a_status(main, monkeypatch, error, status):
+    def fail(*_, **__):
+        raise error
+
+    monkeypatch.setitem(handcal.__dict__, "calibrate", fail)
+    code, out, err = main("calibrate", "x.mcap")
+    assert (code, out) == (status, "")
+    assert len(err.splitlines()) == 1
+
+
+def test_a_number_that_is_none_is_wrong_use(main):
+    assert main("calibrate", "x", "--noise-until", "nan")[0] == 2
+
+
+def test_replay_into_a_file(main, tmp_path):
+    path = tmp_path / "x.rrd"
+    status, _, _ = main("replay", "x", "--no-viewer", "--speed", "0", "--rrd", str(path))
+    assert status == 0
+    assert path.stat().st_size > 10_000
+
+
+def test_replay_without_a_display_says_so(main, monkeypatch):
+    if not sys.platform.startswith("linux"):
+        pytest.skip("other systems always have a display")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    status, _, err = main("replay", "x")
+    assert status == 1
+    assert "--web" in err
+
+
+def plugin(monkeypatch, tmp_path, source: str):
+    (tmp_path / "some_plugin.py").write_text(source)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "some_plugin", raising=False)
+    entry = EntryPoint("extra", "some_plugin:extra", "handcal.commands")
+    monkeypatch.setattr(commands, "_plugins", lambda: {"extra": entry})
+
+
+def test_a_command_of_another_package_is_listed_unloaded_and_runs(main, monkeypatch, tmp_path):
+    source = '''
+import typer
+print("loaded")
+def extra(n: int, twice: bool = False) -> None:
+    """Adds something.
+
+    More about it.
+    """
+    print("extra", n * (1 + twice))
+    if n > 5:
+        raise typer.Exit(1)
+'''
+    plugin(monkeypatch, tmp_path, source)
+    status, out, _ = main("--help")
+    assert status == 0
+    assert "Adds something." in out
+    assert "loaded" not in out
+    assert main("extra", "3", "--twice") == (0, "loaded\nextra 6\n", "")
+    assert main("extra", "7")[0] == 1
+    assert main("extra", "x")[0] == 2
+    assert main("extra", "--help")[0] == 0
+
+
+@pytest.mark.parametrize("source", ["import not_installed_anywhere", "x = 1", "def broken("])
+def test_a_broken_plugin_harms_nothing_else(main, monkeypatch, tmp_path, source):
+    plugin(monkeypatch, tmp_path, source)
+    assert main("--help")[0] == 0
+    assert main("calibrate", "x")[0] == 0
+    status, _, err = main("extra")
+    assert status == 1
+    assert len(err.splitlines()) == 1
+
+
+def test_progress_is_silent_where_nobody_watches(capfd):
+    with cli.progress("working") as bar:
+        bar.started -= 10
+        bar(0.5)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_help_needs_neither_numpy_nor_rich_to_start():
+    code = "import sys, handcal.cli; print({'numpy', 'rich', 'jinja2'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "set()\n"
