@@ -164,3 +164,9 @@ def test_the_terminal_table_shows_every_parameter():
     assert "could not show" in text
     assert "too confident" not in text
     assert max(len(line.rstrip()) for line in text.splitlines()) <= 100
+
+
+def test_a_jump_past_half_a_turn_is_a_gap():
+    t, y = summary.gapped(np.arange(4.0), np.array([170.0, 179.0, -179.0, -170.0]))
+    np.testing.assert_array_equal(t, [0, 1, 1.5, 2, 3])
+    np.testing.assert_array_equal(y, [170, 179, np.nan, -179, -170])

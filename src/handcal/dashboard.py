@@ -25,6 +25,7 @@ from handcal.viewer import viewer
 APPLICATION = "handcal"
 TIMELINE = "time"
 NIS_WINDOW = 20  # updates
+YAW = "/yaw"  # beside the kinds of observation, none of which has a slash
 DEG = 180.0 / np.pi
 # Okabe-Ito's vermilion, green, blue, light enough for the viewer's dark background
 XYZ = ((240, 130, 60), (40, 190, 140), (80, 165, 240))
@@ -152,13 +153,6 @@ def _columns(rec: rr.RecordingStream, entity: str, t: Array, values: Array) -> N
     rec.send_columns(entity, indexes=[rr.TimeColumn(TIMELINE, duration=t)], columns=columns)
 
 
-def _gapped(t: Array, angle: Array) -> tuple[Array, Array]:
-    """Degrees with a NaN between the two sides of each jump at +-180."""
-    degrees = DEG * angle
-    cuts = np.flatnonzero(np.abs(np.diff(degrees)) > 180.0) + 1
-    return np.insert(t, cuts, 0.5 * (t[cuts - 1] + t[cuts])), np.insert(degrees, cuts, np.nan)
-
-
 def _bounds(value: Array, sigma: Array) -> Array:
     """(..., 2 d): value + 3 sigma of all, then value - 3 sigma of all."""
     return np.concatenate([value + 3 * sigma, value - 3 * sigma], axis=-1)
@@ -173,7 +167,7 @@ def log_result(rec: rr.RecordingStream, result: Result) -> None:
         "/device", indexes=[rr.TimeColumn(TIMELINE, duration=h.t)],
         columns=rr.Transform3D.columns(translation=h.p_n, quaternion=quaternion),
     )  # fmt: skip
-    _columns(rec, "/heading/estimated", *_gapped(h.t, h.yaw))
+    _columns(rec, "/heading/estimated", *summary.gapped(h.t, DEG * h.yaw))
     if (seen := result.observed_heading) is not None:
         _columns(rec, "/heading/measured", seen[:, 0], DEG * seen[:, 1])
     for g in layout.groups:
@@ -235,6 +229,7 @@ def stream(
     rec.send_blueprint(plan, make_active=True, make_default=True)
     _log_static(rec, layout)
     recent: dict[str, deque[float]] = {k: deque(maxlen=NIS_WINDOW) for k in layout.kinds}
+    recent[YAW] = deque(maxlen=1)
     started, first, count = time.monotonic(), None, 0
     for frame in frames:
         first = frame.t if first is None else first
@@ -268,6 +263,11 @@ def _log_frame(
 ) -> None:
     quaternion = rr.Quaternion(xyzw=np.roll(frame.q_nb, -1))
     rec.log("/device", rr.Transform3D(translation=frame.p_n, quaternion=quaternion))
+    if (last := recent[YAW]) and abs(frame.yaw - last[0]) > np.pi:  # a gap, not a stroke
+        rec.set_time(TIMELINE, duration=frame.t - 1e-4)
+        rec.log("/heading/estimated", rr.Scalars(np.nan))
+        rec.set_time(TIMELINE, duration=frame.t)
+    last.append(frame.yaw)
     rec.log("/heading/estimated", rr.Scalars(DEG * frame.yaw))
     if frame.heading is not None:
         rec.log("/heading/measured", rr.Scalars(DEG * frame.heading))

@@ -74,12 +74,6 @@ def envelope(t: Array, y: Array, points: int = 2 * POINTS) -> tuple[Array, Array
     return t[keep], y[keep]
 
 
-def unwrapped(t: Array, angle_deg: Array) -> tuple[Array, Array]:
-    """The curve with a gap wherever the angle passes +-180 degrees."""
-    cuts = np.flatnonzero(np.abs(np.diff(angle_deg)) > 180.0) + 1
-    return np.insert(t, cuts, np.nan), np.insert(angle_deg, cuts, np.nan)
-
-
 def _figure(rows: int, height: float) -> tuple[Figure, list[Axes]]:
     from matplotlib.figure import Figure
 
@@ -157,7 +151,7 @@ def _heading(result: Result) -> Plot:
             seen[k, 0], DEG * seen[k, 1], ".", markersize=4.5, zorder=3, label="measured", **dots
         )
     k = thin(h.t.size)
-    ax.plot(*unwrapped(h.t[k], DEG * h.yaw[k]), color=XYZ[2], lw=1.8, label="estimated")
+    ax.plot(*summary.gapped(h.t[k], DEG * h.yaw[k]), color=XYZ[2], lw=1.8, label="estimated")
     ax.set(ylabel="heading, deg", ylim=(-190, 190), yticks=[-180, -90, 0, 90, 180])
     _legend(ax)
     caption = "Heading of the device's x axis, counter-clockwise from east."

@@ -56,6 +56,12 @@ def windowed_nis(innovations: Innovations, window: int) -> tuple[Array, Array]:
     return innovations.t[n - 1 :], (total[n:] - total[:-n]) / (n * d)
 
 
+def gapped(t: Array, degrees: Array) -> tuple[Array, Array]:
+    """A curve of angles, t (k,) and degrees (k,), with a NaN where it jumps past +-180."""
+    cuts = np.flatnonzero(np.abs(np.diff(degrees)) > 180.0) + 1
+    return np.insert(t, cuts, 0.5 * (t[cuts - 1] + t[cuts])), np.insert(degrees, cuts, np.nan)
+
+
 def parameter_json(p: Parameter) -> dict[str, Any]:
     """One entry of ``parameters``, as the contract has it."""
     return {
