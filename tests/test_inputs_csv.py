@@ -110,6 +110,7 @@ def test_further_columns_and_empty_cells(tmp_path: Path) -> None:
         (HEADER + ",mx\n1,2,3,4,5,6,7,8\n", "lacks columns for mag y, mag z"),
         ("\x00\x01\x02", "lacks columns"),
         (HEADER + "\n1e300,2,3,4,5,6,7\n", "280 years"),
+        (HEADER + "\n0,2,3,4,1e308,6,7\n1,2,3,4,5,6,1e-320\n", "1 IMU samples"),
         (HEADER + "\nnan,2,3,4,5,6,7\n", "280 years"),
     ],
 )

@@ -116,6 +116,14 @@ def test_unknown_compression_is_named(tmp_path: Path) -> None:
         load(chunk_file(tmp_path / "a.mcap", "brotli", b"abc", 3))
 
 
+def test_chunk_that_says_it_is_longer_than_memory(tmp_path: Path) -> None:
+    content = bytes(28) + struct.pack("<IQ", 0, 2**64 - 1) + bytes(50)
+    path = tmp_path / "a.mcap"
+    path.write_bytes(MAGIC + struct.pack("<BQ", 6, len(content)) + content)
+    with pytest.raises(InputError, match="chunk's header"):
+        load(path)
+
+
 def test_record_longer_than_the_file_costs_no_memory(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     path.write_bytes(MAGIC + struct.pack("<BQ", 6, 2**40) + bytes(100))

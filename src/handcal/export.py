@@ -132,13 +132,18 @@ def _imu_body(value: Array, valid: BoolArray) -> Array:
 
 
 def _quaternions(yaw: Array) -> Array:
-    """x y z w of pure yaws (m,), chosen so that they read back as the very same number."""
+    """x y z w of pure yaws (m,), chosen so that they read back as the very same number.
+
+    Rounding decides whether they do, so those that do not are tried again with z and w
+    moved by a few units in the last place.
+    """
     z, w = np.sin(yaw / 2), np.cos(yaw / 2)
-    for _ in range(8):
-        error = yaw - 2 * np.arctan2(z, w)
-        small = np.abs(z) < np.abs(w)
-        z = np.where(small, z + 0.5 * error * w, z)
-        w = np.where(small, w, w - 0.5 * error * z)
+    for k in range(31 * 31):
+        wrong = 2 * np.arctan2(z, w) != yaw
+        if not wrong.any():
+            break
+        z = np.where(wrong, np.sin(yaw / 2) * (1 - k % 31 * 2.0**-53), z)
+        w = np.where(wrong, np.cos(yaw / 2) * (1 - k // 31 * 2.0**-53), w)
     return np.column_stack([np.zeros_like(z), np.zeros_like(z), z, w])
 
 

@@ -13,6 +13,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
+
 from handcal.inputs._options import Options, checked_options
 from handcal.types import InputError, Recording
 
@@ -48,9 +50,11 @@ def load(
     formats = _formats()
     for module in formats:
         try:
-            if module.can_read(path):
-                recording: Recording = module.read(path, options)
-                return recording
+            # Absurd numbers become infinite or NaN in conversion, and are dropped and told.
+            with np.errstate(over="ignore", invalid="ignore"):
+                if module.can_read(path):
+                    recording: Recording = module.read(path, options)
+                    return recording
         except OSError as error:
             raise InputError(f"{path} cannot be read: {error.strerror or error}.") from error
     understood = "; ".join(str(module.UNDERSTOOD) for module in formats)

@@ -18,6 +18,7 @@ from handcal.types import Array, BoolArray, Imu, InputError, Recording, Series
 IntArray = NDArray[np.int64]
 
 SHORTEST_S, FEWEST = 2.0, 50
+IMPOSSIBLE = 1e7  # in no stream's unit is this a reading
 # Smaller extremes than these are no full scale (125 deg/s and 2 g are the smallest made).
 SMALLEST_GYRO, SMALLEST_ACCEL = 2.0, 17.0
 
@@ -94,10 +95,10 @@ def assemble(
 
 def _clean(raw: Columns, name: str, said: list[str]) -> Columns:
     """Finite rows with increasing stamps. Errors: InputError if none, or time is a mess."""
-    finite = np.all(np.isfinite(raw.value), axis=1)
+    finite = np.all(np.abs(raw.value) < IMPOSSIBLE, axis=1)
     bad = len(finite) - int(finite.sum())
     if bad:
-        said.append(f"{name}: {bad} rows with NaN or infinite values were dropped.")
+        said.append(f"{name}: {bad} rows with NaN, infinite or impossible values were dropped.")
         raw = raw.rows(finite)
     if len(raw.ns) == 0:
         raise InputError(f"There is not one {name} reading in this recording.")
@@ -176,7 +177,7 @@ def _gap_warning(t: Array) -> list[str]:
 def _series(name: str, raw: Columns, first_ns: int, last_ns: int, said: list[str]) -> Series | None:
     """A further stream over the IMU's time, or None if nothing of it is left."""
     raw = raw.rows(raw.valid)
-    if not np.all(np.isfinite(raw.value), axis=1).any():
+    if not np.all(np.abs(raw.value) < IMPOSSIBLE, axis=1).any():
         said.append(f"{name}: not one usable reading; the stream was left out.")
         return None
     raw = _clean(raw, name, said)

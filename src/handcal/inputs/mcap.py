@@ -42,7 +42,7 @@ LARGEST_CHUNK = 128 * 2**20
 # Beyond a few MiB nothing that sensors write shrinks to a thousandth.
 LARGEST_RATIO, RATIO_FROM = 1000, 4 * 2**20
 _MESSAGE = int(Opcode.MESSAGE)  # compared once a message: an enum is slow
-_DAMAGED = (struct.error, EndOfFile, UnicodeDecodeError)
+_DAMAGED = (struct.error, EndOfFile, UnicodeDecodeError, OverflowError)
 
 
 @dataclass

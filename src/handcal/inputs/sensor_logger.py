@@ -22,7 +22,7 @@ import numpy as np
 
 from handcal.inputs._checks import rest_magnitude
 from handcal.inputs._options import GRAVITY, Options
-from handcal.inputs._repair import Columns, IntArray, assemble, columns
+from handcal.inputs._repair import IMPOSSIBLE, Columns, IntArray, assemble, columns
 from handcal.types import InputError, Recording
 
 UNDERSTOOD = "an export of the Sensor Logger app (zip, folder or JSON)"
@@ -133,7 +133,7 @@ def _sum(motion: Columns, gravity: Columns) -> Columns:
 
 
 def _rest(raw: Columns) -> float:
-    finite = raw.value[np.isfinite(raw.value).all(axis=1)]
+    finite = raw.value[np.all(np.abs(raw.value) < IMPOSSIBLE, axis=1)]
     return rest_magnitude(finite, 100.0) if len(finite) else 0.0
 
 
