@@ -78,6 +78,14 @@ def test_too_short_is_refused(n: int, rate_hz: float) -> None:
         assembled(sample(n=n, rate_hz=rate_hz).imu)
 
 
+def test_a_perfect_device_at_rest_is_not_dead() -> None:
+    imu = sample().imu
+    still = replace(imu, gyro=0 * imu.gyro, accel=0 * imu.accel + [0, 0, G])
+    assert "ideal device at rest" in assembled(still).warnings[0]
+    with pytest.raises(InputError, match="was not recording"):
+        assembled(replace(still, accel=0 * imu.accel))
+
+
 @pytest.mark.parametrize("sensor", ["gyro", "accel"])
 @pytest.mark.parametrize("value", [0.0, 1.25])
 def test_a_dead_sensor_is_refused(sensor: str, value: float) -> None:

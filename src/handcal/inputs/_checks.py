@@ -37,13 +37,21 @@ def saturated(value: Array, smallest: float) -> BoolArray:
     return clipped
 
 
-def check_alive(gyro: Array, accel: Array) -> None:
-    """Refuse a sensor that never moved by one bit. (n, 3) each. Errors: InputError."""
-    for name, value in (("gyroscope", gyro), ("accelerometer", accel)):
-        if not np.any(value):
-            raise InputError(f"The {name} reads zero throughout: it was not recording.")
-        if np.all(value == value[0]) and len(value) > 1:
-            raise InputError(f"The {name} reads the same value throughout: it was not recording.")
+def check_alive(gyro: Array, accel: Array) -> list[str]:
+    """A sensor that never moves by one bit is dead, unless the other one rests as perfectly.
+
+    (n, 3) each. Returns warnings. Errors: InputError.
+    """
+    constant = [bool(np.all(value == value[0])) for value in (gyro, accel)]
+    if all(constant) and np.any(accel):
+        return ["Neither sensor moves by one bit: an ideal device at rest, or a frozen one."]
+    for dead, name, value in zip(
+        constant, ("gyroscope", "accelerometer"), (gyro, accel), strict=True
+    ):
+        if dead:
+            reads = "the same value" if np.any(value) else "zero"
+            raise InputError(f"The {name} reads {reads} throughout: it was not recording.")
+    return []
 
 
 def rest_magnitude(accel: Array, rate_hz: float) -> float:

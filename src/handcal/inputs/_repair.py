@@ -78,7 +78,7 @@ def assemble(
             f"{path} holds {len(t)} IMU samples over {t[-1]:.1f} s; "
             f"at least {FEWEST} over {SHORTEST_S:.0f} s are needed."
         )
-    check_alive(rates, force)
+    said += check_alive(rates, force)
     rate_hz = 1 / float(np.median(np.diff(t)))
     said += check_accel_unit(force, rate_hz) + check_gyro_unit(t, rates, force)
     said += _gap_warning(t)
