@@ -108,6 +108,7 @@ def test_running_nis_stays_in_its_band_as_often_as_it_should():
         ("m", 0.1, 0.002, "100.0 mm"),
         ("(rad/s)/(m/s^2)", math.radians(0.1) / 9.80665, 1e-5, "0.1000 deg/s/g"),
         ("s/rad", 0.01 / math.radians(100), 1e-4, "1.000 %/(100 deg/s)"),
+        ("m/(rad/s)", 0.004, 0.0001, "6.98 mm/(100 deg/s)"),
         ("furlong", 3.0, 0.5, "3.00 furlong"),
     ],
 )
@@ -170,3 +171,13 @@ def test_a_jump_past_half_a_turn_is_a_gap():
     t, y = summary.gapped(np.arange(4.0), np.array([170.0, 179.0, -179.0, -170.0]))
     np.testing.assert_array_equal(t, [0, 1, 1.5, 2, 3])
     np.testing.assert_array_equal(y, [170, 179, np.nan, -179, -170])
+
+
+def test_channels_of_one_kind_may_have_two_units():
+    names = [f"{what}_{a}" for what in ("position", "attitude") for a in "xyz"]
+    sigma = np.full((9, 6), 0.01)
+    pose = Innovations(np.arange(9.0), sigma, sigma, sigma[:, 0], 0, "m, rad", tuple(names))
+    assert [u.unit for u in words.residual_units(pose)] == ["mm"] * 3 + ["deg"] * 3
+    assert words.channel_labels(names)[0] == "position x"
+    assert words.channel_labels(names[:3]) == ("x", "y", "z")
+    assert words.channel_labels(["heading"]) == ("",)

@@ -67,7 +67,7 @@ def blueprint(layout: Layout) -> rrb.Blueprint:
         return _plot(layout, f"/parameters/{g.effect}", name, legend=not _key(g.names), **limits)
 
     def innovation(kind: str, k: Kind) -> Any:
-        name = f"Innovation: {kind}, {k.shown.unit}, 3 sigma{_key(k.channels)}"
+        name = f"Innovation: {kind}, {k.unit}, 3 sigma{_key(k.channels)}"
         return _plot(layout, f"/innovation/{kind}", name, legend=False)
 
     bias = [g for g in layout.groups if g.effect in ("gyro_bias", "accel_bias")]
@@ -176,8 +176,8 @@ def log_result(rec: rr.RecordingStream, result: Result) -> None:
         _columns(rec, f"/parameters/{g.effect}/band", h.t, _bounds(value, sigma))
     for kind, k in layout.kinds.items():
         i = result.innovations[kind]
-        _columns(rec, f"/innovation/{kind}/residual", i.t, k.shown.factor * i.residual)
-        band = _bounds(np.zeros_like(i.sigma), k.shown.factor * i.sigma)
+        _columns(rec, f"/innovation/{kind}/residual", i.t, k.factor * i.residual)
+        band = _bounds(np.zeros_like(i.sigma), k.factor * i.sigma)
         _columns(rec, f"/innovation/{kind}/bounds", i.t, band)
         _columns(rec, f"/nis/{kind}", *summary.windowed_nis(i, NIS_WINDOW))
     if layout.kinds:
@@ -279,8 +279,8 @@ def _log_frame(
         rec.log(f"/parameters/{g.effect}/band", rr.Scalars(_bounds(value, sigma)))
     for o in frame.observed:
         k = layout.kinds[o.kind]
-        band = _bounds(np.zeros_like(o.sigma), k.shown.factor * o.sigma)
-        rec.log(f"/innovation/{o.kind}/residual", rr.Scalars(k.shown.factor * o.residual))
+        band = _bounds(np.zeros_like(o.sigma), k.factor * o.sigma)
+        rec.log(f"/innovation/{o.kind}/residual", rr.Scalars(k.factor * o.residual))
         rec.log(f"/innovation/{o.kind}/bounds", rr.Scalars(band))
         recent[o.kind].append(o.nis / len(k.channels))
         rec.log(f"/nis/{o.kind}", rr.Scalars(float(np.mean(recent[o.kind]))))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from handcal import words
-from handcal.types import Array, Parameter, Result
+from handcal.types import Array, Innovations, Parameter, Result
 
 
 @dataclass(frozen=True)
@@ -56,10 +56,11 @@ class Group:
 
 @dataclass(frozen=True)
 class Kind:
-    """One kind of observation: its channels and how residuals are shown."""
+    """One kind of observation: its channels, the unit they are shown in, factors (d,) to it."""
 
     channels: tuple[str, ...]
-    shown: words.Shown
+    unit: str
+    factor: Array
 
 
 @dataclass(frozen=True)
@@ -81,17 +82,18 @@ def layout_of(result: Result) -> Layout:
     columns: dict[tuple[str, str], list[int]] = {}
     for c, p in enumerate(result.parameters):
         columns.setdefault((p.effect, p.unit), []).append(c)
-    kinds = {
-        kind: Kind(
-            tuple(c.removeprefix(kind).strip("_") or kind for c in i.channels),
-            words.residual_unit(i),
-        )
-        for kind, i in result.innovations.items()
-        if i.t.size
-    }
+    kinds = {kind: _kind(i) for kind, i in result.innovations.items() if i.t.size}
     groups = tuple(_group(result, effect, tuple(cs)) for (effect, _), cs in columns.items())
     span = (float(result.history.t[0]), float(result.history.t[-1]))
     return Layout(groups, kinds, result.observed_heading is not None, _markdown(result), span)
+
+
+def _kind(innovations: Innovations) -> Kind:
+    units = words.residual_units(innovations)
+    names = words.channel_labels(innovations.channels)
+    channels = tuple(n or c for n, c in zip(names, innovations.channels, strict=True))
+    unit = ", ".join(dict.fromkeys(u.unit for u in units))
+    return Kind(channels, unit, np.array([u.factor for u in units]))
 
 
 def _group(result: Result, effect: str, columns: tuple[int, ...]) -> Group:

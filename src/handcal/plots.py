@@ -207,21 +207,22 @@ def _parameters(result: Result, effect: str, columns: Sequence[int]) -> Plot:
     caption = "Estimate over time with its ±3 sigma band."
     if unseen:
         caption += f" Not learnt from this motion: {', '.join(unseen)}."
-    return Plot(title, caption, _svg(figure, "parameters-" + effect))
+    return Plot(title, caption, _svg(figure, f"parameters-{columns[0]}"))
 
 
-def _innovation(kind: str, i: Innovations) -> Plot:
-    unit = words.residual_unit(i)
-    figure, axes = _figure(len(i.channels), max(1.0 + 1.0 * len(i.channels), 3.4))
+def _innovation(kind: str, i: Innovations, first: int) -> Plot:
+    """Three channels from ``first`` on, as many as one figure holds."""
+    units, channels = words.residual_units(i), i.channels[first : first + 3]
+    labels = words.channel_labels(channels)
+    figure, axes = _figure(len(channels), max(1.0 + 1.0 * len(channels), 3.4))
     k = thin(i.t.size, 350)
-    outside = np.abs(i.residual) > 3 * i.sigma
-    for c, ax in enumerate(axes):
-        colour = XYZ[c % 3] if len(axes) > 1 else XYZ[2]
+    outside = (np.abs(i.residual) > 3 * i.sigma)[:, first : first + 3]
+    for c, (ax, label) in enumerate(zip(axes, labels, strict=True), first):
+        unit, colour = units[c], XYZ[c % 3] if len(axes) > 1 else XYZ[2]
         band = 3 * unit.factor * i.sigma[:, c]
         shown: dict[str, Any] = {"linestyle": "none", "markersize": 4, "markeredgewidth": 0}
         ax.fill_between(i.t[k], -band[k], band[k], color=colour, alpha=0.13, lw=0)
         ax.plot(i.t[k], unit.factor * i.residual[k, c], ".", color=colour, alpha=0.75, **shown)
-        label = i.channels[c].removeprefix(kind).strip("_")
         ax.set_ylabel(f"{label}, {unit.unit}" if label else unit.unit)
         limit = 1.25 * max(
             np.quantile(band, 0.9), np.quantile(np.abs(unit.factor * i.residual[:, c]), 0.99)
@@ -233,9 +234,10 @@ def _innovation(kind: str, i: Innovations) -> Plot:
         f"Observed minus predicted, with the ±3 sigma the filter expects; "
         f"{100 * outside.mean():.1f}\u202f% lie outside (0.3\u202f% expected)."
     )
-    return Plot(
-        f"Innovations: {kind.replace('_', ' ')}", caption, _svg(figure, "innovation-" + kind)
-    )
+    title = f"Innovations: {kind.replace('_', ' ')}"
+    if len(i.channels) > 3:
+        title += ", " + channels[0].rpartition("_")[0].replace("_", " ")
+    return Plot(title, caption, _svg(figure, f"innovation-{kind}-{first}"))
 
 
 def _nis(result: Result) -> Plot:
@@ -297,7 +299,7 @@ def draw(result: Result) -> dict[str, list[Plot]]:
         fit: list[Plot] = []
         for kind, i in result.innovations.items():
             if i.t.size:
-                fit.append(_innovation(kind, i))
+                fit += [_innovation(kind, i, c) for c in range(0, len(i.channels), 3)]
         if any(i.t.size >= 5 for i in result.innovations.values()):
             fit.append(_nis(result))
         motion: list[Callable[[Result], Plot]] = [_raw, _turning, _heading, _held_point]

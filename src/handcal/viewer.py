@@ -1,7 +1,9 @@
 """The Rerun viewer as a child process that listens on this machine alone.
 
 The viewer's own launchers listen on every network interface; here the binary is
-started with ``--bind 127.0.0.1`` and ends with the command that started it.
+started with ``--bind 127.0.0.1`` and ends with the command that started it. What the
+viewer itself sends to its makers (usage statistics, unless ``rerun analytics disable``
+was run; fonts and news, from its page in a browser) is beyond these options.
 """
 
 from __future__ import annotations

@@ -38,6 +38,7 @@ _UNITS: dict[str, tuple[tuple[str, float, float], ...]] = {
     "rad/s/sqrtHz": (("mdeg/s/√Hz", 1000 * _DEG, 1000.0), ("deg/s/√Hz", _DEG, math.inf)),
     "m/s^2/sqrtHz": (("µg/√Hz", 1000 * _MG, 1000.0), ("mg/√Hz", _MG, math.inf)),
     "rad/sqrts": (("deg/√s", _DEG, math.inf),),
+    "m/rad/s": (("mm/(100 deg/s)", 1e5 / _DEG, math.inf),),
     "m/s/sqrts": (("mm/s/√s", 1000.0, math.inf),),
 }
 
@@ -79,6 +80,10 @@ _NOISE = {
     "accel_noise": "Accelerometer noise",
     "heading_noise": "Heading noise",
     "hand_sway": "Hand sway",
+    "sway": "Hand sway",
+    "sway_per_rate": "Hand sway while turning",
+    "sway_time": "Hand sway lasts",
+    "rest_rate_noise": "Rate noise at rest",
 }
 
 _STREAMS = {"imu": "IMU", "mag": "magnetometer"}
@@ -131,12 +136,26 @@ def shown_group(parameters: Sequence[Parameter]) -> Shown:
     return shown(parameters[0].unit, [v for p in parameters for v in (p.value, p.sigma)])
 
 
-def residual_unit(innovations: Innovations) -> Shown:
-    """The friendly unit of an observation kind's residuals; angles always in degrees."""
-    if innovations.unit == "rad":
-        return Shown("deg", _DEG)
-    typical = sorted(float(s) for s in innovations.sigma.ravel())
-    return shown(innovations.unit, typical[len(typical) // 2 : len(typical) // 2 + 1])
+def residual_units(innovations: Innovations) -> tuple[Shown, ...]:
+    """The friendly unit of each channel's residuals; angles always in degrees.
+
+    A kind with several units ("m, rad") has as many channels of each.
+    """
+    units, d = innovations.unit.split(", "), len(innovations.channels)
+    found = []
+    for c in range(d):
+        unit = units[c * len(units) // d]
+        typical = sorted(float(s) for s in innovations.sigma[:, c])[innovations.t.size // 2 :]
+        found.append(Shown("deg", _DEG) if unit == "rad" else shown(unit, typical[:1]))
+    return tuple(found)
+
+
+def channel_labels(channels: Sequence[str]) -> tuple[str, ...]:
+    """What tells the channels of one kind apart: "x"; "position x"; nothing for a single one."""
+    if len(channels) == 1:
+        return ("",)
+    alike = len({c.rpartition("_")[0] for c in channels}) == 1
+    return tuple(c.rpartition("_")[2] if alike else c.replace("_", " ") for c in channels)
 
 
 def by_effect(parameters: Sequence[Parameter]) -> dict[tuple[str, str], list[Parameter]]:
