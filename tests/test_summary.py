@@ -181,3 +181,12 @@ def test_channels_of_one_kind_may_have_two_units():
     assert words.channel_labels(names)[0] == "position x"
     assert words.channel_labels(names[:3]) == ("x", "y", "z")
     assert words.channel_labels(["heading"]) == ("",)
+
+
+def test_the_json_names_kinds_as_the_contract_does():
+    result = fake_result(extra=False)
+    kinds = {"fixed_position": innovations(1.0), "zero_velocity": innovations(1.0)}
+    document = summary.calibration_json(replace(result, innovations=kinds))
+    assert (
+        set(document["fit"]["nis"]) == set(document["fit"]["whiteness"]) == {"position", "velocity"}
+    )

@@ -17,7 +17,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from handcal import summary
+from handcal import summary, words
 from handcal.frames import Frame, Group, Kind, Layout, frames_of, layout_of
 from handcal.types import Array, HandcalError, Result
 from handcal.viewer import viewer
@@ -67,8 +67,9 @@ def blueprint(layout: Layout) -> rrb.Blueprint:
         return _plot(layout, f"/parameters/{g.effect}", name, legend=not _key(g.names), **limits)
 
     def innovation(kind: str, k: Kind) -> Any:
-        name = f"Innovation: {kind}, {k.unit}, 3 sigma{_key(k.channels)}"
-        return _plot(layout, f"/innovation/{kind}", name, legend=False)
+        name = f"Innovation: {words.kind_title(kind)}, {k.unit}, 3 sigma{_key(k.channels)}"
+        limits = {"range": k.range} if k.range else {}
+        return _plot(layout, f"/innovation/{kind}", name, legend=False, **limits)
 
     bias = [g for g in layout.groups if g.effect in ("gyro_bias", "accel_bias")]
     other = [parameters(g, key=False) for g in layout.groups if g not in bias]
@@ -138,7 +139,7 @@ def _log_static(rec: rr.RecordingStream, layout: Layout) -> None:
         static(f"/innovation/{kind}/residual", dots)
         bounds = [f"{c} {s}3σ" for s in "+−" for c in k.channels]
         static(f"/innovation/{kind}/bounds", _lines(bounds, _dim(colours), 1.0))
-        static(f"/nis/{kind}", _lines([kind], [XYZ[(n + 2) % 3]]))
+        static(f"/nis/{kind}", _lines([words.kind_title(kind)], [XYZ[(n + 2) % 3]]))
     static("/nis/band", _lines(["2.5 %", "97.5 %"], [GREY, GREY], 1.0))
     for entity in ("/imu/gyro", "/imu/accel"):
         static(entity, _lines("xyz", XYZ, 1.0))

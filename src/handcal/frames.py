@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handcal import words
+from handcal import summary, words
 from handcal.types import Array, Innovations, Parameter, Result
 
 
@@ -56,11 +56,12 @@ class Group:
 
 @dataclass(frozen=True)
 class Kind:
-    """One kind of observation: its channels, the unit they are shown in, factors (d,) to it."""
+    """One kind of observation: its channels, their unit as shown, factors (d,) to it, a range."""
 
     channels: tuple[str, ...]
     unit: str
     factor: Array
+    range: tuple[float, float] | None
 
 
 @dataclass(frozen=True)
@@ -93,7 +94,9 @@ def _kind(innovations: Innovations) -> Kind:
     names = words.channel_labels(innovations.channels)
     channels = tuple(n or c for n, c in zip(names, innovations.channels, strict=True))
     unit = ", ".join(dict.fromkeys(u.unit for u in units))
-    return Kind(channels, unit, np.array([u.factor for u in units]))
+    factor = np.array([u.factor for u in units])
+    limit = summary.settled(innovations.residual * factor, innovations.sigma * factor)
+    return Kind(channels, unit, factor, (-limit, limit))
 
 
 def _group(result: Result, effect: str, columns: tuple[int, ...]) -> Group:

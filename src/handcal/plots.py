@@ -182,7 +182,8 @@ def _zoom(ax: Axes, value: Array, band: Array, t: Array) -> None:
     late = t > t[0] + 0.3 * (t[-1] - t[0])
     low, high = (value - band)[late].min(), (value + band)[late].max()
     middle = value[t > t[0] + 0.05 * (t[-1] - t[0])]
-    low, high = min(low, middle.min()), max(high, middle.max())
+    width = high - low  # an early excursion may take as much room again, no more
+    low, high = min(low, max(middle.min(), low - width)), max(high, min(middle.max(), high + width))
     margin = 0.08 * (high - low) or 1.0
     ax.set_ylim(low - margin, high + margin)
 
@@ -224,9 +225,7 @@ def _innovation(kind: str, i: Innovations, first: int) -> Plot:
         ax.fill_between(i.t[k], -band[k], band[k], color=colour, alpha=0.13, lw=0)
         ax.plot(i.t[k], unit.factor * i.residual[k, c], ".", color=colour, alpha=0.75, **shown)
         ax.set_ylabel(f"{label}, {unit.unit}" if label else unit.unit)
-        limit = 1.25 * max(
-            np.quantile(band, 0.9), np.quantile(np.abs(unit.factor * i.residual[:, c]), 0.99)
-        )
+        limit = summary.settled(i.residual[:, c], i.sigma[:, c]) * unit.factor
         ax.set_ylim(-limit, limit)
         ax.locator_params(axis="y", nbins=5)
     figure.align_ylabels(axes)
@@ -234,7 +233,7 @@ def _innovation(kind: str, i: Innovations, first: int) -> Plot:
         f"Observed minus predicted, with the ±3 sigma the filter expects; "
         f"{100 * outside.mean():.1f}\u202f% lie outside (0.3\u202f% expected)."
     )
-    title = f"Innovations: {kind.replace('_', ' ')}"
+    title = f"Innovations: {words.kind_title(kind)}"
     if len(i.channels) > 3:
         title += ", " + channels[0].rpartition("_")[0].replace("_", " ")
     return Plot(title, caption, _svg(figure, f"innovation-{kind}-{first}"))
@@ -259,7 +258,7 @@ def _nis(result: Result) -> Plot:
         ticks = ticks if len(ticks) <= 4 else [v for v in ticks if f"{v:e}"[0] == "1"]
         ax.set_yticks(ticks, [f"{v:g}" for v in ticks])
         ax.minorticks_off()
-        ax.set_title(kind.replace("_", " "), color=MUTED, pad=3)
+        ax.set_title(words.kind_title(kind), color=MUTED, pad=3)
     caption = (
         "Normalised innovation squared per degree of freedom, a running mean: 1 means that errors "
         "are as large as expected. Shaded: where 95\u202f% should lie if neighbours are unlike."

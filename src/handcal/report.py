@@ -90,7 +90,7 @@ def _kinds(result: Result) -> list[dict[str, Any]]:
         rho = summary.whiteness(i)
         rows.append(
             {
-                "name": kind.replace("_", " "),
+                "name": words.kind_title(kind),
                 "updates": i.t.size,
                 "skipped": i.skipped,
                 "nis": "–" if i.mean_nis is None else f"{i.mean_nis:.2f}",

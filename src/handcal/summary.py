@@ -56,6 +56,14 @@ def windowed_nis(innovations: Innovations, window: int) -> tuple[Array, Array]:
     return innovations.t[n - 1 :], (total[n:] - total[:-n]) / (n * d)
 
 
+def settled(residual: Array, sigma: Array) -> float:
+    """Half the height of a plot that shows residuals and 3 sigma, but for the first few."""
+    if residual.size == 0:
+        return 1.0
+    widest = max(np.quantile(3 * sigma, 0.9), np.quantile(np.abs(residual), 0.99))
+    return 1.25 * float(widest) or 1.0
+
+
 def gapped(t: Array, degrees: Array) -> tuple[Array, Array]:
     """A curve of angles, t (k,) and degrees (k,), with a NaN where it jumps past +-180."""
     cuts = np.flatnonzero(np.abs(np.diff(degrees)) > 180.0) + 1
@@ -109,8 +117,8 @@ def calibration_json(result: Result | Sequence[Result]) -> dict[str, Any]:
         "fit": {
             "log_evidence": finite(result.log_evidence),
             "observations": result.observations,
-            "nis": {kind: finite(i.mean_nis) for kind, i in kinds.items()},
-            "whiteness": {kind: whiteness(i) for kind, i in kinds.items()},
+            "nis": {words.kind_name(kind): finite(i.mean_nis) for kind, i in kinds.items()},
+            "whiteness": {words.kind_name(kind): whiteness(i) for kind, i in kinds.items()},
         },
         "warnings": list(all_warnings(result)),
     }
@@ -169,15 +177,15 @@ def _parameter_table(result: Result) -> Any:
     from rich.table import Table
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("parameter")
+    table.add_column("parameter", no_wrap=True)
     for column in ("value", "± 1 sigma", "prior ±"):
         table.add_column(column, justify="right")
-    for column in ("unit", "seen", "converged"):
+    for column in ("unit", "seen", "settled"):
         table.add_column(column)
     for group in words.by_effect(result.parameters).values():
         unit = words.shown_group(group)
         for p in group:
-            at = "" if p.converged_at_s is None else f"at {p.converged_at_s:.0f} s"
+            at = "" if p.converged_at_s is None else f"{p.converged_at_s:.0f} s"
             seen = "[green]yes[/]" if p.observable else "[yellow]no[/]"
             row = (unit.value(p.value, p.sigma, sign=True), unit.value(p.sigma, p.sigma))
             prior = unit.value(p.prior_sigma)
@@ -196,5 +204,5 @@ def _kind_table(result: Result) -> Any:
     table.add_column("the filter is")
     for kind, i in result.innovations.items():
         nis = "–" if i.mean_nis is None else f"{i.mean_nis:.2f}"
-        table.add_row(kind.replace("_", " "), str(i.t.size), nis, words.nis_word(i))
+        table.add_row(words.kind_title(kind), str(i.t.size), nis, words.nis_word(i))
     return table

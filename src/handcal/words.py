@@ -202,6 +202,16 @@ def stream_title(name: str) -> str:
     return _STREAMS.get(name, name)
 
 
+def kind_name(kind: str) -> str:
+    """The kind of observation as the JSON calls it; for people, without the underscore."""
+    return {"fixed_position": "position", "zero_velocity": "velocity"}.get(kind, kind)
+
+
+def kind_title(kind: str) -> str:
+    """The same in words."""
+    return kind_name(kind).replace("_", " ")
+
+
 def assume_sentence(assume: str) -> str:
     """What the filter took for granted about the hand."""
     return f"It was assumed that {_ASSUME.get(assume, assume)}."
@@ -225,13 +235,14 @@ def nis_sentence(kind: str, innovations: Innovations) -> str | None:
     word, mean = nis_word(innovations), innovations.mean_nis
     if mean is None or word == "consistent":
         return None
+    title = kind_title(kind)
     if word == "too confident":
         return (
-            f"The {kind} observations scatter {math.sqrt(mean):.1f} times as far as the filter "
+            f"The {title} observations scatter {math.sqrt(mean):.1f} times as far as the filter "
             f"expects: true errors may be that much larger than the ± values."
         )
     return (
-        f"The {kind} observations agree {1 / math.sqrt(mean):.1f} times better than the filter "
+        f"The {title} observations agree {1 / math.sqrt(mean):.1f} times better than the filter "
         f"expects: the ± values are on the large side."
     )
 
