@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
 
 
 class HandcalError(Exception):
@@ -168,7 +169,8 @@ class Result:
     covariance: (m, m) of the parameters, rows as in ``parameters``. assume:
     "fixed-point" or "rest-only". innovations: by observation kind. observed: the
     heading or magnetometer headings the filter was given, (k, 2) of t and rad, or
-    None. rests: (r, 2) start and end of each detected rest, s.
+    None. rests: (r, 2) start and end of each detected rest, s. smoothed: the same as
+    ``history``, each row given the whole recording.
     """
 
     recording: Recording
@@ -182,6 +184,7 @@ class Result:
     rests: Array
     warnings: tuple[str, ...]
     observed_heading: Array | None = None
+    smoothed: History | None = None
 
     @property
     def observations(self) -> int:

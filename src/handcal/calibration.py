@@ -1,0 +1,423 @@
+"""``calibrate``: from a recording to what is known of its sensors.
+
+1. segment the recording, choose observations and the assumption about the hand,
+2. filter once as a live filter would (``filter``),
+3. smooth, relinearise and find the noise levels by evidence (``batch``, ``noise``),
+4. filter once more about the settled trajectory; that pass is the result.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from handcal import batch, segment, so3
+from handcal import noise as noise_levels
+from handcal.earth import local_earth
+from handcal.effects import Effect, select
+from handcal.filter import ENGINES, empty_track, initial_state
+from handcal.kernel import BASE
+from handcal.model import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Problem, build, noise_arrays
+from handcal.observations import Observation, Rows, Scene, catalogue
+from handcal.start import Start, from_pose, from_rest, levelled
+from handcal.types import (
+    Array,
+    HandcalError,
+    History,
+    Innovations,
+    InputError,
+    NoiseLevel,
+    Parameter,
+    Recording,
+    Result,
+)
+
+Progress = Callable[[float], None]
+ASSUMPTIONS = ("auto", "fixed-point", "rest-only")
+# A hand that holds a point still does not wander further than this (root mean square, m).
+HAND_SWAY = 0.05
+TRAVEL_NATS = 5.0
+HISTORY_RATE = 25.0
+UNKNOWN_YAW = math.radians(100.0)
+FIXED_YAW = 1e-6
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A settled fit: the linearised problem, its last forward pass and its noise levels."""
+
+    linear: batch.Linear
+    forward: batch.Pass
+    levels: Mapping[str, float]
+    estimated: tuple[str, ...]
+    settled: bool
+
+
+def calibrate(
+    recording: Recording,
+    effects: Sequence[str] = (),
+    observations: Sequence[str] | None = None,
+    *,
+    assume: str = "auto",
+    heading_sigma: float | None = None,
+    latitude: float | None = None,
+    height: float = 0.0,
+    noise: Mapping[str, float] | None = None,
+    noise_until: float | None = None,
+    start: Start | None = None,
+    engine: str = "compiled",
+    ignore: Sequence[str] = (),
+    progress: Progress | None = None,
+) -> Result:
+    """Estimate biases, and the parameters of the effects asked for, from one recording.
+
+    effects: ids of the catalogue. observations: kinds to use instead of those that
+    ``assume`` ("auto", "fixed-point", "rest-only") and the streams suggest. heading_sigma:
+    rad, if known. latitude (rad) and height (m) switch on the Earth's rate and true
+    gravity. noise: levels to keep fixed, SI, by name; all others are estimated, from the
+    part before ``noise_until`` (s) if given. start: a prior of the first state instead of
+    levelling. ignore: streams to leave out. progress: called with the fraction done.
+
+    Raises InputError for unknown names or options, HandcalError where no result could be
+    made. Source: paper 002 for the pseudo-observations, equations 7-12.
+    """
+    report = progress or (lambda _: None)
+    _check(assume, engine, observations, ignore, recording)
+    recording = replace(
+        recording, streams={k: v for k, v in recording.streams.items() if k not in ignore}
+    )
+    chosen = select(effects)
+    fixed = dict(noise or {})
+    if heading_sigma is not None:
+        fixed["heading_noise"] = heading_sigma
+    rests = segment.rests(recording)
+    earth = local_earth(latitude, height)
+    warnings = list(recording.warnings)
+    if observations is None:
+        usable = _usable(recording, warnings)
+        if assume == "auto":
+            assume, said = _assumption(recording, usable, rests, earth, fixed, report)
+            warnings += said
+        kinds = _kinds(assume, usable, rests)
+    else:
+        kinds = list(observations)
+        assume = "fixed-point" if "fixed_position" in kinds else "rest-only"
+    problem, begin = _problem(recording, chosen, kinds, rests, earth, start)
+    report(0.3)
+    solution = solve(problem, begin, fixed, noise_until, engine, lambda f: report(0.3 + 0.65 * f))
+    report(1.0)
+    return _result(recording, assume, rests, solution, warnings)
+
+
+def _check(
+    assume: str,
+    engine: str,
+    observations: Sequence[str] | None,
+    ignore: Sequence[str],
+    recording: Recording,
+) -> None:
+    if assume not in ASSUMPTIONS:
+        raise InputError(f"Unknown assumption '{assume}'. Known: {', '.join(ASSUMPTIONS)}.")
+    if engine not in ENGINES:
+        raise InputError(f"Unknown engine '{engine}'. Known: {', '.join(ENGINES)}.")
+    for kind in observations or ():
+        if kind not in catalogue():
+            raise InputError(f"Unknown observation '{kind}'. Known: {', '.join(catalogue())}.")
+    for name in ignore:
+        if name not in recording.streams:
+            have = ", ".join(recording.streams) or "none"
+            raise InputError(f"There is no stream '{name}' to ignore; the recording has: {have}.")
+
+
+def _usable(recording: Recording, warnings: list[str]) -> set[str]:
+    """Streams that are fit to be observed; what is left out is said."""
+    usable = set(recording.streams) & {"heading", "mag", "pose"}
+    if "mag" in usable:
+        size = np.linalg.norm(recording.streams["mag"].value, axis=1)
+        low, high = np.quantile(size, [0.05, 0.95])
+        if "heading" in usable:
+            usable.discard("mag")
+        elif high - low > 0.4 * np.median(size) or not 5e-6 < np.median(size) < 1.5e-4:
+            usable.discard("mag")
+            warnings.append(
+                f"The magnetometer was left out: its field of {1e6 * low:.0f} to {1e6 * high:.0f} "
+                "microtesla is not the Earth's (25 to 65, and the same in every attitude); "
+                "it carries a hard iron."
+            )
+    return usable
+
+
+def _kinds(assume: str, usable: set[str], rests: Array) -> list[str]:
+    kinds: list[str] = []
+    if assume == "rest-only":
+        if not len(rests):
+            raise HandcalError(
+                "The device never rests in this recording, so --assume rest-only has nothing to "
+                "go by; let it lie for a few seconds at the start and the end."
+            )
+        kinds += ["zero_velocity", "zero_rate"]
+    elif "pose" not in usable:
+        kinds.append("fixed_position")
+    kinds += [k for s, k in (("heading", "heading"), ("mag", "magnetometer")) if s in usable]
+    if "pose" in usable:
+        kinds.append("pose")
+    return kinds
+
+
+def _assumption(
+    recording: Recording,
+    usable: set[str],
+    rests: Array,
+    earth: tuple[Array, Array],
+    fixed: Mapping[str, float],
+    report: Progress,
+) -> tuple[str, list[str]]:
+    """Does the held point stay? The evidence of the sway that the readings ask for decides."""
+    kinds = ["fixed_position"] + (["heading"] if "heading" in usable else [])
+    problem, begin = _problem(recording, (), kinds, rests, earth, None)
+    solution = solve(problem, begin, fixed, None, "compiled", lambda f: report(0.3 * f), rounds=1)
+    levels = dict(solution.levels)
+    rate = float(np.sqrt((problem.rate**2).mean()))
+    sway = math.hypot(levels["sway"], levels["sway_per_rate"] * rate)
+    if sway <= HAND_SWAY:
+        return "fixed-point", []
+    held = levels | {n: levels[n] * HAND_SWAY / sway for n in ("sway", "sway_per_rate")}
+    gain = (
+        solution.forward.log_evidence
+        - batch.forward(solution.linear, held, keep=False).log_evidence
+    )
+    if gain < TRAVEL_NATS:
+        return "fixed-point", []
+    said = (
+        f"The hand travels: its sway of about {sway:.2g} m is more than a held point's "
+        f"(evidence {gain:.0f} nats)"
+    )
+    if not len(rests):
+        return "fixed-point", [
+            f"{said}, and the device never rests, so the accelerometer is judged against a wide "
+            "sway; let it lie for a few seconds at the start and the end."
+        ]
+    return "rest-only", [f"{said}; only the rests are taken to be still."]
+
+
+def _problem(
+    recording: Recording,
+    effects: Sequence[Effect],
+    kinds: Sequence[str],
+    rests: Array,
+    earth: tuple[Array, Array],
+    start: Start | None,
+) -> tuple[Problem, Start]:
+    """The problem these kinds of observation make of the recording, and where it starts."""
+    has_heading = "heading" in kinds or "magnetometer" in kinds
+    scene = Scene(rests, has_heading)
+    begin = start or _level(recording, kinds, scene)
+    if "pose" in kinds and has_heading:
+        scene = replace(scene, align_yaw=float(so3.yaw_of(begin.C_nb)))
+    observed: list[tuple[Observation, Rows, tuple[tuple[str, str, float], ...]]] = []
+    for kind in kinds:
+        observation = catalogue()[kind]
+        rows = observation.rows(recording, scene)
+        if rows is None or not len(rows.t):
+            raise HandcalError(f"The recording holds nothing for the observation '{kind}'.")
+        constants = tuple((c.name, c.unit, c.prior_sigma) for c in observation.constants(scene))
+        observed.append((observation, rows, constants))
+        if kind == "pose" and start is None:
+            begin = from_pose(rows.t, rows.z)
+    return build(recording, effects, observed, *earth), begin
+
+
+def _level(recording: Recording, kinds: Sequence[str], scene: Scene) -> Start:
+    """Start level, with the yaw that the first headings show, or zero where none is observed."""
+    begin = from_rest(recording, 0.0, UNKNOWN_YAW if scene.has_heading else FIXED_YAW, scene.rests)
+    if not scene.has_heading:
+        return begin
+    name = "heading" if "heading" in kinds else "mag"
+    series = recording.streams[name]
+    early = series.value[: max(1, int(np.searchsorted(series.t, series.t[0] + 0.5)))]
+    if name == "heading":
+        yaw = math.atan2(np.sin(early[:, 0]).mean(), np.cos(early[:, 0]).mean())
+    else:
+        field = begin.C_nb @ early.mean(axis=0)
+        yaw = 0.5 * math.pi - math.atan2(field[1], field[0])
+    force = begin.force
+    assert force is not None
+    return replace(begin, C_nb=levelled(force, yaw))
+
+
+def solve(
+    problem: Problem,
+    start: Start,
+    fixed: Mapping[str, float],
+    noise_until: float | None = None,
+    engine: str = "compiled",
+    progress: Progress | None = None,
+    rounds: int = 2,
+) -> Solution:
+    """Filter, smooth, relinearise, and find the noise levels that are not ``fixed``."""
+    levels = noise_levels.initial_levels(problem) | {
+        k: v for k, v in fixed.items() if k in {lv.name for lv in problem.levels}
+    }
+    free = tuple(lv.name for lv in problem.levels if lv.name not in fixed)
+    done = 0
+
+    def count() -> None:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(1.0 - math.exp(-done / 150.0))
+
+    track = empty_track(problem, batch.epochs(problem))
+    state = initial_state(problem, start, levels)
+    state = ENGINES[engine](problem, noise_arrays(problem, levels), state, track)
+    nominal = batch.trajectory_of(problem, track, state.bg, state.ba, state.extras)
+    linear, forward, settled = batch.relinearise(
+        batch.linearise_about(problem, start, nominal), levels
+    )
+    for _ in range(rounds if free else 0):
+        part = linear if noise_until is None else noise_levels.until(linear, noise_until)
+        new = noise_levels.estimate(part, levels, free, count)
+        change = max(abs(math.log(new[n] / levels[n])) for n in free)
+        levels = new
+        linear, forward, settled = batch.relinearise(linear, levels)
+        if change < 0.02:
+            break
+    if not np.isfinite(forward.log_evidence):
+        raise HandcalError(
+            "The filter diverged on this recording; check its units and axes, and whether the "
+            "device was really held or laid as assumed."
+        )
+    return Solution(linear, forward, levels, free, settled)
+
+
+def _result(
+    recording: Recording, assume: str, rests: Array, solution: Solution, warnings: list[str]
+) -> Result:
+    linear, forward = solution.linear, solution.forward
+    history = _history(linear, forward.x, forward.P)
+    x, P = batch.smooth(linear, solution.levels, forward)
+    if not solution.settled:
+        warnings.append(
+            "The estimate still moved after eight rounds of relinearisation; the motion may be "
+            "too poor for all that was asked, so trust the sigmas less."
+        )
+    if linear.problem.dropped:
+        warnings.append(
+            f"{linear.problem.dropped} observations lie outside the IMU's time and were left out."
+        )
+    innovations = _innovations(linear, forward)
+    for kind, i in innovations.items():
+        if i.skipped:
+            warnings.append(
+                f"{i.skipped} observations of {kind} were skipped (body x near the vertical)."
+            )
+    count = 6 + _effect_constants(linear.problem)
+    return Result(
+        recording=recording,
+        assume=assume,
+        parameters=_parameters(linear.problem, history),
+        covariance=forward.P[-1, 9 : 9 + count, 9 : 9 + count].copy(),
+        noise=tuple(
+            NoiseLevel(lv.name, solution.levels[lv.name], lv.unit, lv.name in solution.estimated)
+            for lv in linear.problem.levels
+        ),
+        history=history,
+        smoothed=_history(linear, x, P),
+        innovations=innovations,
+        log_evidence=forward.log_evidence,
+        rests=rests,
+        warnings=tuple(warnings),
+        observed_heading=_observed_heading(linear),
+    )
+
+
+def _effect_constants(problem: Problem) -> int:
+    return sum(len(e.parameters) for e in problem.effects)
+
+
+def _history(linear: batch.Linear, x: Array, P: Array) -> History:
+    """The nominal trajectory plus the estimated errors x (k, N), thinned for display."""
+    nominal, m = linear.trajectory, _effect_constants(linear.problem)
+    step = max(1, round(len(linear.t) / max(1.0, (linear.t[-1] - linear.t[0]) * HISTORY_RATE)))
+    rows = np.unique(np.r_[np.arange(0, len(linear.t), step), len(linear.t) - 1])
+    C = np.stack([so3.matrix_exp(x[j, 6:9]) @ nominal.C[j] for j in rows])
+    constants = np.r_[nominal.bg, nominal.ba, nominal.constants[:m]]
+    sigma = np.sqrt(np.maximum(np.einsum("kii->ki", P[rows]), 0.0))
+    return History(
+        t=linear.t[rows],
+        p_n=nominal.p[rows] + x[rows, 0:3],
+        v_n=nominal.v[rows] + x[rows, 3:6],
+        q_nb=so3.quaternion_of(C),
+        yaw=so3.yaw_of(C),
+        nav_sigma=sigma[:, :9],
+        parameters=constants + x[rows, 9 : BASE + m],
+        parameter_sigma=sigma[:, 9 : BASE + m],
+    )
+
+
+def _parameters(problem: Problem, history: History) -> tuple[Parameter, ...]:
+    names = [("gyro_bias", a, "rad/s") for a in "xyz"] + [("accel_bias", a, "m/s^2") for a in "xyz"]
+    names += [(s.owner, s.name, s.unit) for s in problem.slots[: _effect_constants(problem)]]
+    priors = [float(GYRO_BIAS_PRIOR)] * 3 + [ACCEL_BIAS_PRIOR] * 3
+    priors += [s.prior_sigma for s in problem.slots[: _effect_constants(problem)]]
+    out = []
+    for i, (effect, name, unit) in enumerate(names):
+        value, sigma = history.parameters[:, i], history.parameter_sigma[:, i]
+        out.append(
+            Parameter(
+                effect,
+                name,
+                float(value[-1]),
+                float(sigma[-1]),
+                unit,
+                priors[i],
+                _converged(history.t, value, sigma, priors[i]),
+            )
+        )
+    return tuple(out)
+
+
+def _converged(t: Array, value: Array, sigma: Array, prior: float) -> float | None:
+    """Time, s, from which the estimate stays within three of its final sigmas, and observable.
+
+    None where the final sigma is not below half the prior.
+    """
+    if not sigma[-1] < 0.5 * prior:
+        return None
+    away = (np.abs(value - value[-1]) > 3.0 * sigma[-1]) | (sigma >= 0.5 * prior)
+    last = np.flatnonzero(away)
+    return float(t[0] if not len(last) else t[min(last[-1] + 1, len(t) - 1)])
+
+
+def _innovations(linear: batch.Linear, forward: batch.Pass) -> dict[str, Innovations]:
+    t = np.repeat(linear.t, np.diff(linear.first))
+    out = {}
+    for k, observation in enumerate(linear.problem.observations):
+        mine = linear.kind == k
+        used = mine & linear.used
+        d = observation.dim
+        out[observation.kind] = Innovations(
+            t=t[used],
+            residual=forward.residual[used, :d],
+            sigma=forward.sigma[used, :d],
+            nis=forward.nis[used],
+            skipped=int((mine & ~linear.used).sum()),
+            unit=observation.unit,
+            channels=observation.channels,
+        )
+    return out
+
+
+def _observed_heading(linear: batch.Linear) -> Array | None:
+    """What was measured of the heading, (k, 2): t and rad."""
+    t = np.repeat(linear.t, np.diff(linear.first))
+    at = np.repeat(np.arange(len(linear.t)), np.diff(linear.first))
+    for k, observation in enumerate(linear.problem.observations):
+        if observation.channels == ("heading",):
+            mine = (linear.kind == k) & linear.used
+            yaw = so3.yaw_of(linear.trajectory.C[at[mine]]) + linear.r[mine, 0]
+            return np.stack([t[mine], so3.wrap(yaw)], axis=1)
+    return None

@@ -1,0 +1,103 @@
+"""The catalogue of physics: one file an effect, and the folder listing is the catalogue.
+
+A file defines ``EFFECT = Effect(...)`` and nothing else needs to know of it. Physics
+enters in one of two ways:
+
+- ``imu_error(parameters, signals) -> (n, 6)``: what the gyro (columns 0-2, rad/s) and
+  the accelerometer (columns 3-5, m/s^2) read in addition, over a whole recording;
+- ``observation_error``: for each kind of observation a compiled
+  ``f(nav, parameters, z, r) -> 0`` that corrects the residual ``r`` in place.
+"""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+
+import numpy as np
+
+from handcal.types import Array, InputError
+
+
+@dataclass(frozen=True)
+class Param:
+    """One parameter of an effect: its name, SI unit and prior standard deviation."""
+
+    name: str
+    unit: str
+    prior_sigma: float
+
+
+@dataclass(frozen=True)
+class Signals:
+    """What an effect may depend on, n samples: the best estimate of the truth so far.
+
+    t (n,) s; gyro (n, 3) true rate, rad/s; accel (n, 3) true specific force, m/s^2;
+    temperature (n,) degC or None where the recording has none.
+    """
+
+    t: Array
+    gyro: Array
+    accel: Array
+    temperature: Array | None = None
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One cause of sensor error: its parameters, its physics and its story in plain words."""
+
+    id: str
+    title: str
+    parameters: tuple[Param, ...]
+    story: str
+    source: str
+    motion: str
+    validated: str
+    imu_error: Callable[[Array, Signals], Array] | None = None
+    observation_error: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def prior_sigma(self) -> Array:
+        """Prior standard deviations (k,) in the order of the parameters."""
+        return np.array([p.prior_sigma for p in self.parameters])
+
+
+def imu_jacobian(effect: Effect, at: Array, signals: Signals) -> Array:
+    """Derivative (n, 6, k) of an effect's IMU error by its parameters, at ``at`` (k,).
+
+    A central difference with steps of a thousandth of the prior: exact for effects
+    linear in their parameters, as most are.
+    """
+    n, k = len(signals.t), len(effect.parameters)
+    out = np.zeros((n, 6, k))
+    if effect.imu_error is None:
+        return out
+    for i, step in enumerate(1e-3 * effect.prior_sigma):
+        e = np.zeros(k)
+        e[i] = step
+        out[:, :, i] = (effect.imu_error(at + e, signals) - effect.imu_error(at - e, signals)) / (
+            2 * step
+        )
+    return out
+
+
+@cache
+def catalogue() -> Mapping[str, Effect]:
+    """Every effect in this folder, by id."""
+    found: dict[str, Effect] = {}
+    for info in pkgutil.iter_modules(__path__):
+        effect: Effect = importlib.import_module(f"{__name__}.{info.name}").EFFECT
+        found[effect.id] = effect
+    return found
+
+
+def select(ids: Sequence[str]) -> tuple[Effect, ...]:
+    """The effects of these ids, in that order. Raises InputError for one that is unknown."""
+    known = catalogue()
+    for i in ids:
+        if i not in known:
+            raise InputError(f"Unknown effect '{i}'. Known: {', '.join(sorted(known))}.")
+    return tuple(known[i] for i in dict.fromkeys(ids))

@@ -1,0 +1,29 @@
+"""Accelerometer delay: it reports what it felt a little earlier than its stamp says."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from handcal.effects import Effect, Param, Signals
+from handcal.types import Array
+
+
+def imu_error(delay: Array, signals: Signals) -> Array:
+    """``f(t - delay) - f(t)`` on the accelerometer; delay (1,) s, result (n, 6)."""
+    out = np.zeros((len(signals.t), 6))
+    for i in range(3):
+        f = signals.accel[:, i]
+        out[:, 3 + i] = np.interp(signals.t - delay[0], signals.t, f) - f
+    return out
+
+
+EFFECT = Effect(
+    id="accel_delay",
+    title="Accelerometer delay",
+    parameters=(Param("delay", "s", 0.02),),
+    story="Accelerometer and gyro do not tell of the same moment: the stamps of one are late.",
+    source="filter delay of a digital output; Kalibr's temporal calibration for the idea",
+    motion="Brisk changes of attitude, so that gravity moves between the axes quickly.",
+    validated="the simulator's injection",
+    imu_error=imu_error,
+)

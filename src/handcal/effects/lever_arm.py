@@ -1,0 +1,41 @@
+"""Lever arm: the IMU does not sit at the point that is held, or at the marker."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from handcal._jit import residual_function
+from handcal.effects import Effect, Param
+
+
+def _position(nav: Any, r: Any, z: Any, out: Any) -> int:  # noqa: ARG001
+    for i in range(3):
+        out[i] += nav[6 + 3 * i] * r[0] + nav[7 + 3 * i] * r[1] + nav[8 + 3 * i] * r[2]
+    return 0
+
+
+def _velocity(nav: Any, r: Any, z: Any, out: Any) -> int:  # noqa: ARG001
+    x = nav[16] * r[2] - nav[17] * r[1]
+    y = nav[17] * r[0] - nav[15] * r[2]
+    w = nav[15] * r[1] - nav[16] * r[0]
+    for i in range(3):
+        out[i] += nav[6 + 3 * i] * x + nav[7 + 3 * i] * y + nav[8 + 3 * i] * w
+    return 0
+
+
+_AT_POINT = residual_function(_position)
+
+EFFECT = Effect(
+    id="lever_arm",
+    title="Lever arm",
+    parameters=(Param("x", "m", 0.1), Param("y", "m", 0.1), Param("z", "m", 0.1)),
+    story="The sensor sits beside the point about which the device turns, and swings around it.",
+    source="rigid-body kinematics; paper 003, equation 1",
+    motion="Turns about at least two axes; the faster, the sharper.",
+    validated="three turns simulated with 200 seeds; motion capture of a hand-held IMU",
+    observation_error={
+        "fixed_position": _AT_POINT,
+        "pose": _AT_POINT,
+        "zero_velocity": residual_function(_velocity),
+    },
+)

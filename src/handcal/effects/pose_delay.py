@@ -1,0 +1,29 @@
+"""Pose delay: the measured pose is that of a slightly different moment."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from handcal._jit import residual_function
+from handcal.effects import Effect, Param
+
+
+def _pose(nav: Any, delay: Any, z: Any, out: Any) -> int:  # noqa: ARG001
+    for i in range(3):
+        out[i] += nav[3 + i] * delay[0]
+        out[3 + i] += delay[0] * (
+            nav[6 + 3 * i] * nav[15] + nav[7 + 3 * i] * nav[16] + nav[8 + 3 * i] * nav[17]
+        )
+    return 0
+
+
+EFFECT = Effect(
+    id="pose_delay",
+    title="Pose delay",
+    parameters=(Param("delay", "s", 0.02),),
+    story="The clocks of tracker and IMU do not agree: the pose comes late or early.",
+    source="contract of this project; first order in the delay",
+    motion="Any brisk motion.",
+    validated="the simulator's injection; motion capture of a hand-held IMU",
+    observation_error={"pose": residual_function(_pose)},
+)

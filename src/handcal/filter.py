@@ -1,0 +1,389 @@
+"""The loop: strapdown mechanization and error-state Kalman filter. Read this first.
+
+At every node (an IMU sample, or an observation between two samples):
+
+1. correct the readings for the biases and effects estimated so far,
+2. carry position, velocity and attitude over the interval (``strapdown``),
+3. carry the covariance with the error transition, add process noise,
+4. for each observation here: residual, H, update in Joseph form, and put the estimated
+   error into the state.
+
+Two engines, one mathematics: ``run_compiled`` does whole recordings in one compiled
+loop, ``run_filterpy`` the same steps one at a time with filterpy's KalmanFilter, as a
+live filter does. Both take and return a ``State``, so a run can stop at any node and be
+resumed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from handcal._jit import njit
+from handcal.kernel import (
+    BASE,
+    MAX_DIM,
+    Nodes,
+    Noise,
+    Tables,
+    corrected,
+    fill_nav,
+    interval,
+    linearise,
+    propagate,
+    scalar_update,
+)
+from handcal.model import Problem
+from handcal.observations import NAV
+from handcal.so3 import exp, matmul
+from handcal.start import Start
+from handcal.types import Array, IntArray
+
+
+@dataclass(frozen=True)
+class State:
+    """The filter after a node.
+
+    node: index of the last node whose observations are in (-1: none); p, v, bg, ba (3,);
+    C (3, 3); extras: constants and Markov states; P (N, N).
+    """
+
+    node: int
+    p: Array
+    v: Array
+    C: Array
+    bg: Array
+    ba: Array
+    extras: Array
+    P: Array
+
+
+@dataclass(frozen=True)
+class Track:
+    """What a run leaves behind, for k recorded nodes and q observations.
+
+    node (k,); p, v, bg, ba (k, 3); C (k, 3, 3); extras (k, ...); variance (k, N): the
+    diagonal of P; residual, sigma (q, MAX_DIM); nis (q,), NaN where skipped; loglik (q,).
+    """
+
+    node: IntArray
+    p: Array
+    v: Array
+    C: Array
+    bg: Array
+    ba: Array
+    extras: Array
+    variance: Array
+    residual: Array
+    sigma: Array
+    nis: Array
+    loglik: Array
+
+
+def initial_state(problem: Problem, start: Start, levels: dict[str, float]) -> State:
+    """The state before the first node, from the prior."""
+    zero = np.zeros(3)
+    _, P15 = start.prior(start.p_n, start.v_n, start.C_nb, zero, zero)
+    return State(
+        -1,
+        start.p_n.copy(),
+        start.v_n.copy(),
+        start.C_nb.copy(),
+        np.zeros(3),
+        np.zeros(3),
+        np.zeros(problem.size - BASE),
+        full_prior(problem, P15, levels),
+    )
+
+
+def full_prior(problem: Problem, P15: Array, levels: dict[str, float]) -> Array:
+    """Prior covariance (N, N) of all states from that of the first fifteen."""
+    P = np.zeros((problem.size, problem.size))
+    P[:BASE, :BASE] = P15
+    for i, slot in enumerate(problem.slots):
+        P[BASE + i, BASE + i] = slot.prior_sigma**2
+    at = BASE + problem.constants
+    for k in problem.markov_kinds:
+        markov = problem.observations[k].markov
+        assert markov is not None
+        P[at : at + markov.size, at : at + markov.size] = markov.start(
+            levels, float(problem.rate[0])
+        )
+        at += markov.size
+    return P
+
+
+def empty_track(problem: Problem, record: IntArray) -> Track:
+    """Arrays for a run over the whole problem that records the nodes ``record`` (k,)."""
+    k, q, m = len(record), len(problem.nodes.kind), problem.size - BASE
+    return Track(
+        np.asarray(record, dtype=np.int64),
+        np.zeros((k, 3)),
+        np.zeros((k, 3)),
+        np.zeros((k, 3, 3)),
+        np.zeros((k, 3)),
+        np.zeros((k, 3)),
+        np.zeros((k, m)),
+        np.zeros((k, problem.size)),
+        np.zeros((q, MAX_DIM)),
+        np.zeros((q, MAX_DIM)),
+        np.full(q, np.nan),
+        np.zeros(q),
+    )
+
+
+def run_compiled(
+    problem: Problem, noise: Noise, state: State, track: Track, stop: int | None = None
+) -> State:
+    """Filter from after ``state.node`` to before node ``stop`` (None: the end), into ``track``."""
+    end = len(problem.nodes.t) if stop is None else stop
+    p, v, C = state.p.copy(), state.v.copy(), state.C.copy()
+    bg, ba, extras, P = state.bg.copy(), state.ba.copy(), state.extras.copy(), state.P.copy()
+    _run(
+        problem.nodes,
+        problem.tables,
+        noise,
+        problem.constants,
+        problem.ref,
+        problem.g_n,
+        problem.omega_ie_n,
+        state.node + 1,
+        end,
+        (p, v, C, bg, ba, extras, P),
+        (track.node, track.p, track.v, track.C, track.bg, track.ba, track.extras, track.variance),
+        (track.residual, track.sigma, track.nis, track.loglik),
+    )
+    return State(end - 1, p, v, C, bg, ba, extras, P)
+
+
+@njit
+def _run(
+    nodes: Nodes,
+    tables: Tables,
+    noise: Noise,
+    c: int,
+    ref: Array,
+    g_n: Array,
+    omega_ie_n: Array,
+    begin: int,
+    end: int,
+    state: tuple[Array, Array, Array, Array, Array, Array, Array],
+    record: tuple[IntArray, Array, Array, Array, Array, Array, Array, Array],
+    innovation: tuple[Array, Array, Array, Array],
+) -> None:
+    p, v, C, bg, ba, extras, P = state
+    n = P.shape[0]
+    mi = nodes.J.shape[2]
+    Phi, J = np.empty((9, BASE + mi)), np.empty((6, 6 + mi))
+    work, x = np.empty((n, n)), np.zeros(n)
+    nav, w, f = np.empty(NAV), np.empty(3), np.empty(3)
+    still = np.zeros((noise.Phi_e.shape[1], 3))
+    at = np.searchsorted(record[0], begin)
+    for i in range(begin, end):
+        if i > 0:
+            interval(nodes, i, bg, ba, extras, ref, g_n, omega_ie_n, p, v, C, Phi, J)
+            move_markov(noise.Phi_e[i], c, extras)
+            propagate(P, Phi, noise.Phi_e[i], still, c, work)
+            add_noise(P, noise, nodes.t[i] - nodes.t[i - 1], nodes.extra[i], noise.Q_e[i], c)
+        for q in range(nodes.first[i], nodes.first[i + 1]):
+            corrected(nodes.gyro[i], nodes.J[i], 0, bg, extras, ref, w)
+            corrected(nodes.accel[i], nodes.J[i], 3, ba, extras, ref, f)
+            fill_nav(p, v, C, w, f, nav)
+            update(q, nodes, tables, noise, nav, extras, nodes.J[i], P, x, innovation)
+            inject(x, p, v, C, bg, ba, extras)
+        if at < len(record[0]) and record[0][at] == i:
+            record[1][at], record[2][at], record[3][at] = p, v, C
+            record[4][at], record[5][at], record[6][at] = bg, ba, extras
+            for k in range(n):
+                record[7][at, k] = P[k, k]
+            at += 1
+
+
+@njit
+def move_markov(Phi_e: Array, c: int, extras: Array) -> None:
+    """Carry the estimated Markov states over one interval, in place."""
+    e = Phi_e.shape[0]
+    new = np.zeros(e)
+    for i in range(e):
+        for j in range(e):
+            new[i] += Phi_e[i, j] * extras[c + j]
+    extras[c:] = new
+
+
+@njit
+def add_noise(P: Array, noise: Noise, dt: float, extra: Array, Q_e: Array, c: int) -> None:
+    """Add the process noise of one interval to P, in place."""
+    for k in range(3):
+        P[3 + k, 3 + k] += noise.accel * dt + extra[1]
+        P[6 + k, 6 + k] += noise.gyro * dt + extra[0]
+    for k in range(9, BASE + c):
+        P[k, k] += noise.walk[k] * dt
+    for i in range(Q_e.shape[0]):
+        for j in range(Q_e.shape[0]):
+            P[BASE + c + i, BASE + c + j] += Q_e[i, j]
+
+
+@njit
+def update(
+    q: int,
+    nodes: Nodes,
+    tables: Tables,
+    noise: Noise,
+    nav: Array,
+    extras: Array,
+    J: Array,
+    P: Array,
+    x: Array,
+    innovation: tuple[Array, Array, Array, Array],
+) -> None:
+    """Update P with observation q; the estimated error goes into x, which must be zero."""
+    n = P.shape[0]
+    kind = nodes.kind[q]
+    d = tables.dim[kind]
+    r, H = np.empty(MAX_DIM), np.empty((MAX_DIM, n))
+    if linearise(kind, tables, nav, extras, nodes.z[q], J, r, H) != 0:
+        return
+    update_linear(
+        r,
+        H,
+        d,
+        noise.R[kind],
+        P,
+        x,
+        (innovation[0][q], innovation[1][q], innovation[2][q : q + 1], innovation[3][q : q + 1]),
+    )
+
+
+@njit
+def update_linear(
+    r: Array,
+    H: Array,
+    d: int,
+    R: Array,
+    P: Array,
+    x: Array,
+    out: tuple[Array, Array, Array, Array],
+) -> None:
+    """Joint update of x and P by d scalars r with rows H and variances R.
+
+    out: the innovation (d,), the square root of the diagonal of S (d,), the NIS (1,) and
+    the log of the predictive density (1,).
+    """
+    residual, sigma, nis, loglik = out
+    n = P.shape[0]
+    ph, gain = np.empty(n), np.empty(n)
+    for j in range(d):
+        S = R[j]
+        for a in range(n):
+            if H[j, a] != 0.0:
+                for b in range(n):
+                    S += H[j, a] * P[a, b] * H[j, b]
+        sigma[j] = math.sqrt(S)
+        residual[j] = r[j]
+        for a in range(n):
+            residual[j] -= H[j, a] * x[a]
+    nis[0] = 0.0
+    loglik[0] = 0.0
+    for j in range(d):
+        nu, S = scalar_update(P, x, H[j], r[j], R[j], ph, gain)
+        nis[0] += nu * nu / S
+        loglik[0] -= 0.5 * (nu * nu / S + math.log(2.0 * math.pi * S))
+
+
+@njit
+def inject(x: Array, p: Array, v: Array, C: Array, bg: Array, ba: Array, extras: Array) -> None:
+    """Put the estimated error x (N,) into the state and set it to zero."""
+    turn, new = np.empty((3, 3)), np.empty((3, 3))
+    for i in range(3):
+        p[i] += x[i]
+        v[i] += x[3 + i]
+        bg[i] += x[9 + i]
+        ba[i] += x[12 + i]
+    exp(x[6:9], turn)
+    matmul(turn, C, new)
+    C[:, :] = new
+    for i in range(len(extras)):
+        extras[i] += x[BASE + i]
+    x[:] = 0.0
+
+
+def run_filterpy(
+    problem: Problem, noise: Noise, state: State, track: Track, stop: int | None = None
+) -> State:
+    """The same as ``run_compiled``, one step at a time on filterpy's KalmanFilter."""
+    end = len(problem.nodes.t) if stop is None else stop
+    last = state
+    for step in steps_filterpy(problem, noise, state, track, end):
+        last = step
+    return last
+
+
+def steps_filterpy(
+    problem: Problem, noise: Noise, state: State, track: Track, end: int
+) -> Iterator[State]:
+    """Yield the state after each node, as a live filter would."""
+    from filterpy.kalman import KalmanFilter
+
+    nodes, c, n = problem.nodes, problem.constants, problem.size
+    kf = KalmanFilter(dim_x=n, dim_z=1)
+    kf.x = np.zeros(n)
+    kf.P = state.P.copy()
+    p, v, C = state.p.copy(), state.v.copy(), state.C.copy()
+    bg, ba, extras = state.bg.copy(), state.ba.copy(), state.extras.copy()
+    mi = nodes.J.shape[2]
+    Phi, J, F = np.empty((9, BASE + mi)), np.empty((6, 6 + mi)), np.eye(n)
+    nav, w, f = np.empty(NAV), np.empty(3), np.empty(3)
+    r, H = np.empty(MAX_DIM), np.empty((MAX_DIM, n))
+    for i in range(state.node + 1, end):
+        if i > 0:
+            interval(
+                nodes,
+                i,
+                bg,
+                ba,
+                extras,
+                problem.ref,
+                problem.g_n,
+                problem.omega_ie_n,
+                p,
+                v,
+                C,
+                Phi,
+                J,
+            )
+            move_markov(noise.Phi_e[i], c, extras)
+            F[:9, : BASE + mi] = Phi
+            F[BASE + c :, BASE + c :] = noise.Phi_e[i]
+            Q = np.zeros((n, n))
+            add_noise(Q, noise, nodes.t[i] - nodes.t[i - 1], nodes.extra[i], noise.Q_e[i], c)
+            kf.predict(F=F, Q=Q)
+        for q in range(nodes.first[i], nodes.first[i + 1]):
+            kind = nodes.kind[q]
+            d = problem.tables.dim[kind]
+            corrected(nodes.gyro[i], nodes.J[i], 0, bg, extras, problem.ref, w)
+            corrected(nodes.accel[i], nodes.J[i], 3, ba, extras, problem.ref, f)
+            fill_nav(p, v, C, w, f, nav)
+            if linearise(kind, problem.tables, nav, extras, nodes.z[q], nodes.J[i], r, H) != 0:
+                continue
+            kf.update(r[:d].copy(), R=np.diag(noise.R[kind, :d]), H=H[:d].copy())
+            track.residual[q, :d] = r[:d]
+            track.sigma[q, :d] = np.sqrt(np.diag(kf.S))
+            track.nis[q] = float(kf.y @ np.linalg.solve(kf.S, kf.y))
+            track.loglik[q] = -0.5 * (
+                track.nis[q] + np.linalg.slogdet(kf.S)[1] + d * math.log(2 * math.pi)
+            )
+            inject(kf.x, p, v, C, bg, ba, extras)
+        at = int(np.searchsorted(track.node, i))
+        if at < len(track.node) and track.node[at] == i:
+            track.p[at], track.v[at], track.C[at] = p, v, C
+            track.bg[at], track.ba[at], track.extras[at] = bg, ba, extras
+            track.variance[at] = np.diag(kf.P)
+        yield State(
+            i, p.copy(), v.copy(), C.copy(), bg.copy(), ba.copy(), extras.copy(), kf.P.copy()
+        )
+
+
+ENGINES = {"compiled": run_compiled, "filterpy": run_filterpy}

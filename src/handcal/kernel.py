@@ -1,0 +1,345 @@
+"""The compiled arithmetic that both engines and the batch estimator share.
+
+The error state is (position, velocity, psi, gyro bias, accelerometer bias, constants,
+Markov states). ``Layout`` of the problem is three numbers: imu constants (they act on
+the readings), all constants, and the total size.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from handcal._jit import call_residual, njit
+from handcal.observations import NAV
+from handcal.so3 import exp, matmul
+from handcal.strapdown import advance, error_transition, increments
+from handcal.types import Array, IntArray
+
+BASE = 15
+MAX_DIM = 6
+
+
+class Tables(NamedTuple):
+    """Which compiled functions make up each kind of observation.
+
+    dim (K,), jacobian (K,) addresses or 0; function (K, F) addresses, the first the
+    observation's own, 0 ends the list; start, counts (K, F): its slice of the extras.
+    """
+
+    dim: IntArray
+    jacobian: IntArray
+    function: IntArray
+    start: IntArray
+    counts: IntArray
+
+
+class Nodes(NamedTuple):
+    """The recording on the union of IMU stamps and observation times, n nodes.
+
+    t (n,); gyro, accel (n, 3) with the effects at their reference removed;
+    J (n, 6, mi): derivative of the readings by the IMU constants; extra (n, 2): variance
+    added to angle (rad^2) and velocity over the interval that ends here (gaps, masks);
+    first (n + 1,): observations first[i]:first[i + 1] belong to node i; kind, z: of each.
+    """
+
+    t: Array
+    gyro: Array
+    accel: Array
+    J: Array
+    extra: Array
+    first: IntArray
+    kind: IntArray
+    z: Array
+
+
+class Noise(NamedTuple):
+    """Noise as the kernel uses it: gyro and accel densities squared, walks (15 + c,) as
+    variance per second, R (K, MAX_DIM), Markov transitions (n, e, e) of each interval."""
+
+    gyro: float
+    accel: float
+    walk: Array
+    R: Array
+    Phi_e: Array
+    Q_e: Array
+
+
+@njit
+def fill_nav(p: Array, v: Array, C: Array, w: Array, f: Array, nav: Array) -> None:
+    """Write the flat view of the navigation state that observations read."""
+    for i in range(3):
+        nav[i] = p[i]
+        nav[3 + i] = v[i]
+        nav[15 + i] = w[i]
+        nav[18 + i] = f[i]
+        for j in range(3):
+            nav[6 + 3 * i + j] = C[i, j]
+
+
+@njit
+def corrected(
+    reading: Array, J: Array, row: int, bias: Array, extras: Array, ref: Array, out: Array
+) -> None:
+    """True rate (row 0) or force (row 3) from a reading, bias and IMU constants."""
+    for i in range(3):
+        s = reading[i] - bias[i]
+        for c in range(J.shape[1]):
+            s -= J[row + i, c] * (extras[c] - ref[c])
+        out[i] = s
+
+
+@njit
+def _total(
+    kind: int, tables: Tables, nav: Array, extras: Array, z: Array, only: int, r: Array
+) -> int:
+    """Residual of all functions of a kind (from number ``only`` on); 1 if it is to be skipped."""
+    r[:] = 0.0
+    status = 0
+    for k in range(only, tables.function.shape[1]):
+        address = tables.function[kind, k]
+        if address == 0:
+            break
+        a = tables.start[kind, k]
+        status |= call_residual(address, nav, extras[a : a + max(1, tables.counts[kind, k])], z, r)
+    return status
+
+
+@njit
+def _perturb_nav(nav: Array, i: int, step: float, out: Array) -> None:
+    """Copy nav with error component i (position, velocity, psi, rate, force) moved by step."""
+    out[:] = nav
+    if i < 6:
+        out[i] += step
+    elif i < 9:
+        phi = np.zeros(3)
+        phi[i - 6] = step
+        turn = np.empty((3, 3))
+        new = np.empty((3, 3))
+        exp(phi, turn)
+        matmul(turn, nav[6:15].reshape(3, 3), new)
+        for k in range(9):
+            out[6 + k] = new[k // 3, k % 3]
+    else:
+        out[i + 6] += step
+
+
+@njit
+def linearise(
+    kind: int,
+    tables: Tables,
+    nav: Array,
+    extras: Array,
+    z: Array,
+    J: Array,
+    r: Array,
+    H: Array,
+) -> int:
+    """Residual r (MAX_DIM,) and observation matrix H (MAX_DIM, N) of one observation.
+
+    Derivatives are central differences, except for the part by the navigation state
+    where the observation brings its own. Angular residuals are small by construction,
+    so differences of them need no wrapping. Returns 1 if it is to be skipped.
+    """
+    d = tables.dim[kind]
+    mi = J.shape[1]
+    H[:, :] = 0.0
+    status = _total(kind, tables, nav, extras, z, 0, r)
+    if status != 0:
+        return 1
+    flat = np.zeros(MAX_DIM * BASE)
+    Hn = flat.reshape(MAX_DIM, BASE)
+    plus = np.zeros(MAX_DIM)
+    minus = np.zeros(MAX_DIM)
+    moved = np.empty(NAV)
+    first = 0
+    if tables.jacobian[kind] != 0:
+        first = 1
+        call_residual(tables.jacobian[kind], nav, extras, z, flat)
+    if tables.function.shape[1] > first and tables.function[kind, first] != 0:
+        step = 1e-5
+        for i in range(BASE):
+            _perturb_nav(nav, i, step, moved)
+            _total(kind, tables, moved, extras, z, first, plus)
+            _perturb_nav(nav, i, -step, moved)
+            _total(kind, tables, moved, extras, z, first, minus)
+            for j in range(d):
+                # r is observed minus predicted, so it falls as the prediction rises
+                Hn[j, i] -= (plus[j] - minus[j]) / (2 * step)
+    for j in range(d):
+        for i in range(9):
+            H[j, i] = Hn[j, i]
+        # a larger bias means a smaller true rate and force
+        for i in range(6):
+            h = Hn[j, 9 + i]
+            if h != 0.0:
+                H[j, 9 + i] -= h
+                for c in range(mi):
+                    H[j, BASE + c] -= h * J[i, c]
+    _extras_columns(kind, tables, nav, extras, z, d, plus, minus, H)
+    return 0
+
+
+@njit
+def _extras_columns(
+    kind: int,
+    tables: Tables,
+    nav: Array,
+    extras: Array,
+    z: Array,
+    d: int,
+    plus: Array,
+    minus: Array,
+    H: Array,
+) -> None:
+    """Columns of H for the constants and Markov states that the functions of a kind read."""
+    step = 1e-5
+    for k in range(tables.function.shape[1]):
+        if tables.function[kind, k] == 0:
+            break
+        a = tables.start[kind, k]
+        for c in range(a, a + tables.counts[kind, k]):
+            keep = extras[c]
+            extras[c] = keep + step
+            _total(kind, tables, nav, extras, z, 0, plus)
+            extras[c] = keep - step
+            _total(kind, tables, nav, extras, z, 0, minus)
+            extras[c] = keep
+            for j in range(d):
+                H[j, BASE + c] -= (plus[j] - minus[j]) / (2 * step)
+
+
+@njit
+def scalar_update(
+    P: Array, x: Array, h: Array, r: float, R: float, ph: Array, gain: Array
+) -> tuple[float, float]:
+    """One scalar Kalman update in Joseph form; returns innovation and its variance.
+
+    (I - K h) P (I - K h)' + K R K', evaluated as two rank-one corrections, then kept
+    symmetric. x (N,) and P (N, N) are changed in place; ph, gain (N,) are work space.
+    """
+    n = len(x)
+    S = R
+    nu = r
+    for i in range(n):
+        s = 0.0
+        for j in range(n):
+            s += P[i, j] * h[j]
+        ph[i] = s
+    for i in range(n):
+        S += h[i] * ph[i]
+        nu -= h[i] * x[i]
+    for i in range(n):
+        gain[i] = ph[i] / S
+        x[i] += gain[i] * nu
+    for i in range(n):
+        for j in range(n):
+            P[i, j] -= gain[i] * ph[j]
+    # (I - K h) P is not symmetric in round-off: multiply by (I - K h)' from what it is
+    for i in range(n):
+        s = 0.0
+        for j in range(n):
+            s += P[i, j] * h[j]
+        ph[i] = s
+    for i in range(n):
+        for j in range(n):
+            P[i, j] += (gain[i] * R - ph[i]) * gain[j]
+    for i in range(n):
+        for j in range(i):
+            s = 0.5 * (P[i, j] + P[j, i])
+            P[i, j] = s
+            P[j, i] = s
+    return nu, S
+
+
+@njit
+def times_transition(
+    Phi: Array, Phi_e: Array, Phi_psi: Array, c: int, X: Array, out: Array
+) -> None:
+    """out = F X, F the full transition made of Phi (9, 15 + mi), identity and Phi_e (e, e).
+
+    Phi_psi (e, 3): how Markov states depend on psi.
+    """
+    n = X.shape[1]
+    width = Phi.shape[1]
+    e0 = BASE + c
+    out[9:e0, :] = X[9:e0, :]
+    for i in range(9):
+        for j in range(n):
+            out[i, j] = 0.0
+        for k in range(width):
+            a = Phi[i, k]
+            if a != 0.0:
+                for j in range(n):
+                    out[i, j] += a * X[k, j]
+    for i in range(Phi_e.shape[0]):
+        for j in range(n):
+            out[e0 + i, j] = 0.0
+        for k in range(Phi_e.shape[0]):
+            a = Phi_e[i, k]
+            if a != 0.0:
+                for j in range(n):
+                    out[e0 + i, j] += a * X[e0 + k, j]
+        for k in range(3):
+            a = Phi_psi[i, k]
+            if a != 0.0:
+                for j in range(n):
+                    out[e0 + i, j] += a * X[6 + k, j]
+
+
+@njit
+def propagate(P: Array, Phi: Array, Phi_e: Array, Phi_psi: Array, c: int, work: Array) -> None:
+    """P = F P F' in place (without Q); work is (N, N)."""
+    times_transition(Phi, Phi_e, Phi_psi, c, P, work)
+    n = P.shape[0]
+    for i in range(n):
+        for j in range(n):
+            P[i, j] = work[j, i]
+    times_transition(Phi, Phi_e, Phi_psi, c, P, work)
+    for i in range(n):
+        for j in range(i + 1):
+            s = 0.5 * (work[i, j] + work[j, i])
+            P[i, j] = s
+            P[j, i] = s
+
+
+@njit
+def interval(
+    nodes: Nodes,
+    i: int,
+    bg: Array,
+    ba: Array,
+    extras: Array,
+    ref: Array,
+    g_n: Array,
+    omega_ie_n: Array,
+    p: Array,
+    v: Array,
+    C: Array,
+    Phi: Array,
+    J: Array,
+) -> None:
+    """Carry p, v, C (in place) from node i - 1 to i and write the error transition Phi.
+
+    J (6, 6 + mi) is work space for the derivative of the mean reading by biases and
+    IMU constants.
+    """
+    w0, w1, f0, f1 = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    inc, C_mid, turn = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    f_n = np.empty(3)
+    corrected(nodes.gyro[i - 1], nodes.J[i - 1], 0, bg, extras, ref, w0)
+    corrected(nodes.gyro[i], nodes.J[i], 0, bg, extras, ref, w1)
+    corrected(nodes.accel[i - 1], nodes.J[i - 1], 3, ba, extras, ref, f0)
+    corrected(nodes.accel[i], nodes.J[i], 3, ba, extras, ref, f1)
+    dt = nodes.t[i] - nodes.t[i - 1]
+    increments(w0, w1, f0, f1, dt, inc)
+    exp(0.5 * inc[0], turn)
+    matmul(C, turn, C_mid)
+    advance(p, v, C, inc, dt, g_n, omega_ie_n, f_n)
+    J[:, :6] = 0.0
+    for k in range(6):
+        J[k, k] = 1.0
+        for c in range(nodes.J.shape[2]):
+            J[k, 6 + c] = 0.5 * (nodes.J[i - 1, k, c] + nodes.J[i, k, c])
+    error_transition(C_mid, f_n, dt, omega_ie_n, J, Phi)

@@ -1,0 +1,314 @@
+"""Puts recording, effects and observations together for the filter.
+
+This is the only place that knows the layout of the state:
+``[position, velocity, psi, gyro bias, accel bias | constants | Markov states]``, each of
+the first five (3,). Constants are first those of effects that act on the readings
+(``imu constants``), then all others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from handcal.effects import Effect, Signals, imu_jacobian
+from handcal.kernel import BASE, MAX_DIM, Nodes, Noise, Tables
+from handcal.observations import Level, Observation, Rows
+from handcal.types import Array, Recording
+
+GYRO_BIAS_PRIOR = np.radians(1.0)
+ACCEL_BIAS_PRIOR = 0.6
+IMU_LEVELS = (
+    Level("gyro_noise", "rad/s/sqrt(Hz)", 2e-4, 1e-6, 0.1),
+    Level("accel_noise", "m/s^2/sqrt(Hz)", 2e-3, 1e-5, 1.0),
+)
+Z_DIM = 8
+SNAP_S = 1e-7
+
+
+@dataclass(frozen=True)
+class Slot:
+    """One constant of the state: whose it is, its name, unit and prior."""
+
+    owner: str
+    name: str
+    unit: str
+    prior_sigma: float
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A recording made ready for the filter.
+
+    ref (c,): values of the constants about which the effects were linearised; g_n,
+    omega_ie_n (3,); rate (n,): smoothed turning rate at the nodes, rad/s;
+    observations: the kinds in use, numbered as in ``nodes.kind``; dropped: rows outside
+    the recording.
+    """
+
+    recording: Recording
+    effects: tuple[Effect, ...]
+    observations: tuple[Observation, ...]
+    slots: tuple[Slot, ...]
+    imu_constants: int
+    markov_kinds: tuple[int, ...]
+    markov_size: int
+    nodes: Nodes
+    tables: Tables
+    ref: Array
+    g_n: Array
+    omega_ie_n: Array
+    rate: Array
+    dropped: int
+
+    @property
+    def constants(self) -> int:
+        return len(self.slots)
+
+    @property
+    def size(self) -> int:
+        """Number of states."""
+        return BASE + len(self.slots) + self.markov_size
+
+    @property
+    def levels(self) -> tuple[Level, ...]:
+        """Every noise level that plays a part."""
+        found = {lv.name: lv for o in self.observations for lv in o.levels}
+        return (*IMU_LEVELS, *found.values())
+
+
+def build(
+    recording: Recording,
+    effects: Sequence[Effect],
+    observed: Sequence[tuple[Observation, Rows, tuple[tuple[str, str, float], ...]]],
+    g_n: Array,
+    omega_ie_n: Array,
+) -> Problem:
+    """Assemble a Problem. ``observed``: each kind with its rows and its constants."""
+    acting = [e for e in effects if e.imu_error is not None]
+    others = [e for e in effects if e.imu_error is None]
+    slots = [
+        Slot(e.id, p.name, p.unit, p.prior_sigma) for e in (*acting, *others) for p in e.parameters
+    ]
+    imu_constants = sum(len(e.parameters) for e in acting)
+    at: dict[str, int] = {}
+    for i, s in enumerate(slots):
+        at.setdefault(s.owner, i)
+    for observation, _, constants in observed:
+        at[observation.kind] = len(slots)
+        slots += [Slot(observation.kind, name, unit, sigma) for name, unit, sigma in constants]
+    markov_kinds, size, markov_at = [], 0, {}
+    for k, (observation, _, _) in enumerate(observed):
+        if observation.markov is not None:
+            markov_kinds.append(k)
+            markov_at[observation.kind] = len(slots) + size
+            size += observation.markov.size
+    kinds = tuple(o for o, _, _ in observed)
+    nodes, rate, dropped = _nodes(recording, [r for _, r, _ in observed], imu_constants)
+    problem = Problem(
+        recording,
+        (*acting, *others),
+        kinds,
+        tuple(slots),
+        imu_constants,
+        tuple(markov_kinds),
+        size,
+        nodes,
+        _tables(kinds, [c for _, _, c in observed], (*acting, *others), at, markov_at),
+        np.zeros(len(slots)),
+        g_n,
+        omega_ie_n,
+        rate,
+        dropped,
+    )
+    return relinearised(problem, np.zeros(len(slots)), np.zeros(3), np.zeros(3))
+
+
+def _tables(
+    kinds: Sequence[Observation],
+    constants: Sequence[Sequence[tuple[str, str, float]]],
+    effects: Sequence[Effect],
+    at: Mapping[str, int],
+    markov_at: Mapping[str, int],
+) -> Tables:
+    width = 2 + len(effects)
+    function = np.zeros((len(kinds), width), dtype=np.int64)
+    start = np.zeros((len(kinds), width), dtype=np.int64)
+    count = np.zeros((len(kinds), width), dtype=np.int64)
+    for k, kind in enumerate(kinds):
+        function[k, 0] = kind.residual
+        parts = [(kind.residual, at[kind.kind], len(constants[k]))]
+        if kind.markov is not None:
+            parts.append((kind.markov_residual, markov_at[kind.kind], kind.markov.size))
+        parts += [
+            (e.observation_error[kind.kind], at[e.id], len(e.parameters))
+            for e in effects
+            if kind.kind in e.observation_error
+        ]
+        for j, part in enumerate(parts):
+            function[k, j], start[k, j], count[k, j] = part
+    return Tables(
+        np.array([k.dim for k in kinds], dtype=np.int64),
+        np.array([k.jacobian for k in kinds], dtype=np.int64),
+        function,
+        start,
+        count,
+    )
+
+
+def _nodes(
+    recording: Recording, rows: Sequence[Rows], imu_constants: int
+) -> tuple[Nodes, Array, int]:
+    """Insert the observation times between the IMU's stamps, readings interpolated there."""
+    imu = recording.imu
+    ot = np.concatenate([r.t for r in rows]) if rows else np.zeros(0)
+    kind = (
+        np.concatenate([np.full(len(r.t), k) for k, r in enumerate(rows)]) if rows else np.zeros(0)
+    )
+    z = np.zeros((len(ot), Z_DIM))
+    i = 0
+    for r in rows:
+        z[i : i + len(r.t), : r.z.shape[1]] = r.z
+        i += len(r.t)
+    keep = (ot >= imu.t[0]) & (ot <= imu.t[-1])
+    ot, kind, z = ot[keep], kind[keep].astype(np.int64), z[keep]
+    near = np.clip(np.searchsorted(imu.t, ot), 1, len(imu.t) - 1)
+    near = np.where(ot - imu.t[near - 1] < imu.t[near] - ot, near - 1, near)
+    ot = np.where(np.abs(imu.t[near] - ot) < SNAP_S, imu.t[near], ot)
+    order = np.lexsort((kind, ot))
+    ot, kind, z = ot[order], kind[order], z[order]
+    t = np.union1d(imu.t, ot)
+    node = np.searchsorted(t, ot)
+    first = np.searchsorted(node, np.arange(len(t) + 1)).astype(np.int64)
+    gyro = np.stack([np.interp(t, imu.t, imu.gyro[:, k]) for k in range(3)], axis=1)
+    accel = np.stack([np.interp(t, imu.t, imu.accel[:, k]) for k in range(3)], axis=1)
+    rate = _smoothed_rate(recording, t)
+    nodes = Nodes(
+        t, gyro, accel, np.zeros((len(t), 6, imu_constants)), _extra(recording, t), first, kind, z
+    )
+    return nodes, rate, int((~keep).sum())
+
+
+def _smoothed_rate(recording: Recording, t: Array) -> Array:
+    imu = recording.imu
+    bias = np.median(imu.gyro, axis=0) if len(imu.t) < 10 else np.zeros(3)
+    speed = np.linalg.norm(imu.gyro - bias, axis=1)
+    width = max(1, round(0.3 * recording.rate_hz))
+    mean = np.convolve(speed, np.ones(width) / width, mode="same")
+    return np.asarray(np.interp(t, imu.t, mean))
+
+
+def _extra(recording: Recording, t: Array) -> Array:
+    """Variance (n, 2) added to angle and velocity over intervals that hold no measurement."""
+    imu = recording.imu
+    dt_imu = np.diff(imu.t)
+    gap = dt_imu > 4.0 * np.median(dt_imu)
+    masked = ~(imu.valid[1:] & imu.valid[:-1])
+    at = np.clip(np.searchsorted(imu.t, t[1:], side="left") - 1, 0, len(dt_imu) - 1)
+    dt = np.diff(t)
+    out = np.zeros((len(t), 2))
+    turning = 1.0 + float(np.sqrt((imu.gyro**2).mean()))
+    shaking = 2.0 + float(imu.accel.std())
+    out[1:, 0] += (
+        np.where(gap[at], turning * dt, 0.0) ** 2 + np.where(masked[at], 10.0 * dt, 0.0) ** 2
+    )
+    out[1:, 1] += (
+        np.where(gap[at], shaking * dt, 0.0) ** 2 + np.where(masked[at], 30.0 * dt, 0.0) ** 2
+    )
+    return out
+
+
+def relinearised(
+    problem: Problem, ref: Array, bg: Array, ba: Array, noise: Array | None = None
+) -> Problem:
+    """The same problem with its effects linearised about constants ``ref`` (c,) and biases.
+
+    noise: (n, 6) estimate of the noise in the readings, which is no motion.
+
+    What an effect adds depends on the true rate and force, which are the readings less
+    all errors; three rounds of substitution are exact to better than a nat for errors
+    up to tens of percent.
+    """
+    if problem.imu_constants == 0:
+        return _replace(problem, ref=ref)
+    recording, nodes = problem.recording, problem.nodes
+    imu = recording.imu
+    temperature = recording.streams.get("temperature")
+    T = None if temperature is None else np.interp(imu.t, temperature.t, temperature.value[:, 0])
+    raw = np.hstack([imu.gyro - bg, imu.accel - ba])
+    acting = [e for e in problem.effects if e.imu_error is not None]
+    if noise is not None:
+        raw = raw - noise
+    error = np.zeros_like(raw)
+    signals = Signals(imu.t, raw[:, :3], raw[:, 3:], T)
+    for _ in range(3):
+        truth = raw - error
+        signals = Signals(imu.t, truth[:, :3], truth[:, 3:], T)
+        error = np.zeros_like(raw)
+        i = 0
+        for e in acting:
+            assert e.imu_error is not None
+            error = error + e.imu_error(ref[i : i + len(e.parameters)], signals)
+            i += len(e.parameters)
+    J = np.empty((len(imu.t), 6, problem.imu_constants))
+    i = 0
+    for e in acting:
+        J[:, :, i : i + len(e.parameters)] = imu_jacobian(
+            e, ref[i : i + len(e.parameters)], signals
+        )
+        i += len(e.parameters)
+    clean = np.hstack([imu.gyro, imu.accel]) - error
+    at = [np.interp(nodes.t, imu.t, clean[:, k]) for k in range(6)]
+    J_nodes = np.empty((len(nodes.t), 6, problem.imu_constants))
+    for k in range(6):
+        for c in range(problem.imu_constants):
+            J_nodes[:, k, c] = np.interp(nodes.t, imu.t, J[:, k, c])
+    gyro, accel = np.stack(at[:3], axis=1), np.stack(at[3:], axis=1)
+    return _replace(problem, ref=ref, nodes=nodes._replace(gyro=gyro, accel=accel, J=J_nodes))
+
+
+def _replace(problem: Problem, **changes: object) -> Problem:
+    from dataclasses import replace
+
+    return replace(problem, **changes)  # type: ignore[arg-type]
+
+
+def observation_variances(problem: Problem, levels: Mapping[str, float]) -> Array:
+    """R (K, MAX_DIM) of each kind at these noise levels."""
+    R = np.ones((len(problem.observations), MAX_DIM))
+    for k, o in enumerate(problem.observations):
+        R[k, : o.dim] = o.variance(levels)
+    return R
+
+
+def markov_transitions(
+    problem: Problem, levels: Mapping[str, float], t: Array, rate: Array
+) -> tuple[Array, Array]:
+    """Phi_e, Q_e (n, e, e) of the intervals that end at t (n,); the first is the identity."""
+    e = problem.markov_size
+    Phi = np.broadcast_to(np.eye(e), (len(t), e, e)).copy()
+    Q = np.zeros((len(t), e, e))
+    dt = np.diff(t, prepend=t[0])
+    at = 0
+    for k in problem.markov_kinds:
+        markov = problem.observations[k].markov
+        assert markov is not None
+        s = slice(at, at + markov.size)
+        Phi[:, s, s], Q[:, s, s] = markov.transition(levels, dt, rate)
+        at += markov.size
+    return Phi, Q
+
+
+def noise_arrays(problem: Problem, levels: Mapping[str, float]) -> Noise:
+    """Noise levels (SI) turned into what the kernel uses at every node."""
+    Phi_e, Q_e = markov_transitions(problem, levels, problem.nodes.t, problem.rate)
+    return Noise(
+        float(levels["gyro_noise"] ** 2),
+        float(levels["accel_noise"] ** 2),
+        np.zeros(BASE + problem.constants),
+        observation_variances(problem, levels),
+        Phi_e,
+        Q_e,
+    )

@@ -1,0 +1,141 @@
+"""What the filter is told from outside: one file a pseudo-observation or reference.
+
+A file defines ``OBSERVATION = Observation(...)``; the folder listing is the catalogue.
+The heart of each is a compiled ``residual(nav, theta, z, r) -> status`` that writes
+observed minus predicted into ``r`` and returns 0, or 1 to leave this one out. ``nav``
+is flat: position 0-2, velocity 3-5, C_nb row by row 6-14, true rate 15-17 and true
+specific force 18-20 in b; ``theta`` are the observation's own unknowns.
+"""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Protocol
+
+import numpy as np
+
+from handcal.types import Array, Recording
+
+NAV = 21
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What an observation may look at to make its rows.
+
+    rests (r, 2) s; has_heading: an absolute heading is observed, so n's yaw is fixed by
+    it; align_yaw: yaw of n against that of the pose's world at the start, rad;
+    rate (Hz): of pseudo-observations, None for every IMU sample; sway: the hand's
+    motion is modelled as a Markov process instead of white noise.
+    """
+
+    rests: Array
+    has_heading: bool
+    align_yaw: float | None = None
+    rate: float | None = 20.0
+    sway: bool = True
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Observations of one kind: t (k,) s on the IMU's clock, z (k, zdim)."""
+
+    t: Array
+    z: Array
+
+
+@dataclass(frozen=True)
+class Level:
+    """A noise level: name, unit, first guess and the range in which it is estimated."""
+
+    name: str
+    unit: str
+    initial: float
+    lower: float
+    upper: float
+
+
+@dataclass(frozen=True)
+class Constant:
+    """An unknown constant of an observation, with mean zero and a prior."""
+
+    name: str
+    unit: str
+    prior_sigma: float
+
+
+class Markov(Protocol):
+    """Extra states with dynamics of their own (hand sway, correlated noise).
+
+    vectors: how many of them, three by three from the first, are vectors in n.
+    """
+
+    size: int
+    vectors: int
+
+    def transition(
+        self, levels: Mapping[str, float], dt: Array, rate: Array
+    ) -> tuple[Array, Array]:
+        """Phi and Q, each (n, size, size), of steps dt (n,) s while turning at rate (n,) rad/s."""
+        ...
+
+    def start(self, levels: Mapping[str, float], rate: float) -> Array:
+        """Covariance (size, size) at the start."""
+        ...
+
+
+@dataclass(frozen=True)
+class Observation:
+    """One kind of observation.
+
+    dim, channels, unit describe the residual; ``residual`` and ``jacobian`` are addresses
+    of compiled functions (jacobian 0: central difference), the latter writing (dim, 15)
+    by position, velocity, psi, rate and force. ``variance(levels)`` -> (dim,).
+    markov_residual: corrects the residual for the Markov states, which are its theta.
+    isotropic: the residual is a vector in n whose noise has no preferred direction.
+    guess(z (k, zdim)): first guesses of levels that the observations themselves show.
+    """
+
+    kind: str
+    title: str
+    dim: int
+    channels: tuple[str, ...]
+    unit: str
+    residual: int
+    rows: Callable[[Recording, Scene], Rows | None]
+    levels: tuple[Level, ...]
+    variance: Callable[[Mapping[str, float]], Array]
+    jacobian: int = 0
+    constants: Callable[[Scene], tuple[Constant, ...]] = lambda _: ()
+    markov: Markov | None = None
+    markov_residual: int = 0
+    guess: Callable[[Array], Mapping[str, float]] | None = None
+    isotropic: bool = False
+
+
+@cache
+def catalogue() -> Mapping[str, Observation]:
+    """Every observation in this folder, by kind."""
+    found: dict[str, Observation] = {}
+    for info in pkgutil.iter_modules(__path__):
+        observation: Observation = importlib.import_module(f"{__name__}.{info.name}").OBSERVATION
+        found[observation.kind] = observation
+    return found
+
+
+def pseudo_times(recording: Recording, rate: float | None, rests: Array | None = None) -> Array:
+    """Stamps of IMU samples about 1/rate apart (all of them for None), in the rests if given."""
+    t = recording.imu.t
+    if rate is not None and rate < recording.rate_hz:
+        slots = np.floor((t - t[0]) * rate + 1e-9)
+        t = t[np.r_[True, np.diff(slots) > 0]]
+    if rests is not None:
+        inside = np.zeros(len(t), dtype=bool)
+        for a, b in rests:
+            inside |= (t >= a) & (t <= b)
+        t = t[inside]
+    return np.asarray(t, dtype=np.float64)

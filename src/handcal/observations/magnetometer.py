@@ -1,0 +1,93 @@
+"""Magnetic heading by tilt compensation inside the filter.
+
+The field measured in b is levelled with the filter's own attitude, so the tilt's
+uncertainty and its correlation with the heading are part of the update. Magnetic north
+is +y of n. Indoors the field is bent by furniture and by the device itself: an error
+that stays as long as the device does, and changes as it turns. That is a Markov state
+whose clock is the angle turned.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from handcal._jit import residual_function
+from handcal.observations import Level, Observation, Rows, Scene
+from handcal.types import Array, Recording
+
+MAX_RATE = 10.0
+FORGET_ANGLE = 1.0
+REST_RATE = 0.02
+FORGET_TIME = 1000.0
+
+
+def _residual(nav: Any, theta: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+    east = nav[6] * z[0] + nav[7] * z[1] + nav[8] * z[2]
+    north = nav[9] * z[0] + nav[10] * z[1] + nav[11] * z[2]
+    up = nav[12] * z[0] + nav[13] * z[1] + nav[14] * z[2]
+    horizontal = east * east + north * north
+    # A dip above 85 degrees holds no heading.
+    if horizontal < 0.0076 * (horizontal + up * up):
+        return 1
+    d = 0.5 * math.pi - math.atan2(north, east)
+    r[0] = d - 2.0 * math.pi * math.floor(d / (2.0 * math.pi) + 0.5)
+    return 0
+
+
+def _bent(nav: Any, bend: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+    r[0] += bend[0]
+    return 0
+
+
+def _rows(recording: Recording, scene: Scene) -> Rows | None:  # noqa: ARG001
+    series = recording.streams.get("mag")
+    if series is None or len(series.t) < 2:
+        return None
+    # Neighbouring readings share their disturbance; more of them would only feign certainty.
+    step = max(1, round((len(series.t) - 1) / (series.t[-1] - series.t[0]) / MAX_RATE))
+    return Rows(series.t[::step], series.value[::step])
+
+
+def _variance(levels: Mapping[str, float]) -> Array:
+    return np.array([levels["mag_heading_noise"] ** 2])
+
+
+class Disturbance:
+    """One state: the heading error of the bent field, rad."""
+
+    size = 1
+    vectors = 0
+
+    def transition(
+        self, levels: Mapping[str, float], dt: Array, rate: Array
+    ) -> tuple[Array, Array]:
+        """Forgets over the angle turned, or over many minutes at rest."""
+        phi = np.exp(-dt * (np.maximum(rate - REST_RATE, 0.0) / FORGET_ANGLE + 1.0 / FORGET_TIME))
+        q = levels["mag_disturbance"] ** 2 * (1.0 - phi**2)
+        return phi[:, None, None], q[:, None, None]
+
+    def start(self, levels: Mapping[str, float], rate: float) -> Array:  # noqa: ARG002
+        """Stationary variance."""
+        return np.array([[levels["mag_disturbance"] ** 2]])
+
+
+OBSERVATION = Observation(
+    kind="magnetometer",
+    title="magnetic heading",
+    dim=1,
+    channels=("heading",),
+    unit="rad",
+    residual=residual_function(_residual),
+    rows=_rows,
+    levels=(
+        Level("mag_heading_noise", "rad", 0.01, 1e-4, 2.0),
+        Level("mag_disturbance", "rad", 0.03, 1e-3, 1.0),
+    ),
+    variance=_variance,
+    markov=Disturbance(),
+    markov_residual=residual_function(_bent),
+)

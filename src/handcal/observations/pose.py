@@ -1,0 +1,203 @@
+"""The measured pose of a marker on the device (motion capture, a camera).
+
+The marker's axes and the pose's world are turned against b and n by unknown constants.
+Both are first aligned roughly from the recording itself (turns seen by both sensors;
+gravity on average), then what remains is estimated: ``theta`` holds the world's (3,) and
+the marker's (3,) rotation vectors.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from handcal import so3
+from handcal._jit import njit, residual_function
+from handcal.observations import Constant, Level, Observation, Rows, Scene
+from handcal.types import Array, InputError, Recording, Series
+
+MAX_RATE = 25.0
+
+
+FORGET_ANGLE = 1.0
+REST_RATE = 0.02
+FORGET_TIME = 1000.0
+
+
+@njit
+def _rotation(x: float, y: float, z: float) -> Array:
+    out = np.empty((3, 3))
+    so3.exp(np.array((x, y, z)), out)
+    return out
+
+
+@njit
+def _log(C: Array) -> Array:
+    """Rotation vector of a matrix away from half a turn (residuals are small)."""
+    s = np.array((C[2, 1] - C[1, 2], C[0, 2] - C[2, 0], C[1, 0] - C[0, 1])) * 0.5
+    sine = math.sqrt(s[0] ** 2 + s[1] ** 2 + s[2] ** 2)
+    angle = math.atan2(sine, 0.5 * (C[0, 0] + C[1, 1] + C[2, 2] - 1.0))
+    if sine < 1e-7:
+        return s
+    return s * (angle / sine)
+
+
+def _residual(nav: Any, theta: Any, z: Any, r: Any) -> int:
+    world = _rotation(theta[0], theta[1], theta[2])
+    marker = _rotation(theta[3], theta[4], theta[5])
+    C, measured = np.empty((3, 3)), np.empty((3, 3))
+    predicted, D = np.empty((3, 3)), np.empty((3, 3))
+    w, x, y, k = z[3], z[4], z[5], z[6]
+    measured[0, 0], measured[1, 1], measured[2, 2] = (
+        1 - 2 * (y * y + k * k),
+        1 - 2 * (x * x + k * k),
+        1 - 2 * (x * x + y * y),
+    )
+    measured[0, 1], measured[1, 0] = 2 * (x * y - w * k), 2 * (x * y + w * k)
+    measured[0, 2], measured[2, 0] = 2 * (x * k + w * y), 2 * (x * k - w * y)
+    measured[1, 2], measured[2, 1] = 2 * (y * k - w * x), 2 * (y * k + w * x)
+    for i in range(3):
+        for j in range(3):
+            C[i, j] = nav[6 + 3 * i + j]
+    so3.matmul(world, C, D)
+    so3.matmul(D, marker, predicted)
+    so3.matmul(measured, predicted.T.copy(), D)
+    angle = _log(D)
+    for i in range(3):
+        # the world's rotation is taken off the measurement, so that r is in n
+        r[i] = world[0, i] * z[0] + world[1, i] * z[1] + world[2, i] * z[2] - nav[i]
+        r[3 + i] = angle[i]
+    return 0
+
+
+def _bent(nav: Any, bend: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+    for i in range(6):
+        r[i] -= bend[i]
+    return 0
+
+
+class Distortion:
+    """Errors of the tracker that stay while the device does: position (3,) m, attitude (3,) rad.
+
+    Marker sets are seen from other sides, and by other cameras, as the device turns.
+    """
+
+    size = 6
+    vectors = 0
+
+    def transition(
+        self, levels: Mapping[str, float], dt: Array, rate: Array
+    ) -> tuple[Array, Array]:
+        """Forgets over the angle turned, or over many minutes at rest."""
+        phi = np.exp(-dt * (np.maximum(rate - REST_RATE, 0.0) / FORGET_ANGLE + 1.0 / FORGET_TIME))
+        eye = np.eye(6)
+        return phi[:, None, None] * eye, (1.0 - phi**2)[:, None, None] * self.start(levels, 0.0)
+
+    def start(self, levels: Mapping[str, float], rate: float) -> Array:  # noqa: ARG002
+        """Stationary variances."""
+        names = ("pose_position_distortion", "pose_attitude_distortion")
+        return np.diag(np.repeat([levels[n] ** 2 for n in names], 3))
+
+
+def _thin(series: Series) -> Series:
+    """At most MAX_RATE rows a second: neighbours share the tracker's own filtering."""
+    step = max(1, round((len(series.t) - 1) / (series.t[-1] - series.t[0]) / MAX_RATE))
+    return Series(series.t[::step], series.value[::step])
+
+
+def _turns(recording: Recording, pose: Series, C_wm: Array) -> tuple[Array, Array]:
+    """Rotation vectors over about 0.2 s as the marker and the gyro saw them, each (k, 3)."""
+    step = max(1, round(0.2 / float(np.median(np.diff(pose.t)))))
+    a, b = C_wm[:-step], C_wm[step:]
+    marker = so3.matrix_log(a.transpose(0, 2, 1) @ b)
+    imu = recording.imu
+    steps = 0.5 * (imu.gyro[1:] + imu.gyro[:-1]) * np.diff(imu.t)[:, None]
+    angle = np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
+    at = np.stack([np.interp(pose.t, imu.t, angle[:, i]) for i in range(3)], axis=1)
+    gyro = at[step:] - at[:-step]
+    small = np.linalg.norm(marker, axis=1) < 0.5
+    return marker[small], gyro[small]
+
+
+def _rotation_between(a: Array, b: Array) -> Array:
+    """Rotation R (3, 3) that best takes rows of a to rows of b (Kabsch)."""
+    a, b = a - a.mean(0), b - b.mean(0)
+    U, _, Vt = np.linalg.svd(b.T @ a)
+    return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt)
+
+
+def _level(up: Array) -> Array:
+    """The smallest rotation that takes the unit vector ``up`` to (0, 0, 1)."""
+    axis = np.cross(up, [0.0, 0.0, 1.0])
+    s = float(np.linalg.norm(axis))
+    if s < 1e-12:
+        return np.eye(3)
+    return so3.matrix_exp(axis / s * math.atan2(s, up[2]))
+
+
+def _rows(recording: Recording, scene: Scene) -> Rows | None:
+    pose = recording.streams.get("pose")
+    if pose is None:
+        return None
+    C_wm = so3.matrix_of(pose.value[:, 3:])
+    marker, gyro = _turns(recording, pose, C_wm)
+    spread = np.linalg.svd(gyro - gyro.mean(0), compute_uv=False) if len(gyro) > 10 else np.zeros(3)
+    if spread[1] < 0.1 * math.sqrt(len(gyro)) * 0.2:
+        raise InputError(
+            "The motion turns about too few axes to align the pose's marker with the IMU; "
+            "leave the pose out with --ignore pose."
+        )
+    R_bm = _rotation_between(marker, gyro)
+    C_wb = C_wm @ R_bm.T
+    imu = recording.imu
+    inside = (pose.t >= imu.t[0]) & (pose.t <= imu.t[-1])
+    force = np.stack([np.interp(pose.t[inside], imu.t, imu.accel[:, i]) for i in range(3)], axis=1)
+    up = np.einsum("kij,kj->i", C_wb[inside], force)
+    R_nw = _level(up / np.linalg.norm(up))
+    if scene.align_yaw is not None:
+        turn = scene.align_yaw - float(so3.yaw_of(R_nw @ C_wb[inside][0]))
+        R_nw = so3.matrix_exp(np.array([0.0, 0.0, turn])) @ R_nw
+    thin = _thin(pose)
+    q = so3.quaternion_of(R_nw @ so3.matrix_of(thin.value[:, 3:]) @ R_bm.T)
+    return Rows(thin.t, np.hstack([thin.value[:, :3] @ R_nw.T, q]))
+
+
+def _variance(levels: Mapping[str, float]) -> Array:
+    position, attitude = levels["pose_position_noise"], levels["pose_attitude_noise"]
+    return np.repeat([position**2, attitude**2], 3)
+
+
+def _constants(scene: Scene) -> tuple[Constant, ...]:
+    yaw = 1.0 if scene.has_heading else 1e-6
+    return (
+        Constant("world_x", "rad", 0.1),
+        Constant("world_y", "rad", 0.1),
+        Constant("world_z", "rad", yaw),
+        Constant("marker_x", "rad", 0.1),
+        Constant("marker_y", "rad", 0.1),
+        Constant("marker_z", "rad", 0.1),
+    )
+
+
+OBSERVATION = Observation(
+    kind="pose",
+    title="measured pose",
+    dim=6,
+    channels=("position_x", "position_y", "position_z", "attitude_x", "attitude_y", "attitude_z"),
+    unit="m, rad",
+    residual=residual_function(_residual),
+    rows=_rows,
+    levels=(
+        Level("pose_position_noise", "m", 0.001, 2e-5, 0.1),
+        Level("pose_attitude_noise", "rad", 0.001, 5e-5, 0.3),
+        Level("pose_position_distortion", "m", 0.0005, 2e-5, 0.1),
+        Level("pose_attitude_distortion", "rad", 0.003, 1e-4, 0.3),
+    ),
+    variance=_variance,
+    constants=_constants,
+    markov=Distortion(),
+    markov_residual=residual_function(_bent),
+)
