@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -150,27 +150,26 @@ def z_turn(duration: float, start: Start, _rng: np.random.Generator) -> Motion:
     The axis is the vertical, which is the body's z where the start is level: a turn about
     a tilted z would show the vertical gyro bias to the accelerometer.
     """
-    vertical = _C_start(start).T @ np.array([0.0, 0.0, 1.0])
-    return _turns("z-turn", duration, start, [(vertical, duration / 3, 2 * duration / 3)])
+    level = replace(start, heading=0.0, pitch=0.0, roll=0.0)
+    turned = _turns("z-turn", duration, level, [(2, duration / 3, 2 * duration / 3)])
+    held = profiles.constant([start.roll, start.pitch, start.heading])
+    return replace(turned, stages=(*turned.stages, held))
 
 
 def three_turns(duration: float, start: Start, _rng: np.random.Generator) -> Motion:
     """One turn each about x, y and z, with short rests before, between and after."""
     s = duration / 30.0
     return _turns(
-        "three-turns",
-        duration,
-        start,
-        [(np.eye(3)[i], (2 + 9 * i) * s, (10 + 9 * i) * s) for i in range(3)],
+        "three-turns", duration, start, [(i, (2 + 9 * i) * s, (10 + 9 * i) * s) for i in range(3)]
     )
 
 
 def _turns(
-    name: str, duration: float, start: Start, when: list[tuple[Array, float, float]]
+    name: str, duration: float, start: Start, when: list[tuple[int, float, float]]
 ) -> Motion:
-    """Whole turns one after another, each (axis (3,) in b, from, to)."""
+    """Whole turns one after another, each (axis, from, to) about one of the body's axes."""
     angle = 2.0 * math.pi * start.direction
-    angles = [profiles.along(list(axis), profiles.turn(a, b, angle)) for axis, a, b in when]
+    angles = [profiles.along(np.eye(3)[axis], profiles.turn(a, b, angle)) for axis, a, b in when]
     activity = profiles.add(*(profiles.turn_rate(a, b, angle) for _, a, b in when))
     windows = [(a, b) for _, a, b in when]
     return Motion(
