@@ -78,7 +78,6 @@ def matrix_exp(phi: Array) -> Array:
 def matrix_log(C: Array) -> Array:
     """Rotation vector (..., 3) rad of rotation matrices (..., 3, 3), angle in [0, pi]."""
     q = quaternion_of(C)
-    q = np.where(q[..., :1] < 0, -q, q)
     s = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(s, q[..., :1])
     ratio = np.where(s > 1e-9, angle / np.where(s > 1e-9, s, 1.0), 2.0)
@@ -86,7 +85,7 @@ def matrix_log(C: Array) -> Array:
 
 
 def quaternion_of(C: Array) -> Array:
-    """Quaternions w x y z (..., 4) of rotation matrices (..., 3, 3), w >= 0 branch of Shepperd."""
+    """Quaternions w x y z (..., 4), w >= 0, of rotation matrices (..., 3, 3) (Shepperd)."""
     C = np.asarray(C, dtype=np.float64)
     d = np.stack([C[..., 0, 0], C[..., 1, 1], C[..., 2, 2]], -1)
     trace = d.sum(-1)
@@ -111,6 +110,7 @@ def quaternion_of(C: Array) -> Array:
         four[..., 1 + i, :] = row
     best = np.argmax(candidates, -1)[..., None, None]
     q = np.take_along_axis(four, best, axis=-2)[..., 0, :]
+    q = np.where(q[..., :1] < 0, -q, q)
     return np.asarray(q / np.linalg.norm(q, axis=-1, keepdims=True))
 
 
@@ -137,4 +137,6 @@ def yaw_of(C: Array) -> Array:
 
 def wrap(angle: Array) -> Array:
     """Angles brought to (-pi, pi]."""
-    return np.asarray(-np.remainder(np.pi - angle, 2 * np.pi) + np.pi)
+    wrapped = np.pi - np.remainder(np.pi - angle, 2 * np.pi)
+    # just above pi the remainder rounds to a whole turn
+    return np.asarray(np.where(wrapped <= -np.pi, np.pi, wrapped))

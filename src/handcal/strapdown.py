@@ -73,6 +73,18 @@ def advance(
             -2.0 * (ox * v[1] - oy * v[0]),
         )
     )
+    earth_turns = ox != 0.0 or oy != 0.0 or oz != 0.0
+    if earth_turns:
+        # n turns while the force acts: its moment about the start is dt dv - dp
+        mx, my, mz = dt * dv[0] - dp[0], dt * dv[1] - dp[1], dt * dv[2] - dp[2]
+        third = dt / 3.0
+        px, py, pz = dp[0], dp[1], dp[2]
+        dv[0] -= oy * mz - oz * my
+        dv[1] -= oz * mx - ox * mz
+        dv[2] -= ox * my - oy * mx
+        dp[0] -= third * (oy * pz - oz * py)
+        dp[1] -= third * (oz * px - ox * pz)
+        dp[2] -= third * (ox * py - oy * px)
     for i in range(3):
         a = g_n[i] + coriolis[i]
         p[i] += dt * v[i] + dp[i] + 0.5 * dt * dt * a
@@ -80,7 +92,7 @@ def advance(
         f_n[i] = dv[i] / dt
     exp(inc[0], turn)
     matmul(C, turn, new)
-    if ox != 0.0 or oy != 0.0 or oz != 0.0:
+    if earth_turns:
         exp(-dt * omega_ie_n, turn)
         matmul(turn, new, C)
     else:

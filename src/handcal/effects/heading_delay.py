@@ -31,8 +31,8 @@ def _heading(nav: Any, delay: Any, z: Any, out: Any) -> int:  # noqa: ARG001
 
 
 def _magnetometer(nav: Any, delay: Any, z: Any, out: Any) -> int:
-    # z was felt by the device as it stood a moment ago: its heading now is too old by the turn
-    out[0] -= _turned(nav, z[0], z[1], z[2], -delay[0])
+    # z was felt by the device as it stood a moment ago, and levelled as it stands now
+    out[0] += _turned(nav, z[0], z[1], z[2], delay[0])
     return 0
 
 
