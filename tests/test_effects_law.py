@@ -1,0 +1,372 @@
+"""Laws that every effect of the catalogue obeys: one file runs them all."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from worlds import injected, recording_of, true_levels
+
+from handcal import calibrate, so3
+from handcal._jit import call_residual
+from handcal.effects import Signals, catalogue, imu_jacobian, select
+from handcal.kernel import MAX_DIM
+from handcal.observations import catalogue as observations
+from handcal.types import InputError
+from handcal_sim import simulate
+from handcal_sim.effects import EFFECTS as SIMULATED
+from handcal_sim.phone import Clocking, capture_pose, consumer_magnetometer, consumer_phone
+
+NINE = "xx xy xz yx yy yz zx zy zz"
+PRODUCTS = "x_xy x_yz x_xz y_xy y_yz y_xz z_xy z_yz z_xz"
+# The contract's table: names, unit of each (or of all), prior of each (or of all).
+CONTRACT = {
+    "gyro_scale": ("x y z", "1", 0.01),
+    "accel_scale": ("x y z", "1", 0.01),
+    "gyro_misalignment": ("xy xz yx yz zx zy", "rad", 0.01),
+    "accel_misalignment": ("yx zx zy", "rad", 0.01),
+    "gyro_g_sensitivity": (NINE, "(rad/s)/(m/s^2)", 1.8e-4),
+    "gyro_quadratic": ("x y z", "s/rad", 0.005),
+    "gyro_cross_products": (PRODUCTS, "s/rad", 0.005),
+    "accel_cross_products": (PRODUCTS, "s^2/m", 4e-4),
+    "accel_asymmetry": ("x y z", "1", 0.01),
+    "lever_arm": ("x y z", "m", 0.1),
+    "size_effect": (NINE, "m", 0.02),
+    "gyro_temperature": ("x y z", "(rad/s)/K", 9e-4),
+    "accel_temperature": ("x y z", "(m/s^2)/K", 0.01),
+    "accel_delay": ("delay", "s", 0.02),
+    "gyro_bandwidth": ("tau", "s", 0.02),
+    "gyro_bias_walk": ("density", "(rad/s)/sqrt(s)", 1e-3),
+    "accel_bias_walk": ("density", "(m/s^2)/sqrt(s)", 1e-3),
+    "gyro_bias_step": ("x y z at", ("rad/s", "rad/s", "rad/s", "s"), None),
+    "heading_hard_iron": ("sin cos", "rad", 0.2),
+    "heading_soft_iron": ("sin cos", "rad", 0.15),
+    "mag_hard_iron": ("x y z", "tesla", 1e-4),
+    "heading_delay": ("delay", "s", 0.15),
+    "pose_delay": ("delay", "s", 0.02),
+    "heading_drift": ("rate", "rad/s", 0.005),
+    "heading_correlated_noise": ("sigma tau", ("rad", "s"), (0.15, 3.0)),
+    "heading_outliers": ("fraction", "1", 0.1),
+    "gravity": ("delta", "m/s^2", 0.02),
+    "earth_rate": ("north up", "rad/s", 7.3e-5),
+    "clock_rate": ("ppm", "1e-6", 100.0),
+}
+IDS = sorted(catalogue())
+ACTING = [i for i in IDS if catalogue()[i].imu_error is not None]
+OBSERVED = [(i, kind) for i in IDS for kind in catalogue()[i].observation_error]
+
+
+def each(value, n):
+    return list(value) if isinstance(value, tuple) else [value] * n
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_declares_what_the_contract_promises(name):
+    names, unit, prior = CONTRACT[name]
+    effect, names = catalogue()[name], names.split()
+    assert effect.id == name
+    assert [p.name for p in effect.parameters] == names
+    assert [p.unit for p in effect.parameters] == each(unit, len(names))
+    if prior is not None:
+        np.testing.assert_allclose(effect.prior_sigma, each(prior, len(names)), rtol=0.01)
+    # the simulator, written apart, means the same by it
+    assert [(p.name, p.unit) for p in SIMULATED[name]] == [
+        (p.name, p.unit) for p in effect.parameters
+    ]
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_tells_its_story(name):
+    """Plain sentences for the user; where it comes from; how to see it; how it was checked."""
+    effect = catalogue()[name]
+    for text in (effect.title, effect.story, effect.source, effect.motion, effect.validated):
+        assert len(text.strip()) > 3
+    assert effect.title[0].isupper()
+    for sentence in (effect.story, effect.motion):
+        assert sentence[0].isupper()
+        assert sentence.endswith(".")
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_acts_somewhere(name):
+    """On the readings, or on observations that exist; a file without physics does nothing."""
+    effect = catalogue()[name]
+    known = observations()
+    assert set(effect.observation_error) <= set(known)
+    assert effect.imu_error is not None or effect.observation_error
+
+
+def test_selection_keeps_order_drops_doubles_and_refuses_the_unknown():
+    chosen = select(["lever_arm", "gyro_scale", "lever_arm"])
+    assert [e.id for e in chosen] == ["lever_arm", "gyro_scale"]
+    with pytest.raises(InputError, match="giro_scale"):
+        select(["giro_scale"])
+
+
+# --- effects on the readings ----------------------------------------------------------------------
+
+
+def random_signals(seed, n=60):
+    """Smooth rates and forces; a temperature that rises."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(n) * 0.01
+    phase = rng.uniform(0, 6, (6, 1))
+    x = (np.array([3, 3, 3, 9, 9, 9])[:, None] * np.sin(t * rng.uniform(2, 8, (6, 1)) + phase)).T
+    return Signals(t, x[:, :3].copy(), x[:, 3:].copy(), 25.0 + 20.0 * t)
+
+
+@pytest.mark.parametrize("name", ACTING)
+def test_zero_parameters_change_no_reading(name):
+    effect = catalogue()[name]
+    error = effect.imu_error(np.zeros(len(effect.parameters)), random_signals(0))
+    assert error.shape == (60, 6)
+    assert np.all(error == 0.0)
+
+
+@pytest.mark.parametrize("at", [0.0, 0.7])
+@pytest.mark.parametrize("name", ACTING)
+def test_jacobian_of_the_readings(name, at):
+    """Against a fourth-order difference whose step is not the default's (a thousandth prior).
+
+    At prior sizes effects are linear but for terms of their square: rel 1e-5.
+    """
+    effect = catalogue()[name]
+    for seed in range(3):
+        signals = random_signals(seed)
+        point = at * effect.prior_sigma * np.random.default_rng(seed).uniform(0.5, 1, 1)
+        got = imu_jacobian(effect, point, signals)
+        for i, sigma in enumerate(effect.prior_sigma):
+            e = np.zeros(len(point))
+            e[i] = 2.3e-4 * sigma
+
+            def f(k, e=e, point=point, signals=signals):
+                return effect.imu_error(point + k * e, signals)
+
+            expected = (8 * (f(1) - f(-1)) - (f(2) - f(-2))) / (12 * e[i])
+            size = np.abs(expected).max()
+            assert size > 0
+            np.testing.assert_allclose(got[:, :, i], expected, rtol=0, atol=1e-5 * size)
+
+
+@pytest.mark.parametrize("name", ACTING)
+def test_works_without_a_temperature(name):
+    """A recording without a thermometer must not break an effect that does not need one."""
+    effect = catalogue()[name]
+    if "temperature" in name:
+        pytest.skip("needs the temperature")
+    signals = replace(random_signals(0), temperature=None)
+    assert np.all(np.isfinite(effect.imu_error(effect.prior_sigma, signals)))
+
+
+# By hand: rate (1, 2, 3) rad/s, force (4, -5, 6) m/s^2, 35 degC; parameters 0.1, 0.2, ...
+RATE, FORCE = np.array([1.0, 2.0, 3.0]), np.array([4.0, -5.0, 6.0])
+BY_HAND = {
+    "gyro_scale": [0.1, 0.4, 0.9, 0, 0, 0],
+    "accel_scale": [0, 0, 0, 0.4, -1.0, 1.8],
+    # xy 0.1, xz 0.2, yx 0.3, yz 0.4, zx 0.5, zy 0.6
+    "gyro_misalignment": [0.1 * 2 + 0.2 * 3, 0.3 + 0.4 * 3, 0.5 + 0.6 * 2, 0, 0, 0],
+    # yx 0.1, zx 0.2, zy 0.3
+    "accel_misalignment": [0, 0, 0, 0, 0.1 * 4, 0.2 * 4 - 0.3 * 5],
+    "gyro_g_sensitivity": [0.4 - 1.0 + 1.8, 1.6 - 2.5 + 3.6, 2.8 - 4.0 + 5.4, 0, 0, 0],
+    "gyro_quadratic": [0.1, 0.2 * 4, 0.3 * 9, 0, 0, 0],
+    # products xy 2, yz 6, xz 3
+    "gyro_cross_products": [
+        0.2 + 1.2 + 0.9,
+        0.8 + 3.0 + 1.8,
+        1.4 + 4.8 + 2.7,
+        0, 0, 0,
+    ],
+    # products xy -20, yz -30, xz 24
+    "accel_cross_products": [
+        0, 0, 0,
+        -2.0 - 6.0 + 7.2,
+        -8.0 - 15.0 + 14.4,
+        -14.0 - 24.0 + 21.6,
+    ],
+    "accel_asymmetry": [0, 0, 0, 0.4, 1.0, 1.8],
+    # omega x (omega x r) = omega (omega.r) - r 14 at rows (.1 .2 .3), (.4 .5 .6), (.7 .8 .9)
+    "size_effect": [0, 0, 0, 1.4 - 1.4, 2 * 3.2 - 7.0, 3 * 5.0 - 12.6],
+    "gyro_temperature": [1.0, 2.0, 3.0, 0, 0, 0],
+    "accel_temperature": [0, 0, 0, 1.0, 2.0, 3.0],
+}  # fmt: skip
+# Of the moment, not of constant signals: f(t) = f0 + 2 t (1, 2, 3), delay 0.1 s reads 0.2 (1, 2, 3)
+# less; a low pass of 0.1 s lags a ramp by just that.
+RAMPS = {"accel_delay": ("accel", -0.2), "gyro_bandwidth": ("gyro", -0.2)}
+
+
+@pytest.mark.parametrize("name", ACTING)
+def test_units_and_signs_of_the_readings_by_hand(name):
+    effect = catalogue()[name]
+    parameters = 0.1 * np.arange(1, len(effect.parameters) + 1)
+    n = 400
+    t = np.arange(n) * 0.01
+    still = np.ones((n, 1))
+    if name in RAMPS:
+        which, error = RAMPS[name]
+        ramp = 2.0 * t[:, None] * np.array([1.0, 2.0, 3.0])
+        gyro, accel = (ramp, still * FORCE) if which == "gyro" else (still * RATE, ramp)
+        # in the middle, where no edge is felt (a low pass settles as exp(-20))
+        got = effect.imu_error(parameters, Signals(t, gyro, accel))[n // 2]
+        expected = np.zeros(6)
+        expected[slice(0, 3) if which == "gyro" else slice(3, 6)] = error * np.array([1, 2, 3])
+    else:
+        signals = Signals(t, still * RATE, still * FORCE, 35.0 * np.ones(n))
+        got = effect.imu_error(parameters, signals)[n // 2]
+        expected = BY_HAND[name]
+    np.testing.assert_allclose(got, expected, atol=1e-6)
+
+
+# --- effects on the observations ------------------------------------------------------------------
+
+
+def corrected(name, kind, nav, parameters, z):
+    """What the effect adds to a residual of ones."""
+    r = np.ones(MAX_DIM)
+    z = np.r_[np.asarray(z, dtype=float), np.zeros(8 - len(z))]
+    address = catalogue()[name].observation_error[kind]
+    assert call_residual(address, nav, np.asarray(parameters, dtype=float), z, r) == 0
+    return r - 1.0
+
+
+def nav_of(v, C, w):
+    return np.concatenate([np.zeros(3), v, np.ravel(C), w, [0, 0, 9.8]]).astype(float)
+
+
+READINGS = {"magnetometer": [1e-5, 2e-5, -4e-5]}
+
+
+@pytest.mark.parametrize(("name", "kind"), OBSERVED)
+def test_zero_parameters_change_no_residual(name, kind):
+    effect = catalogue()[name]
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        nav = nav_of(rng.normal(0, 1, 3), Rotation.random(random_state=rng).as_matrix(), RATE)
+        zero = np.zeros(len(effect.parameters))
+        assert np.all(corrected(name, kind, nav, zero, READINGS.get(kind, [0.3])) == 0.0)
+
+
+# Yaw 90 degrees: body x to the north, body y to the west. Observed minus predicted: the
+# prediction grows by the error that the effect makes, so the residual falls by it.
+NORTH = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+VELOCITY, SPIN = [1.0, 2.0, 3.0], [0.0, 0.0, 0.5]
+OBSERVED_BY_HAND = {
+    # The reading at t is the value at t - 0.2: 0.2 * 0.5 = 0.1 rad too small while turning left.
+    ("heading_delay", "heading"): ([0.2], [0.1]),
+    ("heading_delay", "magnetometer"): ([0.2], [0.1]),
+    # IMU at (0.1, 0.2, 0.3) of the body: in n at (-0.2, 0.1, 0.3) from the point held, whose
+    # place is that of the IMU less this arm.
+    ("lever_arm", "fixed_position"): ([0.1, 0.2, 0.3], [-0.2, 0.1, 0.3]),
+    ("lever_arm", "pose"): ([0.1, 0.2, 0.3], [-0.2, 0.1, 0.3, 0, 0, 0]),
+    # its velocity is 0.5 z x (-0.2, 0.1) = (-0.05, -0.1) more than that of the point
+    ("lever_arm", "zero_velocity"): ([0.1, 0.2, 0.3], [-0.05, -0.1, 0.0]),
+    ("pose_delay", "pose"): ([0.2], [0.2, 0.4, 0.6, 0.0, 0.0, 0.1]),
+}
+
+
+@pytest.mark.parametrize(("name", "kind"), OBSERVED)
+def test_units_and_signs_of_the_residuals_by_hand(name, kind):
+    parameters, expected = OBSERVED_BY_HAND[name, kind]
+    got = corrected(name, kind, nav_of(VELOCITY, NORTH, SPIN), parameters, READINGS.get(kind, [0]))
+    full = np.zeros(MAX_DIM)
+    full[: len(expected)] = expected
+    # second order in the turn during the delay, (0.1 rad)^3 / 6
+    np.testing.assert_allclose(got, full, atol=1.7e-4 if "delay" in name else 1e-15)
+
+
+@pytest.mark.parametrize("kind", ["heading", "magnetometer"])
+def test_heading_delay_is_of_second_order_at_any_tilt(kind):
+    """Against the exact attitude a delay earlier; the error falls with the turn cubed."""
+    delays, errors = np.array([0.1, 0.05, 0.025]), []
+    for delay in delays:
+        worst = 0.0
+        for seed in range(10):
+            rng = np.random.default_rng(seed)
+            C = Rotation.from_euler("ZYX", rng.uniform(-1, 1, 3)).as_matrix()
+            w = rng.normal(0, 1.5, 3)
+            before = C @ so3.matrix_exp(-w * delay)
+            if kind == "heading":
+                # the reading is that of the attitude before; with the effect nothing is left
+                left = so3.wrap(so3.yaw_of(before) - so3.yaw_of(C))
+                z = [0.0]
+            else:
+                z = before.T @ [0.0, 2e-5, -4e-5]
+                level = C @ z
+                left = math.pi / 2 - math.atan2(level[1], level[0])
+            got = corrected("heading_delay", kind, nav_of([0, 0, 0], C, w), [delay], z)
+            worst = max(worst, abs(float(left) + got[0]))
+        errors.append(worst)
+    assert np.polyfit(np.log(delays), np.log(errors), 1)[0] == pytest.approx(3.0, abs=0.5)
+
+
+# --- what the simulator injects comes back --------------------------------------------------------
+
+
+def with_pose(rng):
+    return replace(consumer_phone(rng), heading=None, pose=capture_pose(rng))
+
+
+def with_magnetometer(rng):
+    return replace(consumer_phone(rng), heading=None, mag=consumer_magnetometer(rng))
+
+
+def good_heading(rng):
+    """A heading of half a degree (a camera's), so that a short recording tells enough."""
+    phone = consumer_phone(rng)
+    clocking = Clocking(50.0, phone.heading.clocking.phase_s)
+    return replace(
+        phone, heading=replace(phone.heading, sigma=math.radians(0.5), clocking=clocking)
+    )
+
+
+TOO_FAST = pytest.mark.xfail(
+    strict=True,
+    reason="true force is found by substitution, which diverges for delays of a sample and more",
+)
+TOO_LATE = pytest.mark.xfail(
+    strict=True,
+    reason="one rate is taken for the whole delay: 5 to 15 percent short at 0.15 s in a free hand",
+)
+# id, motion, phone, stream, size in priors
+TRIALS = [
+    ("gyro_scale", "three-turns", good_heading, "heading", 1.0),
+    ("gyro_misalignment", "free-hand", good_heading, "heading", 1.0),
+    ("accel_scale", "free-hand", good_heading, "heading", 1.0),
+    ("accel_misalignment", "free-hand", good_heading, "heading", 1.0),
+    ("accel_delay", "free-hand", good_heading, "heading", 0.2),
+    pytest.param("accel_delay", "free-hand", good_heading, "heading", 1.0, marks=TOO_FAST),
+    ("heading_delay", "free-hand", good_heading, "heading", 0.15),
+    pytest.param("heading_delay", "free-hand", good_heading, "heading", 1.0, marks=TOO_LATE),
+    ("heading_delay", "free-hand", with_magnetometer, "mag", 0.15),
+    ("lever_arm", "free-hand", good_heading, "heading", 1.0),
+    ("lever_arm", "free-hand", with_pose, "pose", 1.0),
+    ("pose_delay", "free-hand", with_pose, "pose", 1.0),
+]
+SEEDS = range(2)
+
+
+def test_every_effect_is_on_trial():
+    assert {getattr(trial, "values", trial)[0] for trial in TRIALS} == set(IDS)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize(("name", "motion", "phone", "stream", "priors"), TRIALS)
+def test_what_the_simulator_injects_comes_back(name, motion, phone, stream, priors, seed):
+    """Concealed; found within 4 of its own sigmas, which are sharper than the prior.
+
+    The chance of a false alarm is 6e-5 for each of some 60 parameters.
+    """
+    effect = catalogue()[name]
+    rng = np.random.default_rng(1000 + seed)
+    size = priors * effect.prior_sigma * rng.uniform(0.7, 1.3, len(effect.parameters))
+    truth = size * rng.choice([-1, 1], len(size))
+    world = simulate(motion, seed=seed, phone=phone, duration_s=32.0, effects={name: truth})
+    np.testing.assert_allclose(injected(world, name), truth)
+    recording = recording_of(world, stream)
+    found = calibrate(recording, [name], assume="fixed-point", noise=true_levels(world))
+    for parameter, value in zip(effect.parameters, truth, strict=True):
+        got = found.parameter(name, parameter.name)
+        assert got.unit == parameter.unit
+        assert abs(got.value - value) < 4 * got.sigma, (parameter.name, got, value)
+        assert got.sigma < parameter.prior_sigma
+        assert got.observable

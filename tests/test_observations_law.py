@@ -1,0 +1,364 @@
+"""Laws that every observation obeys, by itself and with every effect that touches it."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from scipy.spatial.transform import Rotation
+
+from handcal import so3
+from handcal._jit import call_residual
+from handcal.effects import catalogue as effects
+from handcal.kernel import BASE, MAX_DIM, Tables, linearise
+from handcal.observations import NAV, Scene, catalogue
+from handcal.so3 import wrap
+
+SCENE = Scene(np.zeros((0, 2)), True)
+KINDS = sorted(catalogue())
+PAIRS = [(k, None) for k in KINDS] + [
+    (k, e.id) for k in KINDS for e in effects().values() if k in e.observation_error
+]
+
+
+def nav_of(p, v, C, w, f):
+    return np.concatenate([p, v, np.ravel(C), w, f]).astype(float)
+
+
+def tilted(rng, x_from_vertical_deg):
+    """A random attitude whose body x stands this far from the vertical, up or down."""
+    up = math.radians(90.0 - x_from_vertical_deg) * rng.choice([-1, 1])
+    yaw, roll = rng.uniform(-math.pi, math.pi, 2)
+    return Rotation.from_euler("ZYX", [yaw, -up, roll]).as_matrix()
+
+
+def random_case(kind, seed):
+    """A navigation state with any tilt that the observation accepts, and a plausible reading."""
+    rng = np.random.default_rng(seed)
+    C = tilted(rng, rng.uniform(16.0, 90.0))
+    p, v, w, f = (rng.normal(0, s, 3) for s in (0.3, 0.5, 2.0, 8.0))
+    turn = so3.matrix_exp(rng.normal(0, 0.1, 3))
+    if kind == "heading":
+        z = [float(wrap(so3.yaw_of(C) + rng.normal(0, 0.5)))]
+    elif kind == "magnetometer":
+        z = (turn @ C).T @ (48e-6 * np.array([0.0, 0.5, -0.8]))
+    elif kind == "pose":
+        z = np.r_[p + rng.normal(0, 0.1, 3), so3.quaternion_of(turn @ C)]
+    else:
+        z = rng.normal(0, 0.1, 3)
+    out = np.zeros(8)
+    out[: len(z)] = z
+    return nav_of(p, v, C, w, f), out
+
+
+def setup(kind, effect=None):
+    """Tables of one observation alone, or with one effect; its extras one after another."""
+    o = catalogue()[kind]
+    parts = [(o.residual, len(o.constants(SCENE)))]
+    if o.markov is not None:
+        parts.append((o.markov_residual, o.markov.size))
+    if effect is not None:
+        e = effects()[effect]
+        parts.append((e.observation_error[kind], len(e.parameters)))
+    counts = np.array([[c for _, c in parts] + [0]])
+    start = np.concatenate([[0], np.cumsum(counts[0])[:-1]])[None]
+    function = np.array([[a for a, _ in parts] + [0]], dtype=np.int64)
+    tables = Tables(np.array([o.dim]), np.array([o.jacobian]), function, start, counts)
+    return o, tables, int(counts.sum())
+
+
+def residual(o, tables, nav, extras, z):
+    """The residual by calling every part, without the kernel."""
+    r = np.zeros(MAX_DIM)
+    extras = np.r_[extras, 0.0]
+    for address, a in zip(tables.function[0], tables.start[0], strict=True):
+        if address:
+            assert call_residual(address, nav, np.ascontiguousarray(extras[a:]), z, r) == 0
+    return r[: o.dim]
+
+
+def moved(nav, i, step):
+    out = nav.copy()
+    if i < 6:
+        out[i] += step
+    elif i < 9:
+        phi = np.zeros(3)
+        phi[i - 6] = step
+        C = Rotation.from_rotvec(phi).as_matrix() @ nav[6:15].reshape(3, 3)
+        out[6:15] = C.ravel()
+    return out
+
+
+def difference(o, tables, nav, extras, z, J, step):
+    """-d residual / d(error state), by fourth-order differences through nav and extras.
+
+    Biases and IMU constants act through rate and force alone: a larger bias, or constant,
+    means that J of it was not motion.
+    """
+    n = BASE + len(extras)
+
+    def at(i, s):
+        changed, own = nav.copy(), extras.copy()
+        if i < 9:
+            changed = moved(nav, i, s)
+        elif i < 15:
+            changed[15 + i - 9] -= s
+        else:
+            own[i - 15] += s
+            if i - 15 < J.shape[1]:
+                changed[15:21] -= J[:, i - 15] * s
+        return residual(o, tables, changed, own, z)
+
+    out = np.empty((o.dim, n))
+    for i in range(n):
+        near, far = at(i, step) - at(i, -step), at(i, 2 * step) - at(i, -2 * step)
+        out[:, i] = -(8 * near - far) / (12 * step)
+    return out
+
+
+@pytest.mark.parametrize("step", [1e-3, 2e-4])
+@pytest.mark.parametrize(("kind", "effect"), PAIRS)
+def test_observation_matrix_is_the_derivative_of_the_residual(kind, effect, step):
+    """All columns, with IMU constants in front, at random attitudes and non-zero extras."""
+    o, tables, count = setup(kind, effect)
+    for seed in range(8):
+        nav, z = random_case(kind, seed)
+        rng = np.random.default_rng(100 + seed)
+        mi = 2
+        extras = np.r_[np.zeros(mi), 0.05 * rng.normal(0, 1, count)]
+        shifted = tables._replace(start=tables.start + mi)
+        J = rng.normal(0, 1, (6, mi))
+        r, H = np.zeros(MAX_DIM), np.zeros((MAX_DIM, BASE + mi + count))
+        assert linearise(0, shifted, nav, extras.copy(), z, J, r, H) == 0
+        np.testing.assert_allclose(r[: o.dim], residual(o, shifted, nav, extras, z), atol=1e-15)
+        # Differences: 1e-16/step of round-off, step^4 (here) and 1e-10 (kernel) of curvature.
+        expected = difference(o, shifted, nav, extras, z, J, step)
+        np.testing.assert_allclose(H[: o.dim], expected, rtol=0, atol=2e-8)
+        assert np.all(H[o.dim :] == 0)
+        assert np.abs(expected).max() > 0.5
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_perfect_reading_leaves_no_residual(kind):
+    """Observed equals predicted, with all extras at zero and at any attitude."""
+    o, tables, count = setup(kind)
+    for seed in range(10):
+        nav, z = random_case(kind, seed)
+        C = nav[6:15].reshape(3, 3)
+        if kind == "heading":
+            z[0] = np.arctan2(C[1, 0], C[0, 0])
+        elif kind == "magnetometer":
+            z[:3] = C.T @ [0.0, 2e-5, -4e-5]
+        elif kind == "pose":
+            z[:7] = np.r_[nav[:3], so3.quaternion_of(C)]
+        else:
+            first = {"fixed_position": 0, "zero_velocity": 3, "zero_rate": 15}[kind]
+            z[:3] = nav[first : first + 3]
+        np.testing.assert_allclose(residual(o, tables, nav, np.zeros(count), z), 0, atol=1e-14)
+
+
+def test_residuals_are_observed_minus_predicted():
+    """Signs and units by hand, level device at yaw 0."""
+    nav = nav_of([1.0, 2.0, 3.0], [0.1, 0.2, 0.3], np.eye(3), [0.4, 0.5, 0.6], [0, 0, 9.8])
+    by_hand = {
+        "fixed_position": ([0.0] * 3, [-1.0, -2.0, -3.0]),
+        "zero_velocity": ([0.0] * 3, [-0.1, -0.2, -0.3]),
+        "zero_rate": ([0.0] * 3, [-0.4, -0.5, -0.6]),
+        "heading": ([0.2], [0.2]),
+        # A field that points to +x of the body and north is +y of n: body x is at 90 degrees.
+        "magnetometer": ([2e-5, 0.0, -4e-5], [math.pi / 2]),
+        "pose": (
+            [1.1, 2.0, 2.9, math.cos(0.05), 0.0, 0.0, math.sin(0.05)],
+            [0.1, 0.0, -0.1, 0.0, 0.0, 0.1],
+        ),
+    }
+    assert set(by_hand) == set(KINDS)
+    for kind, (reading, expected) in by_hand.items():
+        o, tables, count = setup(kind)
+        z = np.zeros(8)
+        z[: len(reading)] = reading
+        got = residual(o, tables, nav, np.zeros(count), z)
+        np.testing.assert_allclose(got, expected, atol=1e-12, err_msg=kind)
+
+
+@pytest.mark.parametrize("kind", ["heading", "magnetometer"])
+@pytest.mark.parametrize("yaw", [math.pi - 0.01, -math.pi + 0.01, math.pi, 0.0, 3.0, -3.0])
+@pytest.mark.parametrize("off", [-0.5, -0.02, 0.02, 0.5, 3.0, -3.0])
+def test_headings_wrap_at_half_a_turn(kind, yaw, off):
+    """The residual is the short way round, whatever the yaw."""
+    o, tables, count = setup(kind)
+    C = Rotation.from_euler("ZYX", [yaw, 0.3, -0.4]).as_matrix()
+    nav = nav_of([0, 0, 0], [0, 0, 0], C, [0, 0, 0], [0, 0, 9.8])
+    z = np.zeros(8)
+    if kind == "heading":
+        z[0] = float(wrap(np.array(yaw + off)))
+    else:
+        z[:3] = (Rotation.from_euler("z", off).as_matrix() @ C).T @ [0.0, 2e-5, -4e-5]
+    got = residual(o, tables, nav, np.zeros(count), z)
+    np.testing.assert_allclose(got, [off], atol=1e-12)
+    J, r, H = np.zeros((6, 0)), np.zeros(MAX_DIM), np.zeros((MAX_DIM, BASE + count))
+    assert linearise(0, tables, nav, np.zeros(max(1, count)), z, J, r, H) == 0
+    # about the vertical both are one to one
+    assert H[0, 8] == pytest.approx(1.0, abs=1e-8)
+
+
+@pytest.mark.parametrize("from_vertical_deg", [0.0, 5.0, 14.9, 15.1, 30.0, 90.0])
+def test_headings_are_skipped_within_15_degrees_of_body_x_vertical(from_vertical_deg):
+    """Contract; up and down alike."""
+    _, tables, _ = setup("heading")
+    for seed in range(10):
+        C = tilted(np.random.default_rng(seed), from_vertical_deg)
+        nav = nav_of([0, 0, 0], [0, 0, 0], C, [0, 0, 0], [0, 0, 9.8])
+        r, H = np.zeros(MAX_DIM), np.zeros((MAX_DIM, BASE))
+        z = np.zeros(8)
+        skipped = linearise(0, tables, nav, np.zeros(1), z, np.zeros((6, 0)), r, H)
+        assert skipped == (from_vertical_deg < 15.0)
+        if skipped:
+            assert np.all(H == 0)
+
+
+@pytest.mark.parametrize(("dip_deg", "skipped"), [(84.5, 0), (85.5, 1), (-85.5, 1), (0.0, 0)])
+def test_a_steep_field_holds_no_heading(dip_deg, skipped):
+    _, tables, count = setup("magnetometer")
+    for seed in range(5):
+        C = Rotation.random(random_state=seed).as_matrix()
+        nav = nav_of([0, 0, 0], [0, 0, 0], C, [0, 0, 0], [0, 0, 9.8])
+        dip = math.radians(dip_deg)
+        z = np.zeros(8)
+        z[:3] = C.T @ (5e-5 * np.array([0.0, math.cos(dip), -math.sin(dip)]))
+        r, H = np.zeros(MAX_DIM), np.zeros((MAX_DIM, BASE + count))
+        assert linearise(0, tables, nav, np.zeros(count), z, np.zeros((6, 0)), r, H) == skipped
+
+
+def test_magnetic_heading_works_where_body_x_is_vertical():
+    """The field is levelled as a whole, so no attitude of the device is forbidden."""
+    o, tables, count = setup("magnetometer")
+    C = tilted(np.random.default_rng(0), 0.5)
+    nav = nav_of([0, 0, 0], [0, 0, 0], C, [0, 0, 0], [0, 0, 9.8])
+    z = np.zeros(8)
+    z[:3] = (so3.matrix_exp(np.array([0, 0, 0.1])) @ C).T @ [0.0, 2e-5, -4e-5]
+    np.testing.assert_allclose(residual(o, tables, nav, np.zeros(count), z), [0.1], atol=1e-12)
+
+
+def test_pose_constants_turn_world_and_marker():
+    """theta: the pose's world against n, and the marker in b, each by hand about one axis."""
+    o, tables, count = setup("pose")
+    C = Rotation.from_euler("ZYX", [1.0, 0.4, -0.7]).as_matrix()
+    nav = nav_of([1.0, 2.0, 3.0], [0, 0, 0], C, [0, 0, 0], [0, 0, 9.8])
+    z = np.zeros(8)
+    for k in range(3):
+        small = np.zeros(3)
+        small[k] = 0.1
+        turn = so3.matrix_exp(small)
+        # W takes n to the pose's world, which reads W p and W C
+        z[:7] = np.r_[turn @ nav[:3], so3.quaternion_of(turn @ C)]
+        extras = np.zeros(count)
+        extras[k] = 0.1
+        got = residual(o, tables, nav, extras, z)
+        np.testing.assert_allclose(got, 0, atol=1e-13)
+        z[:7] = np.r_[nav[:3], so3.quaternion_of(C @ turn)]
+        extras = np.zeros(count)
+        extras[3 + k] = 0.1
+        np.testing.assert_allclose(residual(o, tables, nav, extras, z), 0, atol=1e-13)
+
+
+# --- declarations ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_declarations_fit_together(kind):
+    o = catalogue()[kind]
+    assert o.kind == kind
+    assert o.title
+    assert len(o.channels) == o.dim <= MAX_DIM
+    levels = {lv.name: lv.initial for lv in o.levels}
+    assert len(levels) == len(o.levels) > 0
+    assert all(0 < lv.lower < lv.initial < lv.upper for lv in o.levels)
+    R = o.variance(levels)
+    assert R.shape == (o.dim,)
+    assert np.all(R > 0)
+    # variances are squares of levels: twice the level, four times the variance
+    np.testing.assert_allclose(o.variance({n: 2 * x for n, x in levels.items()}), 4 * R)
+    assert (o.markov is None) == (o.markov_residual == 0)
+    assert NAV == 21
+
+
+# --- Markov states -------------------------------------------------------------------------------
+
+MARKOV = [k for k in KINDS if catalogue()[k].markov is not None]
+
+
+def levels_of(kind, seed):
+    """Levels anywhere in their allowed range (uniform in the logarithm)."""
+    rng = np.random.default_rng(seed)
+    return {
+        lv.name: math.exp(rng.uniform(math.log(lv.lower), math.log(lv.upper)))
+        for lv in catalogue()[kind].levels
+    }
+
+
+@pytest.mark.parametrize("kind", MARKOV)
+@pytest.mark.parametrize("rate", [0.0, 0.01, 0.5, 6.0])
+def test_markov_transitions_are_a_semigroup(kind, rate):
+    """Two steps are one: Phi(a+b) = Phi(b) Phi(a), Q(a+b) = Phi(b) Q(a) Phi(b)' + Q(b)."""
+    markov = catalogue()[kind].markov
+    for seed in range(5):
+        levels = levels_of(kind, seed)
+        a, b = np.random.default_rng(seed).uniform(0.001, 0.5, 2)
+        Phi, Q = markov.transition(levels, np.array([a, b, a + b]), np.full(3, rate))
+        assert Phi.shape == Q.shape == (3, markov.size, markov.size)
+        np.testing.assert_allclose(Phi[2], Phi[1] @ Phi[0], rtol=1e-10, atol=1e-14)
+        scale = np.sqrt(np.diag(markov.start(levels, rate)))
+        both = Phi[1] @ Q[0] @ Phi[1].T + Q[1]
+        np.testing.assert_allclose((Q[2] - both) / np.outer(scale, scale), 0, atol=1e-11)
+
+
+@pytest.mark.parametrize("kind", MARKOV)
+@pytest.mark.parametrize("rate", [0.0, 0.5, 6.0])
+def test_markov_noise_keeps_what_is_stationary(kind, rate):
+    """At a steady turning rate the start's covariance stays, from a millisecond to a minute."""
+    markov = catalogue()[kind].markov
+    dt = np.array([0.0, 1e-6, 1e-3, 0.01, 0.1, 1.0, 60.0])
+    for seed in range(5):
+        levels = levels_of(kind, seed)
+        P = markov.start(levels, rate)
+        scale = np.outer(*[np.sqrt(np.diag(P))] * 2)
+        assert P.shape == (markov.size, markov.size)
+        Phi, Q = markov.transition(levels, dt, np.full(len(dt), rate))
+        np.testing.assert_array_equal(Phi[0], np.eye(markov.size))
+        np.testing.assert_allclose(Q[0], 0, atol=1e-18)
+        for k in range(len(dt)):
+            after = Phi[k] @ P @ Phi[k].T + Q[k]
+            np.testing.assert_allclose(after / scale, P / scale, atol=1e-12)
+            np.testing.assert_allclose(Q[k] / scale, Q[k].T / scale, atol=1e-15)
+            # round-off of 1 - phi^2 in units of the stationary variance
+            assert np.linalg.eigvalsh(Q[k] / scale).min() > -2e-15
+        # something is forgotten, and nothing grows
+        assert np.all(np.abs(np.linalg.eigvals(Phi[-1])) < 1)
+
+
+def test_sway_is_a_critically_damped_oscillator():
+    """x'' = -2 b x' - b^2 x, against the matrix exponential; more sway while turning."""
+    sway = catalogue()["fixed_position"].markov
+    levels = {"sway": 0.004, "sway_per_rate": 0.003, "sway_time": 0.7, "position_noise": 1e-3}
+    b, dt = 1 / 0.7, np.array([0.01, 0.3, 2.0])
+    A = np.kron(np.array([[0.0, 1.0], [-b * b, -2 * b]]), np.eye(3))
+    Phi, _ = sway.transition(levels, dt, np.zeros(3))
+    for k in range(3):
+        np.testing.assert_allclose(Phi[k], expm(A * dt[k]), atol=1e-12)
+    P = np.diag(sway.start(levels, 2.0))
+    # independent parts add as squares: 4 mm and 3 mm/(rad/s) at 2 rad/s
+    np.testing.assert_allclose(P[:3], 0.004**2 + 0.006**2)
+    np.testing.assert_allclose(P[3:], b * b * (0.004**2 + 0.006**2))
+    assert sway.vectors == 2
+
+
+@pytest.mark.parametrize("kind", sorted(set(MARKOV) - {"fixed_position"}))
+def test_disturbances_of_place_forget_by_turning(kind):
+    """One radian of turning forgets as much at any speed; at rest almost nothing is lost."""
+    markov = catalogue()[kind].markov
+    levels = levels_of(kind, 0)
+    Phi, _ = markov.transition(levels, np.array([1.0, 0.5]), np.array([1.02, 2.02]))
+    np.testing.assert_allclose(np.diagonal(Phi, axis1=1, axis2=2), math.exp(-1.0), rtol=2e-3)
+    Phi, _ = markov.transition(levels, np.array([10.0]), np.array([0.01]))
+    assert np.all(np.diag(Phi[0]) > 0.98)
