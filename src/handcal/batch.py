@@ -28,6 +28,7 @@ from handcal.kernel import (
     interval,
     linearise,
     propagate,
+    propagation_work,
     times_transition,
 )
 from handcal.model import Problem, markov_transitions, observation_variances, relinearised
@@ -233,8 +234,9 @@ def _preintegrate(
     width = BASE + mi
     Phi, J = np.empty((9, width)), np.empty((6, 6 + mi))
     none = np.empty((0, 0))
-    total, new = np.zeros((width, width)), np.zeros((width, width))
-    Q = np.zeros((3, width, width))
+    total, new = np.zeros((width, width)), np.zeros((9, width))
+    work = propagation_work(9, 0)
+    Q = np.zeros((3, 9, 9))
     C = np.empty((3, 3))
     D = np.empty((3, 3))
     for j in range(1, len(epoch)):
@@ -246,19 +248,19 @@ def _preintegrate(
         Q[:, :, :] = 0.0
         for i in range(epoch[j - 1] + 1, epoch[j] + 1):
             interval(nodes, i, bg, ba, extras, ref, g_n, omega_ie_n, p, v, C, Phi, J)
-            times_transition(Phi, none, none, mi, total, new)
-            total[:, :] = new
+            times_transition(Phi, none, none, width, total, new)
+            total[:9] = new
             dt = nodes.t[i] - nodes.t[i - 1]
             for s in range(3):
                 if s < 2 or Q[s, 3, 3] != 0.0 or Q[s, 6, 6] != 0.0:
-                    propagate(Q[s], Phi, none, none, mi, new)
+                    propagate(Q[s], Phi, none, none, 9, work)
             for a in range(3):
                 Q[0, 6 + a, 6 + a] += dt
                 Q[1, 3 + a, 3 + a] += dt
                 Q[2, 6 + a, 6 + a] += nodes.extra[i, 0]
                 Q[2, 3 + a, 3 + a] += nodes.extra[i, 1]
         Phi_out[j] = total[:9]
-        Qg_out[j], Qa_out[j], Q0_out[j] = Q[0, :9, :9], Q[1, :9, :9], Q[2, :9, :9]
+        Qg_out[j], Qa_out[j], Q0_out[j] = Q[0], Q[1], Q[2]
         for a in range(3):
             d_out[j, a] = p[a] - nominal[0][j, a]
             d_out[j, 3 + a] = v[a] - nominal[1][j, a]
@@ -395,20 +397,22 @@ def _forward(
     n = len(x)
     e = Phi_e.shape[1]
     keep = store[0].shape[0] > 1
-    work = np.empty((n, n))
+    e0 = BASE + c
+    work = propagation_work(n, e)
     column, moved = np.empty((n, 1)), np.empty((n, 1))
     for j in range(Phi.shape[0]):
         if j > 0:
             column[:, 0] = x
-            times_transition(Phi[j], Phi_e[j], Phi_psi[j], c, column, moved)
-            x[:] = moved[:, 0]
-            x[:9] += d[j]
-            x[BASE + c :] += d_e[j]
-            propagate(P, Phi[j], Phi_e[j], Phi_psi[j], c, work)
-            P[:9, :9] += Q[j]
+            times_transition(Phi[j], Phi_e[j], Phi_psi[j], e0, column, moved)
+            propagate(P, Phi[j], Phi_e[j], Phi_psi[j], e0, work)
+            for a in range(9):
+                x[a] = moved[a, 0] + d[j, a]
+                for b in range(9):
+                    P[a, b] += Q[j, a, b]
             for a in range(e):
+                x[e0 + a] = moved[e0 + a, 0] + d_e[j, a]
                 for b in range(e):
-                    P[BASE + c + a, BASE + c + b] += Q_e[j, a, b]
+                    P[e0 + a, e0 + b] += Q_e[j, a, b]
         if keep:
             store[2][j], store[3][j] = x, P
         for q in range(first[j], first[j + 1]):

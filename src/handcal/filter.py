@@ -34,6 +34,7 @@ from handcal.kernel import (
     interval,
     linearise,
     propagate,
+    propagation_work,
     scalar_update,
 )
 from handcal.model import Problem
@@ -178,7 +179,7 @@ def _run(
     n = P.shape[0]
     mi = nodes.J.shape[2]
     Phi, J = np.empty((9, BASE + mi)), np.empty((6, 6 + mi))
-    work, x = np.empty((n, n)), np.zeros(n)
+    work, x = propagation_work(n, noise.Phi_e.shape[1]), np.zeros(n)
     nav, w, f = np.empty(NAV), np.empty(3), np.empty(3)
     still = np.zeros((noise.Phi_e.shape[1], 3))
     at = np.searchsorted(record[0], begin)
@@ -186,7 +187,7 @@ def _run(
         if i > 0:
             interval(nodes, i, bg, ba, extras, ref, g_n, omega_ie_n, p, v, C, Phi, J)
             move_markov(noise.Phi_e[i], c, extras)
-            propagate(P, Phi, noise.Phi_e[i], still, c, work)
+            propagate(P, Phi, noise.Phi_e[i], still, BASE + c, work)
             add_noise(P, noise, nodes.t[i] - nodes.t[i - 1], nodes.extra[i], noise.Q_e[i], c)
         for q in range(nodes.first[i], nodes.first[i + 1]):
             corrected(nodes.gyro[i], nodes.J[i], 0, bg, extras, ref, w)
@@ -277,14 +278,13 @@ def update_linear(
     ph, gain = np.empty(n), np.empty(n)
     for j in range(d):
         S = R[j]
+        residual[j] = r[j]
         for a in range(n):
             if H[j, a] != 0.0:
+                residual[j] -= H[j, a] * x[a]
                 for b in range(n):
                     S += H[j, a] * P[a, b] * H[j, b]
         sigma[j] = math.sqrt(S)
-        residual[j] = r[j]
-        for a in range(n):
-            residual[j] -= H[j, a] * x[a]
     nis[0] = 0.0
     loglik[0] = 0.0
     for j in range(d):

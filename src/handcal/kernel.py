@@ -223,28 +223,28 @@ def scalar_update(
     S = R
     nu = r
     for i in range(n):
-        s = 0.0
-        for j in range(n):
-            s += P[i, j] * h[j]
-        ph[i] = s
-    for i in range(n):
-        S += h[i] * ph[i]
-        nu -= h[i] * x[i]
+        ph[i] = 0.0
+    for a in range(n):
+        # most of a row of H is zero
+        if h[a] != 0.0:
+            nu -= h[a] * x[a]
+            for i in range(n):
+                ph[i] += h[a] * P[a, i]
+    for a in range(n):
+        S += h[a] * ph[a]
     for i in range(n):
         gain[i] = ph[i] / S
         x[i] += gain[i] * nu
     for i in range(n):
         for j in range(n):
             P[i, j] -= gain[i] * ph[j]
-    # (I - K h) P is not symmetric in round-off: multiply by (I - K h)' from what it is
-    for i in range(n):
-        s = 0.0
+        # (I - K h) P is not symmetric in round-off: multiply by (I - K h)' from what it is
+        s = gain[i] * R
+        for a in range(n):
+            if h[a] != 0.0:
+                s -= P[i, a] * h[a]
         for j in range(n):
-            s += P[i, j] * h[j]
-        ph[i] = s
-    for i in range(n):
-        for j in range(n):
-            P[i, j] += (gain[i] * R - ph[i]) * gain[j]
+            P[i, j] += s * gain[j]
     for i in range(n):
         for j in range(i):
             s = 0.5 * (P[i, j] + P[j, i])
@@ -255,16 +255,16 @@ def scalar_update(
 
 @njit
 def times_transition(
-    Phi: Array, Phi_e: Array, Phi_psi: Array, c: int, X: Array, out: Array
+    Phi: Array, Phi_e: Array, Phi_psi: Array, e0: int, X: Array, out: Array
 ) -> None:
-    """out = F X, F the full transition made of Phi (9, 15 + mi), identity and Phi_e (e, e).
+    """The rows of out = F X that differ from those of X; the others are left alone.
 
-    Phi_psi (e, 3): how Markov states depend on psi.
+    F is the full transition made of Phi (9, 15 + mi) in its first nine rows, the identity,
+    and from row e0 on, where the Markov states begin, Phi_e (e, e) and Phi_psi (e, 3): how
+    Markov states depend on psi. Without constants, e0 = 9 and Phi is cut to nine columns.
     """
     n = X.shape[1]
-    width = Phi.shape[1]
-    e0 = BASE + c
-    out[9:e0, :] = X[9:e0, :]
+    width = min(Phi.shape[1], e0)
     for i in range(9):
         for j in range(n):
             out[i, j] = 0.0
@@ -289,19 +289,40 @@ def times_transition(
 
 
 @njit
-def propagate(P: Array, Phi: Array, Phi_e: Array, Phi_psi: Array, c: int, work: Array) -> None:
-    """P = F P F' in place (without Q); work is (N, N)."""
-    times_transition(Phi, Phi_e, Phi_psi, c, P, work)
+def propagate(
+    P: Array, Phi: Array, Phi_e: Array, Phi_psi: Array, e0: int, work: tuple[Array, Array, Array]
+) -> None:
+    """P = F P F' in place (without Q), F as in ``times_transition``.
+
+    work: (N, N), (N, 9 + e), (N, 9 + e). The constants' own block of P does not change,
+    and their rows and columns only once.
+    """
+    W, W_t, new = work
     n = P.shape[0]
-    for i in range(n):
+    moved = 9 + Phi_e.shape[0]
+    shift = e0 - 9
+    times_transition(Phi, Phi_e, Phi_psi, e0, P, W)
+    for i in range(moved):
+        row = i if i < 9 else i + shift
         for j in range(n):
-            P[i, j] = work[j, i]
-    times_transition(Phi, Phi_e, Phi_psi, c, P, work)
-    for i in range(n):
+            W_t[j, i] = W[row, j]
+    times_transition(Phi, Phi_e, Phi_psi, e0, W_t, new)
+    for i in range(moved):
+        row = i if i < 9 else i + shift
+        for j in range(9, e0):
+            P[row, j] = W[row, j]
+            P[j, row] = W[row, j]
         for j in range(i + 1):
-            s = 0.5 * (work[i, j] + work[j, i])
-            P[i, j] = s
-            P[j, i] = s
+            column = j if j < 9 else j + shift
+            s = 0.5 * (new[row, j] + new[column, i])
+            P[row, column] = s
+            P[column, row] = s
+
+
+@njit
+def propagation_work(n: int, e: int) -> tuple[Array, Array, Array]:
+    """Work space of ``propagate`` for n states, e of them Markov states."""
+    return np.empty((n, n)), np.empty((n, 9 + e)), np.empty((n, 9 + e))
 
 
 @njit
