@@ -98,14 +98,20 @@ def calibrate(
     warnings = list(recording.warnings)
     if observations is None:
         usable = _usable(recording, warnings)
+        travels = False
         if assume == "auto":
             assume, said = _assumption(recording, usable, rests, earth, fixed, report)
             warnings += said
+            travels = assume == "rest-only"
         kinds = _kinds(assume, usable, rests)
+        if travels and "pose" not in usable:
+            # Between the rests the hand is not free either: it stays within an arm's reach,
+            # which a wide sway says, and which keeps dead reckoning from running away.
+            kinds.append("fixed_position")
     else:
         kinds = list(observations)
-        assume = "fixed-point" if "fixed_position" in kinds else "rest-only"
-    problem, begin = _problem(recording, chosen, kinds, rests, earth, start)
+        assume = "rest-only" if "zero_rate" in kinds else "fixed-point"
+    problem, begin = problem_of(recording, chosen, kinds, rests, earth, start)
     report(0.3)
     solution = solve(problem, begin, fixed, noise_until, engine, lambda f: report(0.3 + 0.65 * f))
     report(1.0)
@@ -177,7 +183,7 @@ def _assumption(
 ) -> tuple[str, list[str]]:
     """Does the held point stay? The evidence of the sway that the readings ask for decides."""
     kinds = ["fixed_position"] + (["heading"] if "heading" in usable else [])
-    problem, begin = _problem(recording, (), kinds, rests, earth, None)
+    problem, begin = problem_of(recording, (), kinds, rests, earth, None)
     solution = solve(problem, begin, fixed, None, "compiled", lambda f: report(0.3 * f), rounds=1)
     levels = dict(solution.levels)
     rate = float(np.sqrt((problem.rate**2).mean()))
@@ -200,10 +206,12 @@ def _assumption(
             f"{said}, and the device never rests, so the accelerometer is judged against a wide "
             "sway; let it lie for a few seconds at the start and the end."
         ]
-    return "rest-only", [f"{said}; only the rests are taken to be still."]
+    return "rest-only", [
+        f"{said}. Only the rests are taken to be still; in between the hand stays within reach."
+    ]
 
 
-def _problem(
+def problem_of(
     recording: Recording,
     effects: Sequence[Effect],
     kinds: Sequence[str],

@@ -13,9 +13,6 @@ from handcal.batch import Linear, forward
 from handcal.model import Problem
 from handcal.types import Array, Recording
 
-# How far a level may stray from its first guess before the evidence must argue for it.
-PRIOR_LOG_SIGMA = 2.0
-
 
 def white_levels(recording: Recording) -> dict[str, float]:
     """White noise densities of gyro and accelerometer, a first guess from the readings.
@@ -83,9 +80,13 @@ def estimate(
     """Levels that maximise the evidence of a linearised problem, starting from ``levels``.
 
     names: those to estimate; the others stay. The search runs over logarithms, within
-    each level's range, with a wide log-normal prior around the start so that a level the
-    recording cannot see stays where it was.
+    each level's range, with a log-normal prior around its first guess (its width on either
+    side is the level's own), so that a level the recording cannot see stays where it was.
     """
+    own = {lv.name: lv for lv in linear.problem.levels}
+    guess = initial_levels(linear.problem)
+    centre = np.array([math.log(guess[n]) for n in names])
+    below, above = (np.array([getattr(own[n], side) for n in names]) for side in ("below", "above"))
     bounds = {lv.name: (math.log(lv.lower), math.log(lv.upper)) for lv in linear.problem.levels}
     start = np.array([math.log(levels[n]) for n in names])
     low = np.array([bounds[n][0] for n in names])
@@ -96,7 +97,8 @@ def estimate(
         value = -forward(linear, trial, keep=False).log_evidence
         if progress is not None:
             progress()
-        return value + 0.5 * float((((x - start) / PRIOR_LOG_SIGMA) ** 2).sum())
+        away = x - centre
+        return value + 0.5 * float(((away / np.where(away < 0, below, above)) ** 2).sum())
 
     def gradient(x: Array) -> Array:
         # one-sided, so a level may end half a step, half a percent, off: far below its sigma

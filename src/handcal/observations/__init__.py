@@ -50,13 +50,19 @@ class Rows:
 
 @dataclass(frozen=True)
 class Level:
-    """A noise level: name, unit, first guess and the range in which it is estimated."""
+    """A noise level: name, unit, first guess and the range in which it is estimated.
+
+    below, above: how far it may stray from the first guess to either side, as a standard
+    deviation of its logarithm.
+    """
 
     name: str
     unit: str
     initial: float
     lower: float
     upper: float
+    below: float = 2.0
+    above: float = 2.0
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,134 @@
+"""A real hand, judged by motion capture and by the rests at both ends.
+
+The recordings are public (their README says which); they stay outside the repository.
+Some of them run in the suite, all of them in ``make prove``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from vqf import VQF
+
+import handcal
+from handcal import segment, so3
+from handcal.consistency import nis_between
+from handcal.types import Array, BoolArray, Imu, Recording, Result, Series
+
+ALL = (
+    "broad_01_slow_rotation",
+    "broad_04_slow_rotation_breaks",
+    "broad_06_fast_rotation",
+    "broad_08_fast_rotation_breaks",
+    "broad_10_slow_translation",
+)
+# What these recordings are known to hold besides biases; needed where motion alone must
+# give the gyro bias, since an unmodelled scale or delay is worth more than the bias sought.
+PHYSICS = ("gyro_scale", "gyro_misalignment", "lever_arm", "pose_delay", "accel_delay")
+
+
+def _some(*quick: str) -> list[object]:
+    """All recordings, those not named only in ``make prove``."""
+    return [n if n in quick else pytest.param(n, marks=pytest.mark.prove) for n in ALL]
+
+
+@cache
+def _blind(path: Path) -> tuple[Recording, Result]:
+    """Calibrated without the pose, noise levels from the first 60 % of the recording."""
+    recording = handcal.load(path)
+    result = handcal.calibrate(
+        recording,
+        ("gyro_scale",),
+        ignore=("pose",),
+        noise_until=0.6 * recording.duration_s,
+    )
+    return recording, result
+
+
+def _rest_bias(result: Result) -> Array:
+    """Mean gyro reading (3,) deg/s of the first and the last rest."""
+    imu = result.recording.imu
+    ends = (result.rests[0], result.rests[-1])
+    means = [imu.gyro[(imu.t >= a) & (imu.t <= b)].mean(axis=0) for a, b in ends]
+    return np.degrees(np.mean(means, axis=0))
+
+
+def _gyro_bias(result: Result) -> Array:
+    return np.degrees([p.value for p in result.parameters[:3]])
+
+
+@pytest.mark.parametrize("name", _some(*ALL[:2]))
+def test_bias_and_noise_without_the_pose(name: str, real_recordings: Path) -> None:
+    recording, result = _blind(real_recordings / f"{name}.mcap")
+    difference = _gyro_bias(result) - _rest_bias(result)
+    later = nis_between(result.innovations, 0.6 * recording.duration_s, np.inf)
+    print(f"\n{name}: {result.assume}, bias - rests {difference} deg/s, NIS later {later:.3f}")
+    assert result.assume == "rest-only"
+    assert np.all(np.abs(difference) < 0.03)
+    assert 0.7 < later < 1.4
+
+
+def _between(recording: Recording, a: float, b: float) -> Recording:
+    def part(t: Array) -> BoolArray:
+        return np.asarray((t >= a) & (t <= b))
+
+    imu, k = recording.imu, part(recording.imu.t)
+    streams = {n: Series(s.t[part(s.t)], s.value[part(s.t)]) for n, s in recording.streams.items()}
+    cut = Imu(imu.t[k], imu.gyro[k], imu.accel[k], imu.valid[k])
+    return replace(recording, imu=cut, streams=streams)
+
+
+@pytest.mark.parametrize("name", _some(ALL[2]))
+def test_bias_from_the_motion_alone_with_the_pose(name: str, real_recordings: Path) -> None:
+    recording = handcal.load(real_recordings / f"{name}.mcap")
+    imu = recording.imu
+    rests = segment.rests(recording)
+    ends = (rests[0], rests[-1])
+    means = [imu.gyro[(imu.t >= a) & (imu.t <= b)].mean(axis=0) for a, b in ends]
+    motion = _between(recording, rests[0, 1], rests[-1, 0])
+    until = motion.imu.t[0] + 0.6 * motion.duration_s
+    result = handcal.calibrate(motion, PHYSICS, observations=("pose",), noise_until=until)
+    difference = _gyro_bias(result) - np.degrees(np.mean(means, axis=0))
+    later = nis_between(result.innovations, until, np.inf)
+    print(f"\n{name}: motion alone, bias - rests {difference} deg/s, NIS later {later:.3f}")
+    assert np.all(np.abs(difference) < 0.05)
+    assert 0.7 < later < 1.4
+
+
+def _attitude_error(C: Array, reference: Array) -> float:
+    """RMS angle, deg, between attitudes (k, 3, 3), the best constant yaw offset removed."""
+    D = np.einsum("kij,klj->kil", C, reference)
+    yaw = np.arctan2((D[:, 1, 0] - D[:, 0, 1]).sum(), (D[:, 0, 0] + D[:, 1, 1]).sum())
+    D = so3.matrix_exp(np.array([0.0, 0.0, -yaw])) @ D
+    return float(np.degrees(np.sqrt((so3.matrix_log(D) ** 2).sum(axis=1).mean())))
+
+
+def _at(t: Array, C: Array, wanted: Array) -> Array:
+    """Attitudes (k, 3, 3) between those at t, turned at a constant rate."""
+    i = np.clip(np.searchsorted(t, wanted) - 1, 0, len(t) - 2)
+    part = (wanted - t[i]) / (t[i + 1] - t[i])
+    step = so3.matrix_log(np.einsum("kji,kjl->kil", C[i], C[i + 1]))
+    turn = np.stack([so3.matrix_exp(v) for v in part[:, None] * step])
+    return np.asarray(C[i] @ turn)
+
+
+@pytest.mark.parametrize("name", ALL[:2])
+def test_attitude_is_no_worse_than_vqf(name: str, real_recordings: Path) -> None:
+    recording, result = _blind(real_recordings / f"{name}.mcap")
+    imu, pose, mag = recording.imu, recording.streams["pose"], recording.streams["mag"]
+    reference = so3.matrix_of(pose.value[:, 3:])
+    field = np.stack([np.interp(imu.t, mag.t, mag.value[:, i]) for i in range(3)], axis=1)
+    vqf = VQF(float(np.median(np.diff(imu.t))))
+    out = vqf.updateBatch(imu.gyro.copy(), imu.accel.copy(), np.ascontiguousarray(field))
+    at = np.clip(np.searchsorted(imu.t, pose.t - 1e-6), 0, len(imu.t) - 1)
+    theirs = _attitude_error(so3.matrix_of(out["quat9D"])[at], reference)
+    assert result.smoothed is not None
+    ours = _attitude_error(
+        _at(result.smoothed.t, so3.matrix_of(result.smoothed.q_nb), pose.t), reference
+    )
+    print(f"\n{name}: attitude {ours:.3f} deg, vqf {theirs:.3f} deg")
+    assert ours <= theirs
