@@ -279,6 +279,7 @@ def make_phone(name: str, rng: np.random.Generator) -> Phone:
 
 
 def with_rate(phone: Phone, rate_hz: float) -> Phone:
+    """The same device, its IMU sampling at this rate."""
     if not 10.0 <= rate_hz <= 2000.0:
         raise SimulationError(f"a rate of {rate_hz:g} Hz is not between 10 and 2000 Hz")
     return replace(phone, rate_hz=rate_hz)

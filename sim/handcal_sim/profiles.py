@@ -69,6 +69,7 @@ def turn_rate(start: float, end: float, angle: float) -> Profile:
 
 
 def constant(value: Sequence[float]) -> Profile:
+    """The same value always. d is its length."""
     level = np.asarray(value, dtype=float)
 
     def profile(t: Array) -> Jet:
@@ -93,6 +94,7 @@ def sinusoids(omega: Array, sin: Array, cos: Array) -> Profile:
 
 
 def add(*profiles: Profile) -> Profile:
+    """The sum of profiles of the same d."""
     return lambda t: _sum([profile(t) for profile in profiles])
 
 

@@ -1,0 +1,50 @@
+"""The demo from outside, and its promise for seeds nobody chose."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import handcal
+from handcal_sim import write
+from handcal_sim.demo import CONCEALED, LEAST, MOST, concealing, off_by, truth_of
+
+
+def test_the_demo_writes_what_it_says_and_finds_the_truth(tmp_path):
+    command = [sys.executable, "-m", "handcal.cli", "demo", "--out", str(tmp_path / "a" / "b")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert all(line.startswith("handcal: ") for line in done.stderr.splitlines())
+    names = ["recording.mcap", "report.html", "dashboard.rrd", "calibration.json"]
+    for name in names:
+        assert (tmp_path / "a" / "b" / name).stat().st_size > 1000
+        assert name in done.stdout
+    document = json.loads((tmp_path / "a" / "b" / "calibration.json").read_text())
+    truth = truth_of(concealing(1))
+    for p in document["parameters"]:
+        assert p["observable"]
+        assert abs(p["value"] - truth[p["effect"], p["name"]]) < 4 * p["sigma"]
+    (line,) = [s for s in done.stdout.splitlines() if "log evidence falls by" in s]
+    assert float(line.split("falls by ")[1].split()[0]) > 100
+
+
+def test_another_seed_is_another_error_of_the_size_that_is_named():
+    drawn = [[truth_of(concealing(s))[CONCEALED, a] for a in "xyz"] for s in (2, 3, 3)]
+    assert drawn[1] == drawn[2] != drawn[0]
+    assert np.all((np.abs(drawn) >= LEAST) & (np.abs(drawn) <= MOST))
+
+
+@pytest.mark.prove
+def test_estimates_cover_the_truth_as_often_as_they_claim(tmp_path):
+    """Ninety estimates from ten seeds; each off by sigma, in the mean of squares."""
+    off = []
+    for seed in range(100, 110):
+        world = concealing(seed)
+        write(world, tmp_path / "x.mcap")
+        result = handcal.calibrate(handcal.load(tmp_path / "x.mcap"), [CONCEALED])
+        off += [off_by(p, truth_of(world)) for p in result.parameters]
+    print(np.round(np.reshape(off, (10, -1)), 1))
+    assert 0.6 < np.mean(np.square(off)) < 1.8
+    assert np.max(np.abs(off)) < 5
