@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 
+from handcal.frames import Frame, Observed
 from handcal.types import (
     Array,
     History,
@@ -159,3 +161,27 @@ def fake_result(*, heading: bool = True, extra: bool = True, overconfident: bool
         warnings=("3 readings of the accelerometer were not finite and were left out.",),
         observed_heading=observed,
     )
+
+
+def fake_frames(result: Result, rate_hz: float = 30.0) -> Iterator[Frame]:
+    """Frames such as a filter would have yielded on its way to this result."""
+    h, imu = result.history, result.recording.imu
+    tick = np.floor((h.t - h.t[0]) * rate_hz + 1e-9)
+    rows = np.flatnonzero(np.diff(tick, prepend=-1.0) > 0)
+    after = -np.inf
+    for row in rows:
+        t = float(h.t[row])
+        observed = tuple(
+            Observed(kind, i.residual[j], i.sigma[j], float(i.nis[j]))
+            for kind, i in result.innovations.items()
+            for j in np.flatnonzero((i.t > after) & (i.t <= t))
+        )
+        seen = result.observed_heading
+        heading = None
+        if seen is not None and (new := (seen[:, 0] > after) & (seen[:, 0] <= t)).any():
+            heading = float(seen[new, 1][-1])
+        n = max(int(np.searchsorted(imu.t, t, side="right")) - 1, 0)
+        state = (h.p_n[row], h.q_nb[row], float(h.yaw[row]))
+        known = (h.parameters[row], h.parameter_sigma[row])
+        yield Frame(t, *state, *known, observed, heading, imu.gyro[n], imu.accel[n])
+        after = t

@@ -7,7 +7,7 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
-from fake_result import fake_result
+from fake_result import fake_frames, fake_result
 
 import handcal
 from handcal import cli, commands
@@ -62,6 +62,11 @@ def test_version_and_help():
         ["calibrate", "x", "--assume", "nonsense"],
         ["calibrate", "x", "--latitude", "91"],
         ["calibrate", "x", "--units", "accel"],
+        ["calibrate", "x", "--report", "no-folder/x.html"],
+        ["calibrate", "x", "--json", "no-folder/x.json"],
+        ["import", "x", "-o", "no-folder/x.mcap"],
+        ["replay", "x", "--no-viewer", "--rrd", "no-folder/x.rrd"],
+        ["calibrate", "."],
         ["import", "x"],
         ["replay", "x", "--no-viewer"],
         ["nonsense"],
@@ -74,6 +79,22 @@ def test_wrong_use_is_status_2_and_one_line(arguments):
     assert done.stdout == ""
     assert len(done.stderr.splitlines()) == 1
     assert done.stderr.startswith("handcal: ")
+
+
+@pytest.mark.parametrize("name", ["x.mcap", "x.csv", "x.zip"])
+def test_an_empty_file_is_unreadable_input(tmp_path, name):
+    (tmp_path / name).touch()
+    done = run("calibrate", str(tmp_path / name))
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "empty" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_report_that_cannot_be_written_is_a_sentence(main, tmp_path):
+    status, _, err = main("calibrate", "x", "--report", str(tmp_path))
+    assert status == 1
+    assert "could not be written" in err
+    assert len(err.splitlines()) == 1
 
 
 def test_a_reader_that_has_had_enough_is_no_error():
@@ -142,8 +163,9 @@ def test_a_number_that_is_none_is_wrong_use(main):
     assert main("calibrate", "x", "--noise-until", "nan")[0] == 2
 
 
-def test_replay_into_a_file(main, tmp_path):
+def test_replay_into_a_file(main, tmp_path, monkeypatch):
     path = tmp_path / "x.rrd"
+    monkeypatch.setattr("handcal.live.live_frames", lambda result, **_: fake_frames(result))
     status, _, _ = main("replay", "x", "--no-viewer", "--speed", "0", "--rrd", str(path))
     assert status == 0
     assert path.stat().st_size > 10_000

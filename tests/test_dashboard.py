@@ -9,10 +9,9 @@ import threading
 import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 import rerun as rr
-from fake_result import fake_result
+from fake_result import fake_frames, fake_result
 from rerun.chunk import RrdReader
 
 from handcal import dashboard, frames
@@ -48,26 +47,15 @@ def test_streaming_fills_the_same_entities_as_saving(tmp_path):
     dashboard.save_rrd(result, tmp_path / "saved.rrd")
     plan = frames.layout_of(result)
     sinks = [dashboard.file_sink(tmp_path / "streamed.rrd")]
-    count = dashboard.stream(frames.frames_of(result, rate_hz=5), plan, sinks, speed=0)
+    count = dashboard.stream(fake_frames(result, rate_hz=5), plan, sinks, speed=0)
     streamed = entities(tmp_path / "streamed.rrd")
     assert set(streamed) == set(entities(tmp_path / "saved.rrd"))
     assert streamed["/device"] == count
 
 
-def test_frames_leave_no_update_out():
-    result = fake_result()
-    steps = list(frames.frames_of(result, rate_hz=7))
-    assert len(steps) == pytest.approx(7 * result.recording.duration_s, abs=2)
-    for kind, i in result.innovations.items():
-        seen = [o.nis for step in steps for o in step.observed if o.kind == kind]
-        np.testing.assert_array_equal(seen, i.nis[i.t <= steps[-1].t])
-    t = np.array([step.t for step in steps])
-    assert np.all(np.diff(t) > 0)
-
-
 def test_streaming_keeps_time(tmp_path):
     result = fake_result(extra=False)
-    steps = [s for s in frames.frames_of(result) if s.t < 4.0]
+    steps = [s for s in fake_frames(result) if s.t < 4.0]
     started = time.monotonic()
     sinks = [dashboard.file_sink(tmp_path / "x.rrd")]
     dashboard.stream(steps, frames.layout_of(result), sinks, speed=8)
@@ -134,11 +122,28 @@ def test_the_viewer_listens_on_this_machine_only_and_ends(web):
 
 
 @pytest.mark.usefixtures("quiet_home")
+def test_whatever_the_viewer_asks_the_network_ends_on_this_machine(tmp_path, monkeypatch):
+    """It asks its makers for newer versions at the start: only of the proxy it is given."""
+    monkeypatch.setenv("FORCE_RERUN_ANALYTICS", "1")
+    with socket.socket() as proxy:
+        proxy.bind(("127.0.0.1", 0))
+        proxy.listen()
+        proxy.settimeout(30)
+        nowhere = f"http://127.0.0.1:{proxy.getsockname()[1]}"
+        monkeypatch.setattr("handcal.viewer.NOWHERE", nowhere)
+        with viewer(extra=("--headless",)):
+            with proxy.accept()[0] as asked:
+                assert asked.makefile("rb").readline().startswith(b"CONNECT api.github.com:443")
+            time.sleep(3.0)  # statistics are written and sent every two seconds
+    assert not list((tmp_path / "data").rglob("analytics/*"))
+
+
+@pytest.mark.usefixtures("quiet_home")
 def test_a_viewer_closed_half_way_ends_the_stream():
     result = fake_result(extra=False)
     with viewer(web=True) as shown:
         threading.Timer(2.0, shown.process.terminate).start()
-        steps = iter(frames.frames_of(result))
+        steps = iter(fake_frames(result))
         started = time.monotonic()
         plan, sinks = frames.layout_of(result), [rr.GrpcSink(shown.url)]
         dashboard.stream(steps, plan, sinks, watched=lambda: shown.process.poll() is None)

@@ -141,6 +141,10 @@ def _load(path: Path, topics: list[str] | None, units: str | None) -> Recording:
     return recording
 
 
+def _radians(degrees: float | None) -> float | None:
+    return None if degrees is None else math.radians(degrees)
+
+
 def _calibrated(recording: Recording, effects: str, **settings: Any) -> Result:
     """Run the filter with the options as typed: angles in degrees, enums, None for unset."""
     import handcal
@@ -151,14 +155,22 @@ def _calibrated(recording: Recording, effects: str, **settings: Any) -> Result:
         if value is not None and not math.isfinite(value):
             raise InputError(f"--{name.replace('_', '-')} {value}: expected a finite number.")
     for name in ("heading_sigma", "latitude"):
-        if settings[name] is not None:
-            settings[name] = math.radians(settings[name])
+        settings[name] = _radians(settings[name])
     settings |= {"assume": str(settings["assume"]), "engine": str(settings["engine"])}
     settings["ignore"] = tuple(settings["ignore"] or ())
     ids = tuple(e.strip() for e in effects.split(",") if e.strip())
     with progress(f"calibrating {Path(recording.path).name}") as report:
         result: Result = handcal.calibrate(recording, effects=ids, progress=report, **settings)
     return result
+
+
+def _check_folders(*outputs: Path | None) -> None:
+    """A sentence, before any work is done, where an output has no folder to go to."""
+    from handcal.types import InputError
+
+    for path in outputs:
+        if path and str(path) != "-" and not path.absolute().parent.is_dir():
+            raise InputError(f"{path} cannot be written: there is no folder {path.parent}.")
 
 
 def _beside(path: Path, recording: Recording, several: bool) -> Path:
@@ -189,6 +201,7 @@ def calibrate(
     rrd: Rrd = None,
 ) -> None:
     """Run the filter over recordings: sensor errors, how well they are known, what is missing."""
+    _check_folders(json, report, rrd)
     results = []
     for path in files:
         recording = _load(path, topic, units)
@@ -235,6 +248,7 @@ def import_(
     """Turn a phone log or another format into an MCAP recording."""
     from handcal.export import write_mcap
 
+    _check_folders(out)
     recording = _load(source, topic, units)
     write_mcap(recording, out)
     for warning in recording.warnings:
@@ -268,7 +282,10 @@ def replay(
     noise_until: NoiseUntil = None,
     engine: EngineOption = Engine.compiled,
 ) -> None:
-    """Calibrate a recording, then stream it into the Rerun viewer as it happened."""
+    """Run the filter over a recording as if live, and show it in the Rerun viewer as it goes.
+
+    A calibration goes before it: that is where the noise levels come from.
+    """
     from handcal.types import InputError
     from handcal.viewer import require_display
 
@@ -276,6 +293,7 @@ def replay(
         raise InputError("--no-viewer without --rrd FILE.rrd leaves nothing to do.")
     if not (no_viewer or web):
         require_display()
+    _check_folders(rrd)
     result = _calibrated(
         _load(file, topic, units), effects, heading_sigma=heading_sigma, assume=assume,
         latitude=latitude, height=height, ignore=ignore, noise_until=noise_until, engine=engine,
@@ -283,8 +301,14 @@ def replay(
     # rerun reports a viewer that its owner has closed as errors; set before its import
     os.environ.setdefault("RUST_LOG", "warn,re_grpc_client=off,re_sdk=off")
     from handcal import dashboard
+    from handcal.frames import layout_of
+    from handcal.live import live_frames
 
-    dashboard.replay(result, speed=speed, rrd=rrd, show=not no_viewer, web=web, port=port, say=say)
+    frames = live_frames(result, latitude=_radians(latitude), height=height, engine=str(engine))
+    layout = layout_of(result, live=True)
+    dashboard.replay(
+        frames, layout, speed=speed, rrd=rrd, show=not no_viewer, web=web, port=port, say=say
+    )
 
 
 def main() -> None:

@@ -18,7 +18,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from handcal import summary, words
-from handcal.frames import Frame, Group, Kind, Layout, frames_of, layout_of
+from handcal.frames import Frame, Group, Kind, Layout, layout_of
 from handcal.types import Array, HandcalError, Result
 from handcal.viewer import viewer
 
@@ -294,7 +294,8 @@ def _log_frame(
 
 
 def replay(
-    result: Result,
+    frames: Iterable[Frame],
+    layout: Layout,
     *,
     speed: float = 1.0,
     rrd: str | Path | None = None,
@@ -303,13 +304,12 @@ def replay(
     port: int | None = None,
     say: Callable[[str], None] = print,
 ) -> None:
-    """Stream a result as it came about: into a viewer, a file, or both at once.
+    """Stream frames as they come about: into a viewer, a file, or both at once.
 
     Returns when the person closes the viewer, which ends the stream too; the web viewer
     ends by Ctrl-C.
     """
     files = [file_sink(rrd)] if rrd else []
-    frames, layout = frames_of(result), layout_of(result)
     if not show:
         stream(frames, layout, files, speed)
         return

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -78,15 +78,19 @@ class Layout:
     span: tuple[float, float] | None = None
 
 
-def layout_of(result: Result) -> Layout:
-    """The layout that suits a finished result, with ranges fitted to its numbers."""
+LIVE = "_The filter is running. Where the whole recording leads:_\n\n"
+
+
+def layout_of(result: Result, live: bool = False) -> Layout:
+    """The layout that suits a result, with ranges fitted to its numbers; live: and says so."""
     columns: dict[tuple[str, str], list[int]] = {}
     for c, p in enumerate(result.parameters):
         columns.setdefault((p.effect, p.unit), []).append(c)
     kinds = {kind: _kind(i) for kind, i in result.innovations.items() if i.t.size}
     groups = tuple(_group(result, effect, tuple(cs)) for (effect, _), cs in columns.items())
     span = (float(result.history.t[0]), float(result.history.t[-1]))
-    return Layout(groups, kinds, result.observed_heading is not None, _markdown(result), span)
+    text = (LIVE if live else "") + _markdown(result)
+    return Layout(groups, kinds, result.observed_heading is not None, text, span)
 
 
 def _kind(innovations: Innovations) -> Kind:
@@ -124,27 +128,3 @@ def _markdown(result: Result) -> str:
         ]
     lines += ["", *(f"- {s}" for s in words.not_shown(result))]
     return "\n".join(lines)
-
-
-def frames_of(result: Result, rate_hz: float = 30.0) -> Iterator[Frame]:
-    """The frames a filter would have yielded on its way to this result, at most ``rate_hz``."""
-    h, imu = result.history, result.recording.imu
-    tick = np.floor((h.t - h.t[0]) * rate_hz + 1e-9)
-    rows = np.flatnonzero(np.diff(tick, prepend=-1.0) > 0)
-    after = -np.inf
-    for row in rows:
-        t = float(h.t[row])
-        observed = tuple(
-            Observed(kind, i.residual[j], i.sigma[j], float(i.nis[j]))
-            for kind, i in result.innovations.items()
-            for j in np.flatnonzero((i.t > after) & (i.t <= t))
-        )
-        seen = result.observed_heading
-        heading = None
-        if seen is not None and (new := (seen[:, 0] > after) & (seen[:, 0] <= t)).any():
-            heading = float(seen[new, 1][-1])
-        n = max(int(np.searchsorted(imu.t, t, side="right")) - 1, 0)
-        state = (h.p_n[row], h.q_nb[row], float(h.yaw[row]))
-        known = (h.parameters[row], h.parameter_sigma[row])
-        yield Frame(t, *state, *known, observed, heading, imu.gyro[n], imu.accel[n])
-        after = t

@@ -1,9 +1,12 @@
 """The Rerun viewer as a child process that listens on this machine alone.
 
 The viewer's own launchers listen on every network interface; here the binary is
-started with ``--bind 127.0.0.1`` and ends with the command that started it. What the
-viewer itself sends to its makers (usage statistics, unless ``rerun analytics disable``
-was run; fonts and news, from its page in a browser) is beyond these options.
+started with ``--bind 127.0.0.1`` and ends with the command that started it.
+
+By itself it would also send usage statistics and ask for newer versions. It keeps no
+statistics where it finds the variable CI, and asks through a proxy where one is named:
+here that is a port of this machine at which nobody listens, so nothing leaves it. What
+the viewer's page in a browser fetches is the browser's own traffic and beyond this.
 """
 
 from __future__ import annotations
@@ -27,6 +30,7 @@ from handcal.types import HandcalError, InputError
 
 LOOPBACK = "127.0.0.1"
 START_S = 30.0
+NOWHERE = f"http://{LOOPBACK}:9"  # the port of the discard service, which nobody runs
 
 
 @dataclass(frozen=True)
@@ -72,6 +76,14 @@ def _port(wanted: int | None) -> int:
         return int(s.getsockname()[1])
 
 
+def _environment() -> dict[str, str]:
+    """This process's variables, but for a viewer that talks to nobody else."""
+    mine = {k: v for k, v in os.environ.items() if k != "FORCE_RERUN_ANALYTICS"}
+    proxies = ("ALL_PROXY", "HTTPS_PROXY", "HTTP_PROXY")
+    names = (name for proxy in proxies for name in (proxy, proxy.lower()))
+    return mine | {"CI": "1", "NO_PROXY": "", "no_proxy": ""} | dict.fromkeys(names, NOWHERE)
+
+
 @contextmanager
 def viewer(
     *, web: bool = False, port: int | None = None, extra: tuple[str, ...] = ()
@@ -97,7 +109,9 @@ def viewer(
     if web:
         command += ["--serve-web", "--web-viewer-port", str(web_port)]
     with tempfile.TemporaryFile() as said:
-        process = subprocess.Popen(command, stdout=said, stderr=said, stdin=subprocess.DEVNULL)
+        process = subprocess.Popen(
+            command, stdout=said, stderr=said, stdin=subprocess.DEVNULL, env=_environment()
+        )
         before = _on_terminate(_interrupt)
         try:
             _await(process, [p for p in (port, web_port) if p], said)
