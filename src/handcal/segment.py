@@ -39,8 +39,8 @@ def rests(recording: Recording) -> Array:
 
     A sample rests if, over half a second around it, gyro and accelerometer spread little
     more than they do in the quietest tenth of the recording (and less than a fixed limit),
-    and the mean rate is that of the gyro bias: of the longest quiet stretch. A steady slow
-    turn is quiet too, but its rate is not the bias.
+    and the mean rate is that of the gyro bias: of the quiet stretch with the least rate. A
+    steady turn about the vertical is quiet too, and may be the longest, but it turns faster.
     """
     imu = recording.imu
     gyro_spread, accel_spread = spreads(recording)
@@ -54,8 +54,7 @@ def rests(recording: Recording) -> Array:
     runs = _runs(quiet, imu.t, MIN_REST_S)
     if not len(runs):
         return np.zeros((0, 2))
-    longest = max(runs, key=lambda ab: imu.t[ab[1] - 1] - imu.t[ab[0]])
-    bias = mean[longest[0] : longest[1]].mean(axis=0)
+    bias = min((mean[a:b].mean(axis=0) for a, b in runs), key=lambda rate: float(rate @ rate))
     if np.linalg.norm(bias) > np.radians(20.0):
         return np.zeros((0, 2))
     quiet &= np.linalg.norm(mean - bias, axis=1) < MAX_RATE
