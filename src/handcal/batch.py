@@ -15,13 +15,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from handcal import so3
 from handcal._jit import njit
 from handcal.filter import Track, full_prior, update_linear
 from handcal.kernel import (
     BASE,
     MAX_DIM,
     Nodes,
+    Reduced,
     Tables,
     corrected,
     fill_nav,
@@ -29,10 +29,13 @@ from handcal.kernel import (
     linearise,
     propagate,
     propagation_work,
+    reduced_backward,
+    reduced_forward,
     times_transition,
 )
 from handcal.model import Problem, markov_transitions, observation_variances, relinearised
 from handcal.observations import NAV
+from handcal.so3 import exp, matmul
 from handcal.start import Start
 from handcal.types import Array, BoolArray, IntArray
 
@@ -144,7 +147,7 @@ def linearise_about(problem: Problem, start: Start, nominal: Trajectory) -> Line
     )
     for kind, observation in enumerate(problem.observations):
         if observation.isotropic:
-            rows = nodes.kind == kind
+            rows = (nodes.kind == kind) & ~nodes.z.any(axis=1)
             H[rows, :3, 6:9] -= _skews(r[rows, :3])
     node = nominal.node
     first = np.r_[nodes.first[node], nodes.first[-1]]
@@ -320,11 +323,7 @@ def forward(linear: Linear, levels: Mapping[str, float], keep: bool = True) -> P
     k, n, q = len(linear.t), problem.size, len(linear.kind)
     Phi_e, Q_e = markov_transitions(problem, levels, linear.t, linear.rate)
     d_e, Phi_psi = _markov_steps(problem, linear.trajectory.markov[:k], Phi_e)
-    Q = (
-        levels["gyro_noise"] ** 2 * linear.Q_gyro
-        + levels["accel_noise"] ** 2 * linear.Q_accel
-        + linear.Q_extra
-    )
+    Q = _process_noise(linear, levels)
     nominal = linear.trajectory
     mean15, P15 = linear.start.prior(
         nominal.p[0], nominal.v[0], nominal.C[0], nominal.bg, nominal.ba
@@ -430,34 +429,258 @@ def _forward(
         store[0][at], store[1][at] = x, P
 
 
-def smooth(linear: Linear, levels: Mapping[str, float], forward_pass: Pass) -> tuple[Array, Array]:
-    """Rauch-Tung-Striebel smoother: x (k, N) and P (k, N, N) given the whole recording."""
-    problem = linear.problem
-    n, c = problem.size, problem.constants
-    Phi_e, _ = markov_transitions(problem, levels, linear.t, linear.rate)
-    x, P = forward_pass.x.copy(), forward_pass.P.copy()
-    _, Phi_psi = _markov_steps(problem, linear.trajectory.markov, Phi_e)
-    F = np.eye(n)
+@dataclass(frozen=True)
+class Reduction:
+    """What the reduced filter needs of a linearised problem, whatever the noise levels.
+
+    Biases and constants never move, so the filter runs over the m = 9 + e moving states
+    alone, once for all values w (nc,) of the constants' errors in units of their prior
+    sigma ``scale``; w0 is their prior mean. X0 (m, 1 + nc), P15 (15, 15): the prior;
+    slot (s,): kind and channel of each scalar, numbered through.
+    """
+
+    linear: Linear
+    scale: Array
+    w0: Array
+    X0: Array
+    P15: Array
+    D: Array
+    first: IntArray
+    g: Array
+    h: Array
+    at: IntArray
+    count: IntArray
+    slot: IntArray
+
+    @property
+    def moving(self) -> IntArray:
+        """Indices (m,) of the moving states in the full state."""
+        n = self.linear.problem.size
+        return np.asarray(np.r_[0:9, n - self.linear.problem.markov_size : n])
+
+
+def reduce(linear: Linear) -> Reduction:
+    """Split a linearised problem into what moves and what is constant."""
+    problem, nominal = linear.problem, linear.trajectory
+    n, c, e = problem.size, problem.constants, problem.markov_size
+    mean15, P15 = linear.start.prior(
+        nominal.p[0], nominal.v[0], nominal.C[0], nominal.bg, nominal.ba
+    )
+    scale = np.sqrt(np.r_[np.diag(P15)[9:], [s.prior_sigma**2 for s in problem.slots]])
+    w0 = np.r_[mean15[9:], -nominal.constants] / scale
+    by_bias = P15[:9, 9:] / np.diag(P15)[9:]
+    X0 = np.zeros((9 + e, 1 + 6 + c))
+    X0[:9, 0] = mean15[:9] - by_bias @ mean15[9:]
+    X0[:9, 1:7] = by_bias * scale[:6]
+    X0[9:, 0] = -nominal.markov[0]
     width = linear.Phi.shape[2]
-    for j in range(len(x) - 2, -1, -1):
-        F[:9, :width] = linear.Phi[j + 1]
-        F[BASE + c :, BASE + c :] = Phi_e[j + 1]
-        F[BASE + c :, 6:9] = Phi_psi[j + 1]
-        before = forward_pass.P_before[j + 1]
-        scale = 1.0 / np.sqrt(np.diag(before))
-        gain = (
-            np.linalg.solve(scale[:, None] * before * scale, scale[:, None] * (F @ P[j])).T * scale
-        )
-        x[j] = x[j] + gain @ (x[j + 1] - forward_pass.x_before[j + 1])
-        P[j] = P[j] + gain @ (P[j + 1] - before) @ gain.T
+    D = np.zeros((len(linear.t), 9, 1 + 6 + c))
+    D[:, :, 0] = linear.d
+    D[:, :, 1 : width - 8] = linear.Phi[:, :, 9:] * scale[: width - 9]
+    dim = problem.tables.dim[linear.kind] * linear.used
+    row, channel = np.nonzero(np.arange(MAX_DIM) < dim[:, None])
+    H = linear.H[row, channel]
+    h = np.ascontiguousarray(H[:, np.r_[0:9, n - e : n]])
+    return Reduction(
+        linear,
+        scale,
+        w0,
+        X0,
+        P15,
+        D,
+        np.searchsorted(row, linear.first).astype(np.int64),
+        np.hstack([linear.r[row, channel][:, None], -H[:, 9 : n - e] * scale]),
+        h,
+        np.argsort(h == 0.0, axis=1, kind="stable"),
+        (h != 0.0).sum(axis=1),
+        linear.kind[row] * MAX_DIM + channel,
+    )
+
+
+@dataclass(frozen=True)
+class ReducedPass:
+    """The reduced filter at certain noise levels, and the constants given everything.
+
+    X (k, m, 1 + nc), P (k, m, m) after each epoch; gain (s, m), nu (s, 1 + nc), S (s,) of
+    each scalar; w (nc,) and spread (nc, nc): posterior mean and a square root of the
+    posterior covariance of the constants, in units of their priors.
+    """
+
+    reduction: Reduction
+    arrays: Reduced
+    X: Array
+    P: Array
+    gain: Array
+    nu: Array
+    S: Array
+    w: Array
+    spread: Array
+    log_evidence: float
+
+
+def reduced_pass(
+    reduction: Reduction, levels: Mapping[str, float], keep: bool = False
+) -> ReducedPass:
+    """Evidence at these noise levels, as that of ``forward`` but several times faster.
+
+    Source: the augmented filter of de Jong, The diffuse Kalman filter, Annals of
+    Statistics 19 (1991), with proper priors.
+    """
+    linear = reduction.linear
+    problem, k, s = linear.problem, len(linear.t), len(reduction.h)
+    m, columns = reduction.X0.shape
+    arrays = _reduced_arrays(reduction, levels)
+    rows = k if keep else 1
+    X, P = np.empty((rows, m, columns)), np.empty((rows, m, m))
+    gain, nu, S = np.empty((s, m)), np.empty((s, columns)), np.empty(s)
+    moving = reduction.moving
+    P0 = full_prior(problem, reduction.P15, dict(levels))[np.ix_(moving, moving)]
+    by_bias = reduction.X0[:9, 1:7]
+    P0[:9, :9] -= by_bias @ by_bias.T
+    gram = np.zeros((columns, columns))
+    reduced_forward(arrays, P0, reduction.X0.copy(), (X, P), (gain, nu, S), gram)
+    w0, b = reduction.w0, reduction.w0 - gram[1:, 0]
+    information = np.tril(gram[1:, 1:]) + np.tril(gram[1:, 1:], -1).T + np.eye(columns - 1)
+    root = np.linalg.cholesky(information)
+    spread = np.linalg.inv(root).T
+    w = spread @ (spread.T @ b)
+    white = float(np.log(2.0 * math.pi * S).sum()) + float(gram[0, 0])
+    value = -0.5 * (white + float(w0 @ w0 - b @ w)) - float(np.log(np.diag(root)).sum())
+    return ReducedPass(reduction, arrays, X, P, gain, nu, S, w, spread, value)
+
+
+def _reduced_arrays(reduction: Reduction, levels: Mapping[str, float]) -> Reduced:
+    linear = reduction.linear
+    problem = linear.problem
+    Phi_e, Q_e = markov_transitions(problem, levels, linear.t, linear.rate)
+    d_e, Phi_psi = _markov_steps(problem, linear.trajectory.markov[: len(linear.t)], Phi_e)
+    return Reduced(
+        linear.Phi,
+        reduction.D,
+        _process_noise(linear, levels),
+        Phi_e,
+        Q_e,
+        d_e,
+        Phi_psi,
+        reduction.first,
+        reduction.g,
+        reduction.h,
+        reduction.at,
+        reduction.count,
+        observation_variances(problem, levels).ravel()[reduction.slot],
+    )
+
+
+def _process_noise(linear: Linear, levels: Mapping[str, float]) -> Array:
+    """Q (k, 9, 9) of the navigation errors."""
+    return np.asarray(
+        levels["gyro_noise"] ** 2 * linear.Q_gyro
+        + levels["accel_noise"] ** 2 * linear.Q_accel
+        + linear.Q_extra
+    )
+
+
+@dataclass(frozen=True)
+class Slopes:
+    """Derivatives of the log-evidence: by R (s,) of each scalar, by the two densities
+    squared (2,), by Q_e (k, e, e), and by the prior of the moving states (m, m)."""
+
+    R: Array
+    densities: Array
+    Q_e: Array
+    prior: Array
+
+
+def backward(
+    done: ReducedPass, score: bool, r_kept: Array, N_kept: Array, spread: bool = True
+) -> Slopes:
+    """Adjoint of ``reduced_pass``; r_kept (k, m, columns), N_kept (k, m, m) may be empty.
+
+    score: with the derivatives; spread: r has columns for the uncertainty of the constants,
+    besides the one for their mean.
+    """
+    linear, (s, m) = done.reduction.linear, done.gain.shape
+    e = m - 9
+    columns = 1 + len(done.w) if spread else 1
+    given = np.zeros((1 + len(done.w), columns))
+    given[0, 0] = 1.0
+    given[1:, 0] = done.w
+    given[1:, 1:] = done.spread[:, : columns - 1]
+    slopes = Slopes(np.zeros(s), np.zeros(2), np.zeros((len(linear.t), e, e)), np.zeros((m, m)))
+    reduced_backward(
+        done.arrays,
+        done.gain,
+        done.nu,
+        done.S,
+        given,
+        (linear.Q_gyro, linear.Q_accel),
+        np.zeros((m, columns)),
+        np.zeros((m, m) if score else (0, 0)),
+        (r_kept, N_kept),
+        (slopes.R, slopes.densities, slopes.Q_e, slopes.prior),
+    )
+    return slopes
+
+
+def smoothed_mean(linear: Linear, levels: Mapping[str, float]) -> tuple[Array, float]:
+    """Estimated errors x (k, N) given the whole recording, and the log-evidence."""
+    done = reduced_pass(reduce(linear), levels, keep=True)
+    k, m = done.X.shape[:2]
+    r = np.empty((k, m, 1))
+    backward(done, False, r, np.empty((0, m, m)), spread=False)
+    return _whole_mean(done, r), done.log_evidence
+
+
+def _whole_mean(done: ReducedPass, r: Array) -> Array:
+    reduction = done.reduction
+    x = np.empty((len(done.X), reduction.linear.problem.size))
+    x[:, 9 : 9 + len(done.w)] = reduction.scale * done.w
+    x[:, reduction.moving] = done.X[:, :, 0] + done.X[:, :, 1:] @ done.w + (done.P @ r)[:, :, 0]
+    return x
+
+
+def smooth(
+    linear: Linear,
+    levels: Mapping[str, float],
+    forward_pass: Pass | None = None,  # noqa: ARG001
+) -> tuple[Array, Array]:
+    """Fixed-interval smoother: x (k, N) and P (k, N, N) given the whole recording.
+
+    The form of Bryson and Frazier on the reduced filter: nothing is inverted but the
+    constants' information, in units of their priors. forward_pass is no longer needed.
+    """
+    done = reduced_pass(reduce(linear), levels, keep=True)
+    k, m, columns = done.X.shape
+    r, N = np.empty((k, m, columns)), np.empty((k, m, m))
+    backward(done, True, r, N)
+    x = _whole_mean(done, r[:, :, :1])
+    moving, scale = done.reduction.moving, done.reduction.scale
+    fixed = np.arange(9, 9 + len(scale))
+    spread = done.spread * scale[:, None]
+    by_constants = done.X[:, :, 1:] @ done.spread + done.P @ r[:, :, 1:]
+    P = np.empty((k, x.shape[1], x.shape[1]))
+    P[:, fixed[:, None], fixed] = spread @ spread.T
+    P[:, moving[:, None], fixed] = by_constants @ spread.T
+    P[:, fixed[:, None], moving] = P[:, moving[:, None], fixed].transpose(0, 2, 1)
+    own = done.P - done.P @ N @ done.P + by_constants @ by_constants.transpose(0, 2, 1)
+    P[:, moving[:, None], moving] = 0.5 * (own + own.transpose(0, 2, 1))
     return x, P
+
+
+@njit
+def _turned(psi: Array, C: Array, out: Array) -> None:
+    turn = np.empty((3, 3))
+    for j in range(len(psi)):
+        exp(psi[j], turn)
+        matmul(turn, C[j], out[j])
 
 
 def moved(linear: Linear, x: Array) -> Trajectory:
     """The nominal trajectory moved by the estimated errors x (k, N)."""
     nominal, c = linear.trajectory, linear.problem.constants
     last = x[-1]
-    C = np.stack([so3.matrix_exp(x[j, 6:9]) @ nominal.C[j] for j in range(len(x))])
+    C = np.empty_like(nominal.C)
+    _turned(np.ascontiguousarray(x[:, 6:9]), nominal.C, C)
     return replace(
         nominal,
         p=nominal.p + x[:, 0:3],
@@ -477,13 +700,13 @@ def relinearise(
 
     Returns the last linearisation, its forward pass and whether it settled.
     """
-    result = forward(linear, levels)
+    x, evidence = smoothed_mean(linear, levels)
+    settled = False
     for _ in range(rounds):
-        x, _P = smooth(linear, levels, result)
-        again = linearise_about(linear.problem, linear.start, moved(linear, x))
-        new = forward(again, levels)
-        change = new.log_evidence - result.log_evidence
-        linear, result = again, new
-        if abs(change) < tolerance:
-            return linear, result, True
-    return linear, result, False
+        linear = linearise_about(linear.problem, linear.start, moved(linear, x))
+        x, new = smoothed_mean(linear, levels)
+        settled = abs(new - evidence) < tolerance
+        evidence = new
+        if settled:
+            break
+    return linear, forward(linear, levels), settled

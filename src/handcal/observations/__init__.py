@@ -102,7 +102,7 @@ class Observation:
     of compiled functions (jacobian 0: central difference), the latter writing (dim, 15)
     by position, velocity, psi, rate and force. ``variance(levels)`` -> (dim,).
     markov_residual: corrects the residual for the Markov states, which are its theta.
-    isotropic: the residual is a vector in n whose noise has no preferred direction.
+    isotropic: where z is zero, the residual is a vector in n without preferred direction.
     guess(z (k, zdim)): first guesses of levels that the observations themselves show.
     """
 
