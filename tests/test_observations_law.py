@@ -353,6 +353,21 @@ def test_sway_is_a_critically_damped_oscillator():
     assert sway.vectors == 2
 
 
+@pytest.mark.parametrize("kind", MARKOV)
+def test_each_markov_state_moves_its_own_channel(kind):
+    """One to one; the velocity of the sway moves nothing. The held point is where sway puts it."""
+    o = catalogue()[kind]
+    nav, z = random_case(kind, 0)
+    for i in range(o.markov.size):
+        state, r = np.zeros(o.markov.size), np.zeros(MAX_DIM)
+        state[i] = 0.25
+        assert call_residual(o.markov_residual, nav, state, z, r) == 0
+        expected = np.zeros(MAX_DIM)
+        if i < o.dim:
+            expected[i] = -0.25 if kind == "pose" else 0.25
+        np.testing.assert_array_equal(r, expected)
+
+
 @pytest.mark.parametrize("kind", sorted(set(MARKOV) - {"fixed_position"}))
 def test_disturbances_of_place_forget_by_turning(kind):
     """One radian of turning forgets as much at any speed; at rest almost nothing is lost."""
