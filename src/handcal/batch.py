@@ -639,15 +639,11 @@ def _whole_mean(done: ReducedPass, r: Array) -> Array:
     return x
 
 
-def smooth(
-    linear: Linear,
-    levels: Mapping[str, float],
-    forward_pass: Pass | None = None,  # noqa: ARG001
-) -> tuple[Array, Array]:
+def smooth(linear: Linear, levels: Mapping[str, float], forward_pass: Pass) -> tuple[Array, Array]:
     """Fixed-interval smoother: x (k, N) and P (k, N, N) given the whole recording.
 
     The form of Bryson and Frazier on the reduced filter: nothing is inverted but the
-    constants' information, in units of their priors. forward_pass is no longer needed.
+    constants' information, in units of their priors. The last epoch is the filter's own.
     """
     done = reduced_pass(reduce(linear), levels, keep=True)
     k, m, columns = done.X.shape
@@ -664,6 +660,7 @@ def smooth(
     P[:, fixed[:, None], moving] = P[:, moving[:, None], fixed].transpose(0, 2, 1)
     own = done.P - done.P @ N @ done.P + by_constants @ by_constants.transpose(0, 2, 1)
     P[:, moving[:, None], moving] = 0.5 * (own + own.transpose(0, 2, 1))
+    x[-1], P[-1] = forward_pass.x[-1], forward_pass.P[-1]
     return x, P
 
 

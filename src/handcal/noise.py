@@ -7,11 +7,19 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import minimize
 
-from handcal.batch import Linear, forward
-from handcal.model import Problem
+from handcal.batch import Linear, backward, reduce, reduced_pass
+from handcal.filter import full_prior
+from handcal.kernel import MAX_DIM
+from handcal.model import Problem, markov_transitions, observation_variances
 from handcal.types import Array, Recording
+
+# Logarithmic steps: of central differences, of the search's first curvature, its longest;
+# and the least curvature, that of the widest prior.
+STEP = 1e-4
+DIFFERENCE = 0.01
+LONGEST_STEP = 1.5
+FLATTEST = 0.25
 
 
 def white_levels(recording: Recording) -> dict[str, float]:
@@ -75,43 +83,150 @@ def estimate(
     levels: Mapping[str, float],
     names: Sequence[str],
     progress: Callable[[], None] | None = None,
-    tolerance: float = 0.5,
+    tolerance: float = 0.01,
 ) -> dict[str, float]:
     """Levels that maximise the evidence of a linearised problem, starting from ``levels``.
 
     names: those to estimate; the others stay. The search runs over logarithms, within
     each level's range, with a log-normal prior around its first guess (its width on either
     side is the level's own), so that a level the recording cannot see stays where it was.
+    It ends where less than about ``tolerance`` nats are to be gained.
     """
     own = {lv.name: lv for lv in linear.problem.levels}
     guess = initial_levels(linear.problem)
     centre = np.array([math.log(guess[n]) for n in names])
     below, above = (np.array([getattr(own[n], side) for n in names]) for side in ("below", "above"))
-    bounds = {lv.name: (math.log(lv.lower), math.log(lv.upper)) for lv in linear.problem.levels}
     start = np.array([math.log(levels[n]) for n in names])
-    low = np.array([bounds[n][0] for n in names])
-    high = np.array([bounds[n][1] for n in names])
+    low = np.array([math.log(own[n].lower) for n in names])
+    high = np.array([math.log(own[n].upper) for n in names])
+    score = Score(linear, levels, names)
 
-    def cost(x: Array) -> float:
-        trial = dict(levels) | {n: math.exp(v) for n, v in zip(names, x, strict=True)}
-        value = -forward(linear, trial, keep=False).log_evidence
+    def cost(x: Array) -> tuple[float, Array]:
+        value, slope = score(dict(levels) | _levels(names, x))
         if progress is not None:
             progress()
-        away = x - centre
-        return value + 0.5 * float(((away / np.where(away < 0, below, above)) ** 2).sum())
+        sigma = np.where(x < centre, below, above)
+        away = (x - centre) / sigma
+        return 0.5 * float(away @ away) - value, away / sigma - slope
 
-    def gradient(x: Array) -> Array:
-        # one-sided, so a level may end half a step, half a percent, off: far below its sigma
-        step = 0.01
-        here = cost(x)
-        return np.array([(cost(x + step * e) - here) / step for e in np.eye(len(x))])
+    found = minimise(cost, np.clip(start, low, high), low, high, tolerance)
+    return dict(levels) | _levels(names, found)
 
-    found = minimize(
-        cost,
-        np.clip(start, low, high),
-        jac=gradient,
-        method="L-BFGS-B",
-        bounds=list(zip(low, high, strict=True)),
-        options={"maxiter": 30, "ftol": tolerance / max(1.0, abs(cost(start)))},
-    )
-    return dict(levels) | {n: math.exp(v) for n, v in zip(names, found.x, strict=True)}
+
+def _levels(names: Sequence[str], x: Array) -> dict[str, float]:
+    return {n: math.exp(v) for n, v in zip(names, x, strict=True)}
+
+
+class Score:
+    """Log-evidence of a linearised problem and its slope by the logarithms of noise levels.
+
+    One forward and one backward pass give the slope by every variance there is; the chain
+    rule does the rest. A level that changes the dynamics themselves (a time constant) takes
+    two more forward passes.
+    """
+
+    def __init__(self, linear: Linear, levels: Mapping[str, float], names: Sequence[str]) -> None:
+        self.linear, self.names = linear, names
+        self.reduction = reduce(linear)
+        owners = {lv.name: o for o in linear.problem.observations for lv in o.levels}
+        markov = [n for n in names if n in owners and owners[n].markov is not None]
+        # a few intervals are enough to see what a level does
+        few = np.unique(np.linspace(0, len(linear.t) - 1, 50).astype(int))
+        t, rate = linear.t[few], 1.0 + linear.rate[few]
+        change = {n: self._markov_slopes(n, levels, t, rate) for n in markov}
+        self.moving = {n for n in markov if change[n][0].any()}
+        self.driving = {n for n in markov if change[n][1].any()} - self.moving
+
+    def _markov_slopes(
+        self, name: str, levels: Mapping[str, float], t: Array, rate: Array
+    ) -> tuple[Array, Array]:
+        """Derivatives of Phi_e and Q_e (k, e, e) by the logarithm of a level."""
+        up, down = _stepped(name, levels)
+        a = markov_transitions(self.linear.problem, up, t, rate)
+        b = markov_transitions(self.linear.problem, down, t, rate)
+        return (a[0] - b[0]) / (2 * STEP), (a[1] - b[1]) / (2 * STEP)
+
+    def __call__(self, levels: Mapping[str, float]) -> tuple[float, Array]:
+        """Log-evidence at these levels and its slope by the logarithm of each name's."""
+        linear, reduction = self.linear, self.reduction
+        problem = linear.problem
+        done = reduced_pass(reduction, levels)
+        m, columns = done.gain.shape[1], done.nu.shape[1]
+        slopes = backward(done, True, np.empty((0, m, columns)), np.empty((0, m, m)))
+        by_R = np.bincount(reduction.slot, slopes.R, len(problem.observations) * MAX_DIM)
+        out = np.zeros(len(self.names))
+        for i, name in enumerate(self.names):
+            up, down = _stepped(name, levels)
+            if name in self.moving:
+                a, b = (reduced_pass(reduction, lv).log_evidence for lv in (up, down))
+                out[i] = (a - b) / (2 * STEP)
+                continue
+            if name in ("gyro_noise", "accel_noise"):
+                out[i] = 2.0 * levels[name] ** 2 * slopes.densities[int(name == "accel_noise")]
+                continue
+            R = observation_variances(problem, up) - observation_variances(problem, down)
+            out[i] = by_R @ R.ravel() / (2 * STEP)
+            if name in self.driving:
+                _, Q_e = self._markov_slopes(name, levels, linear.t, linear.rate)
+                prior = (
+                    full_prior(problem, reduction.P15, up)
+                    - full_prior(problem, reduction.P15, down)
+                )[np.ix_(reduction.moving, reduction.moving)]
+                out[i] += np.sum(slopes.Q_e * Q_e)
+                out[i] += np.sum(slopes.prior * prior) / (2 * STEP)
+        return done.log_evidence, out
+
+
+def _stepped(name: str, levels: Mapping[str, float]) -> tuple[dict[str, float], dict[str, float]]:
+    up, down = math.exp(STEP), math.exp(-STEP)
+    return dict(levels) | {name: levels[name] * up}, dict(levels) | {name: levels[name] * down}
+
+
+def _curvature(cost: Callable[[Array], tuple[float, Array]], x: Array, g: Array) -> Array:
+    """Hessian of the cost with its eigenvalues made positive: where the cost is hollow
+    upwards, a step as long as the curvature allows is still the right scale."""
+    rows = np.stack([cost(x + DIFFERENCE * e)[1] - g for e in np.eye(len(x))]) / DIFFERENCE
+    eigenvalues, vectors = np.linalg.eigh(0.5 * (rows + rows.T))
+    return np.asarray((vectors * np.maximum(np.abs(eigenvalues), FLATTEST)) @ vectors.T)
+
+
+def minimise(
+    cost: Callable[[Array], tuple[float, Array]],
+    x: Array,
+    low: Array,
+    high: Array,
+    tolerance: float,
+    rounds: int = 60,
+) -> Array:
+    """Where ``cost(x) -> (value, gradient)`` is least within the bounds, all of order one.
+
+    A quasi-Newton search (BFGS) that starts from the curvature of differenced gradients;
+    coordinates that press against a bound rest there. It ends when the quadratic model
+    promises less than ``tolerance``. (scipy's takes longer to import than this to run.)
+    """
+    value, g = cost(x)
+    B = _curvature(cost, x, g)
+    for _ in range(rounds):
+        free = ~(((x <= low) & (g > 0)) | ((x >= high) & (g < 0)))
+        if not free.any() or not np.isfinite(value):
+            break
+        step = np.zeros_like(x)
+        step[free] = -np.linalg.solve(B[np.ix_(free, free)], g[free])
+        promise = -0.5 * float(g @ step)
+        if promise < tolerance:
+            break
+        step *= min(1.0, LONGEST_STEP / float(np.abs(step).max()))
+        for _halving in range(12):
+            new = np.clip(x + step, low, high)
+            new_value, new_g = cost(new)
+            if new_value <= value + 1e-4 * float(g @ (new - x)):
+                break
+            step *= 0.4
+        else:
+            break
+        s, y = new - x, new_g - g
+        x, value, g = new, new_value, new_g
+        Bs = B @ s
+        if s @ y > 1e-3 * (s @ Bs):
+            B = B + np.outer(y, y) / (s @ y) - np.outer(Bs, Bs) / (s @ Bs)
+    return x
