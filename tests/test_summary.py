@@ -11,7 +11,8 @@ from fake_result import fake_result
 from rich.console import Console
 
 from handcal import summary, words
-from handcal.types import HandcalError, Innovations
+from handcal.noise import white_levels
+from handcal.types import HandcalError, Innovations, NoiseLevel
 
 
 def innovations(nis_scale: float, updates: int = 400, seed: int = 3) -> Innovations:
@@ -146,6 +147,38 @@ def test_the_verdict_says_what_was_learnt_and_what_was_not():
     (sentence,) = words.not_shown(fake_result())
     assert "z" in sentence
     assert "turn" in sentence
+
+
+def test_an_estimate_that_strays_from_its_own_band_is_doubted():
+    result = fake_result(extra=False)
+    assert words.strayed(result) == ()
+    h = result.history
+    ramp = np.where(h.t > 40, 20 * h.parameter_sigma[-1, 5] * (h.t[-1] - h.t) / h.t[-1], 0.0)
+    moved = h.parameters.copy()
+    moved[:, 5] += ramp
+    result = replace(result, history=replace(h, parameters=moved))
+    (sentence,) = words.strayed(result)
+    assert sentence.startswith("Accelerometer bias z moved by")
+    assert words.verdict(result).level == "partly"
+
+
+def test_noise_far_above_what_the_readings_show_is_doubted():
+    result = fake_result(extra=False)
+    honest = white_levels(result.recording)["gyro_noise"]
+    for ratio, said in ((2, 0), (40, 1)):
+        level = NoiseLevel("gyro_noise", ratio * honest, "rad/s/sqrt(Hz)", True)
+        sentences = words.inflated(replace(result, noise=(level,)))
+        assert len(sentences) == said
+    assert "40 times as large" in sentences[0]
+    assert words.inflated(replace(result, noise=(replace(level, estimated=False),))) == ()
+
+
+@pytest.mark.parametrize(("width", "columns"), [(80, 6), (120, 7)])
+def test_a_narrow_terminal_cuts_no_number(width, columns):
+    out = io.StringIO()
+    summary.print_summary(fake_result(), Console(file=out, width=width, color_system=None))
+    assert "…" not in out.getvalue()
+    assert ("prior ±" in out.getvalue()) == (columns == 7)
 
 
 def test_without_a_heading_the_advice_is_a_second_axis_or_a_heading():

@@ -1,8 +1,9 @@
 """Results in the Rerun viewer, saved or streamed. The only file that imports rerun.
 
-Entities: ``/device`` (the phone in 3-D), ``/heading``, ``/parameters/EFFECT``,
-``/innovation/KIND``, ``/nis/KIND``, ``/imu`` and ``/summary``; timeline ``time``,
-seconds since the start of the recording. Saving and streaming fill the same entities.
+Entities: ``/device`` (how the phone is turned, in 3-D; not where it is), ``/heading``,
+``/parameters/EFFECT``, ``/innovation/KIND``, ``/nis/KIND``, ``/imu`` and ``/summary``;
+timeline ``time``, seconds since the start of the recording. Saving and streaming fill
+the same entities.
 """
 
 from __future__ import annotations
@@ -166,7 +167,7 @@ def log_result(rec: rr.RecordingStream, result: Result) -> None:
     quaternion = np.roll(h.q_nb, -1, axis=1)  # rerun has x y z w
     rec.send_columns(
         "/device", indexes=[rr.TimeColumn(TIMELINE, duration=h.t)],
-        columns=rr.Transform3D.columns(translation=h.p_n, quaternion=quaternion),
+        columns=rr.Transform3D.columns(quaternion=quaternion),
     )  # fmt: skip
     _columns(rec, "/heading/estimated", *summary.gapped(h.t, DEG * h.yaw))
     if (seen := result.observed_heading) is not None:
@@ -263,7 +264,7 @@ def _log_frame(
     rec: rr.RecordingStream, layout: Layout, frame: Frame, recent: dict[str, deque[float]]
 ) -> None:
     quaternion = rr.Quaternion(xyzw=np.roll(frame.q_nb, -1))
-    rec.log("/device", rr.Transform3D(translation=frame.p_n, quaternion=quaternion))
+    rec.log("/device", rr.Transform3D(quaternion=quaternion))
     if (last := recent[YAW]) and abs(frame.yaw - last[0]) > np.pi:  # a gap, not a stroke
         rec.set_time(TIMELINE, duration=frame.t - 1e-4)
         rec.log("/heading/estimated", rr.Scalars(np.nan))

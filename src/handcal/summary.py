@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 CALIBRATION_SCHEMA = "handcal/calibration/1"
+WIDE = 96  # columns of a terminal that has room for everything
 
 
 def finite(value: float | None) -> float | None:
@@ -160,7 +161,7 @@ def print_summary(result: Result, console: Console) -> None:
     console.print(f"[bold {colour}]{escape(judged.headline)}[/]")
     for sentence in judged.sentences:
         console.print(Padding(escape(sentence), (0, 0, 0, 2)))
-    console.print(_parameter_table(result))
+    console.print(_parameter_table(result, prior=console.width >= WIDE))
     console.print(_kind_table(result))
     for heading, sentences in (
         ("What this motion could not show", words.not_shown(result)),
@@ -172,14 +173,14 @@ def print_summary(result: Result, console: Console) -> None:
                 console.print(Padding(escape(f"• {sentence}"), (0, 0, 0, 2)))
 
 
-def _parameter_table(result: Result) -> Any:
+def _parameter_table(result: Result, prior: bool) -> Any:
     from rich import box
     from rich.table import Table
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     table.add_column("parameter", no_wrap=True)
-    for column in ("value", "± 1 sigma", "prior ±"):
-        table.add_column(column, justify="right")
+    for column in ("value", "± 1 sigma", *(["prior ±"] if prior else [])):
+        table.add_column(column, justify="right", no_wrap=True)
     for column in ("unit", "seen", "settled"):
         table.add_column(column)
     for group in words.by_effect(result.parameters).values():
@@ -188,8 +189,8 @@ def _parameter_table(result: Result) -> Any:
             at = "" if p.converged_at_s is None else f"{p.converged_at_s:.0f} s"
             seen = "[green]yes[/]" if p.observable else "[yellow]no[/]"
             row = (unit.value(p.value, p.sigma, sign=True), unit.value(p.sigma, p.sigma))
-            prior = unit.value(p.prior_sigma)
-            table.add_row(words.parameter_title(p), *row, prior, unit.unit, seen, at)
+            before = [unit.value(p.prior_sigma)] if prior else []
+            table.add_row(words.parameter_title(p), *row, *before, unit.unit, seen, at)
     return table
 
 

@@ -11,9 +11,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from handcal.effects import catalogue
+from handcal.noise import white_levels
 from handcal.types import Innovations, NoiseLevel, Parameter, Result
 
 NBSP = "\u00a0"
+INFLATED = 5.0
+STRAYED = 6.0  # sigma; of thousands of looks at an honest estimate hardly one gets there
 _DEG = 180.0 / math.pi
 _MG = 1000.0 / 9.80665
 
@@ -78,7 +81,11 @@ _NOISE = {
     "sway": "Hand sway",
     "sway_per_rate": "Hand sway while turning",
     "sway_time": "Hand sway lasts",
+    "position_noise": "Jitter of the held point",
+    "velocity_noise": "Velocity at rest",
     "rest_rate_noise": "Rate noise at rest",
+    "mag_heading_noise": "Magnetic heading noise",
+    "mag_disturbance": "Magnetic disturbance",
 }
 
 _STREAMS = {"imu": "IMU", "mag": "magnetometer"}
@@ -242,6 +249,53 @@ def nis_sentence(kind: str, innovations: Innovations) -> str | None:
     )
 
 
+def strayed(result: Result) -> tuple[str, ...]:
+    """A sentence for each effect whose estimate moved further than its own sigmas allow.
+
+    An estimate at t and the final one differ with the variance P(t) - P(end) if the model
+    holds (Hausman's test); looked at in the second half of the recording.
+    """
+    h, sentences = result.history, []
+    late = h.t >= 0.5 * (h.t[0] + h.t[-1])
+    for group in by_effect(result.parameters).values():
+        worst: tuple[float, Parameter, float] | None = None
+        for p in group:
+            c = result.parameters.index(p)
+            moved = abs(h.parameters[late, c] - h.parameters[-1, c])
+            floor = 0.5 * h.parameter_sigma[-1, c] ** 2
+            spread = (h.parameter_sigma[late, c] ** 2 - h.parameter_sigma[-1, c] ** 2).clip(floor)
+            ratio = moved / spread**0.5
+            at = int(ratio.argmax())
+            if p.observable and ratio[at] > STRAYED and (worst is None or ratio[at] > worst[0]):
+                worst = (float(ratio[at]), p, float(moved[at]))
+        if worst is not None:
+            _, p, moved_by = worst
+            unit = shown_group(group)
+            by = f"{unit.value(moved_by, p.sigma)}{NBSP}{unit.unit}"
+            sentences.append(
+                f"{parameter_title(p)} moved by {by} in the second half, more than its ± values "
+                f"allow: it changes, or it stands in for "
+                f"an effect that the model lacks."
+            )
+    return tuple(sentences)
+
+
+def inflated(result: Result) -> tuple[str, ...]:
+    """A sentence for each sensor whose noise had to be taken far above what its readings show."""
+    if result.recording.imu.t.size < 100:
+        return ()
+    shown_by_readings, sentences = white_levels(result.recording), []
+    for n in result.noise:
+        ratio = n.value / shown_by_readings.get(n.name, math.inf)
+        if n.estimated and ratio > INFLATED:
+            title = _NOISE.get(n.name, n.name)
+            sentences.append(
+                f"{title} had to be taken {ratio:.0f} times as large as the readings show, to "
+                f"make up for something that the model lacks; the ± values include that."
+            )
+    return tuple(sentences)
+
+
 def counted(n: int, noun: str) -> str:
     """ "1 rest", "2 rests"."""
     return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
@@ -263,7 +317,11 @@ def verdict(result: Result) -> Verdict:
     biases = [p for p in result.parameters if p.effect in ("gyro_bias", "accel_bias")]
     n, of = len(learnt), len(result.parameters)
     doubts = [s for k, i in result.innovations.items() if (s := nis_sentence(k, i))]
-    overconfident = any(nis_word(i) == "too confident" for i in result.innovations.values())
+    lacking = [*strayed(result), *inflated(result)]
+    doubts += lacking
+    overconfident = bool(lacking) or any(
+        nis_word(i) == "too confident" for i in result.innovations.values()
+    )
     if not any(p.observable for p in biases):
         level, headline = "poor", "This motion did not show the sensor's biases."
     elif n == of and not overconfident:
