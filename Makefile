@@ -2,7 +2,7 @@
 # PYTHON=/path/to/python chooses the interpreter .venv is made from.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint format prove clean
+.PHONY: help setup demo docs test lint format prove clean
 
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip install --disable-pip-version-check --quiet -c constraints.txt
@@ -16,6 +16,9 @@ setup: .venv/.installed ## make .venv and .venv/bin/handcal
 
 demo: setup ## simulate a recording, calibrate it, write report and data
 	$(BIN)/handcal demo
+
+docs: setup ## draw the figures of docs/ anew, from simulations
+	$(BIN)/python docs/make_figures.py
 
 test: lint ## all quick checks and tests
 	$(BIN)/python -m pytest -m "not prove"
