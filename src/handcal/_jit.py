@@ -6,9 +6,12 @@ from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import numba
+import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic
+from numba.extending import intrinsic, typeof_impl
+
+from handcal.types import IntArray
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -18,7 +21,34 @@ _SIGNATURE = types.int64(_POINTER, _POINTER, _POINTER, _POINTER)
 
 def njit(function: F) -> F:
     """Compile when first called and keep the machine code on disk."""
-    return cast(F, numba.njit(cache=True, error_model="numpy")(function))
+    # nothing calls these by address, so numba need not make a C entry for each of them
+    options: dict[str, Any] = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+    return cast(F, numba.njit(**options)(function))
+
+
+class _Address:
+    """Where a compiled function lies, found out when it is first asked for as a number."""
+
+    def __init__(self, function: Callable[..., int]) -> None:
+        self._function = function
+        self._compiled: Any = None
+
+    def __index__(self) -> int:
+        if self._compiled is None:
+            decorator = numba.cfunc(_SIGNATURE, cache=True, error_model="numpy")
+            self._compiled = decorator(self._function)
+        return int(cast(int, self._compiled.address))
+
+    __int__ = __index__
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> IntArray:
+        return np.array(int(self), dtype=dtype or np.int64)
+
+
+@typeof_impl.register(_Address)
+def _typeof(value: _Address, context: Any) -> Any:  # noqa: ARG001
+    """To a compiled function it is an integer: numba asks for it by ``__int__``."""
+    return types.intp
 
 
 def residual_function(function: Callable[..., int]) -> int:
@@ -28,13 +58,11 @@ def residual_function(function: Callable[..., int]) -> int:
     it is compiled once and a new file in ``observations/`` or ``effects/`` needs no
     other file. The four arguments are pointers to float64; they can be indexed, have
     no length and no bounds check. The compiled object stays alive with its module.
+
+    What is returned becomes the address when it is put into an integer array, or by
+    ``int``: only what a recording needs is compiled, not the whole catalogue.
     """
-    compiled = numba.cfunc(_SIGNATURE, cache=True, error_model="numpy")(function)
-    _KEEP.append(compiled)
-    return int(cast(int, compiled.address))
-
-
-_KEEP: list[Any] = []
+    return cast(int, _Address(function))
 
 
 def _call(typingctx: Any, address: Any, nav: Any, theta: Any, z: Any, out: Any) -> Any:  # noqa: ARG001

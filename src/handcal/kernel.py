@@ -374,14 +374,17 @@ def interval(
     """
     w0, w1, f0, f1 = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     inc, C_mid, turn = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    f_n = np.empty(3)
+    f_n, half = np.empty(3), np.empty(3)
     corrected(nodes.gyro[i - 1], nodes.J[i - 1], 0, bg, extras, ref, w0)
     corrected(nodes.gyro[i], nodes.J[i], 0, bg, extras, ref, w1)
     corrected(nodes.accel[i - 1], nodes.J[i - 1], 3, ba, extras, ref, f0)
     corrected(nodes.accel[i], nodes.J[i], 3, ba, extras, ref, f1)
     dt = nodes.t[i] - nodes.t[i - 1]
     increments(w0, w1, f0, f1, dt, inc)
-    exp(0.5 * inc[0], turn)
+    for k in range(3):
+        # (an array expression here would take a second more to compile)
+        half[k] = 0.5 * inc[0, k]
+    exp(half, turn)
     matmul(C, turn, C_mid)
     advance(p, v, C, inc, dt, g_n, omega_ie_n, f_n)
     J[:, :6] = 0.0
