@@ -113,6 +113,15 @@ def test_calibrate_writes_what_it_is_asked_for(main, tmp_path):
     assert all((tmp_path / name).stat().st_size > 1000 for name in names.values())
 
 
+def test_files_are_written_before_anything_is_shown(main, monkeypatch, tmp_path):
+    def closed(_):
+        raise HandcalError("nobody reads this")
+
+    monkeypatch.setattr(cli, "_show", closed)
+    main("calibrate", "x", "--json", str(tmp_path / "x.json"), "--rrd", str(tmp_path / "x.rrd"))
+    assert {p.name for p in tmp_path.iterdir()} == {"x.json", "x.rrd"}
+
+
 def test_json_on_standard_output_is_nothing_but_json(main):
     status, out, _ = main("calibrate", "x.mcap", "--json", "-")
     assert status == 0

@@ -210,8 +210,6 @@ def calibrate(
             height=height, ignore=ignore, noise_until=noise_until, engine=engine,
         )  # fmt: skip
         results.append(result)
-        if str(json) != "-":
-            _show(result)
         if report:
             from handcal.report import write_report
 
@@ -224,6 +222,9 @@ def calibrate(
         from handcal.summary import calibration_json, write_json
 
         write_json(calibration_json(results), json)
+    if str(json) != "-":  # last: whoever reads this may have had enough before its end
+        for result in results:
+            _show(result)
 
 
 def _show(result: Result) -> None:
