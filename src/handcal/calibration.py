@@ -97,10 +97,10 @@ def calibrate(
     earth = local_earth(latitude, height)
     warnings = list(recording.warnings)
     if observations is None:
-        usable = _usable(recording, warnings)
+        usable = _usable(recording, chosen, warnings)
         travels = False
         if assume == "auto":
-            assume, said = _assumption(recording, usable, rests, earth, fixed, report)
+            assume, said = _assumption(recording, chosen, usable, rests, earth, fixed, report)
             warnings += said
             travels = assume == "rest-only"
         kinds = _kinds(assume, usable, rests)
@@ -138,7 +138,7 @@ def _check(
             raise InputError(f"There is no stream '{name}' to ignore; the recording has: {have}.")
 
 
-def _usable(recording: Recording, warnings: list[str]) -> set[str]:
+def _usable(recording: Recording, effects: Sequence[Effect], warnings: list[str]) -> set[str]:
     """Streams that are fit to be observed; what is left out is said."""
     usable = set(recording.streams) & {"heading", "mag", "pose"}
     if "mag" in usable:
@@ -146,6 +146,8 @@ def _usable(recording: Recording, warnings: list[str]) -> set[str]:
         low, high = np.quantile(size, [0.05, 0.95])
         if "heading" in usable:
             usable.discard("mag")
+        elif any(e.id == "mag_hard_iron" for e in effects):
+            pass
         elif high - low > 0.4 * np.median(size) or not 5e-6 < np.median(size) < 1.5e-4:
             usable.discard("mag")
             warnings.append(
@@ -175,6 +177,7 @@ def _kinds(assume: str, usable: set[str], rests: Array) -> list[str]:
 
 def _assumption(
     recording: Recording,
+    effects: Sequence[Effect],
     usable: set[str],
     rests: Array,
     earth: tuple[Array, Array],
@@ -183,7 +186,7 @@ def _assumption(
 ) -> tuple[str, list[str]]:
     """Does the held point stay? The evidence of the sway that the readings ask for decides."""
     kinds = ["fixed_position"] + (["heading"] if "heading" in usable else [])
-    problem, begin = problem_of(recording, (), kinds, rests, earth, None)
+    problem, begin = problem_of(recording, effects, kinds, rests, earth, None)
     solution = solve(problem, begin, fixed, None, "compiled", lambda f: report(0.3 * f), rounds=1)
     levels = dict(solution.levels)
     rate = float(np.sqrt((problem.rate**2).mean()))
@@ -221,7 +224,7 @@ def problem_of(
 ) -> tuple[Problem, Start]:
     """The problem these kinds of observation make of the recording, and where it starts."""
     has_heading = "heading" in kinds or "magnetometer" in kinds
-    scene = Scene(rests, has_heading)
+    scene = Scene(rests, has_heading, omega_ie_n=earth[1])
     begin = start or _level(recording, kinds, scene)
     if "pose" in kinds and has_heading:
         scene = replace(scene, align_yaw=float(so3.yaw_of(begin.C_nb)))
@@ -244,6 +247,8 @@ def _level(recording: Recording, kinds: Sequence[str], scene: Scene) -> Start:
     if not scene.has_heading:
         return begin
     name = "heading" if "heading" in kinds else "mag"
+    if name not in recording.streams:
+        raise HandcalError(f"The recording has no stream '{name}' to take a heading from.")
     series = recording.streams[name]
     early = series.value[: max(1, int(np.searchsorted(series.t, series.t[0] + 0.5)))]
     if name == "heading":

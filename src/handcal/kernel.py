@@ -25,7 +25,8 @@ class Tables(NamedTuple):
     """Which compiled functions make up each kind of observation.
 
     dim (K,), jacobian (K,) addresses or 0; function (K, F) addresses, the first the
-    observation's own, 0 ends the list; start, counts (K, F): its slice of the extras.
+    observation's own, 0 ends the list; start, counts (K, F): its slice of the extras;
+    step: of the central difference by each of the extras.
     """
 
     dim: IntArray
@@ -33,6 +34,7 @@ class Tables(NamedTuple):
     function: IntArray
     start: IntArray
     counts: IntArray
+    step: Array
 
 
 class Nodes(NamedTuple):
@@ -220,13 +222,12 @@ def _extras_columns(
     H: Array,
 ) -> None:
     """Columns of H for the constants and Markov states that the functions of a kind read."""
-    step = 1e-5
     for k in range(tables.function.shape[1]):
         if tables.function[kind, k] == 0:
             break
         a = tables.start[kind, k]
         for c in range(a, a + tables.counts[kind, k]):
-            keep = extras[c]
+            keep, step = extras[c], tables.step[c]
             extras[c] = keep + step
             _total(kind, tables, nav, extras, z, 0, plus)
             extras[c] = keep - step

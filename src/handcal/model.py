@@ -23,8 +23,8 @@ ACCEL_BIAS_PRIOR = 0.6
 # The readings themselves show the white noise of the sensors, to about a tenth (of the
 # accelerometer less well, in a trembling hand); there can be more than that, hardly less.
 IMU_LEVELS = (
-    Level("gyro_noise", "rad/s/sqrt(Hz)", 2e-4, 1e-6, 0.1, below=0.15, above=1.0),
-    Level("accel_noise", "m/s^2/sqrt(Hz)", 2e-3, 1e-5, 1.0, below=0.4, above=1.0),
+    Level("gyro_noise", "rad/s/sqrt(Hz)", 2e-4, 1e-6, 0.1, below=0.15, above=0.3),
+    Level("accel_noise", "m/s^2/sqrt(Hz)", 2e-3, 1e-5, 1.0, below=0.4, above=0.3),
 )
 Z_DIM = 8
 SNAP_S = 1e-7
@@ -108,6 +108,7 @@ def build(
             markov_at[observation.kind] = len(slots) + size
             size += observation.markov.size
     kinds = tuple(o for o, _, _ in observed)
+    step = np.r_[[1e-3 * s.prior_sigma for s in slots], np.full(size, 1e-5)]
     nodes, rate, dropped = _nodes(recording, [r for _, r, _ in observed], imu_constants)
     problem = Problem(
         recording,
@@ -118,7 +119,7 @@ def build(
         tuple(markov_kinds),
         size,
         nodes,
-        _tables(kinds, [c for _, _, c in observed], (*acting, *others), at, markov_at),
+        _tables(kinds, [c for _, _, c in observed], (*acting, *others), at, markov_at, step),
         np.zeros(len(slots)),
         g_n,
         omega_ie_n,
@@ -134,6 +135,7 @@ def _tables(
     effects: Sequence[Effect],
     at: Mapping[str, int],
     markov_at: Mapping[str, int],
+    step: Array,
 ) -> Tables:
     width = 2 + len(effects)
     function = np.zeros((len(kinds), width), dtype=np.int64)
@@ -157,6 +159,7 @@ def _tables(
         function,
         start,
         count,
+        step,
     )
 
 
@@ -241,19 +244,10 @@ def relinearised(
     T = None if temperature is None else np.interp(imu.t, temperature.t, temperature.value[:, 0])
     raw = np.hstack([imu.gyro - bg, imu.accel - ba])
     acting = [e for e in problem.effects if e.imu_error is not None]
-    if noise is not None:
-        raw = raw - noise
-    error = np.zeros_like(raw)
-    signals = Signals(imu.t, raw[:, :3], raw[:, 3:], T)
-    for _ in range(3):
-        truth = raw - error
-        signals = Signals(imu.t, truth[:, :3], truth[:, 3:], T)
-        error = np.zeros_like(raw)
-        i = 0
-        for e in acting:
-            assert e.imu_error is not None
-            error = error + e.imu_error(ref[i : i + len(e.parameters)], signals)
-            i += len(e.parameters)
+    errors = _substituted(acting, ref, raw, imu.t, T)
+    error = sum(errors, np.zeros_like(raw))
+    truth = raw - error if noise is None else raw - error - noise
+    signals = Signals(imu.t, truth[:, :3], truth[:, 3:], T)
     J = np.empty((len(imu.t), 6, problem.imu_constants))
     i = 0
     for e in acting:
@@ -269,6 +263,25 @@ def relinearised(
             J_nodes[:, k, c] = np.interp(nodes.t, imu.t, J[:, k, c])
     gyro, accel = np.stack(at[:3], axis=1), np.stack(at[3:], axis=1)
     return _replace(problem, ref=ref, nodes=nodes._replace(gyro=gyro, accel=accel, J=J_nodes))
+
+
+def _substituted(
+    acting: Sequence[Effect], ref: Array, raw: Array, t: Array, temperature: Array | None
+) -> list[Array]:
+    """What each effect adds to readings raw (n, 6), each (n, 6), by rounds of substitution."""
+    errors = [np.zeros_like(raw) for _ in acting]
+    for _ in range(3):
+        i = 0
+        for k, e in enumerate(acting):
+            at = ref[i : i + len(e.parameters)]
+            i += len(e.parameters)
+            own = raw - sum(errors, np.zeros_like(raw))
+            if e.imu_inverse is not None:
+                own = own + errors[k]
+                errors[k] = own - e.imu_inverse(at, Signals(t, own[:, :3], own[:, 3:], temperature))
+            elif e.imu_error is not None:
+                errors[k] = e.imu_error(at, Signals(t, own[:, :3], own[:, 3:], temperature))
+    return errors
 
 
 def _replace(problem: Problem, **changes: object) -> Problem:

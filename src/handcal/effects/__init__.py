@@ -7,6 +7,10 @@ enters in one of two ways:
   the accelerometer (columns 3-5, m/s^2) read in addition, over a whole recording;
 - ``observation_error``: for each kind of observation a compiled
   ``f(nav, parameters, z, r) -> 0`` that corrects the residual ``r`` in place.
+
+What an effect adds depends on the truth, of which only readings are known. Errors much
+smaller than the signal are found by substitution; an effect that moves the signal as a
+whole (a delay) brings ``imu_inverse(parameters, readings) -> (n, 6)``, the truth.
 """
 
 from __future__ import annotations
@@ -58,6 +62,7 @@ class Effect:
     validated: str
     imu_error: Callable[[Array, Signals], Array] | None = None
     observation_error: Mapping[str, int] = field(default_factory=dict)
+    imu_inverse: Callable[[Array, Signals], Array] | None = None
 
     @property
     def prior_sigma(self) -> Array:

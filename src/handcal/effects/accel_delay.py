@@ -17,6 +17,11 @@ def imu_error(delay: Array, signals: Signals) -> Array:
     return out
 
 
+def imu_inverse(delay: Array, readings: Signals) -> Array:
+    """The truth is what is read a delay later; result (n, 6)."""
+    return np.hstack([readings.gyro, readings.accel + imu_error(-delay, readings)[:, 3:]])
+
+
 EFFECT = Effect(
     id="accel_delay",
     title="Accelerometer delay",
@@ -26,4 +31,5 @@ EFFECT = Effect(
     motion="Brisk changes of attitude, so that gravity moves between the axes quickly.",
     validated="the simulator's injection",
     imu_error=imu_error,
+    imu_inverse=imu_inverse,
 )

@@ -12,7 +12,7 @@ from __future__ import annotations
 import importlib
 import pkgutil
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Protocol
 
@@ -30,14 +30,16 @@ class Scene:
     rests (r, 2) s; has_heading: an absolute heading is observed, so n's yaw is fixed by
     it; align_yaw: yaw of n against that of the pose's world at the start, rad;
     rate (Hz): of pseudo-observations, None for every IMU sample; sway: the hand's
-    motion is modelled as a Markov process instead of white noise.
+    motion is modelled as a Markov process instead of white noise. omega_ie_n (3,): the
+    Earth's rate, rad/s.
     """
 
     rests: Array
     has_heading: bool
     align_yaw: float | None = None
-    rate: float | None = 20.0
+    rate: float | None = 10.0
     sway: bool = True
+    omega_ie_n: Array = field(default_factory=lambda: np.zeros(3))
 
 
 @dataclass(frozen=True)
@@ -134,11 +136,17 @@ def catalogue() -> Mapping[str, Observation]:
 
 
 def pseudo_times(recording: Recording, rate: float | None, rests: Array | None = None) -> Array:
-    """Stamps of IMU samples about 1/rate apart (all of them for None), in the rests if given."""
+    """Stamps of IMU samples, one in every 1/rate seconds (all of them for None).
+
+    The place within each slot is scattered (a Weyl sequence, so always the same): a hand
+    trembles at 8 to 12 Hz, which regular times would alias into a correlated error.
+    rests (r, 2): only within these.
+    """
     t = recording.imu.t
     if rate is not None and rate < recording.rate_hz:
-        slots = np.floor((t - t[0]) * rate + 1e-9)
-        t = t[np.r_[True, np.diff(slots) > 0]]
+        slot = np.arange(int((t[-1] - t[0]) * rate) + 1)
+        wanted = t[0] + (slot + (slot * slot * 0.6180339887498949) % 1.0) / rate
+        t = t[np.unique(np.clip(np.searchsorted(t, wanted), 0, len(t) - 1))]
     if rests is not None:
         inside = np.zeros(len(t), dtype=bool)
         for a, b in rests:

@@ -85,7 +85,7 @@ OBSERVATION = Observation(
     rows=_rows,
     levels=(
         Level("mag_heading_noise", "rad", 0.01, 1e-4, 2.0),
-        Level("mag_disturbance", "rad", 0.03, 1e-3, 1.0),
+        Level("mag_disturbance", "rad", 0.03, 1e-3, 0.5, above=0.7),
     ),
     variance=_variance,
     markov=Disturbance(),

@@ -14,7 +14,9 @@ from handcal.types import Array, Recording
 
 def _residual(nav: Any, theta: Any, z: Any, r: Any) -> int:  # noqa: ARG001
     for i in range(3):
-        r[i] = z[i] - nav[15 + i]
+        # at rest the gyro still turns with the Earth, whose rate in n is the rest of z
+        earth = nav[6 + i] * z[3] + nav[9 + i] * z[4] + nav[12 + i] * z[5]
+        r[i] = z[i] + earth - nav[15 + i]
     return 0
 
 
@@ -30,7 +32,8 @@ def _rows(recording: Recording, scene: Scene) -> Rows | None:
     total = np.vstack([np.zeros(3), np.cumsum(imu.gyro, axis=0)])
     last = np.minimum(first + slot, len(imu.t))
     mean = (total[last] - total[first]) / (last - first)[:, None]
-    return Rows(t, imu.gyro[first] - mean)
+    earth = np.broadcast_to(scene.omega_ie_n, mean.shape)
+    return Rows(t, np.hstack([imu.gyro[first] - mean, earth]))
 
 
 def _variance(levels: Mapping[str, float]) -> Array:
