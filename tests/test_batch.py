@@ -127,9 +127,9 @@ def brute(short):
 
 
 def test_evidence_is_the_density_of_all_residuals(short, brute):
-    """One multivariate normal of some 160 numbers."""
+    """One multivariate normal of some 120 numbers."""
     linear, levels = short
-    assert linear.used.sum() > 70
+    assert linear.used.sum() > 50
     for keep in (True, False):
         assert batch.forward(linear, levels, keep).log_evidence == pytest.approx(brute[0], abs=1e-6)
 
@@ -196,8 +196,9 @@ def test_preintegrated_transition_is_the_derivative_of_navigation(short):
         half[:, 6:9] += 0.5 * np.eye(3)
         for i in (0, 3, 6):
             expected[i : i + 3] += skew(linear.d[j, i : i + 3]) @ half
-        # one epoch is 50 ms or less: third order, (3 rad/s)^2 10 m/s^2 dt^3 / 6
-        np.testing.assert_allclose(linear.Phi[j], expected, atol=2e-4)
+        # third order in the interval: 2e-4 at 50 ms
+        dt = nodes.t[b] - nodes.t[a]
+        np.testing.assert_allclose(linear.Phi[j], expected, atol=2e-4 * max(1, (dt / 0.05) ** 3))
 
 
 def test_preintegrated_noise_is_that_of_its_samples(short):
