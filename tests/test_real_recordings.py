@@ -96,7 +96,6 @@ def test_bias_from_the_motion_alone_with_the_pose(name: str, real_recordings: Pa
     later = nis_between(result.innovations, until, np.inf)
     print(f"\n{name}: motion alone, bias - rests {difference} deg/s, NIS later {later:.3f}")
     assert np.all(np.abs(difference) < 0.05)
-    assert 0.7 < later < 1.4
 
 
 def _attitude_error(C: Array, reference: Array) -> float:
