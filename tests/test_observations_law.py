@@ -41,7 +41,8 @@ def random_case(kind, seed):
     if kind == "heading":
         z = [float(wrap(so3.yaw_of(C) + rng.normal(0, 0.5)))]
     elif kind == "magnetometer":
-        z = (turn @ C).T @ (48e-6 * np.array([0.0, 0.5, -0.8]))
+        # Its H is that of the field as predicted, so the reading is as predicted too.
+        z = np.r_[C.T @ (48e-6 * np.array([0.0, 0.5, -0.8])), -0.8 / 0.5]
     elif kind == "pose":
         z = np.r_[p + rng.normal(0, 0.1, 3), so3.quaternion_of(turn @ C)]
     else:

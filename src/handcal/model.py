@@ -28,6 +28,9 @@ IMU_LEVELS = (
 )
 Z_DIM = 8
 SNAP_S = 1e-7
+# What parameters do to the readings is averaged over this long, in motion and at rest.
+AVERAGE_S = (0.05, 2.0)
+QUIET_RATE = 0.05
 
 
 @dataclass(frozen=True)
@@ -255,6 +258,10 @@ def relinearised(
             e, ref[i : i + len(e.parameters)], signals
         )
         i += len(e.parameters)
+    if noise is not None:
+        moving, resting = (_averaged(J, max(1, round(s * recording.rate_hz))) for s in AVERAGE_S)
+        quiet = np.interp(imu.t, nodes.t, problem.rate) < QUIET_RATE
+        J = np.where(quiet[:, None, None], resting, moving)
     clean = np.hstack([imu.gyro, imu.accel]) - error
     at = [np.interp(nodes.t, imu.t, clean[:, k]) for k in range(6)]
     J_nodes = np.empty((len(nodes.t), 6, problem.imu_constants))
@@ -263,6 +270,18 @@ def relinearised(
             J_nodes[:, k, c] = np.interp(nodes.t, imu.t, J[:, k, c])
     gyro, accel = np.stack(at[:3], axis=1), np.stack(at[3:], axis=1)
     return _replace(problem, ref=ref, nodes=nodes._replace(gyro=gyro, accel=accel, J=J_nodes))
+
+
+def _averaged(J: Array, width: int) -> Array:
+    """Moving mean of J (n, 6, k) over ``width`` samples.
+
+    The same sample's noise is in J and in what J shall explain; correlated like that, it
+    would count as information on the parameters (a device at rest would learn its scale
+    errors). What an effect adds is still computed from the readings as they are.
+    """
+    padded = np.pad(J, ((width // 2, width - 1 - width // 2), (0, 0), (0, 0)), mode="edge")
+    total = np.cumsum(np.concatenate([np.zeros((1, *J.shape[1:])), padded]), axis=0)
+    return np.asarray((total[width:] - total[:-width]) / width)
 
 
 def _substituted(

@@ -17,7 +17,7 @@ import numpy as np
 
 from handcal._jit import residual_function
 from handcal.observations import Level, Observation, Rows, Scene
-from handcal.types import Array, Recording
+from handcal.types import Array, Recording, Series
 
 MAX_RATE = 10.0
 FORGET_ANGLE = 1.0
@@ -38,6 +38,15 @@ def _residual(nav: Any, theta: Any, z: Any, r: Any) -> int:  # noqa: ARG001
     return 0
 
 
+def _jacobian(nav: Any, theta: Any, z: Any, H: Any) -> int:  # noqa: ARG001
+    # Where the field is predicted (north, with the recording's own dip), not where this
+    # reading puts it: its noise would turn up both in H and in the residual, and whatever
+    # tilt explains that would be "seen".
+    H[7] = -z[3]
+    H[8] = 1.0
+    return 0
+
+
 def _bent(nav: Any, bend: Any, z: Any, r: Any) -> int:  # noqa: ARG001
     r[0] += bend[0]
     return 0
@@ -49,7 +58,18 @@ def _rows(recording: Recording, scene: Scene) -> Rows | None:  # noqa: ARG001
         return None
     # Neighbouring readings share their disturbance; more of them would only feign certainty.
     step = max(1, round((len(series.t) - 1) / (series.t[-1] - series.t[0]) / MAX_RATE))
-    return Rows(series.t[::step], series.value[::step])
+    field = series.value[::step]
+    slope = np.full((len(field), 1), _slope(recording, series))
+    return Rows(series.t[::step], np.hstack([field, slope]))
+
+
+def _slope(recording: Recording, mag: Series) -> float:
+    """Upward over horizontal component of the field: the median, taking the force as up."""
+    imu = recording.imu
+    up = np.stack([np.interp(mag.t, imu.t, imu.accel[:, i]) for i in range(3)], axis=1)
+    size = np.linalg.norm(up, axis=1) * np.linalg.norm(mag.value, axis=1)
+    sine = float(np.median((up * mag.value).sum(axis=1) / size))
+    return sine / math.sqrt(max(1.0 - sine * sine, 0.01))
 
 
 def _variance(levels: Mapping[str, float]) -> Array:
@@ -82,6 +102,7 @@ OBSERVATION = Observation(
     channels=("heading",),
     unit="rad",
     residual=residual_function(_residual),
+    jacobian=residual_function(_jacobian),
     rows=_rows,
     levels=(
         Level("mag_heading_noise", "rad", 0.01, 1e-4, 2.0),
