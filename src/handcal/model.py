@@ -20,11 +20,11 @@ from handcal.types import Array, Recording
 
 GYRO_BIAS_PRIOR = np.radians(1.0)
 ACCEL_BIAS_PRIOR = 0.6
-# The readings themselves show the white noise of the sensors, to about a tenth (of the
-# accelerometer less well, in a trembling hand); there can be more than that, hardly less.
+# The readings themselves show the white noise of the sensors to a few percent; there can be
+# more than that (whatever the model lacks), hardly less.
 IMU_LEVELS = (
     Level("gyro_noise", "rad/s/sqrt(Hz)", 2e-4, 1e-6, 0.1, below=0.15, above=0.3),
-    Level("accel_noise", "m/s^2/sqrt(Hz)", 2e-3, 1e-5, 1.0, below=0.4, above=0.3),
+    Level("accel_noise", "m/s^2/sqrt(Hz)", 2e-3, 1e-5, 1.0, below=0.15, above=0.3),
 )
 Z_DIM = 8
 SNAP_S = 1e-7
