@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import handcal
-from handcal import batch, calibration, words
+from handcal import calibration, linear, words
 from handcal.noise import white_levels
 from handcal.observations import catalogue
 from handcal.types import Recording, Result
@@ -115,19 +115,19 @@ def evidence_of_nothing() -> None:
 
 def naive(recording: Recording, levels: dict[str, float]) -> Result:
     """The same calibration by an estimator that takes its trajectory's noise for a signal."""
-    kept = batch._turn_noise, batch._markov_steps, calibration.catalogue
+    kept = linear._turn_noise, linear._markov_steps, calibration.catalogue
     plain = {k: replace(o, isotropic=False) for k, o in catalogue().items()}
 
     def steps(problem, markov, Phi_e):
         d_e, Phi_psi = kept[1](problem, markov, Phi_e)
         return d_e, np.zeros_like(Phi_psi)
 
-    batch._turn_noise, batch._markov_steps = (lambda *_: None), steps
+    linear._turn_noise, linear._markov_steps = (lambda *_: None), steps
     calibration.catalogue = lambda: plain
     try:
         return handcal.calibrate(recording, assume="fixed-point", noise=levels)
     finally:
-        batch._turn_noise, batch._markov_steps, calibration.catalogue = kept
+        linear._turn_noise, linear._markov_steps, calibration.catalogue = kept
 
 
 def demo() -> None:

@@ -14,6 +14,7 @@ import numpy as np
 from handcal import batch, so3
 from handcal.earth import local_earth
 from handcal.filter import empty_track, initial_state, run_compiled
+from handcal.linear import Linear, Trajectory, epochs, linearise_about, trajectory_of
 from handcal.model import Problem, build, noise_arrays
 from handcal.observations import Rows, catalogue
 from handcal.start import Start, levelled
@@ -48,7 +49,7 @@ class World:
 
     problem: Problem
     start: Start
-    truth: batch.Trajectory
+    truth: Trajectory
 
 
 def motion(scenario: str) -> tuple[Array, Array, Array, Array]:
@@ -79,9 +80,9 @@ def draw(truth: tuple[Array, Array, Array, Array], seed: int) -> World:
         for kind, rows in z.items()
     ]
     problem = build(recording, (), observed, *local_earth(None))
-    node = batch.epochs(problem)
+    node = epochs(problem)
     zero = np.zeros((len(node), 3))
-    at = batch.Trajectory(node, zero, zero, C[node], bg, ba, np.zeros(0), np.zeros((len(node), 0)))
+    at = Trajectory(node, zero, zero, C[node], bg, ba, np.zeros(0), np.zeros((len(node), 0)))
     return World(problem, _start(rng, C[0], bg, ba), at)
 
 
@@ -104,18 +105,18 @@ def _start(rng: np.random.Generator, C: Array, bg: Array, ba: Array) -> Start:  
     )
 
 
-def settle(world: World) -> tuple[batch.Linear, batch.Pass]:
+def settle(world: World) -> tuple[Linear, batch.Pass]:
     """The relinearised filter over one realisation."""
     problem, start = world.problem, world.start
-    track = empty_track(problem, batch.epochs(problem))
+    track = empty_track(problem, epochs(problem))
     state = initial_state(problem, start, LEVELS)
     state = run_compiled(problem, noise_arrays(problem, LEVELS), state, track)
-    nominal = batch.trajectory_of(problem, track, state.bg, state.ba, state.extras)
-    linear, last, _ = batch.relinearise(batch.linearise_about(problem, start, nominal), LEVELS)
+    nominal = trajectory_of(problem, track, state.bg, state.ba, state.extras)
+    linear, last, _ = batch.relinearise(linearise_about(problem, start, nominal), LEVELS)
     return linear, last
 
 
-def errors(world: World, linear: batch.Linear, last: batch.Pass, j: int) -> Array:
+def errors(world: World, linear: Linear, last: batch.Pass, j: int) -> Array:
     """True minus estimated state (15,) after epoch j of the last pass."""
     nominal, truth, x = linear.trajectory, world.truth, last.x[j]
     C = so3.matrix_exp(x[6:9]) @ nominal.C[j]

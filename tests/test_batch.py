@@ -10,6 +10,7 @@ from worlds import injected, problem_of, recording_of, true_levels
 from handcal import batch, calibrate, so3, strapdown
 from handcal.filter import empty_track, full_prior, initial_state, run_compiled
 from handcal.kernel import BASE
+from handcal.linear import epochs, linearise_about, trajectory_of
 from handcal.model import markov_transitions, noise_arrays, observation_variances
 from handcal_sim import simulate
 from handcal_sim.motion import Start
@@ -22,11 +23,11 @@ EFFECTS = ("gyro_scale", "lever_arm")
 def linearised(world, effects=EFFECTS, kinds=("fixed_position", "heading")):
     problem, start = problem_of(recording_of(world, "heading"), effects, kinds)
     levels = true_levels(world)
-    track = empty_track(problem, batch.epochs(problem))
+    track = empty_track(problem, epochs(problem))
     state = initial_state(problem, start, levels)
     state = run_compiled(problem, noise_arrays(problem, levels), state, track)
-    nominal = batch.trajectory_of(problem, track, state.bg, state.ba, state.extras)
-    return batch.linearise_about(problem, start, nominal), levels
+    nominal = trajectory_of(problem, track, state.bg, state.ba, state.extras)
+    return linearise_about(problem, start, nominal), levels
 
 
 def slow_heading(rng):
@@ -236,7 +237,7 @@ def test_relinearisation_settles(half_minute):
     linear, levels, (settled, forward, done) = half_minute
     assert done
     x, P = batch.smooth(settled, levels, forward)
-    again = batch.linearise_about(settled.problem, settled.start, batch.moved(settled, x))
+    again = linearise_about(settled.problem, settled.start, batch.moved(settled, x))
     second = batch.forward(again, levels)
     assert abs(second.log_evidence - forward.log_evidence) < 0.05
     sigma = np.sqrt(np.diag(P[-1]))[9 : BASE + settled.problem.constants]
@@ -264,7 +265,7 @@ def test_the_result_does_not_depend_on_where_the_passes_began(half_minute, seed)
         ba=nominal.ba + rng.normal(0, 30 * MG, 3),
         constants=nominal.constants + rng.normal(0, 0.005, len(nominal.constants)),
     )
-    off = batch.linearise_about(settled.problem, settled.start, wrong)
+    off = linearise_about(settled.problem, settled.start, wrong)
     linear, other, done = batch.relinearise(off, levels)
     assert done
     assert other.log_evidence == pytest.approx(forward.log_evidence, abs=0.1)

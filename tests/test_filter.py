@@ -8,8 +8,8 @@ import pytest
 from worlds import part_of, problem_of, recording_of, true_levels
 
 from handcal import calibrate, load, segment, so3
-from handcal.batch import epochs
 from handcal.filter import ENGINES, State, empty_track, initial_state, run_compiled, run_filterpy
+from handcal.linear import epochs
 from handcal.model import noise_arrays
 from handcal.noise import initial_levels
 from handcal.types import Imu, Series

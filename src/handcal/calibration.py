@@ -20,6 +20,7 @@ from handcal.earth import local_earth
 from handcal.effects import Effect, select
 from handcal.filter import ENGINES, empty_track, initial_state
 from handcal.kernel import BASE
+from handcal.linear import Linear, epochs, linearise_about, trajectory_of
 from handcal.model import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Problem, build, noise_arrays
 from handcal.observations import Observation, Rows, Scene, catalogue
 from handcal.start import Start, from_pose, from_rest, levelled
@@ -49,7 +50,7 @@ FIXED_YAW = 1e-6
 class Solution:
     """A settled fit: the linearised problem, its last forward pass and its noise levels."""
 
-    linear: batch.Linear
+    linear: Linear
     forward: batch.Pass
     levels: Mapping[str, float]
     estimated: tuple[str, ...]
@@ -283,13 +284,11 @@ def solve(
         if progress is not None:
             progress(1.0 - math.exp(-done / 150.0))
 
-    track = empty_track(problem, batch.epochs(problem))
+    track = empty_track(problem, epochs(problem))
     state = initial_state(problem, start, levels)
     state = ENGINES[engine](problem, noise_arrays(problem, levels), state, track)
-    nominal = batch.trajectory_of(problem, track, state.bg, state.ba, state.extras)
-    linear, forward, settled = batch.relinearise(
-        batch.linearise_about(problem, start, nominal), levels
-    )
+    nominal = trajectory_of(problem, track, state.bg, state.ba, state.extras)
+    linear, forward, settled = batch.relinearise(linearise_about(problem, start, nominal), levels)
     for _ in range(rounds if free else 0):
         part = linear if noise_until is None else noise_levels.until(linear, noise_until)
         new = noise_levels.estimate(part, levels, free, count)
@@ -351,7 +350,7 @@ def _effect_constants(problem: Problem) -> int:
     return sum(len(e.parameters) for e in problem.effects)
 
 
-def _history(linear: batch.Linear, x: Array, P: Array) -> History:
+def _history(linear: Linear, x: Array, P: Array) -> History:
     """The nominal trajectory plus the estimated errors x (k, N), thinned for display."""
     nominal, m = linear.trajectory, _effect_constants(linear.problem)
     step = max(1, round(len(linear.t) / max(1.0, (linear.t[-1] - linear.t[0]) * HISTORY_RATE)))
@@ -405,7 +404,7 @@ def _converged(t: Array, value: Array, sigma: Array, prior: float) -> float | No
     return float(t[0] if not len(last) else t[min(last[-1] + 1, len(t) - 1)])
 
 
-def _innovations(linear: batch.Linear, forward: batch.Pass) -> dict[str, Innovations]:
+def _innovations(linear: Linear, forward: batch.Pass) -> dict[str, Innovations]:
     t = np.repeat(linear.t, np.diff(linear.first))
     out = {}
     for k, observation in enumerate(linear.problem.observations):
@@ -424,7 +423,7 @@ def _innovations(linear: batch.Linear, forward: batch.Pass) -> dict[str, Innovat
     return out
 
 
-def _observed_heading(linear: batch.Linear) -> Array | None:
+def _observed_heading(linear: Linear) -> Array | None:
     """What was measured of the heading, (k, 2): t and rad."""
     t = np.repeat(linear.t, np.diff(linear.first))
     at = np.repeat(np.arange(len(linear.t)), np.diff(linear.first))

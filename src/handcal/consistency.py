@@ -8,6 +8,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from handcal import batch
+from handcal.linear import Trajectory, linearise_about
 from handcal.model import Problem
 from handcal.start import Start
 from handcal.types import Array, Innovations
@@ -47,12 +48,10 @@ def autocorrelation(innovations: Innovations, lag: int = 1) -> Array:
     return np.asarray((x[lag:] * x[:-lag]).sum(axis=0) / (x**2).sum(axis=0))
 
 
-def bound(
-    problem: Problem, start: Start, truth: batch.Trajectory, levels: Mapping[str, float]
-) -> Array:
+def bound(problem: Problem, start: Start, truth: Trajectory, levels: Mapping[str, float]) -> Array:
     """Posterior Cramer-Rao bound (k, N, N) at each epoch, with the filter's own priors.
 
     The covariance of the Kalman filter linearised about the truth (Tichavsky, Muravchik
     and Nehorai, IEEE Trans. Signal Processing 46(5), 1998).
     """
-    return batch.forward(batch.linearise_about(problem, start, truth), levels).P
+    return batch.forward(linearise_about(problem, start, truth), levels).P

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from handcal._jit import njit
+from handcal.covariance import propagate, propagation_work, update_linear
 from handcal.kernel import (
     BASE,
     MAX_DIM,
@@ -33,9 +34,6 @@ from handcal.kernel import (
     fill_nav,
     interval,
     linearise,
-    propagate,
-    propagation_work,
-    scalar_update,
 )
 from handcal.model import Problem
 from handcal.observations import NAV
@@ -256,41 +254,6 @@ def update(
         x,
         (innovation[0][q], innovation[1][q], innovation[2][q : q + 1], innovation[3][q : q + 1]),
     )
-
-
-@njit
-def update_linear(
-    r: Array,
-    H: Array,
-    d: int,
-    R: Array,
-    P: Array,
-    x: Array,
-    out: tuple[Array, Array, Array, Array],
-) -> None:
-    """Joint update of x and P by d scalars r with rows H and variances R.
-
-    out: the innovation (d,), the square root of the diagonal of S (d,), the NIS (1,) and
-    the log of the predictive density (1,).
-    """
-    residual, sigma, nis, loglik = out
-    n = P.shape[0]
-    ph, gain = np.empty(n), np.empty(n)
-    for j in range(d):
-        S = R[j]
-        residual[j] = r[j]
-        for a in range(n):
-            if H[j, a] != 0.0:
-                residual[j] -= H[j, a] * x[a]
-                for b in range(n):
-                    S += H[j, a] * P[a, b] * H[j, b]
-        sigma[j] = math.sqrt(S)
-    nis[0] = 0.0
-    loglik[0] = 0.0
-    for j in range(d):
-        nu, S = scalar_update(P, x, H[j], r[j], R[j], ph, gain)
-        nis[0] += nu * nu / S
-        loglik[0] -= 0.5 * (nu * nu / S + math.log(2.0 * math.pi * S))
 
 
 @njit

@@ -8,9 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from handcal.batch import Linear, backward, reduce, reduced_pass
+from handcal.evidence import backward, reduce, reduced_pass
 from handcal.filter import full_prior
 from handcal.kernel import MAX_DIM
+from handcal.linear import Linear
 from handcal.model import Problem, markov_transitions, observation_variances
 from handcal.types import Array, Recording
 

@@ -1,0 +1,202 @@
+"""The evidence of a linearised problem, and its slope by every variance there is.
+
+Biases and constants never move, so the filter runs over the moving states alone, for all
+values of the constants at once: that is several times faster than the whole filter.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from handcal.filter import full_prior
+from handcal.kernel import MAX_DIM
+from handcal.linear import Linear, driven
+from handcal.model import observation_variances
+from handcal.reduced_kernel import Reduced, reduced_backward, reduced_forward
+from handcal.types import Array, IntArray
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """What the reduced filter needs of a linearised problem, whatever the noise levels.
+
+    Biases and constants never move, so the filter runs over the m = 9 + e moving states
+    alone, once for all values w (nc,) of the constants' errors in units of their prior
+    sigma ``scale``; w0 is their prior mean. X0 (m, 1 + nc), P15 (15, 15): the prior;
+    slot (s,): kind and channel of each scalar, numbered through.
+    """
+
+    linear: Linear
+    scale: Array
+    w0: Array
+    X0: Array
+    P15: Array
+    D: Array
+    first: IntArray
+    g: Array
+    h: Array
+    at: IntArray
+    count: IntArray
+    slot: IntArray
+
+    @property
+    def moving(self) -> IntArray:
+        """Indices (m,) of the moving states in the full state."""
+        n = self.linear.problem.size
+        return np.asarray(np.r_[0:9, n - self.linear.problem.markov_size : n])
+
+
+def reduce(linear: Linear) -> Reduction:
+    """Split a linearised problem into what moves and what is constant."""
+    problem, nominal = linear.problem, linear.trajectory
+    n, c, e = problem.size, problem.constants, problem.markov_size
+    mean15, P15 = linear.start.prior(
+        nominal.p[0], nominal.v[0], nominal.C[0], nominal.bg, nominal.ba
+    )
+    scale = np.sqrt(np.r_[np.diag(P15)[9:], [s.prior_sigma**2 for s in problem.slots]])
+    w0 = np.r_[mean15[9:], -nominal.constants] / scale
+    by_bias = P15[:9, 9:] / np.diag(P15)[9:]
+    X0 = np.zeros((9 + e, 1 + 6 + c))
+    X0[:9, 0] = mean15[:9] - by_bias @ mean15[9:]
+    X0[:9, 1:7] = by_bias * scale[:6]
+    X0[9:, 0] = -nominal.markov[0]
+    width = linear.Phi.shape[2]
+    D = np.zeros((len(linear.t), 9, 1 + 6 + c))
+    D[:, :, 0] = linear.d
+    D[:, :, 1 : width - 8] = linear.Phi[:, :, 9:] * scale[: width - 9]
+    dim = problem.tables.dim[linear.kind] * linear.used
+    row, channel = np.nonzero(np.arange(MAX_DIM) < dim[:, None])
+    H = linear.H[row, channel]
+    h = np.ascontiguousarray(H[:, np.r_[0:9, n - e : n]])
+    return Reduction(
+        linear,
+        scale,
+        w0,
+        X0,
+        P15,
+        D,
+        np.searchsorted(row, linear.first).astype(np.int64),
+        np.hstack([linear.r[row, channel][:, None], -H[:, 9 : n - e] * scale]),
+        h,
+        np.argsort(h == 0.0, axis=1, kind="stable"),
+        (h != 0.0).sum(axis=1),
+        linear.kind[row] * MAX_DIM + channel,
+    )
+
+
+@dataclass(frozen=True)
+class ReducedPass:
+    """The reduced filter at certain noise levels, and the constants given everything.
+
+    X (k, m, 1 + nc), P (k, m, m) after each epoch; gain (s, m), nu (s, 1 + nc), S (s,) of
+    each scalar; w (nc,) and spread (nc, nc): posterior mean and a square root of the
+    posterior covariance of the constants, in units of their priors.
+    """
+
+    reduction: Reduction
+    arrays: Reduced
+    X: Array
+    P: Array
+    gain: Array
+    nu: Array
+    S: Array
+    w: Array
+    spread: Array
+    log_evidence: float
+
+
+def reduced_pass(
+    reduction: Reduction, levels: Mapping[str, float], keep: bool = False
+) -> ReducedPass:
+    """Evidence at these noise levels, as that of ``forward`` but several times faster.
+
+    Source: the augmented filter of de Jong, The diffuse Kalman filter, Annals of
+    Statistics 19 (1991), with proper priors.
+    """
+    linear = reduction.linear
+    problem, k, s = linear.problem, len(linear.t), len(reduction.h)
+    m, columns = reduction.X0.shape
+    arrays = _reduced_arrays(reduction, levels)
+    rows = k if keep else 1
+    X, P = np.empty((rows, m, columns)), np.empty((rows, m, m))
+    gain, nu, S = np.empty((s, m)), np.empty((s, columns)), np.empty(s)
+    moving = reduction.moving
+    P0 = full_prior(problem, reduction.P15, dict(levels))[np.ix_(moving, moving)]
+    by_bias = reduction.X0[:9, 1:7]
+    P0[:9, :9] -= by_bias @ by_bias.T
+    gram = np.zeros((columns, columns))
+    reduced_forward(arrays, P0, reduction.X0.copy(), (X, P), (gain, nu, S), gram)
+    w0, b = reduction.w0, reduction.w0 - gram[1:, 0]
+    information = np.tril(gram[1:, 1:]) + np.tril(gram[1:, 1:], -1).T + np.eye(columns - 1)
+    root = np.linalg.cholesky(information)
+    spread = np.linalg.inv(root).T
+    w = spread @ (spread.T @ b)
+    white = float(np.log(2.0 * math.pi * S).sum()) + float(gram[0, 0])
+    value = -0.5 * (white + float(w0 @ w0 - b @ w)) - float(np.log(np.diag(root)).sum())
+    return ReducedPass(reduction, arrays, X, P, gain, nu, S, w, spread, value)
+
+
+def _reduced_arrays(reduction: Reduction, levels: Mapping[str, float]) -> Reduced:
+    linear = reduction.linear
+    noise = driven(linear, levels)
+    return Reduced(
+        linear.Phi,
+        reduction.D,
+        noise.Q,
+        noise.Phi_e,
+        noise.Q_e,
+        noise.d_e,
+        noise.Phi_psi,
+        reduction.first,
+        reduction.g,
+        reduction.h,
+        reduction.at,
+        reduction.count,
+        observation_variances(linear.problem, levels).ravel()[reduction.slot],
+    )
+
+
+@dataclass(frozen=True)
+class Slopes:
+    """Derivatives of the log-evidence: by R (s,) of each scalar, by the two densities
+    squared (2,), by Q_e (k, e, e), and by the prior of the moving states (m, m)."""
+
+    R: Array
+    densities: Array
+    Q_e: Array
+    prior: Array
+
+
+def backward(
+    done: ReducedPass, score: bool, r_kept: Array, N_kept: Array, spread: bool = True
+) -> Slopes:
+    """Adjoint of ``reduced_pass``; r_kept (k, m, columns), N_kept (k, m, m) may be empty.
+
+    score: with the derivatives; spread: r has columns for the uncertainty of the constants,
+    besides the one for their mean.
+    """
+    linear, (s, m) = done.reduction.linear, done.gain.shape
+    e = m - 9
+    columns = 1 + len(done.w) if spread else 1
+    given = np.zeros((1 + len(done.w), columns))
+    given[0, 0] = 1.0
+    given[1:, 0] = done.w
+    given[1:, 1:] = done.spread[:, : columns - 1]
+    slopes = Slopes(np.zeros(s), np.zeros(2), np.zeros((len(linear.t), e, e)), np.zeros((m, m)))
+    reduced_backward(
+        done.arrays,
+        done.gain,
+        done.nu,
+        done.S,
+        given,
+        (linear.Q_gyro, linear.Q_accel),
+        np.zeros((m, columns)),
+        np.zeros((m, m) if score else (0, 0)),
+        (r_kept, N_kept),
+        (slopes.R, slopes.densities, slopes.Q_e, slopes.prior),
+    )
+    return slopes

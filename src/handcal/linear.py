@@ -1,0 +1,255 @@
+"""A problem linearised about a fixed trajectory: everything but the noise levels, and those.
+
+Between two observation epochs the readings are integrated once into one transition
+(preintegration), so a pass costs as many steps as there are epochs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from handcal._jit import njit
+from handcal.filter import Track
+from handcal.kernel import BASE, MAX_DIM, Nodes, Tables, corrected, fill_nav, linearise
+from handcal.model import Problem, markov_transitions, relinearised
+from handcal.observations import NAV
+from handcal.preintegration import preintegrate
+from handcal.start import Start
+from handcal.types import Array, BoolArray, IntArray
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Nominal states at k epochs: node (k,), p, v (k, 3), C (k, 3, 3), Markov states (k, e);
+    biases and constants."""
+
+    node: IntArray
+    p: Array
+    v: Array
+    C: Array
+    bg: Array
+    ba: Array
+    constants: Array
+    markov: Array
+
+
+@dataclass(frozen=True)
+class Linear:
+    """A problem linearised about a trajectory; everything but the noise levels.
+
+    Phi (k, 9, 15 + mi) from the epoch before, d (k, 9) predicted minus nominal, Q_gyro,
+    Q_accel, Q_extra (k, 9, 9) per unit density; t, rate (k,); first (k + 1,) rows of each
+    epoch; kind (q,), r (q, MAX_DIM), H (q, MAX_DIM, N), used (q,).
+    """
+
+    problem: Problem
+    trajectory: Trajectory
+    start: Start
+    Phi: Array
+    d: Array
+    Q_gyro: Array
+    Q_accel: Array
+    Q_extra: Array
+    t: Array
+    rate: Array
+    first: IntArray
+    kind: IntArray
+    r: Array
+    H: Array
+    used: BoolArray
+
+
+@dataclass(frozen=True)
+class Driven:
+    """What the noise levels make of a linearised problem: Q (k, 9, 9) of the navigation
+    errors; Phi_e, Q_e (k, e, e), d_e (k, e), Phi_psi (k, e, 3) of the Markov states."""
+
+    Q: Array
+    Phi_e: Array
+    Q_e: Array
+    d_e: Array
+    Phi_psi: Array
+
+
+def epochs(problem: Problem) -> IntArray:
+    """Nodes at which something is observed, with the first and the last node."""
+    seen = np.flatnonzero(np.diff(problem.nodes.first))
+    return np.unique(np.r_[0, seen, len(problem.nodes.t) - 1])
+
+
+def trajectory_of(
+    problem: Problem, track: Track, bg: Array, ba: Array, extras: Array
+) -> Trajectory:
+    """Nominal trajectory from what the online filter recorded at the epochs."""
+    return Trajectory(
+        track.node,
+        track.p.copy(),
+        track.v.copy(),
+        track.C.copy(),
+        bg.copy(),
+        ba.copy(),
+        extras[: problem.constants].copy(),
+        track.extras[:, problem.constants :].copy(),
+    )
+
+
+def linearise_about(problem: Problem, start: Start, nominal: Trajectory) -> Linear:
+    """Integrate between the epochs and linearise everything about the nominal trajectory."""
+    problem = relinearised(problem, nominal.constants, nominal.bg, nominal.ba)
+    Phi, d, Q = _transitions(problem, nominal)
+    if problem.imu_constants:
+        # What an effect does depends on the true rate and force: take off the noise that
+        # this trajectory implies, or each sample's noise would pose as motion that excites it.
+        noise = _implied_noise(problem, nominal, d)
+        problem = relinearised(problem, nominal.constants, nominal.bg, nominal.ba, noise)
+        Phi, d, Q = _transitions(problem, nominal)
+    nodes = problem.nodes
+    q = len(nodes.kind)
+    r, H = np.zeros((q, MAX_DIM)), np.zeros((q, MAX_DIM, problem.size))
+    used = np.zeros(q, dtype=np.bool_)
+    _linearise_rows(
+        nodes,
+        problem.tables,
+        nominal.node,
+        (nominal.p, nominal.v, nominal.C, nominal.markov),
+        (nominal.bg, nominal.ba, nominal.constants, problem.ref),
+        (r, H, used),
+    )
+    for kind, observation in enumerate(problem.observations):
+        if observation.isotropic:
+            rows = (nodes.kind == kind) & ~nodes.z.any(axis=1)
+            H[rows, :3, 6:9] -= _skews(r[rows, :3])
+    node = nominal.node
+    first = np.r_[nodes.first[node], nodes.first[-1]]
+    return Linear(
+        problem,
+        nominal,
+        start,
+        Phi,
+        d,
+        Q[0],
+        Q[1],
+        Q[2],
+        nodes.t[node],
+        problem.rate[node],
+        first,
+        nodes.kind,
+        r,
+        H,
+        used,
+    )
+
+
+def _transitions(problem: Problem, nominal: Trajectory) -> tuple[Array, Array, Array]:
+    """Phi (k, 9, 15 + mi), d (k, 9) and the three Q (3, k, 9, 9) between the epochs."""
+    k = len(nominal.node)
+    Phi, d = np.zeros((k, 9, BASE + problem.imu_constants)), np.zeros((k, 9))
+    Q = np.zeros((3, k, 9, 9))
+    extras = np.r_[nominal.constants, np.zeros(problem.markov_size)]
+    preintegrate(
+        problem.nodes,
+        nominal.node,
+        (nominal.p, nominal.v, nominal.C),
+        (nominal.bg, nominal.ba, extras, problem.ref),
+        problem.g_n,
+        problem.omega_ie_n,
+        (Phi, d, Q[0], Q[1], Q[2]),
+    )
+    _turn_noise(Phi, d)
+    return Phi, d, Q
+
+
+def _turn_noise(Phi: Array, d: Array) -> None:
+    """Let an attitude error turn the noise that the trajectory implies, in Phi.
+
+    Sensor noise lives in the body: what the measured rate and force differ from those of
+    the nominal trajectory turns with the attitude and is no information about it. Taking
+    it for a signal makes a heading observable that is not (in a z turn without a heading,
+    sigma of the vertical gyro bias falls to a tenth).
+    """
+    turned = 0.5 * Phi[1:, 6:9]
+    turned[:, :, 6:9] += 0.5 * np.eye(3)
+    for i in (0, 3, 6):
+        Phi[1:, i : i + 3] += _skews(d[1:, i : i + 3]) @ turned
+
+
+def _skews(x: Array) -> Array:
+    """Matrices [x cross] (k, 3, 3) of vectors (k, 3)."""
+    out = np.zeros((len(x), 3, 3))
+    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -x[:, 2], x[:, 1], -x[:, 0]
+    return out - out.transpose(0, 2, 1)
+
+
+def _implied_noise(problem: Problem, nominal: Trajectory, d: Array) -> Array:
+    """Mean noise of gyro and accelerometer (n, 6) at the IMU's samples, interval by interval."""
+    t = problem.nodes.t[nominal.node]
+    dt = np.maximum(np.diff(t), 1e-6)[:, None]
+    C_bn = nominal.C[1:].transpose(0, 2, 1)
+    gyro = np.einsum("kij,kj->ki", C_bn, d[1:, 6:9]) / dt
+    accel = np.einsum("kij,kj->ki", C_bn, d[1:, 3:6]) / dt
+    at = np.clip(np.searchsorted(t, problem.recording.imu.t, side="right") - 1, 0, len(t) - 2)
+    return np.hstack([gyro, accel])[at]
+
+
+@njit
+def _linearise_rows(
+    nodes: Nodes,
+    tables: Tables,
+    epoch: IntArray,
+    nominal: tuple[Array, Array, Array, Array],
+    constants: tuple[Array, Array, Array, Array],
+    out: tuple[Array, Array, BoolArray],
+) -> None:
+    bg, ba, constant, ref = constants
+    extras = np.concatenate((constant, nominal[3][0]))
+    nav, w, f = np.empty(NAV), np.empty(3), np.empty(3)
+    for j in range(len(epoch)):
+        i = epoch[j]
+        extras[len(constant) :] = nominal[3][j]
+        corrected(nodes.gyro[i], nodes.J[i], 0, bg, extras, ref, w)
+        corrected(nodes.accel[i], nodes.J[i], 3, ba, extras, ref, f)
+        fill_nav(nominal[0][j], nominal[1][j], nominal[2][j], w, f, nav)
+        for q in range(nodes.first[i], nodes.first[i + 1]):
+            out[2][q] = (
+                linearise(
+                    nodes.kind[q], tables, nav, extras, nodes.z[q], nodes.J[i], out[0][q], out[1][q]
+                )
+                == 0
+            )
+
+
+def driven(linear: Linear, levels: Mapping[str, float]) -> Driven:
+    """The intervals' noise at these levels."""
+    problem = linear.problem
+    Phi_e, Q_e = markov_transitions(problem, levels, linear.t, linear.rate)
+    d_e, Phi_psi = _markov_steps(problem, linear.trajectory.markov[: len(linear.t)], Phi_e)
+    Q = (
+        levels["gyro_noise"] ** 2 * linear.Q_gyro
+        + levels["accel_noise"] ** 2 * linear.Q_accel
+        + linear.Q_extra
+    )
+    return Driven(Q, Phi_e, Q_e, d_e, Phi_psi)
+
+
+def _markov_steps(problem: Problem, markov: Array, Phi_e: Array) -> tuple[Array, Array]:
+    """Steps d_e (k, e) predicted minus nominal of the Markov states, and Phi_psi (k, e, 3).
+
+    The noise that drives a vector such as the hand's sway has no preferred direction, so
+    an error of attitude turns what the trajectory says of it: with it, a heading that
+    nothing observes stays unobserved. (Without, the noise's own directions would seem to
+    be known, and the heading with them.)
+    """
+    d_e = np.zeros_like(markov)
+    d_e[1:] = np.einsum("kij,kj->ki", Phi_e[1:], markov[:-1]) - markov[1:]
+    Phi_psi = np.zeros((*markov.shape, 3))
+    at = 0
+    for kind in problem.markov_kinds:
+        kept = problem.observations[kind].markov
+        assert kept is not None
+        for i in range(at, at + 3 * kept.vectors, 3):
+            Phi_psi[:, i : i + 3] = _skews(d_e[:, i : i + 3])
+        at += kept.size
+    return d_e, Phi_psi

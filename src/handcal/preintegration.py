@@ -1,0 +1,77 @@
+"""Compiled: the readings between two epochs, integrated once into one transition."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from handcal._jit import njit
+from handcal.covariance import propagate, propagation_work, times_transition
+from handcal.kernel import BASE, Nodes, interval
+from handcal.types import Array, IntArray
+
+
+@njit
+def preintegrate(
+    nodes: Nodes,
+    epoch: IntArray,
+    nominal: tuple[Array, Array, Array],
+    constants: tuple[Array, Array, Array, Array],
+    g_n: Array,
+    omega_ie_n: Array,
+    out: tuple[Array, Array, Array, Array, Array],
+) -> None:
+    bg, ba, extras, ref = constants
+    Phi_out, d_out, Qg_out, Qa_out, Q0_out = out
+    mi = nodes.J.shape[2]
+    width = BASE + mi
+    Phi, J = np.empty((9, width)), np.empty((6, 6 + mi))
+    none = np.empty((0, 0))
+    total, new = np.zeros((width, width)), np.zeros((9, width))
+    work = propagation_work(9, 0)
+    Q = np.zeros((3, 9, 9))
+    C = np.empty((3, 3))
+    D = np.empty((3, 3))
+    for j in range(1, len(epoch)):
+        p, v = nominal[0][j - 1].copy(), nominal[1][j - 1].copy()
+        C[:, :] = nominal[2][j - 1]
+        total[:, :] = 0.0
+        for a in range(width):
+            total[a, a] = 1.0
+        Q[:, :, :] = 0.0
+        for i in range(epoch[j - 1] + 1, epoch[j] + 1):
+            interval(nodes, i, bg, ba, extras, ref, g_n, omega_ie_n, p, v, C, Phi, J)
+            times_transition(Phi, none, none, width, total, new)
+            total[:9] = new
+            dt = nodes.t[i] - nodes.t[i - 1]
+            for s in range(3):
+                if s < 2 or Q[s, 3, 3] != 0.0 or Q[s, 6, 6] != 0.0:
+                    propagate(Q[s], Phi, none, none, 9, work)
+            for a in range(3):
+                Q[0, 6 + a, 6 + a] += dt
+                Q[1, 3 + a, 3 + a] += dt
+                Q[2, 6 + a, 6 + a] += nodes.extra[i, 0]
+                Q[2, 3 + a, 3 + a] += nodes.extra[i, 1]
+        Phi_out[j] = total[:9]
+        Qg_out[j], Qa_out[j], Q0_out[j] = Q[0], Q[1], Q[2]
+        for a in range(3):
+            d_out[j, a] = p[a] - nominal[0][j, a]
+            d_out[j, 3 + a] = v[a] - nominal[1][j, a]
+            for b in range(3):
+                D[a, b] = 0.0
+                for c in range(3):
+                    D[a, b] += C[a, c] * nominal[2][j, b, c]
+        _small_log(D, d_out[j, 6:9])
+
+
+@njit
+def _small_log(D: Array, out: Array) -> None:
+    """Rotation vector of a matrix not near half a turn."""
+    x = 0.5 * (D[2, 1] - D[1, 2])
+    y = 0.5 * (D[0, 2] - D[2, 0])
+    z = 0.5 * (D[1, 0] - D[0, 1])
+    s = math.sqrt(x * x + y * y + z * z)
+    angle = math.atan2(s, 0.5 * (D[0, 0] + D[1, 1] + D[2, 2] - 1.0))
+    k = 1.0 if s < 1e-9 else angle / s
+    out[0], out[1], out[2] = k * x, k * y, k * z
