@@ -11,7 +11,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic, typeof_impl
 
-from handcal.types import IntArray
+from handcal.types import Array, IntArray
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -24,6 +24,36 @@ def njit(function: F) -> F:
     # nothing calls these by address, so numba need not make a C entry for each of them
     options: dict[str, Any] = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
     return cast(F, numba.njit(**options)(function))
+
+
+@njit
+def copy1(x: Array, out: Array) -> None:
+    """out[:] = x without numba's broadcasting, which takes long to compile."""
+    for i in range(len(x)):
+        out[i] = x[i]
+
+
+@njit
+def copy2(x: Array, out: Array) -> None:
+    """out[:, :] = x (see ``copy1``)."""
+    for i in range(x.shape[0]):
+        for j in range(x.shape[1]):
+            out[i, j] = x[i, j]
+
+
+@njit
+def zero1(out: Array) -> None:
+    """out[:] = 0 (see ``copy1``)."""
+    for i in range(len(out)):
+        out[i] = 0.0
+
+
+@njit
+def zero2(out: Array) -> None:
+    """out[:, :] = 0 (see ``copy1``)."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[i, j] = 0.0
 
 
 class _Address:

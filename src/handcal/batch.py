@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from handcal._jit import njit
+from handcal._jit import copy1, copy2, njit
 from handcal.covariance import propagate, propagation_work, times_transition, update_linear
 from handcal.evidence import ReducedPass, backward, reduce, reduced_pass
 from handcal.filter import full_prior
@@ -108,7 +108,8 @@ def _forward(
     column, moved = np.empty((n, 1)), np.empty((n, 1))
     for j in range(Phi.shape[0]):
         if j > 0:
-            column[:, 0] = x
+            for a in range(n):
+                column[a, 0] = x[a]
             times_transition(Phi[j], Phi_e[j], Phi_psi[j], e0, column, moved)
             propagate(P, Phi[j], Phi_e[j], Phi_psi[j], e0, work)
             for a in range(9):
@@ -120,7 +121,8 @@ def _forward(
                 for b in range(e):
                     P[e0 + a, e0 + b] += Q_e[j, a, b]
         if keep:
-            store[2][j], store[3][j] = x, P
+            copy1(x, store[2][j])
+            copy2(P, store[3][j])
         for q in range(first[j], first[j + 1]):
             if used[q]:
                 update_linear(
@@ -133,7 +135,8 @@ def _forward(
                     (out[0][q], out[1][q], out[2][q : q + 1], out[3][q : q + 1]),
                 )
         at = j if keep else 0
-        store[0][at], store[1][at] = x, P
+        copy1(x, store[0][at])
+        copy2(P, store[1][at])
 
 
 def smoothed_mean(linear: Linear, levels: Mapping[str, float]) -> tuple[Array, float]:

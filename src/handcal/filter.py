@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handcal._jit import njit
+from handcal._jit import copy1, copy2, njit, zero1
 from handcal.covariance import propagate, propagation_work, update_linear
 from handcal.kernel import (
     BASE,
@@ -194,8 +194,12 @@ def _run(
             update(q, nodes, tables, noise, nav, extras, nodes.J[i], P, x, innovation)
             inject(x, p, v, C, bg, ba, extras)
         if at < len(record[0]) and record[0][at] == i:
-            record[1][at], record[2][at], record[3][at] = p, v, C
-            record[4][at], record[5][at], record[6][at] = bg, ba, extras
+            copy1(p, record[1][at])
+            copy1(v, record[2][at])
+            copy2(C, record[3][at])
+            copy1(bg, record[4][at])
+            copy1(ba, record[5][at])
+            copy1(extras, record[6][at])
             for k in range(n):
                 record[7][at, k] = P[k, k]
             at += 1
@@ -209,7 +213,8 @@ def move_markov(Phi_e: Array, c: int, extras: Array) -> None:
     for i in range(e):
         for j in range(e):
             new[i] += Phi_e[i, j] * extras[c + j]
-    extras[c:] = new
+    for i in range(e):
+        extras[c + i] = new[i]
 
 
 @njit
@@ -267,10 +272,10 @@ def inject(x: Array, p: Array, v: Array, C: Array, bg: Array, ba: Array, extras:
         ba[i] += x[12 + i]
     exp(x[6:9], turn)
     matmul(turn, C, new)
-    C[:, :] = new
+    copy2(new, C)
     for i in range(len(extras)):
         extras[i] += x[BASE + i]
-    x[:] = 0.0
+    zero1(x)
 
 
 def run_filterpy(

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handcal._jit import call_residual, njit
+from handcal._jit import call_residual, copy1, njit, zero1, zero2
 from handcal.observations import NAV
 from handcal.so3 import exp, matmul
 from handcal.strapdown import advance, error_transition, increments
@@ -128,7 +128,7 @@ def interval(
     exp(half, turn)
     matmul(C, turn, C_mid)
     advance(p, v, C, inc, dt, g_n, omega_ie_n, f_n)
-    J[:, :6] = 0.0
+    zero2(J)
     for k in range(6):
         J[k, k] = 1.0
         for c in range(nodes.J.shape[2]):
@@ -155,7 +155,7 @@ def linearise(
     """
     d = tables.dim[kind]
     mi = J.shape[1]
-    H[:, :] = 0.0
+    zero2(H)
     status = _total(kind, tables, nav, extras, z, 0, r)
     if status != 0:
         return 1
@@ -197,7 +197,7 @@ def _total(
     kind: int, tables: Tables, nav: Array, extras: Array, z: Array, only: int, r: Array
 ) -> int:
     """Residual of all functions of a kind (from number ``only`` on); 1 if it is to be skipped."""
-    r[:] = 0.0
+    zero1(r)
     status = 0
     for k in range(only, tables.function.shape[1]):
         address = tables.function[kind, k]
@@ -211,7 +211,7 @@ def _total(
 @njit
 def _perturb_nav(nav: Array, i: int, step: float, out: Array) -> None:
     """Copy nav with error component i (position, velocity, psi, rate, force) moved by step."""
-    out[:] = nav
+    copy1(nav, out)
     if i < 6:
         out[i] += step
     elif i < 9:

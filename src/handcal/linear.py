@@ -208,7 +208,8 @@ def _linearise_rows(
     nav, w, f = np.empty(NAV), np.empty(3), np.empty(3)
     for j in range(len(epoch)):
         i = epoch[j]
-        extras[len(constant) :] = nominal[3][j]
+        for a in range(nominal[3].shape[1]):
+            extras[len(constant) + a] = nominal[3][j, a]
         corrected(nodes.gyro[i], nodes.J[i], 0, bg, extras, ref, w)
         corrected(nodes.accel[i], nodes.J[i], 3, ba, extras, ref, f)
         fill_nav(nominal[0][j], nominal[1][j], nominal[2][j], w, f, nav)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from handcal._jit import njit
+from handcal._jit import copy1, copy2, njit, zero2
 from handcal.covariance import propagate, propagation_work, times_transition
 from handcal.kernel import BASE, Nodes, interval
 from handcal.types import Array, IntArray
@@ -22,6 +22,7 @@ def preintegrate(
     omega_ie_n: Array,
     out: tuple[Array, Array, Array, Array, Array],
 ) -> None:
+    """Phi, d and the three Q of every epoch but the first, into ``out`` (see ``Linear``)."""
     bg, ba, extras, ref = constants
     Phi_out, d_out, Qg_out, Qa_out, Q0_out = out
     mi = nodes.J.shape[2]
@@ -31,43 +32,57 @@ def preintegrate(
     total, new = np.zeros((width, width)), np.zeros((9, width))
     work = propagation_work(9, 0)
     Q = np.zeros((3, 9, 9))
-    C = np.empty((3, 3))
-    D = np.empty((3, 3))
+    p, v, C = np.empty(3), np.empty(3), np.empty((3, 3))
     for j in range(1, len(epoch)):
-        p, v = nominal[0][j - 1].copy(), nominal[1][j - 1].copy()
-        C[:, :] = nominal[2][j - 1]
-        total[:, :] = 0.0
+        copy1(nominal[0][j - 1], p)
+        copy1(nominal[1][j - 1], v)
+        copy2(nominal[2][j - 1], C)
+        zero2(total)
         for a in range(width):
             total[a, a] = 1.0
-        Q[:, :, :] = 0.0
+        for s in range(3):
+            zero2(Q[s])
         for i in range(epoch[j - 1] + 1, epoch[j] + 1):
             interval(nodes, i, bg, ba, extras, ref, g_n, omega_ie_n, p, v, C, Phi, J)
             times_transition(Phi, none, none, width, total, new)
-            total[:9] = new
-            dt = nodes.t[i] - nodes.t[i - 1]
-            for s in range(3):
-                if s < 2 or Q[s, 3, 3] != 0.0 or Q[s, 6, 6] != 0.0:
-                    propagate(Q[s], Phi, none, none, 9, work)
-            for a in range(3):
-                Q[0, 6 + a, 6 + a] += dt
-                Q[1, 3 + a, 3 + a] += dt
-                Q[2, 6 + a, 6 + a] += nodes.extra[i, 0]
-                Q[2, 3 + a, 3 + a] += nodes.extra[i, 1]
-        Phi_out[j] = total[:9]
-        Qg_out[j], Qa_out[j], Q0_out[j] = Q[0], Q[1], Q[2]
+            for a in range(9):
+                copy1(new[a], total[a])
+            _add_noise(Q, Phi, none, nodes.t[i] - nodes.t[i - 1], nodes.extra[i], work)
+        for a in range(9):
+            copy1(total[a], Phi_out[j, a])
+        copy2(Q[0], Qg_out[j])
+        copy2(Q[1], Qa_out[j])
+        copy2(Q[2], Q0_out[j])
         for a in range(3):
             d_out[j, a] = p[a] - nominal[0][j, a]
             d_out[j, 3 + a] = v[a] - nominal[1][j, a]
-            for b in range(3):
-                D[a, b] = 0.0
-                for c in range(3):
-                    D[a, b] += C[a, c] * nominal[2][j, b, c]
-        _small_log(D, d_out[j, 6:9])
+        _angle_between(C, nominal[2][j], d_out[j, 6:9])
 
 
 @njit
-def _small_log(D: Array, out: Array) -> None:
-    """Rotation vector of a matrix not near half a turn."""
+def _add_noise(
+    Q: Array, Phi: Array, none: Array, dt: float, extra: Array, work: tuple[Array, Array, Array]
+) -> None:
+    """Carry the three Q (3, 9, 9), of gyro, accelerometer and gaps, over one interval."""
+    for s in range(3):
+        if s < 2 or Q[s, 3, 3] != 0.0 or Q[s, 6, 6] != 0.0:
+            propagate(Q[s], Phi, none, none, 9, work)
+    for a in range(3):
+        Q[0, 6 + a, 6 + a] += dt
+        Q[1, 3 + a, 3 + a] += dt
+        Q[2, 6 + a, 6 + a] += extra[0]
+        Q[2, 3 + a, 3 + a] += extra[1]
+
+
+@njit
+def _angle_between(A: Array, B: Array, out: Array) -> None:
+    """Rotation vector of A B', which must not be near half a turn."""
+    D = np.empty((3, 3))
+    for a in range(3):
+        for b in range(3):
+            D[a, b] = 0.0
+            for c in range(3):
+                D[a, b] += A[a, c] * B[b, c]
     x = 0.5 * (D[2, 1] - D[1, 2])
     y = 0.5 * (D[0, 2] - D[2, 0])
     z = 0.5 * (D[1, 0] - D[0, 1])

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handcal._jit import njit
+from handcal._jit import copy1, copy2, njit, zero1, zero2
 from handcal.covariance import propagate, propagation_work, times_transition
 from handcal.types import Array, IntArray
 
@@ -54,8 +54,8 @@ def reduced_update(
     gain (m,) and the innovation nu (1 + nc,) are written; returns the innovation's variance.
     """
     m, columns = X.shape
-    nu[:] = g
-    ph[:] = 0.0
+    copy1(g, nu)
+    zero1(ph)
     for a in at:
         for c in range(columns):
             nu[c] -= h[a] * X[a, c]
@@ -138,8 +138,8 @@ def reduced_forward(
                 for c in range(i + 1):
                     gram[i, c] += s * scalars[1][q, c]
         if keep or j == len(a.first) - 2:
-            states[0][j if keep else 0] = X
-            states[1][j if keep else 0] = P
+            copy2(X, states[0][j if keep else 0])
+            copy2(P, states[1][j if keep else 0])
 
 
 @njit
@@ -147,7 +147,7 @@ def times_transposed(Phi: Array, Phi_e: Array, Phi_psi: Array, X: Array, out: Ar
     """out = F' X for the moving states (m, n)."""
     n = X.shape[1]
     e = Phi_e.shape[0]
-    out[:, :] = 0.0
+    zero2(out)
     for i in range(9):
         for k in range(9):
             a = Phi[i, k]
@@ -186,7 +186,7 @@ def adjoint_update(
     R. error (columns,) is work space.
     """
     m, columns = r.shape
-    error[:] = 0.0
+    zero1(error)
     for i in range(len(nu)):
         weight = nu[i] / S
         for c in range(columns):
@@ -250,9 +250,9 @@ def reduced_backward(
     score = len(N) > 0
     for j in range(len(a.first) - 2, -1, -1):
         if len(states[0]) > 0:
-            states[0][j] = r
+            copy2(r, states[0][j])
         if len(states[1]) > 0:
-            states[1][j] = N
+            copy2(N, states[1][j])
         for q in range(a.first[j + 1] - 1, a.first[j] - 1, -1):
             at = a.at[q, : a.nonzero[q]]
             slopes[0][q] = adjoint_update(r, N, a.h[q], at, gain[q], nu[q], S[q], given, error)
@@ -267,7 +267,7 @@ def reduced_backward(
                     slopes[2][j, i, k] = slopes[3][9 + i, 9 + k]
         if j > 0:
             times_transposed(a.A[j], a.Phi_e[j], a.Phi_psi[j], r, new)
-            r[:, :] = new
+            copy2(new, r)
             if score:
                 times_transposed(a.A[j], a.Phi_e[j], a.Phi_psi[j], N, work)
                 for i in range(m):

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from handcal._jit import njit
+from handcal._jit import copy2, njit, zero2
 from handcal.so3 import exp, matmul, orthonormalise, rotate
 from handcal.types import Array
 
@@ -66,13 +66,10 @@ def advance(
     rotate(C, inc[1], dv)
     rotate(C, inc[2], dp)
     ox, oy, oz = omega_ie_n[0], omega_ie_n[1], omega_ie_n[2]
-    coriolis = np.array(
-        (
-            -2.0 * (oy * v[2] - oz * v[1]),
-            -2.0 * (oz * v[0] - ox * v[2]),
-            -2.0 * (ox * v[1] - oy * v[0]),
-        )
-    )
+    coriolis = np.empty(3)
+    coriolis[0] = -2.0 * (oy * v[2] - oz * v[1])
+    coriolis[1] = -2.0 * (oz * v[0] - ox * v[2])
+    coriolis[2] = -2.0 * (ox * v[1] - oy * v[0])
     earth_turns = ox != 0.0 or oy != 0.0 or oz != 0.0
     if earth_turns:
         # n turns while the force acts: its moment about the start is dt dv - dp
@@ -93,10 +90,11 @@ def advance(
     exp(inc[0], turn)
     matmul(C, turn, new)
     if earth_turns:
-        exp(-dt * omega_ie_n, turn)
+        dv[0], dv[1], dv[2] = -dt * ox, -dt * oy, -dt * oz
+        exp(dv, turn)
         matmul(turn, new, C)
     else:
-        C[:, :] = new
+        copy2(new, C)
     orthonormalise(C)
 
 
@@ -112,7 +110,7 @@ def error_transition(
     integrated to second order in dt, plus Coriolis and Earth rate where given.
     """
     k = J.shape[1]
-    Phi[:, :] = 0.0
+    zero2(Phi)
     for i in range(9):
         Phi[i, i] = 1.0
     h = 0.5 * dt * dt
