@@ -36,6 +36,17 @@ def exp(phi: Array, out: Array) -> None:
 
 
 @njit
+def matrix_into(w: float, x: float, y: float, z: float, out: Array) -> None:
+    """Rotation matrix of a unit quaternion, into out (3, 3)."""
+    out[0, 0] = 1 - 2 * (y * y + z * z)
+    out[1, 1] = 1 - 2 * (x * x + z * z)
+    out[2, 2] = 1 - 2 * (x * x + y * y)
+    out[0, 1], out[1, 0] = 2 * (x * y - w * z), 2 * (x * y + w * z)
+    out[0, 2], out[2, 0] = 2 * (x * z + w * y), 2 * (x * z - w * y)
+    out[1, 2], out[2, 1] = 2 * (y * z - w * x), 2 * (y * z + w * x)
+
+
+@njit
 def matmul(A: Array, B: Array, out: Array) -> None:
     """out = A B for 3x3; out must be neither A nor B."""
     for i in range(3):

@@ -127,9 +127,11 @@ class Observation:
 
 @cache
 def catalogue() -> Mapping[str, Observation]:
-    """Every observation in this folder, by kind."""
+    """Every observation in this folder, by kind; files with an underscore serve several."""
     found: dict[str, Observation] = {}
     for info in pkgutil.iter_modules(__path__):
+        if info.name.startswith("_"):
+            continue
         observation: Observation = importlib.import_module(f"{__name__}.{info.name}").OBSERVATION
         found[observation.kind] = observation
     return found

@@ -17,12 +17,10 @@ import numpy as np
 
 from handcal._jit import residual_function
 from handcal.observations import Level, Observation, Rows, Scene
+from handcal.observations._turning import Turning
 from handcal.types import Array, Recording, Series
 
 MAX_RATE = 10.0
-FORGET_ANGLE = 1.0
-REST_RATE = 0.02
-FORGET_TIME = 1000.0
 
 
 def _residual(nav: Any, theta: Any, z: Any, r: Any) -> int:  # noqa: ARG001
@@ -76,25 +74,6 @@ def _variance(levels: Mapping[str, float]) -> Array:
     return np.array([levels["mag_heading_noise"] ** 2])
 
 
-class Disturbance:
-    """One state: the heading error of the bent field, rad."""
-
-    size = 1
-    vectors = 0
-
-    def transition(
-        self, levels: Mapping[str, float], dt: Array, rate: Array
-    ) -> tuple[Array, Array]:
-        """Forgets over the angle turned, or over many minutes at rest."""
-        phi = np.exp(-dt * (np.maximum(rate - REST_RATE, 0.0) / FORGET_ANGLE + 1.0 / FORGET_TIME))
-        q = levels["mag_disturbance"] ** 2 * (1.0 - phi**2)
-        return phi[:, None, None], q[:, None, None]
-
-    def start(self, levels: Mapping[str, float], rate: float) -> Array:  # noqa: ARG002
-        """Stationary variance."""
-        return np.array([[levels["mag_disturbance"] ** 2]])
-
-
 OBSERVATION = Observation(
     kind="magnetometer",
     title="magnetic heading",
@@ -109,6 +88,6 @@ OBSERVATION = Observation(
         Level("mag_disturbance", "rad", 0.03, 1e-3, 0.5, above=0.7),
     ),
     variance=_variance,
-    markov=Disturbance(),
+    markov=Turning("mag_disturbance"),
     markov_residual=residual_function(_bent),
 )

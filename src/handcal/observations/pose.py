@@ -17,14 +17,14 @@ import numpy as np
 from handcal import so3
 from handcal._jit import njit, residual_function
 from handcal.observations import Constant, Level, Observation, Rows, Scene
+from handcal.observations._turning import Turning
 from handcal.types import Array, InputError, Recording, Series
 
 MAX_RATE = 25.0
 
-
-FORGET_ANGLE = 1.0
-REST_RATE = 0.02
-FORGET_TIME = 1000.0
+# Marker sets are seen from other sides, and by other cameras, as the device turns:
+# position (3,) m, attitude (3,) rad.
+DISTORTION = ("pose_position_distortion",) * 3 + ("pose_attitude_distortion",) * 3
 
 
 @njit
@@ -50,15 +50,7 @@ def _residual(nav: Any, theta: Any, z: Any, r: Any) -> int:
     marker = _rotation(theta[3], theta[4], theta[5])
     C, measured = np.empty((3, 3)), np.empty((3, 3))
     predicted, D = np.empty((3, 3)), np.empty((3, 3))
-    w, x, y, k = z[3], z[4], z[5], z[6]
-    measured[0, 0], measured[1, 1], measured[2, 2] = (
-        1 - 2 * (y * y + k * k),
-        1 - 2 * (x * x + k * k),
-        1 - 2 * (x * x + y * y),
-    )
-    measured[0, 1], measured[1, 0] = 2 * (x * y - w * k), 2 * (x * y + w * k)
-    measured[0, 2], measured[2, 0] = 2 * (x * k + w * y), 2 * (x * k - w * y)
-    measured[1, 2], measured[2, 1] = 2 * (y * k - w * x), 2 * (y * k + w * x)
+    so3.matrix_into(z[3], z[4], z[5], z[6], measured)
     for i in range(3):
         for j in range(3):
             C[i, j] = nav[6 + 3 * i + j]
@@ -77,29 +69,6 @@ def _bent(nav: Any, bend: Any, z: Any, r: Any) -> int:  # noqa: ARG001
     for i in range(6):
         r[i] -= bend[i]
     return 0
-
-
-class Distortion:
-    """Errors of the tracker that stay while the device does: position (3,) m, attitude (3,) rad.
-
-    Marker sets are seen from other sides, and by other cameras, as the device turns.
-    """
-
-    size = 6
-    vectors = 0
-
-    def transition(
-        self, levels: Mapping[str, float], dt: Array, rate: Array
-    ) -> tuple[Array, Array]:
-        """Forgets over the angle turned, or over many minutes at rest."""
-        phi = np.exp(-dt * (np.maximum(rate - REST_RATE, 0.0) / FORGET_ANGLE + 1.0 / FORGET_TIME))
-        eye = np.eye(6)
-        return phi[:, None, None] * eye, (1.0 - phi**2)[:, None, None] * self.start(levels, 0.0)
-
-    def start(self, levels: Mapping[str, float], rate: float) -> Array:  # noqa: ARG002
-        """Stationary variances."""
-        names = ("pose_position_distortion", "pose_attitude_distortion")
-        return np.diag(np.repeat([levels[n] ** 2 for n in names], 3))
 
 
 def _thin(series: Series) -> Series:
@@ -198,6 +167,6 @@ OBSERVATION = Observation(
     ),
     variance=_variance,
     constants=_constants,
-    markov=Distortion(),
+    markov=Turning(*DISTORTION),
     markov_residual=residual_function(_bent),
 )
