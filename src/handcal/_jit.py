@@ -19,21 +19,30 @@ _POINTER: Any = types.CPointer(types.float64)  # type: ignore[no-untyped-call]
 _SIGNATURE = types.int64(_POINTER, _POINTER, _POINTER, _POINTER)
 
 
-def njit(function: F) -> F:
-    """Compile when first called and keep the machine code on disk."""
+def _compiled(function: F, **more: Any) -> F:
     # nothing calls these by address, so numba need not make a C entry for each of them
     options: dict[str, Any] = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-    return cast(F, numba.njit(**options)(function))
+    return cast(F, numba.njit(**options, **more)(function))
 
 
-@njit
+def njit(function: F) -> F:
+    """Compile when first called and keep the machine code on disk."""
+    return _compiled(function)
+
+
+def inner(function: F) -> F:
+    """As ``njit``, for what only compiled functions call: without an entry from Python."""
+    return _compiled(function, no_cpython_wrapper=True)
+
+
+@inner
 def copy1(x: Array, out: Array) -> None:
     """out[:] = x without numba's broadcasting, which takes long to compile."""
     for i in range(len(x)):
         out[i] = x[i]
 
 
-@njit
+@inner
 def copy2(x: Array, out: Array) -> None:
     """out[:, :] = x (see ``copy1``)."""
     for i in range(x.shape[0]):
@@ -41,14 +50,14 @@ def copy2(x: Array, out: Array) -> None:
             out[i, j] = x[i, j]
 
 
-@njit
+@inner
 def zero1(out: Array) -> None:
     """out[:] = 0 (see ``copy1``)."""
     for i in range(len(out)):
         out[i] = 0.0
 
 
-@njit
+@inner
 def zero2(out: Array) -> None:
     """out[:, :] = 0 (see ``copy1``)."""
     for i in range(out.shape[0]):

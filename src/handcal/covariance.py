@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
-from handcal._jit import njit
+from handcal._jit import inner
 from handcal.types import Array
 
 
-@njit
+@inner
 def times_transition(
     Phi: Array, Phi_e: Array, Phi_psi: Array, e0: int, X: Array, out: Array
 ) -> None:
@@ -45,7 +45,7 @@ def times_transition(
                     out[e0 + i, j] += a * X[6 + k, j]
 
 
-@njit
+@inner
 def propagate(
     P: Array, Phi: Array, Phi_e: Array, Phi_psi: Array, e0: int, work: tuple[Array, Array, Array]
 ) -> None:
@@ -76,13 +76,13 @@ def propagate(
             P[column, row] = s
 
 
-@njit
+@inner
 def propagation_work(n: int, e: int) -> tuple[Array, Array, Array]:
     """Work space of ``propagate`` for n states, e of them Markov states."""
     return np.empty((n, n)), np.empty((n, 9 + e)), np.empty((n, 9 + e))
 
 
-@njit
+@inner
 def scalar_update(
     P: Array, x: Array, h: Array, r: float, R: float, ph: Array, gain: Array
 ) -> tuple[float, float]:
@@ -125,7 +125,7 @@ def scalar_update(
     return nu, S
 
 
-@njit
+@inner
 def update_linear(
     r: Array,
     H: Array,

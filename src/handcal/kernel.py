@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handcal._jit import call_residual, copy1, njit, zero1, zero2
+from handcal._jit import call_residual, copy1, inner, njit, zero1, zero2
 from handcal.observations import NAV
 from handcal.so3 import exp, matmul
 from handcal.strapdown import advance, error_transition, increments
@@ -192,7 +192,7 @@ def linearise(
     return 0
 
 
-@njit
+@inner
 def _total(
     kind: int, tables: Tables, nav: Array, extras: Array, z: Array, only: int, r: Array
 ) -> int:
@@ -208,7 +208,7 @@ def _total(
     return status
 
 
-@njit
+@inner
 def _perturb_nav(nav: Array, i: int, step: float, out: Array) -> None:
     """Copy nav with error component i (position, velocity, psi, rate, force) moved by step."""
     copy1(nav, out)
@@ -227,7 +227,7 @@ def _perturb_nav(nav: Array, i: int, step: float, out: Array) -> None:
         out[i + 6] += step
 
 
-@njit
+@inner
 def _extras_columns(
     kind: int,
     tables: Tables,

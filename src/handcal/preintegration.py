@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from handcal._jit import copy1, copy2, njit, zero2
+from handcal._jit import copy1, copy2, inner, njit, zero2
 from handcal.covariance import propagate, propagation_work, times_transition
 from handcal.kernel import BASE, Nodes, interval
 from handcal.types import Array, IntArray
@@ -30,8 +30,8 @@ def preintegrate(
     Phi, J = np.empty((9, width)), np.empty((6, 6 + mi))
     none = np.empty((0, 0))
     total, new = np.zeros((width, width)), np.zeros((9, width))
-    work = propagation_work(9, 0)
     Q = np.zeros((3, 9, 9))
+    work = propagation_work(len(Q[0]), len(none))
     p, v, C = np.empty(3), np.empty(3), np.empty((3, 3))
     for j in range(1, len(epoch)):
         copy1(nominal[0][j - 1], p)
@@ -59,14 +59,14 @@ def preintegrate(
         _angle_between(C, nominal[2][j], d_out[j, 6:9])
 
 
-@njit
+@inner
 def _add_noise(
     Q: Array, Phi: Array, none: Array, dt: float, extra: Array, work: tuple[Array, Array, Array]
 ) -> None:
     """Carry the three Q (3, 9, 9), of gyro, accelerometer and gaps, over one interval."""
     for s in range(3):
         if s < 2 or Q[s, 3, 3] != 0.0 or Q[s, 6, 6] != 0.0:
-            propagate(Q[s], Phi, none, none, 9, work)
+            propagate(Q[s], Phi, none, none, Q.shape[1], work)
     for a in range(3):
         Q[0, 6 + a, 6 + a] += dt
         Q[1, 3 + a, 3 + a] += dt
@@ -74,7 +74,7 @@ def _add_noise(
         Q[2, 3 + a, 3 + a] += extra[1]
 
 
-@njit
+@inner
 def _angle_between(A: Array, B: Array, out: Array) -> None:
     """Rotation vector of A B', which must not be near half a turn."""
     D = np.empty((3, 3))

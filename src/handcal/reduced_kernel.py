@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handcal._jit import copy1, copy2, njit, zero1, zero2
+from handcal._jit import copy1, copy2, inner, njit, zero1, zero2
 from handcal.covariance import propagate, propagation_work, times_transition
 from handcal.types import Array, IntArray
 
@@ -37,7 +37,7 @@ class Reduced(NamedTuple):
     R: Array
 
 
-@njit
+@inner
 def reduced_update(
     P: Array,
     X: Array,
@@ -106,10 +106,11 @@ def reduced_forward(
     work = propagation_work(m, e)
     new, ph = np.empty((m, columns)), np.empty(m)
     keep = states[0].shape[0] > 1
+    e0 = m - e  # (nine; the literal would have numba compile its callees once more)
     for j in range(len(a.first) - 1):
         if j > 0:
-            times_transition(a.A[j], a.Phi_e[j], a.Phi_psi[j], 9, X, new)
-            propagate(P, a.A[j], a.Phi_e[j], a.Phi_psi[j], 9, work)
+            times_transition(a.A[j], a.Phi_e[j], a.Phi_psi[j], e0, X, new)
+            propagate(P, a.A[j], a.Phi_e[j], a.Phi_psi[j], e0, work)
             for i in range(9):
                 for c in range(columns):
                     X[i, c] = new[i, c] + a.D[j, i, c]
@@ -142,7 +143,7 @@ def reduced_forward(
             copy2(P, states[1][j if keep else 0])
 
 
-@njit
+@inner
 def times_transposed(Phi: Array, Phi_e: Array, Phi_psi: Array, X: Array, out: Array) -> None:
     """out = F' X for the moving states (m, n)."""
     n = X.shape[1]
@@ -167,7 +168,7 @@ def times_transposed(Phi: Array, Phi_e: Array, Phi_psi: Array, X: Array, out: Ar
                     out[6 + k, j] += a * X[9 + i, j]
 
 
-@njit
+@inner
 def adjoint_update(
     r: Array,
     N: Array,
@@ -279,7 +280,7 @@ def reduced_backward(
                         N[i, k] = 0.5 * (work[i, k] + work[k, i])
 
 
-@njit
+@inner
 def _covariance_slope(r: Array, N: Array, out: Array) -> None:
     """Derivative (m, m) of the log-evidence by a covariance added here: (E r r' - N) / 2."""
     m, columns = r.shape

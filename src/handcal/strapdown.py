@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from handcal._jit import copy2, njit, zero2
+from handcal._jit import copy1, copy2, njit, zero2
 from handcal.so3 import exp, matmul, orthonormalise, rotate
 from handcal.types import Array
 
@@ -173,5 +173,7 @@ def _integrate(
     for i in range(len(t) - 1):
         dt = t[i + 1] - t[i]
         increments(gyro[i], gyro[i + 1], accel[i], accel[i + 1], dt, inc)
-        p[i + 1], v[i + 1], C[i + 1] = p[i], v[i], C[i]
+        copy1(p[i], p[i + 1])
+        copy1(v[i], v[i + 1])
+        copy2(C[i], C[i + 1])
         advance(p[i + 1], v[i + 1], C[i + 1], inc, dt, g_n, omega_ie_n, f_n)
