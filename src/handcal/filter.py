@@ -19,10 +19,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from handcal._jit import copy1, copy2, njit, zero1
+from handcal._jit import copy1, copy2, inner, njit, zero1
 from handcal.covariance import propagate, propagation_work, update_linear
 from handcal.kernel import (
     BASE,
@@ -230,7 +231,7 @@ def add_noise(P: Array, noise: Noise, dt: float, extra: Array, Q_e: Array, c: in
             P[BASE + c + i, BASE + c + j] += Q_e[i, j]
 
 
-@njit
+@inner
 def update(
     q: int,
     nodes: Nodes,
@@ -295,63 +296,67 @@ def steps_filterpy(
     """Yield the state after each node, as a live filter would."""
     from filterpy.kalman import KalmanFilter
 
-    nodes, c, n = problem.nodes, problem.constants, problem.size
+    n, mi = problem.size, problem.nodes.J.shape[2]
     kf = KalmanFilter(dim_x=n, dim_z=1)
-    kf.x = np.zeros(n)
-    kf.P = state.P.copy()
-    p, v, C = state.p.copy(), state.v.copy(), state.C.copy()
-    bg, ba, extras = state.bg.copy(), state.ba.copy(), state.extras.copy()
-    mi = nodes.J.shape[2]
-    Phi, J, F = np.empty((9, BASE + mi)), np.empty((6, 6 + mi)), np.eye(n)
-    nav, w, f = np.empty(NAV), np.empty(3), np.empty(3)
-    r, H = np.empty(MAX_DIM), np.empty((MAX_DIM, n))
+    kf.x, kf.P = np.zeros(n), state.P.copy()
+    s = State(state.node, *_copies(state), kf.P)
+    work = np.empty((9, BASE + mi)), np.empty((6, 6 + mi)), np.eye(n)
     for i in range(state.node + 1, end):
         if i > 0:
-            interval(
-                nodes,
-                i,
-                bg,
-                ba,
-                extras,
-                problem.ref,
-                problem.g_n,
-                problem.omega_ie_n,
-                p,
-                v,
-                C,
-                Phi,
-                J,
-            )
-            move_markov(noise.Phi_e[i], c, extras)
-            F[:9, : BASE + mi] = Phi
-            F[BASE + c :, BASE + c :] = noise.Phi_e[i]
-            Q = np.zeros((n, n))
-            add_noise(Q, noise, nodes.t[i] - nodes.t[i - 1], nodes.extra[i], noise.Q_e[i], c)
-            kf.predict(F=F, Q=Q)
-        for q in range(nodes.first[i], nodes.first[i + 1]):
-            kind = nodes.kind[q]
-            d = problem.tables.dim[kind]
-            corrected(nodes.gyro[i], nodes.J[i], 0, bg, extras, problem.ref, w)
-            corrected(nodes.accel[i], nodes.J[i], 3, ba, extras, problem.ref, f)
-            fill_nav(p, v, C, w, f, nav)
-            if linearise(kind, problem.tables, nav, extras, nodes.z[q], nodes.J[i], r, H) != 0:
-                continue
-            kf.update(r[:d].copy(), R=np.diag(noise.R[kind, :d]), H=H[:d].copy())
-            track.residual[q, :d] = r[:d]
-            track.sigma[q, :d] = np.sqrt(np.diag(kf.S))
-            track.nis[q] = float(kf.y @ np.linalg.solve(kf.S, kf.y))
-            track.loglik[q] = -0.5 * (
-                track.nis[q] + np.linalg.slogdet(kf.S)[1] + d * math.log(2 * math.pi)
-            )
-            inject(kf.x, p, v, C, bg, ba, extras)
+            _predict_filterpy(kf, problem, noise, s, i, work)
+        for q in range(problem.nodes.first[i], problem.nodes.first[i + 1]):
+            _update_filterpy(kf, problem, noise, s, i, q, track)
         at = int(np.searchsorted(track.node, i))
         if at < len(track.node) and track.node[at] == i:
-            track.p[at], track.v[at], track.C[at] = p, v, C
-            track.bg[at], track.ba[at], track.extras[at] = bg, ba, extras
+            track.p[at], track.v[at], track.C[at] = s.p, s.v, s.C
+            track.bg[at], track.ba[at], track.extras[at] = s.bg, s.ba, s.extras
             track.variance[at] = np.diag(kf.P)
-        yield State(
-            i, p.copy(), v.copy(), C.copy(), bg.copy(), ba.copy(), extras.copy(), kf.P.copy()
-        )
+        yield State(i, *_copies(s), kf.P.copy())
+
+
+def _mean(s: State) -> tuple[Array, Array, Array, Array, Array, Array]:
+    return s.p, s.v, s.C, s.bg, s.ba, s.extras
+
+
+def _copies(s: State) -> tuple[Array, Array, Array, Array, Array, Array]:
+    return s.p.copy(), s.v.copy(), s.C.copy(), s.bg.copy(), s.ba.copy(), s.extras.copy()
+
+
+def _predict_filterpy(
+    kf: Any, problem: Problem, noise: Noise, s: State, i: int, work: tuple[Array, Array, Array]
+) -> None:
+    """Carry the mean in ``s`` (in place) and the covariance of kf from node i - 1 to i."""
+    nodes, c, n = problem.nodes, problem.constants, problem.size
+    Phi, J, F = work
+    earth = problem.ref, problem.g_n, problem.omega_ie_n
+    interval(nodes, i, s.bg, s.ba, s.extras, *earth, s.p, s.v, s.C, Phi, J)
+    move_markov(noise.Phi_e[i], c, s.extras)
+    F[:9, : Phi.shape[1]] = Phi
+    F[BASE + c :, BASE + c :] = noise.Phi_e[i]
+    Q = np.zeros((n, n))
+    add_noise(Q, noise, nodes.t[i] - nodes.t[i - 1], nodes.extra[i], noise.Q_e[i], c)
+    kf.predict(F=F, Q=Q)
+
+
+def _update_filterpy(
+    kf: Any, problem: Problem, noise: Noise, s: State, i: int, q: int, track: Track
+) -> None:
+    """Take in observation q at node i: kf, the mean in ``s`` (in place) and the track."""
+    nodes, kind = problem.nodes, problem.nodes.kind[q]
+    d = problem.tables.dim[kind]
+    nav, w, f = np.empty(NAV), np.empty(3), np.empty(3)
+    r, H = np.empty(MAX_DIM), np.empty((MAX_DIM, problem.size))
+    corrected(nodes.gyro[i], nodes.J[i], 0, s.bg, s.extras, problem.ref, w)
+    corrected(nodes.accel[i], nodes.J[i], 3, s.ba, s.extras, problem.ref, f)
+    fill_nav(s.p, s.v, s.C, w, f, nav)
+    if linearise(kind, problem.tables, nav, s.extras, nodes.z[q], nodes.J[i], r, H) != 0:
+        return
+    kf.update(r[:d].copy(), R=np.diag(noise.R[kind, :d]), H=H[:d].copy())
+    track.residual[q, :d] = r[:d]
+    track.sigma[q, :d] = np.sqrt(np.diag(kf.S))
+    track.nis[q] = float(kf.y @ np.linalg.solve(kf.S, kf.y))
+    track.loglik[q] = -0.5 * (track.nis[q] + np.linalg.slogdet(kf.S)[1] + d * math.log(2 * math.pi))
+    inject(kf.x, *_mean(s))
 
 
 ENGINES = {"compiled": run_compiled, "filterpy": run_filterpy}
