@@ -2,14 +2,14 @@
 # PYTHON=/path/to/python chooses the interpreter .venv is made from.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo docs test lint format prove clean
+.PHONY: help setup demo docs test lint format prove clean clean-cache
 
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip install --disable-pip-version-check --quiet -c constraints.txt
 PYTHONS := $(PYTHON) python3 python3.13 python3.12 python3.11 python3.14 python
 
 help: ## list these targets
-	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile | expand -t 16
+	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile | expand -t 20
 
 setup: .venv/.installed ## make .venv and .venv/bin/handcal
 	@echo "Ready: .venv/bin/handcal --help"
@@ -40,6 +40,9 @@ clean: ## remove .venv, caches, builds and the demo's output
 	rm -rf .venv .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
 	rm -rf build dist demo-out
 	find src sim tests -name __pycache__ -prune -exec rm -rf {} +
+
+clean-cache: ## remove compiled kernels (do so after editing so3.py or strapdown.py)
+	find src -name "*.nb[ci]" -delete
 
 # The stamps below are touched last, so that a step that broke off is done again.
 
