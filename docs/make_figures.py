@@ -58,9 +58,9 @@ def whiteness() -> None:
         i = result.innovations["fixed_position"]
         z = i.residual / i.sigma
         z = z / np.sqrt((z**2).mean(0))
-        lags = range(41)
+        lags = range(21)
         rho = [float(np.mean((z[k:] * z[: len(z) - k]).mean(0))) for k in lags]
-        axes[0].plot(np.array(lags) / 20.0, rho, "o-", ms=3, color=colour, label=name)
+        axes[0].plot(np.array(lags) / 10.0, rho, "o-", ms=3, color=colour, label=name)
         axes[1].plot(i.t, 100 * i.residual[:, 2], ".", ms=3, color=colour, label=name)
         gain = result.log_evidence
         print(f"whiteness: {name}: log evidence {gain:.0f}, lag one {rho[1]:+.2f}")
