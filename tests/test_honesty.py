@@ -70,3 +70,4 @@ def test_a_turn_about_the_vertical_hides_the_vertical_gyro_bias(seed: int, tmp_p
     assert p.sigma > 0.7 * p.prior_sigma
     seen = handcal.calibrate(recording, assume="fixed-point").parameter("gyro_bias", "z")
     assert seen.observable
+    assert any("Gravity stays along body z" in w for w in result.warnings)

@@ -42,6 +42,7 @@ ASSUMPTIONS = ("auto", "fixed-point", "rest-only")
 HAND_SWAY = 0.05
 TRAVEL_NATS = 5.0
 HISTORY_RATE = 25.0
+STEADY_GRAVITY = math.radians(20.0)
 UNKNOWN_YAW = math.radians(100.0)
 FIXED_YAW = 1e-6
 
@@ -326,6 +327,7 @@ def _result(
             warnings.append(
                 f"{i.skipped} observations of {kind} were skipped (body x near the vertical)."
             )
+    warnings += _gravity_stays(linear.trajectory.C)
     count = 6 + _effect_constants(linear.problem)
     return Result(
         recording=recording,
@@ -344,6 +346,21 @@ def _result(
         warnings=tuple(warnings),
         observed_heading=_observed_heading(linear),
     )
+
+
+def _gravity_stays(C_nb: Array) -> list[str]:
+    """A warning where gravity never leaves one body axis: bias and scale are one there."""
+    up = C_nb[:, 2]
+    mean = up.mean(axis=0)
+    mean /= np.linalg.norm(mean)
+    axis = int(np.argmax(np.abs(mean)))
+    if np.min(up @ mean) < math.cos(STEADY_GRAVITY) or abs(mean[axis]) < 0.9:
+        return []
+    return [
+        f"Gravity stays along body {'xyz'[axis]} throughout: the accelerometer's bias on that axis "
+        "holds its scale error and any error of the local gravity too. Turn the device over to "
+        "tell them apart."
+    ]
 
 
 def _effect_constants(problem: Problem) -> int:
