@@ -45,12 +45,12 @@ def demo(
     recording = handcal.load(file)
     say("calibrating: biases and gyro scale")
     with progress("biases and gyro scale") as report:
-        result = handcal.calibrate(recording, (CONCEALED,), progress=report)
+        result = handcal.calibrate(recording, (CONCEALED,), assume="fixed-point", progress=report)
     # A gyro scale that is left out can pass for noise of the gyro, so that is held.
     held = {n.name: n.value for n in result.noise if n.name == "gyro_noise"}
     say("calibrating: biases alone, to compare")
     with progress("biases alone") as report:
-        without = handcal.calibrate(recording, noise=held, progress=report)
+        without = handcal.calibrate(recording, noise=held, assume="fixed-point", progress=report)
     say("writing the results")
     write_report(result, out / "report.html")
     save_rrd(result, out / "dashboard.rrd")

@@ -41,6 +41,7 @@ ASSUMPTIONS = ("auto", "fixed-point", "rest-only")
 # A hand that holds a point still does not wander further than this (root mean square, m).
 HAND_SWAY = 0.05
 TRAVEL_NATS = 5.0
+MIN_READINGS = 20
 HISTORY_RATE = 25.0
 STEADY_GRAVITY = math.radians(20.0)
 UNKNOWN_YAW = math.radians(100.0)
@@ -88,6 +89,8 @@ def calibrate(
     """
     report = progress or (lambda _: None)
     _check(assume, engine, observations, ignore, recording)
+    if heading_sigma is not None and not 1e-4 <= heading_sigma <= 4.0:
+        raise InputError("The heading's sigma must lie between 0.006 and 229 degrees.")
     recording = replace(
         recording, streams={k: v for k, v in recording.streams.items() if k not in ignore}
     )
@@ -113,6 +116,7 @@ def calibrate(
     else:
         kinds = list(observations)
         assume = "rest-only" if "zero_rate" in kinds else "fixed-point"
+    _check_effects(chosen, kinds)
     problem, begin = problem_of(recording, chosen, kinds, rests, earth, start)
     report(0.3)
     solution = solve(problem, begin, fixed, noise_until, engine, lambda f: report(0.3 + 0.65 * f))
@@ -140,9 +144,26 @@ def _check(
             raise InputError(f"There is no stream '{name}' to ignore; the recording has: {have}.")
 
 
+def _check_effects(effects: Sequence[Effect], kinds: Sequence[str]) -> None:
+    for e in effects:
+        if e.imu_error is None and not set(e.observation_error) & set(kinds):
+            raise InputError(
+                f"The effect '{e.id}' acts on {' or '.join(sorted(e.observation_error))}, and "
+                "nothing like that is observed here: leave it out."
+            )
+
+
 def _usable(recording: Recording, effects: Sequence[Effect], warnings: list[str]) -> set[str]:
     """Streams that are fit to be observed; what is left out is said."""
     usable = set(recording.streams) & {"heading", "mag", "pose"}
+    if "reference" in recording.streams:
+        warnings.append(
+            "The stream 'reference' is not used yet; a lever arm is that to the held point."
+        )
+    for name in sorted(usable):
+        if len(recording.streams[name].t) < MIN_READINGS:
+            usable.discard(name)
+            warnings.append(f"The stream '{name}' was left out: it holds fewer than 20 readings.")
     if "mag" in usable:
         size = np.linalg.norm(recording.streams["mag"].value, axis=1)
         low, high = np.quantile(size, [0.05, 0.95])
@@ -211,9 +232,8 @@ def _assumption(
             f"{said}, and the device never rests, so the accelerometer is judged against a wide "
             "sway; let it lie for a few seconds at the start and the end."
         ]
-    return "rest-only", [
-        f"{said}. Only the rests are taken to be still; in between the hand stays within reach."
-    ]
+    between = "the pose is followed" if "pose" in usable else "the hand stays within reach"
+    return "rest-only", [f"{said}. Only the rests are taken to be still; in between {between}."]
 
 
 def problem_of(
@@ -328,6 +348,7 @@ def _result(
                 f"{i.skipped} observations of {kind} were skipped (body x near the vertical)."
             )
     warnings += _gravity_stays(linear.trajectory.C)
+    warnings += _contradicting_heading(linear.problem, solution.levels)
     count = 6 + _effect_constants(linear.problem)
     return Result(
         recording=recording,
@@ -345,7 +366,21 @@ def _result(
         rests=rests,
         warnings=tuple(warnings),
         observed_heading=_observed_heading(linear),
+        settled=solution.settled,
     )
+
+
+def _contradicting_heading(problem: Problem, levels: Mapping[str, float]) -> list[str]:
+    """A warning where headings agree among themselves, but not with the gyro."""
+    shown = noise_levels.initial_levels(problem).get("heading_noise")
+    found = levels.get("heading_noise")
+    if shown is None or found is None or found < 3.0 * shown:
+        return []
+    return [
+        f"The headings scatter by {math.degrees(found):.0f} deg about the gyro's, but only by "
+        f"{math.degrees(shown):.1f} deg from one to the next: is it a bearing that counts "
+        "clockwise, or do the accelerometer's signs point down instead of up?"
+    ]
 
 
 def _gravity_stays(C_nb: Array) -> list[str]:

@@ -197,10 +197,13 @@ def _nis_band(layout: Layout) -> tuple[float, float]:
 def save_rrd(result: Result, path: str | Path) -> None:
     """Write the result as a file that ``rerun FILE.rrd`` opens, blueprint included."""
     rec = rr.RecordingStream(APPLICATION)
-    rec.set_sinks(file_sink(path), default_blueprint=blueprint(layout_of(result)))
-    log_result(rec, result)
-    rec.flush()
-    rec.disconnect()
+    try:
+        rec.set_sinks(file_sink(path), default_blueprint=blueprint(layout_of(result)))
+        log_result(rec, result)
+        rec.flush()
+        rec.disconnect()
+    except RuntimeError as error:  # rerun's word for a full disk
+        raise HandcalError(f"{path} could not be written: {error}.") from error
 
 
 def file_sink(path: str | Path) -> Any:

@@ -16,6 +16,8 @@ from handcal.types import Array, HandcalError, Innovations, Parameter, Result
 if TYPE_CHECKING:
     from rich.console import Console
 
+# Where the contract's name differs from that of the noise level.
+NOISE_NAMES = {"sway": "hand_sway"}
 CALIBRATION_SCHEMA = "handcal/calibration/1"
 WIDE = 96  # columns of a terminal that has room for everything
 
@@ -114,7 +116,10 @@ def calibration_json(result: Result | Sequence[Result]) -> dict[str, Any]:
         "schema": CALIBRATION_SCHEMA,
         "recording": _recording_json(result),
         "parameters": [parameter_json(p) for p in result.parameters],
-        "noise": [{"name": n.name, "value": finite(n.value), "unit": n.unit} for n in result.noise],
+        "noise": [
+            {"name": NOISE_NAMES.get(n.name, n.name), "value": finite(n.value), "unit": n.unit}
+            for n in result.noise
+        ],
         "fit": {
             "log_evidence": finite(result.log_evidence),
             "observations": result.observations,

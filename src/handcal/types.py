@@ -170,7 +170,7 @@ class Result:
     "fixed-point" or "rest-only". innovations: by observation kind. observed: the
     heading or magnetometer headings the filter was given, (k, 2) of t and rad, or
     None. rests: (r, 2) start and end of each detected rest, s. smoothed: the same as
-    ``history``, each row given the whole recording.
+    ``history``, each row given the whole recording. settled: relinearising had come to rest.
     """
 
     recording: Recording
@@ -185,6 +185,7 @@ class Result:
     warnings: tuple[str, ...]
     observed_heading: Array | None = None
     smoothed: History | None = None
+    settled: bool = True
 
     @property
     def observations(self) -> int:

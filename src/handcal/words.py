@@ -318,6 +318,8 @@ def verdict(result: Result) -> Verdict:
     n, of = len(learnt), len(result.parameters)
     doubts = [s for k, i in result.innovations.items() if (s := nis_sentence(k, i))]
     lacking = [*strayed(result), *inflated(result)]
+    if not result.settled:
+        lacking.append("The estimate had not come to rest when it was given up.")
     doubts += lacking
     overconfident = bool(lacking) or any(
         nis_word(i) == "too confident" for i in result.innovations.values()
@@ -333,7 +335,8 @@ def verdict(result: Result) -> Verdict:
     sentences: list[str] = []
     groups = [g for g in by_effect(learnt).values() if len(g) and g[0].unit]
     if groups:
-        sentences.append(f"Known to one sigma: {_listed([_known_to(g) for g in groups])}.")
+        known = _listed([_known_to(g) for g in groups])
+        sentences.append(f"If the model is complete, known to one sigma: {known}.")
     if result.innovations and not doubts:
         sentences.append("The errors agree with the bounds the filter set itself.")
     sentences += doubts
