@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from worlds import recording_of, true_levels
 
-from handcal import calibrate
+from handcal import calibrate, so3
 from handcal.earth import EARTH_RATE, local_earth
 from handcal.start import from_rest
 from handcal.types import HandcalError, InputError, Series
@@ -338,3 +338,38 @@ def test_evidence_is_that_of_the_innovations(turns):
     wrong = replace(begin, C_nb=upside_down, force=None, tilt_sigma=math.radians(2.0))
     other = calibrate(recording, assume="fixed-point", noise=noise, start=wrong)
     assert other.log_evidence < level.log_evidence - 100.0
+
+
+# --- what a reviewer found --------------------------------------------------------------------
+
+
+def with_stream(recording, name, count):
+    series = recording.streams[name]
+    few = Series(series.t[:count], series.value[:count])
+    return replace(recording, streams=dict(recording.streams) | {name: few})
+
+
+def test_a_few_headings_are_left_out_with_a_word(turns):
+    found = calibrate(with_stream(turns[0], "heading", 1), assume="fixed-point")
+    assert any("'heading' was left out" in w for w in found.warnings)
+    assert "heading" not in found.innovations
+
+
+@pytest.mark.parametrize("sigma", [0.0, 1e308])
+def test_an_impossible_heading_sigma_is_refused(turns, sigma):
+    with pytest.raises(InputError, match="sigma"):
+        calibrate(turns[0], heading_sigma=sigma)
+
+
+def test_an_effect_that_nothing_observes_is_refused(turns):
+    with pytest.raises(InputError, match="pose_delay"):
+        calibrate(turns[0], ["pose_delay"], assume="fixed-point")
+
+
+def test_a_clockwise_heading_is_suspected(turns):
+    series = turns[0].streams["heading"]
+    mirrored = Series(series.t, so3.wrap(-series.value))
+    recording = replace(turns[0], streams={"heading": mirrored})
+    said = calibrate(recording, assume="fixed-point").warnings
+    assert any("clockwise" in w for w in said)
+    assert not any("clockwise" in w for w in calibrate(turns[0], assume="fixed-point").warnings)
