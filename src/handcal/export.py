@@ -14,8 +14,8 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 
 from handcal.inputs._messages import LAYOUTS, STREAM_SCHEMAS, ByteArray, body_offset
-from handcal.inputs._repair import IntArray, nanoseconds
-from handcal.types import Array, BoolArray, HandcalError, Recording
+from handcal.inputs._repair import nanoseconds
+from handcal.types import Array, BoolArray, HandcalError, IntArray, Recording
 
 # Small chunks, so that a truncated file gives back nearly all it holds.
 CHUNK_SIZE = 64 * 1024

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from handcal import so3
 from handcal._jit import njit
 from handcal.filter import Track
 from handcal.kernel import BASE, MAX_DIM, Nodes, Tables, corrected, fill_nav, linearise
@@ -121,7 +122,7 @@ def linearise_about(problem: Problem, start: Start, nominal: Trajectory) -> Line
     for kind, observation in enumerate(problem.observations):
         if observation.isotropic:
             rows = (nodes.kind == kind) & ~nodes.z.any(axis=1)
-            H[rows, :3, 6:9] -= _skews(r[rows, :3])
+            H[rows, :3, 6:9] -= so3.skew(r[rows, :3])
     node = nominal.node
     first = np.r_[nodes.first[node], nodes.first[-1]]
     return Linear(
@@ -173,14 +174,7 @@ def _turn_noise(Phi: Array, d: Array) -> None:
     turned = 0.5 * Phi[1:, 6:9]
     turned[:, :, 6:9] += 0.5 * np.eye(3)
     for i in (0, 3, 6):
-        Phi[1:, i : i + 3] += _skews(d[1:, i : i + 3]) @ turned
-
-
-def _skews(x: Array) -> Array:
-    """Matrices [x cross] (k, 3, 3) of vectors (k, 3)."""
-    out = np.zeros((len(x), 3, 3))
-    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -x[:, 2], x[:, 1], -x[:, 0]
-    return out - out.transpose(0, 2, 1)
+        Phi[1:, i : i + 3] += so3.skew(d[1:, i : i + 3]) @ turned
 
 
 def _implied_noise(problem: Problem, nominal: Trajectory, d: Array) -> Array:
@@ -251,6 +245,6 @@ def _markov_steps(problem: Problem, markov: Array, Phi_e: Array) -> tuple[Array,
         kept = problem.observations[kind].markov
         assert kept is not None
         for i in range(at, at + 3 * kept.vectors, 3):
-            Phi_psi[:, i : i + 3] = _skews(d_e[:, i : i + 3])
+            Phi_psi[:, i : i + 3] = so3.skew(d_e[:, i : i + 3])
         at += kept.size
     return d_e, Phi_psi

@@ -9,7 +9,7 @@ the first five (3,). Constants are first those of effects that act on the readin
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -240,7 +240,7 @@ def relinearised(
     up to tens of percent.
     """
     if problem.imu_constants == 0:
-        return _replace(problem, ref=ref)
+        return replace(problem, ref=ref)
     recording, nodes = problem.recording, problem.nodes
     imu = recording.imu
     temperature = recording.streams.get("temperature")
@@ -269,7 +269,7 @@ def relinearised(
         for c in range(problem.imu_constants):
             J_nodes[:, k, c] = np.interp(nodes.t, imu.t, J[:, k, c])
     gyro, accel = np.stack(at[:3], axis=1), np.stack(at[3:], axis=1)
-    return _replace(problem, ref=ref, nodes=nodes._replace(gyro=gyro, accel=accel, J=J_nodes))
+    return replace(problem, ref=ref, nodes=nodes._replace(gyro=gyro, accel=accel, J=J_nodes))
 
 
 def _averaged(J: Array, width: int) -> Array:
@@ -301,12 +301,6 @@ def _substituted(
             elif e.imu_error is not None:
                 errors[k] = e.imu_error(at, Signals(t, own[:, :3], own[:, 3:], temperature))
     return errors
-
-
-def _replace(problem: Problem, **changes: object) -> Problem:
-    from dataclasses import replace
-
-    return replace(problem, **changes)  # type: ignore[arg-type]
 
 
 def observation_variances(problem: Problem, levels: Mapping[str, float]) -> Array:

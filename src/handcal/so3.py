@@ -137,8 +137,10 @@ def matrix_of(q: Array) -> Array:
 
 
 def skew(x: Array) -> Array:
-    """Matrix [x cross] (3, 3) of a vector (3,)."""
-    return np.array([[0.0, -x[2], x[1]], [x[2], 0.0, -x[0]], [-x[1], x[0], 0.0]])
+    """Matrices [x cross] (..., 3, 3) of vectors (..., 3)."""
+    out = np.zeros((*np.shape(x), 3))
+    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -x[..., 2], x[..., 1], -x[..., 0]
+    return np.asarray(out - np.swapaxes(out, -1, -2))
 
 
 def yaw_of(C: Array) -> Array:

@@ -14,8 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from handcal.inputs._repair import IntArray
-from handcal.types import Array, BoolArray, InputError
+from handcal.types import Array, BoolArray, InputError, IntArray
 
 ByteArray = NDArray[np.uint8]
 XYZ, XYZW = ("x", "y", "z"), ("x", "y", "z", "w")

@@ -10,12 +10,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from handcal.inputs._checks import check_accel_unit, check_alive, check_gyro_unit, saturated
-from handcal.types import Array, BoolArray, Imu, InputError, Recording, Series
-
-IntArray = NDArray[np.int64]
+from handcal.types import Array, BoolArray, Imu, InputError, IntArray, Recording, Series
 
 SHORTEST_S, FEWEST = 2.0, 50
 IMPOSSIBLE = 1e7  # in no stream's unit is this a reading

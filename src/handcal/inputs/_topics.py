@@ -10,8 +10,8 @@ import numpy as np
 
 from handcal.inputs._messages import STREAM_SCHEMAS, Decoded
 from handcal.inputs._options import Options
-from handcal.inputs._repair import Columns, IntArray, assemble, columns
-from handcal.types import Array, InputError, Recording
+from handcal.inputs._repair import Columns, assemble, columns
+from handcal.types import Array, InputError, IntArray, Recording
 
 
 @dataclass(frozen=True)

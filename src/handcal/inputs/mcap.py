@@ -32,9 +32,8 @@ from handcal.inputs._messages import (
     schema_key,
 )
 from handcal.inputs._options import Options
-from handcal.inputs._repair import IntArray
 from handcal.inputs._topics import Part, Topic, recording_from_topics
-from handcal.types import InputError, Recording
+from handcal.types import InputError, IntArray, Recording
 
 UNDERSTOOD = "MCAP with ROS 2 messages (.mcap)"
 MAGIC = b"\x89MCAP0\r\n"

@@ -18,8 +18,8 @@ from typing import TextIO
 import numpy as np
 
 from handcal.inputs._options import UNITS, Options, parse_unit
-from handcal.inputs._repair import Columns, IntArray, assemble, columns, nanoseconds
-from handcal.types import Array, InputError, Recording
+from handcal.inputs._repair import Columns, assemble, columns, nanoseconds
+from handcal.types import Array, InputError, IntArray, Recording
 
 UNDERSTOOD = "plain CSV with columns t, gx, gy, gz, ax, ay, az (.csv)"
 EXPECTED = "t, gx, gy, gz, ax, ay, az and, if there, mx, my, mz, temp, heading"

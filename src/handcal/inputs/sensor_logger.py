@@ -22,8 +22,8 @@ import numpy as np
 
 from handcal.inputs._checks import rest_magnitude
 from handcal.inputs._options import GRAVITY, Options
-from handcal.inputs._repair import IMPOSSIBLE, Columns, IntArray, assemble, columns
-from handcal.types import InputError, Recording
+from handcal.inputs._repair import IMPOSSIBLE, Columns, assemble, columns
+from handcal.types import InputError, IntArray, Recording
 
 UNDERSTOOD = "an export of the Sensor Logger app (zip, folder or JSON)"
 LARGEST_MEMBER = 512 * 2**20
