@@ -73,7 +73,7 @@ def forward(linear: Linear, levels: Mapping[str, float], keep: bool = True) -> P
         np.zeros(q),
     )
     _forward(
-        (linear.Phi, linear.d, noise.Q, noise.Phi_e, noise.Q_e, noise.d_e, noise.Phi_psi),
+        (linear.Phi, linear.d, noise.Q, noise.B, noise.Phi_e, noise.Q_e, noise.d_e, noise.Phi_psi),
         (linear.first, linear.kind, linear.r, linear.H, linear.used),
         problem.tables.dim,
         observation_variances(problem, levels),
@@ -88,7 +88,7 @@ def forward(linear: Linear, levels: Mapping[str, float], keep: bool = True) -> P
 
 @njit
 def _forward(
-    dynamics: tuple[Array, Array, Array, Array, Array, Array, Array],
+    dynamics: tuple[Array, Array, Array, Array, Array, Array, Array, Array],
     rows: tuple[IntArray, IntArray, Array, Array, BoolArray],
     dim: IntArray,
     R: Array,
@@ -98,7 +98,7 @@ def _forward(
     store: tuple[Array, Array, Array, Array],
     out: tuple[Array, Array, Array, Array],
 ) -> None:
-    Phi, d, Q, Phi_e, Q_e, d_e, Phi_psi = dynamics
+    Phi, d, Q, B, Phi_e, Q_e, d_e, Phi_psi = dynamics
     first, kind, r, H, used = rows
     n = len(x)
     e = Phi_e.shape[1]
@@ -110,8 +110,8 @@ def _forward(
         if j > 0:
             for a in range(n):
                 column[a, 0] = x[a]
-            times_transition(Phi[j], Phi_e[j], Phi_psi[j], e0, column, moved)
-            propagate(P, Phi[j], Phi_e[j], Phi_psi[j], e0, work)
+            times_transition(Phi[j], B[j], Phi_e[j], Phi_psi[j], e0, column, moved)
+            propagate(P, Phi[j], B[j], Phi_e[j], Phi_psi[j], e0, work)
             for a in range(9):
                 x[a] = moved[a, 0] + d[j, a]
                 for b in range(9):

@@ -12,13 +12,14 @@ from handcal.types import Array
 
 @inner
 def times_transition(
-    Phi: Array, Phi_e: Array, Phi_psi: Array, e0: int, X: Array, out: Array
+    Phi: Array, B: Array, Phi_e: Array, Phi_psi: Array, e0: int, X: Array, out: Array
 ) -> None:
     """The rows of out = F X that differ from those of X; the others are left alone.
 
     F is the full transition made of Phi (9, 15 + mi) in its first nine rows, the identity,
     and from row e0 on, where the Markov states begin, Phi_e (e, e) and Phi_psi (e, 3): how
-    Markov states depend on psi. Without constants, e0 = 9 and Phi is cut to nine columns.
+    Markov states depend on psi. B (9, e), or empty: how the first nine depend on Markov
+    states. Without constants, e0 = 9 and Phi is cut to nine columns.
     """
     n = X.shape[1]
     width = min(Phi.shape[1], e0)
@@ -30,6 +31,11 @@ def times_transition(
             if a != 0.0:
                 for j in range(n):
                     out[i, j] += a * X[k, j]
+        for k in range(B.shape[1]):
+            a = B[i, k]
+            if a != 0.0:
+                for j in range(n):
+                    out[i, j] += a * X[e0 + k, j]
     for i in range(Phi_e.shape[0]):
         for j in range(n):
             out[e0 + i, j] = 0.0
@@ -47,7 +53,13 @@ def times_transition(
 
 @inner
 def propagate(
-    P: Array, Phi: Array, Phi_e: Array, Phi_psi: Array, e0: int, work: tuple[Array, Array, Array]
+    P: Array,
+    Phi: Array,
+    B: Array,
+    Phi_e: Array,
+    Phi_psi: Array,
+    e0: int,
+    work: tuple[Array, Array, Array],
 ) -> None:
     """P = F P F' in place (without Q), F as in ``times_transition``.
 
@@ -58,12 +70,12 @@ def propagate(
     n = P.shape[0]
     moved = 9 + Phi_e.shape[0]
     shift = e0 - 9
-    times_transition(Phi, Phi_e, Phi_psi, e0, P, W)
+    times_transition(Phi, B, Phi_e, Phi_psi, e0, P, W)
     for i in range(moved):
         row = i if i < 9 else i + shift
         for j in range(n):
             W_t[j, i] = W[row, j]
-    times_transition(Phi, Phi_e, Phi_psi, e0, W_t, new)
+    times_transition(Phi, B, Phi_e, Phi_psi, e0, W_t, new)
     for i in range(moved):
         row = i if i < 9 else i + shift
         for j in range(9, e0):

@@ -147,6 +147,7 @@ def _reduced_arrays(reduction: Reduction, levels: Mapping[str, float]) -> Reduce
         linear.Phi,
         reduction.D,
         noise.Q,
+        noise.B,
         noise.Phi_e,
         noise.Q_e,
         noise.d_e,

@@ -106,9 +106,7 @@ def full_prior(problem: Problem, P15: Array, levels: dict[str, float]) -> Array:
     for i, slot in enumerate(problem.slots):
         P[BASE + i, BASE + i] = slot.prior_sigma**2
     at = BASE + problem.constants
-    for k in problem.markov_kinds:
-        markov = problem.observations[k].markov
-        assert markov is not None
+    for markov in problem.markovs:
         P[at : at + markov.size, at : at + markov.size] = markov.start(
             levels, float(problem.rate[0])
         )
@@ -180,13 +178,13 @@ def _run(
     Phi, J = np.empty((9, BASE + mi)), np.empty((6, 6 + mi))
     work, x = propagation_work(n, noise.Phi_e.shape[1]), np.zeros(n)
     nav, w, f = np.empty(NAV), np.empty(3), np.empty(3)
-    still = np.zeros((noise.Phi_e.shape[1], 3))
+    still, none = np.zeros((noise.Phi_e.shape[1], 3)), np.empty((0, 0))
     at = np.searchsorted(record[0], begin)
     for i in range(begin, end):
         if i > 0:
             interval(nodes, i, bg, ba, extras, ref, g_n, omega_ie_n, p, v, C, Phi, J)
             move_markov(noise.Phi_e[i], c, extras)
-            propagate(P, Phi, noise.Phi_e[i], still, BASE + c, work)
+            propagate(P, Phi, none, noise.Phi_e[i], still, BASE + c, work)
             add_noise(P, noise, nodes.t[i] - nodes.t[i - 1], nodes.extra[i], noise.Q_e[i], c)
         for q in range(nodes.first[i], nodes.first[i + 1]):
             corrected(nodes.gyro[i], nodes.J[i], 0, bg, extras, ref, w)

@@ -14,6 +14,7 @@ import numpy as np
 from handcal import so3
 from handcal._jit import njit
 from handcal.filter import Track
+from handcal.effects import DELAY
 from handcal.kernel import BASE, MAX_DIM, Nodes, Tables, corrected, fill_nav, linearise
 from handcal.model import Problem, markov_transitions, relinearised
 from handcal.observations import NAV
@@ -66,9 +67,11 @@ class Linear:
 @dataclass(frozen=True)
 class Driven:
     """What the noise levels make of a linearised problem: Q (k, 9, 9) of the navigation
-    errors; Phi_e, Q_e (k, e, e), d_e (k, e), Phi_psi (k, e, 3) of the Markov states."""
+    errors; B (k, 9, e): how they depend on Markov
+    states; Phi_e, Q_e (k, e, e), d_e (k, e), Phi_psi (k, e, 3) of the Markov states."""
 
     Q: Array
+    B: Array
     Phi_e: Array
     Q_e: Array
     d_e: Array
@@ -99,13 +102,16 @@ def trajectory_of(
 
 def linearise_about(problem: Problem, start: Start, nominal: Trajectory) -> Linear:
     """Integrate between the epochs and linearise everything about the nominal trajectory."""
-    problem = relinearised(problem, nominal.constants, nominal.bg, nominal.ba)
+    C_nb = None
+    if any("attitude" in e.needs for e in problem.effects):
+        C_nb = _attitude(problem, nominal)
+    problem = relinearised(problem, nominal.constants, nominal.bg, nominal.ba, None, C_nb)
     Phi, d, Q = _transitions(problem, nominal)
     if problem.imu_constants:
         # What an effect does depends on the true rate and force: take off the noise that
         # this trajectory implies, or each sample's noise would pose as motion that excites it.
         noise = _implied_noise(problem, nominal, d)
-        problem = relinearised(problem, nominal.constants, nominal.bg, nominal.ba, noise)
+        problem = relinearised(problem, nominal.constants, nominal.bg, nominal.ba, noise, C_nb)
         Phi, d, Q = _transitions(problem, nominal)
     nodes = problem.nodes
     q = len(nodes.kind)
@@ -116,12 +122,15 @@ def linearise_about(problem: Problem, start: Start, nominal: Trajectory) -> Line
         problem.tables,
         nominal.node,
         (nominal.p, nominal.v, nominal.C, nominal.markov),
-        (nominal.bg, nominal.ba, nominal.constants, problem.ref),
+        (*biases(problem, nominal), nominal.constants, problem.ref),
         (r, H, used),
     )
+    e0 = BASE + problem.constants
+    for state, column in problem.walks:
+        H[:, :, e0 + state : e0 + state + 3] = H[:, :, 9 + column : 12 + column]
     for kind, observation in enumerate(problem.observations):
         if observation.isotropic:
-            rows = (nodes.kind == kind) & ~nodes.z.any(axis=1)
+            rows = (nodes.kind == kind) & ~nodes.z[:, :DELAY].any(axis=1)
             H[rows, :3, 6:9] -= so3.skew(r[rows, :3])
     node = nominal.node
     first = np.r_[nodes.first[node], nodes.first[-1]]
@@ -144,6 +153,23 @@ def linearise_about(problem: Problem, start: Start, nominal: Trajectory) -> Line
     )
 
 
+def _attitude(problem: Problem, nominal: Trajectory) -> Array:
+    """C_nb (n, 3, 3) at the IMU's samples: between two epochs at a constant rate."""
+    t, t_imu = problem.nodes.t[nominal.node], problem.recording.imu.t
+    at = np.clip(np.searchsorted(t, t_imu, side="right") - 1, 0, len(t) - 2)
+    turn = so3.matrix_log(nominal.C[:-1].transpose(0, 2, 1) @ nominal.C[1:])
+    share = (t_imu - t[at]) / (t[at + 1] - t[at])
+    return np.asarray(nominal.C[at] @ so3.rotations(turn[at] * share[:, None]))
+
+
+def biases(problem: Problem, nominal: Trajectory) -> tuple[Array, Array]:
+    """Bias of gyro and of accelerometer at the epochs, (k, 3) each, walks included."""
+    out = np.tile(np.r_[nominal.bg, nominal.ba], (len(nominal.node), 1))
+    for state, column in problem.walks:
+        out[:, column : column + 3] += nominal.markov[:, state : state + 3]
+    return np.ascontiguousarray(out[:, :3]), np.ascontiguousarray(out[:, 3:])
+
+
 def _transitions(problem: Problem, nominal: Trajectory) -> tuple[Array, Array, Array]:
     """Phi (k, 9, 15 + mi), d (k, 9) and the three Q (3, k, 9, 9) between the epochs."""
     k = len(nominal.node)
@@ -154,7 +180,7 @@ def _transitions(problem: Problem, nominal: Trajectory) -> tuple[Array, Array, A
         problem.nodes,
         nominal.node,
         (nominal.p, nominal.v, nominal.C),
-        (nominal.bg, nominal.ba, extras, problem.ref),
+        (*biases(problem, nominal), extras, problem.ref),
         problem.g_n,
         problem.omega_ie_n,
         (Phi, d, Q[0], Q[1], Q[2]),
@@ -204,8 +230,8 @@ def _linearise_rows(
         i = epoch[j]
         for a in range(nominal[3].shape[1]):
             extras[len(constant) + a] = nominal[3][j, a]
-        corrected(nodes.gyro[i], nodes.J[i], 0, bg, extras, ref, w)
-        corrected(nodes.accel[i], nodes.J[i], 3, ba, extras, ref, f)
+        corrected(nodes.gyro[i], nodes.J[i], 0, bg[j], extras, ref, w)
+        corrected(nodes.accel[i], nodes.J[i], 3, ba[j], extras, ref, f)
         fill_nav(nominal[0][j], nominal[1][j], nominal[2][j], w, f, nav)
         for q in range(nodes.first[i], nodes.first[i + 1]):
             out[2][q] = (
@@ -226,7 +252,10 @@ def driven(linear: Linear, levels: Mapping[str, float]) -> Driven:
         + levels["accel_noise"] ** 2 * linear.Q_accel
         + linear.Q_extra
     )
-    return Driven(Q, Phi_e, Q_e, d_e, Phi_psi)
+    B = np.zeros((len(linear.t), 9, problem.markov_size if problem.walks else 0))
+    for state, column in problem.walks:
+        B[:, :, state : state + 3] = linear.Phi[:, :, 9 + column : 12 + column]
+    return Driven(Q, B, Phi_e, Q_e, d_e, Phi_psi)
 
 
 def _markov_steps(problem: Problem, markov: Array, Phi_e: Array) -> tuple[Array, Array]:
@@ -241,9 +270,7 @@ def _markov_steps(problem: Problem, markov: Array, Phi_e: Array) -> tuple[Array,
     d_e[1:] = np.einsum("kij,kj->ki", Phi_e[1:], markov[:-1]) - markov[1:]
     Phi_psi = np.zeros((*markov.shape, 3))
     at = 0
-    for kind in problem.markov_kinds:
-        kept = problem.observations[kind].markov
-        assert kept is not None
+    for kept in problem.markovs:
         for i in range(at, at + 3 * kept.vectors, 3):
             Phi_psi[:, i : i + 3] = so3.skew(d_e[:, i : i + 3])
         at += kept.size

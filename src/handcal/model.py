@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from handcal.effects import Effect, Signals, imu_jacobian
+from handcal.effects import DELAY, TIME, Z_DIM, Effect, Signals, imu_jacobian
 from handcal.kernel import BASE, MAX_DIM, Nodes, Noise, Tables
-from handcal.observations import Level, Observation, Rows
-from handcal.types import Array, Recording
+from handcal.observations import Observation, Rows
+from handcal.types import Array, Level, Markov, Recording
 
 GYRO_BIAS_PRIOR = np.radians(1.0)
 ACCEL_BIAS_PRIOR = 0.6
@@ -26,7 +26,6 @@ IMU_LEVELS = (
     Level("gyro_noise", "rad/s/sqrt(Hz)", 2e-4, 1e-6, 0.1, below=0.15, above=0.3),
     Level("accel_noise", "m/s^2/sqrt(Hz)", 2e-3, 1e-5, 1.0, below=0.15, above=0.3),
 )
-Z_DIM = 8
 SNAP_S = 1e-7
 # What parameters do to the readings is averaged over this long, in motion and at rest.
 AVERAGE_S = (0.05, 2.0)
@@ -50,7 +49,8 @@ class Problem:
     ref (c,): values of the constants about which the effects were linearised; g_n,
     omega_ie_n (3,); rate (n,): smoothed turning rate at the nodes, rad/s;
     observations: the kinds in use, numbered as in ``nodes.kind``; dropped: rows outside
-    the recording.
+    the recording. markovs: the processes whose states follow the constants, in their order;
+    walks: (first state of those, column of the readings) of each that adds to a bias.
     """
 
     recording: Recording
@@ -58,8 +58,8 @@ class Problem:
     observations: tuple[Observation, ...]
     slots: tuple[Slot, ...]
     imu_constants: int
-    markov_kinds: tuple[int, ...]
-    markov_size: int
+    markovs: tuple[Markov, ...]
+    walks: tuple[tuple[int, int], ...]
     nodes: Nodes
     tables: Tables
     ref: Array
@@ -73,6 +73,10 @@ class Problem:
         return len(self.slots)
 
     @property
+    def markov_size(self) -> int:
+        return sum(m.size for m in self.markovs)
+
+    @property
     def size(self) -> int:
         """Number of states."""
         return BASE + len(self.slots) + self.markov_size
@@ -81,6 +85,7 @@ class Problem:
     def levels(self) -> tuple[Level, ...]:
         """Every noise level that plays a part."""
         found = {lv.name: lv for o in self.observations for lv in o.levels}
+        found |= {lv.name: lv for e in self.effects for lv in e.levels}
         return (*IMU_LEVELS, *found.values())
 
 
@@ -95,7 +100,10 @@ def build(
     acting = [e for e in effects if e.imu_error is not None]
     others = [e for e in effects if e.imu_error is None]
     slots = [
-        Slot(e.id, p.name, p.unit, p.prior_sigma) for e in (*acting, *others) for p in e.parameters
+        Slot(e.id, p.name, p.unit, p.prior_sigma)
+        for e in (*acting, *others)
+        for p in e.parameters
+        if e.process is None and not e.outliers
     ]
     imu_constants = sum(len(e.parameters) for e in acting)
     at: dict[str, int] = {}
@@ -104,12 +112,18 @@ def build(
     for observation, _, constants in observed:
         at[observation.kind] = len(slots)
         slots += [Slot(observation.kind, name, unit, sigma) for name, unit, sigma in constants]
-    markov_kinds, size, markov_at = [], 0, {}
-    for k, (observation, _, _) in enumerate(observed):
-        if observation.markov is not None:
-            markov_kinds.append(k)
-            markov_at[observation.kind] = len(slots) + size
-            size += observation.markov.size
+    markovs: list[Markov] = []
+    walks, size = [], 0
+    markov_at: dict[str, int] = {}
+    processes = [(o.kind, o.markov, "") for o, _, _ in observed]
+    processes += [(e.id, e.process, e.walks) for e in others]
+    for owner, markov, walked in processes:
+        if markov is not None:
+            markovs.append(markov)
+            if walked:
+                walks.append((size, 0 if walked == "gyro" else 3))
+            markov_at[owner] = len(slots) + size
+            size += markov.size
     kinds = tuple(o for o, _, _ in observed)
     step = np.r_[[1e-3 * s.prior_sigma for s in slots], np.full(size, 1e-5)]
     nodes, rate, dropped = _nodes(recording, [r for _, r, _ in observed], imu_constants)
@@ -119,8 +133,8 @@ def build(
         kinds,
         tuple(slots),
         imu_constants,
-        tuple(markov_kinds),
-        size,
+        tuple(markovs),
+        tuple(walks),
         nodes,
         _tables(kinds, [c for _, _, c in observed], (*acting, *others), at, markov_at, step),
         np.zeros(len(slots)),
@@ -151,6 +165,8 @@ def _tables(
             parts.append((kind.markov_residual, markov_at[kind.kind], kind.markov.size))
         parts += [
             (e.observation_error[kind.kind], at[e.id], len(e.parameters))
+            if e.process is None
+            else (e.observation_error[kind.kind], markov_at[e.id], e.process.size)
             for e in effects
             if kind.kind in e.observation_error
         ]
@@ -180,6 +196,7 @@ def _nodes(
     for r in rows:
         z[i : i + len(r.t), : r.z.shape[1]] = r.z
         i += len(r.t)
+    z[:, TIME] = ot - imu.t[0]
     keep = (ot >= imu.t[0]) & (ot <= imu.t[-1])
     ot, kind, z = ot[keep], kind[keep].astype(np.int64), z[keep]
     near = np.clip(np.searchsorted(imu.t, ot), 1, len(imu.t) - 1)
@@ -229,11 +246,16 @@ def _extra(recording: Recording, t: Array) -> Array:
 
 
 def relinearised(
-    problem: Problem, ref: Array, bg: Array, ba: Array, noise: Array | None = None
+    problem: Problem,
+    ref: Array,
+    bg: Array,
+    ba: Array,
+    noise: Array | None = None,
+    C_nb: Array | None = None,
 ) -> Problem:
     """The same problem with its effects linearised about constants ``ref`` (c,) and biases.
 
-    noise: (n, 6) estimate of the noise in the readings, which is no motion.
+    noise: (n, 6) estimate of the noise in the readings, which is no motion; C_nb (n, 3, 3).
 
     What an effect adds depends on the true rate and force, which are the readings less
     all errors; three rounds of substitution are exact to better than a nat for errors
@@ -247,10 +269,10 @@ def relinearised(
     T = None if temperature is None else np.interp(imu.t, temperature.t, temperature.value[:, 0])
     raw = np.hstack([imu.gyro - bg, imu.accel - ba])
     acting = [e for e in problem.effects if e.imu_error is not None]
-    errors = _substituted(acting, ref, raw, imu.t, T)
+    errors = _substituted(acting, ref, Signals(imu.t, raw[:, :3], raw[:, 3:], T, C_nb))
     error = sum(errors, np.zeros_like(raw))
     truth = raw - error if noise is None else raw - error - noise
-    signals = Signals(imu.t, truth[:, :3], truth[:, 3:], T)
+    signals = Signals(imu.t, truth[:, :3], truth[:, 3:], T, C_nb)
     J = np.empty((len(imu.t), 6, problem.imu_constants))
     i = 0
     for e in acting:
@@ -284,10 +306,9 @@ def _averaged(J: Array, width: int) -> Array:
     return np.asarray((total[width:] - total[:-width]) / width)
 
 
-def _substituted(
-    acting: Sequence[Effect], ref: Array, raw: Array, t: Array, temperature: Array | None
-) -> list[Array]:
-    """What each effect adds to readings raw (n, 6), each (n, 6), by rounds of substitution."""
+def _substituted(acting: Sequence[Effect], ref: Array, readings: Signals) -> list[Array]:
+    """What each effect adds to these readings, each (n, 6), by rounds of substitution."""
+    raw = np.hstack([readings.gyro, readings.accel])
     errors = [np.zeros_like(raw) for _ in acting]
     for _ in range(3):
         i = 0
@@ -297,10 +318,14 @@ def _substituted(
             own = raw - sum(errors, np.zeros_like(raw))
             if e.imu_inverse is not None:
                 own = own + errors[k]
-                errors[k] = own - e.imu_inverse(at, Signals(t, own[:, :3], own[:, 3:], temperature))
+                errors[k] = own - e.imu_inverse(at, _seen(readings, own))
             elif e.imu_error is not None:
-                errors[k] = e.imu_error(at, Signals(t, own[:, :3], own[:, 3:], temperature))
+                errors[k] = e.imu_error(at, _seen(readings, own))
     return errors
+
+
+def _seen(readings: Signals, own: Array) -> Signals:
+    return replace(readings, gyro=own[:, :3], accel=own[:, 3:])
 
 
 def observation_variances(problem: Problem, levels: Mapping[str, float]) -> Array:
@@ -320,9 +345,7 @@ def markov_transitions(
     Q = np.zeros((len(t), e, e))
     dt = np.diff(t, prepend=t[0])
     at = 0
-    for k in problem.markov_kinds:
-        markov = problem.observations[k].markov
-        assert markov is not None
+    for markov in problem.markovs:
         s = slice(at, at + markov.size)
         Phi[:, s, s], Q[:, s, s] = markov.transition(levels, dt, rate)
         at += markov.size

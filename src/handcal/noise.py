@@ -19,6 +19,7 @@ from handcal.types import Array, Recording
 # and the least curvature, that of the widest prior.
 STEP = 1e-4
 DIFFERENCE = 0.01
+SENSORS = ("gyro_noise", "accel_noise")
 LONGEST_STEP = 1.5
 FLATTEST = 0.25
 
@@ -129,8 +130,7 @@ class Score:
     def __init__(self, linear: Linear, levels: Mapping[str, float], names: Sequence[str]) -> None:
         self.linear, self.names = linear, names
         self.reduction = reduce(linear)
-        owners = {lv.name: o for o in linear.problem.observations for lv in o.levels}
-        markov = [n for n in names if n in owners and owners[n].markov is not None]
+        markov = [n for n in names if n not in SENSORS]
         # a few intervals are enough to see what a level does
         few = np.unique(np.linspace(0, len(linear.t) - 1, 50).astype(int))
         t, rate = linear.t[few], 1.0 + linear.rate[few]
@@ -162,7 +162,7 @@ class Score:
                 a, b = (reduced_pass(reduction, lv).log_evidence for lv in (up, down))
                 out[i] = (a - b) / (2 * STEP)
                 continue
-            if name in ("gyro_noise", "accel_noise"):
+            if name in SENSORS:
                 out[i] = 2.0 * levels[name] ** 2 * slopes.densities[int(name == "accel_noise")]
                 continue
             R = observation_variances(problem, up) - observation_variances(problem, down)

@@ -22,7 +22,10 @@ def preintegrate(
     omega_ie_n: Array,
     out: tuple[Array, Array, Array, Array, Array],
 ) -> None:
-    """Phi, d and the three Q of every epoch but the first, into ``out`` (see ``Linear``)."""
+    """Phi, d and the three Q of every epoch but the first, into ``out`` (see ``Linear``).
+
+    constants: bias of gyro and of accelerometer from each epoch on (k, 3), constants, reference.
+    """
     bg, ba, extras, ref = constants
     Phi_out, d_out, Qg_out, Qa_out, Q0_out = out
     mi = nodes.J.shape[2]
@@ -43,8 +46,8 @@ def preintegrate(
         for s in range(3):
             zero2(Q[s])
         for i in range(epoch[j - 1] + 1, epoch[j] + 1):
-            interval(nodes, i, bg, ba, extras, ref, g_n, omega_ie_n, p, v, C, Phi, J)
-            times_transition(Phi, none, none, width, total, new)
+            interval(nodes, i, bg[j - 1], ba[j - 1], extras, ref, g_n, omega_ie_n, p, v, C, Phi, J)
+            times_transition(Phi, none, none, none, width, total, new)
             for a in range(9):
                 copy1(new[a], total[a])
             _add_noise(Q, Phi, none, nodes.t[i] - nodes.t[i - 1], nodes.extra[i], work)
@@ -66,7 +69,7 @@ def _add_noise(
     """Carry the three Q (3, 9, 9), of gyro, accelerometer and gaps, over one interval."""
     for s in range(3):
         if s < 2 or Q[s, 3, 3] != 0.0 or Q[s, 6, 6] != 0.0:
-            propagate(Q[s], Phi, none, none, Q.shape[1], work)
+            propagate(Q[s], Phi, none, none, none, Q.shape[1], work)
     for a in range(3):
         Q[0, 6 + a, 6 + a] += dt
         Q[1, 3 + a, 3 + a] += dt

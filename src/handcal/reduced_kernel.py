@@ -17,7 +17,7 @@ class Reduced(NamedTuple):
     The first column is for constants as the trajectory has them, the others are derivatives
     by the nc biases and constants, each in units of its prior sigma. k epochs, s scalars.
     A (k, 9, 15 + mi), of which the first nine columns count; D (k, 9, 1 + nc) added by an
-    interval; Phi_e, Q_e (k, e, e), Phi_psi (k, e, 3), d_e (k, e): Markov states; Q (k, 9, 9);
+    interval; B (k, 9, e), Phi_e, Q_e (k, e, e), Phi_psi (k, e, 3), d_e (k, e): Markov states; Q (k, 9, 9);
     first (k + 1,): scalars of each epoch; g (s, 1 + nc): observed minus predicted; h (s, m)
     with its nonzero (s,) entries listed in at (s, m); R (s,).
     """
@@ -25,6 +25,7 @@ class Reduced(NamedTuple):
     A: Array
     D: Array
     Q: Array
+    B: Array
     Phi_e: Array
     Q_e: Array
     d_e: Array
@@ -109,8 +110,8 @@ def reduced_forward(
     e0 = m - e  # (nine; the literal would have numba compile its callees once more)
     for j in range(len(a.first) - 1):
         if j > 0:
-            times_transition(a.A[j], a.Phi_e[j], a.Phi_psi[j], e0, X, new)
-            propagate(P, a.A[j], a.Phi_e[j], a.Phi_psi[j], e0, work)
+            times_transition(a.A[j], a.B[j], a.Phi_e[j], a.Phi_psi[j], e0, X, new)
+            propagate(P, a.A[j], a.B[j], a.Phi_e[j], a.Phi_psi[j], e0, work)
             for i in range(9):
                 for c in range(columns):
                     X[i, c] = new[i, c] + a.D[j, i, c]
@@ -144,7 +145,9 @@ def reduced_forward(
 
 
 @inner
-def times_transposed(Phi: Array, Phi_e: Array, Phi_psi: Array, X: Array, out: Array) -> None:
+def times_transposed(
+    Phi: Array, B: Array, Phi_e: Array, Phi_psi: Array, X: Array, out: Array
+) -> None:
     """out = F' X for the moving states (m, n)."""
     n = X.shape[1]
     e = Phi_e.shape[0]
@@ -155,6 +158,11 @@ def times_transposed(Phi: Array, Phi_e: Array, Phi_psi: Array, X: Array, out: Ar
             if a != 0.0:
                 for j in range(n):
                     out[k, j] += a * X[i, j]
+        for k in range(B.shape[1]):
+            a = B[i, k]
+            if a != 0.0:
+                for j in range(n):
+                    out[9 + k, j] += a * X[i, j]
     for i in range(e):
         for k in range(e):
             a = Phi_e[i, k]
@@ -267,14 +275,14 @@ def reduced_backward(
                 for k in range(e):
                     slopes[2][j, i, k] = slopes[3][9 + i, 9 + k]
         if j > 0:
-            times_transposed(a.A[j], a.Phi_e[j], a.Phi_psi[j], r, new)
+            times_transposed(a.A[j], a.B[j], a.Phi_e[j], a.Phi_psi[j], r, new)
             copy2(new, r)
             if score:
-                times_transposed(a.A[j], a.Phi_e[j], a.Phi_psi[j], N, work)
+                times_transposed(a.A[j], a.B[j], a.Phi_e[j], a.Phi_psi[j], N, work)
                 for i in range(m):
                     for k in range(m):
                         half[k, i] = work[i, k]
-                times_transposed(a.A[j], a.Phi_e[j], a.Phi_psi[j], half, work)
+                times_transposed(a.A[j], a.B[j], a.Phi_e[j], a.Phi_psi[j], half, work)
                 for i in range(m):
                     for k in range(m):
                         N[i, k] = 0.5 * (work[i, k] + work[k, i])

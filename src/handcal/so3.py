@@ -86,6 +86,12 @@ def matrix_exp(phi: Array) -> Array:
     return out
 
 
+def rotations(phi: Array) -> Array:
+    """Rotation matrices (n, 3, 3) of rotation vectors (n, 3) rad."""
+    half = 0.5 * np.linalg.norm(phi, axis=1, keepdims=True)
+    return matrix_of(np.hstack([np.cos(half), 0.5 * np.sinc(half / np.pi) * phi]))
+
+
 def matrix_log(C: Array) -> Array:
     """Rotation vector (..., 3) rad of rotation matrices (..., 3, 3), angle in [0, pi]."""
     q = quaternion_of(C)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,6 +116,43 @@ class NoiseLevel:
     value: float
     unit: str
     estimated: bool
+
+
+@dataclass(frozen=True)
+class Level:
+    """A noise level: name, unit, first guess and the range in which it is estimated.
+
+    below, above: how far it may stray from the first guess to either side, as a standard
+    deviation of its logarithm.
+    """
+
+    name: str
+    unit: str
+    initial: float
+    lower: float
+    upper: float
+    below: float = 2.0
+    above: float = 2.0
+
+
+class Markov(Protocol):
+    """Extra states with dynamics of their own (hand sway, correlated noise).
+
+    vectors: how many of them, three by three from the first, are vectors in n.
+    """
+
+    size: int
+    vectors: int
+
+    def transition(
+        self, levels: Mapping[str, float], dt: Array, rate: Array
+    ) -> tuple[Array, Array]:
+        """Phi and Q, each (n, size, size), of steps dt (n,) s while turning at rate (n,) rad/s."""
+        ...
+
+    def start(self, levels: Mapping[str, float], rate: float) -> Array:
+        """Covariance (size, size) at the start."""
+        ...
 
 
 @dataclass(frozen=True)

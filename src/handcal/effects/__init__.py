@@ -6,7 +6,11 @@ enters in one of two ways:
 - ``imu_error(parameters, signals) -> (n, 6)``: what the gyro (columns 0-2, rad/s) and
   the accelerometer (columns 3-5, m/s^2) read in addition, over a whole recording;
 - ``observation_error``: for each kind of observation a compiled
-  ``f(nav, parameters, z, r) -> 0`` that corrects the residual ``r`` in place.
+  ``f(nav, parameters, z, r) -> 0`` that corrects the residual ``r`` in place. The last
+  number of ``z`` (``z[TIME]``) is the time since the recording's start, s.
+
+An effect that is noise brings a ``process`` instead: Markov states that walk with a bias
+(``walks``) or that its ``observation_error`` takes for its parameters.
 
 What an effect adds depends on the truth, of which only readings are known. Errors much
 smaller than the signal are found by substitution; an effect that moves the signal as a
@@ -23,16 +27,25 @@ from functools import cache
 
 import numpy as np
 
-from handcal.types import Array, InputError
+from handcal.types import Array, InputError, Level, Markov
+
+
+# Places in an observation's z (Z_DIM numbers) that are the same for every kind.
+Z_DIM = 12
+DELAY, TIME = 10, 11
 
 
 @dataclass(frozen=True)
 class Param:
-    """One parameter of an effect: its name, SI unit and prior standard deviation."""
+    """One parameter of an effect: its name, SI unit and prior standard deviation.
+
+    positive: it cannot be negative (a time constant, a noise level).
+    """
 
     name: str
     unit: str
     prior_sigma: float
+    positive: bool = False
 
 
 @dataclass(frozen=True)
@@ -40,18 +53,33 @@ class Signals:
     """What an effect may depend on, n samples: the best estimate of the truth so far.
 
     t (n,) s; gyro (n, 3) true rate, rad/s; accel (n, 3) true specific force, m/s^2;
-    temperature (n,) degC or None where the recording has none.
+    temperature (n,) degC or None where the recording has none; C_nb (n, 3, 3) attitude, or
+    None before there is any.
     """
 
     t: Array
     gyro: Array
     accel: Array
     temperature: Array | None = None
+    C_nb: Array | None = None
 
 
 @dataclass(frozen=True)
 class Effect:
-    """One cause of sensor error: its parameters, its physics and its story in plain words."""
+    """One cause of sensor error: its parameters, its physics and its story in plain words.
+
+    needs: streams without which it cannot be told ("temperature"), or "attitude" where
+    ``imu_error`` reads ``Signals.C_nb``. delays: kinds of observation whose time its first
+    parameter shifts, so that large ones can be found about a shifted time: ``z[DELAY]`` is
+    the part already taken off. process: Markov states of noise, whose levels ``levels``
+    have the parameters' names behind the id (``gyro_bias_walk_density``); walks: the reading
+    they add to, "gyro" or "accel". moments: reference points (k, p) to be tried, given the
+    recording's times, where the error is not linear in all parameters (a step at an unknown
+    moment). outliers: for each kind of observation the probability density of a reading that
+    is merely wrong, in a share of readings that is the first parameter. exclusive: ids of
+    effects of which this one keeps only what they lack: together with one of them, its
+    parameters are those of ``together @ parameters``.
+    """
 
     id: str
     title: str
@@ -63,6 +91,15 @@ class Effect:
     imu_error: Callable[[Array, Signals], Array] | None = None
     observation_error: Mapping[str, int] = field(default_factory=dict)
     imu_inverse: Callable[[Array, Signals], Array] | None = None
+    needs: tuple[str, ...] = ()
+    delays: tuple[str, ...] = ()
+    process: Markov | None = None
+    levels: tuple[Level, ...] = ()
+    walks: str = ""
+    moments: Callable[[Array], Array] | None = None
+    outliers: Mapping[str, float] = field(default_factory=dict)
+    exclusive: tuple[str, ...] = ()
+    together: Array | None = None
 
     @property
     def prior_sigma(self) -> Array:
@@ -94,6 +131,8 @@ def catalogue() -> Mapping[str, Effect]:
     """Every effect in this folder, by id."""
     found: dict[str, Effect] = {}
     for info in pkgutil.iter_modules(__path__):
+        if info.name.startswith("_"):
+            continue
         effect: Effect = importlib.import_module(f"{__name__}.{info.name}").EFFECT
         found[effect.id] = effect
     return found

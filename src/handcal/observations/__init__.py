@@ -14,11 +14,10 @@ import pkgutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Protocol
 
 import numpy as np
 
-from handcal.types import Array, Recording
+from handcal.types import Array, Level, Markov, Recording
 
 NAV = 21
 
@@ -51,49 +50,12 @@ class Rows:
 
 
 @dataclass(frozen=True)
-class Level:
-    """A noise level: name, unit, first guess and the range in which it is estimated.
-
-    below, above: how far it may stray from the first guess to either side, as a standard
-    deviation of its logarithm.
-    """
-
-    name: str
-    unit: str
-    initial: float
-    lower: float
-    upper: float
-    below: float = 2.0
-    above: float = 2.0
-
-
-@dataclass(frozen=True)
 class Constant:
     """An unknown constant of an observation, with mean zero and a prior."""
 
     name: str
     unit: str
     prior_sigma: float
-
-
-class Markov(Protocol):
-    """Extra states with dynamics of their own (hand sway, correlated noise).
-
-    vectors: how many of them, three by three from the first, are vectors in n.
-    """
-
-    size: int
-    vectors: int
-
-    def transition(
-        self, levels: Mapping[str, float], dt: Array, rate: Array
-    ) -> tuple[Array, Array]:
-        """Phi and Q, each (n, size, size), of steps dt (n,) s while turning at rate (n,) rad/s."""
-        ...
-
-    def start(self, levels: Mapping[str, float], rate: float) -> Array:
-        """Covariance (size, size) at the start."""
-        ...
 
 
 @dataclass(frozen=True)

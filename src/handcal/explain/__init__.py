@@ -1,0 +1,1 @@
+"""Locate the mismatch, name the missing physics, model it, prove it."""

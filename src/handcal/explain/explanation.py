@@ -1,0 +1,169 @@
+"""What ``explain`` found, as frozen dataclasses: report, dashboard and JSON read only these."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from handcal.types import Array, NoiseLevel, Parameter, Recording
+
+VERDICTS = ("nothing_missing", "explained", "unexplained", "cannot_tell")
+
+
+@dataclass(frozen=True)
+class Mismatch:
+    """Where the baseline falls short: share of the whole shortfall in log score, and when."""
+
+    channel: str
+    from_s: float
+    to_s: float
+    share: float
+    when: str
+
+
+@dataclass(frozen=True)
+class Missing:
+    """One effect that is present (or one set of effects of which one is).
+
+    probability: posterior that it (or its set) is present; log_evidence_gain: final model
+    against the same without it, nats; indistinguishable_from: the others of its set, most
+    probable first; title, story, motion: from the catalogue, plain words.
+    """
+
+    effect: str
+    title: str
+    probability: float
+    log_evidence_gain: float
+    indistinguishable_from: tuple[str, ...]
+    parameters: tuple[Parameter, ...]
+    story: str
+    motion: str
+
+
+@dataclass(frozen=True)
+class Unnamed:
+    """A term found outside the catalogue, as a formula of measured signals."""
+
+    formula: str
+    value: float
+    sigma: float
+    unit: str
+    log_evidence_gain: float
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One effect on trial: evidence gained by it alone over the baseline, and in the end.
+
+    alone: nats over the baseline; final: nats over the final model without it, for those
+    in the final model, else over the final model with it added. expected: nats that the
+    information matrix promises for an amplitude of one prior sigma. probability: posterior.
+    verdict: "named", "set" (a member of an indistinguishable set), "" (not present).
+    """
+
+    effect: str
+    title: str
+    alone: float
+    final: float
+    expected: float
+    probability: float
+    verdict: str
+
+
+@dataclass(frozen=True)
+class Trace:
+    """Simulated against recorded, in sensor units, for one channel of one recording.
+
+    t (k,) s; recorded, before, after (k,): the reading and what the fitted baseline and the
+    final model say it should have been; sigma (k,): one standard deviation of what the
+    model allows at this smoothing; unit. Smoothed over a tenth of a second and thinned.
+    """
+
+    channel: str
+    t: Array
+    recorded: Array
+    before: Array
+    after: Array
+    sigma: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Where the evidence came from: cumulated gain (k,) nats of each effect over t (k,) s."""
+
+    t: Array
+    gain: Mapping[str, Array]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How well a model fits: evidence, residuals (root mean square, sensor units), NIS per
+    degree of freedom and whiteness (lag-one autocorrelation of innovations) by channel or kind."""
+
+    log_evidence: float
+    residual_rms: Mapping[str, float]
+    nis: Mapping[str, float]
+    whiteness: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Scores on data that the fit has not seen; higher log scores are better.
+
+    source: "later blocks" or the names of the files.
+    """
+
+    source: str
+    log_score_before: float
+    log_score_after: float
+    residual_rms_before: Mapping[str, float]
+    residual_rms_after: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class NextMotion:
+    """A motion to make next: which effects it separates and the nats it promises."""
+
+    motion: str
+    separates: tuple[str, ...]
+    expected_gain: float
+
+
+@dataclass(frozen=True)
+class Explained:
+    """One of the recordings: how it looked against the model.
+
+    parameters: biases and other things of its own; shortfall: for each channel (k,) nats
+    lost in time bins ``bins`` (k + 1,) s against what the model expects of itself.
+    """
+
+    recording: Recording
+    assume: str
+    parameters: tuple[Parameter, ...]
+    noise: tuple[NoiseLevel, ...]
+    traces: tuple[Trace, ...]
+    evidence: Evidence
+    bins: Array
+    shortfall: Mapping[str, Array]
+    rests: Array
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """All that ``explain`` says of one device. parameters, noise: of the final model (noise of
+    the first recording); missing is ordered by evidence; hypotheses by ``alone``."""
+
+    verdict: str
+    mismatch: tuple[Mismatch, ...]
+    missing: tuple[Missing, ...]
+    unnamed: tuple[Unnamed, ...]
+    hypotheses: tuple[Hypothesis, ...]
+    before: Fit
+    after: Fit
+    held_out: HeldOut | None
+    next_motion: tuple[NextMotion, ...]
+    parameters: tuple[Parameter, ...]
+    noise: tuple[NoiseLevel, ...]
+    recordings: tuple[Explained, ...]
+    warnings: tuple[str, ...]
