@@ -10,10 +10,19 @@ from worlds import injected, recording_of, true_levels
 
 from handcal import calibrate, so3
 from handcal._jit import call_residual
-from handcal.effects import Signals, catalogue, imu_jacobian, select
+from handcal.effects import (
+    DELAY,
+    TIME,
+    Z_DIM,
+    Signals,
+    catalogue,
+    imu_jacobian,
+    mag_hard_iron,
+    select,
+)
 from handcal.kernel import MAX_DIM
 from handcal.observations import catalogue as observations
-from handcal.types import InputError
+from handcal.types import InputError, Series
 from handcal_sim import simulate
 from handcal_sim.effects import EFFECTS as SIMULATED
 from handcal_sim.phone import Clocking, capture_pose, consumer_magnetometer, consumer_phone
@@ -54,6 +63,8 @@ CONTRACT = {
 }
 IDS = sorted(catalogue())
 ACTING = [i for i in IDS if catalogue()[i].imu_error is not None]
+NOISY = [i for i in IDS if catalogue()[i].process is not None]
+STRAYING = [i for i in IDS if catalogue()[i].outliers]
 OBSERVED = [(i, kind) for i in IDS for kind in catalogue()[i].observation_error]
 
 
@@ -94,7 +105,13 @@ def test_acts_somewhere(name):
     effect = catalogue()[name]
     known = observations()
     assert set(effect.observation_error) <= set(known)
-    assert effect.imu_error is not None or effect.observation_error
+    assert set(effect.outliers) <= set(known)
+    assert set(effect.delays) <= set(effect.observation_error)
+    if effect.process is not None:
+        assert effect.walks in ("gyro", "accel") or effect.observation_error
+        assert effect.imu_error is None
+    else:
+        assert effect.imu_error is not None or effect.observation_error or effect.outliers
 
 
 def test_selection_keeps_order_drops_doubles_and_refuses_the_unknown():
@@ -220,10 +237,11 @@ def test_units_and_signs_of_the_readings_by_hand(name):
 # --- effects on the observations ------------------------------------------------------------------
 
 
-def corrected(name, kind, nav, parameters, z):
-    """What the effect adds to a residual of ones."""
+def corrected(name, kind, nav, parameters, z, taken_off=0.0):
+    """What the effect adds to a residual of ones, 40 s after the start."""
     r = np.ones(MAX_DIM)
-    z = np.r_[np.asarray(z, dtype=float), np.zeros(8 - len(z))]
+    z = np.r_[np.asarray(z, dtype=float), np.zeros(Z_DIM - len(z))]
+    z[DELAY], z[TIME] = taken_off, 40.0
     address = catalogue()[name].observation_error[kind]
     assert call_residual(address, nav, np.asarray(parameters, dtype=float), z, r) == 0
     return r - 1.0
@@ -242,7 +260,7 @@ def test_zero_parameters_change_no_residual(name, kind):
     for seed in range(5):
         rng = np.random.default_rng(seed)
         nav = nav_of(rng.normal(0, 1, 3), Rotation.random(random_state=rng).as_matrix(), RATE)
-        zero = np.zeros(len(effect.parameters))
+        zero = np.zeros(len(effect.parameters) if effect.process is None else effect.process.size)
         assert np.all(corrected(name, kind, nav, zero, READINGS.get(kind, [0.3])) == 0.0)
 
 
@@ -251,6 +269,16 @@ def test_zero_parameters_change_no_residual(name, kind):
 NORTH = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 VELOCITY, SPIN = [1.0, 2.0, 3.0], [0.0, 0.0, 0.5]
 OBSERVED_BY_HAND = {
+    # noise: what the Markov state holds is in the reading
+    ("heading_correlated_noise", "heading"): ([0.1], [-0.1]),
+    ("heading_correlated_noise", "magnetometer"): ([0.1], [-0.1]),
+    # after 40 s
+    ("heading_drift", "heading"): ([0.01], [-0.4]),
+    ("heading_drift", "magnetometer"): ([0.01], [-0.4]),
+    # 0.1 sin(90 deg) + 0.2 cos(90 deg); 0.1 sin(180 deg) + 0.2 cos(180 deg)
+    ("heading_hard_iron", "heading"): ([0.1, 0.2], [-0.1]),
+    ("heading_soft_iron", "heading"): ([0.1, 0.2], [0.2]),
+    ("heading_soft_iron", "magnetometer"): ([0.1, 0.2], [0.2]),
     # The reading at t is the value at t - 0.2: 0.2 * 0.5 = 0.1 rad too small while turning left.
     ("heading_delay", "heading"): ([0.2], [0.1]),
     ("heading_delay", "magnetometer"): ([0.2], [0.1]),
@@ -276,6 +304,18 @@ def test_units_and_signs_of_the_residuals_by_hand(name, kind):
     np.testing.assert_allclose(got, full, atol=1.7e-4 if "delay" in name else 1e-15)
 
 
+DELAYED = [(i, kind) for i, kind in OBSERVED if kind in catalogue()[i].delays]
+
+
+@pytest.mark.parametrize(("name", "kind"), DELAYED)
+def test_a_delay_already_taken_off_counts_no_more(name, kind):
+    """Observations moved to 0.3 s before their stamps: what is left of 0.32 s is 0.02 s."""
+    nav, z = nav_of(VELOCITY, NORTH, RATE), READINGS.get(kind, [0.0])
+    left = corrected(name, kind, nav, [0.32], z, taken_off=0.3)
+    np.testing.assert_allclose(left, corrected(name, kind, nav, [0.02], z), atol=1e-15)
+    assert np.all(corrected(name, kind, nav, [0.3], z, taken_off=0.3) == 0.0)
+
+
 @pytest.mark.parametrize("kind", ["heading", "magnetometer"])
 def test_heading_delay_is_of_second_order_at_any_tilt(kind):
     """Against the exact attitude a delay earlier; the error falls with the turn cubed."""
@@ -299,6 +339,68 @@ def test_heading_delay_is_of_second_order_at_any_tilt(kind):
             worst = max(worst, abs(float(left) + got[0]))
         errors.append(worst)
     assert np.polyfit(np.log(delays), np.log(errors), 1)[0] == pytest.approx(3.0, abs=0.5)
+
+
+# --- effects that are noise -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", NOISY)
+def test_levels_of_noise_are_its_parameters(name):
+    """A level of the parameter's name behind the id, first guessed below the prior."""
+    effect = catalogue()[name]
+    assert [lv.name for lv in effect.levels] == [f"{name}_{p.name}" for p in effect.parameters]
+    for level, parameter in zip(effect.levels, effect.parameters, strict=True):
+        assert parameter.positive
+        assert level.unit == parameter.unit
+        prior = parameter.prior_sigma
+        assert level.lower < 0.1 * prior < level.initial < prior < 3.0 * prior < level.upper
+
+
+@pytest.mark.parametrize("name", NOISY)
+def test_noise_does_not_care_where_the_steps_are(name):
+    """Two steps are one of both lengths; none is none; at rest and in motion alike."""
+    effect = catalogue()[name]
+    levels = {lv.name: 2.0 * lv.initial for lv in effect.levels}
+    dt, rate = np.array([0.3, 0.9, 1.2, 0.0]), np.array([0.0, 5.0, 1.0, 1.0])
+    Phi, Q = effect.process.transition(levels, dt, rate)
+    assert Phi.shape == Q.shape == (4, effect.process.size, effect.process.size)
+    np.testing.assert_allclose(Phi[1] @ Phi[0], Phi[2], rtol=1e-12)
+    np.testing.assert_allclose(Phi[1] @ Q[0] @ Phi[1].T + Q[1], Q[2], rtol=1e-12)
+    np.testing.assert_array_equal(Phi[3], np.eye(effect.process.size))
+    assert np.all(Q[3] == 0.0)
+    assert effect.process.vectors == 0  # sensors' axes, not those of n
+
+
+# Levels, and by hand after 4 s: Phi, Q and the covariance at the start, each times the identity.
+NOISE_BY_HAND = {
+    "gyro_bias_walk": ([0.1], 1.0, 0.04, 0.0),
+    "accel_bias_walk": ([0.1], 1.0, 0.04, 0.0),
+    "heading_correlated_noise": ([0.2, 2.0], math.exp(-2), 0.04 * (1 - math.exp(-4)), 0.04),
+}
+
+
+@pytest.mark.parametrize("name", NOISY)
+def test_units_of_noise_by_hand(name):
+    effect = catalogue()[name]
+    values, Phi, Q, start = NOISE_BY_HAND[name]
+    levels = {lv.name: v for lv, v in zip(effect.levels, values, strict=True)}
+    eye = np.eye(effect.process.size)
+    got = effect.process.transition(levels, np.array([4.0]), np.array([1.0]))
+    np.testing.assert_allclose(got[0][0], Phi * eye, rtol=1e-12)
+    np.testing.assert_allclose(got[1][0], Q * eye, rtol=1e-12)
+    np.testing.assert_allclose(effect.process.start(levels, 1.0), start * eye, rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", STRAYING)
+def test_wrong_readings_have_a_density_of_one_and_no_other_physics(name):
+    """A heading that is merely wrong lies somewhere on the circle."""
+    effect = catalogue()[name]
+    assert not effect.observation_error
+    assert effect.imu_error is None
+    for kind, density in effect.outliers.items():
+        assert observations()[kind].channels == ("heading",)
+        assert density * 2 * math.pi == pytest.approx(1.0)
+    assert effect.parameters[0].unit == "1"
 
 
 # --- what the simulator injects comes back --------------------------------------------------------
@@ -340,12 +442,28 @@ TRIALS = [
     ("lever_arm", "free-hand", with_pose, "pose", 1.0),
     ("pose_delay", "free-hand", with_pose, "pose", 1.0),
     ("mag_hard_iron", "free-hand", with_magnetometer, "mag", 0.1),
+    ("heading_hard_iron", "free-hand", good_heading, "heading", 1.0),
+    ("heading_soft_iron", "free-hand", good_heading, "heading", 1.0),
+    ("heading_soft_iron", "free-hand", with_magnetometer, "mag", 1.0),
+    ("heading_drift", "free-hand", good_heading, "heading", 1.0),
+    ("heading_drift", "free-hand", with_magnetometer, "mag", 1.0),
 ]
 SEEDS = range(2)
 
 
+# id, levels, how many times too large or too small each may be found: 84 s hold some twenty
+# independent moments of noise that is remembered for 3 s, or of a walk
+NOISE_TRIALS = [
+    ("gyro_bias_walk", [1e-3], [1.5]),
+    ("accel_bias_walk", [1e-2], [1.5]),
+    ("heading_correlated_noise", [0.05, 3.0], [1.5, 2.0]),
+]
+
+
 def test_every_effect_is_on_trial():
-    assert {getattr(trial, "values", trial)[0] for trial in TRIALS} == set(IDS)
+    tried = {getattr(trial, "values", trial)[0] for trial in TRIALS}
+    tried |= {name for name, *_ in NOISE_TRIALS} | set(STRAYING)
+    assert tried == set(IDS)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -369,3 +487,83 @@ def test_what_the_simulator_injects_comes_back(name, motion, phone, stream, prio
         assert abs(got.value - value) < 4 * got.sigma, (parameter.name, got, value)
         assert got.sigma < parameter.prior_sigma
         assert got.observable
+
+
+def noisy_world(seed, effects):
+    world = simulate("free-hand", seed=seed, phone=good_heading, duration_s=84.0, effects=effects)
+    return world, recording_of(world, "heading")
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize(("name", "truth", "factors"), NOISE_TRIALS)
+def test_noise_that_the_simulator_injects_comes_back(name, truth, factors, seed):
+    """Its levels, all others unknown too; and of a bias that walks its mean."""
+    effect = catalogue()[name]
+    world, recording = noisy_world(seed, {name: truth})
+    np.testing.assert_allclose(injected(world, name), truth)
+    found = calibrate(recording, [name], assume="fixed-point")
+    levels = {n.name: n for n in found.noise}
+    for parameter, value, factor in zip(effect.parameters, truth, factors, strict=True):
+        level = levels[f"{name}_{parameter.name}"]
+        assert level.estimated
+        assert level.unit == parameter.unit
+        assert value / factor < level.value < value * factor
+    # noise has no constants
+    assert {p.effect for p in found.parameters} == {"gyro_bias", "accel_bias"}
+    assert found.covariance.shape == (6, 6)
+    sigma = [p.sigma for p in found.parameters]
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), sigma, rtol=1e-9)
+    walk = world.parameters["mean_walk"]
+    for i, axis in enumerate("xyz"):
+        for sensor in ("gyro", "accel"):
+            got = found.parameter(f"{sensor}_bias", axis)
+            true = injected(world, f"{sensor}_bias")[i] + walk[sensor][i]
+            # with the hand's sway unknown, sigmas of the accelerometer's biases are a bit small
+            assert abs(got.value - true) < 5 * got.sigma, (got, true)
+
+
+@pytest.mark.parametrize(("name", "truth", "factors"), NOISE_TRIALS)
+def test_noise_that_is_not_there_is_not_found(name, truth, factors):  # noqa: ARG001
+    """Far below what would be noticed, and no worse than without."""
+    _, recording = noisy_world(3, {})
+    found = calibrate(recording, [name], assume="fixed-point")
+    level = {n.name: n.value for n in found.noise}[catalogue()[name].levels[0].name]
+    assert level < 0.2 * truth[0]
+    without = calibrate(recording, assume="fixed-point")
+    assert found.log_evidence == pytest.approx(without.log_evidence, abs=3.0)
+
+
+@pytest.mark.parametrize("name", STRAYING)
+def test_only_explain_handles_wrong_readings(name):
+    world = simulate("free-hand", seed=0, duration_s=8.0)
+    with pytest.raises(InputError, match="explain"):
+        calibrate(recording_of(world, "heading"), [name])
+
+
+# --- first values ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_hard_iron_is_guessed_from_the_sphere(seed):
+    """Twice the Earth's field, from two turns of the hand: to a few percent of the iron."""
+    rng = np.random.default_rng(seed)
+    iron = rng.normal(0, 1e-4, 3)
+    effects = {"mag_hard_iron": iron}
+    world = simulate("free-hand", seed=seed, phone=with_magnetometer, effects=effects)
+    guess = mag_hard_iron.guess(recording_of(world, "mag"))
+    np.testing.assert_allclose(guess, iron, rtol=0, atol=2e-6)
+
+
+def test_hard_iron_is_not_guessed_where_the_motion_does_not_show_it():
+    """A turn about z shows the iron along x and y; along z the prior's zero stays."""
+    iron = np.array([8e-5, -6e-5, 3e-5])
+    angle = np.linspace(0, 2 * np.pi, 400)
+    field = np.stack([2e-5 * np.sin(angle), 2e-5 * np.cos(angle), np.full(400, -4e-5)], axis=1)
+    world = simulate("free-hand", seed=0, duration_s=8.0)
+    recording = recording_of(world)
+    streams = {"mag": Series(np.linspace(0, 8, 400), field + iron)}
+    guess = mag_hard_iron.guess(replace(recording, streams=streams))
+    np.testing.assert_allclose(guess[:2], iron[:2], atol=1e-6)
+    assert abs(guess[2]) < 1e-4
+    with pytest.raises(InputError, match="magnetometer"):
+        mag_hard_iron.guess(recording)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from fake_result import fake_result
 
-from handcal import plots, report
+from handcal import drawing, report
 from handcal.types import Parameter
 
 
@@ -44,7 +44,7 @@ def test_the_page_says_what_the_result_says(page):
         "consistent",
     ):
         assert part in text
-    for colour in plots.PALETTE:
+    for colour in drawing.PALETTE:
         assert colour not in text.split("</style>")[1]
 
 
@@ -110,8 +110,8 @@ def test_thinning_keeps_the_peaks():
     t = np.arange(100_000) * 0.01
     y = np.sin(t)
     y[54_321] = 9.0
-    thin_t, thin_y = plots.envelope(t, y)
-    assert len(thin_t) < 2 * plots.POINTS + 4
+    thin_t, thin_y = drawing.envelope(t, y)
+    assert len(thin_t) < 2 * drawing.POINTS + 4
     assert thin_y.max() == 9.0
     assert np.all(np.diff(thin_t) > 0)
 

@@ -34,12 +34,12 @@ _STREAMS = {
 }
 
 
-def write(world: World, path: str | Path) -> int:
-    """Writes the recording with its truth; returns the number of messages."""
+def write(world: World, path: str | Path, *, truth: bool = True) -> int:
+    """Writes the recording, with its truth unless told; returns the number of messages."""
     messages = sorted(
         (
             (int(stamp), order, name, data)
-            for order, (name, stamps, payload) in enumerate(_payloads(world))
+            for order, (name, stamps, payload) in enumerate(_payloads(world, truth))
             for stamp, data in zip(
                 stamps, ros.encode(stamps, _STREAMS[name][1], payload), strict=True
             )
@@ -49,26 +49,24 @@ def write(world: World, path: str | Path) -> int:
     with Path(path).open("wb") as file:
         writer = Writer(file, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
         writer.start(profile="ros2", library="handcal simulate")
-        _write_parameters(writer, world)
+        if truth:
+            _write_parameters(writer, world)
         channels = _register(writer, {name for _, _, name, _ in messages})
         count = dict.fromkeys(channels, 0)
         for stamp, _, name, data in messages:
             writer.add_message(channels[name], stamp, data, stamp, count[name])
             count[name] += 1
         writer.finish()  # type: ignore[no-untyped-call]
-    return len(messages) + 1
+    return len(messages) + int(truth)
 
 
-def _payloads(world: World) -> Iterator[tuple[str, NDArray[np.int64], Array]]:
-    truth = world.truth
-    true_imu = np.hstack([truth.omega, truth.f])
-    true_pose = np.hstack([truth.position, quaternion(truth.C_nb)])
-    streams = {
-        "imu": world.imu,
-        **world.streams,
-        "truth/pose": Stream(world.imu.stamps, true_pose),
-        "truth/imu": Stream(world.imu.stamps, true_imu),
-    }
+def _payloads(world: World, truth: bool) -> Iterator[tuple[str, NDArray[np.int64], Array]]:
+    streams = {"imu": world.imu, **world.streams}
+    if truth:
+        true = world.truth
+        true_pose = np.hstack([true.position, quaternion(true.C_nb)])
+        streams["truth/pose"] = Stream(world.imu.stamps, true_pose)
+        streams["truth/imu"] = Stream(world.imu.stamps, np.hstack([true.omega, true.f]))
     for name, stream in streams.items():
         stamps = START_NS + np.rint(stream.stamps * 1e9).astype(np.int64)
         yield name, stamps, _payload(name, stream.values)

@@ -145,10 +145,10 @@ def smoothed_mean(linear: Linear, levels: Mapping[str, float]) -> tuple[Array, f
     k, m = done.X.shape[:2]
     r = np.empty((k, m, 1))
     backward(done, False, r, np.empty((0, m, m)), spread=False)
-    return _whole_mean(done, r), done.log_evidence
+    return whole_mean(done, r), done.log_evidence
 
 
-def _whole_mean(done: ReducedPass, r: Array) -> Array:
+def whole_mean(done: ReducedPass, r: Array) -> Array:
     reduction = done.reduction
     x = np.empty((len(done.X), reduction.linear.problem.size))
     x[:, 9 : 9 + len(done.w)] = reduction.scale * done.w
@@ -166,7 +166,7 @@ def smooth(linear: Linear, levels: Mapping[str, float], forward_pass: Pass) -> t
     k, m, columns = done.X.shape
     r, N = np.empty((k, m, columns)), np.empty((k, m, m))
     backward(done, True, r, N)
-    x = _whole_mean(done, r[:, :, :1])
+    x = whole_mean(done, r[:, :, :1])
     moving, scale = done.reduction.moving, done.reduction.scale
     fixed = np.arange(9, 9 + len(scale))
     spread = done.spread * scale[:, None]

@@ -37,6 +37,7 @@ from handcal.types import (
 )
 
 Progress = Callable[[float], None]
+Observed = tuple[Observation, Rows, tuple[tuple[str, str, float], ...]]
 ASSUMPTIONS = ("auto", "fixed-point", "rest-only")
 # A hand that holds a point still does not wander further than this (root mean square, m).
 HAND_SWAY = 0.05
@@ -95,6 +96,7 @@ def calibrate(
         recording, streams={k: v for k, v in recording.streams.items() if k not in ignore}
     )
     chosen = select(effects)
+    _check_calibrates(chosen)
     fixed = dict(noise or {})
     if heading_sigma is not None:
         fixed["heading_noise"] = heading_sigma
@@ -102,17 +104,8 @@ def calibrate(
     earth = local_earth(latitude, height)
     warnings = list(recording.warnings)
     if observations is None:
-        usable = _usable(recording, chosen, warnings)
-        travels = False
-        if assume == "auto":
-            assume, said = _assumption(recording, chosen, usable, rests, earth, fixed, report)
-            warnings += said
-            travels = assume == "rest-only"
-        kinds = _kinds(assume, usable, rests)
-        if travels and "pose" not in usable:
-            # Between the rests the hand is not free either: it stays within an arm's reach,
-            # which a wide sway says, and which keeps dead reckoning from running away.
-            kinds.append("fixed_position")
+        assume, kinds, said = choose(recording, chosen, assume, rests, earth, fixed, report)
+        warnings += said
     else:
         kinds = list(observations)
         assume = "rest-only" if "zero_rate" in kinds else "fixed-point"
@@ -122,6 +115,31 @@ def calibrate(
     solution = solve(problem, begin, fixed, noise_until, engine, lambda f: report(0.3 + 0.65 * f))
     report(1.0)
     return _result(recording, assume, rests, solution, warnings)
+
+
+def choose(
+    recording: Recording,
+    effects: Sequence[Effect],
+    assume: str,
+    rests: Array,
+    earth: tuple[Array, Array],
+    fixed: Mapping[str, float],
+    report: Progress = lambda _: None,
+) -> tuple[str, list[str], list[str]]:
+    """What is assumed of the hand, the kinds of observation to use, and what was left out."""
+    warnings: list[str] = []
+    usable = _usable(recording, effects, warnings)
+    travels = False
+    if assume == "auto":
+        assume, said = _assumption(recording, effects, usable, rests, earth, fixed, report)
+        warnings += said
+        travels = assume == "rest-only"
+    kinds = _kinds(assume, usable, rests)
+    if travels and "pose" not in usable:
+        # Between the rests the hand is not free either: it stays within an arm's reach,
+        # which a wide sway says, and which keeps dead reckoning from running away.
+        kinds.append("fixed_position")
+    return assume, kinds, warnings
 
 
 def _check(
@@ -144,9 +162,19 @@ def _check(
             raise InputError(f"There is no stream '{name}' to ignore; the recording has: {have}.")
 
 
+def _check_calibrates(effects: Sequence[Effect]) -> None:
+    for e in effects:
+        if e.outliers:
+            raise InputError(
+                f"The effect '{e.id}' cannot be calibrated: the filter believes every reading. "
+                "'explain' can find it; leave it out here."
+            )
+
+
 def _check_effects(effects: Sequence[Effect], kinds: Sequence[str]) -> None:
     for e in effects:
-        if e.imu_error is None and not set(e.observation_error) & set(kinds):
+        acts = e.imu_error is not None or e.walks or set(e.observation_error) & set(kinds)
+        if not acts:
             raise InputError(
                 f"The effect '{e.id}' acts on {' or '.join(sorted(e.observation_error))}, and "
                 "nothing like that is observed here: leave it out."
@@ -245,12 +273,24 @@ def problem_of(
     start: Start | None,
 ) -> tuple[Problem, Start]:
     """The problem these kinds of observation make of the recording, and where it starts."""
+    observed, begin = observed_of(recording, kinds, rests, earth, start)
+    return build(recording, effects, observed, *earth), begin
+
+
+def observed_of(
+    recording: Recording,
+    kinds: Sequence[str],
+    rests: Array,
+    earth: tuple[Array, Array],
+    start: Start | None,
+) -> tuple[list[Observed], Start]:
+    """Each kind of observation with its rows and constants, and where the filter starts."""
     has_heading = "heading" in kinds or "magnetometer" in kinds
     scene = Scene(rests, has_heading, omega_ie_n=earth[1])
     begin = start or _level(recording, kinds, scene)
     if "pose" in kinds and has_heading:
         scene = replace(scene, align_yaw=float(so3.yaw_of(begin.C_nb)))
-    observed: list[tuple[Observation, Rows, tuple[tuple[str, str, float], ...]]] = []
+    observed: list[Observed] = []
     for kind in kinds:
         observation = catalogue()[kind]
         rows = observation.rows(recording, scene)
@@ -260,7 +300,7 @@ def problem_of(
         observed.append((observation, rows, constants))
         if kind == "pose" and start is None:
             begin = from_pose(rows.t, rows.z)
-    return build(recording, effects, observed, *earth), begin
+    return observed, begin
 
 
 def _level(recording: Recording, kinds: Sequence[str], scene: Scene) -> Start:
@@ -349,18 +389,19 @@ def _result(
             )
     warnings += _gravity_stays(linear.trajectory.C)
     warnings += _contradicting_heading(linear.problem, solution.levels)
-    count = 6 + _effect_constants(linear.problem)
+    smoothed = _history(linear, x, P)
+    parameters = _parameters(linear.problem, history, smoothed)
     return Result(
         recording=recording,
         assume=assume,
-        parameters=_parameters(linear.problem, history),
-        covariance=forward.P[-1, 9 : 9 + count, 9 : 9 + count].copy(),
+        parameters=parameters,
+        covariance=_covariance(linear.problem, forward.P[-1], parameters),
         noise=tuple(
             NoiseLevel(lv.name, solution.levels[lv.name], lv.unit, lv.name in solution.estimated)
             for lv in linear.problem.levels
         ),
         history=history,
-        smoothed=_history(linear, x, P),
+        smoothed=smoothed,
         innovations=innovations,
         log_evidence=forward.log_evidence,
         rests=rests,
@@ -399,7 +440,28 @@ def _gravity_stays(C_nb: Array) -> list[str]:
 
 
 def _effect_constants(problem: Problem) -> int:
-    return sum(len(e.parameters) for e in problem.effects)
+    """Number of the effects' constants; those of noise are levels instead."""
+    return sum(len(e.parameters) for e in problem.effects if e.process is None and not e.outliers)
+
+
+def _walking(problem: Problem, P: Array) -> Array:
+    """Covariances P (k, N, N) with the biases as they are at each moment, walks included."""
+    if not problem.walks:
+        return P
+    total = np.eye(problem.size)
+    for state, column in problem.walks:
+        at = BASE + problem.constants + state
+        total[9 + column : 12 + column, at : at + 3] = np.eye(3)
+    return np.asarray(total @ P @ total.T)
+
+
+def _covariance(problem: Problem, P: Array, parameters: Sequence[Parameter]) -> Array:
+    """Covariance (m, m) of the parameters from the last P (N, N); their own sigmas count."""
+    own = _walking(problem, P)[9 : 9 + len(parameters), 9 : 9 + len(parameters)].copy()
+    if problem.walks:
+        scale = np.array([p.sigma for p in parameters]) / np.sqrt(np.diag(own))
+        own *= np.outer(scale, scale)
+    return own
 
 
 def _history(linear: Linear, x: Array, P: Array) -> History:
@@ -408,8 +470,12 @@ def _history(linear: Linear, x: Array, P: Array) -> History:
     step = max(1, round(len(linear.t) / max(1.0, (linear.t[-1] - linear.t[0]) * HISTORY_RATE)))
     rows = np.unique(np.r_[np.arange(0, len(linear.t), step), len(linear.t) - 1])
     C = np.stack([so3.matrix_exp(x[j, 6:9]) @ nominal.C[j] for j in rows])
-    constants = np.r_[nominal.bg, nominal.ba, nominal.constants[:m]]
-    sigma = np.sqrt(np.maximum(np.einsum("kii->ki", P[rows]), 0.0))
+    parameters = np.r_[nominal.bg, nominal.ba, nominal.constants[:m]] + x[rows, 9 : BASE + m]
+    for state, column in linear.problem.walks:
+        at = BASE + linear.problem.constants + state
+        walk = nominal.markov[rows, state : state + 3] + x[rows, at : at + 3]
+        parameters[:, column : column + 3] += walk
+    sigma = np.sqrt(np.maximum(np.einsum("kii->ki", _walking(linear.problem, P[rows])), 0.0))
     return History(
         t=linear.t[rows],
         p_n=nominal.p[rows] + x[rows, 0:3],
@@ -417,12 +483,15 @@ def _history(linear: Linear, x: Array, P: Array) -> History:
         q_nb=so3.quaternion_of(C),
         yaw=so3.yaw_of(C),
         nav_sigma=sigma[:, :9],
-        parameters=constants + x[rows, 9 : BASE + m],
+        parameters=parameters,
         parameter_sigma=sigma[:, 9 : BASE + m],
     )
 
 
-def _parameters(problem: Problem, history: History) -> tuple[Parameter, ...]:
+def _parameters(problem: Problem, history: History, smoothed: History) -> tuple[Parameter, ...]:
+    """What was found in the end; of a walking bias its mean over the recording, with the mean
+    of its sigmas (at most that is the sigma of the mean)."""
+    walking = {column + i for _, column in problem.walks for i in range(3)}
     names = [("gyro_bias", a, "rad/s") for a in "xyz"] + [("accel_bias", a, "m/s^2") for a in "xyz"]
     names += [(s.owner, s.name, s.unit) for s in problem.slots[: _effect_constants(problem)]]
     priors = [float(GYRO_BIAS_PRIOR)] * 3 + [ACCEL_BIAS_PRIOR] * 3
@@ -430,17 +499,14 @@ def _parameters(problem: Problem, history: History) -> tuple[Parameter, ...]:
     out = []
     for i, (effect, name, unit) in enumerate(names):
         value, sigma = history.parameters[:, i], history.parameter_sigma[:, i]
-        out.append(
-            Parameter(
-                effect,
-                name,
-                float(value[-1]),
-                float(sigma[-1]),
-                unit,
-                priors[i],
-                _converged(history.t, value, sigma, priors[i]),
-            )
-        )
+        found, known = float(value[-1]), float(sigma[-1])
+        if i in walking:
+            # it never stays: all that can converge is how well it is known
+            found = float(smoothed.parameters[:, i].mean())
+            known = float(smoothed.parameter_sigma[:, i].mean())
+            value = np.full(len(sigma), found)
+        converged = _converged(history.t, value, sigma, priors[i])
+        out.append(Parameter(effect, name, found, known, unit, priors[i], converged))
     return tuple(out)
 
 

@@ -259,6 +259,42 @@ def import_(
 
 
 @app.command()
+def conceal(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording, real ones too.")],
+    effect: Annotated[
+        list[str],
+        typer.Option(
+            metavar="ID=v,v,...",
+            help="Effect to add, values in the order of its parameters (repeatable); a wrong one "
+            "lists them.",
+        ),
+    ],
+    out: Annotated[
+        Path, typer.Option("-o", "--out", metavar="FILE.mcap", help="Recording to write.")
+    ],
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Same seed, same file (drawn, and said).")
+    ] = None,
+    topic: Topics = None,
+    units: Units = None,
+) -> None:
+    """Add an effect to a recording, to see whether it is found."""
+    import secrets
+
+    import numpy as np
+
+    from handcal import conceal as hidden
+    from handcal.export import write_mcap
+
+    values = dict(hidden.parse(text) for text in effect)
+    _check_folders(out)
+    seed = secrets.randbelow(2**31) if seed is None else seed
+    recording = _load(file, topic, units)
+    write_mcap(hidden.conceal(recording, values, np.random.default_rng(seed)), out)
+    print(f"{out}: {', '.join(values)} concealed in {Path(recording.path).name}, seed {seed}")
+
+
+@app.command()
 def replay(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording.")],
     speed: Annotated[

@@ -94,7 +94,8 @@ class ReducedPass:
 
     X (k, m, 1 + nc), P (k, m, m) after each epoch; gain (s, m), nu (s, 1 + nc), S (s,) of
     each scalar; w (nc,) and spread (nc, nc): posterior mean and a square root of the
-    posterior covariance of the constants, in units of their priors.
+    posterior covariance of the constants, in units of their priors; log_likelihood: a, b
+    (nc,), G (nc, nc) of a + b'w - w'G w / 2.
     """
 
     reduction: Reduction
@@ -107,6 +108,7 @@ class ReducedPass:
     w: Array
     spread: Array
     log_evidence: float
+    log_likelihood: tuple[float, Array, Array]
 
 
 def reduced_pass(
@@ -131,13 +133,15 @@ def reduced_pass(
     gram = np.zeros((columns, columns))
     reduced_forward(arrays, P0, reduction.X0.copy(), (X, P), (gain, nu, S), gram)
     w0, b = reduction.w0, reduction.w0 - gram[1:, 0]
-    information = np.tril(gram[1:, 1:]) + np.tril(gram[1:, 1:], -1).T + np.eye(columns - 1)
+    G = np.tril(gram[1:, 1:]) + np.tril(gram[1:, 1:], -1).T
+    information = G + np.eye(columns - 1)
     root = np.linalg.cholesky(information)
     spread = np.linalg.inv(root).T
     w = spread @ (spread.T @ b)
     white = float(np.log(2.0 * math.pi * S).sum()) + float(gram[0, 0])
     value = -0.5 * (white + float(w0 @ w0 - b @ w)) - float(np.log(np.diag(root)).sum())
-    return ReducedPass(reduction, arrays, X, P, gain, nu, S, w, spread, value)
+    likelihood = (-0.5 * white, -gram[1:, 0], G)
+    return ReducedPass(reduction, arrays, X, P, gain, nu, S, w, spread, value, likelihood)
 
 
 def _reduced_arrays(reduction: Reduction, levels: Mapping[str, float]) -> Reduced:

@@ -7,13 +7,13 @@ that are not valid carry the covariance -1 by which ROS says "not measured".
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
-from handcal.inputs._messages import LAYOUTS, STREAM_SCHEMAS, ByteArray, body_offset
+from handcal.inputs._messages import LAYOUTS, STREAM_SCHEMAS, TWINS, ByteArray, body_offset
 from handcal.inputs._repair import nanoseconds
 from handcal.types import Array, BoolArray, HandcalError, IntArray, Recording
 
@@ -67,26 +67,39 @@ def definition(schema: str) -> str:
 
 def write_mcap(recording: Recording, path: str | Path) -> None:
     """Write the recording. Errors: HandcalError if the file cannot be written."""
+    _write({"": recording}, path)
+
+
+def write_twin(recorded: Recording, before: Recording, after: Recording, path: str | Path) -> None:
+    """Write what was recorded and, under /before and /after, what two models say was read.
+
+    handcal reads such a file as the recorded one. Errors: HandcalError if it cannot be written.
+    """
+    _write({"": recorded, TWINS[0]: before, TWINS[1]: after}, path)
+
+
+def _write(recordings: Mapping[str, Recording], path: str | Path) -> None:
     try:
         with Path(path).open("wb") as file:
             writer = Writer(file, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD)
             writer.start(profile="ros2", library="handcal")
-            _write_messages(writer, recording)
+            _write_messages(writer, recordings)
             writer.finish()  # type: ignore[no-untyped-call]
     except OSError as error:
         raise HandcalError(f"{path} cannot be written: {error.strerror or error}.") from error
 
 
-def _write_messages(writer: Writer, recording: Recording) -> None:
-    """All streams in the order of time."""
+def _write_messages(writer: Writer, recordings: Mapping[str, Recording]) -> None:
+    """All streams of the recordings, by the beginning of their topics, in the order of time."""
     schemas: dict[str, int] = {}
     channels, stamps, blocks = [], [], []
-    for stream, ns, block in _streams(recording):
+    streams = [(begin, *stream) for begin, r in recordings.items() for stream in _streams(r)]
+    for begin, stream, ns, block in streams:
         schema, topic = STREAM_SCHEMAS[stream]
         if schema not in schemas:
             text = definition(schema).encode()
             schemas[schema] = writer.register_schema(schema, "ros2msg", text)
-        channels.append(writer.register_channel(topic, "cdr", schemas[schema]))
+        channels.append(writer.register_channel(begin + topic, "cdr", schemas[schema]))
         stamps.append(ns)
         blocks.append(block)
     lengths = [len(ns) for ns in stamps]

@@ -13,8 +13,8 @@ import numpy as np
 
 from handcal import so3
 from handcal._jit import njit
-from handcal.filter import Track
 from handcal.effects import DELAY
+from handcal.filter import Track
 from handcal.kernel import BASE, MAX_DIM, Nodes, Tables, corrected, fill_nav, linearise
 from handcal.model import Problem, markov_transitions, relinearised
 from handcal.observations import NAV
@@ -102,16 +102,22 @@ def trajectory_of(
 
 def linearise_about(problem: Problem, start: Start, nominal: Trajectory) -> Linear:
     """Integrate between the epochs and linearise everything about the nominal trajectory."""
+    held = any(o.wandering is not None for o in problem.observations)
     C_nb = None
-    if any("attitude" in e.needs for e in problem.effects):
+    if problem.imu_constants and (held or any("attitude" in e.needs for e in problem.effects)):
         C_nb = _attitude(problem, nominal)
-    problem = relinearised(problem, nominal.constants, nominal.bg, nominal.ba, None, C_nb)
+    problem = relinearised(
+        problem, nominal.constants, nominal.bg, nominal.ba, None, C_nb, jacobian=False
+    )
     Phi, d, Q = _transitions(problem, nominal)
     if problem.imu_constants:
         # What an effect does depends on the true rate and force: take off the noise that
         # this trajectory implies, or each sample's noise would pose as motion that excites it.
         noise = _implied_noise(problem, nominal, d)
-        problem = relinearised(problem, nominal.constants, nominal.bg, nominal.ba, noise, C_nb)
+        force = None if C_nb is None or not held else _steady_force(problem, nominal, C_nb)
+        problem = relinearised(
+            problem, nominal.constants, nominal.bg, nominal.ba, noise, C_nb, force
+        )
         Phi, d, Q = _transitions(problem, nominal)
     nodes = problem.nodes
     q = len(nodes.kind)
@@ -160,6 +166,27 @@ def _attitude(problem: Problem, nominal: Trajectory) -> Array:
     turn = so3.matrix_log(nominal.C[:-1].transpose(0, 2, 1) @ nominal.C[1:])
     share = (t_imu - t[at]) / (t[at + 1] - t[at])
     return np.asarray(nominal.C[at] @ so3.rotations(turn[at] * share[:, None]))
+
+
+def _steady_force(problem: Problem, nominal: Trajectory, C_nb: Array) -> Array:
+    """Specific force (n, 3) at the IMU's samples without what a point that wanders feels.
+
+    The hand's sway is random, and how large it is nobody knows. An effect that makes it a
+    little smaller would be favoured for that alone (a scale error of the accelerometer by
+    8 nats in 84 s), so sway may not excite effects.
+    """
+    v, at = nominal.v.copy(), 0
+    for observation in problem.observations:
+        if observation.wandering is not None:
+            first = at + observation.wandering
+            v = v - nominal.markov[:, first : first + 3]
+        at += observation.markov.size if observation.markov is not None else 0
+    t = problem.nodes.t[nominal.node]
+    a = np.diff(v, axis=0) / np.maximum(np.diff(t), 1e-6)[:, None]
+    t_imu = problem.recording.imu.t
+    middle = 0.5 * (t[1:] + t[:-1])
+    f_n = np.stack([np.interp(t_imu, middle, a[:, i]) for i in range(3)], axis=1) - problem.g_n
+    return np.asarray(np.einsum("nji,nj->ni", C_nb, f_n))
 
 
 def biases(problem: Problem, nominal: Trajectory) -> tuple[Array, Array]:

@@ -95,8 +95,13 @@ def build(
     observed: Sequence[tuple[Observation, Rows, tuple[tuple[str, str, float], ...]]],
     g_n: Array,
     omega_ie_n: Array,
+    *,
+    linearised: bool = True,
 ) -> Problem:
-    """Assemble a Problem. ``observed``: each kind with its rows and its constants."""
+    """Assemble a Problem. ``observed``: each kind with its rows and its constants.
+
+    linearised: about zero; not needed where a trajectory to linearise about is at hand.
+    """
     acting = [e for e in effects if e.imu_error is not None]
     others = [e for e in effects if e.imu_error is None]
     slots = [
@@ -143,6 +148,8 @@ def build(
         rate,
         dropped,
     )
+    if not linearised:
+        return problem
     return relinearised(problem, np.zeros(len(slots)), np.zeros(3), np.zeros(3))
 
 
@@ -187,7 +194,7 @@ def _nodes(
 ) -> tuple[Nodes, Array, int]:
     """Insert the observation times between the IMU's stamps, readings interpolated there."""
     imu = recording.imu
-    ot = np.concatenate([r.t for r in rows]) if rows else np.zeros(0)
+    ot = np.concatenate([r.t - r.delay for r in rows]) if rows else np.zeros(0)
     kind = (
         np.concatenate([np.full(len(r.t), k) for k, r in enumerate(rows)]) if rows else np.zeros(0)
     )
@@ -195,6 +202,7 @@ def _nodes(
     i = 0
     for r in rows:
         z[i : i + len(r.t), : r.z.shape[1]] = r.z
+        z[i : i + len(r.t), DELAY] = r.delay
         i += len(r.t)
     z[:, TIME] = ot - imu.t[0]
     keep = (ot >= imu.t[0]) & (ot <= imu.t[-1])
@@ -252,10 +260,15 @@ def relinearised(
     ba: Array,
     noise: Array | None = None,
     C_nb: Array | None = None,
+    force: Array | None = None,
+    *,
+    jacobian: bool = True,
 ) -> Problem:
     """The same problem with its effects linearised about constants ``ref`` (c,) and biases.
 
-    noise: (n, 6) estimate of the noise in the readings, which is no motion; C_nb (n, 3, 3).
+    noise: (n, 6) estimate of the noise in the readings, which is no motion; C_nb (n, 3, 3);
+    force (n, 3): the specific force that may excite effects, where it is not what is read.
+    jacobian: False to correct the readings only and leave the derivatives as they are.
 
     What an effect adds depends on the true rate and force, which are the readings less
     all errors; three rounds of substitution are exact to better than a nat for errors
@@ -272,7 +285,13 @@ def relinearised(
     errors = _substituted(acting, ref, Signals(imu.t, raw[:, :3], raw[:, 3:], T, C_nb))
     error = sum(errors, np.zeros_like(raw))
     truth = raw - error if noise is None else raw - error - noise
-    signals = Signals(imu.t, truth[:, :3], truth[:, 3:], T, C_nb)
+    clean = np.hstack([imu.gyro, imu.accel]) - error
+    at = [np.interp(nodes.t, imu.t, clean[:, k]) for k in range(6)]
+    gyro, accel = np.stack(at[:3], axis=1), np.stack(at[3:], axis=1)
+    nodes = nodes._replace(gyro=gyro, accel=accel)
+    if not jacobian:
+        return replace(problem, ref=ref, nodes=nodes)
+    signals = Signals(imu.t, truth[:, :3], truth[:, 3:] if force is None else force, T, C_nb)
     J = np.empty((len(imu.t), 6, problem.imu_constants))
     i = 0
     for e in acting:
@@ -284,14 +303,10 @@ def relinearised(
         moving, resting = (_averaged(J, max(1, round(s * recording.rate_hz))) for s in AVERAGE_S)
         quiet = np.interp(imu.t, nodes.t, problem.rate) < QUIET_RATE
         J = np.where(quiet[:, None, None], resting, moving)
-    clean = np.hstack([imu.gyro, imu.accel]) - error
-    at = [np.interp(nodes.t, imu.t, clean[:, k]) for k in range(6)]
-    J_nodes = np.empty((len(nodes.t), 6, problem.imu_constants))
-    for k in range(6):
-        for c in range(problem.imu_constants):
-            J_nodes[:, k, c] = np.interp(nodes.t, imu.t, J[:, k, c])
-    gyro, accel = np.stack(at[:3], axis=1), np.stack(at[3:], axis=1)
-    return replace(problem, ref=ref, nodes=nodes._replace(gyro=gyro, accel=accel, J=J_nodes))
+    right = np.clip(np.searchsorted(imu.t, nodes.t), 1, len(imu.t) - 1)
+    share = ((nodes.t - imu.t[right - 1]) / (imu.t[right] - imu.t[right - 1]))[:, None, None]
+    J_nodes = J[right - 1] * (1.0 - share) + J[right] * share
+    return replace(problem, ref=ref, nodes=nodes._replace(J=J_nodes))
 
 
 def _averaged(J: Array, width: int) -> Array:

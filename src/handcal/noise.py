@@ -86,13 +86,15 @@ def estimate(
     names: Sequence[str],
     progress: Callable[[], None] | None = None,
     tolerance: float = 0.01,
+    excess: float = 1e6,
 ) -> dict[str, float]:
     """Levels that maximise the evidence of a linearised problem, starting from ``levels``.
 
     names: those to estimate; the others stay. The search runs over logarithms, within
     each level's range, with a log-normal prior around its first guess (its width on either
     side is the level's own), so that a level the recording cannot see stays where it was.
-    It ends where less than about ``tolerance`` nats are to be gained.
+    It ends where less than about ``tolerance`` nats are to be gained. excess: the sensors' own
+    noise may not exceed its first guess by more than this factor.
     """
     own = {lv.name: lv for lv in linear.problem.levels}
     guess = initial_levels(linear.problem)
@@ -101,6 +103,9 @@ def estimate(
     start = np.array([math.log(levels[n]) for n in names])
     low = np.array([math.log(own[n].lower) for n in names])
     high = np.array([math.log(own[n].upper) for n in names])
+    for i, n in enumerate(names):
+        if n in SENSORS:
+            high[i] = min(high[i], centre[i] + math.log(excess))
     score = Score(linear, levels, names)
 
     def cost(x: Array) -> tuple[float, Array]:

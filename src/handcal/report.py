@@ -9,6 +9,7 @@ import numpy as np
 
 import handcal
 from handcal import plots, summary, words
+from handcal.drawing import AXES
 from handcal.types import Array, Result
 
 _MATRIX = ("gyro_scale", "gyro_misalignment", "accel_scale", "accel_misalignment")
@@ -22,6 +23,11 @@ def write_report(result: Result, path: str | Path) -> None:
 
 def render(result: Result) -> str:
     """The page as a string."""
+    return page("report.html.j2", _context(result))
+
+
+def page(template: str, context: dict[str, Any]) -> str:
+    """A page of the templates, filled in; text is escaped, names must be known."""
     import jinja2
 
     loader = jinja2.FileSystemLoader(Path(__file__).with_name("templates"))
@@ -29,7 +35,7 @@ def render(result: Result) -> str:
         loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )  # fmt: skip
-    return environment.get_template("report.html.j2").render(**_context(result))
+    return environment.get_template(template).render(**context)
 
 
 def _context(result: Result) -> dict[str, Any]:
@@ -108,7 +114,7 @@ def error_matrices(result: Result) -> tuple[Array, Array, Array]:
             "accel_misalignment": accel, "gyro_g_sensitivity": g}  # fmt: skip
     for p in result.parameters:
         if p.effect in into:
-            row, column = plots.AXES.index(p.name[0]), plots.AXES.index(p.name[-1])
+            row, column = AXES.index(p.name[0]), AXES.index(p.name[-1])
             into[p.effect][row, column] += p.value
     return gyro, accel, g
 

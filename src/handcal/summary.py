@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from handcal import words
-from handcal.types import Array, HandcalError, Innovations, Parameter, Result
+from handcal.types import Array, HandcalError, Innovations, Parameter, Recording, Result
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -86,15 +86,15 @@ def parameter_json(p: Parameter) -> dict[str, Any]:
     }
 
 
-def _recording_json(result: Result) -> dict[str, Any]:
-    recording = result.recording
+def recording_json(recording: Recording, assume: str) -> dict[str, Any]:
+    """The contract's ``recording``."""
     streams = {"imu": recording.imu.t} | {n: s.t for n, s in recording.streams.items()}
     return {
         "path": recording.path,
         "duration_s": finite(recording.duration_s),
         "imu_rate_hz": finite(recording.rate_hz),
         "streams": {name: {"samples": int(t.size)} for name, t in streams.items()},
-        "assume": result.assume,
+        "assume": assume,
     }
 
 
@@ -114,7 +114,7 @@ def calibration_json(result: Result | Sequence[Result]) -> dict[str, Any]:
     kinds = result.innovations
     return {
         "schema": CALIBRATION_SCHEMA,
-        "recording": _recording_json(result),
+        "recording": recording_json(result.recording, result.assume),
         "parameters": [parameter_json(p) for p in result.parameters],
         "noise": [
             {"name": NOISE_NAMES.get(n.name, n.name), "value": finite(n.value), "unit": n.unit}

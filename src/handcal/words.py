@@ -301,8 +301,9 @@ def counted(n: int, noun: str) -> str:
     return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
 
 
-def _listed(items: Sequence[str]) -> str:
-    return items[0] if len(items) == 1 else ", ".join(items[:-1]) + " and " + items[-1]
+def listed(items: Sequence[str], last: str = "and") -> str:
+    """ "a, b and c"."""
+    return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} {last} {items[-1]}"
 
 
 def _known_to(parameters: Sequence[Parameter]) -> str:
@@ -335,7 +336,7 @@ def verdict(result: Result) -> Verdict:
     sentences: list[str] = []
     groups = [g for g in by_effect(learnt).values() if len(g) and g[0].unit]
     if groups:
-        known = _listed([_known_to(g) for g in groups])
+        known = listed([_known_to(g) for g in groups])
         sentences.append(f"If the model is complete, known to one sigma: {known}.")
     if result.innovations and not doubts:
         sentences.append("The errors agree with the bounds the filter set itself.")
@@ -355,10 +356,10 @@ def not_shown(result: Result) -> tuple[str, ...]:
         hidden = [p for p in group if not p.observable]
         if not hidden:
             continue
-        names = _listed([p.name for p in hidden])
+        names = listed([p.name for p in hidden])
         best, unit = min(hidden, key=lambda p: p.sigma / p.prior_sigma), shown_group(group)
         motion = _effect(effect)[1].format(axis=names).rstrip(".")
-        subject = _listed([parameter_title(hidden[0]), *(p.name for p in hidden[1:])])
+        subject = listed([parameter_title(hidden[0]), *(p.name for p in hidden[1:])])
         now, before = unit.value(best.sigma, best.sigma), unit.value(best.prior_sigma)
         why = f"{subject}: ±{now}{NBSP}{unit.unit} now, against ±{before}{NBSP}{unit.unit} before"
         if effect == "gyro_bias" and not heading:

@@ -29,7 +29,6 @@ import numpy as np
 
 from handcal.types import Array, InputError, Level, Markov
 
-
 # Places in an observation's z (Z_DIM numbers) that are the same for every kind.
 Z_DIM = 12
 DELAY, TIME = 10, 11

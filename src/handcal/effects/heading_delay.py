@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from handcal._jit import njit, residual_function
-from handcal.effects import Effect, Param
+from handcal.effects import DELAY, Effect, Param
 
 
 @njit
@@ -25,14 +25,15 @@ def _turned(nav: Any, x: float, y: float, z: float, delay: float) -> float:
     return d - 2.0 * math.pi * math.floor(d / (2.0 * math.pi) + 0.5)
 
 
-def _heading(nav: Any, delay: Any, z: Any, out: Any) -> int:  # noqa: ARG001
-    out[0] += _turned(nav, 1.0, 0.0, 0.0, delay[0])
+def _heading(nav: Any, delay: Any, z: Any, out: Any) -> int:
+    # nav is of the moment z[DELAY] before the reading's stamp
+    out[0] += _turned(nav, 1.0, 0.0, 0.0, delay[0] - z[DELAY])
     return 0
 
 
 def _magnetometer(nav: Any, delay: Any, z: Any, out: Any) -> int:
     # z was felt by the device as it stood a moment ago, and levelled as it stands now
-    out[0] += _turned(nav, z[0], z[1], z[2], delay[0])
+    out[0] += _turned(nav, z[0], z[1], z[2], delay[0] - z[DELAY])
     return 0
 
 
@@ -48,4 +49,5 @@ EFFECT = Effect(
         "heading": residual_function(_heading),
         "magnetometer": residual_function(_magnetometer),
     },
+    delays=("heading", "magnetometer"),
 )

@@ -23,6 +23,16 @@ def _velocity(nav: Any, r: Any, z: Any, out: Any) -> int:  # noqa: ARG001
     return 0
 
 
+def _force(nav: Any, r: Any, z: Any, out: Any) -> int:
+    # what the reference lacks of alpha x r + omega x (omega x r); alpha is z[6:9]
+    square = nav[15] * nav[15] + nav[16] * nav[16] + nav[17] * nav[17]
+    along = nav[15] * r[0] + nav[16] * r[1] + nav[17] * r[2]
+    out[3] += z[7] * r[2] - z[8] * r[1] + nav[15] * along - square * r[0]
+    out[4] += z[8] * r[0] - z[6] * r[2] + nav[16] * along - square * r[1]
+    out[5] += z[6] * r[1] - z[7] * r[0] + nav[17] * along - square * r[2]
+    return 0
+
+
 _AT_POINT = residual_function(_position)
 
 EFFECT = Effect(
@@ -35,6 +45,7 @@ EFFECT = Effect(
     validated="three turns simulated with 200 seeds; motion capture of a hand-held IMU",
     observation_error={
         "fixed_position": _AT_POINT,
+        "known_input": residual_function(_force),
         "pose": _AT_POINT,
         "zero_velocity": residual_function(_velocity),
     },

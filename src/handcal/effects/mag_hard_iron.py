@@ -5,8 +5,42 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+
 from handcal._jit import residual_function
 from handcal.effects import Effect, Param
+from handcal.types import Array, InputError, Recording
+
+PRIOR = 1e-4
+# How far readings stray from the sphere, tesla: rooms bend the field.
+STRAY = 3e-6
+GUESS_RATE = 10.0
+
+
+def guess(recording: Recording) -> Array:
+    """A first value (3,), tesla: the centre of the sphere on which the readings lie.
+
+    Near its prior the effect is far from linear about zero (the iron is stronger than the
+    Earth's field); about this it is linear. Where the motion shows only part of the sphere,
+    the prior decides. Linear least squares in the centre c: |m|^2 = 2 m.c + (R^2 - |c|^2).
+
+    Raises InputError without a magnetometer.
+    """
+    mag = recording.streams.get("mag")
+    if mag is None or len(mag.t) < 2:
+        raise InputError("The recording has no magnetometer, so no hard iron can be guessed.")
+    step = max(1, round((len(mag.t) - 1) / (mag.t[-1] - mag.t[0]) / GUESS_RATE))
+    m = mag.value[::step] / PRIOR
+    centre = np.zeros(3)
+    for _ in range(5):
+        # |m - c| strays by STRAY, |m|^2 - 2 m.c by 2 R times as much
+        radius = float(np.sqrt(((m - centre) ** 2).sum(axis=1).mean()))
+        weight = 1.0 / (2.0 * radius * STRAY / PRIOR)
+        rows = weight * np.c_[2.0 * m, np.ones(len(m))]
+        A = np.vstack([rows, np.eye(3, 4)])
+        b = np.r_[weight * (m**2).sum(axis=1), np.zeros(3)]
+        centre = np.linalg.lstsq(A, b, rcond=None)[0][:3]
+    return np.asarray(PRIOR * centre)
 
 
 def _magnetometer(nav: Any, iron: Any, z: Any, out: Any) -> int:
@@ -23,7 +57,7 @@ def _magnetometer(nav: Any, iron: Any, z: Any, out: Any) -> int:
 EFFECT = Effect(
     id="mag_hard_iron",
     title="Magnetometer hard iron",
-    parameters=tuple(Param(axis, "tesla", 1e-4) for axis in "xyz"),
+    parameters=tuple(Param(axis, "tesla", PRIOR) for axis in "xyz"),
     story="Magnetised parts near the sensor add a field of their own, which turns with the device.",
     source="contract of this project; Gebre-Egziabher et al., J. Aerospace Eng. 19(2), 2006",
     motion="A full turn about at least two axes.",

@@ -5,13 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 from handcal._jit import residual_function
-from handcal.effects import Effect, Param
+from handcal.effects import DELAY, Effect, Param
 
 
-def _pose(nav: Any, delay: Any, z: Any, out: Any) -> int:  # noqa: ARG001
+def _pose(nav: Any, delay: Any, z: Any, out: Any) -> int:
+    # nav is of the moment z[DELAY] before the pose's stamp
+    left = delay[0] - z[DELAY]
     for i in range(3):
-        out[i] += nav[3 + i] * delay[0]
-        out[3 + i] += delay[0] * (
+        out[i] += nav[3 + i] * left
+        out[3 + i] += left * (
             nav[6 + 3 * i] * nav[15] + nav[7 + 3 * i] * nav[16] + nav[8 + 3 * i] * nav[17]
         )
     return 0
@@ -26,4 +28,5 @@ EFFECT = Effect(
     motion="Any brisk motion.",
     validated="the simulator's injection; motion capture of a hand-held IMU",
     observation_error={"pose": residual_function(_pose)},
+    delays=("pose",),
 )

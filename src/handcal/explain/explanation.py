@@ -12,13 +12,17 @@ VERDICTS = ("nothing_missing", "explained", "unexplained", "cannot_tell")
 
 @dataclass(frozen=True)
 class Mismatch:
-    """Where the baseline falls short: share of the whole shortfall in log score, and when."""
+    """Where the baseline falls short: share of the whole shortfall in log score, and when.
+
+    recording: which of the explanation's recordings the times are of.
+    """
 
     channel: str
     from_s: float
     to_s: float
     share: float
     when: str
+    recording: int = 0
 
 
 @dataclass(frozen=True)

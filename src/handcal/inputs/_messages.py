@@ -79,6 +79,8 @@ STREAM_SCHEMAS: Mapping[str, tuple[str, str]] = {
     "temperature": ("sensor_msgs/msg/Temperature", "/temperature"),
     "pose": ("geometry_msgs/msg/PoseStamped", "/pose"),
 }
+# Beginning of the topics that hold what a model before and one after `explain` says was read.
+TWINS = ("/before", "/after")
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from handcal.inputs._messages import STREAM_SCHEMAS, Decoded
+from handcal.inputs._messages import STREAM_SCHEMAS, TWINS, Decoded
 from handcal.inputs._options import Options
 from handcal.inputs._repair import Columns, assemble, columns
 from handcal.types import Array, InputError, IntArray, Recording
@@ -97,12 +97,15 @@ def _chosen(path: Path, topics: Sequence[Topic], options: Options) -> Mapping[st
                 f"--topic {stream}={name}: {path} has no such topic with messages of "
                 f"{STREAM_SCHEMAS[stream][0]}; {_listing(topics)}."
             )
+    # What models say was read, beside what was read, is taken only where it is chosen.
+    apart = tuple(f"{begin}/" for begin in TWINS)
     # The reference first: what is left of its schema is then more easily the IMU.
     for stream in ("reference", "imu", "heading", "mag", "temperature", "pose"):
         if stream in options.topics:
             continue
         schema, usual = STREAM_SCHEMAS[stream]
-        free = [name for name in by_schema.get(schema, ()) if name not in chosen.values()]
+        free = [n for n in by_schema.get(schema, ()) if n not in chosen.values()]
+        free = [n for n in free if not n.startswith(apart)]
         fitting = _fitting(free, usual, path, stream)
         if fitting is not None:
             chosen[stream] = fitting

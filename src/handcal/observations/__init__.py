@@ -43,10 +43,14 @@ class Scene:
 
 @dataclass(frozen=True)
 class Rows:
-    """Observations of one kind: t (k,) s on the IMU's clock, z (k, zdim)."""
+    """Observations of one kind: t (k,) s on the IMU's clock, z (k, zdim).
+
+    delay: s by which they are known to come late; they are put where they belong.
+    """
 
     t: Array
     z: Array
+    delay: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -67,6 +71,8 @@ class Observation:
     by position, velocity, psi, rate and force. ``variance(levels)`` -> (dim,).
     markov_residual: corrects the residual for the Markov states, which are its theta.
     isotropic: where z is zero, the residual is a vector in n without preferred direction.
+    wandering: first of the three Markov states that are the velocity of a point that wanders
+    at random: what it feels is no motion that could excite an effect.
     guess(z (k, zdim)): first guesses of levels that the observations themselves show.
     """
 
@@ -85,6 +91,7 @@ class Observation:
     markov_residual: int = 0
     guess: Callable[[Array], Mapping[str, float]] | None = None
     isotropic: bool = False
+    wandering: int | None = None
 
 
 @cache

@@ -10,8 +10,8 @@ import numpy as np
 
 from handcal import so3
 from handcal._jit import residual_function
-from handcal.observations import Level, Observation, Rows, Scene
-from handcal.types import Array, Recording
+from handcal.observations import Observation, Rows, Scene
+from handcal.types import Array, Level, Recording
 
 # Contract: no heading within 15 degrees of body x vertical.
 _SIN2_LIMIT = math.cos(math.radians(15.0)) ** 2

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from handcal._jit import residual_function
-from handcal.observations import Level, Observation, Rows, Scene
+from handcal.observations import Observation, Rows, Scene
 from handcal.observations._turning import Turning
-from handcal.types import Array, Recording, Series
+from handcal.types import Array, Level, Recording, Series
 
 MAX_RATE = 10.0
 

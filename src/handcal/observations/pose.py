@@ -16,9 +16,9 @@ import numpy as np
 
 from handcal import so3
 from handcal._jit import njit, residual_function
-from handcal.observations import Constant, Level, Observation, Rows, Scene
+from handcal.observations import Constant, Observation, Rows, Scene
 from handcal.observations._turning import Turning
-from handcal.types import Array, InputError, Recording, Series
+from handcal.types import Array, InputError, Level, Recording, Series
 
 MAX_RATE = 25.0
 
@@ -107,10 +107,12 @@ def _level(up: Array) -> Array:
     return so3.matrix_exp(axis / s * math.atan2(s, up[2]))
 
 
-def _rows(recording: Recording, scene: Scene) -> Rows | None:
-    pose = recording.streams.get("pose")
-    if pose is None:
-        return None
+def aligned(recording: Recording, pose: Series) -> tuple[Array, Array]:
+    """R_bm (3, 3), which takes the marker's axes to b, and R_nw, which levels the pose's world.
+
+    From turns that gyro and marker both saw, and from gravity; the world's yaw is kept.
+    Raises InputError where the motion turns about too few axes.
+    """
     C_wm = so3.matrix_of(pose.value[:, 3:])
     marker, gyro = _turns(recording, pose, C_wm)
     spread = np.linalg.svd(gyro - gyro.mean(0), compute_uv=False) if len(gyro) > 10 else np.zeros(3)
@@ -120,14 +122,22 @@ def _rows(recording: Recording, scene: Scene) -> Rows | None:
             "leave the pose out with --ignore pose."
         )
     R_bm = _rotation_between(marker, gyro)
-    C_wb = C_wm @ R_bm.T
     imu = recording.imu
     inside = (pose.t >= imu.t[0]) & (pose.t <= imu.t[-1])
     force = np.stack([np.interp(pose.t[inside], imu.t, imu.accel[:, i]) for i in range(3)], axis=1)
-    up = np.einsum("kij,kj->i", C_wb[inside], force)
-    R_nw = _level(up / np.linalg.norm(up))
+    up = np.einsum("kij,kj->i", C_wm[inside] @ R_bm.T, force)
+    return R_bm, _level(up / np.linalg.norm(up))
+
+
+def _rows(recording: Recording, scene: Scene) -> Rows | None:
+    pose = recording.streams.get("pose")
+    if pose is None:
+        return None
+    R_bm, R_nw = aligned(recording, pose)
     if scene.align_yaw is not None:
-        turn = scene.align_yaw - float(so3.yaw_of(R_nw @ C_wb[inside][0]))
+        first = int(np.searchsorted(pose.t, recording.imu.t[0]))
+        C_wb = so3.matrix_of(pose.value[first, 3:]) @ R_bm.T
+        turn = scene.align_yaw - float(so3.yaw_of(R_nw @ C_wb))
         R_nw = so3.matrix_exp(np.array([0.0, 0.0, turn])) @ R_nw
     thin = _thin(pose)
     q = so3.quaternion_of(R_nw @ so3.matrix_of(thin.value[:, 3:]) @ R_bm.T)

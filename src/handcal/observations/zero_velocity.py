@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from handcal._jit import residual_function
-from handcal.observations import Level, Observation, Rows, Scene, pseudo_times
-from handcal.types import Array, Recording
+from handcal.observations import Observation, Rows, Scene, pseudo_times
+from handcal.types import Array, Level, Recording
 
 
 def _residual(nav: Any, theta: Any, z: Any, r: Any) -> int:  # noqa: ARG001

@@ -1,0 +1,290 @@
+"""Answers against explanations: what was right, how often, and how honest the figures were.
+
+Everything here is a function of `Trial`s and makes plain dictionaries, ready for JSON.
+
+Outcomes of one recording: exact (verdict and names right), right_set (each truth in the set
+named for it, or a doubt where there was none), too_faint (what was not named promised less
+than LIMIT nats), missed (something was not named, nothing wrongly), false (more than the
+truth was named), wrong (one thing was named for another), unexplained (known physics was
+declared unknown), failed (no explanation).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from handcal_sim.prove_suites import SUITES, Answer
+from handcal_sim.prove_terms import formula_fits
+
+OUTCOMES = ("exact", "right_set", "too_faint", "missed", "false", "wrong", "unexplained", "failed")
+LIMIT = 5.0
+_EDGES = (0.0, 0.5, 0.8, 0.95, 0.99, 0.999)
+_NAMING = ("explained", "cannot_tell")
+Document = Mapping[str, Any]
+Named = list[list[str]]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One recording: its answer, the explanation (or {"error": ...}), and how long that took.
+
+    expected: nats that an injected effect promises there, as far as they were asked for.
+    """
+
+    name: str
+    answer: Answer
+    document: Document
+    seconds: float
+    expected: Mapping[str, float] = field(default_factory=dict)
+
+
+def wilson(successes: int, n: int, z: float = 1.96) -> tuple[float, float]:
+    """95 % interval of a share (E. B. Wilson 1927); all there is without a single trial."""
+    if n == 0:
+        return 0.0, 1.0
+    share, spread = successes / n, z * z / n
+    middle = share + 0.5 * spread
+    half = z * math.sqrt((share * (1.0 - share) + 0.25 * spread) / n)
+    return max(0.0, (middle - half) / (1.0 + spread)), min(1.0, (middle + half) / (1.0 + spread))
+
+
+def share(successes: int, n: int) -> dict[str, Any]:
+    """A count as a share with its interval."""
+    low, high = wilson(successes, n)
+    return {"n": n, "count": successes, "share": successes / n if n else None,
+            "interval": [low, high]}  # fmt: skip
+
+
+def named(document: Document) -> Named:
+    """What was named: for each missing effect its name and then the others of its set."""
+    return [[m["effect"], *m.get("indistinguishable_from", [])] for m in document["missing"]]
+
+
+def matched(truth: Iterable[str], sets: Named) -> dict[str, int]:
+    """Which set stands for which truth: as many as possible, leading names before others."""
+    true = sorted(truth)
+    best: tuple[tuple[int, int], dict[str, int]] = ((0, 0), {})
+    places = [*range(len(sets)), *[-1] * len(true)]
+    for choice in set(itertools.permutations(places, len(true))):
+        pairs = {t: k for t, k in zip(true, choice, strict=True) if k >= 0 and t in sets[k]}
+        score = len(pairs), sum(sets[k][0] == t for t, k in pairs.items())
+        best = max(best, (score, pairs), key=lambda found: found[0])
+    return best[1]
+
+
+def outcome(trial: Trial) -> str:
+    """One of OUTCOMES."""
+    document, answer = trial.document, trial.answer
+    if "error" in document:
+        return "failed"
+    verdict = document["verdict"]
+    if answer.stranger:
+        return {"unexplained": "exact", "nothing_missing": "missed"}.get(verdict, "wrong")
+    if not answer.effects:
+        return "exact" if verdict == "nothing_missing" else "false"
+    if verdict == "unexplained":
+        return "unexplained"
+    sets = named(document) if verdict in _NAMING else []
+    pairs = matched(answer.effects, sets)
+    unseen, extra = set(answer.effects) - set(pairs), len(sets) - len(pairs)
+    if unseen:
+        faint = all(trial.expected.get(name, math.inf) < LIMIT for name in unseen)
+        return "wrong" if extra else "too_faint" if faint else "missed"
+    if extra:
+        return "false"
+    led = all(sets[k][0] == name for name, k in pairs.items())
+    return "exact" if led and verdict == "explained" else "right_set"
+
+
+def score(trials: Sequence[Trial], seed: int) -> dict[str, Any]:
+    """The whole result of a trial."""
+    return {
+        "schema": "handcal-sim/proof/1",
+        "seed": seed,
+        "suites": suites(trials),
+        "effects": confusion(trials),
+        "unknown": unknown(trials),
+        "coverage": {"effects": coverage(trials), "baseline": baseline_coverage(trials)},
+        "probabilities": probabilities(trials),
+        "held_out": held_out(trials),
+        "seconds": seconds(trials),
+        "recordings": [_line(trial) for trial in trials],
+    }
+
+
+def _line(trial: Trial) -> dict[str, Any]:
+    document, answer = trial.document, trial.answer
+    return {
+        "recording": trial.name,
+        "suite": answer.suite,
+        "group": answer.group,
+        "outcome": outcome(trial),
+        "truth": list(answer.effects) or [_kind(answer)],
+        "verdict": document.get("verdict", "failed"),
+        "named": [] if "error" in document else named(document),
+        "unnamed": [u["formula"] for u in document.get("unnamed", [])],
+        "expected": dict(trial.expected),
+        "seconds": trial.seconds,
+        **({"error": document["error"]} if "error" in document else {}),
+    }
+
+
+def suites(trials: Sequence[Trial]) -> list[dict[str, Any]]:
+    """Each suite, and each group within, against its target; what is too faint is not judged."""
+    by: dict[tuple[str, str], list[Trial]] = defaultdict(list)
+    for trial in trials:
+        by[trial.answer.suite, trial.answer.group].append(trial)
+    rows = []
+    order = list(SUITES)
+    for name, group in sorted(by, key=lambda key: (order.index(key[0]), key[1])):
+        members, suite = by[name, group], SUITES[name]
+        counts = Counter(outcome(trial) for trial in members)
+        right = sum(counts[kind] for kind in suite.right)
+        judged = share(right, len(members) - counts["too_faint"])
+        target = suite.target if not group else None
+        sets = [s for t in members if outcome(t) == "right_set" for s in named(t.document)]
+        rows.append({
+            "suite": name, "group": group, "title": suite.title, "n": len(members),
+            "outcomes": {kind: counts[kind] for kind in OUTCOMES},
+            "right": judged, "target": target,
+            "met": None if target is None or not judged["n"] else judged["share"] >= target,
+            "mean_set_size": float(np.mean([len(s) for s in sets])) if sets else None,
+        })  # fmt: skip
+    return rows
+
+
+def confusion(trials: Sequence[Trial]) -> dict[str, dict[str, Any]]:
+    """By truth: how often it was there, named first, in the set, and what else was named.
+
+    "nothing" stands for what is not there and, as a name, for what was not named.
+    """
+    rows: dict[str, dict[str, Any]] = defaultdict(
+        lambda: {"n": 0, "named": 0, "in_set": 0, "instead": Counter()}
+    )
+    for trial in trials:
+        if outcome(trial) == "failed":
+            continue
+        truth = list(trial.answer.effects) or [_kind(trial.answer)]
+        sets = named(trial.document)
+        pairs = matched(trial.answer.effects, sets)
+        spare = [s[0] for k, s in enumerate(sets) if k not in pairs.values()]
+        if trial.document["verdict"] == "unexplained":
+            spare.append("unexplained")
+        for name in truth:
+            rows[name]["n"] += 1
+            if name in pairs:
+                rows[name]["named" if sets[pairs[name]][0] == name else "in_set"] += 1
+            elif spare or name != "nothing":
+                rows[name]["instead"].update(spare or ["nothing"])
+        if spare and len(pairs) == len(trial.answer.effects) > 0:
+            rows["nothing"]["instead"].update(spare)
+    return {name: {**row, "instead": dict(row["instead"])} for name, row in sorted(rows.items())}
+
+
+def _kind(answer: Answer) -> str:
+    return f"unknown: {answer.stranger['kind']}" if answer.stranger else "nothing"
+
+
+def unknown(trials: Sequence[Trial]) -> dict[str, dict[str, int]]:
+    """By kind of unknown physics: how many, declared unknown, and with a fitting formula."""
+    rows: dict[str, dict[str, int]] = {}
+    for trial in trials:
+        if not trial.answer.stranger:
+            continue
+        zero = {"n": 0, "unexplained": 0, "channel": 0, "formula": 0}
+        row = rows.setdefault(trial.answer.stranger["kind"], zero)
+        row["n"] += 1
+        row["unexplained"] += trial.document.get("verdict") == "unexplained"
+        fits = [formula_fits(u["formula"], trial.answer.stranger)
+                for u in trial.document.get("unnamed", [])]  # fmt: skip
+        row["channel"] += any(channel for channel, _ in fits)
+        row["formula"] += any(signals for _, signals in fits)
+    return dict(sorted(rows.items()))
+
+
+def coverage(trials: Sequence[Trial]) -> dict[str, dict[str, Any]]:
+    """By rightly named effect and over all: share of parameters within 1 and 3 of their sigmas."""
+    off: dict[str, list[float]] = {"all": []}
+    for trial in trials:
+        if trial.answer.stranger or trial.document.get("verdict") not in _NAMING:
+            continue
+        for missing in trial.document["missing"]:
+            truth = trial.answer.effects.get(missing["effect"])
+            if truth is not None:
+                found = _off(missing["parameters"], truth)
+                off["all"] += found
+                off.setdefault(missing["effect"], []).extend(found)
+    return {name: _covered(values) for name, values in off.items()}
+
+
+def baseline_coverage(trials: Sequence[Trial]) -> dict[str, Any]:
+    """The same for the biases where verdict and names are exact."""
+    off = []
+    for trial in trials:
+        if outcome(trial) == "exact" and not trial.answer.stranger:
+            for name, truth in trial.answer.baseline.items():
+                of = [p for p in trial.document.get("parameters", []) if p["effect"] == name]
+                off += _off(of, truth)
+    return _covered(off)
+
+
+def _off(parameters: Iterable[Mapping[str, Any]], truth: Mapping[str, float]) -> list[float]:
+    return [
+        (p["value"] - truth[p["name"]]) / p["sigma"]
+        for p in parameters
+        if p["name"] in truth and (p["sigma"] or 0.0) > 0.0
+    ]
+
+
+def _covered(off: Sequence[float]) -> dict[str, Any]:
+    size = np.abs(np.asarray(off, dtype=float))
+    rms = float(np.sqrt(np.mean(size**2))) if len(size) else None
+    return {"within_1_sigma": share(int(np.sum(size < 1.0)), len(size)),
+            "within_3_sigma": share(int(np.sum(size < 3.0)), len(size)), "rms": rms}  # fmt: skip
+
+
+def probabilities(trials: Sequence[Trial]) -> list[dict[str, Any]]:
+    """What was claimed to be present with which probability, and how often it was."""
+    claims = []
+    for trial in trials:
+        if "error" in trial.document:
+            continue
+        sets = named(trial.document)
+        right = set(matched(trial.answer.effects, sets).values())
+        for k, missing in enumerate(trial.document["missing"]):
+            claims.append((float(missing["probability"]), k in right))
+    rows = []
+    for low, high in itertools.pairwise((*_EDGES, math.inf)):
+        inside = [(p, true) for p, true in claims if low <= p < high]
+        mean = float(np.mean([p for p, _ in inside])) if inside else None
+        right_share = share(sum(true for _, true in inside), len(inside))
+        rows.append({"from": low, "to": min(high, 1.0), "claimed": mean, **right_share})
+    return rows
+
+
+def held_out(trials: Sequence[Trial]) -> dict[str, Any]:
+    """Where something was explained: did data that the fit had not seen gain by it?"""
+    gains = [
+        h["log_score_after"] - h["log_score_before"]
+        for t in trials
+        if t.document.get("verdict") in ("explained", "cannot_tell", "unexplained")
+        and (h := t.document.get("held_out"))
+    ]
+    median = float(np.median(gains)) if gains else None
+    return {"gained": share(sum(g > 0.0 for g in gains), len(gains)), "median": median}
+
+
+def seconds(trials: Sequence[Trial]) -> dict[str, float | None]:
+    """Time of one explanation."""
+    taken = [trial.seconds for trial in trials]
+    if not taken:
+        return {"median": None, "p90": None, "most": None}
+    return {"median": float(np.median(taken)), "p90": float(np.quantile(taken, 0.9)),
+            "most": max(taken)}  # fmt: skip

@@ -1,0 +1,96 @@
+"""What a blind trial draws from, suite by suite, and the form of its answers.
+
+Nothing here is shared with the program on trial: sizes are those of consumers' devices.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from handcal_sim import strangers
+from handcal_sim.sensors import EARTH_RATE
+
+# One standard deviation of what consumers' devices have, by effect; its parameters alike.
+SIZES: dict[str, tuple[float, ...]] = {
+    "gyro_scale": (0.01,),
+    "accel_scale": (0.01,),
+    "gyro_misalignment": (0.01,),
+    "accel_misalignment": (0.01,),
+    "gyro_g_sensitivity": (1.8e-4,),
+    "gyro_quadratic": (0.005,),
+    "gyro_cross_products": (0.005,),
+    "accel_cross_products": (4e-4,),
+    "accel_asymmetry": (0.01,),
+    "lever_arm": (0.1,),
+    "size_effect": (0.02,),
+    "gyro_temperature": (9e-4,),
+    "accel_temperature": (0.01,),
+    "accel_delay": (0.02,),
+    "gyro_bandwidth": (0.02,),
+    "gyro_bias_walk": (1e-3,),
+    "accel_bias_walk": (1e-3,),
+    "gyro_bias_step": (0.01,),
+    "heading_hard_iron": (0.2,),
+    "heading_soft_iron": (0.15,),
+    "mag_hard_iron": (1e-4,),
+    "heading_delay": (0.15,),
+    "pose_delay": (0.02,),
+    "heading_drift": (0.005,),
+    "heading_correlated_noise": (0.15, 3.0),
+    "heading_outliers": (0.1,),
+    "gravity": (0.02,),
+    "earth_rate": (EARTH_RATE,),
+    "clock_rate": (100.0,),
+}
+POSITIVE = {"tau", "density", "sigma", "fraction"}
+# The streams that a recording must have for an effect to show.
+NEEDS: dict[str, frozenset[str]] = {
+    **{name: frozenset({"heading"}) for name in SIZES if name.startswith("heading_")},
+    "gyro_temperature": frozenset({"temperature"}),
+    "accel_temperature": frozenset({"temperature"}),
+    "mag_hard_iron": frozenset({"mag"}),
+    "pose_delay": frozenset({"pose"}),
+    "clock_rate": frozenset({"pose"}),
+}
+# Never drawn together: no motion tells the two apart, so that there is no right answer.
+GAUGES = (frozenset({"gravity", "accel_scale"}),)
+
+EARTH_GROUP = "the Earth's rate"
+FAINT_NATS = (10.0, 25.0)
+
+
+@dataclass(frozen=True)
+class Suite:
+    """full: its usual number of recordings; right: outcomes that count as such, of which
+    `target` is the least share; title: what is drawn."""
+
+    title: str
+    full: int
+    right: tuple[str, ...]
+    target: float | None
+
+
+SUITES: dict[str, Suite] = {
+    "nothing": Suite("nothing missing", 200, ("exact",), 0.99),
+    "one": Suite("one effect, 84 s about three axes", 4 * len(SIZES), ("exact",), 0.98),
+    "mixed": Suite("0 to 3 effects, any motion", 100, ("exact", "right_set"), 0.90),
+    "unknown": Suite("physics outside the catalogue", 4 * len(strangers.KINDS), ("exact",), 0.90),
+    "turn": Suite("one effect, 30 s turn", 2 * len(SIZES), ("exact", "right_set", "missed"), 0.98),
+    "faint": Suite("one effect near the limit", 40, ("exact", "right_set"), None),
+}
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What is right. effects: injected values, SI, by effect and parameter; stranger: what is
+    outside the catalogue (kind, channel, formula, signals, rms) or empty; baseline: true
+    biases; circumstances: all else that was drawn."""
+
+    suite: str
+    group: str
+    effects: Mapping[str, Mapping[str, float]]
+    stranger: Mapping[str, Any] = field(default_factory=dict)
+    baseline: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    circumstances: Mapping[str, Any] = field(default_factory=dict)

@@ -1,0 +1,53 @@
+"""Clock rate: the device's clock runs fast or slow against the true one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from handcal._jit import residual_function
+from handcal.effects import TIME, Effect, Param, Signals
+from handcal.types import Array
+
+STANDARD_GRAVITY = 9.80665
+
+
+def imu_error(ppm: Array, signals: Signals) -> Array:
+    """What is read beyond rate and acceleration by the device's clock; result (n, 6).
+
+    A fast clock counts too many seconds, in which the device seems to turn more slowly by
+    1e-6 ppm and to accelerate less by twice that. Gravity is known by the true clock.
+    """
+    out = np.zeros((len(signals.t), 6))
+    fast = 1e-6 * ppm[0]
+    out[:, :3] = fast * signals.gyro
+    if signals.C_nb is not None:
+        out[:, 3:] = 2.0 * fast * (signals.accel - STANDARD_GRAVITY * signals.C_nb[:, 2, :])
+    return out
+
+
+def _pose(nav: Any, ppm: Any, z: Any, out: Any) -> int:
+    # The pose's stamp is true time, by which the device's clock already shows more: the
+    # pose is taken for one of an earlier moment, a delay that is negative and grows.
+    delay = -1e-6 * ppm[0] * z[TIME]
+    for i in range(3):
+        out[i] += nav[3 + i] * delay
+        out[3 + i] += delay * (
+            nav[6 + 3 * i] * nav[15] + nav[7 + 3 * i] * nav[16] + nav[8 + 3 * i] * nav[17]
+        )
+    return 0
+
+
+EFFECT = Effect(
+    id="clock_rate",
+    title="Clock rate",
+    parameters=(Param("ppm", "1e-6", 100.0),),
+    story="The device's clock runs fast or slow, so its stamps drift away from the true time.",
+    source="contract of this project; first order in the growing delay",
+    motion="Brisk motion at the beginning and at the end of a long recording, with a pose.",
+    validated="the simulator's injection",
+    imu_error=imu_error,
+    observation_error={"pose": residual_function(_pose)},
+    needs=("attitude",),
+)

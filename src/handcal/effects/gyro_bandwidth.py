@@ -1,0 +1,64 @@
+"""Gyro bandwidth: a filter inside the gyro smooths and delays what it reports."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from handcal._jit import njit
+from handcal.effects import Effect, Param, Signals
+from handcal.effects._derivative import derivative
+from handcal.types import Array
+
+
+@njit
+def _low_pass(t: Array, x: Array, tau: float) -> Array:
+    """First-order low pass of x (n, 3), held to be linear between its times t (n,)."""
+    y = np.empty_like(x)
+    for i in range(x.shape[1]):
+        y[0, i] = x[0, i]
+    for k in range(1, len(t)):
+        dt = t[k] - t[k - 1]
+        decay = math.exp(-dt / tau)
+        share = -math.expm1(-dt / tau) * tau / dt
+        for i in range(x.shape[1]):
+            y[k, i] = decay * y[k - 1, i] + (1.0 - share) * x[k, i] + (share - decay) * x[k - 1, i]
+    return y
+
+
+def imu_error(tau: Array, signals: Signals) -> Array:
+    """What the filter holds back, ``-tau`` times the low-passed derivative; result (n, 6).
+
+    A negative tau, which no gyro has, is the same filter backwards in time: the series
+    ``-tau omega' + tau^2 omega'' - ...`` goes on smoothly through zero.
+    """
+    out = np.zeros((len(signals.t), 6))
+    if tau[0] == 0.0:
+        return out
+    t, rise = signals.t, derivative(signals.t, signals.gyro)
+    if tau[0] > 0.0:
+        out[:, :3] = -tau[0] * _low_pass(t, rise, tau[0])
+    else:
+        back = _low_pass(np.ascontiguousarray(-t[::-1]), np.ascontiguousarray(rise[::-1]), -tau[0])
+        out[:, :3] = -tau[0] * back[::-1]
+    return out
+
+
+def imu_inverse(tau: Array, readings: Signals) -> Array:
+    """The truth: the reading and tau times its derivative; result (n, 6)."""
+    gyro = readings.gyro + tau[0] * derivative(readings.t, readings.gyro)
+    return np.hstack([gyro, readings.accel])
+
+
+EFFECT = Effect(
+    id="gyro_bandwidth",
+    title="Gyro bandwidth",
+    parameters=(Param("tau", "s", 0.02, positive=True),),
+    story="A filter inside the gyro smooths fast turns and reports them late.",
+    source="first-order low pass, as in data sheets of digital gyros",
+    motion="Brisk turns, to and fro.",
+    validated="the simulator's injection",
+    imu_error=imu_error,
+    imu_inverse=imu_inverse,
+)

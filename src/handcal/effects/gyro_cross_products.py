@@ -1,0 +1,32 @@
+"""Gyro cross products: turning about two axes at once leaks into the reading."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from handcal.effects import Effect, Param, Signals
+from handcal.types import Array
+
+FIRST, SECOND = [0, 1, 0], [1, 2, 2]
+
+
+def imu_error(p: Array, signals: Signals) -> Array:
+    """``p_i,jk omega_j omega_k`` on gyro i; p (9,): x_xy x_yz x_xz y_xy ..., result (n, 6)."""
+    out = np.zeros((len(signals.t), 6))
+    w = signals.gyro
+    out[:, :3] = (w[:, FIRST] * w[:, SECOND]) @ p.reshape(3, 3).T
+    return out
+
+
+EFFECT = Effect(
+    id="gyro_cross_products",
+    title="Gyro cross products",
+    parameters=tuple(
+        Param(f"{i}_{pair}", "s/rad", 0.005) for i in "xyz" for pair in ("xy", "yz", "xz")
+    ),
+    story="When the device turns about two axes at once, the gyro reports a little too much.",
+    source="paper 000, equation 10",
+    motion="Fast turns about slanted axes, between x and y, y and z, x and z.",
+    validated="the simulator's injection",
+    imu_error=imu_error,
+)

@@ -1,0 +1,27 @@
+"""Heading drift: the heading's north turns away at a steady rate."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from handcal._jit import residual_function
+from handcal.effects import TIME, Effect, Param
+
+
+def _heading(nav: Any, rate: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+    r[0] -= rate[0] * z[TIME]
+    return 0
+
+
+_CORRECTION = residual_function(_heading)
+
+EFFECT = Effect(
+    id="heading_drift",
+    title="Heading drift",
+    parameters=(Param("rate", "rad/s", 0.005),),
+    story="The heading creeps away at a steady rate, as one does that comes from another gyro.",
+    source="contract of this project",
+    motion="Turns about at least two axes: with the z axis always up, this is a gyro bias.",
+    validated="the simulator's injection",
+    observation_error={"heading": _CORRECTION, "magnetometer": _CORRECTION},
+)

@@ -1,0 +1,40 @@
+"""Size effect: the three accelerometers do not sit at one place."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from handcal.effects import Effect, Param, Signals
+from handcal.effects._derivative import derivative
+from handcal.types import Array
+
+
+def imu_error(r: Array, signals: Signals) -> Array:
+    """``[alpha x r_i + omega x (omega x r_i)]_i`` on accelerometer i, result (n, 6).
+
+    r (9,) m in the order xx xy xz yx ... zz: row i is the place of accelerometer i.
+    """
+    out = np.zeros((len(signals.t), 6))
+    w, places = signals.gyro, r.reshape(3, 3)
+    alpha = derivative(signals.t, w)
+    square = np.einsum("ni,ni->n", w, w)
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        swing = alpha[:, j] * places[i, k] - alpha[:, k] * places[i, j]
+        out[:, 3 + i] = swing + w[:, i] * (w @ places[i]) - square * places[i, i]
+    return out
+
+
+EFFECT = Effect(
+    id="size_effect",
+    title="Size effect",
+    parameters=tuple(Param(i + j, "m", 0.02) for i in "xyz" for j in "xyz"),
+    story="The three accelerometers sit beside each other, so a turn swings each differently.",
+    source="paper 003",
+    motion="Fast turns, speeding up and slowing down, about all axes.",
+    validated="the simulator's injection",
+    imu_error=imu_error,
+    exclusive=("lever_arm",),
+    # What all three places have in common is the lever arm's.
+    together=np.asarray(np.kron(np.eye(3) - 1.0 / 3.0, np.eye(3)), dtype=np.float64),
+)

@@ -1,0 +1,217 @@
+"""The search for what is missing: scan, choose, fit again, until nothing changes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from handcal.effects import Effect, Signals, catalogue
+from handcal.evidence import reduce, reduced_pass
+from handcal.explain import terms
+from handcal.explain.case import Case, applicable, frozen_at, name_of
+from handcal.explain.fit import Fitted, Model, fitted, moved_to, scan
+from handcal.explain.search import PRIOR, Space, best_set, gains, space
+from handcal.types import Array
+
+ROUNDS = 8
+# Of a term without a name: there are hundreds, and any of the catalogue is likelier.
+TERM_PRIOR = -10.0
+# An effect whose gain is less than this is fitted without, to be sure.
+CLOSE = 40.0
+# Nats that a noise effect must gain beyond its own levels' freedom, at a first look.
+LOOK = 3.0
+OCCAM_LEVEL = 2.5
+MAX_TERMS = 3
+MOMENTS = 24
+
+
+@dataclass(frozen=True)
+class Found:
+    """Where the search ended: the final model, the space of its last scan (about it), and
+    what the catalogue's effects gained over the baseline alone; noise: log-evidence gained by
+    each noise effect in the model; absent: the same by those that were tried and left out."""
+
+    base: Model
+    model: Model
+    space: Space
+    alone: dict[str, float]
+    noise: dict[str, float]
+    terms: tuple[Effect, ...]
+
+
+def candidates(cases: Sequence[Case], present: Sequence[Effect]) -> list[Effect]:
+    """Effects with parameters that at least one recording could show; a step at every moment,
+    or near the moment where it is already."""
+    out: list[Effect] = []
+    t = cases[0].recording.imu.t
+    for effect in catalogue().values():
+        if effect.process is not None or effect.outliers:
+            continue
+        if not any(applicable(c, effect) for c in cases):
+            continue
+        if effect.moments is None:
+            out.append(effect)
+        elif len(cases) == 1:
+            grid = effect.moments(t)
+            grid = grid[:: max(1, math.ceil(len(grid) / MOMENTS))]
+            out += [frozen_at(effect, m) for m in _near(effect, grid, present)]
+    return out
+
+
+def _near(effect: Effect, grid: Array, present: Sequence[Effect]) -> Array:
+    """The grid of moments, with a finer one about the moment that is in the model."""
+    for e in present:
+        if name_of(e.id) == effect.id:
+            at, column = float(e.id.split("@")[1]), int(np.flatnonzero(grid[0])[0])
+            step = abs(grid[1, column] - grid[0, column]) if len(grid) > 1 else 1.0
+            fine = np.zeros((2 * 8 + 1, grid.shape[1]))
+            # halve the spacing each round; what is nearest stays in
+            width = step * (0.5 if _on(grid[:, column], at) else 0.1)
+            fine[:, column] = at + np.linspace(-width, width, len(fine))
+            return fine
+    return grid
+
+
+def _on(grid: Array, at: float) -> bool:
+    return bool(np.min(np.abs(grid - at)) < 2e-3)
+
+
+def priors(effects: Sequence[Effect]) -> dict[str, float]:
+    """Log prior odds that differ from the usual: a step shares its own over its moments."""
+    moments = sum("@" in e.id for e in effects)
+    out = {e.id: PRIOR - math.log(max(1, moments)) for e in effects if "@" in e.id}
+    out |= {e.id: TERM_PRIOR for e in effects if "+=" in e.id}
+    return out
+
+
+def search(base: Model, report: Callable[[float], None] = lambda _: None) -> Found:
+    """From the baseline to the model that explains the recordings best."""
+    cases = [f.case for f in base.parts]
+    model, alone = base, {}
+    unnamed: list[Effect] = []
+    noise: dict[str, float] = {}
+    visited: set[frozenset[str]] = set()
+    for turn in range(ROUNDS + 2 * MAX_TERMS):
+        report(min(0.95, 0.15 + 0.1 * turn))
+        where = _scanned(model, cases, unnamed)
+        if not alone:
+            alone = gains(where, frozenset())
+        now = frozenset(e.id for e in model.effects if e.process is None)
+        chosen = max(
+            (best_set(where, now), best_set(where, ())), key=where.score
+        )
+        if chosen != now and chosen not in visited:
+            visited.add(chosen)
+            model = _fit(model, where, chosen)
+            continue
+        processes = _noise_step(model, noise)
+        if processes is not None:
+            model, visited = processes, set()
+            continue
+        leaner = _leaner(model, where, noise)
+        if leaner is not None:
+            model = leaner
+            continue
+        if len(unnamed) >= MAX_TERMS:
+            break
+        term = _best_term(model, where)
+        if term is None:
+            break
+        unnamed.append(term)
+        visited = set()
+    return Found(base, model, where, alone, noise, tuple(unnamed))
+
+
+def _scanned(model: Model, cases: Sequence[Case], unnamed: Sequence[Effect]) -> Space:
+    options = [*candidates(cases, model.effects), *unnamed]
+    have = {e.id for e in options}
+    options += [e for e in model.effects if e.id not in have and e.process is None]
+    return space(scan(model, options), options, priors(options))
+
+
+def _fit(model: Model, where: Space, chosen: frozenset[str]) -> Model:
+    processes = [e for e in model.effects if e.process is not None]
+    return fitted(model.parts, [*(where.effects[i] for i in sorted(chosen)), *processes])
+
+
+def _noise_step(model: Model, noise: dict[str, float]) -> Model | None:
+    """Add the noise effect that gains most, if one does."""
+    best: Model | None = None
+    have = set(model.ids)
+    for effect in catalogue().values():
+        if effect.process is None or effect.id in have:
+            continue
+        if not any(applicable(f.case, effect) for f in model.parts):
+            continue
+        if not any(_worth_a_look(f, (*model.effects, effect), effect) for f in model.parts):
+            continue
+        tried = fitted(model.parts, (*model.effects, effect), noise_rounds=1)
+        gain = tried.log_evidence - model.log_evidence - OCCAM_LEVEL * len(effect.levels)
+        if gain + PRIOR > 0.0 and (best is None or tried.log_evidence > best.log_evidence):
+            best = tried
+            noise[effect.id] = gain
+    return best
+
+
+def _worth_a_look(f: Fitted, effects: Sequence[Effect], effect: Effect) -> bool:
+    """Whether the evidence rises with this noise at one of a few sizes, all else kept."""
+    here = reduced_pass(reduce(f.linear), f.levels).log_evidence
+    wide = moved_to(f, effects)
+    reduction = reduce(wide.linear)
+    for scale in (0.1, 1.0, 3.0):
+        levels = dict(wide.levels)
+        levels[effect.levels[0].name] = scale * effect.levels[0].initial
+        if reduced_pass(reduction, levels).log_evidence > here + LOOK:
+            return True
+    return False
+
+
+def _leaner(model: Model, where: Space, noise: dict[str, float]) -> Model | None:
+    """The model without an effect that it does not miss when all else is fitted again."""
+    gained = gains(where, frozenset(e.id for e in model.effects if e.process is None))
+    for e in model.effects:
+        if e.process is None and gained[e.id] > CLOSE:
+            continue
+        rest = [x for x in model.effects if x.id != e.id]
+        without = fitted(model.parts, rest)
+        occam = OCCAM_LEVEL * len(e.levels) if e.process is not None else 0.0
+        prior = where.prior.get(e.id, PRIOR)
+        gain = model.log_evidence - without.log_evidence - occam
+        if e.process is not None:
+            noise[e.id] = gain
+        if gain + prior < 0.0:
+            noise.pop(e.id, None)
+            return without
+    return None
+
+
+def _best_term(model: Model, where: Space) -> Effect | None:
+    """The unnamed term that gains most over the model, if one gains enough."""
+    f = model.parts[0]
+    signals = signals_of(f)
+    best, found = -TERM_PRIOR + math.log(2.0), None
+    chunks = [terms.imu_terms(f.case.recording, signals, c) for c in range(6)]
+    if {"heading", "magnetometer"} & set(f.case.kinds):
+        chunks.append(terms.heading_terms(f.case.recording))
+    here = frozenset(e.id for e in model.effects if e.process is None)
+    for chunk in chunks:
+        options = [e for e in model.effects if e.process is None]
+        options += [e for e in chunk if e.id not in here]
+        wide = space(scan(model, options), options, priors(options))
+        gained = gains(wide, here)
+        top = max((e for e in chunk if e.id not in here), key=lambda e: gained[e.id])
+        if gained[top.id] > best:
+            best, found = gained[top.id], top
+    return found
+
+
+def signals_of(f: Fitted) -> Signals:
+    """The best estimate of rate and force at the IMU's samples, for scaling terms."""
+    imu, nominal = f.case.recording.imu, f.linear.trajectory
+    temperature = f.case.recording.streams.get("temperature")
+    T = None if temperature is None else np.interp(imu.t, temperature.t, temperature.value[:, 0])
+    return Signals(imu.t, imu.gyro - nominal.bg, imu.accel - nominal.ba, T)
+

@@ -1,0 +1,253 @@
+"""Fits of a set of effects to one or several recordings of one device.
+
+Every recording has its own trajectory, biases and noise levels; the effects' parameters
+are shared. Each round of relinearisation adds the recordings' quadratics, solves for the
+shared parameters, and moves each trajectory by what follows for it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from handcal import batch, so3
+from handcal import noise as noise_levels
+from handcal.effects import Effect
+from handcal.evidence import backward, reduce, reduced_pass
+from handcal.explain.case import Case, problem_with
+from handcal.explain.quadratic import Local, Quadratic, given, local, posterior, total
+from handcal.filter import empty_track, initial_state, run_compiled
+from handcal.linear import Linear, Trajectory, epochs, linearise_about, trajectory_of
+from handcal.model import Problem, noise_arrays, relinearised
+from handcal.types import Array, HandcalError
+
+TOLERANCE = 0.05
+ROUNDS = 10
+# White noise of a sensor beyond what its readings show would be an alibi for whatever physics
+# is missing.
+EXCESS = 1.3
+# A delay is linearised about where it is known to this, s.
+DELAY_STEP = 0.002
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """One recording, linearised about its trajectory under the model, at its noise levels."""
+
+    case: Case
+    linear: Linear
+    levels: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Model:
+    """A settled fit of some effects to all recordings.
+
+    u, covariance: the effects' parameters in units of their priors, in the order of
+    ``quadratic.names``; log_evidence: of all recordings together, noise prior not counted.
+    """
+
+    effects: tuple[Effect, ...]
+    parts: tuple[Fitted, ...]
+    quadratic: Quadratic
+    u: Array
+    covariance: Array
+    log_evidence: float
+    settled: bool
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        return tuple(e.id for e in self.effects)
+
+
+def started(case: Case) -> Fitted:
+    """The baseline: a first trajectory by the online filter, relinearised, noise estimated."""
+    problem = problem_with(case, ())
+    problem = relinearised(problem, np.zeros(problem.constants), np.zeros(3), np.zeros(3))
+    levels = noise_levels.initial_levels(problem) | {
+        k: v for k, v in case.fixed.items() if k in {lv.name for lv in problem.levels}
+    }
+    track = empty_track(problem, epochs(problem))
+    state = initial_state(problem, case.start, levels)
+    state = run_compiled(problem, noise_arrays(problem, levels), state, track)
+    nominal = trajectory_of(problem, track, state.bg, state.ba, state.extras)
+    linear, _, _ = batch.relinearise(linearise_about(problem, case.start, nominal), levels)
+    if not np.isfinite(linear.d).all():
+        raise HandcalError(
+            "The filter diverged on this recording; check its units and axes, and whether the "
+            "device was really held or laid as assumed."
+        )
+    return Fitted(case, linear, levels)
+
+
+def fitted(
+    begin: Sequence[Fitted], effects: Sequence[Effect], noise_rounds: int = 2
+) -> Model:
+    """Fit these effects to all recordings, beginning from other fits' trajectories and noise."""
+    parts = [moved_to(f, effects) for f in begin]
+    parts, settled = _relinearised(parts, effects)
+    for _ in range(noise_rounds):
+        new = [with_noise(f) for f in parts]
+        change = max(
+            abs(math.log(n.levels[k] / o.levels[k]))
+            for n, o in zip(new, parts, strict=True)
+            for k in n.levels
+        )
+        parts, settled = _relinearised(new, effects)
+        if change < 0.02:
+            break
+    locals_ = [_local(f, effects) for f in parts]
+    whole = total([part.quadratic for part in locals_])
+    found = posterior(whole, np.arange(len(whole.names)), prior_root(whole, effects))
+    return Model(
+        tuple(effects), tuple(parts), whole, found.mean, found.covariance, found.log_evidence,
+        settled,
+    )  # fmt: skip
+
+
+def prior_root(q: Quadratic, effects: Sequence[Effect], index: Array | None = None) -> Array | None:
+    """Square root of the prior covariance of a quadratic's parameters (``index`` of them), or
+    None for the identity: effects that are exclusive of another keep what that one lacks."""
+    ids = {e.id for e in effects}
+    names = q.names if index is None else [q.names[i] for i in index]
+    root = None
+    for e in effects:
+        if e.together is not None and ids & set(e.exclusive):
+            mine = [i for i, n in enumerate(names) if n[0] == e.id]
+            root = np.eye(len(names)) if root is None else root
+            root[np.ix_(mine, mine)] = e.together
+    return root
+
+
+def _local(f: Fitted, effects: Sequence[Effect]) -> Local:
+    return local(reduced_pass(reduce(f.linear), f.levels), frozenset(e.id for e in effects))
+
+
+def _relinearised(
+    parts: Sequence[Fitted], effects: Sequence[Effect]
+) -> tuple[list[Fitted], bool]:
+    """Move and linearise again until the joint evidence rests."""
+    shared = frozenset(e.id for e in effects)
+    parts, evidence = list(parts), -math.inf
+    for _ in range(ROUNDS):
+        passes = [reduced_pass(reduce(f.linear), f.levels, keep=True) for f in parts]
+        locals_ = [local(p, shared) for p in passes]
+        whole = total([x.quadratic for x in locals_])
+        found = posterior(whole, np.arange(len(whole.names)), prior_root(whole, effects))
+        if abs(found.log_evidence - evidence) < TOLERANCE:
+            return parts, True
+        evidence = found.log_evidence
+        new = []
+        for f, done, own in zip(parts, passes, locals_, strict=True):
+            w = own.deviations(given(whole, own.quadratic, found.mean))
+            done = replace(done, w=w)
+            k, m = done.X.shape[:2]
+            r = np.empty((k, m, 1))
+            backward(done, False, r, np.empty((0, m, m)), spread=False)
+            trajectory = batch.moved(f.linear, batch.whole_mean(done, r))
+            new.append(_linearised(f, trajectory, effects))
+        parts = new
+    return parts, False
+
+
+def _linearised(f: Fitted, trajectory: Trajectory, effects: Sequence[Effect]) -> Fitted:
+    """Linearise about the trajectory; if a delay has moved, about the moment it points to."""
+    delays = _delays(f.linear.problem, trajectory, effects)
+    known = f.case.delays
+    if any(abs(delays[k] - known.get(k, 0.0)) > DELAY_STEP for k in delays):
+        case = replace(f.case, delays={**known, **delays})
+        problem = problem_with(case, effects)
+        trajectory = transferred(trajectory, f.linear.problem, problem)
+        return Fitted(case, linearise_about(problem, f.linear.start, trajectory), f.levels)
+    return replace(f, linear=linearise_about(f.linear.problem, f.linear.start, trajectory))
+
+
+def _delays(
+    problem: Problem, trajectory: Trajectory, effects: Sequence[Effect]
+) -> dict[str, float]:
+    """Delay of each kind of observation that this trajectory's constants hold, s."""
+    have = {o.kind for o in problem.observations}
+    found = {}
+    for e in effects:
+        for kind in set(e.delays) & have:
+            at = next(i for i, s in enumerate(problem.slots) if s.owner == e.id)
+            found[kind] = float(trajectory.constants[at])
+    return found
+
+
+def moved_to(f: Fitted, effects: Sequence[Effect]) -> Fitted:
+    """The same trajectory in the problem of other effects: new parameters zero."""
+    kept = {k for e in effects for k in e.delays}
+    case = replace(f.case, delays={k: v for k, v in f.case.delays.items() if k in kept})
+    problem = problem_with(case, effects)
+    trajectory = transferred(f.linear.trajectory, f.linear.problem, problem)
+    levels = noise_levels.initial_levels(problem) | case.fixed
+    have = {lv.name for lv in problem.levels}
+    levels |= {k: v for k, v in f.levels.items() if k in have}
+    linear = linearise_about(problem, f.linear.start, trajectory)
+    return Fitted(case, linear, levels)
+
+
+def transferred(nominal: Trajectory, old: Problem, new: Problem) -> Trajectory:
+    """A trajectory of one problem as one of another of the same recording."""
+    values = {(s.owner, s.name): v for s, v in zip(old.slots, nominal.constants, strict=True)}
+    constants = np.array([values.get((s.owner, s.name), 0.0) for s in new.slots])
+    node = epochs(new)
+    t_old, t = old.nodes.t[nominal.node], new.nodes.t[node]
+    same = len(t) == len(t_old) and bool(np.all(t == t_old))
+    markov = np.zeros((len(t_old), new.markov_size))
+    at = 0
+    for process in new.markovs:
+        begin = 0
+        for other in old.markovs:
+            if other is process:
+                markov[:, at : at + process.size] = nominal.markov[:, begin : begin + process.size]
+            begin += other.size
+        at += process.size
+    if same:
+        return replace(nominal, node=node, constants=constants, markov=markov)
+    C = _between(t_old, nominal.C, t)
+    return Trajectory(
+        node,
+        _interpolated(t, t_old, nominal.p),
+        _interpolated(t, t_old, nominal.v),
+        C,
+        nominal.bg,
+        nominal.ba,
+        constants,
+        _interpolated(t, t_old, markov),
+    )
+
+
+def _interpolated(t: Array, t_old: Array, x: Array) -> Array:
+    out = np.empty((len(t), x.shape[1]))
+    for i in range(x.shape[1]):
+        out[:, i] = np.interp(t, t_old, x[:, i])
+    return out
+
+
+def _between(t_old: Array, C: Array, t: Array) -> Array:
+    at = np.clip(np.searchsorted(t_old, t, side="right") - 1, 0, len(t_old) - 2)
+    turn = so3.matrix_log(C[:-1].transpose(0, 2, 1) @ C[1:])
+    share = (t - t_old[at]) / (t_old[at + 1] - t_old[at])
+    return np.asarray(C[at] @ so3.rotations(turn[at] * share[:, None]))
+
+
+def with_noise(f: Fitted) -> Fitted:
+    names = tuple(lv.name for lv in f.linear.problem.levels if lv.name not in f.case.fixed)
+    levels = noise_levels.estimate(f.linear, f.levels, names, excess=EXCESS)
+    return replace(f, levels=levels)
+
+
+def scan(model: Model, candidates: Sequence[Effect]) -> Quadratic:
+    """The quadratic of the model's effects and of all candidates, about the model's fit."""
+    have = {e.id for e in model.effects}
+    everything = (*model.effects, *(e for e in candidates if e.id not in have))
+    parts = []
+    for f in model.parts:
+        wide = moved_to(f, everything)
+        parts.append(_local(wide, everything).quadratic)
+    return total(parts)

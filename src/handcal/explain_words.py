@@ -1,0 +1,340 @@
+"""The words in which an explanation is told, the same in terminal, report and dashboard.
+
+Everything is a sentence or a short phrase and a function of an ``Explanation``; units
+and digits come from ``words``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from handcal import words
+from handcal.explain.explanation import Explanation, Fit, Hypothesis, Mismatch, Missing, Unnamed
+from handcal.types import Parameter
+from handcal.words import NBSP, Shown, Verdict, effect_title, listed, shown
+
+SEEN = 3.0  # nats, odds of twenty to one: what an effect must promise to be looked for
+OVERSURE = 1.6  # mean NIS above which errors are clearly larger than the model allows
+
+_SENSORS = {"accel": "accelerometer", "mag": "magnetometer"}
+_UNITS = {
+    "gyro": Shown("deg/s", 180.0 / math.pi), "accel": Shown("m/s²", 1.0),
+    "heading": Shown("deg", 180.0 / math.pi), "attitude": Shown("deg", 180.0 / math.pi),
+    "mag": Shown("µT", 1e6),
+}  # fmt: skip
+_SMALL = {"accel": "m/s^2", "position": "m", "velocity": "m/s"}
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
+
+
+def counted_word(n: int) -> str:
+    """ "three"; figures beyond ten."""
+    return _NUMBERS[n] if n < len(_NUMBERS) else str(n)
+
+
+def percent(share: float) -> str:
+    """A share or probability; never a certainty that nobody has."""
+    p = 100 * share
+    if not math.isfinite(p):
+        return "–"
+    if p > 99.9:
+        return f"over 99.9{NBSP}%"
+    if p < 0.1:
+        return f"under 0.1{NBSP}%"
+    tenths = p > 99 or p < 1
+    return f"{p:.1f}{NBSP}%" if tenths else f"{p:.0f}{NBSP}%"
+
+
+def whole_percent(share: float) -> str:
+    """A share of a total, to a whole percent."""
+    return f"{100 * share:.0f}{NBSP}%" if math.isfinite(share) else "–"
+
+
+def number(value: float) -> str:
+    """ "1,240", "−3.1", "0.4"."""
+    if not math.isfinite(value):
+        return "–"
+    text = f"{value:,.0f}" if abs(value) >= 10 else f"{value:.1f}"
+    return text.replace("-", "−") if float(text.replace(",", "")) else text.replace("-", "")
+
+
+def change(before: float, after: float) -> str:
+    """ "−44 %"; nothing to say where there is no before."""
+    if not (math.isfinite(before) and math.isfinite(after) and before > 0):
+        return "–"
+    by = round(100 * (after / before - 1))
+    return f"{by:+d}{NBSP}%".replace("-", "−") if by else f"0{NBSP}%"
+
+
+def nats(value: float) -> str:
+    """The number with its unit."""
+    return f"{number(value)}{NBSP}nats"
+
+
+def the(title: str) -> str:
+    """A title within a sentence: "the gyro scale error"; capitals of names are kept."""
+    first = title.split(" ", 1)[0]
+    if title == "Gravity":
+        return "gravity"
+    keep = first in ("Earth", "Coriolis") or first[1:] != first[1:].lower() or len(first) == 1
+    return "the " + (title if keep else title[:1].lower() + title[1:])
+
+
+def channel_title(channel: str) -> str:
+    """ "accelerometer y", "heading"."""
+    sensor, _, axis = channel.rpartition("_") if channel[-2:-1] == "_" else (channel, "", "")
+    return f"{_SENSORS.get(sensor, sensor.replace('_', ' '))} {axis}".rstrip()
+
+
+def channel_shown(channel: str, values: Sequence[float], small: bool = False) -> Shown:
+    """The friendly unit of a channel's readings; small: of its residuals."""
+    sensor = channel.rpartition("_")[0] if channel[-2:-1] == "_" else channel
+    if sensor in _SMALL and (small or sensor not in _UNITS):
+        return shown(_SMALL[sensor], values)
+    return _UNITS.get(sensor, Shown("", 1.0))
+
+
+def channels(*each: Mapping[str, float]) -> list[str]:
+    """All channels of several mappings, sensors first, in the order of the contract."""
+    order = ("gyro", "accel", "heading", "mag", "position", "velocity", "attitude")
+    found = dict.fromkeys(c for m in each for c in m)
+
+    def rank(channel: str) -> tuple[int, str]:
+        sensor = channel.rpartition("_")[0] if channel[-2:-1] == "_" else channel
+        return (order.index(sensor) if sensor in order else len(order), channel)
+
+    return sorted(found, key=rank)
+
+
+def title_of(effect: str, explanation: Explanation) -> str:
+    """The title of an effect that may be on trial, or else of the catalogue."""
+    known = {h.effect: h.title for h in explanation.hypotheses}
+    known |= {m.effect: m.title for m in explanation.missing}
+    return known.get(effect) or effect_title(effect)
+
+
+def members(missing: Missing, explanation: Explanation) -> list[str]:
+    """Titles of an effect and of those it cannot be told from."""
+    others = [title_of(e, explanation) for e in missing.indistinguishable_from]
+    return [missing.title, *others]
+
+
+def either(titles: Sequence[str]) -> str:
+    """ "the gravity, the lever arm or the accelerometer scale error"."""
+    return listed([the(t) for t in titles], "or")
+
+
+def gain(explanation: Explanation) -> float:
+    """Nats that the final model gains over the baseline."""
+    return explanation.after.log_evidence - explanation.before.log_evidence
+
+
+def recording_names(explanation: Explanation) -> list[str]:
+    """File names without folders."""
+    return [Path(r.recording.path).name for r in explanation.recordings]
+
+
+def of_recording(index: int, explanation: Explanation) -> str:
+    """ " of walk.mcap" where there are several recordings."""
+    names = recording_names(explanation)
+    return f" of {names[index]}" if len(names) > 1 and 0 <= index < len(names) else ""
+
+
+def _present(m: Missing, explanation: Explanation) -> str:
+    names = members(m, explanation)
+    likely = f"(probability {percent(m.probability)})"
+    return f"{either(names)} {likely}" if len(names) > 1 else f"{the(names[0])} {likely}"
+
+
+def verdict(explanation: Explanation) -> Verdict:
+    """The headline and what stands behind it, of any of the four verdicts."""
+    head = {"nothing_missing": _nothing, "explained": _explained, "unexplained": _unexplained,
+            "cannot_tell": _cannot_tell}[explanation.verdict]  # fmt: skip
+    level, headline, sentences = head(explanation)
+    if (worst := worst_mismatch(explanation)) is not None:
+        sentences.append(worst)
+    if (proof := held_out_sentence(explanation)) is not None:
+        sentences.append(proof)
+    doubts = left_over(explanation.after)
+    if held_out_gain(explanation) < 0 and explanation.verdict != "nothing_missing":
+        level = "partly" if level == "good" else level
+    if doubts and explanation.verdict != "unexplained":
+        sentences += doubts
+        level = "partly" if level == "good" else level
+    return Verdict(level, headline, tuple(sentences))
+
+
+def _nothing(e: Explanation) -> tuple[str, str, list[str]]:
+    headline = "Nothing is missing that this motion would show."
+    sentences = []
+    if e.hypotheses:
+        best = max(e.hypotheses, key=lambda h: h.alone)
+        tried = words.counted(len(e.hypotheses), "effect")
+        change = f"gains {nats(best.alone)}" if best.alone > 0 else f"loses {nats(-best.alone)}"
+        sentences.append(
+            f"Of {tried} tried, the best, {the(best.title)}, {change}: no more than chance gives."
+        )
+        if hidden := unseen(e):
+            sentences.append(
+                f"That is not proof of absence: {words.counted(len(hidden), 'effect')} would "
+                f"hardly show in this motion even at the usual size (they are listed below)."
+            )
+    return "good", headline, sentences
+
+
+def _explained(e: Explanation) -> tuple[str, str, list[str]]:
+    if len(e.missing) == 1:
+        (m,) = e.missing
+        headline = (
+            f"Something is missing: {_present(m, e)}, and adding it makes the recording "
+            f"{nats(gain(e))} more probable."
+        )
+        return "good", headline, []
+    headline = (
+        f"{counted_word(len(e.missing)).capitalize()} things are missing: "
+        f"{listed([_present(m, e) for m in e.missing])}. "
+        f"Adding them makes the recording {nats(gain(e))} more probable."
+    )
+    return "good", headline, []
+
+
+def _unexplained(e: Explanation) -> tuple[str, str, list[str]]:
+    besides = ""
+    if e.missing:
+        besides = f", besides {listed([_present(m, e) for m in e.missing])}"
+    headline = f"Something is missing that no known effect accounts for{besides}."
+    if not e.unnamed:
+        return "poor", headline, ["No simple term in the measured signals accounts for it either."]
+    u = max(e.unnamed, key=lambda u: u.log_evidence_gain)
+    return "poor", headline, [
+        f"What was found instead: {u.formula} with k = {amount(u)}, which gains "
+        f"{nats(u.log_evidence_gain)}. A formula is a lead, not yet a cause."
+    ]  # fmt: skip
+
+
+def _cannot_tell(e: Explanation) -> tuple[str, str, list[str]]:
+    open_, clear = ([m for m in e.missing if bool(m.indistinguishable_from) is yes]
+                    for yes in (True, False))  # fmt: skip
+    if not open_:
+        return "partly", "Something is missing, but this motion cannot tell what.", []
+    sets = [either(members(m, e)) for m in open_]
+    likely = listed([percent(m.probability) for m in open_])
+    headline = f"Something is missing, but this motion cannot tell which: {listed(sets, 'and')}."
+    sentences = [
+        f"One of them is present with probability {likely}; adding it makes the recording "
+        f"{nats(sum(m.log_evidence_gain for m in open_))} more probable, whichever it is."
+    ]
+    if clear:
+        sentences.append(f"Told apart clearly: {listed([_present(m, e) for m in clear])}.")
+    if e.next_motion:
+        sentences.append(f"What would tell: {motion_phrase(e.next_motion[0].motion)}.")
+    return "partly", headline, sentences
+
+
+def motion_phrase(motion: str) -> str:
+    """A motion within a sentence: no capital, no full stop."""
+    return motion[:1].lower() + motion[1:].rstrip(".")
+
+
+def worst_mismatch(explanation: Explanation) -> str | None:
+    """Where and when the plain model falls short most."""
+    if not explanation.mismatch:
+        return None
+    m = max(explanation.mismatch, key=lambda m: m.share)
+    return (
+        f"The plain model falls short most in {channel_title(m.channel)}"
+        f"{', ' + m.when if m.when else ''} ({whole_percent(m.share)} of the whole shortfall)."
+    )
+
+
+def interval(m: Mismatch) -> str:
+    """ "12–31 s", finer where that would be nothing."""
+    digits = 0 if m.to_s - m.from_s >= 2 else 1
+    return f"{m.from_s:.{digits}f}–{m.to_s:.{digits}f}{NBSP}s"
+
+
+def held_out_gain(explanation: Explanation) -> float:
+    """Nats of the final model over the baseline on unseen data; 0 where there were none."""
+    h = explanation.held_out
+    return h.log_score_after - h.log_score_before if h else 0.0
+
+
+def held_out_sentence(explanation: Explanation) -> str | None:
+    """What data that the fit has not seen say of it; None where there were none."""
+    h, difference = explanation.held_out, held_out_gain(explanation)
+    if h is None or not math.isfinite(difference):
+        return None
+    if abs(difference) < 1.0:
+        return f"On data that the fit has not seen ({h.source}) both models do equally well."
+    if difference < 0:
+        return (
+            f"On data that the fit has not seen ({h.source}) the final model does worse, by "
+            f"{nats(-difference)}: do not rely on it yet."
+        )
+    return (
+        f"On data that the fit has not seen ({h.source}) the final model does better, by "
+        f"{nats(difference)}."
+    )
+
+
+def left_over(fit: Fit) -> list[str]:
+    """A sentence where the final model still expects too little of itself."""
+    return [
+        f"Even so, {channel_title(words.kind_name(kind))} scatters {math.sqrt(nis):.1f} times as "
+        f"far as the final model expects: some of it is not accounted for."
+        for kind, nis in fit.nis.items() if math.isfinite(nis) and nis > OVERSURE
+    ]  # fmt: skip
+
+
+def unseen(explanation: Explanation) -> list[Hypothesis]:
+    """Effects that this motion would not have shown at their usual size."""
+    return [h for h in explanation.hypotheses if not h.verdict and h.expected < SEEN]
+
+
+def untold(explanation: Explanation) -> list[str]:
+    """What this motion could not tell, in sentences."""
+    sentences = []
+    for m in explanation.missing:
+        if m.indistinguishable_from:
+            names = listed([the(t) for t in members(m, explanation)])
+            sentences.append(
+                f"{names[:1].upper()}{names[1:]} look alike in this motion: one of them is "
+                f"present (probability {percent(m.probability)}), but not which."
+            )
+    if hidden := unseen(explanation):
+        names = listed([the(h.title) for h in hidden])
+        sentences.append(
+            f"{names[:1].upper()}{names[1:]} would hardly show in this motion even at the usual "
+            f"size, and {'is' if len(hidden) == 1 else 'are'} not ruled out."
+        )
+    weak = [p for m in explanation.missing for p in m.parameters if not p.observable]
+    if weak:
+        names = listed([words.parameter_title(p) for p in weak])
+        sentences.append(
+            f"{names} is part of what is missing, but was not learnt from this motion."
+        )
+    return sentences
+
+
+def in_units(parameters: Sequence[Parameter]) -> list[tuple[Parameter, Shown]]:
+    """Each with its unit, which it shares with those of its effect."""
+    groups = words.by_effect(parameters).values()
+    return [(p, unit) for group in groups for unit in [words.shown_group(group)] for p in group]
+
+
+def amount(u: Unnamed) -> str:
+    """The size of an unnamed term with its uncertainty; powers of ten where it is tiny."""
+    sigma = abs(u.sigma)
+    if not (math.isfinite(u.value) and math.isfinite(sigma) and sigma > 0):
+        return f"{u.value:.3g}".replace("-", "−") if math.isfinite(u.value) else "unknown"
+    power = math.floor(math.log10(max(abs(u.value), sigma)))
+    power = 0 if -3 < power < 5 else power
+    digits = min(max(1 - math.floor(math.log10(sigma / 10.0**power)), 0), 7)
+    value, spread = (f"{v / 10.0**power:.{digits}f}" for v in (u.value, sigma))
+    text = f"{value} ± {spread}".replace("-", "−")
+    if power:
+        text = f"({text})·10{str(power).translate(_SUPERSCRIPT)}"
+    unit = "" if u.unit == "1" else f" {u.unit}"
+    return text + unit

@@ -1,0 +1,187 @@
+"""Rate and force known from outside: a turntable, or a second, trusted IMU on the same body.
+
+The axes of the reference are first turned into those of the IMU (turns and forces seen by
+both sensors), then what remains is estimated: ``theta`` is that rotation vector (3,).
+``z`` holds the reference's rate, force and angular acceleration, the latter for a lever
+arm. Without one the reference is taken to sit where the IMU sits.
+
+Two IMUs never sample at the same instant, mounts flex, and a shake has more bandwidth than
+the sampling resolves; all of that makes the readings differ in proportion to the motion.
+So the errors grow with the turning rate: Markov states that forget at once. Those of the
+force have a size for each axis, because an angular acceleration that the sampling missed
+acts across a lever arm, never along it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from handcal import so3
+from handcal._jit import njit, residual_function
+from handcal.observations import Constant, Observation, Rows, Scene
+from handcal.types import Array, BoolArray, Level, Recording
+
+FEWEST = 20
+# An interval longer than this many usual ones is a gap; a row this near to one is left out,
+# since the spline feels what is missing (by a factor of -0.27 a sample).
+GAP, NEAR = 1.6, 3
+MEMORY_S = 1e-3
+SLOWEST = 0.01
+LEAST_TURN = 0.05
+MOTION = ("reference_gyro_in_motion",) * 3 + tuple(f"reference_accel_in_motion_{a}" for a in "xyz")
+
+
+@njit
+def _rotation(x: float, y: float, z: float) -> Array:
+    out = np.empty((3, 3))
+    so3.exp(np.array((x, y, z)), out)
+    return out
+
+
+def _residual(nav: Any, theta: Any, z: Any, r: Any) -> int:
+    R = _rotation(theta[0], theta[1], theta[2])
+    for i in range(3):
+        # taken off the measurement, so that r is in b, where a lever arm is given
+        r[i] = R[0, i] * z[0] + R[1, i] * z[1] + R[2, i] * z[2] - nav[15 + i]
+        r[3 + i] = R[0, i] * z[3] + R[1, i] * z[4] + R[2, i] * z[5] - nav[18 + i]
+    return 0
+
+
+def _jacobian(nav: Any, theta: Any, z: Any, H: Any) -> int:  # noqa: ARG001
+    for i in range(6):
+        H[15 * i + 9 + i] = 1.0
+    return 0
+
+
+def _in_motion(nav: Any, error: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+    for i in range(6):
+        r[i] -= error[i]
+    return 0
+
+
+class InMotion:
+    """Errors (6,) in proportion to the turning rate, each new at every sample."""
+
+    size = 6
+    vectors = 0
+
+    def transition(
+        self, levels: Mapping[str, float], dt: Array, rate: Array
+    ) -> tuple[Array, Array]:
+        """Phi and Q (n, 6, 6): forgets within a millisecond, and is then as large as at the start."""
+        phi = np.exp(-dt / MEMORY_S)
+        variance = self._variance(levels) * (rate**2 + SLOWEST**2)[:, None]
+        return (
+            phi[:, None, None] * np.eye(6),
+            ((1.0 - phi**2)[:, None] * variance)[:, :, None] * np.eye(6),
+        )
+
+    def start(self, levels: Mapping[str, float], rate: float) -> Array:
+        """Variances at this rate."""
+        return np.diag(self._variance(levels) * (rate**2 + SLOWEST**2))
+
+    def _variance(self, levels: Mapping[str, float]) -> Array:
+        return np.array([levels[n] ** 2 for n in MOTION])
+
+
+def _sound(t: Array, valid: BoolArray) -> Array:
+    """1 for samples with no gap, end or invalid one within NEAR samples, 0 for others."""
+    gap = np.diff(t) > GAP * np.median(np.diff(t))
+    bad = ~valid | np.r_[True, gap] | np.r_[gap, True]
+    near = np.convolve(bad, np.ones(2 * NEAR + 1), mode="same") > 0.5
+    return np.where(near, 0.0, 1.0)
+
+
+def _at(t: Array, sound: Array, wanted: Array) -> BoolArray:
+    """Whether the samples on both sides of the times wanted are sound."""
+    return np.asarray(np.interp(wanted, t, sound, left=0.0, right=0.0) > 1.0 - 1e-9)
+
+
+def _axes(own: Array, known: Array) -> Array:
+    """Rotation (3, 3) of the reference's axes into the IMU's, from readings (k, 6) of both."""
+    turns, size = [], []
+    for x in (own, known):
+        turn = x[:, :3] - x[:, :3].mean(0)
+        size.append((turn**2).mean())
+        turns.append(turn)
+    # a turn weighs as much as a force: in units of its own size, if it is more than noise
+    weight = (own[:, 3:] ** 2).mean() / max(size[0], size[1], LEAST_TURN**2)
+    a = np.vstack([np.sqrt(weight) * turns[1], known[:, 3:]])
+    b = np.vstack([np.sqrt(weight) * turns[0], own[:, 3:]])
+    B = b.T @ a
+    # what nothing shows stays as it is: the smallest rotation
+    U, _, Vt = np.linalg.svd(B + 1e-6 * np.trace(a.T @ a) * np.eye(3))
+    return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt)
+
+
+def _rows(recording: Recording, scene: Scene) -> Rows | None:  # noqa: ARG001
+    imu, reference = recording.imu, recording.streams.get("reference")
+    if reference is None or len(reference.t) < FEWEST:
+        return None
+    # At the stamps of the slower of the two; the other is read between its samples.
+    slow = float(np.median(np.diff(reference.t))) > 1.2 / recording.rate_hz
+    t = reference.t if slow else imu.t
+    t = t[_at(imu.t, _sound(imu.t, imu.valid), t)]
+    everything = np.ones(len(reference.t), dtype=np.bool_)
+    t = t[_at(reference.t, _sound(reference.t, everything), t)]
+    if len(t) < FEWEST:
+        return None
+    spline = CubicSpline(reference.t, reference.value)
+    known = spline(t)
+    own = np.stack([np.interp(t, imu.t, x) for x in (*imu.gyro.T, *imu.accel.T)], axis=1)
+    R = _axes(own, known)
+    parts = (known[:, :3], known[:, 3:], spline(t, 1)[:, :3])
+    return Rows(t, np.hstack([part @ R.T for part in parts]))
+
+
+def _guess(z: Array) -> Mapping[str, float]:
+    """Levels that the reference itself shows: its white noise, and as much of the IMU."""
+    out = {}
+    for name, x in (("reference_gyro_noise", z[:, :3]), ("reference_accel_noise", z[:, 3:6])):
+        d4 = np.diff(x, n=4, axis=0)
+        power = (d4**2).mean(axis=1)
+        width = max(1, min(30, len(power)))
+        windows = power[: len(power) // width * width].reshape(-1, width).mean(axis=1)
+        least, most = next((lv.lower, lv.upper) for lv in LEVELS if lv.name == name)
+        sigma = math.sqrt(2.0 * float(np.quantile(windows, 0.3)) / 70.0)
+        out[name] = min(max(sigma, 2.0 * least), 0.5 * most)
+    return out
+
+
+def _variance(levels: Mapping[str, float]) -> Array:
+    gyro, accel = levels["reference_gyro_noise"], levels["reference_accel_noise"]
+    return np.repeat([gyro**2, accel**2], 3)
+
+
+def _constants(scene: Scene) -> tuple[Constant, ...]:  # noqa: ARG001
+    return tuple(Constant(f"reference_{a}", "rad", 0.1) for a in "xyz")
+
+
+LEVELS = (
+    Level("reference_gyro_noise", "rad/s", 0.003, 1e-6, 0.3),
+    Level("reference_accel_noise", "m/s^2", 0.03, 1e-5, 3.0),
+    Level("reference_gyro_in_motion", "1", 1e-3, 1e-6, 0.3),
+    *(Level(f"reference_accel_in_motion_{a}", "m/s", 1e-2, 1e-6, 3.0) for a in "xyz"),
+)
+
+OBSERVATION = Observation(
+    kind="known_input",
+    title="known input",
+    dim=6,
+    channels=("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z"),
+    unit="rad/s, m/s^2",
+    residual=residual_function(_residual),
+    jacobian=residual_function(_jacobian),
+    rows=_rows,
+    levels=LEVELS,
+    variance=_variance,
+    constants=_constants,
+    markov=InMotion(),
+    markov_residual=residual_function(_in_motion),
+    guess=_guess,
+)
