@@ -10,6 +10,8 @@ from worlds import injected, recording_of, true_levels
 
 from handcal import calibrate, so3
 from handcal._jit import call_residual
+from handcal.calibration import observed_of, solve
+from handcal.earth import local_earth
 from handcal.effects import (
     DELAY,
     TIME,
@@ -20,7 +22,8 @@ from handcal.effects import (
     mag_hard_iron,
     select,
 )
-from handcal.kernel import MAX_DIM
+from handcal.kernel import BASE, MAX_DIM
+from handcal.model import build
 from handcal.observations import catalogue as observations
 from handcal.types import InputError, Series
 from handcal_sim import simulate
@@ -449,8 +452,6 @@ TRIALS = [
     ("heading_drift", "free-hand", with_magnetometer, "mag", 1.0),
 ]
 SEEDS = range(2)
-
-
 # id, levels, how many times too large or too small each may be found: 84 s hold some twenty
 # independent moments of noise that is remembered for 3 s, or of a walk
 NOISE_TRIALS = [
@@ -464,6 +465,27 @@ def test_every_effect_is_on_trial():
     tried = {getattr(trial, "values", trial)[0] for trial in TRIALS}
     tried |= {name for name, *_ in NOISE_TRIALS} | set(STRAYING)
     assert tried == set(IDS)
+
+
+def as_seen(world, name, truth):
+    """With the yaw counted from the heading's own north: its constant offset, and declination.
+
+    Nothing else tells n's yaw, so sin and cos of an iron are those of yaw + offset.
+    """
+    if name not in ("heading_hard_iron", "heading_soft_iron"):
+        return truth
+    phone = world.parameters["phone"]
+    turn = phone["heading_errors"]["offset"]
+    if phone["heading"] is None:
+        turn += phone["mag"]["declination"]
+    turn *= 2 if name == "heading_soft_iron" else 1
+    sin, cos = truth
+    return np.array(
+        [
+            sin * math.cos(turn) + cos * math.sin(turn),
+            cos * math.cos(turn) - sin * math.sin(turn),
+        ]
+    )
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -481,12 +503,41 @@ def test_what_the_simulator_injects_comes_back(name, motion, phone, stream, prio
     np.testing.assert_allclose(injected(world, name), truth)
     recording = recording_of(world, stream)
     found = calibrate(recording, [name], assume="fixed-point", noise=true_levels(world))
-    for parameter, value in zip(effect.parameters, truth, strict=True):
+    for parameter, value in zip(effect.parameters, as_seen(world, name, truth), strict=True):
         got = found.parameter(name, parameter.name)
         assert got.unit == parameter.unit
         assert abs(got.value - value) < 4 * got.sigma, (parameter.name, got, value)
         assert got.sigma < parameter.prior_sigma
         assert got.observable
+
+
+# id, phone, stream, kind, true delay, delay that is taken off
+LARGE_DELAYS = [
+    ("heading_delay", good_heading, "heading", "heading", 0.3, 0.28),
+    ("heading_delay", good_heading, "heading", "heading", -0.3, -0.31),
+    ("heading_delay", with_magnetometer, "mag", "magnetometer", 0.3, 0.28),
+    ("pose_delay", with_pose, "pose", "pose", 0.3, 0.298),
+]
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize(("name", "phone", "stream", "kind", "truth", "shift"), LARGE_DELAYS)
+def test_a_large_delay_comes_back_about_a_shifted_time(
+    name, phone, stream, kind, truth, shift, seed
+):
+    world = simulate("free-hand", seed=seed, phone=phone, duration_s=32.0, effects={name: [truth]})
+    recording, earth, rests = recording_of(world, stream), local_earth(None), np.zeros((0, 2))
+    kinds = [kind] if kind == "pose" else ["fixed_position", kind]
+    observed, start = observed_of(recording, kinds, rests, earth, None)
+    observed = [
+        (o, replace(rows, delay=shift if o.kind == kind else 0.0), constants)
+        for o, rows, constants in observed
+    ]
+    problem = build(recording, select([name]), observed, *earth)
+    solution = solve(problem, start, true_levels(world))
+    got = solution.linear.trajectory.constants[0]
+    P = solution.forward.P[-1]
+    assert abs(got - truth) < 4 * math.sqrt(P[BASE, BASE]), (got, math.sqrt(P[BASE, BASE]))
 
 
 def noisy_world(seed, effects):

@@ -50,7 +50,7 @@ def test_one_seed_gives_one_recording_and_another_seed_another(suite):
 
 def test_one_effect_each_in_turn_with_what_it_needs(monkeypatch):
     monkeypatch.setattr(prove_draw, "simulated", lambda given, effects: (given, effects))
-    monkeypatch.setattr(prove_draw, "with_baseline", lambda _world, drawn: drawn)
+    monkeypatch.setattr(prove_draw, "completed", lambda _world, drawn: drawn)
     for start in (0, len(SIZES)):
         seen = set()
         for number in range(start, start + len(SIZES)):
@@ -84,7 +84,7 @@ def check_amplitudes(name, values, duration):
 
 def test_mixed_has_up_to_three_effects_of_any_kind_and_nothing_has_none(monkeypatch):
     monkeypatch.setattr(prove_draw, "simulated", lambda given, effects: (given, effects))
-    monkeypatch.setattr(prove_draw, "with_baseline", lambda _world, drawn: drawn)
+    monkeypatch.setattr(prove_draw, "completed", lambda _world, drawn: drawn)
     counts, motions = [], set()
     for number in range(200):
         (given, effects), answer = prove_draw.draw("mixed", number, 1)
@@ -118,6 +118,24 @@ def test_a_device_warms_as_said_and_has_biases_of_any_likely_size():
     )
 
 
+@pytest.mark.parametrize(("name", "periods"), [("heading_hard_iron", 1), ("heading_soft_iron", 2)])
+def test_iron_is_compared_in_the_frame_that_headings_define(name, periods):
+    """offset + a sin(n yaw) + b cos(n yaw) in terms of yaw + offset, which is all one can see."""
+    world, answer = prove_draw.draw("one", number_of(name), 3)
+    offset = world.parameters["phone"]["heading_errors"]["offset"]
+    yaw = np.linspace(-3.0, 3.0, 50)
+    injected, seen = answer.effects[name], answer.truth(name)
+    assert seen is not None
+    assert seen != injected
+    angle = periods * (yaw + offset)
+    np.testing.assert_allclose(
+        seen["sin"] * np.sin(angle) + seen["cos"] * np.cos(angle),
+        injected["sin"] * np.sin(periods * yaw) + injected["cos"] * np.cos(periods * yaw),
+        atol=1e-12,
+    )
+    assert answer.truth("gyro_scale") is None
+
+
 def number_of(name, seed=3, suite="one"):
     """The number of the recording that conceals this effect."""
     drawn = (prove_draw._next(list(SIZES), k, seed, suite) for k in range(len(SIZES)))
@@ -126,7 +144,7 @@ def number_of(name, seed=3, suite="one"):
 
 def test_faint_effects_promise_what_was_asked(monkeypatch):
     monkeypatch.setattr(prove_draw, "simulated", lambda given, effects: (given, effects))
-    monkeypatch.setattr(prove_draw, "with_baseline", lambda _world, drawn: drawn)
+    monkeypatch.setattr(prove_draw, "completed", lambda _world, drawn: drawn)
     for number, nats in ((0, 10.0), (1, 25.0)):
         world, answer = prove_draw.draw("faint", number, 4, promised)
         ((name, values),) = answer.effects.items()

@@ -6,6 +6,7 @@ share of right answers it asks for, stands in `prove_suites`.
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -70,7 +71,7 @@ def draw(suite: str, number: int, seed: int, gain: Gain | None = None) -> tuple[
     """Recording `number` of a suite. gain: for `faint`, the nats that an effect promises there."""
     rng = np.random.default_rng([seed, list(SUITES).index(suite), number])
     world, drawn = _drawn(suite, number, seed, rng, gain)
-    return world, with_baseline(world, drawn)
+    return world, completed(world, drawn)
 
 
 def _drawn(
@@ -230,13 +231,22 @@ def answer(
     return Answer(suite, group, injected, stranger or {}, {}, dict(vars(given)))
 
 
-def with_baseline(world: World, drawn: Answer) -> Answer:
-    """The answer with the true biases, which are never a question but show honest sigmas."""
+def completed(world: World, drawn: Answer) -> Answer:
+    """The answer with the true biases, which are never a question but show honest sigmas, and
+    with what iron looks like where north is off by the constant heading offset."""
     present = world.parameters["effects"]
     baseline = {
         name: {p["name"]: p["value"] for p in present[name]} for name in ("gyro_bias", "accel_bias")
     }
-    return replace(drawn, baseline=baseline)
+    offset = world.parameters["phone"]["heading_errors"]["offset"]
+    comparable = {}
+    for name, periods in (("heading_hard_iron", 1), ("heading_soft_iron", 2)):
+        if name in drawn.effects:
+            iron = complex(drawn.effects[name]["sin"], drawn.effects[name]["cos"])
+            # sin(yaw) seen from yaw + offset: both coefficients turn back by the offset.
+            iron *= cmath.exp(-1j * periods * offset)
+            comparable[name] = {"sin": iron.real, "cos": iron.imag}
+    return replace(drawn, baseline=baseline, comparable=comparable)
 
 
 def _unknown(given: Circumstances, kind: str, rng: np.random.Generator) -> tuple[World, Answer]:

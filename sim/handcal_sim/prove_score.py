@@ -216,7 +216,7 @@ def coverage(trials: Sequence[Trial]) -> dict[str, dict[str, Any]]:
         if trial.answer.stranger or trial.document.get("verdict") not in _NAMING:
             continue
         for missing in trial.document["missing"]:
-            truth = trial.answer.effects.get(missing["effect"])
+            truth = trial.answer.truth(missing["effect"])
             if truth is not None:
                 found = _off(missing["parameters"], truth)
                 off["all"] += found

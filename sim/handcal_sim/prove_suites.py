@@ -86,7 +86,9 @@ SUITES: dict[str, Suite] = {
 class Answer:
     """What is right. effects: injected values, SI, by effect and parameter; stranger: what is
     outside the catalogue (kind, channel, formula, signals, rms) or empty; baseline: true
-    biases; circumstances: all else that was drawn."""
+    biases; circumstances: all else that was drawn. comparable: effects whose values an
+    estimate can only give in another frame than the injected ones, in that frame: a constant
+    heading offset, which no recording shows, turns the directions that iron refers to."""
 
     suite: str
     group: str
@@ -94,3 +96,8 @@ class Answer:
     stranger: Mapping[str, Any] = field(default_factory=dict)
     baseline: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     circumstances: Mapping[str, Any] = field(default_factory=dict)
+    comparable: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+    def truth(self, effect: str) -> Mapping[str, float] | None:
+        """What an estimate of this effect should give; None if it was not there."""
+        return self.comparable.get(effect, self.effects.get(effect))

@@ -24,9 +24,8 @@ from handcal_sim.prove_draw import (
     amplitudes,
     answer,
     circumstances,
+    completed,
     simulated,
-    with_baseline,
-    with_streams,
 )
 from handcal_sim.prove_suites import NEEDS, SIZES, Answer
 from handcal_sim.scenario import World
@@ -40,6 +39,11 @@ _CONTENTS = (
     ("one", "free-hand", 84.0), ("one", "three-turns", 60.0),
     ("two", "free-hand", 84.0), ("two", "free-hand", 84.0),
     ("unknown", "free-hand", 84.0), ("gauge", "z-turn", 30.0),
+)  # fmt: skip
+# Sharply outside: no drift and no bump that noise of some colour would explain.
+_STRANGE = (
+    "accel_rate_temperature", "gyro_acceleration", "gyro_rate_force", "accel_rate",
+    "gyro_scale_drift",
 )  # fmt: skip
 # In a turn at a steady rate about z, each of these is one and the same error of the gyro.
 _GAUGE = "gyro_scale"
@@ -63,48 +67,41 @@ def seal(folder: Path, seed: int) -> list[Path]:
         file = folder / f"sealed_{place + 1:02d}.mcap"
         write(world, file, truth=False)
         files.append(file)
-        answers[file.name] = dataclasses.asdict(with_baseline(world, drawn))
+        answers[file.name] = dataclasses.asdict(completed(world, drawn))
     document = {"schema": "handcal-sim/answers/1", "seed": seed, "recordings": answers}
     (folder / ANSWERS).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
     return [*files, folder / ANSWERS]
 
 
 def _small(scenario: str, duration: float, rng: np.random.Generator) -> Circumstances:
-    """A motion with everything that makes files large kept low."""
+    """A motion with everything that makes files large kept low. Streams come before effects,
+    so that they tell nothing of these."""
     given = circumstances("one", rng)
-    sigma = min(given.heading_sigma_deg, 6.0)
+    mag, pose, thermometer = (rng.random(3) < [0.2, 0.25, 0.5]).tolist()
     return replace(
         given, scenario=scenario, duration_s=duration, rate_hz=100.0 if duration < 40 else 50.0,
-        heading_hz=10.0, heading_sigma_deg=sigma, sway=min(given.sway, 1.5),
-        thermometer=bool(rng.random() < 0.5),
+        heading_hz=0.0 if mag else 10.0, heading_sigma_deg=min(given.heading_sigma_deg, 6.0),
+        sway=min(given.sway, 1.5), mag=mag, pose=pose, thermometer=thermometer,
+        warming_K=float(rng.uniform(10.0, 18.0)),
     )  # fmt: skip
 
 
 def _drawn(kind: str, given: Circumstances, rng: np.random.Generator) -> tuple[World, Answer]:
     if kind == "unknown":
-        # Sharply outside: no drift and no bump that noise of some colour would explain.
-        stranger = str(rng.choice([
-            "accel_rate_temperature", "gyro_acceleration", "gyro_rate_force", "accel_rate",
-            "gyro_scale_drift",
-        ]))  # fmt: skip
-        if stranger in strangers.NEEDS_TEMPERATURE:
-            given = with_streams(given, ["accel_temperature"], rng)
+        able = [s for s in _STRANGE if given.thermometer or s not in strangers.NEEDS_TEMPERATURE]
+        stranger = str(rng.choice(able))
         world, strange = strangers.estrange(stranger, simulated(given, {}), rng)
         said = {"kind": stranger, **strangers.said_of(strange)}
         return world, answer("sealed", kind, given, {}, said)
-    names = {"nothing": [], "one": _some(1, rng), "two": _some(2, rng), "gauge": [_GAUGE]}[kind]
-    given = with_streams(given, names, rng)
+    names = [_GAUGE] if kind == "gauge" else _some({"one": 1, "two": 2}.get(kind, 0), given, rng)
     effects = amplitudes(names, given, rng)
     return simulated(given, effects), answer("sealed", kind, given, effects)
 
 
-def _some(count: int, rng: np.random.Generator) -> list[str]:
-    """So many effects whose streams do not exclude one another."""
-    while True:
-        names = [str(name) for name in rng.choice(_PLAIN, count, replace=False)]
-        needed = set().union(*(NEEDS.get(name, frozenset()) for name in names))
-        if not {"heading", "mag"} <= needed:
-            return names
+def _some(count: int, given: Circumstances, rng: np.random.Generator) -> list[str]:
+    """So many effects that this recording's streams can show."""
+    able = [name for name in _PLAIN if NEEDS.get(name, frozenset()) <= given.streams]
+    return [str(name) for name in rng.choice(able, count, replace=False)]
 
 
 def main() -> None:

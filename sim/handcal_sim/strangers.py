@@ -259,8 +259,10 @@ KINDS: dict[str, Kind] = {
     )
 }  # fmt: skip
 # Kinds whose nearest catalogue effect takes most of the error: what is left must show too.
-_LARGER = {"accel_quadratic": 3.0, "gyro_rectification": 2.0, "gyro_cubic": 2.0,
-           "gyro_compression": 2.0, "heading_disturbance": 1.5}  # fmt: skip
+_LARGER = {
+    "accel_quadratic": 3.0, "accel_scale_temperature": 3.0, "gyro_rectification": 2.0,
+    "gyro_cubic": 2.0, "gyro_compression": 2.0, "heading_disturbance": 1.5,
+}  # fmt: skip
 NEEDS_TEMPERATURE = frozenset({"accel_rate_temperature", "accel_scale_temperature"})
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from handcal import batch, segment, so3
 from handcal import noise as noise_levels
 from handcal.earth import local_earth
-from handcal.effects import Effect, select
+from handcal.effects import Effect, mag_hard_iron, select
 from handcal.filter import ENGINES, empty_track, initial_state
 from handcal.kernel import BASE
 from handcal.linear import Linear, epochs, linearise_about, trajectory_of
@@ -129,6 +129,8 @@ def choose(
     """What is assumed of the hand, the kinds of observation to use, and what was left out."""
     warnings: list[str] = []
     usable = _usable(recording, effects, warnings)
+    if "reference" in usable:
+        return "rest-only", ["known_input"], _only_reference(usable)
     travels = False
     if assume == "auto":
         assume, said = _assumption(recording, effects, usable, rests, earth, fixed, report)
@@ -183,11 +185,7 @@ def _check_effects(effects: Sequence[Effect], kinds: Sequence[str]) -> None:
 
 def _usable(recording: Recording, effects: Sequence[Effect], warnings: list[str]) -> set[str]:
     """Streams that are fit to be observed; what is left out is said."""
-    usable = set(recording.streams) & {"heading", "mag", "pose"}
-    if "reference" in recording.streams:
-        warnings.append(
-            "The stream 'reference' is not used yet; a lever arm is that to the held point."
-        )
+    usable = set(recording.streams) & {"heading", "mag", "pose", "reference"}
     for name in sorted(usable):
         if len(recording.streams[name].t) < MIN_READINGS:
             usable.discard(name)
@@ -207,6 +205,17 @@ def _usable(recording: Recording, effects: Sequence[Effect], warnings: list[str]
                 "it carries a hard iron."
             )
     return usable
+
+
+def _only_reference(usable: set[str]) -> list[str]:
+    """What the user should know where a reference tells rate and force themselves."""
+    others = sorted(usable - {"reference"})
+    unused = f" The streams {' and '.join(others)} are not used." if len(others) > 1 else ""
+    unused = unused or (f" The stream {others[0]} is not used." if others else "")
+    return [
+        "The readings are compared with the reference's alone: nothing is assumed of the hand, "
+        f"and position, velocity and heading are free to drift.{unused}"
+    ]
 
 
 def _kinds(assume: str, usable: set[str], rests: Array) -> list[str]:
@@ -273,7 +282,10 @@ def problem_of(
     start: Start | None,
 ) -> tuple[Problem, Start]:
     """The problem these kinds of observation make of the recording, and where it starts."""
-    observed, begin = observed_of(recording, kinds, rests, earth, start)
+    iron = None
+    if "magnetometer" in kinds and any(e.id == mag_hard_iron.EFFECT.id for e in effects):
+        iron = mag_hard_iron.guess(recording)
+    observed, begin = observed_of(recording, kinds, rests, earth, start, iron)
     return build(recording, effects, observed, *earth), begin
 
 
@@ -283,8 +295,14 @@ def observed_of(
     rests: Array,
     earth: tuple[Array, Array],
     start: Start | None,
+    iron: Array | None = None,
 ) -> tuple[list[Observed], Start]:
-    """Each kind of observation with its rows and constants, and where the filter starts."""
+    """Each kind of observation with its rows and constants, and where the filter starts.
+
+    iron (3,): a hard iron about which that of the magnetometer is to be sought, tesla.
+    """
+    if iron is not None:
+        recording = mag_hard_iron.cleaned(recording, iron)
     has_heading = "heading" in kinds or "magnetometer" in kinds
     scene = Scene(rests, has_heading, omega_ie_n=earth[1])
     begin = start or _level(recording, kinds, scene)
@@ -296,6 +314,8 @@ def observed_of(
         rows = observation.rows(recording, scene)
         if rows is None or not len(rows.t):
             raise HandcalError(f"The recording holds nothing for the observation '{kind}'.")
+        if kind == "magnetometer" and iron is not None:
+            rows = replace(rows, z=np.hstack([rows.z, np.tile(iron, (len(rows.t), 1))]))
         constants = tuple((c.name, c.unit, c.prior_sigma) for c in observation.constants(scene))
         observed.append((observation, rows, constants))
         if kind == "pose" and start is None:

@@ -131,7 +131,7 @@ def _pairs(items: list[str], option: str) -> dict[str, str]:
     return pairs
 
 
-def _load(path: Path, topics: list[str] | None, units: str | None) -> Recording:
+def load(path: Path, topics: list[str] | None, units: str | None) -> Recording:
     import handcal
 
     chosen = _pairs(topics or [], "--topic")
@@ -141,7 +141,7 @@ def _load(path: Path, topics: list[str] | None, units: str | None) -> Recording:
     return recording
 
 
-def _radians(degrees: float | None) -> float | None:
+def radians(degrees: float | None) -> float | None:
     return None if degrees is None else math.radians(degrees)
 
 
@@ -155,7 +155,7 @@ def _calibrated(recording: Recording, effects: str, **settings: Any) -> Result:
         if value is not None and not math.isfinite(value):
             raise InputError(f"--{name.replace('_', '-')} {value}: expected a finite number.")
     for name in ("heading_sigma", "latitude"):
-        settings[name] = _radians(settings[name])
+        settings[name] = radians(settings[name])
     settings |= {"assume": str(settings["assume"]), "engine": str(settings["engine"])}
     settings["ignore"] = tuple(settings["ignore"] or ())
     ids = tuple(e.strip() for e in effects.split(",") if e.strip())
@@ -164,7 +164,7 @@ def _calibrated(recording: Recording, effects: str, **settings: Any) -> Result:
     return result
 
 
-def _check_folders(*outputs: Path | None) -> None:
+def check_folders(*outputs: Path | None) -> None:
     """A sentence, before any work is done, where an output has no folder to go to."""
     from handcal.types import InputError
 
@@ -201,10 +201,10 @@ def calibrate(
     rrd: Rrd = None,
 ) -> None:
     """Run the filter over recordings: sensor errors, how well they are known, what is missing."""
-    _check_folders(json, report, rrd)
+    check_folders(json, report, rrd)
     results = []
     for path in files:
-        recording = _load(path, topic, units)
+        recording = load(path, topic, units)
         result = _calibrated(
             recording, effects, heading_sigma=heading_sigma, assume=assume, latitude=latitude,
             height=height, ignore=ignore, noise_until=noise_until, engine=engine,
@@ -249,8 +249,8 @@ def import_(
     """Turn a phone log or another format into an MCAP recording."""
     from handcal.export import write_mcap
 
-    _check_folders(out)
-    recording = _load(source, topic, units)
+    check_folders(out)
+    recording = load(source, topic, units)
     write_mcap(recording, out)
     for warning in recording.warnings:
         say(warning)
@@ -287,9 +287,9 @@ def conceal(
     from handcal.export import write_mcap
 
     values = dict(hidden.parse(text) for text in effect)
-    _check_folders(out)
+    check_folders(out)
     seed = secrets.randbelow(2**31) if seed is None else seed
-    recording = _load(file, topic, units)
+    recording = load(file, topic, units)
     write_mcap(hidden.conceal(recording, values, np.random.default_rng(seed)), out)
     print(f"{out}: {', '.join(values)} concealed in {Path(recording.path).name}, seed {seed}")
 
@@ -330,9 +330,9 @@ def replay(
         raise InputError("--no-viewer without --rrd FILE.rrd leaves nothing to do.")
     if not (no_viewer or web):
         require_display()
-    _check_folders(rrd)
+    check_folders(rrd)
     result = _calibrated(
-        _load(file, topic, units), effects, heading_sigma=heading_sigma, assume=assume,
+        load(file, topic, units), effects, heading_sigma=heading_sigma, assume=assume,
         latitude=latitude, height=height, ignore=ignore, noise_until=noise_until, engine=engine,
     )  # fmt: skip
     # rerun reports a viewer that its owner has closed as errors; set before its import
@@ -341,7 +341,7 @@ def replay(
     from handcal.frames import layout_of
     from handcal.live import live_frames
 
-    frames = live_frames(result, latitude=_radians(latitude), height=height, engine=str(engine))
+    frames = live_frames(result, latitude=radians(latitude), height=height, engine=str(engine))
     layout = layout_of(result, live=True)
     dashboard.replay(
         frames, layout, speed=speed, rrd=rrd, show=not no_viewer, web=web, port=port, say=say

@@ -254,9 +254,10 @@ def _hypothesis_table(e: Explanation, count: int) -> Any:
     return table
 
 
-def fit_rows(e: Explanation) -> list[tuple[str, str, str, str, str]]:
+def fit_rows(e: Explanation) -> list[tuple[str, ...]]:
     """(what, before, after, unit, change) of evidence, held-out score and residuals."""
     before, after = e.before, e.after
+    rows: list[tuple[str, ...]]
     rows = [("log evidence", say.number(before.log_evidence), say.number(after.log_evidence),
              "nats", _signed(say.gain(e)))]  # fmt: skip
     if (h := e.held_out) is not None:

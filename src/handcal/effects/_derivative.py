@@ -28,13 +28,16 @@ def derivative(t: Array, x: Array) -> Array:
 
     At 200 Hz and below the central difference of fourth order; at higher rates the slope of
     a cubic over 20 ms, which amplifies the noise of single samples less. Times count
-    like a signal, so that irregular ones do no harm to first order.
+    like a signal, so that irregular ones do no harm to first order. At both ends the last
+    slope is kept: one-sided differences would be noisier than all others.
     """
     m = max(2, round(REACH_S * (len(t) - 1) / float(t[-1] - t[0])))
-    out = np.asarray(np.gradient(x, t, axis=0))
-    if len(t) > 2 * m:
-        weights = _weights(m)[::-1]
-        step = np.convolve(t - t[0], weights, mode="valid")
-        for i in range(x.shape[1]):
-            out[m:-m, i] = np.convolve(x[:, i], weights, mode="valid") / step
+    if len(t) <= 2 * m:
+        return np.asarray(np.gradient(x, t, axis=0))
+    weights = _weights(m)[::-1]
+    out = np.empty_like(x)
+    step = np.convolve(t - t[0], weights, mode="valid")
+    for i in range(x.shape[1]):
+        out[m:-m, i] = np.convolve(x[:, i], weights, mode="valid") / step
+    out[:m], out[-m:] = out[m], out[-m - 1]
     return out

@@ -14,10 +14,11 @@ from handcal.types import Array
 
 @njit
 def _low_pass(t: Array, x: Array, tau: float) -> Array:
-    """First-order low pass of x (n, 3), held to be linear between its times t (n,)."""
-    y = np.empty_like(x)
-    for i in range(x.shape[1]):
-        y[0, i] = x[0, i]
+    """First-order low pass, from zero, of x (n, 3), linear between its times t (n,).
+
+    (From the first value its noise would last for several tau.)
+    """
+    y = np.zeros_like(x)
     for k in range(1, len(t)):
         dt = t[k] - t[k - 1]
         decay = math.exp(-dt / tau)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,13 +16,15 @@ PRIOR = 1e-4
 # How far readings stray from the sphere, tesla: rooms bend the field.
 STRAY = 3e-6
 GUESS_RATE = 10.0
+# Where z of a magnetometer holds the iron (3,) that is already taken off the field in it.
+TAKEN_OFF = 4
 
 
 def guess(recording: Recording) -> Array:
     """A first value (3,), tesla: the centre of the sphere on which the readings lie.
 
     Near its prior the effect is far from linear about zero (the iron is stronger than the
-    Earth's field); about this it is linear. Where the motion shows only part of the sphere,
+    Earth's field), so this is taken off the readings and only the rest is filtered. Where the motion shows only part of the sphere,
     the prior decides. Linear least squares in the centre c: |m|^2 = 2 m.c + (R^2 - |c|^2).
 
     Raises InputError without a magnetometer.
@@ -43,8 +46,17 @@ def guess(recording: Recording) -> Array:
     return np.asarray(PRIOR * centre)
 
 
+def cleaned(recording: Recording, iron: Array) -> Recording:
+    """The recording with this iron (3,) taken off its magnetometer's readings."""
+    mag = recording.streams["mag"]
+    streams = {**recording.streams, "mag": replace(mag, value=mag.value - iron)}
+    return replace(recording, streams=streams)
+
+
 def _magnetometer(nav: Any, iron: Any, z: Any, out: Any) -> int:
-    x, y, w = z[0] - iron[0], z[1] - iron[1], z[2] - iron[2]
+    x = z[0] - (iron[0] - z[TAKEN_OFF])
+    y = z[1] - (iron[1] - z[TAKEN_OFF + 1])
+    w = z[2] - (iron[2] - z[TAKEN_OFF + 2])
     east = nav[6] * z[0] + nav[7] * z[1] + nav[8] * z[2]
     north = nav[9] * z[0] + nav[10] * z[1] + nav[11] * z[2]
     clean_east = nav[6] * x + nav[7] * y + nav[8] * w

@@ -1,1 +1,13 @@
-"""Locate the mismatch, name the missing physics, model it, prove it."""
+"""Locate the mismatch, name the missing physics, model it, prove it.
+
+Reading order: ``case`` (what is observed), ``fit`` (effects fitted to recordings),
+``quadratic`` (evidence of every subset from one pass), ``search``, ``find`` (the loop),
+``locate``, ``held``, and ``verdict``, which puts an Explanation together.
+"""
+
+from __future__ import annotations
+
+from handcal.explain.explanation import Explanation
+from handcal.explain.verdict import explain
+
+__all__ = ["Explanation", "explain"]

@@ -21,7 +21,8 @@ class Case:
     """One recording and all that does not change with the model.
 
     observed: kinds with their rows and constants; delays: s by which the readings of a kind
-    are taken to come late, for linearising about; fixed: noise levels that are known.
+    are taken to come late, for linearising about; fixed: noise levels that are known;
+    constant: log-evidence of readings that are held to be outliers and left out.
     """
 
     recording: Recording
@@ -33,6 +34,7 @@ class Case:
     warnings: tuple[str, ...]
     fixed: Mapping[str, float] = field(default_factory=dict)
     delays: Mapping[str, float] = field(default_factory=dict)
+    constant: float = 0.0
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -55,7 +57,9 @@ def case_of(
     earth = local_earth(latitude, height)
     # Errors of the sensors look like a travelling hand; whether it travels is asked at the end.
     held = "fixed-point" if assume == "auto" else assume
-    assume, kinds, warnings = choose(recording, tuple(catalogue().values()), held, rests, earth, dict(fixed or {}))
+    assume, kinds, warnings = choose(
+        recording, tuple(catalogue().values()), held, rests, earth, dict(fixed or {})
+    )
     observed, start = observed_of(recording, kinds, rests, earth, None)
     return Case(
         recording,

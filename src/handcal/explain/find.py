@@ -90,7 +90,8 @@ def priors(effects: Sequence[Effect]) -> dict[str, float]:
 def search(base: Model, report: Callable[[float], None] = lambda _: None) -> Found:
     """From the baseline to the model that explains the recordings best."""
     cases = [f.case for f in base.parts]
-    model, alone = base, {}
+    model = base
+    alone: dict[str, float] = {}
     unnamed: list[Effect] = []
     noise: dict[str, float] = {}
     visited: set[frozenset[str]] = set()
@@ -100,9 +101,7 @@ def search(base: Model, report: Callable[[float], None] = lambda _: None) -> Fou
         if not alone:
             alone = gains(where, frozenset())
         now = frozenset(e.id for e in model.effects if e.process is None)
-        chosen = max(
-            (best_set(where, now), best_set(where, ())), key=where.score
-        )
+        chosen = max((best_set(where, now), best_set(where, ())), key=where.score)
         if chosen != now and chosen not in visited:
             visited.add(chosen)
             model = _fit(model, where, chosen)
@@ -117,7 +116,7 @@ def search(base: Model, report: Callable[[float], None] = lambda _: None) -> Fou
             continue
         if len(unnamed) >= MAX_TERMS:
             break
-        term = _best_term(model, where)
+        term = _best_term(model)
         if term is None:
             break
         unnamed.append(term)
@@ -188,7 +187,7 @@ def _leaner(model: Model, where: Space, noise: dict[str, float]) -> Model | None
     return None
 
 
-def _best_term(model: Model, where: Space) -> Effect | None:
+def _best_term(model: Model) -> Effect | None:
     """The unnamed term that gains most over the model, if one gains enough."""
     f = model.parts[0]
     signals = signals_of(f)
@@ -214,4 +213,3 @@ def signals_of(f: Fitted) -> Signals:
     temperature = f.case.recording.streams.get("temperature")
     T = None if temperature is None else np.interp(imu.t, temperature.t, temperature.value[:, 0])
     return Signals(imu.t, imu.gyro - nominal.bg, imu.accel - nominal.ba, T)
-

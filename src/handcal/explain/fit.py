@@ -18,7 +18,7 @@ from handcal import noise as noise_levels
 from handcal.effects import Effect
 from handcal.evidence import backward, reduce, reduced_pass
 from handcal.explain.case import Case, problem_with
-from handcal.explain.quadratic import Local, Quadratic, given, local, posterior, total
+from handcal.explain.quadratic import Local, Posterior, Quadratic, given, local, posterior, total
 from handcal.filter import empty_track, initial_state, run_compiled
 from handcal.linear import Linear, Trajectory, epochs, linearise_about, trajectory_of
 from handcal.model import Problem, noise_arrays, relinearised
@@ -83,12 +83,25 @@ def started(case: Case) -> Fitted:
     return Fitted(case, linear, levels)
 
 
+@dataclass(frozen=True)
+class Known:
+    """What other recordings said of the parameters ``names``: mean (k,) and a square root of
+    the covariance (k, k), in units of the priors."""
+
+    names: tuple[tuple[str, str], ...]
+    mean: Array
+    root: Array
+
+
 def fitted(
-    begin: Sequence[Fitted], effects: Sequence[Effect], noise_rounds: int = 2
+    begin: Sequence[Fitted],
+    effects: Sequence[Effect],
+    noise_rounds: int = 2,
+    known: Known | None = None,
 ) -> Model:
     """Fit these effects to all recordings, beginning from other fits' trajectories and noise."""
     parts = [moved_to(f, effects) for f in begin]
-    parts, settled = _relinearised(parts, effects)
+    parts, settled = _relinearised(parts, effects, known)
     for _ in range(noise_rounds):
         new = [with_noise(f) for f in parts]
         change = max(
@@ -96,16 +109,28 @@ def fitted(
             for n, o in zip(new, parts, strict=True)
             for k in n.levels
         )
-        parts, settled = _relinearised(new, effects)
+        parts, settled = _relinearised(new, effects, known)
         if change < 0.02:
             break
     locals_ = [_local(f, effects) for f in parts]
     whole = total([part.quadratic for part in locals_])
-    found = posterior(whole, np.arange(len(whole.names)), prior_root(whole, effects))
+    found = _posterior(whole, effects, known)
+    constant = sum(f.case.constant for f in parts)
     return Model(
-        tuple(effects), tuple(parts), whole, found.mean, found.covariance, found.log_evidence,
-        settled,
+        tuple(effects), tuple(parts), whole, found.mean, found.covariance,
+        found.log_evidence + constant, settled,
     )  # fmt: skip
+
+
+def _posterior(q: Quadratic, effects: Sequence[Effect], known: Known | None) -> Posterior:
+    index = np.arange(len(q.names))
+    if known is None:
+        return posterior(q, index, prior_root(q, effects))
+    at = [known.names.index(n) for n in q.names]
+    mean, root = known.mean[at], known.root[at]
+    a = q.a + float(q.b @ mean - 0.5 * mean @ q.G @ mean)
+    moved = posterior(Quadratic(q.names, a, q.b - q.G @ mean, q.G), index, root)
+    return replace(moved, mean=moved.mean + mean)
 
 
 def prior_root(q: Quadratic, effects: Sequence[Effect], index: Array | None = None) -> Array | None:
@@ -127,7 +152,7 @@ def _local(f: Fitted, effects: Sequence[Effect]) -> Local:
 
 
 def _relinearised(
-    parts: Sequence[Fitted], effects: Sequence[Effect]
+    parts: Sequence[Fitted], effects: Sequence[Effect], known: Known | None = None
 ) -> tuple[list[Fitted], bool]:
     """Move and linearise again until the joint evidence rests."""
     shared = frozenset(e.id for e in effects)
@@ -136,7 +161,7 @@ def _relinearised(
         passes = [reduced_pass(reduce(f.linear), f.levels, keep=True) for f in parts]
         locals_ = [local(p, shared) for p in passes]
         whole = total([x.quadratic for x in locals_])
-        found = posterior(whole, np.arange(len(whole.names)), prior_root(whole, effects))
+        found = _posterior(whole, effects, known)
         if abs(found.log_evidence - evidence) < TOLERANCE:
             return parts, True
         evidence = found.log_evidence

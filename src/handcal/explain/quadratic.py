@@ -119,9 +119,7 @@ def posterior(q: Quadratic, index: Array, root: Array | None = None) -> Posterio
     L = np.linalg.cholesky(0.5 * (A + A.T))
     y = np.linalg.solve(L, R.T @ b)
     half = np.linalg.solve(L, R.T)
-    return Posterior(
-        float(q.a + 0.5 * y @ y - np.log(np.diag(L)).sum()), half.T @ y, half.T @ half
-    )
+    return Posterior(float(q.a + 0.5 * y @ y - np.log(np.diag(L)).sum()), half.T @ y, half.T @ half)
 
 
 def log_evidence(q: Quadratic, index: Array, root: Array | None = None) -> float:

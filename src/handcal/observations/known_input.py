@@ -23,10 +23,10 @@ from scipy.interpolate import CubicSpline
 
 from handcal import so3
 from handcal._jit import njit, residual_function
-from handcal.observations import Constant, Observation, Rows, Scene
+from handcal.observations import Constant, Observation, Rows, Scene, pseudo_times
 from handcal.types import Array, BoolArray, Level, Recording
 
-FEWEST = 20
+FEWEST, MOST = 20, 12000
 # An interval longer than this many usual ones is a gap; a row this near to one is left out,
 # since the spline feels what is missing (by a factor of -0.27 a sample).
 GAP, NEAR = 1.6, 3
@@ -73,7 +73,7 @@ class InMotion:
     def transition(
         self, levels: Mapping[str, float], dt: Array, rate: Array
     ) -> tuple[Array, Array]:
-        """Phi and Q (n, 6, 6): forgets within a millisecond, and is then as large as at the start."""
+        """Phi and Q (n, 6, 6): forgets within a millisecond; as large as the rate is."""
         phi = np.exp(-dt / MEMORY_S)
         variance = self._variance(levels) * (rate**2 + SLOWEST**2)[:, None]
         return (
@@ -119,7 +119,19 @@ def _axes(own: Array, known: Array) -> Array:
     return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt)
 
 
-def _rows(recording: Recording, scene: Scene) -> Rows | None:  # noqa: ARG001
+def _thinned(t: Array, recording: Recording, scene: Scene) -> Array:
+    """Those of the times t that tell enough: all in motion, some of each rest, MOST at most."""
+    resting = np.zeros(len(t), dtype=np.bool_)
+    for a, b in scene.rests:
+        resting |= (t >= a) & (t <= b)
+    some = np.searchsorted(t, pseudo_times(recording, scene.rate, scene.rests))
+    keep = ~resting
+    keep[some[some < len(t)]] = True
+    t = t[keep]
+    return t[:: 1 + len(t) // MOST]
+
+
+def _rows(recording: Recording, scene: Scene) -> Rows | None:
     imu, reference = recording.imu, recording.streams.get("reference")
     if reference is None or len(reference.t) < FEWEST:
         return None
@@ -129,6 +141,7 @@ def _rows(recording: Recording, scene: Scene) -> Rows | None:  # noqa: ARG001
     t = t[_at(imu.t, _sound(imu.t, imu.valid), t)]
     everything = np.ones(len(reference.t), dtype=np.bool_)
     t = t[_at(reference.t, _sound(reference.t, everything), t)]
+    t = _thinned(t, recording, scene)
     if len(t) < FEWEST:
         return None
     spline = CubicSpline(reference.t, reference.value)

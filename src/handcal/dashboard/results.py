@@ -1,10 +1,4 @@
-"""Results in the Rerun viewer, saved or streamed. The only file that imports rerun.
-
-Entities: ``/device`` (how the phone is turned, in 3-D; not where it is), ``/heading``,
-``/parameters/EFFECT``, ``/innovation/KIND``, ``/nis/KIND``, ``/imu`` and ``/summary``;
-timeline ``time``, seconds since the start of the recording. Saving and streaming fill
-the same entities.
-"""
+"""A ``Result`` in the Rerun viewer, saved or streamed as the filter runs."""
 
 from __future__ import annotations
 
@@ -19,31 +13,25 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from handcal import summary, words
+from handcal.dashboard.common import (
+    APPLICATION,
+    GREY,
+    TIMELINE,
+    XYZ,
+    columns,
+    file_sink,
+    lines,
+    plot,
+    save,
+)
 from handcal.frames import Frame, Group, Kind, Layout, layout_of
 from handcal.types import Array, HandcalError, Result
 from handcal.viewer import viewer
 
-APPLICATION = "handcal"
-TIMELINE = "time"
 NIS_WINDOW = 20  # updates
 YAW = "/yaw"  # beside the kinds of observation, none of which has a slash
 DEG = 180.0 / np.pi
-# Okabe-Ito's vermilion, green, blue, light enough for the viewer's dark background
-XYZ = ((240, 130, 60), (40, 190, 140), (80, 165, 240))
-GREY = (140, 146, 156)
 PHONE_M = (0.072, 0.150, 0.009)
-
-
-def _plot(layout: Layout, origin: str, name: str, legend: bool = True, **limits: Any) -> Any:
-    """One time series; without a legend, which would list every band, the title says it."""
-    axis = None
-    if layout.span:
-        start, end = (rrb.TimeRangeBoundary.absolute(seconds=t) for t in layout.span)
-        axis = rrb.TimeAxis(view_range=rrb.TimeRange(start=start, end=end))
-    return rrb.TimeSeriesView(
-        origin=origin, name=name, axis_x=axis, axis_y=rrb.ScalarAxis(**limits) if limits else None,
-        plot_legend=rrb.PlotLegend("RightTop", visible=legend),
-    )  # fmt: skip
 
 
 def _key(names: Sequence[str]) -> str:
@@ -63,24 +51,23 @@ def blueprint(layout: Layout) -> rrb.Blueprint:
     )  # fmt: skip
 
     def parameters(g: Group, key: bool = True) -> Any:
-        limits = {"range": g.range} if g.range else {}
         name = f"{g.title}, 3 sigma{_key(g.names)}" if key else g.title
-        return _plot(layout, f"/parameters/{g.effect}", name, legend=not _key(g.names), **limits)
+        legend = not _key(g.names)
+        return plot(layout.span, f"/parameters/{g.effect}", name, legend=legend, limits=g.range)
 
     def innovation(kind: str, k: Kind) -> Any:
         name = f"Innovation: {words.kind_title(kind)}, {k.unit}, 3 sigma{_key(k.channels)}"
-        limits = {"range": k.range} if k.range else {}
-        return _plot(layout, f"/innovation/{kind}", name, legend=False, **limits)
+        return plot(layout.span, f"/innovation/{kind}", name, legend=False, limits=k.range)
 
     bias = [g for g in layout.groups if g.effect in ("gyro_bias", "accel_bias")]
     other = [parameters(g, key=False) for g in layout.groups if g not in bias]
     right = [innovation(kind, k) for kind, k in layout.kinds.items()]
     if right:
-        right.append(_plot(layout, "/nis", "NIS per degree of freedom (1 is right), 95 % band"))
-    heading = _plot(layout, "/heading", "Heading, deg", range=(-190.0, 190.0))
+        right.append(plot(layout.span, "/nis", "NIS per degree of freedom (1 is right), 95 % band"))
+    heading = plot(layout.span, "/heading", "Heading, deg", limits=(-190.0, 190.0))
     text = rrb.TextDocumentView(origin="/summary", name="Result")
-    readings = [_plot(layout, "/imu/gyro", "Gyro, deg/s"),
-                _plot(layout, "/imu/accel", "Accelerometer, m/s²")]  # fmt: skip
+    readings = [plot(layout.span, "/imu/gyro", "Gyro, deg/s"),
+                plot(layout.span, "/imu/accel", "Accelerometer, m/s²")]  # fmt: skip
     columns = [
         rrb.Vertical(device, heading, rrb.Tabs(text, *readings, active_tab=0), row_shares=[4, 3, 3])
     ]
@@ -89,11 +76,6 @@ def blueprint(layout: Layout) -> rrb.Blueprint:
     panels = (rrb.BlueprintPanel(state="hidden"), rrb.SelectionPanel(state="hidden"))
     time_panel = rrb.TimePanel(state="collapsed", timeline=TIMELINE)
     return rrb.Blueprint(rrb.Horizontal(*columns), *panels, time_panel)
-
-
-def _lines(names: Iterable[str], colours: Iterable[Sequence[int]], width: float = 1.5) -> Any:
-    names, colours = list(names), list(colours)
-    return rr.SeriesLines(names=names, colors=colours, widths=[width] * len(names))
 
 
 def _colours(n: int) -> list[tuple[int, int, int]]:
@@ -122,15 +104,15 @@ def _log_static(rec: rr.RecordingStream, layout: Layout) -> None:
                         colors=[GREY] * 2, labels=["east", "north"], radii=0.0007)  # fmt: skip
     static("/level", level)
     static("/summary", rr.TextDocument(layout.text, media_type="text/markdown"))
-    static("/heading/estimated", _lines(["estimated"], [XYZ[2]], 2.5))
+    static("/heading/estimated", lines(["estimated"], [XYZ[2]], 2.5))
     if layout.heading:
         dots = rr.SeriesPoints(names="measured", colors=XYZ[0], markers="circle", marker_sizes=1.0)
         static("/heading/measured", dots)
     for g in layout.groups:
         colours = _colours(len(g.columns))
-        static(f"/parameters/{g.effect}/estimate", _lines(g.names, colours, 2.0))
+        static(f"/parameters/{g.effect}/estimate", lines(g.names, colours, 2.0))
         bounds = [f"{n} {s}3σ" for s in "+−" for n in g.names]
-        static(f"/parameters/{g.effect}/band", _lines(bounds, _dim(colours), 0.8))
+        static(f"/parameters/{g.effect}/band", lines(bounds, _dim(colours), 0.8))
     for n, (kind, k) in enumerate(layout.kinds.items()):
         colours = _colours(len(k.channels))
         dots = rr.SeriesPoints(
@@ -139,20 +121,11 @@ def _log_static(rec: rr.RecordingStream, layout: Layout) -> None:
         )  # fmt: skip
         static(f"/innovation/{kind}/residual", dots)
         bounds = [f"{c} {s}3σ" for s in "+−" for c in k.channels]
-        static(f"/innovation/{kind}/bounds", _lines(bounds, _dim(colours), 1.0))
-        static(f"/nis/{kind}", _lines([words.kind_title(kind)], [XYZ[(n + 2) % 3]]))
-    static("/nis/band", _lines(["2.5 %", "97.5 %"], [GREY, GREY], 1.0))
+        static(f"/innovation/{kind}/bounds", lines(bounds, _dim(colours), 1.0))
+        static(f"/nis/{kind}", lines([words.kind_title(kind)], [XYZ[(n + 2) % 3]]))
+    static("/nis/band", lines(["2.5 %", "97.5 %"], [GREY, GREY], 1.0))
     for entity in ("/imu/gyro", "/imu/accel"):
-        static(entity, _lines("xyz", XYZ, 1.0))
-
-
-def _columns(rec: rr.RecordingStream, entity: str, t: Array, values: Array) -> None:
-    """Send (k,) or (k, d) scalars of one entity at once; d series in one plot."""
-    table = np.asarray(values, dtype=float).reshape(t.size, -1)
-    if t.size == 0:
-        return
-    columns = rr.Scalars.columns(scalars=table.ravel()).partition([table.shape[1]] * t.size)
-    rec.send_columns(entity, indexes=[rr.TimeColumn(TIMELINE, duration=t)], columns=columns)
+        static(entity, lines("xyz", XYZ, 1.0))
 
 
 def _bounds(value: Array, sigma: Array) -> Array:
@@ -169,24 +142,24 @@ def log_result(rec: rr.RecordingStream, result: Result) -> None:
         "/device", indexes=[rr.TimeColumn(TIMELINE, duration=h.t)],
         columns=rr.Transform3D.columns(quaternion=quaternion),
     )  # fmt: skip
-    _columns(rec, "/heading/estimated", *summary.gapped(h.t, DEG * h.yaw))
+    columns(rec, "/heading/estimated", *summary.gapped(h.t, DEG * h.yaw))
     if (seen := result.observed_heading) is not None:
-        _columns(rec, "/heading/measured", seen[:, 0], DEG * seen[:, 1])
+        columns(rec, "/heading/measured", seen[:, 0], DEG * seen[:, 1])
     for g in layout.groups:
         value, sigma = (g.shown.factor * a[:, g.columns] for a in (h.parameters, h.parameter_sigma))
-        _columns(rec, f"/parameters/{g.effect}/estimate", h.t, value)
-        _columns(rec, f"/parameters/{g.effect}/band", h.t, _bounds(value, sigma))
+        columns(rec, f"/parameters/{g.effect}/estimate", h.t, value)
+        columns(rec, f"/parameters/{g.effect}/band", h.t, _bounds(value, sigma))
     for kind, k in layout.kinds.items():
         i = result.innovations[kind]
-        _columns(rec, f"/innovation/{kind}/residual", i.t, k.factor * i.residual)
+        columns(rec, f"/innovation/{kind}/residual", i.t, k.factor * i.residual)
         band = _bounds(np.zeros_like(i.sigma), k.factor * i.sigma)
-        _columns(rec, f"/innovation/{kind}/bounds", i.t, band)
-        _columns(rec, f"/nis/{kind}", *summary.windowed_nis(i, NIS_WINDOW))
+        columns(rec, f"/innovation/{kind}/bounds", i.t, band)
+        columns(rec, f"/nis/{kind}", *summary.windowed_nis(i, NIS_WINDOW))
     if layout.kinds:
-        _columns(rec, "/nis/band", h.t[[0, -1]], np.tile(_nis_band(layout), (2, 1)))
+        columns(rec, "/nis/band", h.t[[0, -1]], np.tile(_nis_band(layout), (2, 1)))
     imu = result.recording.imu
-    _columns(rec, "/imu/gyro", imu.t, DEG * imu.gyro)
-    _columns(rec, "/imu/accel", imu.t, imu.accel)
+    columns(rec, "/imu/gyro", imu.t, DEG * imu.gyro)
+    columns(rec, "/imu/accel", imu.t, imu.accel)
 
 
 def _nis_band(layout: Layout) -> tuple[float, float]:
@@ -196,24 +169,7 @@ def _nis_band(layout: Layout) -> tuple[float, float]:
 
 def save_rrd(result: Result, path: str | Path) -> None:
     """Write the result as a file that ``rerun FILE.rrd`` opens, blueprint included."""
-    rec = rr.RecordingStream(APPLICATION)
-    try:
-        rec.set_sinks(file_sink(path), default_blueprint=blueprint(layout_of(result)))
-        log_result(rec, result)
-        rec.flush()
-        rec.disconnect()
-    except RuntimeError as error:  # rerun's word for a full disk
-        raise HandcalError(f"{path} could not be written: {error}.") from error
-
-
-def file_sink(path: str | Path) -> Any:
-    """A sink that writes an .rrd file; a sentence if that is impossible."""
-    try:
-        with open(path, "wb"):
-            pass
-    except OSError as e:
-        raise HandcalError(f"{path} could not be written: {e.strerror or e}.") from e
-    return rr.FileSink(path)
+    save(path, blueprint(layout_of(result)), lambda rec: log_result(rec, result))
 
 
 def stream(

@@ -1,0 +1,79 @@
+"""What the pages of the dashboard share: colours, plots, columns of numbers, files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from handcal.types import Array, HandcalError
+
+APPLICATION = "handcal"
+TIMELINE = "time"
+# Okabe-Ito's vermilion, green, blue, light enough for the viewer's dark background
+XYZ = ((240, 130, 60), (40, 190, 140), (80, 165, 240))
+GREY = (140, 146, 156)
+
+
+def plot(
+    span: tuple[float, float] | None, origin: str, name: str, legend: bool = True,
+    limits: tuple[float, float] | None = None, only: Sequence[str] = (),
+    corner: str = "RightTop",
+) -> Any:  # fmt: skip
+    """One time series; without a legend, which would list every band, the title says it.
+
+    span: of the time shown, s; limits: of the values; only: some of what is below the origin; corner: of
+    the legend.
+    """
+    axis = None
+    if span:
+        start, end = (rrb.TimeRangeBoundary.absolute(seconds=t) for t in span)
+        axis = rrb.TimeAxis(view_range=rrb.TimeRange(start=start, end=end))
+    return rrb.TimeSeriesView(
+        origin=origin, contents=[f"$origin/{o}" for o in only] or "$origin/**", name=name,
+        axis_x=axis, axis_y=rrb.ScalarAxis(range=limits) if limits else None,
+        plot_legend=rrb.PlotLegend(corner, visible=legend),
+    )  # fmt: skip
+
+
+def lines(
+    names: Iterable[str], colours: Iterable[Sequence[int]], width: float = 1.5, **more: Any
+) -> Any:
+    """How the series of an entity are drawn."""
+    names, colours = list(names), list(colours)
+    return rr.SeriesLines(names=names, colors=colours, widths=[width] * len(names), **more)
+
+
+def columns(rec: rr.RecordingStream, entity: str, t: Array, values: Array) -> None:
+    """Send (k,) or (k, d) scalars of one entity at once; d series in one plot."""
+    table = np.asarray(values, dtype=float).reshape(t.size, -1)
+    if t.size == 0:
+        return
+    scalars = rr.Scalars.columns(scalars=table.ravel()).partition([table.shape[1]] * t.size)
+    rec.send_columns(entity, indexes=[rr.TimeColumn(TIMELINE, duration=t)], columns=scalars)
+
+
+def save(path: str | Path, plan: rrb.Blueprint, log: Callable[[rr.RecordingStream], None]) -> None:
+    """Write what ``log`` sends as a file that ``rerun FILE.rrd`` opens, blueprint included."""
+    rec = rr.RecordingStream(APPLICATION)
+    try:
+        rec.set_sinks(file_sink(path), default_blueprint=plan)
+        log(rec)
+        rec.flush()
+        rec.disconnect()
+    except RuntimeError as error:  # rerun's word for a full disk
+        raise HandcalError(f"{path} could not be written: {error}.") from error
+
+
+def file_sink(path: str | Path) -> Any:
+    """A sink that writes an .rrd file; a sentence if that is impossible."""
+    try:
+        with open(path, "wb"):
+            pass
+    except OSError as e:
+        raise HandcalError(f"{path} could not be written: {e.strerror or e}.") from e
+    return rr.FileSink(path)

@@ -1,0 +1,67 @@
+"""Scores on data that the fit has not seen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from handcal import noise as noise_levels
+from handcal.evidence import reduce, reduced_pass
+from handcal.explain.case import Case
+from handcal.explain.explanation import HeldOut
+from handcal.explain.fit import EXCESS, Fitted, Known, Model, fitted, started
+from handcal.explain.locate import residual_rms
+
+EARLY = 0.6
+
+
+def later_blocks(base: Model, model: Model) -> HeldOut:
+    """Predict the last two fifths of each recording from the first three, noise levels included."""
+    scores, rms = [], []
+    for m in (base, model):
+        score, parts = 0.0, []
+        for f in m.parts:
+            t = f.linear.t
+            early = noise_levels.until(f.linear, t[0] + EARLY * (t[-1] - t[0]))
+            names = [lv.name for lv in f.linear.problem.levels if lv.name not in f.case.fixed]
+            levels = noise_levels.estimate(early, f.levels, names, excess=EXCESS)
+            whole = reduced_pass(reduce(f.linear), levels).log_evidence
+            score += whole - reduced_pass(reduce(early), levels).log_evidence
+            parts.append(residual_rms(f))
+        scores.append(score + sum(f.case.constant for f in m.parts) * (1 - EARLY))
+        rms.append(_pooled(parts))
+    return HeldOut("later blocks", scores[0], scores[1], rms[0], rms[1])
+
+
+def _pooled(parts: Sequence[dict[str, float]]) -> dict[str, float]:
+    return {c: float(np.sqrt(np.mean([p[c] ** 2 for p in parts if c in p]))) for c in parts[0]}
+
+
+def other_files(cases: Sequence[Case], model: Model) -> HeldOut:
+    """Score recordings that took no part: with the effects as found, against none at all."""
+    root = np.linalg.cholesky(model.covariance + 1e-12 * np.eye(len(model.u)))
+    known = Known(model.quadratic.names, model.u, root)
+    before, after = [], []
+    for case in cases:
+        start = started(case)
+        before.append(fitted([start], ()))
+        # a step belongs to the recording in which it happened
+        effects = [e for e in model.effects if "@" not in e.id]
+        begin = replace(start, levels={**start.levels, **_levels(model.parts[0])})
+        after.append(fitted([begin], effects, known=known))
+    names = ", ".join(str(c.recording.path) for c in cases)
+    return HeldOut(
+        names,
+        sum(m.log_evidence for m in before),
+        sum(m.log_evidence for m in after),
+        _pooled([residual_rms(f) for m in before for f in m.parts]),
+        _pooled([residual_rms(f) for m in after for f in m.parts]),
+    )
+
+
+def _levels(known: Fitted) -> dict[str, float]:
+    """Levels of noise effects that the model brings along."""
+    own = {lv.name for e in known.linear.problem.effects for lv in e.levels}
+    return {k: v for k, v in known.levels.items() if k in own}

@@ -1,0 +1,128 @@
+"""Readings that are merely wrong: a heading that points anywhere now and then."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import betaln
+
+from handcal.effects import catalogue
+from handcal.explain.case import Case
+from handcal.explain.fit import Fitted, Model, fitted
+from handcal.explain.search import PRIOR
+from handcal.observations import Rows
+from handcal.types import Array, Parameter
+
+# In robust sigmas of the smoothed residual: worth a look, and held to be wrong.
+FAR = 5.0
+WRONG = 4.0
+FEWEST = 3
+ROUNDS = 4
+
+
+@dataclass(frozen=True)
+class Wrong:
+    """Outliers found: nats gained, posterior probability, share of readings."""
+
+    gain: float
+    probability: float
+    parameter: Parameter
+
+
+def cleaned(base: Model) -> tuple[Model, Wrong | None]:
+    """The baseline without outlying headings, if the evidence is for a share of them.
+
+    Each left-out reading costs the logarithm of a uniform density, and how many there are
+    that of a share about which nothing is known.
+    """
+    effect = catalogue()["heading_outliers"]
+    parts = [f for f in base.parts if set(effect.outliers) & set(f.case.kinds)]
+    if not parts or not any(_suspicious(f) for f in parts):
+        return base, None
+    model, total, bad = base, 0, 0
+    for _ in range(ROUNDS):
+        begin, masks = [], []
+        for original, f in zip(base.parts, model.parts, strict=True):
+            mask = _mask(original, f)
+            masks.append(mask)
+            begin.append(_without(original, f, mask))
+        model = fitted(begin, (), noise_rounds=1)
+        now = sum(int(m.sum()) for m in masks if m is not None)
+        if now == bad:
+            break
+        total, bad = sum(len(m) for m in masks if m is not None), now
+    gain = model.log_evidence - base.log_evidence
+    if gain + PRIOR < 0.0 or not bad:
+        return base, None
+    share = (bad + 1.0) / (total + 2.0)
+    sigma = math.sqrt(share * (1.0 - share) / (total + 3.0))
+    p = effect.parameters[0]
+    probability = 1.0 / (1.0 + math.exp(-min(700.0, gain + PRIOR)))
+    parameter = Parameter(effect.id, p.name, share, sigma, p.unit, p.prior_sigma, None)
+    return model, Wrong(gain, probability, parameter)
+
+
+def _heading(case: Case) -> int | None:
+    kinds = [o.kind for o, _, _ in case.observed]
+    return next((k for k, name in enumerate(kinds) if name in ("heading", "magnetometer")), None)
+
+
+def _residual(f: Fitted, k: int) -> tuple[Array, Array]:
+    mine = (f.linear.kind == k) & f.linear.used
+    t = np.repeat(f.linear.t, np.diff(f.linear.first))
+    return t[mine], f.linear.r[mine, 0]
+
+
+def _suspicious(f: Fitted) -> bool:
+    k = _heading(f.case)
+    if k is None:
+        return False
+    _, r = _residual(f, k)
+    scale = 1.4826 * float(np.median(np.abs(r - np.median(r))))
+    return int((np.abs(r - np.median(r)) > FAR * scale).sum()) >= FEWEST
+
+
+def _mask(original: Fitted, f: Fitted) -> Array | None:
+    """Which of the original rows are outlying, seen from the fit's trajectory."""
+    k = _heading(original.case)
+    if k is None:
+        return None
+    t, r = _residual(f, k)
+    rows = original.case.observed[k][1]
+    if f.case.constant == 0.0:
+        full = np.interp(rows.t, t, r)
+    else:
+        # rows that were left out are judged by the trajectory that the others make
+        yaw = np.interp(rows.t, f.linear.t, np.unwrap(_yaw(f)))
+        full = (rows.z[:, 0] - yaw + np.pi) % (2 * np.pi) - np.pi if rows.z.shape[1] == 1 else r
+        if len(full) != len(rows.t):
+            return None
+    scale = 1.4826 * float(np.median(np.abs(full - np.median(full))))
+    return np.asarray(np.abs(full - np.median(full)) > WRONG * max(scale, 1e-4))
+
+
+def _yaw(f: Fitted) -> Array:
+    C = f.linear.trajectory.C
+    return np.asarray(np.arctan2(C[:, 1, 0], C[:, 0, 0]))
+
+
+def _without(original: Fitted, f: Fitted, mask: Array | None) -> Fitted:
+    k = _heading(original.case)
+    if mask is None or k is None:
+        return f
+    observation, rows, constants = original.case.observed[k]
+    effect = catalogue()["heading_outliers"]
+    bad, n = int(mask.sum()), len(mask)
+    density = effect.outliers[observation.kind]
+    constant = bad * math.log(density) + float(betaln(bad + 1, n - bad + 1))
+    observed = list(original.case.observed)
+    kept = Rows(rows.t[~mask], rows.z[~mask], rows.delay)
+    observed[k] = (observation, kept, constants)
+    name = next(lv.name for lv in observation.levels if lv.name.endswith("noise"))
+    levels = dict(f.levels)
+    _, r = _residual(f, k)
+    levels[name] = max(1.4826 * float(np.median(np.abs(r - np.median(r)))), 1e-4)
+    case = replace(f.case, observed=tuple(observed), constant=constant)
+    return replace(f, case=case, levels=levels)

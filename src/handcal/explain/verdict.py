@@ -1,0 +1,395 @@
+"""``explain``: from recordings of one device to a verdict, with its proof."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from handcal.effects import Effect, catalogue
+from handcal.evidence import reduce, reduced_pass
+from handcal.explain import held, locate, outliers
+from handcal.explain.case import Case, case_of, name_of
+from handcal.explain.explanation import (
+    Evidence,
+    Explained,
+    Explanation,
+    Fit,
+    HeldOut,
+    Hypothesis,
+    Missing,
+    Unnamed,
+)
+from handcal.explain.find import Found, search
+from handcal.explain.fit import Fitted, Model, fitted, started
+from handcal.explain.search import PRIOR, expected_gain, gains, probabilities, rivals
+from handcal.model import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR
+from handcal.types import Array, NoiseLevel, Parameter, Recording
+
+Progress = Callable[[float], None]
+# An effect is named when it is that probable; a rival is listed when it has that share.
+NAMED = 0.9
+RIVAL = 0.05
+CERTAIN = 0.999999
+
+
+def explain(
+    recordings: Sequence[Recording],
+    held_out: Sequence[Recording] = (),
+    *,
+    assume: str = "auto",
+    heading_sigma: float | None = None,
+    latitude: float | None = None,
+    height: float = 0.0,
+    ignore: Sequence[str] = (),
+    progress: Progress | None = None,
+) -> Explanation:
+    """Say which physics the baseline lacks to explain these recordings of one device.
+
+    held_out: other recordings of the same device, for scoring alone; without any, later
+    blocks are predicted from earlier ones. Other options as in ``calibrate``. Raises
+    InputError for wrong use, HandcalError where no result could be made.
+    """
+    report = progress or (lambda _: None)
+    fixed = {} if heading_sigma is None else {"heading_noise": heading_sigma}
+
+    def prepared(recording: Recording) -> Case:
+        return case_of(recording, assume, latitude, height, ignore, fixed)
+
+    cases = [prepared(r) for r in recordings]
+    report(0.03)
+    base = fitted([started(c) for c in cases], ())
+    report(0.15)
+    cleaned, wrong = outliers.cleaned(base)
+    found = search(cleaned, lambda f: report(0.15 + 0.65 * f))
+    report(0.8)
+    others = [prepared(r) for r in held_out]
+    scores = held.other_files(others, found.model) if others else held.later_blocks(
+        base, found.model
+    )  # fmt: skip
+    report(0.95)
+    out = _explanation(base, found, wrong, scores)
+    report(1.0)
+    return out
+
+
+def _explanation(
+    base: Model, found: Found, wrong: outliers.Wrong | None, scores: HeldOut
+) -> Explanation:
+    model = found.model
+    chosen = frozenset(e.id for e in model.effects if e.process is None)
+    missing, unsure = _missing(found, chosen, wrong)
+    unnamed = _unnamed(found, chosen)
+    verdict = "nothing_missing"
+    if unnamed:
+        verdict = "unexplained"
+    elif unsure:
+        verdict = "cannot_tell"
+    elif missing:
+        verdict = "explained"
+    before = [
+        fitted([locate.at_levels(f, a.levels)], (), noise_rounds=0).parts[0]
+        for f, a in zip(base.parts, model.parts, strict=True)
+    ]
+    if wrong is not None:
+        before = list(base.parts)
+    explained, mismatch = [], []
+    for k, (b, a) in enumerate(zip(before, model.parts, strict=True)):
+        bins, short = locate.shortfall(b, a)
+        if verdict != "nothing_missing":
+            mismatch += locate.mismatches(b, bins, short, k)
+        explained.append(_explained(b, a, bins, short, model))
+    share = len(model.parts)
+    mismatch = [replace(m, share=m.share / share) for m in mismatch]
+    return Explanation(
+        verdict,
+        tuple(sorted(mismatch, key=lambda m: -m.share)),
+        tuple(missing),
+        tuple(unnamed),
+        _hypotheses(found, missing, wrong),
+        _fit(base, before),
+        _fit(model, model.parts),
+        scores,
+        (),
+        _parameters(model, model.parts[0]),
+        _noise(model.parts[0]),
+        tuple(explained),
+        _warnings(base, model),
+    )
+
+
+def _missing(
+    found: Found, chosen: frozenset[str], wrong: outliers.Wrong | None
+) -> tuple[list[Missing], bool]:
+    """What is named, most evidence first; whether for one of them a rival is as good."""
+    where, model = found.space, found.model
+    probable, gained = probabilities(where, chosen), gains(where, chosen)
+    out, unsure = [], False
+    for effect in model.effects:
+        if "+=" in effect.id:
+            continue
+        if effect.process is not None:
+            gain = found.noise[effect.id]
+            probability = 1.0 / (1.0 + math.exp(-min(700.0, gain + PRIOR)))
+            out.append(_entry(effect, probability, gain, (), _process_parameters(model, effect)))
+            continue
+        set_, share = _set(found, chosen, effect.id)
+        members = {name_of(i) for i in set_}
+        p = min(CERTAIN, sum(v for i, v in probable.items() if name_of(i) in members))
+        gain = gained[effect.id]
+        unsure |= share < NAMED
+        names = dict.fromkeys(name_of(i) for i in set_ if name_of(i) != name_of(effect.id))
+        out.append(_entry(effect, p, gain, tuple(names), _effect_parameters(model, effect)))
+    if wrong is not None:
+        out.append(
+            _entry(catalogue()["heading_outliers"], wrong.probability, wrong.gain, (),
+                   (wrong.parameter,))
+        )  # fmt: skip
+    return sorted(out, key=lambda m: -m.log_evidence_gain), unsure
+
+
+def _set(found: Found, chosen: frozenset[str], effect: str) -> tuple[list[str], float]:
+    """The effect and those that could stand in its place, most probable first; its share."""
+    scores = rivals(found.space, chosen, effect)
+    scores = {i: s for i, s in scores.items() if "+=" not in i}
+    total = sum(math.exp(min(s, 50.0)) for s in scores.values())
+    shares = {i: math.exp(min(s, 50.0)) / total for i, s in scores.items()}
+    by_name: dict[str, float] = {}
+    for i, s in shares.items():
+        by_name[name_of(i)] = by_name.get(name_of(i), 0.0) + s
+    own = name_of(effect)
+    members = [effect]
+    for i in sorted(shares, key=lambda i: -shares[i]):
+        name = name_of(i)
+        if name != own and by_name[name] >= RIVAL and all(name_of(m) != name for m in members):
+            members.append(i)
+    return members, by_name[own]
+
+
+def _entry(
+    effect: Effect,
+    probability: float,
+    gain: float,
+    others: tuple[str, ...],
+    parameters: tuple[Parameter, ...],
+) -> Missing:
+    return Missing(
+        name_of(effect.id),
+        effect.title,
+        min(CERTAIN, probability),
+        gain,
+        others,
+        parameters,
+        effect.story,
+        effect.motion,
+    )
+
+
+def _effect_parameters(model: Model, effect: Effect) -> tuple[Parameter, ...]:
+    at = [i for i, n in enumerate(model.quadratic.names) if n[0] == effect.id]
+    sigma = np.sqrt(np.maximum(np.diag(model.covariance), 0.0))
+    out = []
+    free = {p.name: (p, i) for p, i in zip(effect.parameters, at, strict=True)}
+    for p in catalogue().get(name_of(effect.id), effect).parameters:
+        if p.name in free:
+            q, i = free[p.name]
+            value, spread = model.u[i] * q.prior_sigma, sigma[i] * q.prior_sigma
+        else:
+            value, spread = float(effect.id.split("@")[1]), 0.1
+        out.append(
+            Parameter(name_of(effect.id), p.name, float(value), float(spread), p.unit,
+                      p.prior_sigma, None)
+        )  # fmt: skip
+    return tuple(out)
+
+
+def _process_parameters(model: Model, effect: Effect) -> tuple[Parameter, ...]:
+    """Levels of a noise effect; sigma from the curvature of the evidence over their logarithms."""
+    part = model.parts[0]
+    names = [lv.name for lv in effect.levels]
+    step = 0.15
+    reductions = [(reduce(f.linear), f.levels) for f in model.parts]
+
+    def value(x: Array) -> float:
+        return sum(
+            reduced_pass(r, {**lv, **{n: lv[n] * math.exp(v) for n, v in zip(names, x, strict=True)}})
+            .log_evidence
+            for r, lv in reductions
+        )  # fmt: skip
+
+    k = len(names)
+    here, H = value(np.zeros(k)), np.zeros((k, k))
+    for i in range(k):
+        for j in range(i + 1):
+            a, b = step * np.eye(k)[i], step * np.eye(k)[j]
+            if i == j:
+                H[i, i] = (value(a) - 2 * here + value(-a)) / step**2
+            else:
+                H[i, j] = H[j, i] = (value(a + b) - value(a - b) - value(b - a) + value(-a - b)) / (
+                    4 * step**2
+                )
+    # a prior of two in the logarithm keeps a flat direction finite
+    spread = np.sqrt(np.diag(np.linalg.inv(np.eye(k) / 4.0 - _negative(H))))
+    return tuple(
+        Parameter(effect.id, p.name, part.levels[n], part.levels[n] * float(s), p.unit,
+                  p.prior_sigma, None)
+        for p, n, s in zip(effect.parameters, names, spread, strict=True)
+    )  # fmt: skip
+
+
+def _negative(H: Array) -> Array:
+    values, vectors = np.linalg.eigh(H)
+    return np.asarray((vectors * np.minimum(values, 0.0)) @ vectors.T)
+
+
+def _unnamed(found: Found, chosen: frozenset[str]) -> list[Unnamed]:
+    gained = gains(found.space, chosen)
+    out = []
+    for effect in found.model.effects:
+        if "+=" in effect.id:
+            (p,) = _effect_parameters(found.model, effect)
+            out.append(Unnamed(effect.id, p.value, p.sigma, p.unit, gained[effect.id]))
+    return sorted(out, key=lambda u: -u.log_evidence_gain)
+
+
+def _hypotheses(
+    found: Found, missing: Sequence[Missing], wrong: outliers.Wrong | None
+) -> tuple[Hypothesis, ...]:
+    where = found.space
+    chosen = frozenset(e.id for e in found.model.effects if e.process is None)
+    probable, final = probabilities(where, chosen), gains(where, chosen)
+    named = {m.effect: m for m in missing}
+    rival = {i for m in missing for i in m.indistinguishable_from}
+    out: dict[str, Hypothesis] = {}
+    for i in where.effects:
+        name = name_of(i)
+        if "+=" in i:
+            continue
+        alone = max((v for k, v in found.alone.items() if name_of(k) == name), default=0.0)
+        ones = np.ones(len(where.where[i]))
+        kept = out.get(name)
+        if kept is not None and kept.final >= final[i]:
+            continue
+        verdict = "named" if name in named else "set" if name in rival else ""
+        together = sum(p for k, p in probable.items() if name_of(k) == name)
+        probability = min(CERTAIN, together)
+        out[name] = Hypothesis(
+            name, catalogue()[name].title, alone, final[i],
+            expected_gain(where, i, chosen, ones), probability, verdict,
+        )  # fmt: skip
+    for name, gain in found.noise.items():
+        p = 1.0 / (1.0 + math.exp(-min(700.0, gain + PRIOR)))
+        out[name] = Hypothesis(
+            name, catalogue()[name].title, gain, gain, 0.0, p, "named" if name in named else ""
+        )
+    if wrong is not None:
+        title = catalogue()["heading_outliers"].title
+        out["heading_outliers"] = Hypothesis(
+            "heading_outliers", title, wrong.gain, wrong.gain, 0.0, wrong.probability, "named"
+        )
+    return tuple(sorted(out.values(), key=lambda h: -h.alone))
+
+
+def _explained(
+    before: Fitted, after: Fitted, bins: Array, short: Mapping[str, Array], model: Model
+) -> Explained:
+    return Explained(
+        after.case.recording,
+        after.case.assume,
+        _biases(after),
+        _noise(after),
+        locate.traces(before, after),
+        _evidence(after, model),
+        bins,
+        short,
+        after.case.rests,
+    )
+
+
+def _evidence(f: Fitted, model: Model) -> Evidence:
+    """Cumulated gain of each effect: the prediction of every scalar with it against without."""
+    done = reduced_pass(reduce(f.linear), f.levels)
+    scalars = np.diff(done.reduction.first)
+    at = np.repeat(f.linear.t, scalars)
+    w = done.w
+    slots = f.linear.problem.slots
+    nu = done.nu[:, 0] + done.nu[:, 1:] @ w
+    grid = np.linspace(f.linear.t[0], f.linear.t[-1], 400)
+    gain = {}
+    A = done.log_likelihood[2] + np.eye(len(w))
+    for e in model.effects:
+        mine = np.array([6 + i for i, s in enumerate(slots) if s.owner == e.id], dtype=np.int64)
+        if not len(mine):
+            continue
+        rest = np.setdiff1d(np.arange(len(w)), mine)
+        other = w.copy()
+        other[mine] = (
+            -done.reduction.linear.trajectory.constants[mine - 6] / done.reduction.scale[mine]
+        )
+        change = A[np.ix_(rest, mine)] @ (other[mine] - w[mine])
+        other[rest] = w[rest] - np.linalg.solve(A[np.ix_(rest, rest)], change)
+        without = done.nu[:, 0] + done.nu[:, 1:] @ other
+        more = np.cumsum(0.5 * (without**2 - nu**2) / done.S)
+        gain[name_of(e.id)] = np.interp(grid, at, more) if len(at) else np.zeros_like(grid)
+    return Evidence(grid, gain)
+
+
+def _fit(model: Model, parts: Sequence[Fitted]) -> Fit:
+    nis: dict[str, list[float]] = {}
+    white: dict[str, list[float]] = {}
+    rms: dict[str, list[float]] = {}
+    for f in parts:
+        done = reduced_pass(reduce(f.linear), f.levels)
+        nu = (done.nu[:, 0] + done.nu[:, 1:] @ done.w) / np.sqrt(done.S)
+        slot = done.reduction.slot
+        for k, observation in enumerate(f.linear.problem.observations):
+            for i, channel in enumerate(observation.channels):
+                x = nu[slot == k * 6 + i]
+                if len(x) > 10:
+                    nis.setdefault(channel, []).append(float(np.mean(x**2)))
+                    white.setdefault(channel, []).append(float(np.mean(x[1:] * x[:-1]) / max(float(np.mean(x**2)), 1e-12)))
+        for channel, v in locate.residual_rms(f).items():
+            rms.setdefault(channel, []).append(v)
+    return Fit(
+        model.log_evidence,
+        {k: float(np.sqrt(np.mean(np.square(v)))) for k, v in rms.items()},
+        {k: float(np.mean(v)) for k, v in nis.items()},
+        {k: float(np.mean(v)) for k, v in white.items()},
+    )
+
+
+def _biases(f: Fitted) -> tuple[Parameter, ...]:
+    done = reduced_pass(reduce(f.linear), f.levels)
+    sigma = np.linalg.norm(done.spread, axis=1)[:6] * done.reduction.scale[:6]
+    nominal = f.linear.trajectory
+    values = np.r_[nominal.bg, nominal.ba]
+    prior = [float(GYRO_BIAS_PRIOR)] * 3 + [ACCEL_BIAS_PRIOR] * 3
+    names = [("gyro_bias", a, "rad/s") for a in "xyz"] + [("accel_bias", a, "m/s^2") for a in "xyz"]
+    return tuple(
+        Parameter(e, n, float(values[i]), float(sigma[i]), unit, prior[i], None)
+        for i, (e, n, unit) in enumerate(names)
+    )
+
+
+def _parameters(model: Model, f: Fitted) -> tuple[Parameter, ...]:
+    named = [p for e in model.effects if e.process is None for p in _effect_parameters(model, e)]
+    return (*_biases(f), *named)
+
+
+def _noise(f: Fitted) -> tuple[NoiseLevel, ...]:
+    return tuple(
+        NoiseLevel(lv.name, f.levels[lv.name], lv.unit, lv.name not in f.case.fixed)
+        for lv in f.linear.problem.levels
+    )
+
+
+def _warnings(base: Model, model: Model) -> tuple[str, ...]:
+    out = [w for f in base.parts for w in f.case.warnings]
+    if not model.settled:
+        out.append(
+            "The final fit still moved after ten rounds of relinearisation; trust its numbers less."
+        )
+    return tuple(dict.fromkeys(out))
+

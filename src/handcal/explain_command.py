@@ -1,0 +1,101 @@
+"""The command ``explain``. What is slow to import is imported where it is used."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from handcal.cli import (
+    Assume,
+    Assumption,
+    Height,
+    HeadingSigma,
+    Ignore,
+    Latitude,
+    Rrd,
+    Topics,
+    Units,
+    check_folders,
+    load,
+    radians,
+)
+from handcal.progress import progress
+
+
+def explain(
+    files: Annotated[
+        list[Path], typer.Argument(metavar="FILE...", help="Recordings of one device.")
+    ],
+    held_out: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FILE", help="Another recording of it, for scoring only (repeatable)."
+        ),
+    ] = None,
+    twin: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.mcap",
+            help="Write the simulated counterpart, before and after, beside what was recorded.",
+        ),
+    ] = None,
+    heading_sigma: HeadingSigma = None,
+    assume: Assumption = Assume.auto,
+    latitude: Latitude = None,
+    height: Height = 0.0,
+    topic: Topics = None,
+    units: Units = None,
+    ignore: Ignore = None,
+    json: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write the numbers as JSON; - for standard output."),
+    ] = None,
+    report: Annotated[
+        Path | None, typer.Option(metavar="FILE.html", help="Write a page to read.")
+    ] = None,
+    rrd: Rrd = None,
+) -> None:
+    """Say what a recording holds that the model does not: where, which physics, how certain.
+
+    The exit status is 0 with every verdict.
+    """
+    from handcal.explain import explain as explained
+
+    check_folders(json, report, rrd, twin)
+    recordings = [load(path, topic, units) for path in files]
+    others = [load(path, topic, units) for path in held_out or ()]
+    with progress(f"explaining {', '.join(path.name for path in files)}") as done:
+        explanation = explained(
+            recordings,
+            others,
+            assume=str(assume),
+            heading_sigma=radians(heading_sigma),
+            latitude=radians(latitude),
+            height=height,
+            ignore=tuple(ignore or ()),
+            progress=done,
+        )
+    if report:
+        from handcal.explain_report import write_explanation_report
+
+        write_explanation_report(explanation, report)
+    if rrd:
+        from handcal.dashboard import save_explanation_rrd
+
+        save_explanation_rrd(explanation, rrd)
+    if twin:
+        from handcal.explain.twins import write_twins
+
+        write_twins(explanation, twin)
+    from handcal.explain_summary import explanation_json, print_explanation
+
+    if json:
+        from handcal.summary import write_json
+
+        write_json(explanation_json(explanation), json)
+    if str(json) != "-":
+        from rich.console import Console
+
+        print_explanation(explanation, Console())

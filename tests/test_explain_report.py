@@ -1,0 +1,355 @@
+"""What a person sees of an explanation: JSON, terminal, page and dashboard, of all verdicts."""
+
+import io
+import json
+import math
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fake_explanation import CASES, fake_explanation
+from rerun.chunk import RrdReader
+from rich.console import Console
+
+from handcal import dashboard, drawing, explain_plots, explain_summary, explain_words, summary
+from handcal.explain.explanation import VERDICTS, Unnamed
+from handcal.explain_report import render_explanation, write_explanation_report
+from handcal.types import HandcalError
+
+CONTRACT = {
+    "schema", "verdict", "mismatch", "missing", "unnamed", "fit", "held_out", "next_motion",
+    "parameters", "noise", "warnings",
+}  # fmt: skip
+ENTRIES = {
+    "mismatch": {"channel": str, "from_s": float, "to_s": float, "share": float, "when": str},
+    "missing": {"effect": str, "probability": float, "log_evidence_gain": float,
+                "indistinguishable_from": list, "parameters": list, "story": str},
+    "unnamed": {"formula": str, "value": float, "sigma": float, "unit": str,
+                "log_evidence_gain": float},
+    "next_motion": {"motion": str, "separates": list, "expected_gain": float},
+    "noise": {"name": str, "value": float, "unit": str},
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module", params=VERDICTS)
+def verdict(request):
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def explanation(verdict):
+    return fake_explanation(verdict)
+
+
+@pytest.fixture(scope="module")
+def page(explanation, tmp_path_factory):
+    path = tmp_path_factory.mktemp("report") / f"{explanation.verdict}.html"
+    write_explanation_report(explanation, path)
+    return path
+
+
+def printed(explanation, width=80):
+    out = io.StringIO()
+    explain_summary.print_explanation(explanation, Console(file=out, width=width))
+    return out.getvalue()
+
+
+def numbers(node):
+    if isinstance(node, dict):
+        return [n for v in node.values() for n in numbers(v)]
+    if isinstance(node, list):
+        assert None not in node
+        return [n for v in node for n in numbers(v)]
+    return [node] if isinstance(node, float) else []
+
+
+def test_there_is_a_made_up_explanation_of_every_verdict():
+    assert set(CASES) == set(VERDICTS)
+
+
+def test_the_json_has_the_contracts_keys_and_types(verdict):
+    document = explain_summary.explanation_json(fake_explanation(verdict, recordings=1))
+    assert set(document) == CONTRACT
+    assert document["schema"] == "handcal/explanation/1"
+    assert document["verdict"] == verdict
+    for name, fields in ENTRIES.items():
+        for entry in document[name]:
+            assert {k: type(v) for k, v in entry.items()} == fields
+    for m in document["missing"]:
+        for p in m["parameters"]:
+            assert set(p) == {"name", "value", "sigma", "unit"}
+    assert set(document["fit"]) == {"before", "after"}
+    for fit in document["fit"].values():
+        assert set(fit) == {"log_evidence", "residual_rms", "nis", "whiteness"}
+        assert set(fit["nis"]) == {"position", "velocity", "heading"}
+    assert set(document["held_out"]) in ({
+        "log_score_before", "log_score_after", "residual_rms_before", "residual_rms_after",
+    }, set())  # fmt: skip
+    assert {"gyro_bias", "accel_bias"} <= {p["effect"] for p in document["parameters"]}
+    assert json.loads(json.dumps(document, allow_nan=False)) == document
+    assert all(math.isfinite(n) for n in numbers(document))
+
+
+def test_of_several_recordings_each_keeps_its_own(tmp_path):
+    e = fake_explanation("explained", recordings=2)
+    document = explain_summary.explanation_json(e)
+    assert set(document) == CONTRACT | {"recordings"}
+    assert [m["recording"] for m in document["mismatch"]] == [0, 0, 1]
+    assert {p["effect"] for p in document["parameters"]} == {"gyro_scale", "lever_arm"}
+    for r in document["recordings"]:
+        assert {p["effect"] for p in r["parameters"]} == {"gyro_bias", "accel_bias"}
+        assert r["recording"]["assume"] == "fixed-point"
+    summary.write_json(document, tmp_path / "x.json")
+
+
+def test_json_leaves_out_what_is_not_a_number():
+    e = fake_explanation("explained", recordings=1)
+    rms = dict(e.before.residual_rms) | {"heading": math.nan}
+    m = replace(e.missing[0], log_evidence_gain=math.inf)
+    before = replace(e.before, residual_rms=rms, log_evidence=math.nan)
+    document = explain_summary.explanation_json(replace(e, before=before, missing=(m,)))
+    assert "heading" not in document["fit"]["before"]["residual_rms"]
+    assert document["fit"]["before"]["log_evidence"] is None
+    assert document["missing"][0]["log_evidence_gain"] is None
+    json.dumps(document, allow_nan=False)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "headline", "level"),
+    [
+        ("explained", "Two things are missing: the gyro scale error (probability over 99.9 %) and "
+         "the lever arm (probability 99.4 %). Adding them makes the recordings 1,240 nats more "
+         "probable.", "good"),
+        ("nothing_missing", "Nothing is missing that this motion would show.", "good"),
+        ("unexplained", "Something is missing that no known effect accounts for.", "poor"),
+        ("cannot_tell", "Something is missing, but this motion cannot tell which: gravity, the "
+         "accelerometer scale error or the accelerometer asymmetry.", "partly"),
+    ],
+)  # fmt: skip
+def test_the_headline_says_it_plainly(verdict, headline, level):
+    judged = explain_words.verdict(fake_explanation(verdict))
+    assert judged.headline.replace("\u00a0", " ") == headline
+    assert judged.level == level
+
+
+def test_one_missing_effect_is_one_sentence():
+    e = fake_explanation("explained", recordings=1)
+    gained = replace(e.before, log_evidence=e.before.log_evidence + 863.0)
+    judged = explain_words.verdict(replace(e, missing=e.missing[:1], after=gained))
+    assert judged.headline.replace("\u00a0", " ") == (
+        "Something is missing: the gyro scale error (probability over 99.9 %), and adding it "
+        "makes the recording 863 nats more probable."
+    )
+
+
+def test_what_speaks_against_a_model_is_said():
+    e = fake_explanation("explained", recordings=1)
+    worse = replace(e.held_out, log_score_after=e.held_out.log_score_before - 12.0)
+    judged = explain_words.verdict(replace(e, held_out=worse))
+    assert judged.level == "partly"
+    assert any("does worse" in s for s in judged.sentences)
+    rough = replace(e.after, nis=dict(e.after.nis) | {"heading": 4.0})
+    judged = explain_words.verdict(replace(e, after=rough))
+    assert judged.level == "partly"
+    assert any("heading scatters 2.0 times as far" in s for s in judged.sentences)
+
+
+def test_what_cannot_be_told_is_said():
+    e = fake_explanation("cannot_tell")
+    look, hidden = explain_words.untold(e)
+    assert look.startswith("Gravity, the accelerometer scale error and the accelerometer asymm")
+    assert "gyro temperature slope" in hidden
+    unlearnt = explain_words.untold(fake_explanation("explained"))[-1]
+    assert unlearnt.startswith("Lever arm z")
+
+
+@pytest.mark.parametrize(
+    ("share", "text"),
+    [(1.0, "over 99.9 %"), (0.9951, "99.5 %"), (0.97, "97 %"), (0.004, "0.4 %"),
+     (0.0, "under 0.1 %"), (math.nan, "–")],
+)  # fmt: skip
+def test_no_certainty_that_nobody_has(share, text):
+    assert explain_words.percent(share).replace("\u00a0", " ") == text
+
+
+@pytest.mark.parametrize(
+    ("value", "sigma", "unit", "text"),
+    [(0.1184, 0.0041, "s", "0.1184 ± 0.0041 s"), (-3.1e-5, 4.4e-6, "1", "(−3.10 ± 0.44)·10⁻⁵"),
+     (2.0, math.nan, "m", "2"), (math.nan, 1.0, "m", "unknown"), (0.0, 0.5, "", "0.00 ± 0.50")],
+)  # fmt: skip
+def test_amounts_of_unnamed_terms(value, sigma, unit, text):
+    assert explain_words.amount(Unnamed("f", value, sigma, unit, 1.0)).strip() == text
+
+
+def test_channels_in_words_and_units():
+    assert explain_words.channel_title("accel_y") == "accelerometer y"
+    assert explain_words.channel_title("heading") == "heading"
+    assert explain_words.channel_shown("gyro_x", [1.0]).unit == "deg/s"
+    assert explain_words.channel_shown("accel_x", [1.0]).unit == "m/s²"
+    assert explain_words.channel_shown("accel_x", [0.1], small=True).unit == "mg"
+    assert explain_words.channel_shown("position_x", [0.01]).unit == "mm"
+    order = explain_words.channels({"position_x": 1.0, "heading": 1.0}, {"gyro_z": 1.0})
+    assert order == ["gyro_z", "heading", "position_x"]
+
+
+@pytest.mark.parametrize("width", [80, 120])
+def test_the_terminal_cuts_nothing_and_breaks_no_number(explanation, width):
+    text = printed(explanation, width)
+    lines = text.splitlines()
+    assert max(len(line.rstrip()) for line in lines) <= width
+    assert "…" not in text
+    assert not re.search(r"\b(nan|None|inf)\b", text)
+    assert not any(line.strip().startswith("%") for line in lines)
+    headline = explain_words.verdict(explanation).headline
+    assert " ".join(text.split()).replace("\u00a0", " ").find(" ".join(headline.split())) >= 0
+    for m in explanation.missing:
+        assert f"Missing: {m.title}" in text
+    for u in explanation.unnamed:
+        assert u.formula in text
+
+
+def test_markup_in_names_is_text(explanation):
+    odd = replace(explanation.recordings[0].recording, path="[red]<img src=x>[/red].mcap")
+    e = replace(explanation, recordings=(replace(explanation.recordings[0], recording=odd),),
+                warnings=("<b>bold</b> [bold]",), mismatch=())  # fmt: skip
+    assert "[red]" in printed(e)
+    html = render_explanation(e)
+    assert "<img" not in html
+    assert "<b>bold" not in html
+
+
+def test_the_page_is_whole_and_says_what_the_explanation_says(explanation, page):
+    text = page.read_text(encoding="utf-8")
+    assert len(text.encode()) < 1_500_000
+    assert not re.search(r"https?://|<script|(?:src|href)=\"(?!#)", text)
+    ids = re.findall(r'\bid="([^"]*)"', text)
+    assert len(ids) == len(set(ids))
+    assert set(re.findall(r"url\(#([^)]*)\)", text)) <= set(ids)
+    body = text.split("</style>")[1]
+    words_only = re.sub(r"<[^>]*>", " ", body)
+    assert not re.search(r"\b(nan|None|inf|undefined)\b", words_only, re.I)
+    for colour in drawing.PALETTE:
+        assert colour not in body
+    assert explain_words.verdict(explanation).headline in text
+    for m in explanation.missing:
+        assert m.story in words_only
+    for r in explanation.recordings:
+        assert Path(r.recording.path).name in text
+
+
+def test_every_figure_is_there(explanation):
+    plots = explain_plots.draw(explanation)
+    count = {section: len(p) for section, p in plots.items()}
+    n = len(explanation.recordings)
+    channels = sum(len(r.traces) for r in explanation.recordings)
+    assert count["first"] == count["heat"] == n
+    assert count["first"] + count["traces"] + count["others"] == channels
+    assert count["evidence"] == 2
+    assert count["balance"] == 1
+    assert count["parameters"] == (1 if explanation.missing else 0)
+    worst = explanation.mismatch[0].channel if explanation.mismatch else None
+    if worst:
+        assert explain_words.channel_title(worst) in plots["first"][0].title.lower()
+
+
+def test_an_explanation_with_next_to_nothing_in_it_still_shows(tmp_path):
+    e = fake_explanation("nothing_missing")
+    r = e.recordings[0]
+    bare = replace(r, traces=(), bins=np.zeros(0), shortfall={}, rests=np.zeros((0, 2)),
+                   evidence=replace(r.evidence, t=np.zeros(0), gain={}), noise=())  # fmt: skip
+    empty = replace(e.before, residual_rms={}, nis={}, whiteness={})
+    e = replace(e, recordings=(bare,), hypotheses=(), before=empty, after=empty, held_out=None,
+                next_motion=(), noise=())  # fmt: skip
+    assert "Nothing is missing" in render_explanation(e)
+    assert "Nothing is missing" in printed(e)
+    dashboard.save_explanation_rrd(e, tmp_path / "x.rrd")
+    assert explain_summary.explanation_json(e)["held_out"] == {}
+
+
+def test_many_bins_are_added_up_and_none_is_lost():
+    e = fake_explanation("cannot_tell")
+    r = e.recordings[0]
+    many = np.linspace(0, 84, 1001)
+    spread = {c: np.linspace(0, 1, 1000) for c in r.shortfall}
+    bins, cells = explain_plots._cells(replace(r, bins=many, shortfall=spread))
+    assert bins.size - 1 <= explain_plots.CELLS
+    assert bins[-1] == many[-1]
+    assert cells["heading"].size == bins.size - 1
+    assert cells["heading"].sum() == pytest.approx(500.0)
+
+
+def rows(path):
+    """Rows by entity, static ones too."""
+    found = {}
+    for chunk in RrdReader(path).stream().to_chunks():
+        timed = dashboard.TIMELINE in chunk.timeline_names
+        found[chunk.entity_path] = found.get(chunk.entity_path, 0) + timed * chunk.num_rows
+    return found
+
+
+def test_a_saved_explanation_reads_back(explanation, tmp_path):
+    dashboard.save_explanation_rrd(explanation, tmp_path / "x.rrd")
+    found = rows(tmp_path / "x.rrd")
+    assert "/verdict" in found
+    for h in explanation.hypotheses:
+        assert (f"/hypotheses/{h.effect}" in found) or not h.verdict
+    assert sum(e.startswith("/hypotheses/") for e in found) >= 3
+    for i, r in enumerate(explanation.recordings):
+        home = f"/recording_{i + 1}"
+        for t in r.traces:
+            assert found[f"{home}/simulated/{t.channel}"] == t.t.size
+            assert found[f"{home}/difference/{t.channel}/model"] == t.t.size
+            where = explain_plots.mismatches(explanation, i, t.channel)
+            assert found.get(f"{home}/difference/{t.channel}/amiss", 0) == 3 * len(where)
+        for channel in r.shortfall:
+            assert found[f"{home}/shortfall/{channel}"] == r.bins.size
+        for effect in r.evidence.gain:
+            assert found[f"{home}/evidence/{effect}"] == r.evidence.t.size
+
+
+def test_a_folder_that_does_not_exist_is_a_sentence(tmp_path):
+    e = fake_explanation("nothing_missing")
+    for write in (write_explanation_report, dashboard.save_explanation_rrd):
+        with pytest.raises(HandcalError, match="could not be written"):
+            write(e, tmp_path / "none" / "x")
+
+
+@pytest.fixture(scope="module")
+def browser():
+    path = shutil.which("chromium") or shutil.which("google-chrome")
+    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    if path is None:
+        pytest.skip("no chromium on this machine")
+    with api.sync_playwright() as p:
+        started = p.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        yield started
+        started.close()
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(1180, "light"), (375, "dark")])
+def test_a_browser_without_network_draws_it_without_complaint(browser, page, width, scheme):
+    context = browser.new_context(
+        offline=True, viewport={"width": width, "height": 800}, color_scheme=scheme
+    )
+    tab = context.new_page()
+    said, asked = [], []
+    tab.on("console", lambda m: said.append(m.text))
+    tab.on("pageerror", lambda e: said.append(str(e)))
+    tab.on("request", lambda r: asked.append(r.url))
+    tab.goto(page.as_uri())
+    assert said == []
+    assert asked == [page.as_uri()]
+    assert tab.evaluate("document.documentElement.scrollWidth") <= width
+    tab.evaluate("document.querySelectorAll('details').forEach(d => d.open = true)")
+    assert tab.evaluate("document.documentElement.scrollWidth") <= width
+    outside = """[...document.querySelectorAll('svg')].flatMap(s => {
+      const b = s.getBoundingClientRect();
+      return [...s.querySelectorAll('text')].filter(t => {
+        const r = t.getBoundingClientRect();
+        return r.left < b.left - 2 || r.right > b.right + 2 || r.bottom > b.bottom + 2;
+      }).map(t => t.textContent)})"""
+    assert tab.evaluate(outside) == []
+    context.close()
