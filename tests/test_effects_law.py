@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from worlds import injected, recording_of, true_levels
 
-from handcal import calibrate, so3
+from handcal import batch, calibrate, so3
 from handcal._jit import call_residual
 from handcal.calibration import observed_of, solve
 from handcal.earth import local_earth
@@ -23,12 +23,19 @@ from handcal.effects import (
     select,
 )
 from handcal.kernel import BASE, MAX_DIM
+from handcal.linear import linearise_about
 from handcal.model import build
 from handcal.observations import catalogue as observations
 from handcal.types import InputError, Series
 from handcal_sim import simulate
 from handcal_sim.effects import EFFECTS as SIMULATED
-from handcal_sim.phone import Clocking, capture_pose, consumer_magnetometer, consumer_phone
+from handcal_sim.phone import (
+    Clocking,
+    capture_pose,
+    consumer_magnetometer,
+    consumer_phone,
+    with_rate,
+)
 
 NINE = "xx xy xz yx yy yz zx zy zz"
 PRODUCTS = "x_xy x_yz x_xz y_xy y_yz y_xz z_xy z_yz z_xz"
@@ -66,6 +73,7 @@ CONTRACT = {
 }
 IDS = sorted(catalogue())
 ACTING = [i for i in IDS if catalogue()[i].imu_error is not None]
+MOMENTARY = [i for i in IDS if catalogue()[i].moments is not None]
 NOISY = [i for i in IDS if catalogue()[i].process is not None]
 STRAYING = [i for i in IDS if catalogue()[i].outliers]
 OBSERVED = [(i, kind) for i in IDS for kind in catalogue()[i].observation_error]
@@ -128,12 +136,13 @@ def test_selection_keeps_order_drops_doubles_and_refuses_the_unknown():
 
 
 def random_signals(seed, n=60):
-    """Smooth rates and forces; a temperature that rises."""
+    """Smooth rates and forces, any attitudes; a temperature that rises."""
     rng = np.random.default_rng(seed)
     t = np.arange(n) * 0.01
     phase = rng.uniform(0, 6, (6, 1))
     x = (np.array([3, 3, 3, 9, 9, 9])[:, None] * np.sin(t * rng.uniform(2, 8, (6, 1)) + phase)).T
-    return Signals(t, x[:, :3].copy(), x[:, 3:].copy(), 25.0 + 20.0 * t)
+    C_nb = Rotation.random(n, random_state=rng).as_matrix()
+    return Signals(t, x[:, :3].copy(), x[:, 3:].copy(), 25.0 + 20.0 * t, C_nb)
 
 
 @pytest.mark.parametrize("name", ACTING)
@@ -155,8 +164,11 @@ def test_jacobian_of_the_readings(name, at):
     for seed in range(3):
         signals = random_signals(seed)
         point = at * effect.prior_sigma * np.random.default_rng(seed).uniform(0.5, 1, 1)
+        if effect.moments is not None:
+            point[-1] = 0.3
         got = imu_jacobian(effect, point, signals)
-        for i, sigma in enumerate(effect.prior_sigma):
+        # by a moment between samples there is no derivative but on average: see below
+        for i, sigma in enumerate(effect.prior_sigma[: None if effect.moments is None else -1]):
             e = np.zeros(len(point))
             e[i] = 2.3e-4 * sigma
 
@@ -169,18 +181,62 @@ def test_jacobian_of_the_readings(name, at):
             np.testing.assert_allclose(got[:, :, i], expected, rtol=0, atol=1e-5 * size)
 
 
-@pytest.mark.parametrize("name", ACTING)
-def test_works_without_a_temperature(name):
-    """A recording without a thermometer must not break an effect that does not need one."""
+@pytest.mark.parametrize("name", MOMENTARY)
+def test_moments_to_try(name):
+    """About a second apart, not at the very ends, and nothing has happened there yet."""
     effect = catalogue()[name]
-    if "temperature" in name:
-        pytest.skip("needs the temperature")
-    signals = replace(random_signals(0), temperature=None)
-    assert np.all(np.isfinite(effect.imu_error(effect.prior_sigma, signals)))
+    for duration in (3.0, 30.0, 300.0):
+        t = 7.0 + np.arange(0.0, duration, 0.01)
+        points = effect.moments(t)
+        at, n = points[:, -1], len(t)
+        assert points.shape == (len(points), len(effect.parameters))
+        assert 2 <= len(points) <= 64
+        assert at[0] == pytest.approx(0.05 * duration, abs=0.01)
+        assert at[-1] == pytest.approx(0.95 * duration, abs=0.01)
+        if duration < 60.0:
+            assert np.diff(at).max() < 1.5
+        signals = Signals(t, np.ones((n, 3)), np.ones((n, 3)))
+        assert np.all(effect.imu_error(points[0], signals) == 0.0)
 
 
-# By hand: rate (1, 2, 3) rad/s, force (4, -5, 6) m/s^2, 35 degC; parameters 0.1, 0.2, ...
+@pytest.mark.parametrize("name", MOMENTARY)
+def test_a_later_moment_takes_away_the_time_between(name):
+    """By the moment: what the error would have added up to in between, wherever it falls."""
+    effect = catalogue()[name]
+    signals = replace(random_signals(0, 600), t=7.0 + 0.01 * np.arange(600))
+    for at in (2.0, 2.003, 2.005, 2.009):
+        point = np.r_[0.1 * np.arange(1, len(effect.parameters)), at]
+        got = imu_jacobian(effect, point, signals)[:, :, -1]
+        np.testing.assert_allclose(0.01 * got.sum(axis=0)[:3], -point[:-1], rtol=1e-9)
+        assert np.all(got[(signals.t < 8.9) | (signals.t > 9.1)] == 0.0)
+
+
+@pytest.mark.parametrize("name", [i for i in IDS if catalogue()[i].together is not None])
+def test_together_only_what_the_other_lacks_is_left(name):
+    """A projection; places that all three accelerometers share are the lever arm's."""
+    P = catalogue()[name].together
+    np.testing.assert_allclose(P @ P, P, atol=1e-15)
+    np.testing.assert_allclose(P, P.T, atol=1e-15)
+    assert catalogue()[name].exclusive == ("lever_arm",)
+    np.testing.assert_allclose(P @ np.tile([0.1, 0.2, 0.3], 3), 0.0, atol=1e-15)
+    assert np.linalg.matrix_rank(P) == 6
+
+
+@pytest.mark.parametrize("name", ACTING)
+def test_works_without_temperature_and_attitude(name):
+    """A recording without a thermometer must not break any effect, nor the first pass."""
+    effect = catalogue()[name]
+    signals = replace(random_signals(0), temperature=None, C_nb=None)
+    error = effect.imu_error(effect.prior_sigma, signals)
+    assert np.all(np.isfinite(error))
+    if "temperature" in effect.needs:
+        assert np.all(error == 0.0)
+
+
+# By hand: rate (1, 2, 3) rad/s, force (4, -5, 6) m/s^2, 35 degC; parameters 0.1, 0.2, ...;
+# body x up, y to the east, z to the north.
 RATE, FORCE = np.array([1.0, 2.0, 3.0]), np.array([4.0, -5.0, 6.0])
+X_UP = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
 BY_HAND = {
     "gyro_scale": [0.1, 0.4, 0.9, 0, 0, 0],
     "accel_scale": [0, 0, 0, 0.4, -1.0, 1.8],
@@ -209,6 +265,13 @@ BY_HAND = {
     "size_effect": [0, 0, 0, 1.4 - 1.4, 2 * 3.2 - 7.0, 3 * 5.0 - 12.6],
     "gyro_temperature": [1.0, 2.0, 3.0, 0, 0, 0],
     "accel_temperature": [0, 0, 0, 1.0, 2.0, 3.0],
+    "gravity": [0, 0, 0, 0.1, 0, 0],
+    # 0.1 to the north, 0.2 up
+    "earth_rate": [0.2, 0, 0.1, 0, 0, 0],
+    # 1e-7 of the rate, 2e-7 of the force but for gravity
+    "clock_rate": [1e-7, 2e-7, 3e-7, 2e-7 * (4.0 - 9.80665), -1e-6, 1.2e-6],
+    # seen at 2 s: long after 0.4 s
+    "gyro_bias_step": [0.1, 0.2, 0.3, 0, 0, 0],
 }  # fmt: skip
 # Of the moment, not of constant signals: f(t) = f0 + 2 t (1, 2, 3), delay 0.1 s reads 0.2 (1, 2, 3)
 # less; a low pass of 0.1 s lags a ramp by just that.
@@ -231,10 +294,60 @@ def test_units_and_signs_of_the_readings_by_hand(name):
         expected = np.zeros(6)
         expected[slice(0, 3) if which == "gyro" else slice(3, 6)] = error * np.array([1, 2, 3])
     else:
-        signals = Signals(t, still * RATE, still * FORCE, 35.0 * np.ones(n))
+        attitude = np.tile(X_UP, (n, 1, 1))
+        signals = Signals(t, still * RATE, still * FORCE, 35.0 * np.ones(n), attitude)
         got = effect.imu_error(parameters, signals)[n // 2]
         expected = BY_HAND[name]
-    np.testing.assert_allclose(got, expected, atol=1e-6)
+    np.testing.assert_allclose(got, expected, atol=1e-6 if name in RAMPS else 1e-12)
+
+
+def test_a_step_begins_at_its_moment_after_the_first_sample():
+    t = 100.0 + np.arange(400) * 0.01
+    error = catalogue()["gyro_bias_step"].imu_error(
+        np.array([0.1, 0.2, 0.3, 2.0]), Signals(t, np.zeros((400, 3)), np.zeros((400, 3)))
+    )
+    assert np.all(error[:199] == 0.0)
+    np.testing.assert_allclose(error[201:, :3], np.tile([0.1, 0.2, 0.3], (199, 1)))
+
+
+@pytest.mark.parametrize("rate", [100.0, 400.0])
+def test_size_effect_is_that_of_a_place_on_the_body(rate):
+    """Against the acceleration of the places themselves, differenced twice from a known turn."""
+    t = np.arange(0.0, 3.0, 1.0 / rate)
+    axis, w = np.array([2.0, -1.0, 2.0]) / 3.0, 5.0
+    places = np.array([[0.01, 0.02, -0.03], [0.02, -0.01, 0.01], [-0.02, 0.03, 0.02]])
+
+    def at(s):
+        return Rotation.from_rotvec(np.outer(np.sin(w * s), axis)).as_matrix()
+
+    e = 1e-4
+    second = (at(t + e) - 2 * at(t) + at(t - e)) / e**2
+    body = np.einsum("nji,njk,pk->npi", at(t), second, places)
+    gyro = np.outer(w * np.cos(w * t), axis)
+    signals = Signals(t, gyro, np.zeros_like(gyro))
+    got = catalogue()["size_effect"].imu_error(places.ravel(), signals)[:, 3:]
+    expected = np.stack([body[:, i, i] for i in range(3)], axis=1)
+    # a fourth-order difference at 0.05 rad a sample
+    np.testing.assert_allclose(got[5:-5], expected[5:-5], atol=1e-4)
+
+
+@pytest.mark.parametrize("rate", [100.0, 400.0])
+@pytest.mark.parametrize("tau", [0.003, 0.02, 0.3])
+def test_bandwidth_is_that_of_the_exact_filter_and_its_inverse(tau, rate):
+    """A low-passed sine, known in closed form, at irregular times."""
+    rng = np.random.default_rng(0)
+    t = np.sort(np.arange(0.0, 8.0, 1.0 / rate) + rng.normal(0, 1e-4, int(8 * rate)))
+    w = 2 * np.pi * 1.5
+    true = np.sin(w * t[:, None] + np.arange(3))
+    lag = np.imag(np.exp(1j * (w * t[:, None] + np.arange(3))) / (1 + 1j * w * tau))
+    still = np.zeros_like(true)
+    effect, point = catalogue()["gyro_bandwidth"], np.array([tau])
+    # what was before the start is forgotten as exp(-t / tau)
+    settled = (t > 15 * tau + 0.05) & (t < 7.9)
+    error = effect.imu_error(point, Signals(t, true, still))[:, :3]
+    np.testing.assert_allclose(error[settled], (lag - true)[settled], atol=2e-3)
+    inverse = effect.imu_inverse(point, Signals(t, lag, still))[:, :3]
+    np.testing.assert_allclose(inverse[5:-5], true[5:-5], atol=2e-3)
 
 
 # --- effects on the observations ------------------------------------------------------------------
@@ -282,6 +395,9 @@ OBSERVED_BY_HAND = {
     ("heading_hard_iron", "heading"): ([0.1, 0.2], [-0.1]),
     ("heading_soft_iron", "heading"): ([0.1, 0.2], [0.2]),
     ("heading_soft_iron", "magnetometer"): ([0.1, 0.2], [0.2]),
+    # After 40 s a clock that is 100 ppm fast is 4 ms ahead: the pose at that stamp is still
+    # to come, by 4 ms of velocity and of turning.
+    ("clock_rate", "pose"): ([100.0], [-0.004, -0.008, -0.012, 0.0, 0.0, -0.002]),
     # The reading at t is the value at t - 0.2: 0.2 * 0.5 = 0.1 rad too small while turning left.
     ("heading_delay", "heading"): ([0.2], [0.1]),
     ("heading_delay", "magnetometer"): ([0.2], [0.1]),
@@ -308,6 +424,16 @@ def test_units_and_signs_of_the_residuals_by_hand(name, kind):
 
 
 DELAYED = [(i, kind) for i, kind in OBSERVED if kind in catalogue()[i].delays]
+
+
+def test_an_iron_already_taken_off_counts_no_more():
+    """The field in z is cleaned of 7 uT along y; of 10 uT there, 3 are left."""
+    nav, z = nav_of(VELOCITY, NORTH, SPIN), READINGS["magnetometer"]
+    known = [*z, 0.0, 0.0, 7e-6, 0.0]
+    left = corrected("mag_hard_iron", "magnetometer", nav, [0, 1e-5, 0], known)
+    expected = corrected("mag_hard_iron", "magnetometer", nav, [0, 3e-6, 0], z)
+    np.testing.assert_allclose(left, expected, atol=1e-12)
+    assert np.all(corrected("mag_hard_iron", "magnetometer", nav, [0, 7e-6, 0], known) == 0.0)
 
 
 @pytest.mark.parametrize(("name", "kind"), DELAYED)
@@ -426,6 +552,21 @@ def good_heading(rng):
     )
 
 
+def with_thermometer(rng):
+    phone = good_heading(rng)
+    return replace(phone, thermometer=replace(phone.thermometer, reported=True))
+
+
+def fast_with_pose(rng):
+    return with_rate(with_pose(rng), 400.0)
+
+
+def quiet_gyro(rng):
+    """A tenth of a phone's noise, or a minute would not show the turning of the Earth."""
+    phone = good_heading(rng)
+    return replace(phone, gyro=replace(phone.gyro, noise=0.1 * phone.gyro.noise, quantum=0.0))
+
+
 TOO_LATE = pytest.mark.xfail(
     strict=True,
     reason="one rate is taken for the whole delay: 5 to 15 percent short at 0.15 s in a free hand",
@@ -445,6 +586,25 @@ TRIALS = [
     ("lever_arm", "free-hand", with_pose, "pose", 1.0),
     ("pose_delay", "free-hand", with_pose, "pose", 1.0),
     ("mag_hard_iron", "free-hand", with_magnetometer, "mag", 0.1),
+    ("mag_hard_iron", "free-hand", with_magnetometer, "mag", 1.0),
+    ("mag_hard_iron", "free-hand", with_magnetometer, "mag", 3.0),
+    ("gyro_g_sensitivity", "free-hand", good_heading, "heading", 1.0),
+    ("gyro_quadratic", "free-hand", good_heading, "heading", 1.0),
+    ("gyro_cross_products", "free-hand", good_heading, "heading", 1.0),
+    ("accel_cross_products", "free-hand", good_heading, "heading", 1.0),
+    ("accel_cross_products", "free-hand", with_pose, "pose", 1.0),
+    ("accel_asymmetry", "free-hand", good_heading, "heading", 1.0),
+    ("size_effect", "free-hand", good_heading, "heading", 1.0),
+    ("size_effect", "free-hand", with_pose, "pose", 1.0),
+    ("gyro_temperature", "free-hand", with_thermometer, "heading temperature", 1.0),
+    ("accel_temperature", "free-hand", with_thermometer, "heading temperature", 1.0),
+    ("gyro_bandwidth", "free-hand", good_heading, "heading", 0.2),
+    ("gyro_bandwidth", "free-hand", good_heading, "heading", 1.0),
+    ("gyro_bandwidth", "free-hand", fast_with_pose, "pose", 10.0),
+    ("gravity", "free-hand", good_heading, "heading", 1.0),
+    ("earth_rate", "free-hand", quiet_gyro, "heading", 1.0),
+    ("clock_rate", "free-hand", with_pose, "pose", 1.0),
+    ("clock_rate", "free-hand", with_pose, "pose", 10.0),
     ("heading_hard_iron", "free-hand", good_heading, "heading", 1.0),
     ("heading_soft_iron", "free-hand", good_heading, "heading", 1.0),
     ("heading_soft_iron", "free-hand", with_magnetometer, "mag", 1.0),
@@ -452,6 +612,7 @@ TRIALS = [
     ("heading_drift", "free-hand", with_magnetometer, "mag", 1.0),
 ]
 SEEDS = range(2)
+LONGER = {"earth_rate": 84.0}
 # id, levels, how many times too large or too small each may be found: 84 s hold some twenty
 # independent moments of noise that is remembered for 3 s, or of a walk
 NOISE_TRIALS = [
@@ -463,7 +624,7 @@ NOISE_TRIALS = [
 
 def test_every_effect_is_on_trial():
     tried = {getattr(trial, "values", trial)[0] for trial in TRIALS}
-    tried |= {name for name, *_ in NOISE_TRIALS} | set(STRAYING)
+    tried |= {name for name, *_ in NOISE_TRIALS} | set(STRAYING) | set(MOMENTARY)
     assert tried == set(IDS)
 
 
@@ -499,9 +660,11 @@ def test_what_the_simulator_injects_comes_back(name, motion, phone, stream, prio
     rng = np.random.default_rng(1000 + seed)
     size = priors * effect.prior_sigma * rng.uniform(0.7, 1.3, len(effect.parameters))
     truth = size * rng.choice([-1, 1], len(size))
-    world = simulate(motion, seed=seed, phone=phone, duration_s=32.0, effects={name: truth})
+    truth = np.where([p.positive for p in effect.parameters], np.abs(truth), truth)
+    duration = LONGER.get(name, 32.0)
+    world = simulate(motion, seed=seed, phone=phone, duration_s=duration, effects={name: truth})
     np.testing.assert_allclose(injected(world, name), truth)
-    recording = recording_of(world, stream)
+    recording = recording_of(world, *stream.split())
     found = calibrate(recording, [name], assume="fixed-point", noise=true_levels(world))
     for parameter, value in zip(effect.parameters, as_seen(world, name, truth), strict=True):
         got = found.parameter(name, parameter.name)
@@ -509,6 +672,32 @@ def test_what_the_simulator_injects_comes_back(name, motion, phone, stream, prio
         assert abs(got.value - value) < 4 * got.sigma, (parameter.name, got, value)
         assert got.sigma < parameter.prior_sigma
         assert got.observable
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_step_comes_back_from_the_best_of_its_moments(seed):
+    """About each moment in turn, as explain does; then settled about the best of them."""
+    name, rng = "gyro_bias_step", np.random.default_rng(1000 + seed)
+    truth = np.r_[0.01 * rng.choice([-1, 1], 3) * rng.uniform(0.7, 1.3, 3), rng.uniform(6, 26)]
+    world = simulate(
+        "free-hand", seed=seed, phone=good_heading, duration_s=32.0, effects={name: truth}
+    )
+    effect, recording = catalogue()[name], recording_of(world, "heading")
+    kinds, levels = ["fixed_position", "heading"], true_levels(world)
+    observed, start = observed_of(recording, kinds, np.zeros((0, 2)), local_earth(None), None)
+    problem = build(recording, [effect], observed, *local_earth(None))
+    nominal = solve(problem, start, levels).linear.trajectory
+    tried = []
+    for point in effect.moments(recording.imu.t):
+        constants = np.r_[point, nominal.constants[len(point) :]]
+        linear = linearise_about(problem, start, replace(nominal, constants=constants))
+        tried.append((batch.smoothed_mean(linear, levels)[1], len(tried), linear))
+    linear, forward, settled = batch.relinearise(max(tried)[2], levels)
+    assert settled
+    got = linear.trajectory.constants[:4] + forward.x[-1, BASE : BASE + 4]
+    sigma = np.sqrt(np.diag(forward.P[-1])[BASE : BASE + 4])
+    assert np.all(np.abs(got - truth) < 4 * sigma), (got, truth, sigma)
+    assert np.all(sigma < 0.5 * effect.prior_sigma)
 
 
 # id, phone, stream, kind, true delay, delay that is taken off

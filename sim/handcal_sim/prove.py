@@ -157,11 +157,10 @@ def write_answers(trials: Sequence[Trial], seed: int, file: Path) -> None:
 def explained(path: str) -> Mapping[str, Any]:
     """What `handcal explain --json` says of one recording."""
     import handcal
+    from handcal.explain import explain
+    from handcal.explain_summary import explanation_json
 
-    explain = import_module("handcal.explain").explain
-    as_json = import_module("handcal.explain_summary").explanation_json
-    document: Mapping[str, Any] = as_json(explain([handcal.load(path)]))
-    return document
+    return explanation_json(explain([handcal.load(path)]))
 
 
 # ---- HOOK: handcal.explain.limits.expected_gain(recording, effect_id, values) -> nats --------

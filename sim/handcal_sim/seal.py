@@ -81,7 +81,7 @@ def _small(scenario: str, duration: float, rng: np.random.Generator) -> Circumst
     return replace(
         given, scenario=scenario, duration_s=duration, rate_hz=100.0 if duration < 40 else 50.0,
         heading_hz=0.0 if mag else 10.0, heading_sigma_deg=min(given.heading_sigma_deg, 6.0),
-        sway=min(given.sway, 1.5), mag=mag, pose=pose, thermometer=thermometer,
+        sway=min(given.sway, 1.5), mag=mag, pose=pose and not mag, thermometer=thermometer,
         warming_K=float(rng.uniform(10.0, 18.0)),
     )  # fmt: skip
 

@@ -18,7 +18,7 @@ from handcal import batch, segment, so3
 from handcal import noise as noise_levels
 from handcal.earth import local_earth
 from handcal.effects import Effect, mag_hard_iron, select
-from handcal.filter import ENGINES, empty_track, initial_state
+from handcal.filter import ENGINES, State, empty_track, initial_state
 from handcal.kernel import BASE
 from handcal.linear import Linear, epochs, linearise_about, trajectory_of
 from handcal.model import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Problem, build, noise_arrays
@@ -343,6 +343,27 @@ def _level(recording: Recording, kinds: Sequence[str], scene: Scene) -> Start:
     return replace(begin, C_nb=levelled(force, yaw))
 
 
+def first_state(problem: Problem, start: Start, levels: Mapping[str, float]) -> State:
+    """The filter's state before the first node; about an iron that is already taken off.
+
+    The online pass cannot go back: it has to begin where the iron is, and to stay near.
+    """
+    state = initial_state(problem, start, dict(levels))
+    mine = [i for i, s in enumerate(problem.slots) if s.owner == mag_hard_iron.EFFECT.id]
+    seen = [k for k, o in enumerate(problem.observations) if o.kind == "magnetometer"]
+    if not mine or not seen:
+        return state
+    first = problem.nodes.z[int(np.argmax(problem.nodes.kind == seen[0]))]
+    iron = first[mag_hard_iron.TAKEN_OFF : mag_hard_iron.TAKEN_OFF + 3]
+    if not iron.any():
+        return state
+    extras, P = state.extras.copy(), state.P.copy()
+    for axis, i in enumerate(mine):
+        extras[i] = iron[axis]
+        P[BASE + i, BASE + i] = mag_hard_iron.STRAY**2
+    return replace(state, extras=extras, P=P)
+
+
 def solve(
     problem: Problem,
     start: Start,
@@ -366,7 +387,7 @@ def solve(
             progress(1.0 - math.exp(-done / 150.0))
 
     track = empty_track(problem, epochs(problem))
-    state = initial_state(problem, start, levels)
+    state = first_state(problem, start, levels)
     state = ENGINES[engine](problem, noise_arrays(problem, levels), state, track)
     nominal = trajectory_of(problem, track, state.bg, state.ba, state.extras)
     linear, forward, settled = batch.relinearise(linearise_about(problem, start, nominal), levels)

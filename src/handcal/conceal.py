@@ -208,10 +208,10 @@ def _imu(recording: Recording, values: Values, known: _Known, rng: np.random.Gen
     for i, v in acting.items():
         if i not in WORLD:
             read = _added(read, _error(i, v, truth))
-    gyro = imu.gyro + read.gyro - before.gyro
-    accel = imu.accel + read.accel - before.accel
+    gyro = imu.gyro + (read.gyro - before.gyro)
+    accel = imu.accel + (read.accel - before.accel)
     if values.get("gyro_bandwidth", np.zeros(1))[0] > 0.0:
-        gyro = gyro + _low_pass(t, truth.gyro, float(values["gyro_bandwidth"][0])) - truth.gyro
+        gyro = gyro + (_low_pass(t, truth.gyro, float(values["gyro_bandwidth"][0])) - truth.gyro)
     if "gyro_bias_walk" in values:
         gyro = gyro + _walk(t, float(values["gyro_bias_walk"][0]), rng)
     if "accel_bias_walk" in values:

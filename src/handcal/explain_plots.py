@@ -70,9 +70,14 @@ def mismatches(explanation: Explanation, recording: int, channel: str = "") -> l
     ]  # fmt: skip
 
 
+def _known(values: Array) -> Array:
+    """Nothing where a value is not a number."""
+    return np.where(np.isfinite(values), values, 0.0)
+
+
 def lost(recording: Explained) -> dict[str, float]:
     """Nats that each channel lost in all, most first; channels without a trace too."""
-    total = {c: float(np.clip(s, 0, None).sum()) for c, s in recording.shortfall.items()}
+    total = {c: float(np.clip(_known(s), 0, None).sum()) for c, s in recording.shortfall.items()}
     return dict(sorted(total.items(), key=lambda pair: -pair[1]))
 
 
@@ -89,7 +94,7 @@ def ranked_traces(explanation: Explanation, recording: int) -> list[Trace]:
     r = explanation.recordings[recording]
     loss = lost(r)
     return sorted(
-        r.traces,
+        (t for t in r.traces if t.t.size > 1),
         key=lambda t: (not mismatches(explanation, recording, t.channel), -loss.get(t.channel, 0)),
     )
 
@@ -146,7 +151,7 @@ def _cells(recording: Explained) -> tuple[Array, dict[str, Array]]:
     step = max(-(-(recording.bins.size - 1) // CELLS), 1)
     starts = np.arange(0, recording.bins.size - 1, step)
     bins = np.append(recording.bins[starts], recording.bins[-1])
-    return bins, {c: np.add.reduceat(s, starts) for c, s in recording.shortfall.items()}
+    return bins, {c: np.add.reduceat(_known(s), starts) for c, s in recording.shortfall.items()}
 
 
 def heat_plot(explanation: Explanation, recording: int) -> Plot | None:
@@ -208,8 +213,9 @@ def hypothesis_plot(explanation: Explanation) -> Plot:
                 color=INK if h.verdict else MUTED)  # fmt: skip
     ax.set_xscale("symlog", linthresh=10, linscale=0.6)
     values = [v for h in shown for v in (h.alone, h.final, h.expected) if math.isfinite(v)]
-    high, low = max(100.0, 1.6 * max(values)), min(-10.0, 1.3 * min(values))
-    decades = [10.0**d for d in range(1, 9)]
+    high, low = max(100.0, 1.6 * max(values)), max(min(-10.0, 1.3 * min(values)), -300.0)
+    step = 1 if high < 2e4 else 2
+    decades = [10.0**d for d in range(1, 12, step)]
     ticks = [-d for d in decades if -d >= low] + [0.0] + [d for d in decades if d <= high]
     ax.set_xticks(ticks, [say.number(v) if v else "0" for v in ticks])
     ax.minorticks_off()

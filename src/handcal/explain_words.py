@@ -142,6 +142,10 @@ def of_recording(index: int, explanation: Explanation) -> str:
     return f" of {names[index]}" if len(names) > 1 and 0 <= index < len(names) else ""
 
 
+def _what(explanation: Explanation) -> str:
+    return "the recording" if len(explanation.recordings) == 1 else "the recordings"
+
+
 def _present(m: Missing, explanation: Explanation) -> str:
     names = members(m, explanation)
     likely = f"(probability {percent(m.probability)})"
@@ -188,14 +192,14 @@ def _explained(e: Explanation) -> tuple[str, str, list[str]]:
     if len(e.missing) == 1:
         (m,) = e.missing
         headline = (
-            f"Something is missing: {_present(m, e)}, and adding it makes the recording "
+            f"Something is missing: {_present(m, e)}, and adding it makes {_what(e)} "
             f"{nats(gain(e))} more probable."
         )
         return "good", headline, []
     headline = (
         f"{counted_word(len(e.missing)).capitalize()} things are missing: "
         f"{listed([_present(m, e) for m in e.missing])}. "
-        f"Adding them makes the recording {nats(gain(e))} more probable."
+        f"Adding them makes {_what(e)} {nats(gain(e))} more probable."
     )
     return "good", headline, []
 
@@ -223,7 +227,7 @@ def _cannot_tell(e: Explanation) -> tuple[str, str, list[str]]:
     likely = listed([percent(m.probability) for m in open_])
     headline = f"Something is missing, but this motion cannot tell which: {listed(sets, 'and')}."
     sentences = [
-        f"One of them is present with probability {likely}; adding it makes the recording "
+        f"One of them is present with probability {likely}; adding it makes {_what(e)} "
         f"{nats(sum(m.log_evidence_gain for m in open_))} more probable, whichever it is."
     ]
     if clear:

@@ -10,10 +10,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from handcal import so3
-from handcal.calibration import problem_of
+from handcal.calibration import first_state, problem_of
 from handcal.earth import local_earth
 from handcal.effects import select
-from handcal.filter import ENGINES, State, Track, empty_track, initial_state
+from handcal.filter import ENGINES, State, Track, empty_track
 from handcal.frames import Frame, Observed
 from handcal.kernel import BASE, MAX_DIM, corrected, fill_nav, linearise
 from handcal.model import Problem, noise_arrays
@@ -46,7 +46,7 @@ def live_frames(
     levels = {n.name: n.value for n in result.noise}
     noise, run = noise_arrays(problem, levels), ENGINES[engine]
     track = empty_track(problem, np.zeros(0, dtype=np.int64))
-    state = initial_state(problem, start, levels)
+    state = first_state(problem, start, levels)
     tick = np.floor((problem.nodes.t - problem.nodes.t[0]) * rate_hz + 1e-9)
     for node in np.flatnonzero(np.diff(tick, prepend=-1.0) > 0):
         first = problem.nodes.first[state.node + 1]

@@ -16,7 +16,7 @@ import numpy as np
 from handcal.effects import DELAY, TIME, Z_DIM, Effect, Signals, imu_jacobian
 from handcal.kernel import BASE, MAX_DIM, Nodes, Noise, Tables
 from handcal.observations import Observation, Rows
-from handcal.types import Array, Level, Markov, Recording
+from handcal.types import Array, BoolArray, Level, Markov, Recording
 
 GYRO_BIAS_PRIOR = np.radians(1.0)
 ACCEL_BIAS_PRIOR = 0.6
@@ -282,8 +282,7 @@ def relinearised(
     T = None if temperature is None else np.interp(imu.t, temperature.t, temperature.value[:, 0])
     raw = np.hstack([imu.gyro - bg, imu.accel - ba])
     acting = [e for e in problem.effects if e.imu_error is not None]
-    errors = _substituted(acting, ref, Signals(imu.t, raw[:, :3], raw[:, 3:], T, C_nb))
-    error = sum(errors, np.zeros_like(raw))
+    error = _substituted(acting, ref, Signals(imu.t, raw[:, :3], raw[:, 3:], T, C_nb))
     truth = raw - error if noise is None else raw - error - noise
     clean = np.hstack([imu.gyro, imu.accel]) - error
     at = [np.interp(nodes.t, imu.t, clean[:, k]) for k in range(6)]
@@ -300,43 +299,65 @@ def relinearised(
         )
         i += len(e.parameters)
     if noise is not None:
-        moving, resting = (_averaged(J, max(1, round(s * recording.rate_hz))) for s in AVERAGE_S)
         quiet = np.interp(imu.t, nodes.t, problem.rate) < QUIET_RATE
-        J = np.where(quiet[:, None, None], resting, moving)
+        acted = J.any(axis=0)
+        for k in range(6):
+            own = np.flatnonzero(acted[k])
+            J[:, k, own] = _calmed(J[:, k, own], recording.rate_hz, quiet)
     right = np.clip(np.searchsorted(imu.t, nodes.t), 1, len(imu.t) - 1)
     share = ((nodes.t - imu.t[right - 1]) / (imu.t[right] - imu.t[right - 1]))[:, None, None]
     J_nodes = J[right - 1] * (1.0 - share) + J[right] * share
     return replace(problem, ref=ref, nodes=nodes._replace(J=J_nodes))
 
 
+def _calmed(J: Array, rate: float, quiet: BoolArray) -> Array:
+    """J (n, k) averaged over a short time, and over a longer one where the device rests."""
+    moving, resting = (max(1, round(s * rate)) for s in AVERAGE_S)
+    out = _averaged(J, moving)
+    if quiet.any():
+        out[quiet] = _averaged(J, resting)[quiet]
+    return out
+
+
 def _averaged(J: Array, width: int) -> Array:
-    """Moving mean of J (n, 6, k) over ``width`` samples.
+    """Moving mean of J (n, k) over ``width`` samples.
 
     The same sample's noise is in J and in what J shall explain; correlated like that, it
     would count as information on the parameters (a device at rest would learn its scale
     errors). What an effect adds is still computed from the readings as they are.
     """
-    padded = np.pad(J, ((width // 2, width - 1 - width // 2), (0, 0), (0, 0)), mode="edge")
-    total = np.cumsum(np.concatenate([np.zeros((1, *J.shape[1:])), padded]), axis=0)
+    first, last = np.repeat(J[:1], width // 2, axis=0), np.repeat(
+        J[-1:], width - 1 - width // 2, axis=0
+    )
+    padded = np.concatenate([np.zeros((1, J.shape[1])), first, J, last])
+    total = np.cumsum(padded, axis=0, out=padded)
     return np.asarray((total[width:] - total[:-width]) / width)
 
 
-def _substituted(acting: Sequence[Effect], ref: Array, readings: Signals) -> list[Array]:
-    """What each effect adds to these readings, each (n, 6), by rounds of substitution."""
+def _substituted(acting: Sequence[Effect], ref: Array, readings: Signals) -> Array:
+    """What all effects add to these readings, (n, 6), by rounds of substitution.
+
+    Effects whose parameters are zero add nothing and are left out.
+    """
     raw = np.hstack([readings.gyro, readings.accel])
-    errors = [np.zeros_like(raw) for _ in acting]
-    for _ in range(3):
-        i = 0
-        for k, e in enumerate(acting):
-            at = ref[i : i + len(e.parameters)]
-            i += len(e.parameters)
-            own = raw - sum(errors, np.zeros_like(raw))
+    present, i = [], 0
+    for e in acting:
+        at = ref[i : i + len(e.parameters)]
+        i += len(e.parameters)
+        if at.any():
+            present.append((e, at))
+    errors = [np.zeros_like(raw) for _ in present]
+    total = np.zeros_like(raw)
+    for _ in range(3 if present else 0):
+        for k, (e, at) in enumerate(present):
+            own, old = raw - total, errors[k]
             if e.imu_inverse is not None:
-                own = own + errors[k]
+                own = own + old
                 errors[k] = own - e.imu_inverse(at, _seen(readings, own))
             elif e.imu_error is not None:
                 errors[k] = e.imu_error(at, _seen(readings, own))
-    return errors
+            total += errors[k] - old
+    return total
 
 
 def _seen(readings: Signals, own: Array) -> Signals:

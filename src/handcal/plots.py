@@ -28,6 +28,7 @@ from handcal.types import Array, Innovations, Result
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+
 def _turning(result: Result) -> Plot:
     h = result.history
     k = thin(h.t.size)

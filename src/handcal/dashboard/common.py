@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import rerun as rr
@@ -22,12 +22,12 @@ GREY = (140, 146, 156)
 def plot(
     span: tuple[float, float] | None, origin: str, name: str, legend: bool = True,
     limits: tuple[float, float] | None = None, only: Sequence[str] = (),
-    corner: str = "RightTop",
+    corner: Literal["RightTop", "LeftTop"] = "RightTop",
 ) -> Any:  # fmt: skip
     """One time series; without a legend, which would list every band, the title says it.
 
-    span: of the time shown, s; limits: of the values; only: some of what is below the origin; corner: of
-    the legend.
+    span: of the time shown, s; limits: of the values; only: some of what is below the
+    origin; corner: of the legend.
     """
     axis = None
     if span:

@@ -24,8 +24,9 @@ def guess(recording: Recording) -> Array:
     """A first value (3,), tesla: the centre of the sphere on which the readings lie.
 
     Near its prior the effect is far from linear about zero (the iron is stronger than the
-    Earth's field), so this is taken off the readings and only the rest is filtered. Where the motion shows only part of the sphere,
-    the prior decides. Linear least squares in the centre c: |m|^2 = 2 m.c + (R^2 - |c|^2).
+    Earth's field), so this is taken off the readings and only the rest is filtered. Where the
+    motion shows only part of the sphere, the prior decides. Linear least squares in the centre
+    c: |m|^2 = 2 m.c + (R^2 - |c|^2).
 
     Raises InputError without a magnetometer.
     """

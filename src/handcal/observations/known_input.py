@@ -103,19 +103,18 @@ def _at(t: Array, sound: Array, wanted: Array) -> BoolArray:
 
 
 def _axes(own: Array, known: Array) -> Array:
-    """Rotation (3, 3) of the reference's axes into the IMU's, from readings (k, 6) of both."""
-    turns, size = [], []
-    for x in (own, known):
-        turn = x[:, :3] - x[:, :3].mean(0)
-        size.append((turn**2).mean())
-        turns.append(turn)
-    # a turn weighs as much as a force: in units of its own size, if it is more than noise
-    weight = (own[:, 3:] ** 2).mean() / max(size[0], size[1], LEAST_TURN**2)
-    a = np.vstack([np.sqrt(weight) * turns[1], known[:, 3:]])
-    b = np.vstack([np.sqrt(weight) * turns[0], own[:, 3:]])
-    B = b.T @ a
+    """Rotation (3, 3) of the reference's axes into the IMU's, from readings (k, 6) of both.
+
+    Changes alone count, which biases leave alone, and turns more than forces, which differ
+    by the swing of a lever arm.
+    """
+    own, known = own - own.mean(axis=0), known - known.mean(axis=0)
+    turn = max((own[:, :3] ** 2).mean(), (known[:, :3] ** 2).mean(), LEAST_TURN**2)
+    weight = np.repeat([1.0, 0.1 * math.sqrt(turn / max((own[:, 3:] ** 2).mean(), 1.0))], 3)
+    a, b = known * weight, own * weight
+    B = b[:, :3].T @ a[:, :3] + b[:, 3:].T @ a[:, 3:]
     # what nothing shows stays as it is: the smallest rotation
-    U, _, Vt = np.linalg.svd(B + 1e-6 * np.trace(a.T @ a) * np.eye(3))
+    U, _, Vt = np.linalg.svd(B + 1e-6 * turn * len(a) * np.eye(3))
     return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt)
 
 
