@@ -44,9 +44,10 @@ ON_IMU = {
     "gravity": ([0.05], 0.05),
     "earth_rate": ([1e-3, -5e-4], 0.06),
 }
+# (what a heading's constant offset does to sin and cos of twice the yaw nobody can know)
 ON_HEADING = {
     "heading_hard_iron": ([0.2, -0.1], 0.05),
-    "heading_soft_iron": ([0.1, -0.15], 0.05),
+    "heading_soft_iron": ([0.1, -0.15], 0.15),
     "heading_drift": ([0.005], 0.01),
 }
 # What a bias makes of a scale error or a misalignment is a bias: not counted.
@@ -116,6 +117,8 @@ def test_readings_change_as_in_the_simulator(plain, effect):
         (found.accel, plain.imu.accel, wanted.accel),
     ):
         change, right = new - old, simulated - old
+        if effect == "earth_rate" and old is plain.imu.accel:
+            right = np.zeros_like(right)  # Coriolis: micrometres per second squared
         if effect in UP_TO_A_BIAS:
             change, right = change - change.mean(axis=0), right - right.mean(axis=0)
         if rms(right) > 1e-9:
@@ -207,7 +210,7 @@ def assert_found(recording, effects, also=(), within=4.0):
 
 def ordinary(**more):
     phone = dataclasses.replace(consumer_phone(np.random.default_rng(1)), **more)
-    return simulate("free-hand", seed=4, phone=phone)
+    return simulate("free-hand", seed=4, duration_s=40.0, phone=phone)
 
 
 def test_found_again_beside_a_heading():
@@ -217,7 +220,9 @@ def test_found_again_beside_a_heading():
         "gyro_bandwidth": [0.02],
         "heading_hard_iron": [0.2, -0.1],
     }
-    assert_found(recording_of(ordinary(), "heading"), effects)
+    recording = recording_of(ordinary(), "heading")
+    seldom = {n: Series(s.t[::5], s.value[::5]) for n, s in recording.streams.items()}
+    assert_found(dataclasses.replace(recording, streams=seldom), effects)
 
 
 def test_found_again_beside_a_pose():

@@ -178,7 +178,9 @@ def test_jacobian_of_the_readings(name, at):
             expected = (8 * (f(1) - f(-1)) - (f(2) - f(-2))) / (12 * e[i])
             size = np.abs(expected).max()
             assert size > 0
-            np.testing.assert_allclose(got[:, :, i], expected, rtol=0, atol=1e-5 * size)
+            # at the ends the low pass has no slope before or after: it has a kink at zero
+            inner = slice(5, -5) if name == "gyro_bandwidth" else slice(None)
+            np.testing.assert_allclose(got[inner, :, i], expected[inner], rtol=0, atol=1e-5 * size)
 
 
 @pytest.mark.parametrize("name", MOMENTARY)
@@ -347,7 +349,8 @@ def test_bandwidth_is_that_of_the_exact_filter_and_its_inverse(tau, rate):
     error = effect.imu_error(point, Signals(t, true, still))[:, :3]
     np.testing.assert_allclose(error[settled], (lag - true)[settled], atol=2e-3)
     inverse = effect.imu_inverse(point, Signals(t, lag, still))[:, :3]
-    np.testing.assert_allclose(inverse[5:-5], true[5:-5], atol=2e-3)
+    # to first order in how irregular the times are
+    np.testing.assert_allclose(inverse[5:-5], true[5:-5], atol=1e-3 + 0.02 * tau)
 
 
 # --- effects on the observations ------------------------------------------------------------------
@@ -692,7 +695,12 @@ def test_a_step_comes_back_from_the_best_of_its_moments(seed):
         constants = np.r_[point, nominal.constants[len(point) :]]
         linear = linearise_about(problem, start, replace(nominal, constants=constants))
         tried.append((batch.smoothed_mean(linear, levels)[1], len(tried), linear))
-    linear, forward, settled = batch.relinearise(max(tried)[2], levels)
+    # As long as there is no step nothing tells its moment, which would fall back to its prior:
+    # first the step, the moment held.
+    best = max(tried)[2]
+    there = batch.moved(best, batch.smoothed_mean(best, levels)[0])
+    there.constants[3] = best.trajectory.constants[3]
+    linear, forward, settled = batch.relinearise(linearise_about(problem, start, there), levels)
     assert settled
     got = linear.trajectory.constants[:4] + forward.x[-1, BASE : BASE + 4]
     sigma = np.sqrt(np.diag(forward.P[-1])[BASE : BASE + 4])

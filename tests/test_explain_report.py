@@ -14,7 +14,15 @@ from fake_explanation import CASES, fake_explanation
 from rerun.chunk import RrdReader
 from rich.console import Console
 
-from handcal import dashboard, drawing, explain_plots, explain_summary, explain_words, summary
+from handcal import (
+    dashboard,
+    drawing,
+    explain_frames,
+    explain_plots,
+    explain_summary,
+    explain_words,
+    summary,
+)
 from handcal.explain.explanation import VERDICTS, Unnamed
 from handcal.explain_report import render_explanation, write_explanation_report
 from handcal.types import HandcalError
@@ -274,8 +282,8 @@ def test_many_bins_are_added_up_and_none_is_lost():
     r = e.recordings[0]
     many = np.linspace(0, 84, 1001)
     spread = {c: np.linspace(0, 1, 1000) for c in r.shortfall}
-    bins, cells = explain_plots._cells(replace(r, bins=many, shortfall=spread))
-    assert bins.size - 1 <= explain_plots.CELLS
+    bins, cells = explain_frames.cells(replace(r, bins=many, shortfall=spread))
+    assert bins.size - 1 <= explain_frames.CELLS
     assert bins[-1] == many[-1]
     assert cells["heading"].size == bins.size - 1
     assert cells["heading"].sum() == pytest.approx(500.0)
@@ -302,7 +310,7 @@ def test_a_saved_explanation_reads_back(explanation, tmp_path):
         for t in r.traces:
             assert found[f"{home}/simulated/{t.channel}"] == t.t.size
             assert found[f"{home}/difference/{t.channel}/model"] == t.t.size
-            where = explain_plots.mismatches(explanation, i, t.channel)
+            where = explain_frames.mismatches(explanation, i, t.channel)
             assert found.get(f"{home}/difference/{t.channel}/amiss", 0) == 3 * len(where)
         for channel in r.shortfall:
             assert found[f"{home}/shortfall/{channel}"] == r.bins.size

@@ -33,7 +33,16 @@ from handcal.drawing import (
     svg,
     thin,
 )
-from handcal.explain.explanation import Explained, Explanation, Hypothesis, Mismatch, Trace
+from handcal.explain.explanation import Explanation, Trace
+from handcal.explain_frames import (
+    by_gain,
+    cells,
+    found_effects,
+    lost,
+    mismatches,
+    missed,
+    ranked_traces,
+)
 from handcal.types import Array
 
 if TYPE_CHECKING:
@@ -45,58 +54,11 @@ DASHES = ("-", (0, (5, 2)), (0, (1.5, 1.5)))
 OTHERS = ("-", (0, (5, 2)), (0, (1.5, 1.5)), (0, (6, 2, 1.5, 2)))
 BARS = 16  # hypotheses in one figure
 CURVES = 6
-CELLS = 120  # time bins of a heat strip
 
 
 def effect_styles(explanation: Explanation) -> dict[str, tuple[str, Any]]:
-    """Colour and dashes of each effect that was found, most evidence first."""
-    found = [h.effect for h in by_gain(explanation) if h.verdict]
-    return {e: (FOUND[i % 3], DASHES[i // 3 % 3]) for i, e in enumerate(found)}
-
-
-def by_gain(explanation: Explanation) -> list[Hypothesis]:
-    """Those found by what they gain in the end, then the others by what they gain alone."""
-    return sorted(
-        explanation.hypotheses,
-        key=lambda h: (not h.verdict, -h.final if h.verdict else -h.alone),
-    )
-
-
-def mismatches(explanation: Explanation, recording: int, channel: str = "") -> list[Mismatch]:
-    """Those of one recording, and of one channel if it is named."""
-    return [
-        m for m in explanation.mismatch
-        if m.recording == recording and channel in ("", m.channel)
-    ]  # fmt: skip
-
-
-def _known(values: Array) -> Array:
-    """Nothing where a value is not a number."""
-    return np.where(np.isfinite(values), values, 0.0)
-
-
-def lost(recording: Explained) -> dict[str, float]:
-    """Nats that each channel lost in all, most first; channels without a trace too."""
-    total = {c: float(np.clip(_known(s), 0, None).sum()) for c, s in recording.shortfall.items()}
-    return dict(sorted(total.items(), key=lambda pair: -pair[1]))
-
-
-def missed(trace: Trace, model: Array) -> Array:
-    """Recorded minus simulated (k,), angles within half a turn."""
-    difference = trace.recorded - model
-    if trace.unit == "rad":
-        difference = np.angle(np.exp(1j * difference))
-    return np.asarray(difference)
-
-
-def ranked_traces(explanation: Explanation, recording: int) -> list[Trace]:
-    """A recording's traces: those with a mismatch first, then by what they lost."""
-    r = explanation.recordings[recording]
-    loss = lost(r)
-    return sorted(
-        (t for t in r.traces if t.t.size > 1),
-        key=lambda t: (not mismatches(explanation, recording, t.channel), -loss.get(t.channel, 0)),
-    )
+    """Colour and dashes of each effect that was found."""
+    return {e: (FOUND[i % 3], DASHES[i // 3 % 3]) for i, e in enumerate(found_effects(explanation))}
 
 
 def trace_plot(explanation: Explanation, recording: int, trace: Trace, wide: bool = False) -> Plot:
@@ -146,14 +108,6 @@ def trace_plot(explanation: Explanation, recording: int, trace: Trace, wide: boo
     return Plot(title[:1].upper() + title[1:], caption, svg(figure, name))
 
 
-def _cells(recording: Explained) -> tuple[Array, dict[str, Array]]:
-    """Bins and shortfall, neighbours added up until there are not too many."""
-    step = max(-(-(recording.bins.size - 1) // CELLS), 1)
-    starts = np.arange(0, recording.bins.size - 1, step)
-    bins = np.append(recording.bins[starts], recording.bins[-1])
-    return bins, {c: np.add.reduceat(_known(s), starts) for c, s in recording.shortfall.items()}
-
-
 def heat_plot(explanation: Explanation, recording: int) -> Plot | None:
     """Shortfall by channel and time; None where there is no bin."""
     from matplotlib.patches import Patch, Rectangle
@@ -161,10 +115,10 @@ def heat_plot(explanation: Explanation, recording: int) -> Plot | None:
     r = explanation.recordings[recording]
     if r.bins.size < 2 or not r.shortfall:
         return None
-    bins, cells = _cells(r)
+    bins, loss = cells(r)
     rows = say.channels(dict.fromkeys(r.shortfall, 0.0))
     largest = max(10.0, *(float(c.max()) for e in explanation.recordings
-                          if e.bins.size > 1 for c in _cells(e)[1].values()))  # fmt: skip
+                          if e.bins.size > 1 for c in cells(e)[1].values()))  # fmt: skip
     total = sum(lost(e)[c] for e in explanation.recordings for c in lost(e)) or 1.0
 
     def strength(nats: Array | float) -> Any:
@@ -172,7 +126,7 @@ def heat_plot(explanation: Explanation, recording: int) -> Plot | None:
 
     figure, (ax,) = canvas(1, 1.25 + 0.27 * len(rows), WIDE)
     for row, channel in enumerate(rows):
-        for start, end, nats in zip(bins[:-1], bins[1:], cells[channel], strict=True):
+        for start, end, nats in zip(bins[:-1], bins[1:], loss[channel], strict=True):
             if (alpha := float(strength(nats))) > 0.03:
                 ax.add_patch(Rectangle((start, row - 0.42), end - start, 0.84, color=BEFORE,
                                        alpha=round(alpha, 2), linewidth=0))  # fmt: skip

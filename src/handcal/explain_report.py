@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import handcal
-from handcal import explain_plots, explain_summary, report, summary, words
+from handcal import explain_frames, explain_plots, explain_summary, report, summary, words
 from handcal import explain_words as say
 from handcal.drawing import PALETTE
 from handcal.explain.explanation import Explanation, Hypothesis, Missing
@@ -45,7 +45,7 @@ def _context(e: Explanation) -> dict[str, Any]:
             for u in e.unnamed
         ],
         "plots": explain_plots.draw(e),
-        "hypotheses": [_hypothesis(h) for h in explain_plots.by_gain(e)],
+        "hypotheses": [_hypothesis(h) for h in explain_frames.by_gain(e)],
         "residuals": _residuals(e, held_out=False),
         "log": _scores(e.before.log_evidence, e.after.log_evidence),
         "held_out": _held_out(e),

@@ -177,9 +177,8 @@ def _nothing(e: Explanation) -> tuple[str, str, list[str]]:
         best = max(e.hypotheses, key=lambda h: h.alone)
         tried = words.counted(len(e.hypotheses), "effect")
         change = f"gains {nats(best.alone)}" if best.alone > 0 else f"loses {nats(-best.alone)}"
-        sentences.append(
-            f"Of {tried} tried, the best, {the(best.title)}, {change}: no more than chance gives."
-        )
+        enough = "no more than chance gives" if best.alone < SEEN else "too little to be sure"
+        sentences.append(f"Of {tried} tried, the best, {the(best.title)}, {change}: {enough}.")
         if hidden := unseen(e):
             sentences.append(
                 f"That is not proof of absence: {words.counted(len(hidden), 'effect')} would "

@@ -11,7 +11,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from handcal import explain_plots, explain_summary, words
+from handcal import explain_frames, explain_summary, words
 from handcal import explain_words as say
 from handcal.dashboard.common import GREY, TIMELINE, XYZ, columns, lines, plot, save
 from handcal.explain.explanation import Explained, Explanation, Hypothesis, Trace
@@ -33,14 +33,14 @@ def _span(r: Explained) -> tuple[float, float]:
 
 def _ranked(e: Explanation) -> list[Hypothesis]:
     """Those worth a bar: found, or with some evidence; three at the least."""
-    ranked = explain_plots.by_gain(e)
+    ranked = explain_frames.by_gain(e)
     return [h for n, h in enumerate(ranked) if n < 3 or h.verdict or h.alone >= 1.0][:BARS]
 
 
 def _colours(e: Explanation) -> dict[str, tuple[int, int, int]]:
     """Bright for each effect that was found, muted for the others."""
-    found = list(explain_plots.effect_styles(e))
-    others = [h.effect for h in explain_plots.by_gain(e) if not h.verdict]
+    found = explain_frames.found_effects(e)
+    others = [h.effect for h in explain_frames.by_gain(e) if not h.verdict]
     bright = {effect: FOUND[i % 3] for i, effect in enumerate(found)}
     return bright | {effect: OTHERS[i % 6] for i, effect in enumerate(others)}
 
@@ -51,7 +51,7 @@ def _unit(trace: Trace) -> words.Shown:
 
 def _limit(trace: Trace) -> float:
     """Half the height of the plot of differences, in the shown unit."""
-    both = np.abs([explain_plots.missed(trace, m) for m in (trace.before, trace.after)])
+    both = np.abs([explain_frames.missed(trace, m) for m in (trace.before, trace.after)])
     return _unit(trace).factor * 1.25 * max(float(np.quantile(both, 0.998)), 1.5 * trace.sigma)
 
 
@@ -67,7 +67,7 @@ def explanation_blueprint(explanation: Explanation) -> rrb.Blueprint:
     pages = []
     for i, r in enumerate(e.recordings):
         home, span = f"/recording_{i + 1}", _span(r)
-        traces = explain_plots.ranked_traces(e, i)
+        traces = explain_frames.ranked_traces(e, i)
         views = [_channel(home, span, t) for t in traces]
         shown: list[Any] = [v for pair in views[:2] for v in pair]
         if len(views) > 2:
@@ -82,7 +82,7 @@ def explanation_blueprint(explanation: Explanation) -> rrb.Blueprint:
                 span,
                 f"{home}/shortfall",
                 "Nats lost by the plain model: worst channels",
-                only=list(explain_plots.lost(r))[:5],
+                only=list(explain_frames.lost(r))[:5],
             ),
             plot(
                 span,
@@ -124,14 +124,14 @@ def log_explanation(rec: rr.RecordingStream, explanation: Explanation) -> None:
     text = rr.TextDocument(explain_summary.explanation_markdown(e), media_type="text/markdown")
     rec.log("/verdict", text, static=True)
     _log_hypotheses(rec, e)
-    colours, found = _colours(e), explain_plots.effect_styles(e)
+    colours, found = _colours(e), explain_frames.found_effects(e)
     for i, r in enumerate(e.recordings):
         home = f"/recording_{i + 1}"
         for trace in r.traces:
             _log_trace(rec, home, trace, [
-                (m.from_s, m.to_s) for m in explain_plots.mismatches(e, i, trace.channel)
+                (m.from_s, m.to_s) for m in explain_frames.mismatches(e, i, trace.channel)
             ])  # fmt: skip
-        loss = explain_plots.lost(r)
+        loss = explain_frames.lost(r)
         for n, channel in enumerate(loss):
             name, colour = say.channel_title(channel), CHANNELS[n % len(CHANNELS)]
             style = lines([name], [colour], 2.0 if n < 3 else 1.0, interpolation_mode="StepAfter")
@@ -164,7 +164,7 @@ def _log_trace(
 ) -> None:
     """Angles go on past half a turn instead of jumping."""
     factor, entity = _unit(trace).factor, f"{home}/simulated/{trace.channel}"
-    differences = [explain_plots.missed(trace, m) for m in (trace.before, trace.after)]
+    differences = [explain_frames.missed(trace, m) for m in (trace.before, trace.after)]
     recorded = np.unwrap(trace.recorded) if trace.unit == "rad" else trace.recorded
     value = np.column_stack([recorded, *(recorded - d for d in differences)])
     style = rr.SeriesLines(names=NAMES, colors=[RECORDED, BEFORE, AFTER], widths=[4.0, 1.5, 1.5])
