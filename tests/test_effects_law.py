@@ -34,6 +34,7 @@ from handcal_sim.phone import (
     capture_pose,
     consumer_magnetometer,
     consumer_phone,
+    trusted_reference,
     with_rate,
 )
 
@@ -370,7 +371,7 @@ def nav_of(v, C, w):
     return np.concatenate([np.zeros(3), v, np.ravel(C), w, [0, 0, 9.8]]).astype(float)
 
 
-READINGS = {"magnetometer": [1e-5, 2e-5, -4e-5]}
+READINGS = {"magnetometer": [1e-5, 2e-5, -4e-5], "known_input": [0, 0, 0, 0, 0, 0, 3, -1, 2]}
 
 
 @pytest.mark.parametrize(("name", "kind"), OBSERVED)
@@ -408,6 +409,11 @@ OBSERVED_BY_HAND = {
     # place is that of the IMU less this arm.
     ("lever_arm", "fixed_position"): ([0.1, 0.2, 0.3], [-0.2, 0.1, 0.3]),
     ("lever_arm", "pose"): ([0.1, 0.2, 0.3], [-0.2, 0.1, 0.3, 0, 0, 0]),
+    # What the reference lacks: 0.5 z x (0.5 z x r) = -0.25 (0.1, 0.2, 0), and (3, -1, 2) x r.
+    ("lever_arm", "known_input"): (
+        [0.1, 0.2, 0.3],
+        [0, 0, 0, -0.7 - 0.025, -0.7 - 0.05, 0.7],
+    ),
     # its velocity is 0.5 z x (-0.2, 0.1) = (-0.05, -0.1) more than that of the point
     ("lever_arm", "zero_velocity"): ([0.1, 0.2, 0.3], [-0.05, -0.1, 0.0]),
     # The reading points to (-2, 1) east and north; without the iron along y it is (-1, 1).
@@ -546,6 +552,10 @@ def with_magnetometer(rng):
     return replace(consumer_phone(rng), heading=None, mag=consumer_magnetometer(rng))
 
 
+def with_reference(rng):
+    return replace(consumer_phone(rng), heading=None, reference=trusted_reference(rng))
+
+
 def good_heading(rng):
     """A heading of half a degree (a camera's), so that a short recording tells enough."""
     phone = consumer_phone(rng)
@@ -587,6 +597,8 @@ TRIALS = [
     ("heading_delay", "free-hand", with_magnetometer, "mag", 0.15),
     ("lever_arm", "free-hand", good_heading, "heading", 1.0),
     ("lever_arm", "free-hand", with_pose, "pose", 1.0),
+    ("lever_arm", "free-hand", with_reference, "reference", 1.0),
+    ("gyro_misalignment", "free-hand", with_reference, "reference", 1.0),
     ("pose_delay", "free-hand", with_pose, "pose", 1.0),
     ("mag_hard_iron", "free-hand", with_magnetometer, "mag", 0.1),
     ("mag_hard_iron", "free-hand", with_magnetometer, "mag", 1.0),

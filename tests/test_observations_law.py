@@ -1,6 +1,7 @@
 """Laws that every observation obeys, by itself and with every effect that touches it."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,10 +10,12 @@ from scipy.spatial.transform import Rotation
 
 from handcal import so3
 from handcal._jit import call_residual
+from handcal.effects import Z_DIM
 from handcal.effects import catalogue as effects
 from handcal.kernel import BASE, MAX_DIM, Tables, linearise
 from handcal.observations import NAV, Scene, catalogue
 from handcal.so3 import wrap
+from handcal.types import Imu, Recording, Series
 
 SCENE = Scene(np.zeros((0, 2)), True)
 KINDS = sorted(catalogue())
@@ -45,9 +48,11 @@ def random_case(kind, seed):
         z = np.r_[C.T @ (48e-6 * np.array([0.0, 0.5, -0.8])), -0.8 / 0.5]
     elif kind == "pose":
         z = np.r_[p + rng.normal(0, 0.1, 3), so3.quaternion_of(turn @ C)]
+    elif kind == "known_input":
+        z = np.r_[w + rng.normal(0, 0.1, 3), f + rng.normal(0, 0.1, 3), rng.normal(0, 5, 3)]
     else:
         z = rng.normal(0, 0.1, 3)
-    out = np.zeros(8)
+    out = np.zeros(Z_DIM)
     out[: len(z)] = z
     return nav_of(p, v, C, w, f), out
 
@@ -159,6 +164,8 @@ def test_a_perfect_reading_leaves_no_residual(kind):
             z[:3] = C.T @ [0.0, 2e-5, -4e-5]
         elif kind == "pose":
             z[:7] = np.r_[nav[:3], so3.quaternion_of(C)]
+        elif kind == "known_input":
+            z[:6] = nav[15:21]
         else:
             first = {"fixed_position": 0, "zero_velocity": 3, "zero_rate": 15}[kind]
             z[:3] = nav[first : first + 3]
@@ -179,11 +186,16 @@ def test_residuals_are_observed_minus_predicted():
             [1.1, 2.0, 2.9, math.cos(0.05), 0.0, 0.0, math.sin(0.05)],
             [0.1, 0.0, -0.1, 0.0, 0.0, 0.1],
         ),
+        # an angular acceleration says nothing without a lever arm
+        "known_input": (
+            [0.5, 0.5, 0.4, 1.0, -1.0, 9.9, 7.0, 8.0, 9.0],
+            [0.1, 0.0, -0.2, 1.0, -1.0, 0.1],
+        ),
     }
     assert set(by_hand) == set(KINDS)
     for kind, (reading, expected) in by_hand.items():
         o, tables, count = setup(kind)
-        z = np.zeros(8)
+        z = np.zeros(Z_DIM)
         z[: len(reading)] = reading
         got = residual(o, tables, nav, np.zeros(count), z)
         np.testing.assert_allclose(got, expected, atol=1e-12, err_msg=kind)
@@ -197,7 +209,7 @@ def test_headings_wrap_at_half_a_turn(kind, yaw, off):
     o, tables, count = setup(kind)
     C = Rotation.from_euler("ZYX", [yaw, 0.3, -0.4]).as_matrix()
     nav = nav_of([0, 0, 0], [0, 0, 0], C, [0, 0, 0], [0, 0, 9.8])
-    z = np.zeros(8)
+    z = np.zeros(Z_DIM)
     if kind == "heading":
         z[0] = float(wrap(np.array(yaw + off)))
     else:
@@ -218,7 +230,7 @@ def test_headings_are_skipped_within_15_degrees_of_body_x_vertical(from_vertical
         C = tilted(np.random.default_rng(seed), from_vertical_deg)
         nav = nav_of([0, 0, 0], [0, 0, 0], C, [0, 0, 0], [0, 0, 9.8])
         r, H = np.zeros(MAX_DIM), np.zeros((MAX_DIM, BASE))
-        z = np.zeros(8)
+        z = np.zeros(Z_DIM)
         skipped = linearise(0, tables, nav, np.zeros(1), z, np.zeros((6, 0)), r, H)
         assert skipped == (from_vertical_deg < 15.0)
         if skipped:
@@ -232,7 +244,7 @@ def test_a_steep_field_holds_no_heading(dip_deg, skipped):
         C = Rotation.random(random_state=seed).as_matrix()
         nav = nav_of([0, 0, 0], [0, 0, 0], C, [0, 0, 0], [0, 0, 9.8])
         dip = math.radians(dip_deg)
-        z = np.zeros(8)
+        z = np.zeros(Z_DIM)
         z[:3] = C.T @ (5e-5 * np.array([0.0, math.cos(dip), -math.sin(dip)]))
         r, H = np.zeros(MAX_DIM), np.zeros((MAX_DIM, BASE + count))
         assert linearise(0, tables, nav, np.zeros(count), z, np.zeros((6, 0)), r, H) == skipped
@@ -243,7 +255,7 @@ def test_magnetic_heading_works_where_body_x_is_vertical():
     o, tables, count = setup("magnetometer")
     C = tilted(np.random.default_rng(0), 0.5)
     nav = nav_of([0, 0, 0], [0, 0, 0], C, [0, 0, 0], [0, 0, 9.8])
-    z = np.zeros(8)
+    z = np.zeros(Z_DIM)
     z[:3] = (so3.matrix_exp(np.array([0, 0, 0.1])) @ C).T @ [0.0, 2e-5, -4e-5]
     np.testing.assert_allclose(residual(o, tables, nav, np.zeros(count), z), [0.1], atol=1e-12)
 
@@ -253,7 +265,7 @@ def test_pose_constants_turn_world_and_marker():
     o, tables, count = setup("pose")
     C = Rotation.from_euler("ZYX", [1.0, 0.4, -0.7]).as_matrix()
     nav = nav_of([1.0, 2.0, 3.0], [0, 0, 0], C, [0, 0, 0], [0, 0, 9.8])
-    z = np.zeros(8)
+    z = np.zeros(Z_DIM)
     for k in range(3):
         small = np.zeros(3)
         small[k] = 0.1
@@ -268,6 +280,22 @@ def test_pose_constants_turn_world_and_marker():
         extras = np.zeros(count)
         extras[3 + k] = 0.1
         np.testing.assert_allclose(residual(o, tables, nav, extras, z), 0, atol=1e-13)
+
+
+def test_known_input_constants_turn_the_reference():
+    """theta: the reference's axes against b; a reading in turned axes leaves no residual."""
+    o, tables, count = setup("known_input")
+    w, f = np.array([0.4, -0.5, 0.6]), np.array([1.0, 2.0, 9.0])
+    nav = nav_of([0, 0, 0], [0, 0, 0], np.eye(3), w, f)
+    for k in range(3):
+        theta = np.zeros(3)
+        theta[k] = 0.1
+        turn = so3.matrix_exp(theta)
+        z = np.zeros(Z_DIM)
+        z[:6] = np.r_[turn @ w, turn @ f]
+        extras = np.zeros(count)
+        extras[:3] = theta
+        np.testing.assert_allclose(residual(o, tables, nav, extras, z), 0, atol=1e-14)
 
 
 # --- declarations ------------------------------------------------------------------------------
@@ -372,7 +400,7 @@ def test_each_markov_state_moves_its_own_channel(kind):
         assert call_residual(o.markov_residual, nav, state, z, r) == 0
         expected = np.zeros(MAX_DIM)
         if i < o.dim:
-            expected[i] = -0.25 if kind == "pose" else 0.25
+            expected[i] = -0.25 if kind in ("pose", "known_input") else 0.25
         np.testing.assert_array_equal(r, expected)
 
 
@@ -385,3 +413,82 @@ def test_disturbances_of_place_forget_by_turning(kind):
     np.testing.assert_allclose(np.diagonal(Phi, axis1=1, axis2=2), math.exp(-1.0), rtol=2e-3)
     Phi, _ = markov.transition(levels, np.array([10.0]), np.array([0.01]))
     assert np.all(np.diag(Phi[0]) > 0.98)
+
+
+# --- known input ---------------------------------------------------------------------------------
+
+AXES = Rotation.from_euler("ZYX", [2.0, 0.7, -1.1]).as_matrix()
+
+
+def two_imus(rate_hz=100.0, reference_hz=100.0, phase_s=0.0, gap=(9.0, 9.0), spoilt=()):
+    """A turn about all axes read by an IMU and by a reference in axes of its own.
+
+    Returns the recording, and functions of time for rate and angular acceleration in b.
+    """
+    amplitude, frequency = np.array([3.0, -2.0, 4.0]), np.array([7.0, 9.0, 11.0])
+
+    def rate(t):
+        return amplitude * np.sin(np.multiply.outer(t, frequency))
+
+    def acceleration(t):
+        return amplitude * frequency * np.cos(np.multiply.outer(t, frequency))
+
+    def both(t):
+        return np.hstack([rate(t), np.array([1.0, 2.0, 9.0]) + 0.5 * rate(t)[:, [1, 2, 0]]])
+
+    t = np.arange(0.0, 6.0, 1.0 / rate_hz)
+    s = np.arange(phase_s, 6.0, 1.0 / reference_hz)
+    s = s[(s < gap[0]) | (s > gap[1])]
+    readings, valid = both(t), np.ones(len(t), dtype=bool)
+    for at in spoilt:
+        readings[at], valid[at] = 40.0, False
+    turned = both(s).reshape(-1, 2, 3) @ AXES.T
+    imu = Imu(t, readings[:, :3].copy(), readings[:, 3:].copy(), valid)
+    streams = {"reference": Series(s, turned.reshape(-1, 6))}
+    return Recording("made", imu, streams), rate, acceleration
+
+
+@pytest.mark.parametrize(("reference_hz", "phase_s"), [(100.0, 0.0), (100.0, 0.004), (250.0, 0.0)])
+def test_a_reference_is_turned_and_read_at_the_stamps_of_the_imu(reference_hz, phase_s):
+    """Its axes point anywhere; rate to 0.1 %, angular acceleration to 0.5 % at 1 to 2 Hz."""
+    recording, rate, acceleration = two_imus(reference_hz=reference_hz, phase_s=phase_s)
+    rows = catalogue()["known_input"].rows(recording, SCENE)
+    assert set(rows.t) <= set(recording.imu.t)
+    assert len(rows.t) > 0.97 * len(recording.imu.t)
+    np.testing.assert_allclose(rows.z[:, :3], rate(rows.t), atol=4e-3)
+    np.testing.assert_allclose(rows.z[:, 6:9], acceleration(rows.t), atol=0.2)
+
+
+def test_a_slow_reference_keeps_its_own_stamps():
+    recording, rate, _ = two_imus(rate_hz=400.0, reference_hz=50.0, phase_s=0.0011)
+    rows = catalogue()["known_input"].rows(recording, SCENE)
+    assert set(rows.t) <= set(recording.streams["reference"].t)
+    np.testing.assert_allclose(rows.z[:, :3], rate(rows.t), atol=4e-3)
+
+
+def test_nothing_is_compared_beside_gaps_and_readings_that_are_none():
+    """Three samples on either side, of a saturated IMU (at 2 s) and a missing reference."""
+    recording, rate, acceleration = two_imus(gap=(3.995, 4.035), spoilt=[200])
+    rows = catalogue()["known_input"].rows(recording, SCENE)
+    for a, b in ((2.0, 2.0), (4.0, 4.03)):
+        assert not np.any((rows.t > a - 0.035) & (rows.t < b + 0.035))
+        assert np.any(np.abs(rows.t - (a - 0.04)) < 1e-6)
+        assert np.any(np.abs(rows.t - (b + 0.05)) < 1e-6)
+    np.testing.assert_allclose(rows.z[:, :3], rate(rows.t), atol=0.02)
+    assert np.abs(rows.z[:, 6:9] - acceleration(rows.t)).max() < 2.0
+
+
+def test_a_long_rest_tells_no_more_than_its_share():
+    """Ten a second at rest, all in motion."""
+    recording, _, _ = two_imus()
+    rows = catalogue()["known_input"].rows(recording, replace(SCENE, rests=np.array([[1.0, 5.0]])))
+    resting = (rows.t >= 1.0) & (rows.t <= 5.0)
+    assert 38 <= resting.sum() <= 42
+    assert (~resting).sum() > 190
+
+
+def test_a_reference_of_a_few_readings_is_none():
+    recording, _, _ = two_imus(reference_hz=0.5)
+    assert catalogue()["known_input"].rows(recording, SCENE) is None
+    empty = replace(recording, streams={})
+    assert catalogue()["known_input"].rows(empty, SCENE) is None

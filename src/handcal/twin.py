@@ -17,6 +17,7 @@ import numpy as np
 
 from handcal import so3
 from handcal.effects import DELAY
+from handcal.effects.mag_hard_iron import TAKEN_OFF
 from handcal.kernel import BASE
 from handcal.linear import Linear
 from handcal.observations.pose import aligned
@@ -88,8 +89,8 @@ def sensor_residuals(linear: Linear, slot: float = SLOT_S) -> dict[str, tuple[Ar
             if channel not in IMU_CHANNELS and (channel not in out or observation.kind == channel):
                 out[channel] = (seen.t, seen.r[:, i])
         if observation.kind == "magnetometer":
-            field = _field(linear, seen)
-            out |= {f"mag_{a}": (seen.t, seen.z[:, i] - field[:, i]) for i, a in enumerate("xyz")}
+            off = _read_field(seen) - _field(linear, seen)
+            out |= {f"mag_{a}": (seen.t, off[:, i]) for i, a in enumerate("xyz")}
     return out
 
 
@@ -162,6 +163,11 @@ def _predicted(linear: Linear, kind: str, seen: _Seen) -> Series:
     return _pose(linear, seen)
 
 
+def _read_field(seen: _Seen) -> Array:
+    """The field (k, 3) as recorded, tesla: a first value of the iron is taken off in z."""
+    return np.asarray(seen.z[:, :3] + seen.z[:, TAKEN_OFF : TAKEN_OFF + 3])
+
+
 def _field(linear: Linear, seen: _Seen) -> Array:
     """The field (k, 3) turned about the vertical by as much as its heading is off, tesla."""
     problem = linear.problem
@@ -171,7 +177,7 @@ def _field(linear: Linear, seen: _Seen) -> Array:
             iron["xyz".index(slot.name)] = linear.trajectory.constants[i]
     about = np.zeros((len(seen.t), 3))
     about[:, 2] = seen.r[:, 0]
-    level = np.einsum("kij,kj->ki", seen.C_nb, seen.z[:, :3] - iron)
+    level = np.einsum("kij,kj->ki", seen.C_nb, _read_field(seen) - iron)
     turned = np.einsum("kij,kj->ki", so3.rotations(about), level)
     return np.asarray(np.einsum("kji,kj->ki", seen.C_nb, turned) + iron)
 

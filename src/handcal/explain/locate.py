@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -56,10 +57,11 @@ def penalties(f: Fitted) -> dict[str, tuple[Array, Array]]:
         s = slice(at, at + size)
         at += size
         steps, Q = noise.d_e[1:, s], noise.Q_e[1:, s, s]
-        scale = np.sqrt(np.maximum(np.einsum("kii->ki", Q), 1e-300))
-        eye = 1e-9 * np.eye(size)
-        white = np.linalg.solve(np.linalg.cholesky(Q / (scale[:, :, None] * scale[:, None]) + eye),
-                                (steps / scale)[:, :, None])[:, :, 0]  # fmt: skip
+        scale = np.sqrt(np.maximum(np.einsum("kii->ki", Q), 1e-30))
+        # over a very short interval position and velocity are driven by one and the same push
+        values, axes = np.linalg.eigh(Q / (scale[:, :, None] * scale[:, None]))
+        along = np.einsum("kji,kj->ki", axes, steps / scale)
+        white = np.einsum("kij,kj->ki", axes, along / np.sqrt(np.maximum(values, 1e-3)))
         channels = observation.channels
         for i in range(size):
             cost = 0.5 * np.minimum(white[:, i] ** 2, 1e6)
@@ -121,8 +123,7 @@ def _span(nats: Array) -> tuple[int, int]:
 def _regime(f: Fitted, bins: Array, nats: Array) -> str:
     """What the device does while the shortfall grows, if that is more than chance."""
     linear = f.linear
-    rate = np.array([_mean(linear.rate, linear.t, a, b) for a, b in zip(bins[:-1], bins[1:],
-                                                                         strict=True)])  # fmt: skip
+    rate = np.array([_mean(linear.rate, linear.t, a, b) for a, b in pairwise(bins)])
     options: Sequence[tuple[str, BoolArray]] = (
         ("turning faster than 90 deg/s", rate > FAST),
         ("turning", rate > SLOW),

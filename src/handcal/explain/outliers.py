@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from handcal.explain.case import Case
 from handcal.explain.fit import Fitted, Model, fitted
 from handcal.explain.search import PRIOR
 from handcal.observations import Rows
-from handcal.types import Array, Parameter
+from handcal.types import Array, BoolArray, Parameter
 
 # In robust sigmas of the smoothed residual: worth a look, and held to be wrong.
 FAR = 5.0
@@ -24,11 +25,16 @@ ROUNDS = 4
 
 @dataclass(frozen=True)
 class Wrong:
-    """Outliers found: nats gained, posterior probability, share of readings."""
+    """Outliers found: nats gained, posterior probability, share of readings.
+
+    burst: from and to, s, if they come one after the other: that is no share of the readings
+    at random, but something that happened there.
+    """
 
     gain: float
     probability: float
     parameter: Parameter
+    burst: tuple[float, float] | None = None
 
 
 def cleaned(base: Model) -> tuple[Model, Wrong | None]:
@@ -42,6 +48,7 @@ def cleaned(base: Model) -> tuple[Model, Wrong | None]:
     if not parts or not any(_suspicious(f) for f in parts):
         return base, None
     model, total, bad = base, 0, 0
+    masks: list[BoolArray | None] = []
     for _ in range(ROUNDS):
         begin, masks = [], []
         for original, f in zip(base.parts, model.parts, strict=True):
@@ -61,7 +68,21 @@ def cleaned(base: Model) -> tuple[Model, Wrong | None]:
     p = effect.parameters[0]
     probability = 1.0 / (1.0 + math.exp(-min(700.0, gain + PRIOR)))
     parameter = Parameter(effect.id, p.name, share, sigma, p.unit, p.prior_sigma, None)
-    return model, Wrong(gain, probability, parameter)
+    return model, Wrong(gain, probability, parameter, _burst(base, masks))
+
+
+def _burst(base: Model, masks: Sequence[BoolArray | None]) -> tuple[float, float] | None:
+    """When the outliers were, if most of them have an outlier for a neighbour."""
+    for f, mask in zip(base.parts, masks, strict=True):
+        k = _heading(f.case)
+        if mask is None or k is None or mask.sum() < FEWEST:
+            continue
+        beside = np.r_[False, mask[:-1]] | np.r_[mask[1:], False]
+        # of outliers at random, one in 1 / (2 share) has an outlying neighbour
+        if (mask & beside).sum() > mask.sum() * (2.0 * mask.mean() + 0.4):
+            t = f.case.observed[k][1].t[mask & beside]
+            return float(t[0]), float(t[-1])
+    return None
 
 
 def _heading(case: Case) -> int | None:
@@ -84,7 +105,7 @@ def _suspicious(f: Fitted) -> bool:
     return int((np.abs(r - np.median(r)) > FAR * scale).sum()) >= FEWEST
 
 
-def _mask(original: Fitted, f: Fitted) -> Array | None:
+def _mask(original: Fitted, f: Fitted) -> BoolArray | None:
     """Which of the original rows are outlying, seen from the fit's trajectory."""
     k = _heading(original.case)
     if k is None:
@@ -108,7 +129,7 @@ def _yaw(f: Fitted) -> Array:
     return np.asarray(np.arctan2(C[:, 1, 0], C[:, 0, 0]))
 
 
-def _without(original: Fitted, f: Fitted, mask: Array | None) -> Fitted:
+def _without(original: Fitted, f: Fitted, mask: BoolArray | None) -> Fitted:
     k = _heading(original.case)
     if mask is None or k is None:
         return f

@@ -80,8 +80,11 @@ def _explanation(
 ) -> Explanation:
     model = found.model
     chosen = frozenset(e.id for e in model.effects if e.process is None)
-    missing, unsure = _missing(found, chosen, wrong)
+    named = wrong if wrong is not None and wrong.burst is None else None
+    missing, unsure = _missing(found, chosen, named)
     unnamed = _unnamed(found, chosen)
+    if wrong is not None and wrong.burst is not None:
+        unnamed.append(_burst(base, wrong, wrong.burst))
     verdict = "nothing_missing"
     if unnamed:
         verdict = "unexplained"
@@ -108,7 +111,7 @@ def _explanation(
         tuple(sorted(mismatch, key=lambda m: -m.share)),
         tuple(missing),
         tuple(unnamed),
-        _hypotheses(found, missing, wrong),
+        _hypotheses(found, missing, named),
         _fit(base, before),
         _fit(model, model.parts),
         scores,
@@ -252,6 +255,18 @@ def _unnamed(found: Found, chosen: frozenset[str]) -> list[Unnamed]:
             (p,) = _effect_parameters(found.model, effect)
             out.append(Unnamed(effect.id, p.value, p.sigma, p.unit, gained[effect.id]))
     return sorted(out, key=lambda u: -u.log_evidence_gain)
+
+
+def _burst(base: Model, wrong: outliers.Wrong, span: tuple[float, float]) -> Unnamed:
+    """Readings that err one after the other, as a term: how far, while it lasts."""
+    f = base.parts[0]
+    k = next(i for i, o in enumerate(f.linear.problem.observations) if "heading" in o.channels)
+    mine = (f.linear.kind == k) & f.linear.used
+    t = np.repeat(f.linear.t, np.diff(f.linear.first))[mine]
+    r = f.linear.r[mine, 0][(t >= span[0]) & (t <= span[1])]
+    spread = float(np.std(r)) / math.sqrt(max(1, len(r)))
+    formula = f"heading += k from {span[0]:.1f} s to {span[1]:.1f} s"
+    return Unnamed(formula, float(np.mean(r)) if len(r) else 0.0, spread, "rad", wrong.gain)
 
 
 def _hypotheses(

@@ -1,0 +1,5 @@
+"""``python -m handcal`` is the ``handcal`` command."""
+
+from handcal.cli import main
+
+main()
