@@ -135,3 +135,75 @@ def test_attitude_is_no_worse_than_vqf(name: str, real_recordings: Path) -> None
     )
     print(f"\n{name}: attitude {ours:.3f} deg, vqf {theirs:.3f} deg")
     assert ours <= theirs
+
+
+# Two IMUs of one board, shaken: their places are drawn on it, in m.
+BOARDS = {"array_1_imu5": (0.0189, 0.0, 0.0), "array_2_imu3": (0.0, -0.0189, 0.0)}
+ERRORS = ("gyro_scale", "accel_scale", "gyro_misalignment", "accel_misalignment")
+
+
+@cache
+def _against_reference(path: Path, effects: tuple[str, ...], half: int) -> Result:
+    """Calibrated against the other IMU; half 1 or 2: of the shaking, from the last rest before."""
+    recording = handcal.load(path)
+    if half:
+        imu = recording.imu
+        shaken = imu.t[np.linalg.norm(imu.gyro, axis=1) > 10.0]
+        middle = float(np.median(shaken))
+        ends = (shaken[0] - 20.0, middle) if half == 1 else (middle, imu.t[-1])
+        recording = _between(recording, *ends)
+    return handcal.calibrate(recording, effects)
+
+
+def _motion_rms(result: Result) -> Array:
+    """Root mean square of the force's innovations (3,) m/s^2 while turning faster than 5 rad/s."""
+    found, imu = result.innovations["known_input"], result.recording.imu
+    rate = np.interp(found.t, imu.t, np.linalg.norm(imu.gyro, axis=1))
+    return np.asarray(np.sqrt((found.residual[rate > 5.0, 3:] ** 2).mean(axis=0)))
+
+
+@pytest.mark.parametrize(
+    "name", ["array_1_imu5", pytest.param("array_2_imu3", marks=pytest.mark.prove)]
+)
+def test_lever_arm_between_two_imus(name: str, real_recordings: Path) -> None:
+    path = real_recordings / f"{name}.mcap"
+    result = _against_reference(path, ("lever_arm", *ERRORS), 0)
+    arm = [result.parameter("lever_arm", a) for a in "xyz"]
+    error = np.array([p.value for p in arm]) - BOARDS[name]
+    sigma = np.array([p.sigma for p in arm])
+    nis = result.innovations["known_input"].mean_nis
+    print(f"\n{name}: arm off by {1e3 * error} mm, sigma {1e3 * sigma}, NIS {nis:.3f}")
+    assert set(result.innovations) == {"known_input"}
+    assert np.all(np.abs(error) < 5e-4)
+    assert np.all(sigma < 2e-4)
+    assert 0.8 < nis < 1.2
+    assert np.isfinite(result.history.p_n).all()
+    assert np.isfinite(result.history.nav_sigma).all()
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("name", list(BOARDS))
+def test_without_the_lever_arm_the_forces_disagree(name: str, real_recordings: Path) -> None:
+    path = real_recordings / f"{name}.mcap"
+    without = _against_reference(path, ERRORS, 0)
+    with_arm = _against_reference(path, ("lever_arm", *ERRORS), 0)
+    along = int(np.argmax(np.abs(BOARDS[name])))
+    before, after = _motion_rms(without), _motion_rms(with_arm)
+    print(f"\n{name}: forces disagree by {before} m/s^2 without the arm, {after} with it")
+    assert with_arm.log_evidence - without.log_evidence > 1000
+    assert before[along] > 4 * after[along]
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("name", list(BOARDS))
+def test_both_halves_of_the_shaking_agree(name: str, real_recordings: Path) -> None:
+    path = real_recordings / f"{name}.mcap"
+    one, two = (_against_reference(path, ("lever_arm", *ERRORS), half) for half in (1, 2))
+    normed = np.array(
+        [
+            (a.value - b.value) / np.hypot(a.sigma, b.sigma)
+            for a, b in zip(one.parameters, two.parameters, strict=True)
+        ]
+    )
+    print(f"\n{name}: halves differ by {np.round(normed, 1)} sigma")
+    assert np.abs(normed).max() < 4.0

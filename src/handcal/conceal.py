@@ -21,7 +21,6 @@ from handcal import so3
 from handcal.calibration import calibrate
 from handcal.effects import Signals, catalogue
 from handcal.effects._derivative import derivative
-from handcal.observations.pose import aligned
 from handcal.types import Array, Imu, InputError, Recording, Result, Series
 
 # Errors of rate or force that are not proportional to it: a bias must not count as motion.
@@ -40,8 +39,15 @@ OWN = (
     *HEADING, "lever_arm", "accel_delay", "gyro_bandwidth", "gyro_bias_walk", "accel_bias_walk",
     "mag_hard_iron", "heading_delay", "pose_delay", "clock_rate",
 )  # fmt: skip
+# Left out, these would turn the marker against the IMU by a degree in real recordings.
+TURNS_MARKER = (
+    "lever_arm", "gyro_scale", "gyro_misalignment", "accel_scale", "accel_misalignment",
+    "accel_delay", "pose_delay",
+)  # fmt: skip
 DEVICE_CLOCK = ("heading", "mag", "temperature")
 MOST_PPM = 1e5
+# Rotation vectors of larger turns (rad) are no longer unique.
+MOST_TURN = 2.0
 
 Values = Mapping[str, Array]
 
@@ -61,7 +67,7 @@ def conceal(
     known = _Known(recording, values)
     streams: dict[str, Series] = dict(recording.streams)
     if "lever_arm" in values and _marker_moves(recording):
-        streams["pose"] = _moved_marker(recording, values["lever_arm"])
+        streams["pose"] = _moved_marker(recording, values["lever_arm"], known)
     heading = "heading" if "heading" in streams else "mag"
     if any(i in values for i in HEADING):
         late = float(values.get("heading_delay", [0.0])[0])
@@ -158,9 +164,11 @@ class _Known:
     @cached_property
     def result(self) -> Result:
         """Of the recording as it is. A magnetometer's north is that less its hard iron."""
-        streams = self.recording.streams
-        on_mag = "heading" not in streams and any(i in self.values for i in HEADING)
-        return calibrate(self.recording, ["mag_hard_iron"] if on_mag else [])
+        on_mag = "heading" not in self.recording.streams and any(i in self.values for i in HEADING)
+        effects = ["mag_hard_iron"] if on_mag else []
+        if "lever_arm" in self.values and _marker_moves(self.recording):
+            effects += TURNS_MARKER
+        return calibrate(self.recording, effects)
 
     def attitude(self, t: Array) -> Array:
         """C_nb (n, 3, 3) at times t (n,), turning at a constant rate between two known ones."""
@@ -268,13 +276,23 @@ def _marker_moves(recording: Recording) -> bool:
     return "pose" in recording.streams and "reference" not in recording.streams
 
 
-def _moved_marker(recording: Recording, r: Array) -> Series:
-    """The IMU stays, so the marker goes to -r from where it was, in the IMU's axes."""
+def _moved_marker(recording: Recording, r: Array, known: _Known) -> Series:
+    """The IMU stays, so the marker goes to -r from where it was, in the IMU's axes.
+
+    How the marker is turned against those shows in turns that both made within a second.
+    """
     pose = recording.streams["pose"]
-    R_bm, _ = aligned(recording, pose)
-    r_m = R_bm.T @ r
+    late = known.result.parameter("pose_delay", "delay").value
+    step = max(1, round(1.0 / float(np.median(np.diff(pose.t)))))
+    turns = [
+        so3.matrix_log(C[:-step].transpose(0, 2, 1) @ C[step:])
+        for C in (so3.matrix_of(pose.value[:, 3:]), known.attitude(pose.t - late))
+    ]
+    usable = np.linalg.norm(turns[0], axis=1) < MOST_TURN
+    U, _, Vt = np.linalg.svd(turns[1][usable].T @ turns[0][usable])
+    R_bm = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
     value = pose.value.copy()
-    value[:, :3] -= so3.matrix_of(value[:, 3:]) @ r_m
+    value[:, :3] -= so3.matrix_of(value[:, 3:]) @ (R_bm.T @ r)
     return Series(pose.t, value)
 
 

@@ -177,8 +177,8 @@ def _constants(scene: Scene) -> tuple[Constant, ...]:  # noqa: ARG001
 LEVELS = (
     Level("reference_gyro_noise", "rad/s", 0.003, 1e-6, 0.3),
     Level("reference_accel_noise", "m/s^2", 0.03, 1e-5, 3.0),
-    Level("reference_gyro_in_motion", "1", 1e-3, 1e-6, 0.3),
-    *(Level(f"reference_accel_in_motion_{a}", "m/s", 1e-2, 1e-6, 3.0) for a in "xyz"),
+    Level("reference_gyro_in_motion", "1", 2e-3, 1e-6, 0.3),
+    *(Level(f"reference_accel_in_motion_{a}", "m/s", 5e-2, 1e-6, 3.0) for a in "xyz"),
 )
 
 OBSERVATION = Observation(
