@@ -133,7 +133,7 @@ def test_several_files_get_a_page_each(main, tmp_path):
     assert status == 0
     assert len(json.loads((tmp_path / "x.json").read_text())["recordings"]) == 2
     recording = fake_result().recording
-    assert cli._beside(Path("out/x.html"), recording, True) == Path("out/x-hand-motion.html")
+    assert cli.beside(Path("out/x.html"), recording, True) == Path("out/x-hand-motion.html")
 
 
 def test_options_reach_the_filter_in_si(main):

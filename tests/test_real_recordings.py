@@ -144,15 +144,33 @@ ERRORS = ("gyro_scale", "accel_scale", "gyro_misalignment", "accel_misalignment"
 
 @cache
 def _against_reference(path: Path, effects: tuple[str, ...], half: int) -> Result:
-    """Calibrated against the other IMU; half 1 or 2: of the shaking, from the last rest before."""
+    """Calibrated against the other IMU; half 1 or 2: of the rest poses and of the shaking."""
     recording = handcal.load(path)
     if half:
         imu = recording.imu
         shaken = imu.t[np.linalg.norm(imu.gyro, axis=1) > 10.0]
-        middle = float(np.median(shaken))
-        ends = (shaken[0] - 20.0, middle) if half == 1 else (middle, imu.t[-1])
-        recording = _between(recording, *ends)
+        middle, begin = float(np.median(shaken)), shaken[0] - 1.0
+        poses = (0.0, 0.5 * begin) if half == 1 else (0.5 * begin, begin)
+        shake = (begin, middle) if half == 1 else (middle, imu.t[-1])
+        recording = _joined(_between(recording, *poses), _between(recording, *shake))
     return handcal.calibrate(recording, effects)
+
+
+def _joined(one: Recording, two: Recording) -> Recording:
+    """Two parts one behind the other, the second stamped 0.5 s after the first."""
+    later = one.imu.t[-1] + 0.5 - two.imu.t[0]
+
+    def both(a: Series, b: Series) -> Series:
+        return Series(np.r_[a.t, b.t + later], np.vstack([a.value, b.value]))
+
+    imu = Imu(
+        np.r_[one.imu.t, two.imu.t + later],
+        np.vstack([one.imu.gyro, two.imu.gyro]),
+        np.vstack([one.imu.accel, two.imu.accel]),
+        np.r_[one.imu.valid, two.imu.valid],
+    )
+    streams = {n: both(s, two.streams[n]) for n, s in one.streams.items()}
+    return replace(one, imu=imu, streams=streams)
 
 
 def _motion_rms(result: Result) -> Array:

@@ -111,7 +111,7 @@ def test_twin_reads_as_the_truth_does(turned):
     truth[:, 3:] += [p["value"] for p in bias["accel_bias"]]
     off = []
     for solution in (before, after):
-        imu = twin(solution).imu
+        imu = twin(solution.linear).imu
         np.testing.assert_array_equal(imu.t, recording.imu.t)
         off.append(rms(smoothed(imu.gyro - truth[:, :3])))
     assert off[1] < 1.5 * rms(smoothed(recording.imu.gyro - truth[:, :3]))
@@ -121,7 +121,7 @@ def test_twin_reads_as_the_truth_does(turned):
 def test_twin_is_what_was_read_less_the_residual(turned, seen, ironed):
     for case, stream, channel in ((turned, "heading", "heading"), (ironed, "mag", "mag_x")):
         recording, solution = case[1], case[3]
-        simulated = twin(solution).streams[stream]
+        simulated = twin(solution.linear).streams[stream]
         t, r = sensor_residuals(solution.linear)[channel]
         np.testing.assert_array_equal(simulated.t, t)
         at = np.argmin(np.abs(recording.streams[stream].t[:, None] - t), axis=0)
@@ -129,7 +129,7 @@ def test_twin_is_what_was_read_less_the_residual(turned, seen, ironed):
         np.testing.assert_allclose(so3.wrap(read[:, 0] - simulated.value[:, 0]), r, atol=1e-9)
     # poses go back into the world and the axes of the tracker
     recording, solution = seen[1], seen[3]
-    pose, raw = twin(solution).streams["pose"], recording.streams["pose"]
+    pose, raw = twin(solution.linear).streams["pose"], recording.streams["pose"]
     at = np.argmin(np.abs(raw.t[:, None] - pose.t), axis=0)
     away = np.linalg.norm(raw.value[at, :3] - pose.value[:, :3], axis=1)
     residual = sensor_residuals(solution.linear)
@@ -145,7 +145,7 @@ def test_twin_is_what_was_read_less_the_residual(turned, seen, ironed):
 def test_twin_of_a_twin_leaves_less(turned):
     """The model explains its own readings; of a sensor's noise a smoother sees only a part."""
     _, recording, _, after = turned
-    simulated = twin(after)
+    simulated = twin(after.linear)
     again = fit(
         dataclasses.replace(recording, imu=simulated.imu, streams=simulated.streams),
         ("gyro_scale",),
@@ -169,7 +169,7 @@ def test_saturated_readings_are_no_residual(turned):
     t, _ = sensor_residuals(solution.linear)["gyro_x"]
     inside = (t > imu.t[1003]) & (t < imu.t[1026])
     assert not inside.any()
-    assert np.isfinite(twin(solution).imu.gyro).all()
+    assert np.isfinite(twin(solution.linear).imu.gyro).all()
 
 
 def test_slots_average(turned):
@@ -203,13 +203,13 @@ def test_known_input_is_compared_reading_by_reading():
 def test_file_reads_back_as_what_was_recorded(turned, tmp_path):
     _, recording, before, after = turned
     path = tmp_path / "twin.mcap"
-    write_twin(recording, twin(before), twin(after), path)
+    write_twin(recording, twin(before), twin(after.linear), path)
     read = handcal.load(path)
     np.testing.assert_array_equal(read.imu.gyro, recording.imu.gyro)
     assert set(read.streams) == {"heading"}
     np.testing.assert_array_equal(read.streams["heading"].value, recording.streams["heading"].value)
     chosen = {"imu": "/after/imu", "heading": "/after/heading"}
     simulated = handcal.load(path, topics=chosen)
-    np.testing.assert_array_equal(simulated.imu.gyro, twin(after).imu.gyro)
+    np.testing.assert_array_equal(simulated.imu.gyro, twin(after.linear).imu.gyro)
     with pytest.raises(InputError, match="/before/nothing"):
         handcal.load(path, topics={"imu": "/before/nothing"})

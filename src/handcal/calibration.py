@@ -44,6 +44,7 @@ HAND_SWAY = 0.05
 TRAVEL_NATS = 5.0
 MIN_READINGS = 20
 HISTORY_RATE = 25.0
+PSEUDO_RATE = 10.0
 STEADY_GRAVITY = math.radians(20.0)
 UNKNOWN_YAW = math.radians(100.0)
 FIXED_YAW = 1e-6
@@ -190,6 +191,12 @@ def _usable(recording: Recording, effects: Sequence[Effect], warnings: list[str]
         if len(recording.streams[name].t) < MIN_READINGS:
             usable.discard(name)
             warnings.append(f"The stream '{name}' was left out: it holds fewer than 20 readings.")
+    if "pose" in usable:
+        try:
+            catalogue()["pose"].rows(recording, Scene(np.zeros((0, 2)), has_heading=False))
+        except InputError as problem:
+            usable.discard("pose")
+            warnings.append(f"The pose was left out: {problem}")
     if "mag" in usable:
         size = np.linalg.norm(recording.streams["mag"].value, axis=1)
         low, high = np.quantile(size, [0.05, 0.95])
@@ -296,15 +303,17 @@ def observed_of(
     earth: tuple[Array, Array],
     start: Start | None,
     iron: Array | None = None,
+    rate: float | None = PSEUDO_RATE,
 ) -> tuple[list[Observed], Start]:
     """Each kind of observation with its rows and constants, and where the filter starts.
 
     iron (3,): a hard iron about which that of the magnetometer is to be sought, tesla.
+    rate: of pseudo-observations, Hz.
     """
     if iron is not None:
         recording = mag_hard_iron.cleaned(recording, iron)
     has_heading = "heading" in kinds or "magnetometer" in kinds
-    scene = Scene(rests, has_heading, omega_ie_n=earth[1])
+    scene = Scene(rests, has_heading, rate=rate, omega_ie_n=earth[1])
     begin = start or _level(recording, kinds, scene)
     if "pose" in kinds and has_heading:
         scene = replace(scene, align_yaw=float(so3.yaw_of(begin.C_nb)))

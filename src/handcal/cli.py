@@ -173,7 +173,7 @@ def check_folders(*outputs: Path | None) -> None:
             raise InputError(f"{path} cannot be written: there is no folder {path.parent}.")
 
 
-def _beside(path: Path, recording: Recording, several: bool) -> Path:
+def beside(path: Path, recording: Recording, several: bool) -> Path:
     """The output of one of several files has the recording's name added to it."""
     return path.with_stem(f"{path.stem}-{Path(recording.path).stem}") if several else path
 
@@ -213,11 +213,11 @@ def calibrate(
         if report:
             from handcal.report import write_report
 
-            write_report(result, _beside(report, recording, len(files) > 1))
+            write_report(result, beside(report, recording, len(files) > 1))
         if rrd:
             from handcal.dashboard import save_rrd
 
-            save_rrd(result, _beside(rrd, recording, len(files) > 1))
+            save_rrd(result, beside(rrd, recording, len(files) > 1))
     if json:
         from handcal.summary import calibration_json, write_json
 

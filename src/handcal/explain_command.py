@@ -10,13 +10,14 @@ import typer
 from handcal.cli import (
     Assume,
     Assumption,
-    Height,
     HeadingSigma,
+    Height,
     Ignore,
     Latitude,
     Rrd,
     Topics,
     Units,
+    beside,
     check_folders,
     load,
     radians,
@@ -86,9 +87,12 @@ def explain(
 
         save_explanation_rrd(explanation, rrd)
     if twin:
-        from handcal.explain.twins import write_twins
+        from handcal.export import write_twin
 
-        write_twins(explanation, twin)
+        for one in explanation.recordings:
+            if one.twins is not None:
+                several = len(explanation.recordings) > 1
+                write_twin(one.recording, *one.twins, beside(twin, one.recording, several))
     from handcal.explain_summary import explanation_json, print_explanation
 
     if json:

@@ -299,7 +299,7 @@ def relinearised(
         )
         i += len(e.parameters)
     if noise is not None:
-        quiet = np.interp(imu.t, nodes.t, problem.rate) < QUIET_RATE
+        quiet: BoolArray = np.asarray(np.interp(imu.t, nodes.t, problem.rate) < QUIET_RATE)
         acted = J.any(axis=0)
         for k in range(6):
             own = np.flatnonzero(acted[k])
@@ -326,8 +326,9 @@ def _averaged(J: Array, width: int) -> Array:
     would count as information on the parameters (a device at rest would learn its scale
     errors). What an effect adds is still computed from the readings as they are.
     """
-    first, last = np.repeat(J[:1], width // 2, axis=0), np.repeat(
-        J[-1:], width - 1 - width // 2, axis=0
+    first, last = (
+        np.repeat(J[:1], width // 2, axis=0),
+        np.repeat(J[-1:], width - 1 - width // 2, axis=0),
     )
     padded = np.concatenate([np.zeros((1, J.shape[1])), first, J, last])
     total = np.cumsum(padded, axis=0, out=padded)

@@ -18,8 +18,8 @@ class Reduced(NamedTuple):
     by the nc biases and constants, each in units of its prior sigma. k epochs, s scalars.
     A (k, 9, 15 + mi), of which the first nine columns count; D (k, 9, 1 + nc) added by an
     interval; Q (k, 9, 9); B (k, 9, e), Phi_e, Q_e (k, e, e), Phi_psi (k, e, 3), d_e (k, e):
-    Markov states; first (k + 1,): scalars of each epoch; g (s, 1 + nc): observed minus predicted; h (s, m)
-    with its nonzero (s,) entries listed in at (s, m); R (s,).
+    Markov states; first (k + 1,): scalars of each epoch; g (s, 1 + nc): observed minus
+    predicted; h (s, m) with its nonzero (s,) entries listed in at (s, m); R (s,).
     """
 
     A: Array

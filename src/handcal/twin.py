@@ -24,7 +24,7 @@ from handcal.observations.pose import aligned
 from handcal.types import Array, BoolArray, Imu, Recording, Series
 
 if TYPE_CHECKING:
-    from handcal.calibration import Solution
+    pass
 
 SLOT_S = 0.1
 IMU_CHANNELS = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
@@ -42,7 +42,7 @@ class _Seen:
     C_nb: Array
 
 
-def twin(solution: Solution) -> Recording:
+def twin(linear: Linear) -> Recording:
     """The simulated counterpart of a recording: its streams as the fitted model says they read.
 
     IMU at its own stamps, in sensor units; heading, mag and pose at the stamps at which they
@@ -51,7 +51,6 @@ def twin(solution: Solution) -> Recording:
     a magnetometer only the direction in the horizontal plane is modelled: dip and strength
     are as recorded.
     """
-    linear = solution.linear
     imu = linear.problem.recording.imu
     at, noise = _against_known(linear) or _intervals(linear)[:2]
     noise = np.stack([np.interp(imu.t, at, noise[:, i]) for i in range(6)], axis=1)

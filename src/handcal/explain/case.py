@@ -1,4 +1,4 @@
-"""A recording made ready for explaining: what is observed in it, and which effects it could show."""
+"""A recording made ready for explaining: what is observed, which effects it could show."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from handcal import segment
 from handcal.calibration import Observed, choose, observed_of
 from handcal.earth import local_earth
-from handcal.effects import Effect, Signals, catalogue
+from handcal.effects import Effect, Signals, catalogue, mag_hard_iron
 from handcal.model import Problem, build
 from handcal.start import Start
 from handcal.types import Array, Recording
@@ -41,6 +41,13 @@ class Case:
         return tuple(o.kind for o, _, _ in self.observed)
 
 
+MUCH_IRON = 5e-6
+ENOUGH_HZ = 90.0
+# How a hand sways within less than a third of a second is nobody's model: looked at more often,
+# it is its shape at those frequencies that is judged, at the expense of a lever arm.
+PSEUDO_RATE = 3.0
+
+
 def case_of(
     recording: Recording,
     assume: str = "auto",
@@ -53,6 +60,7 @@ def case_of(
     recording = replace(
         recording, streams={k: v for k, v in recording.streams.items() if k not in ignore}
     )
+    recording = thinned(recording)
     rests = segment.rests(recording)
     earth = local_earth(latitude, height)
     # Errors of the sensors look like a travelling hand; whether it travels is asked at the end.
@@ -60,7 +68,7 @@ def case_of(
     assume, kinds, warnings = choose(
         recording, tuple(catalogue().values()), held, rests, earth, dict(fixed or {})
     )
-    observed, start = observed_of(recording, kinds, rests, earth, None)
+    observed, start = observed_of(recording, kinds, rests, earth, None, rate=PSEUDO_RATE)
     return Case(
         recording,
         assume,
@@ -71,6 +79,46 @@ def case_of(
         (*recording.warnings, *warnings),
         dict(fixed or {}),
     )
+
+
+def thinned(recording: Recording) -> Recording:
+    """A fast IMU's readings averaged in groups, so that at least ENOUGH_HZ are left.
+
+    A hand does nothing within a hundredth of a second, and the mean of a few readings holds
+    all they say of an angle; the time it takes to explain them falls with their number.
+    """
+    group = int(recording.rate_hz / ENOUGH_HZ)
+    if group < 2:
+        return recording
+    imu = recording.imu
+    n = len(imu.t) // group * group
+
+    def mean(x: Array) -> Array:
+        return np.asarray(x[:n].reshape(n // group, group, *x.shape[1:]).mean(axis=1))
+
+    steps = np.diff(imu.t[:n].reshape(-1, group), axis=1)
+    whole = (steps < 4.0 * np.median(np.diff(imu.t))).all(axis=1)
+    valid = imu.valid[:n].reshape(-1, group).all(axis=1) & whole
+    return replace(
+        recording, imu=replace(imu, t=mean(imu.t), gyro=mean(imu.gyro), accel=mean(imu.accel),
+                               valid=valid)
+    )  # fmt: skip
+
+
+def without_iron(case: Case) -> Case | None:
+    """The case with its magnetometer's hard iron taken off, where there is much of it.
+
+    From zero, an iron as large as the field cannot be found: the heading is not linear in it.
+    """
+    if "magnetometer" not in case.kinds:
+        return None
+    iron = mag_hard_iron.guess(case.recording)
+    if float(np.linalg.norm(iron)) < MUCH_IRON:
+        return None
+    observed, start = observed_of(
+        case.recording, case.kinds, case.rests, case.earth, None, iron, PSEUDO_RATE
+    )
+    return replace(case, observed=tuple(observed), start=start)
 
 
 def problem_with(case: Case, effects: Sequence[Effect]) -> Problem:

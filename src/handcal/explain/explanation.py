@@ -139,7 +139,8 @@ class Explained:
     """One of the recordings: how it looked against the model.
 
     parameters: biases and other things of its own; shortfall: for each channel (k,) nats
-    lost in time bins ``bins`` (k + 1,) s against what the model expects of itself.
+    lost in time bins ``bins`` (k + 1,) s against what the model expects of itself. twins: the
+    recording as the baseline and as the final model say that it read.
     """
 
     recording: Recording
@@ -151,6 +152,7 @@ class Explained:
     bins: Array
     shortfall: Mapping[str, Array]
     rests: Array
+    twins: tuple[Recording, Recording] | None = None
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from handcal.evidence import reduce, reduced_pass
 from handcal.explain import terms
 from handcal.explain.case import Case, applicable, frozen_at, name_of
 from handcal.explain.fit import Fitted, Model, fitted, moved_to, scan
+from handcal.explain.robust import inflation
 from handcal.explain.search import PRIOR, Space, best_set, gains, space
 from handcal.types import Array
 
@@ -171,10 +172,14 @@ def _worth_a_look(f: Fitted, effects: Sequence[Effect], effect: Effect) -> bool:
 def _leaner(model: Model, where: Space, noise: dict[str, float]) -> Model | None:
     """The model without an effect that it does not miss when all else is fitted again."""
     gained = gains(where, frozenset(e.id for e in model.effects if e.process is None))
+    excess = inflation(model)
     for e in model.effects:
-        if e.process is None and gained[e.id] > CLOSE:
-            continue
         rest = [x for x in model.effects if x.id != e.id]
+        if e.process is None:
+            if gained[e.id] / excess[e.id] + where.prior[e.id] < 0.0:
+                return fitted(model.parts, rest)
+            if gained[e.id] > CLOSE:
+                continue
         without = fitted(model.parts, rest)
         occam = OCCAM_LEVEL * len(e.levels) if e.process is not None else 0.0
         prior = where.prior.get(e.id, PRIOR)

@@ -15,14 +15,15 @@ import numpy as np
 
 from handcal import batch, so3
 from handcal import noise as noise_levels
+from handcal.calibration import first_state
 from handcal.effects import Effect
 from handcal.evidence import backward, reduce, reduced_pass
 from handcal.explain.case import Case, problem_with
 from handcal.explain.quadratic import Local, Posterior, Quadratic, given, local, posterior, total
-from handcal.filter import empty_track, initial_state, run_compiled
+from handcal.filter import empty_track, run_compiled
 from handcal.linear import Linear, Trajectory, epochs, linearise_about, trajectory_of
 from handcal.model import Problem, noise_arrays, relinearised
-from handcal.types import Array, HandcalError
+from handcal.types import Array, HandcalError, IntArray
 
 TOLERANCE = 0.05
 ROUNDS = 10
@@ -63,15 +64,15 @@ class Model:
         return tuple(e.id for e in self.effects)
 
 
-def started(case: Case) -> Fitted:
-    """The baseline: a first trajectory by the online filter, relinearised, noise estimated."""
-    problem = problem_with(case, ())
+def started(case: Case, effects: Sequence[Effect] = ()) -> Fitted:
+    """A first trajectory by the online filter, with the effects that it cannot do without."""
+    problem = problem_with(case, effects)
     problem = relinearised(problem, np.zeros(problem.constants), np.zeros(3), np.zeros(3))
     levels = noise_levels.initial_levels(problem) | {
         k: v for k, v in case.fixed.items() if k in {lv.name for lv in problem.levels}
     }
     track = empty_track(problem, epochs(problem))
-    state = initial_state(problem, case.start, levels)
+    state = first_state(problem, case.start, levels)
     state = run_compiled(problem, noise_arrays(problem, levels), state, track)
     nominal = trajectory_of(problem, track, state.bg, state.ba, state.extras)
     linear, _, _ = batch.relinearise(linearise_about(problem, case.start, nominal), levels)
@@ -123,7 +124,7 @@ def fitted(
 
 
 def _posterior(q: Quadratic, effects: Sequence[Effect], known: Known | None) -> Posterior:
-    index = np.arange(len(q.names))
+    index = np.arange(len(q.names), dtype=np.int64)
     if known is None:
         return posterior(q, index, prior_root(q, effects))
     at = [known.names.index(n) for n in q.names]
@@ -133,7 +134,9 @@ def _posterior(q: Quadratic, effects: Sequence[Effect], known: Known | None) -> 
     return replace(moved, mean=moved.mean + mean)
 
 
-def prior_root(q: Quadratic, effects: Sequence[Effect], index: Array | None = None) -> Array | None:
+def prior_root(
+    q: Quadratic, effects: Sequence[Effect], index: IntArray | None = None
+) -> Array | None:
     """Square root of the prior covariance of a quadratic's parameters (``index`` of them), or
     None for the identity: effects that are exclusive of another keep what that one lacks."""
     ids = {e.id for e in effects}
@@ -209,7 +212,7 @@ def moved_to(f: Fitted, effects: Sequence[Effect]) -> Fitted:
     case = replace(f.case, delays={k: v for k, v in f.case.delays.items() if k in kept})
     problem = problem_with(case, effects)
     trajectory = transferred(f.linear.trajectory, f.linear.problem, problem)
-    levels = noise_levels.initial_levels(problem) | case.fixed
+    levels = noise_levels.initial_levels(problem) | dict(case.fixed)
     have = {lv.name for lv in problem.levels}
     levels |= {k: v for k, v in f.levels.items() if k in have}
     linear = linearise_about(problem, f.linear.start, trajectory)

@@ -13,6 +13,7 @@ from handcal.explain.case import Case
 from handcal.explain.explanation import HeldOut
 from handcal.explain.fit import EXCESS, Fitted, Known, Model, fitted, started
 from handcal.explain.locate import residual_rms
+from handcal.types import Array
 
 EARLY = 0.6
 
@@ -41,7 +42,7 @@ def _pooled(parts: Sequence[dict[str, float]]) -> dict[str, float]:
 
 def other_files(cases: Sequence[Case], model: Model) -> HeldOut:
     """Score recordings that took no part: with the effects as found, against none at all."""
-    root = np.linalg.cholesky(model.covariance + 1e-12 * np.eye(len(model.u)))
+    root = np.asarray(np.linalg.cholesky(model.covariance + 1e-12 * np.eye(len(model.u))))
     known = Known(model.quadratic.names, model.u, root)
     before, after = [], []
     for case in cases:

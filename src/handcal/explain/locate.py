@@ -35,7 +35,7 @@ def penalties(f: Fitted) -> dict[str, tuple[Array, Array]]:
     for name, density in (("gyro", levels["gyro_noise"]), ("accel", levels["accel_noise"])):
         for a in "xyz":
             t, x = residuals[f"{name}_{a}"]
-            white = levels.get(f"reference_{name}_noise") if known else density / np.sqrt(SLOT_S)
+            white = levels[f"reference_{name}_noise"] if known else density / np.sqrt(SLOT_S)
             out[f"{name}_{a}"] = (t, 0.5 * (x / white) ** 2)
     if known:
         return out

@@ -55,7 +55,7 @@ def cleaned(base: Model) -> tuple[Model, Wrong | None]:
             mask = _mask(original, f)
             masks.append(mask)
             begin.append(_without(original, f, mask))
-        model = fitted(begin, (), noise_rounds=1)
+        model = fitted(begin, base.effects, noise_rounds=1)
         now = sum(int(m.sum()) for m in masks if m is not None)
         if now == bad:
             break

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from handcal.evidence import ReducedPass
-from handcal.types import Array
+from handcal.types import Array, IntArray
 
 
 @dataclass(frozen=True)
@@ -36,8 +36,8 @@ class Local:
     their mean is base + by_shared (u - here), in prior units of deviations from the nominal."""
 
     quadratic: Quadratic
-    own: Array
-    shared: Array
+    own: IntArray
+    shared: IntArray
     here: Array
     base: Array
     by_shared: Array
@@ -55,7 +55,8 @@ def local(done: ReducedPass, shared_owners: frozenset[str]) -> Local:
     problem = done.reduction.linear.problem
     keep = np.array([s.owner in shared_owners for s in problem.slots], dtype=bool)
     is_shared = np.r_[np.zeros(6, dtype=bool), keep]
-    own, shared = np.flatnonzero(~is_shared), np.flatnonzero(is_shared)
+    own: IntArray = np.flatnonzero(~is_shared)
+    shared: IntArray = np.flatnonzero(is_shared)
     a, b, G = done.log_likelihood
     w0 = done.reduction.w0
     A = G[np.ix_(own, own)] + np.eye(len(own))
@@ -108,7 +109,7 @@ class Posterior:
     covariance: Array
 
 
-def posterior(q: Quadratic, index: Array, root: Array | None = None) -> Posterior:
+def posterior(q: Quadratic, index: IntArray, root: Array | None = None) -> Posterior:
     """Evidence and posterior of the subset ``index`` (m,) of parameters; all others are zero.
 
     root (m, m'): square root of the subset's prior covariance (None: the identity).
@@ -122,7 +123,7 @@ def posterior(q: Quadratic, index: Array, root: Array | None = None) -> Posterio
     return Posterior(float(q.a + 0.5 * y @ y - np.log(np.diag(L)).sum()), half.T @ y, half.T @ half)
 
 
-def log_evidence(q: Quadratic, index: Array, root: Array | None = None) -> float:
+def log_evidence(q: Quadratic, index: IntArray, root: Array | None = None) -> float:
     """As ``posterior``, only the evidence: what a search over subsets needs."""
     b, G = q.b[index], q.G[np.ix_(index, index)]
     if root is not None:

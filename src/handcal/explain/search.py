@@ -45,7 +45,7 @@ class Space:
         if len({name_of(i) for i in names}) < len(names):
             return -math.inf
         parts = [self.where[i] for i in names]
-        index = np.concatenate(parts) if parts else np.zeros(0, dtype=np.int64)
+        index: IntArray = np.concatenate(parts) if parts else np.zeros(0, dtype=np.int64)
         if not len(index):
             return self.quadratic.a + sum(self.prior[i] for i in names)
         effects = [self.effects[i] for i in names]

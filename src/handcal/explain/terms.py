@@ -47,12 +47,12 @@ def _warmth(s: Signals) -> Array:
 
 
 def _alpha(i: int) -> Feature:
-    return lambda s: np.gradient(s.gyro[:, i], s.t)
+    return lambda s: np.asarray(np.gradient(s.gyro[:, i], s.t))
 
 
 def _times(*factors: Feature) -> Feature:
     def product(s: Signals) -> Array:
-        out = factors[0](s)
+        out = np.array(factors[0](s))
         for f in factors[1:]:
             out = out * f(s)
         return out

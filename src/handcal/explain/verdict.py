@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from handcal.effects import Effect, catalogue
+from handcal.effects import Effect, catalogue, mag_hard_iron
 from handcal.evidence import reduce, reduced_pass
 from handcal.explain import held, locate, outliers
-from handcal.explain.case import Case, case_of, name_of
+from handcal.explain.case import Case, case_of, name_of, without_iron
 from handcal.explain.explanation import (
     Evidence,
     Explained,
@@ -24,8 +24,11 @@ from handcal.explain.explanation import (
 )
 from handcal.explain.find import Found, search
 from handcal.explain.fit import Fitted, Model, fitted, started
+from handcal.explain.next_motion import next_motions
+from handcal.explain.robust import inflation
 from handcal.explain.search import PRIOR, expected_gain, gains, probabilities, rivals
 from handcal.model import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR
+from handcal.twin import twin
 from handcal.types import Array, NoiseLevel, Parameter, Recording
 
 Progress = Callable[[float], None]
@@ -62,7 +65,7 @@ def explain(
     report(0.03)
     base = fitted([started(c) for c in cases], ())
     report(0.15)
-    cleaned, wrong = outliers.cleaned(base)
+    cleaned, wrong = outliers.cleaned(_ironed(base))
     found = search(cleaned, lambda f: report(0.15 + 0.65 * f))
     report(0.8)
     others = [prepared(r) for r in held_out]
@@ -73,6 +76,21 @@ def explain(
     out = _explanation(base, found, wrong, scores)
     report(1.0)
     return out
+
+
+def _ironed(base: Model) -> Model:
+    """The baseline with a hard iron, if the magnetometer carries one too large to be found from
+    zero; else the baseline as it is."""
+    effect = mag_hard_iron.EFFECT
+    cases = [without_iron(f.case) for f in base.parts]
+    if not any(cases):
+        return base
+    begin = [
+        f if case is None else started(case, [effect])
+        for f, case in zip(base.parts, cases, strict=True)
+    ]
+    model = fitted(begin, [effect])
+    return model if model.log_evidence + PRIOR > base.log_evidence else base
 
 
 def _explanation(
@@ -115,7 +133,7 @@ def _explanation(
         _fit(base, before),
         _fit(model, model.parts),
         scores,
-        (),
+        next_motions(found, missing, _hypotheses(found, missing, named), verdict),
         _parameters(model, model.parts[0]),
         _noise(model.parts[0]),
         tuple(explained),
@@ -192,7 +210,8 @@ def _entry(
 
 def _effect_parameters(model: Model, effect: Effect) -> tuple[Parameter, ...]:
     at = [i for i, n in enumerate(model.quadratic.names) if n[0] == effect.id]
-    sigma = np.sqrt(np.maximum(np.diag(model.covariance), 0.0))
+    excess = math.sqrt(inflation(model)[effect.id])
+    sigma = excess * np.sqrt(np.maximum(np.diag(model.covariance), 0.0))
     out = []
     free = {p.name: (p, i) for p, i in zip(effect.parameters, at, strict=True)}
     for p in catalogue().get(name_of(effect.id), effect).parameters:
@@ -217,10 +236,8 @@ def _process_parameters(model: Model, effect: Effect) -> tuple[Parameter, ...]:
 
     def value(x: Array) -> float:
         return sum(
-            reduced_pass(r, {**lv, **{n: lv[n] * math.exp(v) for n, v in zip(names, x, strict=True)}})
-            .log_evidence
-            for r, lv in reductions
-        )  # fmt: skip
+            reduced_pass(r, {**lv, **_scaled(lv, names, x)}).log_evidence for r, lv in reductions
+        )
 
     k = len(names)
     here, H = value(np.zeros(k)), np.zeros((k, k))
@@ -240,6 +257,10 @@ def _process_parameters(model: Model, effect: Effect) -> tuple[Parameter, ...]:
                   p.prior_sigma, None)
         for p, n, s in zip(effect.parameters, names, spread, strict=True)
     )  # fmt: skip
+
+
+def _scaled(levels: Mapping[str, float], names: Sequence[str], x: Array) -> dict[str, float]:
+    return {n: levels[n] * math.exp(v) for n, v in zip(names, x, strict=True)}
 
 
 def _negative(H: Array) -> Array:
@@ -320,6 +341,7 @@ def _explained(
         bins,
         short,
         after.case.rests,
+        (twin(before.linear), twin(after.linear)),
     )
 
 
@@ -364,7 +386,9 @@ def _fit(model: Model, parts: Sequence[Fitted]) -> Fit:
                 x = nu[slot == k * 6 + i]
                 if len(x) > 10:
                     nis.setdefault(channel, []).append(float(np.mean(x**2)))
-                    white.setdefault(channel, []).append(float(np.mean(x[1:] * x[:-1]) / max(float(np.mean(x**2)), 1e-12)))
+                    white.setdefault(channel, []).append(
+                        float(np.mean(x[1:] * x[:-1]) / max(float(np.mean(x**2)), 1e-12))
+                    )
         for channel, v in locate.residual_rms(f).items():
             rms.setdefault(channel, []).append(v)
     return Fit(
@@ -407,4 +431,3 @@ def _warnings(base: Model, model: Model) -> tuple[str, ...]:
             "The final fit still moved after ten rounds of relinearisation; trust its numbers less."
         )
     return tuple(dict.fromkeys(out))
-

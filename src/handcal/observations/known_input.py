@@ -19,7 +19,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from handcal import so3
 from handcal._jit import njit, residual_function
@@ -27,6 +26,7 @@ from handcal.observations import Constant, Observation, Rows, Scene, pseudo_time
 from handcal.types import Array, BoolArray, Level, Recording
 
 FEWEST, MOST = 20, 12000
+REST_RATE = 10.0
 # An interval longer than this many usual ones is a gap; a row this near to one is left out,
 # since the spline feels what is missing (by a factor of -0.27 a sample).
 GAP, NEAR = 1.6, 3
@@ -123,7 +123,7 @@ def _thinned(t: Array, recording: Recording, scene: Scene) -> Array:
     resting = np.zeros(len(t), dtype=np.bool_)
     for a, b in scene.rests:
         resting |= (t >= a) & (t <= b)
-    some = np.searchsorted(t, pseudo_times(recording, scene.rate, scene.rests))
+    some = np.searchsorted(t, pseudo_times(recording, REST_RATE, scene.rests))
     keep = ~resting
     keep[some[some < len(t)]] = True
     t = t[keep]
@@ -131,6 +131,8 @@ def _thinned(t: Array, recording: Recording, scene: Scene) -> Array:
 
 
 def _rows(recording: Recording, scene: Scene) -> Rows | None:
+    from scipy.interpolate import CubicSpline
+
     imu, reference = recording.imu, recording.streams.get("reference")
     if reference is None or len(reference.t) < FEWEST:
         return None

@@ -118,8 +118,7 @@ def aligned(recording: Recording, pose: Series) -> tuple[Array, Array]:
     spread = np.linalg.svd(gyro - gyro.mean(0), compute_uv=False) if len(gyro) > 10 else np.zeros(3)
     if spread[1] < 0.1 * math.sqrt(len(gyro)) * 0.2:
         raise InputError(
-            "The motion turns about too few axes to align the pose's marker with the IMU; "
-            "leave the pose out with --ignore pose."
+            "The motion turns about too few axes to align the pose's marker with the IMU."
         )
     R_bm = _rotation_between(marker, gyro)
     imu = recording.imu
