@@ -66,9 +66,9 @@ def _shaking() -> tuple[Turn, ...]:
 
 
 def _faces(rest: float) -> tuple[Turn, ...]:
-    """Screen up, on each side, screen down, on top and on bottom, with short turns between."""
+    """Screen up, on one end, screen down, on the other end, on either side; short turns between."""
     turns: list[Turn] = [(Z, 0.0, rest)]
-    for axis, angle in ((X, 90.0), (X, 90.0), (X, 90.0), (Y, 90.0), (Y, 180.0)):
+    for axis, angle in ((X, 90.0), (X, 90.0), (X, 90.0), (Z, 90.0), (Z, 180.0)):
         turns += [(axis, angle, 1.5 * angle / 90.0), (Z, 0.0, rest)]
     return tuple(turns)
 

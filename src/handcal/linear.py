@@ -113,7 +113,9 @@ def linearise_about(problem: Problem, start: Start, nominal: Trajectory) -> Line
     if problem.imu_constants:
         # What an effect does depends on the true rate and force: take off the noise that
         # this trajectory implies, or each sample's noise would pose as motion that excites it.
-        noise = _implied_noise(problem, nominal, d)
+        noise = None
+        if any(o.navigates for o in problem.observations):
+            noise = _implied_noise(problem, nominal, d)
         force = None if C_nb is None or not held else _steady_force(problem, nominal, C_nb)
         problem = relinearised(
             problem, nominal.constants, nominal.bg, nominal.ba, noise, C_nb, force
@@ -212,7 +214,9 @@ def _transitions(problem: Problem, nominal: Trajectory) -> tuple[Array, Array, A
         problem.omega_ie_n,
         (Phi, d, Q[0], Q[1], Q[2]),
     )
-    _turn_noise(Phi, d)
+    if any(o.navigates for o in problem.observations):
+        # (else d is no noise: it holds whatever moved the biases, and nothing pulls it back)
+        _turn_noise(Phi, d)
     return Phi, d, Q
 
 

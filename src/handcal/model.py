@@ -299,10 +299,9 @@ def relinearised(
         )
         i += len(e.parameters)
     if noise is not None:
-        quiet: BoolArray = np.asarray(np.interp(imu.t, nodes.t, problem.rate) < QUIET_RATE)
-        acted = J.any(axis=0)
+        quiet = np.interp(imu.t, nodes.t, problem.rate) < QUIET_RATE
         for k in range(6):
-            own = np.flatnonzero(acted[k])
+            own = np.flatnonzero(J[:, k].any(axis=0))
             J[:, k, own] = _calmed(J[:, k, own], recording.rate_hz, quiet)
     right = np.clip(np.searchsorted(imu.t, nodes.t), 1, len(imu.t) - 1)
     share = ((nodes.t - imu.t[right - 1]) / (imu.t[right] - imu.t[right - 1]))[:, None, None]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from handcal.effects import Effect, Param, Signals
 from handcal.types import Array
@@ -11,9 +12,11 @@ from handcal.types import Array
 def imu_error(delay: Array, signals: Signals) -> Array:
     """``f(t - delay) - f(t)`` on the accelerometer; delay (1,) s, result (n, 6)."""
     out = np.zeros((len(signals.t), 6))
-    for i in range(3):
-        f = signals.accel[:, i]
-        out[:, 3 + i] = np.interp(signals.t - delay[0], signals.t, f) - f
+    if delay[0] != 0.0:
+        # (straight lines between samples would average their noise, and less noise would
+        # speak for half a sample's delay)
+        then = np.clip(signals.t - delay[0], signals.t[0], signals.t[-1])
+        out[:, 3:] = CubicSpline(signals.t, signals.accel)(then) - signals.accel
     return out
 
 

@@ -98,7 +98,7 @@ def thinned(recording: Recording) -> Recording:
 
     steps = np.diff(imu.t[:n].reshape(-1, group), axis=1)
     whole = (steps < 4.0 * np.median(np.diff(imu.t))).all(axis=1)
-    valid = imu.valid[:n].reshape(-1, group).all(axis=1) & whole
+    valid = np.array(imu.valid[:n].reshape(-1, group).all(axis=1) & whole)
     return replace(
         recording, imu=replace(imu, t=mean(imu.t), gyro=mean(imu.gyro), accel=mean(imu.accel),
                                valid=valid)

@@ -13,7 +13,6 @@ from handcal.explain.case import Case
 from handcal.explain.explanation import HeldOut
 from handcal.explain.fit import EXCESS, Fitted, Known, Model, fitted, started
 from handcal.explain.locate import residual_rms
-from handcal.types import Array
 
 EARLY = 0.6
 

@@ -39,7 +39,7 @@ def _force(i: int) -> Feature:
 
 
 def _time(s: Signals) -> Array:
-    return s.t - s.t[0]
+    return np.asarray(s.t - s.t[0])
 
 
 def _warmth(s: Signals) -> Array:

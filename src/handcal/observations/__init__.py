@@ -73,6 +73,7 @@ class Observation:
     isotropic: where z is zero, the residual is a vector in n without preferred direction.
     wandering: first of the three Markov states that are the velocity of a point that wanders
     at random: what it feels is no motion that could excite an effect.
+    navigates: it says something of position, velocity or attitude.
     guess(z (k, zdim)): first guesses of levels that the observations themselves show.
     """
 
@@ -92,6 +93,7 @@ class Observation:
     guess: Callable[[Array], Mapping[str, float]] | None = None
     isotropic: bool = False
     wandering: int | None = None
+    navigates: bool = True
 
 
 @cache

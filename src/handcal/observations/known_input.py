@@ -185,6 +185,7 @@ LEVELS = (
 
 OBSERVATION = Observation(
     kind="known_input",
+    navigates=False,
     title="known input",
     dim=6,
     channels=("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z"),
