@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from handcal._jit import copy1, copy2, inner, njit, zero2
-from handcal.covariance import propagate, propagation_work, times_transition
+from handcal.covariance import propagate, propagation_work
 from handcal.kernel import BASE, Nodes, interval
 from handcal.types import Array, IntArray
 
@@ -32,7 +32,7 @@ def preintegrate(
     width = BASE + mi
     Phi, J = np.empty((9, width)), np.empty((6, 6 + mi))
     none = np.empty((0, 0))
-    total, new = np.zeros((width, width)), np.zeros((9, width))
+    total, new = np.zeros((9, width)), np.zeros((9, width))
     Q = np.zeros((3, 9, 9))
     work = propagation_work(len(Q[0]), len(none))
     p, v, C = np.empty(3), np.empty(3), np.empty((3, 3))
@@ -41,18 +41,16 @@ def preintegrate(
         copy1(nominal[1][j - 1], v)
         copy2(nominal[2][j - 1], C)
         zero2(total)
-        for a in range(width):
+        for a in range(9):
             total[a, a] = 1.0
         for s in range(3):
             zero2(Q[s])
         for i in range(epoch[j - 1] + 1, epoch[j] + 1):
             interval(nodes, i, bg[j - 1], ba[j - 1], extras, ref, g_n, omega_ie_n, p, v, C, Phi, J)
-            times_transition(Phi, none, none, none, width, total, new)
-            for a in range(9):
-                copy1(new[a], total[a])
+            _chain(Phi, total, new)
+            copy2(new, total)
             _add_noise(Q, Phi, none, nodes.t[i] - nodes.t[i - 1], nodes.extra[i], work)
-        for a in range(9):
-            copy1(total[a], Phi_out[j, a])
+        copy2(total, Phi_out[j])
         copy2(Q[0], Qg_out[j])
         copy2(Q[1], Qa_out[j])
         copy2(Q[2], Q0_out[j])
@@ -60,6 +58,22 @@ def preintegrate(
             d_out[j, a] = p[a] - nominal[0][j, a]
             d_out[j, 3 + a] = v[a] - nominal[1][j, a]
         _angle_between(C, nominal[2][j], d_out[j, 6:9])
+
+
+@inner
+def _chain(Phi: Array, total: Array, out: Array) -> None:
+    """out = the transition ``total`` followed by Phi, both (9, 15 + mi): biases and constants
+    do not move, so their part of Phi is only added."""
+    for a in range(9):
+        for j in range(9):
+            out[a, j] = 0.0
+        for j in range(9, Phi.shape[1]):
+            out[a, j] = Phi[a, j]
+        for k in range(9):
+            s = Phi[a, k]
+            if s != 0.0:
+                for j in range(Phi.shape[1]):
+                    out[a, j] += s * total[k, j]
 
 
 @inner

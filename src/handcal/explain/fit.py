@@ -97,7 +97,7 @@ class Known:
 def fitted(
     begin: Sequence[Fitted],
     effects: Sequence[Effect],
-    noise_rounds: int = 2,
+    noise_rounds: int = 1,
     known: Known | None = None,
 ) -> Model:
     """Fit these effects to all recordings, beginning from other fits' trajectories and noise."""

@@ -63,7 +63,7 @@ def explain(
 
     cases = [prepared(r) for r in recordings]
     report(0.03)
-    base = fitted([started(c) for c in cases], ())
+    base = fitted([started(c) for c in cases], (), noise_rounds=2)
     report(0.15)
     cleaned, wrong = outliers.cleaned(_ironed(base))
     found = search(cleaned, lambda f: report(0.15 + 0.65 * f))
