@@ -203,7 +203,7 @@ def test_known_input_is_compared_reading_by_reading():
 def test_file_reads_back_as_what_was_recorded(turned, tmp_path):
     _, recording, before, after = turned
     path = tmp_path / "twin.mcap"
-    write_twin(recording, twin(before), twin(after.linear), path)
+    write_twin(recording, twin(before.linear), twin(after.linear), path)
     read = handcal.load(path)
     np.testing.assert_array_equal(read.imu.gyro, recording.imu.gyro)
     assert set(read.streams) == {"heading"}

@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
+    from handcal.explain import Explanation
     from handcal.types import Parameter, Result
     from handcal_sim.scenario import World
 
@@ -25,13 +28,17 @@ def demo(
         int, typer.Option(min=0, help="Another device, another hand, another error.")
     ] = 1,
 ) -> None:
-    """Simulate a recording that conceals an error, calibrate it, and compare with the truth.
+    """Simulate a recording that conceals an error, calibrate, explain, compare with the truth.
 
-    Writes recording.mcap, report.html, dashboard.rrd and calibration.json.
+    Writes recording.mcap; explanation.html, .rrd and .json; report.html, dashboard.rrd and
+    calibration.json.
     """
     import handcal
     from handcal.commands import say
-    from handcal.dashboard import save_rrd
+    from handcal.dashboard import save_explanation_rrd, save_rrd
+    from handcal.explain import explain
+    from handcal.explain_report import write_explanation_report
+    from handcal.explain_summary import explanation_json
     from handcal.progress import progress
     from handcal.report import write_report
     from handcal.summary import calibration_json, write_json
@@ -43,19 +50,24 @@ def demo(
     world = concealing(seed)
     write(world, file)
     recording = handcal.load(file)
-    say("calibrating: biases and gyro scale")
-    with progress("biases and gyro scale") as report:
-        result = handcal.calibrate(recording, (CONCEALED,), assume="fixed-point", progress=report)
-    # A gyro scale that is left out can pass for noise of the gyro, so that is held.
-    held = {n.name: n.value for n in result.noise if n.name == "gyro_noise"}
-    say("calibrating: biases alone, to compare")
+    say("calibrating: biases alone")
     with progress("biases alone") as report:
-        without = handcal.calibrate(recording, noise=held, assume="fixed-point", progress=report)
+        plain = handcal.calibrate(recording, assume="fixed-point", progress=report)
+    say("explaining: what do biases not account for?")
+    with progress("explaining") as report:
+        explanation = explain([recording], assume="fixed-point", progress=report)
+    named = tuple(m.effect for m in explanation.missing)
+    say(f"calibrating: biases and {', '.join(named) or 'nothing else'}")
+    with progress("with what was found") as report:
+        result = handcal.calibrate(recording, named, assume="fixed-point", progress=report)
     say("writing the results")
+    write_explanation_report(explanation, out / "explanation.html")
+    save_explanation_rrd(explanation, out / "explanation.rrd")
+    write_json(explanation_json(explanation), out / "explanation.json")
     write_report(result, out / "report.html")
     save_rrd(result, out / "dashboard.rrd")
     write_json(calibration_json(result), out / "calibration.json")
-    _show(truth_of(world), without, result, out)
+    _show(truth_of(world), plain, explanation, result, out)
 
 
 def concealing(seed: int) -> World:
@@ -79,14 +91,47 @@ def truth_of(world: World) -> Mapping[Key, float]:
 
 
 def off_by(p: Parameter, truth: Mapping[Key, float]) -> float:
-    """How far the estimate is from the truth, in sigmas."""
-    return (p.value - truth[p.effect, p.name]) / p.sigma
+    """How far the estimate is from the truth, in sigmas. What was not injected is zero."""
+    return (p.value - truth.get((p.effect, p.name), 0.0)) / p.sigma
 
 
-def _show(truth: Mapping[Key, float], without: Result, result: Result, out: Path) -> None:
+def _show(
+    truth: Mapping[Key, float], plain: Result, explanation: Explanation, result: Result, out: Path
+) -> None:
     """Truth beside estimate in the terminal, and what to look at next."""
-    from rich import box
     from rich.console import Console
+
+    from handcal import explain_words, words
+
+    console = Console(highlight=False)
+
+    def line(text: str) -> None:
+        console.print(text, soft_wrap=True)
+
+    line("A simulated phone was held and turned once about each axis. Its gyro secretly misreads "
+         "every turn by up to 1.2 %. Handcal is given the recording alone.")  # fmt: skip
+    line(f"\n[bold]Biases alone:[/] {words.verdict(plain).headline}")
+    line(f"[bold]Explained:[/] {explain_words.verdict(explanation).headline}")
+    console.print(_table(truth, result))
+    off = [abs(off_by(p, truth)) for p in result.parameters]
+    line(f"{sum(o < 2.0 for o in off)} of {len(off)} estimates lie within two sigma of the truth; "
+         f"the worst is off by {max(off):.1f}.\n")  # fmt: skip
+    console.print("Look next at", style="bold")
+    effects = ",".join(m.effect for m in explanation.missing)
+    watch = f"handcal replay {out / 'recording.mcap'}" + (f" --effects {effects}" if effects else "")
+    for name, what in (
+        ("explanation.html", "what is missing and how that shows, in a browser"),
+        ("report.html", "the calibration with it, in a browser"),
+        ("explanation.rrd, dashboard.rrd", f"the same over time: rerun {out / 'dashboard.rrd'}"),
+        ("explanation.json, calibration.json", "the numbers"),
+        ("recording.mcap", f"watch the filter at work: {watch}"),
+    ):
+        files = ", ".join(str(out / one) for one in name.split(", "))
+        line(f"  {files}  [dim]{what}[/]")
+
+
+def _table(truth: Mapping[Key, float], result: Result) -> Table:
+    from rich import box
     from rich.table import Table
 
     from handcal import words
@@ -99,34 +144,8 @@ def _show(truth: Mapping[Key, float], without: Result, result: Result, out: Path
     for group in words.by_effect(result.parameters).values():
         unit = words.shown_group(group)
         for p in group:
-            true = unit.value(truth[p.effect, p.name], p.sigma, sign=True)
+            true = unit.value(truth.get((p.effect, p.name), 0.0), p.sigma, sign=True)
             row = (unit.value(p.value, p.sigma, sign=True), unit.value(p.sigma, p.sigma))
             size = f"{abs(off_by(p, truth)):.1f} sigma"
             table.add_row(words.parameter_title(p), true, *row, unit.unit, size)
-    off = [abs(off_by(p, truth)) for p in result.parameters]
-    inside, n = sum(o < 2.0 for o in off), len(off)
-    wrong = max(abs(off_by(p, truth)) for p in without.parameters)
-    gain = result.log_evidence - without.log_evidence
-    console = Console(highlight=False)
-    console.print(
-        "A simulated phone was held and turned once about each axis. Its gyro secretly misreads "
-        "every turn by up to 1.2 %. What handcal made of the recording:", soft_wrap=True,
-    )  # fmt: skip
-    console.print(table)
-    console.print(
-        f"{inside} of {n} estimates lie within two sigma of the truth; the worst is off by "
-        f"{max(off):.1f}.", soft_wrap=True,
-    )  # fmt: skip
-    console.print(
-        f"Leave the scale error out at the same gyro noise, and log evidence falls by "
-        f"[bold]{gain:.0f}[/] and biases are off by up to {wrong:.0f} sigma.\n", soft_wrap=True,
-    )  # fmt: skip
-    console.print("Look next at", style="bold")
-    for name, what in (
-        ("report.html", "the report, in a browser"),
-        ("dashboard.rrd", "the same over time: rerun " + str(out / "dashboard.rrd")),
-        ("calibration.json", "the numbers"),
-        ("recording.mcap", f"watch the filter at work: handcal replay {out / 'recording.mcap'}"
-                           f" --effects {CONCEALED}"),
-    ):  # fmt: skip
-        console.print(f"  {out / name}  [dim]{what}[/]", soft_wrap=True)
+    return table

@@ -149,6 +149,7 @@ def smoothed_mean(linear: Linear, levels: Mapping[str, float]) -> tuple[Array, f
 
 
 def whole_mean(done: ReducedPass, r: Array) -> Array:
+    """Errors x (k, N) given the whole recording, of a pass that was kept and its adjoint r."""
     reduction = done.reduction
     x = np.empty((len(done.X), reduction.linear.problem.size))
     x[:, 9 : 9 + len(done.w)] = reduction.scale * done.w

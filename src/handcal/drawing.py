@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 
 INK, MUTED, GRID, SHADE = "#1c2330", "#5b6472", "#d9dee5", "#e9edf2"
 MISS = "#fdf0dc"  # the ground where something is amiss
-PURPLE = "#8a4a9e"
+PURPLE, RED = "#8a4a9e", "#a3262f"
 XYZ = ("#c44e00", "#00875f", "#0067b3")
 PALETTE = {INK: "--ink", MUTED: "--muted", GRID: "--grid", SHADE: "--shade",
            XYZ[0]: "--x", XYZ[1]: "--y", XYZ[2]: "--z",
-           MISS: "--partly-bg", PURPLE: "--w"}  # fmt: skip
+           MISS: "--partly-bg", PURPLE: "--w", RED: "--poor"}  # fmt: skip
 AXES = ("x", "y", "z")
 WIDTH = 6.6  # inches of 72 SVG units
 WIDE = 13.6  # of a figure as wide as the page

@@ -21,6 +21,7 @@ from handcal.drawing import (
     MUTED,
     PURPLE,
     RC,
+    RED,
     SHADE,
     WIDE,
     WIDTH,
@@ -70,11 +71,15 @@ def trace_plot(explanation: Explanation, recording: int, trace: Trace, wide: boo
     shade((top, low), where, MISS)
     points = 900 if wide else 420
     k = thin(trace.t.size, points)
+    one = np.array_equal(trace.before, trace.after)
+    recorded = (trace.recorded, {"color": INK, "lw": 3.6, "alpha": 0.3, "label": "recorded"})
     lines: tuple[tuple[Array, dict[str, Any]], ...] = (
-        (trace.recorded, {"color": INK, "lw": 3.6, "alpha": 0.3, "label": "recorded"}),
+        recorded,
         (trace.before, {"color": BEFORE, "lw": 1.2, "label": "plain model"}),
         (trace.after, {"color": AFTER, "lw": 1.2, "ls": (0, (3, 2)), "label": "final model"}),
     )
+    if one:
+        lines = (recorded, (trace.after, {"color": AFTER, "lw": 1.2, "label": "model"}))
     for value, style in lines:
         at, y = trace.t[k], unit.factor * value[k]
         if trace.unit == "rad":
@@ -83,7 +88,8 @@ def trace_plot(explanation: Explanation, recording: int, trace: Trace, wide: boo
     band = unit.factor * trace.sigma
     low.axhspan(-band, band, color=MUTED, alpha=0.22, lw=0, zorder=1)
     differences = [unit.factor * missed(trace, m) for m in (trace.before, trace.after)]
-    for difference, colour in zip(differences, (BEFORE, AFTER), strict=True):
+    shown_lines = list(zip(differences, (BEFORE, AFTER), strict=True))
+    for difference, colour in shown_lines[one:]:
         low.plot(*envelope(trace.t, difference, points), color=colour, lw=1.1)
     size = max(float(np.quantile(np.abs(d), 0.995)) for d in differences)
     limit = 1.15 * max(size, 1.5 * band) or 1.0
@@ -96,11 +102,12 @@ def trace_plot(explanation: Explanation, recording: int, trace: Trace, wide: boo
     legend(top)
     rms = [float(np.sqrt((d**2).mean())) for d in differences]
     shown = [unit.value(v / unit.factor, 0.1 * max(rms) / unit.factor) for v in rms]
-    caption = (
-        f"Both models are {shown[0]} {unit.unit} (rms) off."
-        if shown[0] == shown[1]
-        else f"The plain model is {shown[0]} {unit.unit} (rms) off, the final model {shown[1]}."
-    )
+    caption = f"The plain model is {shown[0]} {unit.unit} (rms) off, the final model {shown[1]}."
+    if shown[0] == shown[1]:
+        who = "The model is" if one else "Both models are"
+        caption = f"{who} {shown[0]} {unit.unit} (rms) off."
+    if not trace.before.any():
+        caption += f" Counted from what the {'model' if one else 'plain model'} expects."
     if where:
         caption += " Coloured ground: where the plain model falls short."
     title = say.channel_title(trace.channel)
@@ -109,11 +116,11 @@ def trace_plot(explanation: Explanation, recording: int, trace: Trace, wide: boo
 
 
 def heat_plot(explanation: Explanation, recording: int) -> Plot | None:
-    """Shortfall by channel and time; None where there is no bin."""
+    """Shortfall by channel and time; None where there is none to speak of."""
     from matplotlib.patches import Patch, Rectangle
 
     r = explanation.recordings[recording]
-    if r.bins.size < 2 or not r.shortfall:
+    if r.bins.size < 2 or sum(lost(r).values()) < 1.0:
         return None
     bins, loss = cells(r)
     rows = say.channels(dict.fromkeys(r.shortfall, 0.0))
@@ -145,9 +152,11 @@ def heat_plot(explanation: Explanation, recording: int) -> Plot | None:
     ax.legend(swatches, [f"{v:,.0f} nats" for v in scale], loc="lower right", ncols=4,
               bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, handlelength=1.3)  # fmt: skip
     caption = (
-        f"Nats lost in {bins[1] - bins[0]:.3g} s against what the plain model expects of itself; "
-        f"at the right, each channel's share. Framed: what is listed above."
+        f"Nats that the plain model loses to the final one in each {bins[1] - bins[0]:.3g} s; at "
+        f"the right, each channel's share."
     )
+    if explanation.mismatch:
+        caption += " Framed: what is listed above."
     title = f"Shortfall{say.of_recording(recording, explanation) or ' by channel'}"
     return Plot(title, caption, svg(figure, f"heat-{recording}"))
 
@@ -155,18 +164,22 @@ def heat_plot(explanation: Explanation, recording: int) -> Plot | None:
 def hypothesis_plot(explanation: Explanation) -> Plot:
     """What each effect gains alone, beside what was found, and what it could have gained."""
     shown, styles = by_gain(explanation)[:BARS], effect_styles(explanation)
-    figure, (ax,) = canvas(1, 1.3 + 0.31 * len(shown))
-    for row, h in enumerate(shown):
+    terms, dot = explanation.unnamed, {"markersize": 6.5, "markeredgewidth": 1.6, "zorder": 4}
+    rows = len(terms) + len(shown)
+    figure, (ax,) = canvas(1, 1.3 + 0.31 * rows + 0.12 * len(terms))
+    for row, u in enumerate(terms):
+        ax.plot(u.log_evidence_gain, row, "o", color=RED, markerfacecolor=SHADE, **dot)
+    for row, h in enumerate(shown, len(terms)):
         colour = styles.get(h.effect, (MUTED, "-"))[0]
         ax.barh(row, h.alone, height=0.56, color=colour, alpha=0.85 if h.verdict else 0.35, lw=0)
-        dot: dict[str, Any] = {"markersize": 6.5, "markeredgewidth": 1.6, "zorder": 4}
         ax.plot(h.final, row, "o", color=INK, markerfacecolor=SHADE, **dot)
         ax.plot([h.expected] * 2, [row - 0.36, row + 0.36], color=INK, lw=1.6, zorder=3)
         likely = say.percent(h.probability).replace("over ", "> ").replace("under ", "< ")
         ax.text(1.015, row, likely, transform=ax.get_yaxis_transform(), va="center", fontsize=10,
                 color=INK if h.verdict else MUTED)  # fmt: skip
     ax.set_xscale("symlog", linthresh=10, linscale=0.6)
-    values = [v for h in shown for v in (h.alone, h.final, h.expected) if math.isfinite(v)]
+    values = [v for h in shown for v in (h.alone, h.final, h.expected)]
+    values = [v for v in (*values, *(u.log_evidence_gain for u in terms)) if math.isfinite(v)]
     high, low = max(100.0, 1.6 * max(values)), max(min(-10.0, 1.3 * min(values)), -300.0)
     step = 1 if high < 2e4 else 2
     decades = [10.0**d for d in range(1, 12, step)]
@@ -175,17 +188,19 @@ def hypothesis_plot(explanation: Explanation) -> Plot:
     ax.minorticks_off()
     ax.grid(visible=True, axis="x")  # setting a scale forgets it
     ax.axvline(0, color=MUTED, lw=0.9)
-    ax.set(xlim=(low, high), ylim=(len(shown) - 0.4, -0.6), xlabel="nats")
-    ax.set_yticks(range(len(shown)), [h.title for h in shown])
+    ax.set(xlim=(low, high), ylim=(rows - 0.4, -0.6), xlabel="nats")
+    names = [u.formula.replace(" += ", " +=\n") for u in terms]
+    ax.set_yticks(range(rows), [*names, *(h.title for h in shown)])
     ax.tick_params(axis="y", labelcolor=INK)
     ax.grid(visible=False, axis="y")
-    for label, h in zip(ax.get_yticklabels(), shown, strict=True):
-        label.set_color(INK if h.verdict else MUTED)
+    inks = [RED] * len(terms) + [INK if h.verdict else MUTED for h in shown]
+    for label, ink in zip(ax.get_yticklabels(), inks, strict=True):
+        label.set_color(ink)
     ax.text(1.015, -0.95, "present?", transform=ax.get_yaxis_transform(), fontsize=10, color=MUTED)
     caption = (
         "Bar: what it gains alone, coloured if it was found. Circle: what it gains beside "
-        "everything found; a long bar with its circle near zero only stands in for something else. "
-        "Tick: what an error of the usual size would gain in this motion."
+        "everything found, at the final noise; a long bar with its circle near zero only stands in "
+        "for something else. Tick: what an error of the usual size would gain in this motion."
     )
     if (rest := len(explanation.hypotheses) - len(shown)) > 0:
         caption += f" {rest} more gained less."
@@ -193,12 +208,14 @@ def hypothesis_plot(explanation: Explanation) -> Plot:
 
 
 def evidence_plot(explanation: Explanation) -> Plot | None:
-    """Cumulated gain over time, a panel for each recording."""
+    """Cumulated gain over time of what is in the final model, a panel for each recording."""
     each = [r for r in explanation.recordings if r.evidence.t.size and r.evidence.gain]
     if not each:
         return None
     styles = effect_styles(explanation)
     titles = {h.effect: h.title for h in explanation.hypotheses}
+    for i, u in enumerate(explanation.unnamed):
+        styles[u.formula], titles[u.formula] = (RED, DASHES[i % 3]), u.formula
     figure, axes = canvas(len(each), 0.9 + 2.9 * len(each) if len(each) > 1 else 4.4, share=False)
     for ax, r in zip(axes, each, strict=True):
         end = {e: float(g[-1]) for e, g in r.evidence.gain.items()}
@@ -220,8 +237,8 @@ def evidence_plot(explanation: Explanation) -> Plot | None:
             name = say.recording_names(explanation)[explanation.recordings.index(r)]
             ax.set_title(name, color=MUTED, pad=4)
     caption = (
-        "Each effect alone over the plain model, added up as the recording goes on: where a curve "
-        "climbs, the recording speaks for it. Grey: effects not found to be present. Rests shaded."
+        "The final model against the same without the effect, added up as the recording goes on: "
+        "where a curve climbs, the recording speaks for it. Rests shaded."
     )
     return Plot("Where the evidence came from", caption, svg(figure, "evidence"))
 
@@ -236,9 +253,11 @@ def balance_plot(explanation: Explanation) -> Plot | None:
     pairs: tuple[tuple[Mapping[str, float], Mapping[str, float]], ...] = (
         (before.nis, after.nis), (before.whiteness, after.whiteness),
     )  # fmt: skip
+    one = say.one_model(explanation)
     for ax, (old, new) in zip(axes, pairs, strict=True):
         for row, kind in enumerate(kinds):
-            _dumbbell(ax, row, old.get(kind, math.nan), new.get(kind, math.nan))
+            was = math.nan if one else old.get(kind, math.nan)
+            _dumbbell(ax, row, was, new.get(kind, math.nan))
         ax.set_ylim(len(kinds) - 0.4, -0.6)
         ax.set_yticks(range(len(kinds)), [words.kind_title(k) for k in kinds])
         ax.grid(visible=False, axis="y")
@@ -253,15 +272,11 @@ def balance_plot(explanation: Explanation) -> Plot | None:
     axes[0].set(xlim=(low, high), xlabel="NIS per degree of freedom (1 is right)")
     axes[1].axvline(0, color=INK, lw=1)
     axes[1].set(xlim=(-1, 1), xlabel="likeness of neighbouring surprises (0 is right)")
-    axes[0].legend(
-        loc="lower right",
-        bbox_to_anchor=(1.0, 1.0),
-        ncols=2,
-        borderaxespad=0.1,
-        handlelength=1.0,
-        handletextpad=0.4,
-    )
     caption = "How large the surprises are against what the model expects, and how alike in a row."
+    if not one:
+        axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.1,
+                       handlelength=1.0, handletextpad=0.4)  # fmt: skip
+        caption += " Both models at the final noise."
     return Plot("Does the model know its own errors?", caption, svg(figure, "balance"))
 
 

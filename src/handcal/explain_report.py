@@ -50,10 +50,12 @@ def _context(e: Explanation) -> dict[str, Any]:
         "log": _scores(e.before.log_evidence, e.after.log_evidence),
         "held_out": _held_out(e),
         "groups": _groups(e),
+        "one_model": say.one_model(e),
+        "more_apart": any(m.log_evidence_gain > say.gain(e) for m in (*e.missing, *e.unnamed)),
         "untold": say.untold(e),
         "next_motion": [
             {"motion": n.motion.rstrip("."), "gain": say.nats(n.expected_gain),
-             "apart": words.listed([say.the(say.title_of(x, e)) for x in n.separates] or ["it"])}
+             "promise": say.promise(n, e)}
             for n in e.next_motion
         ],
         "noise": [words.noise_line(n) for n in e.noise],
@@ -142,12 +144,14 @@ def _residuals(e: Explanation, held_out: bool) -> list[dict[str, str]]:
 
 
 def _held_out(e: Explanation) -> dict[str, Any] | None:
+    """None where there were none. Of later blocks only the score is of data not seen: the
+    residuals are those of the whole recording."""
     if (h := e.held_out) is None:
         return None
     return {
         "sentence": say.held_out_sentence(e) or "",
         "score": _scores(h.log_score_before, h.log_score_after),
-        "rows": _residuals(e, held_out=True),
+        "rows": [] if h.source == "later blocks" else _residuals(e, held_out=True),
     }
 
 

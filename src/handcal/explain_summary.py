@@ -17,8 +17,9 @@ if TYPE_CHECKING:
 
 EXPLANATION_SCHEMA = "handcal/explanation/1"
 KEY = (
-    "● present, ◐ one of a set that this motion cannot tell apart. Alone: over the plain model; "
-    "final: beside everything found; promised: what an effect of the usual size would gain."
+    "● present, ◐ one of a set that this motion cannot tell apart. Alone: over the plain model, "
+    "which may call noise what it lacks; final: beside everything found, at the noise found with "
+    "it; promised: what an effect of the usual size would gain."
 )
 TOP = 8  # hypotheses in the terminal; those found are shown in any case
 
@@ -181,7 +182,7 @@ def print_explanation(explanation: Explanation, console: Console) -> None:
         if (rest := len(e.hypotheses) - len(_top(e, TOP))) > 0:
             line(f"and {rest} more that gained less alone", style="dim")
         line(KEY, style="dim")
-    heading("Before and after")
+    heading("How well the model fits" if say.one_model(e) else "Before and after")
     console.print(_fit_table(e))
     if sentences := say.untold(e):
         heading("What this motion could not tell")
@@ -190,8 +191,7 @@ def print_explanation(explanation: Explanation, console: Console) -> None:
     if e.next_motion:
         heading("What motion would tell")
         for n in e.next_motion:
-            apart = words.listed([say.the(say.title_of(x, e)) for x in n.separates] or ["it"])
-            promise = f"sets apart {apart} ({say.nats(n.expected_gain)} expected)"
+            promise = f"{say.promise(n, e)} ({say.nats(n.expected_gain)} expected)"
             line(f"{n.motion.rstrip('.')}: {promise}.", bullet="• ")
     if warnings := all_warnings(e):
         heading("Warnings")
@@ -260,7 +260,7 @@ def fit_rows(e: Explanation) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]]
     rows = [("log evidence", say.number(before.log_evidence), say.number(after.log_evidence),
              "nats", _signed(say.gain(e)))]  # fmt: skip
-    if (h := e.held_out) is not None:
+    if (h := e.held_out) is not None and not say.one_model(e):
         scores = say.number(h.log_score_before), say.number(h.log_score_after)
         rows.append(("score on unseen data", *scores, "nats", _signed(say.held_out_gain(e))))
     for channel in say.channels(before.residual_rms, after.residual_rms):
@@ -282,6 +282,11 @@ def _signed(value: float) -> str:
 
 
 def _fit_table(e: Explanation) -> Any:
+    if say.one_model(e):
+        table = _table("", ">value", "unit")
+        for what, _, value, unit, _ in fit_rows(e):
+            table.add_row(what[:1].upper() + what[1:], value, unit)
+        return table
     table = _table("", ">before", ">after", "unit", ">change")
     for what, *row in fit_rows(e):
         table.add_row(what[:1].upper() + what[1:], *row)

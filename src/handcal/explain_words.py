@@ -7,15 +7,25 @@ and digits come from ``words``.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from handcal import words
-from handcal.explain.explanation import Explanation, Fit, Hypothesis, Mismatch, Missing, Unnamed
+from handcal.explain.explanation import (
+    Explanation,
+    Fit,
+    Hypothesis,
+    Mismatch,
+    Missing,
+    NextMotion,
+    Unnamed,
+)
 from handcal.types import Parameter
 from handcal.words import NBSP, Shown, Verdict, effect_title, listed, shown
 
 SEEN = 3.0  # nats, odds of twenty to one: what an effect must promise to be looked for
+MANY = 5  # names in a row
 OVERSURE = 1.6  # mean NIS above which errors are clearly larger than the model allows
 
 _SENSORS = {"accel": "accelerometer", "mag": "magnetometer"}
@@ -126,6 +136,11 @@ def either(titles: Sequence[str]) -> str:
     return listed([the(t) for t in titles], "or")
 
 
+def one_model(explanation: Explanation) -> bool:
+    """Whether nothing was added, so that plain and final model are the same."""
+    return not (explanation.missing or explanation.unnamed)
+
+
 def gain(explanation: Explanation) -> float:
     """Nats that the final model gains over the baseline."""
     return explanation.after.log_evidence - explanation.before.log_evidence
@@ -159,7 +174,8 @@ def verdict(explanation: Explanation) -> Verdict:
     level, headline, sentences = head(explanation)
     if (worst := worst_mismatch(explanation)) is not None:
         sentences.append(worst)
-    if (proof := held_out_sentence(explanation)) is not None:
+    proof = held_out_sentence(explanation)
+    if proof is not None and not one_model(explanation):
         sentences.append(proof)
     doubts = left_over(explanation.after)
     if held_out_gain(explanation) < 0 and explanation.verdict != "nothing_missing":
@@ -252,6 +268,18 @@ def worst_mismatch(explanation: Explanation) -> str | None:
     )
 
 
+def promise(n: NextMotion, explanation: Explanation) -> str:
+    """What a motion would do: "sets apart gravity and the lever arm", "would show the ..."."""
+    titles = [the(title_of(x, explanation)) for x in n.separates]
+    if len(titles) > MANY:
+        titles = [*titles[: MANY - 1], f"{counted_word(len(titles) - MANY + 1)} more"]
+    alike = [{m.effect, *m.indistinguishable_from} for m in explanation.missing]
+    verb = "sets apart" if any(len(titles) > 1 and set(n.separates) <= s for s in alike) else (
+        "would show"
+    )  # fmt: skip
+    return f"{verb} {listed(titles) or 'it'}"
+
+
 def interval(m: Mismatch) -> str:
     """ "12–31 s", finer where that would be nothing."""
     digits = 0 if m.to_s - m.from_s >= 2 else 1
@@ -339,5 +367,6 @@ def amount(u: Unnamed) -> str:
     text = f"{value} ± {spread}".replace("-", "−")
     if power:
         text = f"({text})·10{str(power).translate(_SUPERSCRIPT)}"
-    unit = "" if u.unit == "1" else f" {u.unit}"
+    powers = re.sub(r"\^(\d)", lambda m: m[1].translate(_SUPERSCRIPT), u.unit)
+    unit = "" if u.unit == "1" else f" {powers}"
     return text + unit

@@ -343,7 +343,8 @@ def verdict(result: Result) -> Verdict:
     sentences += doubts
     if overconfident:
         sentences.append(
-            "Usual causes: a held point that moved, or an effect that --effects did not include."
+            "Usual causes: a held point that moved, or an effect that --effects did not include: "
+            "handcal explain tries them all."
         )
     return Verdict(level, headline, tuple(sentences))
 

@@ -21,7 +21,7 @@ BEFORE, AFTER = XYZ[0], XYZ[2]
 FOUND = (XYZ[2], XYZ[1], (205, 150, 225))
 OTHERS = ((165, 125, 100), (105, 145, 130), (110, 125, 160), (145, 120, 155), (160, 150, 105),
           (130, 130, 130))  # fmt: skip
-AMISS = (245, 190, 90)
+AMISS, RED = (245, 190, 90), (255, 120, 120)
 CHANNELS = (XYZ[2], XYZ[0], XYZ[1], (205, 150, 225), (240, 225, 110), GREY)
 BARS = 8
 NAMES = ("recorded", "plain model", "final model")
@@ -87,7 +87,7 @@ def explanation_blueprint(explanation: Explanation) -> rrb.Blueprint:
             plot(
                 span,
                 f"{home}/evidence",
-                "Nats gained by each effect alone, added up",
+                "Nats gained by what was found, added up",
                 corner="LeftTop",
             ),
         ]
@@ -125,6 +125,7 @@ def log_explanation(rec: rr.RecordingStream, explanation: Explanation) -> None:
     rec.log("/verdict", text, static=True)
     _log_hypotheses(rec, e)
     colours, found = _colours(e), explain_frames.found_effects(e)
+    formulas = {u.formula for u in e.unnamed}
     for i, r in enumerate(e.recordings):
         home = f"/recording_{i + 1}"
         for trace in r.traces:
@@ -139,11 +140,12 @@ def log_explanation(rec: rr.RecordingStream, explanation: Explanation) -> None:
             s = r.shortfall[channel]
             columns(rec, f"{home}/shortfall/{channel}", r.bins, np.append(s, s[-1:]))
         for effect, gain in r.evidence.gain.items():
-            style = lines(
-                [say.title_of(effect, e)], [colours.get(effect, GREY)], 2.5 - 1.5 * (not found)
-            )
-            rec.log(f"{home}/evidence/{effect}", style, static=True)
-            columns(rec, f"{home}/evidence/{effect}", r.evidence.t, gain)
+            entity = f"{home}/evidence/{rr.escape_entity_path_part(effect)}"
+            named = effect if effect in formulas else say.title_of(effect, e)
+            colour = RED if effect in formulas else colours.get(effect, GREY)
+            style = lines([named], [colour], 2.5 if found or effect in formulas else 1.0)
+            rec.log(entity, style, static=True)
+            columns(rec, entity, r.evidence.t, gain)
 
 
 def _log_hypotheses(rec: rr.RecordingStream, e: Explanation) -> None:

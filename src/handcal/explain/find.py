@@ -107,7 +107,7 @@ def search(base: Model, report: Callable[[float], None] = lambda _: None) -> Fou
             visited.add(chosen)
             model = _fit(model, where, chosen)
             continue
-        processes = _noise_step(model, noise)
+        processes = _noise_step(model, noise, where.quadratic.worth)
         if processes is not None:
             model, visited = processes, set()
             continue
@@ -137,7 +137,7 @@ def _fit(model: Model, where: Space, chosen: frozenset[str]) -> Model:
     return fitted(model.parts, [*(where.effects[i] for i in sorted(chosen)), *processes])
 
 
-def _noise_step(model: Model, noise: dict[str, float]) -> Model | None:
+def _noise_step(model: Model, noise: dict[str, float], worth: float) -> Model | None:
     """Add the noise effect that gains most, if one does."""
     best: Model | None = None
     have = set(model.ids)
@@ -149,7 +149,8 @@ def _noise_step(model: Model, noise: dict[str, float]) -> Model | None:
         if not any(_worth_a_look(f, (*model.effects, effect), effect) for f in model.parts):
             continue
         tried = fitted(model.parts, (*model.effects, effect), noise_rounds=1)
-        gain = tried.log_evidence - model.log_evidence - OCCAM_LEVEL * len(effect.levels)
+        gain = worth * (tried.log_evidence - model.log_evidence)
+        gain -= OCCAM_LEVEL * len(effect.levels)
         if gain + PRIOR > 0.0 and (best is None or tried.log_evidence > best.log_evidence):
             best = tried
             noise[effect.id] = gain
@@ -176,14 +177,15 @@ def _leaner(model: Model, where: Space, noise: dict[str, float]) -> Model | None
     for e in model.effects:
         rest = [x for x in model.effects if x.id != e.id]
         if e.process is None:
-            if gained[e.id] / excess[e.id] + where.prior[e.id] < 0.0:
+            more = max(1.0, excess[e.id] * where.quadratic.worth)
+            if gained[e.id] / more + where.prior[e.id] < 0.0:
                 return fitted(model.parts, rest)
             if gained[e.id] > CLOSE:
                 continue
         without = fitted(model.parts, rest)
         occam = OCCAM_LEVEL * len(e.levels) if e.process is not None else 0.0
         prior = where.prior.get(e.id, PRIOR)
-        gain = model.log_evidence - without.log_evidence - occam
+        gain = where.quadratic.worth * (model.log_evidence - without.log_evidence) - occam
         if e.process is not None:
             noise[e.id] = gain
         if gain + prior < 0.0:

@@ -20,6 +20,7 @@ from handcal.effects import Effect
 from handcal.evidence import backward, reduce, reduced_pass
 from handcal.explain.case import Case, problem_with
 from handcal.explain.quadratic import Local, Posterior, Quadratic, given, local, posterior, total
+from handcal.explain.robust import excess
 from handcal.filter import empty_track, run_compiled
 from handcal.linear import Linear, Trajectory, epochs, linearise_about, trajectory_of
 from handcal.model import Problem, noise_arrays, relinearised
@@ -265,17 +266,25 @@ def _between(t_old: Array, C: Array, t: Array) -> Array:
 
 
 def with_noise(f: Fitted) -> Fitted:
+    """The fit with its noise levels estimated anew, but for those that are known."""
     names = tuple(lv.name for lv in f.linear.problem.levels if lv.name not in f.case.fixed)
     levels = noise_levels.estimate(f.linear, f.levels, names, excess=EXCESS)
     return replace(f, levels=levels)
 
 
 def scan(model: Model, candidates: Sequence[Effect]) -> Quadratic:
-    """The quadratic of the model's effects and of all candidates, about the model's fit."""
+    """The quadratic of the model's effects and of all candidates, about the model's fit.
+
+    Where the innovations' scatter shows that the filter trusts them too much, their evidence
+    counts for that much less (a power of the likelihood; Holmes & Walker, Biometrika 104, 2017).
+    """
     have = {e.id for e in model.effects}
     everything = (*model.effects, *(e for e in candidates if e.id not in have))
     parts = []
     for f in model.parts:
         wide = moved_to(f, everything)
-        parts.append(_local(wide, everything).quadratic)
+        done = reduced_pass(reduce(wide.linear), wide.levels)
+        q = local(done, frozenset(e.id for e in everything)).quadratic
+        worth = 1.0 / excess(done, frozenset(have))
+        parts.append(Quadratic(q.names, q.a, worth * q.b, worth * q.G, worth))
     return total(parts)

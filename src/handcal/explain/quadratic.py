@@ -21,13 +21,15 @@ from handcal.types import Array, IntArray
 class Quadratic:
     """log p(z | u) = a + b'u - u'G u / 2 for the parameters u (k,) in units of their priors.
 
-    names (k,): (effect, parameter). Everything else is integrated out.
+    names (k,): (effect, parameter). Everything else is integrated out. worth: power of the
+    likelihood that b and G have been given already, 1 for all of it.
     """
 
     names: tuple[tuple[str, str], ...]
     a: float
     b: Array
     G: Array
+    worth: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -91,7 +93,8 @@ def total(parts: Sequence[Quadratic]) -> Quadratic:
         index = np.array([at[n] for n in p.names], dtype=np.int64)
         b[index] += p.b
         G[np.ix_(index, index)] += p.G
-    return Quadratic(names, sum(p.a for p in parts), b, G)
+    worth = min((p.worth for p in parts), default=1.0)
+    return Quadratic(names, sum(p.a for p in parts), b, G, worth)
 
 
 def given(whole: Quadratic, part: Quadratic, u: Array) -> Array:

@@ -8,11 +8,15 @@ sums over blocks of time instead of single observations.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
-from handcal.evidence import reduce, reduced_pass
-from handcal.explain.fit import Fitted, Model
+from handcal.evidence import ReducedPass, reduce, reduced_pass
 from handcal.types import Array, IntArray
+
+if TYPE_CHECKING:
+    from handcal.explain.fit import Fitted, Model
 
 BLOCK_S = 4.0
 # As many blocks' worth of belief in the model itself.
@@ -33,23 +37,52 @@ def inflation(model: Model) -> dict[str, float]:
     }
 
 
+def excess(done: ReducedPass, active: frozenset[str]) -> float:
+    """How much more the scores of absent effects scatter than the model of these effects says:
+    the median over effects, at least 1. By so much less the innovations are worth."""
+    n = len(done.w)
+    owners = _owners(done)
+    present = np.array([o == "" or o in active for o in owners])
+    at_nominal = np.zeros(n)
+    found = [
+        (ratio * blocks + BELIEF) / (blocks + BELIEF)
+        for _, ratio, blocks in _scattered(done, at_nominal, np.flatnonzero(present))
+    ]
+    return float(np.clip(np.median(found), 1.0, MOST)) if found else 1.0
+
+
+def _owners(done: ReducedPass) -> list[str]:
+    """Effect of each constant, empty for biases and what belongs to an observation."""
+    problem = done.reduction.linear.problem
+    effects = {e.id for e in problem.effects}
+    return [*[""] * 6, *(s.owner if s.owner in effects else "" for s in problem.slots)]
+
+
 def _ratios(f: Fitted) -> list[tuple[str, float, float]]:
     """(effect, mean ratio of scatter to information, blocks) of one recording."""
     done = reduced_pass(reduce(f.linear), f.levels)
-    slots, G = f.linear.problem.slots, done.log_likelihood[2]
+    return _scattered(done, done.w, None)
+
+
+def _scattered(
+    done: ReducedPass, w: Array, present: IntArray | None
+) -> list[tuple[str, float, float]]:
+    """(effect, mean ratio of scatter to information, blocks), each effect beside all that are
+    present (None: all others)."""
+    linear, G = done.reduction.linear, done.log_likelihood[2]
     n = len(done.w)
-    owners = np.array(["", *[""] * 5, *(s.owner for s in slots)])
-    nu = done.nu[:, 0] + done.nu[:, 1:] @ done.w
-    t = np.repeat(f.linear.t, np.diff(done.reduction.first))
+    owners = np.array(_owners(done))
+    nu = done.nu[:, 0] + done.nu[:, 1:] @ w
+    t = np.repeat(linear.t, np.diff(done.reduction.first))
     block: IntArray = (
         ((t - t[0]) / BLOCK_S).astype(np.int64) if len(t) else np.zeros(0, dtype=np.int64)
     )
     out = []
-    for e in f.linear.problem.effects:
+    for e in linear.problem.effects:
         mine = np.flatnonzero(owners == e.id)
         if not len(mine):
             continue
-        rest = np.setdiff1d(np.arange(n), mine)
+        rest = np.setdiff1d(np.arange(n) if present is None else present, mine)
         A = G[np.ix_(rest, rest)] + np.eye(len(rest))
         by_rest = np.linalg.solve(A, G[np.ix_(rest, mine)])
         own = done.nu[:, 1 + mine] - done.nu[:, 1 + rest] @ by_rest
