@@ -71,7 +71,7 @@ def trace_plot(explanation: Explanation, recording: int, trace: Trace, wide: boo
     shade((top, low), where, MISS)
     points = 900 if wide else 420
     k = thin(trace.t.size, points)
-    one = np.array_equal(trace.before, trace.after)
+    one = say.one_model(explanation)
     recorded = (trace.recorded, {"color": INK, "lw": 3.6, "alpha": 0.3, "label": "recorded"})
     lines: tuple[tuple[Array, dict[str, Any]], ...] = (
         recorded,

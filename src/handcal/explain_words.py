@@ -164,7 +164,8 @@ def _what(explanation: Explanation) -> str:
 def _present(m: Missing, explanation: Explanation) -> str:
     names = members(m, explanation)
     likely = f"(probability {percent(m.probability)})"
-    return f"{either(names)} {likely}" if len(names) > 1 else f"{the(names[0])} {likely}"
+    others = f" or, less probably, {either(names[1:])}" if len(names) > 1 else ""
+    return f"{the(names[0])}{others} {likely}"
 
 
 def verdict(explanation: Explanation) -> Verdict:
@@ -330,9 +331,11 @@ def untold(explanation: Explanation) -> list[str]:
     for m in explanation.missing:
         if m.indistinguishable_from:
             names = listed([the(t) for t in members(m, explanation)])
+            surely = explanation.verdict == "explained"
+            which = f"most probably {the(m.title)}" if surely else "but it is not clear which"
             sentences.append(
                 f"{names[:1].upper()}{names[1:]} look alike in this motion: one of them is "
-                f"present (probability {percent(m.probability)}), but not which."
+                f"present (probability {percent(m.probability)}), {which}."
             )
     if hidden := unseen(explanation):
         names = listed([the(h.title) for h in hidden])

@@ -26,6 +26,10 @@ CLOSE = 40.0
 LOOK = 3.0
 OCCAM_LEVEL = 2.5
 MAX_TERMS = 3
+# How many of the weakest are fitted without.
+FEW = 3
+# Log odds of what was fitted without and not missed.
+REFUSED = -1e6
 MOMENTS = 24
 
 
@@ -96,9 +100,10 @@ def search(base: Model, report: Callable[[float], None] = lambda _: None) -> Fou
     unnamed: list[Effect] = []
     noise: dict[str, float] = {}
     visited: set[frozenset[str]] = set()
+    dropped: set[str] = set()
     for turn in range(ROUNDS + 2 * MAX_TERMS):
         report(min(0.95, 0.15 + 0.1 * turn))
-        where = _scanned(model, cases, unnamed)
+        where = _scanned(model, cases, unnamed, dropped)
         if not alone:
             alone = gains(where, frozenset())
         now = frozenset(e.id for e in model.effects if e.process is None)
@@ -107,12 +112,13 @@ def search(base: Model, report: Callable[[float], None] = lambda _: None) -> Fou
             visited.add(chosen)
             model = _fit(model, where, chosen)
             continue
-        processes = _noise_step(model, noise, where.quadratic.worth)
+        processes = _noise_step(model, noise, where.quadratic.worth, dropped)
         if processes is not None:
             model, visited = processes, set()
             continue
         leaner = _leaner(model, where, noise)
         if leaner is not None:
+            dropped |= {name_of(i) for i in set(model.ids) - set(leaner.ids)}
             model = leaner
             continue
         if len(unnamed) >= MAX_TERMS:
@@ -125,11 +131,14 @@ def search(base: Model, report: Callable[[float], None] = lambda _: None) -> Fou
     return Found(base, model, where, alone, noise, tuple(unnamed))
 
 
-def _scanned(model: Model, cases: Sequence[Case], unnamed: Sequence[Effect]) -> Space:
+def _scanned(
+    model: Model, cases: Sequence[Case], unnamed: Sequence[Effect], dropped: set[str]
+) -> Space:
     options = [*candidates(cases, model.effects), *unnamed]
     have = {e.id for e in options}
     options += [e for e in model.effects if e.id not in have and e.process is None]
-    return space(scan(model, options), options, priors(options))
+    odds = priors(options) | {e.id: REFUSED for e in options if name_of(e.id) in dropped}
+    return space(scan(model, options), options, odds)
 
 
 def _fit(model: Model, where: Space, chosen: frozenset[str]) -> Model:
@@ -137,12 +146,14 @@ def _fit(model: Model, where: Space, chosen: frozenset[str]) -> Model:
     return fitted(model.parts, [*(where.effects[i] for i in sorted(chosen)), *processes])
 
 
-def _noise_step(model: Model, noise: dict[str, float], worth: float) -> Model | None:
+def _noise_step(
+    model: Model, noise: dict[str, float], worth: float, dropped: set[str]
+) -> Model | None:
     """Add the noise effect that gains most, if one does."""
     best: Model | None = None
     have = set(model.ids)
     for effect in catalogue().values():
-        if effect.process is None or effect.id in have:
+        if effect.process is None or effect.id in have | dropped:
             continue
         if not any(applicable(f.case, effect) for f in model.parts):
             continue
@@ -174,7 +185,8 @@ def _leaner(model: Model, where: Space, noise: dict[str, float]) -> Model | None
     """The model without an effect that it does not miss when all else is fitted again."""
     gained = gains(where, frozenset(e.id for e in model.effects if e.process is None))
     excess = inflation(model)
-    for e in model.effects:
+    weakest = sorted(model.effects, key=lambda e: gained.get(e.id, noise.get(e.id, 0.0)))
+    for e in weakest[:FEW]:
         rest = [x for x in model.effects if x.id != e.id]
         if e.process is None:
             more = max(1.0, excess[e.id] * where.quadratic.worth)
