@@ -21,6 +21,8 @@ from handcal_sim.phone import consumer_phone
 IMAGES = Path(__file__).with_name("images")
 XYZ = ("#c44e00", "#00875f", "#0067b3")
 INK, GREY = "#1c2330", "#5b6472"
+STYLE = {"axes.spines.top": False, "axes.spines.right": False, "font.size": 9,
+         "axes.titlelocation": "left"}  # fmt: skip
 
 
 def recorded(scenario: str, seed: int, heading: bool = True, duration_s: float | None = None):
@@ -162,7 +164,6 @@ def demo() -> None:
 
 if __name__ == "__main__":
     IMAGES.mkdir(exist_ok=True)
-    plt.rcParams.update({"axes.spines.top": False, "axes.spines.right": False, "font.size": 9,
-                         "axes.titlelocation": "left"})  # fmt: skip
+    plt.rcParams.update(STYLE)
     for draw in (demo, whiteness, motions, evidence_of_nothing):
         draw()

@@ -30,6 +30,9 @@ MAX_TERMS = 3
 FEW = 3
 # Log odds of what was fitted without and not missed.
 REFUSED = -1e6
+FAVOURED = 30.0
+# A common part of an exclusive effect that is so much larger than the rest is the simpler one.
+COMMON = 3.0
 MOMENTS = 24
 
 
@@ -101,9 +104,10 @@ def search(base: Model, report: Callable[[float], None] = lambda _: None) -> Fou
     noise: dict[str, float] = {}
     visited: set[frozenset[str]] = set()
     dropped: set[str] = set()
+    favoured: set[str] = set()
     for turn in range(ROUNDS + 2 * MAX_TERMS):
         report(min(0.95, 0.15 + 0.1 * turn))
-        where = _scanned(model, cases, unnamed, dropped)
+        where = _scanned(model, cases, unnamed, dropped, favoured)
         if not alone:
             alone = gains(where, frozenset())
         now = frozenset(e.id for e in model.effects if e.process is None)
@@ -123,6 +127,11 @@ def search(base: Model, report: Callable[[float], None] = lambda _: None) -> Fou
             continue
         if len(unnamed) >= MAX_TERMS:
             break
+        split = _split(model, where)
+        if split is not None:
+            favoured.add(split)
+            visited = set()
+            continue
         term = _best_term(model)
         if term is None:
             break
@@ -131,13 +140,35 @@ def search(base: Model, report: Callable[[float], None] = lambda _: None) -> Fou
     return Found(base, model, where, alone, noise, tuple(unnamed))
 
 
+def _split(model: Model, where: Space) -> str | None:
+    """The simpler effect that an exclusive one mostly is (an arm that all axes share).
+
+    Alone, the larger effect holds the simpler one too, and evidence hardly tells whether they
+    are one or two; where the common part is by far the larger, they are two.
+    """
+    for e in model.effects:
+        if e.together is None or set(e.exclusive) & set(model.ids):
+            continue
+        u = model.u[[i for i, n in enumerate(model.quadratic.names) if n[0] == e.id]]
+        own = e.together @ u
+        simple = next((i for i in e.exclusive if i in where.effects), None)
+        if simple and np.linalg.norm(u - own) > COMMON * np.linalg.norm(own):
+            return simple
+    return None
+
+
 def _scanned(
-    model: Model, cases: Sequence[Case], unnamed: Sequence[Effect], dropped: set[str]
+    model: Model,
+    cases: Sequence[Case],
+    unnamed: Sequence[Effect],
+    dropped: set[str],
+    favoured: set[str],
 ) -> Space:
     options = [*candidates(cases, model.effects), *unnamed]
     have = {e.id for e in options}
     options += [e for e in model.effects if e.id not in have and e.process is None]
     odds = priors(options) | {e.id: REFUSED for e in options if name_of(e.id) in dropped}
+    odds |= dict.fromkeys(favoured, FAVOURED)
     return space(scan(model, options), options, odds)
 
 

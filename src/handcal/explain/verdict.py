@@ -36,6 +36,8 @@ Progress = Callable[[float], None]
 NAMED = 0.9
 RIVAL = 0.05
 CERTAIN = 0.999999
+# Unnamed terms that hold less than this share of what the named effects do are a remark.
+LEFT = 0.02
 
 
 def explain(
@@ -104,7 +106,9 @@ def _explanation(
     if wrong is not None and wrong.burst is not None:
         unnamed.append(_burst(base, wrong, wrong.burst))
     verdict = "nothing_missing"
-    if unnamed:
+    found_in_all = sum(m.log_evidence_gain for m in missing)
+    left = sum(u.log_evidence_gain for u in unnamed)
+    if left > LEFT * found_in_all:
         verdict = "unexplained"
     elif unsure:
         verdict = "cannot_tell"
