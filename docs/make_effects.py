@@ -1,5 +1,7 @@
 """Writes docs/effects.md, the catalogue, from src/handcal/effects/; `make docs` runs it."""
 
+# ruff: noqa: E501 (a paragraph of the page is a line)
+
 from __future__ import annotations
 
 from itertools import groupby

@@ -12,11 +12,10 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-from make_figures import GREY, IMAGES, INK, STYLE, XYZ, recorded, save
+from make_figures import GREY, IMAGES, INK, STYLE, XYZ, save
 
 import handcal
-from handcal import linear
-from handcal.effects import catalogue, select
+from handcal.effects import select
 from handcal.explain import explain, fit
 from handcal.explain.case import case_of
 from handcal.explain.fit import Model, fitted, scan, started
@@ -27,7 +26,7 @@ from handcal_sim import simulate, write
 from handcal_sim.demo import concealing
 from handcal_sim.strangers import estrange
 
-PAGE = (1000, 1180)  # of the picture of a report
+WIDTH = 1000  # of the picture of a report
 
 
 @contextmanager
@@ -90,70 +89,53 @@ def subsets() -> None:
     save(figure, "explain-subsets")
 
 
-def alibis() -> None:
-    """What sway and sensor noise do if they are let."""
-    ids = ("accel_scale", "accel_misalignment", "accel_asymmetry", "lever_arm")
-    found: dict[str, list[list[float]]] = {"by the readings": [], "without sway": []}
-    for seed in range(5):
-        recording = recorded("free-hand", 30 + seed, duration_s=84.0)
-        for name, force in (("by the readings", lambda *_: None),
-                            ("without sway", linear._steady_force)):  # fmt: skip
-            with replaced(linear, "_steady_force", force):
-                gained = gains(scanned(baseline(recording), ids), frozenset())
-            found[name].append([gained[i] for i in ids])
-    noisy = read(concealing(1))
-    free: dict[str, tuple[float, float]] = {}
-    for name, excess in (("free", 1e6), (f"at most {fit.EXCESS:g} times", fit.EXCESS)):
+def alibi() -> None:
+    """What a gyro's noise hides if it is let: the demo's gyro misreads turns by a per cent."""
+    recording = read(concealing(1))
+    figure, ax = plt.subplots(figsize=(5.6, 2.6), layout="constrained")
+    for n, (name, excess) in enumerate((("any level", 1e6), (f"{fit.EXCESS:g} times", fit.EXCESS))):
         with replaced(fit, "EXCESS", excess):
-            base = baseline(noisy)
-            with_scale = fitted(base.parts, select(["gyro_scale"]))
-            level = np.degrees(base.parts[0].levels["gyro_noise"])
-            free[name] = (base.log_evidence, with_scale.log_evidence)
-            at_base = gains(scanned(base, ["gyro_scale"]), frozenset())["gyro_scale"]
-        print(f"alibis: noise {name}: {level:.4f} deg/s/sqrt(Hz), scale gains {at_base:.0f} at the "
-              f"baseline's noise, {with_scale.log_evidence - base.log_evidence:.0f} in the end")  # fmt: skip
-        free[name] = (at_base, with_scale.log_evidence - base.log_evidence)
-    figure, axes = plt.subplots(1, 2, figsize=(9, 3.2), layout="constrained", width_ratios=(3, 2))
-    for n, (name, rows) in enumerate(found.items()):
-        y = np.arange(len(ids)) + 0.3 * (n - 0.5)
-        for row in rows:
-            axes[0].plot(row, y, "o", ms=4, color=(XYZ[0], XYZ[2])[n], alpha=0.8,
-                         label=f"excited {name}" if row is rows[0] else None)  # fmt: skip
-        print("alibis:", name, np.round(np.mean(rows, axis=0), 1))
-    axes[0].axvline(0, color=INK, lw=0.8)
-    axes[0].set_yticks(range(len(ids)), [catalogue()[i].title for i in ids])
-    axes[0].invert_yaxis()
-    axes[0].set(xlabel="nats gained where nothing is missing",
-                title="A sway that excites effects")  # fmt: skip
-    axes[0].legend(frameon=False, loc="lower left", fontsize=8)
-    for n, (name, pair) in enumerate(free.items()):
-        axes[1].bar(np.arange(2) + 0.38 * (n - 0.5), pair, 0.34, color=(XYZ[0], XYZ[2])[n],
-                    label=f"gyro noise {name}")  # fmt: skip
-    axes[1].set_xticks(range(2), ["at first sight", "fitted again"])
-    axes[1].set(ylabel="nats gained by the gyro scale", title="A gyro noise without bounds")
-    axes[1].legend(frameon=False, loc="upper left", fontsize=8)
-    save(figure, "explain-alibis")
+            base = baseline(recording)
+            first = gains(scanned(base, ["gyro_scale"]), frozenset())["gyro_scale"]
+            again = fitted(base.parts, select(["gyro_scale"])).log_evidence - base.log_evidence
+        level = np.degrees(base.parts[0].levels["gyro_noise"])
+        print(f"alibi: {name}: {level:.4f} deg/s/sqrt(Hz), gains {first:.0f}, then {again:.0f}")
+        ax.barh(np.arange(2) + 0.36 * (n - 0.5), (first, again), 0.34, color=(XYZ[0], XYZ[2])[n],
+                label=f"noise allowed: {name}{' what the readings show' if n else ''}")  # fmt: skip
+        for row, v in enumerate((first, again)):
+            ax.text(v, row + 0.36 * (n - 0.5), f" {v:.0f}", va="center")
+    ax.set_yticks(range(2), ["at the baseline's noise", "fitted, noise too"])
+    ax.invert_yaxis()
+    ax.set(xlabel="nats gained by the gyro scale error that is there")
+    ax.legend(frameon=False, loc="upper right", fontsize=8)
+    save(figure, "explain-alibi")
 
 
 def alike() -> None:
-    """Two effects in each other's place, in two motions."""
-    pair = ("accel_delay", "gyro_bandwidth")
-    figure, axes = plt.subplots(1, 2, figsize=(9, 2.2), layout="constrained", sharey=True)
-    for ax, (scenario, title) in zip(axes, (("three-turns", "Three slow turns, 30 s"),
-                                            ("free-hand", "Turned at will, 60 s")), strict=True):  # fmt: skip
-        seconds = 30.0 if scenario == "three-turns" else 60.0
-        hidden = {"accel_delay": [-0.004]}
-        base = baseline(read(simulate(scenario, seed=3, duration_s=seconds, effects=hidden)))
-        model = fitted(base.parts, select(pair[:1]))
-        scores = [fitted(model.parts, select([i]), noise_rounds=0).log_evidence for i in pair]
-        values = [s - base.log_evidence for s in scores]
-        print("alike:", scenario, np.round(values, 1))
-        ax.barh(range(2), values, 0.55, color=(XYZ[2], GREY))
-        for row, v in enumerate(values):
-            ax.text(v, row, f" {v:.0f}", va="center")
-        ax.set_yticks(range(2), [catalogue()[i].title for i in pair])
-        ax.invert_yaxis()
-        ax.set(title=title, xlabel="nats over the baseline", xlim=(0, 1.15 * max(values)))
+    """A scale error, and how far behind a quadratic error is in its place, in three motions."""
+    motions = (
+        ("z-turn", 30.0, "one turn about z"),
+        ("three-turns", 30.0, "a turn about each axis"),
+        ("free-hand", 60.0, "to and fro at will"),
+    )
+    behind = []
+    for scenario, seconds, _ in motions:
+        hidden = {"gyro_scale": [0.0, 0.0, 0.012]}
+        base = baseline(read(simulate(scenario, seed=9, duration_s=seconds, effects=hidden)))
+        model = fitted(base.parts, select(["gyro_scale"]))
+        rival = fitted(model.parts, select(["gyro_quadratic"]), noise_rounds=0)
+        behind.append(model.log_evidence - rival.log_evidence)
+        print(f"alike: {scenario}: {behind[-1]:.1f}")
+    figure, ax = plt.subplots(figsize=(6.5, 1.9), layout="constrained")
+    ax.barh(range(3), behind, 0.55, color=[XYZ[2] if v > 3.0 else GREY for v in behind])
+    for row, v in enumerate(behind):
+        ax.text(v, row, f" {v:,.1f}" if v < 10 else f" {v:,.0f}", va="center")
+    ax.axvline(3.0, color=INK, lw=0.8, ls="--")
+    ax.set_xscale("symlog", linthresh=10)
+    ax.set_yticks(range(3), [name for _, _, name in motions])
+    ax.invert_yaxis()
+    ax.set(xlabel="nats by which the quadratic error fits worse (dashed: odds of 20 to 1)",
+           xlim=(0, 5 * max(behind)))  # fmt: skip
     save(figure, "explain-alike")
 
 
@@ -170,7 +152,9 @@ def unnamed() -> None:
     figure, ax = plt.subplots(figsize=(7.5, 0.9 + 0.32 * len(rows)), layout="constrained")
     for row, (_, nats, colour) in enumerate(rows):
         ax.barh(row, nats, 0.6, color=colour)
-        ax.text(max(nats, 0), row, f" {nats:,.0f}", va="center")
+        ax.text(
+            max(nats, 0), row, f" {nats:,.0f}".replace("-0", "0").replace("-", "−"), va="center"
+        )
     ax.set_yticks(range(len(rows)), [name for name, _, _ in rows])
     ax.invert_yaxis()
     ax.set_xscale("symlog", linthresh=10)
@@ -193,17 +177,19 @@ def page() -> None:
         file, shot = Path(folder) / "explanation.html", Path(folder) / "page.png"
         write_explanation_report(explain([recording], assume="fixed-point"), file)
         started_ = p.chromium.launch(executable_path=browser, args=["--no-sandbox"])
-        size = dict(zip(("width", "height"), PAGE, strict=True))
+        size = {"width": WIDTH, "height": 800}
         tab = started_.new_context(offline=True, viewport=size).new_page()
         tab.goto(file.as_uri())
-        tab.screenshot(path=shot)
+        end = tab.evaluate("document.querySelector('figure').getBoundingClientRect().bottom") + 20
+        tab.screenshot(path=shot, full_page=True,
+                       clip={"x": 0, "y": 0, "width": WIDTH, "height": end})  # fmt: skip
         started_.close()
-        picture = Image.open(shot).convert("RGB").quantize(64, dither=Image.Dither.NONE)
+        picture = Image.open(shot).convert("RGB").quantize(256, dither=Image.Dither.NONE)
         picture.save(IMAGES / "explain.png", optimize=True)
 
 
 if __name__ == "__main__":
     IMAGES.mkdir(exist_ok=True)
     plt.rcParams.update(STYLE)
-    for draw in (subsets, alibis, alike, unnamed, page):
+    for draw in (subsets, alibi, alike, unnamed, page):
         draw()

@@ -90,12 +90,12 @@ def test_one_is_exchanged_for_another() -> None:
 
 
 def test_one_takes_the_place_of_two() -> None:
-    """Dropping either of the two, or adding the one, makes it worse."""
-    a, b, c = UNIT[:3]
-    readings = {"a": 10.0 * a, "b": 10.0 * b, "one": 10.0 * (a + b) + c}
-    where = _space(6.0 * (a + b) + 0.6 * c, readings)
-    assert where.score("ab") > max(where.score("a"), where.score("b"))
-    assert where.score("ab") > where.score(["a", "b", "one"])
+    """Dropping either of the two, adding the one or exchanging one for it makes it worse."""
+    a, b = UNIT[:2]
+    readings = {"a": 10.0 * a, "b": 10.0 * b, "one": 10.0 * (a + b)}
+    where = _space(6.0 * (a + b), readings, {"a": -8.0, "b": -8.0, "one": -12.0})
+    others = [s for s in _subsets(["a", "b", "one"]) if s not in ({"one"}, {"a", "b"})]
+    assert where.score("ab") > max(where.score(s) for s in others)
     assert best_set(where, "ab") == {"one"}
 
 
@@ -106,6 +106,10 @@ def test_two_that_show_only_together() -> None:
     where = _space(8.0 * b, readings)
     assert max(gains(where, frozenset())[i] for i in "ab") < -PRIOR
     assert best_set(where) == frozenset("ab")
+    # and which, if they show too little for two, are dropped together
+    where = _space(5.0 * b, readings)
+    assert max(where.score("a"), where.score("b")) < where.score("ab") < where.score("")
+    assert best_set(where, "ab") == frozenset()
 
 
 def test_an_effect_that_is_not_missed_is_dropped() -> None:

@@ -118,7 +118,9 @@ def _show(
          f"the worst is off by {max(off):.1f}.\n")  # fmt: skip
     console.print("Look next at", style="bold")
     effects = ",".join(m.effect for m in explanation.missing)
-    watch = f"handcal replay {out / 'recording.mcap'}" + (f" --effects {effects}" if effects else "")
+    watch = f"handcal replay {out / 'recording.mcap'}" + (
+        f" --effects {effects}" if effects else ""
+    )
     for name, what in (
         ("explanation.html", "what is missing and how that shows, in a browser"),
         ("report.html", "the calibration with it, in a browser"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,6 +26,7 @@ CLOSE = 40.0
 LOOK = 3.0
 OCCAM_LEVEL = 2.5
 MAX_TERMS = 3
+HALF = 0.5
 # How many of the weakest are fitted without.
 FEW = 3
 # Log odds of what was fitted without and not missed.
@@ -38,12 +39,13 @@ MOMENTS = 24
 
 @dataclass(frozen=True)
 class Found:
-    """Where the search ended: the final model, the space of its last scan (about it), and
+    """Where the search ended: the final model, the spaces of the first and last scan, and
     what the catalogue's effects gained over the baseline alone; noise: log-evidence gained by
     each noise effect in the model; absent: the same by those that were tried and left out."""
 
     base: Model
     model: Model
+    first: Space
     space: Space
     alone: dict[str, float]
     noise: dict[str, float]
@@ -96,11 +98,38 @@ def priors(effects: Sequence[Effect]) -> dict[str, float]:
 
 
 def search(base: Model, report: Callable[[float], None] = lambda _: None) -> Found:
-    """From the baseline to the model that explains the recordings best."""
+    """From the baseline to the model that explains the recordings best.
+
+    Where several named effects were needed, they may be stand-ins for one thing without a
+    name: if a single term does half as well from the baseline, the search begins again
+    with it, and the better of the two ends counts.
+    """
+    found = _climbed(base, [], lambda f: report(0.7 * f))
+    named = [e for e in found.model.effects if "+=" not in e.id]
+    if len(named) > 1 or any(e.process is not None for e in named):
+        term, gain = _best_term(base)
+        first = found.first
+        if term is not None and gain > HALF * (first.score(best_set(first)) - first.quadratic.a):
+            other = _climbed(base, [term], lambda f: report(0.7 + 0.3 * f))
+            if worth_of(other) > worth_of(found):
+                return replace(other, alone=found.alone)
+    return found
+
+
+def worth_of(found: Found) -> float:
+    """Log-evidence of the final model and its prior odds."""
+    odds = 0.0
+    for e in found.model.effects:
+        odds += TERM_PRIOR if "+=" in e.id else PRIOR
+        odds -= OCCAM_LEVEL * len(e.levels)
+    return found.space.quadratic.worth * found.model.log_evidence + odds
+
+
+def _climbed(base: Model, unnamed: list[Effect], report: Callable[[float], None]) -> Found:
     cases = [f.case for f in base.parts]
     model = base
     alone: dict[str, float] = {}
-    unnamed: list[Effect] = []
+    first: Space | None = None
     noise: dict[str, float] = {}
     visited: set[frozenset[str]] = set()
     dropped: set[str] = set()
@@ -108,11 +137,11 @@ def search(base: Model, report: Callable[[float], None] = lambda _: None) -> Fou
     for turn in range(ROUNDS + 2 * MAX_TERMS):
         report(min(0.95, 0.15 + 0.1 * turn))
         where = _scanned(model, cases, unnamed, dropped, favoured)
-        if not alone:
-            alone = gains(where, frozenset())
+        if first is None:
+            first, alone = where, gains(where, frozenset())
         now = frozenset(e.id for e in model.effects if e.process is None)
         chosen = max((best_set(where, now), best_set(where, ())), key=where.score)
-        if chosen != now and chosen not in visited:
+        if chosen != now and chosen not in visited and not _same(where, now, chosen):
             visited.add(chosen)
             model = _fit(model, where, chosen)
             continue
@@ -132,12 +161,19 @@ def search(base: Model, report: Callable[[float], None] = lambda _: None) -> Fou
             favoured.add(split)
             visited = set()
             continue
-        term = _best_term(model)
+        term, _ = _best_term(model)
         if term is None:
             break
         unnamed.append(term)
         visited = set()
-    return Found(base, model, where, alone, noise, tuple(unnamed))
+    return Found(base, model, first or where, where, alone, noise, tuple(unnamed))
+
+
+def _same(where: Space, now: frozenset[str], chosen: frozenset[str]) -> bool:
+    """Whether only a moment would move, for less than a nat."""
+    if {name_of(i) for i in now} != {name_of(i) for i in chosen}:
+        return False
+    return where.score(chosen) - where.score(now) < 1.0
 
 
 def _split(model: Model, where: Space) -> str | None:
@@ -237,7 +273,7 @@ def _leaner(model: Model, where: Space, noise: dict[str, float]) -> Model | None
     return None
 
 
-def _best_term(model: Model) -> Effect | None:
+def _best_term(model: Model) -> tuple[Effect | None, float]:
     """The unnamed term that gains most over the model, if one gains enough."""
     f = model.parts[0]
     signals = signals_of(f)
@@ -254,7 +290,7 @@ def _best_term(model: Model) -> Effect | None:
         top = max((e for e in chunk if e.id not in here), key=lambda e: gained[e.id])
         if gained[top.id] > best:
             best, found = gained[top.id], top
-    return found
+    return found, best
 
 
 def signals_of(f: Fitted) -> Signals:

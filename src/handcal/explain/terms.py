@@ -96,8 +96,8 @@ def features(temperature: bool, duration: float) -> dict[str, tuple[Feature, str
     for share in (0.1, 0.3):
         tau = share * duration
         out[f"exp(-t / {tau:.3g} s)"] = (lambda s, tau=tau: np.exp(-_time(s) / tau), "1")  # type: ignore[misc]
-    for k in range(1, 9):
-        period = duration / k
+    for k in range(2, 17):
+        period = 2.0 * duration / k
         for name, wave in (("sin", np.sin), ("cos", np.cos)):
             out[f"{name}(2 pi t / {period:.3g} s)"] = (
                 lambda s, wave=wave, p=period: wave(2 * np.pi * _time(s) / p),  # type: ignore[misc]
