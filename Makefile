@@ -2,9 +2,13 @@
 # PYTHON=/path/to/python chooses the interpreter .venv is made from.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo docs test lint format prove clean clean-cache
+.PHONY: help setup demo docs test lint format prove trial clean clean-cache
 
 BIN := .venv/bin
+# Of `make trial`: which suites, how many explanations at a time; SEED=N repeats a trial.
+SUITES := nothing one mixed unknown turn faint
+JOBS := 1
+SEED :=
 PIP := $(BIN)/python -m pip install --disable-pip-version-check --quiet -c constraints.txt
 PYTHONS := $(PYTHON) python3 python3.13 python3.12 python3.11 python3.14 python
 
@@ -14,17 +18,26 @@ help: ## list these targets
 setup: .venv/.installed ## make .venv and .venv/bin/handcal
 	@echo "Ready: .venv/bin/handcal --help"
 
-demo: setup ## simulate a recording, calibrate it, write report and data
+demo: setup ## simulate a recording, calibrate and explain it, write reports and data
 	$(BIN)/handcal demo
 
-docs: setup ## draw the figures of docs/ anew, from simulations
+docs: .venv/.installed-dev ## write the catalogue and draw the figures of docs/ anew
+	$(BIN)/python docs/make_effects.py
 	$(BIN)/python docs/make_figures.py
+	$(BIN)/python docs/make_explain_figures.py
 
 test: lint ## all quick checks and tests
 	$(BIN)/python -m pytest -m "not prove"
 
 prove: .venv/.installed-dev ## the slow statistics, with their tables
 	$(BIN)/python -m pytest -m prove -s
+
+trial: setup ## blind trials of explain at full size: hours; scores in trial-out/
+	@mkdir -p trial-out
+	@for s in $(SUITES); do \
+	  $(BIN)/handcal prove --suite $$s --jobs $(JOBS) $(if $(SEED),--seed $(SEED)) \
+	    --json trial-out/$$s.json || exit; \
+	done
 
 lint: .venv/.installed-dev ## style, types and the direction of imports
 	$(BIN)/ruff check
@@ -36,9 +49,9 @@ format: .venv/.installed-dev ## put the code into the project's format
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
 
-clean: ## remove .venv, caches, builds and the demo's output
+clean: ## remove .venv, caches, builds, the demo's output and scores of trials
 	rm -rf .venv .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
-	rm -rf build dist demo-out
+	rm -rf build dist demo-out trial-out
 	find src sim tests -name __pycache__ -prune -exec rm -rf {} +
 
 clean-cache: ## remove compiled kernels (do so after editing so3.py or strapdown.py)

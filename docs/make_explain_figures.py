@@ -6,6 +6,7 @@ import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -50,7 +51,7 @@ def read(world: Any) -> Recording:
 
 def baseline(recording: Recording) -> Model:
     """Biases and noise alone."""
-    return fitted([started(case_of(recording))], ())
+    return fitted([started(case_of(recording))], (), noise_rounds=2)
 
 
 def scanned(model: Model, ids: Sequence[str]) -> Space:
@@ -64,7 +65,10 @@ def subsets() -> None:
     ids = ("gyro_scale", "lever_arm", "accel_scale", "gyro_misalignment", "accel_delay")
     hidden = {"gyro_scale": [0.002, -0.0015, 0.0025], "lever_arm": [0.02, -0.01, 0.015]}
     base = baseline(read(simulate("free-hand", seed=4, duration_s=60.0, effects=hidden)))
-    where = scanned(base, ids)
+    effects = select(ids)
+    q = scan(base, effects)
+    whole = replace(q, b=q.b / q.worth, G=q.G / q.worth, worth=1.0)
+    where = space(whole, effects, {})
     empty = where.score(())
     once, each, right = [], [], []
     for size in (1, 2):
@@ -129,7 +133,7 @@ def alike() -> None:
     figure, ax = plt.subplots(figsize=(6.5, 1.9), layout="constrained")
     ax.barh(range(3), behind, 0.55, color=[XYZ[2] if v > 3.0 else GREY for v in behind])
     for row, v in enumerate(behind):
-        ax.text(v, row, f" {v:,.1f}" if v < 10 else f" {v:,.0f}", va="center")
+        ax.text(max(v, 3.0), row, f" {v:,.1f}" if v < 10 else f" {v:,.0f}", va="center")
     ax.axvline(3.0, color=INK, lw=0.8, ls="--")
     ax.set_xscale("symlog", linthresh=10)
     ax.set_yticks(range(3), [name for _, _, name in motions])

@@ -17,7 +17,10 @@ def test_the_demo_writes_what_it_says_and_finds_the_truth(tmp_path):
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, done.stderr
     assert all(line.startswith("handcal: ") for line in done.stderr.splitlines())
-    names = ["recording.mcap", "report.html", "dashboard.rrd", "calibration.json"]
+    names = [
+        "recording.mcap", "explanation.html", "explanation.rrd", "explanation.json",
+        "report.html", "dashboard.rrd", "calibration.json",
+    ]  # fmt: skip
     for name in names:
         assert (tmp_path / "a" / "b" / name).stat().st_size > 1000
         assert name in done.stdout
@@ -26,8 +29,15 @@ def test_the_demo_writes_what_it_says_and_finds_the_truth(tmp_path):
     for p in document["parameters"]:
         assert p["observable"]
         assert abs(p["value"] - truth[p["effect"], p["name"]]) < 4 * p["sigma"]
-    (line,) = [s for s in done.stdout.splitlines() if "log evidence falls by" in s]
-    assert float(line.split("falls by ")[1].split()[0]) > 100
+    explanation = json.loads((tmp_path / "a" / "b" / "explanation.json").read_text())
+    assert explanation["verdict"] == "explained"
+    assert [m["effect"] for m in explanation["missing"]] == [CONCEALED]
+    fit = explanation["fit"]
+    assert fit["after"]["log_evidence"] - fit["before"]["log_evidence"] > 100
+    (plain,) = [s for s in done.stdout.splitlines() if s.startswith("Biases alone:")]
+    assert "not explained" in plain
+    (told,) = [s for s in done.stdout.splitlines() if s.startswith("Explained:")]
+    assert "the gyro scale error" in told
 
 
 def test_another_seed_is_another_error_of_the_size_that_is_named():

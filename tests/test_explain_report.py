@@ -174,6 +174,60 @@ def test_what_cannot_be_told_is_said():
     assert unlearnt.startswith("Lever arm z")
 
 
+def test_what_a_motion_would_do_is_said():
+    e = fake_explanation("cannot_tell")
+    apart = explain_words.promise(e.next_motion[1], e)
+    assert apart == "sets apart the accelerometer scale error and the accelerometer asymmetry"
+    hidden = replace(e.next_motion[0], separates=("gyro_scale", "lever_arm"))
+    assert explain_words.promise(hidden, e) == "would show the gyro scale error and the lever arm"
+    many = replace(hidden, separates=tuple(h.effect for h in e.hypotheses[:9]))
+    assert explain_words.promise(many, e).endswith(" and five more")
+
+
+def test_a_less_probable_rival_of_a_named_effect_is_said():
+    e = fake_explanation("explained", recordings=1)
+    m = replace(e.missing[0], indistinguishable_from=("gyro_quadratic",))
+    e = replace(e, missing=(m,))
+    assert "the gyro scale error or, less probably, the gyro quadratic error (probability" in (
+        explain_words.verdict(e).headline
+    )
+    assert "most probably the gyro scale error" in explain_words.untold(e)[0]
+
+
+def test_where_nothing_was_added_there_is_one_model():
+    e = fake_explanation("nothing_missing")
+    html, text = render_explanation(e), printed(e)
+    for word in ("Plain model", "Final model", "Before and after", "has not seen"):
+        assert word not in html
+    assert "Before and after" not in text
+    assert "unseen data" not in text
+    quiet = {c: 0.0 * s for c, s in e.recordings[0].shortfall.items()}
+    e = replace(e, recordings=(replace(e.recordings[0], shortfall=quiet),))
+    assert explain_plots.heat_plot(e, 0) is None
+
+
+def test_a_term_without_a_name_has_its_place_in_every_figure(tmp_path):
+    e = fake_explanation("unexplained")
+    formula = e.unnamed[0].formula
+    r = e.recordings[0]
+    gain = {formula: np.linspace(0.0, 95.0, r.evidence.t.size)}
+    e = replace(e, recordings=(replace(r, evidence=replace(r.evidence, gain=gain)),))
+    bars, curve = explain_plots.draw(e)["evidence"]
+    assert formula.split(" += ")[1] in bars.svg
+    assert formula in curve.svg
+    dashboard.save_explanation_rrd(e, tmp_path / "x.rrd")
+    (entity,) = [n for n in rows(tmp_path / "x.rrd") if n.startswith("/recording_1/evidence/")]
+    assert "omega_y" in entity
+
+
+def test_later_blocks_have_a_score_alone():
+    e = fake_explanation("explained", recordings=1)
+    table = re.compile(r"Log score.*?</table>", re.S)
+    assert "Gyro x" not in table.search(render_explanation(e)).group()
+    e = replace(e, held_out=replace(e.held_out, source="other.mcap"))
+    assert "Gyro x" in table.search(render_explanation(e)).group()
+
+
 @pytest.mark.parametrize(
     ("share", "text"),
     [(1.0, "over 99.9 %"), (0.9951, "99.5 %"), (0.97, "97 %"), (0.004, "0.4 %"),

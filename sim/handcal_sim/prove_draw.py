@@ -213,6 +213,7 @@ def device(given: Circumstances, rng: np.random.Generator) -> Phone:
 
 
 def simulated(given: Circumstances, effects: Mapping[str, Sequence[float]]) -> World:
+    """The world of these circumstances with these effects."""
     return simulate(
         given.scenario, seed=given.seed, phone=lambda rng: device(given, rng), effects=effects,
         duration_s=given.duration_s, sway=given.sway,

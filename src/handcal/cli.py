@@ -132,6 +132,7 @@ def _pairs(items: list[str], option: str) -> dict[str, str]:
 
 
 def load(path: Path, topics: list[str] | None, units: str | None) -> Recording:
+    """A recording with the options as typed. Errors: InputError."""
     import handcal
 
     chosen = _pairs(topics or [], "--topic")
@@ -142,6 +143,7 @@ def load(path: Path, topics: list[str] | None, units: str | None) -> Recording:
 
 
 def radians(degrees: float | None) -> float | None:
+    """An angle as typed; None for unset."""
     return None if degrees is None else math.radians(degrees)
 
 

@@ -164,7 +164,8 @@ def heat_plot(explanation: Explanation, recording: int) -> Plot | None:
 def hypothesis_plot(explanation: Explanation) -> Plot:
     """What each effect gains alone, beside what was found, and what it could have gained."""
     shown, styles = by_gain(explanation)[:BARS], effect_styles(explanation)
-    terms, dot = explanation.unnamed, {"markersize": 6.5, "markeredgewidth": 1.6, "zorder": 4}
+    terms = explanation.unnamed
+    dot: dict[str, Any] = {"markersize": 6.5, "markeredgewidth": 1.6, "zorder": 4}
     rows = len(terms) + len(shown)
     figure, (ax,) = canvas(1, 1.3 + 0.31 * rows + 0.12 * len(terms))
     for row, u in enumerate(terms):

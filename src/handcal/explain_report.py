@@ -27,6 +27,7 @@ def render_explanation(explanation: Explanation) -> str:
 def _context(e: Explanation) -> dict[str, Any]:
     names = say.recording_names(e)
     styles = explain_plots.effect_styles(e)
+    gains = [m.log_evidence_gain for m in e.missing] + [u.log_evidence_gain for u in e.unnamed]
     return {
         "names": words.listed(names) if names else "nothing",
         "version": handcal.__version__,
@@ -51,7 +52,7 @@ def _context(e: Explanation) -> dict[str, Any]:
         "held_out": _held_out(e),
         "groups": _groups(e),
         "one_model": say.one_model(e),
-        "more_apart": any(m.log_evidence_gain > say.gain(e) for m in (*e.missing, *e.unnamed)),
+        "more_apart": max(gains, default=0.0) > say.gain(e),
         "untold": say.untold(e),
         "next_motion": [
             {"motion": n.motion.rstrip("."), "gain": say.nats(n.expected_gain),

@@ -205,19 +205,23 @@ def _nothing(e: Explanation) -> tuple[str, str, list[str]]:
 
 
 def _explained(e: Explanation) -> tuple[str, str, list[str]]:
+    traces = [
+        f"Besides, {u.formula} gains {nats(u.log_evidence_gain)}, next to nothing against that."
+        for u in e.unnamed
+    ]
     if len(e.missing) == 1:
         (m,) = e.missing
         headline = (
             f"Something is missing: {_present(m, e)}, and adding it makes {_what(e)} "
             f"{nats(gain(e))} more probable."
         )
-        return "good", headline, []
+        return "good", headline, traces
     headline = (
         f"{counted_word(len(e.missing)).capitalize()} things are missing: "
         f"{listed([_present(m, e) for m in e.missing])}. "
         f"Adding them makes {_what(e)} {nats(gain(e))} more probable."
     )
-    return "good", headline, []
+    return "good", headline, traces
 
 
 def _unexplained(e: Explanation) -> tuple[str, str, list[str]]:

@@ -45,32 +45,11 @@ _UNITS: dict[str, tuple[tuple[str, float, float], ...]] = {
     "m/s/sqrts": (("mm/s/√s", 1000.0, math.inf),),
 }
 
-# Title, and the motion that shows it ({axis}: the names concerned), of the baseline and of
-# effects that have no file in the catalogue; those that have one say it there.
-_EFFECTS: dict[str, tuple[str, str]] = {
+# Title, and the motion that shows it ({axis}: the names concerned), of the baseline, which has
+# no file in the catalogue; the effects' own files say theirs.
+_BASELINE: dict[str, tuple[str, str]] = {
     "gyro_bias": ("Gyro bias", "rests, and turns about more than one axis"),
     "accel_bias": ("Accelerometer bias", "rests with {axis} pointing up, down and level"),
-    "gyro_g_sensitivity": ("Gyro g-sensitivity", "rests with every axis up and down"),
-    "gyro_quadratic": ("Gyro quadratic error", "slow and fast turns about {axis}"),
-    "gyro_cross_products": ("Gyro cross products", "fast turns about two axes at once"),
-    "accel_cross_products": ("Accelerometer cross products", "rests on edges and corners"),
-    "accel_asymmetry": ("Accelerometer asymmetry", "rests with {axis} up, level and down"),
-    "size_effect": ("Size effect", "fast turns that start and stop abruptly, about every axis"),
-    "gyro_temperature": ("Gyro temperature slope", "rests while the device warms up or cools"),
-    "accel_temperature": ("Accelerometer temperature slope", "rests while the device warms up"),
-    "gyro_bandwidth": ("Gyro bandwidth", "quick turns to and fro"),
-    "gyro_bias_walk": ("Gyro bias walk", "a longer recording with rests throughout"),
-    "accel_bias_walk": ("Accelerometer bias walk", "a longer recording with rests throughout"),
-    "gyro_bias_step": ("Gyro bias step", "rests before and after the step"),
-    "heading_hard_iron": ("Heading hard iron", "a full level turn"),
-    "heading_soft_iron": ("Heading soft iron", "a full level turn"),
-    "mag_hard_iron": ("Magnetometer hard iron", "turns with every axis up and down"),
-    "heading_drift": ("Heading drift", "a longer recording with turns about several axes"),
-    "heading_correlated_noise": ("Correlated heading noise", "a longer recording"),
-    "heading_outliers": ("Heading outliers", "a longer recording"),
-    "gravity": ("Gravity", "rests in many poses, or the site's own latitude (--latitude)"),
-    "earth_rate": ("Earth rate", "minutes of rest in several headings, or --latitude"),
-    "clock_rate": ("Clock rate", "a second clock, such as a measured pose"),
 }
 
 _NOISE = {
@@ -178,7 +157,7 @@ def _effect(effect: str) -> tuple[str, str]:
     if (known := catalogue().get(effect)) is not None:
         return known.title.removesuffix(" error"), known.motion[:1].lower() + known.motion[1:]
     unknown = (effect.replace("_", " ").capitalize(), "a longer and more varied motion")
-    return _EFFECTS.get(effect, unknown)
+    return _BASELINE.get(effect, unknown)
 
 
 def parameter_name(p: Parameter) -> str:

@@ -27,6 +27,9 @@ LOOK = 3.0
 OCCAM_LEVEL = 2.5
 MAX_TERMS = 3
 HALF = 0.5
+# A rival that does nearly as well from the baseline is fitted in an effect's place.
+NEARLY = 0.6
+MOST_SWAPS = 6
 # How many of the weakest are fitted without.
 FEW = 3
 # Log odds of what was fitted without and not missed.
@@ -50,6 +53,7 @@ class Found:
     alone: dict[str, float]
     noise: dict[str, float]
     terms: tuple[Effect, ...]
+    swaps: dict[tuple[str, str], float]
 
 
 def candidates(cases: Sequence[Case], present: Sequence[Effect]) -> list[Effect]:
@@ -134,6 +138,7 @@ def _climbed(base: Model, unnamed: list[Effect], report: Callable[[float], None]
     visited: set[frozenset[str]] = set()
     dropped: set[str] = set()
     favoured: set[str] = set()
+    swaps: dict[tuple[str, str], float] = {}
     for turn in range(ROUNDS + 2 * MAX_TERMS):
         report(min(0.95, 0.15 + 0.1 * turn))
         where = _scanned(model, cases, unnamed, dropped, favoured)
@@ -148,6 +153,10 @@ def _climbed(base: Model, unnamed: list[Effect], report: Callable[[float], None]
         processes = _noise_step(model, noise, where.quadratic.worth, dropped)
         if processes is not None:
             model, visited = processes, set()
+            continue
+        swapped = _exchanged(model, alone, dropped, swaps, where.quadratic.worth)
+        if swapped is not None:
+            model = swapped
             continue
         leaner = _leaner(model, where, noise)
         if leaner is not None:
@@ -166,7 +175,7 @@ def _climbed(base: Model, unnamed: list[Effect], report: Callable[[float], None]
             break
         unnamed.append(term)
         visited = set()
-    return Found(base, model, first or where, where, alone, noise, tuple(unnamed))
+    return Found(base, model, first or where, where, alone, noise, tuple(unnamed), swaps)
 
 
 def _same(where: Space, now: frozenset[str], chosen: frozenset[str]) -> bool:
@@ -246,6 +255,35 @@ def _worth_a_look(f: Fitted, effects: Sequence[Effect], effect: Effect) -> bool:
         if reduced_pass(reduction, levels).log_evidence > here + LOOK:
             return True
     return False
+
+
+def _exchanged(
+    model: Model,
+    alone: dict[str, float],
+    dropped: set[str],
+    swaps: dict[tuple[str, str], float],
+    worth: float,
+) -> Model | None:
+    """The model with an effect's closest rival in its place, if that fits better.
+
+    Two effects may be one to the first order (a low pass of the gyro, an early
+    accelerometer); about a fit with one of them the other cannot be judged, so it is fitted.
+    """
+    have = {name_of(i) for i in model.ids}
+    for e in model.effects:
+        own = alone.get(e.id, 0.0)
+        rivals = [i for i in alone if name_of(i) not in have | dropped and "@" not in i]
+        rivals = [i for i in rivals if (e.id, i) not in swaps and alone[i] > NEARLY * own]
+        if e.id not in alone or own < -PRIOR or not rivals or len(swaps) >= MOST_SWAPS:
+            continue
+        rival = max(rivals, key=lambda i: alone[i])
+        others = [x for x in model.effects if x.id != e.id]
+        tried = fitted(model.parts, [*others, catalogue()[rival]])
+        worse = worth * (model.log_evidence - tried.log_evidence)
+        swaps[e.id, rival], swaps[rival, e.id] = worse, -worse
+        if worse < 0.0:
+            return tried
+    return None
 
 
 def _leaner(model: Model, where: Space, noise: dict[str, float]) -> Model | None:

@@ -1,0 +1,43 @@
+"""What is written by code is what the code would write now, and links lead somewhere."""
+
+import importlib.util
+import re
+from pathlib import Path
+
+import pytest
+
+from handcal.effects import catalogue
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+
+def made():
+    """docs/make_effects.py as a module."""
+    spec = importlib.util.spec_from_file_location("make_effects", ROOT / "docs/make_effects.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_catalogue_page_is_what_the_effects_say():
+    """If not: `make docs`, or docs/make_effects.py alone."""
+    page = made().page()
+    assert (ROOT / "docs" / "effects.md").read_text(encoding="utf-8") == page
+    for effect in catalogue().values():
+        assert page.count(f"\n`{effect.id}={effect.parameters[0].name}") == 1
+        for text in (effect.title, effect.story, effect.motion, effect.source):
+            assert text in page
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_links_and_pictures_of_the_documents_exist(page):
+    text = page.read_text(encoding="utf-8")
+    targets = re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", text) + re.findall(r'src="([^"]+)"', text)
+    here = [t for t in targets if "://" not in t]
+    assert [t for t in here if not (page.parent / t).exists()] == []
+
+
+def test_pictures_are_small():
+    for picture in (ROOT / "docs" / "images").iterdir():
+        assert picture.stat().st_size < 200_000, picture.name

@@ -1,0 +1,181 @@
+"""Wrong verdicts that were given once, each kept as a test of what went wrong."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+from worlds import recording_of
+
+from handcal import calibration, noise, so3
+from handcal.effects import select
+from handcal.explain import Explanation, case, explain
+from handcal.explain.fit import EXCESS, Model, fitted, moved_to, scan, started
+from handcal.explain.quadratic import posterior
+from handcal.types import InputError, Recording, Series
+from handcal_sim import simulate
+from handcal_sim.motion import Start
+from handcal_sim.phone import Clocking, Phone, capture_pose, consumer_phone, with_rate
+from handcal_sim.scenario import World
+
+GYRO, ACCEL = {"gyro_scale": [0.01, -0.008, 0.012]}, {"accel_scale": [0.01, -0.008, 0.012]}
+
+
+def slow(rng: np.random.Generator) -> Phone:
+    """A consumer's phone that reads fifty times a second, its heading ten times."""
+    phone = with_rate(consumer_phone(rng), 50.0)
+    assert phone.heading is not None
+    return replace(phone, heading=replace(phone.heading, clocking=Clocking(10.0)))
+
+
+def world_of(effects: dict[str, list[float]], seed: int, seconds: float, sway: float = 1.0):
+    return simulate(
+        "free-hand", seed=seed, duration_s=seconds, phone=slow, effects=effects, sway=sway
+    )
+
+
+def base_of(world: World) -> Model:
+    return fitted([started(case.case_of(recording_of(world, "heading")))], ())
+
+
+def names(found: Explanation) -> list[str]:
+    return [m.effect for m in found.missing]
+
+
+# --- sway excites effects ----------------------------------------------------------------------
+# An effect that makes the hand's random sway a little smaller was favoured for that alone:
+# gravity was named beside the scale errors of an accelerometer (free-hand, seed 5, 84 s).
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_what_excites_an_accelerometers_scale_is_not_the_sway(seed: int) -> None:
+    """A hand that sways by four times the usual. Of its acceleration, which nobody asked for,
+    less than a fifth is in the force that a scale error scales (when it was all there: half to
+    nine tenths, as far as the trajectory follows)."""
+    world = world_of({}, seed, 30.0, sway=4.0)
+    part = moved_to(base_of(world).parts[0], select(["accel_scale"]))
+    problem = part.linear.problem
+    column = problem.nodes.J[:, 3:, :3]
+    at = [np.interp(world.t, problem.nodes.t, column[:, i, i]) for i in range(3)]
+    upright = 9.80665 * world.truth.C_nb[:, 2]
+    sway, excites = world.truth.f - upright, np.stack(at, axis=1) - upright
+    # what it should be excited by is there
+    assert float((excites + upright).std()) > 1.0
+    excites = excites - excites.mean(axis=0)
+    assert abs(float((excites * sway).sum() / (sway**2).sum())) < 0.2
+
+
+def test_gravity_is_not_named_beside_an_accelerometers_scale() -> None:
+    found = explain([recording_of(world_of(ACCEL, 5, 30.0), "heading")])
+    assert (found.verdict, names(found)) == ("explained", ["accel_scale"])
+    (gravity,) = [h for h in found.hypotheses if h.effect == "gravity"]
+    assert gravity.final < 1.0
+
+
+# --- noise as an alibi -------------------------------------------------------------------------
+
+
+def test_a_gyros_noise_is_no_alibi_for_its_scale(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Looked at ten times a second, as it was then: with a gyro that might be as noisy as it
+    takes, nothing was missing."""
+    monkeypatch.setattr(case, "PSEUDO_RATE", 10.0)
+    world = world_of(GYRO, 1, 60.0)
+    (part,) = base_of(world).parts
+    seen = noise.initial_levels(part.linear.problem)
+    for sensor in noise.SENSORS:
+        assert part.levels[sensor] <= EXCESS * seen[sensor] * (1.0 + 1e-9)
+    found = explain([recording_of(world, "heading")])
+    assert found.verdict == "explained"
+    assert "gyro_scale" in names(found)
+
+
+# --- a burst of wrong headings -----------------------------------------------------------------
+
+
+def with_a_burst(seed: int, off: float | None = None) -> Recording:
+    """Headings that are wrong for two and a half seconds: off by that, or pointing anywhere."""
+    recording = recording_of(world_of({}, seed, 30.0), "heading")
+    heading = recording.streams["heading"]
+    there = (heading.t > 12.0) & (heading.t < 14.5)
+    value = heading.value.copy()
+    if off is None:
+        rng = np.random.default_rng(seed)
+        value[there, 0] = rng.uniform(-math.pi, math.pi, there.sum())
+    else:
+        value[there] = so3.wrap(value[there] + off)
+    return replace(recording, streams={"heading": Series(heading.t, value)})
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_burst_of_wrong_headings_is_no_share_of_outliers(seed: int) -> None:
+    """Something happened there, and no known effect stands in for it."""
+    found = explain([with_a_burst(seed)])
+    assert (found.verdict, names(found)) == ("unexplained", [])
+    (burst,) = found.unnamed
+    begin, end = (float(x.split()[0]) for x in burst.formula.split(" from ")[1].split(" to "))
+    assert begin == pytest.approx(12.0, abs=0.5)
+    assert end == pytest.approx(14.5, abs=0.5)
+
+
+@pytest.mark.xfail(reason="named heading_correlated_noise: a burst costs as if it were random")
+def test_headings_that_are_off_for_a_while_are_unexplained() -> None:
+    """All by the same 70 degrees."""
+    found = explain([with_a_burst(1, off=1.2)])
+    assert (found.verdict, names(found)) == ("unexplained", [])
+    assert found.unnamed[0].value == pytest.approx(1.2, abs=0.15)
+
+
+# --- a pose that cannot be used ----------------------------------------------------------------
+
+
+def test_a_marker_that_cannot_be_aligned_is_left_out() -> None:
+    """A turn about one axis does not show how the marker sits: a word, no crash."""
+
+    def filmed(rng: np.random.Generator) -> Phone:
+        return replace(slow(rng), pose=capture_pose(rng))
+
+    world = simulate("z-turn", seed=0, phone=filmed, start=Start())
+    recording = recording_of(world, "heading", "pose")
+    with pytest.raises(InputError, match="too few axes"):
+        calibration.catalogue()["pose"].rows(recording, calibration.Scene(np.zeros((0, 2)), True))
+    found = explain([recording])
+    assert found.verdict == "nothing_missing"
+    assert any(w.startswith("The pose was left out") for w in found.warnings)
+    assert not [h.effect for h in found.hypotheses if h.effect.startswith("pose")]
+
+
+# --- arms that nobody has ----------------------------------------------------------------------
+
+
+def test_a_hands_sway_is_not_mistaken_for_an_arm() -> None:
+    """Twelve hands and nothing missing: the three parameters of a lever arm, standardised, have
+    the squares that chance allows (36 in the mean, less than 77 in 9999 of 10000), and so have
+    the nine of a size effect (108, 168). Looked at ten times a second and believed in full,
+    they had 123 and 215."""
+    squares: dict[str, float] = {"lever_arm": 0.0, "size_effect": 0.0}
+    seeds = 12
+    for seed in range(seeds):
+        q = scan(base_of(world_of({}, seed, 30.0)), select(tuple(squares)))
+        for effect in squares:
+            found = posterior(q, np.flatnonzero([n[0] == effect for n in q.names]))
+            z = np.linalg.solve(np.linalg.cholesky(found.covariance), found.mean)
+            squares[effect] += float(z @ z)
+    assert squares["lever_arm"] < chi2.ppf(0.9999, 3 * seeds)
+    assert squares["size_effect"] < chi2.ppf(0.9999, 9 * seeds)
+    # neither do the sigmas say that nothing can be known
+    assert min(squares["lever_arm"] / 3, squares["size_effect"] / 9) > 0.4 * seeds
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_beside_a_step_of_the_bias_there_is_no_arm(seed: int) -> None:
+    """Steps of 0.3 deg/s in the middle."""
+    truth = [0.005, -0.005, 0.004, 20.0]
+    found = explain([recording_of(world_of({"gyro_bias_step": truth}, seed, 40.0), "heading")])
+    assert (found.verdict, names(found)) == ("explained", ["gyro_bias_step"])
+    off = [(p.value - x) / p.sigma
+           for p, x in zip(found.missing[0].parameters, truth, strict=True)]  # fmt: skip
+    assert max(map(abs, off)) < 4.0
+    assert math.isclose(truth[3], found.missing[0].parameters[3].value, abs_tol=0.5)
