@@ -21,7 +21,7 @@ ROUNDS = 8
 # Of a term without a name: there are hundreds, and any of the catalogue is likelier.
 TERM_PRIOR = -10.0
 # An effect whose gain is less than this is fitted without, to be sure.
-CLOSE = 40.0
+CLOSE = 20.0
 # Nats that a noise effect must gain beyond its own levels' freedom, at a first look.
 LOOK = 3.0
 OCCAM_LEVEL = 2.5
@@ -299,6 +299,8 @@ def _leaner(model: Model, where: Space, noise: dict[str, float]) -> Model | None
                 return fitted(model.parts, rest)
             if gained[e.id] > CLOSE:
                 continue
+        elif noise.get(e.id, 0.0) > 10.0 * CLOSE:
+            continue
         without = fitted(model.parts, rest)
         occam = OCCAM_LEVEL * len(e.levels) if e.process is not None else 0.0
         prior = where.prior.get(e.id, PRIOR)
