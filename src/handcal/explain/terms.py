@@ -113,8 +113,9 @@ def _named(channel: int, formula: str) -> bool:
         plain = [f"omega_{a}" for a in _AXES] + [f"f_{a}" for a in _AXES] + [f"omega_{axis}^2"]
         pairs = [f"omega_{a} * omega_{b}" for a, b in ("xy", "xz", "yz")]
         return formula in plain or formula in pairs
-    below = [f"f_{a}" for a in _AXES[: _AXES.index(axis) + 1]] + [f"abs(f_{axis})"]
-    return formula in below or formula in [f"f_{a} * f_{b}" for a, b in ("xy", "xz", "yz")]
+    # (all of f: what lies above the diagonal turns the body's axes, and is the gyro's misalignment)
+    plain = [f"f_{a}" for a in _AXES] + [f"abs(f_{axis})"]
+    return formula in plain or formula in [f"f_{a} * f_{b}" for a, b in ("xy", "xz", "yz")]
 
 
 def imu_terms(recording: Recording, signals: Signals, channel: int) -> list[Effect]:
