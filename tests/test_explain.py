@@ -181,7 +181,6 @@ def test_two_recordings_share_the_effect_and_keep_their_biases(
         assert p.sigma < q.sigma
 
 
-@pytest.mark.xfail(reason="the first recording's biases are among the shared parameters")
 def test_json_of_two_recordings_has_shared_parameters_apart(together: Explanation) -> None:
     document = explanation_json(together)
     assert {p["effect"] for p in document["parameters"]} == {"lever_arm"}
@@ -328,14 +327,8 @@ def test_every_verdict_is_status_0(main: Callable, file: Path, verdict: str) -> 
         ["{file}", "--units", "accel"],
         ["{file}", "--nonsense"],
         ["."],
-        pytest.param(
-            ["{file}", "--ignore", "nonsense"],
-            marks=pytest.mark.xfail(reason="calibrate refuses it, explain takes no notice"),
-        ),
-        pytest.param(
-            ["{file}", "--heading-sigma", "0"],
-            marks=pytest.mark.xfail(reason="calibrate refuses it, explain divides by it"),
-        ),
+        ["{file}", "--ignore", "nonsense"],
+        ["{file}", "--heading-sigma", "0"],
     ],
 )
 def test_wrong_use_is_status_2_and_one_line(

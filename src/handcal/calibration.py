@@ -90,9 +90,8 @@ def calibrate(
     made. Source: paper 002 for the pseudo-observations, equations 7-12.
     """
     report = progress or (lambda _: None)
-    _check(assume, engine, observations, ignore, recording)
-    if heading_sigma is not None and not 1e-4 <= heading_sigma <= 4.0:
-        raise InputError("The heading's sigma must lie between 0.006 and 229 degrees.")
+    _check(engine, observations)
+    check_options(recording, assume, heading_sigma, ignore)
     recording = replace(
         recording, streams={k: v for k, v in recording.streams.items() if k not in ignore}
     )
@@ -145,24 +144,26 @@ def choose(
     return assume, kinds, warnings
 
 
-def _check(
-    assume: str,
-    engine: str,
-    observations: Sequence[str] | None,
-    ignore: Sequence[str],
-    recording: Recording,
+def check_options(
+    recording: Recording, assume: str, heading_sigma: float | None, ignore: Sequence[str]
 ) -> None:
+    """Raises InputError, with the sentence a user needs, where an option makes no sense."""
     if assume not in ASSUMPTIONS:
         raise InputError(f"Unknown assumption '{assume}'. Known: {', '.join(ASSUMPTIONS)}.")
+    if heading_sigma is not None and not 1e-4 <= heading_sigma <= 4.0:
+        raise InputError("The heading's sigma must lie between 0.006 and 229 degrees.")
+    for name in ignore:
+        if name not in recording.streams:
+            have = ", ".join(recording.streams) or "none"
+            raise InputError(f"There is no stream '{name}' to ignore; the recording has: {have}.")
+
+
+def _check(engine: str, observations: Sequence[str] | None) -> None:
     if engine not in ENGINES:
         raise InputError(f"Unknown engine '{engine}'. Known: {', '.join(ENGINES)}.")
     for kind in observations or ():
         if kind not in catalogue():
             raise InputError(f"Unknown observation '{kind}'. Known: {', '.join(catalogue())}.")
-    for name in ignore:
-        if name not in recording.streams:
-            have = ", ".join(recording.streams) or "none"
-            raise InputError(f"There is no stream '{name}' to ignore; the recording has: {have}.")
 
 
 def _check_calibrates(effects: Sequence[Effect]) -> None:

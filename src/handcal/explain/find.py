@@ -37,7 +37,7 @@ REFUSED = -1e6
 FAVOURED = 30.0
 # A common part of an exclusive effect that is so much larger than the rest is the simpler one.
 COMMON = 3.0
-MOMENTS = 24
+MOMENTS = 16
 
 
 @dataclass(frozen=True)
@@ -115,18 +115,23 @@ def search(base: Model, report: Callable[[float], None] = lambda _: None) -> Fou
         first = found.first
         if term is not None and gain > HALF * (first.score(best_set(first)) - first.quadratic.a):
             other = _climbed(base, [term], lambda f: report(0.7 + 0.3 * f))
-            if worth_of(other) > worth_of(found):
+            if advantage(other, found) > 0.0:
                 return replace(other, alone=found.alone)
     return found
 
 
-def worth_of(found: Found) -> float:
-    """Log-evidence of the final model and its prior odds."""
+def advantage(a: Found, b: Found) -> float:
+    """Nats by which one end of a search is likelier than another, prior odds included."""
+    worth = min(a.space.quadratic.worth, b.space.quadratic.worth)
+    return worth * (a.model.log_evidence - b.model.log_evidence) + _odds(a) - _odds(b)
+
+
+def _odds(found: Found) -> float:
     odds = 0.0
     for e in found.model.effects:
         odds += TERM_PRIOR if "+=" in e.id else PRIOR
         odds -= OCCAM_LEVEL * len(e.levels)
-    return found.space.quadratic.worth * found.model.log_evidence + odds
+    return odds
 
 
 def _climbed(base: Model, unnamed: list[Effect], report: Callable[[float], None]) -> Found:

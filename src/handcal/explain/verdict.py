@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from handcal.calibration import check_options
 from handcal.effects import Effect, catalogue, mag_hard_iron
 from handcal.evidence import reduce, reduced_pass
 from handcal.explain import held, locate, outliers
@@ -22,14 +23,14 @@ from handcal.explain.explanation import (
     Missing,
     Unnamed,
 )
-from handcal.explain.find import TERM_PRIOR, Found, search, worth_of
+from handcal.explain.find import TERM_PRIOR, Found, advantage, search
 from handcal.explain.fit import Fitted, Model, fitted, started
 from handcal.explain.next_motion import next_motions
 from handcal.explain.robust import inflation
 from handcal.explain.search import PRIOR, expected_gain, gains, probabilities, rivals
 from handcal.model import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR
 from handcal.twin import twin
-from handcal.types import Array, NoiseLevel, Parameter, Recording
+from handcal.types import Array, InputError, NoiseLevel, Parameter, Recording
 
 Progress = Callable[[float], None]
 # An effect is named when it is that probable; a rival is listed when it has that share.
@@ -58,6 +59,10 @@ def explain(
     InputError for wrong use, HandcalError where no result could be made.
     """
     report = progress or (lambda _: None)
+    if not recordings:
+        raise InputError("There is no recording to explain.")
+    for recording in recordings:
+        check_options(recording, assume, heading_sigma, ignore)
     fixed = {} if heading_sigma is None else {"heading_noise": heading_sigma}
 
     def prepared(recording: Recording) -> Case:
@@ -73,7 +78,7 @@ def explain(
     if wrong is not None and wrong.burst is not None:
         # what comes one after the other may be a heading that errs by a known effect
         other = search(start, lambda f: report(0.15 + 0.65 * f))
-        if worth_of(other) > worth_of(found) + TERM_PRIOR:
+        if advantage(other, found) > TERM_PRIOR:
             found, wrong = other, None
     report(0.8)
     others = [prepared(r) for r in held_out]
@@ -144,7 +149,7 @@ def _explanation(
         _fit(model, model.parts),
         scores,
         next_motions(found, missing, _hypotheses(found, missing, named), verdict),
-        _parameters(model, model.parts[0]),
+        _parameters(model),
         _noise(model.parts[0]),
         tuple(explained),
         _warnings(base, model),
@@ -423,9 +428,11 @@ def _biases(f: Fitted) -> tuple[Parameter, ...]:
     )
 
 
-def _parameters(model: Model, f: Fitted) -> tuple[Parameter, ...]:
+def _parameters(model: Model) -> tuple[Parameter, ...]:
+    """Of the final model: what all recordings share, and the biases where there is but one."""
     named = [p for e in model.effects if e.process is None for p in _effect_parameters(model, e)]
-    return (*_biases(f), *named)
+    own = _biases(model.parts[0]) if len(model.parts) == 1 else ()
+    return (*own, *named)
 
 
 def _noise(f: Fitted) -> tuple[NoiseLevel, ...]:
