@@ -174,8 +174,8 @@ def _steady_force(problem: Problem, nominal: Trajectory, C_nb: Array) -> Array:
     """Specific force (n, 3) at the IMU's samples without what a point that wanders feels.
 
     The hand's sway is random, and how large it is nobody knows. An effect that makes it a
-    little smaller would be favoured for that alone (a scale error of the accelerometer by
-    8 nats in 84 s), so sway may not excite effects.
+    little smaller would be favoured for that alone (looked at ten times a second, a scale error
+    of the accelerometer by 8 nats in 84 s), so sway may not excite effects.
     """
     v, at = nominal.v.copy(), 0
     for observation in problem.observations:

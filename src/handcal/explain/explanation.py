@@ -94,7 +94,8 @@ class Trace:
 
 @dataclass(frozen=True)
 class Evidence:
-    """Where the evidence came from: cumulated gain (k,) nats of each effect over t (k,) s."""
+    """Where the evidence came from: cumulated gain (k,) nats over t (k,) s of each effect, final
+    model against the same without it."""
 
     t: Array
     gain: Mapping[str, Array]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -48,12 +48,12 @@ class Found:
 
     base: Model
     model: Model
-    first: Space
     space: Space
     alone: dict[str, float]
     noise: dict[str, float]
     terms: tuple[Effect, ...]
-    swaps: dict[tuple[str, str], float]
+    swaps: dict[tuple[str, str], float] = field(default_factory=dict)
+    first: Space | None = None
 
 
 def candidates(cases: Sequence[Case], present: Sequence[Effect]) -> list[Effect]:
@@ -112,7 +112,7 @@ def search(base: Model, report: Callable[[float], None] = lambda _: None) -> Fou
     named = [e for e in found.model.effects if "+=" not in e.id]
     if len(named) > 1 or any(e.process is not None for e in named):
         term, gain = _best_term(base)
-        first = found.first
+        first = found.first or found.space
         if term is not None and gain > HALF * (first.score(best_set(first)) - first.quadratic.a):
             other = _climbed(base, [term], lambda f: report(0.7 + 0.3 * f))
             if advantage(other, found) > 0.0:
@@ -180,7 +180,7 @@ def _climbed(base: Model, unnamed: list[Effect], report: Callable[[float], None]
             break
         unnamed.append(term)
         visited = set()
-    return Found(base, model, first or where, where, alone, noise, tuple(unnamed), swaps)
+    return Found(base, model, where, alone, noise, tuple(unnamed), swaps, first)
 
 
 def _same(where: Space, now: frozenset[str], chosen: frozenset[str]) -> bool:
@@ -277,7 +277,7 @@ def _exchanged(
     have = {name_of(i) for i in model.ids}
     for e in model.effects:
         own = alone.get(e.id, 0.0)
-        rivals = [i for i in alone if name_of(i) not in have | dropped and "@" not in i]
+        rivals = [i for i in alone if name_of(i) not in have | dropped and i in catalogue()]
         rivals = [i for i in rivals if (e.id, i) not in swaps and alone[i] > NEARLY * own]
         if e.id not in alone or own < -PRIOR or not rivals or len(swaps) >= MOST_SWAPS:
             continue

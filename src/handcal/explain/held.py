@@ -12,16 +12,16 @@ from handcal.evidence import reduce, reduced_pass
 from handcal.explain.case import Case
 from handcal.explain.explanation import HeldOut
 from handcal.explain.fit import EXCESS, Fitted, Known, Model, fitted, started
-from handcal.explain.locate import residual_rms
+from handcal.explain.locate import at_levels, residual_rms
 
 EARLY = 0.6
 
 
 def later_blocks(base: Model, model: Model) -> HeldOut:
     """Predict the last two fifths of each recording from the first three, noise levels included."""
-    scores, rms = [], []
+    scores = []
     for m in (base, model):
-        score, parts = 0.0, []
+        score = 0.0
         for f in m.parts:
             t = f.linear.t
             early = noise_levels.until(f.linear, t[0] + EARLY * (t[-1] - t[0]))
@@ -29,13 +29,22 @@ def later_blocks(base: Model, model: Model) -> HeldOut:
             levels = noise_levels.estimate(early, f.levels, names, excess=EXCESS)
             whole = reduced_pass(reduce(f.linear), levels).log_evidence
             score += whole - reduced_pass(reduce(early), levels).log_evidence
-            parts.append(residual_rms(f))
         scores.append(score + sum(f.case.constant for f in m.parts) * (1 - EARLY))
-        rms.append(_pooled(parts))
-    return HeldOut("later blocks", scores[0], scores[1], rms[0], rms[1])
+    before = _residuals(at_same_noise(base.parts, model.parts))
+    return HeldOut("later blocks", scores[0], scores[1], before, _residuals(model.parts))
 
 
-def _pooled(parts: Sequence[dict[str, float]]) -> dict[str, float]:
+def at_same_noise(before: Sequence[Fitted], after: Sequence[Fitted]) -> list[Fitted]:
+    """Fits of the baseline at the final model's noise levels: with its own, it would call what
+    it lacks sway, and its residuals would look small."""
+    return [
+        fitted([at_levels(b, a.levels)], b.linear.problem.effects, noise_rounds=0).parts[0]
+        for b, a in zip(before, after, strict=True)
+    ]
+
+
+def _residuals(fits: Sequence[Fitted]) -> dict[str, float]:
+    parts = [residual_rms(f) for f in fits]
     return {c: float(np.sqrt(np.mean([p[c] ** 2 for p in parts if c in p]))) for c in parts[0]}
 
 
@@ -56,8 +65,10 @@ def other_files(cases: Sequence[Case], model: Model) -> HeldOut:
         names,
         sum(m.log_evidence for m in before),
         sum(m.log_evidence for m in after),
-        _pooled([residual_rms(f) for m in before for f in m.parts]),
-        _pooled([residual_rms(f) for m in after for f in m.parts]),
+        _residuals(
+            [f for b, a in zip(before, after, strict=True) for f in at_same_noise(b.parts, a.parts)]
+        ),
+        _residuals([f for m in after for f in m.parts]),
     )
 
 

@@ -125,10 +125,7 @@ def _explanation(
         verdict = "cannot_tell"
     elif missing:
         verdict = "explained"
-    before = [
-        fitted([locate.at_levels(f, a.levels)], (), noise_rounds=0).parts[0]
-        for f, a in zip(base.parts, model.parts, strict=True)
-    ]
+    before = held.at_same_noise(base.parts, model.parts)
     if wrong is not None:
         before = list(base.parts)
     explained, mismatch = [], []
