@@ -27,7 +27,7 @@ docs: .venv/.installed-dev ## write the catalogue and draw the figures of docs/ 
 	$(BIN)/python docs/make_explain_figures.py
 
 test: lint ## all quick checks and tests
-	$(BIN)/python -m pytest -m "not prove"
+	$(BIN)/python -m pytest -n auto --dist loadfile -m "not prove"
 
 prove: .venv/.installed-dev ## the slow statistics, with their tables
 	$(BIN)/python -m pytest -m prove -s
