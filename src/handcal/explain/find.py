@@ -154,6 +154,7 @@ def _climbed(base: Model, unnamed: list[Effect], report: Callable[[float], None]
         if chosen != now and chosen not in visited and not _same(where, now, chosen):
             visited.add(chosen)
             model = _fit(model, where, chosen)
+            swaps.clear()  # (they hold beside the same others only)
             continue
         processes = _noise_step(model, noise, where.quadratic.worth, dropped)
         if processes is not None:

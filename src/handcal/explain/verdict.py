@@ -187,7 +187,8 @@ def _set(found: Found, chosen: frozenset[str], effect: str) -> tuple[list[str], 
     """The effect and those that could stand in its place, most probable first; its share."""
     scores = rivals(found.space, chosen, effect)
     scores = {i: s for i, s in scores.items() if "+=" not in i}
-    scores |= {r: -worse for (e, r), worse in found.swaps.items() if e == effect}
+    swaps = found.swaps.items()
+    scores |= {r: -worse for (e, r), worse in swaps if e == effect and r not in chosen}
     total = sum(math.exp(min(s, 50.0)) for s in scores.values())
     shares = {i: math.exp(min(s, 50.0)) / total for i, s in scores.items()}
     by_name: dict[str, float] = {}

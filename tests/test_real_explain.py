@@ -1,0 +1,42 @@
+"""What `explain`, told nothing, finds in recordings of real hands (run by `make prove`)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handcal import load
+from handcal.explain import explain
+
+pytestmark = pytest.mark.prove
+
+
+@pytest.mark.parametrize(
+    ("name", "drawn"),
+    [("array_1_imu5", (0.0189, 0.0, 0.0)), ("array_2_imu3", (0.0, -0.0189, 0.0))],
+)
+def test_the_arm_between_two_imus_is_found_untold(name, drawn, real_recordings: Path):
+    """Within 1.5 mm of the board's drawing, with the scale differences; residuals halved."""
+    found = explain([load(real_recordings / f"{name}.mcap")])
+    missing = {m.effect: m for m in found.missing}
+    assert {"lever_arm", "accel_scale", "gyro_scale"} <= set(missing)
+    arm = np.array([p.value for p in missing["lever_arm"].parameters])
+    print(f"{name}: {found.verdict}, arm {1e3 * arm} mm")
+    assert np.linalg.norm(arm - drawn) < 0.0015
+    assert found.held_out is not None
+    assert found.held_out.log_score_after > found.held_out.log_score_before
+
+
+def test_a_hand_held_imu_against_motion_capture(real_recordings: Path):
+    """Arm within 4 mm of the estimate given with the recording; lags as known from it."""
+    found = explain([load(real_recordings / "broad_06_fast_rotation.mcap")])
+    value = {p.effect: p.value for p in found.parameters if p.name in ("delay", "tau")}
+    arm = [found_.value for found_ in found.parameters if found_.effect == "lever_arm"]
+    print(f"arm {arm}, {value}")
+    assert np.linalg.norm(np.array(arm) - [-0.002, 0.001, 0.012]) < 0.004
+    # a lag of the gyro is a delay of all others, to the first order
+    lag = value.get("gyro_bandwidth", 0.0)
+    assert value["pose_delay"] - lag == pytest.approx(-0.0041, abs=0.0015)
+    assert value.get("accel_delay", 0.0) - lag == pytest.approx(-0.0016, abs=0.0015)
