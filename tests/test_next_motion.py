@@ -32,13 +32,13 @@ def _found(recording: Recording, model: tuple[str, ...], *others: str) -> Found:
     """As if the search had ended at this model, these others being the candidates."""
     base = fitted([started(case_of(recording))], ())
     end = fitted(base.parts, select(model)) if model else base
-    return _scanned(base, end, others)
+    return _scanned(end, others)
 
 
-def _scanned(base: Model, end: Model, others: tuple[str, ...]) -> Found:
+def _scanned(end: Model, others: tuple[str, ...]) -> Found:
     options = [*end.effects, *select(others)]
     where = space(scan(end, options), options, {})
-    return Found(base, end, where, {}, {}, ())
+    return Found(end, where, {}, {})
 
 
 def _set(effect: str, *others: str) -> Missing:

@@ -113,6 +113,11 @@ NoiseUntil = Annotated[
 EngineOption = Annotated[
     Engine, typer.Option(help="compiled, or filterpy: slower, the same mathematics.")
 ]
+Json = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Write the numbers as JSON; - for standard output."),
+]
+Report = Annotated[Path | None, typer.Option(metavar="FILE.html", help="Write a report to read.")]
 Rrd = Annotated[
     Path | None, typer.Option(metavar="FILE.rrd", help="Save a recording for the Rerun viewer.")
 ]
@@ -193,13 +198,8 @@ def calibrate(
     ignore: Ignore = None,
     noise_until: NoiseUntil = None,
     engine: EngineOption = Engine.compiled,
-    json: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Write the numbers as JSON; - for standard output."),
-    ] = None,
-    report: Annotated[
-        Path | None, typer.Option(metavar="FILE.html", help="Write a report to read.")
-    ] = None,
+    json: Json = None,
+    report: Report = None,
     rrd: Rrd = None,
 ) -> None:
     """Run the filter over recordings: sensor errors, how well they are known, what is missing."""

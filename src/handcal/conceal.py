@@ -21,6 +21,7 @@ from handcal import so3
 from handcal.calibration import calibrate
 from handcal.effects import Signals, catalogue
 from handcal.effects._derivative import derivative
+from handcal.model import temperature_of
 from handcal.types import Array, Imu, InputError, Recording, Result, Series
 
 # Errors of rate or force that are not proportional to it: a bias must not count as motion.
@@ -174,11 +175,7 @@ class _Known:
         """C_nb (n, 3, 3) at times t (n,), turning at a constant rate between two known ones."""
         assert self.result.smoothed is not None
         history = self.result.smoothed
-        C = so3.matrix_of(history.q_nb)
-        at = np.clip(np.searchsorted(history.t, t, side="right") - 1, 0, len(history.t) - 2)
-        turn = so3.matrix_log(C[:-1].transpose(0, 2, 1) @ C[1:])
-        share = np.clip((t - history.t[at]) / (history.t[at + 1] - history.t[at]), 0.0, 1.0)
-        return np.asarray(C[at] @ so3.rotations(turn[at] * share[:, None]))
+        return so3.between(history.t, so3.matrix_of(history.q_nb), t)
 
     def constant(self, effect: str) -> Array:
         """Estimated x y z (3,) of an effect."""
@@ -187,16 +184,14 @@ class _Known:
     @cached_property
     def signals(self) -> Signals:
         """Rate and force as read, less their biases if that matters; temperature, attitude."""
-        imu, streams = self.recording.imu, self.recording.streams
-        gyro, accel, C_nb, T = imu.gyro, imu.accel, None, None
+        imu = self.recording.imu
+        gyro, accel, C_nb = imu.gyro, imu.accel, None
         if any(i in SQUARES for i in self.values):
             gyro = gyro - self.constant("gyro_bias")
             accel = accel - self.constant("accel_bias")
         if any("attitude" in catalogue()[i].needs and i not in OWN for i in self.values):
             C_nb = self.attitude(imu.t)
-        if "temperature" in streams:
-            T = np.interp(imu.t, streams["temperature"].t, streams["temperature"].value[:, 0])
-        return Signals(imu.t, gyro, accel, T, C_nb)
+        return Signals(imu.t, gyro, accel, temperature_of(self.recording), C_nb)
 
 
 # --- the IMU ------------------------------------------------------------------------------------

@@ -13,7 +13,9 @@ from handcal.cli import (
     HeadingSigma,
     Height,
     Ignore,
+    Json,
     Latitude,
+    Report,
     Rrd,
     Topics,
     Units,
@@ -49,13 +51,8 @@ def explain(
     topic: Topics = None,
     units: Units = None,
     ignore: Ignore = None,
-    json: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Write the numbers as JSON; - for standard output."),
-    ] = None,
-    report: Annotated[
-        Path | None, typer.Option(metavar="FILE.html", help="Write a page to read.")
-    ] = None,
+    json: Json = None,
+    report: Report = None,
     rrd: Rrd = None,
 ) -> None:
     """Say what a recording holds that the model does not: where, which physics, how certain.

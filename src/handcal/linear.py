@@ -105,7 +105,8 @@ def linearise_about(problem: Problem, start: Start, nominal: Trajectory) -> Line
     held = any(o.wandering is not None for o in problem.observations)
     C_nb = None
     if problem.imu_constants and (held or any("attitude" in e.needs for e in problem.effects)):
-        C_nb = _attitude(problem, nominal)
+        # (between two epochs at a constant rate)
+        C_nb = so3.between(problem.nodes.t[nominal.node], nominal.C, problem.recording.imu.t)
     problem = relinearised(
         problem, nominal.constants, nominal.bg, nominal.ba, None, C_nb, jacobian=False
     )
@@ -159,15 +160,6 @@ def linearise_about(problem: Problem, start: Start, nominal: Trajectory) -> Line
         H,
         used,
     )
-
-
-def _attitude(problem: Problem, nominal: Trajectory) -> Array:
-    """C_nb (n, 3, 3) at the IMU's samples: between two epochs at a constant rate."""
-    t, t_imu = problem.nodes.t[nominal.node], problem.recording.imu.t
-    at = np.clip(np.searchsorted(t, t_imu, side="right") - 1, 0, len(t) - 2)
-    turn = so3.matrix_log(nominal.C[:-1].transpose(0, 2, 1) @ nominal.C[1:])
-    share = (t_imu - t[at]) / (t[at + 1] - t[at])
-    return np.asarray(nominal.C[at] @ so3.rotations(turn[at] * share[:, None]))
 
 
 def _steady_force(problem: Problem, nominal: Trajectory, C_nb: Array) -> Array:

@@ -253,6 +253,14 @@ def _extra(recording: Recording, t: Array) -> Array:
     return out
 
 
+def temperature_of(recording: Recording) -> Array | None:
+    """Temperature (n,) degC at the IMU's samples, None without a thermometer."""
+    series = recording.streams.get("temperature")
+    if series is None:
+        return None
+    return np.asarray(np.interp(recording.imu.t, series.t, series.value[:, 0]))
+
+
 def relinearised(
     problem: Problem,
     ref: Array,
@@ -278,8 +286,7 @@ def relinearised(
         return replace(problem, ref=ref)
     recording, nodes = problem.recording, problem.nodes
     imu = recording.imu
-    temperature = recording.streams.get("temperature")
-    T = None if temperature is None else np.interp(imu.t, temperature.t, temperature.value[:, 0])
+    T = temperature_of(recording)
     raw = np.hstack([imu.gyro - bg, imu.accel - ba])
     acting = [e for e in problem.effects if e.imu_error is not None]
     error = _substituted(acting, ref, Signals(imu.t, raw[:, :3], raw[:, 3:], T, C_nb))

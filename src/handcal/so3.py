@@ -92,6 +92,15 @@ def rotations(phi: Array) -> Array:
     return matrix_of(np.hstack([np.cos(half), 0.5 * np.sinc(half / np.pi) * phi]))
 
 
+def between(t_known: Array, C: Array, t: Array) -> Array:
+    """Attitudes (n, 3, 3) at times t (n,), turning at a constant rate between the known ones
+    C (k, 3, 3) at t_known (k,); before and after those, the first and the last."""
+    at = np.clip(np.searchsorted(t_known, t, side="right") - 1, 0, len(t_known) - 2)
+    turn = matrix_log(C[:-1].transpose(0, 2, 1) @ C[1:])
+    share = np.clip((t - t_known[at]) / (t_known[at + 1] - t_known[at]), 0.0, 1.0)
+    return np.asarray(C[at] @ rotations(turn[at] * share[:, None]))
+
+
 def matrix_log(C: Array) -> Array:
     """Rotation vector (..., 3) rad of rotation matrices (..., 3, 3), angle in [0, pi]."""
     q = quaternion_of(C)

@@ -8,6 +8,7 @@ import numpy as np
 
 from handcal._jit import residual_function
 from handcal.effects import TIME, Effect, Param, Signals
+from handcal.effects._late import add_lateness
 from handcal.types import Array
 
 STANDARD_GRAVITY = 9.80665
@@ -30,12 +31,7 @@ def imu_error(ppm: Array, signals: Signals) -> Array:
 def _pose(nav: Any, ppm: Any, z: Any, out: Any) -> int:
     # The pose's stamp is true time, by which the device's clock already shows more: the
     # pose is taken for one of an earlier moment, a delay that is negative and grows.
-    delay = -1e-6 * ppm[0] * z[TIME]
-    for i in range(3):
-        out[i] += nav[3 + i] * delay
-        out[3 + i] += delay * (
-            nav[6 + 3 * i] * nav[15] + nav[7 + 3 * i] * nav[16] + nav[8 + 3 * i] * nav[17]
-        )
+    add_lateness(nav, -1e-6 * ppm[0] * z[TIME], out)
     return 0
 
 

@@ -6,16 +6,12 @@ from typing import Any
 
 from handcal._jit import residual_function
 from handcal.effects import DELAY, Effect, Param
+from handcal.effects._late import add_lateness
 
 
 def _pose(nav: Any, delay: Any, z: Any, out: Any) -> int:
     # nav is of the moment z[DELAY] before the pose's stamp
-    left = delay[0] - z[DELAY]
-    for i in range(3):
-        out[i] += nav[3 + i] * left
-        out[3 + i] += left * (
-            nav[6 + 3 * i] * nav[15] + nav[7 + 3 * i] * nav[16] + nav[8 + 3 * i] * nav[17]
-        )
+    add_lateness(nav, delay[0] - z[DELAY], out)
     return 0
 
 

@@ -63,7 +63,7 @@ def case_of(
     recording = thinned(recording)
     rests = segment.rests(recording)
     earth = local_earth(latitude, height)
-    # Errors of the sensors look like a travelling hand; whether it travels is asked at the end.
+    # Errors of the sensors look like a travelling hand, so evidence could not choose yet.
     held = "fixed-point" if assume == "auto" else assume
     assume, kinds, warnings = choose(
         recording, tuple(catalogue().values()), held, rests, earth, dict(fixed or {})

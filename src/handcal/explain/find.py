@@ -15,6 +15,7 @@ from handcal.explain.case import Case, applicable, frozen_at, name_of
 from handcal.explain.fit import Fitted, Model, fitted, moved_to, scan
 from handcal.explain.robust import inflation
 from handcal.explain.search import PRIOR, Space, best_set, gains, space
+from handcal.model import temperature_of
 from handcal.types import Array
 
 ROUNDS = 8
@@ -44,14 +45,13 @@ MOMENTS = 16
 class Found:
     """Where the search ended: the final model, the spaces of the first and last scan, and
     what the catalogue's effects gained over the baseline alone; noise: log-evidence gained by
-    each noise effect in the model; absent: the same by those that were tried and left out."""
+    each noise effect in the model; swaps: (effect, rival) to the nats by which the rival, fitted
+    in its place, does worse."""
 
-    base: Model
     model: Model
     space: Space
     alone: dict[str, float]
     noise: dict[str, float]
-    terms: tuple[Effect, ...]
     swaps: dict[tuple[str, str], float] = field(default_factory=dict)
     first: Space | None = None
 
@@ -181,7 +181,7 @@ def _climbed(base: Model, unnamed: list[Effect], report: Callable[[float], None]
             break
         unnamed.append(term)
         visited = set()
-    return Found(base, model, where, alone, noise, tuple(unnamed), swaps, first)
+    return Found(model, where, alone, noise, swaps, first)
 
 
 def _same(where: Space, now: frozenset[str], chosen: frozenset[str]) -> bool:
@@ -342,6 +342,5 @@ def _best_term(model: Model) -> tuple[Effect | None, float]:
 def signals_of(f: Fitted) -> Signals:
     """The best estimate of rate and force at the IMU's samples, for scaling terms."""
     imu, nominal = f.case.recording.imu, f.linear.trajectory
-    temperature = f.case.recording.streams.get("temperature")
-    T = None if temperature is None else np.interp(imu.t, temperature.t, temperature.value[:, 0])
+    T = temperature_of(f.case.recording)
     return Signals(imu.t, imu.gyro - nominal.bg, imu.accel - nominal.ba, T)

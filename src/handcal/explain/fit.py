@@ -238,12 +238,11 @@ def transferred(nominal: Trajectory, old: Problem, new: Problem) -> Trajectory:
         at += process.size
     if same:
         return replace(nominal, node=node, constants=constants, markov=markov)
-    C = _between(t_old, nominal.C, t)
     return Trajectory(
         node,
         _interpolated(t, t_old, nominal.p),
         _interpolated(t, t_old, nominal.v),
-        C,
+        so3.between(t_old, nominal.C, t),
         nominal.bg,
         nominal.ba,
         constants,
@@ -256,13 +255,6 @@ def _interpolated(t: Array, t_old: Array, x: Array) -> Array:
     for i in range(x.shape[1]):
         out[:, i] = np.interp(t, t_old, x[:, i])
     return out
-
-
-def _between(t_old: Array, C: Array, t: Array) -> Array:
-    at = np.clip(np.searchsorted(t_old, t, side="right") - 1, 0, len(t_old) - 2)
-    turn = so3.matrix_log(C[:-1].transpose(0, 2, 1) @ C[1:])
-    share = (t - t_old[at]) / (t_old[at + 1] - t_old[at])
-    return np.asarray(C[at] @ so3.rotations(turn[at] * share[:, None]))
 
 
 def with_noise(f: Fitted) -> Fitted:

@@ -12,7 +12,7 @@ from scipy.special import betaln
 from handcal.effects import catalogue
 from handcal.explain.case import Case
 from handcal.explain.fit import Fitted, Model, fitted
-from handcal.explain.search import PRIOR
+from handcal.explain.search import PRIOR, probability
 from handcal.observations import Rows
 from handcal.types import Array, BoolArray, Parameter
 
@@ -66,15 +66,14 @@ def cleaned(base: Model) -> tuple[Model, Wrong | None]:
     share = (bad + 1.0) / (total + 2.0)
     sigma = math.sqrt(share * (1.0 - share) / (total + 3.0))
     p = effect.parameters[0]
-    probability = 1.0 / (1.0 + math.exp(-min(700.0, gain + PRIOR)))
     parameter = Parameter(effect.id, p.name, share, sigma, p.unit, p.prior_sigma, None)
-    return model, Wrong(gain, probability, parameter, _burst(base, masks))
+    return model, Wrong(gain, probability(gain), parameter, _burst(base, masks))
 
 
 def _burst(base: Model, masks: Sequence[BoolArray | None]) -> tuple[float, float] | None:
     """When the outliers were, if most of them have an outlier for a neighbour."""
     for f, mask in zip(base.parts, masks, strict=True):
-        k = _heading(f.case)
+        k = heading_kind(f.case)
         if mask is None or k is None or mask.sum() < FEWEST:
             continue
         beside = np.r_[False, mask[:-1]] | np.r_[mask[1:], False]
@@ -85,32 +84,34 @@ def _burst(base: Model, masks: Sequence[BoolArray | None]) -> tuple[float, float
     return None
 
 
-def _heading(case: Case) -> int | None:
+def heading_kind(case: Case) -> int | None:
+    """Number of the kind that tells a heading, measured or magnetic."""
     kinds = [o.kind for o, _, _ in case.observed]
     return next((k for k, name in enumerate(kinds) if name in ("heading", "magnetometer")), None)
 
 
-def _residual(f: Fitted, k: int) -> tuple[Array, Array]:
+def residual(f: Fitted, k: int) -> tuple[Array, Array]:
+    """Times (m,) s and residuals (m,) of the first channel of the k-th kind, as they are used."""
     mine = (f.linear.kind == k) & f.linear.used
     t = np.repeat(f.linear.t, np.diff(f.linear.first))
     return t[mine], f.linear.r[mine, 0]
 
 
 def _suspicious(f: Fitted) -> bool:
-    k = _heading(f.case)
+    k = heading_kind(f.case)
     if k is None:
         return False
-    _, r = _residual(f, k)
+    _, r = residual(f, k)
     scale = 1.4826 * float(np.median(np.abs(r - np.median(r))))
     return int((np.abs(r - np.median(r)) > FAR * scale).sum()) >= FEWEST
 
 
 def _mask(original: Fitted, f: Fitted) -> BoolArray | None:
     """Which of the original rows are outlying, seen from the fit's trajectory."""
-    k = _heading(original.case)
+    k = heading_kind(original.case)
     if k is None:
         return None
-    t, r = _residual(f, k)
+    t, r = residual(f, k)
     rows = original.case.observed[k][1]
     if f.case.constant == 0.0:
         full = np.interp(rows.t, t, r)
@@ -130,7 +131,7 @@ def _yaw(f: Fitted) -> Array:
 
 
 def _without(original: Fitted, f: Fitted, mask: BoolArray | None) -> Fitted:
-    k = _heading(original.case)
+    k = heading_kind(original.case)
     if mask is None or k is None:
         return f
     observation, rows, constants = original.case.observed[k]
@@ -143,7 +144,7 @@ def _without(original: Fitted, f: Fitted, mask: BoolArray | None) -> Fitted:
     observed[k] = (observation, kept, constants)
     name = next(lv.name for lv in observation.levels if lv.name.endswith("noise"))
     levels = dict(f.levels)
-    _, r = _residual(f, k)
+    _, r = residual(f, k)
     levels[name] = max(1.4826 * float(np.median(np.abs(r - np.median(r)))), 1e-4)
     case = replace(f.case, observed=tuple(observed), constant=constant)
     return replace(f, case=case, levels=levels)

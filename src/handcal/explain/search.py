@@ -19,6 +19,11 @@ from handcal.types import Array, IntArray
 PRIOR = -5.0
 
 
+def probability(gain: float) -> float:
+    """Posterior probability of an effect that gains so many nats, on its own."""
+    return 1.0 / (1.0 + math.exp(-min(700.0, gain + PRIOR)))
+
+
 @dataclass(frozen=True)
 class Space:
     """The candidates and what a pass of the filter says of them.

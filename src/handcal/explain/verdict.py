@@ -27,7 +27,15 @@ from handcal.explain.find import TERM_PRIOR, Found, advantage, search
 from handcal.explain.fit import Fitted, Model, fitted, started
 from handcal.explain.next_motion import next_motions
 from handcal.explain.robust import inflation
-from handcal.explain.search import PRIOR, expected_gain, gains, probabilities, rivals
+from handcal.explain.search import (
+    PRIOR,
+    expected_gain,
+    gains,
+    probabilities,
+    probability,
+    rivals,
+)
+from handcal.kernel import MAX_DIM
 from handcal.model import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR
 from handcal.twin import twin
 from handcal.types import Array, InputError, NoiseLevel, Parameter, Recording
@@ -112,8 +120,9 @@ def _explanation(
     model = found.model
     chosen = frozenset(e.id for e in model.effects if e.process is None)
     named = wrong if wrong is not None and wrong.burst is None else None
-    missing, unsure = _missing(found, chosen, named)
-    unnamed = _unnamed(found, chosen)
+    learnt = _learnt(model)
+    missing, unsure = _missing(found, chosen, learnt, named)
+    unnamed = _unnamed(found, chosen, learnt)
     if wrong is not None and wrong.burst is not None:
         unnamed.append(_burst(base, wrong, wrong.burst))
     verdict = "nothing_missing"
@@ -134,19 +143,21 @@ def _explanation(
         if verdict != "nothing_missing":
             mismatch += locate.mismatches(b, bins, short, k)
         explained.append(_explained(b, a, bins, short, model))
-    share = len(model.parts)
-    mismatch = [replace(m, share=m.share / share) for m in mismatch]
+    mismatch = [replace(m, share=m.share / len(model.parts)) for m in mismatch]
+    hypotheses = _hypotheses(found, missing, named)
+    # what all recordings share, and the biases where there is but one
+    own = explained[0].parameters if len(explained) == 1 else ()
     return Explanation(
         verdict,
         tuple(sorted(mismatch, key=lambda m: -m.share)),
         tuple(missing),
         tuple(unnamed),
-        _hypotheses(found, missing, named),
+        hypotheses,
         _fit(base, before),
         _fit(model, model.parts),
         scores,
-        next_motions(found, missing, _hypotheses(found, missing, named), verdict),
-        _parameters(model),
+        next_motions(found, missing, hypotheses, verdict),
+        (*own, *(p for parameters in learnt.values() for p in parameters)),
         _noise(model.parts[0]),
         tuple(explained),
         _warnings(base, model),
@@ -154,7 +165,10 @@ def _explanation(
 
 
 def _missing(
-    found: Found, chosen: frozenset[str], wrong: outliers.Wrong | None
+    found: Found,
+    chosen: frozenset[str],
+    learnt: Mapping[str, tuple[Parameter, ...]],
+    wrong: outliers.Wrong | None,
 ) -> tuple[list[Missing], bool]:
     """What is named, most evidence first; whether for one of them a rival is as good."""
     where, model = found.space, found.model
@@ -165,8 +179,8 @@ def _missing(
             continue
         if effect.process is not None:
             gain = found.noise[effect.id]
-            probability = 1.0 / (1.0 + math.exp(-min(700.0, gain + PRIOR)))
-            out.append(_entry(effect, probability, gain, (), _process_parameters(model, effect)))
+            own = _process_parameters(model, effect)
+            out.append(_entry(effect, probability(gain), gain, (), own))
             continue
         set_, share = _set(found, chosen, effect.id)
         members = {name_of(i) for i in set_}
@@ -174,7 +188,7 @@ def _missing(
         gain = gained[effect.id]
         unsure |= share < NAMED
         names = dict.fromkeys(name_of(i) for i in set_ if name_of(i) != name_of(effect.id))
-        out.append(_entry(effect, p, gain, tuple(names), _effect_parameters(model, effect)))
+        out.append(_entry(effect, p, gain, tuple(names), learnt[effect.id]))
     if wrong is not None:
         out.append(
             _entry(catalogue()["heading_outliers"], wrong.probability, wrong.gain, (),
@@ -222,10 +236,17 @@ def _entry(
     )
 
 
-def _effect_parameters(model: Model, effect: Effect) -> tuple[Parameter, ...]:
+def _learnt(model: Model) -> dict[str, tuple[Parameter, ...]]:
+    """Parameters of each effect that is no noise, by its id."""
+    excess = inflation(model)
+    return {
+        e.id: _effect_parameters(model, e, excess[e.id]) for e in model.effects if e.process is None
+    }
+
+
+def _effect_parameters(model: Model, effect: Effect, excess: float) -> tuple[Parameter, ...]:
     at = [i for i, n in enumerate(model.quadratic.names) if n[0] == effect.id]
-    excess = math.sqrt(inflation(model)[effect.id])
-    sigma = excess * np.sqrt(np.maximum(np.diag(model.covariance), 0.0))
+    sigma = math.sqrt(excess) * np.sqrt(np.maximum(np.diag(model.covariance), 0.0))
     out = []
     free = {p.name: (p, i) for p, i in zip(effect.parameters, at, strict=True)}
     for p in catalogue().get(name_of(effect.id), effect).parameters:
@@ -282,23 +303,24 @@ def _negative(H: Array) -> Array:
     return np.asarray((vectors * np.minimum(values, 0.0)) @ vectors.T)
 
 
-def _unnamed(found: Found, chosen: frozenset[str]) -> list[Unnamed]:
+def _unnamed(
+    found: Found, chosen: frozenset[str], learnt: Mapping[str, tuple[Parameter, ...]]
+) -> list[Unnamed]:
     gained = gains(found.space, chosen)
     out = []
     for effect in found.model.effects:
         if "+=" in effect.id:
-            (p,) = _effect_parameters(found.model, effect)
+            (p,) = learnt[effect.id]
             out.append(Unnamed(effect.id, p.value, p.sigma, p.unit, gained[effect.id]))
     return sorted(out, key=lambda u: -u.log_evidence_gain)
 
 
 def _burst(base: Model, wrong: outliers.Wrong, span: tuple[float, float]) -> Unnamed:
     """Readings that err one after the other, as a term: how far, while it lasts."""
-    f = base.parts[0]
-    k = next(i for i, o in enumerate(f.linear.problem.observations) if "heading" in o.channels)
-    mine = (f.linear.kind == k) & f.linear.used
-    t = np.repeat(f.linear.t, np.diff(f.linear.first))[mine]
-    r = f.linear.r[mine, 0][(t >= span[0]) & (t <= span[1])]
+    k = outliers.heading_kind(base.parts[0].case)
+    assert k is not None
+    t, r = outliers.residual(base.parts[0], k)
+    r = r[(t >= span[0]) & (t <= span[1])]
     spread = float(np.std(r)) / math.sqrt(max(1, len(r)))
     formula = f"heading += k from {span[0]:.1f} s to {span[1]:.1f} s"
     return Unnamed(formula, float(np.mean(r)) if len(r) else 0.0, spread, "rad", wrong.gain)
@@ -324,15 +346,14 @@ def _hypotheses(
             continue
         verdict = "named" if name in named else "set" if name in rival else ""
         together = sum(p for k, p in probable.items() if name_of(k) == name)
-        probability = min(CERTAIN, together)
         out[name] = Hypothesis(
             name, catalogue()[name].title, alone, final[i],
-            expected_gain(where, i, chosen, ones), probability, verdict,
+            expected_gain(where, i, chosen, ones), min(CERTAIN, together), verdict,
         )  # fmt: skip
     for name, gain in found.noise.items():
-        p = 1.0 / (1.0 + math.exp(-min(700.0, gain + PRIOR)))
+        verdict = "named" if name in named else ""
         out[name] = Hypothesis(
-            name, catalogue()[name].title, gain, gain, 0.0, p, "named" if name in named else ""
+            name, catalogue()[name].title, gain, gain, 0.0, probability(gain), verdict
         )
     if wrong is not None:
         title = catalogue()["heading_outliers"].title
@@ -397,7 +418,7 @@ def _fit(model: Model, parts: Sequence[Fitted]) -> Fit:
         slot = done.reduction.slot
         for k, observation in enumerate(f.linear.problem.observations):
             for i, channel in enumerate(observation.channels):
-                x = nu[slot == k * 6 + i]
+                x = nu[slot == k * MAX_DIM + i]
                 if len(x) > 10:
                     nis.setdefault(channel, []).append(float(np.mean(x**2)))
                     white.setdefault(channel, []).append(
@@ -424,13 +445,6 @@ def _biases(f: Fitted) -> tuple[Parameter, ...]:
         Parameter(e, n, float(values[i]), float(sigma[i]), unit, prior[i], None)
         for i, (e, n, unit) in enumerate(names)
     )
-
-
-def _parameters(model: Model) -> tuple[Parameter, ...]:
-    """Of the final model: what all recordings share, and the biases where there is but one."""
-    named = [p for e in model.effects if e.process is None for p in _effect_parameters(model, e)]
-    own = _biases(model.parts[0]) if len(model.parts) == 1 else ()
-    return (*own, *named)
 
 
 def _noise(f: Fitted) -> tuple[NoiseLevel, ...]:
