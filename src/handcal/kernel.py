@@ -239,17 +239,24 @@ def _extras_columns(
     minus: Array,
     H: Array,
 ) -> None:
-    """Columns of H for the constants and Markov states that the functions of a kind read."""
+    """Columns of H for the constants and Markov states that the functions of a kind read.
+
+    Functions only add to a residual, so each is differenced alone.
+    """
     for k in range(tables.function.shape[1]):
-        if tables.function[kind, k] == 0:
+        address = tables.function[kind, k]
+        if address == 0:
             break
         a = tables.start[kind, k]
+        own = extras[a : a + max(1, tables.counts[kind, k])]
         for c in range(a, a + tables.counts[kind, k]):
             keep, step = extras[c], tables.step[c]
+            zero1(plus)
+            zero1(minus)
             extras[c] = keep + step
-            _total(kind, tables, nav, extras, z, 0, plus)
+            call_residual(address, nav, own, z, plus)
             extras[c] = keep - step
-            _total(kind, tables, nav, extras, z, 0, minus)
+            call_residual(address, nav, own, z, minus)
             extras[c] = keep
             for j in range(d):
                 H[j, BASE + c] -= (plus[j] - minus[j]) / (2 * step)

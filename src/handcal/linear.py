@@ -7,7 +7,7 @@ Between two observation epochs the readings are integrated once into one transit
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -110,18 +110,17 @@ def linearise_about(problem: Problem, start: Start, nominal: Trajectory) -> Line
     problem = relinearised(
         problem, nominal.constants, nominal.bg, nominal.ba, None, C_nb, jacobian=False
     )
-    Phi, d, Q = _transitions(problem, nominal)
     if problem.imu_constants:
         # What an effect does depends on the true rate and force: take off the noise that
         # this trajectory implies, or each sample's noise would pose as motion that excites it.
         noise = None
         if any(o.navigates for o in problem.observations):
-            noise = _implied_noise(problem, nominal, d)
+            noise = _implied_noise(problem, nominal)
         force = None if C_nb is None or not held else _steady_force(problem, nominal, C_nb)
         problem = relinearised(
             problem, nominal.constants, nominal.bg, nominal.ba, noise, C_nb, force
         )
-        Phi, d, Q = _transitions(problem, nominal)
+    Phi, d, Q = _transitions(problem, nominal)
     nodes = problem.nodes
     q = len(nodes.kind)
     r, H = np.zeros((q, MAX_DIM)), np.zeros((q, MAX_DIM, problem.size))
@@ -226,8 +225,11 @@ def _turn_noise(Phi: Array, d: Array) -> None:
         Phi[1:, i : i + 3] += so3.skew(d[1:, i : i + 3]) @ turned
 
 
-def _implied_noise(problem: Problem, nominal: Trajectory, d: Array) -> Array:
+def _implied_noise(problem: Problem, nominal: Trajectory) -> Array:
     """Mean noise of gyro and accelerometer (n, 6) at the IMU's samples, interval by interval."""
+    # (the readings are corrected already, so no column is needed)
+    bare = problem.nodes._replace(J=np.zeros((len(problem.nodes.t), 6, 0)))
+    _, d, _ = _transitions(replace(problem, nodes=bare, imu_constants=0), nominal)
     t = problem.nodes.t[nominal.node]
     dt = np.maximum(np.diff(t), 1e-6)[:, None]
     C_bn = nominal.C[1:].transpose(0, 2, 1)

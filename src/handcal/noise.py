@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -80,6 +80,17 @@ def until(linear: Linear, t: float) -> Linear:
     )
 
 
+@dataclass(frozen=True)
+class Curvature:
+    """How the evidence bends with the logarithms of the levels ``names``: matrix (k, k)."""
+
+    names: tuple[str, ...]
+    matrix: Array
+
+
+NO_CURVATURE = Curvature((), np.zeros((0, 0)))
+
+
 def estimate(
     linear: Linear,
     levels: Mapping[str, float],
@@ -87,7 +98,8 @@ def estimate(
     progress: Callable[[], None] | None = None,
     tolerance: float = 0.01,
     excess: float = 1e6,
-) -> dict[str, float]:
+    known: Curvature = NO_CURVATURE,
+) -> tuple[dict[str, float], Curvature]:
     """Levels that maximise the evidence of a linearised problem, starting from ``levels``.
 
     names: those to estimate; the others stay. The search runs over logarithms, within
@@ -116,8 +128,15 @@ def estimate(
         away = (x - centre) / sigma
         return 0.5 * float(away @ away) - value, away / sigma - slope
 
-    found = minimise(cost, np.clip(start, low, high), low, high, tolerance)
-    return dict(levels) | _levels(names, found)
+    begin = np.clip(start, low, high)
+    B = None
+    if known.names:
+        at = [known.names.index(n) if n in known.names else -1 for n in names]
+        B = np.where(
+            np.outer(np.array(at) >= 0, np.array(at) >= 0), known.matrix[np.ix_(at, at)], np.nan
+        )
+    found, B = minimise(cost, begin, low, high, tolerance, B)
+    return dict(levels) | _levels(names, found), Curvature(tuple(names), B)
 
 
 def _levels(names: Sequence[str], x: Array) -> dict[str, float]:
@@ -189,10 +208,18 @@ def _stepped(name: str, levels: Mapping[str, float]) -> tuple[dict[str, float], 
     return dict(levels) | {name: levels[name] * up}, dict(levels) | {name: levels[name] * down}
 
 
-def _curvature(cost: Callable[[Array], tuple[float, Array]], x: Array, g: Array) -> Array:
+def _curvature(
+    cost: Callable[[Array], tuple[float, Array]], x: Array, g: Array, known: Array | None
+) -> Array:
     """Hessian of the cost with its eigenvalues made positive: where the cost is hollow
-    upwards, a step as long as the curvature allows is still the right scale."""
-    rows = np.stack([cost(x + DIFFERENCE * e)[1] - g for e in np.eye(len(x))]) / DIFFERENCE
+    upwards, a step as long as the curvature allows is still the right scale. Of ``known``
+    only what is NaN is found out."""
+    rows = np.full((len(x), len(x)), np.nan) if known is None else known.copy()
+    for i in np.flatnonzero(np.isnan(np.diag(rows))):
+        e = np.zeros(len(x))
+        e[i] = DIFFERENCE
+        rows[i] = (cost(x + e)[1] - g) / DIFFERENCE
+    rows = np.where(np.isnan(rows), rows.T, rows)
     eigenvalues, vectors = np.linalg.eigh(0.5 * (rows + rows.T))
     return np.asarray((vectors * np.maximum(np.abs(eigenvalues), FLATTEST)) @ vectors.T)
 
@@ -203,16 +230,18 @@ def minimise(
     low: Array,
     high: Array,
     tolerance: float,
+    known: Array | None = None,
     rounds: int = 60,
-) -> Array:
-    """Where ``cost(x) -> (value, gradient)`` is least within the bounds, all of order one.
+) -> tuple[Array, Array]:
+    """Where ``cost(x) -> (value, gradient)`` is least within the bounds, and the curvature there.
 
-    A quasi-Newton search (BFGS) that starts from the curvature of differenced gradients;
-    coordinates that press against a bound rest there. It ends when the quadratic model
-    promises less than ``tolerance``. (scipy's takes longer to import than this to run.)
+    All are of order one. A quasi-Newton search (BFGS) that starts from the curvature ``known``
+    (k, k; NaN: not known), else from that of differenced gradients; coordinates that press
+    against a bound rest there. It ends when the quadratic model promises less than
+    ``tolerance``. (scipy's takes longer to import than this to run.)
     """
     value, g = cost(x)
-    B = _curvature(cost, x, g)
+    B = _curvature(cost, x, g, known)
     for _ in range(rounds):
         free = ~(((x <= low) & (g > 0)) | ((x >= high) & (g < 0)))
         if not free.any() or not np.isfinite(value):
@@ -236,4 +265,4 @@ def minimise(
         Bs = B @ s
         if s @ y > 1e-3 * (s @ Bs):
             B = B + np.outer(y, y) / (s @ y) - np.outer(Bs, Bs) / (s @ Bs)
-    return x
+    return x, B

@@ -42,6 +42,7 @@ class Fitted:
     case: Case
     linear: Linear
     levels: Mapping[str, float]
+    curvature: noise_levels.Curvature = noise_levels.NO_CURVATURE
 
 
 @dataclass(frozen=True)
@@ -190,7 +191,8 @@ def _linearised(f: Fitted, trajectory: Trajectory, effects: Sequence[Effect]) ->
         case = replace(f.case, delays={**known, **delays})
         problem = problem_with(case, effects)
         trajectory = transferred(trajectory, f.linear.problem, problem)
-        return Fitted(case, linearise_about(problem, f.linear.start, trajectory), f.levels)
+        linear = linearise_about(problem, f.linear.start, trajectory)
+        return replace(f, case=case, linear=linear)
     return replace(f, linear=linearise_about(f.linear.problem, f.linear.start, trajectory))
 
 
@@ -217,7 +219,7 @@ def moved_to(f: Fitted, effects: Sequence[Effect]) -> Fitted:
     have = {lv.name for lv in problem.levels}
     levels |= {k: v for k, v in f.levels.items() if k in have}
     linear = linearise_about(problem, f.linear.start, trajectory)
-    return Fitted(case, linear, levels)
+    return Fitted(case, linear, levels, f.curvature)
 
 
 def transferred(nominal: Trajectory, old: Problem, new: Problem) -> Trajectory:
@@ -260,8 +262,10 @@ def _interpolated(t: Array, t_old: Array, x: Array) -> Array:
 def with_noise(f: Fitted) -> Fitted:
     """The fit with its noise levels estimated anew, but for those that are known."""
     names = tuple(lv.name for lv in f.linear.problem.levels if lv.name not in f.case.fixed)
-    levels = noise_levels.estimate(f.linear, f.levels, names, excess=EXCESS)
-    return replace(f, levels=levels)
+    levels, curvature = noise_levels.estimate(
+        f.linear, f.levels, names, excess=EXCESS, known=f.curvature
+    )
+    return replace(f, levels=levels, curvature=curvature)
 
 
 def scan(model: Model, candidates: Sequence[Effect]) -> Quadratic:

@@ -26,7 +26,9 @@ def later_blocks(base: Model, model: Model) -> HeldOut:
             t = f.linear.t
             early = noise_levels.until(f.linear, t[0] + EARLY * (t[-1] - t[0]))
             names = [lv.name for lv in f.linear.problem.levels if lv.name not in f.case.fixed]
-            levels = noise_levels.estimate(early, f.levels, names, excess=EXCESS)
+            levels, _ = noise_levels.estimate(
+                early, f.levels, names, excess=EXCESS, known=f.curvature
+            )
             whole = reduced_pass(reduce(f.linear), levels).log_evidence
             score += whole - reduced_pass(reduce(early), levels).log_evidence
         scores.append(score + sum(f.case.constant for f in m.parts) * (1 - EARLY))
