@@ -28,8 +28,8 @@ from handcal.explain_report import render_explanation, write_explanation_report
 from handcal.types import HandcalError
 
 CONTRACT = {
-    "schema", "verdict", "mismatch", "missing", "unnamed", "fit", "held_out", "next_motion",
-    "parameters", "noise", "warnings",
+    "schema", "verdict", "mismatch", "missing", "unnamed", "hypotheses", "fit", "held_out",
+    "next_motion", "parameters", "noise", "warnings",
 }  # fmt: skip
 ENTRIES = {
     "mismatch": {"channel": str, "from_s": float, "to_s": float, "share": float, "when": str},

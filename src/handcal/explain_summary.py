@@ -28,7 +28,9 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
     """The contract's ``explain --json``.
 
     With several recordings, ``parameters`` holds the shared ones, ``recordings`` the rest,
-    and each mismatch says which ``recording`` it is of.
+    and each mismatch says which ``recording`` it is of. ``hypotheses`` is more than promised:
+    nats of each effect ``alone`` over the baseline, in the ``final`` model, and ``expected_gain``
+    of one of the usual size.
     """
     e, several = explanation, len(explanation.recordings) > 1
     document: dict[str, Any] = {
@@ -46,6 +48,12 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
              "sigma": summary.finite(u.sigma), "unit": u.unit,
              "log_evidence_gain": summary.finite(u.log_evidence_gain)}
             for u in e.unnamed
+        ],
+        "hypotheses": [
+            {"effect": h.effect, "alone": summary.finite(h.alone),
+             "final": summary.finite(h.final), "expected_gain": summary.finite(h.expected),
+             "probability": summary.finite(h.probability)}
+            for h in e.hypotheses
         ],
         "fit": {"before": _fit_json(e.before), "after": _fit_json(e.after)},
         "held_out": _held_out_json(e.held_out),
