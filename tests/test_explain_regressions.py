@@ -120,9 +120,8 @@ def test_a_burst_of_wrong_headings_is_no_share_of_outliers(seed: int) -> None:
     assert end == pytest.approx(14.5, abs=0.5)
 
 
-@pytest.mark.xfail(reason="named heading_correlated_noise: a burst costs as if it were random")
 def test_headings_that_are_off_for_a_while_are_unexplained() -> None:
-    """All by the same 70 degrees."""
+    """All by the same 70 degrees: that is not random, and no correlated noise either."""
     found = explain([with_a_burst(1, off=1.2)])
     assert (found.verdict, names(found)) == ("unexplained", [])
     assert found.unnamed[0].value == pytest.approx(1.2, abs=0.15)

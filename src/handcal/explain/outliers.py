@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import betaln
 
+from handcal import so3
 from handcal.effects import catalogue
 from handcal.explain.case import Case
 from handcal.explain.fit import Fitted, Model, fitted
@@ -67,7 +68,39 @@ def cleaned(base: Model) -> tuple[Model, Wrong | None]:
     sigma = math.sqrt(share * (1.0 - share) / (total + 3.0))
     p = effect.parameters[0]
     parameter = Parameter(effect.id, p.name, share, sigma, p.unit, p.prior_sigma, None)
-    return model, Wrong(gain, probability(gain), parameter, _burst(base, masks))
+    span = _burst(base, masks)
+    if span is not None:
+        steady = fitted(
+            [_turned_back(b, f, span) for b, f in zip(base.parts, model.parts, strict=True)],
+            base.effects,
+            noise_rounds=1,
+        )
+        if steady.log_evidence > model.log_evidence:
+            model, gain = steady, steady.log_evidence - base.log_evidence
+    return model, Wrong(gain, probability(gain), parameter, span)
+
+
+def _turned_back(original: Fitted, f: Fitted, span: tuple[float, float]) -> Fitted:
+    """The fit without outliers, with the readings of the burst back in, less what they are off
+    by in the median: as if all erred alike. That costs what its moment and its size are worth."""
+    k = heading_kind(original.case)
+    if k is None:
+        return f
+    observation, rows, constants = original.case.observed[k]
+    there = (rows.t >= span[0]) & (rows.t <= span[1])
+    if rows.z.shape[1] != 1 or not there.any():
+        return f
+    off = so3.wrap(rows.z[:, 0] - np.interp(rows.t, f.linear.t, np.unwrap(_yaw(f))))
+    centre = float(np.median(off[~there]))
+    away = so3.wrap(off[there] - centre)
+    size = float(np.angle(np.mean(np.exp(1j * away))))
+    z = rows.z.copy()
+    z[there, 0] = so3.wrap(z[there, 0] - size)
+    spread = max(float(np.std(so3.wrap(away - size))), 1e-4) / math.sqrt(there.sum())
+    cost = 2.0 * math.log(len(rows.t)) + max(0.0, math.log(math.sqrt(2.0 * math.pi) / spread))
+    observed = list(original.case.observed)
+    observed[k] = (observation, Rows(rows.t, z, rows.delay), constants)
+    return replace(f, case=replace(f.case, observed=tuple(observed), constant=-cost))
 
 
 def _burst(base: Model, masks: Sequence[BoolArray | None]) -> tuple[float, float] | None:
@@ -118,7 +151,7 @@ def _mask(original: Fitted, f: Fitted) -> BoolArray | None:
     else:
         # rows that were left out are judged by the trajectory that the others make
         yaw = np.interp(rows.t, f.linear.t, np.unwrap(_yaw(f)))
-        full = (rows.z[:, 0] - yaw + np.pi) % (2 * np.pi) - np.pi if rows.z.shape[1] == 1 else r
+        full = so3.wrap(rows.z[:, 0] - yaw) if rows.z.shape[1] == 1 else r
         if len(full) != len(rows.t):
             return None
     scale = 1.4826 * float(np.median(np.abs(full - np.median(full))))
