@@ -24,7 +24,7 @@ from handcal.effects import (
 )
 from handcal.kernel import BASE, MAX_DIM
 from handcal.linear import linearise_about
-from handcal.model import build
+from handcal.model import build, substituted
 from handcal.observations import catalogue as observations
 from handcal.types import InputError, Series
 from handcal_sim import simulate
@@ -827,3 +827,26 @@ def test_hard_iron_is_not_guessed_where_the_motion_does_not_show_it():
     assert abs(guess[2]) < 1e-4
     with pytest.raises(InputError, match="magnetometer"):
         mag_hard_iron.guess(recording)
+
+
+@pytest.mark.parametrize("last", [True, False])
+def test_a_filter_is_undone_on_its_side_of_the_other_errors(last: bool) -> None:
+    """A gyro that squares the rate and then smooths it, or does both to the rate itself."""
+    t = np.arange(0.0, 20.0, 0.01)
+    rate = np.stack([3.0 * np.sin(1.3 * t), 2.0 * np.sin(1.7 * t), 2.5 * np.cos(t) - 2.5], axis=1)
+    truth = Signals(t, rate, np.tile([0.0, 0.0, 9.8], (len(t), 1)))
+    lag, square = catalogue()["gyro_bandwidth"], catalogue()["gyro_quadratic"]
+    tau, q = np.array([0.02]), np.array([0.005, -0.004, 0.005])
+    assert lag.imu_error is not None
+    assert square.imu_error is not None
+    squared = square.imu_error(q, truth)
+    felt = replace(truth, gyro=rate + squared[:, :3]) if last else truth
+    error = squared + lag.imu_error(tau, felt)
+    read = replace(truth, gyro=rate + error[:, :3])
+    inside = slice(200, -200)
+    wrong = [
+        substituted([replace(lag, last=order), square], np.r_[tau, q], read) - error
+        for order in (last, not last)
+    ]
+    near, far = (float(np.abs(w[inside]).max()) for w in wrong)
+    assert near < 0.1 * far

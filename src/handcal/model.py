@@ -289,7 +289,7 @@ def relinearised(
     T = temperature_of(recording)
     raw = np.hstack([imu.gyro - bg, imu.accel - ba])
     acting = [e for e in problem.effects if e.imu_error is not None]
-    error = _substituted(acting, ref, Signals(imu.t, raw[:, :3], raw[:, 3:], T, C_nb))
+    error = substituted(acting, ref, Signals(imu.t, raw[:, :3], raw[:, 3:], T, C_nb))
     truth = raw - error if noise is None else raw - error - noise
     clean = np.hstack([imu.gyro, imu.accel]) - error
     at = [np.interp(nodes.t, imu.t, clean[:, k]) for k in range(6)]
@@ -341,20 +341,23 @@ def _averaged(J: Array, width: int) -> Array:
     return np.asarray((total[width:] - total[:-width]) / width)
 
 
-def _substituted(acting: Sequence[Effect], ref: Array, readings: Signals) -> Array:
-    """What all effects add to these readings, (n, 6), by rounds of substitution.
+def substituted(acting: Sequence[Effect], ref: Array, readings: Signals) -> Array:
+    """What all effects add to these readings, (n, 6), by rounds of substitution: first what is
+    done to the whole reading is undone, then the others follow from the truth.
 
     Effects whose parameters are zero add nothing and are left out.
     """
     raw = np.hstack([readings.gyro, readings.accel])
     present, i = [], 0
+    total = np.zeros_like(raw)
     for e in acting:
         at = ref[i : i + len(e.parameters)]
         i += len(e.parameters)
-        if at.any():
+        if at.any() and e.imu_inverse is not None and e.last:
+            total += raw - total - e.imu_inverse(at, _seen(readings, raw - total))
+        elif at.any():
             present.append((e, at))
     errors = [np.zeros_like(raw) for _ in present]
-    total = np.zeros_like(raw)
     for _ in range(3 if present else 0):
         for k, (e, at) in enumerate(present):
             own, old = raw - total, errors[k]

@@ -77,7 +77,9 @@ class Effect:
     moment). outliers: for each kind of observation the probability density of a reading that
     is merely wrong, in a share of readings that is the first parameter. exclusive: ids of
     effects of which this one keeps only what they lack: together with one of them, its
-    parameters are those of ``together @ parameters``.
+    parameters are those of ``together @ parameters``. last: with ``imu_inverse``, whether it is
+    done to what the other effects made of the truth (a filter behind a scale error), or to the
+    truth alone, beside them.
     """
 
     id: str
@@ -99,6 +101,7 @@ class Effect:
     outliers: Mapping[str, float] = field(default_factory=dict)
     exclusive: tuple[str, ...] = ()
     together: Array | None = None
+    last: bool = True
 
     @property
     def prior_sigma(self) -> Array:

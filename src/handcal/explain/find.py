@@ -144,6 +144,7 @@ def _climbed(base: Model, unnamed: list[Effect], report: Callable[[float], None]
     dropped: set[str] = set()
     favoured: set[str] = set()
     swaps: dict[tuple[str, str], float] = {}
+    ordered: set[tuple[str, frozenset[str]]] = set()
     for turn in range(ROUNDS + 2 * MAX_TERMS):
         report(min(0.95, 0.15 + 0.1 * turn))
         where = _scanned(model, cases, unnamed, dropped, favoured)
@@ -163,6 +164,10 @@ def _climbed(base: Model, unnamed: list[Effect], report: Callable[[float], None]
         swapped = _exchanged(model, alone, dropped, swaps, where.quadratic.worth)
         if swapped is not None:
             model = swapped
+            continue
+        reordered = _reordered(model, ordered)
+        if reordered is not None:
+            model = reordered
             continue
         leaner = _leaner(model, where, noise)
         if leaner is not None:
@@ -215,7 +220,8 @@ def _scanned(
     dropped: set[str],
     favoured: set[str],
 ) -> Space:
-    options = [*candidates(cases, model.effects), *unnamed]
+    own = {e.id: e for e in model.effects}
+    options = [own.get(e.id, e) for e in (*candidates(cases, model.effects), *unnamed)]
     have = {e.id for e in options}
     options += [e for e in model.effects if e.id not in have and e.process is None]
     odds = priors(options) | {e.id: REFUSED for e in options if name_of(e.id) in dropped}
@@ -288,6 +294,22 @@ def _exchanged(
         worse = worth * (model.log_evidence - tried.log_evidence)
         swaps[e.id, rival], swaps[rival, e.id] = worse, -worse
         if worse < 0.0:
+            return tried
+    return None
+
+
+def _reordered(model: Model, seen: set[tuple[str, frozenset[str]]]) -> Model | None:
+    """The model with a filter or a delay on the other side of the other errors, if that fits
+    better: in the sensor they come one after the other, and nobody tells in which order."""
+    for e in model.effects:
+        key = e.id, frozenset(model.ids)
+        beside = [x for x in model.effects if x.imu_error is not None and x.id != e.id]
+        if e.imu_inverse is None or not beside or key in seen:
+            continue
+        seen.add(key)
+        turned = [replace(x, last=not x.last) if x is e else x for x in model.effects]
+        tried = fitted(model.parts, turned)
+        if tried.log_evidence > model.log_evidence:
             return tried
     return None
 
