@@ -22,7 +22,7 @@ from handcal.calibration import calibrate
 from handcal.effects import Signals, catalogue
 from handcal.effects._derivative import derivative
 from handcal.model import temperature_of
-from handcal.types import Array, Imu, InputError, Recording, Result, Series
+from handcal.types import Array, BoolArray, Imu, InputError, Recording, Result, Series
 
 # Errors of rate or force that are not proportional to it: a bias must not count as motion.
 SQUARES = (
@@ -77,13 +77,13 @@ def conceal(
         streams[heading] = turned(streams[heading], error, known)
     for effect, stream in (("heading_delay", heading), ("pose_delay", "pose")):
         if effect in values:
-            streams[stream] = _late(streams[stream], float(values[effect][0]), recording.imu)
+            streams[stream] = shifted(streams[stream], float(values[effect][0]), recording.imu)
     if "mag_hard_iron" in values:
         mag = streams["mag"]
         streams["mag"] = replace(mag, value=mag.value + values["mag_hard_iron"])
     imu = _imu(recording, values, known, rng)
     if "clock_rate" in values:
-        imu, streams = _stretched(imu, streams, 1.0 + 1e-6 * float(values["clock_rate"][0]))
+        imu, streams = stretched(imu, streams, 1.0 + 1e-6 * float(values["clock_rate"][0]))
     return replace(recording, imu=imu, streams=streams)
 
 
@@ -223,9 +223,14 @@ def _imu(recording: Recording, values: Values, known: _Known, rng: np.random.Gen
     if "accel_delay" in values:
         felt = np.clip(t - values["accel_delay"][0], t[0], t[-1])
         accel = CubicSpline(t, accel)(felt)
-        valid = valid & (np.interp(felt, t, imu.valid.astype(float)) > 1.0 - 1e-9)
+        valid = valid & measured(imu, felt)
     kept = imu.valid[:, None]
     return Imu(t, np.where(kept, gyro, imu.gyro), np.where(kept, accel, imu.accel), valid)
+
+
+def measured(imu: Imu, t: Array) -> BoolArray:
+    """Which of the times t (m,) lie between readings that are measurements, (m,)."""
+    return np.asarray(np.interp(t, imu.t, imu.valid.astype(float)) > 1.0 - 1e-9)
 
 
 def _error(effect: str, values: Array, truth: Signals) -> Array:
@@ -291,7 +296,7 @@ def _moved_marker(recording: Recording, r: Array, known: _Known) -> Series:
     return Series(pose.t, value)
 
 
-def _late(series: Series, delay: float, imu: Imu) -> Series:
+def shifted(series: Series, delay: float, imu: Imu) -> Series:
     """The same values at stamps that come later: nothing needs interpolation."""
     t = series.t + delay
     kept = (t >= imu.t[0]) & (t <= imu.t[-1])
@@ -339,7 +344,7 @@ def _turned_field(series: Series, error: Array, known: _Known) -> Series:
     return Series(series.t, np.einsum("kji,kj->ki", C_nb, turned) + iron)
 
 
-def _stretched(
+def stretched(
     imu: Imu, streams: Mapping[str, Series], fast: float
 ) -> tuple[Imu, dict[str, Series]]:
     """Stamps of a clock that runs fast; pose and reference have clocks of their own."""

@@ -23,6 +23,11 @@ def _weights(m: int) -> Array:
     return slope
 
 
+def reach(t: Array) -> int:
+    """How many samples to either side a derivative at times t (n,) depends on."""
+    return max(2, round(REACH_S * (len(t) - 1) / float(t[-1] - t[0])))
+
+
 def derivative(t: Array, x: Array) -> Array:
     """dx/dt (n, 3) of x (n, 3) at times t (n,), which may be slightly irregular.
 
@@ -31,7 +36,7 @@ def derivative(t: Array, x: Array) -> Array:
     like a signal, so that irregular ones do no harm to first order. At both ends the last
     slope is kept: one-sided differences would be noisier than all others.
     """
-    m = max(2, round(REACH_S * (len(t) - 1) / float(t[-1] - t[0])))
+    m = reach(t)
     if len(t) <= 2 * m:
         return np.asarray(np.gradient(x, t, axis=0))
     weights = _weights(m)[::-1]

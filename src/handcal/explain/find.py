@@ -14,7 +14,7 @@ from handcal.explain import terms
 from handcal.explain.case import Case, applicable, frozen_at, name_of
 from handcal.explain.fit import Fitted, Model, fitted, moved_to, scan
 from handcal.explain.robust import inflation
-from handcal.explain.search import PRIOR, Space, best_set, gains, space
+from handcal.explain.search import PRIOR, Space, best_set, gains, rivals, space
 from handcal.model import temperature_of
 from handcal.types import Array
 
@@ -157,17 +157,17 @@ def _climbed(base: Model, unnamed: list[Effect], report: Callable[[float], None]
             model = _fit(model, where, chosen)
             swaps.clear()  # (they hold beside the same others only)
             continue
-        processes = _noise_step(model, noise, where.quadratic.worth, dropped)
-        if processes is not None:
-            model, visited = processes, set()
-            continue
-        swapped = _exchanged(model, alone, dropped, swaps, where.quadratic.worth)
+        swapped = _exchanged(model, where, alone, dropped, swaps)
         if swapped is not None:
             model = swapped
             continue
         reordered = _reordered(model, ordered)
         if reordered is not None:
             model = reordered
+            continue
+        processes = _noise_step(model, noise, where.quadratic.worth, dropped)
+        if processes is not None:
+            model, visited = processes, set()
             continue
         leaner = _leaner(model, where, noise)
         if leaner is not None:
@@ -271,10 +271,10 @@ def _worth_a_look(f: Fitted, effects: Sequence[Effect], effect: Effect) -> bool:
 
 def _exchanged(
     model: Model,
+    where: Space,
     alone: dict[str, float],
     dropped: set[str],
     swaps: dict[tuple[str, str], float],
-    worth: float,
 ) -> Model | None:
     """The model with an effect's closest rival in its place, if that fits better.
 
@@ -282,20 +282,40 @@ def _exchanged(
     accelerometer); about a fit with one of them the other cannot be judged, so it is fitted.
     """
     have = {name_of(i) for i in model.ids}
+    now = frozenset(e.id for e in model.effects if e.process is None)
+    gained = gains(where, now)
     for e in model.effects:
-        own = alone.get(e.id, 0.0)
-        rivals = [i for i in alone if name_of(i) not in have | dropped and i in catalogue()]
-        rivals = [i for i in rivals if (e.id, i) not in swaps and alone[i] > NEARLY * own]
-        if e.id not in alone or own < -PRIOR or not rivals or len(swaps) >= MOST_SWAPS:
+        if e.id not in now or len(swaps) >= MOST_SWAPS:
             continue
-        rival = max(rivals, key=lambda i: alone[i])
+        near = _near_as_good(e.id, gained[e.id], alone, rivals(where, now, e.id))
+        near = {i: v for i, v in near.items() if i in catalogue() and (e.id, i) not in swaps}
+        near = {i: v for i, v in near.items() if name_of(i) not in have | dropped}
+        if not near:
+            continue
+        rival = max(near, key=lambda i: near[i])
         others = [x for x in model.effects if x.id != e.id]
         tried = fitted(model.parts, [*others, catalogue()[rival]])
-        worse = worth * (model.log_evidence - tried.log_evidence)
+        worse = where.quadratic.worth * (model.log_evidence - tried.log_evidence)
         swaps[e.id, rival], swaps[rival, e.id] = worse, -worse
         if worse < 0.0:
             return tried
     return None
+
+
+def _near_as_good(
+    effect: str, gained: float, alone: dict[str, float], instead: dict[str, float]
+) -> dict[str, float]:
+    """Rivals that would do most of what an effect does, from the baseline or in its place now,
+    and the share."""
+    own = alone.get(effect, 0.0)
+    out = {}
+    for i in instead:
+        share = 1.0 + instead[i] / gained if gained > -PRIOR else 0.0
+        if own > -PRIOR:
+            share = max(share, alone.get(i, 0.0) / own)
+        if i != effect and share > NEARLY:
+            out[i] = share
+    return out
 
 
 def _reordered(model: Model, seen: set[tuple[str, frozenset[str]]]) -> Model | None:
