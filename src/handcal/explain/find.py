@@ -28,7 +28,7 @@ LOOK = 3.0
 OCCAM_LEVEL = 2.5
 MAX_TERMS = 3
 HALF = 0.5
-# A rival that does nearly as well from the baseline is fitted in an effect's place.
+# A rival that would do so much of what an effect does is fitted in its place.
 NEARLY = 0.6
 MOST_SWAPS = 6
 # How many of the weakest are fitted without.
@@ -109,13 +109,14 @@ def search(base: Model, report: Callable[[float], None] = lambda _: None) -> Fou
     with it, and the better of the two ends counts.
     """
     found = _climbed(base, [], lambda f: report(0.7 * f))
+    assert found is not None
     named = [e for e in found.model.effects if "+=" not in e.id]
     if len(named) > 1 or any(e.process is not None for e in named):
         term, gain = _best_term(base)
         first = found.first or found.space
         if term is not None and gain > HALF * (first.score(best_set(first)) - first.quadratic.a):
-            other = _climbed(base, [term], lambda f: report(0.7 + 0.3 * f))
-            if advantage(other, found) > 0.0:
+            other = _climbed(base, [term], lambda f: report(0.7 + 0.3 * f), needed=term)
+            if other is not None and advantage(other, found) > 0.0:
                 return replace(other, alone=found.alone)
     return found
 
@@ -134,7 +135,13 @@ def _odds(found: Found) -> float:
     return odds
 
 
-def _climbed(base: Model, unnamed: list[Effect], report: Callable[[float], None]) -> Found:
+def _climbed(
+    base: Model,
+    unnamed: list[Effect],
+    report: Callable[[float], None],
+    needed: Effect | None = None,
+) -> Found | None:
+    """The end of a climb from the baseline; None if it would begin without what is needed."""
     cases = [f.case for f in base.parts]
     model = base
     alone: dict[str, float] = {}
@@ -152,12 +159,14 @@ def _climbed(base: Model, unnamed: list[Effect], report: Callable[[float], None]
             first, alone = where, gains(where, frozenset())
         now = frozenset(e.id for e in model.effects if e.process is None)
         chosen = max((best_set(where, now), best_set(where, ())), key=where.score)
+        if turn == 0 and needed is not None and needed.id not in chosen:
+            return None
         if chosen != now and chosen not in visited and not _same(where, now, chosen):
             visited.add(chosen)
             model = _fit(model, where, chosen)
             swaps.clear()  # (they hold beside the same others only)
             continue
-        swapped = _exchanged(model, where, alone, dropped, swaps)
+        swapped = _exchanged(model, where, dropped, swaps)
         if swapped is not None:
             model = swapped
             continue
@@ -272,7 +281,6 @@ def _worth_a_look(f: Fitted, effects: Sequence[Effect], effect: Effect) -> bool:
 def _exchanged(
     model: Model,
     where: Space,
-    alone: dict[str, float],
     dropped: set[str],
     swaps: dict[tuple[str, str], float],
 ) -> Model | None:
@@ -287,9 +295,13 @@ def _exchanged(
     for e in model.effects:
         if e.id not in now or len(swaps) >= MOST_SWAPS:
             continue
-        near = _near_as_good(e.id, gained[e.id], alone, rivals(where, now, e.id))
-        near = {i: v for i, v in near.items() if i in catalogue() and (e.id, i) not in swaps}
-        near = {i: v for i, v in near.items() if name_of(i) not in have | dropped}
+        if gained[e.id] < -PRIOR:
+            continue
+        # what a rival would do of all that the effect does
+        near = {i: 1.0 + v / gained[e.id] for i, v in rivals(where, now, e.id).items()}
+        near = {i: v for i, v in near.items() if v > NEARLY and i in catalogue() and i != e.id}
+        near = {i: v for i, v in near.items() if i not in have | dropped}
+        near = {i: v for i, v in near.items() if (e.id, i) not in swaps}
         if not near:
             continue
         rival = max(near, key=lambda i: near[i])
@@ -300,22 +312,6 @@ def _exchanged(
         if worse < 0.0:
             return tried
     return None
-
-
-def _near_as_good(
-    effect: str, gained: float, alone: dict[str, float], instead: dict[str, float]
-) -> dict[str, float]:
-    """Rivals that would do most of what an effect does, from the baseline or in its place now,
-    and the share."""
-    own = alone.get(effect, 0.0)
-    out = {}
-    for i in instead:
-        share = 1.0 + instead[i] / gained if gained > -PRIOR else 0.0
-        if own > -PRIOR:
-            share = max(share, alone.get(i, 0.0) / own)
-        if i != effect and share > NEARLY:
-            out[i] = share
-    return out
 
 
 def _reordered(model: Model, seen: set[tuple[str, frozenset[str]]]) -> Model | None:

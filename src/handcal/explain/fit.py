@@ -28,6 +28,10 @@ from handcal.types import Array, HandcalError, IntArray
 
 TOLERANCE = 0.05
 ROUNDS = 10
+# Nats below what other noise levels gave at which a trajectory is given up.
+ASTRAY = 20.0
+# Of the way to other noise levels, as far as the trajectory can follow.
+SHARES = (1.0, 0.3, 0.1)
 # White noise of a sensor beyond what its readings show would be an alibi for whatever physics
 # is missing.
 EXCESS = 1.3
@@ -104,7 +108,7 @@ def fitted(
 ) -> Model:
     """Fit these effects to all recordings, beginning from other fits' trajectories and noise."""
     parts = [moved_to(f, effects) for f in begin]
-    parts, settled = _relinearised(parts, effects, known)
+    parts, settled, evidence = _relinearised(parts, effects, known)
     for _ in range(noise_rounds):
         new = [with_noise(f) for f in parts]
         change = max(
@@ -112,7 +116,15 @@ def fitted(
             for n, o in zip(new, parts, strict=True)
             for k in n.levels
         )
-        parts, settled = _relinearised(new, effects, known)
+        for share in SHARES:
+            # about one trajectory, evidence may favour a noise so small that no other is as good
+            towards = [_towards(o, n, share) for o, n in zip(parts, new, strict=True)]
+            tried, rests, value = _relinearised(towards, effects, known, evidence - ASTRAY)
+            if value > evidence - ASTRAY:
+                break
+        else:
+            break
+        parts, settled, evidence = tried, rests, value
         if change < 0.02:
             break
     locals_ = [_local(f, effects) for f in parts]
@@ -156,10 +168,22 @@ def _local(f: Fitted, effects: Sequence[Effect]) -> Local:
     return local(reduced_pass(reduce(f.linear), f.levels), frozenset(e.id for e in effects))
 
 
+def _towards(old: Fitted, new: Fitted, share: float) -> Fitted:
+    """The fit with its noise levels moved by a share of the way, in their logarithms."""
+    levels = {k: v * (new.levels[k] / v) ** share for k, v in old.levels.items()}
+    return replace(new, levels=levels)
+
+
 def _relinearised(
-    parts: Sequence[Fitted], effects: Sequence[Effect], known: Known | None = None
-) -> tuple[list[Fitted], bool]:
-    """Move and linearise again until the joint evidence rests."""
+    parts: Sequence[Fitted],
+    effects: Sequence[Effect],
+    known: Known | None = None,
+    least: float = -math.inf,
+) -> tuple[list[Fitted], bool, float]:
+    """Move and linearise again until the joint evidence rests; whether it does, and the evidence.
+
+    least: where the evidence falls below that, there is no use in going on.
+    """
     shared = frozenset(e.id for e in effects)
     parts, evidence = list(parts), -math.inf
     for _ in range(ROUNDS):
@@ -168,8 +192,10 @@ def _relinearised(
         whole = total([x.quadratic for x in locals_])
         found = _posterior(whole, effects, known)
         if abs(found.log_evidence - evidence) < TOLERANCE:
-            return parts, True
+            return parts, True, found.log_evidence
         evidence = found.log_evidence
+        if evidence < least:
+            break
         new = []
         for f, done, own in zip(parts, passes, locals_, strict=True):
             w = own.deviations(given(whole, own.quadratic, found.mean))
@@ -180,7 +206,7 @@ def _relinearised(
             trajectory = batch.moved(f.linear, batch.whole_mean(done, r))
             new.append(_linearised(f, trajectory, effects))
         parts = new
-    return parts, False
+    return parts, False, evidence
 
 
 def _linearised(f: Fitted, trajectory: Trajectory, effects: Sequence[Effect]) -> Fitted:
