@@ -29,7 +29,7 @@ OCCAM_LEVEL = 2.5
 MAX_TERMS = 3
 HALF = 0.5
 # A rival that would do so much of what an effect does is fitted in its place.
-NEARLY = 0.6
+NEARLY = 0.4
 MOST_SWAPS = 6
 # How many of the weakest are fitted without.
 FEW = 3

@@ -66,6 +66,9 @@ def cleaned(base: Model) -> tuple[Model, Wrong | None]:
         return base, None
     share = (bad + 1.0) / (total + 2.0)
     sigma = math.sqrt(share * (1.0 - share) / (total + 3.0))
+    # those that point the right way by chance are not seen
+    seen = 1.0 - min(0.9, _unseen(model))
+    share, sigma = min(1.0, share / seen), sigma / seen
     p = effect.parameters[0]
     parameter = Parameter(effect.id, p.name, share, sigma, p.unit, p.prior_sigma, None)
     span = _burst(base, masks)
@@ -78,6 +81,21 @@ def cleaned(base: Model) -> tuple[Model, Wrong | None]:
         if steady.log_evidence > model.log_evidence:
             model, gain = steady, steady.log_evidence - base.log_evidence
     return model, Wrong(gain, probability(gain), parameter, span)
+
+
+def _unseen(model: Model) -> float:
+    """Share of wrong headings, anywhere on the circle, that are no further off than a good one."""
+    widths = [0.0]
+    for f in model.parts:
+        k = heading_kind(f.case)
+        if k is not None:
+            widths.append(WRONG * _scale(residual(f, k)[1]))
+    return max(widths) / math.pi
+
+
+def _scale(r: Array) -> float:
+    """Standard deviation of residuals (m,), by their median distance."""
+    return 1.4826 * float(np.median(np.abs(r - np.median(r))))
 
 
 def _turned_back(original: Fitted, f: Fitted, span: tuple[float, float]) -> Fitted:
@@ -135,7 +153,7 @@ def _suspicious(f: Fitted) -> bool:
     if k is None:
         return False
     _, r = residual(f, k)
-    scale = 1.4826 * float(np.median(np.abs(r - np.median(r))))
+    scale = _scale(r)
     return int((np.abs(r - np.median(r)) > FAR * scale).sum()) >= FEWEST
 
 
@@ -154,7 +172,7 @@ def _mask(original: Fitted, f: Fitted) -> BoolArray | None:
         full = so3.wrap(rows.z[:, 0] - yaw) if rows.z.shape[1] == 1 else r
         if len(full) != len(rows.t):
             return None
-    scale = 1.4826 * float(np.median(np.abs(full - np.median(full))))
+    scale = _scale(full)
     return np.asarray(np.abs(full - np.median(full)) > WRONG * max(scale, 1e-4))
 
 
@@ -178,6 +196,6 @@ def _without(original: Fitted, f: Fitted, mask: BoolArray | None) -> Fitted:
     name = next(lv.name for lv in observation.levels if lv.name.endswith("noise"))
     levels = dict(f.levels)
     _, r = residual(f, k)
-    levels[name] = max(1.4826 * float(np.median(np.abs(r - np.median(r)))), 1e-4)
+    levels[name] = max(_scale(r), 1e-4)
     case = replace(f.case, observed=tuple(observed), constant=constant)
     return replace(f, case=case, levels=levels)
