@@ -301,6 +301,8 @@ def _exchanged(
         near = {i: 1.0 + v / gained[e.id] for i, v in rivals(where, now, e.id).items()}
         near = {i: v for i, v in near.items() if v > NEARLY and i in catalogue() and i != e.id}
         near = {i: v for i, v in near.items() if i not in have | dropped}
+        # (what holds this effect and more is not in its place, but beside it)
+        near = {i: v for i, v in near.items() if e.id not in catalogue()[i].exclusive}
         near = {i: v for i, v in near.items() if (e.id, i) not in swaps}
         if not near:
             continue
