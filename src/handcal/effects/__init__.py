@@ -79,7 +79,7 @@ class Effect:
     effects of which this one keeps only what they lack: together with one of them, its
     parameters are those of ``together @ parameters``. last: with ``imu_inverse``, whether it is
     done to what the other effects made of the truth (a filter behind a scale error), or to the
-    truth alone, beside them.
+    truth alone, beside them. akin: ids of effects that are the same to the first order.
     """
 
     id: str
@@ -102,6 +102,7 @@ class Effect:
     exclusive: tuple[str, ...] = ()
     together: Array | None = None
     last: bool = True
+    akin: tuple[str, ...] = ()
 
     @property
     def prior_sigma(self) -> Array:

@@ -31,6 +31,8 @@ HALF = 0.5
 # A rival that would do so much of what an effect does is fitted in its place.
 NEARLY = 0.4
 MOST_SWAPS = 6
+# Nats below which an effect may be there for the sake of another's wrong name only.
+WEAK = 100.0
 # How many of the weakest are fitted without.
 FEW = 3
 # Log odds of what was fitted without and not missed.
@@ -299,7 +301,8 @@ def _exchanged(
             continue
         # what a rival would do of all that the effect does
         near = {i: 1.0 + v / gained[e.id] for i, v in rivals(where, now, e.id).items()}
-        near = {i: v for i, v in near.items() if v > NEARLY and i in catalogue() and i != e.id}
+        near = {i: v for i, v in near.items() if i in catalogue() and i != e.id}
+        near = {i: v for i, v in near.items() if v > NEARLY or akin(e.id, i)}
         near = {i: v for i, v in near.items() if i not in have | dropped}
         # (what holds this effect and more is not in its place, but beside it)
         near = {i: v for i, v in near.items() if e.id not in catalogue()[i].exclusive}
@@ -313,7 +316,20 @@ def _exchanged(
         swaps[e.id, rival], swaps[rival, e.id] = worse, -worse
         if worse < 0.0:
             return tried
+        # the wrong one of the two may need a weak third, which the right one does not
+        weakest = min((x for x in others if x.id in now), key=lambda x: gained[x.id], default=None)
+        if weakest is not None and worse < -2.0 * PRIOR and gained[weakest.id] < WEAK:
+            rest = [x for x in others if x is not weakest]
+            fewer = fitted(model.parts, [*rest, catalogue()[rival]])
+            if where.quadratic.worth * (fewer.log_evidence - model.log_evidence) - PRIOR > 0.0:
+                return fewer
     return None
+
+
+def akin(a: str, b: str) -> bool:
+    """Whether two effects are the same to the first order."""
+    known = catalogue()
+    return a in known and (b in known[a].akin or a in known[b].akin)
 
 
 def _reordered(model: Model, seen: set[tuple[str, frozenset[str]]]) -> Model | None:
