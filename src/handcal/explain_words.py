@@ -28,6 +28,7 @@ SEEN = 3.0  # nats, odds of twenty to one: what an effect must promise to be loo
 MANY = 5  # names in a row
 OVERSURE = 1.6  # mean NIS above which errors are clearly larger than the model allows
 
+SHARED = 3  # named effects from which a probability that all share is said once
 _SENSORS = {"accel": "accelerometer", "mag": "magnetometer"}
 _UNITS = {
     "gyro": Shown("deg/s", 180.0 / math.pi), "accel": Shown("m/s²", 1.0),
@@ -161,11 +162,24 @@ def _what(explanation: Explanation) -> str:
     return "the recording" if len(explanation.recordings) == 1 else "the recordings"
 
 
-def _present(m: Missing, explanation: Explanation) -> str:
+def _named(m: Missing, explanation: Explanation) -> str:
     names = members(m, explanation)
-    likely = f"(probability {percent(m.probability)})"
-    others = f" or, less probably, {either(names[1:])}" if len(names) > 1 else ""
-    return f"{the(names[0])}{others} {likely}"
+    return the(names[0]) + (f" or, less probably, {either(names[1:])}" if len(names) > 1 else "")
+
+
+def _present(m: Missing, explanation: Explanation) -> str:
+    return f"{_named(m, explanation)} (probability {percent(m.probability)})"
+
+
+def _all_present(explanation: Explanation) -> str:
+    """Everything that is named; a probability that all share is said once."""
+    missing = explanation.missing
+    likely = {percent(m.probability) for m in missing}
+    if len(likely) > 1 or len(missing) < SHARED:
+        return listed([_present(m, explanation) for m in missing])
+    return (
+        f"{listed([_named(m, explanation) for m in missing])} (each with probability {min(likely)})"
+    )
 
 
 def verdict(explanation: Explanation) -> Verdict:
@@ -217,8 +231,7 @@ def _explained(e: Explanation) -> tuple[str, str, list[str]]:
         )
         return "good", headline, traces
     headline = (
-        f"{counted_word(len(e.missing)).capitalize()} things are missing: "
-        f"{listed([_present(m, e) for m in e.missing])}. "
+        f"{counted_word(len(e.missing)).capitalize()} things are missing: {_all_present(e)}. "
         f"Adding them makes {_what(e)} {nats(gain(e))} more probable."
     )
     return "good", headline, traces
