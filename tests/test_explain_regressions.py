@@ -12,7 +12,7 @@ from worlds import recording_of
 
 from handcal import calibration, noise, so3
 from handcal.effects import select
-from handcal.explain import Explanation, case, explain
+from handcal.explain import Explanation, case, explain, fit
 from handcal.explain.fit import EXCESS, Model, fitted, moved_to, scan, started
 from handcal.explain.quadratic import posterior
 from handcal.types import InputError, Recording, Series
@@ -194,3 +194,16 @@ def test_outliers_that_point_the_right_way_by_chance_are_counted() -> None:
         (wrong,) = [m for m in found.missing if m.effect == "heading_outliers"]
         off.append((wrong.parameters[0].value - 0.15) / wrong.parameters[0].sigma)
     assert sum(z * z for z in off) < 16.3  # 999 of 1000
+
+
+# --- fits that lead nowhere --------------------------------------------------------------------
+
+
+def test_a_fit_that_diverges_is_no_fit() -> None:
+    """Its evidence is below any other's, whatever became of the trajectory."""
+    (part,) = base_of(world_of({}, 0, 20.0)).parts
+    broken = replace(part, linear=replace(part.linear, d=part.linear.d * math.nan))
+    parts, settled, evidence = fit.relinearised_parts([broken], ())
+    assert (parts, settled) == ([broken], False)
+    assert math.isnan(evidence)
+    assert fit.diverged(parts, ()).log_evidence == -math.inf

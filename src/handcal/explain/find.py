@@ -165,10 +165,12 @@ def _climbed(
             return None
         if chosen != now and chosen not in visited and not _same(where, now, chosen):
             visited.add(chosen)
-            model = _fit(model, where, chosen)
-            swaps.clear()  # (they hold beside the same others only)
+            larger = _fit(model, where, chosen)
+            if larger.log_evidence > -math.inf:
+                model = larger
+                swaps.clear()  # (they hold beside the same others only)
             continue
-        swapped = _exchanged(model, where, dropped, swaps)
+        swapped = _exchanged(model, where, dropped, swaps, frozenset(base.ids))
         if swapped is not None:
             model = swapped
             continue
@@ -285,6 +287,7 @@ def _exchanged(
     where: Space,
     dropped: set[str],
     swaps: dict[tuple[str, str], float],
+    kept: frozenset[str],
 ) -> Model | None:
     """The model with an effect's closest rival in its place, if that fits better.
 
@@ -295,7 +298,8 @@ def _exchanged(
     now = frozenset(e.id for e in model.effects if e.process is None)
     gained = gains(where, now)
     for e in model.effects:
-        if e.id not in now or len(swaps) >= MOST_SWAPS:
+        # (what was in the baseline is taken off the readings already)
+        if e.id not in now or e.id in kept or len(swaps) >= MOST_SWAPS:
             continue
         if gained[e.id] < -PRIOR:
             continue

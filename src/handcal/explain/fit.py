@@ -108,7 +108,7 @@ def fitted(
 ) -> Model:
     """Fit these effects to all recordings, beginning from other fits' trajectories and noise."""
     parts = [moved_to(f, effects) for f in begin]
-    parts, settled, evidence = _relinearised(parts, effects, known)
+    parts, settled, evidence = relinearised_parts(parts, effects, known)
     for _ in range(noise_rounds):
         new = [with_noise(f) for f in parts]
         change = max(
@@ -119,7 +119,7 @@ def fitted(
         for share in SHARES:
             # about one trajectory, evidence may favour a noise so small that no other is as good
             towards = [_towards(o, n, share) for o, n in zip(parts, new, strict=True)]
-            tried, rests, value = _relinearised(towards, effects, known, evidence - ASTRAY)
+            tried, rests, value = relinearised_parts(towards, effects, known, evidence - ASTRAY)
             if value > evidence - ASTRAY:
                 break
         else:
@@ -127,6 +127,8 @@ def fitted(
         parts, settled, evidence = tried, rests, value
         if change < 0.02:
             break
+    if math.isnan(evidence):
+        return diverged(parts, effects)
     locals_ = [_local(f, effects) for f in parts]
     whole = total([part.quadratic for part in locals_])
     found = _posterior(whole, effects, known)
@@ -135,6 +137,13 @@ def fitted(
         tuple(effects), tuple(parts), whole, found.mean, found.covariance,
         found.log_evidence + constant, settled,
     )  # fmt: skip
+
+
+def diverged(parts: Sequence[Fitted], effects: Sequence[Effect]) -> Model:
+    """No fit at all: its evidence is worse than any other."""
+    nothing = Quadratic((), -math.inf, np.zeros(0), np.zeros((0, 0)))
+    none = np.zeros((0, 0))
+    return Model(tuple(effects), tuple(parts), nothing, np.zeros(0), none, -math.inf, False)
 
 
 def _posterior(q: Quadratic, effects: Sequence[Effect], known: Known | None) -> Posterior:
@@ -168,13 +177,17 @@ def _local(f: Fitted, effects: Sequence[Effect]) -> Local:
     return local(reduced_pass(reduce(f.linear), f.levels), frozenset(e.id for e in effects))
 
 
+def _finite(linear: Linear) -> bool:
+    return bool(np.isfinite(linear.Phi.sum() + linear.d.sum() + linear.r.sum() + linear.H.sum()))
+
+
 def _towards(old: Fitted, new: Fitted, share: float) -> Fitted:
     """The fit with its noise levels moved by a share of the way, in their logarithms."""
     levels = {k: v * (new.levels[k] / v) ** share for k, v in old.levels.items()}
     return replace(new, levels=levels)
 
 
-def _relinearised(
+def relinearised_parts(
     parts: Sequence[Fitted],
     effects: Sequence[Effect],
     known: Known | None = None,
@@ -187,6 +200,8 @@ def _relinearised(
     shared = frozenset(e.id for e in effects)
     parts, evidence = list(parts), -math.inf
     for _ in range(ROUNDS):
+        if not all(_finite(f.linear) for f in parts):
+            return parts, False, math.nan
         passes = [reduced_pass(reduce(f.linear), f.levels, keep=True) for f in parts]
         locals_ = [local(p, shared) for p in passes]
         whole = total([x.quadratic for x in locals_])
@@ -194,7 +209,7 @@ def _relinearised(
         if abs(found.log_evidence - evidence) < TOLERANCE:
             return parts, True, found.log_evidence
         evidence = found.log_evidence
-        if evidence < least:
+        if not evidence > least:  # (nor where it is no number any more)
             break
         new = []
         for f, done, own in zip(parts, passes, locals_, strict=True):
