@@ -1,0 +1,60 @@
+"""The command ``allan``. What is slow to import is imported where it is used."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from handcal.cli import Json, Report, Topics, Units, check_folders, load
+from handcal.progress import progress
+
+
+def allan(
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="A recording with a long rest: hours are best.")
+    ],
+    span: Annotated[
+        str | None,
+        typer.Option(metavar="FROM,TO", help="Stretch to analyse, s; else the longest rest."),
+    ] = None,
+    topic: Topics = None,
+    units: Units = None,
+    json: Json = None,
+    report: Report = None,
+) -> None:
+    """Noise of a device at rest: Allan deviation, its terms, and what to give the filter."""
+    from handcal.allan import analyse
+    from handcal.allan_report import allan_json, print_allan, write_allan_report
+    from handcal.summary import write_json
+
+    check_folders(json, report)
+    chosen = _span(span)
+    recording = load(file, topic, units)
+    with progress(f"analysing {file.name}"):
+        result = analyse(recording, chosen)
+    if report:
+        write_allan_report(result, report)
+    if json:
+        write_json(allan_json(result), json)
+    if str(json) != "-":
+        from rich.console import Console
+
+        print_allan(result, Console())
+
+
+def _span(text: str | None) -> tuple[float, float] | None:
+    """FROM,TO as typed. Errors: InputError."""
+    from handcal.types import InputError
+
+    if text is None:
+        return None
+    try:
+        start, end = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(f"--span {text}: expected FROM,TO in seconds, as 10,3600.") from None
+    if not (math.isfinite(start) and math.isfinite(end)):
+        raise InputError(f"--span {text}: expected finite numbers.")
+    return start, end
