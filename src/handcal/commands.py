@@ -1,7 +1,8 @@
 """How the command line finds its commands, and how it ends.
 
 Commands are the caller's own and those of the entry-point group ``handcal.commands``:
-plain functions with typer annotations, imported only when called.
+plain functions with typer annotations, imported only when called, or a ``typer.Typer`` where
+a command has commands of its own.
 """
 
 from __future__ import annotations
@@ -27,15 +28,19 @@ class Commands(TyperGroup):
 
     listing = False
 
+    def plugins(self) -> dict[str, EntryPoint]:
+        """Where the commands are that are imported only when called, by name."""
+        return _plugins()
+
     def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002
         """Names, the most used first."""
-        names = {*self.commands, *_plugins()}
+        names = {*self.commands, *self.plugins()}
         order = {name: n for n, name in enumerate(FIRST)}
         return sorted(names, key=lambda name: (order.get(name, len(order)), name))
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ARG002
         """The command; for the list of commands only its name and its first line."""
-        plugin = _plugins().get(cmd_name)
+        plugin = self.plugins().get(cmd_name)
         if cmd_name in self.commands or plugin is None:
             return self.commands.get(cmd_name)
         if self.listing:
@@ -76,13 +81,15 @@ def _plugins() -> dict[str, EntryPoint]:
 
 
 def _first_line(plugin: EntryPoint) -> str:
-    """The first line of the function's docstring, read from the source without running it."""
+    """The first line of the function's docstring, or of its module's where it is no function,
+    read from the source without running it."""
     with contextlib.suppress(ImportError, OSError, SyntaxError, AttributeError, ValueError):
         spec = importlib.util.find_spec(plugin.module)
         if spec and spec.origin:
-            for node in ast.parse(Path(spec.origin).read_text(encoding="utf-8")).body:
-                if isinstance(node, ast.FunctionDef) and node.name == plugin.attr:
-                    return (ast.get_docstring(node) or "").split("\n\n")[0]
+            module = ast.parse(Path(spec.origin).read_text(encoding="utf-8"))
+            named = (n for n in module.body if getattr(n, "name", "") == plugin.attr)
+            node = next((n for n in named if isinstance(n, ast.FunctionDef)), module)
+            return (ast.get_docstring(node) or "").split("\n\n")[0]
     return "not installed completely" if not plugin.dist else f"from {plugin.dist.name}"
 
 
@@ -93,6 +100,8 @@ def _loaded(plugin: EntryPoint) -> Any:
         function = plugin.load()
     except (ImportError, AttributeError, SyntaxError) as e:
         raise HandcalError(f"The command '{plugin.name}' could not be loaded: {e}.") from e
+    if isinstance(function, typer.Typer):
+        return typer.main.get_command(function)
     single = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
     single.command(plugin.name)(function)
     return typer.main.get_command(single)
