@@ -68,13 +68,14 @@ def zero2(out: Array) -> None:
 class _Address:
     """Where a compiled function lies, found out when it is first asked for as a number."""
 
-    def __init__(self, function: Callable[..., int]) -> None:
+    def __init__(self, function: Callable[..., int], kept: bool) -> None:
         self._function = function
+        self._kept = kept
         self._compiled: Any = None
 
     def __index__(self) -> int:
         if self._compiled is None:
-            decorator = numba.cfunc(_SIGNATURE, cache=True, error_model="numpy")
+            decorator = numba.cfunc(_SIGNATURE, cache=self._kept, error_model="numpy")
             self._compiled = decorator(self._function)
         return int(cast(int, self._compiled.address))
 
@@ -90,7 +91,7 @@ def _typeof(value: _Address, context: Any) -> Any:  # noqa: ARG001
     return types.intp
 
 
-def residual_function(function: Callable[..., int]) -> int:
+def residual_function(function: Callable[..., int], *, kept: bool = True) -> int:
     """Address of ``function(nav, theta, z, out) -> status`` compiled to a C function.
 
     The filter's kernel calls observations and effects through such addresses, so that
@@ -99,9 +100,10 @@ def residual_function(function: Callable[..., int]) -> int:
     no length and no bounds check. The compiled object stays alive with its module.
 
     What is returned becomes the address when it is put into an integer array, or by
-    ``int``: only what a recording needs is compiled, not the whole catalogue.
+    ``int``: only what a recording needs is compiled, not the whole catalogue. kept: on disk,
+    for the next time.
     """
-    return cast(int, _Address(function))
+    return cast(int, _Address(function, kept))
 
 
 def _call(typingctx: Any, address: Any, nav: Any, theta: Any, z: Any, out: Any) -> Any:  # noqa: ARG001

@@ -8,19 +8,25 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from handcal.effects import Effect, Signals, catalogue
+from handcal.effects import Effect, catalogue
 from handcal.evidence import reduce, reduced_pass
-from handcal.explain import terms
 from handcal.explain.case import Case, applicable, frozen_at, name_of
 from handcal.explain.fit import Fitted, Model, fitted, moved_to, scan
 from handcal.explain.robust import inflation
-from handcal.explain.search import PRIOR, Space, best_set, gains, rivals, space
-from handcal.model import temperature_of
+from handcal.explain.search import (
+    PRIOR,
+    TERM_PRIOR,
+    Space,
+    best_set,
+    gains,
+    priors,
+    rivals,
+    space,
+)
+from handcal.explain.unnamed import Term, best_term, reshaped
 from handcal.types import Array
 
 ROUNDS = 8
-# Of a term without a name: there are hundreds, and any of the catalogue is likelier.
-TERM_PRIOR = -10.0
 # An effect whose gain is less than this is fitted without, to be sure.
 CLOSE = 20.0
 # Nats that a noise effect must gain beyond its own levels' freedom, at a first look.
@@ -95,14 +101,6 @@ def _on(grid: Array, at: float) -> bool:
     return bool(np.min(np.abs(grid - at)) < 2e-3)
 
 
-def priors(effects: Sequence[Effect]) -> dict[str, float]:
-    """Log prior odds that differ from the usual: a step shares its own over its moments."""
-    moments = sum("@" in e.id for e in effects)
-    out = {e.id: PRIOR - math.log(max(1, moments)) for e in effects if "@" in e.id}
-    out |= {e.id: TERM_PRIOR for e in effects if "+=" in e.id}
-    return out
-
-
 def search(base: Model, report: Callable[[float], None] = lambda _: None) -> Found:
     """From the baseline to the model that explains the recordings best.
 
@@ -110,14 +108,17 @@ def search(base: Model, report: Callable[[float], None] = lambda _: None) -> Fou
     name: if a single term does half as well from the baseline, the search begins again
     with it, and the better of the two ends counts.
     """
-    found = _climbed(base, [], lambda f: report(0.7 * f))
+    found = _climbed(base, (), lambda f: report(0.7 * f))
     assert found is not None
     named = [e for e in found.model.effects if "+=" not in e.id]
-    if len(named) > 1 or any(e.process is not None for e in named):
-        term, gain = _best_term(base)
+    several = len(named) > 1 or any(e.process is not None for e in named)
+    if several or any(e.observation_error for e in named):
+        # (of the heading alone: a scan of few terms)
+        term = best_term(base, imu=several)
         first = found.first or found.space
-        if term is not None and gain > HALF * (first.score(best_set(first)) - first.quadratic.a):
-            other = _climbed(base, [term], lambda f: report(0.7 + 0.3 * f), needed=term)
+        whole = (first.score(best_set(first)) - first.quadratic.a) / first.quadratic.worth
+        if term is not None and term.gain > HALF * whole:
+            other = _climbed(base, [term], lambda f: report(0.7 + 0.3 * f))
             if other is not None and advantage(other, found) > 0.0:
                 return replace(other, alone=found.alone)
     return found
@@ -139,11 +140,10 @@ def _odds(found: Found) -> float:
 
 def _climbed(
     base: Model,
-    unnamed: list[Effect],
+    needed: Sequence[Term],
     report: Callable[[float], None],
-    needed: Effect | None = None,
 ) -> Found | None:
-    """The end of a climb from the baseline; None if it would begin without what is needed."""
+    """The end of a climb from the baseline; None if it would begin without the terms needed."""
     cases = [f.case for f in base.parts]
     model = base
     alone: dict[str, float] = {}
@@ -154,14 +154,15 @@ def _climbed(
     favoured: set[str] = set()
     swaps: dict[tuple[str, str], float] = {}
     ordered: set[tuple[str, frozenset[str]]] = set()
+    unnamed, shaped = list(needed), set[str]()
     for turn in range(ROUNDS + 2 * MAX_TERMS):
         report(min(0.95, 0.15 + 0.1 * turn))
-        where = _scanned(model, cases, unnamed, dropped, favoured)
+        where = _scanned(model, cases, [t.effect for t in unnamed], dropped, favoured)
         if first is None:
             first, alone = where, gains(where, frozenset())
         now = frozenset(e.id for e in model.effects if e.process is None)
         chosen = max((best_set(where, now), best_set(where, ())), key=where.score)
-        if turn == 0 and needed is not None and needed.id not in chosen:
+        if turn == 0 and any(t.effect.id not in chosen for t in needed):
             return None
         if chosen != now and chosen not in visited and not _same(where, now, chosen):
             visited.add(chosen)
@@ -169,6 +170,10 @@ def _climbed(
             if larger.log_evidence > -math.inf:
                 model = larger
                 swaps.clear()  # (they hold beside the same others only)
+            continue
+        other = reshaped(model, unnamed, shaped)
+        if other is not None:
+            model = other
             continue
         swapped = _exchanged(model, where, dropped, swaps, frozenset(base.ids))
         if swapped is not None:
@@ -194,11 +199,13 @@ def _climbed(
             favoured.add(split)
             visited = set()
             continue
-        term, _ = _best_term(model)
+        term = best_term(model)
         if term is None:
             break
         unnamed.append(term)
         visited = set()
+        # (what noise effects gained was weighed without the term)
+        noise.update(dict.fromkeys(noise, 0.0))
     return Found(model, where, alone, noise, swaps, first)
 
 
@@ -377,30 +384,3 @@ def _leaner(model: Model, where: Space, noise: dict[str, float]) -> Model | None
             noise.pop(e.id, None)
             return without
     return None
-
-
-def _best_term(model: Model) -> tuple[Effect | None, float]:
-    """The unnamed term that gains most over the model, if one gains enough."""
-    f = model.parts[0]
-    signals = signals_of(f)
-    best, found = -TERM_PRIOR + math.log(2.0), None
-    chunks = [terms.imu_terms(f.case.recording, signals, c) for c in range(6)]
-    if {"heading", "magnetometer"} & set(f.case.kinds):
-        chunks.append(terms.heading_terms(f.case.recording))
-    here = frozenset(e.id for e in model.effects if e.process is None)
-    for chunk in chunks:
-        options = [e for e in model.effects if e.process is None]
-        options += [e for e in chunk if e.id not in here]
-        wide = space(scan(model, options), options, priors(options))
-        gained = gains(wide, here)
-        top = max((e for e in chunk if e.id not in here), key=lambda e: gained[e.id])
-        if gained[top.id] > best:
-            best, found = gained[top.id], top
-    return found, best
-
-
-def signals_of(f: Fitted) -> Signals:
-    """The best estimate of rate and force at the IMU's samples, for scaling terms."""
-    imu, nominal = f.case.recording.imu, f.linear.trajectory
-    T = temperature_of(f.case.recording)
-    return Signals(imu.t, imu.gyro - nominal.bg, imu.accel - nominal.ba, T)

@@ -17,11 +17,21 @@ from handcal.types import Array, IntArray
 
 # Log prior odds that a device shows an effect so clearly that it has to be told.
 PRIOR = -5.0
+# Of a term without a name: there are hundreds, and any of the catalogue is likelier.
+TERM_PRIOR = -10.0
 
 
 def probability(gain: float) -> float:
     """Posterior probability of an effect that gains so many nats, on its own."""
     return 1.0 / (1.0 + math.exp(-min(700.0, gain + PRIOR)))
+
+
+def priors(effects: Sequence[Effect]) -> dict[str, float]:
+    """Log prior odds that differ from the usual: a step shares its own over its moments."""
+    moments = sum("@" in e.id for e in effects)
+    out = {e.id: PRIOR - math.log(max(1, moments)) for e in effects if "@" in e.id}
+    out |= {e.id: TERM_PRIOR for e in effects if "+=" in e.id}
+    return out
 
 
 @dataclass(frozen=True)

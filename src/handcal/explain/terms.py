@@ -64,7 +64,7 @@ def _absolute(f: Feature) -> Feature:
     return lambda s: np.abs(f(s))
 
 
-def features(temperature: bool, duration: float) -> dict[str, tuple[Feature, str]]:
+def features(temperature: bool) -> dict[str, tuple[Feature, str]]:
     """Every signal that may be a term: formula, function, unit."""
     w, f = [_omega(i) for i in range(3)], [_force(i) for i in range(3)]
     out: dict[str, tuple[Feature, str]] = {}
@@ -93,16 +93,6 @@ def features(temperature: bool, duration: float) -> dict[str, tuple[Feature, str
     out["t^2"] = (_times(_time, _time), "s^2")
     if temperature:
         out["T^2"] = (_times(_warmth, _warmth), "K^2")
-    for share in (0.1, 0.3):
-        tau = share * duration
-        out[f"exp(-t / {tau:.3g} s)"] = (lambda s, tau=tau: np.exp(-_time(s) / tau), "1")  # type: ignore[misc]
-    for k in range(2, 17):
-        period = 2.0 * duration / k
-        for name, wave in (("sin", np.sin), ("cos", np.cos)):
-            out[f"{name}(2 pi t / {period:.3g} s)"] = (
-                lambda s, wave=wave, p=period: wave(2 * np.pi * _time(s) / p),  # type: ignore[misc]
-                "1",
-            )
     return out
 
 
@@ -118,12 +108,10 @@ def _named(channel: int, formula: str) -> bool:
     return formula in plain or formula in [f"f_{a} * f_{b}" for a, b in ("xy", "xz", "yz")]
 
 
-def imu_terms(recording: Recording, signals: Signals, channel: int) -> list[Effect]:
+def imu_terms(signals: Signals, channel: int) -> list[Effect]:
     """Terms of one IMU channel (0 to 5) as effects; prior of each: a clearly visible size."""
     out = []
-    for formula, (feature, unit) in features(
-        signals.temperature is not None, recording.duration_s
-    ).items():
+    for formula, (feature, unit) in features(signals.temperature is not None).items():
         if _named(channel, formula):
             continue
         size = float(np.sqrt(np.mean(feature(signals) ** 2)))
@@ -139,7 +127,7 @@ def _imu_term(channel: int, formula: str, feature: Feature, unit: str, prior: fl
         return out
 
     own = UNITS[channel // 3]
-    return _effect(
+    return term(
         f"{CHANNELS[channel]} += k * {formula}",
         own if unit == "1" else f"({own})/({unit})",
         prior,
@@ -147,7 +135,8 @@ def _imu_term(channel: int, formula: str, feature: Feature, unit: str, prior: fl
     )
 
 
-def _effect(formula: str, unit: str, prior: float, **physics: Any) -> Effect:
+def term(formula: str, unit: str, prior: float, **physics: Any) -> Effect:
+    """An effect of one parameter k without a name but its formula; prior: sigma of k."""
     return Effect(
         id=formula,
         title=formula,
@@ -208,7 +197,7 @@ def heading_terms(recording: Recording) -> list[Effect]:
     for formula, (address, unit) in _HEADING.items():
         prior = HEADING_SIZE * (2.0 / recording.duration_s**2 if unit == "rad/s^2" else 1.0)
         out.append(
-            _effect(
+            term(
                 f"heading += k * {formula}",
                 unit,
                 prior,

@@ -23,12 +23,13 @@ from handcal.explain.explanation import (
     Missing,
     Unnamed,
 )
-from handcal.explain.find import TERM_PRIOR, Found, advantage, search
+from handcal.explain.find import Found, advantage, search
 from handcal.explain.fit import Fitted, Model, fitted, started
 from handcal.explain.next_motion import next_motions
 from handcal.explain.robust import inflation
 from handcal.explain.search import (
     PRIOR,
+    TERM_PRIOR,
     expected_gain,
     gains,
     probabilities,

@@ -1,0 +1,374 @@
+"""Physics that nobody named and that no product of signals gives: a course over time, or over
+the direction of the heading.
+
+A channel is given a cubic spline, whose coefficients one pass of the filter judges
+all at once. A course (a passing bump, a while, a swing, a lobe in one direction) is then a
+vector of coefficients, so that thousands of them, and every place between, cost no further pass.
+The best becomes an effect of one parameter like any other term.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import BSpline
+from scipy.optimize import minimize
+
+from handcal._jit import residual_function
+from handcal.effects import TIME, Effect, Param, Signals
+from handcal.explain.quadratic import Quadratic
+from handcal.explain.terms import CHANNELS, HEADING_SIZE, SIZE, UNITS, term
+from handcal.types import Array, IntArray
+
+# Knots over a recording: as many at most, a power of two of seconds apart.
+MOST = 48
+DIRECTIONS = 32
+# A course that is short stands out further than one that lasts, of the same mean square.
+PEAK = 3.0
+# A course may be adjusted by its numbers, which a term of the measured signals cannot.
+FREEDOM = 3.0
+KINDS = ("heading", "magnetometer")
+
+Values = Callable[[Array, Array], Array]
+
+
+@dataclass(frozen=True)
+class Family:
+    """Courses that differ by their numbers (p,): values(numbers, x) -> (m,) of height one,
+    their formula, where to begin, and the same for one heading as a function to compile."""
+
+    values: Values
+    formula: Callable[[Array], str]
+    starts: Callable[[float], Iterator[tuple[float, ...]]]
+    compiled: Callable[..., Callable[..., int]]
+
+
+@dataclass(frozen=True)
+class Basis:
+    """A cubic spline over a grid (n,) of time, s, or of direction, rad, as one effect of m
+    parameters, which are ``through @ values`` (m, n) for values on the grid."""
+
+    effect: Effect
+    channel: str
+    unit: str
+    grid: Array
+    through: Array
+    families: tuple[Family, ...]
+
+
+# --- courses -------------------------------------------------------------------------------
+
+
+def _bump(numbers: Array, x: Array) -> Array:
+    return np.asarray(np.exp(-0.5 * ((x - numbers[0]) / numbers[1]) ** 2))
+
+
+def _bumps(span: float) -> Iterator[tuple[float, ...]]:
+    for width in span * np.geomspace(0.01, 0.15, 6):
+        for at in np.arange(0.0, span, 0.7 * width):
+            yield float(at), float(width)
+
+
+def _bump_at(at: float, width: float) -> Callable[..., int]:
+    def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+        x = (z[TIME] - at) / width
+        r[0] -= k[0] * math.exp(-0.5 * x * x)
+        return 0
+
+    return heading
+
+
+def _while(numbers: Array, x: Array) -> Array:
+    # (edges as wide as the grid is fine, so that they can be moved)
+    edge = max(1e-3, float(x[1] - x[0]))
+    up, down = (x - numbers[0]) / edge + 0.5, (numbers[1] - x) / edge + 0.5
+    return np.asarray(np.clip(up, 0.0, 1.0) * np.clip(down, 0.0, 1.0))
+
+
+def _whiles(span: float) -> Iterator[tuple[float, ...]]:
+    edges = np.linspace(0.0, span, MOST)
+    for i, a in enumerate(edges[:-1]):
+        for b in edges[i + 1 :]:
+            if a > 0.0 or b < span:
+                yield float(a), float(b)
+
+
+def _while_in(first: float, last: float) -> Callable[..., int]:
+    def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+        if first <= z[TIME] <= last:
+            r[0] -= k[0]
+        return 0
+
+    return heading
+
+
+def _swing(numbers: Array, x: Array) -> Array:
+    return np.asarray(np.sin(2.0 * np.pi * x / numbers[0] + numbers[1]))
+
+
+def _swings(span: float) -> Iterator[tuple[float, ...]]:
+    for k in np.arange(1.0, MOST / 3.0, 0.5):
+        for phase in np.arange(8) * np.pi / 8.0:
+            yield float(span / k), float(phase)
+
+
+def _swing_of(period: float, phase: float) -> Callable[..., int]:
+    def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+        r[0] -= k[0] * math.sin(2.0 * math.pi * z[TIME] / period + phase)
+        return 0
+
+    return heading
+
+
+def _decay(numbers: Array, x: Array) -> Array:
+    return np.asarray(np.exp(-x / numbers[0]))
+
+
+def _decays(span: float) -> Iterator[tuple[float, ...]]:
+    for tau in span * np.geomspace(0.03, 1.0, 12):
+        yield (float(tau),)
+
+
+def _decay_of(tau: float) -> Callable[..., int]:
+    def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+        r[0] -= k[0] * math.exp(-z[TIME] / tau)
+        return 0
+
+    return heading
+
+
+def _lobe(numbers: Array, x: Array) -> Array:
+    return np.asarray(np.exp(numbers[1] * (np.cos(x - numbers[0]) - 1.0)))
+
+
+def _lobes(span: float) -> Iterator[tuple[float, ...]]:
+    for sharp in (2.0, 4.0, 8.0, 16.0, 32.0):
+        for at in np.arange(DIRECTIONS) * span / DIRECTIONS:
+            yield float(at - np.pi), sharp
+
+
+def _lobe_at(at: float, sharp: float) -> Callable[..., int]:
+    def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+        yaw = math.atan2(nav[9], nav[6])
+        r[0] -= k[0] * math.exp(sharp * (math.cos(yaw - at) - 1.0))
+        return 0
+
+    return heading
+
+
+def _bump_formula(n: Array) -> str:
+    return f"exp(-((t - {n[0]:.3g} s) / {n[1]:.2g} s)^2 / 2)"
+
+
+def _while_formula(n: Array) -> str:
+    return f"(t from {n[0]:.3g} s to {n[1]:.3g} s)"
+
+
+def _swing_formula(n: Array) -> str:
+    return f"sin(2 pi t / {n[0]:.3g} s + {n[1] % (2.0 * np.pi):.2f})"
+
+
+def _decay_formula(n: Array) -> str:
+    return f"exp(-t / {n[0]:.3g} s)"
+
+
+def _lobe_formula(n: Array) -> str:
+    return f"exp({n[1]:.2g} (cos(yaw - {(n[0] + np.pi) % (2.0 * np.pi) - np.pi:.2f}) - 1))"
+
+
+OVER_TIME = (
+    Family(_bump, _bump_formula, _bumps, _bump_at),
+    Family(_while, _while_formula, _whiles, _while_in),
+    Family(_swing, _swing_formula, _swings, _swing_of),
+    Family(_decay, _decay_formula, _decays, _decay_of),
+)
+OVER_YAW = (Family(_lobe, _lobe_formula, _lobes, _lobe_at),)
+
+# --- bases ---------------------------------------------------------------------------------
+
+
+def _spline_over_time(spacing: float) -> Callable[..., int]:
+    def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+        x = z[TIME] / spacing
+        i = int(x)
+        u = x - i
+        v = 1.0 - u
+        r[0] -= (
+            v * v * v * k[i]
+            + (4.0 - 6.0 * u * u + 3.0 * u * u * u) * k[i + 1]
+            + (4.0 - 6.0 * v * v + 3.0 * v * v * v) * k[i + 2]
+            + u * u * u * k[i + 3]
+        ) / 6.0
+        return 0
+
+    return heading
+
+
+def _spline_over_yaw(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+    x = (math.atan2(nav[9], nav[6]) / math.pi + 1.0) * 0.5 * DIRECTIONS
+    i = int(x)
+    u = x - i
+    v = 1.0 - u
+    r[0] -= (
+        v * v * v * k[(i + DIRECTIONS - 1) % DIRECTIONS]
+        + (4.0 - 6.0 * u * u + 3.0 * u * u * u) * k[i % DIRECTIONS]
+        + (4.0 - 6.0 * v * v + 3.0 * v * v * v) * k[(i + 1) % DIRECTIONS]
+        + u * u * u * k[(i + 2) % DIRECTIONS]
+    ) / 6.0
+    return 0
+
+
+_OVER_TIME = {2.0**e: residual_function(_spline_over_time(2.0**e)) for e in range(-4, 12)}
+_OVER_YAW = residual_function(_spline_over_yaw)
+
+
+def imu_basis(channel: int, duration: float) -> Basis:
+    """Splines over time for one channel of the IMU (0 to 5)."""
+    grid = _grid(duration)
+    spacing = grid[1]
+    knots = spacing * (np.arange(len(grid) + 6) - 3.0)
+
+    def error(k: Array, signals: Signals) -> Array:
+        out = np.zeros((len(signals.t), 6))
+        out[:, channel] = BSpline(knots, k, 3)(signals.t - signals.t[0])
+        return out
+
+    own = channel // 3
+    effect = _splines(f"{CHANNELS[channel]} over time", UNITS[own], SIZE[own], len(grid) + 2, error)
+    return Basis(effect, CHANNELS[channel], UNITS[own], grid, _natural(len(grid)), OVER_TIME)
+
+
+def heading_bases(duration: float) -> list[Basis]:
+    """Splines for the heading, measured or magnetic: over time, and over its direction."""
+    grid = _grid(duration)
+    address, count = _OVER_TIME[float(grid[1])], len(grid) + 2
+    over = _splines("heading over time", "rad", HEADING_SIZE, count, None, address)
+    round_ = _splines("heading over yaw", "rad", HEADING_SIZE, DIRECTIONS, None, _OVER_YAW)
+    yaw = np.linspace(-np.pi, np.pi, DIRECTIONS, endpoint=False)
+    return [
+        Basis(over, "heading", "rad", grid, _natural(len(grid)), OVER_TIME),
+        Basis(round_, "heading", "rad", yaw, _periodic(DIRECTIONS), OVER_YAW),
+    ]
+
+
+def _grid(duration: float) -> Array:
+    spacing = 2.0 ** math.ceil(math.log2(max(duration, 1.0) / MOST))
+    return np.asarray(spacing * np.arange(math.floor(duration / spacing) + 2))
+
+
+def _natural(n: int) -> Array:
+    """Coefficients (n + 2, n) of the cubic spline through n values, straight at both ends."""
+    rows = np.zeros((n + 2, n + 2))
+    for i in range(n):
+        rows[i + 1, i : i + 3] = np.array([1.0, 4.0, 1.0]) / 6.0
+    rows[0, :3] = rows[-1, -3:] = [1.0, -2.0, 1.0]
+    return np.asarray(np.linalg.solve(rows, np.eye(n + 2)[:, 1:-1]))
+
+
+def _periodic(n: int) -> Array:
+    """Coefficients (n, n) of the periodic cubic spline through n values."""
+    one = np.eye(n)
+    rows = (4.0 * one + np.roll(one, 1, axis=1) + np.roll(one, -1, axis=1)) / 6.0
+    return np.asarray(np.linalg.solve(rows, one))
+
+
+def _splines(
+    title: str,
+    unit: str,
+    size: float,
+    count: int,
+    error: Callable[[Array, Signals], Array] | None,
+    address: int | None = None,
+) -> Effect:
+    return Effect(
+        id=f"basis: {title}",
+        title=title,
+        parameters=tuple(Param(f"k{i}", unit, PEAK * size) for i in range(count)),
+        story="Coefficients of a spline.",
+        source="found in this recording",
+        motion="Any.",
+        validated="never reported",
+        imu_error=error,
+        observation_error={} if address is None else dict.fromkeys(KINDS, address),
+    )
+
+
+# --- the best course -----------------------------------------------------------------------
+
+
+def best(
+    basis: Basis, wide: Quadratic, known: IntArray, root: Array | None = None
+) -> tuple[Effect, float]:
+    """The course that gains most beside the parameters ``known`` of a quadratic that holds the
+    basis, as an effect of one parameter; and the nats that it gains, less what its freedom costs.
+
+    root: square root of the prior covariance of the known ones (None: the identity).
+    """
+    mine = np.array([i for i, n in enumerate(wide.names) if n[0] == basis.effect.id])
+    b, G = _beside(wide, mine, known, root)
+    span = 2.0 * np.pi if basis.families is OVER_YAW else float(basis.grid[-1])
+
+    def gain(values: Array) -> Array:
+        D = values @ basis.through.T
+        information = np.einsum("...i,ij,...j->...", D, G, D)
+        return np.asarray(0.5 * (D @ b) ** 2 / (1.0 + information) - 0.5 * np.log1p(information))
+
+    top, found = -math.inf, None
+    for family in basis.families:
+        starts = np.array(list(family.starts(span)))
+        gained = gain(np.array([family.values(n, basis.grid) for n in starts]))
+        k = int(np.argmax(gained))
+        if gained[k] > top:
+            top, found = float(gained[k]), (family, starts[k])
+    assert found is not None
+    family, numbers = found
+    numbers = _adjusted(partial(_lost, family, basis.grid, gain), numbers)
+    return term_of(basis, family, numbers), -_lost(family, basis.grid, gain, numbers) - FREEDOM
+
+
+def _lost(family: Family, grid: Array, gain: Callable[[Array], Array], numbers: Array) -> float:
+    with np.errstate(all="ignore"):
+        value = -float(gain(family.values(numbers, grid)))
+    return value if math.isfinite(value) else 0.0
+
+
+def _adjusted(lost: Callable[[Array], float], numbers: Array) -> Array:
+    """The numbers near these where least is lost."""
+    at = minimize(lost, numbers, method="Nelder-Mead", options={"maxfev": 200, "xatol": 1e-3})
+    return np.asarray(at.x if at.fun < lost(numbers) else numbers)
+
+
+def _beside(
+    q: Quadratic, mine: IntArray, known: IntArray, root: Array | None
+) -> tuple[Array, Array]:
+    """The quadratic of the parameters ``mine`` with those ``known`` integrated out."""
+    R = np.eye(len(known)) if root is None else root
+    A = np.eye(R.shape[1]) + R.T @ q.G[np.ix_(known, known)] @ R
+    half = np.linalg.solve(np.linalg.cholesky(0.5 * (A + A.T)), R.T)
+    cross = half @ q.G[np.ix_(known, mine)]
+    return (
+        q.b[mine] - cross.T @ (half @ q.b[known]),
+        q.G[np.ix_(mine, mine)] - cross.T @ cross,
+    )
+
+
+def term_of(basis: Basis, family: Family, numbers: Array) -> Effect:
+    """A course as an effect of one parameter, its height."""
+    formula = f"{basis.channel} += k * {family.formula(numbers)}"
+    size = PEAK * (HEADING_SIZE if basis.channel == "heading" else SIZE[basis.unit == UNITS[1]])
+    if basis.channel == "heading":
+        address = residual_function(family.compiled(*(float(n) for n in numbers)), kept=False)
+        return term(formula, basis.unit, size, observation_error=dict.fromkeys(KINDS, address))
+    column = CHANNELS.index(basis.channel)
+
+    def error(k: Array, signals: Signals) -> Array:
+        out = np.zeros((len(signals.t), 6))
+        out[:, column] = k[0] * family.values(numbers, signals.t - signals.t[0])
+        return out
+
+    return term(formula, basis.unit, size, imu_error=error)
