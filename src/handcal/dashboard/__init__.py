@@ -7,6 +7,8 @@ where it is), ``/heading``, ``/parameters/EFFECT``, ``/innovation/KIND``, ``/nis
 Of an explanation: ``/verdict``, ``/hypotheses/EFFECT`` and, for each recording from
 ``/recording_1`` on, ``simulated/CHANNEL``, ``difference/CHANNEL``, ``shortfall/CHANNEL``
 and ``evidence/EFFECT``.
+
+Of a set of poses: ``/all/NUMBER``, ``/one`` and ``/instruction`` by timeline ``pose``.
 """
 
 from handcal.dashboard.common import APPLICATION, TIMELINE, file_sink
@@ -15,6 +17,7 @@ from handcal.dashboard.explanations import (
     log_explanation,
     save_explanation_rrd,
 )
+from handcal.dashboard.poses import save_poses_rrd
 from handcal.dashboard.results import (
     NIS_WINDOW,
     blueprint,
@@ -26,5 +29,6 @@ from handcal.dashboard.results import (
 
 __all__ = [
     "APPLICATION", "NIS_WINDOW", "TIMELINE", "blueprint", "explanation_blueprint", "file_sink",
-    "log_explanation", "log_result", "replay", "save_explanation_rrd", "save_rrd", "stream",
+    "log_explanation", "log_result", "replay", "save_explanation_rrd", "save_poses_rrd",
+    "save_rrd", "stream",
 ]  # fmt: skip

@@ -17,6 +17,7 @@ TIMELINE = "time"
 # Okabe-Ito's vermilion, green, blue, light enough for the viewer's dark background
 XYZ = ((240, 130, 60), (40, 190, 140), (80, 165, 240))
 GREY = (140, 146, 156)
+PHONE_M = (0.072, 0.150, 0.009)
 
 
 def plot(
@@ -38,6 +39,16 @@ def plot(
         axis_x=axis, axis_y=rrb.ScalarAxis(range=limits) if limits else None,
         plot_legend=rrb.PlotLegend(corner, visible=legend),
     )  # fmt: skip
+
+
+def device() -> tuple[Any, Any]:
+    """A phone in body axes, and the axes themselves."""
+    sizes = [PHONE_M, (0.066, 0.140, 0.001)]
+    centres = [(0, 0, 0), (0, 0, PHONE_M[2] / 2)]
+    boxes = rr.Boxes3D(sizes=sizes, centers=centres, fill_mode="solid",
+                       colors=[(70, 78, 92), (150, 175, 205)])  # fmt: skip
+    arrows = rr.Arrows3D(vectors=0.11 * np.eye(3), colors=XYZ, labels=["x", "y", "z"], radii=0.0016)
+    return boxes, arrows
 
 
 def lines(

@@ -19,6 +19,7 @@ from handcal.dashboard.common import (
     TIMELINE,
     XYZ,
     columns,
+    device,
     file_sink,
     lines,
     plot,
@@ -31,7 +32,6 @@ from handcal.viewer import viewer
 NIS_WINDOW = 20  # updates
 YAW = "/yaw"  # beside the kinds of observation, none of which has a slash
 DEG = 180.0 / np.pi
-PHONE_M = (0.072, 0.150, 0.009)
 
 
 def _key(names: Sequence[str]) -> str:
@@ -93,12 +93,8 @@ def _log_static(rec: rr.RecordingStream, layout: Layout) -> None:
         rec.log(entity, *what, static=True)
 
     static("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
-    sizes = [PHONE_M, (0.066, 0.140, 0.001)]
-    centres = [(0, 0, 0), (0, 0, PHONE_M[2] / 2)]
-    boxes = rr.Boxes3D(sizes=sizes, centers=centres, fill_mode="solid",
-                       colors=[(70, 78, 92), (150, 175, 205)])  # fmt: skip
+    boxes, arrows = device()
     static("/device/box", boxes)
-    arrows = rr.Arrows3D(vectors=0.11 * np.eye(3), colors=XYZ, labels=["x", "y", "z"], radii=0.0016)
     static("/device/axes", arrows)
     level = rr.Arrows3D(vectors=[(0.1, 0, 0), (0, 0.1, 0)], origins=[(-0.15, -0.1, 0)] * 2,
                         colors=[GREY] * 2, labels=["east", "north"], radii=0.0007)  # fmt: skip

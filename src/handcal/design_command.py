@@ -1,0 +1,120 @@
+"""Which poses, or which turns in the hand, would tell most about chosen errors.
+
+What is slow to import is imported where it is used.
+"""
+
+from __future__ import annotations
+
+import secrets
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from handcal.cli import Json, Report, Rrd, check_folders
+from handcal.commands import say
+from handcal.progress import progress
+
+design = typer.Typer(
+    add_completion=False, pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)  # fmt: skip
+
+MOST_POSES = 60
+
+
+class Criterion(StrEnum):
+    """What a set of poses is to make small."""
+
+    D = "D"
+    A = "A"
+    condition = "condition"
+
+
+class Known(StrEnum):
+    """What is known of each pose."""
+
+    norm = "norm"
+    pose = "pose"
+    rate = "rate"
+    spin = "spin"
+
+
+@design.callback()
+def _root() -> None:
+    """Say which poses, or which turns in the hand, would tell chosen errors best."""
+
+
+@design.command()
+def poses(
+    n: Annotated[int, typer.Option("--n", min=1, max=MOST_POSES, help="How many poses.")] = 9,
+    effects: Annotated[
+        str,
+        typer.Option(metavar="ID,...", help="Effects that the poses are to tell; biases always."),
+    ] = "accel_scale,accel_misalignment",
+    known: Annotated[
+        Known,
+        typer.Option(
+            help="norm: only that gravity has its size; pose: the attitude; rate: turning steadily "
+            "about the vertical; spin: the same, against a rest in that pose."
+        ),
+    ] = Known.norm,
+    criterion: Annotated[
+        Criterion,
+        typer.Option(help="D: volume of uncertainty; A: mean variance; condition: its number."),
+    ] = Criterion.D,
+    sequential: Annotated[
+        bool,
+        typer.Option("--sequential/--global", help="One pose after the other, or all at once."),
+    ] = False,
+    rate: Annotated[
+        float, typer.Option(metavar="DEG/S", help="Of turns, with --known rate or spin.")
+    ] = 100.0,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Same seed, same poses (drawn, and said).")
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE.png", help="Draw the poses (.png, .svg, .pdf).")
+    ] = None,
+    json: Json = None,
+    report: Report = None,
+    rrd: Rrd = None,
+) -> None:
+    """Poses that tell the errors best: which way to lay the device, and how good that is."""
+    import math
+
+    import numpy as np
+
+    from handcal import design_report
+    from handcal.design_picture import check_ending, save_picture
+    from handcal.design_poses import experiment
+    from handcal.design_search import design as search
+    from handcal.summary import write_json
+
+    check_folders(json, report, rrd, picture)
+    if picture:
+        check_ending(picture)
+    ids = [e.strip() for e in effects.split(",") if e.strip()]
+    asked = experiment(ids, str(known), math.radians(rate))
+    seed = secrets.randbelow(2**31) if seed is None else seed
+    with progress(f"searching {n} poses") as bar:
+        found = search(
+            asked, n, str(criterion), np.random.default_rng(seed), sequential, progress=bar
+        )
+    if picture:
+        save_picture(found, picture)
+    if report:
+        design_report.write_design_report(found, report)
+    if rrd:
+        from handcal.dashboard import save_poses_rrd
+
+        save_poses_rrd(found, rrd)
+    if json:
+        write_json(design_report.design_json(found) | {"seed": seed}, json)
+    if str(json) != "-":
+        from rich.console import Console
+
+        design_report.print_design(found, Console())
+        if not sequential:
+            say(f"seed {seed}")
