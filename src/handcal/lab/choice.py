@@ -1,0 +1,29 @@
+"""Which effects a laboratory method can estimate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from handcal.effects import Effect, select
+from handcal.types import InputError, Recording
+
+
+def chosen(ids: Sequence[str], recording: Recording | None = None) -> tuple[Effect, ...]:
+    """The effects of these ids; biases are always estimated and may be named.
+
+    Errors: InputError for one that is no constant error of the IMU's readings, or needs a
+    stream that is not there.
+    """
+    effects = select([i for i in ids if i not in ("gyro_bias", "accel_bias")])
+    for e in effects:
+        if e.imu_error is None or e.process is not None or e.moments is not None:
+            raise InputError(f"{e.id} is no constant error of gyro or accelerometer.")
+        if "attitude" in e.needs:
+            raise InputError(
+                f"{e.id} belongs to the place, not to the sensors: here it is taken as known "
+                "(--gravity)."
+            )
+        for stream in e.needs:
+            if recording is None or stream not in recording.streams:
+                raise InputError(f"{e.id} needs the {stream}, which these readings lack.")
+    return effects

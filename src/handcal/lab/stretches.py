@@ -1,0 +1,87 @@
+"""Averaged readings of stretches in which nothing changes, and how well each mean is known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+
+from handcal.model import temperature_of
+from handcal.types import Array, BoolArray, Recording
+
+BLOCKS = 8
+# What a perfect recording is taken to be good for: rad/s, m/s^2.
+PERFECT = 1e-11
+
+
+@dataclass(frozen=True)
+class Means:
+    """Of r stretches.
+
+    span (r, 2): start and end, s; first, last (r,): indices of their samples, inclusive.
+    count (r,): of samples that are measurements. reading (r, 6): mean of gyro rad/s and
+    accelerometer m/s^2. variance (r, 6): of that mean, from the means of blocks, so that noise
+    that is not white counts as much as it should. temperature (r,) degC or None. white (6,):
+    power of the noise, variance times time.
+    """
+
+    span: Array
+    first: Array
+    last: Array
+    count: Array
+    reading: Array
+    variance: Array
+    temperature: Array | None
+    white: Array
+
+    def __len__(self) -> int:
+        return len(self.span)
+
+    def only(self, chosen: BoolArray) -> Means:
+        """Some of the stretches."""
+        T = None if self.temperature is None else self.temperature[chosen]
+        return Means(self.span[chosen], self.first[chosen], self.last[chosen], self.count[chosen],
+                     self.reading[chosen], self.variance[chosen], T, self.white)  # fmt: skip
+
+
+def means(recording: Recording, spans: Array) -> Means:
+    """Averages over stretches spans (r, 2), s, of the samples that are measurements."""
+    imu = recording.imu
+    raw = np.hstack([imu.gyro, imu.accel])
+    warm = temperature_of(recording)
+    ends = [(np.searchsorted(imu.t, a), np.searchsorted(imu.t, b, side="right")) for a, b in spans]
+    reading, power, count, T = [], [], [], []
+    for a, b in ends:
+        own = raw[a:b][imu.valid[a:b]]
+        count.append(len(own))
+        reading.append(own.mean(axis=0))
+        blocks = [block.mean(axis=0) for block in np.array_split(own, min(BLOCKS, len(own)))]
+        power.append(np.var(blocks, axis=0, ddof=1) * (len(own) / len(blocks)))
+        if warm is not None:
+            T.append(warm[a:b].mean())
+    # one figure for all stretches: of so few blocks each alone would be a poor one
+    pooled = np.average(power, axis=0, weights=count) if len(ends) else np.zeros(6)
+    number = np.array(count, dtype=np.float64)
+    variance = pooled / np.maximum(number, 1.0)[:, None] + PERFECT**2
+    first, last = np.array(ends).reshape(-1, 2).T
+    return Means(
+        np.asarray(spans), first, last - 1, number, np.array(reading).reshape(-1, 6), variance,
+        np.array(T) if T else None, pooled / recording.rate_hz,
+    )  # fmt: skip
+
+
+def extra_variance(residual: Array, variance: Array, dof: float) -> float:
+    """What variances (m,) lack so that residuals (m,) are as large as they should be.
+
+    The moment estimate of Paule and Mandel (J. Res. NBS 87, 1982): the sum of
+    residual^2 / (variance + extra) is ``dof``; 0 where it is less already.
+    """
+
+    def excess(extra: float) -> float:
+        return float((residual**2 / (variance + extra)).sum()) - dof
+
+    if dof <= 0.0 or excess(0.0) <= 0.0:
+        return 0.0
+    high = float((residual**2).sum()) / dof
+    return float(brentq(excess, 0.0, max(high, 1e-300), xtol=1e-4 * high))

@@ -1,0 +1,139 @@
+"""What the gyro makes of the turns from one rest to the next."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from handcal import strapdown
+from handcal.effects import Effect, Signals
+from handcal.lab.stretches import Means
+from handcal.regression import columns, truth_of
+from handcal.types import Array, BoolArray, IntArray, Recording
+
+GAP_S = 0.2
+FINER = 3
+# Sum of squares of the fourth difference's weights: it amplifies white noise by that.
+FOURTH = 70
+
+
+@dataclass(frozen=True)
+class Turns:
+    """q turns, each from rest before (q,) to rest after (q,).
+
+    signals: of all turns one after the other, start (q + 1,) where each begins: the gyro less
+    what it read at rest, and the accelerometer. share (n,): how much of its turn has passed.
+    seconds (q,): how long each takes. missed (q,): rad, what the samples may miss of it along
+    each axis, as if what a cubic does not pass were new at each. lost: turns that cannot be
+    used, because readings are saturated or missing.
+    """
+
+    before: IntArray
+    after: IntArray
+    signals: Signals
+    start: IntArray
+    share: Array
+    seconds: Array
+    missed: Array
+    lost: int
+
+    def __len__(self) -> int:
+        return len(self.before)
+
+    def only(self, chosen: BoolArray) -> Turns:
+        """Those between rests that are among the chosen ones (r,), numbered as these then are."""
+        place = np.cumsum(chosen) - 1
+        kept = np.flatnonzero(chosen[self.before] & chosen[self.after])
+        own = [np.arange(self.start[k], self.start[k + 1]) for k in kept]
+        rows = np.concatenate([np.zeros(0, dtype=np.int64), *own])
+        s = self.signals
+        T = None if s.temperature is None else s.temperature[rows]
+        return replace(
+            self, before=place[self.before[kept]], after=place[self.after[kept]],
+            signals=Signals(s.t[rows], s.gyro[rows], s.accel[rows], T),
+            start=np.r_[0, np.cumsum([len(o) for o in own], dtype=np.int64)],
+            share=self.share[rows], seconds=self.seconds[kept], missed=self.missed[kept],
+        )  # fmt: skip
+
+
+def turns(recording: Recording, rests: Means) -> Turns:
+    """The turns between rests that follow each other.
+
+    Readings are interpolated between the samples too: the rate is not linear there.
+    """
+    imu = recording.imu
+    kept, parts, seconds, missed = [], [], [], []
+    for k in range(len(rests) - 1):
+        a, b = int(rests.last[k]), int(rests.first[k + 1])
+        t = imu.t[a : b + 1]
+        if not imu.valid[a : b + 1].all() or np.diff(t).max() > GAP_S:
+            continue
+        kept.append(k)
+        parts.append(_finer(recording, rests, k))
+        seconds.append(float(t[-1] - t[0]))
+        rough = np.diff(imu.gyro[a : b + 1], n=4, axis=0)
+        missed.append(seconds[-1] / len(t) * float(np.sqrt((rough**2).sum() / (3 * FOURTH))))
+    before = np.array(kept, dtype=np.int64)
+    all_rows = np.vstack([np.zeros((0, 9)), *parts])
+    warm = None if rests.temperature is None else all_rows[:, 8]
+    signals = Signals(all_rows[:, 0], all_rows[:, 2:5], all_rows[:, 5:8], warm)
+    start = np.r_[0, np.cumsum([len(p) for p in parts], dtype=np.int64)]
+    return Turns(before, before + 1, signals, start, all_rows[:, 1], np.array(seconds),
+                 np.array(missed), max(len(rests) - 1, 0) - len(kept))  # fmt: skip
+
+
+def _finer(recording: Recording, rests: Means, k: int) -> Array:
+    """Rows of time, share, gyro, accelerometer and temperature during the turn after rest k."""
+    imu = recording.imu
+    a, b = int(rests.last[k]), int(rests.first[k + 1])
+    around = slice(max(a - 3, 0), b + 4)
+    t = imu.t[a : b + 1]
+    fine = np.interp(np.arange(FINER * (len(t) - 1) + 1) / FINER, np.arange(len(t)), t)
+    share = ((fine - t[0]) / (t[-1] - t[0]))[:, None]
+    value = CubicSpline(imu.t[around], np.hstack([imu.gyro, imu.accel])[around])(fine)
+    still = rests.reading[k : k + 2, :3]
+    value[:, :3] -= (1.0 - share) * still[0] + share * still[1]
+    warm = np.zeros_like(share)
+    if rests.temperature is not None:
+        warm = (1.0 - share) * rests.temperature[k] + share * rests.temperature[k + 1]
+    return np.hstack([fine[:, None], share, value, warm])
+
+
+def turned(
+    turns: Turns, effects: Sequence[Effect], x: Array, still: Array, bias: BoolArray
+) -> tuple[Array, Array]:
+    """The turns that the readings amount to if the parameters are x (k,), those of the gyro's
+    bias where ``bias`` (k,) says so.
+
+    still (r, 3, 1 + k): what the effects but the bias add to the gyro in each rest, and its
+    derivatives: it is in what was read there, and was taken off with it. Returns C (q, 3, 3),
+    which takes vectors in body axes after the turn to those before, and slope (q, 3, k): the
+    rotation vector, in body axes after the turn, by which C grows with each parameter.
+    """
+    s, q = turns.signals, len(turns)
+    number = np.repeat(np.arange(q), np.diff(turns.start))
+    share = turns.share[:, None, None]
+    off = (1.0 - share) * still[turns.before[number]] + share * still[turns.after[number]]
+    read = Signals(s.t, s.gyro + off[:, :, 0] + x[bias], s.accel, s.temperature)
+    truth, by = truth_of(effects, x, read)
+    J = columns(effects, x, truth)
+    J[:, :3, :] -= off[:, :, 1:]
+    J = np.asarray(-np.linalg.solve(by, J)[:, :3, :])
+    # what the gyro reads at rest holds the bias, so the turn does not depend on it
+    J[:, :, bias] = 0.0
+    C, slope = np.zeros((q, 3, 3)), np.zeros((q, 3, len(x)))
+    zero = np.zeros(3)
+    for n in range(q):
+        own = slice(turns.start[n], turns.start[n + 1])
+        t = s.t[own]
+        way = strapdown.integrate(
+            t, truth.gyro[own], np.zeros((len(t), 3)), zero, zero, np.eye(3), zero, zero
+        )[2]
+        left = np.einsum("nji,jk->nik", way, way[-1])
+        dt = np.diff(t)
+        weight = 0.5 * (np.r_[dt, 0.0] + np.r_[0.0, dt])
+        C[n], slope[n] = way[-1], np.einsum("n,nji,njk->ik", weight, left, J[own])
+    return C, slope
