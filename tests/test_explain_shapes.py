@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from dataclasses import replace
 
@@ -13,6 +14,7 @@ from handcal._jit import call_residual
 from handcal.effects import Signals
 from handcal.explain import explain, shapes
 from handcal.explain.quadratic import Quadratic
+from handcal.explain.terms import features
 from handcal.types import Array
 from handcal_sim import simulate
 from handcal_sim.phone import Clocking, Phone, consumer_phone, with_rate
@@ -134,3 +136,18 @@ def test_what_passes_by_is_unexplained(sign: float) -> None:
     assert at == pytest.approx(24.0, abs=5.0 * 3.0 * bump.sigma / 0.5)
     assert width == pytest.approx(3.0, abs=5.0 * 3.0 * bump.sigma / 0.5)
     assert bump.value == pytest.approx(sign * 0.5, abs=4.0 * bump.sigma)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_play_lags_by_its_half_width_once_it_has_been_taken_up(seed: int) -> None:
+    """A signal that goes one way for more than the whole play is followed at half of it; within
+    the play it is not followed at all."""
+    rng = np.random.default_rng(seed)
+    ends = np.cumsum(np.r_[9.8, np.array([1.0, -1.0, 1.0]) * rng.uniform(0.5, 3.0, 3)])
+    f = np.concatenate([np.linspace(a, b, 50) for a, b in itertools.pairwise(ends)])
+    signals = Signals(np.arange(150.0), np.zeros((150, 3)), np.tile(f[:, None], 3))
+    lag = features(temperature=False)["(play(0.2 m/s^2) of f_y - f_y)"][0](signals)
+    np.testing.assert_allclose(lag[[49, 99, 149]], [-0.2, 0.2, -0.2], atol=1e-12)
+    still = Signals(np.arange(150.0), np.zeros((150, 3)), 0.19 * np.sin(np.tile(f[:, None], 3)))
+    lag = features(temperature=False)["(play(0.2 m/s^2) of f_x - f_x)"][0](still)
+    assert np.ptp(lag + still.accel[:, 0]) < 0.2

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from handcal._jit import residual_function
+from handcal._jit import njit, residual_function
 from handcal.effects import TIME, Effect, Param, Signals
 from handcal.types import Array, Recording
 
@@ -20,6 +20,8 @@ UNITS = ("rad/s", "m/s^2")
 # Root mean square of what a term adds, one prior sigma: half a degree a second, 10 mg.
 SIZE = (0.01, 0.1)
 HEADING_SIZE = 0.1
+# Half widths of play in an accelerometer, m/s^2; wider than its noise.
+PLAY = (0.1, 0.2, 0.4)
 _AXES = "xyz"
 _UNIT = {"omega": "rad/s", "f": "m/s^2", "alpha": "rad/s^2", "t": "s", "T": "K"}
 
@@ -64,6 +66,22 @@ def _absolute(f: Feature) -> Feature:
     return lambda s: np.abs(f(s))
 
 
+@njit
+def _follower(x: Array, half: float) -> Array:
+    out = np.empty(len(x))
+    follow = x[0]
+    for i in range(len(x)):
+        follow = min(max(follow, x[i] - half), x[i] + half)
+        out[i] = follow
+    return out
+
+
+def _play(f: Feature, half: float) -> Feature:
+    """By how much what follows a signal f with play lags behind it (the operator of which
+    Prandtl and Ishlinskii built hysteresis)."""
+    return lambda s: _follower(np.ascontiguousarray(f(s)), half) - f(s)
+
+
 def features(temperature: bool) -> dict[str, tuple[Feature, str]]:
     """Every signal that may be a term: formula, function, unit."""
     w, f = [_omega(i) for i in range(3)], [_force(i) for i in range(3)]
@@ -78,6 +96,8 @@ def features(temperature: bool) -> dict[str, tuple[Feature, str]]:
         out[f"omega_{a} * abs(omega_{a})"] = (_times(w[i], _absolute(w[i])), "(rad/s)^2")
         out[f"f_{a}^2"] = (_times(f[i], f[i]), "(m/s^2)^2")
         out[f"f_{a}^3"] = (_times(f[i], f[i], f[i]), "(m/s^2)^3")
+        for half in PLAY:
+            out[f"(play({half:g} m/s^2) of f_{a} - f_{a})"] = (_play(f[i], half), "m/s^2")
         out[f"alpha_{a}"] = (_alpha(i), "rad/s^2")
         out[f"omega_{a} * t"] = (_times(w[i], _time), "rad")
         out[f"f_{a} * t"] = (_times(f[i], _time), "m/s")
@@ -108,11 +128,16 @@ def _named(channel: int, formula: str) -> bool:
     return formula in plain or formula in [f"f_{a} * f_{b}" for a, b in ("xy", "xz", "yz")]
 
 
+def _elsewhere(channel: int, formula: str) -> bool:
+    """Whether only another channel could have this: play is an accelerometer's own."""
+    return "play" in formula and not (channel >= 3 and f"f_{_AXES[channel - 3]}" in formula)
+
+
 def imu_terms(signals: Signals, channel: int) -> list[Effect]:
     """Terms of one IMU channel (0 to 5) as effects; prior of each: a clearly visible size."""
     out = []
     for formula, (feature, unit) in features(signals.temperature is not None).items():
-        if _named(channel, formula):
+        if _named(channel, formula) or _elsewhere(channel, formula):
             continue
         size = float(np.sqrt(np.mean(feature(signals) ** 2)))
         if size > 1e-9:
