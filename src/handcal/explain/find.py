@@ -14,6 +14,7 @@ from handcal.explain.case import Case, applicable, frozen_at, name_of
 from handcal.explain.fit import Fitted, Model, fitted, moved_to, scan
 from handcal.explain.robust import inflation
 from handcal.explain.search import (
+    OCCAM_LEVEL,
     PRIOR,
     TERM_PRIOR,
     Space,
@@ -31,7 +32,6 @@ ROUNDS = 8
 CLOSE = 20.0
 # Nats that a noise effect must gain beyond its own levels' freedom, at a first look.
 LOOK = 3.0
-OCCAM_LEVEL = 2.5
 MAX_TERMS = 3
 HALF = 0.5
 # A rival that would do so much of what an effect does is fitted in its place.

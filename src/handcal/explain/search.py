@@ -17,6 +17,8 @@ from handcal.types import Array, IntArray
 
 # Log prior odds that a device shows an effect so clearly that it has to be told.
 PRIOR = -5.0
+# What it costs that a noise level is not known.
+OCCAM_LEVEL = 2.5
 # Of a term without a name: there are hundreds, and any of the catalogue is likelier.
 TERM_PRIOR = -10.0
 
