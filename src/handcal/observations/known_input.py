@@ -16,7 +16,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,6 +25,9 @@ from handcal import so3
 from handcal._jit import njit, residual_function
 from handcal.observations import Constant, Observation, Rows, Scene, pseudo_times
 from handcal.types import Array, BoolArray, Level, Recording
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 FEWEST, MOST = 20, 12000
 REST_RATE = 10.0
@@ -102,7 +106,7 @@ def _at(t: Array, sound: Array, wanted: Array) -> BoolArray:
     return np.asarray(np.interp(wanted, t, sound, left=0.0, right=0.0) > 1.0 - 1e-9)
 
 
-def _axes(own: Array, known: Array) -> Array:
+def axes_between(own: Array, known: Array) -> Array:
     """Rotation (3, 3) of the reference's axes into the IMU's, from readings (k, 6) of both.
 
     Changes alone count, which biases leave alone, and turns more than forces, which differ
@@ -130,7 +134,25 @@ def _thinned(t: Array, recording: Recording, scene: Scene) -> Array:
     return t[:: 1 + len(t) // MOST]
 
 
-def _rows(recording: Recording, scene: Scene) -> Rows | None:
+@dataclass(frozen=True)
+class Matched:
+    """Both sensors side by side: t (n,) stamps, sound (n,) where neither is saturated or
+    missing nearby; reference: its readings as functions of time, and R (3, 3), which takes its
+    axes to the IMU's."""
+
+    t: Array
+    sound: BoolArray
+    reference: CubicSpline
+    R: Array
+
+    def known(self, t: Array, derivative: int = 0) -> Array:
+        """Rate and force (n, 6) of the reference, or derivatives of them, in the IMU's axes."""
+        value = self.reference(t, derivative)
+        return np.hstack([value[:, :3] @ self.R.T, value[:, 3:] @ self.R.T])
+
+
+def matched(recording: Recording, scene: Scene) -> Matched | None:
+    """The reference brought to the IMU's axes; None where there is too little of it."""
     from scipy.interpolate import CubicSpline
 
     imu, reference = recording.imu, recording.streams.get("reference")
@@ -139,18 +161,28 @@ def _rows(recording: Recording, scene: Scene) -> Rows | None:
     # At the stamps of the slower of the two; the other is read between its samples.
     slow = float(np.median(np.diff(reference.t))) > 1.2 / recording.rate_hz
     t = reference.t if slow else imu.t
-    t = t[_at(imu.t, _sound(imu.t, imu.valid), t)]
     everything = np.ones(len(reference.t), dtype=np.bool_)
-    t = t[_at(reference.t, _sound(reference.t, everything), t)]
-    t = _thinned(t, recording, scene)
-    if len(t) < FEWEST:
+    sound = _at(imu.t, _sound(imu.t, imu.valid), t)
+    sound &= _at(reference.t, _sound(reference.t, everything), t)
+    some = _thinned(t[sound], recording, scene)
+    if len(some) < FEWEST:
         return None
     spline = CubicSpline(reference.t, reference.value)
-    known = spline(t)
-    own = np.stack([np.interp(t, imu.t, x) for x in (*imu.gyro.T, *imu.accel.T)], axis=1)
-    R = _axes(own, known)
-    parts = (known[:, :3], known[:, 3:], spline(t, 1)[:, :3])
-    return Rows(t, np.hstack([part @ R.T for part in parts]))
+    return Matched(t, sound, spline, axes_between(read_at(recording, some), spline(some)))
+
+
+def read_at(recording: Recording, t: Array) -> Array:
+    """What the IMU reads (n, 6) at times t (n,), linear between its samples."""
+    imu = recording.imu
+    return np.stack([np.interp(t, imu.t, x) for x in (*imu.gyro.T, *imu.accel.T)], axis=1)
+
+
+def _rows(recording: Recording, scene: Scene) -> Rows | None:
+    both = matched(recording, scene)
+    if both is None:
+        return None
+    t = _thinned(both.t[both.sound], recording, scene)
+    return Rows(t, np.hstack([both.known(t), both.known(t, 1)[:, :3]]))
 
 
 def _guess(z: Array) -> Mapping[str, float]:
