@@ -12,6 +12,8 @@ MIN_REST_S = 0.8
 MAX_RATE = np.radians(4.0)
 MAX_RATE_SPREAD = np.radians(2.5)
 MAX_FORCE_SPREAD = 0.35
+# A turn at a constant rate ripples by less than this part of it.
+MAX_RIPPLE = 0.004
 
 
 def _moving(x: Array, width: int) -> tuple[Array, Array]:
@@ -66,6 +68,25 @@ def rests(recording: Recording) -> Array:
         out[0] = (imu.t[0], out[0][1])
     if out and found[-1][1] == len(imu.t):
         out[-1] = (out[-1][0], imu.t[-1])
+    return np.array(out).reshape(-1, 2)
+
+
+def steady(recording: Recording) -> Array:
+    """Rests and turns at a constant rate as (s, 2) start and end, s; each at least 0.8 s long.
+
+    The rate of a turn may ripple by a part of itself; the force may be anything, since a turn
+    about an axis that is not vertical carries gravity around.
+    """
+    imu = recording.imu
+    spread, _ = spreads(recording)
+    width = max(5, round(WINDOW_S * recording.rate_hz))
+    mean, _ = _moving(imu.gyro, width)
+    floor = float(np.quantile(spread, 0.1))
+    limit = np.maximum(3.0 * floor, 0.1 * MAX_RATE_SPREAD)
+    limit = np.maximum(limit, MAX_RIPPLE * np.linalg.norm(mean, axis=1))
+    found = _runs((spread < np.minimum(limit, MAX_RATE_SPREAD)) & imu.valid, imu.t, MIN_REST_S)
+    margin = 0.25 * WINDOW_S
+    out = [(imu.t[a] + margin, imu.t[b - 1] - margin) for a, b in found]
     return np.array(out).reshape(-1, 2)
 
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from handcal.effects import Effect, select
-from handcal.types import InputError, Recording
+from handcal.types import InputError
 
 
-def chosen(ids: Sequence[str], recording: Recording | None = None) -> tuple[Effect, ...]:
+def chosen(ids: Sequence[str], temperature: bool) -> tuple[Effect, ...]:
     """The effects of these ids; biases are always estimated and may be named.
 
-    Errors: InputError for one that is no constant error of the IMU's readings, or needs a
-    stream that is not there.
+    temperature: whether it is known. Errors: InputError for one that is no constant error of
+    the IMU's readings, or needs what is not known.
     """
     effects = select([i for i in ids if i not in ("gyro_bias", "accel_bias")])
     for e in effects:
@@ -23,7 +23,6 @@ def chosen(ids: Sequence[str], recording: Recording | None = None) -> tuple[Effe
                 f"{e.id} belongs to the place, not to the sensors: here it is taken as known "
                 "(--gravity)."
             )
-        for stream in e.needs:
-            if recording is None or stream not in recording.streams:
-                raise InputError(f"{e.id} needs the {stream}, which these readings lack.")
+        if "temperature" in e.needs and not temperature:
+            raise InputError(f"{e.id} needs the temperature, which these readings lack.")
     return effects

@@ -89,7 +89,7 @@ def scalar(
     Errors: InputError for effects that rests cannot show; HandcalError where there are too
     few rests, or they do not tell the parameters apart, or nothing fits.
     """
-    acting = (*BIASES, *chosen(effects, recording))
+    acting = (*BIASES, *chosen(effects, "temperature" in recording.streams))
     rests = means(recording, segment.rests(recording))
     between = turns(recording, rests)
     if only is not None:

@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from handcal.cli import Height, Json, Latitude, Report, Topics, Units, check_folders, load, radians
+from handcal.cli import Height, Json, Latitude, Report, Topics, Units, check_folders, load
+from handcal.lab.gravity import Gravity, gravity_of
 from handcal.progress import progress
 
 
@@ -19,9 +20,7 @@ def scalar(
         str,
         typer.Option(metavar="ID,...", help="Effects to estimate beyond constant biases."),
     ] = "accel_scale,accel_misalignment,gyro_scale,gyro_misalignment",
-    gravity: Annotated[
-        float | None, typer.Option(metavar="M/S^2", help="Gravity here; 9.80665 if not given.")
-    ] = None,
+    gravity: Gravity = None,
     latitude: Latitude = None,
     height: Height = 0.0,
     topic: Topics = None,
@@ -39,7 +38,7 @@ def scalar(
     from handcal.lab.sheet import print_sheet, write_sheet
     from handcal.summary import write_json
 
-    g = _gravity(gravity, latitude, height)
+    g = gravity_of(gravity, latitude, height)
     check_folders(json, report)
     recording = load(file, topic, units)
     ids = tuple(e.strip() for e in effects.split(",") if e.strip())
@@ -54,23 +53,3 @@ def scalar(
         from rich.console import Console
 
         print_sheet(scalar_sheet(result, halves, pictures=False), Console())
-
-
-def _gravity(gravity: float | None, latitude: float | None, height: float) -> float:
-    """m/s^2 as typed, or at the latitude. Errors: InputError."""
-    import math
-
-    from handcal.earth import STANDARD_GRAVITY, local_earth
-    from handcal.types import InputError
-
-    if gravity is not None and latitude is not None:
-        raise InputError("--gravity and --latitude say the same: give one of them.")
-    if gravity is not None:
-        if not 9.7 < gravity < 9.9:
-            raise InputError(f"--gravity {gravity:g}: on the Earth it lies between 9.7 and 9.9.")
-        return gravity
-    if latitude is None:
-        return STANDARD_GRAVITY
-    if not math.isfinite(latitude):
-        raise InputError(f"--latitude {latitude}: expected a finite number.")
-    return -float(local_earth(radians(latitude), height)[0][2])

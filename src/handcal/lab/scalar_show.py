@@ -181,17 +181,23 @@ def _norm_plot(result: Scalar) -> Plot:
 
 
 def _stems(ax: Axes, x: Array, y: Array, colour: str) -> None:
+    from matplotlib.ticker import MaxNLocator
+
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     ax.vlines(x, 0.0, y, color=colour, lw=1.6)
     ax.plot(x, y, "o", color=colour, markersize=5)
     ax.axhline(0.0, color=INK, lw=0.8)
 
 
 def _closure_plot(result: Scalar) -> Plot:
+    from matplotlib.ticker import MaxNLocator
+
     figure, (ax,) = canvas(1, 4.0)
     number = np.arange(1, len(result.turns) + 1)
     ax.plot(number, DEG * result.closure[:, 0], "o", color=MUTED, markersize=6, label="as read")
     ax.plot(number, DEG * result.closure[:, 1], "o", color=XYZ[2], markersize=6, label="calibrated")
     ax.set(ylim=(0.0, None), xlabel="turn", ylabel="angle, deg")
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     legend(ax)
     caption = "Between gravity as the gyro carried it through the turn and where it is then."
     return Plot("Error of each turn", caption, svg(figure, "lab-turns"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,24 +52,31 @@ def means(recording: Recording, spans: Array) -> Means:
     raw = np.hstack([imu.gyro, imu.accel])
     warm = temperature_of(recording)
     ends = [(np.searchsorted(imu.t, a), np.searchsorted(imu.t, b, side="right")) for a, b in spans]
-    reading, power, count, T = [], [], [], []
-    for a, b in ends:
-        own = raw[a:b][imu.valid[a:b]]
-        count.append(len(own))
-        reading.append(own.mean(axis=0))
-        blocks = [block.mean(axis=0) for block in np.array_split(own, min(BLOCKS, len(own)))]
-        power.append(np.var(blocks, axis=0, ddof=1) * (len(own) / len(blocks)))
-        if warm is not None:
-            T.append(warm[a:b].mean())
-    # one figure for all stretches: of so few blocks each alone would be a poor one
-    pooled = np.average(power, axis=0, weights=count) if len(ends) else np.zeros(6)
-    number = np.array(count, dtype=np.float64)
-    variance = pooled / np.maximum(number, 1.0)[:, None] + PERFECT**2
+    own = [raw[a:b][imu.valid[a:b]] for a, b in ends]
+    reading = np.array([x.mean(axis=0) for x in own]).reshape(-1, 6)
+    T = [] if warm is None else [warm[a:b].mean() for a, b in ends]
+    power, count = noise_power(own) if own else (np.zeros(6), np.zeros(0))
+    variance = power / np.maximum(count, 1.0)[:, None] + PERFECT**2
     first, last = np.array(ends).reshape(-1, 2).T
     return Means(
-        np.asarray(spans), first, last - 1, number, np.array(reading).reshape(-1, 6), variance,
-        np.array(T) if T else None, pooled / recording.rate_hz,
+        np.asarray(spans), first, last - 1, count, reading, variance,
+        np.array(T) if T else None, power / recording.rate_hz,
     )  # fmt: skip
+
+
+def noise_power(stretches: Sequence[Array]) -> tuple[Array, Array]:
+    """Variance (d,) of a sample, and number (r,) of samples, of stretches (n_i, d).
+
+    From the means of blocks, multiplied by their length, so that noise that is not white
+    counts in a mean as much as it should. One figure for all stretches: of so few blocks each
+    alone would be a poor one.
+    """
+    power, count = [], []
+    for x in stretches:
+        blocks = [block.mean(axis=0) for block in np.array_split(x, min(BLOCKS, len(x)))]
+        power.append(np.var(blocks, axis=0, ddof=1) * (len(x) / len(blocks)))
+        count.append(float(len(x)))
+    return np.asarray(np.average(power, axis=0, weights=count)), np.array(count)
 
 
 def extra_variance(residual: Array, variance: Array, dof: float) -> float:
