@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import median_filter
 from scipy.special import betaln
 
 from handcal import so3
@@ -21,6 +22,8 @@ from handcal.types import Array, BoolArray, Parameter
 FAR = 5.0
 WRONG = 4.0
 FEWEST = 3
+# Readings of a heading among which one stands out.
+NEIGHBOURS = 11
 ROUNDS = 4
 
 
@@ -48,29 +51,20 @@ def cleaned(base: Model) -> tuple[Model, Wrong | None]:
     parts = [f for f in base.parts if set(effect.outliers) & set(f.case.kinds)]
     if not parts or not any(_suspicious(f) for f in parts):
         return base, None
-    model, total, bad = base, 0, 0
+    model, bad = base, 0
     masks: list[BoolArray | None] = []
     for _ in range(ROUNDS):
-        begin, masks = [], []
-        for original, f in zip(base.parts, model.parts, strict=True):
-            mask = _mask(original, f)
-            masks.append(mask)
-            begin.append(_without(original, f, mask))
+        masks = [_mask(o, f) for o, f in zip(base.parts, model.parts, strict=True)]
+        begin = [_without(*x) for x in zip(base.parts, model.parts, masks, strict=True)]
         model = fitted(begin, base.effects, noise_rounds=1)
         now = sum(int(m.sum()) for m in masks if m is not None)
         if now == bad:
             break
-        total, bad = sum(len(m) for m in masks if m is not None), now
+        bad = now
     gain = model.log_evidence - base.log_evidence
     if gain + PRIOR < 0.0 or not bad:
         return base, None
-    share = (bad + 1.0) / (total + 2.0)
-    sigma = math.sqrt(share * (1.0 - share) / (total + 3.0))
-    # those that point the right way by chance are not seen
-    seen = 1.0 - min(0.9, _unseen(model))
-    share, sigma = min(1.0, share / seen), sigma / seen
-    p = effect.parameters[0]
-    parameter = Parameter(effect.id, p.name, share, sigma, p.unit, p.prior_sigma, None)
+    wrong = share(model, masks, gain)
     span = _burst(base, masks)
     if span is not None:
         steady = fitted(
@@ -80,7 +74,46 @@ def cleaned(base: Model) -> tuple[Model, Wrong | None]:
         )
         if steady.log_evidence > model.log_evidence:
             model, gain = steady, steady.log_evidence - base.log_evidence
-    return model, Wrong(gain, probability(gain), parameter, span)
+    return model, replace(wrong, gain=gain, probability=probability(gain), burst=span)
+
+
+def share(model: Model, masks: Sequence[BoolArray | None], gain: float) -> Wrong:
+    """The share of headings that were left out of a model, and what that gained."""
+    effect = catalogue()["heading_outliers"]
+    bad = sum(int(m.sum()) for m in masks if m is not None)
+    total = sum(len(m) for m in masks if m is not None)
+    mean = (bad + 1.0) / (total + 2.0)
+    sigma = math.sqrt(mean * (1.0 - mean) / (total + 3.0))
+    # those that point the right way by chance are not seen
+    seen = 1.0 - min(0.9, _unseen(model))
+    mean, sigma = min(1.0, mean / seen), sigma / seen
+    p = effect.parameters[0]
+    parameter = Parameter(effect.id, p.name, mean, sigma, p.unit, p.prior_sigma, None)
+    return Wrong(gain, probability(gain), parameter)
+
+
+def standing_out(base: Model) -> list[BoolArray | None] | None:
+    """Which headings of each recording are far from what those before and after them say; None
+    if none are. The trajectory may err, if only slowly."""
+    masks: list[BoolArray | None] = []
+    for f in base.parts:
+        k = heading_kind(f.case)
+        if k is None or f.case.observed[k][1].z.shape[1] != 1:
+            masks.append(None)
+            continue
+        rows = f.case.observed[k][1]
+        r = np.exp(1j * (rows.z[:, 0] - np.interp(rows.t, f.linear.t, np.unwrap(_yaw(f)))))
+        usual = median_filter(r.real, NEIGHBOURS) + 1j * median_filter(r.imag, NEIGHBOURS)
+        away = np.abs(np.angle(r / np.where(usual == 0.0, 1.0, usual)))
+        scale = max(1.4826 * float(np.median(away)), 1e-4)
+        far = (away > FAR * scale).sum() >= FEWEST
+        masks.append(np.asarray(away > WRONG * scale) if far else None)
+    return masks if any(m is not None for m in masks) else None
+
+
+def without(base: Model, masks: Sequence[BoolArray | None]) -> list[Fitted]:
+    """The recordings of a model without these headings, to begin a fit from."""
+    return [_without(f, f, m) for f, m in zip(base.parts, masks, strict=True)]
 
 
 def _unseen(model: Model) -> float:
