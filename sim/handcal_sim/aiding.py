@@ -91,8 +91,9 @@ def read_pose(sensor: Pose, motion: Motion, t: Array, rng: np.random.Generator) 
 def read_reference(
     sensor: Reference, motion: Motion, earth: Earth, t: Array, rng: np.random.Generator
 ) -> Array:
-    """Gyro and accelerometer of the trusted IMU in its own axes (n, 6)."""
-    at = truth_at(motion, earth, np.zeros(3), t)
+    """Gyro and accelerometer of the trusted IMU in its own axes (n, 6); on a table, what the
+    table believes."""
+    at = truth_at(motion.commanded or motion, earth, np.zeros(3), t)
     root = math.sqrt(sensor.clocking.rate_hz)
     size = np.repeat([sensor.gyro_noise * root, sensor.accel_noise * root], 3)
     noise = size * rng.standard_normal((len(t), 6))

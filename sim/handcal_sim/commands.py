@@ -12,7 +12,10 @@ import typer
 def simulate(
     scenario: Annotated[
         str,
-        typer.Argument(help="z-turn, three-turns, free-hand, travel or static."),
+        typer.Argument(
+            help="By hand: z-turn, three-turns, free-hand, travel, static. On equipment, with the "
+            "known input as /reference: table-poses, steady-spins, dividing-head, soak."
+        ),
     ],
     out: Annotated[
         Path, typer.Option("-o", "--out", metavar="FILE.mcap", help="The recording to write.")
@@ -89,6 +92,16 @@ def simulate(
             "--clockwise/--counter-clockwise", help="Which way it turns (random; paper: counter-)."
         ),
     ] = None,
+    table_errors: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ARCSEC,ARCMIN",
+            help="Equipment: error of each axis in each pose, and tilt of the base, rms (0,0).",
+        ),
+    ] = None,
+    spin: Annotated[
+        float | None, typer.Option(metavar="DEG/S", help="Rate of steady-spins (100).")
+    ] = None,
 ) -> None:
     """Write a recording of a simulated device in a simulated hand, and what was true."""
     from handcal_sim.errors import SimulationError
@@ -102,6 +115,7 @@ def simulate(
         temperature=temperature, mag=mag, pose=pose, reference=reference,
         sway=0.0 if no_sway else sway, latitude_deg=latitude, height_m=height,
         start_heading_deg=start_heading, start_tilt_deg=start_tilt, clockwise=clockwise,
+        table_errors=table_errors, spin_deg_s=spin,
     )  # fmt: skip
     try:
         world, used = simulated(request)

@@ -26,6 +26,7 @@ class Motion:
     held: 1 in the hand, 0 on a table; activity: how fast it turns, rad/s (both d = 1).
     wander: what the hand adds unasked, d = 6: displacement in m and a last stage in rad.
     rests: (start, end) in s where neither attitude nor path changes but for the wander.
+    commanded: what a table believes that it does; knots: (s, degC), the temperature around it.
     """
 
     name: str
@@ -37,6 +38,8 @@ class Motion:
     activity: Profile
     rests: tuple[tuple[float, float], ...]
     wander: Profile | None = None
+    commanded: Motion | None = None
+    knots: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True)

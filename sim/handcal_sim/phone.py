@@ -131,13 +131,15 @@ class Magnetometer:
 
 @dataclass(frozen=True)
 class Thermometer:
-    """degC: from `start` by `rise` with time constant tau_s; sigma of one reading."""
+    """degC: from `start` by `rise` with time constant tau_s, or through knots (s, degC), straight
+    in between; sigma of one reading."""
 
     start: float = 25.0
     rise: float = 8.0
     tau_s: float = 25.0
     sigma: float = 0.0
     reported: bool = False
+    knots: tuple[tuple[float, float], ...] = ()
     clocking: Clocking = Clocking(5.0)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from handcal_sim.effects import parse_effect
 from handcal_sim.errors import SimulationError
+from handcal_sim.lab import ARCMIN, ARCSEC, SETUPS, Equipment
 from handcal_sim.motion import Start, random_start
 from handcal_sim.phone import (
     DEG,
@@ -16,6 +17,7 @@ from handcal_sim.phone import (
     MG,
     Clocking,
     Phone,
+    Reference,
     capture_pose,
     consumer_magnetometer,
     make_phone,
@@ -52,6 +54,8 @@ class Request:
     start_heading_deg: float | None = None
     start_tilt_deg: str | None = None
     clockwise: bool | None = None
+    table_errors: str | None = None
+    spin_deg_s: float | None = None
 
 
 def simulated(request: Request) -> tuple[World, int]:
@@ -77,8 +81,19 @@ def simulated(request: Request) -> tuple[World, int]:
         start=lambda rng: _start(request, rng),
         sway=usual if request.sway is None else request.sway,
         earth=_earth(request),
+        equipment=_equipment(request),
     )
     return world, seed
+
+
+def _equipment(request: Request) -> Equipment | None:
+    if request.table_errors is None and request.spin_deg_s is None:
+        return None
+    angle, tilt = _numbers("--table-errors", request.table_errors or "0,0", 2)
+    rate = Equipment().spin if request.spin_deg_s is None else request.spin_deg_s * DEG
+    if angle < 0.0 or tilt < 0.0 or not 0.0 < rate < 2000.0 * DEG:
+        raise SimulationError("--table-errors must not be negative, --spin is below 2000 deg/s")
+    return Equipment(float(angle) * ARCSEC, float(tilt) * ARCMIN, rate)
 
 
 def _earth(request: Request) -> Earth:
@@ -109,8 +124,15 @@ def _phone(request: Request, effects: set[str], rng: np.random.Generator) -> Pho
         _with_heading(phone, request),
         mag=mag if request.mag or "mag_hard_iron" in effects else None,
         pose=pose if request.pose or "pose_delay" in effects else None,
-        reference=reference if request.reference else None,
+        reference=_known(request, reference),
     )
+
+
+def _known(request: Request, trusted: Reference) -> Reference | None:
+    """On a table the input is known without noise; how the device is clamped is not."""
+    if request.scenario in SETUPS:
+        return Reference(C_br=trusted.C_br)
+    return trusted if request.reference else None
 
 
 def _with_heading(phone: Phone, request: Request) -> Phone:

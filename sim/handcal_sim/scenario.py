@@ -5,16 +5,16 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from handcal_sim import aiding, hand, sensors
+from handcal_sim import aiding, hand, lab, sensors
 from handcal_sim import effects as catalogue
 from handcal_sim.errors import SimulationError
 from handcal_sim.hand import Hand
-from handcal_sim.motion import Motion, Start, build, random_start
+from handcal_sim.motion import SCENARIOS, Motion, Start, build, random_start
 from handcal_sim.phone import Clocking, Phone, consumer_phone
 from handcal_sim.profiles import Array
 from handcal_sim.sensors import ASSUMED, Earth, ImuReadings, Truth
@@ -63,12 +63,14 @@ def simulate(
     start: Start | Callable[[np.random.Generator], Start] = random_start,
     sway: float = 1.0,
     earth: Earth = ASSUMED,
+    equipment: lab.Equipment | None = None,
 ) -> World:
-    """What a device records in a hand.
+    """What a device records in a hand, or on laboratory equipment.
 
     phone and start: given, or drawn by a function of a generator. effects: by id, values in
     the order of its parameters; they replace the phone's. sway: 0 holds perfectly still,
-    1 is usual. SimulationError on what cannot be.
+    1 is usual. equipment: errors and rate of a laboratory set-up. SimulationError on what
+    cannot be.
     """
     if not 0.0 <= sway < math.inf:
         raise SimulationError(f"sway {sway:g} is not a factor of 0 or more")
@@ -76,9 +78,12 @@ def simulate(
     device = phone(rngs["device"]) if callable(phone) else phone
     setup = catalogue.apply(catalogue.Setup(device, earth), effects or {})
     began = start(rngs["start"]) if callable(start) else start
-    motion = build(scenario, duration_s, began, rngs["motion"])
+    motion = _motion(scenario, duration_s, began, equipment, rngs["motion"])
     holder = hand.random_hand(rngs["hand"], sway)
-    if sway > 0.0:
+    if motion.knots:
+        chamber = replace(setup.phone.thermometer, knots=motion.knots, reported=True)
+        setup = replace(setup, phone=replace(setup.phone, thermometer=chamber))
+    if sway > 0.0 and motion.commanded is None:
         motion = hand.in_hand(motion, holder, rngs["hand"])
     device, earth = setup.phone, setup.earth
     stamps, t = _instants(device, motion.duration_s, rngs["clock"])
@@ -88,6 +93,24 @@ def simulate(
     parameters = _parameters(setup, motion, began, holder, read, effects or {})
     imu = Stream(stamps, np.hstack([read.gyro, read.accel]))
     return World(imu, streams, t, truth, parameters)
+
+
+def _motion(
+    name: str,
+    duration_s: float | None,
+    start: Start,
+    equipment: lab.Equipment | None,
+    rng: np.random.Generator,
+) -> Motion:
+    """The scenario of that name; SimulationError says which there are."""
+    if name in lab.SETUPS:
+        return lab.build(name, duration_s, start, equipment or lab.Equipment(), rng)
+    if equipment is not None:
+        raise SimulationError(f"{name} is done by hand: {', '.join(lab.SETUPS)} have equipment")
+    if name not in SCENARIOS:
+        known = ", ".join([*SCENARIOS, *lab.SETUPS])
+        raise SimulationError(f"no scenario {name!r}; there are {known}")
+    return build(name, duration_s, start, rng)
 
 
 def _generators(seed: int | np.random.Generator) -> dict[str, np.random.Generator]:

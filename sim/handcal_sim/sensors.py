@@ -87,7 +87,10 @@ def rigid(omega: Array, alpha: Array, place_b: Array) -> Array:
 
 
 def temperature(device: Thermometer, t: Array) -> Array:
-    """degC (n,): the device warms up from the start on."""
+    """degC (n,): the device warms up from the start on, or as the chamber does."""
+    if device.knots:
+        when, warm = np.array(device.knots).T
+        return np.asarray(np.interp(t, when, warm))
     return device.start - device.rise * np.expm1(-np.maximum(t, 0.0) / device.tau_s)
 
 

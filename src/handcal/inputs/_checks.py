@@ -19,22 +19,33 @@ def saturated(value: Array, smallest: float) -> BoolArray:
 
     A clipped signal piles up at one value that it otherwise passes through quickly.
     Quantised readings of a resting or steadily turning sensor repeat their extreme too,
-    but have as many neighbours just below it, or sit there most of the time.
+    but have as many neighbours just below it, or sit there most of the time. Rows that
+    stay the same in all three numbers are no readings but the rate that a table was told.
     smallest: below it nothing is a full scale.
     """
     clipped = np.zeros(len(value), dtype=np.bool_)
+    commanded = _held(value)
     for column in value.T:
         for signed in (column, -column):
             extreme = signed.max(initial=0.0)
             if extreme < smallest:
                 continue
-            at = signed == extreme
+            at = (signed == extreme) & ~commanded
             count = int(at.sum())
             below = int((signed > 0.97 * extreme).sum()) - count
             runs = bool(np.any(at[1:] & at[:-1]))
             if runs and 5 <= count < 0.5 * len(signed) and count > 2 * below:
                 clipped |= at
     return clipped
+
+
+def _held(value: Array) -> BoolArray:
+    """Rows (n,) of value (n, 3) that are one of five or more equal ones in a row."""
+    same = np.all(value[1:] == value[:-1], axis=1).astype(float)
+    if len(same) < 4:
+        return np.zeros(len(value), dtype=np.bool_)
+    four = np.convolve(same, np.ones(4), mode="valid") > 3.5
+    return np.asarray(np.convolve(four, np.ones(5)) > 0.5)
 
 
 def check_alive(gyro: Array, accel: Array) -> list[str]:

@@ -14,13 +14,15 @@ import numpy as np
 from handcal import segment
 from handcal.effects import Effect, Signals
 from handcal.effects._derivative import reach
-from handcal.lab.stretches import PERFECT, noise_power
+from handcal.lab.stretches import PERFECT, white_variance
 from handcal.model import temperature_of
 from handcal.regression import columns, errors
 from handcal.types import Array, BoolArray, HandcalError, InputError, IntArray, Recording
 
 # A test that is one line of a table is held for so many samples, so that nothing changes in it.
 HELD = 5
+# Where the known input is missing for longer, it is not known, s.
+GAP_S = 0.1
 
 
 @dataclass(frozen=True)
@@ -102,8 +104,7 @@ def of_recording(recording: Recording) -> Bench:
             "turntable or of a trusted IMU on the same body. Without one, see `handcal lab scalar`."
         )
     spans = segment.steady(recording)
-    inside = (spans[:, 0] >= reference.t[0]) & (spans[:, 1] <= reference.t[-1])
-    spans = spans[inside]
+    spans = spans[[_known(reference.t, a, b) for a, b in spans]]
     if not len(spans):
         raise HandcalError(
             "No rest and no steady turn was found: let the table stand still, or turn at a "
@@ -122,10 +123,19 @@ def of_recording(recording: Recording) -> Bench:
     weight = np.concatenate([_inner(imu.valid[r], edge) for r in rows])
     read = np.hstack([imu.gyro, imu.accel])[at]
     off = [(read - known)[a:b][weight[a:b] > 0.0] for a, b in pairwise(start)]
-    power, count = noise_power(off)
+    # what a turn or a scale error changes slowly within a test is no noise
+    power = np.median([white_variance(x) for x in off], axis=0)
+    count = np.array([float(len(x)) for x in off])
     bench = Bench(truth, start, weight, read[start[:-1]], power / count[:, None] + PERFECT**2,
                   np.ones(6, dtype=np.bool_), spans, recording.warnings)  # fmt: skip
     return replace(bench, reading=bench.mean(read))
+
+
+def _known(t: Array, start: float, end: float) -> bool:
+    """Whether the input is known throughout a stretch, t (m,) being when it is."""
+    own = t[max(np.searchsorted(t, start, side="right") - 1, 0) :]
+    own = own[: np.searchsorted(own, end) + 1]
+    return bool(len(own) and own[0] <= start and own[-1] >= end and np.diff(own).max() < GAP_S)
 
 
 def _inner(valid: BoolArray, edge: int) -> Array:

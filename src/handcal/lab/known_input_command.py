@@ -13,9 +13,14 @@ from handcal.lab.gravity import Gravity, gravity_of
 from handcal.progress import progress
 
 if TYPE_CHECKING:
+    from handcal.lab.bench import Bench
     from handcal.lab.known_input import KnownInput
     from handcal.lab.known_input_show import TableErrors
     from handcal.lab.table import Table
+
+
+# A gyro that was never turned faster than this (rad/s) is asked for its bias alone.
+LEAST_RATE = 0.02
 
 
 class Axes(StrEnum):
@@ -40,7 +45,7 @@ def known_input(
         typer.Option(
             metavar="ID,...",
             help="Effects to estimate beyond constant biases; scale and misalignment of the "
-            "sensors that were read if not given.",
+            "sensors that were read, and turned, if not given.",
         ),
     ] = None,
     axes: Annotated[
@@ -91,7 +96,7 @@ def known_input(
     with progress(f"calibrating {file.name}"):
         if recording is not None:
             tests = bench.of_recording(recording)
-        result = known_input(tests, _effects(effects, tests.used), axes.value)
+        result = known_input(tests, _effects(effects, tests), axes.value)
         errors = None
         if poses is not None and (angle_sigma or tilt_sigma):
             errors = _table_errors(result, poses, angle_sigma, tilt_sigma)
@@ -105,16 +110,17 @@ def known_input(
         print_sheet(known_input_sheet(result, file.name, errors, pictures=False), Console())
 
 
-def _effects(typed: str | None, used: object) -> tuple[str, ...]:
+def _effects(typed: str | None, tests: Bench) -> tuple[str, ...]:
+    """As typed, or scale and misalignment of what was read; of a gyro only if it was turned."""
     import numpy as np
 
     from handcal.lab.known_input import DEFAULT
 
     if typed is not None:
         return tuple(e.strip() for e in typed.split(",") if e.strip())
-    there = np.asarray(used)
-    read = {"gyro": there[0], "accel": there[3]}
-    return tuple(e for e in DEFAULT if read[e.split("_")[0]])
+    fastest = float(np.abs(tests.mean(tests.truth.gyro)).max())
+    known = {"gyro": tests.used[0] and fastest > LEAST_RATE, "accel": bool(tests.used[3])}
+    return tuple(e for e in DEFAULT if known[e.split("_")[0]])
 
 
 def _table_errors(

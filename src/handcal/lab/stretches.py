@@ -12,6 +12,8 @@ from handcal.model import temperature_of
 from handcal.types import Array, BoolArray, Recording
 
 BLOCKS = 8
+# Sum of squares of the fourth difference's weights: it amplifies white noise by that.
+FOURTH = 70
 # What a perfect recording is taken to be good for: rad/s, m/s^2.
 PERFECT = 1e-11
 
@@ -77,6 +79,12 @@ def noise_power(stretches: Sequence[Array]) -> tuple[Array, Array]:
         power.append(np.var(blocks, axis=0, ddof=1) * (len(x) / len(blocks)))
         count.append(float(len(x)))
     return np.asarray(np.average(power, axis=0, weights=count)), np.array(count)
+
+
+def white_variance(x: Array) -> Array:
+    """Variance (d,) of the white noise in x (n, d) about a cubic through five samples at a time."""
+    rough = np.diff(x, n=4, axis=0)
+    return np.asarray((rough**2).mean(axis=0) / FOURTH)
 
 
 def extra_variance(residual: Array, variance: Array, dof: float) -> float:

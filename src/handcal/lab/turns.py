@@ -10,14 +10,12 @@ from scipy.interpolate import CubicSpline
 
 from handcal import strapdown
 from handcal.effects import Effect, Signals
-from handcal.lab.stretches import Means
+from handcal.lab.stretches import Means, white_variance
 from handcal.regression import columns, truth_of
 from handcal.types import Array, BoolArray, IntArray, Recording
 
 GAP_S = 0.2
 FINER = 3
-# Sum of squares of the fourth difference's weights: it amplifies white noise by that.
-FOURTH = 70
 
 
 @dataclass(frozen=True)
@@ -74,8 +72,8 @@ def turns(recording: Recording, rests: Means) -> Turns:
         kept.append(k)
         parts.append(_finer(recording, rests, k))
         seconds.append(float(t[-1] - t[0]))
-        rough = np.diff(imu.gyro[a : b + 1], n=4, axis=0)
-        missed.append(seconds[-1] / len(t) * float(np.sqrt((rough**2).sum() / (3 * FOURTH))))
+        rough = float(np.sqrt(white_variance(imu.gyro[a : b + 1]).mean() * (len(t) - 4)))
+        missed.append(seconds[-1] / len(t) * rough)
     before = np.array(kept, dtype=np.int64)
     all_rows = np.vstack([np.zeros((0, 9)), *parts])
     warm = None if rests.temperature is None else all_rows[:, 8]
