@@ -1,0 +1,33 @@
+"""The command ``lab paper``. What is slow to import is imported where it is used."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from handcal.cli import Json, Report, check_folders
+from handcal.progress import progress
+
+
+def paper(
+    number: Annotated[str, typer.Argument(metavar="NUMBER", help="000, 001, 003 or 004.")],
+    json: Json = None,
+    report: Report = None,
+) -> None:
+    """Compute a paper's figures again and say which of them hold (its page is in docs/)."""
+    from handcal.lab.paper import computed, paper_json, paper_sheet
+    from handcal.lab.sheet import print_sheet, write_sheet
+    from handcal.summary import write_json
+
+    check_folders(json, report)
+    with progress(f"computing paper {number}") as bar:
+        result = computed(number, bar)
+    if report:
+        write_sheet(paper_sheet(result), report)
+    if json:
+        write_json(paper_json(result), json)
+    if str(json) != "-":
+        from rich.console import Console
+
+        print_sheet(paper_sheet(result), Console())
