@@ -44,7 +44,7 @@ PLAIN = PLAIN / np.linalg.norm(PLAIN, axis=1, keepdims=True)
 
 
 def _turned(theta: Array, signals: Signals) -> Array:
-    return np.hstack([np.cross(signals.gyro, theta), np.cross(signals.accel, theta)])
+    return np.hstack([np.cross(theta, signals.gyro), np.cross(theta, signals.accel)])
 
 
 MOUNTING = Effect(

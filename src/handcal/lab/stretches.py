@@ -99,5 +99,5 @@ def extra_variance(residual: Array, variance: Array, dof: float) -> float:
 
     if dof <= 0.0 or excess(0.0) <= 0.0:
         return 0.0
-    high = float((residual**2).sum()) / dof
+    high = 1.001 * float((residual**2).sum()) / dof
     return float(brentq(excess, 0.0, max(high, 1e-300), xtol=1e-4 * high))
