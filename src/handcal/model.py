@@ -311,8 +311,11 @@ def relinearised(
             own = np.flatnonzero(J[:, k].any(axis=0))
             J[:, k, own] = _calmed(J[:, k, own], recording.rate_hz, quiet)
     right = np.clip(np.searchsorted(imu.t, nodes.t), 1, len(imu.t) - 1)
-    share = ((nodes.t - imu.t[right - 1]) / (imu.t[right] - imu.t[right - 1]))[:, None, None]
-    J_nodes = J[right - 1] * (1.0 - share) + J[right] * share
+    share = ((nodes.t - imu.t[right - 1]) / (imu.t[right] - imu.t[right - 1]))[:, None]
+    J_nodes = np.empty((len(nodes.t), 6, problem.imu_constants))
+    for k in range(6):
+        # (channel by channel: all of J at once would be the largest thing in memory, thrice)
+        J_nodes[:, k] = J[right - 1, k] * (1.0 - share) + J[right, k] * share
     return replace(problem, ref=ref, nodes=nodes._replace(J=J_nodes))
 
 
