@@ -245,46 +245,29 @@ def table_of(device: Device, ups: Array, degs: float) -> tuple[Array, Array, Arr
 # --- paper 003 ----------------------------------------------------------------------------------
 
 
-def spins_of_the_paper(rate: float, noise: Array | None = None) -> tuple[Array, Array, Array]:
-    """C, and what is sensed in spins about x, y, z with that axis up, and at rest, m/s^2."""
-    C = paper.cosines(paper.ANGLES)
-    device = paper.Static(paper.BIAS, paper.SCALE, C)
-    read = [G * device.sensed(paper.outputs(device, np.eye(3), w * np.eye(3), paper.PLACES))
-            for w in (rate, 0.0)]  # fmt: skip
-    if noise is not None:
-        read = [r + n for r, n in zip(read, noise, strict=True)]
-    return C, read[0], read[1]
-
-
 def test_equation_24_mended_is_least_squares() -> None:
     rate = math.radians(100.0)
-    C, spin, rest = spins_of_the_paper(rate)
+    C, spin, rest = paper.spins(rate)
     found = paper.equation_24(C, spin, rest, rate)
     assert np.abs(found - paper.PLACES).max() < 1e-12
     noise = 1e-4 * G * np.random.default_rng(0).standard_normal((2, 3, 3))
-    C, spin, rest = spins_of_the_paper(rate, noise)
+    C, spin, rest = paper.spins(rate, noise)
     by_formula = paper.equation_24(C, spin, rest, rate)
     by_squares, _ = paper.arms(C, spin - rest, rate * np.eye(3))
     assert np.abs(by_formula - by_squares).max() < 1e-12
     # as printed it is off by metres, but for the accelerometer along the axis
-    C, spin, rest = spins_of_the_paper(rate)
+    C, spin, rest = paper.spins(rate)
     printed = paper.equation_24_printed(C, spin, rest, rate)
     assert np.abs(printed - paper.PLACES[:, 0]).max() > 0.1
 
 
 def test_off_axis_arms_of_the_paper_are_not_identifiable() -> None:
-    C = paper.cosines(paper.ANGLES)
-    sigma = math.sqrt(2.0) * 1e-4 * G
-
-    def spread(up: Array, degs: float) -> Array:
-        return sigma * paper.arms(C, np.zeros_like(up), math.radians(degs) * up)[1]
-
     off = ~np.eye(3, dtype=bool)
-    body = spread(np.eye(3), 100.0)[off]
+    body = paper.spread(np.eye(3), 100.0)[off]
     assert body.min() == pytest.approx(0.027, abs=5e-4)
     assert body.max() == pytest.approx(0.088, abs=1.5e-3)
-    assert spread(FACE_DIAGONALS, 200.0)[off] == pytest.approx(1.6e-4, abs=5e-6)
-    assert spread(FACE_DIAGONALS, 200.0).max() < 2e-4
+    assert paper.spread(FACE_DIAGONALS, 200.0)[off] == pytest.approx(1.6e-4, abs=5e-6)
+    assert paper.spread(FACE_DIAGONALS, 200.0).max() < 2e-4
 
 
 def test_static_calibration_needs_the_inverse() -> None:
@@ -324,3 +307,12 @@ def test_navigation_is_better_by_what_the_arms_are_known() -> None:
     mean = np.mean((x + 1j * y) * np.exp(1j * angle))
     assert before.speed == pytest.approx(100.0 * abs(mean), rel=0.01)
     assert after.speed < before.speed / 20.0
+
+
+def test_the_page_of_the_paper_is_computed() -> None:
+    page = paper.paper(lambda _: None)
+    verdicts = {c.claim: c.verdict for c in page.claims}
+    assert len(verdicts) == len(page.claims) >= 12
+    assert sum(v.startswith("holds") for v in verdicts.values()) >= 6
+    assert sum(v == "does not hold" for v in verdicts.values()) >= 4
+    assert all("nan" not in c.computed for c in page.claims)
