@@ -112,6 +112,8 @@ def _turn_rows(problem: Problem, x: Array, d: Array) -> tuple[Array, Array, Arra
 
 def carried_by_gyro(problem: Problem, x: Array, d: Array) -> tuple[Array, Array]:
     """The turns C (q, 3, 3) and their derivatives (q, 3, k), see ``turned``."""
+    if len(problem.turns) == 0:
+        return np.zeros((0, 3, 3)), np.zeros((0, 3, len(x)))
     truth = resting(problem, d)
     error = regression.errors(problem.effects, x, truth)[:, :3]
     bias = np.array([u.effect == "gyro_bias" for u in problem.unknowns])

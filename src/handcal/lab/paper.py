@@ -46,11 +46,11 @@ class Paper:
     def tables(self) -> tuple[Table, ...]:
         """All tables, in the order in which they are shown."""
         rows = tuple((c.claim, c.printed, c.computed, c.verdict) for c in self.claims)
-        columns = ("claim", "printed", "computed here", "verdict")
-        out = [Table("What it claims, and what holds", columns, rows, text=4)]
+        heading = ("claim", "printed", "computed here", "verdict")
+        out = [Table("What it claims, and what holds", heading, rows, text=4)]
         if self.beyond:
-            columns = ("what", "paper", "handcal")
-            out.append(Table("What handcal does better", columns, self.beyond, text=3))
+            beside = ("what", "paper", "handcal")
+            out.append(Table("What handcal does better", beside, self.beyond, text=3))
         return (*out, *self.more)
 
 

@@ -23,11 +23,11 @@ from handcal import regression, segment
 from handcal.effects import Signals
 from handcal.lab.choice import chosen
 from handcal.lab.norm_rows import KINDS, Problem, Rows, across, carried_by_gyro, rows_of, unit
-from handcal.lab.stretches import Means, extra_variance, means
+from handcal.lab.stretches import PERFECT, Means, extra_variance, means
 from handcal.lab.telling import refuse_unseen
-from handcal.lab.turns import Turns, turns
-from handcal.regression import BIASES
-from handcal.types import Array, BoolArray, HandcalError, Parameter, Recording
+from handcal.lab.turns import Turns, no_turns, turns
+from handcal.regression import BIASES, Unknown
+from handcal.types import Array, BoolArray, HandcalError, InputError, Parameter, Recording
 
 DEFAULT = ("accel_scale", "accel_misalignment", "gyro_scale", "gyro_misalignment")
 GRAVITY = 9.80665
@@ -110,6 +110,30 @@ def scalar(
         between, np.stack([_closures(problem, x) for x in before_after], 1), found.extra,
         _warnings(problem),
     )  # fmt: skip
+
+
+def from_poses(
+    reading: Array, effects: Sequence[str] = DEFAULT[:2], gravity: float = GRAVITY,
+    sigma: float = PERFECT,
+) -> tuple[tuple[Unknown, ...], Array, Array]:  # fmt: skip
+    """Parameters of the accelerometer from its mean readings (r, 3) in poses that nobody measured.
+
+    sigma: of a mean reading, m/s^2. Returns what the parameters are, their values x (k,), the
+    biases first, and covariance (k, k). Errors: as ``scalar``.
+    """
+    if not np.isfinite(reading).all():
+        raise InputError("The readings hold numbers that are not finite.")
+    acting = (BIASES[1], *chosen(effects, temperature=False))
+    r = len(reading)
+    variance = np.tile(np.repeat([PERFECT, sigma], 3) ** 2, (r, 1))
+    rests = Means(
+        np.zeros((r, 2)), np.arange(r), np.arange(r), np.ones(r),
+        np.hstack([np.zeros((r, 3)), reading]), variance, None, np.zeros(6),
+    )  # fmt: skip
+    problem = Problem(acting, regression.unknowns(acting), rests, no_turns(), gravity)
+    _enough(problem)
+    found = _solved(problem, dict.fromkeys(KINDS, 0.0))
+    return problem.unknowns, found.x, found.P
 
 
 def halves(result: Scalar) -> tuple[Scalar, Scalar]:

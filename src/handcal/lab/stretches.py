@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from handcal.model import temperature_of
-from handcal.types import Array, BoolArray, Recording
+from handcal.types import Array, BoolArray, IntArray, Recording
 
 BLOCKS = 8
 # Sum of squares of the fourth difference's weights: it amplifies white noise by that.
@@ -30,8 +30,8 @@ class Means:
     """
 
     span: Array
-    first: Array
-    last: Array
+    first: IntArray
+    last: IntArray
     count: Array
     reading: Array
     variance: Array
@@ -59,7 +59,7 @@ def means(recording: Recording, spans: Array) -> Means:
     T = [] if warm is None else [warm[a:b].mean() for a, b in ends]
     power, count = noise_power(own) if own else (np.zeros(6), np.zeros(0))
     variance = power / np.maximum(count, 1.0)[:, None] + PERFECT**2
-    first, last = np.array(ends).reshape(-1, 2).T
+    first, last = np.array(ends, dtype=np.int64).reshape(-1, 2).T
     return Means(
         np.asarray(spans), first, last - 1, count, reading, variance,
         np.array(T) if T else None, power / recording.rate_hz,

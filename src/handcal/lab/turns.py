@@ -57,6 +57,13 @@ class Turns:
         )  # fmt: skip
 
 
+def no_turns() -> Turns:
+    """Where there are rests alone."""
+    none, empty = np.zeros(0, dtype=np.int64), np.zeros(0)
+    signals = Signals(empty, np.zeros((0, 3)), np.zeros((0, 3)))
+    return Turns(none, none, signals, np.zeros(1, dtype=np.int64), empty, empty, empty, 0)
+
+
 def turns(recording: Recording, rests: Means) -> Turns:
     """The turns between rests that follow each other.
 
