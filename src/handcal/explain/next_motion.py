@@ -20,7 +20,7 @@ from handcal import segment
 from handcal.calibration import observed_of
 from handcal.design import FASTEST, MOTIONS, Motion, attitude, rate_of, recording_of
 from handcal.effects import Effect
-from handcal.evidence import reduce, reduced_pass
+from handcal.evidence import ReducedPass, reduce, reduced_pass
 from handcal.explain.case import Case, name_of, problem_with
 from handcal.explain.explanation import Hypothesis, Missing, NextMotion
 from handcal.explain.find import Found
@@ -97,19 +97,30 @@ def _informations(found: Found, wanted: frozenset[str]) -> dict[Motion, Array]:
 
 
 def _information(motion: Motion, like: Fitted, effects: Sequence[Effect], where: Space) -> Array:
-    case = _case(motion, like.case)
-    problem = problem_with(case, effects)
-    linear = linearise_about(problem, case.start, _truth(motion, problem))
-    levels = {lv.name: like.levels.get(lv.name, lv.initial) for lv in problem.levels}
-    if "heading_noise" in levels:
-        rate = rate_of(like.case.recording.streams["heading"])
-        levels["heading_noise"] *= min(1.0, FASTEST["heading"] / rate) ** 0.5
-    done = reduced_pass(reduce(linear), levels)
+    done = motion_pass(motion, like.case, like.levels, effects)
     q = local(done, frozenset(e.id for e in effects)).quadratic
     at = np.array([where.quadratic.names.index(n) for n in q.names], dtype=np.int64)
     G = np.zeros_like(where.quadratic.G)
     G[np.ix_(at, at)] = q.G
     return G
+
+
+def motion_pass(
+    motion: Motion, like: Case, levels: Mapping[str, float], effects: Sequence[Effect]
+) -> ReducedPass:
+    """What a motion would tell, observed as a recording was and at noise levels as found there.
+
+    Levels that are not given are first guesses. Errors: HandcalError where the motion makes
+    no sense with that recording's streams.
+    """
+    case = _case(motion, like)
+    problem = problem_with(case, effects)
+    linear = linearise_about(problem, case.start, _truth(motion, problem))
+    own = {lv.name: levels.get(lv.name, lv.initial) for lv in problem.levels}
+    if "heading_noise" in own and "heading" in like.recording.streams:
+        rate = rate_of(like.recording.streams["heading"])
+        own["heading_noise"] *= min(1.0, FASTEST["heading"] / rate) ** 0.5
+    return reduced_pass(reduce(linear), own)
 
 
 def _case(motion: Motion, like: Case) -> Case:
