@@ -46,7 +46,7 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
         "unnamed": [
             {"formula": u.formula, "value": summary.finite(u.value),
              "sigma": summary.finite(u.sigma), "unit": u.unit,
-             "log_evidence_gain": summary.finite(u.log_evidence_gain)}
+             "log_evidence_gain": summary.finite(u.log_evidence_gain), "story": u.story}
             for u in e.unnamed
         ],
         "hypotheses": [
@@ -184,6 +184,8 @@ def print_explanation(explanation: Explanation, console: Console) -> None:
         for u in e.unnamed:
             line(u.formula, style="bold")
             line(f"k = {say.amount(u)}, gains {say.nats(u.log_evidence_gain)}")
+            if u.story:
+                line(u.story)
     if e.hypotheses:
         heading("Evidence for each effect, nats")
         console.print(_hypothesis_table(e, TOP))
@@ -316,6 +318,7 @@ def explanation_markdown(explanation: Explanation) -> str:
         gained = say.nats(u.log_evidence_gain)
         lines += ["### Outside the catalogue", "", f"`{u.formula}`", "",
                   f"k = {say.amount(u)}, gains {gained}", ""]  # fmt: skip
+        lines += [u.story, ""] if u.story else []
     told = say.untold(e)
     told += [f"Next: {say.motion_phrase(n.motion)}." for n in e.next_motion]
     lines += ["### What could not be told", "", *(f"- {s}" for s in told), ""] if told else []

@@ -247,7 +247,9 @@ def _unexplained(e: Explanation) -> tuple[str, str, list[str]]:
     u = max(e.unnamed, key=lambda u: u.log_evidence_gain)
     return "poor", headline, [
         f"What was found instead: {u.formula} with k = {amount(u)}, which gains "
-        f"{nats(u.log_evidence_gain)}. A formula is a lead, not yet a cause."
+        f"{nats(u.log_evidence_gain)}. {u.story} A formula is a lead, not yet a cause.".replace(
+            "  ", " "
+        )
     ]  # fmt: skip
 
 

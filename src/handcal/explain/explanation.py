@@ -46,13 +46,15 @@ class Missing:
 
 @dataclass(frozen=True)
 class Unnamed:
-    """A term found outside the catalogue, as a formula of measured signals."""
+    """A term found outside the catalogue, as a formula of measured signals; story: the same in
+    words, where the formula is a course over time or direction."""
 
     formula: str
     value: float
     sigma: float
     unit: str
     log_evidence_gain: float
+    story: str = ""
 
 
 @dataclass(frozen=True)

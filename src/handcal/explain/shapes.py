@@ -40,10 +40,12 @@ Values = Callable[[Array, Array], Array]
 @dataclass(frozen=True)
 class Family:
     """Courses that differ by their numbers (p,): values(numbers, x) -> (m,) of height one,
-    their formula, where to begin, and the same for one heading as a function to compile."""
+    their formula, the same in words, where to begin, and the course of a heading's error as a
+    function to compile."""
 
     values: Values
     formula: Callable[[Array], str]
+    words: Callable[[Array], str]
     starts: Callable[[float], Iterator[tuple[float, ...]]]
     compiled: Callable[..., Callable[..., int]]
 
@@ -181,13 +183,34 @@ def _lobe_formula(n: Array) -> str:
     return f"exp({n[1]:.2g} (cos(yaw - {(n[0] + np.pi) % (2.0 * np.pi) - np.pi:.2f}) - 1))"
 
 
+def _bump_words(n: Array) -> str:
+    return f"Something came and went about {n[0]:.0f} s, within some {4.0 * n[1]:.2g} s."
+
+
+def _while_words(n: Array) -> str:
+    return f"It was there from {n[0]:.0f} s to {n[1]:.0f} s only."
+
+
+def _swing_words(n: Array) -> str:
+    return f"It swings, once in {n[0]:.3g} s."
+
+
+def _decay_words(n: Array) -> str:
+    return f"It fades after the start, to a third every {n[0]:.2g} s."
+
+
+def _lobe_words(n: Array) -> str:
+    at = math.degrees((n[0] + math.pi) % (2.0 * math.pi) - math.pi)
+    return f"It is felt where the heading is about {at:.0f} deg."
+
+
 OVER_TIME = (
-    Family(_bump, _bump_formula, _bumps, _bump_at),
-    Family(_while, _while_formula, _whiles, _while_in),
-    Family(_swing, _swing_formula, _swings, _swing_of),
-    Family(_decay, _decay_formula, _decays, _decay_of),
+    Family(_bump, _bump_formula, _bump_words, _bumps, _bump_at),
+    Family(_while, _while_formula, _while_words, _whiles, _while_in),
+    Family(_swing, _swing_formula, _swing_words, _swings, _swing_of),
+    Family(_decay, _decay_formula, _decay_words, _decays, _decay_of),
 )
-OVER_YAW = (Family(_lobe, _lobe_formula, _lobes, _lobe_at),)
+OVER_YAW = (Family(_lobe, _lobe_formula, _lobe_words, _lobes, _lobe_at),)
 
 # --- bases ---------------------------------------------------------------------------------
 
@@ -360,10 +383,13 @@ def _beside(
 def term_of(basis: Basis, family: Family, numbers: Array) -> Effect:
     """A course as an effect of one parameter, its height."""
     formula = f"{basis.channel} += k * {family.formula(numbers)}"
+    story = family.words(numbers)
     size = PEAK * (HEADING_SIZE if basis.channel == "heading" else SIZE[basis.unit == UNITS[1]])
     if basis.channel == "heading":
         address = residual_function(family.compiled(*(float(n) for n in numbers)), kept=False)
-        return term(formula, basis.unit, size, observation_error=dict.fromkeys(KINDS, address))
+        return term(
+            formula, basis.unit, size, story, observation_error=dict.fromkeys(KINDS, address)
+        )
     column = CHANNELS.index(basis.channel)
 
     def error(k: Array, signals: Signals) -> Array:
@@ -371,4 +397,4 @@ def term_of(basis: Basis, family: Family, numbers: Array) -> Effect:
         out[:, column] = k[0] * family.values(numbers, signals.t - signals.t[0])
         return out
 
-    return term(formula, basis.unit, size, imu_error=error)
+    return term(formula, basis.unit, size, story, imu_error=error)

@@ -160,13 +160,14 @@ def _imu_term(channel: int, formula: str, feature: Feature, unit: str, prior: fl
     )
 
 
-def term(formula: str, unit: str, prior: float, **physics: Any) -> Effect:
-    """An effect of one parameter k without a name but its formula; prior: sigma of k."""
+def term(formula: str, unit: str, prior: float, story: str = "", **physics: Any) -> Effect:
+    """An effect of one parameter k without a name but its formula; prior: sigma of k; story: what
+    that means in plain words, if it can be said."""
     return Effect(
         id=formula,
         title=formula,
         parameters=(Param("k", unit, prior),),
-        story="A term without a name in the catalogue.",
+        story=story,
         source="found in this recording",
         motion="The motion in which it was found.",
         validated="held-out data alone",

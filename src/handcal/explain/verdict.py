@@ -332,7 +332,8 @@ def _unnamed(
     for effect in found.model.effects:
         if "+=" in effect.id:
             (p,) = learnt[effect.id]
-            out.append(Unnamed(effect.id, p.value, p.sigma, p.unit, gained[effect.id]))
+            gain = gained[effect.id]
+            out.append(Unnamed(effect.id, p.value, p.sigma, p.unit, gain, effect.story))
     return sorted(out, key=lambda u: -u.log_evidence_gain)
 
 
@@ -344,7 +345,8 @@ def _burst(base: Model, wrong: outliers.Wrong, span: tuple[float, float]) -> Unn
     r = r[(t >= span[0]) & (t <= span[1])]
     spread = float(np.std(r)) / math.sqrt(max(1, len(r)))
     formula = f"heading += k from {span[0]:.1f} s to {span[1]:.1f} s"
-    return Unnamed(formula, float(np.mean(r)) if len(r) else 0.0, spread, "rad", wrong.gain)
+    story = f"Something was there from {span[0]:.0f} s to {span[1]:.0f} s, and then no more."
+    return Unnamed(formula, float(np.mean(r)) if len(r) else 0.0, spread, "rad", wrong.gain, story)
 
 
 def _hypotheses(

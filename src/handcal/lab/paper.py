@@ -54,6 +54,14 @@ class Paper:
         return (*out, *self.more)
 
 
+def below(x: float) -> str:
+    """How near to nothing: rounding differs from one machine to the next, its size hardly."""
+    for exponent in (-12, -9, -6):
+        if abs(x) < 10.0**exponent:
+            return f"within 1e{exponent}"
+    return f"within {abs(x):.1e}"
+
+
 def numbers() -> tuple[str, ...]:
     """The papers there are."""
     names = (m.name for m in pkgutil.iter_modules(lab.__path__))
