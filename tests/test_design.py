@@ -11,7 +11,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from handcal.calibration import calibrate
 from handcal.cli import app
+from handcal.design import MOTIONS, recording_of
+from handcal.design_motion import Plan, plan
+from handcal.design_motion_report import sentences
 from handcal.design_picture import save_picture
 from handcal.design_poses import GRAVITY, NOISE, PLAIN, Experiment, everywhere, experiment
 from handcal.design_search import (
@@ -24,7 +28,9 @@ from handcal.design_search import (
     value,
 )
 from handcal.design_words import attitude_of, instruction
-from handcal.types import Array, HandcalError, InputError
+from handcal.effects import select
+from handcal.explain.case import case_of, problem_with
+from handcal.types import Array, HandcalError, Imu, InputError, Recording
 
 STATIC = ("accel_scale", "accel_misalignment")
 # Paper 001, table 2: angles of the gimbals Z, X and Y, deg.
@@ -264,3 +270,109 @@ def test_a_picture_needs_an_ending(tmp_path: Path) -> None:
     found = judged(experiment(STATIC), printed_poses(), "D", "global", rng())
     with pytest.raises(InputError, match=r"\.png"):
         save_picture(found, tmp_path / "poses.txt")
+
+
+# --- motions ------------------------------------------------------------------------------------
+
+
+def after(plan_: Plan, begins: str) -> dict[tuple[str, str], float]:
+    """Sigmas after the motion whose sentence begins so, by parameter."""
+    (one,) = [p for p in plan_.prospects if p.motion.sentence.startswith(begins)]
+    return {(w.effect, w.name): float(s) for w, s in zip(plan_.wanted, one.sigma, strict=True)}
+
+
+@pytest.fixture(scope="module")
+def nothing_yet() -> Plan:
+    return plan(["gyro_scale", "accel_bias"])
+
+
+def test_motions_tell_what_they_turn_about(nothing_yet: Plan) -> None:
+    prior = 0.01
+    about_x = after(nothing_yet, "Begin with the screen up and turn it once about its x")
+    assert about_x["gyro_scale", "x"] < 0.01 * prior
+    assert about_x["gyro_scale", "y"] == pytest.approx(prior, rel=1e-3)
+    assert about_x["accel_bias", "x"] == pytest.approx(0.6, rel=1e-3)
+    assert about_x["accel_bias", "y"] < 0.01
+    wheel = after(nothing_yet, "Hold it upright")
+    assert wheel["gyro_scale", "z"] < 0.01 * prior
+    assert wheel["gyro_scale", "y"] == pytest.approx(prior, rel=1e-3)
+    # about the vertical nothing shows a gyro's scale, unless there is a heading
+    flat = after(nothing_yet, "Hold it screen up")
+    assert flat["gyro_scale", "z"] == pytest.approx(prior, rel=1e-3)
+    headed = plan(["gyro_scale"], heading_sigma=math.radians(5.0))
+    assert after(headed, "Hold it screen up")["gyro_scale", "z"] < 0.5 * prior
+    times = [p.times for p in nothing_yet.prospects]
+    assert times == sorted(times, reverse=True)
+    assert all(s < 0.02 * prior for (e, _), s in after(nothing_yet, "Turn it once about its x axis"
+               ).items() if e == "gyro_scale")  # fmt: skip
+
+
+def test_what_is_promised_is_what_the_filter_then_says(nothing_yet: Plan) -> None:
+    """The motion itself, recorded without noise and calibrated at the same levels."""
+    best = nothing_yet.best
+    still = Recording("like", _still(), {})
+    recording = recording_of(best.motion, still, np.array([0.0, 0.0, -GRAVITY]))
+    rate = recording.rate_hz
+    assert rate == pytest.approx(50.0, rel=1e-6)
+    levels = {lv.name: lv.initial for lv in problem_with(
+        case_of(still, "fixed-point"), select(["gyro_scale"])).levels}  # fmt: skip
+    found = calibrate(recording, ["gyro_scale"], assume="fixed-point", noise=levels)
+    for w, promised in zip(nothing_yet.wanted, best.sigma, strict=True):
+        assert found.parameter(w.effect, w.name).sigma == pytest.approx(promised, rel=0.1)
+
+
+def _still() -> Imu:
+    t = np.arange(0.0, 5.0, 0.01)
+    accel = np.tile([0.0, 0.0, GRAVITY], (len(t), 1))
+    return Imu(t, np.zeros_like(accel), accel, np.ones(len(t), dtype=np.bool_))
+
+
+def test_after_a_recording_nothing_becomes_less_certain() -> None:
+    turn_x = next(m for m in MOTIONS if "its x axis" in m.sentence)
+    like = Recording("like", _still(), {})
+    recording = recording_of(turn_x, like, np.array([0.0, 0.0, -GRAVITY]))
+    rng_ = rng()
+    noisy = replace(
+        recording.imu,
+        gyro=recording.imu.gyro + 0.001 * rng_.standard_normal(recording.imu.gyro.shape),
+        accel=recording.imu.accel + 0.01 * rng_.standard_normal(recording.imu.gyro.shape),
+    )
+    known = plan(["gyro_scale"], replace(recording, imu=noisy), assume="fixed-point")
+    before = np.array([w.sigma for w in known.wanted])
+    assert before[0] < 1e-3 < before[1]
+    for p in known.prospects:
+        assert (p.sigma <= before * (1.0 + 1e-9)).all()
+    # x is known: what remains is y and z, and the motions that show them come first
+    assert known.best.sigma.max() < 1e-3
+    assert sentences(known)[0] == known.best.motion.sentence
+
+
+@pytest.mark.parametrize(
+    ("wanted", "reason"),
+    [
+        ((), "No parameters"),
+        (("gyro_bias_walk",), "no constant"),
+        (("heading_hard_iron",), "cannot be told"),
+        (("accel_temperature",), "cannot be told"),
+        (("nonsense",), "Unknown effect"),
+    ],
+)
+def test_what_no_motion_can_tell_is_refused(wanted: tuple[str, ...], reason: str) -> None:
+    with pytest.raises(InputError, match=reason):
+        plan(list(wanted))
+
+
+def test_motion_command_writes_what_it_shows(tmp_path: Path) -> None:
+    files = {k: tmp_path / f"out.{k}" for k in ("json", "html", "png")}
+    options = ["--reduce", "gyro_bias", "--json", files["json"], "--report", files["html"],
+               "--picture", files["png"]]  # fmt: skip
+    done = CliRunner().invoke(app, ["design", "motion", *map(str, options)])
+    assert done.exit_code == 0, done.output
+    said = json.loads(files["json"].read_text())
+    assert said["schema"] == "handcal/design-motion/1"
+    assert said["motions"][0]["motion"] in files["html"].read_text()
+    assert said["motions"][0]["motion"].split(",")[0] in " ".join(done.output.split())
+    assert files["png"].read_bytes().startswith(b"\x89PNG")
+    assert CliRunner().invoke(app, ["design", "motion"]).exit_code == 2
+    for wrong in ("lever_arm,,nothing", "gyro_bias_walk"):
+        assert CliRunner().invoke(app, ["design", "motion", "--reduce", wrong]).exit_code == 2

@@ -12,7 +12,21 @@ from typing import Annotated
 
 import typer
 
-from handcal.cli import Json, Report, Rrd, check_folders
+from handcal.cli import (
+    Assume,
+    Assumption,
+    HeadingSigma,
+    Height,
+    Json,
+    Latitude,
+    Report,
+    Rrd,
+    Topics,
+    Units,
+    check_folders,
+    load,
+    radians,
+)
 from handcal.commands import say
 from handcal.progress import progress
 
@@ -118,3 +132,66 @@ def poses(
         design_report.print_design(found, Console())
         if not sequential:
             say(f"seed {seed}")
+
+
+@design.command()
+def motion(
+    reduce: Annotated[
+        str,
+        typer.Option(
+            metavar="ID,...",
+            help="What is to become more certain: effects, gyro_bias, accel_bias.",
+        ),
+    ],
+    after: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="What has been recorded already; nothing if not given."),
+    ] = None,
+    beside: Annotated[
+        str, typer.Option(metavar="ID,...", help="Effects that are unknown as well.")
+    ] = "",
+    heading_sigma: HeadingSigma = None,
+    assume: Assumption = Assume.auto,
+    latitude: Latitude = None,
+    height: Height = 0.0,
+    topic: Topics = None,
+    units: Units = None,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE.png", help="Draw what each motion would bring.")
+    ] = None,
+    json: Json = None,
+    report: Report = None,
+) -> None:
+    """The turn in the hand to make next: what it would do for the uncertainty of parameters.
+
+    Without --after, for a device of which nothing is known yet; with --heading-sigma it has a
+    heading too.
+    """
+    from handcal import design_motion_report
+    from handcal.design_motion import plan
+    from handcal.design_picture import check_ending
+    from handcal.summary import write_json
+
+    check_folders(json, report, picture)
+    if picture:
+        check_ending(picture)
+    wanted, others = (
+        [e.strip() for e in text.split(",") if e.strip()] for text in (reduce, beside)
+    )
+    recording = None if after is None else load(after, topic, units)
+    with progress("asking each motion") as bar:
+        found = plan(
+            wanted, recording, beside=others, assume=str(assume),
+            heading_sigma=radians(heading_sigma), latitude=radians(latitude), height=height,
+            progress=bar,
+        )  # fmt: skip
+    if picture:
+        design_motion_report.save_motion_picture(found, picture)
+    if report:
+        design_motion_report.write_motion_report(found, report)
+    if json:
+        write_json(design_motion_report.motion_json(found), json)
+    if str(json) != "-":
+        from rich.console import Console
+
+        design_motion_report.print_motions(found, Console())
