@@ -36,7 +36,7 @@ ENTRIES = {
     "missing": {"effect": str, "probability": float, "log_evidence_gain": float,
                 "indistinguishable_from": list, "parameters": list, "story": str},
     "unnamed": {"formula": str, "value": float, "sigma": float, "unit": str,
-                "log_evidence_gain": float},
+                "log_evidence_gain": float, "story": str},
     "next_motion": {"motion": str, "separates": list, "expected_gain": float},
     "noise": {"name": str, "value": float, "unit": str},
 }  # fmt: skip
