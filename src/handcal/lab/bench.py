@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from handcal import segment
 from handcal.effects import Effect, Signals
@@ -115,7 +116,7 @@ def of_recording(recording: Recording) -> Bench:
     rows = [np.arange(a, b) for a, b in zip(*ends, strict=True)]
     at = np.concatenate(rows)
     t = imu.t[at]
-    known = np.stack([np.interp(t, reference.t, c) for c in reference.value.T], axis=1)
+    known = CubicSpline(reference.t, reference.value)(t)
     warm = temperature_of(recording)
     truth = Signals(t, known[:, :3], known[:, 3:], None if warm is None else warm[at])
     start = np.r_[0, np.cumsum([len(r) for r in rows])]

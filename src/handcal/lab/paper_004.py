@@ -159,10 +159,11 @@ def _design_claims() -> list[Claim]:
 
 
 def _filter_claims(apart: Array, off: Array) -> list[Claim]:
+    same = below(float(np.abs(apart).max()))
     mean = np.abs(off.mean(axis=0) / (off.std(axis=0, ddof=1) / math.sqrt(len(off))))
     return [
         Claim("a bank of Kalman filters is better than least squares", "figures 4 to 7",
-              f"on the same readings, Joseph form: equal {below(float(np.abs(apart).max()))}", FAILS),
+              f"on the same readings, Joseph form: equal {same}", FAILS),
         Claim("least squares gives biased estimates", "biased",
               f"mean of {len(off)} runs: at most {mean.max():.1f} standard errors from the truth "
               "in twelve parameters", FAILS),
