@@ -11,7 +11,7 @@ from handcal.regression import Unknown
 from handcal.types import Array, HandcalError
 from handcal.words import shown
 
-MOST_TERMS, MOST_SENTENCES = 4, 3
+MOST_TERMS, MOST_SENTENCES = 4, 4
 
 
 def refuse_unseen(
