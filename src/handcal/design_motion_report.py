@@ -118,7 +118,7 @@ def sentences(plan: Plan) -> list[str]:
             f"{words.effect_title(effect)}: uncertain by {_span(unit, before)} {unit.unit} before, "
             f"by {now} {after.unit} after: {factor:.3g} times less."
         )
-    blind = [words.parameter_title(w) for w, s in zip(plan.wanted, best.sigma, strict=True)
+    blind = [words.parameter_title(w).lower() for w, s in zip(plan.wanted, best.sigma, strict=True)
              if s > w.sigma / LITTLE]  # fmt: skip
     if blind:
         out.append(f"It hardly tells {words.listed(blind, 'or')}: choose another for that.")
