@@ -24,7 +24,7 @@ from handcal.effects import (
 )
 from handcal.kernel import BASE, MAX_DIM
 from handcal.linear import linearise_about
-from handcal.model import build, substituted
+from handcal.model import build, relinearised, substituted
 from handcal.observations import catalogue as observations
 from handcal.types import InputError, Series
 from handcal_sim import simulate
@@ -352,6 +352,42 @@ def test_bandwidth_is_that_of_the_exact_filter_and_its_inverse(tau, rate):
     inverse = effect.imu_inverse(point, Signals(t, lag, still))[:, :3]
     # to first order in how irregular the times are
     np.testing.assert_allclose(inverse[5:-5], true[5:-5], atol=1e-3 + 0.02 * tau)
+
+
+# --- what is taken off ---------------------------------------------------------------------------
+
+IMU_EFFECTS = [e for e in catalogue().values() if e.imu_error is not None and not e.moments]
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0])
+@pytest.mark.parametrize("effect", IMU_EFFECTS, ids=lambda e: e.id)
+def test_what_is_taken_off_changes_as_the_jacobian_says(effect, share):
+    """About errors of no size and of the usual one. To first order in the errors: a twentieth.
+
+    (The Jacobian of what an effect adds, instead of what is taken off, once held a large delay
+    of the accelerometer back at a tenth of its size.)
+    """
+    world = simulate("free-hand", seed=0, duration_s=20.0)
+    recording = recording_of(world)
+    imu = replace(recording.imu, gyro=world.truth.omega, accel=world.truth.f)
+    recording = replace(recording, imu=imu)
+    if "temperature" in effect.needs:
+        t = recording.imu.t
+        recording = replace(recording, streams={"temperature": Series(t, 20.0 + t[:, None])})
+    problem = build(recording, [effect], [], *local_earth(None, 0.0), linearised=False)
+    C_nb = world.truth.C_nb
+    rng, size = np.random.default_rng(0), effect.prior_sigma
+    at = share * size * (1.0 if effect.parameters[0].positive else rng.choice([-1, 1], len(size)))
+    step = 0.02 * size * rng.uniform(0.5, 1.0, len(size))
+    zero = np.zeros(3)
+    here = relinearised(problem, at, zero, zero, None, C_nb)
+    less, more = (relinearised(problem, at + x, zero, zero, None, C_nb) for x in (-step, step))
+    changed = np.hstack([more.nodes.gyro - less.nodes.gyro, more.nodes.accel - less.nodes.accel])
+    said = -2.0 * here.nodes.J @ step
+    inner = slice(50, -50)
+    miss, whole = (np.sqrt(np.mean(x[inner] ** 2)) for x in (changed - said, changed))
+    assert whole > 0.0
+    assert miss < 0.05 * whole
 
 
 # --- effects on the observations ------------------------------------------------------------------

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from handcal.effects import DELAY, TIME, Z_DIM, Effect, Signals, imu_jacobian
+from handcal.effects import DELAY, TIME, Z_DIM, Effect, Signals, correction_jacobian
 from handcal.kernel import BASE, MAX_DIM, Nodes, Noise, Tables
 from handcal.observations import Observation, Rows
 from handcal.types import Array, BoolArray, Level, Markov, Recording
@@ -301,7 +301,7 @@ def relinearised(
     J = np.empty((len(imu.t), 6, problem.imu_constants))
     i = 0
     for e in acting:
-        J[:, :, i : i + len(e.parameters)] = imu_jacobian(
+        J[:, :, i : i + len(e.parameters)] = correction_jacobian(
             e, ref[i : i + len(e.parameters)], signals
         )
         i += len(e.parameters)

@@ -22,7 +22,7 @@ from __future__ import annotations
 import importlib
 import pkgutil
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 
 import numpy as np
@@ -126,6 +126,27 @@ def imu_jacobian(effect: Effect, at: Array, signals: Signals) -> Array:
         out[:, :, i] = (effect.imu_error(at + e, signals) - effect.imu_error(at - e, signals)) / (
             2 * step
         )
+    return out
+
+
+def correction_jacobian(effect: Effect, at: Array, truth: Signals) -> Array:
+    """Derivative (n, 6, k) of what is taken off the readings by an effect's parameters.
+
+    To first order in the error that of the error itself. For an effect that moves the signal as a
+    whole it is not: what a later moment's reading says of this one changes as the truth of this
+    moment does, not as the reading of the later one.
+    """
+    if effect.imu_inverse is None:
+        return imu_jacobian(effect, at, truth)
+    assert effect.imu_error is not None
+    error = effect.imu_error(at, truth)
+    read = replace(truth, gyro=truth.gyro + error[:, :3], accel=truth.accel + error[:, 3:])
+    out = np.zeros((len(truth.t), 6, len(at)))
+    for i, step in enumerate(1e-3 * effect.prior_sigma):
+        e = np.zeros(len(at))
+        e[i] = step
+        less, more = effect.imu_inverse(at - e, read), effect.imu_inverse(at + e, read)
+        out[:, :, i] = (less - more) / (2 * step)
     return out
 
 
