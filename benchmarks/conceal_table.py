@@ -120,9 +120,8 @@ def _compared(
     for p, value in zip(effect.parameters, values, strict=True):
         if (effect.id, p.name) not in after:
             continue
-        a, b = after[effect.id, p.name], before.get((effect.id, p.name))
-        change = a["value"] - (b["value"] if b else 0.0)
-        sigma = math.hypot(a["sigma"], b["sigma"] if b else 0.0)
+        (a, spread), (b, spread_before) = (_place(x, effect.id, p.name) for x in (after, before))
+        change, sigma = a - b, math.hypot(spread, spread_before)
         recovered.append(change)
         z.append((change - value) / sigma if sigma > 0.0 else math.nan)
     return {
@@ -130,6 +129,18 @@ def _compared(
         "new": new, "gone": gone, "unnamed": [u["formula"] for u in seen["unnamed"]],
         "promised": promised.get(effect.id),
     }  # fmt: skip
+
+
+def _place(
+    found: dict[tuple[str, str], dict[str, Any]], effect: str, name: str
+) -> tuple[float, float]:
+    """Value and sigma. Of an accelerometer's place, with the arm that all of them share: alone,
+    ``size_effect`` holds the device's own lever arm too."""
+    here = [found.get((effect, name))]
+    if effect == "size_effect":
+        here.append(found.get(("lever_arm", name[-1])))
+    present = [p for p in here if p]
+    return sum(p["value"] for p in present), math.hypot(*(p["sigma"] for p in present))
 
 
 def _all_parameters(document: dict[str, Any]) -> list[dict[str, Any]]:
