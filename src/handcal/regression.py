@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import qr, solve_triangular
 
 from handcal.effects import Effect, Param, Signals, imu_jacobian
 from handcal.types import Array, IntArray
@@ -166,44 +167,35 @@ def least_squares(A: Array, y: Array) -> Estimate:
 def kalman(A: Array, y: Array, prior: tuple[Array, Array] | None = None) -> tuple[Array, Array]:
     """The same estimate by a Kalman filter, one row after the other: x (k,), P (k, k).
 
-    A (m, k), y (m,): rows of unit variance. prior: mean and covariance; without one the filter
-    starts from the first rows that together determine everything. Joseph form.
+    A (m, k), y (m,): rows of unit variance. prior: mean and covariance, of full rank. The filter
+    starts from rows that together determine everything (and the prior), which it would
+    otherwise have to tell from a prior far wider than the result, and lose digits. Joseph form.
     """
-    left = np.arange(len(A))
-    if prior is None:
-        first = _first_rows(A)
-        start = least_squares(A[first], y[first])
-        x, P = start.x, start.P
-        left = np.setdiff1d(left, first)
-    else:
-        x, P = prior[0].copy(), prior[1].copy()
-    one = np.eye(len(x))
-    for i in left:
-        H = A[i]
+    first = _telling_rows(A)
+    start, at = A[first], y[first]
+    if prior is not None:
+        L = np.linalg.cholesky(prior[1])
+        start = np.vstack([start, solve_triangular(L, np.eye(len(L)), lower=True)])
+        at = np.concatenate([at, solve_triangular(L, prior[0], lower=True)])
+    begin = least_squares(start, at)
+    # about the start, in units of what it knows: P begins as the identity
+    root = np.linalg.cholesky(begin.P)
+    z, P, one = np.zeros(len(root)), np.eye(len(root)), np.eye(len(root))
+    for i in np.setdiff1d(np.arange(len(A)), first):
+        H = A[i] @ root
         PH = P @ H
         gain = PH / (H @ PH + 1.0)
-        x = x + gain * (y[i] - H @ x)
+        z = z + gain * (y[i] - A[i] @ begin.x - H @ z)
         keep = one - np.outer(gain, H)
         P = keep @ P @ keep.T + np.outer(gain, gain)
-    return x, P
+    return begin.x + root @ z, root @ P @ root.T
 
 
-def _first_rows(A: Array) -> IntArray:
-    """Indices (k,) of the first rows of A (m, k), each of which adds a direction."""
+def _telling_rows(A: Array) -> IntArray:
+    """Indices (k,) of rows of A (m, k) that together determine everything well (QR, pivots)."""
     size = np.linalg.norm(A, axis=0)
-    B = A / np.where(size > 0.0, size, 1.0)
-    basis = np.zeros((0, A.shape[1]))
-    chosen: list[int] = []
-    for i, row in enumerate(B):
-        rest = row - basis.T @ (basis @ row)
-        rest = rest - basis.T @ (basis @ rest)
-        # a direction that a row adds only just would be badly known to begin with
-        if np.linalg.norm(rest) > 1e-3 * np.linalg.norm(row):
-            basis = np.vstack([basis, rest / np.linalg.norm(rest)])
-            chosen.append(i)
-            if len(chosen) == A.shape[1]:
-                return np.array(chosen)
-    return np.arange(len(A))
+    rows = qr((A / np.where(size > 0.0, size, 1.0)).T, mode="r", pivoting=True)[1]
+    return np.asarray(np.sort(rows[: A.shape[1]]), dtype=np.int64)
 
 
 def condition(A: Array) -> float:
@@ -227,13 +219,13 @@ def unseen(A: Array, usual: Array, noise: bool = False) -> list[Array]:
     s = np.r_[s, np.zeros(k - len(s))]
     least = max(NOTHING * s[0], 1.0 if noise else 0.0) if s[0] > 0.0 else 1.0
     null = Vt[s <= least]
-    if not noise:
-        null = null / size
-        null = null / np.abs(null).max(axis=1, keepdims=True)
-    return _sparse(null)
+    # where columns have length one, a small entry does little to any row
+    found = _sparse(null * size if noise else null, 1e-2 if noise else 1e-8)
+    combinations = [row / size for row in found]
+    return [c / np.abs(c).max() for c in combinations]
 
 
-def _sparse(basis: Array) -> list[Array]:
+def _sparse(basis: Array, nothing: float) -> list[Array]:
     """The same space by vectors with as many zeros (row echelon form, largest pivots)."""
     rows = basis.copy()
     done: list[int] = []
@@ -246,4 +238,4 @@ def _sparse(basis: Array) -> list[Array]:
             if other != i:
                 rows[other] -= rows[other, j] * rows[i]
         done.append(i)
-    return [np.where(np.abs(row) < 1e-6 * np.abs(row).max(), 0.0, row) for row in rows]
+    return [np.where(np.abs(row) < nothing * np.abs(row).max(), 0.0, row) for row in rows]

@@ -40,7 +40,7 @@ class Table:
         f = np.broadcast_to(up, angles.shape)
         if tilt is not None:
             turn = np.concatenate([tilt, np.zeros((*tilt.shape[:-1], 1))], axis=-1)
-            f = np.broadcast_to(_turned_back(-turn, up[..., 0, :])[..., None, :], angles.shape)
+            f = np.broadcast_to(_turned_back(turn, up[..., 0, :])[..., None, :], angles.shape)
         for i, axis in enumerate(self.sequence):
             f = _about("XYZ".index(axis), angles[..., i], f)
         return f
