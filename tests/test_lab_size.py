@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -316,3 +317,18 @@ def test_the_page_of_the_paper_is_computed() -> None:
     assert sum(v.startswith("holds") for v in verdicts.values()) >= 6
     assert sum(v == "does not hold" for v in verdicts.values()) >= 4
     assert all("nan" not in c.computed for c in page.claims)
+
+
+def test_spins_of_the_simulator_give_the_places_back(tmp_path: Path) -> None:
+    places = (0.01, -0.004, 0.002, 0.003, -0.008, 0.005, -0.002, 0.006, 0.009)
+    file = tmp_path / "spins.mcap"
+    effect = f"size_effect={','.join(map(str, places))}"
+    options = ["--perfect", "--seed", "0", "--spin", "200", "--effect", effect, "--duration", "100"]
+    done = CliRunner().invoke(app, ["simulate", "steady-spins", "-o", str(file), *options])
+    assert done.exit_code == 0, done.output
+    found = size(handcal.load(file))
+    assert found.way == "spins"
+    assert np.abs(found.arms - np.reshape(places, (3, 3))).max() < 1e-12
+    # the same from the gyro's own readings, without the table's
+    alone = size(replace(handcal.load(file), streams={}))
+    assert np.abs(alone.arms - np.reshape(places, (3, 3))).max() < 1e-6

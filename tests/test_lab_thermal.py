@@ -13,6 +13,7 @@ import pytest
 from scipy.stats import multivariate_normal
 from typer.testing import CliRunner
 
+import handcal
 from handcal.cli import app
 from handcal.export import write_mcap
 from handcal.lab.thermal import Curve, Thermal, thermal
@@ -317,3 +318,23 @@ def test_evidence_is_that_of_the_normal_distribution() -> None:
     best, value = best_extra(rows)
     assert value >= log_evidence(rows, 0.3) - 1e-9
     assert value >= log_evidence(rows, best * 1.2) - 1e-9
+
+
+def test_a_soak_of_the_simulator_gives_its_slopes_back(tmp_path: Path) -> None:
+    file = tmp_path / "soak.mcap"
+    slopes = {"gyro": (2e-4, -1e-4, 5e-5), "accel": (0.002, -0.001, 0.003)}
+    options = ["--perfect", "--seed", "0", "--duration", "150"]
+    for sensor, values in slopes.items():
+        options += ["--effect", f"{sensor}_temperature={','.join(map(str, values))}"]
+    done = CliRunner().invoke(app, ["simulate", "soak", "-o", str(file), *options])
+    assert done.exit_code == 0, done.output
+    whole = handcal.load(file)
+    for recording in (whole, replace(whole, streams={"temperature": whole.streams["temperature"]})):
+        found = thermal([recording])
+        T = np.linspace(*found.span, 9)
+        for c in found.curves:
+            if c.effect.endswith("_bias"):
+                slope = slopes[c.effect.split("_")[0]]["xyz".index(c.name)]
+                assert c.basis.title == "straight line"
+                change = c.at(T)[0] - c.at(T[:1])[0]
+                assert change == pytest.approx(slope * (T - T[0]), abs=1e-3 * abs(slope) * 40.0)

@@ -131,7 +131,7 @@ def thermal(
 def _told(
     model: Model, s: int, pieces: Pieces, gravity: float, options: Sequence[Basis]
 ) -> tuple[Model, list[str]]:
-    """The model without scale and misalignment where the attitudes do not tell these, even if
+    """The model with a scale that does not change where the attitudes do not tell it, even if
     the bias bends."""
     if len(model.changing) == 1:
         return model, []
@@ -145,9 +145,10 @@ def _told(
     more = "turns about all axes at known rates" if s == 0 else "rests on all sides"
     said = (
         f"The {name}'s scale was not told apart from its bias: that takes {more}, at each "
-        "temperature. Its bias then holds what the scale adds in these attitudes."
+        "temperature. It is taken as constant, as well known as is usual."
     )
-    return Model((), model.changing[:1]), [said]
+    (bias, (scale, _)) = model.changing[:1], model.changing[1]
+    return Model((scale, *model.constant), bias), [said]
 
 
 def _search(

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from handcal import segment
-from handcal.lab.stretches import means
+from handcal.lab.stretches import PERFECT, Means, means, noise_power
 from handcal.observations.known_input import axes_between
 from handcal.types import Array, HandcalError, InputError, IntArray, Recording
 
@@ -61,24 +61,35 @@ def pieces_of(recording: Recording, number: int) -> Pieces:
         raise HandcalError(f"{recording.path}: the device never rests.")
     found = means(recording, np.array(spans))
     t = found.span.mean(axis=1)
-    T = np.interp(t, series.t, series.value[:, 0])
+    T = found.temperature
+    assert T is not None
     ends = np.interp(found.span.ravel(), series.t, series.value[:, 0]).reshape(-1, 2)
     slope = np.diff(ends, axis=1)[:, 0] / np.maximum(np.diff(found.span, axis=1)[:, 0], 1e-9)
-    known = None
+    known, noise = None, found.variance
     if reference is not None:
-        at = np.stack([np.interp(recording.imu.t, reference.t, c) for c in reference.value.T], 1)
-        known = np.array([at[i : j + 1].mean(axis=0)
-                          for i, j in zip(found.first, found.last, strict=True)])  # fmt: skip
-        R = axes_between(found.reading, known)
-        known = np.hstack([known[:, :3] @ R.T, known[:, 3:] @ R.T])
+        known, noise = _known(recording, found)
     # within a rest all pieces and axes of a sensor count alike
     of = np.array(rest)
-    variance = np.empty_like(found.variance)
+    variance = np.empty_like(noise)
     for r in np.unique(of):
         for own in (slice(0, 3), slice(3, 6)):
-            variance[of == r, own] = found.variance[of == r, own].mean()
+            variance[of == r, own] = noise[of == r, own].mean()
     where = np.full(len(t), number, dtype=np.int64)
     return Pieces(T, slope, t, found.reading, variance, of, known, where)
+
+
+def _known(recording: Recording, found: Means) -> tuple[Array, Array]:
+    """Mean rate and force (n, 6) by the reference, in the IMU's axes, and variance (n, 6) of the
+    readings beside them: a turn carries gravity around, which is no noise."""
+    imu, reference = recording.imu, recording.streams["reference"]
+    at = np.stack([np.interp(imu.t, reference.t, c) for c in reference.value.T], axis=1)
+    rows = [np.arange(a, b + 1) for a, b in zip(found.first, found.last, strict=True)]
+    rows = [r[imu.valid[r]] for r in rows]
+    R = axes_between(found.reading, np.array([at[r].mean(axis=0) for r in rows]))
+    at = np.hstack([at[:, :3] @ R.T, at[:, 3:] @ R.T])
+    read = np.hstack([imu.gyro, imu.accel])
+    power, count = noise_power([(read - at)[r] for r in rows])
+    return np.array([at[r].mean(axis=0) for r in rows]), power / count[:, None] + PERFECT**2
 
 
 def joined(parts: Sequence[Pieces]) -> Pieces:
