@@ -30,7 +30,7 @@ from handcal.design_search import (
 from handcal.design_words import attitude_of, instruction
 from handcal.effects import select
 from handcal.explain.case import case_of, problem_with
-from handcal.types import Array, HandcalError, Imu, InputError, Recording
+from handcal.types import Array, HandcalError, Imu, InputError, Recording, Series
 
 STATIC = ("accel_scale", "accel_misalignment")
 # Paper 001, table 2: angles of the gimbals Z, X and Y, deg.
@@ -178,6 +178,7 @@ def test_sequential_design_projects_least_on_what_is_there() -> None:
         (("gyro_scale",), "norm", "size of gravity"),
         (("size_effect",), "pose", "no reading at rest"),
         (("lever_arm",), "norm", "no constant error"),
+        (("accel_scale",), "spin", "does not change"),
         (("gyro_bias_walk",), "pose", "no constant error"),
         (("accel_temperature",), "norm", "temperature"),
         (("gyro_g_sensitivity", "gyro_misalignment"), "rate", "apart"),
@@ -307,17 +308,24 @@ def test_motions_tell_what_they_turn_about(nothing_yet: Plan) -> None:
                ).items() if e == "gyro_scale")  # fmt: skip
 
 
-def test_what_is_promised_is_what_the_filter_then_says(nothing_yet: Plan) -> None:
+@pytest.mark.parametrize("heading_sigma", [None, math.radians(5.0)], ids=["alone", "heading"])
+def test_what_is_promised_is_what_the_filter_then_says(heading_sigma: float | None) -> None:
     """The motion itself, recorded without noise and calibrated at the same levels."""
-    best = nothing_yet.best
+    promise = plan(["gyro_scale", "accel_bias"], heading_sigma=heading_sigma)
+    best = promise.prospects[0 if heading_sigma is None else -4]
     still = Recording("like", _still(), {})
+    levels = {}
+    if heading_sigma is not None:
+        t = np.arange(0.0, 5.0, 0.02)
+        still = replace(still, streams={"heading": Series(t, np.zeros((len(t), 1)))})
+        # so many fewer headings say as much together
+        levels = {"heading_noise": heading_sigma * math.sqrt(10.0 / 50.0)}
     recording = recording_of(best.motion, still, np.array([0.0, 0.0, -GRAVITY]))
-    rate = recording.rate_hz
-    assert rate == pytest.approx(50.0, rel=1e-6)
-    levels = {lv.name: lv.initial for lv in problem_with(
-        case_of(still, "fixed-point"), select(["gyro_scale"])).levels}  # fmt: skip
+    assert recording.rate_hz == pytest.approx(50.0, rel=1e-6)
+    of = problem_with(case_of(still, "fixed-point"), select(["gyro_scale"]))
+    levels = {lv.name: lv.initial for lv in of.levels} | levels
     found = calibrate(recording, ["gyro_scale"], assume="fixed-point", noise=levels)
-    for w, promised in zip(nothing_yet.wanted, best.sigma, strict=True):
+    for w, promised in zip(promise.wanted, best.sigma, strict=True):
         assert found.parameter(w.effect, w.name).sigma == pytest.approx(promised, rel=0.1)
 
 

@@ -145,7 +145,7 @@ def _told(
     more = "turns about all axes at known rates" if s == 0 else "rests on all sides"
     said = (
         f"The {name}'s scale was not told apart from its bias: that takes {more}, at each "
-        "temperature. It is taken as constant, as well known as is usual."
+        "temperature. It is taken as constant, so that what it changes is in the bias."
     )
     (bias, (scale, _)) = model.changing[:1], model.changing[1]
     return Model((scale, *model.constant), bias), [said]
