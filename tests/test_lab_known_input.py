@@ -10,12 +10,13 @@ import pytest
 from lab_world import command, off, recording
 
 from handcal import regression, segment
+from handcal.effects import select
 from handcal.inputs._checks import saturated
 from handcal.lab import bench, paper_000, paper_004
 from handcal.lab.known_input import BAD_CONDITION, DEFAULT, known_input
 from handcal.lab.paper import computed, markdown, numbers
 from handcal.lab.table import ARCMIN, ARCSEC, error_covariance, table
-from handcal.lab.ten_tests import proposal
+from handcal.lab.ten_tests import best_rates, magnification, proposal
 from handcal.so3 import matrix_exp
 from handcal.types import HandcalError, InputError, Series
 
@@ -107,6 +108,18 @@ def test_ten_tests_are_a_hundred_times_less_sensitive(extended):
     assert times.max() >= gain > 100.0
 
 
+def test_rates_are_the_best_there_are():
+    """Eight tests at all corners make every column as long as can be and all orthogonal: no
+    set of eight tells more (Hadamard)."""
+    effects = (regression.BIASES[0], *select(GYRO))
+    rates = best_rates(effects, 2.0, 8)
+    assert len({tuple(r) for r in rates}) == 8
+    np.testing.assert_allclose(np.abs(rates), 2.0)
+    sigma = magnification(effects, rates)
+    np.testing.assert_allclose(sigma[:3], 8**-0.5, rtol=1e-12)
+    np.testing.assert_allclose(sigma[3:], 8**-0.5 / 2.0, rtol=1e-12)
+
+
 def spread(sample, runs=400):
     """Standard deviations of X (c, 3) for 1 mV of noise, by drawing it."""
     U = sample.bench.mean(np.hstack([sample.bench.truth.gyro, sample.bench.truth.accel]))
@@ -134,7 +147,7 @@ def test_the_formula_takes_the_estimate_where_it_is():
     2000 runs: 1.6 % for one sigma of a standard deviation, of 24 parameters: 5 sigma.
     """
     poses = paper_000.poses("XYZ")
-    R = matrix_exp(np.array([0.02, -0.03, 0.01]))
+    R = matrix_exp(np.array([0.5, -0.3, 0.4]))
     effects = (*ACCEL, "accel_cross_products")
     M = np.eye(3) + np.array([[0.02, 0, 0], [0.01, -0.03, 0], [-0.02, 0.015, 0.01]])
     L = 0.02 * np.random.default_rng(1).standard_normal((3, 3))
@@ -195,7 +208,7 @@ def test_a_deficient_design_is_refused_with_what_it_cannot_see():
 
 def unseen_of(sample):
     """What the regression says the rows of a sample do not show."""
-    effects = (regression.BIASES[0], *regression_effects(sample.effects))
+    effects = (regression.BIASES[0], *select(sample.effects))
     of = regression.unknowns(effects)
     A = bench.design(sample.bench, effects, np.zeros(len(of)), sample.bench.truth)
     A = A[:, :3].reshape(-1, len(of))
@@ -204,12 +217,6 @@ def unseen_of(sample):
         assert np.abs(A @ (c * regression.priors(of))).max() < 1e-9
     assert np.linalg.matrix_rank(np.array(found)) == len(found)
     return found
-
-
-def regression_effects(ids):
-    from handcal.effects import select
-
-    return select(ids)
 
 
 @pytest.mark.parametrize(
@@ -270,6 +277,15 @@ def test_a_recording_without_noise_gives_back_what_was_injected(setup, effects):
     assert result.kalman < 1e-9
 
 
+def test_arms_show_in_steady_turns():
+    """An effect of rates of change: nothing wrong comes in where two tests meet."""
+    arms = [0.03, -0.05, 0.02, 0.01, 0.0, -0.02, 0.04, 0.03, -0.01]
+    r = recording("steady-spins", perfect=True, effects={"size_effect": arms})
+    result = known_input(bench.of_recording(r), (*DEFAULT, "size_effect"))
+    found = [p.value for p in result.parameters if p.effect == "size_effect"]
+    np.testing.assert_allclose(found, arms, atol=1e-9)
+
+
 def test_noise_and_mounting_are_within_the_sigmas():
     result = known_input(bench.of_recording(recording("steady-spins", seed=1)))
     for z in off(result.parameters, sigmas=True).values():
@@ -322,6 +338,17 @@ def test_steady_turns_are_found_where_they_are():
     rates = np.degrees(rates)
     assert np.sum(rates < 3.0) >= 9
     assert np.sum(np.abs(rates - 100.0) < 3.0) == 18
+
+
+def test_a_turn_may_ripple_by_a_part_of_itself():
+    """0.35 % of 100 deg/s at 10 Hz: far above the noise, and steady for a table."""
+    r = recording("steady-spins", perfect=True)
+    rate = np.linalg.norm(r.imu.gyro, axis=1, keepdims=True)
+    ripple = 1.0 + 0.0035 * np.sqrt(2.0) * np.sin(2 * np.pi * 10.0 * r.imu.t)[:, None]
+    rippled = replace(r, imu=replace(r.imu, gyro=r.imu.gyro * ripple))
+    turning = [np.interp(0.5 * (a + b), r.imu.t, rate[:, 0]) > 1.5
+               for a, b in segment.steady(rippled)]  # fmt: skip
+    assert sum(turning) == 18
 
 
 def test_a_commanded_rate_is_not_taken_for_saturation():
