@@ -26,6 +26,7 @@ docs: .venv/.installed-dev ## write the catalogue and draw the figures of docs/ 
 	$(BIN)/python docs/make_figures.py
 	$(BIN)/python docs/make_explain_figures.py
 	$(BIN)/python docs/make_sweep_figures.py
+	$(BIN)/handcal design poses --n 12 --seed 0 --picture docs/images/poses.png
 	$(BIN)/python docs/make_paper_tables.py
 
 test: lint ## all quick checks and tests
