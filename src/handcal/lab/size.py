@@ -27,7 +27,6 @@ from handcal.effects import Effect, Signals, select
 from handcal.lab import bench
 from handcal.lab.known_input import known_input
 from handcal.lab.spins import LEAST_SIGMA, SPINNING, of_spins
-from handcal.lab.stretches import means
 from handcal.lab.telling import refuse_unseen
 from handcal.observations import Scene
 from handcal.observations.known_input import matched, read_at
@@ -44,7 +43,8 @@ SHAKEN = (0.1, 0.1)
 ROUNDS = 6
 BLOCK_S = 1.0
 FEWEST_SHAKEN = 200
-FEWEST_SPINS = 3
+# Turns of which so much is steady are spins, whatever is lost in speeding up and down.
+STEADY = 0.2
 REST_HZ = 5.0
 TELLING = 0.5
 FACE_DIAGONALS = np.array(
@@ -100,9 +100,10 @@ def size(recording: Recording, gravity: float = GRAVITY) -> Sized:
     """
     if "reference" not in recording.streams:
         return of_tests(of_spins(recording, gravity), recording)
-    steady = means(recording, segment.steady(recording))
-    spins = np.linalg.norm(steady.reading[:, :3], axis=1) > SPINNING
-    if spins.sum() >= FEWEST_SPINS:
+    imu = recording.imu
+    fast = np.linalg.norm(imu.gyro, axis=1) > SPINNING
+    steady = _inside(imu.t, segment.steady(recording))
+    if (fast & steady).sum() > STEADY * fast.sum():
         return of_tests(bench.of_recording(recording), recording)
     return of_reference(recording)
 
@@ -181,7 +182,8 @@ def of_reference(recording: Recording) -> Sized:
             "The device hardly turns in this recording: shake it with fast turns about all axes, "
             "to and fro, for a minute; the arms are felt in proportion to the square of the rate."
         )
-    use |= both.sound & _some(both.t, rests, recording.rate_hz)
+    few = np.arange(len(both.t)) % max(1, round(recording.rate_hz / REST_HZ)) == 0
+    use |= both.sound & few & _inside(both.t, rests)
     pace = np.sqrt(uniform_filter1d(rate**2, round(segment.WINDOW_S * recording.rate_hz)))
     unknowns = regression.unknowns(EFFECTS)
     A = regression.columns(EFFECTS, np.zeros(len(unknowns)), signals)[use, 3:]
@@ -214,12 +216,11 @@ def _fit(A: Array, y: Array, sigma: Array) -> regression.Estimate:
     return regression.least_squares(_weighted(A, sigma), (y / sigma).ravel())
 
 
-def _some(t: Array, rests: Array, rate_hz: float) -> BoolArray:
-    """A few samples a second of the rests."""
+def _inside(t: Array, spans: Array) -> BoolArray:
+    """Which times (n,) lie within spans (r, 2)."""
     out = np.zeros(len(t), dtype=np.bool_)
-    for a, b in rests:
+    for a, b in spans:
         out |= (t >= a) & (t <= b)
-    out[np.arange(len(t)) % max(1, round(rate_hz / REST_HZ)) > 0] = False
     return out
 
 
