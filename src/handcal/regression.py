@@ -221,8 +221,12 @@ def unseen(A: Array, usual: Array, noise: bool = False) -> list[Array]:
     null = Vt[s <= least]
     # where columns have length one, a small entry does little to any row
     found = _sparse(null * size if noise else null, 1e-2 if noise else 1e-8)
-    combinations = [row / size for row in found]
-    return [c / np.abs(c).max() for c in combinations]
+    combinations = [row / size / np.abs(row / size).max() for row in found]
+    if noise:
+        # a change that the noise hides need not be made up for by another
+        kept = [(np.abs(c) * size >= 1.0) | (np.abs(c) == 1.0) for c in combinations]
+        return [np.where(k, c, 0.0) for k, c in zip(kept, combinations, strict=True)]
+    return combinations
 
 
 def _sparse(basis: Array, nothing: float) -> list[Array]:
