@@ -87,15 +87,15 @@ def test_it_is_the_least_squares_of_the_norm():
 
 
 def test_its_sigmas_are_right():
-    """N = 100 draws of 12 readings: normalised squared errors have mean 9, sd sqrt(2 9 / N)."""
+    """N = 60 draws of 12 readings: normalised squared errors have mean 9, sd sqrt(2 9 / N)."""
     f, sigma = G * directions(12, 1), 2e-3
     true = np.array([0.2, -0.1, 0.05, 0.01, -0.01, 0.005, 0, 0, 0])
     total = 0.0
-    for seed in range(100):
+    for seed in range(60):
         noise = sigma * np.random.default_rng(seed).standard_normal(f.shape)
         _, x, P = from_poses(f * (1 + true[3:6]) + true[:3] + noise, sigma=sigma)
         total += (x - true) @ np.linalg.solve(P, x - true)
-    assert abs(total / 100 - 9.0) < 4.0 * np.sqrt(2 * 9 / 100)
+    assert abs(total / 60 - 9.0) < 4.0 * np.sqrt(2 * 9 / 60)
 
 
 @pytest.mark.parametrize(
@@ -240,7 +240,9 @@ def test_sigmas_of_simulated_tables():
 # --- real hands ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["array_1_imu5", "array_2_imu3"])
+@pytest.mark.parametrize(
+    "name", ["array_1_imu5", pytest.param("array_2_imu3", marks=pytest.mark.prove)]
+)
 def test_real_rests_to_a_hundredth_and_halves_that_agree(name, real_recordings):
     """Issue 5: 20 rest poses; norm within 0.01 m/s^2; both halves within 3 sigma."""
     result = scalar(handcal.load(real_recordings / f"{name}.mcap"))

@@ -90,13 +90,13 @@ def test_a_rate_table_turns_at_its_rate_about_the_vertical():
 
 
 def test_position_and_tilt_errors_are_as_asked():
-    """200 tables of 18 poses: small rotations between what is and what is believed.
+    """100 tables of 18 poses: small rotations between what is and what is believed.
 
     Of each pose about its three axes (rms known to 1 %), and of the base, the same in all.
     """
     angle, tilt = 30 * ARCSEC, 4 * ARCMIN
     apart, base = [], []
-    for seed in range(200):
+    for seed in range(100):
         made = built("table-poses", Equipment(angle, tilt), seed)
         t = middles(made)[:3]
         C, believed = (motion.evaluate(m, t).C_nb for m in (made, made.commanded))
@@ -104,8 +104,8 @@ def test_position_and_tilt_errors_are_as_asked():
         small = 0.5 * np.stack([turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0]], 1)
         base.append(small.mean(axis=0))
         apart.append(small - small.mean(axis=0))
-    # 200 draws of two numbers: 5 %, three sigma are 15 %
-    assert np.sqrt(np.mean(np.square(base))) == pytest.approx(tilt, rel=0.15)
+    # 100 draws of two numbers: 5 %, four sigma are 20 %
+    assert np.sqrt(np.mean(np.square(base))) == pytest.approx(tilt, rel=0.2)
     # each pose's own share about level axes, less their mean of three: between 1/2 and 2 of it
     assert 0.5 * angle < np.sqrt(np.mean(np.square(apart))) < 2.0 * angle
     none = built("table-poses")

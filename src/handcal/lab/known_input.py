@@ -29,7 +29,8 @@ from handcal.types import Array, HandcalError, InputError, IntArray, Parameter
 DEFAULT = ("accel_scale", "accel_misalignment", "gyro_scale", "gyro_misalignment")
 MOUNTING = "mounting"
 ROUNDS, LEVELS = 40, 12
-LAST_STEP = 1e-13
+# Steps this small, in usual sizes of the parameters, are none; while levels are sought, larger.
+LAST_STEP, STEP = 1e-13, 1e-6
 # Columns of length one that are farther from independent than this magnify noise too much.
 BAD_CONDITION = 100.0
 SENSORS = ("gyro", "accel")
@@ -199,11 +200,14 @@ def _solved(
     extra = dict.fromkeys(SENSORS, 0.0) if known is None else dict(known)
     own = bench.variance.ravel()[rows]
     of_accel = rows % 6 >= 3
-    for _ in range(LEVELS if known is None else 1):
+
+    def about(least: float) -> tuple[Array, _State, Array, Array]:
         variance = own + np.where(of_accel, extra["accel"], extra["gyro"]) ** 2
-        state, A, y = _gauss_newton(bench, acting, state, mounted, rows, np.sqrt(variance), names)
-        if known is not None:
-            break
+        root = np.sqrt(variance)
+        return variance, *_gauss_newton(bench, acting, state, mounted, rows, root, names, least)
+
+    for _ in range(LEVELS if known is None else 0):
+        variance, state, A, y = about(STEP)
         root = np.sqrt(variance)
         free = 1.0 - regression.least_squares(A[rows] / root[:, None], y[rows] / root).leverage
         before = extra
@@ -211,14 +215,15 @@ def _solved(
             s: float(np.sqrt(extra_variance(y[rows][m], own[m], float(free[m].sum()))))
             for s, m in zip(SENSORS, (~of_accel, of_accel), strict=True)
         }
-        if all(abs(extra[s] - before[s]) <= 1e-6 * max(extra[s], before[s]) for s in SENSORS):
+        if all(abs(extra[s] - before[s]) <= 1e-3 * max(extra[s], before[s]) for s in SENSORS):
             break
+    variance, state, A, y = about(LAST_STEP)
     return state, extra, A, y, variance
 
 
 def _gauss_newton(
     bench: Bench, acting: Sequence[Effect], state: _State, mounted: bool, rows: IntArray,
-    root: Array, names: Sequence[Unknown],
+    root: Array, names: Sequence[Unknown], least: float,
 ) -> tuple[_State, Array, Array]:  # fmt: skip
     usual = regression.priors(names)
     at = 3 if mounted else 0
@@ -229,7 +234,7 @@ def _gauss_newton(
         size = float(np.abs(step / usual).max())
         R = matrix_exp(step[:3]) @ state.R if mounted else state.R
         state = _State(state.x + step[at:], R)
-        if size < LAST_STEP or (size < 1e-6 and size >= 0.5 * last):
+        if size < least or (size < 1e-6 and size >= 0.5 * last):
             return state, *_rows(bench, acting, state, mounted)
         if not np.isfinite(size):
             break

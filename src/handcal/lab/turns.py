@@ -129,7 +129,8 @@ def turned(
     truth, by = truth_of(effects, x, read)
     J = columns(effects, x, truth)
     J[:, :3, :] -= off[:, :, 1:]
-    J = np.asarray(-np.linalg.solve(by, J)[:, :3, :])
+    to_rate = np.linalg.solve(by.transpose(0, 2, 1), np.eye(6)[:, :3])
+    J = -(to_rate.transpose(0, 2, 1) @ J)
     # what the gyro reads at rest holds the bias, so the turn does not depend on it
     J[:, :, bias] = 0.0
     C, slope = np.zeros((q, 3, 3)), np.zeros((q, 3, len(x)))
