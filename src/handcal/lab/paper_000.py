@@ -180,7 +180,7 @@ def paper(progress: Progress) -> Paper:
     progress(1.0)
     (three, gain_3), (four, gain_4) = ten_tests(False), ten_tests(True)
     beyond = (
-        ("rates that do not determine the parameters", "rank condition", "refused: " + _refusal()),
+        ("rates that do not determine the parameters", "rank condition", "refused, naming the combinations that no reading shows" if _refused() else "accepted"),
         ("n13 with 1 mV of noise, rates as in sample 3 and ten better ones",
          _percent(uncertain(gyros(rates_3()))[0, 2]), _percent(uncertain(gyros(three))[0, 2])),
         ("noise magnified less than in sample 3, worst coefficient", "1", f"{gain_3:.0f} times"),
@@ -247,13 +247,13 @@ def _rank_of_equal() -> int:
     return int(np.linalg.matrix_rank(np.c_[np.ones(11), w, w, w]))
 
 
-def _refusal() -> str:
+def _refused() -> bool:
     w = np.repeat(10.0 * np.arange(11)[:, None], 3, axis=1)
     try:
         solved(gyros(w))
-    except HandcalError as error:
-        return str(error).split(";")[0].split(". ")[0] + " ..."
-    raise AssertionError("equal rates were not refused")
+    except HandcalError:
+        return True
+    return False
 
 
 def _error_claims() -> list[Claim]:
