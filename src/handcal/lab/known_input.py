@@ -63,7 +63,8 @@ class KnownInput:
     """What the tests say.
 
     axes: "imu": the accelerometer's x is body x, and how the table's axes are turned into the
-    IMU's, R (3, 3), is estimated (``mounting``); "table": the table's axes are the body's.
+    IMU's, R (3, 3), is estimated (``mounting``); "table": the table's axes are the body's (so
+    they are for a gyro alone, whose misalignments then say everything).
     parameters and covariance (k, k). A (m, k): the design in rows of unit variance; condition
     of it. residual (n, 6, 2): mean reading less expectation, before and after. kalman: largest
     difference of the Kalman filter's estimate, in usual sizes of the parameters. extra: standard
@@ -141,7 +142,7 @@ def known_input(
     )  # fmt: skip
     before = _rows(bench, acting, replace(state, x=np.zeros_like(state.x)), mounted)[1]
     result = KnownInput(
-        bench, acting, axes, state.R, parameters, found.P, W, regression.condition(W),
+        bench, acting, "imu" if mounted else "table", state.R, parameters, found.P, W, regression.condition(W),
         np.stack([before, y], axis=1).reshape(len(bench), 6, 2),
         float(np.abs((by_filter - found.x) / usual).max()), levels, (),
     )  # fmt: skip

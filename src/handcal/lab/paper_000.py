@@ -180,7 +180,8 @@ def paper(progress: Progress) -> Paper:
     progress(1.0)
     (three, gain_3), (four, gain_4) = ten_tests(False), ten_tests(True)
     beyond = (
-        ("rates that do not determine the parameters", "rank condition", "refused, naming the combinations that no reading shows" if _refused() else "accepted"),
+        ("rates that do not determine the parameters", "rank condition",
+         "refused, naming what no reading shows" if _refused() else "accepted"),
         ("n13 with 1 mV of noise, rates as in sample 3 and ten better ones",
          _percent(uncertain(gyros(rates_3()))[0, 2]), _percent(uncertain(gyros(three))[0, 2])),
         ("noise magnified less than in sample 3, worst coefficient", "1", f"{gain_3:.0f} times"),
