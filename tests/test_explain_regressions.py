@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from worlds import recording_of
 
 from handcal import calibration, noise, so3
 from handcal.effects import select
-from handcal.explain import Explanation, case, explain, fit
+from handcal.explain import Explanation, case, explain, find, fit
 from handcal.explain.fit import EXCESS, Model, fitted, moved_to, scan, started
 from handcal.explain.quadratic import posterior
 from handcal.types import InputError, Recording, Series
@@ -216,3 +217,27 @@ def test_outliers_behind_a_step_of_the_bias() -> None:
     world = simulate("z-turn", seed=0, duration_s=60.0, phone=slow, effects=step)
     found = explain([recording_of(world, "heading")])
     assert (found.verdict, sorted(names(found))) == ("explained", sorted(step))
+
+
+def test_what_no_fit_holds_with_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A scan promised a term, the fit with it lost half a million nats, and the search went on
+    from there: about such a fit, anything may be named."""
+    world = world_of({"gyro_scale": [0.01, -0.008, 0.012]}, seed=0, seconds=40.0)
+    real = find._fit
+
+    def astray(model: Model, where: find.Space, chosen: frozenset[str]) -> Model:
+        fit = real(model, where, chosen)
+        return replace(fit, log_evidence=-1e6) if "lever_arm" in chosen else fit
+
+    promised = find._scanned
+
+    def scanned(*arguments: Any) -> find.Space:
+        where = promised(*arguments)
+        if where.prior["lever_arm"] < -1e3:
+            return where
+        return replace(where, prior={**where.prior, "lever_arm": 1e4}, scores={})
+
+    monkeypatch.setattr(find, "_fit", astray)
+    monkeypatch.setattr(find, "_scanned", scanned)
+    found = explain([recording_of(world, "heading")])
+    assert (found.verdict, names(found)) == ("explained", ["gyro_scale"])

@@ -39,6 +39,8 @@ NEARLY = 0.4
 MOST_SWAPS = 6
 # Nats below which an effect may be there for the sake of another's wrong name only.
 WEAK = 100.0
+# Nats below which a model that a scan promised to be better has come to nothing.
+LOST = 100.0
 # How many of the weakest are fitted without.
 FEW = 3
 # Log odds of what was fitted without and not missed.
@@ -166,8 +168,8 @@ def _climbed(
             return None
         if chosen != now and chosen not in visited and not _same(where, now, chosen):
             visited.add(chosen)
-            larger = _fit(model, where, chosen)
-            if larger.log_evidence > -math.inf:
+            larger = _grown(model, where, now, chosen, dropped)
+            if larger is not None:
                 model = larger
                 swaps.clear()  # (they hold beside the same others only)
             continue
@@ -199,7 +201,7 @@ def _climbed(
             favoured.add(split)
             visited = set()
             continue
-        term = best_term(model)
+        term = best_term(model, refused=dropped)
         if term is None:
             break
         unnamed.append(term)
@@ -252,6 +254,25 @@ def _scanned(
 def _fit(model: Model, where: Space, chosen: frozenset[str]) -> Model:
     processes = [e for e in model.effects if e.process is not None]
     return fitted(model.parts, [*(where.effects[i] for i in sorted(chosen)), *processes])
+
+
+def _grown(
+    model: Model, where: Space, now: frozenset[str], chosen: frozenset[str], dropped: set[str]
+) -> Model | None:
+    """The model with the chosen effects, or with the best of those added if no fit with all of
+    them holds; an effect with which none does is not looked at again."""
+    for wanted in (chosen, *_singles(where, now, chosen)):
+        tried = _fit(model, where, wanted)
+        if tried.log_evidence > model.log_evidence - LOST:
+            return tried
+        if len(wanted - now) == 1:
+            dropped |= {name_of(i) for i in wanted - now}
+    return None
+
+
+def _singles(where: Space, now: frozenset[str], chosen: frozenset[str]) -> list[frozenset[str]]:
+    added = chosen - now
+    return [max((now | {i} for i in added), key=where.score)] if len(added) > 1 else []
 
 
 def _noise_step(

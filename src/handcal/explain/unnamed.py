@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -56,9 +56,9 @@ def _beside(
     return wide, index, prior_root(wide, known, index)
 
 
-def best_term(model: Model, *, imu: bool = True) -> Term | None:
+def best_term(model: Model, *, imu: bool = True, refused: Collection[str] = ()) -> Term | None:
     """The unnamed term that gains most over the model, if one gains enough. imu: False to look
-    for one of the heading alone."""
+    for one of the heading alone; refused: formulas that no fit holds with."""
     f = model.parts[0]
     signals, recording = signals_of(f), f.case.recording
     enough = -TERM_PRIOR + math.log(2.0)
@@ -79,6 +79,7 @@ def best_term(model: Model, *, imu: bool = True) -> Term | None:
         ends = [Term(e, gained[e.id], None) for e in options if e.id not in here]
         for b in bases:
             ends.append(Term(*shapes.best(b, q, known, prior_root(q, own, known)), b))
+        ends = [end for end in ends if end.effect.id not in refused]
         top = max(ends, key=lambda end: end.gain)
         full = top.gain / q.worth
         if top.gain > enough and (found is None or full > found.gain):
