@@ -142,7 +142,8 @@ def known_input(
     )  # fmt: skip
     before = _rows(bench, acting, replace(state, x=np.zeros_like(state.x)), mounted)[1]
     result = KnownInput(
-        bench, acting, "imu" if mounted else "table", state.R, parameters, found.P, W, regression.condition(W),
+        bench, acting, "imu" if mounted else "table", state.R, parameters, found.P, W,
+        regression.condition(W),
         np.stack([before, y], axis=1).reshape(len(bench), 6, 2),
         float(np.abs((by_filter - found.x) / usual).max()), levels, (),
     )  # fmt: skip
