@@ -156,7 +156,7 @@ def _climbed(
     favoured: set[str] = set()
     swaps: dict[tuple[str, str], float] = {}
     ordered: set[tuple[str, frozenset[str]]] = set()
-    unnamed, shaped = list(needed), set[str]()
+    unnamed, shaped, stale = list(needed), set[str](), set[str]()
     for turn in range(ROUNDS + 2 * MAX_TERMS):
         report(min(0.95, 0.15 + 0.1 * turn))
         where = _scanned(model, cases, [t.effect for t in unnamed], dropped, favoured)
@@ -189,7 +189,7 @@ def _climbed(
         if processes is not None:
             model, visited = processes, set()
             continue
-        leaner = _leaner(model, where, noise)
+        leaner = _leaner(model, where, noise, stale)
         if leaner is not None:
             dropped |= {name_of(i) for i in set(model.ids) - set(leaner.ids)}
             model = leaner
@@ -206,8 +206,7 @@ def _climbed(
             break
         unnamed.append(term)
         visited = set()
-        # (what noise effects gained was weighed without the term)
-        noise.update(dict.fromkeys(noise, 0.0))
+        stale |= set(noise)  # (what noise effects gained was weighed without the term)
     return Found(model, where, alone, noise, swaps, first)
 
 
@@ -380,11 +379,13 @@ def _reordered(model: Model, seen: set[tuple[str, frozenset[str]]]) -> Model | N
     return None
 
 
-def _leaner(model: Model, where: Space, noise: dict[str, float]) -> Model | None:
-    """The model without an effect that it does not miss when all else is fitted again."""
+def _leaner(model: Model, where: Space, noise: dict[str, float], stale: set[str]) -> Model | None:
+    """The model without an effect that it does not miss when all else is fitted again; stale:
+    noise effects whose gain is out of date."""
     gained = gains(where, frozenset(e.id for e in model.effects if e.process is None))
     excess = inflation(model)
-    weakest = sorted(model.effects, key=lambda e: gained.get(e.id, noise.get(e.id, 0.0)))
+    last = {i: 0.0 if i in stale else v for i, v in noise.items()}
+    weakest = sorted(model.effects, key=lambda e: gained.get(e.id, last.get(e.id, 0.0)))
     for e in weakest[:FEW]:
         rest = [x for x in model.effects if x.id != e.id]
         if e.process is None:
@@ -393,7 +394,7 @@ def _leaner(model: Model, where: Space, noise: dict[str, float]) -> Model | None
                 return fitted(model.parts, rest)
             if gained[e.id] > CLOSE:
                 continue
-        elif noise.get(e.id, 0.0) > 10.0 * CLOSE:
+        elif last.get(e.id, 0.0) > 10.0 * CLOSE:
             continue
         without = fitted(model.parts, rest)
         occam = OCCAM_LEVEL * len(e.levels) if e.process is not None else 0.0
@@ -401,6 +402,7 @@ def _leaner(model: Model, where: Space, noise: dict[str, float]) -> Model | None
         gain = where.quadratic.worth * (model.log_evidence - without.log_evidence) - occam
         if e.process is not None:
             noise[e.id] = gain
+            stale.discard(e.id)
         if gain + prior < 0.0:
             noise.pop(e.id, None)
             return without
