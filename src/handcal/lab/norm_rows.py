@@ -66,6 +66,8 @@ class Rows:
 
 
 def rows_of(problem: Problem, x: Array, d: Array) -> Rows:
+    """Rows linearised about the parameters x (k,), SI, and the directions of up d (n, 3) in the
+    body at the rests: what the rests read and what the turns between them say."""
     rests, r, k = problem.rests, len(d), len(x)
     truth = resting(problem, d)
     error = regression.errors(problem.effects, x, truth)
@@ -123,6 +125,7 @@ def carried_by_gyro(problem: Problem, x: Array, d: Array) -> tuple[Array, Array]
 
 
 def resting(problem: Problem, d: Array) -> Signals:
+    """The truth at the rests, whose up is d (n, 3): no rate, and gravity, m/s^2."""
     rests = problem.rests
     return Signals(
         rests.span.mean(axis=1), np.zeros_like(d), problem.gravity * d, rests.temperature
@@ -130,6 +133,7 @@ def resting(problem: Problem, d: Array) -> Signals:
 
 
 def unit(x: Array) -> Array:
+    """Rows x (n, 3) of length one."""
     return np.asarray(x / np.linalg.norm(x, axis=1, keepdims=True))
 
 

@@ -65,6 +65,7 @@ def models(sensor: str, pieces: Pieces, flat: Basis) -> Model:
 
 
 def with_bases(model: Model, bases: Sequence[Basis]) -> Model:
+    """The model with these curves for its parameters that change, in their order."""
     pairs = zip((e for e, _ in model.changing), bases, strict=True)
     return replace(model, changing=tuple(pairs))
 
@@ -136,6 +137,8 @@ class Scene:
 
 
 def scene(model: Model, s: int, pieces: Pieces, gravity: float, d: Array) -> Scene:
+    """Residuals and columns of one sensor (s: 0 gyro, 1 accelerometer) in the pieces, against the
+    reference, or against gravity (m/s^2) along the directions d (rests, 3) alone."""
     n, own = len(pieces), slice(3 * s, 3 * s + 3)
     if pieces.known is None:
         accel = gravity * d[pieces.rest]
