@@ -14,7 +14,7 @@ from handcal._jit import call_residual
 from handcal.effects import Signals
 from handcal.explain import explain, shapes
 from handcal.explain.quadratic import Quadratic
-from handcal.explain.terms import features
+from handcal.explain.terms import PLAY, features, imu_terms
 from handcal.types import Array
 from handcal_sim import simulate
 from handcal_sim.phone import Clocking, Phone, consumer_phone, with_rate
@@ -151,3 +151,11 @@ def test_play_lags_by_its_half_width_once_it_has_been_taken_up(seed: int) -> Non
     still = Signals(np.arange(150.0), np.zeros((150, 3)), 0.19 * np.sin(np.tile(f[:, None], 3)))
     lag = features(temperature=False)["(play(0.2 m/s^2) of f_x - f_x)"][0](still)
     assert np.ptp(lag + still.accel[:, 0]) < 0.2
+
+
+def test_play_lags_and_does_not_lead() -> None:
+    """Of the other sign it is no hysteresis: on real data it took the place of scale errors."""
+    signals = Signals(np.arange(200.0), *np.random.default_rng(0).normal(size=(2, 200, 3)))
+    plays = [e for e in imu_terms(signals, 5) if "play" in e.id]
+    assert len(plays) == len(PLAY)
+    assert all(e.parameters[0].positive for e in plays)

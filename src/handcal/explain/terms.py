@@ -156,17 +156,20 @@ def _imu_term(channel: int, formula: str, feature: Feature, unit: str, prior: fl
         f"{CHANNELS[channel]} += k * {formula}",
         own if unit == "1" else f"({own})/({unit})",
         prior,
+        positive="play" in formula,  # (it lags, and cannot lead)
         imu_error=error,
     )
 
 
-def term(formula: str, unit: str, prior: float, story: str = "", **physics: Any) -> Effect:
+def term(
+    formula: str, unit: str, prior: float, story: str = "", positive: bool = False, **physics: Any
+) -> Effect:
     """An effect of one parameter k without a name but its formula; prior: sigma of k; story: what
     that means in plain words, if it can be said."""
     return Effect(
         id=formula,
         title=formula,
-        parameters=(Param("k", unit, prior),),
+        parameters=(Param("k", unit, prior, positive),),
         story=story,
         source="found in this recording",
         motion="The motion in which it was found.",
