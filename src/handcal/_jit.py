@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
@@ -9,12 +10,16 @@ import numba
 import numpy as np
 from llvmlite import ir
 from numba import types
+from numba.core import cgutils as _cgutils
 from numba.extending import intrinsic, typeof_impl
 
 from handcal.types import Array, IntArray
 
 F = TypeVar("F", bound=Callable[..., Any])
 
+# (numba's own are partly typed, and not for this)
+_intrinsic: Any = intrinsic
+cgutils: Any = _cgutils
 _POINTER: Any = types.CPointer(types.float64)  # type: ignore[no-untyped-call]
 _SIGNATURE = types.int64(_POINTER, _POINTER, _POINTER, _POINTER)
 
@@ -30,9 +35,25 @@ def njit(function: F) -> F:
     return _compiled(function)
 
 
+def lean(function: F) -> F:
+    """As ``njit``, for what makes no arrays, so that numba need not count references to them.
+
+    (Those counts are atomic, several for each tuple of arrays that is passed on and each row
+    that is looked at: they took more time than the filter's arithmetic.) Work space is handed
+    in, or comes from ``local_vector`` and ``local_matrix``.
+    """
+    return _compiled(function, _nrt=False)
+
+
 def inner(function: F) -> F:
-    """As ``njit``, for what only compiled functions call: without an entry from Python."""
-    return _compiled(function, no_cpython_wrapper=True)
+    """As ``lean``, for what only compiled functions call: without an entry from Python."""
+    return _compiled(function, _nrt=False, no_cpython_wrapper=True)
+
+
+def inlined(function: F) -> F:
+    """As ``lean``, and becomes part of its callers: for what is handed many arrays, each of
+    them seven to nine numbers that a call would copy. It is compiled again in each caller."""
+    return _compiled(function, _nrt=False, forceinline=True)
 
 
 @inner
@@ -106,6 +127,40 @@ def residual_function(function: Callable[..., int], *, kept: bool = True) -> int
     return cast(int, _Address(function, kept))
 
 
+def _stack(typingctx: Any, *sizes: Any) -> Any:  # noqa: ARG001
+    lengths = [size.literal_value for size in sizes]
+    kind = types.Array(types.float64, len(lengths), "C")
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:  # noqa: ARG001
+        word = ir.IntType(64)
+        count = math.prod(lengths)
+        data = cgutils.alloca_once(builder, ir.DoubleType(), size=ir.Constant(word, count))
+        strides = [8 * math.prod(lengths[k + 1 :]) for k in range(len(lengths))]
+        array = context.make_array(kind)(context, builder)
+        context.populate_array(
+            array, data=data, itemsize=ir.Constant(word, 8), meminfo=None,
+            shape=[ir.Constant(word, n) for n in lengths],
+            strides=[ir.Constant(word, n) for n in strides],
+        )  # fmt: skip
+        return array._getvalue()
+
+    return kind(*sizes), codegen
+
+
+def _vector(typingctx: Any, n: Any) -> Any:
+    return _stack(typingctx, n)
+
+
+def _matrix(typingctx: Any, m: Any, n: Any) -> Any:
+    return _stack(typingctx, m, n)
+
+
+# Small work space of a compiled function, float64, its size known beforehand: on the stack, where
+# it costs nothing (np.empty asks the heap). It is not set to zero, and must not be returned.
+local_vector: Callable[[int], Array] = _intrinsic(prefer_literal=True)(_vector)
+local_matrix: Callable[[int, int], Array] = _intrinsic(prefer_literal=True)(_matrix)
+
+
 def _call(typingctx: Any, address: Any, nav: Any, theta: Any, z: Any, out: Any) -> Any:  # noqa: ARG001
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:  # noqa: ARG001
         pointer = ir.DoubleType().as_pointer()
@@ -119,7 +174,7 @@ def _call(typingctx: Any, address: Any, nav: Any, theta: Any, z: Any, out: Any) 
 _called: Any = intrinsic(_call)
 
 
-@njit
+@lean
 def call_residual(address: int, nav: Any, theta: Any, z: Any, out: Any) -> int:
     """Call a ``residual_function`` by its address; all arrays float64, C-contiguous."""
     status: int = _called(address, nav.ctypes, theta.ctypes, z.ctypes, out.ctypes)

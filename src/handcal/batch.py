@@ -13,7 +13,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from handcal._jit import copy1, copy2, njit
-from handcal.covariance import propagate, propagation_work, times_transition, update_linear
+from handcal.covariance import (
+    Propagation,
+    Update,
+    propagate,
+    propagation_work,
+    symmetrise,
+    times_transition,
+    update_linear,
+    update_work,
+)
 from handcal.evidence import ReducedPass, backward, reduce, reduced_pass
 from handcal.filter import full_prior
 from handcal.kernel import BASE, MAX_DIM
@@ -82,6 +91,8 @@ def forward(linear: Linear, levels: Mapping[str, float], keep: bool = True) -> P
         P0,
         (out.x, out.P, out.x_before, out.P_before),
         (out.residual, out.sigma, out.nis, out.loglik),
+        propagation_work(n, problem.markov_size),
+        update_work(n, MAX_DIM),
     )
     return out
 
@@ -97,6 +108,8 @@ def _forward(
     P: Array,
     store: tuple[Array, Array, Array, Array],
     out: tuple[Array, Array, Array, Array],
+    work: Propagation,
+    update: Update,
 ) -> None:
     Phi, d, Q, B, Phi_e, Q_e, d_e, Phi_psi = dynamics
     first, kind, r, H, used = rows
@@ -104,7 +117,6 @@ def _forward(
     e = Phi_e.shape[1]
     keep = store[0].shape[0] > 1
     e0 = BASE + c
-    work = propagation_work(n, e)
     column, moved = np.empty((n, 1)), np.empty((n, 1))
     for j in range(Phi.shape[0]):
         if j > 0:
@@ -133,7 +145,9 @@ def _forward(
                     P,
                     x,
                     (out[0][q], out[1][q], out[2][q : q + 1], out[3][q : q + 1]),
+                    update,
                 )
+        symmetrise(P)
         at = j if keep else 0
         copy1(x, store[0][at])
         copy2(P, store[1][at])

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from handcal.covariance import propagation_work
 from handcal.filter import full_prior
 from handcal.kernel import MAX_DIM
 from handcal.linear import Linear, driven
@@ -131,7 +132,8 @@ def reduced_pass(
     by_bias = reduction.X0[:9, 1:7]
     P0[:9, :9] -= by_bias @ by_bias.T
     gram = np.zeros((columns, columns))
-    reduced_forward(arrays, P0, reduction.X0.copy(), (X, P), (gain, nu, S), gram)
+    work, extra = propagation_work(m, m - 9), (np.empty((m, columns)), np.empty(m))
+    reduced_forward(arrays, P0, reduction.X0.copy(), (X, P), (gain, nu, S), gram, work, extra)
     w0, b = reduction.w0, reduction.w0 - gram[1:, 0]
     G = np.tril(gram[1:, 1:]) + np.tril(gram[1:, 1:], -1).T
     information = G + np.eye(columns - 1)
@@ -203,5 +205,12 @@ def backward(
         np.zeros((m, m) if score else (0, 0)),
         (r_kept, N_kept),
         (slopes.R, slopes.densities, slopes.Q_e, slopes.prior),
+        (
+            np.empty((m, columns)),
+            np.empty((m, m)),
+            np.empty((m, m)),
+            np.empty(columns),
+            np.empty(m),
+        ),
     )
     return slopes

@@ -19,12 +19,21 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from handcal._jit import copy1, copy2, inner, njit, zero1
-from handcal.covariance import propagate, propagation_work, update_linear
+from handcal._jit import copy1, copy2, inlined, lean, local_matrix, local_vector, zero1
+from handcal._rows import padded
+from handcal.covariance import (
+    Propagation,
+    Update,
+    propagate,
+    propagation_work,
+    symmetrise,
+    update_linear,
+    update_work,
+)
 from handcal.kernel import (
     BASE,
     MAX_DIM,
@@ -83,6 +92,20 @@ class Track:
     loglik: Array
 
 
+class Work(NamedTuple):
+    """Work space of a compiled run; x (N,) is zero between observations."""
+
+    Phi: Array
+    J: Array
+    r: Array
+    H: Array
+    x: Array
+    none: Array
+    still: Array
+    propagation: Propagation
+    update: Update
+
+
 def initial_state(problem: Problem, start: Start, levels: dict[str, float]) -> State:
     """The state before the first node, from the prior."""
     zero = np.zeros(3)
@@ -139,59 +162,67 @@ def run_compiled(
     """Filter from after ``state.node`` to before node ``stop`` (None: the end), into ``track``."""
     end = len(problem.nodes.t) if stop is None else stop
     p, v, C = state.p.copy(), state.v.copy(), state.C.copy()
-    bg, ba, extras, P = state.bg.copy(), state.ba.copy(), state.extras.copy(), state.P.copy()
+    bg, ba, extras = state.bg.copy(), state.ba.copy(), state.extras.copy()
+    n, mi, e = problem.size, problem.nodes.J.shape[2], problem.markov_size
+    wide = padded(n)
+    P = np.zeros((wide, wide))
+    P[:n, :n] = state.P
     _run(
         problem.nodes,
         problem.tables,
         noise,
-        problem.constants,
-        problem.ref,
-        problem.g_n,
-        problem.omega_ie_n,
-        state.node + 1,
-        end,
+        (problem.constants, problem.ref, problem.g_n, problem.omega_ie_n),
+        (state.node + 1, end),
         (p, v, C, bg, ba, extras, P),
+        int(np.searchsorted(track.node, state.node + 1)),
         (track.node, track.p, track.v, track.C, track.bg, track.ba, track.extras, track.variance),
         (track.residual, track.sigma, track.nis, track.loglik),
+        Work(
+            np.empty((9, BASE + mi)),
+            np.empty((6, mi)),
+            np.empty(MAX_DIM),
+            np.empty((MAX_DIM, wide)),
+            np.zeros(wide),
+            np.empty((0, 0)),
+            np.zeros((e, 3)),
+            propagation_work(wide, e),
+            update_work(wide, MAX_DIM),
+        ),
     )
-    return State(end - 1, p, v, C, bg, ba, extras, P)
+    return State(end - 1, p, v, C, bg, ba, extras, P[:n, :n].copy())
 
 
-@njit
+@lean
 def _run(
     nodes: Nodes,
     tables: Tables,
     noise: Noise,
-    c: int,
-    ref: Array,
-    g_n: Array,
-    omega_ie_n: Array,
-    begin: int,
-    end: int,
+    world: tuple[int, Array, Array, Array],
+    span: tuple[int, int],
     state: tuple[Array, Array, Array, Array, Array, Array, Array],
+    at: int,
     record: tuple[IntArray, Array, Array, Array, Array, Array, Array, Array],
     innovation: tuple[Array, Array, Array, Array],
+    work: Work,
 ) -> None:
     p, v, C, bg, ba, extras, P = state
-    n = P.shape[0]
-    mi = nodes.J.shape[2]
-    Phi, J = np.empty((9, BASE + mi)), np.empty((6, 6 + mi))
-    work, x = propagation_work(n, noise.Phi_e.shape[1]), np.zeros(n)
-    nav, w, f = np.empty(NAV), np.empty(3), np.empty(3)
-    still, none = np.zeros((noise.Phi_e.shape[1], 3)), np.empty((0, 0))
-    at = np.searchsorted(record[0], begin)
-    for i in range(begin, end):
+    c, ref, g_n, omega_ie_n = world
+    Phi, J, x = work.Phi, work.J, work.x
+    nav, w, f = local_vector(NAV), local_vector(3), local_vector(3)
+    for i in range(span[0], span[1]):
         if i > 0:
             interval(nodes, i, bg, ba, extras, ref, g_n, omega_ie_n, p, v, C, Phi, J)
-            move_markov(noise.Phi_e[i], c, extras)
-            propagate(P, Phi, none, noise.Phi_e[i], still, BASE + c, work)
+            move_markov(noise.Phi_e[i], c, extras, x)
+            propagate(P, Phi, work.none, noise.Phi_e[i], work.still, BASE + c, work.propagation)
             add_noise(P, noise, nodes.t[i] - nodes.t[i - 1], nodes.extra[i], noise.Q_e[i], c)
         for q in range(nodes.first[i], nodes.first[i + 1]):
             corrected(nodes.gyro[i], nodes.J[i], 0, bg, extras, ref, w)
             corrected(nodes.accel[i], nodes.J[i], 3, ba, extras, ref, f)
             fill_nav(p, v, C, w, f, nav)
-            update(q, nodes, tables, noise, nav, extras, nodes.J[i], P, x, innovation)
+            update(q, nodes, tables, noise, nav, extras, nodes.J[i], P, innovation, work)
             inject(x, p, v, C, bg, ba, extras)
+        if nodes.first[i] < nodes.first[i + 1]:
+            symmetrise(P)
         if at < len(record[0]) and record[0][at] == i:
             copy1(p, record[1][at])
             copy1(v, record[2][at])
@@ -199,24 +230,24 @@ def _run(
             copy1(bg, record[4][at])
             copy1(ba, record[5][at])
             copy1(extras, record[6][at])
-            for k in range(n):
+            for k in range(BASE + len(extras)):
                 record[7][at, k] = P[k, k]
             at += 1
 
 
-@njit
-def move_markov(Phi_e: Array, c: int, extras: Array) -> None:
-    """Carry the estimated Markov states over one interval, in place."""
+@lean
+def move_markov(Phi_e: Array, c: int, extras: Array, x: Array) -> None:
+    """Carry the estimated Markov states over one interval, in place; x (N,) is zero."""
     e = Phi_e.shape[0]
-    new = np.zeros(e)
     for i in range(e):
         for j in range(e):
-            new[i] += Phi_e[i, j] * extras[c + j]
+            x[i] += Phi_e[i, j] * extras[c + j]
     for i in range(e):
-        extras[c + i] = new[i]
+        extras[c + i] = x[i]
+        x[i] = 0.0
 
 
-@njit
+@lean
 def add_noise(P: Array, noise: Noise, dt: float, extra: Array, Q_e: Array, c: int) -> None:
     """Add the process noise of one interval to P, in place."""
     for k in range(3):
@@ -229,7 +260,7 @@ def add_noise(P: Array, noise: Noise, dt: float, extra: Array, Q_e: Array, c: in
             P[BASE + c + i, BASE + c + j] += Q_e[i, j]
 
 
-@inner
+@inlined
 def update(
     q: int,
     nodes: Nodes,
@@ -239,31 +270,30 @@ def update(
     extras: Array,
     J: Array,
     P: Array,
-    x: Array,
     innovation: tuple[Array, Array, Array, Array],
+    work: Work,
 ) -> None:
     """Update P with observation q; the estimated error goes into x, which must be zero."""
-    n = P.shape[0]
     kind = nodes.kind[q]
-    d = tables.dim[kind]
-    r, H = np.empty(MAX_DIM), np.empty((MAX_DIM, n))
+    r, H = work.r, work.H
     if linearise(kind, tables, nav, extras, nodes.z[q], J, r, H) != 0:
         return
     update_linear(
         r,
         H,
-        d,
+        tables.dim[kind],
         noise.R[kind],
         P,
-        x,
+        work.x,
         (innovation[0][q], innovation[1][q], innovation[2][q : q + 1], innovation[3][q : q + 1]),
+        work.update,
     )
 
 
-@njit
+@lean
 def inject(x: Array, p: Array, v: Array, C: Array, bg: Array, ba: Array, extras: Array) -> None:
     """Put the estimated error x (N,) into the state and set it to zero."""
-    turn, new = np.empty((3, 3)), np.empty((3, 3))
+    turn, new = local_matrix(3, 3), local_matrix(3, 3)
     for i in range(3):
         p[i] += x[i]
         v[i] += x[3 + i]
@@ -298,7 +328,7 @@ def steps_filterpy(
     kf = KalmanFilter(dim_x=n, dim_z=1)
     kf.x, kf.P = np.zeros(n), state.P.copy()
     s = State(state.node, *_copies(state), kf.P)
-    work = np.empty((9, BASE + mi)), np.empty((6, 6 + mi)), np.eye(n)
+    work = np.empty((9, BASE + mi)), np.empty((6, mi)), np.eye(n)
     for i in range(state.node + 1, end):
         if i > 0:
             _predict_filterpy(kf, problem, noise, s, i, work)
@@ -328,7 +358,7 @@ def _predict_filterpy(
     Phi, J, F = work
     earth = problem.ref, problem.g_n, problem.omega_ie_n
     interval(nodes, i, s.bg, s.ba, s.extras, *earth, s.p, s.v, s.C, Phi, J)
-    move_markov(noise.Phi_e[i], c, s.extras)
+    move_markov(noise.Phi_e[i], c, s.extras, np.zeros(n))
     F[:9, : Phi.shape[1]] = Phi
     F[BASE + c :, BASE + c :] = noise.Phi_e[i]
     Q = np.zeros((n, n))

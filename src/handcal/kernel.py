@@ -9,9 +9,16 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
-from handcal._jit import call_residual, copy1, inner, njit, zero1, zero2
+from handcal._jit import (
+    call_residual,
+    copy1,
+    inlined,
+    inner,
+    lean,
+    local_matrix,
+    local_vector,
+    zero1,
+)
 from handcal.observations import NAV
 from handcal.so3 import exp, matmul
 from handcal.strapdown import advance, error_transition, increments
@@ -19,6 +26,7 @@ from handcal.types import Array, IntArray
 
 BASE = 15
 MAX_DIM = 6
+_SLOPES = MAX_DIM * BASE
 
 
 class Tables(NamedTuple):
@@ -68,7 +76,7 @@ class Noise(NamedTuple):
     Q_e: Array
 
 
-@njit
+@lean
 def fill_nav(p: Array, v: Array, C: Array, w: Array, f: Array, nav: Array) -> None:
     """Write the flat view of the navigation state that observations read."""
     for i in range(3):
@@ -80,7 +88,7 @@ def fill_nav(p: Array, v: Array, C: Array, w: Array, f: Array, nav: Array) -> No
             nav[6 + 3 * i + j] = C[i, j]
 
 
-@njit
+@lean
 def corrected(
     reading: Array, J: Array, row: int, bias: Array, extras: Array, ref: Array, out: Array
 ) -> None:
@@ -92,7 +100,7 @@ def corrected(
         out[i] = s
 
 
-@njit
+@inlined
 def interval(
     nodes: Nodes,
     i: int,
@@ -110,12 +118,11 @@ def interval(
 ) -> None:
     """Carry p, v, C (in place) from node i - 1 to i and write the error transition Phi.
 
-    J (6, 6 + mi) is work space for the derivative of the mean reading by biases and
-    IMU constants.
+    J (6, mi) is work space for the derivative of the mean reading by the IMU constants.
     """
-    w0, w1, f0, f1 = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    inc, C_mid, turn = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    f_n, half = np.empty(3), np.empty(3)
+    w0, w1, f0, f1 = local_vector(3), local_vector(3), local_vector(3), local_vector(3)
+    inc, C_mid, turn = local_matrix(3, 3), local_matrix(3, 3), local_matrix(3, 3)
+    f_n, half = local_vector(3), local_vector(3)
     corrected(nodes.gyro[i - 1], nodes.J[i - 1], 0, bg, extras, ref, w0)
     corrected(nodes.gyro[i], nodes.J[i], 0, bg, extras, ref, w1)
     corrected(nodes.accel[i - 1], nodes.J[i - 1], 3, ba, extras, ref, f0)
@@ -128,15 +135,13 @@ def interval(
     exp(half, turn)
     matmul(C, turn, C_mid)
     advance(p, v, C, inc, dt, g_n, omega_ie_n, f_n)
-    zero2(J)
     for k in range(6):
-        J[k, k] = 1.0
         for c in range(nodes.J.shape[2]):
-            J[k, 6 + c] = 0.5 * (nodes.J[i - 1, k, c] + nodes.J[i, k, c])
+            J[k, c] = 0.5 * (nodes.J[i - 1, k, c] + nodes.J[i, k, c])
     error_transition(C_mid, f_n, dt, omega_ie_n, J, Phi)
 
 
-@njit
+@inlined
 def linearise(
     kind: int,
     tables: Tables,
@@ -147,7 +152,8 @@ def linearise(
     r: Array,
     H: Array,
 ) -> int:
-    """Residual r (MAX_DIM,) and observation matrix H (MAX_DIM, N) of one observation.
+    """Residual r (MAX_DIM,) and observation matrix H (MAX_DIM, N) of one observation, as far
+    as its dimension goes.
 
     Derivatives are central differences, except for the part by the navigation state
     where the observation brings its own. Angular residuals are small by construction,
@@ -155,19 +161,18 @@ def linearise(
     """
     d = tables.dim[kind]
     mi = J.shape[1]
-    zero2(H)
     status = _total(kind, tables, nav, extras, z, 0, r)
     if status != 0:
         return 1
-    flat = np.zeros(MAX_DIM * BASE)
-    Hn = flat.reshape(MAX_DIM, BASE)
-    plus = np.zeros(MAX_DIM)
-    minus = np.zeros(MAX_DIM)
-    moved = np.empty(NAV)
+    # (by the fifteen errors, one row after the other)
+    Hn, moved = local_vector(_SLOPES), local_vector(NAV)
+    plus, minus = local_vector(MAX_DIM), local_vector(MAX_DIM)
+    for j in range(BASE * d):
+        Hn[j] = 0.0
     first = 0
     if tables.jacobian[kind] != 0:
         first = 1
-        call_residual(tables.jacobian[kind], nav, extras, z, flat)
+        call_residual(tables.jacobian[kind], nav, extras, z, Hn)
     if tables.function.shape[1] > first and tables.function[kind, first] != 0:
         step = 1e-5
         for i in range(BASE):
@@ -177,13 +182,15 @@ def linearise(
             _total(kind, tables, moved, extras, z, first, minus)
             for j in range(d):
                 # r is observed minus predicted, so it falls as the prediction rises
-                Hn[j, i] -= (plus[j] - minus[j]) / (2 * step)
+                Hn[BASE * j + i] -= (plus[j] - minus[j]) / (2 * step)
     for j in range(d):
+        for i in range(9, H.shape[1]):
+            H[j, i] = 0.0
         for i in range(9):
-            H[j, i] = Hn[j, i]
+            H[j, i] = Hn[BASE * j + i]
         # a larger bias means a smaller true rate and force
         for i in range(6):
-            h = Hn[j, 9 + i]
+            h = Hn[BASE * j + 9 + i]
             if h != 0.0:
                 H[j, 9 + i] -= h
                 for c in range(mi):
@@ -215,12 +222,14 @@ def _perturb_nav(nav: Array, i: int, step: float, out: Array) -> None:
     if i < 6:
         out[i] += step
     elif i < 9:
-        phi = np.zeros(3)
+        phi = local_vector(3)
+        zero1(phi)
         phi[i - 6] = step
-        turn = np.empty((3, 3))
-        new = np.empty((3, 3))
+        C, turn, new = local_matrix(3, 3), local_matrix(3, 3), local_matrix(3, 3)
+        for k in range(9):
+            C[k // 3, k % 3] = nav[6 + k]
         exp(phi, turn)
-        matmul(turn, nav[6:15].reshape(3, 3), new)
+        matmul(turn, C, new)
         for k in range(9):
             out[6 + k] = new[k // 3, k % 3]
     else:

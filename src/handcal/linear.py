@@ -13,6 +13,7 @@ import numpy as np
 
 from handcal import so3
 from handcal._jit import njit
+from handcal.covariance import propagation_work
 from handcal.effects import DELAY
 from handcal.filter import Track
 from handcal.kernel import BASE, MAX_DIM, Nodes, Tables, corrected, fill_nav, linearise
@@ -204,6 +205,7 @@ def _transitions(problem: Problem, nominal: Trajectory) -> tuple[Array, Array, A
         problem.g_n,
         problem.omega_ie_n,
         (Phi, d, Q[0], Q[1], Q[2]),
+        propagation_work(9, 0),
     )
     if any(o.navigates for o in problem.observations):
         # (else d is no noise: it holds whatever moved the biases, and nothing pulls it back)

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from handcal._jit import copy1, copy2, inner, njit, zero2
-from handcal.covariance import propagate, propagation_work
+from handcal._jit import copy1, copy2, inner, local_matrix, njit, zero2
+from handcal.covariance import Propagation, propagate
 from handcal.kernel import BASE, Nodes, interval
 from handcal.types import Array, IntArray
 
@@ -21,6 +21,7 @@ def preintegrate(
     g_n: Array,
     omega_ie_n: Array,
     out: tuple[Array, Array, Array, Array, Array],
+    work: Propagation,
 ) -> None:
     """Phi, d and the three Q of every epoch but the first, into ``out`` (see ``Linear``).
 
@@ -30,11 +31,10 @@ def preintegrate(
     Phi_out, d_out, Qg_out, Qa_out, Q0_out = out
     mi = nodes.J.shape[2]
     width = BASE + mi
-    Phi, J = np.empty((9, width)), np.empty((6, 6 + mi))
+    Phi, J = np.empty((9, width)), np.empty((6, mi))
     none = np.empty((0, 0))
     total, new = np.zeros((9, width)), np.zeros((9, width))
     Q = np.zeros((3, 9, 9))
-    work = propagation_work(len(Q[0]), len(none))
     p, v, C = np.empty(3), np.empty(3), np.empty((3, 3))
     for j in range(1, len(epoch)):
         copy1(nominal[0][j - 1], p)
@@ -78,7 +78,7 @@ def _chain(Phi: Array, total: Array, out: Array) -> None:
 
 @inner
 def _add_noise(
-    Q: Array, Phi: Array, none: Array, dt: float, extra: Array, work: tuple[Array, Array, Array]
+    Q: Array, Phi: Array, none: Array, dt: float, extra: Array, work: Propagation
 ) -> None:
     """Carry the three Q (3, 9, 9), of gyro, accelerometer and gaps, over one interval."""
     for s in range(3):
@@ -94,7 +94,7 @@ def _add_noise(
 @inner
 def _angle_between(A: Array, B: Array, out: Array) -> None:
     """Rotation vector of A B', which must not be near half a turn."""
-    D = np.empty((3, 3))
+    D = local_matrix(3, 3)
     for a in range(3):
         for b in range(3):
             D[a, b] = 0.0

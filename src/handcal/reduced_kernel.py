@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
-from handcal._jit import copy1, copy2, inner, njit, zero1, zero2
-from handcal.covariance import propagate, propagation_work, times_transition
+from handcal._jit import copy1, copy2, inner, lean, zero1, zero2
+from handcal.covariance import Propagation, propagate, times_transition
 from handcal.types import Array, IntArray
 
 
@@ -86,7 +84,7 @@ def reduced_update(
     return S
 
 
-@njit
+@lean
 def reduced_forward(
     a: Reduced,
     P: Array,
@@ -94,18 +92,19 @@ def reduced_forward(
     states: tuple[Array, Array],
     scalars: tuple[Array, Array, Array],
     gram: Array,
+    work: Propagation,
+    extra: tuple[Array, Array],
 ) -> None:
     """Kalman filter over the moving states alone, for all values of the constants at once.
 
     states: X (k, m, 1 + nc) and P (k, m, m) after each epoch, or of length 1 to keep only
     the last; scalars: gain (s, m), innovation (s, 1 + nc) and its variance (s,). gram
     (1 + nc, 1 + nc) receives the lower half of the sum of nu nu' / S, which is all that the
-    evidence and the constants need.
+    evidence and the constants need. extra (m, 1 + nc), (m,): work space.
     """
     m, columns = X.shape
     e = m - 9
-    work = propagation_work(m, e)
-    new, ph = np.empty((m, columns)), np.empty(m)
+    new, ph = extra
     keep = states[0].shape[0] > 1
     e0 = m - e  # (nine; the literal would have numba compile its callees once more)
     for j in range(len(a.first) - 1):
@@ -187,12 +186,13 @@ def adjoint_update(
     S: float,
     given: Array,
     error: Array,
+    u: Array,
 ) -> float:
     """Take r (m, columns) and N (m, m) from after a scalar update to before it.
 
     given (1 + nc, columns) turns the innovation nu into the one at the constants' posterior
     mean and its spread. Returns the derivative of the log-evidence by the scalar's variance
-    R. error (columns,) is work space.
+    R. error (columns,) and u (m,) are work space.
     """
     m, columns = r.shape
     zero1(error)
@@ -211,7 +211,7 @@ def adjoint_update(
             r[a, c] += h[a] * error[c]
     if len(N) == 0:
         return 0.0
-    u = np.zeros(m)
+    zero1(u)
     for i in range(m):
         for j in range(m):
             u[j] += gain[i] * N[i, j]
@@ -228,7 +228,7 @@ def adjoint_update(
     return by_R
 
 
-@njit
+@lean
 def reduced_backward(
     a: Reduced,
     gain: Array,
@@ -240,6 +240,7 @@ def reduced_backward(
     N: Array,
     states: tuple[Array, Array],
     slopes: tuple[Array, Array, Array, Array],
+    work: tuple[Array, Array, Array, Array, Array],
 ) -> None:
     """Fixed-interval recursion of Bryson and Frazier, and with it the score.
 
@@ -247,15 +248,15 @@ def reduced_backward(
     as those of the prior. given (1 + nc, columns): as in ``adjoint_update``. states: r and
     N after the observations of each epoch, or empty. slopes: derivatives of the
     log-evidence by R (s,), by the two densities whose Q (k, 9, 9) are Q_unit (2,), by Q_e
-    (k, e, e) and by the prior of the moving states (m, m).
+    (k, e, e) and by the prior of the moving states (m, m). work: (m, columns), (m, m),
+    (m, m), (columns,), (m,).
 
     Source: Durbin & Koopman, Time Series Analysis by State Space Methods, 4.5 and 7.3.3;
     with constants as in de Jong (1991).
     """
-    m, columns = r.shape
+    m = len(r)
     e = m - 9
-    new, work, half = np.empty((m, columns)), np.empty((m, m)), np.empty((m, m))
-    error = np.empty(columns)
+    new, left, half, error, u = work
     score = len(N) > 0
     for j in range(len(a.first) - 2, -1, -1):
         if len(states[0]) > 0:
@@ -264,7 +265,7 @@ def reduced_backward(
             copy2(N, states[1][j])
         for q in range(a.first[j + 1] - 1, a.first[j] - 1, -1):
             at = a.at[q, : a.nonzero[q]]
-            slopes[0][q] = adjoint_update(r, N, a.h[q], at, gain[q], nu[q], S[q], given, error)
+            slopes[0][q] = adjoint_update(r, N, a.h[q], at, gain[q], nu[q], S[q], given, error, u)
         if score:
             _covariance_slope(r, N, slopes[3])
             for i in range(9):
@@ -278,14 +279,14 @@ def reduced_backward(
             times_transposed(a.A[j], a.B[j], a.Phi_e[j], a.Phi_psi[j], r, new)
             copy2(new, r)
             if score:
-                times_transposed(a.A[j], a.B[j], a.Phi_e[j], a.Phi_psi[j], N, work)
+                times_transposed(a.A[j], a.B[j], a.Phi_e[j], a.Phi_psi[j], N, left)
                 for i in range(m):
                     for k in range(m):
-                        half[k, i] = work[i, k]
-                times_transposed(a.A[j], a.B[j], a.Phi_e[j], a.Phi_psi[j], half, work)
+                        half[k, i] = left[i, k]
+                times_transposed(a.A[j], a.B[j], a.Phi_e[j], a.Phi_psi[j], half, left)
                 for i in range(m):
                     for k in range(m):
-                        N[i, k] = 0.5 * (work[i, k] + work[k, i])
+                        N[i, k] = 0.5 * (left[i, k] + left[k, i])
 
 
 @inner

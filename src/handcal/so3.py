@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from handcal._jit import njit
+from handcal._jit import lean
 from handcal.types import Array
 
 
-@njit
+@lean
 def exp(phi: Array, out: Array) -> None:
     """Rotation matrix of the rotation vector phi (3,) rad (Rodrigues), into out (3, 3)."""
     x, y, z = phi[0], phi[1], phi[2]
@@ -35,7 +35,7 @@ def exp(phi: Array, out: Array) -> None:
     out[2, 1] = c * y * z + s * x
 
 
-@njit
+@lean
 def matrix_into(w: float, x: float, y: float, z: float, out: Array) -> None:
     """Rotation matrix of a unit quaternion, into out (3, 3)."""
     out[0, 0] = 1 - 2 * (y * y + z * z)
@@ -46,7 +46,7 @@ def matrix_into(w: float, x: float, y: float, z: float, out: Array) -> None:
     out[1, 2], out[2, 1] = 2 * (y * z - w * x), 2 * (y * z + w * x)
 
 
-@njit
+@lean
 def matmul(A: Array, B: Array, out: Array) -> None:
     """out = A B for 3x3; out must be neither A nor B."""
     for i in range(3):
@@ -54,14 +54,14 @@ def matmul(A: Array, B: Array, out: Array) -> None:
             out[i, j] = A[i, 0] * B[0, j] + A[i, 1] * B[1, j] + A[i, 2] * B[2, j]
 
 
-@njit
+@lean
 def rotate(C: Array, x: Array, out: Array) -> None:
     """out = C x for a 3x3 and a vector (3,); out must not be x."""
     for i in range(3):
         out[i] = C[i, 0] * x[0] + C[i, 1] * x[1] + C[i, 2] * x[2]
 
 
-@njit
+@lean
 def orthonormalise(C: Array) -> None:
     """Remove round-off from a rotation matrix in place (one Newton step of the polar form)."""
     for i in range(3):

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from handcal._jit import copy1, copy2, njit, zero2
+from handcal._jit import copy1, copy2, lean, local_matrix, local_vector, zero2
 from handcal.so3 import exp, matmul, orthonormalise, rotate
 from handcal.types import Array
 
 
-@njit
+@lean
 def increments(w0: Array, w1: Array, f0: Array, f1: Array, dt: float, out: Array) -> None:
     """Rotation, velocity and position increments of one interval, in b at its start.
 
@@ -50,7 +50,7 @@ def increments(w0: Array, w1: Array, f0: Array, f1: Array, dt: float, out: Array
     out[1, 2] += s * (wz * wf - fz * w2)
 
 
-@njit
+@lean
 def advance(
     p: Array, v: Array, C: Array, inc: Array, dt: float, g_n: Array, omega_ie_n: Array, f_n: Array
 ) -> None:
@@ -59,14 +59,14 @@ def advance(
     f_n (3,) receives the mean specific force of the interval in n, m/s^2, which the
     error transition needs.
     """
-    dv = np.empty(3)
-    dp = np.empty(3)
-    turn = np.empty((3, 3))
-    new = np.empty((3, 3))
+    dv = local_vector(3)
+    dp = local_vector(3)
+    turn = local_matrix(3, 3)
+    new = local_matrix(3, 3)
     rotate(C, inc[1], dv)
     rotate(C, inc[2], dp)
     ox, oy, oz = omega_ie_n[0], omega_ie_n[1], omega_ie_n[2]
-    coriolis = np.empty(3)
+    coriolis = local_vector(3)
     coriolis[0] = -2.0 * (oy * v[2] - oz * v[1])
     coriolis[1] = -2.0 * (oz * v[0] - ox * v[2])
     coriolis[2] = -2.0 * (ox * v[1] - oy * v[0])
@@ -98,18 +98,18 @@ def advance(
     orthonormalise(C)
 
 
-@njit
+@lean
 def error_transition(
     C_mid: Array, f_n: Array, dt: float, omega_ie_n: Array, J: Array, Phi: Array
 ) -> None:
     """First nine rows of the transition of the error state over one interval.
 
-    The state is (position, velocity, psi, then parameters whose effect on the readings
-    is J (6, k): gyro error rows 0-2, accelerometer error rows 3-5). Phi (9, 9 + k) is
-    overwritten. Equations 7-9 of paper 002 with psi defined by C = exp([psi x]) C_est,
-    integrated to second order in dt, plus Coriolis and Earth rate where given.
+    The state is (position, velocity, psi, gyro bias, accelerometer bias, then parameters
+    whose effect on the readings is J (6, k): gyro error rows 0-2, accelerometer error rows
+    3-5). Phi (9, 15 + k) is overwritten. Equations 7-9 of paper 002 with psi defined by
+    C = exp([psi x]) C_est, integrated to second order in dt, plus Coriolis and Earth rate
+    where given.
     """
-    k = J.shape[1]
     zero2(Phi)
     for i in range(9):
         Phi[i, i] = 1.0
@@ -127,20 +127,21 @@ def error_transition(
         Phi[3 + i, 3 + l] = -2.0 * dt * omega_ie_n[j]
         Phi[6 + i, 6 + j] = dt * omega_ie_n[l]
         Phi[6 + i, 6 + l] = -dt * omega_ie_n[j]
-    for c in range(k):
-        for i in range(3):
-            g = C_mid[i, 0] * J[0, c] + C_mid[i, 1] * J[1, c] + C_mid[i, 2] * J[2, c]
-            a = C_mid[i, 0] * J[3, c] + C_mid[i, 1] * J[4, c] + C_mid[i, 2] * J[5, c]
-            Phi[6 + i, 9 + c] = -dt * g
-            Phi[3 + i, 9 + c] = -dt * a
-            Phi[i, 9 + c] = -h * a
-        # a gyro error turns the force it rides on: half of its rotation within the interval
-        for i in range(3):
-            j = (i + 1) % 3
-            l = (i + 2) % 3
-            turned = f_n[l] * Phi[6 + j, 9 + c] - f_n[j] * Phi[6 + l, 9 + c]
-            Phi[3 + i, 9 + c] += 0.5 * dt * turned
-            Phi[i, 9 + c] += dt * dt / 6.0 * turned
+    for i in range(3):
+        j = (i + 1) % 3
+        l = (i + 2) % 3
+        for c in range(3):
+            Phi[6 + i, 9 + c] = -dt * C_mid[i, c]
+            Phi[3 + i, 12 + c] = -dt * C_mid[i, c]
+            Phi[i, 12 + c] = -h * C_mid[i, c]
+            # a gyro error turns the force it rides on: half of its rotation within the interval
+            turned = dt * (f_n[j] * C_mid[l, c] - f_n[l] * C_mid[j, c])
+            Phi[3 + i, 9 + c] = 0.5 * dt * turned
+            Phi[i, 9 + c] = dt * dt / 6.0 * turned
+    for i in range(9):
+        for b in range(3 if i >= 6 else 6):
+            for c in range(J.shape[1]):
+                Phi[i, 15 + c] += Phi[i, 9 + b] * J[b, c]
 
 
 def integrate(
@@ -164,12 +165,12 @@ def integrate(
     return p, v, C
 
 
-@njit
+@lean
 def _integrate(
     t: Array, gyro: Array, accel: Array, g_n: Array, omega_ie_n: Array, p: Array, v: Array, C: Array
 ) -> None:
-    inc = np.empty((3, 3))
-    f_n = np.empty(3)
+    inc = local_matrix(3, 3)
+    f_n = local_vector(3)
     for i in range(len(t) - 1):
         dt = t[i + 1] - t[i]
         increments(gyro[i], gyro[i + 1], accel[i], accel[i + 1], dt, inc)
