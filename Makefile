@@ -2,7 +2,7 @@
 # PYTHON=/path/to/python chooses the interpreter .venv is made from.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo docs test lint format prove trial clean clean-cache
+.PHONY: help setup demo docs test lint format prove trial bench clean clean-cache
 
 BIN := .venv/bin
 # Of `make trial`: which suites, how many explanations at a time; SEED=N repeats a trial.
@@ -42,6 +42,10 @@ trial: setup ## blind trials of explain at full size: hours; scores in trial-out
 	    --json trial-out/$$s.json || exit; \
 	done
 
+bench: .venv/.installed-bench ## speed beside other programs, start-up, memory: ten minutes
+	@mkdir -p bench-out
+	$(BIN)/handcal bench --all --json bench-out/bench.json
+
 lint: .venv/.installed-dev ## style, types and the direction of imports
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
@@ -54,11 +58,11 @@ format: .venv/.installed-dev ## put the code into the project's format
 
 clean: ## remove .venv, caches, builds, the demo's output and scores of trials
 	rm -rf .venv .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
-	rm -rf build dist demo-out trial-out
+	rm -rf build dist demo-out trial-out bench-out
 	find src sim tests -name __pycache__ -prune -exec rm -rf {} +
 
-clean-cache: ## remove compiled kernels (do so after editing so3.py or strapdown.py)
-	find src -name "*.nb[ci]" -delete
+clean-cache: ## remove compiled kernels (do so after editing what is compiled into others)
+	find src tests -name "*.nb[ci]" -delete
 
 # The stamps below are touched last, so that a step that broke off is done again.
 
@@ -75,9 +79,16 @@ clean-cache: ## remove compiled kernels (do so after editing so3.py or strapdown
 .venv/.installed: .venv/.created pyproject.toml constraints.txt
 	@echo "Installing handcal into .venv; the first time this takes a minute or two."
 	@$(PIP) -e .
+	@echo "Compiling the filter, which takes half a minute."
+	@$(BIN)/python scripts/compile.py
 	@touch $@
 
 .venv/.installed-dev: .venv/.installed
 	@echo "Installing the tools for the tests into .venv."
 	@$(PIP) -e ".[dev]"
+	@touch $@
+
+.venv/.installed-bench: .venv/.installed
+	@echo "Installing what handcal is measured against into .venv."
+	@$(PIP) -e ".[bench]"
 	@touch $@

@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from handcal._jit import copy1, copy2, inlined, lean, local_matrix, local_vector, zero1
-from handcal._rows import padded
+from handcal._rows import blank, padded
 from handcal.covariance import (
     Propagation,
     Update,
@@ -165,7 +165,7 @@ def run_compiled(
     bg, ba, extras = state.bg.copy(), state.ba.copy(), state.extras.copy()
     n, mi, e = problem.size, problem.nodes.J.shape[2], problem.markov_size
     wide = padded(n)
-    P = np.zeros((wide, wide))
+    P = blank(wide, wide)
     P[:n, :n] = state.P
     _run(
         problem.nodes,
@@ -181,8 +181,8 @@ def run_compiled(
             np.empty((9, BASE + mi)),
             np.empty((6, mi)),
             np.empty(MAX_DIM),
-            np.empty((MAX_DIM, wide)),
-            np.zeros(wide),
+            blank(MAX_DIM, wide),
+            blank(wide),
             np.empty((0, 0)),
             np.zeros((e, 3)),
             propagation_work(wide, e),

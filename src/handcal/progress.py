@@ -5,8 +5,8 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from contextlib import contextmanager, nullcontext
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -38,13 +38,44 @@ class Bar:
         self.shown.add_task(self.text, total=None)
         self.shown.start()
 
+    def describe(self, text: str) -> None:
+        """Say something else beside the bar."""
+        self.text = text
+        self()
+        if self.shown is not None:
+            self.shown.update(self.shown.task_ids[0], description=text)
+
 
 @contextmanager
 def progress(text: str) -> Iterator[Bar]:
     """Call what this yields with the fraction done, as often as you like."""
     bar = Bar(text)
     try:
-        yield bar
+        with _compiling(bar) if bar.visible else nullcontext():
+            yield bar
     finally:
         if bar.shown is not None:
             bar.shown.stop()
+
+
+@contextmanager
+def _compiling(bar: Bar) -> Iterator[None]:
+    """Say so while numba compiles: that takes long, and only the first time."""
+    from numba.core import event
+
+    text = bar.text
+
+    class Told(event.Listener):
+        depth = 0
+
+        def on_start(self, event: Any) -> None:  # noqa: ARG002
+            self.depth += 1
+            bar.describe(f"{text}: compiling, only this once")
+
+        def on_end(self, event: Any) -> None:  # noqa: ARG002
+            self.depth -= 1
+            if self.depth == 0:
+                bar.describe(text)
+
+    with event.install_listener("numba:compile", Told()):
+        yield

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from handcal.effects import Effect, Param, Signals
 from handcal.types import Array
@@ -13,6 +12,8 @@ def imu_error(delay: Array, signals: Signals) -> Array:
     """``f(t - delay) - f(t)`` on the accelerometer; delay (1,) s, result (n, 6)."""
     out = np.zeros((len(signals.t), 6))
     if delay[0] != 0.0:
+        from scipy.interpolate import CubicSpline  # (slow to import, and most never need it)
+
         # (straight lines between samples would average their noise, and less noise would
         # speak for half a sample's delay)
         then = np.clip(signals.t - delay[0], signals.t[0], signals.t[-1])
