@@ -112,8 +112,8 @@ def settle(world: World) -> tuple[Linear, batch.Pass]:
     state = initial_state(problem, start, LEVELS)
     state = run_compiled(problem, noise_arrays(problem, LEVELS), state, track)
     nominal = trajectory_of(problem, track, state.bg, state.ba, state.extras)
-    linear, last, _ = batch.relinearise(linearise_about(problem, start, nominal), LEVELS)
-    return linear, last
+    linear, _ = batch.relinearise(linearise_about(problem, start, nominal), LEVELS)
+    return linear, batch.forward(linear, LEVELS)
 
 
 def errors(world: World, linear: Linear, last: batch.Pass, j: int) -> Array:

@@ -748,8 +748,9 @@ def test_a_step_comes_back_from_the_best_of_its_moments(seed):
     best = max(tried)[2]
     there = batch.moved(best, batch.smoothed_mean(best, levels)[0])
     there.constants[3] = best.trajectory.constants[3]
-    linear, forward, settled = batch.relinearise(linearise_about(problem, start, there), levels)
+    linear, settled = batch.relinearise(linearise_about(problem, start, there), levels)
     assert settled
+    forward = batch.forward(linear, levels)
     got = linear.trajectory.constants[:4] + forward.x[-1, BASE : BASE + 4]
     sigma = np.sqrt(np.diag(forward.P[-1])[BASE : BASE + 4])
     assert np.all(np.abs(got - truth) < 4 * sigma), (got, truth, sigma)

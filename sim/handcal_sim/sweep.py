@@ -19,7 +19,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from handcal import so3
-from handcal.batch import relinearise
+from handcal.batch import forward, relinearise
 from handcal.consistency import bound
 from handcal.earth import local_earth
 from handcal.effects import select
@@ -153,7 +153,8 @@ def settled(
     """
     levels = _levels(cell, r_h)
     nominal = trajectory_of(problem, track, state.bg, state.ba, state.extras)
-    linear, last, _ = relinearise(linearise_about(problem, start, nominal), levels)
+    linear, _ = relinearise(linearise_about(problem, start, nominal), levels)
+    last = forward(linear, levels, keep=False)
     value = _parameters(linear.trajectory) + last.x[-1][9:]
     return value, np.sqrt(np.diag(last.P[-1])[9:])
 

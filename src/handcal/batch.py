@@ -34,14 +34,12 @@ from handcal.types import Array, BoolArray, IntArray
 
 @dataclass(frozen=True)
 class Pass:
-    """One forward pass: x (k, N) and P (k, N, N) after the observations of each epoch, the
-    same before them; of each observation innovation and sigma (q, MAX_DIM), nis (q,) and
-    the log of its predictive density, loglik (q,)."""
+    """One forward pass: x (k, N) and P (k, N, N) after the observations of each epoch; of each
+    observation innovation and sigma (q, MAX_DIM), nis (q,) and the log of its predictive
+    density, loglik (q,)."""
 
     x: Array
     P: Array
-    x_before: Array
-    P_before: Array
     residual: Array
     sigma: Array
     nis: Array
@@ -74,8 +72,6 @@ def forward(linear: Linear, levels: Mapping[str, float], keep: bool = True) -> P
     out = Pass(
         np.zeros((rows, n)),
         np.zeros((rows, n, n)),
-        np.zeros((rows, n)),
-        np.zeros((rows, n, n)),
         np.zeros((q, MAX_DIM)),
         np.zeros((q, MAX_DIM)),
         np.full(q, np.nan),
@@ -89,7 +85,7 @@ def forward(linear: Linear, levels: Mapping[str, float], keep: bool = True) -> P
         problem.constants,
         x0,
         P0,
-        (out.x, out.P, out.x_before, out.P_before),
+        (out.x, out.P),
         (out.residual, out.sigma, out.nis, out.loglik),
         propagation_work(n, problem.markov_size),
         update_work(n, MAX_DIM),
@@ -106,7 +102,7 @@ def _forward(
     c: int,
     x: Array,
     P: Array,
-    store: tuple[Array, Array, Array, Array],
+    store: tuple[Array, Array],
     out: tuple[Array, Array, Array, Array],
     work: Propagation,
     update: Update,
@@ -132,9 +128,6 @@ def _forward(
                 x[e0 + a] = moved[e0 + a, 0] + d_e[j, a]
                 for b in range(e):
                     P[e0 + a, e0 + b] += Q_e[j, a, b]
-        if keep:
-            copy1(x, store[2][j])
-            copy2(P, store[3][j])
         for q in range(first[j], first[j + 1]):
             if used[q]:
                 update_linear(
@@ -224,10 +217,10 @@ def moved(linear: Linear, x: Array) -> Trajectory:
 
 def relinearise(
     linear: Linear, levels: Mapping[str, float], tolerance: float = 0.05, rounds: int = 8
-) -> tuple[Linear, Pass, bool]:
+) -> tuple[Linear, bool]:
     """Move the trajectory and linearise again until the evidence changes by < tolerance nats.
 
-    Returns the last linearisation, its forward pass and whether it settled.
+    Returns the last linearisation and whether it settled.
     """
     x, evidence = smoothed_mean(linear, levels)
     settled = False
@@ -238,4 +231,4 @@ def relinearise(
         evidence = new
         if settled:
             break
-    return linear, forward(linear, levels), settled
+    return linear, settled

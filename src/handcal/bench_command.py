@@ -98,6 +98,11 @@ def _measured(groups: list[str], rounds: int, peers: Path) -> Found:
                 found += measure[group](lambda g=group: told(g))  # type: ignore[misc]
             except Missing as problem:
                 found.append(Skipped(group, GROUPS[group], str(problem)))
+            except KeyboardInterrupt:
+                found += [
+                    Skipped(g, GROUPS[g], "interrupted.") for g in groups[groups.index(group) :]
+                ]
+                break
     return found
 
 

@@ -400,16 +400,17 @@ def solve(
     state = first_state(problem, start, levels)
     state = ENGINES[engine](problem, noise_arrays(problem, levels), state, track)
     nominal = trajectory_of(problem, track, state.bg, state.ba, state.extras)
-    linear, forward, settled = batch.relinearise(linearise_about(problem, start, nominal), levels)
+    linear, settled = batch.relinearise(linearise_about(problem, start, nominal), levels)
     curvature = noise_levels.NO_CURVATURE
     for _ in range(rounds if free else 0):
         part = linear if noise_until is None else noise_levels.until(linear, noise_until)
         new, curvature = noise_levels.estimate(part, levels, free, count, known=curvature)
         change = max(abs(math.log(new[n] / levels[n])) for n in free)
         levels = new
-        linear, forward, settled = batch.relinearise(linear, levels)
+        linear, settled = batch.relinearise(linear, levels)
         if change < 0.02:
             break
+    forward = batch.forward(linear, levels)
     if not np.isfinite(forward.log_evidence):
         raise HandcalError(
             "The filter diverged on this recording; check its units and axes, and whether the "
