@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
@@ -16,6 +17,11 @@ from numba.extending import intrinsic, typeof_impl
 from handcal.types import Array, IntArray
 
 F = TypeVar("F", bound=Callable[..., Any])
+
+# Numba's default, 3, takes a third longer to compile, and the filter comes out slower; what is
+# compiled is kept on disk for whoever comes next, so the level must be the same for all.
+if "NUMBA_OPT" not in os.environ:
+    numba.config.OPT = type(numba.config.OPT)(2)  # type: ignore[attr-defined]
 
 # (numba's own are partly typed, and not for this)
 _intrinsic: Any = intrinsic

@@ -142,11 +142,32 @@ def _row(add: bool) -> Any:
     return typed
 
 
+def _add_outer(typingctx: Any, a: Any, x: Any, b: Any, y: Any, out: Any) -> Any:  # noqa: ARG001
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        a, x, b, y, out = (_Matrix(context, builder, signature.args[k], args[k]) for k in range(5))
+        zero = ir.Constant(_WORD, 0)
+        for j, columns in _blocks(builder, out.shape[1], _COLUMNS):
+            kind = _vector(columns)
+            x_j, y_j = x.load(zero, j, kind), y.load(zero, j, kind)
+            with cgutils.for_range(builder, out.shape[0], intp=_WORD) as loop:
+                # (rounded twice each, as the same sum would be outside)
+                total = out.load(loop.index, j, kind)
+                for left, right in ((a, x_j), (b, y_j)):
+                    factor = _spread(builder, left.load(zero, loop.index), kind)
+                    total = builder.fadd(total, builder.fmul(factor, right))
+                out.store(total, loop.index, j)
+        return context.get_dummy_value()
+
+    return types.void(a, x, b, y, out), codegen
+
+
 _set_product: Callable[[Array, Array, int, Array], None] = _intrinsic(_product(add=False))
 _add_product: Callable[[Array, Array, int, Array], None] = _intrinsic(_product(add=True))
 # out (n,) = a X[row], or that added to out; a vector is a matrix of one row, number 0
 set_row: Callable[[float, Array, int, Array], None] = _intrinsic(_row(add=False))
 add_row: Callable[[float, Array, int, Array], None] = _intrinsic(_row(add=True))
+# out (m, n) += a x' + b y': add_outer(a, x, b, y, out)
+add_outer: Callable[[Array, Array, Array, Array, Array], None] = _intrinsic(_add_outer)
 
 
 @inner

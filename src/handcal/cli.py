@@ -352,8 +352,6 @@ def replay(
 
 def main() -> None:
     """The ``handcal`` command. Leaves by SystemExit."""
-    # (numba's default, 3, takes a third longer to compile and makes the filter slower)
-    os.environ.setdefault("NUMBA_OPT", "2")
     run(app)
 
 

@@ -11,11 +11,11 @@ import math
 import numpy as np
 
 from handcal._jit import inlined, inner
-from handcal._rows import add_product, add_row, blank, padded, product, set_row
+from handcal._rows import add_outer, add_product, add_row, blank, padded, product, set_row
 from handcal.types import Array, IntArray
 
 Propagation = tuple[Array, Array, Array]
-Update = tuple[Array, Array, IntArray, IntArray]
+Update = tuple[Array, Array, Array, IntArray, IntArray]
 
 
 def propagation_work(n: int, e: int) -> Propagation:
@@ -25,9 +25,10 @@ def propagation_work(n: int, e: int) -> Propagation:
 
 
 def update_work(n: int, d: int) -> Update:
-    """Work space of ``update_linear`` for n states and at most d scalars: -P h, gain, and of
-    each scalar where its row of H is not zero, and how often."""
-    return blank(n), blank(n), np.zeros((d, n), dtype=np.int64), np.zeros(d, dtype=np.int64)
+    """Work space of ``update_linear`` for n states and at most d scalars: -P h, gain, the second
+    correction, and of each scalar where its row of H is not zero, and how often."""
+    count = np.zeros(d, dtype=np.int64)
+    return blank(n), blank(n), blank(n), np.zeros((d, n), dtype=np.int64), count
 
 
 @inner
@@ -100,11 +101,11 @@ def scalar_update(
 ) -> tuple[float, float]:
     """One scalar Kalman update in Joseph form; returns innovation and its variance.
 
-    (I - K h) P (I - K h)' + K R K', row by row as two rank-one corrections. x (N,) and
+    (I - K h) P (I - K h)' + K R K', evaluated as two rank-one corrections. x (N,) and
     P (N, N), symmetric but for round-off, are changed in place. h is zero but for at[:count];
     at[0] must be valid in any case.
     """
-    minus_ph, gain, _, _ = work
+    minus_ph, gain, back, _, _ = work
     S, nu = R, r
     set_row(-h[at[0]], P, at[0], minus_ph)
     for k in range(1, count):
@@ -115,12 +116,13 @@ def scalar_update(
     set_row(-1.0 / S, minus_ph, 0, gain)
     add_row(nu, gain, 0, x)
     # (I - K h) P is not symmetric in round-off: multiply by (I - K h)' from what it is
-    for i in range(len(x)):
-        add_row(gain[i], minus_ph, 0, P[i])
-        back = R * gain[i]
-        for k in range(count):
-            back -= h[at[k]] * P[i, at[k]]
-        add_row(back, gain, 0, P[i])
+    set_row(R, gain, 0, back)
+    for k in range(count):
+        a = at[k]
+        weight, change = h[a], minus_ph[a]
+        for i in range(len(x)):
+            back[i] -= (P[i, a] + gain[i] * change) * weight
+    add_outer(gain, minus_ph, back, gain, P)
     return nu, S
 
 
@@ -141,7 +143,7 @@ def update_linear(
     the log of the predictive density (1,). ``symmetrise`` P after the last update.
     """
     residual, sigma, nis, loglik = out
-    at, count = work[2], work[3]
+    at, count = work[3], work[4]
     for j in range(d):
         S = R[j]
         nu = r[j]

@@ -17,9 +17,11 @@ def exp(phi: Array, out: Array) -> None:
     """Rotation matrix of the rotation vector phi (3,) rad (Rodrigues), into out (3, 3)."""
     x, y, z = phi[0], phi[1], phi[2]
     a2 = x * x + y * y + z * z
-    if a2 < 1e-8:
-        s = 1.0 - a2 / 6.0
-        c = 0.5 - a2 / 24.0
+    if a2 < 0.02:
+        # (8 degrees, more than an IMU turns between two samples; what is left out is below
+        # round-off, and the quotients are taken beforehand)
+        s = 1 - a2 * (1 / 6) * (1 - a2 * (1 / 20) * (1 - a2 * (1 / 42) * (1 - a2 * (1 / 72))))
+        c = 0.5 - a2 * (1 / 24) * (1 - a2 * (1 / 30) * (1 - a2 * (1 / 56) * (1 - a2 * (1 / 90))))
     else:
         a = np.sqrt(a2)
         s = np.sin(a) / a
