@@ -61,6 +61,17 @@ class Solution:
     settled: bool
 
 
+@dataclass(frozen=True)
+class Choice:
+    """What is assumed of the hand, the kinds of observation to use, what was left out or found,
+    in words; and noise levels seen on the way, where a search may begin."""
+
+    assume: str
+    kinds: list[str]
+    warnings: list[str]
+    levels: Mapping[str, float]
+
+
 def calibrate(
     recording: Recording,
     effects: Sequence[str] = (),
@@ -104,15 +115,18 @@ def calibrate(
     earth = local_earth(latitude, height)
     warnings = list(recording.warnings)
     if observations is None:
-        assume, kinds, said = choose(recording, chosen, assume, rests, earth, fixed, report)
-        warnings += said
+        choice = choose(recording, chosen, assume, rests, earth, fixed, report)
     else:
         kinds = list(observations)
-        assume = "rest-only" if "zero_rate" in kinds else "fixed-point"
+        choice = Choice("rest-only" if "zero_rate" in kinds else "fixed-point", kinds, [], {})
+    assume, kinds = choice.assume, choice.kinds
+    warnings += choice.warnings
     _check_effects(chosen, kinds)
     problem, begin = problem_of(recording, chosen, kinds, rests, earth, start)
     report(0.3)
-    solution = solve(problem, begin, fixed, noise_until, engine, lambda f: report(0.3 + 0.65 * f))
+    solution = solve(
+        problem, begin, fixed, noise_until, engine, lambda f: report(0.3 + 0.65 * f), choice.levels
+    )
     report(1.0)
     return _result(recording, assume, rests, solution, warnings)
 
@@ -125,15 +139,16 @@ def choose(
     earth: tuple[Array, Array],
     fixed: Mapping[str, float],
     report: Progress = lambda _: None,
-) -> tuple[str, list[str], list[str]]:
-    """What is assumed of the hand, the kinds of observation to use, and what was left out."""
+) -> Choice:
+    """What to observe, for one of ASSUMPTIONS; "auto" tries whether the held point stays."""
     warnings: list[str] = []
+    levels: Mapping[str, float] = {}
     usable = _usable(recording, effects, warnings)
     if "reference" in usable:
-        return "rest-only", ["known_input"], _only_reference(usable)
+        return Choice("rest-only", ["known_input"], _only_reference(usable), levels)
     travels = False
     if assume == "auto":
-        assume, said = _assumption(recording, effects, usable, rests, earth, fixed, report)
+        assume, said, levels = _assumption(recording, effects, usable, rests, earth, fixed, report)
         warnings += said
         travels = assume == "rest-only"
     kinds = _kinds(assume, usable, rests)
@@ -141,7 +156,7 @@ def choose(
         # Between the rests the hand is not free either: it stays within an arm's reach,
         # which a wide sway says, and which keeps dead reckoning from running away.
         kinds.append("fixed_position")
-    return assume, kinds, warnings
+    return Choice(assume, kinds, warnings, levels)
 
 
 def check_options(
@@ -251,8 +266,9 @@ def _assumption(
     earth: tuple[Array, Array],
     fixed: Mapping[str, float],
     report: Progress,
-) -> tuple[str, list[str]]:
-    """Does the held point stay? The evidence of the sway that the readings ask for decides."""
+) -> tuple[str, list[str], Mapping[str, float]]:
+    """Does the held point stay? The evidence of the sway that the readings ask for decides.
+    Also what to say about it, and the noise levels of a hand that stays."""
     kinds = ["fixed_position"] + (["heading"] if "heading" in usable else [])
     problem, begin = problem_of(recording, effects, kinds, rests, earth, None)
     solution = solve(problem, begin, fixed, None, "compiled", lambda f: report(0.3 * f), rounds=1)
@@ -260,25 +276,29 @@ def _assumption(
     rate = float(np.sqrt((problem.rate**2).mean()))
     sway = math.hypot(levels["sway"], levels["sway_per_rate"] * rate)
     if sway <= HAND_SWAY:
-        return "fixed-point", []
+        return "fixed-point", [], levels
     held = levels | {n: levels[n] * HAND_SWAY / sway for n in ("sway", "sway_per_rate")}
     gain = (
         solution.forward.log_evidence
         - batch.forward(solution.linear, held, keep=False).log_evidence
     )
     if gain < TRAVEL_NATS:
-        return "fixed-point", []
+        return "fixed-point", [], levels
     said = (
         f"The hand travels: its sway of about {sway:.2g} m is more than a held point's "
         f"(evidence {gain:.0f} nats)"
     )
     if not len(rests):
-        return "fixed-point", [
-            f"{said}, and the device never rests, so the accelerometer is judged against a wide "
-            "sway; let it lie for a few seconds at the start and the end."
-        ]
+        return (
+            "fixed-point",
+            [
+                f"{said}, and the device never rests, so the accelerometer is judged against a wide "
+                "sway; let it lie for a few seconds at the start and the end."
+            ],
+            levels,
+        )
     between = "the pose is followed" if "pose" in usable else "the hand stays within reach"
-    return "rest-only", [f"{said}. Only the rests are taken to be still; in between {between}."]
+    return "rest-only", [f"{said}. Only the rests are taken to be still; in between {between}."], {}
 
 
 def problem_of(
@@ -381,12 +401,15 @@ def solve(
     noise_until: float | None = None,
     engine: str = "compiled",
     progress: Progress | None = None,
+    begin: Mapping[str, float] | None = None,
     rounds: int = 2,
 ) -> Solution:
-    """Filter, smooth, relinearise, and find the noise levels that are not ``fixed``."""
-    levels = noise_levels.initial_levels(problem) | {
-        k: v for k, v in fixed.items() if k in {lv.name for lv in problem.levels}
-    }
+    """Filter, smooth, relinearise, and find the noise levels that are not ``fixed``.
+
+    begin: levels to begin the search at, where something better than a first guess is known.
+    """
+    levels = noise_levels.initial_levels(problem)
+    levels |= {k: v for k, v in {**(begin or {}), **fixed}.items() if k in levels}
     free = tuple(lv.name for lv in problem.levels if lv.name not in fixed)
     done = 0
 

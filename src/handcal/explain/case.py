@@ -65,18 +65,16 @@ def case_of(
     earth = local_earth(latitude, height)
     # Errors of the sensors look like a travelling hand, so evidence could not choose yet.
     held = "fixed-point" if assume == "auto" else assume
-    assume, kinds, warnings = choose(
-        recording, tuple(catalogue().values()), held, rests, earth, dict(fixed or {})
-    )
-    observed, start = observed_of(recording, kinds, rests, earth, None, rate=PSEUDO_RATE)
+    choice = choose(recording, tuple(catalogue().values()), held, rests, earth, dict(fixed or {}))
+    observed, start = observed_of(recording, choice.kinds, rests, earth, None, rate=PSEUDO_RATE)
     return Case(
         recording,
-        assume,
+        choice.assume,
         tuple(observed),
         rests,
         earth,
         start,
-        (*recording.warnings, *warnings),
+        (*recording.warnings, *choice.warnings),
         dict(fixed or {}),
     )
 
