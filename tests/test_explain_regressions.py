@@ -19,7 +19,14 @@ from handcal.explain.quadratic import posterior
 from handcal.types import InputError, Recording, Series
 from handcal_sim import simulate
 from handcal_sim.motion import Start
-from handcal_sim.phone import Clocking, Phone, capture_pose, consumer_phone, with_rate
+from handcal_sim.phone import (
+    Clocking,
+    Phone,
+    capture_pose,
+    consumer_magnetometer,
+    consumer_phone,
+    with_rate,
+)
 from handcal_sim.scenario import World
 
 GYRO, ACCEL = {"gyro_scale": [0.01, -0.008, 0.012]}, {"accel_scale": [0.01, -0.008, 0.012]}
@@ -145,6 +152,27 @@ def test_a_marker_that_cannot_be_aligned_is_left_out() -> None:
     assert found.verdict == "nothing_missing"
     assert any(w.startswith("The pose was left out") for w in found.warnings)
     assert not [h.effect for h in found.hypotheses if h.effect.startswith("pose")]
+
+
+# --- a delay beyond the reach of a scan ---------------------------------------------------------
+# A magnetometer 109 ms late on a real hand that turns at 500 deg/s: about no delay the derivative
+# says nothing of one radian, and the magnetic disturbance came to hold it.
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_delay_of_more_than_a_radian(seed: int) -> None:
+    def filmed(rng: np.random.Generator) -> Phone:
+        return replace(
+            slow(rng), heading=None, mag=consumer_magnetometer(rng), pose=capture_pose(rng)
+        )
+
+    late = {"heading_delay": [-0.4]}
+    world = simulate("three-turns", seed=seed, duration_s=12.0, phone=filmed, effects=late)
+    found = explain([recording_of(world, "mag", "pose")])
+    assert "heading_delay" in names(found)
+    delay = next(m for m in found.missing if m.effect == "heading_delay").parameters[0]
+    assert abs(delay.value + 0.4) < 4 * delay.sigma
+    assert delay.sigma < 0.1 * delay.prior_sigma
 
 
 # --- arms that nobody has ----------------------------------------------------------------------

@@ -292,8 +292,8 @@ def _assumption(
         return (
             "fixed-point",
             [
-                f"{said}, and the device never rests, so the accelerometer is judged against a wide "
-                "sway; let it lie for a few seconds at the start and the end."
+                f"{said}, and the device never rests, so the accelerometer is judged against a "
+                "wide sway; let it lie for a few seconds at the start and the end."
             ],
             levels,
         )

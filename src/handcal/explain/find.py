@@ -12,6 +12,7 @@ from handcal.effects import Effect, catalogue
 from handcal.evidence import reduce, reduced_pass
 from handcal.explain.case import Case, applicable, frozen_at, name_of
 from handcal.explain.fit import Fitted, Model, fitted, moved_to, scan
+from handcal.explain.late import with_delay
 from handcal.explain.robust import inflation
 from handcal.explain.search import (
     OCCAM_LEVEL,
@@ -166,6 +167,10 @@ def _climbed(
         chosen = max((best_set(where, now), best_set(where, ())), key=where.score)
         if turn == 0 and any(t.effect.id not in chosen for t in needed):
             return None
+        begun = with_delay(model, where.quadratic.worth) if turn == 0 else None
+        if begun is not None:
+            model = begun
+            continue
         if chosen != now and chosen not in visited and not _same(where, now, chosen):
             visited.add(chosen)
             larger = _grown(model, where, now, chosen, dropped)

@@ -263,6 +263,15 @@ def moved_to(f: Fitted, effects: Sequence[Effect]) -> Fitted:
     return Fitted(case, linear, levels, f.curvature)
 
 
+def delayed(f: Fitted, effects: Sequence[Effect], effect: Effect, seconds: float) -> Fitted:
+    """The fit with an effect's delay set to so much, nothing else moved."""
+    wide = moved_to(f, effects)
+    at = next(i for i, s in enumerate(wide.linear.problem.slots) if s.owner == effect.id)
+    constants = wide.linear.trajectory.constants.copy()
+    constants[at] = seconds
+    return _linearised(wide, replace(wide.linear.trajectory, constants=constants), effects)
+
+
 def transferred(nominal: Trajectory, old: Problem, new: Problem) -> Trajectory:
     """A trajectory of one problem as one of another of the same recording."""
     values = {(s.owner, s.name): v for s, v in zip(old.slots, nominal.constants, strict=True)}

@@ -1,0 +1,61 @@
+"""Delays that are too large for a scan: tried on a grid, before the search begins."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from handcal.effects import Effect, catalogue
+from handcal.evidence import reduce, reduced_pass
+from handcal.explain.case import applicable
+from handcal.explain.fit import Fitted, Model, delayed, fitted, moved_to
+from handcal.explain.search import PRIOR
+
+# A scan does not see what a delay does when the device turns further than this within it, rad.
+BEYOND = 0.5
+# Nats that a delay of the grid must gain as it stands, nothing adjusted to it.
+LOOK = 3.0
+
+
+def with_delay(model: Model, worth: float) -> Model | None:
+    """The model with a delay that a scan cannot see, because the device turns too far within it.
+
+    A scan asks what a small delay would do; after half a radian the answer says nothing of a
+    large one, and the noise levels come to hold it. So delays are tried on a grid.
+    """
+    for effect in catalogue().values():
+        cases = [f.case for f in model.parts]
+        if not effect.delays or effect.id in model.ids:
+            continue
+        if not any(applicable(c, effect) for c in cases):
+            continue
+        wanted = (*model.effects, effect)
+        begun = _begun(model, wanted, effect)
+        if begun is None:
+            continue
+        tried = fitted(begun, wanted)
+        if worth * (tried.log_evidence - model.log_evidence) + PRIOR > 0.0:
+            return tried
+    return None
+
+
+def _begun(model: Model, wanted: Sequence[Effect], effect: Effect) -> list[Fitted] | None:
+    """The recordings with the delay of the grid that suits them best, if one suits them better
+    than none."""
+    rates = [np.linalg.norm(f.case.recording.imu.gyro, axis=1) for f in model.parts]
+    step = BEYOND / max(float(np.quantile(r, 0.95)) for r in rates)
+    count = int(3.0 * effect.parameters[0].prior_sigma / step)
+    here = [moved_to(f, wanted) for f in model.parts]
+    least = _evidence(here) + LOOK
+    best: list[Fitted] | None = None
+    for k in (*range(-count, 0), *range(1, count + 1)):
+        there = [delayed(f, wanted, effect, k * step) for f in here]
+        value = _evidence(there)
+        if value > least:
+            best, least = there, value
+    return best
+
+
+def _evidence(parts: Sequence[Fitted]) -> float:
+    return sum(reduced_pass(reduce(f.linear), f.levels).log_evidence for f in parts)
