@@ -48,7 +48,12 @@ def expected_gain(recording: Recording, effect_id: str, values: Sequence[float])
 
 
 def _walk_gain(case: Case, effect: Effect, density: float) -> float:
-    """Nats that a walking bias of this density would gain, less what its level costs."""
+    """Nats that a walking bias of this density would gain, less what its level costs.
+
+    Most of a walk shows as one slow course of size z (standard normal), which gains
+    (lambda z^2 - log(1 + lambda)) / 2. So the mean is made by a few far walks: where it is 25
+    nats, a third of all walks gain next to nothing.
+    """
     # with the noise that is left when the walk is known, as if there had been none
     whole = fitted([started(case)], [effect])
     rest = replace(whole, effects=(), parts=tuple(moved_to(f, ()) for f in whole.parts))
