@@ -25,6 +25,7 @@ from handcal.explain.explanation import (
 )
 from handcal.explain.find import Found, advantage, search
 from handcal.explain.fit import Fitted, Model, fitted, started
+from handcal.explain.gauge import plainly
 from handcal.explain.next_motion import next_motions
 from handcal.explain.robust import inflation
 from handcal.explain.search import (
@@ -165,13 +166,14 @@ def _explanation(
             mismatch += locate.mismatches(b, bins, short, k)
         explained.append(_explained(b, a, bins, short, model))
     mismatch = [replace(m, share=m.share / len(model.parts)) for m in mismatch]
-    hypotheses = _hypotheses(found, missing, named)
+    told = [plainly(model, m) for m in missing]
+    hypotheses = _hypotheses(found, told, named)
     # what all recordings share, and the biases where there is but one
     own = explained[0].parameters if len(explained) == 1 else ()
     return Explanation(
         verdict,
         tuple(sorted(mismatch, key=lambda m: -m.share)),
-        tuple(missing),
+        tuple(told),
         tuple(unnamed),
         hypotheses,
         _fit(base, before),

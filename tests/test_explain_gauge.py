@@ -1,0 +1,86 @@
+"""Three accelerometers at one place are a lever arm, and are called so."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from handcal.effects import catalogue, select
+from handcal.explain import gauge
+from handcal.explain.explanation import Missing
+from handcal.explain.fit import Model
+from handcal.explain.quadratic import Quadratic
+
+SIZE = 0.02
+SIGMA = 0.0006
+
+
+def model_of(places: np.ndarray, C: np.ndarray, *others: str) -> Model:
+    """A fit of the size effect with these places (9,) m of covariance C (9, 9) m^2."""
+    effects = select(["size_effect", *others])
+    names = tuple((e.id, p.name) for e in effects for p in e.parameters)
+    n = len(names)
+    u, covariance = np.zeros(n), np.eye(n)
+    u[:9], covariance[:9, :9] = places / SIZE, C / SIZE**2
+    quadratic = Quadratic(names, 0.0, np.zeros(n), np.eye(n))
+    return Model(tuple(effects), (), quadratic, u, covariance, 0.0, True)
+
+
+def entry(gain: float = 100.0) -> Missing:
+    effect = catalogue()["size_effect"]
+    return Missing("size_effect", effect.title, 0.999, gain, ("gravity",), (), "", "")
+
+
+@pytest.fixture(autouse=True)
+def _as_the_matrix_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gauge, "inflation", lambda model: {e.id: 1.0 for e in model.effects})
+
+
+def covariance(rng: np.random.Generator) -> np.ndarray:
+    L = SIGMA * (np.tril(rng.normal(0.0, 0.4, (9, 9)), -1) + np.diag(rng.uniform(0.3, 1.5, 9)))
+    return np.asarray(L @ L.T)
+
+
+def test_equal_rows_are_a_lever_arm_and_the_size_effect_is_listed() -> None:
+    """Of 400 fits of one place, as many keep the larger name as chance has it: one in a
+    thousand, so at most three (four or more: once in a thousand such tests)."""
+    rng = np.random.default_rng(0)
+    arm = np.array([-0.05, -0.12, 0.07])
+    kept, z = 0, []
+    for _ in range(400):
+        C = covariance(rng)
+        places = rng.multivariate_normal(np.tile(arm, 3), C)
+        told = gauge.plainly(model_of(places, C), entry())
+        if told.effect == "size_effect":
+            kept += 1
+            continue
+        assert told.effect == "lever_arm"
+        assert told.indistinguishable_from == ("size_effect", "gravity")
+        assert [p.name for p in told.parameters] == ["x", "y", "z"]
+        assert told.log_evidence_gain == 100.0
+        z += [(p.value - a) / p.sigma for p, a in zip(told.parameters, arm, strict=True)]
+    assert kept <= 3
+    # 1,200 of them: the root of their mean square is 1 within four of its sigmas
+    assert math.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=4 / math.sqrt(2 * len(z)))
+
+
+def test_rows_that_differ_stay_a_size_effect() -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(50):
+        C = covariance(rng)
+        places = np.tile([-0.05, -0.12, 0.07], 3)
+        places[rng.integers(9)] += 0.01
+        assert gauge.plainly(model_of(places, C), entry()) == entry()
+
+
+def test_beside_a_lever_arm_the_size_effect_is_what_is_left() -> None:
+    C = SIGMA**2 * np.eye(9)
+    assert gauge.plainly(model_of(np.zeros(9), C, "lever_arm"), entry()) == entry()
+
+
+def test_other_effects_keep_their_names() -> None:
+    model = model_of(np.zeros(9), SIGMA**2 * np.eye(9), "gyro_scale")
+    scale = Missing("gyro_scale", "", 0.999, 50.0, (), (), "", "")
+    assert gauge.plainly(model, scale) == scale
