@@ -19,7 +19,7 @@ from scipy.interpolate import CubicSpline
 
 from handcal import so3
 from handcal.calibration import calibrate
-from handcal.effects import Signals, catalogue
+from handcal.effects import Signals, catalogue, mag_hard_iron
 from handcal.effects._derivative import derivative
 from handcal.model import temperature_of
 from handcal.types import Array, BoolArray, Imu, InputError, Recording, Result, Series
@@ -163,13 +163,19 @@ class _Known:
     values: Values
 
     @cached_property
+    def iron(self) -> Array:
+        """A magnetometer's hard iron (3,), tesla: what its readings lie around."""
+        return mag_hard_iron.guess(self.recording)
+
+    @cached_property
     def result(self) -> Result:
         """Of the recording as it is. A magnetometer's north is that less its hard iron."""
-        on_mag = "heading" not in self.recording.streams and any(i in self.values for i in HEADING)
-        effects = ["mag_hard_iron"] if on_mag else []
-        if "lever_arm" in self.values and _marker_moves(self.recording):
+        recording, effects = self.recording, list[str]()
+        if "heading" not in recording.streams and any(i in self.values for i in HEADING):
+            recording = mag_hard_iron.cleaned(recording, self.iron)
+        if "lever_arm" in self.values and _marker_moves(recording):
             effects += TURNS_MARKER
-        return calibrate(self.recording, effects)
+        return calibrate(recording, effects)
 
     def attitude(self, t: Array) -> Array:
         """C_nb (n, 3, 3) at times t (n,), turning at a constant rate between two known ones."""
@@ -336,7 +342,7 @@ def _turned_heading(series: Series, error: Array, known: _Known) -> Series:  # n
 def _turned_field(series: Series, error: Array, known: _Known) -> Series:
     """A heading too large is a field turned the other way about the vertical, but for the
     part that belongs to the device."""
-    C_nb, iron = known.attitude(series.t), known.constant("mag_hard_iron")
+    C_nb, iron = known.attitude(series.t), known.iron
     about = np.zeros((len(error), 3))
     about[:, 2] = -error
     level = np.einsum("kij,kj->ki", C_nb, series.value - iron)

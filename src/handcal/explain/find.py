@@ -10,6 +10,7 @@ import numpy as np
 
 from handcal.effects import Effect, catalogue
 from handcal.evidence import reduce, reduced_pass
+from handcal.explain.alibi import without_alibi
 from handcal.explain.case import Case, applicable, frozen_at, name_of
 from handcal.explain.fit import Fitted, Model, fitted, moved_to, scan
 from handcal.explain.late import with_delay
@@ -158,6 +159,7 @@ def _climbed(
     swaps: dict[tuple[str, str], float] = {}
     ordered: set[tuple[str, frozenset[str]]] = set()
     unnamed, shaped, stale = list(needed), set[str](), set[str]()
+    suspects = set[str]()
     for turn in range(ROUNDS + 2 * MAX_TERMS):
         report(min(0.95, 0.15 + 0.1 * turn))
         where = _scanned(model, cases, [t.effect for t in unnamed], dropped, favoured)
@@ -198,6 +200,11 @@ def _climbed(
         if leaner is not None:
             dropped |= {name_of(i) for i in set(model.ids) - set(leaner.ids)}
             model = leaner
+            continue
+        freed = without_alibi(model, where.quadratic.worth, suspects)
+        if freed is not None:
+            dropped -= {name_of(i) for i in freed.ids}
+            model, visited = freed, set()
             continue
         if len(unnamed) >= MAX_TERMS:
             break

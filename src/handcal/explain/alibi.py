@@ -1,0 +1,66 @@
+"""Disturbances that hold what an effect does: an observation's own correlated noise, grown far
+beyond what is usual, is an alibi for whatever bends the observation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Set
+from dataclasses import replace
+
+from handcal.effects import Effect, catalogue
+from handcal.explain.case import applicable
+from handcal.explain.fit import Fitted, Model, fitted
+from handcal.explain.search import PRIOR
+
+# Sigmas of its prior by which a level lies above its first guess before it is suspected.
+FAR = 2.0
+
+
+def without_alibi(model: Model, worth: float, tried: set[str]) -> Model | None:
+    """The model with the effect that explains what a disturbance was taken for, if one does.
+
+    While the disturbance is wide a scan sees no effect beside it. So each effect that acts on
+    the same observation is fitted from the usual noise, once; ``tried`` remembers which.
+    """
+    suspected = frozenset(kind for f in model.parts for kind in _grown(f))
+    best: Model | None = None
+    for effect in catalogue().values():
+        if effect.id in tried | set(model.ids) or not _acts(effect, suspected):
+            continue
+        if not any(applicable(f.case, effect) for f in model.parts):
+            continue
+        tried.add(effect.id)
+        begun = [_usual(f, suspected) for f in model.parts]
+        fit = fitted(begun, (*model.effects, effect), noise_rounds=2)
+        gain = worth * (fit.log_evidence - model.log_evidence)
+        if gain + PRIOR > 0.0 and (best is None or fit.log_evidence > best.log_evidence):
+            best = fit
+    return best
+
+
+def _acts(effect: Effect, kinds: Set[str]) -> bool:
+    named = effect.process is None and not effect.outliers and effect.moments is None
+    return named and bool(kinds & {*effect.observation_error, *effect.delays})
+
+
+def _grown(f: Fitted) -> list[str]:
+    """Kinds of observation whose correlated noise lies far above its first guess."""
+    return [
+        o.kind
+        for o in f.linear.problem.observations
+        if o.markov is not None
+        and any(
+            math.log(f.levels[lv.name] / lv.initial) > FAR * lv.above
+            for lv in o.levels
+            if lv.name not in f.case.fixed
+        )
+    ]
+
+
+def _usual(f: Fitted, kinds: Set[str]) -> Fitted:
+    """The same with the noise of these observations as it is at first."""
+    levels = dict(f.levels)
+    for o in f.linear.problem.observations:
+        if o.kind in kinds:
+            levels |= {lv.name: lv.initial for lv in o.levels if lv.name not in f.case.fixed}
+    return replace(f, levels=levels)
