@@ -12,7 +12,8 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils as _cgutils
-from numba.extending import intrinsic, typeof_impl
+from numba.extending import intrinsic as _intrinsic
+from numba.extending import typeof_impl
 
 from handcal.types import Array, IntArray
 
@@ -24,7 +25,7 @@ if "NUMBA_OPT" not in os.environ:
     numba.config.OPT = type(numba.config.OPT)(2)  # type: ignore[attr-defined]
 
 # (numba's own are partly typed, and not for this)
-_intrinsic: Any = intrinsic
+intrinsic: Any = _intrinsic
 cgutils: Any = _cgutils
 _POINTER: Any = types.CPointer(types.float64)  # type: ignore[no-untyped-call]
 _SIGNATURE = types.int64(_POINTER, _POINTER, _POINTER, _POINTER)
@@ -163,8 +164,8 @@ def _matrix(typingctx: Any, m: Any, n: Any) -> Any:
 
 # Small work space of a compiled function, float64, its size known beforehand: on the stack, where
 # it costs nothing (np.empty asks the heap). It is not set to zero, and must not be returned.
-local_vector: Callable[[int], Array] = _intrinsic(prefer_literal=True)(_vector)
-local_matrix: Callable[[int, int], Array] = _intrinsic(prefer_literal=True)(_matrix)
+local_vector: Callable[[int], Array] = intrinsic(prefer_literal=True)(_vector)
+local_matrix: Callable[[int, int], Array] = intrinsic(prefer_literal=True)(_matrix)
 
 
 def _call(typingctx: Any, address: Any, nav: Any, theta: Any, z: Any, out: Any) -> Any:  # noqa: ARG001

@@ -15,15 +15,10 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.core import cgutils as _cgutils
-from numba.extending import intrinsic
 
-from handcal._jit import inner
+from handcal._jit import cgutils, inner, intrinsic
 from handcal.types import Array
 
-# (numba's own are partly typed, and not for this)
-_intrinsic: Any = intrinsic
-cgutils: Any = _cgutils
 _DOUBLE, _WORD = ir.DoubleType(), ir.IntType(64)
 BLOCK = 8
 # Sums that are kept in registers at once: three rows of eight.
@@ -161,13 +156,13 @@ def _add_outer(typingctx: Any, a: Any, x: Any, b: Any, y: Any, out: Any) -> Any:
     return types.void(a, x, b, y, out), codegen
 
 
-_set_product: Callable[[Array, Array, int, Array], None] = _intrinsic(_product(add=False))
-_add_product: Callable[[Array, Array, int, Array], None] = _intrinsic(_product(add=True))
+_set_product: Callable[[Array, Array, int, Array], None] = intrinsic(_product(add=False))
+_add_product: Callable[[Array, Array, int, Array], None] = intrinsic(_product(add=True))
 # out (n,) = a X[row], or that added to out; a vector is a matrix of one row, number 0
-set_row: Callable[[float, Array, int, Array], None] = _intrinsic(_row(add=False))
-add_row: Callable[[float, Array, int, Array], None] = _intrinsic(_row(add=True))
+set_row: Callable[[float, Array, int, Array], None] = intrinsic(_row(add=False))
+add_row: Callable[[float, Array, int, Array], None] = intrinsic(_row(add=True))
 # out (m, n) += a x' + b y': add_outer(a, x, b, y, out)
-add_outer: Callable[[Array, Array, Array, Array, Array], None] = _intrinsic(_add_outer)
+add_outer: Callable[[Array, Array, Array, Array, Array], None] = intrinsic(_add_outer)
 
 
 @inner

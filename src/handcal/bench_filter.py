@@ -33,7 +33,7 @@ from handcal.linear import Linear, epochs, linearise_about, trajectory_of
 from handcal.model import Problem, build, noise_arrays
 from handcal.observations import Observation, Rows, catalogue, pseudo_times
 from handcal.start import Start, from_rest
-from handcal.types import Imu, IntArray, Recording, Series
+from handcal.types import Array, Imu, IntArray, Recording, Series
 
 LEVELS = {
     "gyro_noise": math.radians(0.005), "accel_noise": 2.5e-3, "position_noise": 0.02,
@@ -60,8 +60,7 @@ def case_of(recording: Recording, rate: float | None = None) -> Case:
     known = catalogue()
     white = replace(known["fixed_position"], markov=None, markov_residual=0, wandering=None)
     t = pseudo_times(recording, rate)
-    still, heading = np.zeros((len(t), 3)), recording.streams["heading"]
-    yaw = np.interp(t, heading.t, np.unwrap(heading.value[:, 0]))[:, None]
+    still, yaw = np.zeros((len(t), 3)), _yaw_at(recording, t)[:, None]
     observed: list[tuple[Observation, Rows, tuple[tuple[str, str, float], ...]]] = [
         (white, Rows(t, still), ()),
         (known["zero_velocity"], Rows(t, still), ()),
@@ -69,6 +68,12 @@ def case_of(recording: Recording, rate: float | None = None) -> Case:
     ]
     problem = build(recording, (), observed, *local_earth(None))
     return Case(problem, from_rest(recording, float(yaw[0, 0]), 0.1, np.zeros((0, 2))))
+
+
+def _yaw_at(recording: Recording, t: Array) -> Array:
+    """The recorded heading at times t, without steps, rad."""
+    heading = recording.streams["heading"]
+    return np.interp(t, heading.t, np.unwrap(heading.value[:, 0]))
 
 
 def filtering(case: Case, engine: Callable[..., object], stop: int | None = None) -> Side:
@@ -215,11 +220,11 @@ def _smoothed(case: Case) -> Side:
 
 def repeated(recording: Recording, seconds: float) -> Recording:
     """The readings over and over, for so long: as much work as a recording of that length."""
-    imu, heading = recording.imu, recording.streams["heading"]
+    imu = recording.imu
     n = round(seconds * recording.rate_hz) + 1
     at = np.arange(n) % (len(imu.t) - 1)
     t = np.arange(n) / recording.rate_hz
-    yaw = np.interp(imu.t, heading.t, np.unwrap(heading.value[:, 0]))
+    yaw = _yaw_at(recording, imu.t)
     return Recording(
         recording.path,
         Imu(t, imu.gyro[at], imu.accel[at], imu.valid[at]),
@@ -230,12 +235,8 @@ def repeated(recording: Recording, seconds: float) -> Recording:
 def write_readings(case: Case, path: Path) -> None:
     """The readings and noise levels as arrays, for the peers."""
     recording = case.problem.recording
-    yaw = np.interp(
-        recording.imu.t,
-        recording.streams["heading"].t,
-        np.unwrap(recording.streams["heading"].value[:, 0]),
-    )
     imu = recording.imu
+    yaw = _yaw_at(recording, imu.t)
     arrays = {"t": imu.t, "gyro": imu.gyro, "accel": imu.accel, "yaw": yaw}
     levels = {name: np.array(level) for name, level in LEVELS.items()}
     np.savez(path, allow_pickle=False, **arrays, **levels)

@@ -170,12 +170,11 @@ class _Known:
     @cached_property
     def result(self) -> Result:
         """Of the recording as it is. A magnetometer's north is that less its hard iron."""
-        recording, effects = self.recording, list[str]()
+        recording = self.recording
         if "heading" not in recording.streams and any(i in self.values for i in HEADING):
             recording = mag_hard_iron.cleaned(recording, self.iron)
-        if "lever_arm" in self.values and _marker_moves(recording):
-            effects += TURNS_MARKER
-        return calibrate(recording, effects)
+        carries = "lever_arm" in self.values and _marker_moves(recording)
+        return calibrate(recording, TURNS_MARKER if carries else ())
 
     def attitude(self, t: Array) -> Array:
         """C_nb (n, 3, 3) at times t (n,), turning at a constant rate between two known ones."""

@@ -23,6 +23,7 @@ def without_alibi(model: Model, worth: float, tried: set[str]) -> Model | None:
     the same observation is fitted from the usual noise, once; ``tried`` remembers which.
     """
     suspected = frozenset(kind for f in model.parts for kind in _grown(f))
+    begun = [_usual(f, suspected) for f in model.parts]
     best: Model | None = None
     for effect in catalogue().values():
         if effect.id in tried | set(model.ids) or not _acts(effect, suspected):
@@ -30,7 +31,6 @@ def without_alibi(model: Model, worth: float, tried: set[str]) -> Model | None:
         if not any(applicable(f.case, effect) for f in model.parts):
             continue
         tried.add(effect.id)
-        begun = [_usual(f, suspected) for f in model.parts]
         fit = fitted(begun, (*model.effects, effect), noise_rounds=2)
         gain = worth * (fit.log_evidence - model.log_evidence)
         if gain + PRIOR > 0.0 and (best is None or fit.log_evidence > best.log_evidence):

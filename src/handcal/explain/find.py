@@ -13,7 +13,7 @@ from handcal.evidence import reduce, reduced_pass
 from handcal.explain.alibi import without_alibi
 from handcal.explain.case import Case, applicable, frozen_at, name_of
 from handcal.explain.fit import Fitted, Model, fitted, moved_to, scan
-from handcal.explain.late import with_delay
+from handcal.explain.late import with_delays
 from handcal.explain.robust import inflation
 from handcal.explain.search import (
     OCCAM_LEVEL,
@@ -112,7 +112,8 @@ def search(base: Model, report: Callable[[float], None] = lambda _: None) -> Fou
     name: if a single term does half as well from the baseline, the search begins again
     with it, and the better of the two ends counts.
     """
-    found = _climbed(base, (), lambda f: report(0.7 * f))
+    late = with_delays(base)
+    found = _climbed(base, (), late, lambda f: report(0.7 * f))
     assert found is not None
     named = [e for e in found.model.effects if "+=" not in e.id]
     several = len(named) > 1 or any(e.process is not None for e in named)
@@ -122,7 +123,7 @@ def search(base: Model, report: Callable[[float], None] = lambda _: None) -> Fou
         first = found.first or found.space
         whole = (first.score(best_set(first)) - first.quadratic.a) / first.quadratic.worth
         if term is not None and term.gain > HALF * whole:
-            other = _climbed(base, [term], lambda f: report(0.7 + 0.3 * f))
+            other = _climbed(base, [term], late, lambda f: report(0.7 + 0.3 * f))
             if other is not None and advantage(other, found) > 0.0:
                 return replace(other, alone=found.alone)
     return found
@@ -145,9 +146,13 @@ def _odds(found: Found) -> float:
 def _climbed(
     base: Model,
     needed: Sequence[Term],
+    late: Sequence[Model],
     report: Callable[[float], None],
 ) -> Found | None:
-    """The end of a climb from the baseline; None if it would begin without the terms needed."""
+    """The end of a climb from the baseline; None if it would begin without the terms needed.
+
+    late: the baseline with delays that no scan of it would find.
+    """
     cases = [f.case for f in base.parts]
     model = base
     alone: dict[str, float] = {}
@@ -169,10 +174,12 @@ def _climbed(
         chosen = max((best_set(where, now), best_set(where, ())), key=where.score)
         if turn == 0 and any(t.effect.id not in chosen for t in needed):
             return None
-        begun = with_delay(model, where.quadratic.worth) if turn == 0 else None
-        if begun is not None:
-            model = begun
-            continue
+        if turn == 0:
+            worth = where.quadratic.worth
+            better = [m for m in late if worth * (m.log_evidence - model.log_evidence) > -PRIOR]
+            if better:
+                model = better[0]
+                continue
         if chosen != now and chosen not in visited and not _same(where, now, chosen):
             visited.add(chosen)
             larger = _grown(model, where, now, chosen, dropped)

@@ -264,12 +264,12 @@ def moved_to(f: Fitted, effects: Sequence[Effect]) -> Fitted:
 
 
 def delayed(f: Fitted, effects: Sequence[Effect], effect: Effect, seconds: float) -> Fitted:
-    """The fit with an effect's delay set to so much, nothing else moved."""
-    wide = moved_to(f, effects)
-    at = next(i for i, s in enumerate(wide.linear.problem.slots) if s.owner == effect.id)
-    constants = wide.linear.trajectory.constants.copy()
+    """The fit, of these effects already, with the delay of one of them set to so much and
+    nothing else moved."""
+    at = next(i for i, s in enumerate(f.linear.problem.slots) if s.owner == effect.id)
+    constants = f.linear.trajectory.constants.copy()
     constants[at] = seconds
-    return _linearised(wide, replace(wide.linear.trajectory, constants=constants), effects)
+    return _linearised(f, replace(f.linear.trajectory, constants=constants), effects)
 
 
 def transferred(nominal: Trajectory, old: Problem, new: Problem) -> Trajectory:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -9,25 +10,24 @@ import numpy as np
 from handcal.effects import catalogue
 from handcal.explain.explanation import Missing
 from handcal.explain.fit import Model
-from handcal.explain.robust import inflation
 from handcal.types import Array, Parameter
 
 # Chance at which what an effect has beyond the simpler one is taken for noise.
 BY_CHANCE = 1e-3
 
 
-def plainly(model: Model, missing: Missing) -> Missing:
+def plainly(model: Model, missing: Missing, excess: Mapping[str, float]) -> Missing:
     """The same under the simpler effect's name, where the effect in the model is not more.
 
     Of two effects that are one, the contract names that with fewer parameters, and lists the
-    other.
+    other. excess: by which the scores of each effect scatter beyond the matrix (``inflation``).
     """
     effect = next((e for e in model.effects if e.id == missing.effect), None)
     if effect is None or effect.together is None or set(effect.exclusive) & set(model.ids):
         return missing
     mine = [i for i, n in enumerate(model.quadratic.names) if n[0] == effect.id]
     own, u = effect.together, model.u[mine]
-    C = inflation(model)[effect.id] * model.covariance[np.ix_(mine, mine)]
+    C = excess[effect.id] * model.covariance[np.ix_(mine, mine)]
     if not by_chance(own @ u, own @ C @ own.T):
         return missing
     plain, shared = catalogue()[effect.exclusive[0]], np.eye(len(u)) - own

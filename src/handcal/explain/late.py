@@ -10,7 +10,6 @@ from handcal.effects import Effect, catalogue
 from handcal.evidence import reduce, reduced_pass
 from handcal.explain.case import applicable
 from handcal.explain.fit import Fitted, Model, delayed, fitted, moved_to
-from handcal.explain.search import PRIOR
 
 # A scan does not see what a delay does when the device turns further than this within it, rad.
 BEYOND = 0.5
@@ -18,12 +17,13 @@ BEYOND = 0.5
 LOOK = 3.0
 
 
-def with_delay(model: Model, worth: float) -> Model | None:
-    """The model with a delay that a scan cannot see, because the device turns too far within it.
+def with_delays(model: Model) -> list[Model]:
+    """The model with each delay that a scan cannot see, because the device turns too far within it.
 
     A scan asks what a small delay would do; after half a radian the answer says nothing of a
     large one, and the noise levels come to hold it. So delays are tried on a grid.
     """
+    out = []
     for effect in catalogue().values():
         cases = [f.case for f in model.parts]
         if not effect.delays or effect.id in model.ids:
@@ -32,12 +32,9 @@ def with_delay(model: Model, worth: float) -> Model | None:
             continue
         wanted = (*model.effects, effect)
         begun = _begun(model, wanted, effect)
-        if begun is None:
-            continue
-        tried = fitted(begun, wanted)
-        if worth * (tried.log_evidence - model.log_evidence) + PRIOR > 0.0:
-            return tried
-    return None
+        if begun is not None:
+            out.append(fitted(begun, wanted))
+    return out
 
 
 def _begun(model: Model, wanted: Sequence[Effect], effect: Effect) -> list[Fitted] | None:
@@ -46,6 +43,8 @@ def _begun(model: Model, wanted: Sequence[Effect], effect: Effect) -> list[Fitte
     rates = [np.linalg.norm(f.case.recording.imu.gyro, axis=1) for f in model.parts]
     step = BEYOND / max(float(np.quantile(r, 0.95)) for r in rates)
     count = int(3.0 * effect.parameters[0].prior_sigma / step)
+    if count == 0:
+        return None
     here = [moved_to(f, wanted) for f in model.parts]
     least = _evidence(here) + LOOK
     best: list[Fitted] | None = None

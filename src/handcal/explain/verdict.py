@@ -142,7 +142,8 @@ def _explanation(
     model = found.model
     chosen = frozenset(e.id for e in model.effects if e.process is None)
     named = wrong if wrong is not None and wrong.burst is None else None
-    learnt = _learnt(model)
+    excess = inflation(model)
+    learnt = _learnt(model, excess)
     missing, unsure = _missing(found, chosen, learnt, named)
     unnamed = _unnamed(found, chosen, learnt)
     if wrong is not None and wrong.burst is not None:
@@ -166,7 +167,7 @@ def _explanation(
             mismatch += locate.mismatches(b, bins, short, k)
         explained.append(_explained(b, a, bins, short, model))
     mismatch = [replace(m, share=m.share / len(model.parts)) for m in mismatch]
-    told = [plainly(model, m) for m in missing]
+    told = [plainly(model, m, excess) for m in missing]
     hypotheses = _hypotheses(found, told, named)
     # what all recordings share, and the biases where there is but one
     own = explained[0].parameters if len(explained) == 1 else ()
@@ -259,9 +260,8 @@ def _entry(
     )
 
 
-def _learnt(model: Model) -> dict[str, tuple[Parameter, ...]]:
+def _learnt(model: Model, excess: Mapping[str, float]) -> dict[str, tuple[Parameter, ...]]:
     """Parameters of each effect that is no noise, by its id."""
-    excess = inflation(model)
     return {
         e.id: _effect_parameters(model, e, excess[e.id]) for e in model.effects if e.process is None
     }
