@@ -112,7 +112,7 @@ def settle(world: World) -> tuple[Linear, batch.Pass]:
     state = initial_state(problem, start, LEVELS)
     state = run_compiled(problem, noise_arrays(problem, LEVELS), state, track)
     nominal = trajectory_of(problem, track, state.bg, state.ba, state.extras)
-    linear, _ = batch.relinearise(linearise_about(problem, start, nominal), LEVELS)
+    linear, _, _ = batch.relinearise(linearise_about(problem, start, nominal), LEVELS)
     return linear, batch.forward(linear, LEVELS)
 
 

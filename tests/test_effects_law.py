@@ -748,7 +748,7 @@ def test_a_step_comes_back_from_the_best_of_its_moments(seed):
     best = max(tried)[2]
     there = batch.moved(best, batch.smoothed_mean(best, levels)[0])
     there.constants[3] = best.trajectory.constants[3]
-    linear, settled = batch.relinearise(linearise_about(problem, start, there), levels)
+    linear, settled, _ = batch.relinearise(linearise_about(problem, start, there), levels)
     assert settled
     forward = batch.forward(linear, levels)
     got = linear.trajectory.constants[:4] + forward.x[-1, BASE : BASE + 4]
@@ -847,8 +847,10 @@ def test_hard_iron_is_guessed_from_the_sphere(seed):
     iron = rng.normal(0, 1e-4, 3)
     effects = {"mag_hard_iron": iron}
     world = simulate("free-hand", seed=seed, phone=with_magnetometer, effects=effects)
-    guess = mag_hard_iron.guess(recording_of(world, "mag"))
+    guess, sigma = mag_hard_iron.sphere(recording_of(world, "mag"))
     np.testing.assert_allclose(guess, iron, rtol=0, atol=2e-6)
+    assert np.all(np.abs(guess - iron) < 3.0 * sigma)
+    assert np.all(sigma < 0.05 * mag_hard_iron.PRIOR)
 
 
 def test_hard_iron_is_not_guessed_where_the_motion_does_not_show_it():
@@ -859,9 +861,11 @@ def test_hard_iron_is_not_guessed_where_the_motion_does_not_show_it():
     world = simulate("free-hand", seed=0, duration_s=8.0)
     recording = recording_of(world)
     streams = {"mag": Series(np.linspace(0, 8, 400), field + iron)}
-    guess = mag_hard_iron.guess(replace(recording, streams=streams))
+    guess, sigma = mag_hard_iron.sphere(replace(recording, streams=streams))
     np.testing.assert_allclose(guess[:2], iron[:2], atol=1e-6)
     assert abs(guess[2]) < 1e-4
+    assert np.all(sigma[:2] < 0.05 * mag_hard_iron.PRIOR)
+    assert sigma[2] > 0.5 * mag_hard_iron.PRIOR
     with pytest.raises(InputError, match="magnetometer"):
         mag_hard_iron.guess(recording)
 

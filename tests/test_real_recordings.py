@@ -17,6 +17,7 @@ from vqf import VQF
 import handcal
 from handcal import segment, so3
 from handcal.consistency import nis_between
+from handcal.effects import mag_hard_iron
 from handcal.types import Array, BoolArray, Imu, Recording, Result, Series
 
 ALL = (
@@ -140,6 +141,20 @@ def test_attitude_is_no_worse_than_vqf(name: str, real_recordings: Path) -> None
 # Two IMUs of one board, shaken: their places are drawn on it, in m.
 BOARDS = {"array_1_imu5": (0.0189, 0.0, 0.0), "array_2_imu3": (0.0, -0.0189, 0.0)}
 ERRORS = ("gyro_scale", "accel_scale", "gyro_misalignment", "accel_misalignment")
+
+
+def test_a_small_iron_is_not_run_away_with(real_recordings: Path) -> None:
+    """A magnetometer whose readings lie about zero to 2 uT: the online pass, with noise levels
+    not known yet, took 0.4 mT for its iron, and a disturbance of half a radian for the rest."""
+    recording = handcal.load(real_recordings / f"{ALL[1]}.mcap")
+    result = handcal.calibrate(recording, ("mag_hard_iron",))
+    centre, sigma = mag_hard_iron.sphere(recording)
+    found = [p for p in result.parameters if p.effect == "mag_hard_iron"]
+    assert np.all(np.abs([p.value for p in found] - centre) < 3.0 * sigma)
+    assert all(p.observable for p in found)
+    assert result.settled
+    disturbance = next(n for n in result.noise if n.name == "mag_disturbance")
+    assert disturbance.value < 0.2
 
 
 @cache

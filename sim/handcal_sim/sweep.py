@@ -153,7 +153,7 @@ def settled(
     """
     levels = _levels(cell, r_h)
     nominal = trajectory_of(problem, track, state.bg, state.ba, state.extras)
-    linear, _ = relinearise(linearise_about(problem, start, nominal), levels)
+    linear, _, _ = relinearise(linearise_about(problem, start, nominal), levels)
     last = forward(linear, levels, keep=False)
     value = _parameters(linear.trajectory) + last.x[-1][9:]
     return value, np.sqrt(np.diag(last.P[-1])[9:])

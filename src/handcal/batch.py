@@ -65,7 +65,7 @@ def forward(linear: Linear, levels: Mapping[str, float], keep: bool = True) -> P
     )
     x0 = np.zeros(n)
     x0[:BASE] = mean15
-    x0[BASE : BASE + problem.constants] = -nominal.constants
+    x0[BASE : BASE + problem.constants] = problem.prior_mean - nominal.constants
     x0[BASE + problem.constants :] = -nominal.markov[0]
     P0 = full_prior(problem, P15, dict(levels))
     rows = k if keep else 1
@@ -217,10 +217,10 @@ def moved(linear: Linear, x: Array) -> Trajectory:
 
 def relinearise(
     linear: Linear, levels: Mapping[str, float], tolerance: float = 0.05, rounds: int = 8
-) -> tuple[Linear, bool]:
+) -> tuple[Linear, bool, float]:
     """Move the trajectory and linearise again until the evidence changes by < tolerance nats.
 
-    Returns the last linearisation and whether it settled.
+    Returns the last linearisation, whether it settled, and its log evidence.
     """
     x, evidence = smoothed_mean(linear, levels)
     settled = False
@@ -231,4 +231,4 @@ def relinearise(
         evidence = new
         if settled:
             break
-    return linear, settled
+    return linear, settled, evidence

@@ -20,7 +20,7 @@ from handcal.earth import local_earth
 from handcal.effects import Effect, mag_hard_iron, select
 from handcal.filter import ENGINES, State, empty_track, initial_state
 from handcal.kernel import BASE
-from handcal.linear import Linear, epochs, linearise_about, trajectory_of
+from handcal.linear import Linear, Trajectory, epochs, linearise_about, trajectory_of
 from handcal.model import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Problem, build, noise_arrays
 from handcal.observations import Observation, Rows, Scene, catalogue
 from handcal.start import Start, from_pose, from_rest, levelled
@@ -42,6 +42,7 @@ ASSUMPTIONS = ("auto", "fixed-point", "rest-only")
 # A hand that holds a point still does not wander further than this (root mean square, m).
 HAND_SWAY = 0.05
 TRAVEL_NATS = 5.0
+LOST_NATS = 10.0
 MIN_READINGS = 20
 HISTORY_RATE = 25.0
 PSEUDO_RATE = 10.0
@@ -310,11 +311,20 @@ def problem_of(
     start: Start | None,
 ) -> tuple[Problem, Start]:
     """The problem these kinds of observation make of the recording, and where it starts."""
-    iron = None
-    if "magnetometer" in kinds and any(e.id == mag_hard_iron.EFFECT.id for e in effects):
-        iron = mag_hard_iron.guess(recording)
+    if "magnetometer" not in kinds or not any(e.id == mag_hard_iron.EFFECT.id for e in effects):
+        observed, begin = observed_of(recording, kinds, rests, earth, start)
+        return build(recording, effects, observed, *earth), begin
+    iron, sigma = mag_hard_iron.sphere(recording)
     observed, begin = observed_of(recording, kinds, rests, earth, start, iron)
-    return build(recording, effects, observed, *earth), begin
+    problem = build(recording, effects, observed, *earth)
+    told = {axis: (float(s), float(c)) for axis, s, c in zip("xyz", sigma, iron, strict=True)}
+    slots = tuple(
+        replace(s, prior_sigma=told[s.name][0], prior_mean=told[s.name][1])
+        if s.owner == mag_hard_iron.EFFECT.id
+        else s
+        for s in problem.slots
+    )
+    return replace(problem, slots=slots), begin
 
 
 def observed_of(
@@ -422,17 +432,22 @@ def solve(
     track = empty_track(problem, epochs(problem))
     state = first_state(problem, start, levels)
     state = ENGINES[engine](problem, noise_arrays(problem, levels), state, track)
-    nominal = trajectory_of(problem, track, state.bg, state.ba, state.extras)
-    linear, settled = batch.relinearise(linearise_about(problem, start, nominal), levels)
+    nominal = _plausible(problem, trajectory_of(problem, track, state.bg, state.ba, state.extras))
+    linear, settled, evidence = batch.relinearise(linearise_about(problem, start, nominal), levels)
     curvature = noise_levels.NO_CURVATURE
     for _ in range(rounds if free else 0):
         part = linear if noise_until is None else noise_levels.until(linear, noise_until)
         new, curvature = noise_levels.estimate(part, levels, free, count, known=curvature)
         change = max(abs(math.log(new[n] / levels[n])) for n in free)
-        levels = new
-        linear, settled = batch.relinearise(linear, levels)
+        there = batch.relinearise(linear, new)
+        if noise_until is None and there[2] < evidence - LOST_NATS:
+            # what the search promised about a trajectory that had not settled was not there
+            break
+        levels, (linear, settled, evidence) = new, there
         if change < 0.02:
             break
+    if not settled:
+        linear, settled, _ = batch.relinearise(linear, levels)
     forward = batch.forward(linear, levels)
     if not np.isfinite(forward.log_evidence):
         raise HandcalError(
@@ -440,6 +455,13 @@ def solve(
             "device was really held or laid as assumed."
         )
     return Solution(linear, forward, levels, free, settled)
+
+
+def _plausible(problem: Problem, nominal: Trajectory) -> Trajectory:
+    """With constants no further from their prior means than five sigma: an online pass that ran
+    away (a wrong noise level, before any is known) is no place to linearise about."""
+    mean, reach = problem.prior_mean, 5.0 * np.array([s.prior_sigma for s in problem.slots])
+    return replace(nominal, constants=np.clip(nominal.constants, mean - reach, mean + reach))
 
 
 def _result(
@@ -450,7 +472,7 @@ def _result(
     x, P = batch.smooth(linear, solution.levels, forward)
     if not solution.settled:
         warnings.append(
-            "The estimate still moved after eight rounds of relinearisation; the motion may be "
+            "The estimate still moved after sixteen rounds of relinearisation; the motion may be "
             "too poor for all that was asked, so trust the sigmas less."
         )
     if linear.problem.dropped:
@@ -571,7 +593,9 @@ def _parameters(problem: Problem, history: History, smoothed: History) -> tuple[
     names = [("gyro_bias", a, "rad/s") for a in "xyz"] + [("accel_bias", a, "m/s^2") for a in "xyz"]
     names += [(s.owner, s.name, s.unit) for s in problem.slots[: _effect_constants(problem)]]
     priors = [float(GYRO_BIAS_PRIOR)] * 3 + [ACCEL_BIAS_PRIOR] * 3
-    priors += [s.prior_sigma for s in problem.slots[: _effect_constants(problem)]]
+    # (a slot's may be less, where other readings have spoken)
+    usual = {(e.id, p.name): p.prior_sigma for e in problem.effects for p in e.parameters}
+    priors += [usual[s.owner, s.name] for s in problem.slots[: _effect_constants(problem)]]
     out = []
     for i, (effect, name, unit) in enumerate(names):
         value, sigma = history.parameters[:, i], history.parameter_sigma[:, i]

@@ -59,7 +59,7 @@ def reduce(linear: Linear) -> Reduction:
         nominal.p[0], nominal.v[0], nominal.C[0], nominal.bg, nominal.ba
     )
     scale = np.sqrt(np.r_[np.diag(P15)[9:], [s.prior_sigma**2 for s in problem.slots]])
-    w0 = np.r_[mean15[9:], -nominal.constants] / scale
+    w0 = np.r_[mean15[9:], problem.prior_mean - nominal.constants] / scale
     by_bias = P15[:9, 9:] / np.diag(P15)[9:]
     X0 = np.zeros((9 + e, 1 + 6 + c))
     X0[:9, 0] = mean15[:9] - by_bias @ mean15[9:]

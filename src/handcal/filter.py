@@ -117,7 +117,7 @@ def initial_state(problem: Problem, start: Start, levels: dict[str, float]) -> S
         start.C_nb.copy(),
         np.zeros(3),
         np.zeros(3),
-        np.zeros(problem.size - BASE),
+        np.r_[problem.prior_mean, np.zeros(problem.markov_size)],
         full_prior(problem, P15, levels),
     )
 

@@ -34,12 +34,14 @@ QUIET_RATE = 0.05
 
 @dataclass(frozen=True)
 class Slot:
-    """One constant of the state: whose it is, its name, unit and prior."""
+    """One constant of the state: whose it is, its name, unit and prior (about zero, unless
+    something outside the filter says better)."""
 
     owner: str
     name: str
     unit: str
     prior_sigma: float
+    prior_mean: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,11 @@ class Problem:
     @property
     def constants(self) -> int:
         return len(self.slots)
+
+    @property
+    def prior_mean(self) -> Array:
+        """Prior means (c,) of the constants."""
+        return np.array([s.prior_mean for s in self.slots])
 
     @property
     def markov_size(self) -> int:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from handcal._jit import residual_function
 from handcal.effects import Effect, Param
@@ -21,12 +22,19 @@ TAKEN_OFF = 4
 
 
 def guess(recording: Recording) -> Array:
-    """A first value (3,), tesla: the centre of the sphere on which the readings lie.
+    """A first value (3,), tesla: ``sphere``'s centre."""
+    return sphere(recording)[0]
+
+
+def sphere(recording: Recording) -> tuple[Array, Array]:
+    """Centre (3,) of the sphere on which the readings lie and how well it is known (3,), tesla.
 
     Near its prior the effect is far from linear about zero (the iron is stronger than the
     Earth's field), so this is taken off the readings and only the rest is filtered. Where the
     motion shows only part of the sphere, the prior decides. Linear least squares in the centre
-    c: |m|^2 = 2 m.c + (R^2 - |c|^2).
+    c: |m|^2 = 2 m.c + (R^2 - |c|^2). The length of the field says nothing of the heading, so
+    the sigmas may serve as prior of an estimate from headings; as whatever bends the field
+    lasts, many readings make them no smaller than the readings' own distance from the sphere.
 
     Raises InputError without a magnetometer.
     """
@@ -43,8 +51,13 @@ def guess(recording: Recording) -> Array:
         rows = weight * np.c_[2.0 * m, np.ones(len(m))]
         A = np.vstack([rows, np.eye(3, 4)])
         b = np.r_[weight * (m**2).sum(axis=1), np.zeros(3)]
-        centre = np.linalg.lstsq(A, b, rcond=None)[0][:3]
-    return np.asarray(PRIOR * centre)
+        solution = np.linalg.lstsq(A, b, rcond=None)[0]
+        centre = solution[:3]
+    stray = max(1.0, float(np.sqrt(((rows @ solution - b[:-3]) ** 2).mean())))
+    inverse = solve_triangular(np.linalg.qr(A, mode="r"), np.eye(4))
+    alone = PRIOR * np.linalg.norm(inverse[:3], axis=1)
+    sigma = np.minimum(stray * np.hypot(alone, STRAY), PRIOR)
+    return np.asarray(PRIOR * centre), np.asarray(sigma)
 
 
 def cleaned(recording: Recording, iron: Array) -> Recording:

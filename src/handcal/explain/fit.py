@@ -81,7 +81,7 @@ def started(case: Case, effects: Sequence[Effect] = ()) -> Fitted:
     state = first_state(problem, case.start, levels)
     state = run_compiled(problem, noise_arrays(problem, levels), state, track)
     nominal = trajectory_of(problem, track, state.bg, state.ba, state.extras)
-    linear, _ = batch.relinearise(linearise_about(problem, case.start, nominal), levels)
+    linear, _, _ = batch.relinearise(linearise_about(problem, case.start, nominal), levels)
     if not np.isfinite(linear.d).all():
         raise HandcalError(
             "The filter diverged on this recording; check its units and axes, and whether the "
