@@ -6,7 +6,9 @@ Every effect that a recording could show is added to it by ``handcal conceal``, 
 between half and one and a half times its prior, and ``handcal explain`` is run on the new file
 in a process of its own. What it says is compared with the same of the unaltered file: an effect
 counts as named if it is in ``missing`` or in one of its sets, and a parameter as right if it
-differs from the unaltered recording's by what was put in, within three sigma.
+differs from the unaltered recording's by what was put in, within three sigma. Densities of
+noise add up in squares. What ``explain`` found in the unaltered file is known to ``conceal``:
+the device's own errors are no motion.
 
 A full table takes hours; ``--n`` draws that many pairs of recording and effect at random.
 Results are kept in DIR, and a table that broke off goes on from there.
@@ -33,6 +35,8 @@ from handcal.inputs import load
 
 # Nats below which the recording itself does not promise that an effect of the usual size shows.
 FAINT = 10.0
+# What differs at high frequency alone (the contract's gauges).
+PARTNER = {"accel_delay": "gyro_bandwidth", "gyro_bandwidth": "accel_delay"}
 
 
 def main() -> None:
@@ -76,10 +80,13 @@ def _tried(path: Path, effect: Effect, values: list[float], out: Path) -> dict[s
     entry: dict[str, Any] = {"recording": path.stem, "effect": effect.id, "injected": values}
     altered = out / f"{name}.mcap"
     text = ",".join(f"{v:.6g}" for v in values)
-    concealed = _run("conceal", path, f"--effect={effect.id}={text}", "--seed=0", "-o", altered)
+    own = _explained(path, out / f"{path.stem}.json")
+    known = ("--from", out / f"{path.stem}.json") if own is not None else ()
+    concealed = _run(
+        "conceal", path, f"--effect={effect.id}={text}", "--seed=0", *known, "-o", altered
+    )
     if concealed.returncode != 0:
         return entry | {"outcome": "refused", "reason": concealed.stderr.strip().splitlines()[-1]}
-    own = _explained(path, out / f"{path.stem}.json")
     seen = _explained(altered, out / f"{name}.json")
     altered.unlink()
     if seen is None or own is None:
@@ -104,8 +111,7 @@ def _compared(
 ) -> dict[str, Any]:
     named = [m["effect"] for m in seen["missing"]]
     sets = [i for m in seen["missing"] for i in m["indistinguishable_from"]]
-    before = {(p["effect"], p["name"]): p for p in own["parameters"]}
-    after = {(p["effect"], p["name"]): p for p in _all_parameters(seen)}
+    before, after = ({(p["effect"], p["name"]): p for p in _all_parameters(d)} for d in (own, seen))
     promised = {h["effect"]: h["expected_gain"] for h in own["hypotheses"]}
     new = sorted(set(named) - {m["effect"] for m in own["missing"]} - {effect.id})
     gone = sorted({m["effect"] for m in own["missing"]} - set(named) - {effect.id})
@@ -120,7 +126,15 @@ def _compared(
     for p, value in zip(effect.parameters, values, strict=True):
         if (effect.id, p.name) not in after:
             continue
-        (a, spread), (b, spread_before) = (_place(x, effect.id, p.name) for x in (after, before))
+        shared = PARTNER.get(effect.id) in {*new, *gone}
+        (a, spread), (b, spread_before) = (
+            _place(x, effect.id, p.name, shared) for x in (after, before)
+        )
+        if effect.process is not None and p.name in ("density", "sigma"):
+            total = math.hypot(b, value)
+            recovered.append(math.sqrt(max(a * a - b * b, 0.0)))
+            z.append((a - total) / math.hypot(spread, spread_before * b / total))
+            continue
         change, sigma = a - b, math.hypot(spread, spread_before)
         recovered.append(change)
         z.append((change - value) / sigma if sigma > 0.0 else math.nan)
@@ -132,15 +146,19 @@ def _compared(
 
 
 def _place(
-    found: dict[tuple[str, str], dict[str, Any]], effect: str, name: str
+    found: dict[tuple[str, str], dict[str, Any]], effect: str, name: str, shared: bool
 ) -> tuple[float, float]:
     """Value and sigma. Of an accelerometer's place, with the arm that all of them share: alone,
-    ``size_effect`` holds the device's own lever arm too."""
-    here = [found.get((effect, name))]
+    ``size_effect`` holds the device's own lever arm too. Where the other of a late force and a
+    slow gyro is named before or after alone (``shared``), what both make of the force's lag."""
+    here = [(1.0, found.get((effect, name)))]
     if effect == "size_effect":
-        here.append(found.get(("lever_arm", name[-1])))
-    present = [p for p in here if p]
-    return sum(p["value"] for p in present), math.hypot(*(p["sigma"] for p in present))
+        here.append((1.0, found.get(("lever_arm", name[-1]))))
+    if shared and effect in PARTNER:
+        other = PARTNER[effect]
+        here.append((-1.0, found.get((other, "tau" if other == "gyro_bandwidth" else "delay"))))
+    present = [(sign, p) for sign, p in here if p]
+    return sum(s * p["value"] for s, p in present), math.hypot(*(p["sigma"] for _, p in present))
 
 
 def _all_parameters(document: dict[str, Any]) -> list[dict[str, Any]]:

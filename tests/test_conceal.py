@@ -10,6 +10,7 @@ from worlds import recording_of
 import handcal
 from handcal import calibrate, cli, so3
 from handcal import conceal as hidden
+from handcal.apply import Learnt, apply
 from handcal.commands import run
 from handcal.export import write_mcap
 from handcal.types import InputError, Series
@@ -68,9 +69,9 @@ def quiet_phone(rng, **more):
     )
 
 
-def world(effects=None, **more):
+def world(effects=None, seed=4, **more):
     phone = quiet_phone(np.random.default_rng(2), **more)
-    return simulate("free-hand", seed=4, duration_s=25.0, phone=phone, effects=effects)
+    return simulate("free-hand", seed=seed, duration_s=25.0, phone=phone, effects=effects)
 
 
 @pytest.fixture(scope="module")
@@ -184,6 +185,21 @@ def test_saturated_readings_stay(plain):
     assert not found.valid[100:112].any()  # what is read late was felt while saturated
     assert found.valid[:99].all()
     assert found.valid[113:].all()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_errors_of_the_device_are_no_motion(seed):
+    """Of a scale 5 % too large, and known, an added quadratic error takes 10 % too much."""
+    more, own = {"gyro_quadratic": [0.05, -0.04, 0.03]}, {"gyro_scale": [0.05, 0.05, 0.05]}
+    both, one = recording_of(world({**own, **more}, seed=seed)), recording_of(world(own, seed=seed))
+    learnt = Learnt("", {i: np.array(v) for i, v in own.items()}, (("", np.zeros(6)),), ())
+    rng = np.random.default_rng(0)
+    truth = apply(one, learnt, biases=True).recording.imu
+    wanted = both.imu.gyro - one.imu.gyro
+    blind = hidden.conceal(one, more, rng).imu.gyro - one.imu.gyro - wanted
+    knowing = hidden.conceal(one, more, rng, truth).imu.gyro - one.imu.gyro - wanted
+    assert 0.05 < rms(blind) / rms(wanted) < 0.15
+    assert rms(knowing) / rms(wanted) < 0.02
 
 
 @pytest.mark.usefixtures("once")

@@ -274,6 +274,15 @@ def conceal(
     out: Annotated[
         Path, typer.Option("-o", "--out", metavar="FILE.mcap", help="Recording to write.")
     ],
+    learnt_from: Annotated[
+        Path | None,
+        typer.Option(
+            "--from",
+            metavar="EXPLANATION.json",
+            help="What `explain --json` said of this recording as it is: what is added depends on "
+            "the true motion, and the device's own errors are no part of that.",
+        ),
+    ] = None,
     seed: Annotated[
         int | None, typer.Option(min=0, help="Same seed, same file (drawn, and said).")
     ] = None,
@@ -285,6 +294,7 @@ def conceal(
 
     import numpy as np
 
+    from handcal import apply as known
     from handcal import conceal as hidden
     from handcal.export import write_mcap
 
@@ -292,7 +302,10 @@ def conceal(
     check_folders(out)
     seed = secrets.randbelow(2**31) if seed is None else seed
     recording = load(file, topic, units)
-    write_mcap(hidden.conceal(recording, values, np.random.default_rng(seed)), out)
+    truth = None
+    if learnt_from is not None:
+        truth = known.apply(recording, known.read(learnt_from), biases=True).recording.imu
+    write_mcap(hidden.conceal(recording, values, np.random.default_rng(seed), truth), out)
     print(f"{out}: {', '.join(values)} concealed in {Path(recording.path).name}, seed {seed}")
 
 

@@ -3,8 +3,9 @@
 Nothing here goes through the estimator's linearised model: delays shift stamps or are
 interpolated, lever arms move the marker or swing the accelerometer, filters filter. What an
 error depends on, the true rate and force, is known as well as the recording tells: its
-readings, less the biases of a calibration where squares of them matter. Of attitude and
-magnetic north the same calibration tells.
+readings, less the biases of a calibration where squares of them matter, or readings that
+whoever knows more of the device has corrected. Of attitude and magnetic north the same
+calibration tells.
 """
 
 from __future__ import annotations
@@ -54,18 +55,23 @@ Values = Mapping[str, Array]
 
 
 def conceal(
-    recording: Recording, effects: Mapping[str, Sequence[float]], rng: np.random.Generator
+    recording: Recording,
+    effects: Mapping[str, Sequence[float]],
+    rng: np.random.Generator,
+    truth: Imu | None = None,
 ) -> Recording:
     """The recording as a device with these further errors would have made it.
 
     effects: by id, values in the order of the catalogue's parameters, SI. They come on top
-    of whatever the device has of its own. Readings that are no measurements (saturated) stay
+    of whatever the device has of its own. truth: the same readings without the errors that are
+    known of the device (``apply``), if something is; a scale error of 1 % would make what is
+    added wrong by as much. Readings that are no measurements (saturated) stay
     as they are. Raises InputError for unknown effects, wrong values and streams that are
     absent, HandcalError where the attitude is needed and cannot be found.
     """
     values = {i: _checked(i, v) for i, v in effects.items()}
     _check_streams(recording, values)
-    known = _Known(recording, values)
+    known = _Known(recording, values, truth)
     streams: dict[str, Series] = dict(recording.streams)
     if "lever_arm" in values and _marker_moves(recording):
         streams["pose"] = _moved_marker(recording, values["lever_arm"], known)
@@ -161,6 +167,7 @@ class _Known:
 
     recording: Recording
     values: Values
+    truth: Imu | None = None
 
     @cached_property
     def iron(self) -> Array:
@@ -188,10 +195,11 @@ class _Known:
 
     @cached_property
     def signals(self) -> Signals:
-        """Rate and force as read, less their biases if that matters; temperature, attitude."""
-        imu = self.recording.imu
-        gyro, accel, C_nb = imu.gyro, imu.accel, None
-        if any(i in SQUARES for i in self.values):
+        """Rate and force as known, or as read, less their biases if that matters; temperature,
+        attitude."""
+        imu, C_nb = self.recording.imu, None
+        gyro, accel = (self.truth or imu).gyro, (self.truth or imu).accel
+        if self.truth is None and any(i in SQUARES for i in self.values):
             gyro = gyro - self.constant("gyro_bias")
             accel = accel - self.constant("accel_bias")
         if any("attitude" in catalogue()[i].needs and i not in OWN for i in self.values):
