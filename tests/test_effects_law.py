@@ -407,7 +407,16 @@ def nav_of(v, C, w):
     return np.concatenate([np.zeros(3), v, np.ravel(C), w, [0, 0, 9.8]]).astype(float)
 
 
-READINGS = {"magnetometer": [1e-5, 2e-5, -4e-5], "known_input": [0, 0, 0, 0, 0, 0, 3, -1, 2]}
+# Of a reference: rate and force that grow evenly, and the force's y by CUBE t^3 besides; now,
+# and 8 ms earlier and later.
+CUBE, GROWTH = 1e4, np.array([3, -1, 2, 10, 20, 30])
+BENT = np.array([0, 0, 0, 0, 1, 0])
+REFERENCE = [
+    *np.zeros(6), *GROWTH,
+    *(-0.008 * GROWTH - CUBE * 0.008**3 * BENT), *(0.008 * GROWTH + CUBE * 0.008**3 * BENT),
+    *(GROWTH + 3 * CUBE * 0.008**2 * BENT), *(GROWTH + 3 * CUBE * 0.008**2 * BENT), 0.008,
+]  # fmt: skip
+READINGS = {"magnetometer": [1e-5, 2e-5, -4e-5], "known_input": REFERENCE}
 
 
 @pytest.mark.parametrize(("name", "kind"), OBSERVED)
@@ -438,6 +447,12 @@ OBSERVED_BY_HAND = {
     # After 40 s a clock that is 100 ppm fast is 4 ms ahead: the pose at that stamp is still
     # to come, by 4 ms of velocity and of turning.
     ("clock_rate", "pose"): ([100.0], [-0.004, -0.008, -0.012, 0.0, 0.0, -0.002]),
+    # What the device shows is of 4 ms before: slopes (3, -1, 2, 10, 20, 30), and the third power
+    # of the time along y of the force.
+    ("clock_rate", "known_input"): (
+        [100.0],
+        [-0.012, 0.004, -0.008, -0.04, -0.08 - CUBE * 0.004**3, -0.12],
+    ),
     # The reading at t is the value at t - 0.2: 0.2 * 0.5 = 0.1 rad too small while turning left.
     ("heading_delay", "heading"): ([0.2], [0.1]),
     ("heading_delay", "magnetometer"): ([0.2], [0.1]),
@@ -634,6 +649,8 @@ TRIALS = [
     ("lever_arm", "free-hand", good_heading, "heading", 1.0),
     ("lever_arm", "free-hand", with_pose, "pose", 1.0),
     ("lever_arm", "free-hand", with_reference, "reference", 1.0),
+    ("clock_rate", "free-hand", with_reference, "reference", 1.0),
+    ("clock_rate", "free-hand", with_reference, "reference", 3.0),
     ("gyro_misalignment", "free-hand", with_reference, "reference", 1.0),
     ("pose_delay", "free-hand", with_pose, "pose", 1.0),
     ("mag_hard_iron", "free-hand", with_magnetometer, "mag", 0.1),

@@ -13,7 +13,7 @@ from worlds import recording_of
 
 from handcal import calibration, noise, so3
 from handcal.effects import select
-from handcal.explain import Explanation, case, explain, find, fit
+from handcal.explain import Explanation, case, explain, find, fit, outliers
 from handcal.explain.fit import EXCESS, Model, fitted, moved_to, scan, started
 from handcal.explain.quadratic import posterior
 from handcal.types import InputError, Recording, Series
@@ -119,13 +119,14 @@ def with_a_burst(seed: int, off: float | None = None) -> Recording:
 
 @pytest.mark.parametrize("seed", range(2))
 def test_a_burst_of_wrong_headings_is_no_share_of_outliers(seed: int) -> None:
-    """Something happened there, and no known effect stands in for it."""
+    """Something happened there, and no known effect stands in for it. (At the ends some of
+    the readings come while body x is near the vertical, and count for nothing.)"""
     found = explain([with_a_burst(seed)])
     assert (found.verdict, names(found)) == ("unexplained", [])
     (burst,) = found.unnamed
     begin, end = (float(x.split()[0]) for x in burst.formula.split(" from ")[1].split(" to "))
-    assert begin == pytest.approx(12.0, abs=0.5)
-    assert end == pytest.approx(14.5, abs=0.5)
+    assert begin == pytest.approx(12.0, abs=0.75)
+    assert end == pytest.approx(14.5, abs=0.75)
 
 
 def test_headings_that_are_off_for_a_while_are_unexplained() -> None:
@@ -269,3 +270,26 @@ def test_what_no_fit_holds_with_is_left_out(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(find, "_scanned", scanned)
     found = explain([recording_of(world, "heading")])
     assert (found.verdict, names(found)) == ("explained", ["gyro_scale"])
+
+
+def test_readings_where_there_is_no_heading_do_not_stand_out() -> None:
+    """With body x near the vertical a yaw is anything, and no reading is used: such readings
+    led to a second search, which took as long as the first."""
+    base = base_of(world_of({}, 0, 30.0))
+    (part,) = base.parts
+    (k,) = [k for k, (o, _, _) in enumerate(part.case.observed) if o.kind == "heading"]
+    observation, rows, constants = part.case.observed[k]
+    up = np.interp(rows.t, part.linear.t, part.linear.trajectory.C[:, 2, 0])
+
+    def spoilt(those: Any) -> Model:
+        z = rows.z + np.where(those, 2.0, 0.0)[:, None]
+        observed = list(part.case.observed)
+        observed[k] = (observation, replace(rows, z=so3.wrap(z)), constants)
+        changed = replace(part, case=replace(part.case, observed=tuple(observed)))
+        return replace(base, parts=(changed,))
+
+    steep = np.abs(up) > math.cos(math.radians(10.0))
+    assert steep.sum() > 5
+    assert outliers.standing_out(spoilt(steep)) is None
+    flat = np.abs(up) < 0.5
+    assert outliers.standing_out(spoilt(flat & (np.arange(len(up)) % 9 == 0))) is not None

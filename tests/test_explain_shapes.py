@@ -11,7 +11,7 @@ import pytest
 from worlds import recording_of
 
 from handcal._jit import call_residual
-from handcal.effects import Signals
+from handcal.effects import TIME, Z_DIM, Signals
 from handcal.explain import explain, shapes
 from handcal.explain.quadratic import Quadratic
 from handcal.explain.terms import PLAY, features, imu_terms
@@ -41,8 +41,8 @@ def slow(rng: np.random.Generator) -> Phone:
 
 
 def _heading_error(effect: shapes.Effect, k: Array, t: float, yaw: float) -> float:
-    nav, z, r = np.zeros(40), np.zeros(12), np.zeros(3)
-    nav[6], nav[9], z[11] = np.cos(yaw), np.sin(yaw), t
+    nav, z, r = np.zeros(40), np.zeros(Z_DIM), np.zeros(3)
+    nav[6], nav[9], z[TIME] = np.cos(yaw), np.sin(yaw), t
     assert call_residual(int(effect.observation_error["heading"]), nav, k, z, r) == 0
     return -float(r[0])
 

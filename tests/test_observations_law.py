@@ -474,10 +474,14 @@ def test_a_reference_is_turned_and_read_at_the_stamps_of_the_imu(reference_hz, p
     np.testing.assert_allclose(rows.z[:, 6:9], acceleration(rows.t), atol=0.2)
 
 
-def test_a_slow_reference_keeps_its_own_stamps():
+def test_a_slow_reference_is_read_where_the_imu_reads():
+    """Once for each of its samples, at the nearest of the IMU's stamps."""
     recording, rate, _ = two_imus(rate_hz=400.0, reference_hz=50.0, phase_s=0.0011)
     rows = catalogue()["known_input"].rows(recording, SCENE)
-    assert set(rows.t) <= set(recording.streams["reference"].t)
+    own = recording.streams["reference"].t
+    assert set(rows.t) <= set(recording.imu.t)
+    assert 0.9 * len(own) < len(rows.t) <= len(own)
+    assert np.abs(rows.t[:, None] - own).min(axis=1).max() < 0.5 / 400.0 + 1e-9
     np.testing.assert_allclose(rows.z[:, :3], rate(rows.t), atol=4e-3)
 
 

@@ -30,8 +30,8 @@ import numpy as np
 from handcal.types import Array, InputError, Level, Markov
 
 # Places in an observation's z (Z_DIM numbers) that are the same for every kind.
-Z_DIM = 12
-DELAY, TIME = 10, 11
+Z_DIM = 40
+DELAY, TIME = 38, 39
 
 
 @dataclass(frozen=True)

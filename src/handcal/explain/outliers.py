@@ -25,6 +25,8 @@ FEWEST = 3
 # Readings of a heading among which one stands out.
 NEIGHBOURS = 11
 ROUNDS = 4
+# From body x to the vertical; within 15 deg no heading counts (contract).
+STEEP = math.radians(10.0)
 
 
 @dataclass(frozen=True)
@@ -102,12 +104,19 @@ def standing_out(base: Model) -> list[BoolArray | None] | None:
             masks.append(None)
             continue
         rows = f.case.observed[k][1]
-        r = np.exp(1j * (rows.z[:, 0] - np.interp(rows.t, f.linear.t, np.unwrap(_yaw(f)))))
+        told = _told(f, rows.t)
+        z, t = rows.z[told, 0], rows.t[told]
+        if len(t) < NEIGHBOURS:
+            masks.append(None)
+            continue
+        r = np.exp(1j * (z - np.interp(t, f.linear.t, np.unwrap(_yaw(f)))))
         usual = median_filter(r.real, NEIGHBOURS) + 1j * median_filter(r.imag, NEIGHBOURS)
         away = np.abs(np.angle(r / np.where(usual == 0.0, 1.0, usual)))
         scale = max(1.4826 * float(np.median(away)), 1e-4)
         far = (away > FAR * scale).sum() >= FEWEST
-        masks.append(np.asarray(away > WRONG * scale) if far else None)
+        mask = np.zeros(len(told), dtype=bool)
+        mask[told] = away > WRONG * scale
+        masks.append(mask if far else None)
     return masks if any(m is not None for m in masks) else None
 
 
@@ -160,11 +169,13 @@ def _burst(base: Model, masks: Sequence[BoolArray | None]) -> tuple[float, float
         k = heading_kind(f.case)
         if mask is None or k is None or mask.sum() < FEWEST:
             continue
+        t = f.case.observed[k][1].t
+        told = _told(f, t) | mask
+        t, mask = t[told], mask[told]
         beside = np.r_[False, mask[:-1]] | np.r_[mask[1:], False]
         # of outliers at random, one in 1 / (2 share) has an outlying neighbour
         if (mask & beside).sum() > mask.sum() * (2.0 * mask.mean() + 0.4):
-            t = f.case.observed[k][1].t[mask & beside]
-            return float(t[0]), float(t[-1])
+            return float(t[mask & beside][0]), float(t[mask & beside][-1])
     return None
 
 
@@ -206,7 +217,15 @@ def _mask(original: Fitted, f: Fitted) -> BoolArray | None:
         if len(full) != len(rows.t):
             return None
     scale = _scale(full)
-    return np.asarray(np.abs(full - np.median(full)) > WRONG * max(scale, 1e-4))
+    away = np.abs(full - np.median(full)) > WRONG * max(scale, 1e-4)
+    return np.asarray(away & _told(f, rows.t) if rows.z.shape[1] == 1 else away)
+
+
+def _told(f: Fitted, t: Array) -> BoolArray:
+    """At which of the times t (m,) the attitude has a heading; where it hardly has, the reading
+    counts in one round and not in the next, so it is judged."""
+    up = np.interp(t, f.linear.t, f.linear.trajectory.C[:, 2, 0])
+    return np.asarray(np.abs(up) < math.cos(STEEP))
 
 
 def _yaw(f: Fitted) -> Array:

@@ -2,8 +2,10 @@
 
 The axes of the reference are first turned into those of the IMU (turns and forces seen by
 both sensors), then what remains is estimated: ``theta`` is that rotation vector (3,).
-``z`` holds the reference's rate, force and angular acceleration, the latter for a lever
-arm. Without one the reference is taken to sit where the IMU sits.
+``z`` holds the reference's rate and force (6) and their derivatives (6), for a lever arm; for a
+clock that runs fast the same some time earlier and later, a time that grows with the
+recording: values (12), derivatives (12), and that time. Without an arm the reference is taken
+to sit where the IMU sits.
 
 Two IMUs never sample at the same instant, mounts flex, and a shake has more bandwidth than
 the sampling resolves; all of that makes the readings differ in proportion to the motion.
@@ -24,7 +26,7 @@ import numpy as np
 from handcal import so3
 from handcal._jit import njit, residual_function
 from handcal.observations import Constant, Observation, Rows, Scene, pseudo_times
-from handcal.types import Array, BoolArray, Level, Recording
+from handcal.types import Array, BoolArray, IntArray, Level, Recording
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
@@ -37,6 +39,10 @@ GAP, NEAR = 1.6, 3
 MEMORY_S = 1e-3
 SLOWEST = 0.01
 LEAST_TURN = 0.05
+# The times that a clock might be off by, as a share of the time since the start.
+CLOCK_REACH = 2e-4
+# How crooked axes are (rad), and how far apart two sensors of one body (m): priors.
+CROOKED, LONGEST_ARM = 0.01, 0.3
 MOTION = ("reference_gyro_in_motion",) * 3 + tuple(f"reference_accel_in_motion_{a}" for a in "xyz")
 
 
@@ -158,9 +164,11 @@ def matched(recording: Recording, scene: Scene) -> Matched | None:
     imu, reference = recording.imu, recording.streams.get("reference")
     if reference is None or len(reference.t) < FEWEST:
         return None
-    # At the stamps of the slower of the two; the other is read between its samples.
-    slow = float(np.median(np.diff(reference.t))) > 1.2 / recording.rate_hz
-    t = reference.t if slow else imu.t
+    # As often as the slower of the two reads, at stamps of the IMU: the reference's spline says
+    # what is between its samples; straight lines between the IMU's would cut off a tremor.
+    t = imu.t
+    if float(np.median(np.diff(reference.t))) > 1.2 / recording.rate_hz:
+        t = imu.t[_nearest(imu.t, reference.t)]
     everything = np.ones(len(reference.t), dtype=np.bool_)
     sound = _at(imu.t, _sound(imu.t, imu.valid), t)
     sound &= _at(reference.t, _sound(reference.t, everything), t)
@@ -168,7 +176,42 @@ def matched(recording: Recording, scene: Scene) -> Matched | None:
     if len(some) < FEWEST:
         return None
     spline = CubicSpline(reference.t, reference.value)
-    return Matched(t, sound, spline, axes_between(read_at(recording, some), spline(some)))
+    own = read_at(recording, some)
+    R = axes_between(own, spline(some))
+    for _ in range(2):
+        R = _by_force(own[:, 3:], Matched(t, sound, spline, R), some) @ R
+    return Matched(t, sound, spline, R)
+
+
+def _by_force(force: Array, both: Matched, t: Array) -> Array:
+    """The small rotation (3, 3) that is left between the reference's axes and those that the
+    accelerometers define: x is body x, y lies in the body's x-y plane.
+
+    A gyro's axes may stand as crooked as gyros do, and the rotation that fits the turns best is
+    off by as much. Each axis' force is fitted by all three of the reference, a bias and an arm,
+    with their priors; where the forces do not tell, the rotation is none.
+    """
+    known, alpha = both.known(t), both.known(t, 1)[:, :3]
+    w = known[:, :3]
+    prior = np.r_[np.full(3, CROOKED), 1.0, np.full(3, LONGEST_ARM)]
+    A = np.zeros((3, 3))
+    for i in range(3):
+        swing = [np.cross(alpha, e)[:, i] + np.cross(w, np.cross(w, e))[:, i] for e in np.eye(3)]
+        rows = np.column_stack([known[:, 3:], np.ones(len(t)), *swing])
+        left = force[:, i] - known[:, 3 + i]
+        found = np.zeros(7)
+        for _ in range(2):
+            sigma = max(float(np.std(left - rows @ found)), 1e-3)
+            stacked = np.vstack([rows / sigma, np.diag(1.0 / prior)])
+            found = np.linalg.lstsq(stacked, np.r_[left / sigma, np.zeros(7)], rcond=None)[0]
+        A[i] = found[:3]
+    return _rotation(-A[1, 2], A[0, 2], -A[0, 1])
+
+
+def _nearest(t: Array, wanted: Array) -> IntArray:
+    """Numbers of those of the times t (n,) that are nearest to one of the times wanted (m,)."""
+    right = np.clip(np.searchsorted(t, wanted), 1, len(t) - 1)
+    return np.unique(np.where(wanted - t[right - 1] < t[right] - wanted, right - 1, right))
 
 
 def read_at(recording: Recording, t: Array) -> Array:
@@ -182,7 +225,12 @@ def _rows(recording: Recording, scene: Scene) -> Rows | None:
     if both is None:
         return None
     t = _thinned(both.t[both.sound], recording, scene)
-    return Rows(t, np.hstack([both.known(t), both.known(t, 1)[:, :3]]))
+    reach = CLOCK_REACH * (t - recording.imu.t[0])
+    first, last = both.reference.x[0], both.reference.x[-1]
+    beside = [np.clip(t + sign * reach, first, last) for sign in (-1.0, 1.0)]
+    z = [both.known(t), both.known(t, 1)]
+    z += [both.known(at, k) for k in (0, 1) for at in beside]
+    return Rows(t, np.hstack([*z, reach[:, None]]))
 
 
 def _guess(z: Array) -> Mapping[str, float]:
