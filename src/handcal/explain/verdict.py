@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import replace
 
 import numpy as np
@@ -26,7 +26,9 @@ from handcal.explain.explanation import (
 from handcal.explain.find import Found, advantage, search
 from handcal.explain.fit import Fitted, Model, fitted, started
 from handcal.explain.gauge import plainly
+from handcal.explain.leaning import leaning
 from handcal.explain.next_motion import next_motions
+from handcal.explain.process import process_parameters
 from handcal.explain.robust import inflation
 from handcal.explain.search import (
     PRIOR,
@@ -49,6 +51,8 @@ RIVAL = 0.05
 CERTAIN = 0.999999
 # Unnamed terms that hold less than this share of what the named effects do are a remark.
 LEFT = 0.02
+# Nats below which a recording does not promise to show an effect of the usual size.
+FAINT = 10.0
 
 
 def explain(
@@ -184,7 +188,7 @@ def _explanation(
         (*own, *(p for parameters in learnt.values() for p in parameters)),
         _noise(model.parts[0]),
         tuple(explained),
-        _warnings(base, model),
+        _warnings(base, model, {h.effect for h in hypotheses if h.expected < FAINT}),
     )
 
 
@@ -203,7 +207,7 @@ def _missing(
             continue
         if effect.process is not None:
             gain = found.noise[effect.id]
-            own = _process_parameters(model, effect)
+            own = process_parameters(model, effect)
             out.append(_entry(effect, probability(gain), gain, (), own))
             continue
         set_, share = _set(found, chosen, effect.id)
@@ -283,47 +287,6 @@ def _effect_parameters(model: Model, effect: Effect, excess: float) -> tuple[Par
                       p.prior_sigma, None)
         )  # fmt: skip
     return tuple(out)
-
-
-def _process_parameters(model: Model, effect: Effect) -> tuple[Parameter, ...]:
-    """Levels of a noise effect; sigma from the curvature of the evidence over their logarithms."""
-    part = model.parts[0]
-    names = [lv.name for lv in effect.levels]
-    step = 0.15
-    reductions = [(reduce(f.linear), f.levels) for f in model.parts]
-
-    def value(x: Array) -> float:
-        return sum(
-            reduced_pass(r, {**lv, **_scaled(lv, names, x)}).log_evidence for r, lv in reductions
-        )
-
-    k = len(names)
-    here, H = value(np.zeros(k)), np.zeros((k, k))
-    for i in range(k):
-        for j in range(i + 1):
-            a, b = step * np.eye(k)[i], step * np.eye(k)[j]
-            if i == j:
-                H[i, i] = (value(a) - 2 * here + value(-a)) / step**2
-            else:
-                H[i, j] = H[j, i] = (value(a + b) - value(a - b) - value(b - a) + value(-a - b)) / (
-                    4 * step**2
-                )
-    # a prior of two in the logarithm keeps a flat direction finite
-    spread = np.sqrt(np.diag(np.linalg.inv(np.eye(k) / 4.0 - _negative(H))))
-    return tuple(
-        Parameter(effect.id, p.name, part.levels[n], part.levels[n] * float(s), p.unit,
-                  p.prior_sigma, None)
-        for p, n, s in zip(effect.parameters, names, spread, strict=True)
-    )  # fmt: skip
-
-
-def _scaled(levels: Mapping[str, float], names: Sequence[str], x: Array) -> dict[str, float]:
-    return {n: levels[n] * math.exp(v) for n, v in zip(names, x, strict=True)}
-
-
-def _negative(H: Array) -> Array:
-    values, vectors = np.linalg.eigh(H)
-    return np.asarray((vectors * np.minimum(values, 0.0)) @ vectors.T)
 
 
 def _unnamed(
@@ -479,8 +442,10 @@ def _noise(f: Fitted) -> tuple[NoiseLevel, ...]:
     )
 
 
-def _warnings(base: Model, model: Model) -> tuple[str, ...]:
+def _warnings(base: Model, model: Model, hardly_shown: Set[str]) -> tuple[str, ...]:
     out = [w for f in base.parts for w in f.case.warnings]
+    for f in model.parts:
+        out += leaning(f, model.effects, hardly_shown)
     if not model.settled:
         out.append(
             "The final fit still moved after ten rounds of relinearisation; trust its numbers less."
