@@ -53,6 +53,8 @@ CERTAIN = 0.999999
 LEFT = 0.02
 # Nats below which a recording does not promise to show an effect of the usual size.
 FAINT = 10.0
+# How well a moment is known, s, where only one was on trial.
+MOMENT = 0.1
 
 
 def explain(
@@ -147,7 +149,7 @@ def _explanation(
     chosen = frozenset(e.id for e in model.effects if e.process is None)
     named = wrong if wrong is not None and wrong.burst is None else None
     excess = inflation(model)
-    learnt = _learnt(model, excess)
+    learnt = _learnt(found, excess)
     missing, unsure = _missing(found, chosen, learnt, named)
     unnamed = _unnamed(found, chosen, learnt)
     if wrong is not None and wrong.burst is not None:
@@ -264,14 +266,40 @@ def _entry(
     )
 
 
-def _learnt(model: Model, excess: Mapping[str, float]) -> dict[str, tuple[Parameter, ...]]:
+def _learnt(found: Found, excess: Mapping[str, float]) -> dict[str, tuple[Parameter, ...]]:
     """Parameters of each effect that is no noise, by its id."""
+    model = found.model
+    moments = {e.id: _moment(found, e.id) for e in model.effects if "@" in e.id}
     return {
-        e.id: _effect_parameters(model, e, excess[e.id]) for e in model.effects if e.process is None
+        e.id: _effect_parameters(model, e, excess[e.id], moments.get(e.id, (0.0, 0.0)))
+        for e in model.effects
+        if e.process is None
     }
 
 
-def _effect_parameters(model: Model, effect: Effect, excess: float) -> tuple[Parameter, ...]:
+def _moment(found: Found, effect: str) -> tuple[float, float]:
+    """Mean and standard deviation of the moment at which an effect is held, s, over all moments
+    on trial; what lies between two of them is not told."""
+    chosen = frozenset(e.id for e in found.model.effects if e.process is None)
+    same = [i for i in found.space.effects if "@" in i and name_of(i) == name_of(effect)]
+    here = float(effect.split("@")[1])
+    if effect not in found.space.effects or len(same) < 2:
+        return here, MOMENT
+    scores = rivals(found.space, chosen, effect)
+    at = np.array([float(i.split("@")[1]) for i in same])
+    weight = np.exp(np.array([min(scores[i], 50.0) for i in same]))
+    weight /= weight.sum()
+    # moments on trial lie closer together near the one that was chosen
+    share = weight * np.gradient(at[np.argsort(at)])[np.argsort(np.argsort(at))]
+    share /= share.sum()
+    mean = float(share @ at)
+    near = float(np.min(np.abs(np.delete(at, same.index(effect)) - here)))
+    return mean, math.hypot(math.sqrt(float(share @ (at - mean) ** 2)), near / math.sqrt(12.0))
+
+
+def _effect_parameters(
+    model: Model, effect: Effect, excess: float, moment: tuple[float, float]
+) -> tuple[Parameter, ...]:
     at = [i for i, n in enumerate(model.quadratic.names) if n[0] == effect.id]
     sigma = math.sqrt(excess) * np.sqrt(np.maximum(np.diag(model.covariance), 0.0))
     out = []
@@ -281,7 +309,7 @@ def _effect_parameters(model: Model, effect: Effect, excess: float) -> tuple[Par
             q, i = free[p.name]
             value, spread = model.u[i] * q.prior_sigma, sigma[i] * q.prior_sigma
         else:
-            value, spread = float(effect.id.split("@")[1]), 0.1
+            value, spread = moment
         out.append(
             Parameter(name_of(effect.id), p.name, float(value), float(spread), p.unit,
                       p.prior_sigma, None)

@@ -1,7 +1,9 @@
 """Rate and force known from outside: a turntable, or a second, trusted IMU on the same body.
 
 The axes of the reference are first turned into those of the IMU (turns and forces seen by
-both sensors), then what remains is estimated: ``theta`` is that rotation vector (3,).
+both sensors), then what remains is estimated: ``theta`` is that rotation vector (3,), and how late
+the reference is, s: of two sensors, stamps differ by some hundredths of a millisecond, which
+a shake shows; without it, a clock that runs fast by a millionth would be named for that.
 ``z`` holds the reference's rate and force (6) and their derivatives (6), for a lever arm; for a
 clock that runs fast the same some time earlier and later, a time that grows with the
 recording: values (12), derivatives (12), and that time. Without an arm the reference is taken
@@ -39,6 +41,8 @@ GAP, NEAR = 1.6, 3
 MEMORY_S = 1e-3
 SLOWEST = 0.01
 LEAST_TURN = 0.05
+# How well the stamps of the two sensors belong together, s.
+STAMPED = 3e-5
 # The times that a clock might be off by, as a share of the time since the start.
 CLOCK_REACH = 2e-4
 # How crooked axes are (rad), and how far apart two sensors of one body (m): priors.
@@ -55,10 +59,15 @@ def _rotation(x: float, y: float, z: float) -> Array:
 
 def _residual(nav: Any, theta: Any, z: Any, r: Any) -> int:
     R = _rotation(theta[0], theta[1], theta[2])
+    late = theta[3]
     for i in range(3):
         # taken off the measurement, so that r is in b, where a lever arm is given
-        r[i] = R[0, i] * z[0] + R[1, i] * z[1] + R[2, i] * z[2] - nav[15 + i]
-        r[3 + i] = R[0, i] * z[3] + R[1, i] * z[4] + R[2, i] * z[5] - nav[18 + i]
+        turn, force = 0.0, 0.0
+        for j in range(3):
+            turn += R[j, i] * (z[j] + late * z[6 + j])
+            force += R[j, i] * (z[3 + j] + late * z[9 + j])
+        r[i] = turn - nav[15 + i]
+        r[3 + i] = force - nav[18 + i]
     return 0
 
 
@@ -253,7 +262,8 @@ def _variance(levels: Mapping[str, float]) -> Array:
 
 
 def _constants(scene: Scene) -> tuple[Constant, ...]:  # noqa: ARG001
-    return tuple(Constant(f"reference_{a}", "rad", 0.1) for a in "xyz")
+    axes = (Constant(f"reference_{a}", "rad", 0.1) for a in "xyz")
+    return (*axes, Constant("reference_late", "s", STAMPED))
 
 
 LEVELS = (
