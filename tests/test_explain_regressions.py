@@ -293,3 +293,19 @@ def test_readings_where_there_is_no_heading_do_not_stand_out() -> None:
     assert outliers.standing_out(spoilt(steep)) is None
     flat = np.abs(up) < 0.5
     assert outliers.standing_out(spoilt(flat & (np.arange(len(up)) % 9 == 0))) is not None
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_magnetometers_outliers_are_outliers(seed: int) -> None:
+    """Once left out, readings of a field were not judged again, and all were put back: an iron
+    and correlated noise were named."""
+
+    def compass(rng: np.random.Generator) -> Phone:
+        return replace(slow(rng), heading=None, mag=consumer_magnetometer(rng))
+
+    effects = {"heading_outliers": [0.1]}
+    world = simulate("free-hand", seed=seed, duration_s=40.0, phone=compass, effects=effects)
+    found = explain([recording_of(world, "mag")])
+    assert (found.verdict, names(found)) == ("explained", ["heading_outliers"])
+    (share,) = found.missing[0].parameters
+    assert abs(share.value - 0.1) < 4.0 * share.sigma

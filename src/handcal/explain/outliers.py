@@ -208,17 +208,21 @@ def _mask(original: Fitted, f: Fitted) -> BoolArray | None:
         return None
     t, r = residual(f, k)
     rows = original.case.observed[k][1]
-    if f.case.constant == 0.0:
-        full = np.interp(rows.t, t, r)
-    else:
-        # rows that were left out are judged by the trajectory that the others make
-        yaw = np.interp(rows.t, f.linear.t, np.unwrap(_yaw(f)))
-        full = so3.wrap(rows.z[:, 0] - yaw) if rows.z.shape[1] == 1 else r
-        if len(full) != len(rows.t):
-            return None
+    # (rows that were left out are judged by the trajectory that the others make)
+    full = np.interp(rows.t, t, r) if f.case.constant == 0.0 else _off(f, rows)
     scale = _scale(full)
     away = np.abs(full - np.median(full)) > WRONG * max(scale, 1e-4)
     return np.asarray(away & _told(f, rows.t) if rows.z.shape[1] == 1 else away)
+
+
+def _off(f: Fitted, rows: Rows) -> Array:
+    """How far each reading (m,) of a heading or of a magnetic field is from the attitude, rad."""
+    if rows.z.shape[1] == 1:
+        yaw = np.interp(rows.t, f.linear.t, np.unwrap(_yaw(f)))
+        return np.asarray(so3.wrap(rows.z[:, 0] - yaw))
+    C_nb = so3.between(f.linear.t, f.linear.trajectory.C, rows.t)
+    field = np.einsum("kij,kj->ki", C_nb, rows.z[:, :3])
+    return np.asarray(so3.wrap(0.5 * math.pi - np.arctan2(field[:, 1], field[:, 0])))
 
 
 def _told(f: Fitted, t: Array) -> BoolArray:
