@@ -112,7 +112,9 @@ def _compared(
     named = [m["effect"] for m in seen["missing"]]
     sets = [i for m in seen["missing"] for i in m["indistinguishable_from"]]
     before, after = ({(p["effect"], p["name"]): p for p in _all_parameters(d)} for d in (own, seen))
-    promised = {h["effect"]: h["expected_gain"] for h in own["hypotheses"]}
+    promised = {
+        h["effect"]: h["expected_gain"] for h in own["hypotheses"] if h["expected_gain"] is not None
+    }
     new = sorted(set(named) - {m["effect"] for m in own["missing"]} - {effect.id})
     gone = sorted({m["effect"] for m in own["missing"]} - set(named) - {effect.id})
     outcome = "missed"

@@ -63,7 +63,8 @@ class Hypothesis:
 
     alone: nats over the baseline; final: nats over the final model without it, for those
     in the final model, else over the final model with it added. expected: nats that the
-    information matrix promises for an amplitude of one prior sigma. probability: posterior.
+    information matrix promises for an amplitude of one prior sigma; NaN for noise and outliers,
+    of which no such matrix speaks. probability: posterior.
     verdict: "named", "set" (a member of an indistinguishable set), "" (not present).
     """
 

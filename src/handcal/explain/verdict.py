@@ -369,12 +369,12 @@ def _hypotheses(
     for name, gain in found.noise.items():
         verdict = "named" if name in named else ""
         out[name] = Hypothesis(
-            name, catalogue()[name].title, gain, gain, 0.0, probability(gain), verdict
+            name, catalogue()[name].title, gain, gain, math.nan, probability(gain), verdict
         )
     if wrong is not None:
         title = catalogue()["heading_outliers"].title
         out["heading_outliers"] = Hypothesis(
-            "heading_outliers", title, wrong.gain, wrong.gain, 0.0, wrong.probability, "named"
+            "heading_outliers", title, wrong.gain, wrong.gain, math.nan, wrong.probability, "named"
         )
     return tuple(sorted(out.values(), key=lambda h: -h.alone))
 
