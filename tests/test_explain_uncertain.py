@@ -10,16 +10,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rich.console import Console
 from worlds import recording_of
 
 from handcal.effects import catalogue
 from handcal.explain import case, explain, process
 from handcal.explain.fit import Model, fitted, started
 from handcal.explain.leaning import leaning
+from handcal.explain_summary import print_explanation
 from handcal.noise import Curvature
 from handcal.types import Array
 from handcal_sim import simulate
-from handcal_sim.phone import Clocking, Phone, consumer_phone
+from handcal_sim.phone import Clocking, Phone, consumer_phone, with_rate
 
 NOISE = catalogue()["heading_correlated_noise"]
 
@@ -100,3 +102,10 @@ def test_a_bias_that_holds_only_without_a_drift_says_so() -> None:
     assert "heading drift" in said
     assert sentences("free-hand", 60.0, {"heading_drift"}) == []
     assert sentences("z-turn", 30.0, set()) == []
+
+
+def test_a_fast_imu_is_not_called_slow(capsys: pytest.CaptureFixture[str]) -> None:
+    """What was averaged is said beside the rate at which it was read."""
+    world = simulate("z-turn", seed=0, duration_s=12.0, phone=lambda r: with_rate(slow(r), 400.0))
+    print_explanation(explain([recording_of(world, "heading")]), Console())
+    assert "400 Hz (averaged to 100)" in capsys.readouterr().out

@@ -166,7 +166,7 @@ def print_explanation(explanation: Explanation, console: Console) -> None:
     for r in e.recordings:
         console.print(
             f"[bold]{escape(r.recording.path)}[/]  {r.recording.duration_s:.1f} s at "
-            f"{r.recording.rate_hz:.0f} Hz; {words.counted(len(r.rests), 'rest')}"
+            f"{say.rate(r)}; {words.counted(len(r.rests), 'rest')}"
         )
     console.print()
     line(judged.headline, 0, f"bold {colour}")

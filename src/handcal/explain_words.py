@@ -13,6 +13,7 @@ from pathlib import Path
 
 from handcal import words
 from handcal.explain.explanation import (
+    Explained,
     Explanation,
     Fit,
     Hypothesis,
@@ -69,6 +70,14 @@ def number(value: float) -> str:
         return "–"
     text = f"{value:,.0f}" if abs(value) >= 10 else f"{value:.1f}"
     return text.replace("-", "−") if float(text.replace(",", "")) else text.replace("-", "")
+
+
+def rate(explained: Explained) -> str:
+    """ "100 Hz", "400 Hz (averaged to 100)"."""
+    used = explained.recording.rate_hz
+    if explained.read_hz <= 1.2 * used:
+        return f"{used:.0f} Hz"
+    return f"{explained.read_hz:.0f} Hz (averaged to {used:.0f})"
 
 
 def change(before: float, after: float) -> str:

@@ -22,7 +22,8 @@ class Case:
 
     observed: kinds with their rows and constants; delays: s by which the readings of a kind
     are taken to come late, for linearising about; fixed: noise levels that are known;
-    constant: log-evidence of readings that are held to be outliers and left out.
+    constant: log-evidence of readings that are held to be outliers and left out; read_hz: rate
+    of the IMU, of which ``recording`` may hold averages.
     """
 
     recording: Recording
@@ -35,6 +36,7 @@ class Case:
     fixed: Mapping[str, float] = field(default_factory=dict)
     delays: Mapping[str, float] = field(default_factory=dict)
     constant: float = 0.0
+    read_hz: float = 0.0
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -60,6 +62,7 @@ def case_of(
     recording = replace(
         recording, streams={k: v for k, v in recording.streams.items() if k not in ignore}
     )
+    read_hz = recording.rate_hz
     recording = thinned(recording)
     rests = segment.rests(recording)
     earth = local_earth(latitude, height)
@@ -76,6 +79,7 @@ def case_of(
         start,
         (*recording.warnings, *choice.warnings),
         dict(fixed or {}),
+        read_hz=read_hz,
     )
 
 

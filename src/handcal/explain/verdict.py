@@ -393,6 +393,7 @@ def _explained(
         short,
         after.case.rests,
         (twin(before.linear), twin(after.linear)),
+        after.case.read_hz,
     )
 
 
