@@ -157,7 +157,15 @@ def test_faint_effects_promise_what_was_asked(monkeypatch):
 def test_a_plan_mixes_suites_and_its_names_tell_nothing():
     cases = prove.plan("all", 24, 7)
     counts = {suite: sum(case[1] == suite for case in cases) for suite in SUITES}
-    assert counts == {"nothing": 6, "one": 7, "mixed": 5, "unknown": 4, "turn": 2, "faint": 0}
+    assert counts == {
+        "nothing": 6,
+        "one": 7,
+        "mixed": 5,
+        "unknown": 4,
+        "turn": 2,
+        "faint": 0,
+        "reference": 0,
+    }
     assert [case[0] for case in cases] == [f"r{k:04d}" for k in range(1, 25)]
     assert cases == prove.plan("all", 24, 7) != prove.plan("all", 24, 8)
     assert len(prove.plan("all", None, 1)) == 24

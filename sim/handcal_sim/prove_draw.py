@@ -25,13 +25,16 @@ from handcal_sim.phone import (
     capture_pose,
     consumer_magnetometer,
     consumer_phone,
+    trusted_reference,
     with_rate,
 )
+from handcal_sim.profiles import Array
 from handcal_sim.prove_suites import (
     EARTH_GROUP,
     FAINT_NATS,
     GAUGES,
     NEEDS,
+    OF_THE_WORLD,
     POSITIVE,
     SIZES,
     SUITES,
@@ -45,7 +48,8 @@ Gain = Callable[[World, str, Sequence[float]], float]
 
 @dataclass(frozen=True)
 class Circumstances:
-    """A motion and a device, but for what is wrong with it. heading_hz 0: no heading."""
+    """A motion and a device, but for what is wrong with it. heading_hz 0: no heading;
+    reference_hz 0: no second IMU."""
 
     scenario: str
     duration_s: float
@@ -59,11 +63,12 @@ class Circumstances:
     thermometer: bool
     warming_K: float
     seed: int
+    reference_hz: float = 0.0
 
     @property
     def streams(self) -> frozenset[str]:
         there = {"heading": self.heading_hz > 0.0, "mag": self.mag, "pose": self.pose,
-                 "temperature": self.thermometer}  # fmt: skip
+                 "temperature": self.thermometer, "reference": self.reference_hz > 0.0}  # fmt: skip
         return frozenset(name for name, present in there.items() if present)
 
 
@@ -87,7 +92,8 @@ def _drawn(
     if suite in ("one", "turn"):
         names = [_next(list(SIZES), number, seed, suite)]
     else:
-        names = _some(given, rng) if suite == "mixed" else []
+        most = {"mixed": 3, "reference": 2}.get(suite, 0)
+        names = _some(given, rng, most) if most else []
     given = with_streams(given, names, rng)
     effects = amplitudes(names, given, rng)
     group = EARTH_GROUP if "earth_rate" in names else ""
@@ -107,6 +113,8 @@ def circumstances(suite: str, rng: np.random.Generator) -> Circumstances:
     """Motion, rates, noise and hand; what is not asked for comes with some recordings."""
     scenario, duration = _motion(suite, rng)
     chance = rng.random(4)
+    if suite == "reference":
+        return _beside(scenario, duration, chance, rng)
     instead = suite in ("nothing", "mixed")
     mag = bool(instead and chance[0] < 0.12)
     heading = not (mag or (instead and chance[1] < 0.06))
@@ -122,12 +130,26 @@ def circumstances(suite: str, rng: np.random.Generator) -> Circumstances:
     )  # fmt: skip
 
 
+def _beside(
+    scenario: str, duration: float, chance: Array, rng: np.random.Generator
+) -> Circumstances:
+    """A phone with a second IMU on its back, neither faster than 400 Hz, of other rates."""
+    return Circumstances(
+        scenario, round(duration, 1), rate_hz=round(_log_uniform(rng, 50.0, 400.0)), sway=1.0,
+        noise=_log_uniform(rng, 0.5, 2.0), heading_sigma_deg=1.0, heading_hz=0.0, mag=False,
+        pose=False, thermometer=bool(chance[3] < 0.35), warming_K=float(rng.uniform(10.0, 18.0)),
+        seed=int(rng.integers(2**62)), reference_hz=round(_log_uniform(rng, 50.0, 400.0)),
+    )  # fmt: skip
+
+
 def _motion(suite: str, rng: np.random.Generator) -> tuple[str, float]:
     if suite == "turn":
         return "z-turn", 30.0
     if suite == "nothing":
         kind = str(rng.choice(["z-turn", "three-turns", "free-hand"], p=[0.4, 0.3, 0.3]))
         return kind, {"z-turn": 30.0, "three-turns": 84.0, "free-hand": rng.uniform(60, 120)}[kind]
+    if suite == "reference":
+        return str(rng.choice(["three-turns", "free-hand"])), rng.uniform(30.0, 90.0)
     if suite == "mixed":
         return str(rng.choice(["z-turn", "three-turns", "free-hand"])), rng.uniform(30.0, 120.0)
     return "free-hand", 84.0
@@ -137,12 +159,14 @@ def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
     return float(math.exp(rng.uniform(math.log(low), math.log(high))))
 
 
-def _some(given: Circumstances, rng: np.random.Generator) -> list[str]:
-    """0 to 3 effects that this recording's streams can show."""
+def _some(given: Circumstances, rng: np.random.Generator, most: int) -> list[str]:
+    """As many effects as that at most, which this recording's streams can show."""
     # The Earth's rate is of a size of its own, which most motions cannot show.
     able = [n for n in SIZES if NEEDS.get(n, frozenset()) <= given.streams and n != "earth_rate"]
+    if "reference" in given.streams:
+        able = [n for n in (*able, "clock_rate") if n not in OF_THE_WORLD]
     while True:
-        names = [str(name) for name in rng.choice(able, rng.integers(4), replace=False)]
+        names = [str(name) for name in rng.choice(able, rng.integers(most + 1), replace=False)]
         if not any(gauge <= set(names) for gauge in GAUGES):
             return names
 
@@ -157,7 +181,7 @@ def with_streams(
         given = replace(given, thermometer=True, warming_K=warming)
     if "mag" in needed:
         given = replace(given, mag=True, heading_hz=0.0)
-    return replace(given, pose=given.pose or "pose" in needed)
+    return replace(given, pose=given.pose or ("pose" in needed and not given.reference_hz))
 
 
 def amplitudes(
@@ -204,8 +228,12 @@ def device(given: Circumstances, rng: np.random.Generator) -> Phone:
     if given.heading_hz > 0.0:
         clocking = Clocking(given.heading_hz, float(phase) / given.heading_hz)
         heading = Heading(given.heading_sigma_deg * DEG, clocking)
+    reference = None
+    if given.reference_hz > 0.0:
+        clocking = Clocking(given.reference_hz, float(phase) / given.reference_hz)
+        reference = replace(trusted_reference(rng), clocking=clocking)
     return replace(
-        phone, gyro=gyro, accel=accel, heading=heading,
+        phone, gyro=gyro, accel=accel, heading=heading, reference=reference,
         mag=mag if given.mag else None,
         pose=replace(pose, clocking=Clocking(25.0, pose.clocking.phase_s)) if given.pose else None,
         thermometer=replace(warm, rise=rise, reported=given.thermometer),

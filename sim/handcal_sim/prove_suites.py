@@ -57,6 +57,9 @@ NEEDS: dict[str, frozenset[str]] = {
 # Never drawn together: no motion tells the two apart, so that there is no right answer.
 GAUGES = (frozenset({"gravity", "accel_scale"}),)
 
+# Both sensors feel these, so that nothing shows beside a second IMU.
+OF_THE_WORLD = frozenset({"gravity", "earth_rate"})
+
 EARTH_GROUP = "the Earth's rate"
 FAINT_NATS = (10.0, 25.0)
 
@@ -79,6 +82,7 @@ SUITES: dict[str, Suite] = {
     "unknown": Suite("physics outside the catalogue", 4 * len(strangers.KINDS), ("exact",), 0.90),
     "turn": Suite("one effect, 30 s turn", 2 * len(SIZES), ("exact", "right_set", "missed"), 0.98),
     "faint": Suite("one effect near the limit", 40, ("exact", "right_set"), None),
+    "reference": Suite("0 to 2 effects beside a trusted IMU", 60, ("exact", "right_set"), 0.90),
 }
 
 
