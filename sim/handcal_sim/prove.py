@@ -43,7 +43,9 @@ def prove(
     ] = None,
     suite: Annotated[
         str,
-        typer.Option(help="nothing, one, mixed, unknown, turn, faint, or all (but faint)."),
+        typer.Option(
+            help="nothing, one, mixed, unknown, turn, faint, reference, or all (of the first five)."
+        ),
     ] = ALL,
     out: Annotated[
         Path | None,
