@@ -415,6 +415,7 @@ REFERENCE = [
     *np.zeros(6), *GROWTH,
     *(-0.008 * GROWTH - CUBE * 0.008**3 * BENT), *(0.008 * GROWTH + CUBE * 0.008**3 * BENT),
     *(GROWTH + 3 * CUBE * 0.008**2 * BENT), *(GROWTH + 3 * CUBE * 0.008**2 * BENT), 0.008,
+    3, -1, 2,
 ]  # fmt: skip
 READINGS = {"magnetometer": [1e-5, 2e-5, -4e-5], "known_input": REFERENCE}
 

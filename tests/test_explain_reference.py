@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from worlds import recording_of
 
+from handcal import calibrate
 from handcal.effects import catalogue
 from handcal.explain import case, explain
 from handcal.observations import Scene
@@ -131,3 +132,20 @@ def test_a_clock_that_runs_fast_beside_a_reference(ppm: float) -> None:
     assert [m.effect for m in found.missing] == ["clock_rate"]
     (parameter,) = found.missing[0].parameters
     assert abs(parameter.value - ppm) < 4.0 * parameter.sigma
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_of_the_reference_makes_no_arm_shorter(seed: int) -> None:
+    """Slow turns: of the angular acceleration a tenth was noise, and an arm 14 sigma off."""
+
+    def noisy(rng: np.random.Generator) -> Phone:
+        phone = with_rate(beside(rng), 100.0)
+        assert phone.reference is not None
+        return replace(phone, reference=replace(phone.reference, gyro_noise=2e-4))
+
+    arm = {"lever_arm": [0.1, -0.12, 0.08]}
+    world = simulate("three-turns", seed=seed, phone=noisy, duration_s=30.0, effects=arm)
+    found = calibrate(recording_of(world, "reference"), ["lever_arm"])
+    for axis, wanted in zip("xyz", arm["lever_arm"], strict=True):
+        got = found.parameter("lever_arm", axis)
+        assert abs(got.value - wanted) < 5.0 * got.sigma

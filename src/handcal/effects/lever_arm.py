@@ -7,6 +7,9 @@ from typing import Any
 from handcal._jit import residual_function
 from handcal.effects import Effect, Param
 
+# Where z of a reference has its angular acceleration (3,), rad/s^2.
+ALPHA = 37
+
 
 def _position(nav: Any, r: Any, z: Any, out: Any) -> int:  # noqa: ARG001
     for i in range(3):
@@ -24,12 +27,13 @@ def _velocity(nav: Any, r: Any, z: Any, out: Any) -> int:  # noqa: ARG001
 
 
 def _force(nav: Any, r: Any, z: Any, out: Any) -> int:
-    # what the reference lacks of alpha x r + omega x (omega x r); alpha is z[6:9]
+    # what the reference lacks of alpha x r + omega x (omega x r)
+    ax, ay, az = z[ALPHA], z[ALPHA + 1], z[ALPHA + 2]
     square = nav[15] * nav[15] + nav[16] * nav[16] + nav[17] * nav[17]
     along = nav[15] * r[0] + nav[16] * r[1] + nav[17] * r[2]
-    out[3] += z[7] * r[2] - z[8] * r[1] + nav[15] * along - square * r[0]
-    out[4] += z[8] * r[0] - z[6] * r[2] + nav[16] * along - square * r[1]
-    out[5] += z[6] * r[1] - z[7] * r[0] + nav[17] * along - square * r[2]
+    out[3] += ay * r[2] - az * r[1] + nav[15] * along - square * r[0]
+    out[4] += az * r[0] - ax * r[2] + nav[16] * along - square * r[1]
+    out[5] += ax * r[1] - ay * r[0] + nav[17] * along - square * r[2]
     return 0
 
 

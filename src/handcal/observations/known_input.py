@@ -4,10 +4,10 @@ The axes of the reference are first turned into those of the IMU (turns and forc
 both sensors), then what remains is estimated: ``theta`` is that rotation vector (3,), and how late
 the reference is, s: of two sensors, stamps differ by some hundredths of a millisecond, which
 a shake shows; without it, a clock that runs fast by a millionth would be named for that.
-``z`` holds the reference's rate and force (6) and their derivatives (6), for a lever arm; for a
+``z`` holds the reference's rate and force (6) and their derivatives (6), for its lateness; for a
 clock that runs fast the same some time earlier and later, a time that grows with the
-recording: values (12), derivatives (12), and that time. Without an arm the reference is taken
-to sit where the IMU sits.
+recording: values (12), derivatives (12), and that time; last the angular acceleration (3).
+Without an arm the reference is taken to sit where the IMU sits.
 
 Two IMUs never sample at the same instant, mounts flex, and a shake has more bandwidth than
 the sampling resolves; all of that makes the readings differ in proportion to the motion.
@@ -28,7 +28,7 @@ import numpy as np
 from handcal import so3
 from handcal._jit import njit, residual_function
 from handcal.observations import Constant, Observation, Rows, Scene, pseudo_times
-from handcal.types import Array, BoolArray, IntArray, Level, Recording
+from handcal.types import Array, BoolArray, IntArray, Level, Recording, Series
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
@@ -41,6 +41,8 @@ GAP, NEAR = 1.6, 3
 MEMORY_S = 1e-3
 SLOWEST = 0.01
 LEAST_TURN = 0.05
+# From this share of the highest frequency on, a reference's spectrum is noise.
+NOISE_FROM = 0.8
 # How well the stamps of the two sensors belong together, s.
 STAMPED = 3e-5
 # The times that a clock might be off by, as a share of the time since the start.
@@ -239,7 +241,35 @@ def _rows(recording: Recording, scene: Scene) -> Rows | None:
     beside = [np.clip(t + sign * reach, first, last) for sign in (-1.0, 1.0)]
     z = [both.known(t), both.known(t, 1)]
     z += [both.known(at, k) for k in (0, 1) for at in beside]
-    return Rows(t, np.hstack([*z, reach[:, None]]))
+    alpha = _alpha(recording.streams["reference"], t) @ both.R.T
+    return Rows(t, np.hstack([*z, reach[:, None], alpha]))
+
+
+def _alpha(reference: Series, t: Array) -> Array:
+    """Angular acceleration (k, 3) of the reference at times t (k,), in its own axes.
+
+    What noise adds to it would make every lever arm too short, in a slow motion by a tenth. So
+    of each frequency as much is kept as is motion (Wiener's filter), which is what the readings
+    let expect, and a fit to that is right in the mean.
+    """
+    from scipy.interpolate import CubicSpline
+    from scipy.signal import welch
+
+    step = float(np.median(np.diff(reference.t)))
+    even = np.arange(reference.t[0], reference.t[-1] + 0.5 * step, step)
+    rate = CubicSpline(reference.t, reference.value[:, :3])(np.minimum(even, reference.t[-1]))
+    trend = np.linspace(0.0, 1.0, len(even))[:, None] * (rate[-1] - rate[0])
+    count = 1 << (len(even) - 1).bit_length()
+    # (what is left begins and ends alike; zeros behind it keep the ends apart)
+    spectrum = np.fft.rfft(rate - rate[0] - trend, 2 * count, axis=0)
+    f = np.fft.rfftfreq(2 * count, step)
+    at, power = welch(rate, 1.0 / step, nperseg=min(256, len(even)), axis=0)
+    floor = np.median(power[at > NOISE_FROM * at[-1]], axis=0)
+    kept = np.clip(1.0 - floor / np.maximum(power, 1e-300), 0.0, 1.0)
+    gain = np.stack([np.interp(f, at, kept[:, i]) for i in range(3)], axis=1)
+    slope = np.fft.irfft(spectrum * gain * (2j * np.pi * f)[:, None], axis=0)[: len(even)]
+    slope += (rate[-1] - rate[0]) / (even[-1] - even[0])
+    return np.asarray(CubicSpline(even, slope)(np.minimum(t, even[-1])))
 
 
 def _guess(z: Array) -> Mapping[str, float]:
