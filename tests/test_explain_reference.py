@@ -149,3 +149,12 @@ def test_noise_of_the_reference_makes_no_arm_shorter(seed: int) -> None:
     for axis, wanted in zip("xyz", arm["lever_arm"], strict=True):
         got = found.parameter("lever_arm", axis)
         assert abs(got.value - wanted) < 5.0 * got.sigma
+
+
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.prove)])
+def test_noise_of_the_gyro_is_no_product_of_rates(seed: int) -> None:
+    """Turning about one axis, what the others read is noise, and it is in both: in the residual
+    and in the derivative by a product of rates, which was named."""
+    world = simulate("three-turns", seed=seed, phone=beside, duration_s=40.0)
+    found = explain([recording_of(world, "reference")])
+    assert (found.verdict, found.missing) == ("nothing_missing", ())
