@@ -294,7 +294,6 @@ def conceal(
 
     import numpy as np
 
-    from handcal import apply as known
     from handcal import conceal as hidden
     from handcal.export import write_mcap
 
@@ -304,6 +303,8 @@ def conceal(
     recording = load(file, topic, units)
     truth = None
     if learnt_from is not None:
+        from handcal import apply as known
+
         truth = known.apply(recording, known.read(learnt_from), biases=True).recording.imu
     write_mcap(hidden.conceal(recording, values, np.random.default_rng(seed), truth), out)
     print(f"{out}: {', '.join(values)} concealed in {Path(recording.path).name}, seed {seed}")

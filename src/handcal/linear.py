@@ -105,8 +105,7 @@ def linearise_about(problem: Problem, start: Start, nominal: Trajectory) -> Line
     """Integrate between the epochs and linearise everything about the nominal trajectory."""
     held = any(o.wandering is not None for o in problem.observations)
     C_nb = None
-    navigated = any(o.navigates for o in problem.observations)
-    asked = held or (navigated and any("attitude" in e.needs for e in problem.effects))
+    asked = held or (problem.navigated and any("attitude" in e.needs for e in problem.effects))
     if problem.imu_constants and asked:
         # (between two epochs at a constant rate)
         C_nb = so3.between(problem.nodes.t[nominal.node], nominal.C, problem.recording.imu.t)
@@ -117,7 +116,7 @@ def linearise_about(problem: Problem, start: Start, nominal: Trajectory) -> Line
         # What an effect does depends on the true rate and force: take off the noise that
         # this trajectory implies, or each sample's noise would pose as motion that excites it.
         noise = None
-        if navigated:
+        if problem.navigated:
             noise = _implied_noise(problem, nominal)
         force = None if C_nb is None or not held else _steady_force(problem, nominal, C_nb)
         problem = relinearised(

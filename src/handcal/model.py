@@ -15,7 +15,7 @@ import numpy as np
 
 from handcal.effects import DELAY, TIME, Z_DIM, Effect, Signals, correction_jacobian
 from handcal.kernel import BASE, MAX_DIM, Nodes, Noise, Tables
-from handcal.observations import Observation, Rows
+from handcal.observations import Observation, Rows, nearest
 from handcal.types import Array, BoolArray, Level, Markov, Recording
 
 GYRO_BIAS_PRIOR = np.radians(1.0)
@@ -73,6 +73,11 @@ class Problem:
     @property
     def constants(self) -> int:
         return len(self.slots)
+
+    @property
+    def navigated(self) -> bool:
+        """Whether motion is integrated: not beside a reference alone."""
+        return any(o.navigates for o in self.observations)
 
     @property
     def prior_mean(self) -> Array:
@@ -214,8 +219,7 @@ def _nodes(
     z[:, TIME] = ot - imu.t[0]
     keep = (ot >= imu.t[0]) & (ot <= imu.t[-1])
     ot, kind, z = ot[keep], kind[keep].astype(np.int64), z[keep]
-    near = np.clip(np.searchsorted(imu.t, ot), 1, len(imu.t) - 1)
-    near = np.where(ot - imu.t[near - 1] < imu.t[near] - ot, near - 1, near)
+    near = nearest(imu.t, ot)
     ot = np.where(np.abs(imu.t[near] - ot) < SNAP_S, imu.t[near], ot)
     order = np.lexsort((kind, ot))
     ot, kind, z = ot[order], kind[order], z[order]
@@ -312,8 +316,7 @@ def relinearised(
             e, ref[i : i + len(e.parameters)], signals
         )
         i += len(e.parameters)
-    compared = problem.observations and not any(o.navigates for o in problem.observations)
-    if noise is not None or compared:
+    if noise is not None or (problem.observations and not problem.navigated):
         quiet = np.interp(imu.t, nodes.t, problem.rate) < QUIET_RATE
         for k in range(6):
             own = np.flatnonzero(J[:, k].any(axis=0))

@@ -104,12 +104,11 @@ def standing_out(base: Model) -> list[BoolArray | None] | None:
             masks.append(None)
             continue
         rows = f.case.observed[k][1]
-        told = _told(f, rows.t)
-        z, t = rows.z[told, 0], rows.t[told]
-        if len(t) < NEIGHBOURS:
+        told = _told(f, rows)
+        if told.sum() < NEIGHBOURS:
             masks.append(None)
             continue
-        r = np.exp(1j * (z - np.interp(t, f.linear.t, np.unwrap(_yaw(f)))))
+        r = np.exp(1j * _off(f, rows)[told])
         usual = median_filter(r.real, NEIGHBOURS) + 1j * median_filter(r.imag, NEIGHBOURS)
         away = np.abs(np.angle(r / np.where(usual == 0.0, 1.0, usual)))
         scale = max(1.4826 * float(np.median(away)), 1e-4)
@@ -150,7 +149,7 @@ def _turned_back(original: Fitted, f: Fitted, span: tuple[float, float]) -> Fitt
     there = (rows.t >= span[0]) & (rows.t <= span[1])
     if rows.z.shape[1] != 1 or not there.any():
         return f
-    off = so3.wrap(rows.z[:, 0] - np.interp(rows.t, f.linear.t, np.unwrap(_yaw(f))))
+    off = _off(f, rows)
     centre = float(np.median(off[~there]))
     away = so3.wrap(off[there] - centre)
     size = float(np.angle(np.mean(np.exp(1j * away))))
@@ -169,9 +168,9 @@ def _burst(base: Model, masks: Sequence[BoolArray | None]) -> tuple[float, float
         k = heading_kind(f.case)
         if mask is None or k is None or mask.sum() < FEWEST:
             continue
-        t = f.case.observed[k][1].t
-        told = _told(f, t) | mask
-        t, mask = t[told], mask[told]
+        rows = f.case.observed[k][1]
+        told = _told(f, rows) | mask
+        t, mask = rows.t[told], mask[told]
         beside = np.r_[False, mask[:-1]] | np.r_[mask[1:], False]
         # of outliers at random, one in 1 / (2 share) has an outlying neighbour
         if (mask & beside).sum() > mask.sum() * (2.0 * mask.mean() + 0.4):
@@ -212,7 +211,7 @@ def _mask(original: Fitted, f: Fitted) -> BoolArray | None:
     full = np.interp(rows.t, t, r) if f.case.constant == 0.0 else _off(f, rows)
     scale = _scale(full)
     away = np.abs(full - np.median(full)) > WRONG * max(scale, 1e-4)
-    return np.asarray(away & _told(f, rows.t) if rows.z.shape[1] == 1 else away)
+    return np.asarray(away & _told(f, rows))
 
 
 def _off(f: Fitted, rows: Rows) -> Array:
@@ -225,10 +224,12 @@ def _off(f: Fitted, rows: Rows) -> Array:
     return np.asarray(so3.wrap(0.5 * math.pi - np.arctan2(field[:, 1], field[:, 0])))
 
 
-def _told(f: Fitted, t: Array) -> BoolArray:
-    """At which of the times t (m,) the attitude has a heading; where it hardly has, the reading
-    counts in one round and not in the next, so it is judged."""
-    up = np.interp(t, f.linear.t, f.linear.trajectory.C[:, 2, 0])
+def _told(f: Fitted, rows: Rows) -> BoolArray:
+    """Which readings (m,) are of an attitude that has a heading, a field always; where it hardly
+    has one, the reading counts in one round and not in the next, so it is judged."""
+    if rows.z.shape[1] != 1:
+        return np.ones(len(rows.t), dtype=bool)
+    up = np.interp(rows.t, f.linear.t, f.linear.trajectory.C[:, 2, 0])
     return np.asarray(np.abs(up) < math.cos(STEEP))
 
 

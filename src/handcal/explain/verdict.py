@@ -282,19 +282,22 @@ def _moment(found: Found, effect: str) -> tuple[float, float]:
     on trial; what lies between two of them is not told."""
     chosen = frozenset(e.id for e in found.model.effects if e.process is None)
     same = [i for i in found.space.effects if "@" in i and name_of(i) == name_of(effect)]
-    here = float(effect.split("@")[1])
+    same.sort(key=_held_at)
+    here = _held_at(effect)
     if effect not in found.space.effects or len(same) < 2:
         return here, MOMENT
     scores = rivals(found.space, chosen, effect)
-    at = np.array([float(i.split("@")[1]) for i in same])
-    weight = np.exp(np.array([min(scores[i], 50.0) for i in same]))
-    weight /= weight.sum()
+    at = np.array([_held_at(i) for i in same])
     # moments on trial lie closer together near the one that was chosen
-    share = weight * np.gradient(at[np.argsort(at)])[np.argsort(np.argsort(at))]
+    share = np.exp([min(scores[i], 50.0) for i in same]) * np.gradient(at)
     share /= share.sum()
     mean = float(share @ at)
     near = float(np.min(np.abs(np.delete(at, same.index(effect)) - here)))
     return mean, math.hypot(math.sqrt(float(share @ (at - mean) ** 2)), near / math.sqrt(12.0))
+
+
+def _held_at(effect: str) -> float:
+    return float(effect.split("@")[1])
 
 
 def _effect_parameters(

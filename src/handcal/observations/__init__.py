@@ -17,7 +17,7 @@ from functools import cache
 
 import numpy as np
 
-from handcal.types import Array, Level, Markov, Recording
+from handcal.types import Array, IntArray, Level, Markov, Recording
 
 NAV = 21
 
@@ -106,6 +106,12 @@ def catalogue() -> Mapping[str, Observation]:
         observation: Observation = importlib.import_module(f"{__name__}.{info.name}").OBSERVATION
         found[observation.kind] = observation
     return found
+
+
+def nearest(t: Array, wanted: Array) -> IntArray:
+    """Number of that of the times t (n,) which is nearest to each of the times wanted (m,)."""
+    right = np.clip(np.searchsorted(t, wanted), 1, len(t) - 1)
+    return np.where(wanted - t[right - 1] < t[right] - wanted, right - 1, right)
 
 
 def pseudo_times(recording: Recording, rate: float | None, rests: Array | None = None) -> Array:

@@ -27,8 +27,8 @@ import numpy as np
 
 from handcal import so3
 from handcal._jit import njit, residual_function
-from handcal.observations import Constant, Observation, Rows, Scene, pseudo_times
-from handcal.types import Array, BoolArray, IntArray, Level, Recording, Series
+from handcal.observations import Constant, Observation, Rows, Scene, nearest, pseudo_times
+from handcal.types import Array, BoolArray, Level, Recording, Series
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
@@ -179,7 +179,7 @@ def matched(recording: Recording, scene: Scene) -> Matched | None:
     # what is between its samples; straight lines between the IMU's would cut off a tremor.
     t = imu.t
     if float(np.median(np.diff(reference.t))) > 1.2 / recording.rate_hz:
-        t = imu.t[_nearest(imu.t, reference.t)]
+        t = imu.t[np.unique(nearest(imu.t, reference.t))]
     everything = np.ones(len(reference.t), dtype=np.bool_)
     sound = _at(imu.t, _sound(imu.t, imu.valid), t)
     sound &= _at(reference.t, _sound(reference.t, everything), t)
@@ -217,12 +217,6 @@ def _by_force(force: Array, both: Matched, t: Array) -> Array:
             found = np.linalg.lstsq(stacked, np.r_[left / sigma, np.zeros(7)], rcond=None)[0]
         A[i] = found[:3]
     return _rotation(-A[1, 2], A[0, 2], -A[0, 1])
-
-
-def _nearest(t: Array, wanted: Array) -> IntArray:
-    """Numbers of those of the times t (n,) that are nearest to one of the times wanted (m,)."""
-    right = np.clip(np.searchsorted(t, wanted), 1, len(t) - 1)
-    return np.unique(np.where(wanted - t[right - 1] < t[right] - wanted, right - 1, right))
 
 
 def read_at(recording: Recording, t: Array) -> Array:
