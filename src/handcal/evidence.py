@@ -68,11 +68,14 @@ def reduce(linear: Linear) -> Reduction:
     width = linear.Phi.shape[2]
     D = np.zeros((len(linear.t), 9, 1 + 6 + c))
     D[:, :, 0] = linear.d
-    D[:, :, 1 : width - 8] = linear.Phi[:, :, 9:] * scale[: width - 9]
+    np.multiply(linear.Phi[:, :, 9:], scale[: width - 9], out=D[:, :, 1 : width - 8])
     dim = problem.tables.dim[linear.kind] * linear.used
     row, channel = np.nonzero(np.arange(MAX_DIM) < dim[:, None])
     H = linear.H[row, channel]
-    h = np.ascontiguousarray(H[:, np.r_[0:9, n - e : n]])
+    h = np.hstack([H[:, :9], H[:, n - e :]])
+    g = np.empty((len(row), 1 + len(scale)))
+    g[:, 0] = linear.r[row, channel]
+    np.multiply(H[:, 9 : n - e], -scale, out=g[:, 1:])
     return Reduction(
         linear,
         scale,
@@ -81,7 +84,7 @@ def reduce(linear: Linear) -> Reduction:
         P15,
         D,
         np.searchsorted(row, linear.first).astype(np.int64),
-        np.hstack([linear.r[row, channel][:, None], -H[:, 9 : n - e] * scale]),
+        g,
         h,
         np.argsort(h == 0.0, axis=1, kind="stable"),
         (h != 0.0).sum(axis=1),

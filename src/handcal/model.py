@@ -316,17 +316,18 @@ def relinearised(
             e, ref[i : i + len(e.parameters)], signals
         )
         i += len(e.parameters)
-    if noise is not None or (problem.observations and not problem.navigated):
-        quiet = np.interp(imu.t, nodes.t, problem.rate) < QUIET_RATE
-        for k in range(6):
-            own = np.flatnonzero(J[:, k].any(axis=0))
-            J[:, k, own] = _calmed(J[:, k, own], recording.rate_hz, quiet)
+    calmed = noise is not None or (problem.observations and not problem.navigated)
+    quiet = np.interp(imu.t, nodes.t, problem.rate) < QUIET_RATE
     right = np.clip(np.searchsorted(imu.t, nodes.t), 1, len(imu.t) - 1)
     share = ((nodes.t - imu.t[right - 1]) / (imu.t[right] - imu.t[right - 1]))[:, None]
-    J_nodes = np.empty((len(nodes.t), 6, problem.imu_constants))
+    J_nodes = np.zeros((len(nodes.t), 6, problem.imu_constants))
     for k in range(6):
         # (channel by channel: all of J at once would be the largest thing in memory, thrice)
-        J_nodes[:, k] = J[right - 1, k] * (1.0 - share) + J[right, k] * share
+        own = np.flatnonzero(J[:, k].any(axis=0))
+        of_imu = J[:, k, own]
+        if calmed:
+            of_imu = _calmed(of_imu, recording.rate_hz, quiet)
+        J_nodes[:, k, own] = of_imu[right - 1] * (1.0 - share) + of_imu[right] * share
     return replace(problem, ref=ref, nodes=nodes._replace(J=J_nodes))
 
 

@@ -198,8 +198,8 @@ class Score:
                     full_prior(problem, reduction.P15, up)
                     - full_prior(problem, reduction.P15, down)
                 )[np.ix_(reduction.moving, reduction.moving)]
-                out[i] += np.sum(slopes.Q_e * Q_e)
-                out[i] += np.sum(slopes.prior * prior) / (2 * STEP)
+                out[i] += float(np.vdot(slopes.Q_e, Q_e))
+                out[i] += float(np.vdot(slopes.prior, prior)) / (2 * STEP)
         return done.log_evidence, out
 
 

@@ -16,10 +16,9 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import BSpline
 from scipy.optimize import minimize
 
-from handcal._jit import residual_function
+from handcal._jit import inner, njit, residual_function
 from handcal.effects import TIME, Effect, Param, Signals
 from handcal.explain.quadratic import Quadratic
 from handcal.explain.terms import CHANNELS, HEADING_SIZE, SIZE, UNITS, term
@@ -215,18 +214,34 @@ OVER_YAW = (Family(_lobe, _lobe_formula, _lobe_words, _lobes, _lobe_at),)
 # --- bases ---------------------------------------------------------------------------------
 
 
+@inner
+def _cubic(u: float, a: float, b: float, c: float, d: float) -> float:
+    """The cubic spline between two knots, a share u of the way, by its four coefficients there."""
+    v = 1.0 - u
+    return (
+        v * v * v * a
+        + (4.0 - 6.0 * u * u + 3.0 * u * u * u) * b
+        + (4.0 - 6.0 * v * v + 3.0 * v * v * v) * c
+        + u * u * u * d
+    ) / 6.0
+
+
+@njit
+def _spline(t: Array, spacing: float, k: Array) -> Array:
+    """The cubic spline of the coefficients k at the times t (n,)."""
+    out = np.empty(len(t))
+    for j in range(len(t)):
+        x = t[j] / spacing
+        i = int(x)
+        out[j] = _cubic(x - i, k[i], k[i + 1], k[i + 2], k[i + 3])
+    return out
+
+
 def _spline_over_time(spacing: float) -> Callable[..., int]:
     def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
         x = z[TIME] / spacing
         i = int(x)
-        u = x - i
-        v = 1.0 - u
-        r[0] -= (
-            v * v * v * k[i]
-            + (4.0 - 6.0 * u * u + 3.0 * u * u * u) * k[i + 1]
-            + (4.0 - 6.0 * v * v + 3.0 * v * v * v) * k[i + 2]
-            + u * u * u * k[i + 3]
-        ) / 6.0
+        r[0] -= _cubic(x - i, k[i], k[i + 1], k[i + 2], k[i + 3])
         return 0
 
     return heading
@@ -235,14 +250,8 @@ def _spline_over_time(spacing: float) -> Callable[..., int]:
 def _spline_over_yaw(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
     x = (math.atan2(nav[9], nav[6]) / math.pi + 1.0) * 0.5 * DIRECTIONS
     i = int(x)
-    u = x - i
-    v = 1.0 - u
-    r[0] -= (
-        v * v * v * k[(i + DIRECTIONS - 1) % DIRECTIONS]
-        + (4.0 - 6.0 * u * u + 3.0 * u * u * u) * k[i % DIRECTIONS]
-        + (4.0 - 6.0 * v * v + 3.0 * v * v * v) * k[(i + 1) % DIRECTIONS]
-        + u * u * u * k[(i + 2) % DIRECTIONS]
-    ) / 6.0
+    before, after = (i + DIRECTIONS - 1) % DIRECTIONS, (i + 1) % DIRECTIONS
+    r[0] -= _cubic(x - i, k[before], k[i % DIRECTIONS], k[after], k[(i + 2) % DIRECTIONS])
     return 0
 
 
@@ -253,12 +262,10 @@ _OVER_YAW = residual_function(_spline_over_yaw)
 def imu_basis(channel: int, duration: float) -> Basis:
     """Splines over time for one channel of the IMU (0 to 5)."""
     grid = _grid(duration)
-    spacing = grid[1]
-    knots = spacing * (np.arange(len(grid) + 6) - 3.0)
 
     def error(k: Array, signals: Signals) -> Array:
         out = np.zeros((len(signals.t), 6))
-        out[:, channel] = BSpline(knots, k, 3)(signals.t - signals.t[0])
+        out[:, channel] = _spline(signals.t - signals.t[0], grid[1], k)
         return out
 
     own = channel // 3

@@ -68,9 +68,12 @@ class Sway:
         phi[:, 0, 1] = e * dt
         phi[:, 1, 0] = -e * b * b * dt
         phi[:, 1, 1] = e * (1 - b * dt)
-        stationary = np.diag([1.0, b * b])
-        unit = stationary - phi @ stationary @ phi.transpose(0, 2, 1)
-        q = unit * self._variance(levels, rate)[:, None, None]
+        P = np.array([1.0, b * b])
+        q = np.empty((len(dt), 2, 2))
+        q[:, 0, 0] = P[0] - phi[:, 0] ** 2 @ P
+        q[:, 1, 1] = P[1] - phi[:, 1] ** 2 @ P
+        q[:, 0, 1] = q[:, 1, 0] = -(phi[:, 0] * phi[:, 1]) @ P
+        q *= self._variance(levels, rate)[:, None, None]
         return _each_axis(phi), _each_axis(q)
 
     def start(self, levels: Mapping[str, float], rate: float) -> Array:

@@ -1,0 +1,69 @@
+"""The slope of the evidence by every noise level, against differences of the evidence itself."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from worlds import recording_of
+
+from handcal.effects import select
+from handcal.evidence import reduced_pass
+from handcal.explain.case import case_of
+from handcal.explain.fit import Fitted, moved_to, started
+from handcal.noise import Score
+from handcal_sim import simulate
+from handcal_sim.phone import Phone, capture_pose, consumer_phone
+
+STEP = 1e-3
+CASES = {
+    "held": ("heading", ()),
+    "correlated": ("heading", ("heading_correlated_noise", "gyro_scale")),
+    "walking": ("heading", ("gyro_bias_walk", "accel_bias_walk")),
+    "marker": ("pose", ("lever_arm",)),
+}
+
+
+def _seen(rng: np.random.Generator) -> Phone:
+    return replace(consumer_phone(rng), pose=capture_pose(rng))
+
+
+def _fit(kind: str, effects: tuple[str, ...], seed: int) -> Fitted:
+    world = simulate("free-hand", seed=seed, duration_s=15.0, phone=_seen)
+    chosen = select(effects)
+    return moved_to(started(case_of(recording_of(world, kind))), chosen)
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("name", CASES)
+def test_slope_of_the_evidence(name: str, seed: int) -> None:
+    """To a thousandth of what a level's e-fold changes: the third derivative times STEP^2 is less.
+
+    At levels half as large and twice as large too, away from where the slope is near zero.
+    """
+    f = _fit(*CASES[name], seed)
+    names = sorted({lv.name for lv in f.linear.problem.levels})
+    for factor in (0.5, 1.0, 2.0):
+        levels = {n: factor * v for n, v in f.levels.items()}
+        score = Score(f.linear, levels, names)
+        value, slope = score(levels)
+        assert value == pytest.approx(reduced_pass(score.reduction, levels).log_evidence)
+        want = np.array([_difference(score, levels, n) for n in names])
+        assert np.abs(slope - want).max() < 1e-3 * max(1.0, np.abs(want).max())
+        assert np.abs(slope - want)[np.abs(want) < 10.0].max(initial=0.0) < 0.02
+
+
+def _difference(score: Score, levels: dict[str, float], name: str) -> float:
+    up, down = (
+        reduced_pass(score.reduction, levels | {name: levels[name] * math.exp(s)}).log_evidence
+        for s in (STEP, -STEP)
+    )
+    return (up - down) / (2.0 * STEP)
+
+
+def test_a_time_constant_is_among_them() -> None:
+    """The cases hold levels that change transitions, or the test above would not see them."""
+    f = _fit(*CASES["correlated"], 0)
+    assert Score(f.linear, f.levels, sorted(lv.name for lv in f.linear.problem.levels)).moving
