@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -158,3 +159,43 @@ def test_noise_of_the_gyro_is_no_product_of_rates(seed: int) -> None:
     world = simulate("three-turns", seed=seed, phone=beside, duration_s=40.0)
     found = explain([recording_of(world, "reference")])
     assert (found.verdict, found.missing) == ("nothing_missing", ())
+
+
+def slowly(noise: float, rate_hz: float) -> Callable[[np.random.Generator], Phone]:
+    """A phone beside a reference with so much more noise in its gyro."""
+
+    def phone(rng: np.random.Generator) -> Phone:
+        made = with_rate(beside(rng), rate_hz)
+        return replace(made, gyro=replace(made.gyro, noise=noise * made.gyro.noise))
+
+    return phone
+
+
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.prove) for k in (1, 2))])
+@pytest.mark.parametrize("tau", [0.01, 0.03])
+def test_a_low_pass_beside_a_reference(tau: float, seed: int) -> None:
+    """The reading's derivative was noise for a half, and grew with tau: 3 to 14 sigma too low,
+    or a delay, a clock and a scale in its place."""
+    world = simulate(
+        "three-turns", seed=seed, phone=slowly(1.5, 105.0), duration_s=40.0,
+        effects={"gyro_bandwidth": [tau]},
+    )  # fmt: skip
+    found = explain([recording_of(world, "reference")])
+    assert [m.effect for m in found.missing] == ["gyro_bandwidth"]
+    (parameter,) = found.missing[0].parameters
+    assert abs(parameter.value - tau) < 4.0 * parameter.sigma
+
+
+@pytest.mark.parametrize("seed", [1, *(pytest.param(k, marks=pytest.mark.prove) for k in (0, 2))])
+def test_accelerometers_apart_in_slow_turns_beside_a_reference(seed: int) -> None:
+    """Angular acceleration of the IMU's own gyro, a half of it noise, for these, and of the
+    reference's for an arm: that difference, hundreds of nats, was named as an arm."""
+    places = [0.017, 0.025, 0.019, -0.027, -0.011, 0.027, 0.017, 0.015, -0.030]
+    world = simulate(
+        "three-turns", seed=seed, phone=slowly(1.0, 131.0), duration_s=60.0,
+        effects={"size_effect": places},
+    )  # fmt: skip
+    found = explain([recording_of(world, "reference")])
+    assert [m.effect for m in found.missing] == ["size_effect"]
+    for p, wanted in zip(found.missing[0].parameters, places, strict=True):
+        assert abs(p.value - wanted) < 4.0 * p.sigma

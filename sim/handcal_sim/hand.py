@@ -17,6 +17,9 @@ from handcal_sim import profiles
 from handcal_sim.motion import Motion
 from handcal_sim.profiles import Array
 
+# Of sway and of wobble, each: with few, the two would be alike by chance in a long recording.
+LINES = 40
+
 
 @dataclass(frozen=True)
 class Hand:
@@ -47,8 +50,7 @@ def in_hand(motion: Motion, hand: Hand, rng: np.random.Generator) -> Motion:
     """The motion as this hand carries it out."""
     size = np.array([hand.sway_m] * 3 + [hand.wobble_rad] * 3)
     more = np.array([hand.sway_per_rate_m] * 3 + [hand.wobble_per_rate_rad] * 3)
-    slow = _wander(rng, 14, 0.08, 1.4, 0.4)
-    moving = _wander(rng, 14, 0.08, 1.4, 0.4)
+    slow, moving = (_apart(rng, LINES, 0.08, 1.4, 0.4) for _ in range(2))
     omega, sin, cos = _wander(rng, 8, 8.0, 12.0, math.inf)
     shake = np.array([hand.tremor_m] * 3 + [hand.tremor_rad_s] * 3)
     per_rad_s = np.where(np.arange(6) < 3, 1.0, 1.0 / omega[:, None])
@@ -62,6 +64,20 @@ def in_hand(motion: Motion, hand: Hand, rng: np.random.Generator) -> Motion:
         profiles.multiply(motion.held, resting), profiles.multiply(motion.activity, turning)
     )
     return replace(motion, wander=wander)
+
+
+def _apart(
+    rng: np.random.Generator, count: int, low_hz: float, high_hz: float, corner_hz: float
+) -> tuple[Array, Array, Array]:
+    """As ``_wander``, but sway and wobble have no frequency in common.
+
+    With those in common, a sway would be in proportion to a wobble for as long as one looks,
+    which is what a lever arm is.
+    """
+    sway, wobble = (_wander(rng, count, low_hz, high_hz, corner_hz) for _ in range(2))
+    none = np.zeros((count, 3))
+    sin, cos = (np.block([[sway[i][:, :3], none], [none, wobble[i][:, 3:]]]) for i in (1, 2))
+    return np.concatenate([sway[0], wobble[0]]), np.asarray(sin), np.asarray(cos)
 
 
 def _wander(

@@ -30,6 +30,9 @@ SNAP_S = 1e-7
 # What parameters do to the readings is averaged over this long, in motion and at rest.
 AVERAGE_S = (0.05, 2.0)
 QUIET_RATE = 0.05
+# Rounds of substitution at the most, and the share of the largest reading by which the last one
+# may move any: a scale error of a fifth takes eight (after three it would be known to 1 %).
+SUBSTITUTIONS, SUBSTITUTED = 12, 1e-7
 
 
 @dataclass(frozen=True)
@@ -52,7 +55,8 @@ class Problem:
     omega_ie_n (3,); rate (n,): smoothed turning rate at the nodes, rad/s;
     observations: the kinds in use, numbered as in ``nodes.kind``; dropped: rows outside
     the recording. markovs: the processes whose states follow the constants, in their order;
-    walks: (first state of those, column of the readings) of each that adds to a bias.
+    walks: (first state of those, column of the readings) of each that adds to a bias; alpha: known
+    angular acceleration (n, 3) at the IMU's samples, rad/s^2.
     """
 
     recording: Recording
@@ -69,6 +73,7 @@ class Problem:
     omega_ie_n: Array
     rate: Array
     dropped: int
+    alpha: Array | None = None
 
     @property
     def constants(self) -> int:
@@ -159,6 +164,7 @@ def build(
         omega_ie_n,
         rate,
         dropped,
+        next((r.alpha for _, r, _ in observed if r.alpha is not None), None),
     )
     if not linearised:
         return problem
@@ -290,8 +296,7 @@ def relinearised(
     jacobian: False to correct the readings only and leave the derivatives as they are.
 
     What an effect adds depends on the true rate and force, which are the readings less
-    all errors; three rounds of substitution are exact to better than a nat for errors
-    up to tens of percent.
+    all errors, found by substitution.
     """
     if problem.imu_constants == 0:
         return replace(problem, ref=ref)
@@ -300,7 +305,8 @@ def relinearised(
     T = temperature_of(recording)
     raw = np.hstack([imu.gyro - bg, imu.accel - ba])
     acting = [e for e in problem.effects if e.imu_error is not None]
-    error = substituted(acting, ref, Signals(imu.t, raw[:, :3], raw[:, 3:], T, C_nb))
+    read = Signals(imu.t, raw[:, :3], raw[:, 3:], T, C_nb, problem.alpha)
+    error = substituted(acting, ref, read)
     truth = raw - error if noise is None else raw - error - noise
     clean = np.hstack([imu.gyro, imu.accel]) - error
     at = [np.interp(nodes.t, imu.t, clean[:, k]) for k in range(6)]
@@ -308,7 +314,8 @@ def relinearised(
     nodes = nodes._replace(gyro=gyro, accel=accel)
     if not jacobian:
         return replace(problem, ref=ref, nodes=nodes)
-    signals = Signals(imu.t, truth[:, :3], truth[:, 3:] if force is None else force, T, C_nb)
+    moved = truth[:, 3:] if force is None else force
+    signals = replace(read, gyro=truth[:, :3], accel=moved)
     J = np.empty((len(imu.t), 6, problem.imu_constants))
     i = 0
     for e in acting:
@@ -363,6 +370,7 @@ def substituted(acting: Sequence[Effect], ref: Array, readings: Signals) -> Arra
     Effects whose parameters are zero add nothing and are left out.
     """
     raw = np.hstack([readings.gyro, readings.accel])
+    scale = float(np.abs(raw).max(initial=0.0))
     present, i = [], 0
     total = np.zeros_like(raw)
     for e in acting:
@@ -373,7 +381,8 @@ def substituted(acting: Sequence[Effect], ref: Array, readings: Signals) -> Arra
         elif at.any():
             present.append((e, at))
     errors = [np.zeros_like(raw) for _ in present]
-    for _ in range(3 if present else 0):
+    for _ in range(SUBSTITUTIONS if present else 0):
+        moved = 0.0
         for k, (e, at) in enumerate(present):
             own, old = raw - total, errors[k]
             if e.imu_inverse is not None:
@@ -381,7 +390,11 @@ def substituted(acting: Sequence[Effect], ref: Array, readings: Signals) -> Arra
                 errors[k] = own - e.imu_inverse(at, _seen(readings, own))
             elif e.imu_error is not None:
                 errors[k] = e.imu_error(at, _seen(readings, own))
-            total += errors[k] - old
+            step = errors[k] - old
+            total += step
+            moved = max(moved, float(np.abs(step).max()))
+        if moved < SUBSTITUTED * scale:
+            break
     return total
 
 

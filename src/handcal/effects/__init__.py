@@ -53,7 +53,8 @@ class Signals:
 
     t (n,) s; gyro (n, 3) true rate, rad/s; accel (n, 3) true specific force, m/s^2;
     temperature (n,) degC or None where the recording has none; C_nb (n, 3, 3) attitude, or
-    None before there is any.
+    None before there is any; alpha (n, 3) angular acceleration, rad/s^2, or None where it is
+    told by the rate alone.
     """
 
     t: Array
@@ -61,6 +62,7 @@ class Signals:
     accel: Array
     temperature: Array | None = None
     C_nb: Array | None = None
+    alpha: Array | None = None
 
 
 @dataclass(frozen=True)

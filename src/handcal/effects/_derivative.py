@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from functools import cache
 
 import numpy as np
 
+from handcal.effects import Signals
 from handcal.types import Array
 
 # Half the width, s, of the cubic that is fitted around each sample.
 REACH_S = 0.01
+# Of a spectrum: samples taken at a time, from which share of the highest frequency on it is noise,
+# how much of the liveliest part's power is motion, and the median of a periodogram over its mean.
+SEGMENT, NOISE_FROM, MOVING = 256, 0.8, 0.3
+MEDIAN = math.log(2.0)
 
 
 @cache
@@ -21,6 +27,11 @@ def _weights(m: int) -> Array:
     k = np.arange(-m, m + 1)
     slope: Array = np.linalg.pinv(np.vander(k.astype(float), 4, increasing=True))[1]
     return slope
+
+
+def angular_acceleration(signals: Signals) -> Array:
+    """As it is known (n, 3), rad/s^2, or the derivative of the rate."""
+    return derivative(signals.t, signals.gyro) if signals.alpha is None else signals.alpha
 
 
 def reach(t: Array) -> int:
@@ -46,3 +57,39 @@ def derivative(t: Array, x: Array) -> Array:
         out[m:-m, i] = np.convolve(x[:, i], weights, mode="valid") / step
     out[:m], out[-m:] = out[m], out[-m - 1]
     return out
+
+
+def quiet_derivative(t: Array, x: Array, at: Array) -> Array:
+    """dx/dt (k, m) at the times ``at`` (k,) of x (n, m) at times t (n,), without what noise adds.
+
+    Beside a reference that would be part of what is fitted to what: it made lever arms shorter,
+    in a slow motion by a tenth. So of each frequency as much is kept as is motion (Wiener's
+    filter), which is what the readings let expect, and a fit to that is right in the mean. The
+    filter is as long after a sample as before it, so a sample's own noise is not in its slope.
+    """
+    from scipy.interpolate import CubicSpline
+    from scipy.signal import spectrogram
+
+    step = float(np.median(np.diff(t)))
+    even = np.arange(t[0], t[-1] + 0.5 * step, step)
+    value = CubicSpline(t, x)(np.minimum(even, t[-1]))
+    trend = np.linspace(0.0, 1.0, len(even))[:, None] * (value[-1] - value[0])
+    count = 1 << (len(even) - 1).bit_length()
+    # (what is left begins and ends alike; zeros behind it keep the ends apart)
+    spectrum = np.fft.rfft(value - value[0] - trend, 2 * count, axis=0)
+    f = np.fft.rfftfreq(2 * count, step)
+    # (of the samples themselves: what is interpolated has less noise where most of it is)
+    bins, _, found = spectrogram(
+        x, 1.0 / step, "hann", min(SEGMENT, len(x)), axis=0, detrend="constant", mode="psd"
+    )
+    # what is compared is the motion: a rest, where all is noise, shall not speak for it
+    most = found.sum(axis=(0, 1))
+    lively = most >= MOVING * most.max()
+    power = found[:, :, lively].mean(axis=2)
+    chance = 1.0 + 1.0 / math.sqrt(lively.sum())
+    floor = chance * np.median(found[bins > NOISE_FROM * bins[-1]], axis=(0, 2)) / MEDIAN
+    kept = np.clip(1.0 - floor / np.maximum(power, 1e-300), 0.0, 1.0)
+    gain = np.stack([np.interp(f, bins, kept[:, i]) for i in range(x.shape[1])], axis=1)
+    slope = np.fft.irfft(spectrum * gain * (2j * np.pi * f)[:, None], axis=0)[: len(even)]
+    slope += (value[-1] - value[0]) / (even[-1] - even[0])
+    return np.asarray(CubicSpline(even, slope)(np.clip(at, even[0], even[-1])))

@@ -8,7 +8,7 @@ import numpy as np
 
 from handcal._jit import njit
 from handcal.effects import Effect, Param, Signals
-from handcal.effects._derivative import derivative
+from handcal.effects._derivative import derivative, quiet_derivative
 from handcal.types import Array
 
 
@@ -37,7 +37,7 @@ def imu_error(tau: Array, signals: Signals) -> Array:
     out = np.zeros((len(signals.t), 6))
     if tau[0] == 0.0:
         return out
-    t, rise = signals.t, derivative(signals.t, signals.gyro)
+    t, rise = signals.t, _rise(signals)
     if tau[0] > 0.0:
         out[:, :3] = -tau[0] * _low_pass(t, rise, tau[0])
     else:
@@ -48,8 +48,15 @@ def imu_error(tau: Array, signals: Signals) -> Array:
 
 def imu_inverse(tau: Array, readings: Signals) -> Array:
     """The truth: the reading and tau times its derivative; result (n, 6)."""
-    gyro = readings.gyro + tau[0] * derivative(readings.t, readings.gyro)
-    return np.hstack([gyro, readings.accel])
+    return np.hstack([readings.gyro + tau[0] * _rise(readings), readings.accel])
+
+
+def _rise(signals: Signals) -> Array:
+    """Derivative (n, 3) of the gyro's own rate; beside a reference, which tells the angular
+    acceleration, without its noise: but not the reference's, which has the noise of that in it
+    which the gyro is compared with."""
+    t, gyro = signals.t, signals.gyro
+    return derivative(t, gyro) if signals.alpha is None else quiet_derivative(t, gyro, t)
 
 
 EFFECT = Effect(

@@ -296,8 +296,10 @@ def _singles(where: Space, now: frozenset[str], chosen: frozenset[str]) -> list[
 def _noise_step(
     model: Model, noise: dict[str, float], worth: float, dropped: set[str]
 ) -> Model | None:
-    """Add the noise effect that gains most, if one does."""
+    """The model with the noise effect that gains most, if one does; or the same fitted anew, if
+    that was what the noise effect gained by."""
     best: Model | None = None
+    added: Effect | None = None
     have = set(model.ids)
     for effect in catalogue().values():
         if effect.process is None or effect.id in have | dropped:
@@ -310,8 +312,16 @@ def _noise_step(
         gain = worth * (tried.log_evidence - model.log_evidence)
         gain -= OCCAM_LEVEL * len(effect.levels)
         if gain + PRIOR > 0.0 and (best is None or tried.log_evidence > best.log_evidence):
-            best = tried
-            noise[effect.id] = gain
+            best, added = tried, effect
+    if best is None or added is None:
+        return None
+    without = fitted(best.parts, model.effects, noise_rounds=1)
+    if without.log_evidence < model.log_evidence:
+        without = model
+    gain = worth * (best.log_evidence - without.log_evidence) - OCCAM_LEVEL * len(added.levels)
+    if gain + PRIOR <= 0.0:
+        return without if without is not model else None
+    noise[added.id] = gain
     return best
 
 

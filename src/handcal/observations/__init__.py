@@ -45,12 +45,14 @@ class Scene:
 class Rows:
     """Observations of one kind: t (k,) s on the IMU's clock, z (k, zdim).
 
-    delay: s by which they are known to come late; they are put where they belong.
+    delay: s by which they are known to come late; they are put where they belong. alpha: angular
+    acceleration (n, 3) at the IMU's samples, rad/s^2, if these observations know it.
     """
 
     t: Array
     z: Array
     delay: float = 0.0
+    alpha: Array | None = None
 
 
 @dataclass(frozen=True)

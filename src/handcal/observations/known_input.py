@@ -27,8 +27,9 @@ import numpy as np
 
 from handcal import so3
 from handcal._jit import njit, residual_function
+from handcal.effects._derivative import quiet_derivative
 from handcal.observations import Constant, Observation, Rows, Scene, nearest, pseudo_times
-from handcal.types import Array, BoolArray, Level, Recording, Series
+from handcal.types import Array, BoolArray, Level, Recording
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
@@ -41,8 +42,6 @@ GAP, NEAR = 1.6, 3
 MEMORY_S = 1e-3
 SLOWEST = 0.01
 LEAST_TURN = 0.05
-# From this share of the highest frequency on, a reference's spectrum is noise.
-NOISE_FROM = 0.8
 # How well the stamps of the two sensors belong together, s.
 STAMPED = 3e-5
 # The times that a clock might be off by, as a share of the time since the start.
@@ -235,35 +234,11 @@ def _rows(recording: Recording, scene: Scene) -> Rows | None:
     beside = [np.clip(t + sign * reach, first, last) for sign in (-1.0, 1.0)]
     z = [both.known(t), both.known(t, 1)]
     z += [both.known(at, k) for k in (0, 1) for at in beside]
-    alpha = _alpha(recording.streams["reference"], t) @ both.R.T
-    return Rows(t, np.hstack([*z, reach[:, None], alpha]))
-
-
-def _alpha(reference: Series, t: Array) -> Array:
-    """Angular acceleration (k, 3) of the reference at times t (k,), in its own axes.
-
-    What noise adds to it would make every lever arm too short, in a slow motion by a tenth. So
-    of each frequency as much is kept as is motion (Wiener's filter), which is what the readings
-    let expect, and a fit to that is right in the mean.
-    """
-    from scipy.interpolate import CubicSpline
-    from scipy.signal import welch
-
-    step = float(np.median(np.diff(reference.t)))
-    even = np.arange(reference.t[0], reference.t[-1] + 0.5 * step, step)
-    rate = CubicSpline(reference.t, reference.value[:, :3])(np.minimum(even, reference.t[-1]))
-    trend = np.linspace(0.0, 1.0, len(even))[:, None] * (rate[-1] - rate[0])
-    count = 1 << (len(even) - 1).bit_length()
-    # (what is left begins and ends alike; zeros behind it keep the ends apart)
-    spectrum = np.fft.rfft(rate - rate[0] - trend, 2 * count, axis=0)
-    f = np.fft.rfftfreq(2 * count, step)
-    at, power = welch(rate, 1.0 / step, nperseg=min(256, len(even)), axis=0)
-    floor = np.median(power[at > NOISE_FROM * at[-1]], axis=0)
-    kept = np.clip(1.0 - floor / np.maximum(power, 1e-300), 0.0, 1.0)
-    gain = np.stack([np.interp(f, at, kept[:, i]) for i in range(3)], axis=1)
-    slope = np.fft.irfft(spectrum * gain * (2j * np.pi * f)[:, None], axis=0)[: len(even)]
-    slope += (rate[-1] - rate[0]) / (even[-1] - even[0])
-    return np.asarray(CubicSpline(even, slope)(np.minimum(t, even[-1])))
+    own, imu = recording.streams["reference"], recording.imu
+    alpha, everywhere = (
+        quiet_derivative(own.t, own.value[:, :3], at) @ both.R.T for at in (t, imu.t)
+    )
+    return Rows(t, np.hstack([*z, reach[:, None], alpha]), alpha=everywhere)
 
 
 def _guess(z: Array) -> Mapping[str, float]:
