@@ -66,8 +66,7 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
         "noise": _noise_json(e.noise),
         "warnings": all_warnings(e),
     }  # fmt: skip
-    if several:
-        document["recordings"] = [_recording_json(r) for r in e.recordings]
+    document["recordings"] = [_recording_json(r) for r in e.recordings]
     return document
 
 
@@ -168,6 +167,8 @@ def print_explanation(explanation: Explanation, console: Console) -> None:
             f"[bold]{escape(r.recording.path)}[/]  {r.recording.duration_s:.1f} s at "
             f"{say.rate(r)}; {words.counted(len(r.rests), 'rest')}"
         )
+    for assumed in dict.fromkeys(words.assume_sentence(r.assume) for r in e.recordings):
+        line(assumed, 0, "dim")
     console.print()
     line(judged.headline, 0, f"bold {colour}")
     for sentence in judged.sentences:

@@ -8,6 +8,7 @@ the first five (3,). Constants are first those of effects that act on the readin
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -381,8 +382,9 @@ def substituted(acting: Sequence[Effect], ref: Array, readings: Signals) -> Arra
         elif at.any():
             present.append((e, at))
     errors = [np.zeros_like(raw) for _ in present]
-    for _ in range(SUBSTITUTIONS if present else 0):
-        moved = 0.0
+    moved = math.inf
+    for done in range(SUBSTITUTIONS if present else 0):
+        before, moved = moved, 0.0
         for k, (e, at) in enumerate(present):
             own, old = raw - total, errors[k]
             if e.imu_inverse is not None:
@@ -393,7 +395,8 @@ def substituted(acting: Sequence[Effect], ref: Array, readings: Signals) -> Arra
             step = errors[k] - old
             total += step
             moved = max(moved, float(np.abs(step).max()))
-        if moved < SUBSTITUTED * scale:
+        # (some are so large that going on would lead away)
+        if moved < SUBSTITUTED * scale or (done > 1 and not moved < 0.5 * before):
             break
     return total
 

@@ -70,6 +70,8 @@ def quiet_derivative(t: Array, x: Array, at: Array) -> Array:
     from scipy.interpolate import CubicSpline
     from scipy.signal import spectrogram
 
+    if not np.isfinite(x).all():
+        return np.full((len(at), x.shape[1]), np.nan)
     step = float(np.median(np.diff(t)))
     even = np.arange(t[0], t[-1] + 0.5 * step, step)
     value = CubicSpline(t, x)(np.minimum(even, t[-1]))

@@ -7,6 +7,8 @@ import math
 from collections.abc import Set
 from dataclasses import replace
 
+import numpy as np
+
 from handcal.effects import Effect, catalogue
 from handcal.explain.case import applicable
 from handcal.explain.fit import Fitted, Model, fitted
@@ -14,6 +16,8 @@ from handcal.explain.search import PRIOR
 
 # Sigmas of its prior by which a level lies above its first guess before it is suspected.
 FAR = 2.0
+# A hand that holds a point sways less than this, m.
+HAND_SWAY = 0.05
 
 
 def without_alibi(model: Model, worth: float, tried: set[str]) -> Model | None:
@@ -36,6 +40,32 @@ def without_alibi(model: Model, worth: float, tried: set[str]) -> Model | None:
         if gain + PRIOR > 0.0 and (best is None or fit.log_evidence > best.log_evidence):
             best = fit
     return best
+
+
+def steadied(base: Model) -> Model | None:
+    """The baseline with the noise that is usual where it took strong physics for a hand that sways
+    far and slowly; None if no hand does.
+
+    With such a sway little of the physics shows, the noise levels that fit that little are as good
+    again, and the search ends where it began. It is to begin here too.
+    """
+    swaying = [sway(f) > HAND_SWAY for f in base.parts]
+    if not any(swaying):
+        return None
+    return fitted(
+        [
+            _usual(f, frozenset(f.case.kinds)) if far else f
+            for f, far in zip(base.parts, swaying, strict=True)
+        ],
+        base.effects,
+        noise_rounds=0,
+    )
+
+
+def sway(f: Fitted) -> float:
+    """Root mean square of the hand's sway, m; 0 where no point is held."""
+    rate = float(np.sqrt((f.linear.problem.rate**2).mean()))
+    return math.hypot(f.levels.get("sway", 0.0), f.levels.get("sway_per_rate", 0.0) * rate)
 
 
 def _acts(effect: Effect, kinds: Set[str]) -> bool:

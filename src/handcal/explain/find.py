@@ -10,7 +10,7 @@ import numpy as np
 
 from handcal.effects import Effect, catalogue
 from handcal.evidence import reduce, reduced_pass
-from handcal.explain.alibi import without_alibi
+from handcal.explain.alibi import steadied, without_alibi
 from handcal.explain.case import Case, applicable, frozen_at, name_of
 from handcal.explain.fit import Fitted, Model, fitted, moved_to, scan
 from handcal.explain.late import with_delays
@@ -115,6 +115,11 @@ def search(base: Model, report: Callable[[float], None] = lambda _: None) -> Fou
     late = with_delays(base)
     found = _climbed(base, (), late, lambda f: report(0.7 * f))
     assert found is not None
+    steady = steadied(found.model) and steadied(base)
+    if steady is not None:
+        other = _climbed(steady, (), late, lambda f: report(0.7 + 0.2 * f))
+        if other is not None and advantage(other, found) > 0.0:
+            found = replace(other, alone=found.alone)
     named = [e for e in found.model.effects if "+=" not in e.id]
     several = len(named) > 1 or any(e.process is not None for e in named)
     if several or any(e.observation_error for e in named):
@@ -125,7 +130,7 @@ def search(base: Model, report: Callable[[float], None] = lambda _: None) -> Fou
         if term is not None and term.gain > HALF * whole:
             other = _climbed(base, [term], late, lambda f: report(0.7 + 0.3 * f))
             if other is not None and advantage(other, found) > 0.0:
-                return replace(other, alone=found.alone)
+                found = replace(other, alone=found.alone)
     return found
 
 

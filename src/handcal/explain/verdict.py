@@ -12,6 +12,7 @@ from handcal.calibration import check_options
 from handcal.effects import Effect, catalogue, mag_hard_iron
 from handcal.evidence import reduce, reduced_pass
 from handcal.explain import held, locate, outliers
+from handcal.explain.alibi import HAND_SWAY, sway
 from handcal.explain.case import Case, case_of, name_of, without_iron
 from handcal.explain.explanation import (
     Evidence,
@@ -81,25 +82,22 @@ def explain(
         check_options(recording, assume, heading_sigma, ignore)
     fixed = {} if heading_sigma is None else {"heading_noise": heading_sigma}
 
-    def prepared(recording: Recording) -> Case:
-        return case_of(recording, assume, latitude, height, ignore, fixed)
+    def prepared(recording: Recording, assumed: str = assume) -> Case:
+        return case_of(recording, assumed, latitude, height, ignore, fixed)
 
     cases = [prepared(r) for r in recordings]
     report(0.03)
-    base = fitted([started(c) for c in cases], (), noise_rounds=2)
-    report(0.15)
-    start = _ironed(base)
-    cleaned, wrong = outliers.cleaned(start)
-    found = search(cleaned, lambda f: report(0.15 + 0.65 * f))
-    if wrong is not None and wrong.burst is not None:
-        # what comes one after the other may be a heading that errs by a known effect
-        other = search(start, lambda f: report(0.15 + 0.65 * f))
-        if advantage(other, found) > TERM_PRIOR:
-            found, wrong = other, None
-    if wrong is None:
-        found, wrong = _without_outliers(start, found, lambda f: report(0.15 + 0.65 * f))
+    base, found, wrong = _searched(cases, lambda f: report(0.03 + 0.77 * f))
+    travels = [assume == "auto" and _travels(f) for f in found.model.parts]
+    if any(travels):
+        # (only now: errors of the sensors look like a travelling hand too)
+        cases = [
+            prepared(r, "rest-only") if far else case
+            for r, case, far in zip(recordings, cases, travels, strict=True)
+        ]
+        base, found, wrong = _searched(cases, lambda f: report(0.4 + 0.4 * f))
     report(0.8)
-    others = [prepared(r) for r in held_out]
+    others = [prepared(r, "rest-only" if any(travels) else assume) for r in held_out]
     scores = held.other_files(others, found.model) if others else held.later_blocks(
         base, found.model
     )  # fmt: skip
@@ -107,6 +105,35 @@ def explain(
     out = _explanation(base, found, wrong, scores)
     report(1.0)
     return out
+
+
+def _searched(
+    cases: Sequence[Case], report: Progress
+) -> tuple[Model, Found, outliers.Wrong | None]:
+    """The baseline, where the search from it ended, and the headings that are merely wrong."""
+    base = fitted([started(c) for c in cases], (), noise_rounds=2)
+    report(0.15)
+    start = _ironed(base)
+    cleaned, wrong = outliers.cleaned(start)
+
+    def climbed(f: float) -> None:
+        report(0.15 + 0.85 * f)
+
+    found = search(cleaned, climbed)
+    if wrong is not None and wrong.burst is not None:
+        # what comes one after the other may be a heading that errs by a known effect
+        other = search(start, climbed)
+        if advantage(other, found) > TERM_PRIOR:
+            found, wrong = other, None
+    if wrong is None:
+        found, wrong = _without_outliers(start, found, climbed)
+    return base, found, wrong
+
+
+def _travels(f: Fitted) -> bool:
+    """Whether a point that was taken to be held sways as no hand does, physics or not, and there
+    are rests to go by instead."""
+    return f.case.assume == "fixed-point" and len(f.case.rests) > 0 and sway(f) > HAND_SWAY
 
 
 def _without_outliers(
