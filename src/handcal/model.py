@@ -306,6 +306,7 @@ def relinearised(
     T = temperature_of(recording)
     raw = np.hstack([imu.gyro - bg, imu.accel - ba])
     acting = [e for e in problem.effects if e.imu_error is not None]
+    compared = bool(problem.observations) and not problem.navigated
     read = Signals(imu.t, raw[:, :3], raw[:, 3:], T, C_nb, problem.alpha)
     error = substituted(acting, ref, read)
     truth = raw - error if noise is None else raw - error - noise
@@ -315,27 +316,35 @@ def relinearised(
     nodes = nodes._replace(gyro=gyro, accel=accel)
     if not jacobian:
         return replace(problem, ref=ref, nodes=nodes)
-    moved = truth[:, 3:] if force is None else force
-    signals = replace(read, gyro=truth[:, :3], accel=moved)
+    if force is not None:
+        truth = np.hstack([truth[:, :3], force])
+    signals = _seen(read, truth)
+    # (what is known of the angular acceleration has none of the noise that is averaged)
+    short = max(1, round(AVERAGE_S[0] * recording.rate_hz))
+    averaged = _seen(read, _averaged(truth, short)) if compared else signals
     J = np.empty((len(imu.t), 6, problem.imu_constants))
     i = 0
     for e in acting:
-        J[:, :, i : i + len(e.parameters)] = correction_jacobian(
-            e, ref[i : i + len(e.parameters)], signals
-        )
-        i += len(e.parameters)
-    calmed = noise is not None or (problem.observations and not problem.navigated)
+        own = slice(i, i + len(e.parameters))
+        i = own.stop
+        if e.imu_inverse is None:
+            J[:, :, own] = correction_jacobian(e, ref[own], averaged)
+            continue
+        J[:, :, own] = correction_jacobian(e, ref[own], signals)
+        if compared:
+            for k in range(6):
+                J[:, k, own] = _averaged(J[:, k, own], short)
     quiet = np.interp(imu.t, nodes.t, problem.rate) < QUIET_RATE
     right = np.clip(np.searchsorted(imu.t, nodes.t), 1, len(imu.t) - 1)
     share = ((nodes.t - imu.t[right - 1]) / (imu.t[right] - imu.t[right - 1]))[:, None]
     J_nodes = np.zeros((len(nodes.t), 6, problem.imu_constants))
     for k in range(6):
         # (channel by channel: all of J at once would be the largest thing in memory, thrice)
-        own = np.flatnonzero(J[:, k].any(axis=0))
-        of_imu = J[:, k, own]
-        if calmed:
+        some = np.flatnonzero(J[:, k].any(axis=0))
+        of_imu = J[:, k, some]
+        if noise is not None:
             of_imu = _calmed(of_imu, recording.rate_hz, quiet)
-        J_nodes[:, k, own] = of_imu[right - 1] * (1.0 - share) + of_imu[right] * share
+        J_nodes[:, k, some] = of_imu[right - 1] * (1.0 - share) + of_imu[right] * share
     return replace(problem, ref=ref, nodes=nodes._replace(J=J_nodes))
 
 

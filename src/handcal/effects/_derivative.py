@@ -13,9 +13,8 @@ from handcal.types import Array
 # Half the width, s, of the cubic that is fitted around each sample.
 REACH_S = 0.01
 # Of a spectrum: samples taken at a time, from which share of the highest frequency on it is noise,
-# how much of the liveliest part's power is motion, and the median of a periodogram over its mean.
-SEGMENT, NOISE_FROM, MOVING = 256, 0.8, 0.3
-MEDIAN = math.log(2.0)
+# and by how many standard deviations power must exceed that to be motion.
+SEGMENT, NOISE_FROM, SURE = 256, 0.8, 1.0
 
 
 @cache
@@ -68,7 +67,7 @@ def quiet_derivative(t: Array, x: Array, at: Array) -> Array:
     filter is as long after a sample as before it, so a sample's own noise is not in its slope.
     """
     from scipy.interpolate import CubicSpline
-    from scipy.signal import spectrogram
+    from scipy.signal import welch
 
     if not np.isfinite(x).all():
         return np.full((len(at), x.shape[1]), np.nan)
@@ -81,15 +80,9 @@ def quiet_derivative(t: Array, x: Array, at: Array) -> Array:
     spectrum = np.fft.rfft(value - value[0] - trend, 2 * count, axis=0)
     f = np.fft.rfftfreq(2 * count, step)
     # (of the samples themselves: what is interpolated has less noise where most of it is)
-    bins, _, found = spectrogram(
-        x, 1.0 / step, "hann", min(SEGMENT, len(x)), axis=0, detrend="constant", mode="psd"
-    )
-    # what is compared is the motion: a rest, where all is noise, shall not speak for it
-    most = found.sum(axis=(0, 1))
-    lively = most >= MOVING * most.max()
-    power = found[:, :, lively].mean(axis=2)
-    chance = 1.0 + 1.0 / math.sqrt(lively.sum())
-    floor = chance * np.median(found[bins > NOISE_FROM * bins[-1]], axis=(0, 2)) / MEDIAN
+    bins, power = welch(x, 1.0 / step, nperseg=min(SEGMENT, len(x)), axis=0)
+    chance = 1.0 + SURE / math.sqrt(max(1.0, 2.0 * len(x) / SEGMENT - 1.0))
+    floor = chance * np.median(power[bins > NOISE_FROM * bins[-1]], axis=0)
     kept = np.clip(1.0 - floor / np.maximum(power, 1e-300), 0.0, 1.0)
     gain = np.stack([np.interp(f, bins, kept[:, i]) for i in range(x.shape[1])], axis=1)
     slope = np.fft.irfft(spectrum * gain * (2j * np.pi * f)[:, None], axis=0)[: len(even)]
