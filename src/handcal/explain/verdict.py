@@ -14,6 +14,7 @@ from handcal.evidence import reduce, reduced_pass
 from handcal.explain import held, locate, outliers
 from handcal.explain.alibi import HAND_SWAY, sway
 from handcal.explain.case import Case, case_of, name_of, without_iron
+from handcal.explain.creep import creeping
 from handcal.explain.explanation import (
     Evidence,
     Explained,
@@ -127,7 +128,16 @@ def _searched(
             found, wrong = other, None
     if wrong is None:
         found, wrong = _without_outliers(start, found, climbed)
+    slow = creeping(base, found.model, _gained(found)) if wrong is None else None
+    if slow is not None:
+        base, found = slow, search(_ironed(slow), climbed)
     return base, found, wrong
+
+
+def _gained(found: Found) -> dict[str, float]:
+    """Nats that each effect of the model gains."""
+    chosen = frozenset(e.id for e in found.model.effects if e.process is None)
+    return gains(found.space, chosen) | found.noise
 
 
 def _travels(f: Fitted) -> bool:
