@@ -27,6 +27,8 @@ STAYS = {
     "size_effect": 0.03,
     "gyro_bias_step": 0.03,
 }
+# Samples at the end: what a delayed sensor felt then it never told.
+LAST = 10
 NO_SENSOR = ("lever_arm", "gravity", "earth_rate")
 
 
@@ -66,6 +68,7 @@ def test_readings_are_as_if_the_effect_were_not_there(plain, bias, effect):
     for sensor in ("gyro", "accel"):
         left = getattr(found.recording.imu, sensor) - getattr(plain.imu, sensor)
         was = getattr(changed.imu, sensor) - getattr(plain.imu, sensor)
+        left, was = left[:-LAST], was[:-LAST]
         assert rms(left) <= STAYS.get(effect, 2e-3) * rms(was) + 1e-6
 
 
@@ -100,7 +103,7 @@ def test_several_effects_at_once(plain, bias):
     for sensor in ("gyro", "accel"):
         one, other = (getattr(r.recording.imu, sensor) for r in (found, found_plain))
         was = getattr(changed, sensor) - getattr(plain.imu, sensor)
-        assert rms(one - other) < 0.02 * rms(was)
+        assert rms((one - other)[:-LAST]) < 0.02 * rms(was)
 
 
 def test_late_streams_come_earlier(plain):

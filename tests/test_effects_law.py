@@ -734,7 +734,10 @@ def test_what_the_simulator_injects_comes_back(name, motion, phone, stream, prio
     world = simulate(motion, seed=seed, phone=phone, duration_s=duration, effects={name: truth})
     np.testing.assert_allclose(injected(world, name), truth)
     recording = recording_of(world, *stream.split())
-    found = calibrate(recording, [name], assume="fixed-point", noise=true_levels(world))
+    # (a turning hand's sway is not quite the process that its levels stand for, and an arm shows)
+    swung = name in ("lever_arm", "size_effect") and stream == "heading"
+    levels = {} if swung else true_levels(world)
+    found = calibrate(recording, [name], assume="fixed-point", noise=levels)
     for parameter, value in zip(effect.parameters, as_seen(world, name, truth), strict=True):
         got = found.parameter(name, parameter.name)
         assert got.unit == parameter.unit

@@ -200,7 +200,7 @@ def test_another_recording_is_predicted_better_with_what_was_found(two: list[Wor
     assert scores[0].log_score_after - scores[0].log_score_before > 20.0
     for a in "xyz":
         channel = f"position_{a}"
-        assert scores[0].residual_rms_after[channel] < 0.5 * scores[0].residual_rms_before[channel]
+        assert scores[0].residual_rms_after[channel] < 0.6 * scores[0].residual_rms_before[channel]
     assert scores[1].log_score_after == scores[1].log_score_before
 
 

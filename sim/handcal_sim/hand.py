@@ -26,7 +26,8 @@ class Hand:
     """Root mean squares for each axis.
 
     sway_m, wobble_rad: at rest; ..._per_rate: in addition for each rad/s of turning;
-    tremor_m: displacement; tremor_rad_s: rate of turning, at 8 to 12 Hz.
+    tremor_m: displacement; tremor_rad_s: rate of turning, at 8 to 12 Hz; creep_m: slow drift of
+    an arm that tires, below 0.08 Hz.
     """
 
     sway_m: float = 0.0
@@ -35,6 +36,7 @@ class Hand:
     wobble_per_rate_rad: float = 0.0
     tremor_m: float = 0.0
     tremor_rad_s: float = 0.0
+    creep_m: float = 0.0
 
 
 def random_hand(rng: np.random.Generator, scale: float = 1.0) -> Hand:
@@ -63,6 +65,10 @@ def in_hand(motion: Motion, hand: Hand, rng: np.random.Generator) -> Motion:
     wander = profiles.add(
         profiles.multiply(motion.held, resting), profiles.multiply(motion.activity, turning)
     )
+    if hand.creep_m > 0.0:
+        omega, sin, cos = _wander(rng, 12, 0.005, 0.08, math.inf)
+        drift = np.array([hand.creep_m] * 3 + [0.0] * 3)
+        wander = profiles.add(wander, profiles.sinusoids(omega, sin * drift, cos * drift))
     return replace(motion, wander=wander)
 
 

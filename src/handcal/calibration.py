@@ -18,6 +18,7 @@ from handcal import batch, segment, so3
 from handcal import noise as noise_levels
 from handcal.earth import local_earth
 from handcal.effects import Effect, mag_hard_iron, select
+from handcal.evidence import reduce, reduced_pass
 from handcal.filter import ENGINES, State, empty_track, initial_state
 from handcal.kernel import BASE
 from handcal.linear import Linear, Trajectory, epochs, linearise_about, trajectory_of
@@ -274,15 +275,7 @@ def _assumption(
     problem, begin = problem_of(recording, effects, kinds, rests, earth, None)
     solution = solve(problem, begin, fixed, None, "compiled", lambda f: report(0.3 * f), rounds=1)
     levels = dict(solution.levels)
-    rate = float(np.sqrt((problem.rate**2).mean()))
-    sway = math.hypot(levels["sway"], levels["sway_per_rate"] * rate)
-    if sway <= HAND_SWAY:
-        return "fixed-point", [], levels
-    held = levels | {n: levels[n] * HAND_SWAY / sway for n in ("sway", "sway_per_rate")}
-    gain = (
-        solution.forward.log_evidence
-        - batch.forward(solution.linear, held, keep=False).log_evidence
-    )
+    sway, gain = sway_of(problem, levels), beyond_a_hand(solution.linear, levels)
     if gain < TRAVEL_NATS:
         return "fixed-point", [], levels
     said = (
@@ -300,6 +293,25 @@ def _assumption(
         )
     between = "the pose is followed" if "pose" in usable else "the hand stays within reach"
     return "rest-only", [f"{said}. Only the rests are taken to be still; in between {between}."], {}
+
+
+def sway_of(problem: Problem, levels: Mapping[str, float]) -> float:
+    """Root mean square of the hand's sway at these levels, m; 0 where no point is held."""
+    rate = float(np.sqrt((problem.rate**2).mean()))
+    return math.hypot(levels.get("sway", 0.0), levels.get("sway_per_rate", 0.0) * rate)
+
+
+def beyond_a_hand(linear: Linear, levels: Mapping[str, float]) -> float:
+    """Nats by which these levels do better than the widest sway that is still a hand's, 0 where
+    they are a hand's."""
+    wide = sway_of(linear.problem, levels) / HAND_SWAY
+    if wide <= 1.0:
+        return 0.0
+    # what is seen in a short while is sigma^2 / time^3; that alone stays
+    held = dict(levels) | {n: levels[n] / wide for n in ("sway", "sway_per_rate")}
+    held["sway_time"] = levels["sway_time"] / wide ** (2.0 / 3.0)
+    reduction = reduce(linear)
+    return reduced_pass(reduction, levels).log_evidence - reduced_pass(reduction, held).log_evidence
 
 
 def problem_of(

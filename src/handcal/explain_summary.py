@@ -66,7 +66,8 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
         "noise": _noise_json(e.noise),
         "warnings": all_warnings(e),
     }  # fmt: skip
-    document["recordings"] = [_recording_json(r) for r in e.recordings]
+    if several:
+        document["recordings"] = [_recording_json(r) for r in e.recordings]
     return document
 
 

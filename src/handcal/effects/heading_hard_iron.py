@@ -21,7 +21,8 @@ EFFECT = Effect(
     title="Heading hard iron",
     parameters=(Param("sin", "rad", 0.2), Param("cos", "rad", 0.2)),
     story="Magnetised parts of the device pull its compass aside, one way facing east and the "
-    "other way facing west.",
+    "other way facing west. Directions count from where the heading itself reads zero: a constant "
+    "offset of it turns sin and cos, and no motion shows that.",
     source="contract of this project; coefficients B and C of a compass's deviation (NGA Pub. 226, "
     "Handbook of Magnetic Compass Adjustment)",
     motion="A full turn about the vertical, back and forth.",

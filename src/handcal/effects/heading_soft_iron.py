@@ -22,7 +22,8 @@ EFFECT = Effect(
     title="Heading soft iron",
     parameters=(Param("sin", "rad", 0.15), Param("cos", "rad", 0.15)),
     story="Iron in the device bends the Earth's field: the compass errs the same way facing north "
-    "and south, and the other way in between.",
+    "and south, and the other way in between. Directions count from where the heading itself reads "
+    "zero: a constant offset of it turns sin and cos, and no motion shows that.",
     source="contract of this project; coefficients D and E of a compass's deviation (NGA Pub. 226, "
     "Handbook of Magnetic Compass Adjustment)",
     motion="A full turn about the vertical, back and forth.",

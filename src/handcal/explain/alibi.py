@@ -7,8 +7,7 @@ import math
 from collections.abc import Set
 from dataclasses import replace
 
-import numpy as np
-
+from handcal.calibration import HAND_SWAY, sway_of
 from handcal.effects import Effect, catalogue
 from handcal.explain.case import applicable
 from handcal.explain.fit import Fitted, Model, fitted
@@ -16,8 +15,6 @@ from handcal.explain.search import PRIOR
 
 # Sigmas of its prior by which a level lies above its first guess before it is suspected.
 FAR = 2.0
-# A hand that holds a point sways less than this, m.
-HAND_SWAY = 0.05
 
 
 def without_alibi(model: Model, worth: float, tried: set[str]) -> Model | None:
@@ -49,7 +46,7 @@ def steadied(base: Model) -> Model | None:
     With such a sway little of the physics shows, the noise levels that fit that little are as good
     again, and the search ends where it began. It is to begin here too.
     """
-    swaying = [sway(f) > HAND_SWAY for f in base.parts]
+    swaying = [sway_of(f.linear.problem, f.levels) > HAND_SWAY for f in base.parts]
     if not any(swaying):
         return None
     return fitted(
@@ -60,12 +57,6 @@ def steadied(base: Model) -> Model | None:
         base.effects,
         noise_rounds=0,
     )
-
-
-def sway(f: Fitted) -> float:
-    """Root mean square of the hand's sway, m; 0 where no point is held."""
-    rate = float(np.sqrt((f.linear.problem.rate**2).mean()))
-    return math.hypot(f.levels.get("sway", 0.0), f.levels.get("sway_per_rate", 0.0) * rate)
 
 
 def _acts(effect: Effect, kinds: Set[str]) -> bool:

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from handcal.explain.fit import Model, fitted, started
 from handcal.explain.search import OCCAM_LEVEL, PRIOR
-from handcal.observations.fixed_position import CREEP, CREEPING
+from handcal.observations.fixed_position import CREEPING
 
 # Nats up to which an effect may be there for the sake of a creeping hand only.
 WEAK = 100.0
@@ -37,7 +37,9 @@ def creeping(base: Model, model: Model, gained: Mapping[str, float]) -> Model | 
     ]
     begin = [started(case, strong) for case in cases]
     tried = fitted(begin, strong, noise_rounds=2)
-    gain = tried.log_evidence - model.log_evidence - OCCAM_LEVEL * len(CREEP)
-    if gain - PRIOR * (len(model.effects) - len(strong)) < 0.0:
+    # (every arm tires a little, so that costs nothing; what is spared does)
+    spared = [e for e in model.effects if e not in strong]
+    price = sum(OCCAM_LEVEL * len(e.levels) - PRIOR for e in spared)
+    if tried.log_evidence + price < model.log_evidence:
         return None
     return fitted([started(case) for case in cases], (), noise_rounds=2)

@@ -8,11 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from handcal.calibration import check_options
+from handcal.calibration import TRAVEL_NATS, beyond_a_hand, check_options, sway_of
 from handcal.effects import Effect, catalogue, mag_hard_iron
 from handcal.evidence import reduce, reduced_pass
 from handcal.explain import held, locate, outliers
-from handcal.explain.alibi import HAND_SWAY, sway
 from handcal.explain.case import Case, case_of, name_of, without_iron
 from handcal.explain.creep import creeping
 from handcal.explain.explanation import (
@@ -93,8 +92,8 @@ def explain(
     if any(travels):
         # (only now: errors of the sensors look like a travelling hand too)
         cases = [
-            prepared(r, "rest-only") if far else case
-            for r, case, far in zip(recordings, cases, travels, strict=True)
+            _resting(prepared(r, "rest-only"), f) if far else f.case
+            for r, f, far in zip(recordings, found.model.parts, travels, strict=True)
         ]
         base, found, wrong = _searched(cases, lambda f: report(0.4 + 0.4 * f))
     report(0.8)
@@ -143,7 +142,17 @@ def _gained(found: Found) -> dict[str, float]:
 def _travels(f: Fitted) -> bool:
     """Whether a point that was taken to be held sways as no hand does, physics or not, and there
     are rests to go by instead."""
-    return f.case.assume == "fixed-point" and len(f.case.rests) > 0 and sway(f) > HAND_SWAY
+    at_rest = f.case.assume == "fixed-point" and len(f.case.rests) > 0
+    return at_rest and beyond_a_hand(f.linear, f.levels) > TRAVEL_NATS
+
+
+def _resting(case: Case, held: Fitted) -> Case:
+    wide = sway_of(held.linear.problem, held.levels)
+    said = (
+        f"The hand travels: as a held point it would sway by {wide:.2g} m. Only the rests are "
+        "taken to be still (--assume fixed-point has it otherwise)."
+    )
+    return replace(case, warnings=(*case.warnings, said))
 
 
 def _without_outliers(
