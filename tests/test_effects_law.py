@@ -734,14 +734,15 @@ def test_what_the_simulator_injects_comes_back(name, motion, phone, stream, prio
     world = simulate(motion, seed=seed, phone=phone, duration_s=duration, effects={name: truth})
     np.testing.assert_allclose(injected(world, name), truth)
     recording = recording_of(world, *stream.split())
-    # (a turning hand's sway is not quite the process that its levels stand for, and an arm shows)
+    # A turning hand's sway is not quite the process that it is taken for, and an arm shows it: six
+    # seeds scattered by 1.3 sigma, 1.7 at the true levels (explain widens an arm's sigmas).
     swung = name in ("lever_arm", "size_effect") and stream == "heading"
-    levels = {} if swung else true_levels(world)
+    levels, most = ({}, 6.0) if swung else (true_levels(world), 4.0)
     found = calibrate(recording, [name], assume="fixed-point", noise=levels)
     for parameter, value in zip(effect.parameters, as_seen(world, name, truth), strict=True):
         got = found.parameter(name, parameter.name)
         assert got.unit == parameter.unit
-        assert abs(got.value - value) < 4 * got.sigma, (parameter.name, got, value)
+        assert abs(got.value - value) < most * got.sigma, (parameter.name, got, value)
         assert got.sigma < parameter.prior_sigma
         assert got.observable
 

@@ -57,6 +57,8 @@ _NOISE = {
     "accel_noise": "Accelerometer noise",
     "heading_noise": "Heading noise",
     "hand_sway": "Hand sway",
+    "creep": "Slow drift of the arm",
+    "creep_time": "The arm drifts within",
     "sway": "Hand sway",
     "sway_per_rate": "Hand sway while turning",
     "sway_time": "Hand sway lasts",

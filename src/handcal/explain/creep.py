@@ -9,6 +9,7 @@ from dataclasses import replace
 from handcal.explain.fit import Model, fitted, started
 from handcal.explain.search import OCCAM_LEVEL, PRIOR
 from handcal.observations.fixed_position import CREEPING
+from handcal.types import HandcalError
 
 # Nats up to which an effect may be there for the sake of a creeping hand only.
 WEAK = 100.0
@@ -35,7 +36,10 @@ def creeping(base: Model, model: Model, gained: Mapping[str, float]) -> Model | 
         )
         for f in base.parts
     ]
-    begin = [started(case, strong) for case in cases]
+    try:
+        begin = [started(case, strong) for case in cases]
+    except HandcalError:
+        return None
     tried = fitted(begin, strong, noise_rounds=2)
     # (every arm tires a little, so that costs nothing; what is spared does)
     spared = [e for e in model.effects if e not in strong]
