@@ -172,7 +172,7 @@ def slowly(noise: float, rate_hz: float) -> Callable[[np.random.Generator], Phon
 
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.prove) for k in (1, 2))])
-@pytest.mark.parametrize("tau", [0.01, 0.03])
+@pytest.mark.parametrize("tau", [pytest.param(0.01, marks=pytest.mark.prove), 0.03])
 def test_a_low_pass_beside_a_reference(tau: float, seed: int) -> None:
     """The reading's derivative was noise for a half, and grew with tau: 3 to 14 sigma too low,
     or a delay, a clock and a scale in its place."""
