@@ -92,8 +92,8 @@ def explain(
     if any(travels):
         # (only now: errors of the sensors look like a travelling hand too)
         cases = [
-            _resting(prepared(r, "rest-only"), f) if far else f.case
-            for r, f, far in zip(recordings, found.model.parts, travels, strict=True)
+            _resting(prepared(r, "rest-only"), f) if far else case
+            for r, case, f, far in zip(recordings, cases, found.model.parts, travels, strict=True)
         ]
         base, found, wrong = _searched(cases, lambda f: report(0.4 + 0.4 * f))
     report(0.8)
