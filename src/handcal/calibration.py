@@ -18,13 +18,13 @@ from handcal import batch, segment, so3
 from handcal import noise as noise_levels
 from handcal.earth import local_earth
 from handcal.effects import Effect, mag_hard_iron, select
-from handcal.evidence import reduce, reduced_pass
 from handcal.filter import ENGINES, State, empty_track, initial_state
 from handcal.kernel import BASE
 from handcal.linear import Linear, Trajectory, epochs, linearise_about, trajectory_of
 from handcal.model import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Problem, build, noise_arrays
 from handcal.observations import Observation, Rows, Scene, catalogue
 from handcal.start import Start, from_pose, from_rest, levelled
+from handcal.sway import TRAVEL_NATS, beyond_a_hand, sway_of
 from handcal.types import (
     Array,
     HandcalError,
@@ -40,9 +40,6 @@ from handcal.types import (
 Progress = Callable[[float], None]
 Observed = tuple[Observation, Rows, tuple[tuple[str, str, float], ...]]
 ASSUMPTIONS = ("auto", "fixed-point", "rest-only")
-# A hand that holds a point still does not wander further than this (root mean square, m).
-HAND_SWAY = 0.05
-TRAVEL_NATS = 5.0
 LOST_NATS = 10.0
 MIN_READINGS = 20
 HISTORY_RATE = 25.0
@@ -293,25 +290,6 @@ def _assumption(
         )
     between = "the pose is followed" if "pose" in usable else "the hand stays within reach"
     return "rest-only", [f"{said}. Only the rests are taken to be still; in between {between}."], {}
-
-
-def sway_of(problem: Problem, levels: Mapping[str, float]) -> float:
-    """Root mean square of the hand's sway at these levels, m; 0 where no point is held."""
-    rate = float(np.sqrt((problem.rate**2).mean()))
-    return math.hypot(levels.get("sway", 0.0), levels.get("sway_per_rate", 0.0) * rate)
-
-
-def beyond_a_hand(linear: Linear, levels: Mapping[str, float]) -> float:
-    """Nats by which these levels do better than the widest sway that is still a hand's, 0 where
-    they are a hand's."""
-    wide = sway_of(linear.problem, levels) / HAND_SWAY
-    if wide <= 1.0:
-        return 0.0
-    # what is seen in a short while is sigma^2 / time^3; that alone stays
-    held = dict(levels) | {n: levels[n] / wide for n in ("sway", "sway_per_rate")}
-    held["sway_time"] = levels["sway_time"] / wide ** (2.0 / 3.0)
-    reduction = reduce(linear)
-    return reduced_pass(reduction, levels).log_evidence - reduced_pass(reduction, held).log_evidence
 
 
 def problem_of(

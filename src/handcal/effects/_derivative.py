@@ -7,7 +7,6 @@ from functools import cache
 
 import numpy as np
 
-from handcal.effects import Signals
 from handcal.types import Array
 
 # Half the width, s, of the cubic that is fitted around each sample.
@@ -26,11 +25,6 @@ def _weights(m: int) -> Array:
     k = np.arange(-m, m + 1)
     slope: Array = np.linalg.pinv(np.vander(k.astype(float), 4, increasing=True))[1]
     return slope
-
-
-def angular_acceleration(signals: Signals) -> Array:
-    """As it is known (n, 3), rad/s^2, or the derivative of the rate."""
-    return derivative(signals.t, signals.gyro) if signals.alpha is None else signals.alpha
 
 
 def reach(t: Array) -> int:

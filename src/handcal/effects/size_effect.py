@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from handcal.effects import Effect, Param, Signals
-from handcal.effects._derivative import angular_acceleration
+from handcal.effects._derivative import derivative
 from handcal.types import Array
 
 
@@ -16,7 +16,7 @@ def imu_error(r: Array, signals: Signals) -> Array:
     """
     out = np.zeros((len(signals.t), 6))
     w, places = signals.gyro, r.reshape(3, 3)
-    alpha = angular_acceleration(signals)
+    alpha = derivative(signals.t, w) if signals.alpha is None else signals.alpha
     square = np.einsum("ni,ni->n", w, w)
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3

@@ -7,11 +7,11 @@ import math
 from collections.abc import Set
 from dataclasses import replace
 
-from handcal.calibration import HAND_SWAY, sway_of
 from handcal.effects import Effect, catalogue
 from handcal.explain.case import applicable
 from handcal.explain.fit import Fitted, Model, fitted
 from handcal.explain.search import PRIOR
+from handcal.sway import HAND_SWAY, sway_of
 
 # Sigmas of its prior by which a level lies above its first guess before it is suspected.
 FAR = 2.0
@@ -39,24 +39,20 @@ def without_alibi(model: Model, worth: float, tried: set[str]) -> Model | None:
     return best
 
 
-def steadied(base: Model) -> Model | None:
+def sways_far(f: Fitted) -> bool:
+    """Whether the noise levels are those of a hand that sways further than one does."""
+    return sway_of(f.linear.problem, f.levels) > HAND_SWAY
+
+
+def steadied(base: Model) -> Model:
     """The baseline with the noise that is usual where it took strong physics for a hand that sways
-    far and slowly; None if no hand does.
+    far and slowly.
 
     With such a sway little of the physics shows, the noise levels that fit that little are as good
     again, and the search ends where it began. It is to begin here too.
     """
-    swaying = [sway_of(f.linear.problem, f.levels) > HAND_SWAY for f in base.parts]
-    if not any(swaying):
-        return None
-    return fitted(
-        [
-            _usual(f, frozenset(f.case.kinds)) if far else f
-            for f, far in zip(base.parts, swaying, strict=True)
-        ],
-        base.effects,
-        noise_rounds=0,
-    )
+    begun = [_usual(f, frozenset(f.case.kinds)) if sways_far(f) else f for f in base.parts]
+    return fitted(begun, base.effects, noise_rounds=0)
 
 
 def _acts(effect: Effect, kinds: Set[str]) -> bool:

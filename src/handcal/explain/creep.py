@@ -6,13 +6,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
+from handcal.explain.find import WEAK
 from handcal.explain.fit import Model, fitted, started
 from handcal.explain.search import OCCAM_LEVEL, PRIOR
 from handcal.observations.fixed_position import CREEPING
 from handcal.types import HandcalError
 
-# Nats up to which an effect may be there for the sake of a creeping hand only.
-WEAK = 100.0
 OBSERVED = CREEPING.kind
 
 
@@ -22,9 +21,9 @@ def creeping(base: Model, model: Model, gained: Mapping[str, float]) -> Model | 
 
     Where nothing weak was found there is no need to ask.
     """
-    held = [OBSERVED in f.case.kinds for f in base.parts]
+    held = any(OBSERVED in f.case.kinds for f in base.parts)
     strong = [e for e in model.effects if gained[e.id] > WEAK]
-    if not any(held) or len(strong) == len(model.effects):
+    if not held or len(strong) == len(model.effects):
         return None
     cases = [
         replace(

@@ -10,7 +10,7 @@ import numpy as np
 
 from handcal.effects import Effect, catalogue
 from handcal.evidence import reduce, reduced_pass
-from handcal.explain.alibi import steadied, without_alibi
+from handcal.explain.alibi import steadied, sways_far, without_alibi
 from handcal.explain.case import Case, applicable, frozen_at, name_of
 from handcal.explain.fit import Fitted, Model, fitted, moved_to, scan
 from handcal.explain.late import with_delays
@@ -115,9 +115,8 @@ def search(base: Model, report: Callable[[float], None] = lambda _: None) -> Fou
     late = with_delays(base)
     found = _climbed(base, (), late, lambda f: report(0.7 * f))
     assert found is not None
-    steady = steadied(found.model) and steadied(base)
-    if steady is not None:
-        other = _climbed(steady, (), late, lambda f: report(0.7 + 0.2 * f))
+    if all(any(sways_far(f) for f in m.parts) for m in (found.model, base)):
+        other = _climbed(steadied(base), (), late, lambda f: report(0.7 + 0.2 * f))
         if other is not None and advantage(other, found) > 0.0:
             found = replace(other, alone=found.alone)
     named = [e for e in found.model.effects if "+=" not in e.id]
@@ -175,7 +174,7 @@ def _climbed(
         where = _scanned(model, cases, [t.effect for t in unnamed], dropped, favoured)
         if first is None:
             first, alone = where, gains(where, frozenset())
-        now = frozenset(e.id for e in model.effects if e.process is None)
+        now = model.chosen
         chosen = max((best_set(where, now), best_set(where, ())), key=where.score)
         if turn == 0 and any(t.effect.id not in chosen for t in needed):
             return None
@@ -356,7 +355,7 @@ def _exchanged(
     accelerometer); about a fit with one of them the other cannot be judged, so it is fitted.
     """
     have = {name_of(i) for i in model.ids}
-    now = frozenset(e.id for e in model.effects if e.process is None)
+    now = model.chosen
     gained = gains(where, now)
     for e in model.effects:
         # (what was in the baseline is taken off the readings already)
@@ -416,7 +415,7 @@ def _reordered(model: Model, seen: set[tuple[str, frozenset[str]]]) -> Model | N
 def _leaner(model: Model, where: Space, noise: dict[str, float], stale: set[str]) -> Model | None:
     """The model without an effect that it does not miss when all else is fitted again; stale:
     noise effects whose gain is out of date."""
-    gained = gains(where, frozenset(e.id for e in model.effects if e.process is None))
+    gained = gains(where, model.chosen)
     excess = inflation(model)
     last = {i: 0.0 if i in stale else v for i, v in noise.items()}
     weakest = sorted(model.effects, key=lambda e: gained.get(e.id, last.get(e.id, 0.0)))

@@ -69,6 +69,11 @@ class Model:
     def ids(self) -> tuple[str, ...]:
         return tuple(e.id for e in self.effects)
 
+    @property
+    def chosen(self) -> frozenset[str]:
+        """Ids of the effects that a scan weighs: all but those that are noise."""
+        return frozenset(e.id for e in self.effects if e.process is None)
+
 
 def started(case: Case, effects: Sequence[Effect] = ()) -> Fitted:
     """A first trajectory by the online filter, with the effects that it cannot do without."""

@@ -44,7 +44,7 @@ def next_motions(
     Nothing where nothing needs telling, or where none of the motions would tell.
     """
     where = found.space
-    chosen = frozenset(e.id for e in found.model.effects if e.process is None)
+    chosen = found.model.chosen
     sets = [_members(where, chosen, m) for m in missing if m.indistinguishable_from]
     hidden: list[str] = []
     if verdict in ("nothing_missing", "cannot_tell"):

@@ -158,7 +158,7 @@ def _turned_back(original: Fitted, f: Fitted, span: tuple[float, float]) -> Fitt
     spread = max(float(np.std(so3.wrap(away - size))), 1e-4) / math.sqrt(there.sum())
     cost = 2.0 * math.log(len(rows.t)) + max(0.0, math.log(math.sqrt(2.0 * math.pi) / spread))
     observed = list(original.case.observed)
-    observed[k] = (observation, Rows(rows.t, z, rows.delay), constants)
+    observed[k] = (observation, replace(rows, z=z), constants)
     return replace(f, case=replace(f.case, observed=tuple(observed), constant=-cost))
 
 
@@ -248,7 +248,7 @@ def _without(original: Fitted, f: Fitted, mask: BoolArray | None) -> Fitted:
     density = effect.outliers[observation.kind]
     constant = bad * math.log(density) + float(betaln(bad + 1, n - bad + 1))
     observed = list(original.case.observed)
-    kept = Rows(rows.t[~mask], rows.z[~mask], rows.delay)
+    kept = replace(rows, t=rows.t[~mask], z=rows.z[~mask])
     observed[k] = (observation, kept, constants)
     name = next(lv.name for lv in observation.levels if lv.name.endswith("noise"))
     levels = dict(f.levels)

@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from handcal.calibration import TRAVEL_NATS, beyond_a_hand, check_options, sway_of
+from handcal.calibration import check_options
 from handcal.effects import Effect, catalogue, mag_hard_iron
 from handcal.evidence import reduce, reduced_pass
-from handcal.explain import held, locate, outliers
+from handcal.explain import held, locate, outliers, parameters
 from handcal.explain.case import Case, case_of, name_of, without_iron
 from handcal.explain.creep import creeping
 from handcal.explain.explanation import (
@@ -41,7 +41,7 @@ from handcal.explain.search import (
     rivals,
 )
 from handcal.kernel import MAX_DIM
-from handcal.model import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR
+from handcal.sway import TRAVEL_NATS, beyond_a_hand, sway_of
 from handcal.twin import twin
 from handcal.types import Array, InputError, NoiseLevel, Parameter, Recording
 
@@ -54,8 +54,6 @@ CERTAIN = 0.999999
 LEFT = 0.02
 # Nats below which a recording does not promise to show an effect of the usual size.
 FAINT = 10.0
-# How well a moment is known, s, where only one was on trial.
-MOMENT = 0.1
 
 
 def explain(
@@ -135,8 +133,7 @@ def _searched(
 
 def _gained(found: Found) -> dict[str, float]:
     """Nats that each effect of the model gains."""
-    chosen = frozenset(e.id for e in found.model.effects if e.process is None)
-    return gains(found.space, chosen) | found.noise
+    return gains(found.space, found.model.chosen) | found.noise
 
 
 def _travels(f: Fitted) -> bool:
@@ -192,10 +189,10 @@ def _explanation(
     base: Model, found: Found, wrong: outliers.Wrong | None, scores: HeldOut
 ) -> Explanation:
     model = found.model
-    chosen = frozenset(e.id for e in model.effects if e.process is None)
+    chosen = model.chosen
     named = wrong if wrong is not None and wrong.burst is None else None
     excess = inflation(model)
-    learnt = _learnt(found, excess)
+    learnt = parameters.learnt(found, excess)
     missing, unsure = _missing(found, chosen, learnt, named)
     unnamed = _unnamed(found, chosen, learnt)
     if wrong is not None and wrong.burst is not None:
@@ -233,7 +230,7 @@ def _explanation(
         _fit(model, model.parts),
         scores,
         next_motions(found, missing, hypotheses, verdict),
-        (*own, *(p for parameters in learnt.values() for p in parameters)),
+        (*own, *(p for known in learnt.values() for p in known)),
         _noise(model.parts[0]),
         tuple(explained),
         _warnings(base, model, {h.effect for h in hypotheses if h.expected < FAINT}),
@@ -312,60 +309,6 @@ def _entry(
     )
 
 
-def _learnt(found: Found, excess: Mapping[str, float]) -> dict[str, tuple[Parameter, ...]]:
-    """Parameters of each effect that is no noise, by its id."""
-    model = found.model
-    moments = {e.id: _moment(found, e.id) for e in model.effects if "@" in e.id}
-    return {
-        e.id: _effect_parameters(model, e, excess[e.id], moments.get(e.id, (0.0, 0.0)))
-        for e in model.effects
-        if e.process is None
-    }
-
-
-def _moment(found: Found, effect: str) -> tuple[float, float]:
-    """Mean and standard deviation of the moment at which an effect is held, s, over all moments
-    on trial; what lies between two of them is not told."""
-    chosen = frozenset(e.id for e in found.model.effects if e.process is None)
-    same = [i for i in found.space.effects if "@" in i and name_of(i) == name_of(effect)]
-    same.sort(key=_held_at)
-    here = _held_at(effect)
-    if effect not in found.space.effects or len(same) < 2:
-        return here, MOMENT
-    scores = rivals(found.space, chosen, effect)
-    at = np.array([_held_at(i) for i in same])
-    # moments on trial lie closer together near the one that was chosen
-    share = np.exp([min(scores[i], 50.0) for i in same]) * np.gradient(at)
-    share /= share.sum()
-    mean = float(share @ at)
-    near = float(np.min(np.abs(np.delete(at, same.index(effect)) - here)))
-    return mean, math.hypot(math.sqrt(float(share @ (at - mean) ** 2)), near / math.sqrt(12.0))
-
-
-def _held_at(effect: str) -> float:
-    return float(effect.split("@")[1])
-
-
-def _effect_parameters(
-    model: Model, effect: Effect, excess: float, moment: tuple[float, float]
-) -> tuple[Parameter, ...]:
-    at = [i for i, n in enumerate(model.quadratic.names) if n[0] == effect.id]
-    sigma = math.sqrt(excess) * np.sqrt(np.maximum(np.diag(model.covariance), 0.0))
-    out = []
-    free = {p.name: (p, i) for p, i in zip(effect.parameters, at, strict=True)}
-    for p in catalogue().get(name_of(effect.id), effect).parameters:
-        if p.name in free:
-            q, i = free[p.name]
-            value, spread = model.u[i] * q.prior_sigma, sigma[i] * q.prior_sigma
-        else:
-            value, spread = moment
-        out.append(
-            Parameter(name_of(effect.id), p.name, float(value), float(spread), p.unit,
-                      p.prior_sigma, None)
-        )  # fmt: skip
-    return tuple(out)
-
-
 def _unnamed(
     found: Found, chosen: frozenset[str], learnt: Mapping[str, tuple[Parameter, ...]]
 ) -> list[Unnamed]:
@@ -395,7 +338,7 @@ def _hypotheses(
     found: Found, missing: Sequence[Missing], wrong: outliers.Wrong | None
 ) -> tuple[Hypothesis, ...]:
     where = found.space
-    chosen = frozenset(e.id for e in found.model.effects if e.process is None)
+    chosen = found.model.chosen
     probable, final = probabilities(where, chosen), gains(where, chosen)
     named = {m.effect: m for m in missing}
     rival = {i for m in missing for i in m.indistinguishable_from}
@@ -434,7 +377,7 @@ def _explained(
     return Explained(
         after.case.recording,
         after.case.assume,
-        _biases(after),
+        parameters.biases(after),
         _noise(after),
         locate.traces(before, after),
         _evidence(after, model),
@@ -497,19 +440,6 @@ def _fit(model: Model, parts: Sequence[Fitted]) -> Fit:
         {k: float(np.sqrt(np.mean(np.square(v)))) for k, v in rms.items()},
         {k: float(np.mean(v)) for k, v in nis.items()},
         {k: float(np.mean(v)) for k, v in white.items()},
-    )
-
-
-def _biases(f: Fitted) -> tuple[Parameter, ...]:
-    done = reduced_pass(reduce(f.linear), f.levels)
-    sigma = np.linalg.norm(done.spread, axis=1)[:6] * done.reduction.scale[:6]
-    nominal = f.linear.trajectory
-    values = np.r_[nominal.bg, nominal.ba]
-    prior = [float(GYRO_BIAS_PRIOR)] * 3 + [ACCEL_BIAS_PRIOR] * 3
-    names = [("gyro_bias", a, "rad/s") for a in "xyz"] + [("accel_bias", a, "m/s^2") for a in "xyz"]
-    return tuple(
-        Parameter(e, n, float(values[i]), float(sigma[i]), unit, prior[i], None)
-        for i, (e, n, unit) in enumerate(names)
     )
 
 

@@ -235,10 +235,9 @@ def _rows(recording: Recording, scene: Scene) -> Rows | None:
     z = [both.known(t), both.known(t, 1)]
     z += [both.known(at, k) for k in (0, 1) for at in beside]
     own, imu = recording.streams["reference"], recording.imu
-    alpha, everywhere = (
-        quiet_derivative(own.t, own.value[:, :3], at) @ both.R.T for at in (t, imu.t)
-    )
-    return Rows(t, np.hstack([*z, reach[:, None], alpha]), alpha=everywhere)
+    alpha = quiet_derivative(own.t, own.value[:, :3], imu.t) @ both.R.T
+    here = alpha[np.searchsorted(imu.t, t)]
+    return Rows(t, np.hstack([*z, reach[:, None], here]), alpha=alpha)
 
 
 def _guess(z: Array) -> Mapping[str, float]:
