@@ -229,10 +229,12 @@ def test_outliers_that_point_the_right_way_by_chance_are_counted() -> None:
 # --- fits that lead nowhere --------------------------------------------------------------------
 
 
-def test_a_fit_that_diverges_is_no_fit() -> None:
-    """Its evidence is below any other's, whatever became of the trajectory."""
+@pytest.mark.parametrize("grown", [math.nan, 1e100])
+def test_a_fit_that_diverges_is_no_fit(grown: float) -> None:
+    """Its evidence is below any other's, whatever became of the trajectory. Numbers that had
+    grown to 1e137 m passed for a fit, its evidence 1e208 for the best, and explain broke off."""
     (part,) = base_of(world_of({}, 0, 20.0)).parts
-    broken = replace(part, linear=replace(part.linear, d=part.linear.d * math.nan))
+    broken = replace(part, linear=replace(part.linear, d=part.linear.d * grown))
     parts, settled, evidence = fit.relinearised_parts([broken], ())
     assert (parts, settled) == ([broken], False)
     assert math.isnan(evidence)

@@ -33,7 +33,9 @@ _SIGNATURE = types.int64(_POINTER, _POINTER, _POINTER, _POINTER)
 
 def _compiled(function: F, **more: Any) -> F:
     # nothing calls these by address, so numba need not make a C entry for each of them
-    options: dict[str, Any] = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+    options: dict[str, Any] = {
+        "cache": True, "error_model": "numpy", "no_cfunc_wrapper": True, "nogil": True,
+    }  # fmt: skip
     return cast(F, numba.njit(**options, **more)(function))
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from handcal.evidence import backward, reduce, reduced_pass
+from handcal.evidence import ReducedPass, Slopes, backward, reduce, reduced_pass
 from handcal.filter import full_prior
 from handcal.kernel import MAX_DIM
 from handcal.linear import Linear
@@ -175,17 +176,18 @@ class Score:
         """Log-evidence at these levels and its slope by the logarithm of each name's."""
         linear, reduction = self.linear, self.reduction
         problem = linear.problem
-        done = reduced_pass(reduction, levels)
-        m, columns = done.gain.shape[1], done.nu.shape[1]
-        slopes = backward(done, True, np.empty((0, m, columns)), np.empty((0, m, m)))
+        with ThreadPoolExecutor(1) as beside:
+            # (compiled code lets other threads go on)
+            waiting = beside.submit(self._above, levels)
+            done, slopes = self._sloped(levels)
+            above = waiting.result()
         by_R = np.bincount(reduction.slot, slopes.R, len(problem.observations) * MAX_DIM)
         out = np.zeros(len(self.names))
         for i, name in enumerate(self.names):
             up, down = _stepped(name, levels)
             if name in self.moving:
                 # (one-sided: the search's curvatures are of order 100, its tolerance 0.01)
-                above = reduced_pass(reduction, up).log_evidence
-                out[i] = (above - done.log_evidence) / STEP
+                out[i] = (above[name] - done.log_evidence) / STEP
                 continue
             if name in SENSORS:
                 out[i] = 2.0 * levels[name] ** 2 * slopes.densities[int(name == "accel_noise")]
@@ -201,6 +203,19 @@ class Score:
                 out[i] += float(np.vdot(slopes.Q_e, Q_e))
                 out[i] += float(np.vdot(slopes.prior, prior)) / (2 * STEP)
         return done.log_evidence, out
+
+    def _sloped(self, levels: Mapping[str, float]) -> tuple[ReducedPass, Slopes]:
+        done = reduced_pass(self.reduction, levels)
+        m, columns = done.gain.shape[1], done.nu.shape[1]
+        return done, backward(done, True, np.empty((0, m, columns)), np.empty((0, m, m)))
+
+    def _above(self, levels: Mapping[str, float]) -> dict[str, float]:
+        """Log-evidence a step above the level of each name that changes the dynamics."""
+        return {
+            n: reduced_pass(self.reduction, _stepped(n, levels)[0]).log_evidence
+            for n in self.names
+            if n in self.moving
+        }
 
 
 def _stepped(name: str, levels: Mapping[str, float]) -> tuple[dict[str, float], dict[str, float]]:

@@ -35,6 +35,8 @@ SHARES = (1.0, 0.3, 0.1)
 # White noise of a sensor beyond what its readings show would be an alibi for whatever physics
 # is missing.
 EXCESS = 1.3
+# From one epoch to the next, m and m/s, no trajectory jumps so far.
+BEYOND = 1e3
 # A delay is linearised about where it is known to this, s.
 DELAY_STEP = 0.002
 
@@ -182,8 +184,11 @@ def _local(f: Fitted, effects: Sequence[Effect]) -> Local:
     return local(reduced_pass(reduce(f.linear), f.levels), frozenset(e.id for e in effects))
 
 
-def _finite(linear: Linear) -> bool:
-    return bool(np.isfinite(linear.Phi.sum() + linear.d.sum() + linear.r.sum() + linear.H.sum()))
+def _sane(linear: Linear) -> bool:
+    """Whether this is a motion at all; a step astray grows from round to round."""
+    steps = np.abs(linear.d).max(initial=0.0)
+    rest = linear.Phi.sum() + linear.r.sum() + linear.H.sum()
+    return bool(steps < BEYOND and np.isfinite(rest))
 
 
 def _towards(old: Fitted, new: Fitted, share: float) -> Fitted:
@@ -205,7 +210,7 @@ def relinearised_parts(
     shared = frozenset(e.id for e in effects)
     parts, evidence = list(parts), -math.inf
     for _ in range(ROUNDS):
-        if not all(_finite(f.linear) for f in parts):
+        if not all(_sane(f.linear) for f in parts):
             return parts, False, math.nan
         passes = [reduced_pass(reduce(f.linear), f.levels, keep=True) for f in parts]
         locals_ = [local(p, shared) for p in passes]
@@ -226,7 +231,7 @@ def relinearised_parts(
             trajectory = batch.moved(f.linear, batch.whole_mean(done, r))
             new.append(_linearised(f, trajectory, effects))
         parts = new
-    return parts, False, evidence
+    return parts, False, evidence if all(_sane(f.linear) for f in parts) else math.nan
 
 
 def _linearised(f: Fitted, trajectory: Trajectory, effects: Sequence[Effect]) -> Fitted:
