@@ -13,7 +13,7 @@ from worlds import recording_of
 
 from handcal import calibration, noise, so3
 from handcal.effects import select
-from handcal.explain import Explanation, case, explain, find, fit, outliers
+from handcal.explain import Explanation, case, climb, explain, fit, outliers
 from handcal.explain.fit import EXCESS, Model, fitted, moved_to, scan, started
 from handcal.explain.quadratic import posterior
 from handcal.types import InputError, Recording, Series
@@ -254,22 +254,22 @@ def test_what_no_fit_holds_with_is_left_out(monkeypatch: pytest.MonkeyPatch) -> 
     """A scan promised a term, the fit with it lost half a million nats, and the search went on
     from there: about such a fit, anything may be named."""
     world = world_of({"gyro_scale": [0.01, -0.008, 0.012]}, seed=0, seconds=40.0)
-    real = find._fit
+    real = climb._fit
 
-    def astray(model: Model, where: find.Space, chosen: frozenset[str]) -> Model:
-        fit = real(model, where, chosen)
+    def astray(c: climb.Climb, chosen: frozenset[str]) -> Model:
+        fit = real(c, chosen)
         return replace(fit, log_evidence=-1e6) if "lever_arm" in chosen else fit
 
-    promised = find._scanned
+    promised = climb._scanned
 
-    def scanned(*arguments: Any) -> find.Space:
-        where = promised(*arguments)
+    def scanned(c: climb.Climb) -> climb.Space:
+        where = promised(c)
         if where.prior["lever_arm"] < -1e3:
             return where
         return replace(where, prior={**where.prior, "lever_arm": 1e4}, scores={})
 
-    monkeypatch.setattr(find, "_fit", astray)
-    monkeypatch.setattr(find, "_scanned", scanned)
+    monkeypatch.setattr(climb, "_fit", astray)
+    monkeypatch.setattr(climb, "_scanned", scanned)
     found = explain([recording_of(world, "heading")])
     assert (found.verdict, names(found)) == ("explained", ["gyro_scale"])
 

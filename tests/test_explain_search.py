@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from handcal.effects import Effect, Param, catalogue, select
-from handcal.explain import find
+from handcal.explain import climb
 from handcal.explain.quadratic import Quadratic
 from handcal.explain.search import (
     PRIOR,
@@ -254,8 +254,8 @@ def test_expected_gain_is_the_mean_gain(chosen: tuple[str, ...]) -> None:
 
 def test_effects_that_are_one_to_the_first_order_know_each_other() -> None:
     """Whatever the linearisation says, one is fitted in the other's place."""
-    assert find.akin("gyro_bandwidth", "accel_delay")
-    assert find.akin("accel_delay", "gyro_bandwidth")
-    assert not find.akin("gyro_scale", "accel_delay")
+    assert climb.akin("gyro_bandwidth", "accel_delay")
+    assert climb.akin("accel_delay", "gyro_bandwidth")
+    assert not climb.akin("gyro_scale", "accel_delay")
     for effect in catalogue().values():
         assert set(effect.akin) <= set(catalogue())

@@ -1,8 +1,9 @@
 """Locate the mismatch, name the missing physics, model it, prove it.
 
 Reading order: ``case`` (what is observed), ``fit`` (effects fitted to recordings),
-``quadratic`` (evidence of every subset from one pass), ``search``, ``find`` (the loop),
-``locate``, ``held``, and ``verdict``, which puts an Explanation together.
+``quadratic`` (evidence of every subset from one pass), ``search``, ``climb`` (the loop),
+``find`` (where it begins), ``locate``, ``held``, and ``verdict``, which puts an Explanation
+together.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from handcal.explain.find import WEAK
+from handcal.explain.climb import WEAK
 from handcal.explain.fit import Model, fitted, started
 from handcal.explain.search import OCCAM_LEVEL, PRIOR
 from handcal.observations.fixed_position import CREEPING

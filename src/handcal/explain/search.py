@@ -113,7 +113,7 @@ def _neighbours(where: Space, chosen: frozenset[str]) -> Iterable[frozenset[str]
     others = [i for i in where.effects if i not in chosen]
     for i in others:
         yield chosen | {i}
-    for j in chosen:
+    for j in sorted(chosen):
         yield chosen - {j}
         for i in others:
             yield (chosen - {j}) | {i}
@@ -125,11 +125,11 @@ def _pair(where: Space, chosen: frozenset[str], value: float) -> frozenset[str] 
     near = sorted(others, key=lambda i: -where.score(chosen | {i}))[:8]
     best, found = value + 1e-9, None
     options: list[frozenset[str]] = []
+    members = sorted(chosen)
     for n, a in enumerate(near):
         for b in near[n + 1 :]:
             options.append(chosen | {a, b})
-            options += [(chosen - {j}) | {a, b} for j in chosen]
-    members = sorted(chosen)
+            options += [(chosen - {j}) | {a, b} for j in members]
     for n, j in enumerate(members):
         for k in members[n + 1 :]:
             options += [(chosen - {j, k}) | {a} for a in near]
@@ -143,8 +143,8 @@ def _pair(where: Space, chosen: frozenset[str], value: float) -> frozenset[str] 
 
 def probabilities(where: Space, chosen: frozenset[str]) -> dict[str, float]:
     """Posterior probability of each effect, over the sets near the best."""
-    sets = {chosen, *_neighbours(where, chosen)}
-    scores = {s: where.score(s) for s in sets}
+    # (in an order that is the same in every run)
+    scores = {s: where.score(s) for s in (chosen, *_neighbours(where, chosen))}
     top = max(scores.values())
     weight = {s: math.exp(v - top) for s, v in scores.items()}
     norm = sum(weight.values())

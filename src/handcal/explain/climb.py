@@ -1,0 +1,440 @@
+"""The climb from a model to one that explains more: scan, take a step, fit again.
+
+One step, one function: it tells whether it changed anything, and the first that did ends the
+turn. The climb ends where none does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from handcal.effects import Effect, catalogue
+from handcal.evidence import reduce, reduced_pass
+from handcal.explain.alibi import without_alibi
+from handcal.explain.case import Case, applicable, frozen_at, name_of
+from handcal.explain.fit import Fitted, Model, fitted, moved_to, scan
+from handcal.explain.robust import inflation
+from handcal.explain.search import (
+    OCCAM_LEVEL,
+    PRIOR,
+    Space,
+    best_set,
+    gains,
+    priors,
+    rivals,
+    space,
+)
+from handcal.explain.unnamed import Term, best_term, reshaped
+from handcal.types import Array
+
+ROUNDS = 8
+# An effect whose gain is less than this is fitted without, to be sure.
+CLOSE = 20.0
+# Nats that a noise effect must gain beyond its own levels' freedom, at a first look.
+LOOK = 3.0
+MAX_TERMS = 3
+# A rival that would do so much of what an effect does is fitted in its place.
+NEARLY = 0.4
+MOST_SWAPS = 6
+# Nats below which an effect may be there for the sake of another's wrong name only.
+WEAK = 100.0
+# Nats below which a model that a scan promised to be better has come to nothing.
+LOST = 100.0
+# How many of the weakest are fitted without.
+FEW = 3
+# Log odds of what was fitted without and not missed.
+REFUSED = -1e6
+FAVOURED = 30.0
+# A common part of an exclusive effect that is so much larger than the rest is the simpler one.
+COMMON = 3.0
+MOMENTS = 16
+
+
+@dataclass
+class Climb:
+    """A model on its way up, and what was tried.
+
+    needed: terms without which the climb is of no use; late: the baseline with delays that no
+    scan of it would find. first, where: the first scan and the last; alone: what the catalogue's
+    effects gained in the first; noise: log-evidence gained by each noise effect in the model,
+    and stale: those for which that is out of date; swaps: (effect, rival) to the nats by which
+    the rival, fitted in its place, does worse. dropped: names of what was not missed, or with
+    which no fit holds; favoured: what an effect that holds more mostly is.
+    """
+
+    model: Model
+    needed: Sequence[Term]
+    late: Sequence[Model]
+    first: Space = field(init=False)
+    where: Space = field(init=False)
+    alone: dict[str, float] = field(init=False)
+    noise: dict[str, float] = field(default_factory=dict)
+    stale: set[str] = field(default_factory=set)
+    swaps: dict[tuple[str, str], float] = field(default_factory=dict)
+    dropped: set[str] = field(default_factory=set)
+    favoured: set[str] = field(default_factory=set)
+    visited: set[frozenset[str]] = field(default_factory=set)
+    ordered: set[tuple[str, frozenset[str]]] = field(default_factory=set)
+    shaped: set[str] = field(default_factory=set)
+    suspects: set[str] = field(default_factory=set)
+
+    def __post_init__(self) -> None:
+        self.kept = frozenset(self.model.ids)
+        self.unnamed = list(self.needed)
+
+    @property
+    def worth(self) -> float:
+        """What evidence counts for, at the last scan."""
+        return self.where.quadratic.worth
+
+
+def climbed(c: Climb, report: Callable[[float], None]) -> bool:
+    """Climb as far as it goes; False where that would begin without the terms needed."""
+    for turn in range(ROUNDS + 2 * MAX_TERMS):
+        report(min(0.95, 0.15 + 0.1 * turn))
+        c.where = _scanned(c)
+        if turn == 0:
+            c.first, c.alone = c.where, gains(c.where, frozenset())
+            if any(t.effect.id not in _favourite(c) for t in c.needed):
+                return False
+        if not any(step(c) for step in _STEPS):
+            break
+    return True
+
+
+def candidates(cases: Sequence[Case], present: Sequence[Effect]) -> list[Effect]:
+    """Effects with parameters that at least one recording could show; a step at every moment,
+    or near the moment where it is already."""
+    out: list[Effect] = []
+    t = cases[0].recording.imu.t
+    for effect in catalogue().values():
+        if effect.process is not None or effect.outliers:
+            continue
+        if not any(applicable(c, effect) for c in cases):
+            continue
+        if effect.moments is None:
+            out.append(effect)
+        elif len(cases) == 1:
+            grid = effect.moments(t)
+            grid = grid[:: max(1, math.ceil(len(grid) / MOMENTS))]
+            out += [frozen_at(effect, m) for m in _near(effect, grid, present)]
+    return out
+
+
+def _near(effect: Effect, grid: Array, present: Sequence[Effect]) -> Array:
+    """The grid of moments, with a finer one about the moment that is in the model."""
+    for e in present:
+        if name_of(e.id) == effect.id:
+            at, column = float(e.id.split("@")[1]), int(np.flatnonzero(grid[0])[0])
+            step = abs(grid[1, column] - grid[0, column]) if len(grid) > 1 else 1.0
+            fine = np.zeros((2 * 8 + 1, grid.shape[1]))
+            # halve the spacing each round; what is nearest stays in
+            width = step * (0.5 if _on(grid[:, column], at) else 0.1)
+            fine[:, column] = at + np.linspace(-width, width, len(fine))
+            return fine
+    return grid
+
+
+def _on(grid: Array, at: float) -> bool:
+    return bool(np.min(np.abs(grid - at)) < 2e-3)
+
+
+def _scanned(c: Climb) -> Space:
+    own = {e.id: e for e in c.model.effects}
+    cases = [f.case for f in c.model.parts]
+    terms = [t.effect for t in c.unnamed]
+    options = [own.get(e.id, e) for e in (*candidates(cases, c.model.effects), *terms)]
+    have = {e.id for e in options}
+    options += [e for e in c.model.effects if e.id not in have and e.process is None]
+    odds = priors(options) | {e.id: REFUSED for e in options if name_of(e.id) in c.dropped}
+    odds |= dict.fromkeys(c.favoured, FAVOURED)
+    return space(scan(c.model, options), options, odds)
+
+
+def _favourite(c: Climb) -> frozenset[str]:
+    """The set of effects that the last scan likes best."""
+    starts = (c.model.chosen, ())
+    return max((best_set(c.where, start) for start in starts), key=c.where.score)
+
+
+def _delay(c: Climb) -> bool:
+    """A delay that no scan finds, before anything else: it looks like many things."""
+    late, c.late = c.late, ()
+    for model in late:
+        if c.worth * (model.log_evidence - c.model.log_evidence) > -PRIOR:
+            c.model = model
+            return True
+    return False
+
+
+def _choose(c: Climb) -> bool:
+    """The effects that the scan likes best, fitted."""
+    now, chosen = c.model.chosen, _favourite(c)
+    if chosen == now or chosen in c.visited or _same(c.where, now, chosen):
+        return False
+    c.visited.add(chosen)
+    larger = _grown(c, chosen)
+    if larger is not None:
+        c.model = larger
+        c.swaps.clear()  # (they hold beside the same others only)
+    return True
+
+
+def _same(where: Space, now: frozenset[str], chosen: frozenset[str]) -> bool:
+    """Whether only a moment would move, for less than a nat."""
+    if {name_of(i) for i in now} != {name_of(i) for i in chosen}:
+        return False
+    return where.score(chosen) - where.score(now) < 1.0
+
+
+def _fit(c: Climb, chosen: frozenset[str]) -> Model:
+    processes = [e for e in c.model.effects if e.process is not None]
+    return fitted(c.model.parts, [*(c.where.effects[i] for i in sorted(chosen)), *processes])
+
+
+def _grown(c: Climb, chosen: frozenset[str]) -> Model | None:
+    """The model with the chosen effects, or with the best of those added if no fit with all of
+    them holds; an effect with which none does is not looked at again."""
+    now = c.model.chosen
+    for wanted in (chosen, *_singles(c.where, now, chosen)):
+        tried = _fit(c, wanted)
+        if tried.log_evidence > c.model.log_evidence - LOST:
+            return tried
+        if len(wanted - now) == 1:
+            c.dropped |= {name_of(i) for i in wanted - now}
+    return None
+
+
+def _singles(where: Space, now: frozenset[str], chosen: frozenset[str]) -> list[frozenset[str]]:
+    added = chosen - now
+    return [max((now | {i} for i in added), key=where.score)] if len(added) > 1 else []
+
+
+def _reshape(c: Climb) -> bool:
+    """A course over time or direction, chosen again."""
+    other = reshaped(c.model, c.unnamed, c.shaped)
+    c.model = other or c.model
+    return other is not None
+
+
+def _exchange(c: Climb) -> bool:
+    other = _exchanged(c)
+    c.model = other or c.model
+    return other is not None
+
+
+def _exchanged(c: Climb) -> Model | None:
+    """The model with an effect's closest rival in its place, if that fits better.
+
+    Two effects may be one to the first order (a low pass of the gyro, an early
+    accelerometer); about a fit with one of them the other cannot be judged, so it is fitted.
+    """
+    model, where = c.model, c.where
+    have = {name_of(i) for i in model.ids}
+    now = model.chosen
+    gained = gains(where, now)
+    for e in model.effects:
+        # (what was in the baseline is taken off the readings already)
+        if e.id not in now or e.id in c.kept or len(c.swaps) >= MOST_SWAPS:
+            continue
+        if gained[e.id] < -PRIOR:
+            continue
+        # what a rival would do of all that the effect does
+        near = {i: 1.0 + v / gained[e.id] for i, v in rivals(where, now, e.id).items()}
+        near = {i: v for i, v in near.items() if i in catalogue() and i != e.id}
+        near = {i: v for i, v in near.items() if v > NEARLY or akin(e.id, i)}
+        near = {i: v for i, v in near.items() if i not in have | c.dropped}
+        # (what holds this effect and more is not in its place, but beside it)
+        near = {i: v for i, v in near.items() if e.id not in catalogue()[i].exclusive}
+        near = {i: v for i, v in near.items() if (e.id, i) not in c.swaps}
+        if not near:
+            continue
+        rival = max(near, key=lambda i: near[i])
+        others = [x for x in model.effects if x.id != e.id]
+        tried = fitted(model.parts, [*others, catalogue()[rival]])
+        worse = c.worth * (model.log_evidence - tried.log_evidence)
+        c.swaps[e.id, rival], c.swaps[rival, e.id] = worse, -worse
+        if worse < 0.0:
+            return tried
+        # the wrong one of the two may need a weak third, which the right one does not
+        weakest = min((x for x in others if x.id in now), key=lambda x: gained[x.id], default=None)
+        if weakest is not None and worse < -2.0 * PRIOR and gained[weakest.id] < WEAK:
+            rest = [x for x in others if x is not weakest]
+            fewer = fitted(model.parts, [*rest, catalogue()[rival]])
+            if c.worth * (fewer.log_evidence - model.log_evidence) - PRIOR > 0.0:
+                return fewer
+    return None
+
+
+def akin(a: str, b: str) -> bool:
+    """Whether two effects are the same to the first order."""
+    known = catalogue()
+    return a in known and (b in known[a].akin or a in known[b].akin)
+
+
+def _reorder(c: Climb) -> bool:
+    """A filter or a delay on the other side of the other errors, if that fits
+    better: in the sensor they come one after the other, and nobody tells in which order."""
+    model = c.model
+    for e in model.effects:
+        key = e.id, frozenset(model.ids)
+        beside = [x for x in model.effects if x.imu_error is not None and x.id != e.id]
+        if e.imu_inverse is None or not beside or key in c.ordered:
+            continue
+        c.ordered.add(key)
+        turned = [replace(x, last=not x.last) if x is e else x for x in model.effects]
+        tried = fitted(model.parts, turned)
+        if tried.log_evidence > model.log_evidence:
+            c.model = tried
+            return True
+    return False
+
+
+def _add_noise(c: Climb) -> bool:
+    other = _noisier(c)
+    if other is None:
+        return False
+    c.model = other
+    c.visited.clear()
+    return True
+
+
+def _noisier(c: Climb) -> Model | None:
+    """The model with the noise effect that gains most, if one does; or the same fitted anew, if
+    that was what the noise effect gained by."""
+    best: Model | None = None
+    added: Effect | None = None
+    model, worth = c.model, c.worth
+    have = set(model.ids)
+    for effect in catalogue().values():
+        if effect.process is None or effect.id in have | c.dropped:
+            continue
+        if not any(applicable(f.case, effect) for f in model.parts):
+            continue
+        if not any(_worth_a_look(f, (*model.effects, effect), effect) for f in model.parts):
+            continue
+        tried = fitted(model.parts, (*model.effects, effect), noise_rounds=1)
+        gain = worth * (tried.log_evidence - model.log_evidence)
+        gain -= OCCAM_LEVEL * len(effect.levels)
+        if gain + PRIOR > 0.0 and (best is None or tried.log_evidence > best.log_evidence):
+            best, added = tried, effect
+    if best is None or added is None:
+        return None
+    without = fitted(best.parts, model.effects, noise_rounds=1)
+    if without.log_evidence < model.log_evidence:
+        without = model
+    gain = worth * (best.log_evidence - without.log_evidence) - OCCAM_LEVEL * len(added.levels)
+    if gain + PRIOR <= 0.0:
+        return without if without is not model else None
+    c.noise[added.id] = gain
+    return best
+
+
+def _worth_a_look(f: Fitted, effects: Sequence[Effect], effect: Effect) -> bool:
+    """Whether the evidence rises with this noise at one of a few sizes, all else kept."""
+    here = reduced_pass(reduce(f.linear), f.levels).log_evidence
+    wide = moved_to(f, effects)
+    reduction = reduce(wide.linear)
+    for scale in (0.1, 1.0, 3.0):
+        levels = dict(wide.levels)
+        levels[effect.levels[0].name] = scale * effect.levels[0].initial
+        if reduced_pass(reduction, levels).log_evidence > here + LOOK:
+            return True
+    return False
+
+
+def _thin(c: Climb) -> bool:
+    other = _leaner(c)
+    if other is None:
+        return False
+    c.dropped |= {name_of(i) for i in set(c.model.ids) - set(other.ids)}
+    c.model = other
+    return True
+
+
+def _leaner(c: Climb) -> Model | None:
+    """The model without an effect that it does not miss when all else is fitted again."""
+    model, where = c.model, c.where
+    gained = gains(where, model.chosen)
+    excess = inflation(model)
+    last = {i: 0.0 if i in c.stale else v for i, v in c.noise.items()}
+    weakest = sorted(model.effects, key=lambda e: gained.get(e.id, last.get(e.id, 0.0)))
+    for e in weakest[:FEW]:
+        rest = [x for x in model.effects if x.id != e.id]
+        if e.process is None:
+            more = max(1.0, excess[e.id] * c.worth)
+            if gained[e.id] / more + where.prior[e.id] < 0.0:
+                return fitted(model.parts, rest)
+            if gained[e.id] > CLOSE:
+                continue
+        elif last.get(e.id, 0.0) > 10.0 * CLOSE:
+            continue
+        without = fitted(model.parts, rest)
+        occam = OCCAM_LEVEL * len(e.levels) if e.process is not None else 0.0
+        prior = where.prior.get(e.id, PRIOR)
+        gain = c.worth * (model.log_evidence - without.log_evidence) - occam
+        if e.process is not None:
+            c.noise[e.id] = gain
+            c.stale.discard(e.id)
+        if gain + prior < 0.0:
+            c.noise.pop(e.id, None)
+            return without
+    return None
+
+
+def _free(c: Climb) -> bool:
+    """What noise stands in for, in its place."""
+    other = without_alibi(c.model, c.worth, c.suspects)
+    if other is None:
+        return False
+    c.dropped -= {name_of(i) for i in other.ids}
+    c.model = other
+    c.visited.clear()
+    return True
+
+
+def _split(c: Climb) -> bool:
+    simple = _held_too(c.model, c.where) if len(c.unnamed) < MAX_TERMS else None
+    if simple is None:
+        return False
+    c.favoured.add(simple)
+    c.visited.clear()
+    return True
+
+
+def _held_too(model: Model, where: Space) -> str | None:
+    """The simpler effect that an exclusive one mostly is (an arm that all axes share).
+
+    Alone, the larger effect holds the simpler one too, and evidence hardly tells whether they
+    are one or two; where the common part is by far the larger, they are two.
+    """
+    for e in model.effects:
+        if e.together is None or set(e.exclusive) & set(model.ids):
+            continue
+        u = model.u[[i for i, n in enumerate(model.quadratic.names) if n[0] == e.id]]
+        own = e.together @ u
+        simple = next((i for i in e.exclusive if i in where.effects), None)
+        if simple and np.linalg.norm(u - own) > COMMON * np.linalg.norm(own):
+            return simple
+    return None
+
+
+def _name_term(c: Climb) -> bool:
+    """A term that nobody named, beside all that was found."""
+    term = best_term(c.model, refused=c.dropped) if len(c.unnamed) < MAX_TERMS else None
+    if term is None:
+        return False
+    c.unnamed.append(term)
+    c.visited.clear()
+    c.stale |= set(c.noise)  # (what noise effects gained was weighed without the term)
+    return True
+
+
+# The cheap ones first; nothing is taken away or left without a name before all else rests.
+_STEPS = (
+    _delay, _choose, _reshape, _exchange, _reorder, _add_noise, _thin, _free, _split, _name_term,
+)  # fmt: skip
