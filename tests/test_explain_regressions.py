@@ -17,7 +17,7 @@ from handcal.explain import Explanation, case, climb, explain, fit, outliers
 from handcal.explain.fit import EXCESS, Model, fitted, moved_to, scan, started
 from handcal.explain.quadratic import posterior
 from handcal.types import InputError, Recording, Series
-from handcal_sim import simulate
+from handcal_sim import prove_draw, simulate
 from handcal_sim.motion import Start
 from handcal_sim.phone import (
     Clocking,
@@ -224,6 +224,21 @@ def test_outliers_that_point_the_right_way_by_chance_are_counted() -> None:
         (wrong,) = [m for m in found.missing if m.effect == "heading_outliers"]
         off.append((wrong.parameters[0].value - 0.15) / wrong.parameters[0].sigma)
     assert sum(z * z for z in off) < 16.3  # 999 of 1000
+
+
+# --- what is the same to the first order -------------------------------------------------------
+
+
+def test_a_slow_gyro_is_no_early_heading() -> None:
+    """Turning about one axis, the heading seems early by as much. It was named, since a scan
+    about a gyro without lag sees a third of what the lag does."""
+    given = prove_draw.Circumstances(
+        "z-turn", 93.4, 106, sway=1.913, noise=0.723, heading_sigma_deg=2.33, heading_hz=75.0,
+        mag=False, pose=False, thermometer=False, warming_K=3.56, seed=2382910868846861224,
+    )  # fmt: skip
+    world = prove_draw.simulated(given, {"gyro_bandwidth": [0.02619]})
+    found = explain([recording_of(world, "heading")])
+    assert names(found) == ["gyro_bandwidth"]
 
 
 # --- fits that lead nowhere --------------------------------------------------------------------

@@ -9,9 +9,12 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from worlds import recording_of
 
 from handcal.effects import Effect, Param, catalogue, select
 from handcal.explain import climb
+from handcal.explain.case import case_of
+from handcal.explain.fit import fitted, started
 from handcal.explain.quadratic import Quadratic
 from handcal.explain.search import (
     PRIOR,
@@ -24,6 +27,7 @@ from handcal.explain.search import (
     space,
 )
 from handcal.types import Array
+from handcal_sim import simulate
 
 
 def _effect(name: str, parameters: int, positive: bool = False) -> Effect:
@@ -259,3 +263,16 @@ def test_effects_that_are_one_to_the_first_order_know_each_other() -> None:
     assert not climb.akin("gyro_scale", "accel_delay")
     for effect in catalogue().values():
         assert set(effect.akin) <= set(catalogue())
+
+
+def test_a_hand_that_turns_about_no_single_point_is_no_size_effect() -> None:
+    """Where only the held point tells where the device was, real hands show some of it; a pose
+    is not fooled."""
+    held = simulate("free-hand", seed=0, duration_s=20.0)
+    odds = {}
+    for stream in ("heading", "pose"):
+        case = case_of(recording_of(held, stream))
+        c = climb.Climb(fitted([started(case)], ()), (), ())
+        odds[stream] = climb._scanned(c).prior["size_effect"]
+    assert odds["pose"] == PRIOR
+    assert odds["heading"] == PRIOR - catalogue()["size_effect"].imitated < PRIOR - 10.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -40,3 +41,22 @@ def test_a_hand_held_imu_against_motion_capture(real_recordings: Path):
     lag = value.get("gyro_bandwidth", 0.0)
     assert value["pose_delay"] - lag == pytest.approx(-0.0041, abs=0.0015)
     assert value.get("accel_delay", 0.0) - lag == pytest.approx(-0.0016, abs=0.0015)
+
+
+def test_a_real_hand_that_holds_no_point_has_no_size_effect(real_recordings: Path):
+    """Seventy seconds in the hand without the pose, which knows that there is none: 13 nats of it
+    were named beside the arm of the hand."""
+    whole = load(real_recordings / "broad_01_slow_rotation.mcap")
+    begin, end = whole.imu.t[0] + 25.0, whole.imu.t[0] + 95.0
+    inside = (whole.imu.t >= begin) & (whole.imu.t <= end)
+    imu = replace(
+        whole.imu,
+        **{name: getattr(whole.imu, name)[inside] for name in ("t", "gyro", "accel", "valid")},
+    )
+    mag = whole.streams["mag"]
+    seen = (mag.t >= begin) & (mag.t <= end)
+    streams = {"mag": replace(mag, t=mag.t[seen], value=mag.value[seen])}
+    found = explain([replace(whole, imu=imu, streams=streams)])
+    print(found.verdict, [m.effect for m in found.missing])
+    assert {"lever_arm", "gyro_scale"} <= {m.effect for m in found.missing}
+    assert "size_effect" not in {m.effect for m in found.missing}

@@ -31,7 +31,7 @@ def _context(e: Explanation) -> dict[str, Any]:
     return {
         "names": words.listed(names) if names else "nothing",
         "version": handcal.__version__,
-        "assumed": list(dict.fromkeys(words.assume_sentence(r.assume) for r in e.recordings)),
+        "assumed": say.assumptions(e),
         "verdict": say.verdict(e),
         "facts": _facts(e),
         "mismatch": [
@@ -115,7 +115,7 @@ def _card(m: Missing, e: Explanation, styles: dict[str, tuple[str, Any]]) -> dic
 def _hypothesis(h: Hypothesis) -> dict[str, str]:
     said = {"named": "present", "set": "one of a set"}.get(h.verdict, "")
     return {"title": h.title, "alone": say.number(h.alone), "final": say.number(h.final),
-            "expected": say.number(h.expected), "probability": say.percent(h.probability),
+            "expected": say.number(max(h.expected, 0.0)), "probability": say.percent(h.probability),
             "verdict": said}  # fmt: skip
 
 

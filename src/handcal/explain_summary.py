@@ -168,7 +168,7 @@ def print_explanation(explanation: Explanation, console: Console) -> None:
             f"[bold]{escape(r.recording.path)}[/]  {r.recording.duration_s:.1f} s at "
             f"{say.rate(r)}; {words.counted(len(r.rests), 'rest')}"
         )
-    for assumed in dict.fromkeys(words.assume_sentence(r.assume) for r in e.recordings):
+    for assumed in say.assumptions(e):
         line(assumed, 0, "dim")
     console.print()
     line(judged.headline, 0, f"bold {colour}")
@@ -260,7 +260,8 @@ def _hypothesis_table(e: Explanation, count: int) -> Any:
     styles = {"named": "bold green", "set": "yellow"}
     for h in _top(e, count):
         mark = {"named": "●", "set": "◐"}.get(h.verdict, "")
-        row = (escape(h.title), say.number(h.alone), say.number(h.final), say.number(h.expected),
+        promised = say.number(max(h.expected, 0.0))
+        row = (escape(h.title), say.number(h.alone), say.number(h.final), promised,
                say.percent(h.probability))  # fmt: skip
         table.add_row(mark, *row, style=styles.get(h.verdict, ""))
     return table

@@ -72,6 +72,12 @@ def number(value: float) -> str:
     return text.replace("-", "−") if float(text.replace(",", "")) else text.replace("-", "")
 
 
+def assumptions(explanation: Explanation) -> list[str]:
+    """What was taken for granted, each sentence once."""
+    own = (words.assume_sentence(r.assume, r.recording.streams) for r in explanation.recordings)
+    return list(dict.fromkeys(own))
+
+
 def rate(explained: Explained) -> str:
     """ "100 Hz", "400 Hz (averaged to 100)"."""
     used = explained.recording.rate_hz
@@ -375,7 +381,8 @@ def untold(explanation: Explanation) -> list[str]:
     if weak:
         names = listed([words.parameter_title(p) for p in weak])
         sentences.append(
-            f"{names} is part of what is missing, but was not learnt from this motion."
+            f"{names} {'is' if len(weak) == 1 else 'are'} part of what is missing, but "
+            f"{'was' if len(weak) == 1 else 'were'} not learnt from this motion."
         )
     return sentences
 

@@ -55,7 +55,7 @@ def _context(result: Result) -> dict[str, Any]:
         "name": Path(recording.path).name,
         "version": handcal.__version__,
         "streams": ", ".join(["IMU", *map(words.stream_title, recording.streams)]),
-        "assumed": words.assume_sentence(result.assume),
+        "assumed": words.assume_sentence(result.assume, recording.streams),
         "verdict": words.verdict(result),
         "facts": facts,
         "groups": _rows(result),

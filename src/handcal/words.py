@@ -195,8 +195,12 @@ def kind_title(kind: str) -> str:
     return kind_name(kind).replace("_", " ")
 
 
-def assume_sentence(assume: str) -> str:
-    """What the filter took for granted about the hand."""
+def assume_sentence(assume: str, streams: Iterable[str] = ()) -> str:
+    """What the filter took for granted about the hand, with these streams beside the IMU's."""
+    if "reference" in streams:
+        return "Nothing was assumed of the hand: the reference tells how it moved."
+    if "pose" in streams and assume == "fixed-point":
+        return "Nothing was assumed of the hand: the pose tells where it was."
     return f"It was assumed that {_ASSUME.get(assume, assume)}."
 
 

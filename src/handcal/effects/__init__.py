@@ -105,6 +105,7 @@ class Effect:
     together: Array | None = None
     last: bool = True
     akin: tuple[str, ...] = ()
+    imitated: float = 0.0
 
     @property
     def prior_sigma(self) -> Array:

@@ -69,5 +69,5 @@ EFFECT = Effect(
     validated="the simulator's injection",
     imu_error=imu_error,
     imu_inverse=imu_inverse,
-    akin=("accel_delay",),
+    akin=("accel_delay", "heading_delay"),
 )

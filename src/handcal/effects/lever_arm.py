@@ -43,7 +43,8 @@ EFFECT = Effect(
     id="lever_arm",
     title="Lever arm",
     parameters=(Param("x", "m", 0.1), Param("y", "m", 0.1), Param("z", "m", 0.1)),
-    story="The sensor sits beside the point about which the device turns, and swings around it.",
+    story="The sensor sits beside the point whose motion is known (where the hand turns the "
+    "device, a marker, another sensor), and swings around it.",
     source="rigid-body kinematics; paper 003, equation 1",
     motion="Turns about at least two axes; the faster, the sharper.",
     validated="three turns simulated with 200 seeds; motion capture of a hand-held IMU",

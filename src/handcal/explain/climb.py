@@ -150,7 +150,10 @@ def _scanned(c: Climb) -> Space:
     options = [own.get(e.id, e) for e in (*candidates(cases, c.model.effects), *terms)]
     have = {e.id for e in options}
     options += [e for e in c.model.effects if e.id not in have and e.process is None]
-    odds = priors(options) | {e.id: REFUSED for e in options if name_of(e.id) in c.dropped}
+    odds = priors(options)
+    if any("fixed_position" in case.kinds for case in cases):
+        odds |= {e.id: PRIOR - e.imitated for e in options if e.imitated > 0.0}
+    odds |= {e.id: REFUSED for e in options if name_of(e.id) in c.dropped}
     odds |= dict.fromkeys(c.favoured, FAVOURED)
     return space(scan(c.model, options), options, odds)
 

@@ -167,7 +167,7 @@ def _bump_formula(n: Array) -> str:
 
 
 def _while_formula(n: Array) -> str:
-    return f"(t from {n[0]:.3g} s to {n[1]:.3g} s)"
+    return f"(t from {_edge(n, 0)} s to {_edge(n, 1)} s)"
 
 
 def _swing_formula(n: Array) -> str:
@@ -187,7 +187,13 @@ def _bump_words(n: Array) -> str:
 
 
 def _while_words(n: Array) -> str:
-    return f"It was there from {n[0]:.0f} s to {n[1]:.0f} s only."
+    return f"It was there from {_edge(n, 0)} s to {_edge(n, 1)} s only."
+
+
+def _edge(n: Array, k: int) -> str:
+    """One of two moments, with as many digits as tell them apart."""
+    digits = max(0, math.ceil(-math.log10(max(float(n[1] - n[0]), 1e-6)))) + 1
+    return f"{n[k]:.{digits}f}"
 
 
 def _swing_words(n: Array) -> str:
