@@ -229,6 +229,7 @@ def test_outliers_that_point_the_right_way_by_chance_are_counted() -> None:
 # --- what is the same to the first order -------------------------------------------------------
 
 
+@pytest.mark.prove
 def test_a_slow_gyro_is_no_early_heading() -> None:
     """Turning about one axis, the heading seems early by as much. It was named, since a scan
     about a gyro without lag sees a third of what the lag does."""
@@ -239,6 +240,20 @@ def test_a_slow_gyro_is_no_early_heading() -> None:
     world = prove_draw.simulated(given, {"gyro_bandwidth": [0.02619]})
     found = explain([recording_of(world, "heading")])
     assert names(found) == ["gyro_bandwidth"]
+
+
+@pytest.mark.parametrize(
+    "seed", [2, *(pytest.param(k, marks=pytest.mark.prove) for k in (0, 1, 3))]
+)
+def test_what_only_sway_tells_apart_is_one_set(seed: int) -> None:
+    """A slow gyro or an early accelerometer, in a turn about one axis: evidence is for one of
+    them by seven nats with this hand (seed 2), whichever it is."""
+    world = simulate(
+        "z-turn", seed=seed, duration_s=90.0, phone=slow, effects={"gyro_bandwidth": [0.026]}
+    )
+    found = explain([recording_of(world, "heading")])
+    sets = [{m.effect, *m.indistinguishable_from} for m in found.missing]
+    assert all("gyro_bandwidth" in s for s in sets)
 
 
 # --- fits that lead nowhere --------------------------------------------------------------------

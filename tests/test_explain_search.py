@@ -28,6 +28,7 @@ from handcal.explain.search import (
 )
 from handcal.types import Array
 from handcal_sim import simulate
+from handcal_sim.phone import Phone, capture_pose, consumer_phone
 
 
 def _effect(name: str, parameters: int, positive: bool = False) -> Effect:
@@ -261,6 +262,7 @@ def test_effects_that_are_one_to_the_first_order_know_each_other() -> None:
     assert climb.akin("gyro_bandwidth", "accel_delay")
     assert climb.akin("accel_delay", "gyro_bandwidth")
     assert not climb.akin("gyro_scale", "accel_delay")
+    assert not climb.akin("accel_delay", "gyro_bias_step@4.500")
     for effect in catalogue().values():
         assert set(effect.akin) <= set(catalogue())
 
@@ -268,7 +270,11 @@ def test_effects_that_are_one_to_the_first_order_know_each_other() -> None:
 def test_a_hand_that_turns_about_no_single_point_is_no_size_effect() -> None:
     """Where only the held point tells where the device was, real hands show some of it; a pose
     is not fooled."""
-    held = simulate("free-hand", seed=0, duration_s=20.0)
+
+    def tracked(rng: np.random.Generator) -> Phone:
+        return replace(consumer_phone(rng), pose=capture_pose(rng))
+
+    held = simulate("free-hand", seed=0, duration_s=20.0, phone=tracked)
     odds = {}
     for stream in ("heading", "pose"):
         case = case_of(recording_of(held, stream))

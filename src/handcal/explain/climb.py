@@ -275,8 +275,8 @@ def _exchanged(c: Climb) -> Model | None:
 
 def akin(a: str, b: str) -> bool:
     """Whether two effects are the same to the first order."""
-    known = catalogue()
-    return a in known and (b in known[a].akin or a in known[b].akin)
+    one, other = catalogue().get(a), catalogue().get(b)
+    return one is not None and other is not None and (b in one.akin or a in other.akin)
 
 
 def _reorder(c: Climb) -> bool:

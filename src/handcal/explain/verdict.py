@@ -13,6 +13,7 @@ from handcal.effects import Effect, catalogue, mag_hard_iron
 from handcal.evidence import reduce, reduced_pass
 from handcal.explain import held, locate, outliers, parameters
 from handcal.explain.case import Case, case_of, name_of, without_iron
+from handcal.explain.climb import akin
 from handcal.explain.creep import creeping
 from handcal.explain.explanation import (
     Evidence,
@@ -50,6 +51,9 @@ Progress = Callable[[float], None]
 NAMED = 0.9
 RIVAL = 0.05
 CERTAIN = 0.999999
+# Between two that are the same to the first order, evidence swings by as much as seven nats
+# with the hand's sway, whichever of them is there; it counts that much less.
+ALIKE = 3.0
 # Unnamed terms that hold less than this share of what the named effects do are a remark.
 LEFT = 0.02
 # Nats below which a recording does not promise to show an effect of the usual size.
@@ -276,6 +280,7 @@ def _set(found: Found, chosen: frozenset[str], effect: str) -> tuple[list[str], 
     scores = {i: s for i, s in scores.items() if "+=" not in i}
     swaps = found.swaps.items()
     scores |= {r: -worse for (e, r), worse in swaps if e == effect and r not in chosen}
+    scores |= {r: s / ALIKE for r, s in scores.items() if akin(effect, r)}
     total = sum(math.exp(min(s, 50.0)) for s in scores.values())
     shares = {i: math.exp(min(s, 50.0)) / total for i, s in scores.items()}
     by_name: dict[str, float] = {}
