@@ -135,6 +135,26 @@ def test_a_clock_that_runs_fast_beside_a_reference(ppm: float) -> None:
     assert abs(parameter.value - ppm) < 4.0 * parameter.sigma
 
 
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.prove)])
+def test_noise_of_a_faster_reference_sets_no_clock(seed: int) -> None:
+    """A polynomial through three moments has less noise at some times than at others; the clock
+    was set to those, 10 to 17 % off (14 sigma), with false delays to make up for it."""
+
+    def faster(rng: np.random.Generator) -> Phone:
+        phone = with_rate(beside(rng), 95.0)
+        assert phone.reference is not None
+        clocking = replace(phone.reference.clocking, rate_hz=237.0)
+        return replace(phone, reference=replace(phone.reference, clocking=clocking))
+
+    world = simulate(
+        "free-hand", seed=seed, phone=faster, duration_s=35.0, effects={"clock_rate": [100.0]}
+    )
+    found = explain([recording_of(world, "reference")])
+    assert [m.effect for m in found.missing] == ["clock_rate"]
+    (parameter,) = found.missing[0].parameters
+    assert abs(parameter.value - 100.0) < 4.0 * parameter.sigma
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_noise_of_the_reference_makes_no_arm_shorter(seed: int) -> None:
     """Slow turns: of the angular acceleration a tenth was noise, and an arm 14 sigma off."""

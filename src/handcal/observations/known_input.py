@@ -163,7 +163,10 @@ class Matched:
 
     def known(self, t: Array, derivative: int = 0) -> Array:
         """Rate and force (n, 6) of the reference, or derivatives of them, in the IMU's axes."""
-        value = self.reference(t, derivative)
+        return self.turned(self.reference(t, derivative))
+
+    def turned(self, value: Array) -> Array:
+        """Of the reference's axes (n, 6) into the IMU's."""
         return np.hstack([value[:, :3] @ self.R.T, value[:, 3:] @ self.R.T])
 
 
@@ -225,17 +228,24 @@ def read_at(recording: Recording, t: Array) -> Array:
 
 
 def _rows(recording: Recording, scene: Scene) -> Rows | None:
+    from scipy.interpolate import CubicSpline
+
     both = matched(recording, scene)
     if both is None:
         return None
     t = _thinned(both.t[both.sound], recording, scene)
     reach = CLOCK_REACH * (t - recording.imu.t[0])
-    first, last = both.reference.x[0], both.reference.x[-1]
-    beside = [np.clip(t + sign * reach, first, last) for sign in (-1.0, 1.0)]
-    z = [both.known(t), both.known(t, 1)]
-    z += [both.known(at, k) for k in (0, 1) for at in beside]
     own, imu = recording.streams["reference"], recording.imu
-    alpha = quiet_derivative(own.t, own.value[:, :3], imu.t) @ both.R.T
+    # What a moment earlier or later was read is what is read now and the motion in between: of
+    # noise, there is less at some moments than at others, and a clock would be set to those.
+    slope = CubicSpline(own.t, quiet_derivative(own.t, own.value, own.t))
+    motion = slope.antiderivative()
+    beside = [np.clip(t + sign * reach, own.t[0], own.t[-1]) for sign in (-1.0, 1.0)]
+    now = both.known(t)
+    z = [now, both.turned(slope(t))]
+    z += [now + both.turned(motion(at) - motion(t)) for at in beside]
+    z += [both.turned(slope(at)) for at in beside]
+    alpha = both.turned(slope(np.clip(imu.t, own.t[0], own.t[-1])))[:, :3]
     here = alpha[np.searchsorted(imu.t, t)]
     return Rows(t, np.hstack([*z, reach[:, None], here]), alpha=alpha)
 
