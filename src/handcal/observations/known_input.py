@@ -42,6 +42,8 @@ GAP, NEAR = 1.6, 3
 MEMORY_S = 1e-3
 SLOWEST = 0.01
 LEAST_TURN = 0.05
+# As long before an end slopes are read off the samples themselves, s.
+ENDS_S = 0.2
 # How well the stamps of the two sensors belong together, s.
 STAMPED = 3e-5
 # The times that a clock might be off by, as a share of the time since the start.
@@ -238,7 +240,11 @@ def _rows(recording: Recording, scene: Scene) -> Rows | None:
     own, imu = recording.streams["reference"], recording.imu
     # What a moment earlier or later was read is what is read now and the motion in between: of
     # noise, there is less at some moments than at others, and a clock would be set to those.
-    slope = CubicSpline(own.t, quiet_derivative(own.t, own.value, own.t))
+    quiet = quiet_derivative(own.t, own.value, own.t)
+    # (a filter that goes on before the beginning and after the end rings there)
+    ends = np.minimum(own.t - own.t[0], own.t[-1] - own.t) < ENDS_S
+    quiet[ends] = both.reference(own.t[ends], 1)
+    slope = CubicSpline(own.t, quiet)
     motion = slope.antiderivative()
     beside = [np.clip(t + sign * reach, own.t[0], own.t[-1]) for sign in (-1.0, 1.0)]
     now = both.known(t)
