@@ -115,7 +115,7 @@ def _card(m: Missing, e: Explanation, styles: dict[str, tuple[str, Any]]) -> dic
 def _hypothesis(h: Hypothesis) -> dict[str, str]:
     said = {"named": "present", "set": "one of a set"}.get(h.verdict, "")
     return {"title": h.title, "alone": say.number(h.alone), "final": say.number(h.final),
-            "expected": say.number(max(h.expected, 0.0)), "probability": say.percent(h.probability),
+            "expected": say.promised(h), "probability": say.percent(h.probability),
             "verdict": said}  # fmt: skip
 
 

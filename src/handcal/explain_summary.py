@@ -260,8 +260,7 @@ def _hypothesis_table(e: Explanation, count: int) -> Any:
     styles = {"named": "bold green", "set": "yellow"}
     for h in _top(e, count):
         mark = {"named": "●", "set": "◐"}.get(h.verdict, "")
-        promised = say.number(max(h.expected, 0.0))
-        row = (escape(h.title), say.number(h.alone), say.number(h.final), promised,
+        row = (escape(h.title), say.number(h.alone), say.number(h.final), say.promised(h),
                say.percent(h.probability))  # fmt: skip
         table.add_row(mark, *row, style=styles.get(h.verdict, ""))
     return table

@@ -72,6 +72,11 @@ def number(value: float) -> str:
     return text.replace("-", "−") if float(text.replace(",", "")) else text.replace("-", "")
 
 
+def promised(hypothesis: Hypothesis) -> str:
+    """What an effect of the usual size would gain; less than nothing is nothing."""
+    return number(max(hypothesis.expected, 0.0))
+
+
 def assumptions(explanation: Explanation) -> list[str]:
     """What was taken for granted, each sentence once."""
     own = (words.assume_sentence(r.assume, r.recording.streams) for r in explanation.recordings)

@@ -184,7 +184,6 @@ class Score:
         by_R = np.bincount(reduction.slot, slopes.R, len(problem.observations) * MAX_DIM)
         out = np.zeros(len(self.names))
         for i, name in enumerate(self.names):
-            up, down = _stepped(name, levels)
             if name in self.moving:
                 # (one-sided: the search's curvatures are of order 100, its tolerance 0.01)
                 out[i] = (above[name] - done.log_evidence) / STEP
@@ -192,6 +191,7 @@ class Score:
             if name in SENSORS:
                 out[i] = 2.0 * levels[name] ** 2 * slopes.densities[int(name == "accel_noise")]
                 continue
+            up, down = _stepped(name, levels)
             R = observation_variances(problem, up) - observation_variances(problem, down)
             out[i] = by_R @ R.ravel() / (2 * STEP)
             if name in self.driving:

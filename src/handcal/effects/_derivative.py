@@ -14,6 +14,8 @@ REACH_S = 0.01
 # Of a spectrum: samples taken at a time, from which share of the highest frequency on it is noise,
 # and by how many standard deviations power must exceed that to be motion.
 SEGMENT, NOISE_FROM, SURE = 256, 0.8, 1.0
+# As near to an end a slope is read off the samples themselves, s.
+ENDS_S = 0.2
 
 
 @cache
@@ -67,7 +69,8 @@ def quiet_derivative(t: Array, x: Array, at: Array) -> Array:
         return np.full((len(at), x.shape[1]), np.nan)
     step = float(np.median(np.diff(t)))
     even = np.arange(t[0], t[-1] + 0.5 * step, step)
-    value = CubicSpline(t, x)(np.minimum(even, t[-1]))
+    spline = CubicSpline(t, x)
+    value = spline(np.minimum(even, t[-1]))
     trend = np.linspace(0.0, 1.0, len(even))[:, None] * (value[-1] - value[0])
     count = 1 << (len(even) - 1).bit_length()
     # (what is left begins and ends alike; zeros behind it keep the ends apart)
@@ -81,4 +84,8 @@ def quiet_derivative(t: Array, x: Array, at: Array) -> Array:
     gain = np.stack([np.interp(f, bins, kept[:, i]) for i in range(x.shape[1])], axis=1)
     slope = np.fft.irfft(spectrum * gain * (2j * np.pi * f)[:, None], axis=0)[: len(even)]
     slope += (value[-1] - value[0]) / (even[-1] - even[0])
-    return np.asarray(CubicSpline(even, slope)(np.clip(at, even[0], even[-1])))
+    out = np.asarray(CubicSpline(even, slope)(np.clip(at, even[0], even[-1])))
+    # (the filter goes on before the beginning and after the end, and rings there)
+    ends = np.minimum(at - t[0], t[-1] - at) < ENDS_S
+    out[ends] = spline(at[ends], 1)
+    return out

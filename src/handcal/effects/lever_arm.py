@@ -8,7 +8,7 @@ from handcal._jit import residual_function
 from handcal.effects import Effect, Param
 
 # Where z of a reference has its angular acceleration (3,), rad/s^2.
-ALPHA = 37
+ALPHA = 6
 
 
 def _position(nav: Any, r: Any, z: Any, out: Any) -> int:  # noqa: ARG001

@@ -1,7 +1,7 @@
 """The climb from a model to one that explains more: scan, take a step, fit again.
 
-One step, one function: it tells whether it changed anything, and the first that did ends the
-turn. The climb ends where none does.
+One step, one function: it returns the model to go on from, or None where there is nothing to
+do, and the first that does something ends the turn. The climb ends where none does.
 """
 
 from __future__ import annotations
@@ -101,8 +101,10 @@ def climbed(c: Climb, report: Callable[[float], None]) -> bool:
             c.first, c.alone = c.where, gains(c.where, frozenset())
             if any(t.effect.id not in _favourite(c) for t in c.needed):
                 return False
-        if not any(step(c) for step in _STEPS):
+        model = next((m for step in _STEPS if (m := step(c)) is not None), None)
+        if model is None:
             break
+        c.model = model
     return True
 
 
@@ -164,27 +166,26 @@ def _favourite(c: Climb) -> frozenset[str]:
     return max((best_set(c.where, start) for start in starts), key=c.where.score)
 
 
-def _delay(c: Climb) -> bool:
+def _delay(c: Climb) -> Model | None:
     """A delay that no scan finds, before anything else: it looks like many things."""
     late, c.late = c.late, ()
     for model in late:
         if c.worth * (model.log_evidence - c.model.log_evidence) > -PRIOR:
-            c.model = model
-            return True
-    return False
+            return model
+    return None
 
 
-def _choose(c: Climb) -> bool:
-    """The effects that the scan likes best, fitted."""
+def _choose(c: Climb) -> Model | None:
+    """The effects that the scan likes best, fitted, if such a fit holds."""
     now, chosen = c.model.chosen, _favourite(c)
     if chosen == now or chosen in c.visited or _same(c.where, now, chosen):
-        return False
+        return None
     c.visited.add(chosen)
     larger = _grown(c, chosen)
-    if larger is not None:
-        c.model = larger
-        c.swaps.clear()  # (they hold beside the same others only)
-    return True
+    if larger is None:
+        return c.model
+    c.swaps.clear()  # (they hold beside the same others only)
+    return larger
 
 
 def _same(where: Space, now: frozenset[str], chosen: frozenset[str]) -> bool:
@@ -217,20 +218,12 @@ def _singles(where: Space, now: frozenset[str], chosen: frozenset[str]) -> list[
     return [max((now | {i} for i in added), key=where.score)] if len(added) > 1 else []
 
 
-def _reshape(c: Climb) -> bool:
+def _reshape(c: Climb) -> Model | None:
     """A course over time or direction, chosen again."""
-    other = reshaped(c.model, c.unnamed, c.shaped)
-    c.model = other or c.model
-    return other is not None
+    return reshaped(c.model, c.unnamed, c.shaped)
 
 
-def _exchange(c: Climb) -> bool:
-    other = _exchanged(c)
-    c.model = other or c.model
-    return other is not None
-
-
-def _exchanged(c: Climb) -> Model | None:
+def _exchange(c: Climb) -> Model | None:
     """The model with an effect's closest rival in its place, if that fits better.
 
     Two effects may be one to the first order (a low pass of the gyro, an early
@@ -279,9 +272,9 @@ def akin(a: str, b: str) -> bool:
     return one is not None and other is not None and (b in one.akin or a in other.akin)
 
 
-def _reorder(c: Climb) -> bool:
-    """A filter or a delay on the other side of the other errors, if that fits
-    better: in the sensor they come one after the other, and nobody tells in which order."""
+def _reorder(c: Climb) -> Model | None:
+    """A filter or a delay on the other side of the other errors, if that fits better: in the
+    sensor they come one after the other, and nobody tells in which order."""
     model = c.model
     for e in model.effects:
         key = e.id, frozenset(model.ids)
@@ -292,33 +285,25 @@ def _reorder(c: Climb) -> bool:
         turned = [replace(x, last=not x.last) if x is e else x for x in model.effects]
         tried = fitted(model.parts, turned)
         if tried.log_evidence > model.log_evidence:
-            c.model = tried
-            return True
-    return False
+            return tried
+    return None
 
 
-def _add_noise(c: Climb) -> bool:
-    other = _noisier(c)
-    if other is None:
-        return False
-    c.model = other
-    c.visited.clear()
-    return True
-
-
-def _noisier(c: Climb) -> Model | None:
+def _add_noise(c: Climb) -> Model | None:
     """The model with the noise effect that gains most, if one does; or the same fitted anew, if
     that was what the noise effect gained by."""
     best: Model | None = None
     added: Effect | None = None
     model, worth = c.model, c.worth
     have = set(model.ids)
+    here = [reduced_pass(reduce(f.linear), f.levels).log_evidence for f in model.parts]
     for effect in catalogue().values():
         if effect.process is None or effect.id in have | c.dropped:
             continue
         if not any(applicable(f.case, effect) for f in model.parts):
             continue
-        if not any(_worth_a_look(f, (*model.effects, effect), effect) for f in model.parts):
+        looks = zip(model.parts, here, strict=True)
+        if not any(_worth_a_look(f, value, model.effects, effect) for f, value in looks):
             continue
         tried = fitted(model.parts, (*model.effects, effect), noise_rounds=1)
         gain = worth * (tried.log_evidence - model.log_evidence)
@@ -331,16 +316,20 @@ def _noisier(c: Climb) -> Model | None:
     if without.log_evidence < model.log_evidence:
         without = model
     gain = worth * (best.log_evidence - without.log_evidence) - OCCAM_LEVEL * len(added.levels)
-    if gain + PRIOR <= 0.0:
-        return without if without is not model else None
-    c.noise[added.id] = gain
+    if gain + PRIOR > 0.0:
+        c.noise[added.id] = gain
+    elif without is model:
+        return None
+    else:
+        best = without
+    c.visited.clear()
     return best
 
 
-def _worth_a_look(f: Fitted, effects: Sequence[Effect], effect: Effect) -> bool:
-    """Whether the evidence rises with this noise at one of a few sizes, all else kept."""
-    here = reduced_pass(reduce(f.linear), f.levels).log_evidence
-    wide = moved_to(f, effects)
+def _worth_a_look(f: Fitted, here: float, effects: Sequence[Effect], effect: Effect) -> bool:
+    """Whether the evidence, ``here`` so far, rises with this noise at one of a few sizes, all
+    else kept."""
+    wide = moved_to(f, (*effects, effect))
     reduction = reduce(wide.linear)
     for scale in (0.1, 1.0, 3.0):
         levels = dict(wide.levels)
@@ -350,16 +339,7 @@ def _worth_a_look(f: Fitted, effects: Sequence[Effect], effect: Effect) -> bool:
     return False
 
 
-def _thin(c: Climb) -> bool:
-    other = _leaner(c)
-    if other is None:
-        return False
-    c.dropped |= {name_of(i) for i in set(c.model.ids) - set(other.ids)}
-    c.model = other
-    return True
-
-
-def _leaner(c: Climb) -> Model | None:
+def _thin(c: Climb) -> Model | None:
     """The model without an effect that it does not miss when all else is fitted again."""
     model, where = c.model, c.where
     gained = gains(where, model.chosen)
@@ -371,6 +351,7 @@ def _leaner(c: Climb) -> Model | None:
         if e.process is None:
             more = max(1.0, excess[e.id] * c.worth)
             if gained[e.id] / more + where.prior[e.id] < 0.0:
+                c.dropped.add(name_of(e.id))
                 return fitted(model.parts, rest)
             if gained[e.id] > CLOSE:
                 continue
@@ -385,28 +366,29 @@ def _leaner(c: Climb) -> Model | None:
             c.stale.discard(e.id)
         if gain + prior < 0.0:
             c.noise.pop(e.id, None)
+            c.dropped.add(name_of(e.id))
             return without
     return None
 
 
-def _free(c: Climb) -> bool:
+def _free(c: Climb) -> Model | None:
     """What noise stands in for, in its place."""
     other = without_alibi(c.model, c.worth, c.suspects)
     if other is None:
-        return False
+        return None
     c.dropped -= {name_of(i) for i in other.ids}
-    c.model = other
     c.visited.clear()
-    return True
+    return other
 
 
-def _split(c: Climb) -> bool:
+def _split(c: Climb) -> Model | None:
+    """The same, the simpler of two effects favoured from now on."""
     simple = _held_too(c.model, c.where) if len(c.unnamed) < MAX_TERMS else None
     if simple is None:
-        return False
+        return None
     c.favoured.add(simple)
     c.visited.clear()
-    return True
+    return c.model
 
 
 def _held_too(model: Model, where: Space) -> str | None:
@@ -426,15 +408,15 @@ def _held_too(model: Model, where: Space) -> str | None:
     return None
 
 
-def _name_term(c: Climb) -> bool:
-    """A term that nobody named, beside all that was found."""
+def _name_term(c: Climb) -> Model | None:
+    """The same, a term that nobody named on trial from now on."""
     term = best_term(c.model, refused=c.dropped) if len(c.unnamed) < MAX_TERMS else None
     if term is None:
-        return False
+        return None
     c.unnamed.append(term)
     c.visited.clear()
     c.stale |= set(c.noise)  # (what noise effects gained was weighed without the term)
-    return True
+    return c.model
 
 
 # The cheap ones first; nothing is taken away or left without a name before all else rests.

@@ -6,7 +6,7 @@ the reference is, s: of two sensors, stamps differ by some hundredths of a milli
 a shake shows; without it, a clock that runs fast by a millionth would be named for that.
 ``z`` holds the reference's rate and force (6) and their derivatives (6), for its lateness; for a
 clock that runs fast the same some time earlier and later, a time that grows with the
-recording: values (12), derivatives (12), and that time; last the angular acceleration (3).
+recording: values (12), derivatives (12), and that time.
 Without an arm the reference is taken to sit where the IMU sits.
 
 Two IMUs never sample at the same instant, mounts flex, and a shake has more bandwidth than
@@ -42,8 +42,6 @@ GAP, NEAR = 1.6, 3
 MEMORY_S = 1e-3
 SLOWEST = 0.01
 LEAST_TURN = 0.05
-# As long before an end slopes are read off the samples themselves, s.
-ENDS_S = 0.2
 # How well the stamps of the two sensors belong together, s.
 STAMPED = 3e-5
 # The times that a clock might be off by, as a share of the time since the start.
@@ -240,11 +238,7 @@ def _rows(recording: Recording, scene: Scene) -> Rows | None:
     own, imu = recording.streams["reference"], recording.imu
     # What a moment earlier or later was read is what is read now and the motion in between: of
     # noise, there is less at some moments than at others, and a clock would be set to those.
-    quiet = quiet_derivative(own.t, own.value, own.t)
-    # (a filter that goes on before the beginning and after the end rings there)
-    ends = np.minimum(own.t - own.t[0], own.t[-1] - own.t) < ENDS_S
-    quiet[ends] = both.reference(own.t[ends], 1)
-    slope = CubicSpline(own.t, quiet)
+    slope = CubicSpline(own.t, quiet_derivative(own.t, own.value, own.t))
     motion = slope.antiderivative()
     beside = [np.clip(t + sign * reach, own.t[0], own.t[-1]) for sign in (-1.0, 1.0)]
     now = both.known(t)
@@ -252,8 +246,7 @@ def _rows(recording: Recording, scene: Scene) -> Rows | None:
     z += [now + both.turned(motion(at) - motion(t)) for at in beside]
     z += [both.turned(slope(at)) for at in beside]
     alpha = both.turned(slope(np.clip(imu.t, own.t[0], own.t[-1])))[:, :3]
-    here = alpha[np.searchsorted(imu.t, t)]
-    return Rows(t, np.hstack([*z, reach[:, None], here]), alpha=alpha)
+    return Rows(t, np.hstack([*z, reach[:, None]]), alpha=alpha)
 
 
 def _guess(z: Array) -> Mapping[str, float]:
