@@ -12,7 +12,8 @@ from scipy.stats import chi2
 from worlds import recording_of
 
 from handcal import calibration, noise, so3
-from handcal.effects import select
+from handcal.effects import catalogue, select
+from handcal.evidence import reduce, reduced_pass
 from handcal.explain import Explanation, case, climb, explain, fit, outliers
 from handcal.explain.fit import EXCESS, Model, fitted, moved_to, scan, started
 from handcal.explain.quadratic import posterior
@@ -269,6 +270,44 @@ def test_a_fit_that_diverges_is_no_fit(grown: float) -> None:
     assert (parts, settled) == ([broken], False)
     assert math.isnan(evidence)
     assert fit.diverged(parts, ()).log_evidence == -math.inf
+
+
+def test_no_noise_is_looked_for_about_no_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The search for noise levels about numbers that had run away ended explain in an error."""
+    base = base_of(world_of({}, 0, 20.0))
+    monkeypatch.setattr(fit, "relinearised_parts", lambda *_: (list(base.parts), False, math.nan))
+    monkeypatch.setattr(fit, "with_noise", lambda _: pytest.fail("noise of no fit"))
+    assert fitted(base.parts, (), noise_rounds=1).log_evidence == -math.inf
+
+
+def test_numbers_that_ran_away_have_no_evidence() -> None:
+    """A pass whose variances overflow ended explain in a LinAlgError."""
+    (part,) = base_of(world_of({}, 0, 20.0)).parts
+    linear = replace(part.linear, Phi=part.linear.Phi * 1e30, d=part.linear.d * 1e30)
+    with np.errstate(all="ignore"):
+        done = reduced_pass(reduce(linear), part.levels)
+    assert done.log_evidence == -math.inf
+    assert np.isfinite(done.w).all()
+
+
+def test_a_climb_out_of_turns_ends_with_a_scan_of_its_model(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Where the last turn put a term in another's place, the last scan did not hold it, and
+    explain ended in a KeyError."""
+    base = base_of(world_of({"gyro_scale": [0.01, -0.008, 0.012]}, 0, 40.0))
+    monkeypatch.setattr(climb, "ROUNDS", 1)
+    monkeypatch.setattr(climb, "MAX_TERMS", 0)
+
+    def renamed(c: climb.Climb) -> Model:
+        scale = replace(catalogue()["gyro_scale"], id="gyro_x += k * anything")
+        return fit.fitted(c.model.parts, [scale])
+
+    monkeypatch.setattr(climb, "_STEPS", (renamed,))
+    c = climb.Climb(base, (), ())
+    assert climb.climbed(c, lambda _: None)
+    assert c.model.chosen <= set(c.where.effects)
+    assert climb.gains(c.where, c.model.chosen)[next(iter(c.model.chosen))] > 0.0
 
 
 def test_outliers_behind_a_step_of_the_bias() -> None:

@@ -121,7 +121,8 @@ def reduced_pass(
     """Evidence at these noise levels, as that of ``forward`` but several times faster.
 
     Source: the augmented filter of de Jong, The diffuse Kalman filter, Annals of
-    Statistics 19 (1991), with proper priors.
+    Statistics 19 (1991), with proper priors. Of numbers that ran away (a variance that is not
+    positive, information that is not) the log-evidence is minus infinity.
     """
     linear = reduction.linear
     problem, k, s = linear.problem, len(linear.t), len(reduction.h)
@@ -139,14 +140,28 @@ def reduced_pass(
     reduced_forward(arrays, P0, reduction.X0.copy(), (X, P), (gain, nu, S), gram, work, extra)
     w0, b = reduction.w0, reduction.w0 - gram[1:, 0]
     G = np.tril(gram[1:, 1:]) + np.tril(gram[1:, 1:], -1).T
-    information = G + np.eye(columns - 1)
-    root = np.linalg.cholesky(information)
-    spread = np.linalg.inv(root).T
+    root = _root(G + np.eye(columns - 1)) if S.min(initial=math.inf) > 0.0 else None
+    if root is None:
+        none: Array = np.zeros((columns - 1, columns - 1))
+        w: Array = np.zeros(columns - 1)
+        nothing = (-math.inf, w, none)
+        return ReducedPass(reduction, arrays, X, P, gain, nu, S, w, none, -math.inf, nothing)
+    spread: Array = np.linalg.inv(root).T.astype(np.float64, copy=False)
     w = spread @ (spread.T @ b)
     white = float(np.log(2.0 * math.pi * S).sum()) + float(gram[0, 0])
     value = -0.5 * (white + float(w0 @ w0 - b @ w)) - float(np.log(np.diag(root)).sum())
     likelihood = (-0.5 * white, -gram[1:, 0], G)
     return ReducedPass(reduction, arrays, X, P, gain, nu, S, w, spread, value, likelihood)
+
+
+def _root(information: Array) -> Array | None:
+    """Cholesky's root (c, c) of the constants' information, None if there is none."""
+    if not np.isfinite(information).all():
+        return None
+    try:
+        return np.asarray(np.linalg.cholesky(information))
+    except np.linalg.LinAlgError:
+        return None
 
 
 def _reduced_arrays(reduction: Reduction, levels: Mapping[str, float]) -> Reduced:

@@ -105,6 +105,9 @@ def climbed(c: Climb, report: Callable[[float], None]) -> bool:
         if model is None:
             break
         c.model = model
+    else:
+        # (out of turns: what is said of the model is said by a scan about it)
+        c.where = _scanned(c)
     return True
 
 

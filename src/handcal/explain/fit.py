@@ -116,6 +116,8 @@ def fitted(
     """Fit these effects to all recordings, beginning from other fits' trajectories and noise."""
     parts = [moved_to(f, effects) for f in begin]
     parts, settled, evidence = relinearised_parts(parts, effects, known)
+    if not math.isfinite(evidence):
+        return diverged(parts, effects)
     for _ in range(noise_rounds):
         new = [with_noise(f) for f in parts]
         change = max(
@@ -134,8 +136,6 @@ def fitted(
         parts, settled, evidence = tried, rests, value
         if change < 0.02:
             break
-    if math.isnan(evidence):
-        return diverged(parts, effects)
     locals_ = [_local(f, effects) for f in parts]
     whole = total([part.quadratic for part in locals_])
     found = _posterior(whole, effects, known)
