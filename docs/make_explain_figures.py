@@ -17,9 +17,10 @@ from make_figures import GREY, IMAGES, INK, STYLE, XYZ, save
 
 import handcal
 from handcal.effects import select
-from handcal.explain import explain, fit
-from handcal.explain.case import case_of
-from handcal.explain.fit import Model, fitted, scan, started
+from handcal.estimate import fit
+from handcal.estimate.case import case_of
+from handcal.estimate.fit import Model, fitted, scan, started
+from handcal.explain import explain
 from handcal.explain.search import Space, gains, space
 from handcal.explain_report import write_explanation_report
 from handcal.types import Recording

@@ -11,7 +11,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import handcal
-from handcal import calibration, linear, words
+from handcal import linear, words
+from handcal.estimate import observed
 from handcal.noise import white_levels
 from handcal.observations import catalogue
 from handcal.types import Recording, Result
@@ -117,7 +118,7 @@ def evidence_of_nothing() -> None:
 
 def naive(recording: Recording, levels: dict[str, float]) -> Result:
     """The same calibration by an estimator that takes its trajectory's noise for a signal."""
-    kept = linear._turn_noise, linear._markov_steps, calibration.catalogue
+    kept = linear._turn_noise, linear._markov_steps, observed.catalogue
     plain = {k: replace(o, isotropic=False) for k, o in catalogue().items()}
 
     def steps(problem, markov, Phi_e):
@@ -125,11 +126,11 @@ def naive(recording: Recording, levels: dict[str, float]) -> Result:
         return d_e, np.zeros_like(Phi_psi)
 
     linear._turn_noise, linear._markov_steps = (lambda *_: None), steps
-    calibration.catalogue = lambda: plain
+    observed.catalogue = lambda: plain
     try:
         return handcal.calibrate(recording, assume="fixed-point", noise=levels)
     finally:
-        linear._turn_noise, linear._markov_steps, calibration.catalogue = kept
+        linear._turn_noise, linear._markov_steps, observed.catalogue = kept
 
 
 def demo() -> None:

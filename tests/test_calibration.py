@@ -88,15 +88,10 @@ def test_turns_in_the_hand_are_taken_to_be_about_a_fixed_point(name, seed):
 
 @pytest.mark.parametrize("seed", range(1))
 def test_a_hand_that_travels_is_still_only_at_rest(seed):
-    """It moves by half a metre: told, and only the rests are taken to be still.
-
-    In between the hand stays within reach: a point with a sway far beyond that of a hand.
-    """
+    """It moves by half a metre: told, and only the rests are taken to be still."""
     result = auto("travel", seed, duration_s=30.0)
     assert result.assume == "rest-only"
-    assert set(result.innovations) == {"zero_velocity", "zero_rate", "heading", "fixed_position"}
-    level = {n.name: n.value for n in result.noise}
-    assert math.hypot(level["sway"], level["sway_per_rate"] * 1.5) > 0.05
+    assert set(result.innovations) == {"zero_velocity", "zero_rate", "heading"}
     assert any("travels" in w for w in result.warnings)
     t = result.innovations["zero_velocity"].t
     assert all(any(a <= x <= b for a, b in result.rests) for x in t)
@@ -334,8 +329,8 @@ def test_evidence_is_that_of_the_innovations(turns):
     recording, noise = turns
     level = calibrate(recording, assume="fixed-point", noise=noise)
     begin = from_rest(recording, 0.0, math.radians(100.0), level.rests)
-    upside_down = np.diag([1.0, -1.0, -1.0]) @ begin.C_nb
-    wrong = replace(begin, C_nb=upside_down, force=None, tilt_sigma=math.radians(2.0))
+    tilted = so3.matrix_exp(np.array([math.radians(30.0), 0.0, 0.0])) @ begin.C_nb
+    wrong = replace(begin, C_nb=tilted, force=None, tilt_sigma=math.radians(2.0))
     other = calibrate(recording, assume="fixed-point", noise=noise, start=wrong)
     assert other.log_evidence < level.log_evidence - 100.0
 

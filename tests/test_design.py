@@ -29,7 +29,7 @@ from handcal.design_search import (
 )
 from handcal.design_words import attitude_of, instruction
 from handcal.effects import select
-from handcal.explain.case import case_of, problem_with
+from handcal.estimate.case import case_of, problem_with
 from handcal.types import Array, HandcalError, Imu, InputError, Recording, Series
 
 STATIC = ("accel_scale", "accel_misalignment")

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from settled import solve
 from worlds import injected, recording_of, true_levels
 
 from handcal import batch, calibrate, so3
 from handcal._jit import call_residual
-from handcal.calibration import observed_of, solve
 from handcal.earth import local_earth
 from handcal.effects import (
     DELAY,
@@ -22,6 +22,7 @@ from handcal.effects import (
     mag_hard_iron,
     select,
 )
+from handcal.estimate.observed import observed_of
 from handcal.kernel import BASE, MAX_DIM
 from handcal.linear import linearise_about
 from handcal.model import build, relinearised, substituted

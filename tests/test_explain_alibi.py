@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from worlds import recording_of
 
-from handcal.explain import case
+from handcal.estimate import case
+from handcal.estimate.fit import Model, fitted, started
 from handcal.explain.alibi import without_alibi
-from handcal.explain.fit import Model, fitted, started
 from handcal_sim import simulate
 from handcal_sim.phone import Clocking, Phone, consumer_magnetometer, consumer_phone, with_rate
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from handcal.effects import catalogue, select
+from handcal.estimate.fit import Model
+from handcal.estimate.quadratic import Quadratic
 from handcal.explain import gauge
 from handcal.explain.explanation import Missing
-from handcal.explain.fit import Model
-from handcal.explain.quadratic import Quadratic
 
 SIZE = 0.02
 SIGMA = 0.0006

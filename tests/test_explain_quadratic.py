@@ -11,10 +11,9 @@ import pytest
 from worlds import recording_of
 
 from handcal.effects import select
-from handcal.evidence import ReducedPass, reduce, reduced_pass
-from handcal.explain.case import case_of
-from handcal.explain.fit import Model, fitted, moved_to, prior_root, scan, started
-from handcal.explain.quadratic import (
+from handcal.estimate.case import case_of
+from handcal.estimate.fit import Model, fitted, moved_to, prior_root, scan, started
+from handcal.estimate.quadratic import (
     Local,
     Quadratic,
     given,
@@ -23,6 +22,7 @@ from handcal.explain.quadratic import (
     posterior,
     total,
 )
+from handcal.evidence import ReducedPass, reduce, reduced_pass
 from handcal.types import Array, IntArray
 from handcal_sim import simulate
 from handcal_sim.phone import Clocking, Phone, consumer_phone, with_rate

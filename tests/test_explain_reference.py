@@ -13,7 +13,8 @@ from worlds import recording_of
 
 from handcal import calibrate
 from handcal.effects import catalogue
-from handcal.explain import case, explain
+from handcal.estimate import case
+from handcal.explain import explain
 from handcal.observations import Scene
 from handcal.observations.known_input import matched
 from handcal.types import Array, Imu, Recording, Series

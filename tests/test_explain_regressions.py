@@ -11,12 +11,13 @@ import pytest
 from scipy.stats import chi2
 from worlds import recording_of
 
-from handcal import calibration, noise, so3
+from handcal import noise, observations, so3
 from handcal.effects import catalogue, select
+from handcal.estimate import case, fit
+from handcal.estimate.fit import EXCESS, Model, fitted, moved_to, scan, started
+from handcal.estimate.quadratic import posterior
 from handcal.evidence import reduce, reduced_pass
-from handcal.explain import Explanation, case, climb, explain, fit, outliers
-from handcal.explain.fit import EXCESS, Model, fitted, moved_to, scan, started
-from handcal.explain.quadratic import posterior
+from handcal.explain import Explanation, climb, explain, outliers
 from handcal.types import InputError, Recording, Series
 from handcal_sim import prove_draw, simulate
 from handcal_sim.motion import Start
@@ -149,7 +150,7 @@ def test_a_marker_that_cannot_be_aligned_is_left_out() -> None:
     world = simulate("z-turn", seed=0, phone=filmed, start=Start())
     recording = recording_of(world, "heading", "pose")
     with pytest.raises(InputError, match="too few axes"):
-        calibration.catalogue()["pose"].rows(recording, calibration.Scene(np.zeros((0, 2)), True))
+        observations.catalogue()["pose"].rows(recording, observations.Scene(np.zeros((0, 2)), True))
     found = explain([recording])
     assert found.verdict == "nothing_missing"
     assert any(w.startswith("The pose was left out") for w in found.warnings)

@@ -12,10 +12,10 @@ import pytest
 from worlds import recording_of
 
 from handcal.effects import Effect, Param, catalogue, select
+from handcal.estimate.case import case_of
+from handcal.estimate.fit import fitted, started
+from handcal.estimate.quadratic import Quadratic
 from handcal.explain import climb
-from handcal.explain.case import case_of
-from handcal.explain.fit import fitted, started
-from handcal.explain.quadratic import Quadratic
 from handcal.explain.search import (
     PRIOR,
     Space,

@@ -12,8 +12,8 @@ from worlds import recording_of
 
 from handcal._jit import call_residual
 from handcal.effects import TIME, Z_DIM, Signals
+from handcal.estimate.quadratic import Quadratic
 from handcal.explain import explain, shapes
-from handcal.explain.quadratic import Quadratic
 from handcal.explain.terms import PLAY, features, imu_terms
 from handcal.types import Array
 from handcal_sim import simulate

@@ -14,8 +14,9 @@ from rich.console import Console
 from worlds import recording_of
 
 from handcal.effects import catalogue
-from handcal.explain import case, explain, process
-from handcal.explain.fit import Model, fitted, started
+from handcal.estimate import case, process
+from handcal.estimate.fit import Model, fitted, started
+from handcal.explain import explain
 from handcal.explain.leaning import leaning
 from handcal.explain_summary import print_explanation
 from handcal.noise import Curvature

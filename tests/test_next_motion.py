@@ -13,13 +13,13 @@ from handcal import design, segment, so3
 from handcal.design import MOTIONS, Motion, attitude, recording_of
 from handcal.earth import local_earth
 from handcal.effects import Effect, Signals, select
+from handcal.estimate.case import case_of
+from handcal.estimate.fit import Fitted, Model, fitted, moved_to, scan, started
+from handcal.estimate.quadratic import Quadratic, log_evidence
 from handcal.explain import next_motion
-from handcal.explain.case import case_of
 from handcal.explain.explanation import Hypothesis, Missing
 from handcal.explain.find import Found
-from handcal.explain.fit import Fitted, Model, fitted, moved_to, scan, started
 from handcal.explain.next_motion import ENOUGH, _believed, _informations, next_motions
-from handcal.explain.quadratic import Quadratic, log_evidence
 from handcal.explain.search import Space, expected_gain, rivals, space
 from handcal.types import Array, Recording, Series
 from handcal_sim import simulate

@@ -10,9 +10,9 @@ import pytest
 from worlds import recording_of
 
 from handcal.effects import select
+from handcal.estimate.case import case_of
+from handcal.estimate.fit import Fitted, moved_to, started
 from handcal.evidence import reduced_pass
-from handcal.explain.case import case_of
-from handcal.explain.fit import Fitted, moved_to, started
 from handcal.noise import Score
 from handcal_sim import simulate
 from handcal_sim.phone import Phone, capture_pose, consumer_phone

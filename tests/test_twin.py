@@ -4,12 +4,14 @@ import dataclasses
 
 import numpy as np
 import pytest
+from settled import solve
 from worlds import recording_of
 
 import handcal
-from handcal import calibration, segment, so3
+from handcal import segment, so3
 from handcal.earth import local_earth
 from handcal.effects import select
+from handcal.estimate.observed import problem_of
 from handcal.export import write_twin
 from handcal.observations import catalogue
 from handcal.twin import IMU_CHANNELS, sensor_residuals, twin
@@ -22,10 +24,8 @@ ARM, IRON, SCALE = [0.05, 0.02, -0.03], [2e-5, 1e-5, -1e-5], [0.02, -0.02, 0.01]
 
 def fit(recording, effects, kinds):
     rests = segment.rests(recording)
-    problem, start = calibration.problem_of(
-        recording, select(effects), kinds, rests, local_earth(None), None
-    )
-    return calibration.solve(problem, start, {})
+    problem, start = problem_of(recording, select(effects), kinds, rests, local_earth(None), None)
+    return solve(problem, start, {})
 
 
 def world_of(effects, *, seed=3, **more):

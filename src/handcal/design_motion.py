@@ -16,7 +16,7 @@ import numpy as np
 from handcal.calibration import calibrate
 from handcal.design import MOTIONS, REST, Motion, Turn, X, Y, Z
 from handcal.effects import Effect, select
-from handcal.explain.case import Case, applicable, case_of
+from handcal.estimate.case import Case, applicable, case_of
 from handcal.explain.next_motion import motion_pass
 from handcal.types import (
     Array,

@@ -10,9 +10,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from handcal import so3
-from handcal.calibration import first_state, problem_of
 from handcal.earth import local_earth
 from handcal.effects import select
+from handcal.estimate.observed import first_state, problem_of
 from handcal.filter import ENGINES, State, Track, empty_track
 from handcal.frames import Frame, Observed
 from handcal.kernel import BASE, MAX_DIM, corrected, fill_nav, linearise

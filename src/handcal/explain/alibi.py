@@ -8,8 +8,8 @@ from collections.abc import Set
 from dataclasses import replace
 
 from handcal.effects import Effect, catalogue
-from handcal.explain.case import applicable
-from handcal.explain.fit import Fitted, Model, fitted
+from handcal.estimate.case import applicable
+from handcal.estimate.fit import Fitted, Model, fitted
 from handcal.explain.search import PRIOR
 from handcal.sway import HAND_SWAY, sway_of
 

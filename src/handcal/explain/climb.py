@@ -13,11 +13,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from handcal.effects import Effect, catalogue
+from handcal.estimate.case import Case, applicable, frozen_at, name_of
+from handcal.estimate.fit import Fitted, Model, fitted, moved_to, scan
+from handcal.estimate.robust import inflation
 from handcal.evidence import reduce, reduced_pass
 from handcal.explain.alibi import without_alibi
-from handcal.explain.case import Case, applicable, frozen_at, name_of
-from handcal.explain.fit import Fitted, Model, fitted, moved_to, scan
-from handcal.explain.robust import inflation
 from handcal.explain.search import (
     OCCAM_LEVEL,
     PRIOR,

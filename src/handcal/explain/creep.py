@@ -4,10 +4,10 @@ of the accelerometer would stand in for."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
+from handcal.estimate.case import creeping as creeping_case
+from handcal.estimate.fit import Model, baseline, fitted, started
 from handcal.explain.climb import WEAK
-from handcal.explain.fit import Model, fitted, started
 from handcal.explain.search import OCCAM_LEVEL, PRIOR
 from handcal.observations.fixed_position import CREEPING
 from handcal.types import HandcalError
@@ -25,16 +25,7 @@ def creeping(base: Model, model: Model, gained: Mapping[str, float]) -> Model | 
     strong = [e for e in model.effects if gained[e.id] > WEAK]
     if not held or len(strong) == len(model.effects):
         return None
-    cases = [
-        replace(
-            f.case,
-            observed=tuple(
-                (CREEPING if o.kind == OBSERVED else o, rows, constants)
-                for o, rows, constants in f.case.observed
-            ),
-        )
-        for f in base.parts
-    ]
+    cases = [creeping_case(f.case) for f in base.parts]
     try:
         begin = [started(case, strong) for case in cases]
     except HandcalError:
@@ -45,4 +36,4 @@ def creeping(base: Model, model: Model, gained: Mapping[str, float]) -> Model | 
     price = sum(OCCAM_LEVEL * len(e.levels) - PRIOR for e in spared)
     if tried.log_evidence + price < model.log_evidence:
         return None
-    return fitted([started(case) for case in cases], (), noise_rounds=2)
+    return baseline(cases)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from handcal.estimate.chosen import Chosen
 from handcal.types import Array, NoiseLevel, Parameter, Recording
 
 VERDICTS = ("nothing_missing", "explained", "unexplained", "cannot_tell")
@@ -164,7 +165,8 @@ class Explained:
 @dataclass(frozen=True)
 class Explanation:
     """All that ``explain`` says of one device. parameters, noise: of the final model (noise of
-    the first recording); missing is ordered by evidence; hypotheses by ``alone``."""
+    the first recording); missing is ordered by evidence; hypotheses by ``alone``; model: the final
+    model as ``calibrate`` repeats its fit."""
 
     verdict: str
     mismatch: tuple[Mismatch, ...]
@@ -179,3 +181,4 @@ class Explanation:
     noise: tuple[NoiseLevel, ...]
     recordings: tuple[Explained, ...]
     warnings: tuple[str, ...]
+    model: Chosen | None = None

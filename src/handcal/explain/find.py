@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
+from handcal.estimate.fit import Model
 from handcal.explain.alibi import steadied, sways_far
 from handcal.explain.climb import Climb, climbed
-from handcal.explain.fit import Model
 from handcal.explain.late import with_delays
 from handcal.explain.search import OCCAM_LEVEL, PRIOR, TERM_PRIOR, Space, best_set
 from handcal.explain.unnamed import Term, best_term

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from handcal.effects import catalogue
+from handcal.estimate.fit import Model
 from handcal.explain.explanation import Missing
-from handcal.explain.fit import Model
 from handcal.types import Array, Parameter
 
 # Chance at which what an effect has beyond the simpler one is taken for noise.

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from handcal import noise as noise_levels
+from handcal.estimate.case import Case
+from handcal.estimate.fit import EXCESS, Fitted, Known, Model, fitted, started
 from handcal.evidence import reduce, reduced_pass
-from handcal.explain.case import Case
 from handcal.explain.explanation import HeldOut
-from handcal.explain.fit import EXCESS, Fitted, Known, Model, fitted, started
 from handcal.explain.locate import at_levels, residual_rms
 
 EARLY = 0.6

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from handcal.effects import Effect, catalogue
+from handcal.estimate.case import applicable
+from handcal.estimate.fit import Fitted, Model, delayed, fitted, moved_to
 from handcal.evidence import reduce, reduced_pass
-from handcal.explain.case import applicable
-from handcal.explain.fit import Fitted, Model, delayed, fitted, moved_to
 
 # A scan does not see what a delay does when the device turns further than this within it, rad.
 BEYOND = 0.5

@@ -8,9 +8,9 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from handcal.effects import Effect, catalogue
+from handcal.estimate.case import applicable
+from handcal.estimate.fit import Fitted, moved_to
 from handcal.evidence import reduce, reduced_pass
-from handcal.explain.case import applicable
-from handcal.explain.fit import Fitted, moved_to
 from handcal.types import Array
 
 # A bias leans on the absence of an effect that would make it so many times less certain.

@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 
 from handcal.effects import Effect, catalogue
+from handcal.estimate.case import Case, applicable, case_of, frozen_at
+from handcal.estimate.fit import fitted, moved_to, scan, started
 from handcal.explain import shapes
-from handcal.explain.case import Case, applicable, case_of, frozen_at
-from handcal.explain.fit import fitted, moved_to, scan, started
 from handcal.explain.search import OCCAM_LEVEL, space
 from handcal.explain.search import expected_gain as expected_nats
 from handcal.types import Array, HandcalError, InputError, Recording

@@ -8,8 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from handcal.estimate.fit import Fitted
 from handcal.explain.explanation import Mismatch, Trace
-from handcal.explain.fit import Fitted
 from handcal.linear import driven
 from handcal.model import observation_variances
 from handcal.twin import sensor_residuals

@@ -17,15 +17,15 @@ from itertools import combinations
 import numpy as np
 
 from handcal import segment
-from handcal.calibration import observed_of
 from handcal.design import FASTEST, MOTIONS, Motion, attitude, rate_of, recording_of
 from handcal.effects import Effect
+from handcal.estimate.case import Case, name_of, problem_with
+from handcal.estimate.fit import Fitted, prior_root
+from handcal.estimate.observed import observed_of
+from handcal.estimate.quadratic import Posterior, Quadratic, local, posterior
 from handcal.evidence import ReducedPass, reduce, reduced_pass
-from handcal.explain.case import Case, name_of, problem_with
 from handcal.explain.explanation import Hypothesis, Missing, NextMotion
 from handcal.explain.find import Found
-from handcal.explain.fit import Fitted, prior_root
-from handcal.explain.quadratic import Posterior, Quadratic, local, posterior
 from handcal.explain.search import Space, expected_gain
 from handcal.linear import Trajectory, epochs, linearise_about
 from handcal.model import Problem

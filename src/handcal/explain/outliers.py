@@ -12,8 +12,8 @@ from scipy.special import betaln
 
 from handcal import so3
 from handcal.effects import catalogue
-from handcal.explain.case import Case
-from handcal.explain.fit import Fitted, Model, fitted
+from handcal.estimate.case import Case, Edit, edited
+from handcal.estimate.fit import Fitted, Model, fitted
 from handcal.explain.search import PRIOR, probability
 from handcal.observations import Rows
 from handcal.types import Array, BoolArray, Parameter
@@ -145,7 +145,7 @@ def _turned_back(original: Fitted, f: Fitted, span: tuple[float, float]) -> Fitt
     k = heading_kind(original.case)
     if k is None:
         return f
-    observation, rows, constants = original.case.observed[k]
+    observation, rows, _ = original.case.observed[k]
     there = (rows.t >= span[0]) & (rows.t <= span[1])
     if rows.z.shape[1] != 1 or not there.any():
         return f
@@ -153,13 +153,10 @@ def _turned_back(original: Fitted, f: Fitted, span: tuple[float, float]) -> Fitt
     centre = float(np.median(off[~there]))
     away = so3.wrap(off[there] - centre)
     size = float(np.angle(np.mean(np.exp(1j * away))))
-    z = rows.z.copy()
-    z[there, 0] = so3.wrap(z[there, 0] - size)
     spread = max(float(np.std(so3.wrap(away - size))), 1e-4) / math.sqrt(there.sum())
     cost = 2.0 * math.log(len(rows.t)) + max(0.0, math.log(math.sqrt(2.0 * math.pi) / spread))
-    observed = list(original.case.observed)
-    observed[k] = (observation, replace(rows, z=z), constants)
-    return replace(f, case=replace(f.case, observed=tuple(observed), constant=-cost))
+    edit = Edit(observation.kind, (), (span[0], span[1], size), -cost)
+    return replace(f, case=edited(original.case, edit))
 
 
 def _burst(base: Model, masks: Sequence[BoolArray | None]) -> tuple[float, float] | None:
@@ -242,17 +239,14 @@ def _without(original: Fitted, f: Fitted, mask: BoolArray | None) -> Fitted:
     k = heading_kind(original.case)
     if mask is None or k is None:
         return f
-    observation, rows, constants = original.case.observed[k]
+    observation, _, _ = original.case.observed[k]
     effect = catalogue()["heading_outliers"]
     bad, n = int(mask.sum()), len(mask)
     density = effect.outliers[observation.kind]
     constant = bad * math.log(density) + float(betaln(bad + 1, n - bad + 1))
-    observed = list(original.case.observed)
-    kept = replace(rows, t=rows.t[~mask], z=rows.z[~mask])
-    observed[k] = (observation, kept, constants)
+    edit = Edit(observation.kind, tuple(int(i) for i in np.flatnonzero(mask)), None, constant)
     name = next(lv.name for lv in observation.levels if lv.name.endswith("noise"))
     levels = dict(f.levels)
     _, r = residual(f, k)
     levels[name] = max(_scale(r), 1e-4)
-    case = replace(f.case, observed=tuple(observed), constant=constant)
-    return replace(f, case=case, levels=levels)
+    return replace(f, case=edited(original.case, edit), levels=levels)

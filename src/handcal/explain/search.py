@@ -10,9 +10,9 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from handcal.effects import Effect
-from handcal.explain.case import name_of
-from handcal.explain.fit import prior_root
-from handcal.explain.quadratic import Quadratic, log_evidence, posterior
+from handcal.estimate.case import name_of
+from handcal.estimate.fit import prior_root
+from handcal.estimate.quadratic import Quadratic, log_evidence, posterior
 from handcal.types import Array, IntArray
 
 # Log prior odds that a device shows an effect so clearly that it has to be told.

@@ -20,7 +20,7 @@ from scipy.optimize import minimize
 
 from handcal._jit import inner, njit, residual_function
 from handcal.effects import TIME, Effect, Param, Signals
-from handcal.explain.quadratic import Quadratic
+from handcal.estimate.quadratic import Quadratic
 from handcal.explain.terms import CHANNELS, HEADING_SIZE, SIZE, UNITS, term
 from handcal.types import Array, IntArray
 

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from handcal.effects import Effect, Signals
+from handcal.estimate.fit import Fitted, Model, fitted, prior_root, scan
+from handcal.estimate.quadratic import Quadratic
 from handcal.explain import shapes, terms
-from handcal.explain.fit import Fitted, Model, fitted, prior_root, scan
-from handcal.explain.quadratic import Quadratic
 from handcal.explain.search import TERM_PRIOR, gains, priors, space
 from handcal.model import temperature_of
 from handcal.types import Array, IntArray

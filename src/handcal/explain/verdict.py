@@ -8,11 +8,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from handcal.calibration import check_options
-from handcal.effects import Effect, catalogue, mag_hard_iron
+from handcal.effects import Effect, catalogue
+from handcal.estimate.case import Case, case_of, name_of
+from handcal.estimate.chosen import Chosen, Options, as_seen, chosen_of, seen, settled
+from handcal.estimate.fit import Fitted, Model, baseline, fitted, ironed, scan, started
+from handcal.estimate.hand import resting, travels
+from handcal.estimate.observed import check_options
+from handcal.estimate.process import process_parameters
+from handcal.estimate.result import noise, results
+from handcal.estimate.robust import inflation
 from handcal.evidence import reduce, reduced_pass
-from handcal.explain import held, locate, outliers, parameters
-from handcal.explain.case import Case, case_of, name_of, without_iron
+from handcal.explain import held, locate, outliers
 from handcal.explain.climb import akin
 from handcal.explain.creep import creeping
 from handcal.explain.explanation import (
@@ -26,12 +32,10 @@ from handcal.explain.explanation import (
     Unnamed,
 )
 from handcal.explain.find import Found, advantage, search
-from handcal.explain.fit import Fitted, Model, fitted, started
 from handcal.explain.gauge import plainly
 from handcal.explain.leaning import leaning
+from handcal.explain.moments import moments
 from handcal.explain.next_motion import next_motions
-from handcal.explain.process import process_parameters
-from handcal.explain.robust import inflation
 from handcal.explain.search import (
     PRIOR,
     TERM_PRIOR,
@@ -40,11 +44,11 @@ from handcal.explain.search import (
     probabilities,
     probability,
     rivals,
+    space,
 )
 from handcal.kernel import MAX_DIM
-from handcal.sway import TRAVEL_NATS, beyond_a_hand, sway_of
 from handcal.twin import twin
-from handcal.types import Array, InputError, NoiseLevel, Parameter, Recording
+from handcal.types import Array, InputError, Parameter, Recording, Result
 
 Progress = Callable[[float], None]
 # An effect is named when it is that probable; a rival is listed when it has that share.
@@ -90,23 +94,39 @@ def explain(
     cases = [prepared(r) for r in recordings]
     report(0.03)
     base, found, wrong = _searched(cases, lambda f: report(0.03 + 0.77 * f))
-    travels = [assume == "auto" and _travels(f) for f in found.model.parts]
-    if any(travels):
+    far = [assume == "auto" and travels(f) for f in found.model.parts]
+    if any(far):
         # (only now: errors of the sensors look like a travelling hand too)
         cases = [
-            _resting(prepared(r, "rest-only"), f) if far else case
-            for r, case, f, far in zip(recordings, cases, found.model.parts, travels, strict=True)
+            resting(f, latitude, height) if gone else case
+            for case, f, gone in zip(cases, found.model.parts, far, strict=True)
         ]
         base, found, wrong = _searched(cases, lambda f: report(0.4 + 0.4 * f))
+    report(0.75)
+    options = Options(latitude, height, fixed, tuple(ignore))
+    found, chosen = _refitted(base, found, options)
     report(0.8)
-    others = [prepared(r, "rest-only" if any(travels) else assume) for r in held_out]
+    others = [prepared(r, "rest-only" if any(far) else assume) for r in held_out]
     scores = held.other_files(others, found.model) if others else held.later_blocks(
         base, found.model
     )  # fmt: skip
     report(0.95)
-    out = _explanation(base, found, wrong, scores)
+    out = _explanation(base, found, wrong, scores, chosen)
     report(1.0)
     return out
+
+
+def _refitted(base: Model, found: Found, options: Options) -> tuple[Found, Chosen]:
+    """The model that the search ended with, fitted from where any other would be, as
+    ``calibrate`` does; and as it is written down."""
+    chosen = chosen_of(found.model, options, moments(found))
+    if not as_seen(base.parts, chosen):
+        parts = zip(found.model.parts, chosen.views, strict=True)
+        base = baseline([seen(f.case.read or f.case.recording, v, options) for f, v in parts])
+    model = settled(base, chosen)
+    options_ = list(found.space.effects.values())
+    where = space(scan(model, options_), options_, found.space.prior)
+    return replace(found, model=model, space=where), chosen
 
 
 def _searched(
@@ -115,7 +135,7 @@ def _searched(
     """The baseline, where the search from it ended, and the headings that are merely wrong."""
     base = fitted([started(c) for c in cases], (), noise_rounds=2)
     report(0.15)
-    start = _ironed(base)
+    start = ironed(base)
     cleaned, wrong = outliers.cleaned(start)
 
     def climbed(f: float) -> None:
@@ -131,29 +151,13 @@ def _searched(
         found, wrong = _without_outliers(start, found, climbed)
     slow = creeping(base, found.model, _gained(found)) if wrong is None else None
     if slow is not None:
-        base, found = slow, search(_ironed(slow), climbed)
+        base, found = slow, search(ironed(slow), climbed)
     return base, found, wrong
 
 
 def _gained(found: Found) -> dict[str, float]:
     """Nats that each effect of the model gains."""
     return gains(found.space, found.model.chosen) | found.noise
-
-
-def _travels(f: Fitted) -> bool:
-    """Whether a point that was taken to be held sways as no hand does, physics or not, and there
-    are rests to go by instead."""
-    at_rest = f.case.assume == "fixed-point" and len(f.case.rests) > 0
-    return at_rest and beyond_a_hand(f.linear, f.levels) > TRAVEL_NATS
-
-
-def _resting(case: Case, held: Fitted) -> Case:
-    wide = sway_of(held.linear.problem, held.levels)
-    said = (
-        f"The hand travels: as a held point it would sway by {wide:.2g} m. Only the rests are "
-        "taken to be still (--assume fixed-point has it otherwise)."
-    )
-    return replace(case, warnings=(*case.warnings, said))
 
 
 def _without_outliers(
@@ -174,29 +178,15 @@ def _without_outliers(
     return replace(other, alone=found.alone), outliers.share(other.model, masks, gain)
 
 
-def _ironed(base: Model) -> Model:
-    """The baseline with a hard iron, if the magnetometer carries one too large to be found from
-    zero; else the baseline as it is."""
-    effect = mag_hard_iron.EFFECT
-    cases = [without_iron(f.case) for f in base.parts]
-    if not any(cases):
-        return base
-    begin = [
-        f if case is None else started(case, [effect])
-        for f, case in zip(base.parts, cases, strict=True)
-    ]
-    model = fitted(begin, [effect])
-    return model if model.log_evidence + PRIOR > base.log_evidence else base
-
-
 def _explanation(
-    base: Model, found: Found, wrong: outliers.Wrong | None, scores: HeldOut
+    base: Model, found: Found, wrong: outliers.Wrong | None, scores: HeldOut, written: Chosen
 ) -> Explanation:
     model = found.model
     chosen = model.chosen
     named = wrong if wrong is not None and wrong.burst is None else None
     excess = inflation(model)
-    learnt = parameters.learnt(found, excess)
+    fits = results(model, written.moments)
+    learnt = {e.id: _of(fits[0], e) for e in model.effects if e.process is None}
     missing, unsure = _missing(found, chosen, learnt, named)
     unnamed = _unnamed(found, chosen, learnt)
     if wrong is not None and wrong.burst is not None:
@@ -218,7 +208,7 @@ def _explanation(
         bins, short = locate.shortfall(b, a)
         if verdict != "nothing_missing":
             mismatch += locate.mismatches(b, bins, short, k)
-        explained.append(_explained(b, a, bins, short, model))
+        explained.append(_explained(b, a, bins, short, model, fits[k]))
     mismatch = [replace(m, share=m.share / len(model.parts)) for m in mismatch]
     told = [plainly(model, m, excess) for m in missing]
     hypotheses = _hypotheses(found, told, named)
@@ -235,10 +225,15 @@ def _explanation(
         scores,
         next_motions(found, missing, hypotheses, verdict),
         (*own, *(p for known in learnt.values() for p in known)),
-        _noise(model.parts[0]),
+        noise(model.parts[0]),
         tuple(explained),
         _warnings(base, model, {h.effect for h in hypotheses if h.expected < FAINT}),
+        written,
     )
+
+
+def _of(result: Result, effect: Effect) -> tuple[Parameter, ...]:
+    return tuple(p for p in result.parameters if p.effect == name_of(effect.id))
 
 
 def _missing(
@@ -377,13 +372,18 @@ def _hypotheses(
 
 
 def _explained(
-    before: Fitted, after: Fitted, bins: Array, short: Mapping[str, Array], model: Model
+    before: Fitted,
+    after: Fitted,
+    bins: Array,
+    short: Mapping[str, Array],
+    model: Model,
+    result: Result,
 ) -> Explained:
     return Explained(
         after.case.recording,
         after.case.assume,
-        parameters.biases(after),
-        _noise(after),
+        tuple(p for p in result.parameters if p.effect in ("gyro_bias", "accel_bias")),
+        result.noise,
         locate.traces(before, after),
         _evidence(after, model),
         bins,
@@ -445,13 +445,6 @@ def _fit(model: Model, parts: Sequence[Fitted]) -> Fit:
         {k: float(np.sqrt(np.mean(np.square(v)))) for k, v in rms.items()},
         {k: float(np.mean(v)) for k, v in nis.items()},
         {k: float(np.mean(v)) for k, v in white.items()},
-    )
-
-
-def _noise(f: Fitted) -> tuple[NoiseLevel, ...]:
-    return tuple(
-        NoiseLevel(lv.name, f.levels[lv.name], lv.unit, lv.name not in f.case.fixed)
-        for lv in f.linear.problem.levels
     )
 
 

@@ -15,13 +15,13 @@ import numpy as np
 
 from handcal import batch, so3
 from handcal import noise as noise_levels
-from handcal.calibration import first_state
-from handcal.effects import Effect
+from handcal.effects import Effect, mag_hard_iron
+from handcal.estimate.case import Case, problem_with, without_iron
+from handcal.estimate.observed import first_state
+from handcal.estimate.quadratic import Local, Posterior, Quadratic, given, local, posterior, total
+from handcal.estimate.robust import excess
 from handcal.evidence import backward, reduce, reduced_pass
-from handcal.explain.case import Case, problem_with
-from handcal.explain.quadratic import Local, Posterior, Quadratic, given, local, posterior, total
-from handcal.explain.robust import excess
-from handcal.filter import empty_track, run_compiled
+from handcal.filter import ENGINES, empty_track
 from handcal.linear import Linear, Trajectory, epochs, linearise_about, trajectory_of
 from handcal.model import Problem, noise_arrays, relinearised
 from handcal.types import Array, HandcalError, IntArray
@@ -37,6 +37,8 @@ SHARES = (1.0, 0.3, 0.1)
 EXCESS = 1.3
 # From one epoch to the next, m and m/s, no trajectory jumps so far.
 BEYOND = 1e3
+# Log prior odds of a large hard iron, of which there is one in every other phone.
+IRON_ODDS = -5.0
 # A delay is linearised about where it is known to this, s.
 DELAY_STEP = 0.002
 
@@ -77,7 +79,27 @@ class Model:
         return frozenset(e.id for e in self.effects if e.process is None)
 
 
-def started(case: Case, effects: Sequence[Effect] = ()) -> Fitted:
+def baseline(cases: Sequence[Case], engine: str = "compiled") -> Model:
+    """The fit with no effect at all, where every other begins."""
+    return fitted([started(c, engine=engine) for c in cases], (), noise_rounds=2)
+
+
+def ironed(base: Model) -> Model:
+    """The baseline with a hard iron, if the magnetometer carries one too large to be found from
+    zero; else the baseline as it is."""
+    effect = mag_hard_iron.EFFECT
+    cases = [without_iron(f.case) for f in base.parts]
+    if not any(cases):
+        return base
+    begin = [
+        f if case is None else started(case, [effect])
+        for f, case in zip(base.parts, cases, strict=True)
+    ]
+    model = fitted(begin, [effect])
+    return model if model.log_evidence + IRON_ODDS > base.log_evidence else base
+
+
+def started(case: Case, effects: Sequence[Effect] = (), engine: str = "compiled") -> Fitted:
     """A first trajectory by the online filter, with the effects that it cannot do without."""
     problem = problem_with(case, effects)
     problem = relinearised(problem, np.zeros(problem.constants), np.zeros(3), np.zeros(3))
@@ -86,7 +108,7 @@ def started(case: Case, effects: Sequence[Effect] = ()) -> Fitted:
     }
     track = empty_track(problem, epochs(problem))
     state = first_state(problem, case.start, levels)
-    state = run_compiled(problem, noise_arrays(problem, levels), state, track)
+    state = ENGINES[engine](problem, noise_arrays(problem, levels), state, track)
     nominal = trajectory_of(problem, track, state.bg, state.ba, state.extras)
     linear, _, _ = batch.relinearise(linearise_about(problem, case.start, nominal), levels)
     if not np.isfinite(linear.d).all():
@@ -120,6 +142,8 @@ def fitted(
         return diverged(parts, effects)
     for _ in range(noise_rounds):
         new = [with_noise(f) for f in parts]
+        # (of noise that is a part's alone the whole need not be the better)
+        least = -math.inf if any(f.case.noise_until for f in parts) else evidence - ASTRAY
         change = max(
             abs(math.log(n.levels[k] / o.levels[k]))
             for n, o in zip(new, parts, strict=True)
@@ -128,8 +152,8 @@ def fitted(
         for share in SHARES:
             # about one trajectory, evidence may favour a noise so small that no other is as good
             towards = [_towards(o, n, share) for o, n in zip(parts, new, strict=True)]
-            tried, rests, value = relinearised_parts(towards, effects, known, evidence - ASTRAY)
-            if value > evidence - ASTRAY:
+            tried, rests, value = relinearised_parts(towards, effects, known, least)
+            if value > least:
                 break
         else:
             break
@@ -276,9 +300,19 @@ def moved_to(f: Fitted, effects: Sequence[Effect]) -> Fitted:
 def delayed(f: Fitted, effects: Sequence[Effect], effect: Effect, seconds: float) -> Fitted:
     """The fit, of these effects already, with the delay of one of them set to so much and
     nothing else moved."""
-    at = next(i for i, s in enumerate(f.linear.problem.slots) if s.owner == effect.id)
+    return at_constants(f, effects, {(effect.id, effect.parameters[0].name): seconds})
+
+
+def at_constants(
+    f: Fitted, effects: Sequence[Effect], values: Mapping[tuple[str, str], float]
+) -> Fitted:
+    """The fit, of these effects already, with some of their constants set to these values (SI)
+    and nothing else moved."""
+    if not values:
+        return f
     constants = f.linear.trajectory.constants.copy()
-    constants[at] = seconds
+    for i, s in enumerate(f.linear.problem.slots):
+        constants[i] = values.get((s.owner, s.name), constants[i])
     return _linearised(f, replace(f.linear.trajectory, constants=constants), effects)
 
 
@@ -319,11 +353,22 @@ def _interpolated(t: Array, t_old: Array, x: Array) -> Array:
     return out
 
 
+def with_usual_noise(f: Fitted) -> Fitted:
+    """The fit with its noise levels as they are before anything was fitted, but for those known."""
+    levels = noise_levels.initial_levels(f.linear.problem)
+    levels |= {k: v for k, v in f.case.fixed.items() if k in levels}
+    return replace(f, levels=levels, curvature=noise_levels.NO_CURVATURE)
+
+
 def with_noise(f: Fitted) -> Fitted:
     """The fit with its noise levels estimated anew, but for those that are known."""
     names = tuple(lv.name for lv in f.linear.problem.levels if lv.name not in f.case.fixed)
+    if not names:
+        return f
+    until = f.case.noise_until
+    part = f.linear if until is None else noise_levels.until(f.linear, until)
     levels, curvature = noise_levels.estimate(
-        f.linear, f.levels, names, excess=EXCESS, known=f.curvature
+        part, f.levels, names, excess=EXCESS, known=f.curvature
     )
     return replace(f, levels=levels, curvature=curvature)
 

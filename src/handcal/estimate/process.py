@@ -9,8 +9,8 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from handcal.effects import Effect
+from handcal.estimate.fit import Fitted, Model
 from handcal.evidence import reduce, reduced_pass
-from handcal.explain.fit import Fitted, Model
 from handcal.types import Array, Parameter
 
 STEP = 0.15

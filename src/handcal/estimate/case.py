@@ -7,13 +7,26 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from handcal import segment
-from handcal.calibration import Observed, choose, observed_of
+from handcal import segment, so3
 from handcal.earth import local_earth
 from handcal.effects import Effect, Signals, catalogue, mag_hard_iron
+from handcal.estimate.observed import Choice, Observed, choose, observed_of
 from handcal.model import Problem, build
+from handcal.observations.fixed_position import CREEPING
 from handcal.start import Start
 from handcal.types import Array, Recording, Series
+
+
+@dataclass(frozen=True)
+class Edit:
+    """Readings of one kind that are merely wrong: ``dropped``, numbers of the rows left out;
+    shifted: from, to (s) and by how much (rad) others are turned back; constant: their
+    log-evidence instead."""
+
+    kind: str
+    dropped: tuple[int, ...]
+    shifted: tuple[float, float, float] | None
+    constant: float
 
 
 @dataclass(frozen=True)
@@ -23,7 +36,8 @@ class Case:
     observed: kinds with their rows and constants; delays: s by which the readings of a kind
     are taken to come late, for linearising about; fixed: noise levels that are known;
     constant: log-evidence of readings that are held to be outliers and left out; read_hz: rate
-    of the IMU, of which ``recording`` may hold averages.
+    of the IMU, of which ``recording`` may hold averages; read: the recording as it was read;
+    noise_until: noise levels are found in what comes before, s; edits: what was made of the rows.
     """
 
     recording: Recording
@@ -37,6 +51,14 @@ class Case:
     delays: Mapping[str, float] = field(default_factory=dict)
     constant: float = 0.0
     read_hz: float = 0.0
+    read: Recording | None = None
+    noise_until: float | None = None
+    edits: tuple[Edit, ...] = ()
+
+    @property
+    def creeping(self) -> bool:
+        """Whether the hand's held point may creep."""
+        return any(o is CREEPING for o, _, _ in self.observed)
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -45,9 +67,6 @@ class Case:
 
 MUCH_IRON = 5e-6
 ENOUGH_HZ = 90.0
-# How a hand sways within less than a third of a second is nobody's model: looked at more often,
-# it is its shape at those frequencies that is judged, at the expense of a lever arm.
-PSEUDO_RATE = 3.0
 
 
 def case_of(
@@ -57,29 +76,68 @@ def case_of(
     height: float = 0.0,
     ignore: Sequence[str] = (),
     fixed: Mapping[str, float] | None = None,
+    *,
+    kinds: Sequence[str] | None = None,
+    effects: Sequence[Effect] | None = None,
+    start: Start | None = None,
 ) -> Case:
-    """Choose what is observed as ``calibrate`` does, but that ``auto`` begins with a held point."""
-    recording = replace(
+    """A recording with what is observed of it; ``auto`` begins with a held point, since errors of
+    the sensors look like a travelling hand.
+
+    kinds: of observation, instead of those that streams and ``assume`` suggest; effects: those
+    that may be asked for (None: all there are); fixed: noise levels that are known, SI; start: a
+    prior of the first state instead of levelling.
+    """
+    read = replace(
         recording, streams={k: v for k, v in recording.streams.items() if k not in ignore}
     )
-    read_hz = recording.rate_hz
-    recording = thinned(recording)
+    recording = thinned(read)
     rests = segment.rests(recording)
     earth = local_earth(latitude, height)
-    # Errors of the sensors look like a travelling hand, so evidence could not choose yet.
-    held = "fixed-point" if assume == "auto" else assume
-    choice = choose(recording, tuple(catalogue().values()), held, rests, earth, dict(fixed or {}))
-    observed, start = observed_of(recording, choice.kinds, rests, earth, None, rate=PSEUDO_RATE)
+    if kinds is None:
+        asked = tuple(catalogue().values()) if effects is None else effects
+        choice = choose(recording, asked, assume, rests)
+    else:
+        choice = Choice("rest-only" if "zero_rate" in kinds else "fixed-point", tuple(kinds), ())
+    observed, begin = observed_of(recording, choice.kinds, rests, earth, start)
     return Case(
         recording,
         choice.assume,
         tuple(observed),
         rests,
         earth,
-        start,
+        begin,
         (*recording.warnings, *choice.warnings),
         dict(fixed or {}),
-        read_hz=read_hz,
+        read_hz=read.rate_hz,
+        read=read,
+    )
+
+
+def creeping(case: Case) -> Case:
+    """The case with a held point that may creep (an arm that tires)."""
+    observed = tuple(
+        (CREEPING if o.kind == CREEPING.kind else o, rows, constants)
+        for o, rows, constants in case.observed
+    )
+    return replace(case, observed=observed)
+
+
+def edited(case: Case, edit: Edit) -> Case:
+    """The case with this made of the rows of one kind."""
+    observed = list(case.observed)
+    k = case.kinds.index(edit.kind)
+    observation, rows, constants = observed[k]
+    z = rows.z.copy()
+    if edit.shifted is not None:
+        first, last, by = edit.shifted
+        there = (rows.t >= first) & (rows.t <= last)
+        z[there, 0] = so3.wrap(z[there, 0] - by)
+    kept = np.ones(len(rows.t), dtype=bool)
+    kept[list(edit.dropped)] = False
+    observed[k] = (observation, replace(rows, t=rows.t[kept], z=z[kept]), constants)
+    return replace(
+        case, observed=tuple(observed), constant=edit.constant, edits=(*case.edits, edit)
     )
 
 
@@ -153,10 +211,12 @@ def without_iron(case: Case) -> Case | None:
     iron = mag_hard_iron.guess(case.recording)
     if float(np.linalg.norm(iron)) < MUCH_IRON:
         return None
-    observed, start = observed_of(
-        case.recording, case.kinds, case.rests, case.earth, None, iron, PSEUDO_RATE
-    )
-    return replace(case, observed=tuple(observed), start=start)
+    observed, start = observed_of(case.recording, case.kinds, case.rests, case.earth, None, iron)
+    out = replace(case, observed=tuple(observed), start=start, edits=())
+    out = creeping(out) if case.creeping else out
+    for edit in case.edits:
+        out = edited(out, edit)
+    return out
 
 
 def problem_with(case: Case, effects: Sequence[Effect]) -> Problem:

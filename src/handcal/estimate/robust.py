@@ -16,7 +16,7 @@ from handcal.evidence import ReducedPass, reduce, reduced_pass
 from handcal.types import Array, IntArray
 
 if TYPE_CHECKING:
-    from handcal.explain.fit import Fitted, Model
+    from handcal.estimate.fit import Fitted, Model
 
 BLOCK_S = 4.0
 # As many blocks' worth of belief in the model itself.

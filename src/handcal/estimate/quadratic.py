@@ -35,7 +35,8 @@ class Quadratic:
 @dataclass(frozen=True)
 class Local:
     """A quadratic and how a recording's own unknowns follow from the shared ones:
-    their mean is base + by_shared (u - here), in prior units of deviations from the nominal."""
+    their mean is base + by_shared (u - here), in prior units of deviations from the nominal, and
+    covariance is theirs where the shared ones are known."""
 
     quadratic: Quadratic
     own: IntArray
@@ -43,6 +44,7 @@ class Local:
     here: Array
     base: Array
     by_shared: Array
+    covariance: Array
 
     def deviations(self, u: Array) -> Array:
         """Deviations w (nc,) of all constants from the nominal, given the shared u (k,)."""
@@ -64,8 +66,8 @@ def local(done: ReducedPass, shared_owners: frozenset[str]) -> Local:
     A = G[np.ix_(own, own)] + np.eye(len(own))
     root = np.linalg.cholesky(A)
     c = b[own] + w0[own]
-    half = np.linalg.solve(root, np.column_stack([c, G[np.ix_(own, shared)]]))
-    y, Y = half[:, 0], half[:, 1:]
+    half = np.linalg.solve(root, np.column_stack([c, G[np.ix_(own, shared)], np.eye(len(own))]))
+    y, Y = half[:, 0], half[:, 1 : 1 + len(shared)]
     solved = np.linalg.solve(root.T, half)
     # in deviations from the nominal ...
     a_w = a - 0.5 * float(w0[own] @ w0[own]) + 0.5 * float(y @ y) - np.log(np.diag(root)).sum()
@@ -80,7 +82,8 @@ def local(done: ReducedPass, shared_owners: frozenset[str]) -> Local:
         shared,
         here,
         solved[:, 0],
-        -solved[:, 1:],
+        -solved[:, 1 : 1 + len(shared)],
+        solved[:, 1 + len(shared) :],
     )
 
 

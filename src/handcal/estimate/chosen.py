@@ -1,0 +1,118 @@
+"""A model as it can be written down, and its one fit, which does not depend on the way there.
+
+``explain`` ends in it and ``calibrate`` is it: the baseline first, then the chosen effects from
+where the model says that they start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from handcal.effects import Effect, mag_hard_iron
+from handcal.estimate.case import Case, Edit, case_of, creeping, edited
+from handcal.estimate.fit import (
+    Fitted,
+    Model,
+    at_constants,
+    fitted,
+    ironed,
+    moved_to,
+    with_usual_noise,
+)
+from handcal.estimate.parameters import Moment
+from handcal.types import Recording
+
+
+@dataclass(frozen=True)
+class View:
+    """How one recording is looked at: kinds of observation, what is assumed of the hand, whether
+    its held point creeps, readings that are merely wrong, and what to say about it."""
+
+    kinds: tuple[str, ...]
+    assume: str
+    creeps: bool = False
+    edits: tuple[Edit, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the user said: latitude rad, height m, noise levels that are known (SI), streams to
+    leave out."""
+
+    latitude: float | None = None
+    height: float = 0.0
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    ignore: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A model: effects (noise among them), values (SI) from which their constants start where that
+    is not zero, moments of those that are held at one, and a view of each recording."""
+
+    effects: tuple[Effect, ...]
+    views: tuple[View, ...]
+    options: Options = Options()
+    starts: Mapping[tuple[str, str], float] = field(default_factory=dict)
+    moments: Mapping[str, Moment] = field(default_factory=dict)
+
+
+def chosen_of(model: Model, options: Options, moments: Mapping[str, Moment]) -> Chosen:
+    """A model that was fitted, written down. Effects start where their size is of the order of
+    their prior or more, in whole priors: what is small starts at zero."""
+    starts = {}
+    for e in model.effects:
+        for p in e.parameters if e.process is None else ():
+            at = next(i for i, n in enumerate(model.quadratic.names) if n == (e.id, p.name))
+            whole = float(np.round(model.u[at]))
+            if whole != 0.0:
+                starts[e.id, p.name] = whole * p.prior_sigma
+    views = tuple(view_of(f.case) for f in model.parts)
+    return Chosen(model.effects, views, options, starts, moments)
+
+
+def view_of(case: Case) -> View:
+    """How a case looks at its recording."""
+    read = len((case.read or case.recording).warnings)
+    return View(case.kinds, case.assume, case.creeping, case.edits, case.warnings[read:])
+
+
+def seen(recording: Recording, view: View, options: Options) -> Case:
+    """The recording as the view has it."""
+    case = case_of(
+        recording, view.assume, options.latitude, options.height, options.ignore, options.fixed,
+        kinds=view.kinds,
+    )  # fmt: skip
+    case = replace(case, assume=view.assume, warnings=(*case.warnings, *view.warnings))
+    case = creeping(case) if view.creeps else case
+    for edit in view.edits:
+        case = edited(case, edit)
+    return case
+
+
+def settled(base: Model, chosen: Chosen) -> Model:
+    """The fit of the chosen effects, from the baseline of the same cases.
+
+    What the baseline lacks, its noise levels hold. So the noise is sought from where it is
+    usual, and from the baseline's own only where that does no better than no effect at all.
+    """
+    if not chosen.effects:
+        return base
+    iron = mag_hard_iron.EFFECT.id in {e.id for e in chosen.effects}
+    begun = ironed(base) if iron else base
+    at = {k: v for k, v in chosen.starts.items() if k[0] not in begun.ids}
+    parts = [at_constants(moved_to(f, chosen.effects), chosen.effects, at) for f in begun.parts]
+    found = fitted([with_usual_noise(f) for f in parts], chosen.effects, noise_rounds=2)
+    if found.log_evidence > base.log_evidence:
+        return found
+    other = fitted(parts, chosen.effects, noise_rounds=2)
+    return max(found, other, key=lambda m: m.log_evidence)
+
+
+def as_seen(base: Sequence[Fitted], chosen: Chosen) -> bool:
+    """Whether fits look at their recordings as the model does."""
+    return tuple(view_of(f.case) for f in base) == chosen.views

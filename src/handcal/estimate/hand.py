@@ -1,0 +1,37 @@
+"""Whether the held point was held, or the hand travelled and only its rests are still."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from handcal.effects import Effect
+from handcal.estimate.case import Case, case_of
+from handcal.estimate.fit import Fitted
+from handcal.sway import TRAVEL_NATS, beyond_a_hand, sway_of
+
+
+def travels(f: Fitted) -> bool:
+    """Whether a point that was taken to be held sways as no hand does, physics or not, and there
+    are rests to go by instead."""
+    at_rest = f.case.assume == "fixed-point" and len(f.case.rests) > 0
+    held = at_rest and "fixed_position" in f.case.kinds
+    return held and beyond_a_hand(f.linear, f.levels) > TRAVEL_NATS
+
+
+def resting(
+    held: Fitted,
+    latitude: float | None,
+    height: float,
+    effects: Sequence[Effect] | None = None,
+) -> Case:
+    """The recording with its rests alone taken to be still; held: as if its point were held;
+    effects: as for ``case_of``."""
+    wide = sway_of(held.linear.problem, held.levels)
+    read = held.case.read or held.case.recording
+    case = case_of(read, "rest-only", latitude, height, (), held.case.fixed, effects=effects)
+    said = (
+        f"The hand travels: as a held point it would sway by {wide:.2g} m. Only the rests are "
+        "taken to be still (--assume fixed-point has it otherwise)."
+    )
+    return replace(case, warnings=(*case.warnings, said))

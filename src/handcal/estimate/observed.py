@@ -1,0 +1,221 @@
+"""What is observed of a recording: which kinds of observation, their rows, and where to begin."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from handcal import so3
+from handcal.effects import Effect, mag_hard_iron
+from handcal.filter import State, initial_state
+from handcal.kernel import BASE
+from handcal.model import Problem, build
+from handcal.observations import Observation, Rows, Scene, catalogue
+from handcal.start import Start, from_pose, from_rest, levelled
+from handcal.types import Array, HandcalError, InputError, Recording
+
+Observed = tuple[Observation, Rows, tuple[tuple[str, str, float], ...]]
+ASSUMPTIONS = ("auto", "fixed-point", "rest-only")
+MIN_READINGS = 20
+# How a hand sways within less than a third of a second is nobody's model: looked at more often,
+# it is its shape at those frequencies that is judged, at the expense of a lever arm.
+PSEUDO_RATE = 3.0
+UNKNOWN_YAW = math.radians(100.0)
+FIXED_YAW = 1e-6
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What is assumed of the hand, the kinds of observation to use, and what was left out, in
+    words."""
+
+    assume: str
+    kinds: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def choose(recording: Recording, effects: Sequence[Effect], assume: str, rests: Array) -> Choice:
+    """What to observe under one of ASSUMPTIONS; "auto" begins with a held point."""
+    warnings: list[str] = []
+    usable = _usable(recording, effects, warnings)
+    if "reference" in usable:
+        return Choice("rest-only", ("known_input",), tuple(_only_reference(usable)))
+    assumed = "fixed-point" if assume == "auto" else assume
+    return Choice(assumed, tuple(_kinds(assumed, usable, rests)), tuple(warnings))
+
+
+def check_options(
+    recording: Recording, assume: str, heading_sigma: float | None, ignore: Sequence[str]
+) -> None:
+    """Raises InputError, with the sentence a user needs, where an option makes no sense."""
+    if assume not in ASSUMPTIONS:
+        raise InputError(f"Unknown assumption '{assume}'. Known: {', '.join(ASSUMPTIONS)}.")
+    if heading_sigma is not None and not 1e-4 <= heading_sigma <= 4.0:
+        raise InputError("The heading's sigma must lie between 0.006 and 229 degrees.")
+    for name in ignore:
+        if name not in recording.streams:
+            have = ", ".join(recording.streams) or "none"
+            raise InputError(f"There is no stream '{name}' to ignore; the recording has: {have}.")
+
+
+def _usable(recording: Recording, effects: Sequence[Effect], warnings: list[str]) -> set[str]:
+    """Streams that are fit to be observed; what is left out is said."""
+    usable = set(recording.streams) & {"heading", "mag", "pose", "reference"}
+    for name in sorted(usable):
+        if len(recording.streams[name].t) < MIN_READINGS:
+            usable.discard(name)
+            warnings.append(f"The stream '{name}' was left out: it holds fewer than 20 readings.")
+    if "pose" in usable:
+        try:
+            catalogue()["pose"].rows(recording, Scene(np.zeros((0, 2)), has_heading=False))
+        except InputError as problem:
+            usable.discard("pose")
+            warnings.append(f"The pose was left out: {problem}")
+    if "mag" in usable:
+        size = np.linalg.norm(recording.streams["mag"].value, axis=1)
+        low, high = np.quantile(size, [0.05, 0.95])
+        if "heading" in usable:
+            usable.discard("mag")
+        elif any(e.id == "mag_hard_iron" for e in effects):
+            pass
+        elif high - low > 0.4 * np.median(size) or not 5e-6 < np.median(size) < 1.5e-4:
+            usable.discard("mag")
+            warnings.append(
+                f"The magnetometer was left out: its field of {1e6 * low:.0f} to {1e6 * high:.0f} "
+                "microtesla is not the Earth's (25 to 65, and the same in every attitude); "
+                "it carries a hard iron."
+            )
+    return usable
+
+
+def _only_reference(usable: set[str]) -> list[str]:
+    """What the user should know where a reference tells rate and force themselves."""
+    others = sorted(usable - {"reference"})
+    unused = f" The streams {' and '.join(others)} are not used." if len(others) > 1 else ""
+    unused = unused or (f" The stream {others[0]} is not used." if others else "")
+    return [
+        "The readings are compared with the reference's alone: nothing is assumed of the hand, "
+        f"and position, velocity and heading are free to drift.{unused}"
+    ]
+
+
+def _kinds(assume: str, usable: set[str], rests: Array) -> list[str]:
+    kinds: list[str] = []
+    if assume == "rest-only":
+        if not len(rests):
+            raise HandcalError(
+                "The device never rests in this recording, so --assume rest-only has nothing to "
+                "go by; let it lie for a few seconds at the start and the end."
+            )
+        kinds += ["zero_velocity", "zero_rate"]
+    elif "pose" not in usable:
+        kinds.append("fixed_position")
+    kinds += [k for s, k in (("heading", "heading"), ("mag", "magnetometer")) if s in usable]
+    if "pose" in usable:
+        kinds.append("pose")
+    return kinds
+
+
+def problem_of(
+    recording: Recording,
+    effects: Sequence[Effect],
+    kinds: Sequence[str],
+    rests: Array,
+    earth: tuple[Array, Array],
+    start: Start | None,
+) -> tuple[Problem, Start]:
+    """The problem these kinds of observation make of the recording, and where it starts."""
+    if "magnetometer" not in kinds or not any(e.id == mag_hard_iron.EFFECT.id for e in effects):
+        observed, begin = observed_of(recording, kinds, rests, earth, start)
+        return build(recording, effects, observed, *earth), begin
+    iron, sigma = mag_hard_iron.sphere(recording)
+    observed, begin = observed_of(recording, kinds, rests, earth, start, iron)
+    problem = build(recording, effects, observed, *earth)
+    told = {axis: (float(s), float(c)) for axis, s, c in zip("xyz", sigma, iron, strict=True)}
+    slots = tuple(
+        replace(s, prior_sigma=told[s.name][0], prior_mean=told[s.name][1])
+        if s.owner == mag_hard_iron.EFFECT.id
+        else s
+        for s in problem.slots
+    )
+    return replace(problem, slots=slots), begin
+
+
+def observed_of(
+    recording: Recording,
+    kinds: Sequence[str],
+    rests: Array,
+    earth: tuple[Array, Array],
+    start: Start | None,
+    iron: Array | None = None,
+    rate: float | None = PSEUDO_RATE,
+) -> tuple[list[Observed], Start]:
+    """Each kind of observation with its rows and constants, and where the filter starts.
+
+    iron (3,): a hard iron about which that of the magnetometer is to be sought, tesla.
+    rate: of pseudo-observations, Hz.
+    """
+    if iron is not None:
+        recording = mag_hard_iron.cleaned(recording, iron)
+    has_heading = "heading" in kinds or "magnetometer" in kinds
+    scene = Scene(rests, has_heading, rate=rate, omega_ie_n=earth[1])
+    begin = start or _level(recording, kinds, scene)
+    if "pose" in kinds and has_heading:
+        scene = replace(scene, align_yaw=float(so3.yaw_of(begin.C_nb)))
+    observed: list[Observed] = []
+    for kind in kinds:
+        observation = catalogue()[kind]
+        rows = observation.rows(recording, scene)
+        if rows is None or not len(rows.t):
+            raise HandcalError(f"The recording holds nothing for the observation '{kind}'.")
+        if kind == "magnetometer" and iron is not None:
+            rows = replace(rows, z=np.hstack([rows.z, np.tile(iron, (len(rows.t), 1))]))
+        constants = tuple((c.name, c.unit, c.prior_sigma) for c in observation.constants(scene))
+        observed.append((observation, rows, constants))
+        if kind == "pose" and start is None:
+            begin = from_pose(rows.t, rows.z)
+    return observed, begin
+
+
+def _level(recording: Recording, kinds: Sequence[str], scene: Scene) -> Start:
+    """Start level, with the yaw that the first headings show, or zero where none is observed."""
+    begin = from_rest(recording, 0.0, UNKNOWN_YAW if scene.has_heading else FIXED_YAW, scene.rests)
+    if not scene.has_heading:
+        return begin
+    name = "heading" if "heading" in kinds else "mag"
+    if name not in recording.streams:
+        raise HandcalError(f"The recording has no stream '{name}' to take a heading from.")
+    series = recording.streams[name]
+    early = series.value[: max(1, int(np.searchsorted(series.t, series.t[0] + 0.5)))]
+    if name == "heading":
+        yaw = math.atan2(np.sin(early[:, 0]).mean(), np.cos(early[:, 0]).mean())
+    else:
+        field = begin.C_nb @ early.mean(axis=0)
+        yaw = 0.5 * math.pi - math.atan2(field[1], field[0])
+    force = begin.force
+    assert force is not None
+    return replace(begin, C_nb=levelled(force, yaw))
+
+
+def first_state(problem: Problem, start: Start, levels: Mapping[str, float]) -> State:
+    """The filter's state before the first node; about an iron that is already taken off.
+
+    The online pass cannot go back: it has to begin where the iron is, and to stay near.
+    """
+    state = initial_state(problem, start, dict(levels))
+    mine = [i for i, s in enumerate(problem.slots) if s.owner == mag_hard_iron.EFFECT.id]
+    seen = [k for k, o in enumerate(problem.observations) if o.kind == "magnetometer"]
+    if not mine or not seen:
+        return state
+    first = problem.nodes.z[int(np.argmax(problem.nodes.kind == seen[0]))]
+    iron = first[mag_hard_iron.TAKEN_OFF : mag_hard_iron.TAKEN_OFF + 3]
+    if not iron.any():
+        return state
+    extras, P = state.extras.copy(), state.P.copy()
+    for axis, i in enumerate(mine):
+        extras[i] = iron[axis]
+        P[BASE + i, BASE + i] = mag_hard_iron.STRAY**2
+    return replace(state, extras=extras, P=P)

@@ -1,0 +1,109 @@
+"""What a fit says of its parameters: values, sigmas, and how they depend on each other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from handcal.effects import Effect, Param, catalogue
+from handcal.estimate.case import name_of
+from handcal.estimate.fit import Model
+from handcal.estimate.quadratic import given, local
+from handcal.evidence import reduce, reduced_pass
+from handcal.model import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR
+from handcal.types import Array, Parameter
+
+BIASES = tuple(
+    (effect, axis, unit, prior)
+    for effect, unit, prior in (
+        ("gyro_bias", "rad/s", float(GYRO_BIAS_PRIOR)),
+        ("accel_bias", "m/s^2", ACCEL_BIAS_PRIOR),
+    )
+    for axis in "xyz"
+)
+
+
+@dataclass(frozen=True)
+class Moment:
+    """When what is not linear in its moment happens, s, and how well that is known."""
+
+    at: float
+    sigma: float
+
+
+@dataclass(frozen=True)
+class Known:
+    """Parameters of one recording's fit, biases first, and their covariance (m, m); column (m,):
+    which constant of the problem each is, biases counted (-1: a moment)."""
+
+    parameters: tuple[Parameter, ...]
+    covariance: Array
+    column: tuple[int, ...]
+
+
+def known(
+    model: Model, part: int, excess: Mapping[str, float], moments: Mapping[str, Moment]
+) -> Known:
+    """Biases of one recording and the effects' parameters, shared by all recordings.
+
+    excess: by which the scores of each effect scatter beyond the information matrix; moments: of
+    the effects that are held at one, by id.
+    """
+    f = model.parts[part]
+    problem, nominal = f.linear.problem, f.linear.trajectory
+    shared = frozenset(e.id for e in model.effects)
+    done = reduced_pass(reduce(f.linear), f.levels)
+    own = local(done, shared)
+    at = {n: i for i, n in enumerate(model.quadratic.names)}
+    u = given(model.quadratic, own.quadratic, model.u)
+    mine = [at[n] for n in own.quadratic.names]
+    C_u = model.covariance[np.ix_(mine, mine)]
+    n = len(own.own) + len(own.shared)
+    C = np.zeros((n, n))
+    cross = own.by_shared @ C_u
+    C[np.ix_(own.shared, own.shared)] = C_u
+    C[np.ix_(own.own, own.own)] = own.covariance + cross @ own.by_shared.T
+    C[np.ix_(own.own, own.shared)], C[np.ix_(own.shared, own.own)] = cross, cross.T
+    whole = np.r_[
+        nominal.bg, nominal.ba, nominal.constants
+    ] + done.reduction.scale * own.deviations(u)
+    parameters, column, widen = [], [], []
+    for i, (bias, axis, unit, prior) in enumerate(BIASES):
+        sigma = math.sqrt(C[i, i]) * float(done.reduction.scale[i])
+        parameters.append(Parameter(bias, axis, float(whole[i]), sigma, unit, prior, None))
+        column.append(i)
+        widen.append(float(done.reduction.scale[i]))
+    owners = [(s.owner, s.name) for s in problem.slots]
+    for effect, p in _listed(problem.effects):
+        if (effect.id, p.name) not in owners:
+            moment = moments.get(effect.id, Moment(float("nan"), float("nan")))
+            value, sigma, k, scale = moment.at, moment.sigma, -1, 1.0
+        else:
+            k = 6 + owners.index((effect.id, p.name))
+            scale = math.sqrt(excess.get(effect.id, 1.0)) * float(done.reduction.scale[k])
+            value, sigma = float(whole[k]), math.sqrt(max(C[k, k], 0.0)) * scale
+        parameters.append(
+            Parameter(name_of(effect.id), p.name, value, sigma, p.unit, p.prior_sigma, None)
+        )
+        column.append(k)
+        widen.append(scale)
+    columns = np.array(column)
+    covariance = C[np.ix_(columns, columns)] * np.outer(widen, widen)
+    for i, k in enumerate(column):
+        if k < 0:
+            covariance[i], covariance[:, i] = 0.0, 0.0
+            covariance[i, i] = parameters[i].sigma ** 2
+    return Known(tuple(parameters), covariance, tuple(column))
+
+
+def _listed(effects: Sequence[Effect]) -> list[tuple[Effect, Param]]:
+    """Each parameter of each effect that is a constant, a held moment among them."""
+    return [
+        (e, p)
+        for e in effects
+        if e.process is None and not e.outliers
+        for p in catalogue().get(name_of(e.id), e).parameters
+    ]

@@ -1,0 +1,253 @@
+"""A fit as a ``Result``: parameters, histories, innovations, and what to say about them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from handcal import batch, so3
+from handcal import noise as noise_levels
+from handcal.estimate.fit import Fitted, Model
+from handcal.estimate.parameters import Known, Moment, known
+from handcal.estimate.robust import inflation
+from handcal.kernel import BASE
+from handcal.linear import Linear, Trajectory, linearise_about
+from handcal.model import Problem
+from handcal.types import Array, HandcalError, History, Innovations, NoiseLevel, Parameter, Result
+
+# Rows of a history: as many a second, and no more numbers in all its covariances.
+HISTORY_RATE, HISTORY_NUMBERS = 25.0, 4_000_000
+STEADY_GRAVITY = math.radians(20.0)
+
+
+def results(model: Model, moments: Mapping[str, Moment]) -> tuple[Result, ...]:
+    """What a settled fit says of each of its recordings.
+
+    moments: of effects that are held at one, by id. Raises HandcalError for a fit that diverged.
+    """
+    if not math.isfinite(model.log_evidence):
+        raise HandcalError(
+            "The filter diverged on this recording; check its units and axes, and whether the "
+            "device was really held or laid as assumed."
+        )
+    excess = inflation(model)
+    return tuple(
+        _result(model, k, known(model, k, excess, moments)) for k in range(len(model.parts))
+    )
+
+
+def _result(model: Model, k: int, found: Known) -> Result:
+    f = model.parts[k]
+    warnings = list(f.case.warnings)
+    if not model.settled:
+        warnings.append(
+            "The estimate still moved after ten rounds of relinearisation; the motion may be "
+            "too poor for all that was asked, so trust the sigmas less."
+        )
+    problem = f.linear.problem
+    if problem.dropped:
+        warnings.append(
+            f"{problem.dropped} observations lie outside the IMU's time and were left out."
+        )
+    dense = _dense(f)
+    forward = batch.forward(dense, f.levels)
+    x, P = batch.smooth(dense, f.levels, forward)
+    history, smoothed = (_history(dense, found, *v) for v in ((forward.x, forward.P), (x, P)))
+    innovations = _innovations(dense, forward)
+    for kind, i in innovations.items():
+        if i.skipped:
+            warnings.append(
+                f"{i.skipped} observations of {kind} were skipped (body x near the vertical)."
+            )
+    warnings += _gravity_stays(f.linear.trajectory.C)
+    warnings += _contradicting_heading(problem, f.levels)
+    parameters, covariance = _walked(problem, found, smoothed)
+    recording = f.case.read or f.case.recording
+    return Result(
+        recording=recording,
+        assume=f.case.assume,
+        parameters=tuple(
+            replace(p, converged_at_s=_converged(history, i, p)) for i, p in enumerate(parameters)
+        ),
+        covariance=covariance,
+        noise=noise(f),
+        history=history,
+        smoothed=smoothed,
+        innovations=innovations,
+        log_evidence=model.log_evidence,
+        rests=f.case.rests,
+        warnings=tuple(dict.fromkeys(warnings)),
+        observed_heading=_observed_heading(dense),
+        settled=model.settled,
+    )
+
+
+def noise(f: Fitted) -> tuple[NoiseLevel, ...]:
+    """The noise levels of one recording."""
+    return tuple(
+        NoiseLevel(lv.name, f.levels[lv.name], lv.unit, lv.name not in f.case.fixed)
+        for lv in f.linear.problem.levels
+    )
+
+
+def _dense(f: Fitted) -> Linear:
+    """The fit linearised at more moments than those at which something is observed, for showing:
+    between two looks at a held point a device turns far.
+    """
+    linear, size = f.linear, f.linear.problem.size
+    t, node = linear.problem.nodes.t, linear.trajectory.node
+    rows = int(min(HISTORY_RATE * (t[-1] - t[0]), HISTORY_NUMBERS / size**2))
+    if rows < 2 * len(node) or not linear.problem.navigated:
+        return linear
+    wanted = np.searchsorted(t, np.linspace(t[0], t[-1], rows))
+    more = np.unique(np.r_[node, wanted.clip(max=len(t) - 1)])
+    old, new = t[node], t[more]
+    nominal = linear.trajectory
+
+    def between(x: Array) -> Array:
+        columns = [np.interp(new, old, x[:, i]) for i in range(x.shape[1])]
+        return np.stack(columns, axis=1) if columns else np.zeros((len(new), 0))
+
+    C = so3.between(old, nominal.C, new)
+    dense: Trajectory = replace(
+        nominal, node=more, p=between(nominal.p), v=between(nominal.v), C=C,
+        markov=between(nominal.markov),
+    )  # fmt: skip
+    out = linearise_about(linear.problem, linear.start, dense)
+    x, _ = batch.smoothed_mean(out, f.levels)
+    return linearise_about(linear.problem, linear.start, batch.moved(out, x))
+
+
+def _walked(
+    problem: Problem, found: Known, smoothed: History
+) -> tuple[tuple[Parameter, ...], Array]:
+    """The parameters, of a walking bias its mean over the recording, with the mean of its sigmas
+    (at most that is the sigma of the mean); and their covariance."""
+    if not problem.walks:
+        return found.parameters, found.covariance
+    parameters = list(found.parameters)
+    scale = np.ones(len(parameters))
+    for i in (column + i for _, column in problem.walks for i in range(3)):
+        p = parameters[i]
+        sigma = float(smoothed.parameter_sigma[:, i].mean())
+        value = float(smoothed.parameters[:, i].mean())
+        scale[i] = sigma / p.sigma
+        parameters[i] = replace(p, value=value, sigma=sigma)
+    return tuple(parameters), found.covariance * np.outer(scale, scale)
+
+
+def _walking(problem: Problem, P: Array) -> Array:
+    """Covariances P (k, N, N) with the biases as they are at each moment, walks included."""
+    if not problem.walks:
+        return P
+    total = np.eye(problem.size)
+    for state, column in problem.walks:
+        at = BASE + problem.constants + state
+        total[9 + column : 12 + column, at : at + 3] = np.eye(3)
+    return np.asarray(total @ P @ total.T)
+
+
+def _history(linear: Linear, found: Known, x: Array, P: Array) -> History:
+    """The nominal trajectory plus the estimated errors x (k, N), thinned for display."""
+    nominal, problem = linear.trajectory, linear.problem
+    step = max(1, round(len(linear.t) / max(1.0, (linear.t[-1] - linear.t[0]) * HISTORY_RATE)))
+    rows = np.unique(np.r_[np.arange(0, len(linear.t), step), len(linear.t) - 1])
+    C = np.stack([so3.matrix_exp(x[j, 6:9]) @ nominal.C[j] for j in rows])
+    whole = np.r_[nominal.bg, nominal.ba, nominal.constants]
+    at = 9 + np.array(found.column)
+    variance = np.einsum("kii->ki", _walking(problem, P[rows]))
+    parameters = whole[at - 9] + x[np.ix_(rows, at)]
+    sigma = np.sqrt(np.maximum(variance[:, at], 0.0))
+    for i, k in enumerate(found.column):
+        if k < 0:
+            parameters[:, i], sigma[:, i] = found.parameters[i].value, found.parameters[i].sigma
+    for state, column in problem.walks:
+        own = BASE + problem.constants + state
+        walk = nominal.markov[rows, state : state + 3] + x[rows, own : own + 3]
+        parameters[:, column : column + 3] += walk
+    return History(
+        t=linear.t[rows],
+        p_n=nominal.p[rows] + x[rows, 0:3],
+        v_n=nominal.v[rows] + x[rows, 3:6],
+        q_nb=so3.quaternion_of(C),
+        yaw=so3.yaw_of(C),
+        nav_sigma=np.sqrt(np.maximum(variance[:, :9], 0.0)),
+        parameters=parameters,
+        parameter_sigma=sigma,
+    )
+
+
+def _converged(history: History, i: int, p: Parameter) -> float | None:
+    """Time, s, from which the estimate stays within three of its final sigmas, and observable.
+
+    None where the final sigma is not below half the prior. A walking bias never stays: all that
+    can converge is how well it is known.
+    """
+    value, sigma, t = history.parameters[:, i], history.parameter_sigma[:, i], history.t
+    if not (p.observable and sigma[-1] < 0.5 * p.prior_sigma):
+        return None
+    away = (np.abs(value - value[-1]) > 3.0 * sigma[-1]) | (sigma >= 0.5 * p.prior_sigma)
+    last = np.flatnonzero(away)
+    return float(t[0] if not len(last) else t[min(last[-1] + 1, len(t) - 1)])
+
+
+def _innovations(linear: Linear, forward: batch.Pass) -> dict[str, Innovations]:
+    t = np.repeat(linear.t, np.diff(linear.first))
+    out = {}
+    for k, observation in enumerate(linear.problem.observations):
+        mine = linear.kind == k
+        used = mine & linear.used
+        d = observation.dim
+        out[observation.kind] = Innovations(
+            t=t[used],
+            residual=forward.residual[used, :d],
+            sigma=forward.sigma[used, :d],
+            nis=forward.nis[used],
+            skipped=int((mine & ~linear.used).sum()),
+            unit=observation.unit,
+            channels=observation.channels,
+        )
+    return out
+
+
+def _observed_heading(linear: Linear) -> Array | None:
+    """What was measured of the heading, (k, 2): t and rad."""
+    t = np.repeat(linear.t, np.diff(linear.first))
+    at = np.repeat(np.arange(len(linear.t)), np.diff(linear.first))
+    for k, observation in enumerate(linear.problem.observations):
+        if observation.channels == ("heading",):
+            mine = (linear.kind == k) & linear.used
+            yaw = so3.yaw_of(linear.trajectory.C[at[mine]]) + linear.r[mine, 0]
+            return np.stack([t[mine], so3.wrap(yaw)], axis=1)
+    return None
+
+
+def _contradicting_heading(problem: Problem, levels: Mapping[str, float]) -> list[str]:
+    """A warning where headings agree among themselves, but not with the gyro."""
+    shown = noise_levels.initial_levels(problem).get("heading_noise")
+    found = levels.get("heading_noise")
+    if shown is None or found is None or found < 3.0 * shown:
+        return []
+    return [
+        f"The headings scatter by {math.degrees(found):.0f} deg about the gyro's, but only by "
+        f"{math.degrees(shown):.1f} deg from one to the next: is it a bearing that counts "
+        "clockwise, or do the accelerometer's signs point down instead of up?"
+    ]
+
+
+def _gravity_stays(C_nb: Array) -> list[str]:
+    """A warning where gravity never leaves one body axis: bias and scale are one there."""
+    up = C_nb[:, 2]
+    mean = up.mean(axis=0)
+    mean /= np.linalg.norm(mean)
+    axis = int(np.argmax(np.abs(mean)))
+    if np.min(up @ mean) < math.cos(STEADY_GRAVITY) or abs(mean[axis]) < 0.9:
+        return []
+    return [
+        f"Gravity stays along body {'xyz'[axis]} throughout: the accelerometer's bias on that axis "
+        "holds its scale error and any error of the local gravity too. Turn the device over to "
+        "tell them apart."
+    ]

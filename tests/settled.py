@@ -1,0 +1,44 @@
+"""One problem solved: filtered, smoothed and relinearised, with noise levels found by evidence."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from handcal import batch, noise
+from handcal.estimate.observed import first_state
+from handcal.filter import empty_track, run_compiled
+from handcal.linear import Linear, epochs, linearise_about, trajectory_of
+from handcal.model import Problem, noise_arrays
+from handcal.start import Start
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A settled fit: the linearised problem, its last forward pass and its noise levels."""
+
+    linear: Linear
+    forward: batch.Pass
+    levels: Mapping[str, float]
+
+
+def solve(problem: Problem, start: Start, fixed: Mapping[str, float]) -> Solution:
+    """The fit with noise levels that are not ``fixed`` found anew."""
+    levels = noise.initial_levels(problem)
+    levels |= {k: v for k, v in fixed.items() if k in levels}
+    free = tuple(lv.name for lv in problem.levels if lv.name not in fixed)
+    track = empty_track(problem, epochs(problem))
+    state = run_compiled(
+        problem, noise_arrays(problem, levels), first_state(problem, start, levels), track
+    )
+    nominal = trajectory_of(problem, track, state.bg, state.ba, state.extras)
+    linear, _, _ = batch.relinearise(linearise_about(problem, start, nominal), levels)
+    for _ in range(2 if free else 0):
+        new, _ = noise.estimate(linear, levels, free)
+        change = max(abs(math.log(new[n] / levels[n])) for n in free)
+        levels = new
+        linear, _, _ = batch.relinearise(linear, levels)
+        if change < 0.02:
+            break
+    return Solution(linear, batch.forward(linear, levels), levels)
