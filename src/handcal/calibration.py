@@ -15,8 +15,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from handcal.effects import Effect, select
+from handcal.effects import catalogue as known
 from handcal.estimate.case import Case, case_of
-from handcal.estimate.chosen import Chosen, Options, seen, settled, view_of
+from handcal.estimate.chosen import Chosen, Options, document_of, seen, settled, view_of
 from handcal.estimate.fit import Model, baseline
 from handcal.estimate.hand import resting, travels
 from handcal.estimate.observed import check_options
@@ -100,19 +101,50 @@ def calibrate_together(
         _check_effects(wanted, case.kinds)
         cases.append(replace(case, noise_until=noise_until))
     options = Options(latitude, height, fixed, tuple(ignore))
-    model = _fitted(cases, wanted, options, engine, report)
-    if assume == "auto" and observations is None and any(travels(f) for f in model.parts):
+    model, chosen = _fitted(cases, wanted, options, engine, report)
+    far = [assume == "auto" and observations is None and travels(f) for f in model.parts]
+    if any(far):
         cases = [
-            replace(resting(f, latitude, height, wanted), noise_until=noise_until)
-            if travels(f)
-            else f.case
-            for f in model.parts
+            resting(f, latitude, height, wanted) if gone else case
+            for case, f, gone in zip(cases, model.parts, far, strict=True)
         ]
-        model = _fitted(cases, wanted, options, engine, report)
-    report(0.95)
-    out = results(model, {})
-    report(1.0)
-    return out
+        cases = [replace(case, noise_until=noise_until) for case in cases]
+        model, chosen = _fitted(cases, wanted, options, engine, report)
+    return _told(model, chosen, report)
+
+
+def recalibrate(
+    recordings: Sequence[Recording], chosen: Chosen, progress: Progress | None = None
+) -> tuple[Result, ...]:
+    """A model that was written down (``explain`` and ``calibrate`` say theirs), fitted again.
+
+    To the recordings that it is of (known by the number of their samples): equal to the fit that
+    it was written down of. To others of the device: its effects, without what happened at one
+    moment only, observations and hand chosen anew.
+
+    Errors as of ``calibrate``.
+    """
+    report = progress or (lambda _: None)
+    options = chosen.options
+    theirs = [v.samples for v in chosen.views]
+    if [len(r.imu.t) for r in recordings] == theirs:
+        cases = [seen(r, v, options) for r, v in zip(recordings, chosen.views, strict=True)]
+    else:
+        effects = tuple(e for e in chosen.effects if e.id in known())
+        cases = [
+            case_of(
+                r, "auto", options.latitude, options.height,
+                [s for s in options.ignore if s in r.streams], options.fixed, effects=effects,
+            )
+            for r in recordings
+        ]  # fmt: skip
+        views = tuple(view_of(c) for c in cases)
+        chosen = replace(chosen, effects=effects, views=views, moments={})
+        for case in cases:
+            _check_effects(effects, case.kinds)
+    base = baseline(cases)
+    report(0.5)
+    return _told(settled(base, chosen), chosen, report)
 
 
 def _fitted(
@@ -121,26 +153,17 @@ def _fitted(
     options: Options,
     engine: str,
     report: Progress,
-) -> Model:
+) -> tuple[Model, Chosen]:
     base = baseline(cases, engine)
     report(0.5)
-    return settled(base, Chosen(tuple(effects), tuple(view_of(c) for c in cases), options))
+    chosen = Chosen(tuple(effects), tuple(view_of(c) for c in cases), options)
+    return settled(base, chosen), chosen
 
 
-def recalibrate(
-    recordings: Sequence[Recording], chosen: Chosen, progress: Progress | None = None
-) -> tuple[Result, ...]:
-    """The fit of a model that was written down (``explain`` and ``calibrate`` say theirs) to
-    recordings, one for each of its views: equal to the fit that it was written down of."""
-    report = progress or (lambda _: None)
-    if len(recordings) != len(chosen.views):
-        raise InputError(
-            f"The model is of {len(chosen.views)} recordings, and {len(recordings)} were given."
-        )
-    cases = [seen(r, v, chosen.options) for r, v in zip(recordings, chosen.views, strict=True)]
-    base = baseline(cases)
-    report(0.5)
-    out = results(settled(base, chosen), chosen.moments)
+def _told(model: Model, chosen: Chosen, report: Progress) -> tuple[Result, ...]:
+    report(0.95)
+    document = document_of(chosen)
+    out = tuple(replace(r, model=document) for r in results(model, chosen.moments))
     report(1.0)
     return out
 

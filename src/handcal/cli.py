@@ -152,9 +152,11 @@ def radians(degrees: float | None) -> float | None:
     return None if degrees is None else math.radians(degrees)
 
 
-def _calibrated(recording: Recording, effects: str, **settings: Any) -> Result:
+def _calibrated(
+    recordings: list[Recording], effects: str, learnt_from: Path | None = None, **settings: Any
+) -> tuple[Result, ...]:
     """Run the filter with the options as typed: angles in degrees, enums, None for unset."""
-    import handcal
+    from handcal.calibration import calibrate_together, recalibrate
     from handcal.types import InputError
 
     for name in ("heading_sigma", "latitude", "height", "noise_until"):
@@ -166,9 +168,20 @@ def _calibrated(recording: Recording, effects: str, **settings: Any) -> Result:
     settings |= {"assume": str(settings["assume"]), "engine": str(settings["engine"])}
     settings["ignore"] = tuple(settings["ignore"] or ())
     ids = tuple(e.strip() for e in effects.split(",") if e.strip())
-    with progress(f"calibrating {Path(recording.path).name}") as report:
-        result: Result = handcal.calibrate(recording, effects=ids, progress=report, **settings)
-    return result
+    names = ", ".join(Path(r.path).name for r in recordings)
+    if learnt_from is None:
+        with progress(f"calibrating {names}") as report:
+            return calibrate_together(recordings, ids, progress=report, **settings)
+    from handcal.explain.written import read
+
+    usual = {"assume": "auto", "engine": "compiled", "height": 0.0, "ignore": ()}
+    own = [n for n, v in settings.items() if v != usual.get(n)]
+    if ids or own:
+        said = ", ".join(f"--{n.replace('_', '-')}" for n in (["effects"] if ids else []) + own)
+        raise InputError(f"--from holds the model with its options; leave out {said}.")
+    chosen = read(learnt_from)
+    with progress(f"calibrating {names}") as report:
+        return recalibrate(recordings, chosen, report)
 
 
 def check_folders(*outputs: Path | None) -> None:
@@ -187,8 +200,19 @@ def beside(path: Path, recording: Recording, several: bool) -> Path:
 
 @app.command()
 def calibrate(
-    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings.")],
+    files: Annotated[
+        list[Path], typer.Argument(metavar="FILE...", help="Recordings of one device.")
+    ],
     effects: Effects = "",
+    learnt_from: Annotated[
+        Path | None,
+        typer.Option(
+            "--from",
+            metavar="RESULT.json",
+            help="Repeat the fit that `explain --json` or `calibrate --json` wrote of these files; "
+            "of others, estimate the same effects.",
+        ),
+    ] = None,
     heading_sigma: HeadingSigma = None,
     assume: Assumption = Assume.auto,
     latitude: Latitude = None,
@@ -202,16 +226,19 @@ def calibrate(
     report: Report = None,
     rrd: Rrd = None,
 ) -> None:
-    """Run the filter over recordings: sensor errors, how well they are known, what is missing."""
+    """Run the filter over recordings of one device: sensor errors, how well they are known.
+
+    Effects are those of the device, so several recordings tell them together; biases and noise
+    are each recording's own. With --from, the fit of that result is repeated; of other
+    recordings, the same effects are estimated.
+    """
     check_folders(json, report, rrd)
-    results = []
-    for path in files:
-        recording = load(path, topic, units)
-        result = _calibrated(
-            recording, effects, heading_sigma=heading_sigma, assume=assume, latitude=latitude,
-            height=height, ignore=ignore, noise_until=noise_until, engine=engine,
-        )  # fmt: skip
-        results.append(result)
+    recordings = [load(path, topic, units) for path in files]
+    results = _calibrated(
+        recordings, effects, learnt_from, heading_sigma=heading_sigma, assume=assume,
+        latitude=latitude, height=height, ignore=ignore, noise_until=noise_until, engine=engine,
+    )  # fmt: skip
+    for recording, result in zip(recordings, results, strict=True):
         if report:
             from handcal.report import write_report
 
@@ -347,8 +374,8 @@ def replay(
     if not (no_viewer or web):
         require_display()
     check_folders(rrd)
-    result = _calibrated(
-        load(file, topic, units), effects, heading_sigma=heading_sigma, assume=assume,
+    (result,) = _calibrated(
+        [load(file, topic, units)], effects, heading_sigma=heading_sigma, assume=assume,
         latitude=latitude, height=height, ignore=ignore, noise_until=noise_until, engine=engine,
     )  # fmt: skip
     # rerun reports a viewer that its owner has closed as errors; set before its import

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from handcal import explain_words as say
 from handcal import summary, words
+from handcal.estimate.chosen import document_of
 from handcal.explain.explanation import Explained, Explanation, Fit, HeldOut, Missing
 from handcal.types import NoiseLevel, Parameter
 
@@ -64,6 +65,8 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
         ],
         "parameters": [summary.parameter_json(p) for p in final_parameters(e)],
         "noise": _noise_json(e.noise),
+        "untellable": summary.untellable_json(e.untellable),
+        "model": {} if e.model is None else document_of(e.model),
         "warnings": all_warnings(e),
     }  # fmt: skip
     if several:

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 # Where the contract's name differs from that of the noise level.
 NOISE_NAMES = {"sway": "hand_sway"}
 CALIBRATION_SCHEMA = "handcal/calibration/1"
+# Parameters that every recording has of its own.
+OWN = ("gyro_bias", "accel_bias")
 WIDE = 96  # columns of a terminal that has room for everything
 
 
@@ -86,6 +88,14 @@ def parameter_json(p: Parameter) -> dict[str, Any]:
     }
 
 
+def untellable_json(parameters: Sequence[Parameter]) -> list[dict[str, Any]]:
+    """The contract's ``untellable``: what the recording cannot show."""
+    return [
+        {"effect": p.effect, "name": p.name, "sigma": finite(p.sigma), "unit": p.unit}
+        for p in parameters
+    ]
+
+
 def recording_json(recording: Recording, assume: str) -> dict[str, Any]:
     """The contract's ``recording``."""
     streams = {"imu": recording.imu.t} | {n: s.t for n, s in recording.streams.items()}
@@ -101,16 +111,30 @@ def recording_json(recording: Recording, assume: str) -> dict[str, Any]:
 def calibration_json(result: Result | Sequence[Result]) -> dict[str, Any]:
     """The contract's ``calibrate --json``.
 
-    ``whiteness`` is the function of that name, for each kind of observation. For
-    several results, each from its own run: nothing was shared, so ``parameters`` is
-    empty and ``recordings`` holds one whole object for each.
+    ``whiteness`` is the function of that name, for each kind of observation. For several
+    results of one fit, ``parameters`` holds the shared ones and ``recordings`` the rest.
     """
     if not isinstance(result, Result):
         each = [calibration_json(r) for r in result]
         if len(each) == 1:
             return each[0]
-        return {"schema": CALIBRATION_SCHEMA, "parameters": [], "noise": [], "recordings": each,
-                "warnings": []}  # fmt: skip
+        shared = [p for p in result[0].parameters if p.effect not in OWN]
+        own = [
+            one | {"parameters": [p for p in one["parameters"] if p["effect"] in OWN],
+                   "untellable": [p for p in one["untellable"] if p["effect"] in OWN]}
+            for one in each
+        ]  # fmt: skip
+        return {
+            "schema": CALIBRATION_SCHEMA,
+            "parameters": [parameter_json(p) for p in shared],
+            "noise": [],
+            "fit": {"log_evidence": finite(result[0].log_evidence),
+                    "observations": sum(r.observations for r in result)},
+            "untellable": untellable_json([p for p in shared if not p.observable]),
+            "model": dict(result[0].model),
+            "recordings": [{k: v for k, v in one.items() if k != "model"} for one in own],
+            "warnings": [],
+        }  # fmt: skip
     kinds = result.innovations
     return {
         "schema": CALIBRATION_SCHEMA,
@@ -126,6 +150,8 @@ def calibration_json(result: Result | Sequence[Result]) -> dict[str, Any]:
             "nis": {words.kind_name(kind): finite(i.mean_nis) for kind, i in kinds.items()},
             "whiteness": {words.kind_name(kind): whiteness(i) for kind, i in kinds.items()},
         },
+        "untellable": untellable_json([p for p in result.parameters if not p.observable]),
+        "model": dict(result.model),
         "warnings": list(all_warnings(result)),
     }
 

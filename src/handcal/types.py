@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -209,6 +209,7 @@ class Result:
     heading or magnetometer headings the filter was given, (k, 2) of t and rad, or
     None. rests: (r, 2) start and end of each detected rest, s. smoothed: the same as
     ``history``, each row given the whole recording. settled: relinearising had come to rest.
+    model: what was fitted, as JSON holds it (contract).
     """
 
     recording: Recording
@@ -224,6 +225,7 @@ class Result:
     observed_heading: Array | None = None
     smoothed: History | None = None
     settled: bool = True
+    model: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def observations(self) -> int:

@@ -82,6 +82,7 @@ class Effect:
     parameters are those of ``together @ parameters``. last: with ``imu_inverse``, whether it is
     done to what the other effects made of the truth (a filter behind a scale error), or to the
     truth alone, beside them. akin: ids of effects that are the same to the first order.
+    made: of a course found in a recording, its kind and its numbers.
     imitated: nats that a hand which turns the device about no single point can lend to this one,
     where only that point's rest tells where the device was.
     """
@@ -108,6 +109,7 @@ class Effect:
     last: bool = True
     akin: tuple[str, ...] = ()
     imitated: float = 0.0
+    made: tuple[str, tuple[float, ...]] | None = None
 
     @property
     def prior_sigma(self) -> Array:

@@ -65,6 +65,7 @@ class Case:
         return tuple(o.kind for o, _, _ in self.observed)
 
 
+HELD = "held"
 MUCH_IRON = 5e-6
 ENOUGH_HZ = 90.0
 
@@ -264,6 +265,7 @@ def frozen_at(effect: Effect, moment: Array) -> Effect:
         parameters=tuple(effect.parameters[i] for i in free),
         imu_error=held,
         moments=None,
+        made=(HELD, tuple(float(x) for x in moment)),
     )
 
 

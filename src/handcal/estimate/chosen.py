@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -29,13 +30,15 @@ from handcal.types import Recording
 @dataclass(frozen=True)
 class View:
     """How one recording is looked at: kinds of observation, what is assumed of the hand, whether
-    its held point creeps, readings that are merely wrong, and what to say about it."""
+    its held point creeps, readings that are merely wrong, what to say about it, and the number of
+    the IMU's samples, by which it is known again."""
 
     kinds: tuple[str, ...]
     assume: str
     creeps: bool = False
     edits: tuple[Edit, ...] = ()
     warnings: tuple[str, ...] = ()
+    samples: int = 0
 
 
 @dataclass(frozen=True)
@@ -77,8 +80,9 @@ def chosen_of(model: Model, options: Options, moments: Mapping[str, Moment]) -> 
 
 def view_of(case: Case) -> View:
     """How a case looks at its recording."""
-    read = len((case.read or case.recording).warnings)
-    return View(case.kinds, case.assume, case.creeping, case.edits, case.warnings[read:])
+    read = case.read or case.recording
+    said = case.warnings[len(read.warnings) :]
+    return View(case.kinds, case.assume, case.creeping, case.edits, said, len(read.imu.t))
 
 
 def seen(recording: Recording, view: View, options: Options) -> Case:
@@ -116,3 +120,47 @@ def settled(base: Model, chosen: Chosen) -> Model:
 def as_seen(base: Sequence[Fitted], chosen: Chosen) -> bool:
     """Whether fits look at their recordings as the model does."""
     return tuple(view_of(f.case) for f in base) == chosen.views
+
+
+def document_of(chosen: Chosen) -> dict[str, Any]:
+    """The model as JSON can hold it (contract: ``model``)."""
+    o = chosen.options
+    return {
+        "effects": [_effect_document(chosen, e) for e in chosen.effects if e.process is None],
+        "noise_effects": [e.id for e in chosen.effects if e.process is not None],
+        "recordings": [_view_document(v) for v in chosen.views],
+        "options": {"height": o.height, "noise": dict(o.fixed), "ignore": list(o.ignore)}
+        | ({} if o.latitude is None else {"latitude": o.latitude}),
+    }
+
+
+def _effect_document(chosen: Chosen, e: Effect) -> dict[str, Any]:
+    out: dict[str, Any] = {"id": e.id}
+    start = {p.name: chosen.starts[e.id, p.name] for p in e.parameters
+             if (e.id, p.name) in chosen.starts}  # fmt: skip
+    if start:
+        out["start"] = start
+    if not e.last:
+        out["last"] = False
+    if e.id in chosen.moments:
+        out["moment"] = {"at": chosen.moments[e.id].at, "sigma": chosen.moments[e.id].sigma}
+    if e.made is not None:
+        out["made"] = {"kind": e.made[0], "numbers": list(e.made[1])}
+    elif "+=" in e.id:
+        out["prior"] = e.parameters[0].prior_sigma
+    return out
+
+
+def _view_document(v: View) -> dict[str, Any]:
+    return {
+        "samples": v.samples,
+        "observations": list(v.kinds),
+        "assume": v.assume,
+        "hand": "creeping" if v.creeps else "resting" if v.assume == "rest-only" else "held",
+        "left_out": [
+            {"observation": e.kind, "rows": list(e.dropped), "log_evidence": e.constant}
+            | ({} if e.shifted is None else {"shifted": list(e.shifted)})
+            for e in v.edits
+        ],
+        "warnings": list(v.warnings),
+    }

@@ -164,9 +164,12 @@ class Explained:
 
 @dataclass(frozen=True)
 class Explanation:
-    """All that ``explain`` says of one device. parameters, noise: of the final model (noise of
-    the first recording); missing is ordered by evidence; hypotheses by ``alone``; model: the final
-    model as ``calibrate`` repeats its fit."""
+    """All that ``explain`` says of one device.
+
+    parameters, noise: of the final model (noise of the first recording); missing is ordered by
+    evidence; hypotheses by ``alone``; model: the final model, whose fit ``calibrate`` repeats;
+    untellable: what the recordings cannot show, with the sigma that they would leave of it.
+    """
 
     verdict: str
     mismatch: tuple[Mismatch, ...]
@@ -182,3 +185,4 @@ class Explanation:
     recordings: tuple[Explained, ...]
     warnings: tuple[str, ...]
     model: Chosen | None = None
+    untellable: tuple[Parameter, ...] = ()

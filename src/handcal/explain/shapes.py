@@ -42,6 +42,7 @@ class Family:
     their formula, the same in words, where to begin, and the course of a heading's error as a
     function to compile."""
 
+    name: str
     values: Values
     formula: Callable[[Array], str]
     words: Callable[[Array], str]
@@ -210,12 +211,12 @@ def _lobe_words(n: Array) -> str:
 
 
 OVER_TIME = (
-    Family(_bump, _bump_formula, _bump_words, _bumps, _bump_at),
-    Family(_while, _while_formula, _while_words, _whiles, _while_in),
-    Family(_swing, _swing_formula, _swing_words, _swings, _swing_of),
-    Family(_decay, _decay_formula, _decay_words, _decays, _decay_of),
+    Family("bump", _bump, _bump_formula, _bump_words, _bumps, _bump_at),
+    Family("while", _while, _while_formula, _while_words, _whiles, _while_in),
+    Family("swing", _swing, _swing_formula, _swing_words, _swings, _swing_of),
+    Family("decay", _decay, _decay_formula, _decay_words, _decays, _decay_of),
 )
-OVER_YAW = (Family(_lobe, _lobe_formula, _lobe_words, _lobes, _lobe_at),)
+OVER_YAW = (Family("lobe", _lobe, _lobe_formula, _lobe_words, _lobes, _lobe_at),)
 
 # --- bases ---------------------------------------------------------------------------------
 
@@ -398,11 +399,11 @@ def term_of(basis: Basis, family: Family, numbers: Array) -> Effect:
     formula = f"{basis.channel} += k * {family.formula(numbers)}"
     story = family.words(numbers)
     size = PEAK * (HEADING_SIZE if basis.channel == "heading" else SIZE[basis.unit == UNITS[1]])
+    made = family.name, tuple(float(n) for n in numbers)
     if basis.channel == "heading":
-        address = residual_function(family.compiled(*(float(n) for n in numbers)), kept=False)
-        return term(
-            formula, basis.unit, size, story, observation_error=dict.fromkeys(KINDS, address)
-        )
+        address = residual_function(family.compiled(*made[1]), kept=False)
+        acts = dict.fromkeys(KINDS, address)
+        return term(formula, basis.unit, size, story, observation_error=acts, made=made)
     column = CHANNELS.index(basis.channel)
 
     def error(k: Array, signals: Signals) -> Array:
@@ -410,4 +411,19 @@ def term_of(basis: Basis, family: Family, numbers: Array) -> Effect:
         out[:, column] = k[0] * family.values(numbers, signals.t - signals.t[0])
         return out
 
-    return term(formula, basis.unit, size, story, imu_error=error)
+    return term(formula, basis.unit, size, story, imu_error=error, made=made)
+
+
+def again(channel: str, made: tuple[str, tuple[float, ...]]) -> Effect:
+    """The course of a channel that was found before, by its kind and its numbers.
+
+    Raises KeyError for a kind or a channel that there is none of.
+    """
+    name, numbers = made
+    if channel == "heading":
+        bases = heading_bases(1.0)
+    else:
+        bases = [imu_basis({c: i for i, c in enumerate(CHANNELS)}[channel], 1.0)]
+    known = {f.name: (b, f) for b in bases for f in b.families}
+    basis, family = known[name]
+    return term_of(basis, family, np.array(numbers))

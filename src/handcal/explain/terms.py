@@ -161,6 +161,21 @@ def _imu_term(channel: int, formula: str, feature: Feature, unit: str, prior: fl
     )
 
 
+def again(formula: str, prior: float) -> Effect:
+    """The term that was found before by its formula, with its prior (SI).
+
+    Raises KeyError for a formula that there is none of.
+    """
+    channel, product = formula.split(" += k * ", 1)
+    if channel == "heading":
+        address, unit = _HEADING[product]
+        acts = {"heading": address, "magnetometer": address}
+        return term(formula, unit, prior, observation_error=acts)
+    column = {c: i for i, c in enumerate(CHANNELS)}[channel]
+    feature, unit = features(temperature=True)[product]
+    return _imu_term(column, product, feature, unit, prior)
+
+
 def term(
     formula: str, unit: str, prior: float, story: str = "", positive: bool = False, **physics: Any
 ) -> Effect:

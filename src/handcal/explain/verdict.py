@@ -46,6 +46,7 @@ from handcal.explain.search import (
     rivals,
     space,
 )
+from handcal.explain.untellable import untellable
 from handcal.kernel import MAX_DIM
 from handcal.twin import twin
 from handcal.types import Array, InputError, Parameter, Recording, Result
@@ -229,6 +230,7 @@ def _explanation(
         tuple(explained),
         _warnings(base, model, {h.effect for h in hypotheses if h.expected < FAINT}),
         written,
+        untellable(found, fits[0].parameters),
     )
 
 

@@ -1,0 +1,104 @@
+"""A model read again from the JSON that ``explain`` and ``calibrate`` write."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from handcal.effects import Effect, catalogue
+from handcal.estimate.case import HELD, Edit, frozen_at, name_of
+from handcal.estimate.chosen import Chosen, Options, View
+from handcal.estimate.parameters import Moment
+from handcal.explain import shapes, terms
+from handcal.observations import catalogue as observations
+from handcal.types import InputError
+
+
+def read(path: Path) -> Chosen:
+    """The model in a result. Errors: InputError."""
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror or error}.") from error
+    except (ValueError, RecursionError):
+        raise InputError(f"{path} is not JSON.") from None
+    model = document.get("model") if isinstance(document, dict) else None
+    if not isinstance(model, dict):
+        raise InputError(
+            f"{path} holds no model; `handcal explain --json` and `handcal calibrate --json` "
+            "write one."
+        )
+    try:
+        return chosen_from(model)
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+        raise InputError(f"The model in {path} is damaged or unknown here ({error}).") from None
+
+
+def chosen_from(model: Mapping[str, Any]) -> Chosen:
+    """The model as ``estimate.chosen.document_of`` wrote it. Raises KeyError and the like where
+    it is not one."""
+    effects, starts, moments = [], {}, {}
+    for entry in model["effects"]:
+        effect = _effect(entry)
+        effects.append(effect)
+        for name, value in entry.get("start", {}).items():
+            starts[effect.id, str(name)] = float(value)
+        if "moment" in entry:
+            moments[effect.id] = Moment(
+                float(entry["moment"]["at"]), float(entry["moment"]["sigma"])
+            )
+    effects += [catalogue()[str(i)] for i in model["noise_effects"]]
+    o = model["options"]
+    latitude = o.get("latitude")
+    options = Options(
+        None if latitude is None else float(latitude),
+        float(o["height"]),
+        {str(k): float(v) for k, v in o["noise"].items()},
+        tuple(str(s) for s in o["ignore"]),
+    )
+    views = tuple(_view(v) for v in model["recordings"])
+    return Chosen(tuple(effects), views, options, starts, moments)
+
+
+def _effect(entry: Mapping[str, Any]) -> Effect:
+    name = str(entry["id"])
+    if "made" in entry:
+        kind, numbers = str(entry["made"]["kind"]), [float(n) for n in entry["made"]["numbers"]]
+        if kind == HELD:
+            effect = frozen_at(catalogue()[name_of(name)], np.array(numbers))
+        else:
+            effect = shapes.again(name.split(" += ")[0], (kind, tuple(numbers)))
+    elif "+=" in name:
+        effect = terms.again(name, float(entry["prior"]))
+    else:
+        effect = catalogue()[name]
+    return replace(effect, id=name, last=bool(entry.get("last", True)))
+
+
+def _view(entry: Mapping[str, Any]) -> View:
+    kinds = tuple(str(k) for k in entry["observations"])
+    for kind in kinds:
+        observations()[kind]
+    edits = tuple(_edit(e) for e in entry["left_out"])
+    return View(
+        kinds,
+        str(entry["assume"]),
+        entry["hand"] == "creeping",
+        edits,
+        tuple(str(w) for w in entry["warnings"]),
+        int(entry["samples"]),
+    )
+
+
+def _edit(entry: Mapping[str, Any]) -> Edit:
+    shifted = None
+    if "shifted" in entry:
+        first, last, by = (float(x) for x in entry["shifted"])
+        shifted = first, last, by
+    rows = tuple(int(r) for r in entry["rows"])
+    return Edit(str(entry["observation"]), rows, shifted, float(entry["log_evidence"]))
