@@ -55,27 +55,33 @@ class Options:
 @dataclass(frozen=True)
 class Chosen:
     """A model: effects (noise among them), values (SI) from which their constants start where that
-    is not zero, moments of those that are held at one, and a view of each recording."""
+    is not zero, moments of those that are held at one, and a view of each recording; levels: noise
+    levels (SI) to start from instead of the usual ones, of each recording."""
 
     effects: tuple[Effect, ...]
     views: tuple[View, ...]
     options: Options = Options()
     starts: Mapping[tuple[str, str], float] = field(default_factory=dict)
     moments: Mapping[str, Moment] = field(default_factory=dict)
+    levels: tuple[Mapping[str, float], ...] = ()
 
 
-def chosen_of(model: Model, options: Options, moments: Mapping[str, Moment]) -> Chosen:
+def chosen_of(
+    model: Model, options: Options, moments: Mapping[str, Moment], exact: bool = False
+) -> Chosen:
     """A model that was fitted, written down. Effects start where their size is of the order of
-    their prior or more, in whole priors: what is small starts at zero."""
+    their prior or more, in whole priors: what is small starts at zero, and the fit does not
+    depend on the way there. exact: they start where they are, and so do the noise levels."""
     starts = {}
     for e in model.effects:
         for p in e.parameters if e.process is None else ():
             at = next(i for i, n in enumerate(model.quadratic.names) if n == (e.id, p.name))
-            whole = float(np.round(model.u[at]))
-            if whole != 0.0:
-                starts[e.id, p.name] = whole * p.prior_sigma
+            size = float(model.u[at]) if exact else float(np.round(model.u[at]))
+            if size != 0.0:
+                starts[e.id, p.name] = size * p.prior_sigma
     views = tuple(view_of(f.case) for f in model.parts)
-    return Chosen(model.effects, views, options, starts, moments)
+    levels = tuple(dict(f.levels) for f in model.parts) if exact else ()
+    return Chosen(model.effects, views, options, starts, moments, levels)
 
 
 def view_of(case: Case) -> View:
@@ -110,6 +116,12 @@ def settled(base: Model, chosen: Chosen) -> Model:
     begun = ironed(base) if iron else base
     at = {k: v for k, v in chosen.starts.items() if k[0] not in begun.ids}
     parts = [at_constants(moved_to(f, chosen.effects), chosen.effects, at) for f in begun.parts]
+    if chosen.levels:
+        noisy = [
+            replace(f, levels={k: levels.get(k, v) for k, v in f.levels.items()})
+            for f, levels in zip(parts, chosen.levels, strict=True)
+        ]
+        return fitted(noisy, chosen.effects, noise_rounds=2)
     found = fitted([with_usual_noise(f) for f in parts], chosen.effects, noise_rounds=2)
     if found.log_evidence > base.log_evidence:
         return found
@@ -131,6 +143,7 @@ def document_of(chosen: Chosen) -> dict[str, Any]:
         "recordings": [_view_document(v) for v in chosen.views],
         "options": {"height": o.height, "noise": dict(o.fixed), "ignore": list(o.ignore)}
         | ({} if o.latitude is None else {"latitude": o.latitude}),
+        "levels": [dict(levels) for levels in chosen.levels],
     }
 
 

@@ -20,6 +20,7 @@ from handcal.estimate.case import Case, problem_with, without_iron
 from handcal.estimate.observed import first_state
 from handcal.estimate.quadratic import Local, Posterior, Quadratic, given, local, posterior, total
 from handcal.estimate.robust import excess
+from handcal.estimate.tails import tailed
 from handcal.evidence import backward, reduce, reduced_pass
 from handcal.filter import ENGINES, empty_track
 from handcal.linear import Linear, Trajectory, epochs, linearise_about, trajectory_of
@@ -180,7 +181,7 @@ def diverged(parts: Sequence[Fitted], effects: Sequence[Effect]) -> Model:
 def _posterior(q: Quadratic, effects: Sequence[Effect], known: Known | None) -> Posterior:
     index = np.arange(len(q.names), dtype=np.int64)
     if known is None:
-        return posterior(q, index, prior_root(q, effects))
+        return tailed(q, index, prior_root(q, effects))
     at = [known.names.index(n) for n in q.names]
     mean, root = known.mean[at], known.root[at]
     a = q.a + float(q.b @ mean - 0.5 * mean @ q.G @ mean)

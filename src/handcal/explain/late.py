@@ -13,6 +13,8 @@ from handcal.evidence import reduce, reduced_pass
 
 # A scan does not see what a delay does when the device turns further than this within it, rad.
 BEYOND = 0.5
+# Nothing is later than this, s: phones' compasses, and cameras with long exposures.
+LATEST = 0.45
 # Nats that a delay of the grid must gain as it stands, nothing adjusted to it.
 LOOK = 3.0
 
@@ -26,7 +28,7 @@ def with_delays(model: Model) -> list[Model]:
     out = []
     for effect in catalogue().values():
         cases = [f.case for f in model.parts]
-        if not effect.delays or effect.id in model.ids:
+        if not _moves_in_time(effect) or effect.id in model.ids:
             continue
         if not any(applicable(c, effect) for c in cases):
             continue
@@ -37,18 +39,26 @@ def with_delays(model: Model) -> list[Model]:
     return out
 
 
+def _moves_in_time(effect: Effect) -> bool:
+    """Whether it moves an observation, or the readings as a whole, in time."""
+    return bool(effect.delays) or (
+        effect.imu_inverse is not None and effect.parameters[0].unit == "s"
+    )
+
+
 def _begun(model: Model, wanted: Sequence[Effect], effect: Effect) -> list[Fitted] | None:
     """The recordings with the delay of the grid that suits them best, if one suits them better
     than none."""
     rates = [np.linalg.norm(f.case.recording.imu.gyro, axis=1) for f in model.parts]
     step = BEYOND / max(float(np.quantile(r, 0.95)) for r in rates)
-    count = int(3.0 * effect.parameters[0].prior_sigma / step)
+    count = int(LATEST / step)
     if count == 0:
         return None
     here = [moved_to(f, wanted) for f in model.parts]
     least = _evidence(here) + LOOK
     best: list[Fitted] | None = None
-    for k in (*range(-count, 0), *range(1, count + 1)):
+    early = () if effect.parameters[0].positive else range(-count, 0)
+    for k in (*early, *range(1, count + 1)):
         there = [delayed(f, wanted, effect, k * step) for f in here]
         value = _evidence(there)
         if value > least:

@@ -12,7 +12,8 @@ from scipy.special import log_ndtr
 from handcal.effects import Effect
 from handcal.estimate.case import name_of
 from handcal.estimate.fit import prior_root
-from handcal.estimate.quadratic import Quadratic, log_evidence, posterior
+from handcal.estimate.quadratic import Quadratic
+from handcal.estimate.tails import log_evidence, tailed
 from handcal.types import Array, IntArray
 
 # Log prior odds that a device shows an effect so clearly that it has to be told.
@@ -71,7 +72,7 @@ class Space:
         positive = np.concatenate([[p.positive for p in e.parameters] for e in effects])
         if not positive.any():
             return log_evidence(self.quadratic, index, root) + odds
-        found = posterior(self.quadratic, index, root)
+        found = tailed(self.quadratic, index, root)
         z = found.mean[positive] / np.sqrt(np.diag(found.covariance)[positive])
         # half of a symmetric prior, twice as dense
         return found.log_evidence + odds + float((math.log(2.0) + log_ndtr(z)).sum())

@@ -61,6 +61,9 @@ CERTAIN = 0.999999
 ALIKE = 3.0
 # Unnamed terms that hold less than this share of what the named effects do are a remark.
 LEFT = 0.02
+# Nats by which a fit from the start may do worse than that at the end of a search: as good, and
+# no fit of the same model at all.
+SAME, LOST = 1.0, 100.0
 # Nats below which a recording does not promise to show an effect of the usual size.
 FAINT = 10.0
 
@@ -117,16 +120,24 @@ def explain(
     return out
 
 
-def _refitted(base: Model, found: Found, options: Options) -> tuple[Found, Chosen]:
+def _refitted(base: Model, found: Found, options: Options) -> tuple[Found, Chosen | None]:
     """The model that the search ended with, fitted from where any other would be, as
-    ``calibrate`` does; and as it is written down."""
-    chosen = chosen_of(found.model, options, moments(found))
+    ``calibrate`` does; and as it is written down: None where no fit from there is any good."""
+    searched = found.model
+    chosen = chosen_of(searched, options, moments(found))
     if not as_seen(base.parts, chosen):
-        parts = zip(found.model.parts, chosen.views, strict=True)
+        parts = zip(searched.parts, chosen.views, strict=True)
         base = baseline([seen(f.case.read or f.case.recording, v, options) for f, v in parts])
     model = settled(base, chosen)
-    options_ = list(found.space.effects.values())
-    where = space(scan(model, options_), options_, found.space.prior)
+    if model.log_evidence < searched.log_evidence - SAME:
+        exact = chosen_of(searched, options, moments(found), exact=True)
+        other = settled(base, exact)
+        if other.log_evidence > model.log_evidence:
+            model, chosen = other, exact
+    if model.log_evidence < searched.log_evidence - LOST:
+        return found, None
+    candidates = list(found.space.effects.values())
+    where = space(scan(model, candidates), candidates, found.space.prior)
     return replace(found, model=model, space=where), chosen
 
 
@@ -180,13 +191,13 @@ def _without_outliers(
 
 
 def _explanation(
-    base: Model, found: Found, wrong: outliers.Wrong | None, scores: HeldOut, written: Chosen
+    base: Model, found: Found, wrong: outliers.Wrong | None, scores: HeldOut, written: Chosen | None
 ) -> Explanation:
     model = found.model
     chosen = model.chosen
     named = wrong if wrong is not None and wrong.burst is None else None
     excess = inflation(model)
-    fits = results(model, written.moments)
+    fits = results(model, moments(found) if written is None else written.moments)
     learnt = {e.id: _of(fits[0], e) for e in model.effects if e.process is None}
     missing, unsure = _missing(found, chosen, learnt, named)
     unnamed = _unnamed(found, chosen, learnt)
@@ -228,7 +239,7 @@ def _explanation(
         (*own, *(p for known in learnt.values() for p in known)),
         noise(model.parts[0]),
         tuple(explained),
-        _warnings(base, model, {h.effect for h in hypotheses if h.expected < FAINT}),
+        _warnings(base, model, {h.effect for h in hypotheses if h.expected < FAINT}, written),
         written,
         untellable(found, fits[0].parameters),
     )
@@ -450,12 +461,19 @@ def _fit(model: Model, parts: Sequence[Fitted]) -> Fit:
     )
 
 
-def _warnings(base: Model, model: Model, hardly_shown: Set[str]) -> tuple[str, ...]:
+def _warnings(
+    base: Model, model: Model, hardly_shown: Set[str], written: Chosen | None
+) -> tuple[str, ...]:
     out = [w for f in base.parts for w in f.case.warnings]
     for f in model.parts:
         out += leaning(f, model.effects, hardly_shown)
     if not model.settled:
         out.append(
             "The final fit still moved after ten rounds of relinearisation; trust its numbers less."
+        )
+    if written is None:
+        out.append(
+            "The final fit is reached by the way of the search alone, not from its own start: it "
+            "cannot be repeated with --from, and its numbers deserve little trust."
         )
     return tuple(dict.fromkeys(out))

@@ -62,7 +62,8 @@ def chosen_from(model: Mapping[str, Any]) -> Chosen:
         tuple(str(s) for s in o["ignore"]),
     )
     views = tuple(_view(v) for v in model["recordings"])
-    return Chosen(tuple(effects), views, options, starts, moments)
+    levels = tuple({str(k): float(v) for k, v in part.items()} for part in model["levels"])
+    return Chosen(tuple(effects), views, options, starts, moments, levels)
 
 
 def _effect(entry: Mapping[str, Any]) -> Effect:

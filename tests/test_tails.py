@@ -1,0 +1,85 @@
+"""Priors with tails, against sums over all combinations of scales, and integrals by quadrature."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from scipy.special import logsumexp
+
+from handcal.estimate.quadratic import Quadratic, posterior
+from handcal.estimate.tails import LOG_SHARES, SCALES, log_evidence, tailed
+
+
+def quadratic(truth: list[float], sigma: float, seed: int, mixed: float = 0.0) -> Quadratic:
+    """Two effects, of two and of one parameter, each known to ``sigma``."""
+    rng = np.random.default_rng(seed)
+    mix = np.eye(3) + mixed * rng.standard_normal((3, 3))
+    G = mix @ mix.T / sigma**2
+    b = G @ np.array(truth) + np.linalg.cholesky(G) @ rng.standard_normal(3)
+    return Quadratic((("a", "x"), ("a", "y"), ("b", "x")), 1.7, b, G)
+
+
+def summed(q: Quadratic) -> float:
+    """Over every combination of scales."""
+    terms = []
+    for i, k in itertools.product(range(3), repeat=2):
+        wide = np.diag([SCALES[i], SCALES[i], SCALES[k]])
+        terms.append(LOG_SHARES[i] + LOG_SHARES[k] + posterior(q, np.arange(3), wide).log_evidence)
+    return float(logsumexp(terms))
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize(
+    "truth", [[0.3, -0.5, 0.2], [14.0, 3.0, 0.1], [0.1, 0.0, -60.0], [6.0, -9.0, 11.0]]
+)
+def test_evidence_is_the_sum_over_the_scales(truth: list[float], seed: int) -> None:
+    """One by one is exact where the recording tells the effects apart."""
+    q = quadratic(truth, 0.1, seed)
+    assert tailed(q, np.arange(3)).log_evidence == pytest.approx(summed(q), abs=1e-6)
+    # (near the usual scale the search leaves the wide ones out)
+    assert log_evidence(q, np.arange(3)) == pytest.approx(summed(q), abs=0.15)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_effects_that_depend_on_each_other(seed: int) -> None:
+    """Within a tenth of a nat where they are known to half a sigma and mixed."""
+    q = quadratic([14.0, 3.0, 0.1], 0.3, seed, mixed=0.2)
+    assert tailed(q, np.arange(3)).log_evidence == pytest.approx(summed(q), abs=0.1)
+
+
+def test_one_parameter_against_an_integral() -> None:
+    """The evidence of one parameter is the integral of likelihood times the mixture."""
+    b, G, a = 8.0, 1.5, -0.4
+    q = Quadratic((("a", "x"),), a, np.array([b]), np.array([[G]]))
+    u = np.linspace(-400.0, 400.0, 800_001)
+    prior = sum(
+        math.exp(w) / (s * math.sqrt(2 * math.pi)) * np.exp(-0.5 * (u / s) ** 2)
+        for s, w in zip(SCALES, LOG_SHARES, strict=True)
+    )
+    whole = np.sum(prior * np.exp(a + b * u - 0.5 * G * u * u)) * (u[1] - u[0])
+    assert tailed(q, np.arange(1)).log_evidence == pytest.approx(math.log(whole), abs=1e-6)
+
+
+def test_a_large_error_is_not_pulled_towards_zero() -> None:
+    """14 usual sizes, known to one: a normal prior would halve it, tails leave all but a little."""
+    q = Quadratic((("a", "x"),), 0.0, np.array([14.0]), np.array([[1.0]]))
+    normal, wide = posterior(q, np.arange(1)), tailed(q, np.arange(1))
+    assert normal.mean[0] == pytest.approx(7.0)
+    assert wide.mean[0] > 13.0
+    assert wide.log_evidence > normal.log_evidence + 20.0
+
+
+def test_a_faint_effect_pays_what_it_paid() -> None:
+    """Within the share of devices that are usual: a tenth of a nat, more or less."""
+    for truth in (0.0, 0.5, 1.5):
+        q = Quadratic((("a", "x"),), 0.0, np.array([truth * 9.0]), np.array([[9.0]]))
+        normal, wide = posterior(q, np.arange(1)), tailed(q, np.arange(1))
+        assert abs(wide.log_evidence - normal.log_evidence) < 0.15
+
+
+def test_a_term_found_in_the_recording_has_no_tails() -> None:
+    q = Quadratic((("gyro_x += k * t", "k"),), 0.0, np.array([14.0]), np.array([[1.0]]))
+    assert tailed(q, np.arange(1)).mean[0] == posterior(q, np.arange(1)).mean[0]
