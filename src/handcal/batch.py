@@ -25,6 +25,7 @@ from handcal.covariance import (
 )
 from handcal.evidence import ReducedPass, backward, reduce, reduced_pass
 from handcal.filter import full_prior
+from handcal.folded import unfolded
 from handcal.kernel import BASE, MAX_DIM
 from handcal.linear import Linear, Trajectory, driven, linearise_about
 from handcal.model import observation_variances
@@ -156,12 +157,13 @@ def smoothed_mean(linear: Linear, levels: Mapping[str, float]) -> tuple[Array, f
 
 
 def whole_mean(done: ReducedPass, r: Array) -> Array:
-    """Errors x (k, N) given the whole recording, of a pass that was kept and its adjoint r."""
+    """Errors x (k, N) at all epochs given the whole recording, of a pass that was kept and its
+    adjoint r."""
     reduction = done.reduction
     x = np.empty((len(done.X), reduction.linear.problem.size))
     x[:, 9 : 9 + len(done.w)] = reduction.scale * done.w
     x[:, reduction.moving] = done.X[:, :, 0] + done.X[:, :, 1:] @ done.w + (done.P @ r)[:, :, 0]
-    return x
+    return x if reduction.folded is None else unfolded(reduction.folded, reduction.t, x)
 
 
 def smooth(linear: Linear, levels: Mapping[str, float], forward_pass: Pass) -> tuple[Array, Array]:
@@ -170,7 +172,7 @@ def smooth(linear: Linear, levels: Mapping[str, float], forward_pass: Pass) -> t
     The form of Bryson and Frazier on the reduced filter: nothing is inverted but the
     constants' information, in units of their priors. The last epoch is the filter's own.
     """
-    done = reduced_pass(reduce(linear), levels, keep=True)
+    done = reduced_pass(reduce(linear, folds=False), levels, keep=True)
     k, m, columns = done.X.shape
     r, N = np.empty((k, m, columns)), np.empty((k, m, m))
     backward(done, True, r, N)

@@ -14,6 +14,7 @@ import numpy as np
 
 from handcal.covariance import propagation_work
 from handcal.filter import full_prior
+from handcal.folded import Folded, fold
 from handcal.kernel import MAX_DIM
 from handcal.linear import Linear, driven
 from handcal.model import observation_variances
@@ -28,7 +29,8 @@ class Reduction:
     Biases and constants never move, so the filter runs over the m = 9 + e moving states
     alone, once for all values w (nc,) of the constants' errors in units of their prior
     sigma ``scale``; w0 is their prior mean. X0 (m, 1 + nc), P15 (15, 15): the prior;
-    slot (s,): kind and channel of each scalar, numbered through.
+    slot (s,): kind and channel of each scalar, numbered through. folded: how the problem was
+    folded, if it was; ``linear`` is what it became; t (k,): the epochs before that, s.
     """
 
     linear: Linear
@@ -43,6 +45,24 @@ class Reduction:
     at: IntArray
     count: IntArray
     slot: IntArray
+    folded: Folded | None
+    t: Array
+
+    def scatter(self, variances: Array) -> float:
+        """Log-density of how readings scatter within their windows, given the variances of each
+        slot."""
+        if self.folded is None:
+            return 0.0
+        f, seen = self.folded, self.folded.extra > 0.0
+        R = variances.ravel()[seen]
+        return -0.5 * float(f.extra[seen] @ np.log(2.0 * math.pi * R) + (f.scatter[seen] / R).sum())
+
+    def scatter_slope(self, variances: Array) -> Array:
+        """Derivative of ``scatter`` by the variance of each slot."""
+        R = variances.ravel()
+        if self.folded is None:
+            return np.zeros(len(R))
+        return np.asarray(0.5 * (self.folded.scatter / R - self.folded.extra) / R)
 
     @property
     def moving(self) -> IntArray:
@@ -51,8 +71,13 @@ class Reduction:
         return np.asarray(np.r_[0:9, n - self.linear.problem.markov_size : n])
 
 
-def reduce(linear: Linear) -> Reduction:
-    """Split a linearised problem into what moves and what is constant."""
+def reduce(linear: Linear, folds: bool = True) -> Reduction:
+    """Split a linearised problem into what moves and what is constant.
+
+    folds: False to keep every epoch and every reading its own.
+    """
+    folded, t = fold(linear) if folds else None, linear.t
+    linear = linear if folded is None else folded.linear
     problem, nominal = linear.problem, linear.trajectory
     n, c, e = problem.size, problem.constants, problem.markov_size
     mean15, P15 = linear.start.prior(
@@ -89,6 +114,8 @@ def reduce(linear: Linear) -> Reduction:
         np.argsort(h == 0.0, axis=1, kind="stable"),
         (h != 0.0).sum(axis=1),
         linear.kind[row] * MAX_DIM + channel,
+        folded,
+        t,
     )
 
 
@@ -149,6 +176,7 @@ def reduced_pass(
     spread: Array = np.linalg.inv(root).T.astype(np.float64, copy=False)
     w = spread @ (spread.T @ b)
     white = float(np.log(2.0 * math.pi * S).sum()) + float(gram[0, 0])
+    white -= 2.0 * reduction.scatter(observation_variances(problem, levels))
     value = -0.5 * (white + float(w0 @ w0 - b @ w)) - float(np.log(np.diag(root)).sum())
     likelihood = (-0.5 * white, -gram[1:, 0], G)
     return ReducedPass(reduction, arrays, X, P, gain, nu, S, w, spread, value, likelihood)

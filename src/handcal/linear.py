@@ -154,13 +154,34 @@ def linearise_about(problem: Problem, start: Start, nominal: Trajectory) -> Line
         Q[1],
         Q[2],
         nodes.t[node],
-        problem.rate[node],
+        _turning(problem, node),
         first,
         nodes.kind,
         r,
         H,
         used,
     )
+
+
+def _turning(problem: Problem, node: IntArray) -> Array:
+    """Turning rate (k,), rad/s, that the noise of each interval goes by: root mean square over the
+    time since the last look at the held point, so that it does not depend on how many readings
+    of a heading come in between."""
+    nodes = problem.nodes
+    folds = np.array([o.folds for o in problem.observations], dtype=np.bool_)
+    looks = np.zeros(len(nodes.t), dtype=np.bool_)
+    at = np.repeat(np.arange(len(nodes.t)), np.diff(nodes.first))
+    looks[at[~folds[nodes.kind]]] = True
+    look = np.flatnonzero(looks[node])
+    if not len(look):
+        return problem.rate[node]
+    ends = node[np.r_[look, len(node) - 1]]
+    begins = np.r_[node[0], ends[:-1]]
+    squares = np.r_[0.0, np.cumsum(problem.rate[1:] ** 2 * np.diff(nodes.t))]
+    span = nodes.t[ends] - nodes.t[begins]
+    mean = (squares[ends] - squares[begins]) / np.maximum(span, 1e-9)
+    rates = np.where(span > 0.0, np.sqrt(mean), problem.rate[ends])
+    return np.asarray(rates[np.searchsorted(look, np.arange(len(node)))])
 
 
 def _steady_force(problem: Problem, nominal: Trajectory, C_nb: Array) -> Array:

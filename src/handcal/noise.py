@@ -153,8 +153,9 @@ class Score:
     """
 
     def __init__(self, linear: Linear, levels: Mapping[str, float], names: Sequence[str]) -> None:
-        self.linear, self.names = linear, names
+        self.names = names
         self.reduction = reduce(linear)
+        self.linear = linear = self.reduction.linear
         markov = [n for n in names if n not in SENSORS]
         # a few intervals are enough to see what a level does
         few = np.unique(np.linspace(0, len(linear.t) - 1, 50).astype(int))
@@ -181,7 +182,9 @@ class Score:
             waiting = beside.submit(self._above, levels)
             done, slopes = self._sloped(levels)
             above = waiting.result()
-        by_R = np.bincount(reduction.slot, slopes.R, len(problem.observations) * MAX_DIM)
+        size = len(problem.observations) * MAX_DIM
+        by_R = reduction.scatter_slope(observation_variances(problem, levels))
+        by_R = by_R + np.bincount(reduction.slot, slopes.R, size)
         out = np.zeros(len(self.names))
         for i, name in enumerate(self.names):
             if name in self.moving:

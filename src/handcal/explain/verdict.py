@@ -411,7 +411,7 @@ def _evidence(f: Fitted, model: Model) -> Evidence:
     """Cumulated gain of each effect: the prediction of every scalar with it against without."""
     done = reduced_pass(reduce(f.linear), f.levels)
     scalars = np.diff(done.reduction.first)
-    at = np.repeat(f.linear.t, scalars)
+    at = np.repeat(done.reduction.linear.t, scalars)
     w = done.w
     slots = f.linear.problem.slots
     nu = done.nu[:, 0] + done.nu[:, 1:] @ w

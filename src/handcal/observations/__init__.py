@@ -75,6 +75,7 @@ class Observation:
     isotropic: where z is zero, the residual is a vector in n without preferred direction.
     wandering: first of the three Markov states that are the velocity of a point that wanders
     at random: what it feels is no motion that could excite an effect.
+    folds: read so often that its readings within a tenth of a second may be folded into one.
     navigates: it says something of position, velocity or attitude.
     guess(z (k, zdim)): first guesses of levels that the observations themselves show.
     """
@@ -96,6 +97,7 @@ class Observation:
     isotropic: bool = False
     wandering: int | None = None
     navigates: bool = True
+    folds: bool = False
 
 
 @cache

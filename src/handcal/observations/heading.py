@@ -61,4 +61,5 @@ OBSERVATION = Observation(
     levels=(Level("heading_noise", "rad", 0.1, 1e-4, 2.0),),
     variance=_variance,
     guess=_guess,
+    folds=True,
 )

@@ -1,0 +1,68 @@
+"""Headings folded into windows, against the pass in which each is an epoch of its own."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from worlds import recording_of
+
+from handcal import batch
+from handcal.effects import select
+from handcal.estimate.case import case_of
+from handcal.estimate.fit import Fitted, fitted, moved_to, started
+from handcal.evidence import backward, reduce, reduced_pass
+from handcal.folded import fold, unfolded
+from handcal_sim import simulate
+
+# Nats, and standard deviations (the issue that asked for it).
+NATS, SIGMAS = 0.05, 0.02
+WORLDS = [("z-turn", 0), ("three-turns", 0), ("free-hand", 0), ("free-hand", 1)]
+EFFECTS = ("gyro_scale", "heading_delay", "gyro_bias_walk")
+
+
+@pytest.fixture(scope="module", params=WORLDS, ids=lambda w: f"{w[0]}-{w[1]}")
+def fit(request: pytest.FixtureRequest) -> Fitted:
+    name, seed = request.param
+    world = simulate(name, seed=seed, duration_s=30.0)
+    (part,) = fitted([started(case_of(recording_of(world, "heading")))], ()).parts
+    return moved_to(part, select(EFFECTS))
+
+
+def test_the_same_evidence_and_constants(fit: Fitted) -> None:
+    folded, each = reduce(fit.linear), reduce(fit.linear, folds=False)
+    assert len(folded.linear.t) < 0.5 * len(each.linear.t)
+    a, b = reduced_pass(folded, fit.levels), reduced_pass(each, fit.levels)
+    assert abs(a.log_evidence - b.log_evidence) < NATS
+    sigma = np.linalg.norm(b.spread, axis=1)
+    assert np.abs((a.w - b.w) / sigma).max() < SIGMAS
+    ratio = np.linalg.norm(a.spread, axis=1) / sigma
+    assert np.abs(ratio - 1.0).max() < SIGMAS
+
+
+def test_the_same_trajectory(fit: Fitted) -> None:
+    """Smoothed at every epoch: within a fiftieth of the sigma that the whole filter has there."""
+    x, _ = batch.smoothed_mean(fit.linear, fit.levels)
+    forward = batch.forward(fit.linear, fit.levels)
+    exact, P = batch.smooth(fit.linear, fit.levels, forward)
+    sigma = np.sqrt(np.einsum("kii->ki", P)[:, :9])
+    away = np.abs(x[:, :9] - exact[:, :9]) / sigma
+    assert np.quantile(away, 0.99) < SIGMAS
+    assert away.max() < 5 * SIGMAS
+
+
+def test_nothing_is_folded_that_is_looked_at_seldom() -> None:
+    world = simulate("free-hand", seed=0, duration_s=10.0)
+    (part,) = fitted([started(case_of(recording_of(world)))], ()).parts
+    assert fold(part.linear) is None
+
+
+def test_unfolding_gives_back_what_the_windows_were_given(fit: Fitted) -> None:
+    """At the epochs at which a window begins, nothing is changed."""
+    done = reduced_pass(reduce(fit.linear), fit.levels, keep=True)
+    f = done.reduction.folded
+    assert f is not None
+    k, m = done.X.shape[:2]
+    r = np.empty((k, m, 1))
+    backward(done, False, r, np.empty((0, m, m)), spread=False)
+    x = np.random.default_rng(0).standard_normal((k, fit.linear.problem.size))
+    np.testing.assert_allclose(unfolded(f, fit.linear.t, x)[f.start], x, atol=1e-9)
