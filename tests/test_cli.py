@@ -10,7 +10,7 @@ import pytest
 from fake_result import fake_frames, fake_result
 
 import handcal
-from handcal import cli, commands
+from handcal import calibration, cli, commands
 from handcal.types import HandcalError, InputError
 
 
@@ -27,12 +27,12 @@ def main(monkeypatch, capsys):
     monkeypatch.setitem(handcal.__dict__, "load", lambda *_, **__: fake_result().recording)
     calls = []
 
-    def calibrate(_, **settings):
-        calls.append(settings)
+    def together(recordings, effects, **settings):
+        calls.append(settings | {"effects": effects})
         settings["progress"](0.5)
-        return fake_result()
+        return tuple(fake_result() for _ in recordings)
 
-    monkeypatch.setitem(handcal.__dict__, "calibrate", calibrate)
+    monkeypatch.setattr(calibration, "calibrate_together", together)
 
     def call(*arguments: str):
         monkeypatch.setattr(sys, "argv", ["handcal", *arguments])
@@ -162,7 +162,7 @@ def test_errors_are_one_line_and_a_status(main, monkeypatch, error, status):
     def fail(*_, **__):
         raise error
 
-    monkeypatch.setitem(handcal.__dict__, "calibrate", fail)
+    monkeypatch.setattr(calibration, "calibrate_together", fail)
     code, out, err = main("calibrate", "x.mcap")
     assert (code, out) == (status, "")
     assert len(err.splitlines()) == 1

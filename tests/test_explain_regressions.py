@@ -13,7 +13,7 @@ from worlds import recording_of
 
 from handcal import noise, observations, so3
 from handcal.effects import catalogue, select
-from handcal.estimate import case, fit
+from handcal.estimate import case, fit, observed
 from handcal.estimate.fit import EXCESS, Model, fitted, moved_to, scan, started
 from handcal.estimate.quadratic import posterior
 from handcal.evidence import reduce, reduced_pass
@@ -91,7 +91,7 @@ def test_gravity_is_not_named_beside_an_accelerometers_scale() -> None:
 def test_a_gyros_noise_is_no_alibi_for_its_scale(monkeypatch: pytest.MonkeyPatch) -> None:
     """Looked at ten times a second, as it was then: with a gyro that might be as noisy as it
     takes, nothing was missing."""
-    monkeypatch.setattr(case, "PSEUDO_RATE", 10.0)
+    monkeypatch.setattr(observed, "PSEUDO_RATE", 10.0)
     world = world_of(GYRO, 1, 60.0)
     (part,) = base_of(world).parts
     seen = noise.initial_levels(part.linear.problem)

@@ -29,7 +29,7 @@ from handcal.types import HandcalError
 
 CONTRACT = {
     "schema", "verdict", "mismatch", "missing", "unnamed", "hypotheses", "fit", "held_out",
-    "next_motion", "parameters", "noise", "warnings",
+    "next_motion", "parameters", "noise", "untellable", "model", "warnings",
 }  # fmt: skip
 ENTRIES = {
     "mismatch": {"channel": str, "from_s": float, "to_s": float, "share": float, "when": str},

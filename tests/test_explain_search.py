@@ -9,12 +9,14 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from scipy.special import logsumexp
 from worlds import recording_of
 
 from handcal.effects import Effect, Param, catalogue, select
 from handcal.estimate.case import case_of
 from handcal.estimate.fit import fitted, started
 from handcal.estimate.quadratic import Quadratic
+from handcal.estimate.tails import LOG_SHARES, SCALES
 from handcal.explain import climb
 from handcal.explain.search import (
     PRIOR,
@@ -61,9 +63,11 @@ UNIT = np.eye(12)
 
 
 def test_a_set_is_worth_its_evidence_and_its_odds() -> None:
-    """One reading z = 3 u + noise: log N(z; 0, 1 + 9) - log N(z; 0, 1)."""
+    """One reading z = 3 u + noise: log N(z; 0, 1 + 9) - log N(z; 0, 1), and the same with the
+    wider scales that a prior has."""
     where = _space(np.array([7.0]), {"a": np.array([3.0])}, {"a": -2.0})
-    gained = 0.5 * 49.0 * (1.0 - 0.1) - 0.5 * math.log(10.0)
+    S = 1.0 + 9.0 * SCALES**2
+    gained = float(logsumexp(0.5 * 49.0 * (1.0 - 1.0 / S) - 0.5 * np.log(S) + LOG_SHARES))
     assert where.score(["a"]) - where.score([]) == pytest.approx(gained - 2.0)
     assert gains(where, frozenset()) == {"a": pytest.approx(gained)}
     assert gains(where, frozenset("a")) == {"a": pytest.approx(gained)}
@@ -153,7 +157,11 @@ def test_a_positive_parameter_has_half_a_prior_twice_as_dense(z: float) -> None:
     """Against the integral over u > 0."""
     where = _space(np.array([z]), {"tau": np.array([3.0])}, positive=["tau"])
     u, step = np.linspace(0.0, 9.0, 900001, retstep=True)
-    density = np.exp(-0.5 * (z - 3.0 * u) ** 2 - 0.5 * u**2) * math.sqrt(2.0 / math.pi)
+    prior = sum(
+        math.exp(w) / s * np.exp(-0.5 * (u / s) ** 2)
+        for s, w in zip(SCALES, LOG_SHARES, strict=True)
+    )
+    density = np.exp(-0.5 * (z - 3.0 * u) ** 2) * prior * math.sqrt(2.0 / math.pi)
     expected = math.log(float(np.sum(0.5 * (density[1:] + density[:-1])) * step)) + PRIOR
     assert where.score(["tau"]) == pytest.approx(expected, abs=1e-6)
 
@@ -191,7 +199,8 @@ def _drawn(rng: np.random.Generator, odds: Mapping[str, float]) -> tuple[Space, 
     there = frozenset(i for i, x in odds.items() if rng.random() < 1.0 / (1.0 + math.exp(-x)))
     y = rng.normal(size=8)
     for i in there:
-        y = y + readings[i] @ rng.normal(size=readings[i].shape[1])
+        scale = rng.choice(SCALES, p=np.exp(LOG_SHARES))
+        y = y + readings[i] @ (scale * rng.normal(size=readings[i].shape[1]))
     return _space(y, readings, odds), there
 
 

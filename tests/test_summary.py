@@ -32,7 +32,9 @@ def no_nulls_in_lists(node: object) -> bool:
 
 def test_the_json_has_the_contracts_fields():
     document = summary.calibration_json(fake_result())
-    assert set(document) == {"schema", "recording", "parameters", "noise", "fit", "warnings"}
+    assert set(document) == {
+        "schema", "recording", "parameters", "noise", "fit", "untellable", "model", "warnings",
+    }  # fmt: skip
     assert document["schema"] == "handcal/calibration/1"
     assert set(document["recording"]) == {"path", "duration_s", "imu_rate_hz", "streams", "assume"}
     assert document["recording"]["imu_rate_hz"] == pytest.approx(100)
@@ -69,9 +71,11 @@ def test_json_holds_no_number_that_json_cannot(tmp_path):
 def test_several_results_are_a_list_of_recordings():
     one = fake_result(extra=False)
     assert summary.calibration_json([one]) == summary.calibration_json(one)
-    document = summary.calibration_json([one, fake_result()])
-    assert document["parameters"] == []
-    assert [len(r["parameters"]) for r in document["recordings"]] == [6, 13]
+    document = summary.calibration_json([fake_result(), fake_result()])
+    assert {p["effect"] for p in document["parameters"]}.isdisjoint(summary.OWN)
+    assert len(document["parameters"]) == 7
+    assert [len(r["parameters"]) for r in document["recordings"]] == [6, 6]
+    assert document["fit"]["log_evidence"] == document["recordings"][0]["fit"]["log_evidence"]
 
 
 def test_a_folder_that_does_not_exist_is_a_sentence(tmp_path):

@@ -318,6 +318,9 @@ def relinearised(
         return replace(problem, ref=ref, nodes=nodes)
     if force is not None:
         truth = np.hstack([truth[:, :3], force])
+    quiet = np.interp(imu.t, nodes.t, problem.rate) < QUIET_RATE
+    if noise is not None:
+        truth = _stilled(truth, imu.t, quiet)
     signals = _seen(read, truth)
     # (what is known of the angular acceleration has none of the noise that is averaged)
     short = max(1, round(AVERAGE_S[0] * recording.rate_hz))
@@ -334,7 +337,6 @@ def relinearised(
         if compared:
             for k in range(6):
                 J[:, k, own] = _averaged(J[:, k, own], short)
-    quiet = np.interp(imu.t, nodes.t, problem.rate) < QUIET_RATE
     right = np.clip(np.searchsorted(imu.t, nodes.t), 1, len(imu.t) - 1)
     share = ((nodes.t - imu.t[right - 1]) / (imu.t[right] - imu.t[right - 1]))[:, None]
     J_nodes = np.zeros((len(nodes.t), 6, problem.imu_constants))
@@ -346,6 +348,17 @@ def relinearised(
             of_imu = _calmed(of_imu, recording.rate_hz, quiet)
         J_nodes[:, k, some] = of_imu[right - 1] * (1.0 - share) + of_imu[right] * share
     return replace(problem, ref=ref, nodes=nodes._replace(J=J_nodes))
+
+
+def _stilled(truth: Array, t: Array, quiet: BoolArray) -> Array:
+    """Rate and force (n, 6) with the mean rate of each quiet while throughout it: what the rate
+    does there is the sensor's noise, which would teach a device that never turns its scale."""
+    out = truth.copy()
+    edges = np.flatnonzero(np.diff(np.r_[0, quiet.astype(np.int8), 0])).reshape(-1, 2)
+    for a, b in edges:
+        if t[b - 1] - t[a] > AVERAGE_S[1]:
+            out[a:b, :3] = truth[a:b, :3].mean(axis=0)
+    return out
 
 
 def _calmed(J: Array, rate: float, quiet: BoolArray) -> Array:

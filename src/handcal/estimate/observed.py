@@ -151,17 +151,17 @@ def observed_of(
     earth: tuple[Array, Array],
     start: Start | None,
     iron: Array | None = None,
-    rate: float | None = PSEUDO_RATE,
+    rate: float | None = None,
 ) -> tuple[list[Observed], Start]:
     """Each kind of observation with its rows and constants, and where the filter starts.
 
     iron (3,): a hard iron about which that of the magnetometer is to be sought, tesla.
-    rate: of pseudo-observations, Hz.
+    rate: of pseudo-observations, Hz (None: as often as is usual).
     """
     if iron is not None:
         recording = mag_hard_iron.cleaned(recording, iron)
     has_heading = "heading" in kinds or "magnetometer" in kinds
-    scene = Scene(rests, has_heading, rate=rate, omega_ie_n=earth[1])
+    scene = Scene(rests, has_heading, rate=rate or PSEUDO_RATE, omega_ie_n=earth[1])
     begin = start or _level(recording, kinds, scene)
     if "pose" in kinds and has_heading:
         scene = replace(scene, align_yaw=float(so3.yaw_of(begin.C_nb)))

@@ -13,34 +13,44 @@ import math
 from itertools import groupby
 
 import numpy as np
+from scipy.special import log_ndtr
 
 from handcal.estimate.quadratic import Posterior, Quadratic, posterior
-from handcal.types import Array, IntArray
+from handcal.types import Array, BoolArray, IntArray
 
 # Scales, in standard deviations of the prior, and how many devices in a thousand have them.
 SCALES = np.array([1.0, 5.0, 25.0])
 LOG_SHARES = np.log([0.9, 0.09, 0.01])
 # Of a parameter within so many standard deviations the wide scales say nothing worth a pass.
-NEAR = 2.5
+NEAR = 2.0
 ROUNDS = 6
 NORMAL = np.array([0.0, -np.inf, -np.inf])
 
 
-def tailed(q: Quadratic, index: IntArray, root: Array | None = None) -> Posterior:
+def tailed(
+    q: Quadratic,
+    index: IntArray,
+    root: Array | None = None,
+    positive: BoolArray | None = None,
+) -> Posterior:
     """Evidence and posterior of the subset ``index`` (m,) of parameters; all others are zero.
 
     root (m, m): square root of the subset's prior covariance at the usual scale (None: the
-    identity). The scales of the effects are summed over one by one, those of the others at their
-    best: exact for effects that the recording tells apart.
+    identity); positive (m,): those that cannot be negative, of whose evidence only that half
+    counts, twice as dense (mean and covariance are those without this). The scales of the effects
+    are summed over one by one, those of the others at their best: exact for effects that the
+    recording tells apart.
     """
     effects = _effects(q, index)
     R = np.eye(len(index)) if root is None else root
+    half = np.zeros(len(index), dtype=np.bool_) if positive is None else positive
     scale = np.zeros(len(effects), dtype=np.int64)
     for _ in range(ROUNDS):
         wide = R * np.repeat(SCALES[scale], [len(e) for e in effects])
         found = posterior(q, index, wide)
         shares = [
-            _shares(found, R, e, int(k)) if _has_tails(q, int(index[e[0]])) else NORMAL
+            _shares(found, R, e, int(k), half[e])
+            + (LOG_SHARES if _has_tails(q, int(index[e[0]])) else NORMAL)
             for e, k in zip(effects, scale, strict=True)
         ]
         best = np.array([int(np.argmax(s)) for s in shares], dtype=np.int64)
@@ -77,16 +87,19 @@ def _has_tails(q: Quadratic, i: int) -> bool:
     return "+=" not in q.names[i][0] and not q.names[i][0].startswith("basis:")
 
 
-def _shares(found: Posterior, R: Array, mine: IntArray, scale: int) -> Array:
-    """Log of what each scale (3,) of an effect is worth against the one it has in ``found``,
-    its share of devices included: the mean, over the posterior, of the ratio of the priors."""
+def _shares(found: Posterior, R: Array, mine: IntArray, scale: int, half: BoolArray) -> Array:
+    """Log of what each scale (3,) of an effect is worth against the one it has in ``found``: the
+    mean, over the posterior, of the ratio of the priors; half (k,): those that are positive."""
     rank = float(np.linalg.matrix_rank(R[np.ix_(mine, mine)]))
     m, C = found.mean[mine], found.covariance[np.ix_(mine, mine)]
     out = np.empty(len(SCALES))
     for k, s in enumerate(SCALES):
         tighter = 1.0 / s**2 - 1.0 / SCALES[scale] ** 2
         A = np.eye(len(m)) + tighter * C
-        moved = float(m @ np.linalg.solve(A, m))
+        mean = np.linalg.solve(A, m)
         widened = rank * math.log(SCALES[scale] / s) - 0.5 * float(np.linalg.slogdet(A)[1])
-        out[k] = LOG_SHARES[k] + widened - 0.5 * tighter * moved
+        out[k] = widened - 0.5 * tighter * float(m @ mean)
+        if half.any():
+            sigma = np.sqrt(np.diag(np.linalg.solve(A, C)))
+            out[k] += float((math.log(2.0) + log_ndtr(mean / sigma))[half].sum())
     return out

@@ -7,7 +7,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import log_ndtr
 
 from handcal.effects import Effect
 from handcal.estimate.case import name_of
@@ -69,13 +68,12 @@ class Space:
         effects = [self.effects[i] for i in names]
         root = prior_root(self.quadratic, effects, index)
         odds = sum(self.prior[i] for i in names)
-        positive = np.concatenate([[p.positive for p in e.parameters] for e in effects])
+        flags = [p.positive for e in effects for p in e.parameters]
+        positive = np.array(flags, dtype=np.bool_)
         if not positive.any():
             return log_evidence(self.quadratic, index, root) + odds
-        found = tailed(self.quadratic, index, root)
-        z = found.mean[positive] / np.sqrt(np.diag(found.covariance)[positive])
         # half of a symmetric prior, twice as dense
-        return found.log_evidence + odds + float((math.log(2.0) + log_ndtr(z)).sum())
+        return tailed(self.quadratic, index, root, positive).log_evidence + odds
 
 
 def space(quadratic: Quadratic, effects: Sequence[Effect], prior: Mapping[str, float]) -> Space:
