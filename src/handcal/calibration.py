@@ -24,6 +24,7 @@ from handcal.linear import Linear, Trajectory, epochs, linearise_about, trajecto
 from handcal.model import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Problem, build, noise_arrays
 from handcal.observations import Observation, Rows, Scene, catalogue
 from handcal.start import Start, from_pose, from_rest, levelled
+from handcal.streams import STREAMS
 from handcal.sway import TRAVEL_NATS, beyond_a_hand, sway_of
 from handcal.types import (
     Array,
@@ -201,7 +202,7 @@ def _check_effects(effects: Sequence[Effect], kinds: Sequence[str]) -> None:
 
 def _usable(recording: Recording, effects: Sequence[Effect], warnings: list[str]) -> set[str]:
     """Streams that are fit to be observed; what is left out is said."""
-    usable = set(recording.streams) & {"heading", "mag", "pose", "reference"}
+    usable = {s.name for s in STREAMS.values() if s.observation} & set(recording.streams)
     for name in sorted(usable):
         if len(recording.streams[name].t) < MIN_READINGS:
             usable.discard(name)
@@ -251,10 +252,7 @@ def _kinds(assume: str, usable: set[str], rests: Array) -> list[str]:
         kinds += ["zero_velocity", "zero_rate"]
     elif "pose" not in usable:
         kinds.append("fixed_position")
-    kinds += [k for s, k in (("heading", "heading"), ("mag", "magnetometer")) if s in usable]
-    if "pose" in usable:
-        kinds.append("pose")
-    return kinds
+    return kinds + [s.observation for s in STREAMS.values() if s.name in usable]
 
 
 def _assumption(
