@@ -17,12 +17,13 @@ from typing import Any
 import numpy as np
 
 from handcal.conceal import WORLD, measured, shifted, stretched
-from handcal.effects import Effect, Signals, catalogue
+from handcal.effects import Effect, catalogue
 from handcal.effects._derivative import reach
 from handcal.effects.mag_hard_iron import cleaned
 from handcal.explain_summary import EXPLANATION_SCHEMA
-from handcal.model import substituted, temperature_of
+from handcal.model import substituted
 from handcal.observations import catalogue as observations
+from handcal.signals import of_recording
 from handcal.so3 import wrap
 from handcal.summary import CALIBRATION_SCHEMA
 from handcal.types import Array, BoolArray, HandcalError, Imu, InputError, Recording, Series
@@ -127,8 +128,7 @@ def _imu(
     imu = recording.imu
     acting = _acting(values)
     raw = np.hstack([imu.gyro, imu.accel])
-    motion = raw - about
-    signals = Signals(imu.t, motion[:, :3], motion[:, 3:], temperature_of(recording))
+    signals = of_recording(recording, acting, read=raw - about)
     ref = np.concatenate([values[e.id] for e in acting]) if acting else np.zeros(0)
     clean = raw - substituted(acting, ref, signals) - (0.0 if bias is None else bias)
     clean = np.where(imu.valid[:, None], clean, raw)

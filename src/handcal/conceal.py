@@ -22,7 +22,7 @@ from handcal import so3
 from handcal.calibration import calibrate
 from handcal.effects import Signals, catalogue, mag_hard_iron
 from handcal.effects._derivative import derivative
-from handcal.model import temperature_of
+from handcal.signals import of_recording
 from handcal.types import Array, BoolArray, Imu, InputError, Recording, Result, Series
 
 # Errors of rate or force that are not proportional to it: a bias must not count as motion.
@@ -204,7 +204,9 @@ class _Known:
             accel = accel - self.constant("accel_bias")
         if any("attitude" in catalogue()[i].needs and i not in OWN for i in self.values):
             C_nb = self.attitude(imu.t)
-        return Signals(imu.t, gyro, accel, temperature_of(self.recording), C_nb)
+        effects = [catalogue()[i] for i in self.values]
+        read = np.hstack([gyro, accel])
+        return of_recording(self.recording, effects, read=read, C_nb=C_nb)
 
 
 # --- the IMU ------------------------------------------------------------------------------------

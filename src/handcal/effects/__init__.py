@@ -51,18 +51,26 @@ class Param:
 class Signals:
     """What an effect may depend on, n samples: the best estimate of the truth so far.
 
-    t (n,) s; gyro (n, 3) true rate, rad/s; accel (n, 3) true specific force, m/s^2;
-    temperature (n,) degC or None where the recording has none; C_nb (n, 3, 3) attitude, or
-    None before there is any; alpha (n, 3) angular acceleration, rad/s^2, or None where it is
-    told by the rate alone.
+    t (n,) s; gyro (n, 3) true rate, rad/s; accel (n, 3) true specific force, m/s^2; C_nb
+    (n, 3, 3) attitude, or None before there is any; alpha (n, 3) angular acceleration, rad/s^2,
+    or None where it is told by the rate alone. streams: what else was measured, (n, d) by the
+    stream's name, with the columns and units of its row in ``handcal.streams``: all that no
+    observation looks at, and what the effects need; only what the recording has, so an effect
+    adds nothing where ``streams.get`` finds nothing. Made in ``handcal.signals``.
     """
 
     t: Array
     gyro: Array
     accel: Array
-    temperature: Array | None = None
-    C_nb: Array | None = None
-    alpha: Array | None = None
+    C_nb: Array | None = field(default=None, kw_only=True)
+    alpha: Array | None = field(default=None, kw_only=True)
+    streams: Mapping[str, Array] = field(default_factory=dict, kw_only=True)
+
+    @property
+    def temperature(self) -> Array | None:
+        """(n,) degC, None where the recording has none."""
+        found = self.streams.get("temperature")
+        return None if found is None else found[:, 0]
 
 
 @dataclass(frozen=True)
