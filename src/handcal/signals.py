@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from handcal import so3
 from handcal.effects import Effect, Signals
 from handcal.streams import STREAMS, Stream
 from handcal.types import Array, BoolArray, IntArray, Recording, Series
@@ -81,3 +82,28 @@ def some(signals: Signals, rows: BoolArray | IntArray) -> Signals:
 def reading(signals: Signals, read: Array) -> Signals:
     """The signals with other rates and forces, (n, 6)."""
     return replace(signals, gyro=read[:, :3], accel=read[:, 3:])
+
+
+def probe(n: int = 400) -> Signals:
+    """A motion of which no two signals are alike, nor any made of others, n samples over 8 s: to
+    see on which an effect depends. With all streams that there are."""
+    t = np.linspace(0.0, 8.0, n)
+    widths = [3, 3, 3, *(len(row.columns) for row in STREAMS.values())]
+    # (square roots of primes have no common measure: three tones for each column)
+    tones = np.sqrt(_primes(3 * sum(widths))).reshape(3, -1)
+    tones *= 9.0 / tones.max()
+    columns = np.sin(t[:, None, None] * tones + 2.4 * tones[::-1]).sum(axis=1)
+    parts = np.split(columns, np.cumsum(widths)[:-1], axis=1)
+    gyro, accel, turn = 1.5 * parts[0], 4.0 * parts[1], parts[2]
+    streams = {name: 30.0 + 5.0 * x for name, x in zip(STREAMS, parts[3:], strict=True)}
+    return Signals(t, gyro, accel, C_nb=so3.rotations(turn), streams=streams)
+
+
+def _primes(count: int) -> Array:
+    found: list[int] = []
+    number = 2
+    while len(found) < count:
+        if all(number % p for p in found):
+            found.append(number)
+        number += 1
+    return np.array(found, dtype=np.float64)
