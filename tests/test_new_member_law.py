@@ -2,6 +2,7 @@
 
 import dataclasses
 import importlib.util
+import re
 import sys
 from pathlib import Path
 
@@ -307,3 +308,10 @@ def test_commands_know_it(plain, tmp_path):
     assert rms(handcal.load(out).imu.gyro - plain.imu.gyro) > 0.01
     done = CliRunner().invoke(cli.app, ["conceal", str(source), "--effect", "x=1", "-o", str(out)])
     assert all(effect in str(done.output) + str(done.stderr) for effect in FILES)
+
+
+def test_signals_are_made_in_one_place():
+    source = ROOT / "src" / "handcal"
+    made = [p.relative_to(source).as_posix() for p in sorted(source.rglob("*.py"))
+            if re.search(r"(?<!class )\bSignals\(", p.read_text(encoding="utf-8"))]  # fmt: skip
+    assert made == ["signals.py"]
