@@ -12,7 +12,10 @@ from handcal import calibrate, cli, so3
 from handcal import conceal as hidden
 from handcal.apply import Learnt, apply
 from handcal.commands import run
+from handcal.effects import select
 from handcal.export import write_mcap
+from handcal.observations import catalogue as observations
+from handcal.streams import STREAMS
 from handcal.types import InputError, Series
 from handcal_sim import simulate
 from handcal_sim.phone import (
@@ -152,14 +155,19 @@ def test_noise_is_as_large_as_asked(plain):
     many = np.linspace(0.0, plain.duration_s, 20_000)
     yaw = np.interp(many, plain.streams["heading"].t, plain.streams["heading"].value[:, 0])
     dense = dataclasses.replace(plain, streams={"heading": Series(many, yaw[:, None])})
-    some = hidden._Known(plain, {})
-    values = {"heading_correlated_noise": np.array([0.1, 0.05])}
-    error = hidden._heading_error(values, many, 0.0, some, np.random.default_rng(1))
+    known, kind = hidden.Truth(plain, ()), observations()["heading"]
+
+    def error_of(effect, *values):
+        values = {effect: np.array(values)}
+        chosen, rng = select([effect]), np.random.default_rng(1)
+        row, series = STREAMS["heading"], dense.streams["heading"]
+        return hidden._shift(kind, row, series, chosen, values, 0.0, known, rng)[:, 0]
+
+    error = error_of("heading_correlated_noise", 0.1, 0.05)
     assert rms(error) == pytest.approx(0.1, rel=0.1)
     step = many[1]
     assert np.corrcoef(error[1:], error[:-1])[0, 1] == pytest.approx(np.exp(-step / 0.05), abs=0.01)
-    values = {"heading_outliers": np.array([0.1])}
-    error = hidden._heading_error(values, many, 0.0, some, np.random.default_rng(1))
+    error = error_of("heading_outliers", 0.1)
     assert np.mean(error != 0.0) == pytest.approx(0.1, abs=0.01)
     assert rms(error[error != 0.0]) == pytest.approx(np.pi / np.sqrt(3), rel=0.03)
     for sensor in ("gyro", "accel"):

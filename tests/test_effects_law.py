@@ -27,6 +27,7 @@ from handcal.kernel import BASE, MAX_DIM
 from handcal.linear import linearise_about
 from handcal.model import build, relinearised, substituted
 from handcal.observations import catalogue as observations
+from handcal.signals import of_arrays
 from handcal.types import InputError, Series
 from handcal_sim import simulate
 from handcal_sim.effects import EFFECTS as SIMULATED
@@ -144,7 +145,8 @@ def random_signals(seed, n=60):
     phase = rng.uniform(0, 6, (6, 1))
     x = (np.array([3, 3, 3, 9, 9, 9])[:, None] * np.sin(t * rng.uniform(2, 8, (6, 1)) + phase)).T
     C_nb = Rotation.random(n, random_state=rng).as_matrix()
-    return Signals(t, x[:, :3].copy(), x[:, 3:].copy(), 25.0 + 20.0 * t, C_nb)
+    made = of_arrays(t, x[:, :3].copy(), x[:, 3:].copy(), 25.0 + 20.0 * t)
+    return replace(made, C_nb=C_nb)
 
 
 @pytest.mark.parametrize("name", ACTING)
@@ -230,7 +232,7 @@ def test_together_only_what_the_other_lacks_is_left(name):
 def test_works_without_temperature_and_attitude(name):
     """A recording without a thermometer must not break any effect, nor the first pass."""
     effect = catalogue()[name]
-    signals = replace(random_signals(0), temperature=None, C_nb=None)
+    signals = replace(random_signals(0), streams={}, C_nb=None)
     error = effect.imu_error(effect.prior_sigma, signals)
     assert np.all(np.isfinite(error))
     if "temperature" in effect.needs:
@@ -299,7 +301,8 @@ def test_units_and_signs_of_the_readings_by_hand(name):
         expected[slice(0, 3) if which == "gyro" else slice(3, 6)] = error * np.array([1, 2, 3])
     else:
         attitude = np.tile(X_UP, (n, 1, 1))
-        signals = Signals(t, still * RATE, still * FORCE, 35.0 * np.ones(n), attitude)
+        made = of_arrays(t, still * RATE, still * FORCE, 35.0 * np.ones(n))
+        signals = replace(made, C_nb=attitude)
         got = effect.imu_error(parameters, signals)[n // 2]
         expected = BY_HAND[name]
     np.testing.assert_allclose(got, expected, atol=1e-6 if name in RAMPS else 1e-12)

@@ -21,6 +21,7 @@ from handcal.explain.explanation import Hypothesis, Missing
 from handcal.explain.find import Found
 from handcal.explain.next_motion import ENOUGH, _believed, _informations, next_motions
 from handcal.explain.search import Space, expected_gain, rivals, space
+from handcal.streams import STREAMS
 from handcal.types import Array, Recording, Series
 from handcal_sim import simulate
 from handcal_sim.motion import Start
@@ -176,7 +177,7 @@ def test_the_promise_is_kept(one_way: Found) -> None:
     scale = u * select(["gyro_scale"])[0].prior_sigma
     recording = _read(next_motion._case(motion, like.case).recording, like, scale, rng)
     rate = design.rate_of(like.case.recording.streams["heading"])
-    thin = math.sqrt(design.FASTEST["heading"] / rate)
+    thin = math.sqrt(STREAMS["heading"].planned_hz / rate)
     levels = {**like.levels, "heading_noise": like.levels["heading_noise"] * thin}
     made = started(replace(case_of(recording, like.case.assume), fixed=levels))
     kept = []

@@ -14,7 +14,9 @@ from handcal.effects import Z_DIM
 from handcal.effects import catalogue as effects
 from handcal.kernel import BASE, MAX_DIM, Tables, linearise
 from handcal.observations import NAV, Scene, catalogue
+from handcal.observations.pose import aligned
 from handcal.so3 import wrap
+from handcal.streams import STREAMS, observed_by
 from handcal.types import Imu, Recording, Series
 
 SCENE = Scene(np.zeros((0, 2)), True)
@@ -511,3 +513,52 @@ def test_a_reference_of_a_few_readings_is_none():
     assert catalogue()["known_input"].rows(recording, SCENE) is None
     empty = replace(recording, streams={})
     assert catalogue()["known_input"].rows(empty, SCENE) is None
+
+
+MOVABLE = [k for k, o in catalogue().items() if o.moved is not None]
+
+
+def seen_pose(n=200):
+    """A recording with a pose whose marker and world are turned, and its attitudes C_nb."""
+    t = np.linspace(0.0, 10.0, n)
+    angle = np.stack([np.sin(0.9 * t), np.cos(0.7 * t), np.sin(1.3 * t + 1.0)], axis=1)
+    C = so3.rotations(angle)
+    rate = so3.matrix_log(C[:-1].transpose(0, 2, 1) @ C[1:]) / (t[1] - t[0])
+    imu = Imu(t, np.vstack([rate, rate[-1:]]), 9.8 * C[:, 2, :], np.ones(n, dtype=bool))
+    world, marker = Rotation.random(2, random_state=3).as_matrix()
+    q = so3.quaternion_of(world @ C @ marker)
+    return Recording("made", imu, {"pose": Series(t, np.hstack([angle, q]))})
+
+
+def test_every_observation_of_a_stream_can_be_moved_but_a_reference():
+    of_streams = {o.kind for o in catalogue().values() if observed_by(o.kind)}
+    assert of_streams == {*MOVABLE, "known_input"}
+
+
+@pytest.mark.parametrize("kind", MOVABLE)
+def test_a_moved_reading_has_a_residual_larger_by_the_shift(kind):
+    o, rng, recording = catalogue()[kind], np.random.default_rng(0), seen_pose()
+    name, t = observed_by(kind).name, recording.imu.t
+    shift = 0.05 * rng.standard_normal((len(t), o.dim))
+    R_bm, R_nw = aligned(recording, recording.streams["pose"])
+    C_nb = R_nw @ so3.matrix_of(recording.streams["pose"].value[:, 3:]) @ R_bm.T
+    if name != "pose":
+        value = rng.uniform(1.0, 3.0, (len(t), len(STREAMS[name].columns)))
+        recording = replace(recording, streams={name: Series(t, value)})
+    series = recording.streams[name]
+    iron = 0.1 * np.arange(1.0, 4.0) if name == "mag" else np.zeros(series.value.shape[1])
+    residuals, used = [], np.ones(len(t), dtype=bool)
+    for s in (series, o.moved(recording, series, C_nb, shift, iron)):
+        z, r = np.zeros((len(t), Z_DIM)), np.zeros((len(t), o.dim))
+        z[:, : s.value.shape[1]] = s.value - iron
+        if name == "pose":
+            q = so3.quaternion_of(R_nw @ so3.matrix_of(s.value[:, 3:]) @ R_bm.T)
+            z[:, :7] = np.hstack([s.value[:, :3] @ R_nw.T, q])
+        for k, C in enumerate(C_nb):
+            nav = nav_of(*np.zeros((2, 3)), C, *np.zeros((2, 3)))
+            used[k] &= call_residual(int(o.residual), nav, np.zeros(6), z[k], r[k]) == 0
+        residuals.append(r)
+    grown = residuals[1] - residuals[0]
+    grown = wrap(grown) if o.dim == 1 else grown
+    assert used.mean() > 0.5  # (the others are skipped: body x or the field is near the vertical)
+    np.testing.assert_allclose(grown[used], shift[used], atol=1e-9)

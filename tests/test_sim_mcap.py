@@ -14,9 +14,11 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from typer.testing import CliRunner
 
+import handcal
 import handcal_sim
 from handcal_sim import phone
 from handcal_sim.commands import simulate
+from handcal_sim.effects import EFFECTS
 
 START_NS = 1_760_000_000_000_000_000
 EVERYTHING = replace(
@@ -277,3 +279,22 @@ def test_the_command_is_quick_to_import():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_an_effect_that_is_not_the_simulators_own_comes_from_the_catalogue(tmp_path, monkeypatch):
+    """As if it were new: concealed by the other program; the truth stays, and names it."""
+    plain, out = tmp_path / "plain.mcap", tmp_path / "a.mcap"
+    options = ["z-turn", "--seed", "0", "--duration", "5", "--no-heading"]
+    assert run(*options, "-o", plain).exit_code == 0
+    monkeypatch.delitem(EFFECTS, "gyro_scale")
+    given = [*options, "--effect", "gyro_scale=0.1,0.2,0.3", "--effect", "accel_scale=0,0,0.01"]
+    done = run(*given, "-o", out)
+    assert done.exit_code == 0, done.output
+    truth = [parameters(path) for path in (plain, out)]
+    assert truth[1]["concealed"] == ["gyro_scale=0.1,0.2,0.3"]
+    rates = [handcal.load(path).imu.gyro for path in (plain, out)]
+    np.testing.assert_allclose(rates[1], rates[0] * [1.1, 1.2, 1.3], rtol=1e-12)
+    done = run(*options, "--effect", "gyro_scale=1", "-o", tmp_path / "b.mcap")
+    assert done.exit_code == 2
+    assert "gyro_scale takes 3 values, not 1" in done.stderr
+    assert not (tmp_path / "b.mcap").exists()

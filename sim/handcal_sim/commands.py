@@ -33,7 +33,7 @@ def simulate(
         typer.Option(
             metavar="ID=v,v,...",
             help="Set an effect, values in the order of its parameters (repeatable); "
-            "a wrong one lists them.",
+            "a wrong one lists them. What only `handcal conceal` knows is added by it.",
         ),
     ] = None,
     device: Annotated[
@@ -104,12 +104,14 @@ def simulate(
     ] = None,
 ) -> None:
     """Write a recording of a simulated device in a simulated hand, and what was true."""
+    from handcal_sim.effects import parted
     from handcal_sim.errors import SimulationError
     from handcal_sim.request import Request, simulated
 
+    own, others = parted(effect or ())
     request = Request(
         scenario=scenario, seed=seed, device="perfect" if perfect else device,
-        effects=tuple(effect or ()), rate_hz=rate, duration_s=duration,
+        effects=own, rate_hz=rate, duration_s=duration,
         heading=not no_heading, heading_sigma_deg=heading_sigma, heading_rate_hz=heading_rate,
         bias_gyro_deg_h=bias_gyro_deg_h, bias_accel_mg=bias_accel_mg,
         temperature=temperature, mag=mag, pose=pose, reference=reference,
@@ -119,9 +121,10 @@ def simulate(
     )  # fmt: skip
     try:
         world, used = simulated(request)
+        from handcal_sim import foreign
         from handcal_sim.mcap_writer import write
 
-        count = write(world, out)
+        count = foreign.write(world, out, others, used) if others else write(world, out)
     except SimulationError as problem:
         _wrong(str(problem))
     except OSError as problem:

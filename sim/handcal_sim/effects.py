@@ -104,6 +104,12 @@ EFFECTS: dict[str, tuple[Parameter, ...]] = {
 _NOT_NEGATIVE = {"tau", "density", "sigma", "fraction"}
 
 
+def parted(effects: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Effects, as typed, that are this simulator's own, and those that are not."""
+    own = tuple(e for e in effects if e.partition("=")[0].strip() in EFFECTS)
+    return own, tuple(e for e in effects if e not in own)
+
+
 def parse_effect(text: str) -> tuple[str, tuple[float, ...]]:
     """`ID=v,v,...` as an id and its values; SimulationError says what is expected."""
     name, equals, values = text.partition("=")

@@ -188,3 +188,10 @@ def call_residual(address: int, nav: Any, theta: Any, z: Any, out: Any) -> int:
     """Call a ``residual_function`` by its address; all arrays float64, C-contiguous."""
     status: int = _called(address, nav.ctypes, theta.ctypes, z.ctypes, out.ctypes)
     return status
+
+
+@njit
+def call_residuals(address: int, nav: Array, theta: Array, z: Array, out: Array) -> None:
+    """``call_residual`` for each row of nav (m, 21), theta (m, k), z (m, zdim) and out (m, dim)."""
+    for i in range(len(nav)):
+        call_residual(address, nav[i], theta[i], z[i], out[i])

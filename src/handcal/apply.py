@@ -16,23 +16,22 @@ from typing import Any
 
 import numpy as np
 
-from handcal.conceal import WORLD, measured, shifted, stretched
-from handcal.effects import Effect, Signals, catalogue
-from handcal.effects._derivative import reach
-from handcal.effects.mag_hard_iron import cleaned
+from handcal.conceal import Truth, streams_of
+from handcal.effects import TIME, Z_DIM, Effect, catalogue, observed_error
+from handcal.effects._stamps import shifted
 from handcal.explain_summary import EXPLANATION_SCHEMA
-from handcal.model import substituted, temperature_of
+from handcal.model import substituted
+from handcal.observations import NAV
 from handcal.observations import catalogue as observations
+from handcal.signals import of_recording
 from handcal.so3 import wrap
+from handcal.streams import STREAMS, Stream, observed_by
 from handcal.summary import CALIBRATION_SCHEMA
-from handcal.types import Array, BoolArray, HandcalError, Imu, InputError, Recording, Series
+from handcal.types import Array, HandcalError, Imu, InputError, Recording, Series
 
 BIASES = ("gyro_bias", "accel_bias")
-# These differ from one day to the next, so they are taken off only when asked for.
-OF_ONE_DAY = (*BIASES, "gyro_bias_step")
-DELAYS = ("pose_delay", "heading_delay")
-IRONS = ("heading_hard_iron", "heading_soft_iron")
-ROUNDS = 60
+# Rounds in which the true heading is found, and what the last may change, rad.
+ROUNDS, FOUND = 2000, 1e-14
 
 NO_SENSOR = "no error of a sensor"
 NOT_ASKED = "of one day, taken off with --biases"
@@ -74,99 +73,114 @@ def apply(recording: Recording, learnt: Learnt, *, biases: bool = False) -> Corr
     why = {i: _reason(i, recording, biases) for i in known}
     values = {i: v for i, v in learnt.values.items() if not why[i]}
     bias = _bias_of(recording, learnt) if biases else None
-    streams: dict[str, Series] = dict(recording.streams)
-    if "heading" in streams:
-        streams["heading"] = _heading(streams["heading"], values, float(recording.imu.t[0]))
-    if "mag_hard_iron" in values:
-        streams["mag"] = cleaned(recording, values["mag_hard_iron"]).streams["mag"]
-    for i in DELAYS:
-        if i in values:
-            stream = _stream_of(i, recording)
-            streams[stream] = shifted(streams[stream], -float(values[i][0]), recording.imu)
-    imu = _imu(recording, values, _typical(learnt) if bias is None else bias, bias)
-    if "clock_rate" in values:
-        imu, streams = stretched(imu, streams, 1.0 / (1.0 + 1e-6 * float(values["clock_rate"][0])))
+    taking = [catalogue()[i] for i in values]
+    out = recording
+    for row in STREAMS.values():
+        own = [e for e in taking if _read_off(e, row)]
+        if own and row.name in out.streams:
+            series = _heading(out, row, own, values)
+            out = replace(out, streams={**out.streams, row.name: series})
+    for e in taking:
+        stream = _delayed(e, recording)
+        if stream:
+            series = shifted(out.streams[stream], -float(values[e.id][0]), recording.imu)
+            out = replace(out, streams={**out.streams, stream: series})
+    acting = [e for e in taking if e.imu_error is not None and e.undo is None]
+    about = _typical(learnt) if bias is None else bias
+    out = replace(out, imu=_imu(recording, acting, values, about, bias))
+    for e in taking:
+        if e.undo is not None:
+            out = e.undo(values[e.id], out)
     left: dict[str, tuple[str, ...]] = {}
     for i, reason in why.items():
         if reason:
             left[reason] = (*left.get(reason, ()), i)
     taken = tuple(i for i in known if not why[i])
-    return Corrected(replace(recording, imu=imu, streams=streams), taken, left)
+    return Corrected(out, taken, left)
 
 
 def _reason(effect: str, recording: Recording, biases: bool) -> str:
     """Why an effect is left as it is; empty if it can be taken off."""
-    if effect in OF_ONE_DAY:
+    known = catalogue().get(effect)
+    if known is None or known.of_one_day:
         return "" if biases else NOT_ASKED
-    known = catalogue()[effect]
-    on_stream = effect in DELAYS or effect.startswith(("heading_", "mag_"))
-    of_sensor = known.imu_error is not None or on_stream
-    if effect in WORLD or known.process is not None or known.outliers or not of_sensor:
+    if known.world or known.process is not None or known.outliers:
         return NO_SENSOR
-    if "temperature" in known.needs and "temperature" not in recording.streams:
+    if any(need not in recording.streams for need in known.needs if need in STREAMS):
         return NO_STREAM
-    if on_stream and _stream_of(effect, recording) not in recording.streams:
-        return NO_STREAM
-    return ""
+    if known.imu_error is not None:
+        return ""
+    on = [s for s in streams_of(known) if s in recording.streams]
+    if known.undo is None and not known.delays:
+        on = [s for s in on if _read_off(known, STREAMS[s])]
+    return "" if on else NO_STREAM
 
 
-def _stream_of(effect: str, recording: Recording) -> str:
-    """The stream that an effect is on, be it there or not."""
-    if effect == "heading_delay" and "heading" not in recording.streams:
-        return "mag"
-    return effect.split("_")[0]
+def _delayed(effect: Effect, recording: Recording) -> str:
+    """The stream that an effect makes late, empty if none of them is there."""
+    rows = [observed_by(kind) for kind in effect.delays]
+    return next((row.name for row in rows if row and row.name in recording.streams), "")
+
+
+def _read_off(effect: Effect, row: Stream) -> bool:
+    """Whether the stream itself tells what the effect added to it: it reads what is observed."""
+    kind = row.observation
+    return row.circular and kind in effect.observation_error and kind not in effect.delays
 
 
 # --- the readings -------------------------------------------------------------------------------
 
 
 def _imu(
-    recording: Recording, values: Mapping[str, Array], about: Array, bias: Array | None
-) -> Imu:
+    recording: Recording, acting: Sequence[Effect], values: Mapping[str, Array], about: Array,
+    bias: Array | None,
+) -> Imu:  # fmt: skip
     """about (6,): the likely biases, which must not count as motion; bias: to be taken off."""
     imu = recording.imu
-    acting = _acting(values)
     raw = np.hstack([imu.gyro, imu.accel])
-    motion = raw - about
-    signals = Signals(imu.t, motion[:, :3], motion[:, 3:], temperature_of(recording))
-    ref = np.concatenate([values[e.id] for e in acting]) if acting else np.zeros(0)
+    needed = any("attitude" in e.needs for e in acting)
+    C_nb = Truth(recording, tuple(acting)).attitude(imu.t) if needed else None
+    signals = of_recording(recording, acting, read=raw - about, C_nb=C_nb)
+    ref = np.concatenate([np.zeros(0), *(values[e.id] for e in acting)])
     clean = raw - substituted(acting, ref, signals) - (0.0 if bias is None else bias)
     clean = np.where(imu.valid[:, None], clean, raw)
-    valid = _valid(imu, values)
+    valid = imu.valid
+    for e in acting:
+        if e.sound is not None:
+            valid = valid & e.sound(-values[e.id], imu.t, imu.valid)
     return Imu(imu.t, clean[:, :3].copy(), clean[:, 3:].copy(), valid)
 
 
-def _acting(values: Mapping[str, Array]) -> list[Effect]:
-    """Those that act on the readings. A clock that runs fast acts on the stamps."""
-    effects = [catalogue()[i] for i in values if i != "clock_rate"]
-    return [e for e in effects if e.imu_error is not None]
+def _heading(
+    recording: Recording, row: Stream, effects: Sequence[Effect], values: Mapping[str, Array]
+) -> Series:
+    """Headings (m, 1) less their errors, which depend on the true heading."""
+    series, kind = recording.streams[row.name], observations()[row.observation]
+    read, t = series.value[:, 0], series.t
+    z = np.zeros((len(t), Z_DIM))
+    z[:, TIME] = t - recording.imu.t[0]
 
+    def error(yaw: Array, nav: Array) -> Array:
+        # (the first of the body's axes, seen from n, points where the heading says)
+        across = nav[:, 12].copy()
+        level = np.sqrt(1.0 - np.where(np.isnan(across), 0.0, across) ** 2)
+        z[:, 0] = yaw
+        nav[:, 6], nav[:, 9] = level * np.cos(yaw), level * np.sin(yaw)
+        errors = [observed_error(e, kind.kind, values[e.id], nav, z, 1) for e in effects]
+        return np.asarray(np.hstack(errors).sum(axis=1))
 
-def _valid(imu: Imu, values: Mapping[str, Array]) -> BoolArray:
-    """Measurements of which nothing was made of what is none."""
-    valid = imu.valid
-    if "accel_delay" in values:
-        valid = valid & measured(imu, imu.t + values["accel_delay"][0])
-    if {"gyro_bandwidth", "size_effect"} & values.keys():
-        width = 2 * reach(imu.t) + 1
-        valid = valid & (np.convolve(~imu.valid, np.ones(width), mode="same") < 0.5)
-    return valid
-
-
-def _heading(series: Series, values: Mapping[str, Array], begin: float) -> Series:
-    """Headings (m, 1) without drift, then without irons, which depend on the true heading."""
-    read = series.value[:, 0]
-    if "heading_drift" in values:
-        read = read - values["heading_drift"][0] * (series.t - begin)
-    irons = [(n, values[i]) for n, i in enumerate(IRONS, 1) if i in values]
-    if sum(n * float(np.hypot(*iron)) for n, iron in irons) >= 1.0:
-        raise HandcalError(
-            "The irons turn the heading back on itself, so that no heading belongs to a reading."
-        )
+    # (where the heading itself is all that matters, nothing else need be known)
+    nav = np.full((len(t), NAV), np.nan)
+    if np.isnan(error(read, nav)).any():
+        nav = Truth(recording, tuple(effects)).nav(t)
     yaw = read
-    for _ in range(ROUNDS if irons else 0):
-        yaw = read - sum(iron @ [np.sin(n * yaw), np.cos(n * yaw)] for n, iron in irons)
-    return Series(series.t, wrap(yaw)[:, None])
+    for _ in range(ROUNDS):
+        before, yaw = yaw, read - error(yaw, nav)
+        if np.abs(yaw - before).max() < FOUND:
+            return Series(t, wrap(yaw)[:, None])
+    raise HandcalError(
+        "The irons turn the heading back on itself, so that no heading belongs to a reading."
+    )
 
 
 def _typical(learnt: Learnt) -> Array:

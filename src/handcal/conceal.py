@@ -1,55 +1,31 @@
 """Adds sensor errors to a recording, real ones too, so that there is a truth to be found.
 
-Nothing here goes through the estimator's linearised model: delays shift stamps or are
-interpolated, lever arms move the marker or swing the accelerometer, filters filter. What an
-error depends on, the true rate and force, is known as well as the recording tells: its
-readings, less the biases of a calibration where squares of them matter, or readings that
-whoever knows more of the device has corrected. Of attitude and magnetic north the same
-calibration tells.
+Nothing here goes through the estimator's linearised model: what an effect adds is its own physics
+(``effects``), delays shift stamps, noise is drawn, and an effect may bring a way of its own: lever
+arms move the marker or swing the accelerometer, filters filter. What an error depends on, the true
+rate and force, is known as well as the recording tells: its readings, less the biases of a
+calibration where they would count as motion, or readings that whoever knows more of the device has
+corrected. Of attitude and magnetic north the same calibration tells.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from handcal import so3
 from handcal.calibration import calibrate
-from handcal.effects import Signals, catalogue, mag_hard_iron
-from handcal.effects._derivative import derivative
-from handcal.model import temperature_of
-from handcal.types import Array, BoolArray, Imu, InputError, Recording, Result, Series
-
-# Errors of rate or force that are not proportional to it: a bias must not count as motion.
-SQUARES = (
-    "gyro_quadratic", "gyro_cross_products", "accel_cross_products", "accel_asymmetry",
-    "size_effect", "lever_arm",
-)  # fmt: skip
-# These change what there is to be measured; all other errors are those of measuring it.
-WORLD = ("gravity", "earth_rate")
-HEADING = (
-    "heading_hard_iron", "heading_soft_iron", "heading_drift", "heading_correlated_noise",
-    "heading_outliers",
-)  # fmt: skip
-# Done here by other means than the catalogue's imu_error.
-OWN = (
-    *HEADING, "lever_arm", "accel_delay", "gyro_bandwidth", "gyro_bias_walk", "accel_bias_walk",
-    "mag_hard_iron", "heading_delay", "pose_delay", "clock_rate",
-)  # fmt: skip
-# Left out, these would turn the marker against the IMU by a degree in real recordings.
-TURNS_MARKER = (
-    "lever_arm", "gyro_scale", "gyro_misalignment", "accel_scale", "accel_misalignment",
-    "accel_delay", "pose_delay",
-)  # fmt: skip
-DEVICE_CLOCK = ("heading", "mag", "temperature")
-MOST_PPM = 1e5
-# Rotation vectors of larger turns (rad) are no longer unique.
-MOST_TURN = 2.0
+from handcal.effects import TIME, Z_DIM, Effect, Signals, catalogue, mag_hard_iron, observed_error
+from handcal.effects._stamps import shifted
+from handcal.observations import Observation
+from handcal.observations import catalogue as observations
+from handcal.signals import of_recording, probe, reading
+from handcal.streams import STREAMS, Stream
+from handcal.types import Array, Imu, InputError, Recording, Result, Series
 
 Values = Mapping[str, Array]
 
@@ -70,27 +46,19 @@ def conceal(
     absent, HandcalError where the attitude is needed and cannot be found.
     """
     values = {i: _checked(i, v) for i, v in effects.items()}
-    _check_streams(recording, values)
-    known = _Known(recording, values, truth)
-    streams: dict[str, Series] = dict(recording.streams)
-    if "lever_arm" in values and _marker_moves(recording):
-        streams["pose"] = _moved_marker(recording, values["lever_arm"], known)
-    heading = "heading" if "heading" in streams else "mag"
-    if any(i in values for i in HEADING):
-        late = float(values.get("heading_delay", [0.0])[0])
-        error = _heading_error(values, streams[heading].t, late, known, rng)
-        turned = _turned_heading if heading == "heading" else _turned_field
-        streams[heading] = turned(streams[heading], error, known)
-    for effect, stream in (("heading_delay", heading), ("pose_delay", "pose")):
-        if effect in values:
-            streams[stream] = shifted(streams[stream], float(values[effect][0]), recording.imu)
-    if "mag_hard_iron" in values:
-        mag = streams["mag"]
-        streams["mag"] = replace(mag, value=mag.value + values["mag_hard_iron"])
-    imu = _imu(recording, values, known, rng)
-    if "clock_rate" in values:
-        imu, streams = stretched(imu, streams, 1.0 + 1e-6 * float(values["clock_rate"][0]))
-    return replace(recording, imu=imu, streams=streams)
+    acting = [catalogue()[i] for i in values]
+    _check_streams(recording, acting)
+    known = Truth(recording, tuple(acting), truth)
+    out = recording
+    for e in acting:
+        if e.world and e.conceal is not None:
+            out = e.conceal(values[e.id], out, known)
+    out = _observed(out, values, known, rng)
+    out = replace(out, imu=_imu(out, values, known, rng))
+    for e in acting:
+        if e.conceal is not None and not e.world and e.imu_inverse is None:
+            out = e.conceal(values[e.id], out, known)
+    return out
 
 
 def parse(text: str) -> tuple[str, tuple[float, ...]]:
@@ -123,8 +91,6 @@ def _checked(name: str, values: Sequence[float]) -> Array:
     """Values that the effect can have. Errors: InputError."""
     says = expected(name)
     effect = catalogue()[name]
-    if effect.imu_error is None and name not in OWN:
-        raise InputError(f"The effect '{name}' cannot be concealed yet.")
     if len(values) != len(effect.parameters):
         raise InputError(
             f"{name} takes {len(effect.parameters)} values, not {len(values)}: {says}."
@@ -132,237 +98,269 @@ def _checked(name: str, values: Sequence[float]) -> Array:
     if not all(math.isfinite(v) for v in values):
         raise InputError(f"{name} takes finite numbers: {says}.")
     for p, v in zip(effect.parameters, values, strict=True):
-        if p.positive and (v < 0.0 or (v == 0.0 and name == "heading_correlated_noise")):
+        # (a level of noise has a logarithm)
+        if p.positive and (v < 0.0 or (v == 0.0 and effect.levels)):
             raise InputError(f"{name}: {p.name} must be above 0.")
-    if name == "heading_outliers" and values[0] > 1.0:
-        raise InputError("heading_outliers: fraction must not exceed 1.")
-    if name == "clock_rate" and abs(values[0]) > MOST_PPM:
-        raise InputError(f"clock_rate: ppm must lie within {MOST_PPM:.0f} either way.")
+        if abs(v) > p.most and p.positive:
+            raise InputError(f"{name}: {p.name} must not exceed {p.most:g}.")
+        if abs(v) > p.most:
+            raise InputError(f"{name}: {p.name} must lie within {p.most:.0f} either way.")
     return np.array(values, dtype=np.float64)
 
 
-def _check_streams(recording: Recording, values: Values) -> None:
+def streams_of(effect: Effect) -> tuple[str, ...]:
+    """The streams on which an effect acts, by the observations of them."""
+    kinds = {*effect.observation_error, *effect.outliers}
+    return tuple(s.name for s in STREAMS.values() if s.observation in kinds)
+
+
+def _check_streams(recording: Recording, effects: Sequence[Effect]) -> None:
     """Errors: InputError for a stream that an effect acts on or depends on, and is absent."""
     have = ", ".join(recording.streams) or "none"
-    for name in values:
-        needed: tuple[str, ...] = ()
-        if name == "heading_hard_iron":
-            needed = ("heading",)
-        elif name.startswith("heading_"):
-            needed = ("heading", "mag")
-        elif name in ("pose_delay", "mag_hard_iron"):
-            needed = (name.split("_")[0],)
-        elif "temperature" in catalogue()[name].needs:
-            needed = ("temperature",)
-        if needed and not set(needed) & set(recording.streams):
-            also = "; see mag_hard_iron" if name == "heading_hard_iron" else ""
-            raise InputError(
-                f"{name} needs a stream {' or '.join(needed)}; {recording.path} has: {have}{also}."
-            )
+    for e in effects:
+        wanted: list[tuple[str, ...]] = [(need,) for need in e.needs if need in STREAMS]
+        if e.imu_error is None and not e.walks and not e.world:
+            wanted.append(streams_of(e))
+        for some in wanted:
+            if not set(some) & set(recording.streams):
+                also = f"; see {e.instead}" if e.instead else ""
+                stream = " or ".join(some)
+                raise InputError(
+                    f"{e.id} needs a stream {stream}; {recording.path} has: {have}{also}."
+                )
 
 
 @dataclass(frozen=True)
-class _Known:
-    """What is known of the truth in a recording; the calibration is made when first asked."""
+class Truth:
+    """What is known of the truth in a recording; a calibration is made when first asked for.
+
+    effects: those that are to be added; truth: readings less what is known of their errors.
+    """
 
     recording: Recording
-    values: Values
+    effects: tuple[Effect, ...]
     truth: Imu | None = None
+    results: dict[tuple[str, ...], Result] = field(default_factory=dict)
 
     @cached_property
     def iron(self) -> Array:
         """A magnetometer's hard iron (3,), tesla: what its readings lie around."""
         return mag_hard_iron.guess(self.recording)
 
-    @cached_property
-    def result(self) -> Result:
-        """Of the recording as it is. A magnetometer's north is that less its hard iron."""
-        recording = self.recording
-        if "heading" not in recording.streams and any(i in self.values for i in HEADING):
-            recording = mag_hard_iron.cleaned(recording, self.iron)
-        carries = "lever_arm" in self.values and _marker_moves(recording)
-        return calibrate(recording, TURNS_MARKER if carries else ())
+    def result(self, beside: tuple[str, ...] = ()) -> Result:
+        """Of the recording as it is, with these effects. A magnetometer's north is that less its
+        hard iron."""
+        if beside not in self.results:
+            recording = self.recording
+            erring = [e for e in self.effects if "magnetometer" not in e.delays]
+            if any(kind == "magnetometer" for kind, _, _ in observed(recording, erring)):
+                recording = mag_hard_iron.cleaned(recording, self.iron)
+            self.results[beside] = calibrate(recording, beside)
+        return self.results[beside]
 
-    def attitude(self, t: Array) -> Array:
+    def attitude(self, t: Array, beside: tuple[str, ...] = ()) -> Array:
         """C_nb (n, 3, 3) at times t (n,), turning at a constant rate between two known ones."""
-        assert self.result.smoothed is not None
-        history = self.result.smoothed
+        history = self.result(beside).smoothed
+        assert history is not None
         return so3.between(history.t, so3.matrix_of(history.q_nb), t)
 
-    def constant(self, effect: str) -> Array:
+    def _constant(self, effect: str) -> Array:
         """Estimated x y z (3,) of an effect."""
-        return np.array([self.result.parameter(effect, a).value for a in "xyz"])
+        return np.array([self.result().parameter(effect, a).value for a in "xyz"])
 
     @cached_property
     def signals(self) -> Signals:
-        """Rate and force as known, or as read, less their biases if that matters; temperature,
-        attitude."""
-        imu, C_nb = self.recording.imu, None
-        gyro, accel = (self.truth or imu).gyro, (self.truth or imu).accel
-        if self.truth is None and any(i in SQUARES for i in self.values):
-            gyro = gyro - self.constant("gyro_bias")
-            accel = accel - self.constant("accel_bias")
-        if any("attitude" in catalogue()[i].needs and i not in OWN for i in self.values):
-            C_nb = self.attitude(imu.t)
-        return Signals(imu.t, gyro, accel, temperature_of(self.recording), C_nb)
+        """Rate and force as known, or as read, less their biases if that matters."""
+        if any(minds_bias(e) for e in self.effects if e.conceal is None):
+            return self.unbiased
+        return self._signals(self.truth or self.recording.imu)
+
+    @cached_property
+    def unbiased(self) -> Signals:
+        """Rate and force as known, or as read, less their biases."""
+        if self.truth is not None:
+            return self._signals(self.truth)
+        imu = self.recording.imu
+        gyro, accel = self._constant("gyro_bias"), self._constant("accel_bias")
+        return self._signals(replace(imu, gyro=imu.gyro - gyro, accel=imu.accel - accel))
+
+    def _signals(self, imu: Imu) -> Signals:
+        needed = any("attitude" in e.needs for e in self.effects if e.conceal is None)
+        C_nb = self.attitude(imu.t) if needed else None
+        read = np.hstack([imu.gyro, imu.accel])
+        return of_recording(self.recording, self.effects, read=read, C_nb=C_nb)
+
+    def nav(self, t: Array) -> Array:
+        """Position, velocity, attitude, rate and force (m, 21) at times t (m,)."""
+        history, imu = self.result().smoothed, self.recording.imu
+        assert history is not None
+        bias = np.r_[self._constant("gyro_bias"), self._constant("accel_bias")]
+        read = np.hstack([imu.gyro, imu.accel]) - bias
+        moved = [(history.t, history.p_n), (history.t, history.v_n), (imu.t, read)]
+        p, v, felt = (
+            np.stack([np.interp(t, own, column) for column in x.T], axis=1) for own, x in moved
+        )
+        return np.hstack([p, v, self.attitude(t).reshape(-1, 9), felt])
+
+
+def minds_bias(effect: Effect) -> bool:
+    """Whether a bias, taken for motion, would change what an effect adds to the readings by more
+    than a bias: it would change an error that is not proportional to rate and force."""
+    if effect.imu_error is None or effect.imu_inverse is not None:
+        return False
+    signals = probe()
+    more = reading(signals, np.hstack([signals.gyro, signals.accel]) + 0.1)
+    with_bias, without = (effect.imu_error(effect.prior_sigma, s) for s in (more, signals))
+    change = np.ptp(with_bias - without, axis=0).max()
+    return bool(change > 1e-9 * np.abs(without).max())
 
 
 # --- the IMU ------------------------------------------------------------------------------------
 
 
-def _imu(recording: Recording, values: Values, known: _Known, rng: np.random.Generator) -> Imu:
-    """First what there is to be measured changes, then how it is measured."""
-    imu, t = recording.imu, recording.imu.t
-    acting = {i: v for i, v in values.items() if i not in OWN}
+def _imu(recording: Recording, values: Values, known: Truth, rng: np.random.Generator) -> Imu:
+    """First what there is to be measured changes, then how it is measured, then what was made of
+    it on the way out of the sensor. Readings that are no measurements stay."""
+    imu, old = recording.imu, known.recording.imu
+    moved = np.hstack([imu.gyro - old.gyro, imu.accel - old.accel])
     before = truth = known.signals
-    if "lever_arm" in values and not _marker_moves(recording):
-        truth = replace(truth, accel=truth.accel + _swing(truth, values["lever_arm"]))
-    for i in WORLD:
-        if i in acting:
-            truth = _added(truth, _error(i, acting[i], truth))
+    if moved.any():
+        truth = _added(truth, moved)
+    own = [e for e in known.effects if e.imu_error is not None and e.conceal is None]
+    for e in own:
+        if e.world:
+            truth = _added(truth, _error(e, values, truth))
     read = truth
-    for i, v in acting.items():
-        if i not in WORLD:
-            read = _added(read, _error(i, v, truth))
-    gyro = imu.gyro + (read.gyro - before.gyro)
-    accel = imu.accel + (read.accel - before.accel)
-    if values.get("gyro_bandwidth", np.zeros(1))[0] > 0.0:
-        gyro = gyro + (_low_pass(t, truth.gyro, float(values["gyro_bandwidth"][0])) - truth.gyro)
-    if "gyro_bias_walk" in values:
-        gyro = gyro + _walk(t, float(values["gyro_bias_walk"][0]), rng)
-    if "accel_bias_walk" in values:
-        accel = accel + _walk(t, float(values["accel_bias_walk"][0]), rng)
+    for e in own:
+        if not e.world and e.imu_inverse is None:
+            read = _added(read, _error(e, values, truth))
+    gyro, accel = old.gyro + (read.gyro - before.gyro), old.accel + (read.accel - before.accel)
+    out = replace(recording, imu=replace(imu, gyro=gyro, accel=accel))
+    for e in known.effects:
+        if e.walks:
+            out = replace(out, imu=_walked(out.imu, e, values[e.id], rng))
+    there = replace(known, truth=replace(imu, gyro=truth.gyro, accel=truth.accel))
+    for e in known.effects:
+        if e.imu_inverse is not None and e.conceal is not None:
+            out = e.conceal(values[e.id], out, there)
     valid = imu.valid
-    if "accel_delay" in values:
-        felt = np.clip(t - values["accel_delay"][0], t[0], t[-1])
-        accel = CubicSpline(t, accel)(felt)
-        valid = valid & measured(imu, felt)
+    for e in known.effects:
+        if e.imu_inverse is not None and e.conceal is None:
+            now = reading(truth, np.hstack([out.imu.gyro, out.imu.accel]))
+            error = _error(e, values, now)
+            valid = valid if e.sound is None else e.sound(values[e.id], imu.t, valid)
+            gyro, accel = out.imu.gyro + error[:, :3], out.imu.accel + error[:, 3:]
+            out = replace(out, imu=replace(imu, gyro=gyro, accel=accel))
     kept = imu.valid[:, None]
-    return Imu(t, np.where(kept, gyro, imu.gyro), np.where(kept, accel, imu.accel), valid)
+    gyro = np.where(kept, out.imu.gyro, old.gyro)
+    return Imu(imu.t, gyro, np.where(kept, out.imu.accel, old.accel), valid)
 
 
-def measured(imu: Imu, t: Array) -> BoolArray:
-    """Which of the times t (m,) lie between readings that are measurements, (m,)."""
-    return np.asarray(np.interp(t, imu.t, imu.valid.astype(float)) > 1.0 - 1e-9)
-
-
-def _error(effect: str, values: Array, truth: Signals) -> Array:
-    imu_error = catalogue()[effect].imu_error
-    assert imu_error is not None
-    return imu_error(values, truth)
+def _error(effect: Effect, values: Values, truth: Signals) -> Array:
+    assert effect.imu_error is not None
+    return effect.imu_error(values[effect.id], truth)
 
 
 def _added(signals: Signals, error: Array) -> Signals:
     return replace(signals, gyro=signals.gyro + error[:, :3], accel=signals.accel + error[:, 3:])
 
 
-def _swing(truth: Signals, r: Array) -> Array:
-    """Specific force (n, 3) at r (3,) beyond that where the IMU sat."""
-    w, alpha = truth.gyro, derivative(truth.t, truth.gyro)
-    return np.asarray(np.cross(alpha, r) + np.cross(w, np.cross(w, r)))
+def _walked(imu: Imu, effect: Effect, values: Array, rng: np.random.Generator) -> Imu:
+    rate = np.linalg.norm(imu.gyro, axis=1)
+    read = getattr(imu, effect.walks) + _drawn(effect, values, imu.t, rate, rng)
+    return replace(imu, **{effect.walks: read})
 
 
-def _low_pass(t: Array, x: Array, tau: float) -> Array:
-    """First-order low pass of x (n, 3), exact for what is linear between the samples."""
-    dt = np.diff(t)
-    decay = np.exp(-dt / tau)
-    share = -np.expm1(-dt / tau) * tau / dt
-    fresh = (1.0 - share)[:, None] * x[1:] + (share - decay)[:, None] * x[:-1]
-    out = np.empty_like(x)
-    out[0] = y = x[0]
-    for k, keep in enumerate(decay.tolist()):
-        out[k + 1] = y = keep * y + fresh[k]
+def _drawn(effect: Effect, values: Array, t: Array, rate: Array, rng: np.random.Generator) -> Array:
+    """A course (n, size) of an effect's states at times t (n,), turning at rate (n,) rad/s."""
+    process = effect.process
+    assert process is not None
+    levels = {
+        f"{effect.id}_{p.name}": float(v) for p, v in zip(effect.parameters, values, strict=True)
+    }
+    Phi, Q = process.transition(levels, np.diff(t, prepend=t[0]), rate)
+    root = np.concatenate([_root(process.start(levels, float(rate[0])))[None], _root(Q[1:])])
+    fresh = rng.standard_normal((len(t), process.size))
+    out: Array = np.einsum("nij,nj->ni", root, fresh)
+    for k in range(1, len(t)):
+        out[k] += Phi[k] @ out[k - 1]
     return out
 
 
-def _walk(t: Array, density: float, rng: np.random.Generator) -> Array:
-    """(n, 3), zero at the first instant."""
-    steps = rng.standard_normal((len(t), 3)) * np.sqrt(np.diff(t, prepend=t[0]))[:, None]
-    return np.asarray(density * np.cumsum(steps, axis=0))
+def _root(P: Array) -> Array:
+    """Square roots of covariances (..., k, k), which may be singular."""
+    size, axes = np.linalg.eigh(P)
+    return np.asarray(axes * np.sqrt(np.maximum(size, 0.0))[..., None, :])
 
 
 # --- the other streams --------------------------------------------------------------------------
 
 
-def _marker_moves(recording: Recording) -> bool:
-    """With a pose alone it is exact to move the marker; else the accelerometer must swing."""
-    return "pose" in recording.streams and "reference" not in recording.streams
+def observed(
+    recording: Recording, effects: Sequence[Effect]
+) -> list[tuple[str, Stream, list[Effect]]]:
+    """Kinds of observation on which effects act here, their streams, and those effects.
 
-
-def _moved_marker(recording: Recording, r: Array, known: _Known) -> Series:
-    """The IMU stays, so the marker goes to -r from where it was, in the IMU's axes.
-
-    How the marker is turned against those shows in turns that both made within a second.
+    Of two streams that show the same (a heading, and a magnetometer's) the first alone counts.
     """
-    pose = recording.streams["pose"]
-    late = known.result.parameter("pose_delay", "delay").value
-    step = max(1, round(1.0 / float(np.median(np.diff(pose.t)))))
-    turns = [
-        so3.matrix_log(C[:-step].transpose(0, 2, 1) @ C[step:])
-        for C in (so3.matrix_of(pose.value[:, 3:]), known.attitude(pose.t - late))
-    ]
-    usable = np.linalg.norm(turns[0], axis=1) < MOST_TURN
-    U, _, Vt = np.linalg.svd(turns[1][usable].T @ turns[0][usable])
-    R_bm = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
-    value = pose.value.copy()
-    value[:, :3] -= so3.matrix_of(value[:, 3:]) @ (R_bm.T @ r)
-    return Series(pose.t, value)
+    out = []
+    shown: set[str] = set()
+    for row in STREAMS.values():
+        if not row.observation or row.name not in recording.streams:
+            continue
+        kind = observations()[row.observation]
+        mine = [e for e in effects if kind.kind in (*e.observation_error, *e.outliers)]
+        mine = [e for e in mine if e.conceal is None]
+        if shown & set(kind.channels) or not mine:
+            continue
+        shown |= set(kind.channels)
+        out.append((kind.kind, row, mine))
+    return out
 
 
-def shifted(series: Series, delay: float, imu: Imu) -> Series:
-    """The same values at stamps that come later: nothing needs interpolation."""
-    t = series.t + delay
-    kept = (t >= imu.t[0]) & (t <= imu.t[-1])
-    if not kept.any():
-        raise InputError(f"A delay of {delay:g} s leaves no reading within the recording.")
-    return Series(t[kept], series.value[kept])
+def _observed(
+    recording: Recording, values: Values, known: Truth, rng: np.random.Generator
+) -> Recording:
+    """The recording with the errors of its observations, and then their delays."""
+    streams = dict(recording.streams)
+    for name, row, effects in observed(recording, known.effects):
+        kind, series = observations()[name], streams[row.name]
+        late = sum(float(values[e.id][0]) for e in effects if name in e.delays)
+        adding = [e for e in effects if name not in e.delays]
+        if adding:
+            if kind.moved is None:
+                raise InputError(f"{adding[0].id} cannot be concealed in {row.topic}.")
+            shift = _shift(kind, row, series, adding, values, late, known, rng)
+            own = known.iron if name == "magnetometer" else np.zeros(series.value.shape[1])
+            C_nb = known.attitude(series.t)
+            series = kind.moved(known.recording, series, C_nb, shift, own)
+        streams[row.name] = shifted(series, late, recording.imu) if late else series
+    return replace(recording, streams=streams)
 
 
-def _heading_error(
-    values: Values, t: Array, late: float, known: _Known, rng: np.random.Generator
-) -> Array:
-    """Error (m,) of a heading at times t (m,), read ``late`` seconds after; rad."""
-    yaw = so3.yaw_of(known.attitude(t))
-    error = np.zeros(len(t))
-    for turns, name in ((1, "heading_hard_iron"), (2, "heading_soft_iron")):
-        if name in values:
-            error += values[name] @ np.stack([np.sin(turns * yaw), np.cos(turns * yaw)])
-    if "heading_drift" in values:
-        error += values["heading_drift"][0] * (t + late - known.recording.imu.t[0])
-    if "heading_correlated_noise" in values:
-        sigma, tau = values["heading_correlated_noise"]
-        keep = np.exp(-np.diff(t, prepend=-np.inf) / tau)
-        state, fresh = 0.0, np.sqrt(1.0 - keep**2) * rng.standard_normal(len(t))
-        for k in range(len(t)):
-            state = keep[k] * state + fresh[k]
-            error[k] += sigma * state
-    if "heading_outliers" in values:
-        stray = rng.random(len(t)) < values["heading_outliers"][0]
-        error[stray] = rng.uniform(-math.pi, math.pi, int(stray.sum()))
-    return error
-
-
-def _turned_heading(series: Series, error: Array, known: _Known) -> Series:  # noqa: ARG001
-    return Series(series.t, so3.wrap(series.value + error[:, None]))
-
-
-def _turned_field(series: Series, error: Array, known: _Known) -> Series:
-    """A heading too large is a field turned the other way about the vertical, but for the
-    part that belongs to the device."""
-    C_nb, iron = known.attitude(series.t), known.iron
-    about = np.zeros((len(error), 3))
-    about[:, 2] = -error
-    level = np.einsum("kij,kj->ki", C_nb, series.value - iron)
-    turned = np.einsum("kij,kj->ki", so3.rotations(about), level)
-    return Series(series.t, np.einsum("kji,kj->ki", C_nb, turned) + iron)
-
-
-def stretched(
-    imu: Imu, streams: Mapping[str, Series], fast: float
-) -> tuple[Imu, dict[str, Series]]:
-    """Stamps of a clock that runs fast; pose and reference have clocks of their own."""
-    out = {
-        name: replace(series, t=series.t * fast) if name in DEVICE_CLOCK else series
-        for name, series in streams.items()
-    }
-    return replace(imu, t=imu.t * fast), out
+def _shift(
+    kind: Observation, row: Stream, series: Series, effects: Sequence[Effect], values: Values,
+    late: float, known: Truth, rng: np.random.Generator,
+) -> Array:  # fmt: skip
+    """By how much readings (m, dim) err, of times t and read ``late`` seconds after."""
+    t, nav = series.t, known.nav(series.t)
+    z = np.zeros((len(t), Z_DIM))
+    z[:, : series.value.shape[1]] = series.value
+    if row.posed:
+        C_nb = nav[:, 6:15].reshape(-1, 3, 3)
+        z[:, :7] = np.hstack([nav[:, :3], so3.quaternion_of(C_nb)])
+    z[:, TIME] = t + late - known.recording.imu.t[0]
+    out = np.zeros((len(t), kind.dim))
+    rate = np.linalg.norm(nav[:, 15:18], axis=1)
+    for e in effects:
+        if e.process is not None:
+            states = _drawn(e, values[e.id], t, rate, rng)
+            out += observed_error(e, kind.kind, states, nav, z, kind.dim)
+        elif kind.kind in e.observation_error:
+            out += observed_error(e, kind.kind, values[e.id], nav, z, kind.dim)
+    for e in effects:
+        if kind.kind in e.outliers:
+            stray = rng.random(len(t)) < values[e.id][0]
+            width = 0.5 * e.outliers[kind.kind] ** (-1.0 / kind.dim)
+            out[stray] = rng.uniform(-width, width, (int(stray.sum()), kind.dim))
+    return out

@@ -14,11 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from handcal import so3
+from handcal.streams import STREAMS
 from handcal.types import Array, Imu, Recording, Series
 
-IMU_RATE = 50.0
-# Streams are sampled as often as they were, but no more often than this, Hz.
-FASTEST = {"heading": 10.0, "mag": 10.0, "temperature": 1.0, "pose": 25.0}
+IMU_RATE = STREAMS["imu"].planned_hz
 ROOM_TEMPERATURE = 25.0
 EARTH_FIELD = (2.5e-5, 6.5e-5)
 REST = 2.0
@@ -156,9 +155,10 @@ def recording_of(motion: Motion, like: Recording, g_n: Array, dip_slope: float =
     t = times(min(IMU_RATE, like.rate_hz))
     streams = {}
     for name, series in like.streams.items():
-        if name in values:
-            own = times(min(rate_of(series), FASTEST.get(name, IMU_RATE)))
-            streams[name] = Series(own, values[name](own))
+        own = times(min(rate_of(series), STREAMS[name].planned_hz))
+        # (of what no motion changes, the last reading)
+        value = values.get(name, lambda t, last=series.value[-1]: np.tile(last, (len(t), 1)))
+        streams[name] = Series(own, value(own))
     imu = read(t)
     valid = np.ones(len(t), dtype=np.bool_)
     gyro, accel = np.ascontiguousarray(imu[:, :3]), np.ascontiguousarray(imu[:, 3:])

@@ -27,6 +27,7 @@ import numpy as np
 
 from handcal.effects import Effect, Param, Signals, select
 from handcal.regression import BIASES, Unknown, columns, unknowns, unseen
+from handcal.signals import of_arrays
 from handcal.types import Array, InputError
 
 KNOWN = ("norm", "pose", "rate", "spin")
@@ -181,7 +182,7 @@ def _columns(effects: Sequence[Effect], up: Array, known: str, rate: float) -> A
     def steady(rate: float) -> Array:
         times = HELD if rate else 1
         held = np.repeat(up, times, axis=0)
-        truth = Signals(np.arange(float(len(held))), rate * held, GRAVITY * held)
+        truth = of_arrays(np.arange(float(len(held))), rate * held, GRAVITY * held)
         return columns(effects, none, truth)[times // 2 :: times]
 
     out = steady(rate if known in ("rate", "spin") else 0.0)

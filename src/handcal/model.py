@@ -17,6 +17,7 @@ import numpy as np
 from handcal.effects import DELAY, TIME, Z_DIM, Effect, Signals, correction_jacobian
 from handcal.kernel import BASE, MAX_DIM, Nodes, Noise, Tables
 from handcal.observations import Observation, Rows, nearest
+from handcal.signals import of_recording, reading
 from handcal.types import Array, BoolArray, Level, Markov, Recording
 
 GYRO_BIAS_PRIOR = np.radians(1.0)
@@ -271,14 +272,6 @@ def _extra(recording: Recording, t: Array) -> Array:
     return out
 
 
-def temperature_of(recording: Recording) -> Array | None:
-    """Temperature (n,) degC at the IMU's samples, None without a thermometer."""
-    series = recording.streams.get("temperature")
-    if series is None:
-        return None
-    return np.asarray(np.interp(recording.imu.t, series.t, series.value[:, 0]))
-
-
 def relinearised(
     problem: Problem,
     ref: Array,
@@ -303,11 +296,10 @@ def relinearised(
         return replace(problem, ref=ref)
     recording, nodes = problem.recording, problem.nodes
     imu = recording.imu
-    T = temperature_of(recording)
     raw = np.hstack([imu.gyro - bg, imu.accel - ba])
     acting = [e for e in problem.effects if e.imu_error is not None]
     compared = bool(problem.observations) and not problem.navigated
-    read = Signals(imu.t, raw[:, :3], raw[:, 3:], T, C_nb, problem.alpha)
+    read = of_recording(recording, acting, read=raw, C_nb=C_nb, alpha=problem.alpha)
     error = substituted(acting, ref, read)
     truth = raw - error if noise is None else raw - error - noise
     clean = np.hstack([imu.gyro, imu.accel]) - error
@@ -321,10 +313,10 @@ def relinearised(
     quiet = np.interp(imu.t, nodes.t, problem.rate) < QUIET_RATE
     if noise is not None:
         truth = _stilled(truth, imu.t, quiet)
-    signals = _seen(read, truth)
+    signals = reading(read, truth)
     # (what is known of the angular acceleration has none of the noise that is averaged)
     short = max(1, round(AVERAGE_S[0] * recording.rate_hz))
-    averaged = _seen(read, _averaged(truth, short)) if compared else signals
+    averaged = reading(read, _averaged(truth, short)) if compared else signals
     J = np.empty((len(imu.t), 6, problem.imu_constants))
     i = 0
     for e in acting:
@@ -400,7 +392,7 @@ def substituted(acting: Sequence[Effect], ref: Array, readings: Signals) -> Arra
         at = ref[i : i + len(e.parameters)]
         i += len(e.parameters)
         if at.any() and e.imu_inverse is not None and e.last:
-            total += raw - total - e.imu_inverse(at, _seen(readings, raw - total))
+            total += raw - total - e.imu_inverse(at, reading(readings, raw - total))
         elif at.any():
             present.append((e, at))
     errors = [np.zeros_like(raw) for _ in present]
@@ -411,9 +403,9 @@ def substituted(acting: Sequence[Effect], ref: Array, readings: Signals) -> Arra
             own, old = raw - total, errors[k]
             if e.imu_inverse is not None:
                 own = own + old
-                errors[k] = own - e.imu_inverse(at, _seen(readings, own))
+                errors[k] = own - e.imu_inverse(at, reading(readings, own))
             elif e.imu_error is not None:
-                errors[k] = e.imu_error(at, _seen(readings, own))
+                errors[k] = e.imu_error(at, reading(readings, own))
             step = errors[k] - old
             total += step
             moved = max(moved, float(np.abs(step).max()))
@@ -421,10 +413,6 @@ def substituted(acting: Sequence[Effect], ref: Array, readings: Signals) -> Arra
         if moved < SUBSTITUTED * scale or (done > 1 and not moved < 0.5 * before):
             break
     return total
-
-
-def _seen(readings: Signals, own: Array) -> Signals:
-    return replace(readings, gyro=own[:, :3], accel=own[:, 3:])
 
 
 def observation_variances(problem: Problem, levels: Mapping[str, float]) -> Array:

@@ -11,7 +11,6 @@ is quicker, the white noise of single samples included, stays in the simulated r
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,15 +19,13 @@ from handcal.effects import DELAY
 from handcal.effects.mag_hard_iron import TAKEN_OFF
 from handcal.kernel import BASE
 from handcal.linear import Linear
+from handcal.observations import Observation, catalogue
 from handcal.observations.pose import aligned
+from handcal.streams import observed_by
 from handcal.types import Array, BoolArray, Imu, Recording, Series
-
-if TYPE_CHECKING:
-    pass
 
 SLOT_S = 0.1
 IMU_CHANNELS = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
-_STREAMS = {"heading": "heading", "magnetometer": "mag", "pose": "pose"}
 
 
 @dataclass(frozen=True)
@@ -56,10 +53,10 @@ def twin(linear: Linear) -> Recording:
     noise = np.stack([np.interp(imu.t, at, noise[:, i]) for i in range(6)], axis=1)
     simulated = Imu(imu.t, imu.gyro - noise[:, :3], imu.accel - noise[:, 3:], _all(len(imu.t)))
     streams = {}
-    for kind, stream in _STREAMS.items():
-        seen = _seen(linear, kind)
-        if seen is not None and len(seen.t):
-            streams[stream] = _predicted(linear, kind, seen)
+    for observation in linear.problem.observations:
+        seen, row = _seen(linear, observation.kind), observed_by(observation.kind)
+        if row is not None and observation.moved is not None and seen is not None and len(seen.t):
+            streams[row.name] = _predicted(linear, observation, seen)
     recording = linear.problem.recording
     return Recording(recording.path, simulated, streams, recording.start_ns)
 
@@ -153,13 +150,16 @@ def _seen(linear: Linear, kind: str) -> _Seen | None:
     return _Seen(linear.t[epoch] + z[:, DELAY], r, z, linear.trajectory.C[epoch])
 
 
-def _predicted(linear: Linear, kind: str, seen: _Seen) -> Series:
+def _predicted(linear: Linear, observation: Observation, seen: _Seen) -> Series:
     """A stream as the fit says it read, in the units and axes of the recording."""
-    if kind == "heading":
-        return Series(seen.t, so3.wrap(seen.z[:, :1] - seen.r))
-    if kind == "magnetometer":
+    if observation.kind == "magnetometer":
         return Series(seen.t, _field(linear, seen))
-    return _pose(linear, seen)
+    if observation.kind == "pose":
+        return _pose(linear, seen)
+    own = np.zeros(seen.r.shape[1])
+    read = Series(seen.t, seen.z[:, : seen.r.shape[1]])
+    assert observation.moved is not None
+    return observation.moved(linear.problem.recording, read, seen.C_nb, -seen.r, own)
 
 
 def _read_field(seen: _Seen) -> Array:
@@ -174,11 +174,9 @@ def _field(linear: Linear, seen: _Seen) -> Array:
     for i, slot in enumerate(problem.slots):
         if slot.owner == "mag_hard_iron":
             iron["xyz".index(slot.name)] = linear.trajectory.constants[i]
-    about = np.zeros((len(seen.t), 3))
-    about[:, 2] = seen.r[:, 0]
-    level = np.einsum("kij,kj->ki", seen.C_nb, _read_field(seen) - iron)
-    turned = np.einsum("kij,kj->ki", so3.rotations(about), level)
-    return np.asarray(np.einsum("kji,kj->ki", seen.C_nb, turned) + iron)
+    read, moved = Series(seen.t, _read_field(seen)), catalogue()["magnetometer"].moved
+    assert moved is not None
+    return moved(problem.recording, read, seen.C_nb, -seen.r[:, :1], iron).value
 
 
 def _pose(linear: Linear, seen: _Seen) -> Series:

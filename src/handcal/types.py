@@ -46,9 +46,7 @@ class Imu:
 class Series:
     """One further stream. t: (m,) s on the IMU's clock, increasing; value: (m, d).
 
-    heading d=1 (yaw of body x, rad, in (-pi, pi]); mag d=3 (tesla, body axes);
-    temperature d=1 (degC); pose d=7 (position m, quaternion w x y z of C_wb, the
-    marker's axes in the pose's world); reference d=6 (gyro rad/s, accel m/s^2).
+    What d columns mean, and in which units, says the stream's row in ``streams``.
     """
 
     t: Array
@@ -59,9 +57,9 @@ class Series:
 class Recording:
     """What was recorded, in SI and in handcal's conventions.
 
-    path: where it came from. streams: by name ("heading", "mag", "temperature",
-    "pose", "reference"), only those present. start_ns: absolute time of t = 0,
-    ns since 1970 (0 if unknown). warnings: what the reader repaired, in sentences.
+    path: where it came from. streams: by name (rows of ``streams.STREAMS``),
+    only those present. start_ns: absolute time of t = 0, ns since 1970 (0 if unknown).
+    warnings: what the reader repaired, in sentences.
     """
 
     path: str

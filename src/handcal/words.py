@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from handcal.effects import catalogue
 from handcal.noise import white_levels
+from handcal.streams import STREAMS
 from handcal.types import Innovations, NoiseLevel, Parameter, Result
 
 NBSP = "\u00a0"
@@ -69,7 +70,6 @@ _NOISE = {
     "mag_disturbance": "Magnetic disturbance",
 }
 
-_STREAMS = {"imu": "IMU", "mag": "magnetometer"}
 _ASSUME = {
     "fixed-point": "the held point stayed in its place",
     "rest-only": "the device stood still in the detected rests alone",
@@ -182,7 +182,7 @@ def noise_line(level: NoiseLevel) -> tuple[str, str, str]:
 
 def stream_title(name: str) -> str:
     """The stream's name for people."""
-    return _STREAMS.get(name, name)
+    return STREAMS[name].title if name in STREAMS else name
 
 
 def kind_name(kind: str) -> str:

@@ -20,14 +20,17 @@ whole (a delay) brings ``imu_inverse(parameters, readings) -> (n, 6)``, the trut
 from __future__ import annotations
 
 import importlib
+import math
 import pkgutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
+from typing import Protocol
 
 import numpy as np
 
-from handcal.types import Array, InputError, Level, Markov
+from handcal._jit import call_residuals
+from handcal.types import Array, BoolArray, InputError, Level, Markov, Recording, Result
 
 # Places in an observation's z (Z_DIM numbers) that are the same for every kind.
 Z_DIM = 42
@@ -38,31 +41,66 @@ DELAY, TIME = 40, 41
 class Param:
     """One parameter of an effect: its name, SI unit and prior standard deviation.
 
-    positive: it cannot be negative (a time constant, a noise level).
+    positive: it cannot be negative (a time constant, a noise level). most: the largest size that
+    makes sense.
     """
 
     name: str
     unit: str
     prior_sigma: float
     positive: bool = False
+    most: float = math.inf
 
 
 @dataclass(frozen=True)
 class Signals:
     """What an effect may depend on, n samples: the best estimate of the truth so far.
 
-    t (n,) s; gyro (n, 3) true rate, rad/s; accel (n, 3) true specific force, m/s^2;
-    temperature (n,) degC or None where the recording has none; C_nb (n, 3, 3) attitude, or
-    None before there is any; alpha (n, 3) angular acceleration, rad/s^2, or None where it is
-    told by the rate alone.
+    t (n,) s; gyro (n, 3) true rate, rad/s; accel (n, 3) true specific force, m/s^2; C_nb
+    (n, 3, 3) attitude, or None before there is any; alpha (n, 3) angular acceleration, rad/s^2,
+    or None where it is told by the rate alone. streams: what else was measured, (n, d) by the
+    stream's name, with the columns and units of its row in ``handcal.streams``: all that no
+    observation looks at, and what the effects need; only what the recording has, so an effect
+    adds nothing where ``streams.get`` finds nothing. Made in ``handcal.signals``.
     """
 
     t: Array
     gyro: Array
     accel: Array
-    temperature: Array | None = None
-    C_nb: Array | None = None
-    alpha: Array | None = None
+    C_nb: Array | None = field(default=None, kw_only=True)
+    alpha: Array | None = field(default=None, kw_only=True)
+    streams: Mapping[str, Array] = field(default_factory=dict, kw_only=True)
+
+    @property
+    def temperature(self) -> Array | None:
+        """(n,) degC, None where the recording has none."""
+        found = self.streams.get("temperature")
+        return None if found is None else found[:, 0]
+
+
+class Known(Protocol):
+    """What is known of the truth in a recording into which an effect is put.
+
+    recording: as it was; signals: rate and force as far as known; unbiased: less the biases that
+    a calibration finds, where they must not count as motion.
+    """
+
+    @property
+    def recording(self) -> Recording: ...
+
+    @property
+    def signals(self) -> Signals: ...
+
+    @property
+    def unbiased(self) -> Signals: ...
+
+    def result(self, beside: tuple[str, ...] = ()) -> Result:
+        """The recording's calibration, with these effects."""
+        ...
+
+    def attitude(self, t: Array, beside: tuple[str, ...] = ()) -> Array:
+        """C_nb (m, 3, 3) at times t (m,)."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -85,6 +123,14 @@ class Effect:
     made: of a course found in a recording, its kind and its numbers.
     imitated: nats that a hand which turns the device about no single point can lend to this one,
     where only that point's rest tells where the device was.
+
+    ``conceal`` and ``apply`` add and take off what all this says, the delays by shifting stamps.
+    Where that is but an approximation, an effect brings its own ways: conceal(parameters,
+    recording, known), the recording as a device with the effect makes it, and undo(parameters,
+    recording), its reverse. world: it changes what there is to be measured, and is no error of a
+    sensor. of_one_day: another day it is another. sound(parameters, t (n,), valid (n,)): which
+    readings depend on measurements alone, where what is read depends on other moments. instead:
+    the effect that is the same on a stream on which this one does not act.
     """
 
     id: str
@@ -110,6 +156,12 @@ class Effect:
     akin: tuple[str, ...] = ()
     imitated: float = 0.0
     made: tuple[str, tuple[float, ...]] | None = None
+    conceal: Callable[[Array, Recording, Known], Recording] | None = None
+    undo: Callable[[Array, Recording], Recording] | None = None
+    world: bool = False
+    of_one_day: bool = False
+    sound: Callable[[Array, Array, BoolArray], BoolArray] | None = None
+    instead: str = ""
 
     @property
     def prior_sigma(self) -> Array:
@@ -155,6 +207,21 @@ def correction_jacobian(effect: Effect, at: Array, truth: Signals) -> Array:
         less, more = effect.imu_inverse(at - e, read), effect.imu_inverse(at + e, read)
         out[:, :, i] = (less - more) / (2 * step)
     return out
+
+
+def observed_error(
+    effect: Effect, kind: str, parameters: Array, nav: Array, z: Array, dim: int
+) -> Array:
+    """What an observation of a kind reads too much, (m, dim), in the units of its residual.
+
+    parameters (k,), or (m, k) where they change; nav (m, 21) as in ``observations``; z (m, Z_DIM).
+    """
+    address = int(effect.observation_error[kind])
+    theta = np.empty((len(nav), np.shape(parameters)[-1]))
+    theta[:] = parameters
+    out = np.zeros((len(nav), dim))
+    call_residuals(address, np.ascontiguousarray(nav), theta, np.ascontiguousarray(z), out)
+    return -out
 
 
 @cache

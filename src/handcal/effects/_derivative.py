@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from handcal.types import Array
+from handcal.types import Array, BoolArray
 
 # Half the width, s, of the cubic that is fitted around each sample.
 REACH_S = 0.01
@@ -32,6 +32,12 @@ def _weights(m: int) -> Array:
 def reach(t: Array) -> int:
     """How many samples to either side a derivative at times t (n,) depends on."""
     return max(2, round(REACH_S * (len(t) - 1) / float(t[-1] - t[0])))
+
+
+def sound(_: Array, t: Array, valid: BoolArray) -> BoolArray:
+    """Which readings (n,) have a derivative at t (n,) that is made of measurements alone."""
+    width = 2 * reach(t) + 1
+    return np.asarray(valid & (np.convolve(~valid, np.ones(width), mode="same") < 0.5))
 
 
 def derivative(t: Array, x: Array) -> Array:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from handcal.effects import Effect, Param, Signals
-from handcal.types import Array
+from handcal.effects._stamps import measured
+from handcal.types import Array, BoolArray
 
 
 def imu_error(delay: Array, signals: Signals) -> Array:
@@ -26,6 +27,11 @@ def imu_inverse(delay: Array, readings: Signals) -> Array:
     return np.hstack([readings.gyro, readings.accel + imu_error(-delay, readings)[:, 3:]])
 
 
+def sound(delay: Array, t: Array, valid: BoolArray) -> BoolArray:
+    """What was felt a delay ago was measured."""
+    return valid & measured(t, valid, np.clip(t - delay[0], t[0], t[-1]))
+
+
 EFFECT = Effect(
     id="accel_delay",
     title="Accelerometer delay",
@@ -36,4 +42,5 @@ EFFECT = Effect(
     validated="the simulator's injection",
     imu_error=imu_error,
     imu_inverse=imu_inverse,
+    sound=sound,
 )

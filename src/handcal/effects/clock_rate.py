@@ -9,9 +9,11 @@ import numpy as np
 from handcal._jit import residual_function
 from handcal.effects import TIME, Effect, Param, Signals
 from handcal.effects._late import add_lateness
+from handcal.effects._stamps import stretched
 from handcal.types import Array
 
 STANDARD_GRAVITY = 9.80665
+MOST_PPM = 1e5
 # Where z of a reference has how far apart those moments are, s.
 REACH = 36
 
@@ -59,7 +61,7 @@ def _reference(nav: Any, ppm: Any, z: Any, out: Any) -> int:  # noqa: ARG001
 EFFECT = Effect(
     id="clock_rate",
     title="Clock rate",
-    parameters=(Param("ppm", "1e-6", 100.0),),
+    parameters=(Param("ppm", "1e-6", 100.0, most=MOST_PPM),),
     story="The device's clock runs fast or slow, so its stamps drift away from the true time.",
     source="contract of this project; first order in the growing delay of a pose",
     motion="Brisk motion at the beginning and at the end of a long recording, with a pose or a "
@@ -71,4 +73,6 @@ EFFECT = Effect(
         "pose": residual_function(_pose),
     },
     needs=("attitude",),
+    conceal=lambda ppm, recording, _: stretched(recording, 1.0 + 1e-6 * float(ppm[0])),
+    undo=lambda ppm, recording: stretched(recording, 1.0 / (1.0 + 1e-6 * float(ppm[0]))),
 )

@@ -26,4 +26,5 @@ EFFECT = Effect(
     validated="the simulator's injection",
     imu_error=imu_error,
     needs=("attitude",),
+    world=True,
 )

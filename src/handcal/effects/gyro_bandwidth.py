@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from handcal._jit import njit
-from handcal.effects import Effect, Param, Signals
-from handcal.effects._derivative import derivative, quiet_derivative
-from handcal.types import Array
+from handcal.effects import Effect, Known, Param, Signals
+from handcal.effects._derivative import derivative, quiet_derivative, sound
+from handcal.types import Array, Recording
 
 
 @njit
@@ -59,6 +60,15 @@ def _rise(signals: Signals) -> Array:
     return derivative(t, gyro) if signals.alpha is None else quiet_derivative(t, gyro, t)
 
 
+def conceal(tau: Array, recording: Recording, known: Known) -> Recording:
+    """The rate itself, low-passed, instead of its derivative."""
+    imu, t, rate = recording.imu, known.signals.t, known.signals.gyro
+    if tau[0] == 0.0:
+        return recording
+    slow = rate[0] + _low_pass(t, np.ascontiguousarray(rate - rate[0]), tau[0])
+    return replace(recording, imu=replace(imu, gyro=imu.gyro + (slow - rate)))
+
+
 EFFECT = Effect(
     id="gyro_bandwidth",
     title="Gyro bandwidth",
@@ -69,5 +79,7 @@ EFFECT = Effect(
     validated="the simulator's injection",
     imu_error=imu_error,
     imu_inverse=imu_inverse,
+    conceal=conceal,
+    sound=sound,
     akin=("accel_delay", "heading_delay"),
 )

@@ -41,4 +41,5 @@ EFFECT = Effect(
     validated="the simulator's injection",
     imu_error=imu_error,
     moments=moments,
+    of_one_day=True,
 )

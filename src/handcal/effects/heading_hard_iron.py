@@ -28,4 +28,5 @@ EFFECT = Effect(
     motion="A full turn about the vertical, back and forth.",
     validated="the simulator's injection",
     observation_error={"heading": residual_function(_heading)},
+    instead="mag_hard_iron",
 )

@@ -11,7 +11,7 @@ ANYWHERE = 1.0 / (2.0 * math.pi)
 EFFECT = Effect(
     id="heading_outliers",
     title="Heading outliers",
-    parameters=(Param("fraction", "1", 0.1, positive=True),),
+    parameters=(Param("fraction", "1", 0.1, positive=True, most=1.0),),
     story="A share of the heading's readings have nothing to do with the heading: they point "
     "anywhere.",
     source="contract of this project; mixture of a normal and a uniform density (Hogg, Bovy & "

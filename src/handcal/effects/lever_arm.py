@@ -6,6 +6,7 @@ from typing import Any
 
 from handcal._jit import residual_function
 from handcal.effects import Effect, Param
+from handcal.effects._place import placed
 
 # Where z of a reference has its angular acceleration (3,), rad/s^2.
 ALPHA = 6
@@ -54,4 +55,6 @@ EFFECT = Effect(
         "pose": _AT_POINT,
         "zero_velocity": residual_function(_velocity),
     },
+    world=True,
+    conceal=placed,
 )

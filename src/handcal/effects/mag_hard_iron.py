@@ -89,4 +89,6 @@ EFFECT = Effect(
     motion="A full turn about at least two axes.",
     validated="the simulator's injection; motion capture of a hand-held IMU",
     observation_error={"magnetometer": residual_function(_magnetometer)},
+    conceal=lambda iron, recording, _: cleaned(recording, -iron),
+    undo=lambda iron, recording: cleaned(recording, iron),
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from handcal.effects import Effect, Param, Signals
-from handcal.effects._derivative import derivative
+from handcal.effects._derivative import derivative, sound
 from handcal.types import Array
 
 
@@ -34,6 +34,7 @@ EFFECT = Effect(
     motion="Fast turns, speeding up and slowing down, about all axes.",
     validated="the simulator's injection",
     imu_error=imu_error,
+    sound=sound,
     exclusive=("lever_arm",),
     # A hand turns a device about one place when it rolls it, about another when it pitches it.
     # Real ones, held to be a point, show 12 to 15 nats of this beyond a lever arm.

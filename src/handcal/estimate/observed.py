@@ -15,6 +15,7 @@ from handcal.kernel import BASE
 from handcal.model import Problem, build
 from handcal.observations import Observation, Rows, Scene, catalogue
 from handcal.start import Start, from_pose, from_rest, levelled
+from handcal.streams import STREAMS
 from handcal.types import Array, HandcalError, InputError, Recording
 
 Observed = tuple[Observation, Rows, tuple[tuple[str, str, float], ...]]
@@ -63,7 +64,7 @@ def check_options(
 
 def _usable(recording: Recording, effects: Sequence[Effect], warnings: list[str]) -> set[str]:
     """Streams that are fit to be observed; what is left out is said."""
-    usable = set(recording.streams) & {"heading", "mag", "pose", "reference"}
+    usable = {s.name for s in STREAMS.values() if s.observation} & set(recording.streams)
     for name in sorted(usable):
         if len(recording.streams[name].t) < MIN_READINGS:
             usable.discard(name)
@@ -113,10 +114,7 @@ def _kinds(assume: str, usable: set[str], rests: Array) -> list[str]:
         kinds += ["zero_velocity", "zero_rate"]
     elif "pose" not in usable:
         kinds.append("fixed_position")
-    kinds += [k for s, k in (("heading", "heading"), ("mag", "magnetometer")) if s in usable]
-    if "pose" in usable:
-        kinds.append("pose")
-    return kinds
+    return kinds + [s.observation for s in STREAMS.values() if s.name in usable]
 
 
 def problem_of(

@@ -17,7 +17,7 @@ from itertools import combinations
 import numpy as np
 
 from handcal import segment
-from handcal.design import FASTEST, MOTIONS, Motion, attitude, rate_of, recording_of
+from handcal.design import MOTIONS, Motion, attitude, rate_of, recording_of
 from handcal.effects import Effect
 from handcal.estimate.case import Case, name_of, problem_with
 from handcal.estimate.fit import Fitted, prior_root
@@ -29,6 +29,7 @@ from handcal.explain.find import Found
 from handcal.explain.search import Space, expected_gain
 from handcal.linear import Trajectory, epochs, linearise_about
 from handcal.model import Problem
+from handcal.streams import STREAMS
 from handcal.types import Array, HandcalError, IntArray
 
 MOST = 3
@@ -119,7 +120,7 @@ def motion_pass(
     own = {lv.name: levels.get(lv.name, lv.initial) for lv in problem.levels}
     if "heading_noise" in own and "heading" in like.recording.streams:
         rate = rate_of(like.recording.streams["heading"])
-        own["heading_noise"] *= min(1.0, FASTEST["heading"] / rate) ** 0.5
+        own["heading_noise"] *= min(1.0, STREAMS["heading"].planned_hz / rate) ** 0.5
     return reduced_pass(reduce(linear), own)
 
 

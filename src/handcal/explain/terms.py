@@ -6,14 +6,27 @@ the catalogue covers is left out, so that a term found here has no name.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
+from functools import cache
 from typing import Any
 
 import numpy as np
 
+from handcal import so3
 from handcal._jit import njit, residual_function
-from handcal.effects import TIME, Effect, Param, Signals
-from handcal.types import Array, Recording
+from handcal.effects import (
+    TIME,
+    Z_DIM,
+    Effect,
+    Param,
+    Signals,
+    catalogue,
+    imu_jacobian,
+    observed_error,
+)
+from handcal.signals import probe
+from handcal.types import Array, BoolArray, Recording
 
 CHANNELS = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
 UNITS = ("rad/s", "m/s^2")
@@ -22,6 +35,11 @@ SIZE = (0.01, 0.1)
 HEADING_SIZE = 0.1
 # Half widths of play in an accelerometer, m/s^2; wider than its noise.
 PLAY = (0.1, 0.2, 0.4)
+# Samples of the motion on which the catalogue is tried, and the share (squared) of a term that may
+# be left for it to be named: a central difference leaves far less, another law far more. Of a
+# column of length one, so much must be new.
+PROBED, SPANNED = 120, 1e-8
+DEPENDENT = 1e-6
 _AXES = "xyz"
 _UNIT = {"omega": "rad/s", "f": "m/s^2", "alpha": "rad/s^2", "t": "s", "T": "K"}
 
@@ -116,16 +134,65 @@ def features(temperature: bool) -> dict[str, tuple[Feature, str]]:
     return out
 
 
-def _named(channel: int, formula: str) -> bool:
+def named(channel: int, formula: str) -> bool:
     """Whether the catalogue has this already."""
-    axis = _AXES[channel % 3]
-    if channel < 3:
-        plain = [f"omega_{a}" for a in _AXES] + [f"f_{a}" for a in _AXES] + [f"omega_{axis}^2"]
-        pairs = [f"omega_{a} * omega_{b}" for a, b in ("xy", "xz", "yz")]
-        return formula in plain or formula in pairs
-    # (all of f: what lies above the diagonal turns the body's axes, and is the gyro's misalignment)
-    plain = [f"f_{a}" for a in _AXES] + [f"abs(f_{axis})"]
-    return formula in plain or formula in [f"f_{a} * f_{b}" for a, b in ("xy", "xz", "yz")]
+    return (channel, formula) in _named(tuple(catalogue()))
+
+
+@cache
+def _named(ids: tuple[str, ...]) -> frozenset[tuple[int, str]]:
+    """Channels and formulas that effects of the catalogue add up to, tried on a probing motion.
+
+    How the axes of the body are turned against the sensors' is convention: a turn of all readings
+    together is no error (what lies above the accelerometer's diagonal is the gyro's misalignment).
+    """
+    s = probe(PROBED)
+    n = len(s.t)
+    columns = [np.kron(np.eye(6), np.ones((n, 1)))]  # the biases
+    for axis in np.eye(3):
+        turned = np.hstack([np.cross(axis, s.gyro), np.cross(axis, s.accel)])
+        columns.append(turned.T.reshape(-1, 1))
+    for i in ids:
+        effect = catalogue()[i]
+        J = imu_jacobian(effect, np.zeros(len(effect.parameters)), s)
+        columns.append(J.transpose(1, 0, 2).reshape(6 * n, -1))
+    Q = _basis(np.hstack(columns)).reshape(6, n, -1)
+    formulas = features(True)
+    U = np.stack([feature(s) for feature, _ in formulas.values()], axis=1)
+    return frozenset(
+        (channel, formula)
+        for channel in range(6)
+        for formula, inside in zip(formulas, _spanned(Q[channel], U), strict=True)
+        if inside
+    )
+
+
+def _basis(columns: Array) -> Array:
+    """Orthonormal basis (n, r) of what the columns (n, k) span, by Gram and Schmidt.
+
+    (So few numbers are sooner done than shared out among threads, which a library would do.)
+    """
+    found = np.zeros((columns.shape[1], len(columns)))
+    r = 0
+    for column in columns.T:
+        size = math.sqrt(np.einsum("n,n->", column, column))
+        rest = column / size if size else column
+        for _ in range(2):
+            inside = np.einsum("rn,n->r", found[:r], rest)
+            rest = rest - np.einsum("rn,r->n", found[:r], inside)
+        left = math.sqrt(np.einsum("n,n->", rest, rest))
+        if left > DEPENDENT:
+            found[r] = rest / left
+            r += 1
+    return found[:r].T
+
+
+def _spanned(Q: Array, U: Array) -> BoolArray:
+    """Which columns of U (n, q) lie in the span of orthonormal ones, of which Q (n, r) are the
+    rows that concern U (there is nothing of U in the others)."""
+    whole = np.einsum("nq,nq->q", U, U)
+    part = np.einsum("nr,nq->rq", Q, U)
+    return np.asarray(whole - np.einsum("rq,rq->q", part, part) <= SPANNED * whole)
 
 
 def _elsewhere(channel: int, formula: str) -> bool:
@@ -137,7 +204,7 @@ def imu_terms(signals: Signals, channel: int) -> list[Effect]:
     """Terms of one IMU channel (0 to 5) as effects; prior of each: a clearly visible size."""
     out = []
     for formula, (feature, unit) in features(signals.temperature is not None).items():
-        if _named(channel, formula) or _elsewhere(channel, formula):
+        if named(channel, formula) or _elsewhere(channel, formula):
             continue
         size = float(np.sqrt(np.mean(feature(signals) ** 2)))
         if size > 1e-9:
@@ -238,7 +305,10 @@ _HEADING: Mapping[str, tuple[int, str]] = {
 def heading_terms(recording: Recording) -> list[Effect]:
     """Terms of the heading, measured or magnetic."""
     out = []
+    known = _named_headings(tuple(catalogue()))
     for formula, (address, unit) in _HEADING.items():
+        if formula in known:
+            continue
         prior = HEADING_SIZE * (2.0 / recording.duration_s**2 if unit == "rad/s^2" else 1.0)
         out.append(
             term(
@@ -249,3 +319,30 @@ def heading_terms(recording: Recording) -> list[Effect]:
             )
         )
     return out
+
+
+@cache
+def _named_headings(ids: tuple[str, ...]) -> frozenset[str]:
+    """Formulas of the heading that effects of the catalogue add up to, tried as in ``_named``."""
+    s = probe(PROBED)
+    assert s.C_nb is not None
+    n = len(s.t)
+    place, speed = s.streams["pose"][:, :3], s.streams["mag"]
+    nav = np.hstack([place, speed, s.C_nb.reshape(n, 9), s.gyro, s.accel])
+    z = np.zeros((n, Z_DIM))
+    z[:, 0], z[:, TIME] = so3.yaw_of(s.C_nb), s.t
+    columns = [np.ones((n, 1))]  # a constant offset
+    for i in ids:
+        effect = catalogue()[i]
+        if "heading" in effect.observation_error and effect.process is None:
+            for step in np.diag(1e-3 * effect.prior_sigma):
+                less, more = (
+                    observed_error(effect, "heading", x, nav, z, 1) for x in (-step, step)
+                )
+                columns.append(more - less)
+    found = []
+    for formula, (address, unit) in _HEADING.items():
+        alone = term(formula, unit, 1.0, observation_error={"heading": address})
+        found.append(observed_error(alone, "heading", np.ones(1), nav, z, 1))
+    inside = _spanned(_basis(np.hstack(columns)), np.hstack(found))
+    return frozenset(f for f, yes in zip(_HEADING, inside, strict=True) if yes)

@@ -13,7 +13,7 @@ from handcal.estimate.fit import Fitted, Model, fitted, prior_root, scan
 from handcal.estimate.quadratic import Quadratic
 from handcal.explain import shapes, terms
 from handcal.explain.search import TERM_PRIOR, gains, priors, space
-from handcal.model import temperature_of
+from handcal.signals import of_recording
 from handcal.types import Array, IntArray
 
 
@@ -90,5 +90,5 @@ def best_term(model: Model, *, imu: bool = True, refused: Collection[str] = ()) 
 def signals_of(f: Fitted) -> Signals:
     """The best estimate of rate and force at the IMU's samples, for scaling terms."""
     imu, nominal = f.case.recording.imu, f.linear.trajectory
-    T = temperature_of(f.case.recording)
-    return Signals(imu.t, imu.gyro - nominal.bg, imu.accel - nominal.ba, T)
+    read = np.hstack([imu.gyro - nominal.bg, imu.accel - nominal.ba])
+    return of_recording(f.case.recording, read=read)

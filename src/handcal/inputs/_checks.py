@@ -6,7 +6,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from handcal.inputs._options import DEGREE, GRAVITY
+from handcal.inputs._options import GRAVITY
+from handcal.streams import DEGREE
 from handcal.types import Array, BoolArray, InputError
 
 IntArray = NDArray[np.int64]

@@ -1,4 +1,4 @@
-"""The ROS messages handcal knows: their layout in CDR and their field names in JSON.
+"""ROS messages decoded, from CDR or JSON; ``streams`` says which there are.
 
 A block is all messages of one topic and one length, one message a row, so that decoding
 is slicing. CDR aligns to the start of the payload, 4 bytes after the start of the message.
@@ -8,79 +8,16 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from handcal.streams import Message
 from handcal.types import Array, BoolArray, InputError, IntArray
 
 ByteArray = NDArray[np.uint8]
-XYZ, XYZW = ("x", "y", "z"), ("x", "y", "z", "w")
-
-
-def _fields(name: str, parts: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(f"{name}.{part}" for part in parts)
-
-
-def _covariance(name: str) -> tuple[str, ...]:
-    return tuple(f"{name}.{i}" for i in range(9))
-
-
-@dataclass(frozen=True)
-class Layout:
-    """A message: a header, then only float64. needed: names of those that are read.
-
-    absent: the field whose -1 says that the sensor gave nothing (ROS convention).
-    """
-
-    floats: tuple[str, ...]
-    needed: tuple[str, ...]
-    absent: tuple[str, ...] = ()
-
-    def index(self, names: tuple[str, ...]) -> list[int]:
-        return [self.floats.index(name) for name in names]
-
-
-_RATE, _FORCE = _fields("angular_velocity", XYZ), _fields("linear_acceleration", XYZ)
-_FIELD, _QUATERNION = _fields("magnetic_field", XYZ), _fields("quaternion", XYZW)
-_POSITION, _ATTITUDE = _fields("pose.position", XYZ), _fields("pose.orientation", XYZW)
-_RATE_COV, _FORCE_COV = (
-    _covariance("angular_velocity_covariance"),
-    _covariance("linear_acceleration_covariance"),
-)
-
-LAYOUTS: Mapping[str, Layout] = {
-    "sensor_msgs/msg/Imu": Layout(
-        _fields("orientation", XYZW)
-        + _covariance("orientation_covariance")
-        + _RATE
-        + _RATE_COV
-        + _FORCE
-        + _FORCE_COV,
-        _RATE + _FORCE,
-        (_RATE_COV[0], _FORCE_COV[0]),
-    ),
-    "sensor_msgs/msg/MagneticField": Layout(
-        _FIELD + _covariance("magnetic_field_covariance"), _FIELD
-    ),
-    "sensor_msgs/msg/Temperature": Layout(("temperature", "variance"), ("temperature",)),
-    "geometry_msgs/msg/QuaternionStamped": Layout(_QUATERNION, _QUATERNION),
-    "geometry_msgs/msg/PoseStamped": Layout(_POSITION + _ATTITUDE, _POSITION + _ATTITUDE),
-}
-
-# Stream, its schema and its usual topic.
-STREAM_SCHEMAS: Mapping[str, tuple[str, str]] = {
-    "imu": ("sensor_msgs/msg/Imu", "/imu"),
-    "reference": ("sensor_msgs/msg/Imu", "/reference"),
-    "heading": ("geometry_msgs/msg/QuaternionStamped", "/heading"),
-    "mag": ("sensor_msgs/msg/MagneticField", "/mag"),
-    "temperature": ("sensor_msgs/msg/Temperature", "/temperature"),
-    "pose": ("geometry_msgs/msg/PoseStamped", "/pose"),
-}
-# Beginning of the topics that hold what a model before and one after `explain` says was read.
-TWINS = ("/before", "/after")
 
 
 @dataclass(frozen=True)
@@ -103,7 +40,7 @@ def body_offset(frame_length: int) -> int:
     return 4 + (12 + frame_length + 7) // 8 * 8
 
 
-def decode_cdr(block: ByteArray, layout: Layout, topic: str) -> Iterator[tuple[IntArray, Decoded]]:
+def decode_cdr(block: ByteArray, layout: Message, topic: str) -> Iterator[tuple[IntArray, Decoded]]:
     """Decode a block (n, length) of messages: which of its rows, and their columns.
 
     Rows that differ in byte order or in the length of frame_id come separately.
@@ -121,7 +58,7 @@ def decode_cdr(block: ByteArray, layout: Layout, topic: str) -> Iterator[tuple[I
 
 
 def _decode_same(
-    block: ByteArray, order: str, frame_length: int, layout: Layout, topic: str
+    block: ByteArray, order: str, frame_length: int, layout: Message, topic: str
 ) -> Decoded:
     start = body_offset(frame_length)
     end = start + 8 * len(layout.floats)
@@ -147,7 +84,7 @@ def joined(parts: list[Decoded]) -> Decoded:
     )
 
 
-def decode_json(message: bytes, layout: Layout, topic: str) -> Decoded:
+def decode_json(message: bytes, layout: Message, topic: str) -> Decoded:
     """Decode one message of a JSON channel. Errors: InputError, naming the field."""
     try:
         tree = json.loads(message)

@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
+from handcal.streams import DEGREE, STREAMS
 from handcal.types import InputError
 
 GRAVITY = 9.80665
-DEGREE = math.pi / 180
-
-STREAMS = ("imu", "reference", "heading", "mag", "temperature", "pose")
 
 # Factors to SI; of time, to nanoseconds.
-UNITS: Mapping[str, Mapping[str, float]] = {
+_UNITS: Mapping[str, Mapping[str, float]] = {
     "time": {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0},
     "gyro": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": DEGREE, "mdeg/s": DEGREE * 1e-3},
     "accel": {"m/s^2": 1.0, "g": GRAVITY, "mg": GRAVITY * 1e-3},
-    "mag": {"t": 1.0, "mt": 1e-3, "ut": 1e-6, "nt": 1e-9, "gauss": 1e-4, "mgauss": 1e-7},
-    "heading": {"rad": 1.0, "deg": DEGREE},
-    "temperature": {"degc": 1.0},
 }
 _SPELLINGS = {
     "dps": "deg/s",
@@ -43,27 +37,33 @@ _SPELLINGS = {
 }
 
 
+def quantities() -> Mapping[str, Mapping[str, float]]:
+    """The units of each quantity that a file may hold, as factors to SI; SI first."""
+    return {**_UNITS, **{row.name: row.units for row in STREAMS.values() if row.units}}
+
+
 @dataclass(frozen=True)
 class Options:
-    """What ``load`` was told. units: by quantity, as spelt in UNITS."""
+    """What ``load`` was told. units: by quantity, as spelt in ``quantities``."""
 
     topics: Mapping[str, str] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     progress: Callable[[float], None] = lambda _fraction: None
 
-    def factor(self, quantity: str, default: str) -> float:
-        """From the file's unit to SI: the unit the user named, else the default."""
-        return UNITS[quantity][self.units.get(quantity, default)]
+    def factor(self, quantity: str) -> float:
+        """From the file's unit to SI: the unit the user named, else SI itself."""
+        units = quantities()[quantity]
+        return units[self.units.get(quantity, next(iter(units)))]
 
 
 def parse_unit(quantity: str, text: str) -> str | None:
-    """The unit as spelt in UNITS, or None if it is none of that quantity's."""
+    """The unit as spelt in ``quantities``, or None if it is none of that quantity's."""
     unit = text.strip().lower().replace("µ", "u").replace("μ", "u")
     unit = unit.replace("°", "deg").replace("²", "^2").replace(" ", "")
     unit = _SPELLINGS.get(unit, unit)
-    if quantity == "mag":
-        unit = {"g": "gauss", "mg": "mgauss"}.get(unit, unit)
-    return unit if unit in UNITS[quantity] else None
+    if quantity in STREAMS:
+        unit = STREAMS[quantity].spellings.get(unit, unit)
+    return unit if unit in quantities()[quantity] else None
 
 
 def checked_options(
@@ -76,12 +76,14 @@ def checked_options(
         if stream not in STREAMS:
             raise InputError(f"--topic {stream}=...: the streams are {', '.join(STREAMS)}.")
     known: dict[str, str] = {}
+    known_units = quantities()
     for quantity, text in (units or {}).items():
-        if quantity not in UNITS:
-            raise InputError(f"--units {quantity}=...: the quantities are {', '.join(UNITS)}.")
+        if quantity not in known_units:
+            listed = ", ".join(known_units)
+            raise InputError(f"--units {quantity}=...: the quantities are {listed}.")
         unit = parse_unit(quantity, text)
         if unit is None:
-            choices = ", ".join(UNITS[quantity])
+            choices = ", ".join(known_units[quantity])
             raise InputError(f"--units {quantity}={text}: the units of {quantity} are {choices}.")
         known[quantity] = unit
     options = Options(dict(topics or {}), known)

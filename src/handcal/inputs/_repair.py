@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from handcal.inputs._checks import check_accel_unit, check_alive, check_gyro_unit, saturated
+from handcal.streams import STREAMS
 from handcal.types import Array, BoolArray, Imu, InputError, IntArray, Recording, Series
 
 SHORTEST_S, FEWEST = 2.0, 50
@@ -178,7 +179,8 @@ def _series(name: str, raw: Columns, first_ns: int, last_ns: int, said: list[str
         said.append(f"{name}: not one usable reading; the stream was left out.")
         return None
     raw = _clean(raw, name, said)
-    if name == "reference":
+    row = STREAMS[name]
+    if row.inertial:
         raw = _masked(raw, name, said)
         raw = raw.rows(raw.valid)
     inside = (raw.ns >= first_ns) & (raw.ns <= last_ns)
@@ -187,21 +189,21 @@ def _series(name: str, raw: Columns, first_ns: int, last_ns: int, said: list[str
         return None
     raw = raw.rows(inside)
     value = raw.value
-    if name == "heading":
+    if row.circular:
         value = value - 2 * np.pi * np.ceil((value - np.pi) / (2 * np.pi))
-    if name == "pose":
-        raw, value = _unit_quaternions(raw, said)
+    if row.posed:
+        raw, value = _unit_quaternions(name, raw, said)
         if not len(value):
             return None
     return Series((raw.ns - first_ns) / 1e9, np.ascontiguousarray(value))
 
 
-def _unit_quaternions(raw: Columns, said: list[str]) -> tuple[Columns, Array]:
+def _unit_quaternions(name: str, raw: Columns, said: list[str]) -> tuple[Columns, Array]:
     """Poses (m, 7) with unit quaternions that do not jump to their negative."""
     norm = np.linalg.norm(raw.value[:, 3:], axis=1)
     usable = norm > 0.1
     if not usable.all():
-        said.append(f"pose: {int((~usable).sum())} rows without an orientation were dropped.")
+        said.append(f"{name}: {int((~usable).sum())} rows without an orientation were dropped.")
         raw, norm = raw.rows(usable), norm[usable]
     q = raw.value[:, 3:].copy()
     # Nothing changes on the second reading: a recording written and read again stays equal.

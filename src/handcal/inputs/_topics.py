@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from handcal.inputs._messages import STREAM_SCHEMAS, TWINS, Decoded
+from handcal.inputs._messages import Decoded
 from handcal.inputs._options import Options
 from handcal.inputs._repair import Columns, assemble, columns
+from handcal.streams import STREAMS, TWINS, Stream
 from handcal.types import Array, InputError, IntArray, Recording
 
 
@@ -25,7 +26,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Topic:
-    """A channel of the file. schema as in STREAM_SCHEMAS; parts: empty if not decoded."""
+    """A channel of the file. schema as in a row of STREAMS; parts: empty if not decoded."""
 
     name: str
     schema: str
@@ -42,34 +43,24 @@ def recording_from_topics(
         stream: _columns([topic for topic in topics if topic.name == name and topic.parts])
         for stream, name in chosen.items()
     }
-    factors = [options.factor(*default) for default in (("gyro", "rad/s"), ("accel", "m/s^2"))]
     imu = named.pop("imu")
-    gyro = columns(imu.ns, imu.value[:, :3] * factors[0], imu.valid)
-    accel = columns(imu.ns, imu.value[:, 3:] * factors[1], imu.valid)
+    value = imu.value * _factors(STREAMS["imu"], options)
+    gyro = columns(imu.ns, value[:, :3], imu.valid)
+    accel = columns(imu.ns, value[:, 3:], imu.valid)
     streams = {}
     for stream, raw in named.items():
-        value = raw.value
-        if stream == "reference":
-            value = value * np.repeat(factors, 3)
-        elif stream == "mag":
-            value = value * options.factor("mag", "t")
-        elif stream == "heading":
-            value = _yaw(value)
-        elif stream == "pose":
-            value = value[:, [0, 1, 2, 6, 3, 4, 5]]
+        row = STREAMS[stream]
+        value = raw.value if row.decode is None else row.decode(raw.value)
+        if row.quantities:
+            value = value * _factors(row, options)
         streams[stream] = columns(raw.ns, value, raw.valid)
     return assemble(path, gyro, accel, streams, warnings)
 
 
-def _yaw(q_xyzw: Array) -> Array:
-    """Yaw of body x (m, 1), rad, of quaternions (m, 4) in the order of ROS, of any length."""
-    x, y, z, w = q_xyzw.T
-    # Twice the half angle keeps the last bit for a pure yaw, which atan2 of the matrix loses.
-    level = (x == 0) & (y == 0)
-    yaw = np.arctan2(2 * (x * y + w * z), w * w + x * x - y * y - z * z)
-    yaw = np.where(level, 2 * np.arctan2(z, w), yaw)
-    yaw = np.where(np.any(q_xyzw != 0, axis=1), yaw, np.nan)
-    return yaw[:, None]
+def _factors(row: Stream, options: Options) -> Array:
+    """From the file's units to SI, of each column."""
+    factors = [options.factor(quantity) for quantity in row.quantities]
+    return np.repeat(factors, len(row.columns) // len(factors))
 
 
 def _columns(channels: Sequence[Topic]) -> Columns:
@@ -92,23 +83,23 @@ def _chosen(path: Path, topics: Sequence[Topic], options: Options) -> Mapping[st
         if topic.parts and topic.name not in names:
             names.append(topic.name)
     for stream, name in chosen.items():
-        if name not in by_schema.get(STREAM_SCHEMAS[stream][0], ()):
+        schema = STREAMS[stream].message.schema
+        if name not in by_schema.get(schema, ()):
             raise InputError(
                 f"--topic {stream}={name}: {path} has no such topic with messages of "
-                f"{STREAM_SCHEMAS[stream][0]}; {_listing(topics)}."
+                f"{schema}; {_listing(topics)}."
             )
     # What models say was read, beside what was read, is taken only where it is chosen.
     apart = tuple(f"{begin}/" for begin in TWINS)
-    # The reference first: what is left of its schema is then more easily the IMU.
-    for stream in ("reference", "imu", "heading", "mag", "temperature", "pose"):
-        if stream in options.topics:
+    # Those with a name first: what is left of their schema is then more easily the other.
+    for row in sorted(STREAMS.values(), key=lambda row: not row.named):
+        if row.name in options.topics:
             continue
-        schema, usual = STREAM_SCHEMAS[stream]
-        free = [n for n in by_schema.get(schema, ()) if n not in chosen.values()]
+        free = [n for n in by_schema.get(row.message.schema, ()) if n not in chosen.values()]
         free = [n for n in free if not n.startswith(apart)]
-        fitting = _fitting(free, usual, path, stream)
+        fitting = _fitting(free, row, path)
         if fitting is not None:
-            chosen[stream] = fitting
+            chosen[row.name] = fitting
     if "imu" not in chosen:
         raise InputError(
             f"{path} has no IMU: no messages of sensor_msgs/msg/Imu in cdr or json; "
@@ -117,18 +108,19 @@ def _chosen(path: Path, topics: Sequence[Topic], options: Options) -> Mapping[st
     return chosen
 
 
-def _fitting(free: list[str], usual: str, path: Path, stream: str) -> str | None:
+def _fitting(free: list[str], row: Stream, path: Path) -> str | None:
     """The one topic for a stream; by its usual name where several have the schema."""
+    usual, spare = row.topic, row.named and row.inertial  # (there must be one for the IMU)
     for named in ([n for n in free if n == usual], [n for n in free if n.endswith(usual)]):
-        if len(named) == 1 and (len(free) > 1 or stream != "reference"):
+        if len(named) == 1 and (len(free) > 1 or not spare):
             return named[0]
-    if stream == "reference" or not free:
+    if row.named or not free:
         return None
     if len(free) == 1:
         return free[0]
     raise InputError(
-        f"{path} has several topics that could be {stream}: {', '.join(sorted(free))}; "
-        f"choose one with --topic {stream}={sorted(free)[0]}."
+        f"{path} has several topics that could be {row.name}: {', '.join(sorted(free))}; "
+        f"choose one with --topic {row.name}={sorted(free)[0]}."
     )
 
 

@@ -24,7 +24,6 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, DataEnd, Schema, Statistics
 
 from handcal.inputs._messages import (
-    LAYOUTS,
     ByteArray,
     decode_cdr,
     decode_json,
@@ -33,6 +32,7 @@ from handcal.inputs._messages import (
 )
 from handcal.inputs._options import Options
 from handcal.inputs._topics import Part, Topic, recording_from_topics
+from handcal.streams import message_of
 from handcal.types import InputError, IntArray, Recording
 
 UNDERSTOOD = "MCAP with ROS 2 messages (.mcap)"
@@ -252,7 +252,7 @@ def _register(opcode: int, content: bytes, walk: _Walk) -> None:
 def _decode(buffer: ByteArray, id: int, starts: IntArray, lengths: IntArray, walk: _Walk) -> None:
     """Decode the messages of one channel, if handcal knows their schema."""
     channel = walk.channels.get(id)
-    layout = LAYOUTS.get(_schema_name(walk, channel)) if channel else None
+    layout = message_of(_schema_name(walk, channel)) if channel else None
     if channel is None or layout is None or channel.topic.startswith("/truth/"):
         return
     # A message follows its log time and publish time (8 bytes each).

@@ -17,33 +17,37 @@ from typing import TextIO
 
 import numpy as np
 
-from handcal.inputs._options import UNITS, Options, parse_unit
+from handcal.inputs._options import Options, parse_unit, quantities
 from handcal.inputs._repair import Columns, assemble, columns, nanoseconds
+from handcal.streams import STREAMS, Stream
 from handcal.types import Array, InputError, IntArray, Recording
 
 UNDERSTOOD = "plain CSV with columns t, gx, gy, gz, ax, ay, az (.csv)"
-EXPECTED = "t, gx, gy, gz, ax, ay, az and, if there, mx, my, mz, temp, heading"
 _ROWS_AT_ONCE = 20_000
-_SENSORS = {
+_IMU = {
     "gyro": ("g", "gyro", "gyroscope", "w", "angularvelocity"),
     "accel": ("a", "acc", "accel", "accelerometer", "linearacceleration"),
-    "mag": ("m", "mag", "magnetometer", "magneticfield"),
 }
-_SINGLE = {
-    "t": ("time", ""),
-    "time": ("time", ""),
-    "timestamp": ("time", ""),
-    "temp": ("temperature", ""),
-    "temperature": ("temperature", ""),
-    "heading": ("heading", ""),
-    "yaw": ("heading", ""),
-}
-_KNOWN: Mapping[str, tuple[str, str]] = _SINGLE | {
-    name + axis: (quantity, axis)
-    for quantity, names in _SENSORS.items()
-    for name in names
-    for axis in "xyz"
-}
+_TIMES = ("t", "time", "timestamp")
+
+
+def _axes(row: Stream) -> tuple[str, ...]:
+    """What follows the name in a header: nothing where there is one column."""
+    return row.columns if len(row.columns) > 1 else ("",)
+
+
+def _names() -> dict[str, tuple[str, str]]:
+    """Quantity and axis by what a column is called."""
+    out = dict.fromkeys(_TIMES, ("time", ""))
+    out |= {n + axis: (q, axis) for q, names in _IMU.items() for n in names for axis in "xyz"}
+    for row in STREAMS.values():
+        out |= {name + axis: (row.name, axis) for name in row.csv for axis in _axes(row)}
+    return out
+
+
+def _expected() -> str:
+    more = [row.csv[0] + axis for row in STREAMS.values() if row.csv for axis in _axes(row)]
+    return f"t, gx, gy, gz, ax, ay, az and, if there, {', '.join(more)}"
 
 
 def can_read(path: Path) -> bool:
@@ -63,7 +67,7 @@ def read(path: Path, options: Options) -> Recording:
     taken = {quantity: values[:, at] for quantity, at in _slices(places).items()}
     streams: dict[str, Columns] = {}
     for quantity, value in taken.items():
-        value *= UNITS[quantity][units[quantity]]
+        value *= quantities()[quantity][units[quantity]]
         if quantity not in ("gyro", "accel"):
             streams[quantity] = _measured(quantity, columns(ns, value), warnings)
     gyro, accel = columns(ns, taken["gyro"]), columns(ns, taken["accel"])
@@ -76,18 +80,18 @@ def _understood(
     """Column by quantity and axis, unit by quantity, warnings. Errors: InputError."""
     places: dict[tuple[str, str], int] = {}
     units: dict[str, str] = {}
-    unknown = []
+    unknown, known, choices = [], _names(), quantities()
     for index, name in enumerate(names):
         text, unit_text = _split_unit(name)
-        key = _KNOWN.get(re.sub(r"[\s_.\-]", "", text.lower()))
+        key = known.get(re.sub(r"[\s_.\-]", "", text.lower()))
         if key is None or key in places:
             unknown.append(name)
             continue
-        unit = next(iter(UNITS[key[0]])) if unit_text is None else parse_unit(key[0], unit_text)
+        unit = next(iter(choices[key[0]])) if unit_text is None else parse_unit(key[0], unit_text)
         if unit is None or units.get(key[0], unit) != unit:
             raise InputError(
                 f"{path}: the unit of column {name!r} is not understood or differs from its "
-                f"neighbours'; the units of {key[0]} are {', '.join(UNITS[key[0]])}."
+                f"neighbours'; the units of {key[0]} are {', '.join(choices[key[0]])}."
             )
         places[key], units[key[0]] = index, unit
     missing = [f"{q} {axis}".strip() for q, axis in _wanted(places) if (q, axis) not in places]
@@ -95,7 +99,7 @@ def _understood(
     if missing:
         others = f" Not understood: {listed}." if unknown else ""
         raise InputError(
-            f"{path} lacks columns for {', '.join(missing)}.{others} Expected: {EXPECTED}, "
+            f"{path} lacks columns for {', '.join(missing)}.{others} Expected: {_expected()}, "
             "each with its unit in brackets if it is not SI."
         )
     return places, units, [f"Columns not used: {listed}."] if unknown else []
@@ -107,20 +111,24 @@ def _split_unit(name: str) -> tuple[str, str | None]:
 
 
 def _wanted(places: Mapping[tuple[str, str], int]) -> list[tuple[str, str]]:
-    """Columns that must be there: time, gyro, accel; the magnetometer all or nothing."""
-    vectors = ["gyro", "accel"] + ["mag"] * any(quantity == "mag" for quantity, _ in places)
-    return [("time", "")] + [(quantity, axis) for quantity in vectors for axis in "xyz"]
+    """Columns that must be there: time, gyro, accel; of a further stream all or nothing."""
+    there = {quantity for quantity, _ in places}
+    wanted = [("time", "")] + [(sensor, axis) for sensor in _IMU for axis in "xyz"]
+    rows = [row for row in STREAMS.values() if row.name in there]
+    return wanted + [(row.name, axis) for row in rows for axis in _axes(row)]
 
 
 def _slices(places: Mapping[tuple[str, str], int]) -> dict[str, list[int]]:
     """Where each quantity stands in the table that ``_table`` returns, which has no time."""
     order = [key for key in places if key[0] != "time"]
     return {
-        quantity: [
-            order.index((quantity, a)) for a in ("x", "y", "z", "") if (quantity, a) in order
-        ]
+        quantity: [order.index((quantity, a)) for a in _order(quantity) if (quantity, a) in order]
         for quantity, _ in order
     }
+
+
+def _order(quantity: str) -> tuple[str, ...]:
+    return _axes(STREAMS[quantity]) if quantity in STREAMS else ("x", "y", "z")
 
 
 def _table(
@@ -135,7 +143,7 @@ def _table(
     size, done = max(1, path.stat().st_size), 0
     stamps: list[IntArray] = []
     tables: list[Array] = []
-    factor = UNITS["time"][units["time"]]
+    factor = quantities()["time"][units["time"]]
     others = [index for key, index in places.items() if key[0] != "time"]
     for number, lines in _blocks(file):
         done += sum(map(len, lines))
@@ -206,7 +214,8 @@ def _measured(name: str, held: Columns, warnings: list[str]) -> Columns:
     if blank.any() or len(held.ns) < 2:
         return held.rows(~blank)
     fresh = np.concatenate([[True], np.any(np.diff(held.value, axis=0) != 0, axis=1)])
-    if name == "temperature" or fresh.mean() > 0.5:
+    # (what nothing observes is known between its readings, so repeating does no harm)
+    if not STREAMS[name].observation or fresh.mean() > 0.5:
         return held
     warnings.append(f"{name}: only the {int(fresh.sum())} rows in which it changes are used.")
     return held.rows(fresh)

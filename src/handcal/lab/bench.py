@@ -12,11 +12,10 @@ from itertools import pairwise
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from handcal import segment
+from handcal import segment, signals
 from handcal.effects import Effect, Signals
 from handcal.effects._derivative import reach
 from handcal.lab.stretches import PERFECT, white_variance
-from handcal.model import temperature_of
 from handcal.regression import columns, errors
 from handcal.types import Array, BoolArray, HandcalError, InputError, IntArray, Recording
 
@@ -56,10 +55,8 @@ class Bench:
     def only(self, chosen: BoolArray) -> Bench:
         """Some of the tests (n,)."""
         rows = np.repeat(chosen, np.diff(self.start))
-        s = self.truth
-        T = None if s.temperature is None else s.temperature[rows]
         return Bench(
-            Signals(s.t[rows], s.gyro[rows], s.accel[rows], T),
+            signals.some(self.truth, rows),
             np.r_[0, np.cumsum(np.diff(self.start)[chosen])], self.weight[rows],
             self.reading[chosen], self.variance[chosen], self.used,
             None if self.span is None else self.span[chosen], self.warnings,
@@ -88,7 +85,8 @@ def of_arrays(
     T = None if temperature is None else np.repeat(temperature, HELD)
     middle = np.tile(np.arange(HELD) == HELD // 2, n).astype(float)
     return Bench(
-        Signals(np.arange(float(n * HELD)), held[0], held[1], T), HELD * np.arange(n + 1), middle,
+        signals.of_arrays(np.arange(float(n * HELD)), held[0], held[1], T),
+        HELD * np.arange(n + 1), middle,
         np.hstack(read), np.tile(np.repeat(np.square(sigma), 3), (n, 1)), used,
     )  # fmt: skip
 
@@ -117,8 +115,7 @@ def of_recording(recording: Recording) -> Bench:
     at = np.concatenate(rows)
     t = imu.t[at]
     known = CubicSpline(reference.t, reference.value)(t)
-    warm = temperature_of(recording)
-    truth = Signals(t, known[:, :3], known[:, 3:], None if warm is None else warm[at])
+    truth = signals.reading(signals.some(signals.of_recording(recording), at), known)
     start = np.r_[0, np.cumsum([len(r) for r in rows])]
     edge = reach(imu.t)
     weight = np.concatenate([_inner(imu.valid[r], edge) for r in rows])

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from handcal.inputs._options import UNITS, parse_unit
+from handcal.inputs._options import parse_unit, quantities
 from handcal.lab.bench import Bench, of_arrays
 from handcal.lab.stretches import PERFECT
 from handcal.lab.table import Table, table
@@ -110,9 +110,9 @@ def _column(
     path: Path, lines: list[list[str]], name: str, at: int, unit: str | None, group: str
 ) -> Array:
     quantity = QUANTITY[group]
-    found = next(iter(UNITS[quantity])) if unit is None else parse_unit(quantity, unit)
+    found = next(iter(quantities()[quantity])) if unit is None else parse_unit(quantity, unit)
     if found is None:
-        units = ", ".join(UNITS[quantity])
+        units = ", ".join(quantities()[quantity])
         raise InputError(f"{path}: the unit of {name} ({unit}) is none of {units}.")
     out = np.empty(len(lines))
     for i, row in enumerate(lines):
@@ -122,4 +122,4 @@ def _column(
             out[i] = math.nan
         if not math.isfinite(out[i]):
             raise InputError(f"{path}, test {i + 1}: {name} is not a finite number.")
-    return out * UNITS[quantity][found]
+    return out * quantities()[quantity][found]

@@ -16,6 +16,7 @@ from handcal.effects import Effect, Signals
 from handcal.lab.stretches import Means
 from handcal.lab.turns import Turns, turned
 from handcal.regression import Unknown
+from handcal.signals import of_arrays
 from handcal.so3 import skew
 from handcal.types import Array, IntArray
 
@@ -127,7 +128,7 @@ def carried_by_gyro(problem: Problem, x: Array, d: Array) -> tuple[Array, Array]
 def resting(problem: Problem, d: Array) -> Signals:
     """The truth at the rests, whose up is d (n, 3): no rate, and gravity, m/s^2."""
     rests = problem.rests
-    return Signals(
+    return of_arrays(
         rests.span.mean(axis=1), np.zeros_like(d), problem.gravity * d, rests.temperature
     )
 

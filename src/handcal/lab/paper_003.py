@@ -13,10 +13,10 @@ import numpy as np
 
 from handcal import regression, strapdown
 from handcal.design_poses import HELD
-from handcal.effects import Signals
 from handcal.lab.paper import CORRECTED, FAILS, HOLDS, UNKNOWN, Claim, Paper, Progress
 from handcal.lab.sheet import Table
 from handcal.lab.size import ARMS, FACE_DIAGONALS, force_of
+from handcal.signals import of_arrays
 from handcal.types import Array
 
 GRAVITY = 9.80665
@@ -91,7 +91,7 @@ def swing(omega: Array) -> Array:
     It is the catalogue's size effect, with all three accelerometers in one place.
     """
     held = np.repeat(omega, HELD, axis=0)
-    signals = Signals(np.arange(float(len(held))), held, np.zeros_like(held))
+    signals = of_arrays(np.arange(float(len(held))), held, np.zeros_like(held))
     J = regression.columns(ARMS, np.zeros(9), signals)[HELD // 2 :: HELD, 3:]
     return np.asarray(np.stack([J[:, i, 3 * i : 3 * i + 3] for i in range(3)], axis=1))
 
@@ -154,7 +154,7 @@ def pushed(t: Array, angle: Array, places: Array) -> Array:
     """What accelerometers at these places (3, 3), m, read too much (n, 3), m/s^2."""
     omega = np.zeros((len(t), 3))
     omega[:, 2] = np.gradient(angle, t, edge_order=2)
-    return regression.errors(ARMS, places.ravel(), Signals(t, omega, np.zeros_like(omega)))[:, 3:]
+    return regression.errors(ARMS, places.ravel(), of_arrays(t, omega, np.zeros_like(omega)))[:, 3:]
 
 
 def found_places(sigma: float, rate: float, rng: np.random.Generator) -> Array:

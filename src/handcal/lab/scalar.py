@@ -20,13 +20,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from handcal import regression, segment
-from handcal.effects import Signals
 from handcal.lab.choice import chosen
 from handcal.lab.norm_rows import KINDS, Problem, Rows, across, carried_by_gyro, rows_of, unit
 from handcal.lab.stretches import PERFECT, Means, extra_variance, means
 from handcal.lab.telling import refuse_unseen
 from handcal.lab.turns import Turns, no_turns, turns
 from handcal.regression import BIASES, Unknown
+from handcal.signals import of_arrays
 from handcal.types import Array, BoolArray, HandcalError, InputError, Parameter, Recording
 
 DEFAULT = ("accel_scale", "accel_misalignment", "gyro_scale", "gyro_misalignment")
@@ -234,7 +234,7 @@ def _gauss_newton(
 def _felt(problem: Problem, x: Array) -> Array:
     """Specific forces (r, 3) of the mean readings less the errors."""
     rests = problem.rests
-    read = Signals(
+    read = of_arrays(
         rests.span.mean(axis=1), rests.reading[:, :3], rests.reading[:, 3:], rests.temperature
     )
     return regression.truth_of(problem.effects, x, read)[0].accel

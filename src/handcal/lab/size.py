@@ -23,7 +23,7 @@ from scipy.optimize import nnls
 
 from handcal import regression, segment
 from handcal.design_poses import MOUNTING
-from handcal.effects import Effect, Signals, select
+from handcal.effects import Effect, select
 from handcal.lab import bench
 from handcal.lab.known_input import known_input
 from handcal.lab.spins import LEAST_SIGMA, SPINNING, of_spins
@@ -31,6 +31,7 @@ from handcal.lab.telling import refuse_unseen
 from handcal.observations import Scene
 from handcal.observations.known_input import matched, read_at
 from handcal.regression import BIASES
+from handcal.signals import of_arrays
 from handcal.types import Array, BoolArray, HandcalError, Parameter, Recording
 
 GRAVITY = 9.80665
@@ -174,7 +175,7 @@ def of_reference(recording: Recording) -> Sized:
     if both is None:
         raise HandcalError("The reference has too few readings beside sound ones of the IMU.")
     truth = both.known(both.t)
-    signals = Signals(both.t, np.ascontiguousarray(truth[:, :3]), truth[:, 3:])
+    signals = of_arrays(both.t, np.ascontiguousarray(truth[:, :3]), truth[:, 3:])
     rate = np.linalg.norm(signals.gyro, axis=1)
     use = both.sound & (rate > SPINNING)
     if use.sum() < FEWEST_SHAKEN:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brentq
 
-from handcal.model import temperature_of
+from handcal.signals import temperature_of
 from handcal.types import Array, BoolArray, IntArray, Recording
 
 BLOCKS = 8

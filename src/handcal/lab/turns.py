@@ -12,6 +12,7 @@ from handcal._jit import njit
 from handcal.effects import Effect, Signals
 from handcal.lab.stretches import Means, white_variance
 from handcal.regression import columns, truth_of
+from handcal.signals import of_arrays, some
 from handcal.so3 import matmul, rotations
 from handcal.types import Array, BoolArray, IntArray, Recording
 
@@ -50,11 +51,9 @@ class Turns:
         kept = np.flatnonzero(chosen[self.before] & chosen[self.after])
         own = [np.arange(self.start[k], self.start[k + 1]) for k in kept]
         rows = np.concatenate([np.zeros(0, dtype=np.int64), *own])
-        s = self.signals
-        T = None if s.temperature is None else s.temperature[rows]
         return replace(
             self, before=place[self.before[kept]], after=place[self.after[kept]],
-            signals=Signals(s.t[rows], s.gyro[rows], s.accel[rows], T),
+            signals=some(self.signals, rows),
             start=np.r_[0, np.cumsum([len(o) for o in own], dtype=np.int64)],
             share=self.share[rows], seconds=self.seconds[kept], missed=self.missed[kept],
         )  # fmt: skip
@@ -63,7 +62,7 @@ class Turns:
 def no_turns() -> Turns:
     """Where there are rests alone."""
     none, empty = np.zeros(0, dtype=np.int64), np.zeros(0)
-    signals = Signals(empty, np.zeros((0, 3)), np.zeros((0, 3)))
+    signals = of_arrays(empty, np.zeros((0, 3)), np.zeros((0, 3)))
     return Turns(none, none, signals, np.zeros(1, dtype=np.int64), empty, empty, empty, 0)
 
 
@@ -87,7 +86,7 @@ def turns(recording: Recording, rests: Means) -> Turns:
     before = np.array(kept, dtype=np.int64)
     all_rows = np.vstack([np.zeros((0, 9)), *parts])
     warm = None if rests.temperature is None else all_rows[:, 8]
-    signals = Signals(all_rows[:, 0], all_rows[:, 2:5], all_rows[:, 5:8], warm)
+    signals = of_arrays(all_rows[:, 0], all_rows[:, 2:5], all_rows[:, 5:8], warm)
     start = np.r_[0, np.cumsum([len(p) for p in parts], dtype=np.int64)]
     return Turns(before, before + 1, signals, start, all_rows[:, 1], np.array(seconds),
                  np.array(missed), max(len(rests) - 1, 0) - len(kept))  # fmt: skip
@@ -125,7 +124,7 @@ def turned(
     number = np.repeat(np.arange(q), np.diff(turns.start))
     share = turns.share[:, None, None]
     off = (1.0 - share) * still[turns.before[number]] + share * still[turns.after[number]]
-    read = Signals(s.t, s.gyro + off[:, :, 0] + x[bias], s.accel, s.temperature)
+    read = replace(s, gyro=s.gyro + off[:, :, 0] + x[bias])
     truth, by = truth_of(effects, x, read)
     J = columns(effects, x, truth)
     J[:, :3, :] -= off[:, :, 1:]

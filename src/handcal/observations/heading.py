@@ -11,7 +11,7 @@ import numpy as np
 from handcal import so3
 from handcal._jit import residual_function
 from handcal.observations import Observation, Rows, Scene
-from handcal.types import Array, Level, Recording
+from handcal.types import Array, Level, Recording, Series
 
 # Contract: no heading within 15 degrees of body x vertical.
 _SIN2_LIMIT = math.cos(math.radians(15.0)) ** 2
@@ -49,6 +49,10 @@ def _guess(z: Array) -> Mapping[str, float]:
     return {"heading_noise": float(np.clip(np.sqrt((d**2).mean() / 2), 1e-3, 2.0))}
 
 
+def _moved(recording: Recording, series: Series, C_nb: Array, shift: Array, own: Array) -> Series:  # noqa: ARG001
+    return Series(series.t, so3.wrap(series.value + shift))
+
+
 OBSERVATION = Observation(
     kind="heading",
     title="measured heading",
@@ -62,4 +66,5 @@ OBSERVATION = Observation(
     variance=_variance,
     guess=_guess,
     folds=True,
+    moved=_moved,
 )

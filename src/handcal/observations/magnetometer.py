@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from handcal import so3
 from handcal._jit import residual_function
 from handcal.observations import Observation, Rows, Scene
 from handcal.observations._turning import Turning
@@ -74,6 +75,16 @@ def _variance(levels: Mapping[str, float]) -> Array:
     return np.array([levels["mag_heading_noise"] ** 2])
 
 
+def _moved(recording: Recording, series: Series, C_nb: Array, shift: Array, own: Array) -> Series:  # noqa: ARG001
+    """A heading too large is a field turned the other way about the vertical, but for the
+    part that belongs to the device."""
+    about = np.zeros((len(shift), 3))
+    about[:, 2] = -shift[:, 0]
+    level = np.einsum("kij,kj->ki", C_nb, series.value - own)
+    turned = np.einsum("kij,kj->ki", so3.rotations(about), level)
+    return Series(series.t, np.einsum("kji,kj->ki", C_nb, turned) + own)
+
+
 OBSERVATION = Observation(
     kind="magnetometer",
     title="magnetic heading",
@@ -90,4 +101,5 @@ OBSERVATION = Observation(
     variance=_variance,
     markov=Turning("mag_disturbance"),
     markov_residual=residual_function(_bent),
+    moved=_moved,
 )

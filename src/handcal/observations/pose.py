@@ -160,6 +160,16 @@ def _constants(scene: Scene) -> tuple[Constant, ...]:
     )
 
 
+def _moved(recording: Recording, series: Series, C_nb: Array, shift: Array, own: Array) -> Series:  # noqa: ARG001
+    """Shifts are in n, the readings in the pose's world: both know the device's attitude."""
+    R_bm, _ = aligned(recording, recording.streams["pose"])
+    C_wm = so3.matrix_of(series.value[:, 3:])
+    C_wn = C_wm @ R_bm.T @ C_nb.transpose(0, 2, 1)
+    position, turn = (np.einsum("kij,kj->ki", C_wn, x) for x in (shift[:, :3], shift[:, 3:]))
+    q = so3.quaternion_of(so3.rotations(turn) @ C_wm)
+    return Series(series.t, np.hstack([series.value[:, :3] + position, q]))
+
+
 OBSERVATION = Observation(
     kind="pose",
     title="measured pose",
@@ -178,4 +188,5 @@ OBSERVATION = Observation(
     constants=_constants,
     markov=Turning(*DISTORTION),
     markov_residual=residual_function(_bent),
+    moved=_moved,
 )
