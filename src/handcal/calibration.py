@@ -85,6 +85,7 @@ def calibrate(
     start: Start | None = None,
     engine: str = "compiled",
     ignore: Sequence[str] = (),
+    reference_exact: bool = False,
     progress: Progress | None = None,
 ) -> Result:
     """Estimate biases, and the parameters of the effects asked for, from one recording.
@@ -94,7 +95,8 @@ def calibrate(
     rad, if known. latitude (rad) and height (m) switch on the Earth's rate and true
     gravity. noise: levels to keep fixed, SI, by name; all others are estimated, from the
     part before ``noise_until`` (s) if given. start: a prior of the first state instead of
-    levelling. ignore: streams to leave out. progress: called with the fraction done.
+    levelling. ignore: streams to leave out. reference_exact: a reference has no bias of its own.
+    progress: called with the fraction done.
 
     Raises InputError for unknown names or options, HandcalError where no result could be
     made. Source: paper 002 for the pseudo-observations, equations 7-12.
@@ -114,14 +116,14 @@ def calibrate(
     earth = local_earth(latitude, height)
     warnings = list(recording.warnings)
     if observations is None:
-        choice = choose(recording, chosen, assume, rests, earth, fixed, report)
+        choice = choose(recording, chosen, assume, rests, earth, fixed, report, reference_exact)
     else:
         kinds = list(observations)
         choice = Choice("rest-only" if "zero_rate" in kinds else "fixed-point", kinds, [], {})
     assume, kinds = choice.assume, choice.kinds
     warnings += choice.warnings
     _check_effects(chosen, kinds)
-    problem, begin = problem_of(recording, chosen, kinds, rests, earth, start)
+    problem, begin = problem_of(recording, chosen, kinds, rests, earth, start, reference_exact)
     report(0.3)
     solution = solve(
         problem, begin, fixed, noise_until, engine, lambda f: report(0.3 + 0.65 * f), choice.levels
@@ -138,13 +140,15 @@ def choose(
     earth: tuple[Array, Array],
     fixed: Mapping[str, float],
     report: Progress = lambda _: None,
+    reference_exact: bool = False,
 ) -> Choice:
     """What to observe, for one of ASSUMPTIONS; "auto" tries whether the held point stays."""
     warnings: list[str] = []
     levels: Mapping[str, float] = {}
     usable = _usable(recording, effects, warnings)
     if "reference" in usable:
-        return Choice("rest-only", ["known_input"], _only_reference(usable), levels)
+        unknown = not (reference_exact or len(rests))
+        return Choice("rest-only", ["known_input"], _only_reference(usable, unknown), levels)
     travels = False
     if assume == "auto":
         assume, said, levels = _assumption(recording, effects, usable, rests, earth, fixed, report)
@@ -229,15 +233,22 @@ def _usable(recording: Recording, effects: Sequence[Effect], warnings: list[str]
     return usable
 
 
-def _only_reference(usable: set[str]) -> list[str]:
-    """What the user should know where a reference tells rate and force themselves."""
+def _only_reference(usable: set[str], unknown: bool) -> list[str]:
+    """What the user should know where a reference tells rate and force themselves; unknown:
+    nothing shows its own biases."""
     others = sorted(usable - {"reference"})
     unused = f" The streams {' and '.join(others)} are not used." if len(others) > 1 else ""
     unused = unused or (f" The stream {others[0]} is not used." if others else "")
-    return [
+    said = [
         "The readings are compared with the reference's alone: nothing is assumed of the hand, "
         f"and position, velocity and heading are free to drift.{unused}"
     ]
+    if unknown:
+        said.append(
+            "The reference's own biases are unknown, and without a rest nothing shows them, so the "
+            "IMU's are hardly known either (--reference-exact: the reference has none)."
+        )
+    return said
 
 
 def _kinds(assume: str, usable: set[str], rests: Array) -> list[str]:
@@ -299,10 +310,13 @@ def problem_of(
     rests: Array,
     earth: tuple[Array, Array],
     start: Start | None,
+    reference_exact: bool = False,
 ) -> tuple[Problem, Start]:
     """The problem these kinds of observation make of the recording, and where it starts."""
     if "magnetometer" not in kinds or not any(e.id == mag_hard_iron.EFFECT.id for e in effects):
-        observed, begin = observed_of(recording, kinds, rests, earth, start)
+        observed, begin = observed_of(
+            recording, kinds, rests, earth, start, reference_exact=reference_exact
+        )
         return build(recording, effects, observed, *earth), begin
     iron, sigma = mag_hard_iron.sphere(recording)
     observed, begin = observed_of(recording, kinds, rests, earth, start, iron)
@@ -325,16 +339,20 @@ def observed_of(
     start: Start | None,
     iron: Array | None = None,
     rate: float | None = PSEUDO_RATE,
+    reference_exact: bool = False,
 ) -> tuple[list[Observed], Start]:
     """Each kind of observation with its rows and constants, and where the filter starts.
 
     iron (3,): a hard iron about which that of the magnetometer is to be sought, tesla.
-    rate: of pseudo-observations, Hz.
+    rate: of pseudo-observations, Hz. reference_exact: a reference has no bias of its own.
     """
     if iron is not None:
         recording = mag_hard_iron.cleaned(recording, iron)
     has_heading = "heading" in kinds or "magnetometer" in kinds
-    scene = Scene(rests, has_heading, rate=rate, omega_ie_n=earth[1])
+    scene = Scene(
+        rests, has_heading, rate=rate, omega_ie_n=earth[1],
+        gravity=float(np.linalg.norm(earth[0])), reference_exact=reference_exact,
+    )  # fmt: skip
     begin = start or _level(recording, kinds, scene)
     if "pose" in kinds and has_heading:
         scene = replace(scene, align_yaw=float(so3.yaw_of(begin.C_nb)))

@@ -106,6 +106,13 @@ Ignore = Annotated[
     list[str] | None,
     typer.Option(metavar="STREAM", help="Leave a stream out: heading, mag, pose (repeatable)."),
 ]
+ReferenceExact = Annotated[
+    bool,
+    typer.Option(
+        "--reference-exact",
+        help="/reference has no bias (a turntable): what both differ by is the IMU's.",
+    ),
+]
 NoiseUntil = Annotated[
     float | None,
     typer.Option(metavar="S", min=0.0, help="Find noise levels in the first S seconds only."),
@@ -196,6 +203,7 @@ def calibrate(
     topic: Topics = None,
     units: Units = None,
     ignore: Ignore = None,
+    reference_exact: ReferenceExact = False,
     noise_until: NoiseUntil = None,
     engine: EngineOption = Engine.compiled,
     json: Json = None,
@@ -209,7 +217,8 @@ def calibrate(
         recording = load(path, topic, units)
         result = _calibrated(
             recording, effects, heading_sigma=heading_sigma, assume=assume, latitude=latitude,
-            height=height, ignore=ignore, noise_until=noise_until, engine=engine,
+            height=height, ignore=ignore, reference_exact=reference_exact,
+            noise_until=noise_until, engine=engine,
         )  # fmt: skip
         results.append(result)
         if report:

@@ -30,8 +30,8 @@ import numpy as np
 from handcal.types import Array, InputError, Level, Markov
 
 # Places in an observation's z (Z_DIM numbers) that are the same for every kind.
-Z_DIM = 42
-DELAY, TIME = 40, 41
+Z_DIM = 46
+DELAY, TIME = 44, 45
 
 
 @dataclass(frozen=True)

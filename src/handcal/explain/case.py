@@ -57,6 +57,7 @@ def case_of(
     height: float = 0.0,
     ignore: Sequence[str] = (),
     fixed: Mapping[str, float] | None = None,
+    reference_exact: bool = False,
 ) -> Case:
     """Choose what is observed as ``calibrate`` does, but that ``auto`` begins with a held point."""
     recording = replace(
@@ -68,8 +69,14 @@ def case_of(
     earth = local_earth(latitude, height)
     # Errors of the sensors look like a travelling hand, so evidence could not choose yet.
     held = "fixed-point" if assume == "auto" else assume
-    choice = choose(recording, tuple(catalogue().values()), held, rests, earth, dict(fixed or {}))
-    observed, start = observed_of(recording, choice.kinds, rests, earth, None, rate=PSEUDO_RATE)
+    choice = choose(
+        recording, tuple(catalogue().values()), held, rests, earth, dict(fixed or {}),
+        reference_exact=reference_exact,
+    )  # fmt: skip
+    observed, start = observed_of(
+        recording, choice.kinds, rests, earth, None, rate=PSEUDO_RATE,
+        reference_exact=reference_exact,
+    )  # fmt: skip
     return Case(
         recording,
         choice.assume,

@@ -69,6 +69,7 @@ def explain(
     latitude: float | None = None,
     height: float = 0.0,
     ignore: Sequence[str] = (),
+    reference_exact: bool = False,
     progress: Progress | None = None,
 ) -> Explanation:
     """Say which physics the baseline lacks to explain these recordings of one device.
@@ -85,7 +86,7 @@ def explain(
     fixed = {} if heading_sigma is None else {"heading_noise": heading_sigma}
 
     def prepared(recording: Recording, assumed: str = assume) -> Case:
-        return case_of(recording, assumed, latitude, height, ignore, fixed)
+        return case_of(recording, assumed, latitude, height, ignore, fixed, reference_exact)
 
     cases = [prepared(r) for r in recordings]
     report(0.03)
