@@ -242,7 +242,7 @@ def test_one_attitude_shows_the_force_along_gravity_alone(seed: int) -> None:
 @pytest.mark.parametrize("turns", [0.0, math.radians(0.2)])
 def test_rests_of_a_hand_count_for_what_they_agree(turns: float) -> None:
     """Each turns a little: their scatter, not the noise, says how well the mean is known."""
-    seeds, r = range(30), 12
+    seeds, r = range(100), 12
     total, sigmas = 0.0, []
     for seed in seeds:
         rng = np.random.default_rng(seed)
