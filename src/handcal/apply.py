@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence, Set
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,7 @@ ROUNDS, FOUND = 2000, 1e-14
 
 NO_SENSOR = "no error of a sensor"
 NOT_ASKED = "of one day, taken off with --biases"
+NOT_KNOWN = "not known well enough"
 NO_STREAM = "no stream here from which it could be taken off"
 
 
@@ -44,13 +45,15 @@ class Learnt:
 
     path: of the file. values: of each effect, in the order of the catalogue's parameters, SI.
     biases: (recording, gyro and accelerometer (6,)) of each that the file is about; the
-    recording is "" where the file does not say which it was. unnamed: formulas.
+    recording is "" where the file does not say which it was. unnamed: formulas. hidden: axes of
+    each bias that were not observable, by recording.
     """
 
     path: str
     values: Mapping[str, Array]
     biases: tuple[tuple[str, Array], ...]
     unnamed: tuple[str, ...]
+    hidden: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -72,7 +75,12 @@ def apply(recording: Recording, learnt: Learnt, *, biases: bool = False) -> Corr
     known = [*(BIASES if learnt.biases else ()), *learnt.values]
     why = {i: _reason(i, recording, biases) for i in known}
     values = {i: v for i, v in learnt.values.items() if not why[i]}
-    bias = _bias_of(recording, learnt) if biases else None
+    bias, hidden = None, dict[str, str]()
+    if biases:
+        of, bias = _bias_of(recording, learnt)
+        hidden = dict(learnt.hidden.get(of, {}))
+        bias = np.where([a in hidden.get(i, "") for i in BIASES for a in "xyz"], 0.0, bias)
+        why |= {i: NOT_KNOWN for i, axes in hidden.items() if axes == "xyz"}
     taking = [catalogue()[i] for i in values]
     out = recording
     for row in STREAMS.values():
@@ -95,6 +103,8 @@ def apply(recording: Recording, learnt: Learnt, *, biases: bool = False) -> Corr
     for i, reason in why.items():
         if reason:
             left[reason] = (*left.get(reason, ()), i)
+        elif i in hidden:
+            left[NOT_KNOWN] = (*left.get(NOT_KNOWN, ()), f"{i} ({' and '.join(hidden[i])})")
     taken = tuple(i for i in known if not why[i])
     return Corrected(out, taken, left)
 
@@ -188,12 +198,13 @@ def _typical(learnt: Learnt) -> Array:
     return np.mean([b for _, b in learnt.biases], axis=0) if learnt.biases else np.zeros(6)
 
 
-def _bias_of(recording: Recording, learnt: Learnt) -> Array:
-    """Biases (6,) of this recording; those of a file that does not say of which it is."""
+def _bias_of(recording: Recording, learnt: Learnt) -> tuple[str, Array]:
+    """Biases (6,) of this recording; those of a file that does not say of which it is. Before
+    them, the recording as the file calls it."""
     name = Path(recording.path).name
     for path, bias in learnt.biases:
         if Path(path).name == name or (not path and len(learnt.biases) == 1):
-            return bias
+            return path, bias
     of = ", ".join(Path(path).name for path, _ in learnt.biases) or "no recording"
     raise InputError(f"--biases: {learnt.path} has the biases of {of}, not of {name}.")
 
@@ -230,18 +241,29 @@ def _learnt(path: Path, document: Mapping[str, Any]) -> Learnt:
     formulas = tuple(str(u["formula"]) for u in document.get("unnamed", []))
     other = {*observations(), *formulas}
     values = _values(path, document["parameters"], other)
-    found = {"": values}
+    found, hidden = {"": values}, {"": _hidden(document["parameters"])}
     if recordings:
         found = {r["recording"]["path"]: _values(path, r["parameters"], other) for r in recordings}
+        hidden = {r["recording"]["path"]: _hidden(r["parameters"]) for r in recordings}
     elif "recording" in document:
         found = {document["recording"]["path"]: values}
+        hidden = {document["recording"]["path"]: hidden[""]}
     biases = [
         (of, np.concatenate([own[i] for i in BIASES]))
         for of, own in found.items()
         if all(i in own for i in BIASES)
     ]
     effects = {i: v for i, v in values.items() if i not in BIASES}
-    return Learnt(str(path), effects, tuple(biases), formulas)
+    return Learnt(str(path), effects, tuple(biases), formulas, hidden)
+
+
+def _hidden(parameters: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """Axes of each bias that were not observable, of those that have any."""
+    out: dict[str, str] = {}
+    for p in parameters:
+        if p["effect"] in BIASES and p.get("observable") is False:
+            out[p["effect"]] = out.get(p["effect"], "") + p["name"]
+    return out
 
 
 def _values(

@@ -44,6 +44,7 @@ def calibrate(
     start: Start | None = None,
     engine: str = "compiled",
     ignore: Sequence[str] = (),
+    reference_exact: bool = False,
     progress: Progress | None = None,
 ) -> Result:
     """Estimate biases, and the parameters of the effects asked for, from one recording.
@@ -53,7 +54,8 @@ def calibrate(
     rad, if known. latitude (rad) and height (m) switch on the Earth's rate and true
     gravity. noise: levels to keep fixed, SI, by name; all others are estimated, from the
     part before ``noise_until`` (s) if given. start: a prior of the first state instead of
-    levelling. ignore: streams to leave out. progress: called with the fraction done.
+    levelling. ignore: streams to leave out. reference_exact: a reference has no bias of its own.
+    progress: called with the fraction done.
 
     Raises InputError for unknown names or options, HandcalError where no result could be
     made. Source: paper 002 for the pseudo-observations, equations 7-12.
@@ -61,7 +63,7 @@ def calibrate(
     (result,) = calibrate_together(
         [recording], effects, observations, assume=assume, heading_sigma=heading_sigma,
         latitude=latitude, height=height, noise=noise, noise_until=noise_until, start=start,
-        engine=engine, ignore=ignore, progress=progress,
+        engine=engine, ignore=ignore, reference_exact=reference_exact, progress=progress,
     )  # fmt: skip
     return result
 
@@ -80,6 +82,7 @@ def calibrate_together(
     start: Start | None = None,
     engine: str = "compiled",
     ignore: Sequence[str] = (),
+    reference_exact: bool = False,
     progress: Progress | None = None,
 ) -> tuple[Result, ...]:
     """``calibrate`` for recordings of one device: its effects are theirs together, biases and
@@ -96,11 +99,11 @@ def calibrate_together(
         check_options(recording, assume, heading_sigma, ignore)
         case = case_of(
             recording, assume, latitude, height, ignore, fixed, kinds=observations, effects=wanted,
-            start=start,
+            start=start, reference_exact=reference_exact,
         )  # fmt: skip
         _check_effects(wanted, case.kinds)
         cases.append(replace(case, noise_until=noise_until))
-    options = Options(latitude, height, fixed, tuple(ignore))
+    options = Options(latitude, height, fixed, tuple(ignore), reference_exact)
     model, chosen = _fitted(cases, wanted, options, engine, report)
     far = [assume == "auto" and observations is None and travels(f) for f in model.parts]
     if any(far):
@@ -135,6 +138,7 @@ def recalibrate(
             case_of(
                 r, "auto", options.latitude, options.height,
                 [s for s in options.ignore if s in r.streams], options.fixed, effects=effects,
+                reference_exact=options.reference_exact,
             )
             for r in recordings
         ]  # fmt: skip

@@ -106,6 +106,13 @@ Ignore = Annotated[
     list[str] | None,
     typer.Option(metavar="STREAM", help="Leave a stream out: heading, mag, pose (repeatable)."),
 ]
+ReferenceExact = Annotated[
+    bool,
+    typer.Option(
+        "--reference-exact",
+        help="/reference has no bias (a turntable): what both differ by is the IMU's.",
+    ),
+]
 NoiseUntil = Annotated[
     float | None,
     typer.Option(metavar="S", min=0.0, help="Find noise levels in the first S seconds only."),
@@ -174,7 +181,8 @@ def _calibrated(
             return calibrate_together(recordings, ids, progress=report, **settings)
     from handcal.explain.written import read
 
-    usual = {"assume": "auto", "engine": "compiled", "height": 0.0, "ignore": ()}
+    usual = {"assume": "auto", "engine": "compiled", "height": 0.0, "ignore": (),
+             "reference_exact": False}  # fmt: skip
     own = [n for n, v in settings.items() if v != usual.get(n)]
     if ids or own:
         said = ", ".join(f"--{n.replace('_', '-')}" for n in (["effects"] if ids else []) + own)
@@ -220,6 +228,7 @@ def calibrate(
     topic: Topics = None,
     units: Units = None,
     ignore: Ignore = None,
+    reference_exact: ReferenceExact = False,
     noise_until: NoiseUntil = None,
     engine: EngineOption = Engine.compiled,
     json: Json = None,
@@ -236,7 +245,8 @@ def calibrate(
     recordings = [load(path, topic, units) for path in files]
     results = _calibrated(
         recordings, effects, learnt_from, heading_sigma=heading_sigma, assume=assume,
-        latitude=latitude, height=height, ignore=ignore, noise_until=noise_until, engine=engine,
+        latitude=latitude, height=height, ignore=ignore, reference_exact=reference_exact,
+        noise_until=noise_until, engine=engine,
     )  # fmt: skip
     for recording, result in zip(recordings, results, strict=True):
         if report:

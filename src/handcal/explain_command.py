@@ -15,6 +15,7 @@ from handcal.cli import (
     Ignore,
     Json,
     Latitude,
+    ReferenceExact,
     Report,
     Rrd,
     Topics,
@@ -51,6 +52,7 @@ def explain(
     topic: Topics = None,
     units: Units = None,
     ignore: Ignore = None,
+    reference_exact: ReferenceExact = False,
     json: Json = None,
     report: Report = None,
     rrd: Rrd = None,
@@ -73,6 +75,7 @@ def explain(
             latitude=radians(latitude),
             height=height,
             ignore=tuple(ignore or ()),
+            reference_exact=reference_exact,
             progress=done,
         )
     if report:

@@ -17,8 +17,8 @@ from handcal.covariance import propagation_work
 from handcal.effects import DELAY
 from handcal.filter import Track
 from handcal.kernel import BASE, MAX_DIM, Nodes, Tables, corrected, fill_nav, linearise
-from handcal.model import Problem, markov_transitions, relinearised
-from handcal.observations import NAV
+from handcal.model import Problem, errors_by_bias, markov_transitions, relinearised
+from handcal.observations import NAV, nearest
 from handcal.preintegration import preintegrate
 from handcal.start import Start
 from handcal.types import Array, BoolArray, IntArray
@@ -135,6 +135,11 @@ def linearise_about(problem: Problem, start: Start, nominal: Trajectory) -> Line
         (*biases(problem, nominal), nominal.constants, problem.ref),
         (r, H, used),
     )
+    by_bias = None if problem.navigated else errors_by_bias(problem, nominal.bg, nominal.ba)
+    if by_bias is not None:
+        t = problem.recording.imu.t
+        seen = np.searchsorted(nodes.first, np.arange(q), side="right") - 1
+        H[:, :, 9:15] += H[:, :, 9:15] @ by_bias[nearest(t, nodes.t[seen])]
     e0 = BASE + problem.constants
     for state, column in problem.walks:
         H[:, :, e0 + state : e0 + state + 3] = H[:, :, 9 + column : 12 + column]

@@ -18,10 +18,10 @@ from handcal.effects import DELAY, TIME, Z_DIM, Effect, Signals, correction_jaco
 from handcal.kernel import BASE, MAX_DIM, Nodes, Noise, Tables
 from handcal.observations import Observation, Rows, nearest
 from handcal.signals import of_recording, reading
+from handcal.types import ACCEL_BIAS_PRIOR as ACCEL_BIAS_PRIOR
+from handcal.types import GYRO_BIAS_PRIOR as GYRO_BIAS_PRIOR
 from handcal.types import Array, BoolArray, Level, Markov, Recording
 
-GYRO_BIAS_PRIOR = np.radians(1.0)
-ACCEL_BIAS_PRIOR = 0.6
 # The readings themselves show the white noise of the sensors to a few percent; there can be
 # more than that (whatever the model lacks), hardly less.
 IMU_LEVELS = (
@@ -32,6 +32,8 @@ SNAP_S = 1e-7
 # What parameters do to the readings is averaged over this long, in motion and at rest.
 AVERAGE_S = (0.05, 2.0)
 QUIET_RATE = 0.05
+# Step of the difference by a bias, of its prior.
+BIAS_STEP = 0.1
 # Rounds of substitution at the most, and the share of the largest reading by which the last one
 # may move any: a scale error of a fifth takes eight (after three it would be known to 1 %).
 SUBSTITUTIONS, SUBSTITUTED = 12, 1e-7
@@ -350,6 +352,37 @@ def _stilled(truth: Array, t: Array, quiet: BoolArray) -> Array:
     for a, b in edges:
         if t[b - 1] - t[a] > AVERAGE_S[1]:
             out[a:b, :3] = truth[a:b, :3].mean(axis=0)
+    return out
+
+
+def errors_by_bias(problem: Problem, bg: Array, ba: Array) -> Array | None:
+    """How what the effects add at problem.ref depends on the biases: (n, 6, 6) at the IMU's
+    samples, by [gyro bias, accel bias]; None where it does not. Not for effects that move the
+    signal as a whole: a constant stays what it is.
+
+    Beside a reference a bias may be known as a difference alone. An effect that is not linear
+    then shows what it really is, and if that could not move, a scale error would stand in for it.
+    """
+    imu, alpha = problem.recording.imu, problem.alpha
+    acting = [e for e in problem.effects if e.imu_error is not None]
+    raw = np.hstack([imu.gyro - bg, imu.accel - ba])
+    read = of_recording(problem.recording, acting, read=raw, alpha=alpha)
+    if not problem.ref[: problem.imu_constants].any():
+        return None
+    truth = raw - substituted(acting, problem.ref, read)
+    truth = _averaged(truth, max(1, round(AVERAGE_S[0] * problem.recording.rate_hz)))
+    out, i = np.zeros((len(imu.t), 6, 6)), 0
+    for e in acting:
+        at = problem.ref[i : i + len(e.parameters)]
+        i += len(e.parameters)
+        if e.imu_error is None or e.imu_inverse is not None or not at.any():
+            continue
+        for k, size in enumerate(np.repeat([GYRO_BIAS_PRIOR, ACCEL_BIAS_PRIOR], 3)):
+            step = np.zeros(6)
+            step[k] = BIAS_STEP * size
+            up, down = (e.imu_error(at, reading(read, truth + s)) for s in (step, -step))
+            # (a larger bias means a smaller truth)
+            out[:, :, k] -= (up - down) / (2.0 * step[k])
     return out
 
 

@@ -125,8 +125,12 @@ def apply_code(result: Result) -> str:
     gyro, accel, g = error_matrices(result)
     lines = ["import numpy as np", ""]
     for effect, unit in (("gyro_bias", "rad/s"), ("accel_bias", "m/s^2")):
-        values = [p.value for p in result.parameters if p.effect == effect]
-        lines.append(f"{effect} = np.array({_numbers(values)})  # {unit}")
+        own = [p for p in result.parameters if p.effect == effect]
+        # (what was not learnt would make readings no better)
+        values = [p.value if p.observable else 0.0 for p in own]
+        hidden = [p.name for p in own if not p.observable]
+        left = f"; {words.listed(hidden)} not known well enough" if hidden else ""
+        lines.append(f"{effect} = np.array({_numbers(values)})  # {unit}{left}")
     accel_true, gyro_true = "(accel - accel_bias)", "(gyro - gyro_bias)"
     if effects & {"accel_scale", "accel_misalignment"}:
         lines.append(f"accel_matrix = np.array({_numbers(accel.tolist())})")

@@ -17,6 +17,10 @@ Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
+# How large constant biases of consumer-grade sensors are, rad/s and m/s^2.
+GYRO_BIAS_PRIOR = float(np.radians(1.0))
+ACCEL_BIAS_PRIOR = 0.6
+
 
 class HandcalError(Exception):
     """A sentence for the user: why there is no result. Exit status 1."""

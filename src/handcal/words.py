@@ -52,6 +52,12 @@ _BASELINE: dict[str, tuple[str, str]] = {
     "gyro_bias": ("Gyro bias", "rests, and turns about more than one axis"),
     "accel_bias": ("Accelerometer bias", "rests with {axis} pointing up, down and level"),
 }
+# What shows the gyro's bias beside a reference, and what is to be said of both biases.
+_BESIDE = "rests"
+_REFERENCE_TOO = (
+    ", for the reference has a bias of its own, which only rests show (--reference-exact where it "
+    "has none)"
+)
 
 _NOISE = {
     "gyro_noise": "Gyro noise",
@@ -310,7 +316,8 @@ def verdict(result: Result) -> Verdict:
     overconfident = bool(lacking) or any(
         nis_word(i) == "too confident" for i in result.innovations.values()
     )
-    if not any(p.observable for p in biases):
+    beside = bool(learnt) and "known_input" in result.innovations
+    if not (beside or any(p.observable for p in biases)):
         level, headline = "poor", "This motion did not show the sensor's biases."
     elif n == of and not overconfident:
         level, headline = "good", "Every parameter was learnt, and the numbers hold together."
@@ -338,6 +345,7 @@ def not_shown(result: Result) -> tuple[str, ...]:
     """A sentence for each effect that this motion left unknown, with what would show it."""
     sentences = []
     heading = "heading" in result.innovations or "mag" in result.innovations
+    reference = "known_input" in result.innovations
     for (effect, _), group in by_effect(result.parameters).items():
         hidden = [p for p in group if not p.observable]
         if not hidden:
@@ -348,7 +356,9 @@ def not_shown(result: Result) -> tuple[str, ...]:
         subject = listed([parameter_title(hidden[0]), *(p.name for p in hidden[1:])])
         now, before = unit.value(best.sigma, best.sigma), unit.value(best.prior_sigma)
         why = f"{subject}: ±{now}{NBSP}{unit.unit} now, against ±{before}{NBSP}{unit.unit} before"
-        if effect == "gyro_bias" and not heading:
+        if reference and effect in _BASELINE:
+            motion = (_BESIDE if effect == "gyro_bias" else motion) + _REFERENCE_TOO
+        elif effect == "gyro_bias" and not heading:
             motion += (
                 ". Without a heading, the bias of the axis that stays vertical looks like a slow "
                 "turn: turn about a second axis too, or record a magnetometer or compass heading"

@@ -33,8 +33,8 @@ from handcal._jit import call_residuals
 from handcal.types import Array, BoolArray, InputError, Level, Markov, Recording, Result
 
 # Places in an observation's z (Z_DIM numbers) that are the same for every kind.
-Z_DIM = 42
-DELAY, TIME = 40, 41
+Z_DIM = 46
+DELAY, TIME = 44, 45
 
 
 @dataclass(frozen=True)

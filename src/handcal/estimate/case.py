@@ -81,13 +81,14 @@ def case_of(
     kinds: Sequence[str] | None = None,
     effects: Sequence[Effect] | None = None,
     start: Start | None = None,
+    reference_exact: bool = False,
 ) -> Case:
     """A recording with what is observed of it; ``auto`` begins with a held point, since errors of
     the sensors look like a travelling hand.
 
     kinds: of observation, instead of those that streams and ``assume`` suggest; effects: those
     that may be asked for (None: all there are); fixed: noise levels that are known, SI; start: a
-    prior of the first state instead of levelling.
+    prior of the first state instead of levelling; reference_exact: a reference has no bias.
     """
     read = replace(
         recording, streams={k: v for k, v in recording.streams.items() if k not in ignore}
@@ -97,10 +98,12 @@ def case_of(
     earth = local_earth(latitude, height)
     if kinds is None:
         asked = tuple(catalogue().values()) if effects is None else effects
-        choice = choose(recording, asked, assume, rests)
+        choice = choose(recording, asked, assume, rests, reference_exact)
     else:
         choice = Choice("rest-only" if "zero_rate" in kinds else "fixed-point", tuple(kinds), ())
-    observed, begin = observed_of(recording, choice.kinds, rests, earth, start)
+    observed, begin = observed_of(
+        recording, choice.kinds, rests, earth, start, reference_exact=reference_exact
+    )
     return Case(
         recording,
         choice.assume,

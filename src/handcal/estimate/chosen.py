@@ -44,12 +44,13 @@ class View:
 @dataclass(frozen=True)
 class Options:
     """What the user said: latitude rad, height m, noise levels that are known (SI), streams to
-    leave out."""
+    leave out, whether a reference has no bias."""
 
     latitude: float | None = None
     height: float = 0.0
     fixed: Mapping[str, float] = field(default_factory=dict)
     ignore: tuple[str, ...] = ()
+    reference_exact: bool = False
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,7 @@ def seen(recording: Recording, view: View, options: Options) -> Case:
     """The recording as the view has it."""
     case = case_of(
         recording, view.assume, options.latitude, options.height, options.ignore, options.fixed,
-        kinds=view.kinds,
+        kinds=view.kinds, reference_exact=options.reference_exact,
     )  # fmt: skip
     case = replace(case, assume=view.assume, warnings=(*case.warnings, *view.warnings))
     case = creeping(case) if view.creeps else case
@@ -141,7 +142,12 @@ def document_of(chosen: Chosen) -> dict[str, Any]:
         "effects": [_effect_document(chosen, e) for e in chosen.effects if e.process is None],
         "noise_effects": [e.id for e in chosen.effects if e.process is not None],
         "recordings": [_view_document(v) for v in chosen.views],
-        "options": {"height": o.height, "noise": dict(o.fixed), "ignore": list(o.ignore)}
+        "options": {
+            "height": o.height,
+            "noise": dict(o.fixed),
+            "ignore": list(o.ignore),
+            "reference_exact": o.reference_exact,
+        }
         | ({} if o.latitude is None else {"latitude": o.latitude}),
         "levels": [dict(levels) for levels in chosen.levels],
     }

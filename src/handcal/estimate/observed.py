@@ -38,12 +38,19 @@ class Choice:
     warnings: tuple[str, ...]
 
 
-def choose(recording: Recording, effects: Sequence[Effect], assume: str, rests: Array) -> Choice:
+def choose(
+    recording: Recording,
+    effects: Sequence[Effect],
+    assume: str,
+    rests: Array,
+    reference_exact: bool = False,
+) -> Choice:
     """What to observe under one of ASSUMPTIONS; "auto" begins with a held point."""
     warnings: list[str] = []
     usable = _usable(recording, effects, warnings)
     if "reference" in usable:
-        return Choice("rest-only", ("known_input",), tuple(_only_reference(usable)))
+        unknown = not (reference_exact or len(rests))
+        return Choice("rest-only", ("known_input",), tuple(_only_reference(usable, unknown)))
     assumed = "fixed-point" if assume == "auto" else assume
     return Choice(assumed, tuple(_kinds(assumed, usable, rests)), tuple(warnings))
 
@@ -92,15 +99,22 @@ def _usable(recording: Recording, effects: Sequence[Effect], warnings: list[str]
     return usable
 
 
-def _only_reference(usable: set[str]) -> list[str]:
-    """What the user should know where a reference tells rate and force themselves."""
+def _only_reference(usable: set[str], unknown: bool) -> list[str]:
+    """What the user should know where a reference tells rate and force themselves; unknown:
+    nothing shows its own biases."""
     others = sorted(usable - {"reference"})
     unused = f" The streams {' and '.join(others)} are not used." if len(others) > 1 else ""
     unused = unused or (f" The stream {others[0]} is not used." if others else "")
-    return [
+    said = [
         "The readings are compared with the reference's alone: nothing is assumed of the hand, "
         f"and position, velocity and heading are free to drift.{unused}"
     ]
+    if unknown:
+        said.append(
+            "The reference's own biases are unknown, and without a rest nothing shows them, so the "
+            "IMU's are hardly known either (--reference-exact: the reference has none)."
+        )
+    return said
 
 
 def _kinds(assume: str, usable: set[str], rests: Array) -> list[str]:
@@ -150,16 +164,21 @@ def observed_of(
     start: Start | None,
     iron: Array | None = None,
     rate: float | None = None,
+    reference_exact: bool = False,
 ) -> tuple[list[Observed], Start]:
     """Each kind of observation with its rows and constants, and where the filter starts.
 
     iron (3,): a hard iron about which that of the magnetometer is to be sought, tesla.
-    rate: of pseudo-observations, Hz (None: as often as is usual).
+    rate: of pseudo-observations, Hz (None: as often as is usual). reference_exact:
+    a reference has no bias of its own.
     """
     if iron is not None:
         recording = mag_hard_iron.cleaned(recording, iron)
     has_heading = "heading" in kinds or "magnetometer" in kinds
-    scene = Scene(rests, has_heading, rate=rate or PSEUDO_RATE, omega_ie_n=earth[1])
+    scene = Scene(
+        rests, has_heading, rate=rate or PSEUDO_RATE, omega_ie_n=earth[1],
+        gravity=float(np.linalg.norm(earth[0])), reference_exact=reference_exact,
+    )  # fmt: skip
     begin = start or _level(recording, kinds, scene)
     if "pose" in kinds and has_heading:
         scene = replace(scene, align_yaw=float(so3.yaw_of(begin.C_nb)))

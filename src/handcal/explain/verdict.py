@@ -77,6 +77,7 @@ def explain(
     latitude: float | None = None,
     height: float = 0.0,
     ignore: Sequence[str] = (),
+    reference_exact: bool = False,
     progress: Progress | None = None,
 ) -> Explanation:
     """Say which physics the baseline lacks to explain these recordings of one device.
@@ -93,7 +94,9 @@ def explain(
     fixed = {} if heading_sigma is None else {"heading_noise": heading_sigma}
 
     def prepared(recording: Recording, assumed: str = assume) -> Case:
-        return case_of(recording, assumed, latitude, height, ignore, fixed)
+        return case_of(
+            recording, assumed, latitude, height, ignore, fixed, reference_exact=reference_exact
+        )
 
     cases = [prepared(r) for r in recordings]
     report(0.03)
@@ -107,7 +110,7 @@ def explain(
         ]
         base, found, wrong = _searched(cases, lambda f: report(0.4 + 0.4 * f))
     report(0.75)
-    options = Options(latitude, height, fixed, tuple(ignore))
+    options = Options(latitude, height, fixed, tuple(ignore), reference_exact)
     found, chosen = _refitted(base, found, options)
     report(0.8)
     others = [prepared(r, "rest-only" if any(far) else assume) for r in held_out]

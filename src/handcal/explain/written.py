@@ -60,6 +60,7 @@ def chosen_from(model: Mapping[str, Any]) -> Chosen:
         float(o["height"]),
         {str(k): float(v) for k, v in o["noise"].items()},
         tuple(str(s) for s in o["ignore"]),
+        bool(o["reference_exact"]),
     )
     views = tuple(_view(v) for v in model["recordings"])
     levels = tuple({str(k): float(v) for k, v in part.items()} for part in model["levels"])

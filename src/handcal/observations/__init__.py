@@ -30,7 +30,7 @@ class Scene:
     it; align_yaw: yaw of n against that of the pose's world at the start, rad;
     rate (Hz): of pseudo-observations, None for every IMU sample; sway: the hand's
     motion is modelled as a Markov process instead of white noise. omega_ie_n (3,): the
-    Earth's rate, rad/s.
+    Earth's rate, rad/s; gravity: its size, m/s^2. reference_exact: a reference has no bias.
     """
 
     rests: Array
@@ -39,6 +39,8 @@ class Scene:
     rate: float | None = 10.0
     sway: bool = True
     omega_ie_n: Array = field(default_factory=lambda: np.zeros(3))
+    gravity: float = 9.80665
+    reference_exact: bool = False
 
 
 @dataclass(frozen=True)

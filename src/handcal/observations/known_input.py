@@ -4,9 +4,12 @@ The axes of the reference are first turned into those of the IMU (turns and forc
 both sensors), then what remains is estimated: ``theta`` is that rotation vector (3,), and how late
 the reference is, s: of two sensors, stamps differ by some hundredths of a millisecond, which
 a shake shows; without it, a clock that runs fast by a millionth would be named for that.
+The reference has biases too, and they are unknown: what is compared are differences of biases.
+Rests say more of them (``_reference_bias``); what they leave is in ``theta`` (6 more numbers), in
+units of what is left.
 ``z`` holds the reference's rate and force (6) and their derivatives (6), for its lateness; for a
 clock that runs fast the same some time earlier and later, a time that grows with the
-recording: values (12), derivatives (12), and that time.
+recording: values (12), derivatives (12), and that time; then how uncertain the biases are.
 Without an arm the reference is taken to sit where the IMU sits.
 
 Two IMUs never sample at the same instant, mounts flex, and a shake has more bandwidth than
@@ -28,8 +31,16 @@ import numpy as np
 from handcal import so3
 from handcal._jit import njit, residual_function
 from handcal.effects._derivative import quiet_derivative
-from handcal.observations import Constant, Observation, Rows, Scene, nearest, pseudo_times
-from handcal.types import Array, BoolArray, Level, Recording
+from handcal.observations import (
+    Constant,
+    Observation,
+    Rows,
+    Scene,
+    _reference_bias,
+    nearest,
+    pseudo_times,
+)
+from handcal.types import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Array, BoolArray, Level, Recording
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
@@ -48,6 +59,9 @@ STAMPED = 3e-5
 CLOCK_REACH = 2e-4
 # How crooked axes are (rad), and how far apart two sensors of one body (m): priors.
 CROOKED, LONGEST_ARM = 0.01, 0.3
+# Where z has the uncertainty of the reference's biases: of the gyro's one number, of the
+# accelerometer's six, row by row of a lower triangular matrix.
+LEFT = 37
 MOTION = ("reference_gyro_in_motion",) * 3 + tuple(f"reference_accel_in_motion_{a}" for a in "xyz")
 
 
@@ -63,10 +77,14 @@ def _residual(nav: Any, theta: Any, z: Any, r: Any) -> int:
     late = theta[3]
     for i in range(3):
         # taken off the measurement, so that r is in b, where a lever arm is given
-        turn, force = 0.0, 0.0
+        turn, force, at = 0.0, 0.0, LEFT
         for j in range(3):
-            turn += R[j, i] * (z[j] + late * z[6 + j])
-            force += R[j, i] * (z[3 + j] + late * z[9 + j])
+            bias = 0.0
+            for k in range(j + 1):
+                at += 1
+                bias += z[at] * theta[7 + k]
+            turn += R[j, i] * (z[j] + late * z[6 + j] - z[LEFT] * theta[4 + j])
+            force += R[j, i] * (z[3 + j] + late * z[9 + j] - bias)
         r[i] = turn - nav[15 + i]
         r[3 + i] = force - nav[18 + i]
     return 0
@@ -236,17 +254,28 @@ def _rows(recording: Recording, scene: Scene) -> Rows | None:
     t = _thinned(both.t[both.sound], recording, scene)
     reach = CLOCK_REACH * (t - recording.imu.t[0])
     own, imu = recording.streams["reference"], recording.imu
+    bias = _bias(both.turned(own.value), own.t, scene)
     # What a moment earlier or later was read is what is read now and the motion in between: of
     # noise, there is less at some moments than at others, and a clock would be set to those.
     slope = CubicSpline(own.t, quiet_derivative(own.t, own.value, own.t))
     motion = slope.antiderivative()
     beside = [np.clip(t + sign * reach, own.t[0], own.t[-1]) for sign in (-1.0, 1.0)]
-    now = both.known(t)
+    now = both.known(t) - bias.mean
     z = [now, both.turned(slope(t))]
     z += [now + both.turned(motion(at) - motion(t)) for at in beside]
     z += [both.turned(slope(at)) for at in beside]
     alpha = both.turned(slope(np.clip(imu.t, own.t[0], own.t[-1])))[:, :3]
-    return Rows(t, np.hstack([*z, reach[:, None]]), alpha=alpha)
+    left = np.r_[bias.gyro, bias.accel[np.tril_indices(3)]]
+    z += [reach[:, None], np.tile(left, (len(t), 1))]
+    return Rows(t, np.hstack(z), alpha=alpha)
+
+
+def _bias(value: Array, t: Array, scene: Scene) -> _reference_bias.Bias:
+    """What is known of the biases of a reference that reads these (n, 6) at times t (n,)."""
+    if scene.reference_exact:
+        return _reference_bias.NONE
+    earth_rate = float(np.linalg.norm(scene.omega_ie_n))
+    return _reference_bias.of_rests(t, value, scene.rests, scene.gravity, earth_rate)
 
 
 def _guess(z: Array) -> Mapping[str, float]:
@@ -270,7 +299,9 @@ def _variance(levels: Mapping[str, float]) -> Array:
 
 def _constants(scene: Scene) -> tuple[Constant, ...]:  # noqa: ARG001
     axes = (Constant(f"reference_{a}", "rad", 0.1) for a in "xyz")
-    return (*axes, Constant("reference_late", "s", STAMPED))
+    gyro = (Constant(f"reference_gyro_bias_{a}", "rad/s", GYRO_BIAS_PRIOR) for a in "xyz")
+    accel = (Constant(f"reference_accel_bias_{i}", "m/s^2", ACCEL_BIAS_PRIOR) for i in (1, 2, 3))
+    return (*axes, Constant("reference_late", "s", STAMPED), *gyro, *accel)
 
 
 LEVELS = (
