@@ -155,6 +155,9 @@ def choose(
         # Between the rests the hand is not free either: it stays within an arm's reach,
         # which a wide sway says, and which keeps dead reckoning from running away.
         kinds.append("fixed_position")
+    if "fixed_position" in kinds and "zero_rate" not in kinds and segment.at_rest(recording):
+        # What lies still turns no more than the Earth does, whatever point is held.
+        kinds.append("zero_rate")
     return Choice(assume, kinds, warnings, levels)
 
 
