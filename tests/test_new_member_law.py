@@ -8,15 +8,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from settled import solve
 from typer.testing import CliRunner
 from worlds import recording_of
 
 import handcal
-from handcal import calibrate, calibration, cli, effects, segment, so3
+from handcal import calibrate, cli, effects, segment, so3
 from handcal import conceal as hidden
 from handcal.apply import Learnt, apply
 from handcal.earth import local_earth
 from handcal.effects import catalogue, select
+from handcal.estimate.observed import problem_of
 from handcal.explain import explain, terms
 from handcal.export import write_mcap
 from handcal.model import SUBSTITUTED
@@ -207,11 +209,11 @@ def test_twin_reads_it(plain, concealed, effect):
     channel = effect == "heading_tilt"
     law = change(recording, plain)[channel]
     for ids in ([], [effect]):
-        problem, start = calibration.problem_of(
+        problem, start = problem_of(
             recording, select(ids), ["fixed_position", "heading"], segment.rests(recording),
             local_earth(None), None,
         )  # fmt: skip
-        made = twin(calibration.solve(problem, start, {}).linear)
+        made = twin(solve(problem, start, {}).linear)
         read, at = recording.streams["heading"], made.streams["heading"].t
         rows = np.searchsorted(read.t, at - 1e-9)
         same = {"heading": Series(read.t[rows], read.value[rows])}

@@ -18,9 +18,9 @@ from scipy.stats import binom, chi2
 
 from handcal import apply as taking
 from handcal import calibrate, report, words
-from handcal.calibration import observed_of
 from handcal.earth import local_earth
 from handcal.effects import select
+from handcal.estimate.observed import observed_of
 from handcal.explain import explain
 from handcal.linear import Linear, Trajectory, epochs, linearise_about
 from handcal.model import build

@@ -403,6 +403,9 @@ def replay(
 
 def main() -> None:
     """The ``handcal`` command. Leaves by SystemExit."""
+    # Before numpy is imported: threads on matrices of a hundred rows cost more than they bring.
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
     run(app)
 
 

@@ -117,16 +117,16 @@ def truth_of(effects: Sequence[Effect], x: Array, readings: Signals) -> tuple[Si
     Where the errors are too large for one truth to belong to each reading, the last round's.
     """
     raw = np.hstack([readings.gyro, readings.accel])
-    truth, slope = readings, np.zeros(0)
+    truth, slope = readings, by_truth(effects, x, readings)
     for _ in range(ROUNDS):
         own = np.hstack([truth.gyro, truth.accel])
-        slope = by_truth(effects, x, truth)
         off = own + errors(effects, x, truth) - raw
-        step = np.linalg.solve(slope, off[:, :, None])[:, :, 0]
-        own = own - step
-        truth = replace(truth, gyro=own[:, :3], accel=own[:, 3:])
-        if np.abs(step).max() <= 4e-16 * max(1.0, float(np.abs(own).max())):
+        if np.abs(off).max() <= 4e-16 * max(1.0, float(np.abs(own).max())):
             break
+        if truth is not readings:
+            slope = by_truth(effects, x, truth)
+        own = own - np.linalg.solve(slope, off[:, :, None])[:, :, 0]
+        truth = replace(truth, gyro=own[:, :3], accel=own[:, 3:])
     return truth, slope
 
 

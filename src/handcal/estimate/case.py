@@ -99,6 +99,9 @@ def case_of(
     if kinds is None:
         asked = tuple(catalogue().values()) if effects is None else effects
         choice = choose(recording, asked, assume, rests, reference_exact)
+        if "fixed_position" in choice.kinds and segment.at_rest(recording):
+            # What lies still turns no more than the Earth does, whatever point is held.
+            choice = replace(choice, kinds=(*choice.kinds, "zero_rate"))
     else:
         choice = Choice("rest-only" if "zero_rate" in kinds else "fixed-point", tuple(kinds), ())
     observed, begin = observed_of(

@@ -34,6 +34,8 @@ GRAVITY = 9.80665
 ROUNDS, LEVELS = 40, 12
 # Steps this small, in usual sizes of the parameters, are none; while levels are sought, larger.
 LAST_STEP, STEP = 1e-13, 1e-6
+# So small a part of a sigma is not worth another round.
+UNSEEN = 1e-3
 HINT = (
     "Let the device lie still on more sides and edges, turn it about all axes between the rests, "
     "or leave effects out (--effects)."
@@ -90,7 +92,7 @@ def scalar(
     few rests, or they do not tell the parameters apart, or nothing fits.
     """
     acting = (*BIASES, *chosen(effects, "temperature" in recording.streams))
-    rests = means(recording, segment.rests(recording))
+    rests = means(recording, segment.with_pauses(recording))
     between = turns(recording, rests)
     if only is not None:
         rests, between = rests.only(only), between.only(only)
@@ -178,11 +180,11 @@ def _solved(problem: Problem, known: Mapping[str, float] | None) -> _Solution:
     rows = rows_of(problem, x, d)
     refuse_unseen(rows.reduced(rows.variance), problem.unknowns, noise=True, hint=HINT)
     for _ in range(LEVELS if known is None else 0):
-        x, d, rows = _gauss_newton(problem, x, d, extra, STEP)
+        x, d, rows = _gauss_newton(problem, x, d, rows, extra, STEP)
         before, extra = extra, _extra(rows, extra)
-        if all(abs(extra[k] - before[k]) <= 1e-3 * max(extra[k], before[k]) for k in KINDS):
+        if _settled(before, extra):
             break
-    x, d, rows = _gauss_newton(problem, x, d, extra, LAST_STEP)
+    x, d, rows = _gauss_newton(problem, x, d, rows, extra, LAST_STEP)
     variance = rows.total(extra)
     refuse_unseen(rows.reduced(variance), problem.unknowns, noise=True, hint=HINT)
     P = _fit(rows, variance).P[2 * len(d) :, 2 * len(d) :]
@@ -195,35 +197,48 @@ def _fit(rows: Rows, variance: Array) -> regression.Estimate:
     return regression.least_squares(rows.both / root[:, None], rows.y / root)
 
 
+def _settled(before: Mapping[str, float], extra: Mapping[str, float]) -> bool:
+    return all(abs(extra[k] - before[k]) <= 1e-3 * max(extra[k], before[k]) for k in KINDS)
+
+
 def _extra(rows: Rows, extra: Mapping[str, float]) -> dict[str, float]:
-    """Extra noise by kind of row with which the residuals are as large as they should be."""
-    free = 1.0 - _fit(rows, rows.total(extra)).leverage
-    out = {}
-    for i, kind in enumerate(KINDS):
-        m = (rows.kind == i) & (rows.unit > 0.0)
-        own = rows.unit[m]
-        v = extra_variance(rows.y[m] / own, rows.variance[m] / own**2, float(free[m].sum()))
-        out[kind] = float(np.sqrt(v))
+    """Extra noise by kind of row with which the residuals of the estimate with that noise are as
+    large as they should be, about where the rows are linearised."""
+    out = dict(extra)
+    for _ in range(LEVELS):
+        root = np.sqrt(rows.total(out))
+        fit = _fit(rows, root**2)
+        left, free, before = root * fit.residual, 1.0 - fit.leverage, dict(out)
+        for i, kind in enumerate(KINDS):
+            m = (rows.kind == i) & (rows.unit > 0.0)
+            own = rows.unit[m]
+            v = extra_variance(left[m] / own, rows.variance[m] / own**2, float(free[m].sum()))
+            out[kind] = float(np.sqrt(v))
+        if _settled(before, out):
+            break
     return out
 
 
 def _gauss_newton(
-    problem: Problem, x: Array, d: Array, extra: Mapping[str, float], least: float
+    problem: Problem, x: Array, d: Array, rows: Rows, extra: Mapping[str, float], least: float
 ) -> tuple[Array, Array, Rows]:
+    """The estimate from x and d on, at which the rows are linearised, and the rows there."""
     at = 2 * len(d)
     usual = regression.priors(problem.unknowns)
     last = np.inf
     for _ in range(ROUNDS):
-        rows = rows_of(problem, x, d)
-        step = _fit(rows, rows.total(extra)).x
+        fit = _fit(rows, rows.total(extra))
+        step = fit.x
         size = max(float(np.abs(step[at:] / usual).max()), float(np.abs(step[:at]).max()))
         if not np.isfinite(size) or size > 100.0:
             break
         x = x + step[at:]
         d = unit(d + np.einsum("nij,nj->ni", across(d), step[:at].reshape(-1, 2)))
+        rows = rows_of(problem, x, d)
         # near the end steps are rounding, which no further round makes smaller
-        if size < least or (size < 1e-9 and size >= last):
-            return x, d, rows_of(problem, x, d)
+        done = size < least or (size < 1e-9 and size >= last)
+        if done or bool(np.all(np.abs(step) < UNSEEN * fit.sigma)):
+            return x, d, rows
         last = size
     raise HandcalError(
         "The readings do not fit any values of these parameters: are the units right "

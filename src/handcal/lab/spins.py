@@ -18,6 +18,7 @@ from handcal.lab.stretches import PERFECT, noise_power
 from handcal.types import Array, BoolArray, HandcalError, Recording
 
 SPINNING = np.radians(20.0)
+RESTING = np.radians(4.0)
 TILTED = np.radians(8.0)
 LEAST_FORCE = 0.9
 # Rates that differ by this factor tell arms from biases without a rest.
@@ -45,7 +46,7 @@ def steady(recording: Recording, gravity: float) -> Steady:
     rows = [np.flatnonzero(imu.valid[a:b]) + a for a, b in ends]
     gyro = np.array([imu.gyro[r].mean(axis=0) for r in rows]).reshape(-1, 3)
     rate = np.linalg.norm(gyro, axis=1)
-    resting, spinning = rate < segment.MAX_RATE, rate > SPINNING
+    resting, spinning = rate < RESTING, rate > SPINNING
     if not spinning.any():
         raise HandcalError(
             "No steady spin was found (faster than 20 deg/s, for a second at least). Turn the "

@@ -24,9 +24,9 @@ class Means:
 
     span (r, 2): start and end, s; first, last (r,): indices of their samples, inclusive.
     count (r,): of samples that are measurements. reading (r, 6): mean of gyro rad/s and
-    accelerometer m/s^2. variance (r, 6): of that mean, from the means of blocks, so that noise
-    that is not white counts as much as it should. temperature (r,) degC or None. white (6,):
-    power of the noise, variance times time.
+    accelerometer m/s^2. variance (r, 6): of that mean, from the noise of this stretch and the
+    means of blocks, so that noise that is not white counts as much as it should. temperature
+    (r,) degC or None. white (6,): power of the noise of all, variance times time.
     """
 
     span: Array
@@ -57,13 +57,29 @@ def means(recording: Recording, spans: Array) -> Means:
     own = [raw[a:b][imu.valid[a:b]] for a, b in ends]
     reading = np.array([x.mean(axis=0) for x in own]).reshape(-1, 6)
     T = [] if warm is None else [warm[a:b].mean() for a, b in ends]
-    power, count = noise_power(own) if own else (np.zeros(6), np.zeros(0))
+    # how much more a mean scatters than white noise would make it is one figure for all
+    # stretches, how loud each is its own
+    loud = np.array([np.maximum(x.var(axis=0), _quantum(x) ** 2 / 12.0) for x in own])
+    loud = loud.reshape(-1, 6) + PERFECT**2
+    excess, count = (
+        noise_power([x / np.sqrt(v) for x, v in zip(own, loud, strict=True)])
+        if own else (np.zeros(6), np.zeros(0))
+    )  # fmt: skip
+    power = excess * loud
     variance = power / np.maximum(count, 1.0)[:, None] + PERFECT**2
+    white = np.average(power, axis=0, weights=count) if own else np.zeros(6)
     first, last = np.array(ends, dtype=np.int64).reshape(-1, 2).T
     return Means(
         np.asarray(spans), first, last - 1, count, reading, variance,
-        np.array(T) if T else None, power / recording.rate_hz,
+        np.array(T) if T else None, white / recording.rate_hz,
     )  # fmt: skip
+
+
+def _quantum(x: Array) -> Array:
+    """Least change (d,) from one sample of x (n, d) to the next: a converter's step."""
+    change = np.abs(np.diff(x, axis=0))
+    least = np.where(change > 0.0, change, np.inf).min(axis=0)
+    return np.asarray(np.where(np.isfinite(least), least, 0.0))
 
 
 def noise_power(stretches: Sequence[Array]) -> tuple[Array, Array]:
