@@ -89,7 +89,7 @@ def calibrate_together(
     noise levels each recording's own. Options and errors as there."""
     report = progress or (lambda _: None)
     _check(engine, observations)
-    wanted = select(effects)
+    wanted = tuple(e for e in select(effects) if not e.baseline)
     _check_calibrates(wanted)
     fixed = dict(noise or {})
     if heading_sigma is not None:
@@ -161,7 +161,7 @@ def _fitted(
     base = baseline(cases, engine)
     report(0.5)
     chosen = Chosen(tuple(effects), tuple(view_of(c) for c in cases), options)
-    return settled(base, chosen), chosen
+    return settled(base, chosen, engine), chosen
 
 
 def _told(model: Model, chosen: Chosen, report: Progress) -> tuple[Result, ...]:

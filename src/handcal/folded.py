@@ -33,7 +33,7 @@ class Folded:
     start (K,): which epochs they are; of (k,): whose window each epoch is in; T (k, 9, 15 + mi)
     and D (k, 9): from the state at the window's first epoch to that at each epoch. extra, scatter
     (kinds * MAX_DIM,): by how many readings there are more than rows, and the sum of the squares
-    that the rows do not hold.
+    that the rows do not hold; markov (k, e): the trajectory's Markov states at all epochs.
     """
 
     linear: Linear
@@ -43,6 +43,7 @@ class Folded:
     D: Array
     extra: Array
     scatter: Array
+    markov: Array
 
 
 def fold(linear: Linear) -> Folded | None:
@@ -94,7 +95,8 @@ def fold(linear: Linear) -> Folded | None:
         t=linear.t[start], rate=linear.rate[start], first=first, kind=kind, r=r_out, H=H_out,
         used=np.ones(rows, dtype=np.bool_),
     )  # fmt: skip
-    return Folded(folded, start, of, T, D, extra, scatter.ravel())
+    markov = nominal.markov[:k]
+    return Folded(folded, start, of, T, D, extra, scatter.ravel(), markov)
 
 
 def unfolded(f: Folded, t: Array, x: Array) -> Array:
@@ -114,8 +116,10 @@ def unfolded(f: Folded, t: Array, x: Array) -> Array:
     after = np.r_[linear.t[1:], max(t[-1], linear.t[-1]) + 1.0]
     share = ((t - linear.t[f.of]) / (after - linear.t)[f.of])[:, None]
     out[:, :9] += share * noise[f.of]
-    step = np.vstack([np.diff(x[:, e0:], axis=0), np.zeros((1, x.shape[1] - e0))])
-    out[:, e0:] += share * step[f.of]
+    # (whatever the trajectory had within a window, nothing else would ever correct it)
+    there = linear.trajectory.markov + x[:, e0:]
+    step = np.vstack([np.diff(there, axis=0), np.zeros((1, there.shape[1]))])
+    out[:, e0:] = there[f.of] + share * step[f.of] - f.markov
     return out
 
 

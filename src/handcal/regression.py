@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import qr, solve_triangular
 
-from handcal.effects import Effect, Param, Signals, imu_jacobian
+from handcal.effects import Effect, Param, Signals, imu_jacobian, select
 from handcal.types import Array, IntArray
 
 ROUNDS = 30
@@ -21,31 +21,7 @@ ROUNDS = 30
 NOTHING = 1e-11
 
 
-def _constant(sensor: int) -> Effect:
-    """A bias as an effect: the filter has it among its states, so the catalogue does not."""
-
-    def imu_error(b: Array, signals: Signals) -> Array:
-        out = np.zeros((len(signals.t), 6))
-        out[:, 3 * sensor : 3 * sensor + 3] = b
-        return out
-
-    id, title, unit, prior = (
-        ("gyro_bias", "Gyro bias", "rad/s", float(np.radians(1.0))),
-        ("accel_bias", "Accelerometer bias", "m/s^2", 0.6),
-    )[sensor]
-    return Effect(
-        id=id,
-        title=title,
-        parameters=tuple(Param(a, unit, prior) for a in "xyz"),
-        story="The reading is off by the same amount always.",
-        source="the filter's own states",
-        motion="Rests in many attitudes.",
-        validated="",
-        imu_error=imu_error,
-    )
-
-
-BIASES = (_constant(0), _constant(1))
+BIASES = select(("gyro_bias", "accel_bias"))
 
 
 @dataclass(frozen=True)

@@ -130,7 +130,8 @@ class Effect:
     recording), its reverse. world: it changes what there is to be measured, and is no error of a
     sensor. of_one_day: another day it is another. sound(parameters, t (n,), valid (n,)): which
     readings depend on measurements alone, where what is read depends on other moments. instead:
-    the effect that is the same on a stream on which this one does not act.
+    the effect that is the same on a stream on which this one does not act. baseline: it is in every
+    model (a state of the filter), so it is never on trial.
     """
 
     id: str
@@ -162,6 +163,7 @@ class Effect:
     of_one_day: bool = False
     sound: Callable[[Array, Array, BoolArray], BoolArray] | None = None
     instead: str = ""
+    baseline: bool = False
 
     @property
     def prior_sigma(self) -> Array:

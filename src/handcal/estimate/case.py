@@ -236,7 +236,9 @@ def problem_with(case: Case, effects: Sequence[Effect]) -> Problem:
 
 
 def applicable(case: Case, effect: Effect) -> bool:
-    """Whether this recording could show the effect at all."""
+    """Whether this recording could show the effect at all, and has to be asked."""
+    if effect.baseline:
+        return False
     for need in effect.needs:
         if need != "attitude" and need not in case.recording.streams:
             return False

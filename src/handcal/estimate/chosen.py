@@ -6,6 +6,7 @@ where the model says that they start.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -21,10 +22,11 @@ from handcal.estimate.fit import (
     fitted,
     ironed,
     moved_to,
+    started,
     with_usual_noise,
 )
 from handcal.estimate.parameters import Moment
-from handcal.types import Recording
+from handcal.types import HandcalError, Recording
 
 
 @dataclass(frozen=True)
@@ -105,11 +107,13 @@ def seen(recording: Recording, view: View, options: Options) -> Case:
     return case
 
 
-def settled(base: Model, chosen: Chosen) -> Model:
+def settled(base: Model, chosen: Chosen, engine: str = "compiled") -> Model:
     """The fit of the chosen effects, from the baseline of the same cases.
 
-    What the baseline lacks, its noise levels hold. So the noise is sought from where it is
-    usual, and from the baseline's own only where that does no better than no effect at all.
+    What the baseline lacks, its trajectory and noise levels hold. So the fit is begun more than
+    once, from the baseline with the noise that is usual and from the online filter with the
+    effects in it, and the best counts; from the baseline as it is where neither does better than
+    no effect at all.
     """
     if not chosen.effects:
         return base
@@ -123,11 +127,14 @@ def settled(base: Model, chosen: Chosen) -> Model:
             for f, levels in zip(parts, chosen.levels, strict=True)
         ]
         return fitted(noisy, chosen.effects, noise_rounds=2)
-    found = fitted([with_usual_noise(f) for f in parts], chosen.effects, noise_rounds=2)
-    if found.log_evidence > base.log_evidence:
-        return found
-    other = fitted(parts, chosen.effects, noise_rounds=2)
-    return max(found, other, key=lambda m: m.log_evidence)
+    starts = [[with_usual_noise(f) for f in parts]]
+    with contextlib.suppress(HandcalError):
+        # (online, effects far from zero may lead astray: that is no start, then)
+        starts.append([started(f.case, chosen.effects, engine) for f in begun.parts])
+    found = [fitted(start, chosen.effects, noise_rounds=2) for start in starts]
+    if max(m.log_evidence for m in found) < base.log_evidence:
+        found.append(fitted(parts, chosen.effects, noise_rounds=2))
+    return max(found, key=lambda m: m.log_evidence)
 
 
 def as_seen(base: Sequence[Fitted], chosen: Chosen) -> bool:

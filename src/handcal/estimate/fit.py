@@ -20,7 +20,7 @@ from handcal.estimate.case import Case, problem_with, without_iron
 from handcal.estimate.observed import first_state
 from handcal.estimate.quadratic import Local, Posterior, Quadratic, given, local, posterior, total
 from handcal.estimate.robust import excess
-from handcal.estimate.tails import tailed
+from handcal.estimate.tails import tailed, usual
 from handcal.evidence import backward, reduce, reduced_pass
 from handcal.filter import ENGINES, empty_track
 from handcal.linear import Linear, Trajectory, epochs, linearise_about, trajectory_of
@@ -40,6 +40,8 @@ EXCESS = 1.3
 BEYOND = 1e3
 # Log prior odds of a large hard iron, of which there is one in every other phone.
 IRON_ODDS = -5.0
+# Nats that wider scales of the priors must promise to be tried.
+MORE = 0.5
 # A delay is linearised about where it is known to this, s.
 DELAY_STEP = 0.002
 
@@ -141,7 +143,15 @@ def fitted(
     parts, settled, evidence = relinearised_parts(parts, effects, known)
     if not math.isfinite(evidence):
         return diverged(parts, effects)
-    for _ in range(noise_rounds):
+    wide = False
+    for left in range(noise_rounds, -1, -1):
+        # (first at the usual scales: seen from far off, anything may look large)
+        if not wide and known is None and _asks_for_more(parts, effects):
+            tried, rests, value = relinearised_parts(parts, effects, known, evidence, wide=True)
+            if value > evidence:
+                parts, settled, evidence, wide = tried, rests, value, True
+        if not left:
+            break
         new = [with_noise(f) for f in parts]
         # (of noise that is a part's alone the whole need not be the better)
         least = -math.inf if any(f.case.noise_until for f in parts) else evidence - ASTRAY
@@ -153,7 +163,7 @@ def fitted(
         for share in SHARES:
             # about one trajectory, evidence may favour a noise so small that no other is as good
             towards = [_towards(o, n, share) for o, n in zip(parts, new, strict=True)]
-            tried, rests, value = relinearised_parts(towards, effects, known, least)
+            tried, rests, value = relinearised_parts(towards, effects, known, least, wide)
             if value > least:
                 break
         else:
@@ -161,9 +171,8 @@ def fitted(
         parts, settled, evidence = tried, rests, value
         if change < 0.02:
             break
-    locals_ = [_local(f, effects) for f in parts]
-    whole = total([part.quadratic for part in locals_])
-    found = _posterior(whole, effects, known)
+    whole = total([_local(f, effects).quadratic for f in parts])
+    found = _posterior(whole, effects, known, wide)
     constant = sum(f.case.constant for f in parts)
     return Model(
         tuple(effects), tuple(parts), whole, found.mean, found.covariance,
@@ -178,10 +187,20 @@ def diverged(parts: Sequence[Fitted], effects: Sequence[Effect]) -> Model:
     return Model(tuple(effects), tuple(parts), nothing, np.zeros(0), none, -math.inf, False)
 
 
-def _posterior(q: Quadratic, effects: Sequence[Effect], known: Known | None) -> Posterior:
+def _asks_for_more(parts: Sequence[Fitted], effects: Sequence[Effect]) -> bool:
+    """Whether some effect is likelier under a wider scale of its prior than the usual one."""
+    whole = total([_local(f, effects).quadratic for f in parts])
+    index = np.arange(len(whole.names), dtype=np.int64)
+    root = prior_root(whole, effects)
+    return tailed(whole, index, root).log_evidence > usual(whole, index, root).log_evidence + MORE
+
+
+def _posterior(
+    q: Quadratic, effects: Sequence[Effect], known: Known | None, wide: bool = False
+) -> Posterior:
     index = np.arange(len(q.names), dtype=np.int64)
     if known is None:
-        return tailed(q, index, prior_root(q, effects))
+        return (tailed if wide else usual)(q, index, prior_root(q, effects))
     at = [known.names.index(n) for n in q.names]
     mean, root = known.mean[at], known.root[at]
     a = q.a + float(q.b @ mean - 0.5 * mean @ q.G @ mean)
@@ -227,10 +246,12 @@ def relinearised_parts(
     effects: Sequence[Effect],
     known: Known | None = None,
     least: float = -math.inf,
+    wide: bool = False,
 ) -> tuple[list[Fitted], bool, float]:
     """Move and linearise again until the joint evidence rests; whether it does, and the evidence.
 
-    least: where the evidence falls below that, there is no use in going on.
+    least: where the evidence falls below that, there is no use in going on. wide: with all scales
+    of the priors instead of the usual one alone.
     """
     shared = frozenset(e.id for e in effects)
     parts, evidence = list(parts), -math.inf
@@ -240,7 +261,7 @@ def relinearised_parts(
         passes = [reduced_pass(reduce(f.linear), f.levels, keep=True) for f in parts]
         locals_ = [local(p, shared) for p in passes]
         whole = total([x.quadratic for x in locals_])
-        found = _posterior(whole, effects, known)
+        found = _posterior(whole, effects, known, wide)
         if abs(found.log_evidence - evidence) < TOLERANCE:
             return parts, True, found.log_evidence
         evidence = found.log_evidence

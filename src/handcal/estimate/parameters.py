@@ -8,21 +8,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handcal.effects import Effect, Param, catalogue
+from handcal.effects import Effect, Param, catalogue, select
 from handcal.estimate.case import name_of
 from handcal.estimate.fit import Model
 from handcal.estimate.quadratic import given, local
 from handcal.evidence import reduce, reduced_pass
-from handcal.model import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR
 from handcal.types import Array, Parameter
 
+# In the order of the filter's states.
 BIASES = tuple(
-    (effect, axis, unit, prior)
-    for effect, unit, prior in (
-        ("gyro_bias", "rad/s", float(GYRO_BIAS_PRIOR)),
-        ("accel_bias", "m/s^2", ACCEL_BIAS_PRIOR),
-    )
-    for axis in "xyz"
+    (e.id, p.name, p.unit, p.prior_sigma)
+    for e in select(("gyro_bias", "accel_bias"))
+    for p in e.parameters
 )
 
 

@@ -61,6 +61,14 @@ def tailed(
     return Posterior(value, found.mean, found.covariance)
 
 
+def usual(q: Quadratic, index: IntArray, root: Array | None = None) -> Posterior:
+    """As ``tailed``, of the usual scale alone: what the others add is left out."""
+    found = posterior(q, index, root)
+    count = sum(_has_tails(q, int(index[e[0]])) for e in _effects(q, index))
+    value = found.log_evidence + count * float(LOG_SHARES[0])
+    return Posterior(value, found.mean, found.covariance)
+
+
 def log_evidence(q: Quadratic, index: IntArray, root: Array | None = None) -> float:
     """As ``tailed``, only the evidence: what a search over subsets needs."""
     b, G = q.b[index], q.G[np.ix_(index, index)]
