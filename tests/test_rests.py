@@ -168,6 +168,20 @@ def test_an_offset_that_drifts_a_little_is_still_a_rest():
     assert np.diff(found, axis=1).sum() > 26.0
 
 
+def test_a_turn_as_slow_as_a_drift_is_none_where_gravity_turns():
+    """0.9 deg/s about a level axis for 20 s: the gyro alone could not tell, gravity can."""
+    n = 2600
+    t = np.arange(n) / 100.0
+    rate = np.radians(0.9) * ((t > 3.0) & (t < 23.0))
+    angle = np.cumsum(rate) / 100.0
+    rng = np.random.default_rng(0)
+    gyro = np.stack([rate, 0.0 * t, 0.0 * t], axis=1) + 2e-3 * rng.standard_normal((n, 3))
+    force = 9.8 * np.stack([0.0 * t, np.sin(angle), np.cos(angle)], axis=1)
+    accel = force + 0.02 * rng.standard_normal((n, 3))
+    recording = Recording("roll", Imu(t, gyro, accel, np.ones(n, dtype=bool)))
+    assert not any(a < 10.0 < b or a < 16.0 < b for a, b in segment.rests(recording))
+
+
 # --- pauses -------------------------------------------------------------------------------------
 
 

@@ -131,7 +131,10 @@ def _case(motion: Motion, like: Case) -> Case:
     )
     recording = recording_of(motion, like.recording, like.earth[0], slope)
     rests = segment.rests(recording)
-    observed, start = observed_of(recording, like.kinds, rests, like.earth, None)
+    # that a recording lay still says nothing of the next
+    held = like.assume == "fixed-point"
+    kinds = [k for k in like.kinds if not (held and k == "zero_rate")]
+    observed, start = observed_of(recording, kinds, rests, like.earth, None)
     return Case(recording, like.assume, tuple(observed), rests, like.earth, start, ())
 
 
