@@ -306,8 +306,10 @@ def test_a_result_holds_together(turns):
     sigma = np.array([p.sigma for p in result.parameters])
     assert result.covariance.shape == (12, 12)
     np.testing.assert_allclose(np.sqrt(np.diag(result.covariance)), sigma)
-    np.testing.assert_allclose(result.history.parameter_sigma[-1], sigma)
-    np.testing.assert_allclose(result.history.parameters[-1], [p.value for p in result.parameters])
+    # (what is shown is filtered reading by reading, what is told with headings folded)
+    np.testing.assert_allclose(result.history.parameter_sigma[-1], sigma, rtol=0.02)
+    value = np.array([p.value for p in result.parameters])
+    assert np.all(np.abs(result.history.parameters[-1] - value) < 0.02 * sigma)
     np.testing.assert_allclose(result.smoothed.parameters[-1], result.history.parameters[-1])
     for kind in result.innovations.values():
         assert len(kind.t) == len(kind.residual) == len(kind.sigma) == len(kind.nis)

@@ -169,7 +169,8 @@ def test_what_is_not_linear_shows_the_bias_itself() -> None:
         assert beside.log_evidence < alone.log_evidence
         error = np.array([p.value for p in alone.parameters[3:6]]) - made.bias[3:]
         sigma = np.array([p.sigma for p in alone.parameters[3:6]])
-        assert np.all(sigma < 0.25 * ACCEL)
+        # (a quarter, and what scores that scatter beyond the matrix add)
+        assert np.all(sigma < 0.3 * ACCEL)
         assert np.all(np.abs(error) < 4.0 * sigma)
 
 

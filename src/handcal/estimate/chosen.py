@@ -128,9 +128,11 @@ def settled(base: Model, chosen: Chosen, engine: str = "compiled") -> Model:
         ]
         return fitted(noisy, chosen.effects, noise_rounds=2)
     starts = [[with_usual_noise(f) for f in parts]]
-    with contextlib.suppress(HandcalError):
-        # (online, effects far from zero may lead astray: that is no start, then)
-        starts.append([started(f.case, chosen.effects, engine) for f in begun.parts])
+    if not iron:
+        # (online, an iron runs away with the heading; other effects may lead astray too: then
+        # that is no start)
+        with contextlib.suppress(HandcalError):
+            starts.append([started(f.case, chosen.effects, engine) for f in begun.parts])
     found = [fitted(start, chosen.effects, noise_rounds=2) for start in starts]
     if max(m.log_evidence for m in found) < base.log_evidence:
         found.append(fitted(parts, chosen.effects, noise_rounds=2))

@@ -25,7 +25,7 @@ from handcal.evidence import backward, reduce, reduced_pass
 from handcal.filter import ENGINES, empty_track
 from handcal.linear import Linear, Trajectory, epochs, linearise_about, trajectory_of
 from handcal.model import Problem, noise_arrays, relinearised
-from handcal.types import Array, HandcalError, IntArray
+from handcal.types import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Array, HandcalError, IntArray
 
 TOLERANCE = 0.05
 ROUNDS = 10
@@ -42,6 +42,8 @@ BEYOND = 1e3
 IRON_ODDS = -5.0
 # Nats that wider scales of the priors must promise to be tried.
 MORE = 0.5
+# No device's bias is so many times what is usual: a fit that says so is of something else.
+FURTHEST = 25.0
 # A delay is linearised about where it is known to this, s.
 DELAY_STEP = 0.002
 
@@ -232,7 +234,12 @@ def _sane(linear: Linear) -> bool:
     """Whether this is a motion at all; a step astray grows from round to round."""
     steps = np.abs(linear.d).max(initial=0.0)
     rest = linear.Phi.sum() + linear.r.sum() + linear.H.sum()
-    return bool(steps < BEYOND and np.isfinite(rest))
+    nominal = linear.trajectory
+    off = max(
+        float(np.abs(nominal.bg).max()) / GYRO_BIAS_PRIOR,
+        float(np.abs(nominal.ba).max()) / ACCEL_BIAS_PRIOR,
+    )
+    return bool(steps < BEYOND and off < FURTHEST and np.isfinite(rest))
 
 
 def _towards(old: Fitted, new: Fitted, share: float) -> Fitted:

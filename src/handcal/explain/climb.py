@@ -84,6 +84,7 @@ class Climb:
 
     def __post_init__(self) -> None:
         self.kept = frozenset(self.model.ids)
+        self.far = tuple(self.late)
         self.unnamed = list(self.needed)
 
     @property
@@ -172,10 +173,10 @@ def _favourite(c: Climb) -> frozenset[str]:
 def _delay(c: Climb) -> Model | None:
     """A delay that no scan finds, before anything else: it looks like many things."""
     late, c.late = c.late, ()
-    for model in late:
-        if c.worth * (model.log_evidence - c.model.log_evidence) > -PRIOR:
-            return model
-    return None
+    best = max(late, key=lambda m: m.log_evidence, default=None)
+    if best is None or c.worth * (best.log_evidence - c.model.log_evidence) <= -PRIOR:
+        return None
+    return best
 
 
 def _choose(c: Climb) -> Model | None:
@@ -254,7 +255,9 @@ def _exchange(c: Climb) -> Model | None:
             continue
         rival = max(near, key=lambda i: near[i])
         others = [x for x in model.effects if x.id != e.id]
-        tried = fitted(model.parts, [*others, catalogue()[rival]])
+        # (a delay may have to be begun where the grid found it)
+        begin = next((m.parts for m in c.far if rival in m.ids), model.parts)
+        tried = fitted(begin, [*others, catalogue()[rival]])
         worse = c.worth * (model.log_evidence - tried.log_evidence)
         c.swaps[e.id, rival], c.swaps[rival, e.id] = worse, -worse
         if worse < 0.0:

@@ -15,6 +15,8 @@ from handcal.evidence import reduce, reduced_pass
 BEYOND = 0.5
 # Nothing is later than this, s: phones' compasses, and cameras with long exposures.
 LATEST = 0.45
+# Steps to either side at the most: each is a linearisation of its own.
+MOST_STEPS = 8
 # Nats that a delay of the grid must gain as it stands, nothing adjusted to it.
 LOOK = 3.0
 
@@ -29,6 +31,9 @@ def with_delays(model: Model) -> list[Model]:
     for effect in catalogue().values():
         cases = [f.case for f in model.parts]
         if not _moves_in_time(effect) or effect.id in model.ids:
+            continue
+        if not effect.delays and not all(f.linear.problem.navigated for f in model.parts):
+            # (beside a reference readings are compared at once, and nothing is integrated)
             continue
         if not any(applicable(c, effect) for c in cases):
             continue
@@ -51,6 +56,7 @@ def _begun(model: Model, wanted: Sequence[Effect], effect: Effect) -> list[Fitte
     than none."""
     rates = [np.linalg.norm(f.case.recording.imu.gyro, axis=1) for f in model.parts]
     step = BEYOND / max(float(np.quantile(r, 0.95)) for r in rates)
+    step = max(step, LATEST / MOST_STEPS)
     count = int(LATEST / step)
     if count == 0:
         return None

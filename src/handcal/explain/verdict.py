@@ -56,9 +56,9 @@ Progress = Callable[[float], None]
 NAMED = 0.9
 RIVAL = 0.05
 CERTAIN = 0.999999
-# Between two that are the same to the first order, evidence swings by as much as seven nats
+# Between two that are the same to the first order, evidence swings by as much as eleven nats
 # with the hand's sway, whichever of them is there; it counts that much less.
-ALIKE = 3.0
+ALIKE = 4.0
 # Unnamed terms that hold less than this share of what the named effects do are a remark.
 LEFT = 0.02
 # Nats by which a fit from the start may do worse than that at the end of a search: as good, and
