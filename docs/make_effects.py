@@ -23,7 +23,7 @@ What a sensor may read besides the truth. `handcal explain` tries all of these, 
 
 Errors add to the reading: a scale error of +0.01 reads 1 % too much. In `xy` the first letter is the axis that reads, the second whose rate, force or place it is; `x_yz` is what x reads of the product of y and z. *Usual* is one standard deviation of what is assumed of a consumer's device.
 
-Constant biases of gyro and accelerometer, white noise of unknown size and a hand that sways are in every model and are not listed.
+Constant biases of gyro and accelerometer, white noise of unknown size and a hand that sways are in every model; the biases are listed because they can be concealed and taken off like any other error.
 
 This page is written by `make docs` from the files in `src/handcal/effects/`: one file, one effect.
 """

@@ -148,7 +148,8 @@ def recalibrate(
             _check_effects(effects, case.kinds)
     base = baseline(cases)
     report(0.5)
-    return _told(settled(base, chosen), chosen, report)
+    told = _told(settled(base, chosen), chosen, report)
+    return tuple(replace(r, repeated=True) for r in told)
 
 
 def _fitted(

@@ -211,7 +211,7 @@ class Result:
     heading or magnetometer headings the filter was given, (k, 2) of t and rad, or
     None. rests: (r, 2) start and end of each detected rest, s. smoothed: the same as
     ``history``, each row given the whole recording. settled: relinearising had come to rest.
-    model: what was fitted, as JSON holds it (contract).
+    model: what was fitted, as JSON holds it (contract); repeated: it was read from a result.
     """
 
     recording: Recording
@@ -228,6 +228,7 @@ class Result:
     smoothed: History | None = None
     settled: bool = True
     model: Mapping[str, Any] = field(default_factory=dict)
+    repeated: bool = False
 
     @property
     def observations(self) -> int:

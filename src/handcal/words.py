@@ -333,7 +333,7 @@ def verdict(result: Result) -> Verdict:
     if result.innovations and not doubts:
         sentences.append("The errors agree with the bounds the filter set itself.")
     sentences += doubts
-    if overconfident:
+    if overconfident and not result.repeated:
         sentences.append(
             "Usual causes: a held point that moved, or an effect that --effects did not include: "
             "handcal explain tries them all."

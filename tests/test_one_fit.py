@@ -1,0 +1,170 @@
+"""``explain`` ends in the fit that ``calibrate --from`` repeats, to the last bit; several
+recordings of a device are calibrated together; models are compared by their evidence."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from worlds import recording_of
+
+import handcal
+from handcal.calibration import calibrate_together, recalibrate
+from handcal.explain import Explanation, explain
+from handcal.explain.written import chosen_from, read
+from handcal.explain_summary import explanation_json
+from handcal.summary import OWN, calibration_json
+from handcal.types import InputError, Recording
+from handcal_sim import simulate
+from handcal_sim.phone import Clocking, Phone, consumer_phone, with_rate
+
+SEALED = Path(__file__).resolve().parents[1] / "recordings"
+# Explained by nothing, by one effect, by a term without a name, by two effects; the real ones are
+# of six devices.
+QUICK = ("sealed_04", "sealed_02", "sealed_03", "sealed_06")
+REAL = (
+    "devices/array_6_imu5", "devices/euroc_v203", "devices/phone_oscillations1",
+    "devices/phone_oscillations3", "devices/android_fullpitch", "devices/openaxes_circle250",
+)  # fmt: skip
+
+
+def slow(rng: np.random.Generator) -> Phone:
+    phone = with_rate(consumer_phone(rng), 50.0)
+    assert phone.heading is not None
+    return replace(phone, heading=replace(phone.heading, clocking=Clocking(10.0)))
+
+
+def made(effects: dict[str, list[float]], seed: int, seconds: float = 45.0) -> Recording:
+    world = simulate("free-hand", seed=seed, duration_s=seconds, phone=slow, effects=effects)
+    return recording_of(world, "heading")
+
+
+def told(recordings: list[Recording], found: Explanation) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What explain says, and what calibrate says from that, both through JSON."""
+    said = json.loads(json.dumps(explanation_json(found)))
+    results = recalibrate(recordings, chosen_from(said["model"]))
+    return said, json.loads(json.dumps(calibration_json(results)))
+
+
+def check_equal(recordings: list[Recording]) -> None:
+    found = explain(recordings)
+    said, again = told(recordings, found)
+    assert said["parameters"] == again["parameters"]
+    assert said["fit"]["after"]["log_evidence"] == again["fit"]["log_evidence"]
+    assert said["model"] == again["model"]
+    if len(recordings) == 1:
+        assert said["noise"] == again["noise"]
+    for one, other in zip(said.get("recordings", []), again.get("recordings", []), strict=True):
+        assert (one["parameters"], one["noise"]) == (other["parameters"], other["noise"])
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_calibrate_repeats_what_explain_ended_with(name: str) -> None:
+    check_equal([handcal.load(SEALED / f"{name}.mcap")])
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        {"gyro_bias_step": [0.012, 0.011, -0.006, 19.0]},
+        {"heading_outliers": [0.1]},
+        {"gyro_scale": [0.14, -0.12, 0.1], "heading_delay": [0.2]},
+    ],
+    ids=lambda e: "+".join(e),
+)
+def test_moments_wrong_readings_and_starts_far_away_are_in_the_model(
+    effects: dict[str, list[float]],
+) -> None:
+    check_equal([made(effects, 0)])
+
+
+def test_of_two_recordings_too() -> None:
+    scale = {"gyro_scale": [0.012, -0.01, 0.009]}
+    check_equal([made(scale, 0), made(scale, 1)])
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("name", REAL)
+def test_of_real_devices(name: str, real_recordings: Path) -> None:
+    check_equal([handcal.load(real_recordings / f"{name}.mcap")])
+
+
+# --- several recordings ------------------------------------------------------------------------
+
+
+def test_recordings_of_a_device_tell_its_effects_together() -> None:
+    """Twice the information: sigmas fall by the root of two, within what motions differ; biases
+    stay each recording's own."""
+    scale = {"gyro_scale": [0.012, -0.01, 0.009]}
+    pair = [made(scale, seed) for seed in (0, 1)]
+    alone = [handcal.calibrate(r, ("gyro_scale",), assume="fixed-point") for r in pair]
+    both = calibrate_together(pair, ("gyro_scale",), assume="fixed-point")
+    for axis, true in zip("xyz", scale["gyro_scale"], strict=True):
+        p, q = (r.parameter("gyro_scale", axis) for r in both)
+        assert (p.value, p.sigma) == (q.value, q.sigma)
+        information = sum(r.parameter("gyro_scale", axis).sigma ** -2 for r in alone)
+        assert p.sigma == pytest.approx(1.0 / math.sqrt(information), rel=0.2)
+        assert abs(p.value - true) < 4.0 * p.sigma
+    first, second = (r.parameter("gyro_bias", "x") for r in both)
+    assert first.value != second.value
+    document = calibration_json(both)
+    assert [p["effect"] for p in document["parameters"]] == ["gyro_scale"] * 3
+    assert all({p["effect"] for p in r["parameters"]} == set(OWN) for r in document["recordings"])
+
+
+def test_the_effects_of_a_model_are_calibrated_from_another_recording() -> None:
+    """What happened at one moment of the first is no part of that."""
+    effects = {"gyro_scale": [0.012, -0.01, 0.009], "gyro_bias_step": [0.012, 0.011, -0.006, 19.0]}
+    said = json.loads(json.dumps(explanation_json(explain([made(effects, 0)]))))
+    (other,) = recalibrate([made({"gyro_scale": effects["gyro_scale"]}, 3, 40.0)],
+                           chosen_from(said["model"]))  # fmt: skip
+    assert {p.effect for p in other.parameters} == {*OWN, "gyro_scale"}
+    for axis, true in zip("xyz", effects["gyro_scale"], strict=True):
+        p = other.parameter("gyro_scale", axis)
+        assert abs(p.value - true) < 4.0 * p.sigma
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{}", '{"model": 3}', '{"model": {}}', '{"model": {"effects": [{"id": 1}]}}']
+)
+def test_a_file_without_a_model_is_a_sentence(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "x.json"
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"model|JSON"):
+        read(path)
+
+
+# --- evidence ----------------------------------------------------------------------------------
+
+ADDED = ("gyro_quadratic", "accel_scale", "lever_arm", "gyro_bias_walk", "accel_delay")
+
+
+def drops(recording: Recording) -> dict[str, float]:
+    """Nats by which each effect lowers the evidence beyond what its parameters cost and one nat."""
+    base = handcal.calibrate(recording, assume="fixed-point")
+    out = {}
+    for effect in ADDED:
+        more = handcal.calibrate(recording, (effect,), assume="fixed-point")
+        own = [p for p in more.parameters if p.effect == effect]
+        # (of a walk: what its level costs, which is no parameter)
+        occam = 0.5 * sum(2.0 * math.log(max(p.prior_sigma / p.sigma, 1.0)) for p in own)
+        out[effect] = base.log_evidence - more.log_evidence - occam - 1.0
+    return out
+
+
+@pytest.mark.parametrize("seed", range(1))
+def test_an_effect_that_is_not_there_costs_its_parameters_at_most(seed: int) -> None:
+    assert max(drops(made({}, seed, 30.0)).values()) < 0.0
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("name", ["broad_01_slow_rotation", *REAL])
+def test_so_on_real_devices(name: str, real_recordings: Path) -> None:
+    found = drops(handcal.load(real_recordings / f"{name}.mcap"))
+    print(f"\n{name}: {found}")
+    assert max(found.values()) < 0.0

@@ -1,0 +1,87 @@
+"""What is known of real devices from elsewhere, against ``explain`` (``make prove``): other
+people's calibrations and instruments, with the tolerance to which they are to be believed."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+import handcal
+from handcal.explain import explain
+
+pytestmark = pytest.mark.prove
+
+
+@dataclass(frozen=True)
+class Fact:
+    """Parameters of an effect as somebody else has them, SI, and a tolerance."""
+
+    effect: str
+    names: str
+    values: tuple[float, ...]
+    within: float
+
+
+FACTS = {
+    "xsens_poses": (
+        Fact("accel_scale", "x y z", (-0.0013, -0.0070, -0.0011), 0.003),
+        Fact("accel_misalignment", "yx zx zy", (0.0035, 0.0090, 0.0213), 0.004),
+        Fact("accel_bias", "x y z", (0.858, 1.222, -0.973), 0.02),
+        Fact("gyro_scale", "x y z", (-0.0046, -0.0063, -0.0054), 0.008),
+        Fact("gyro_misalignment", "xy xz yx yz zx zy",
+             (-0.0095, -0.0102, -0.0056, 0.0321, -0.0163, 0.0240), 0.012),
+        Fact("gyro_bias", "x y z", (0.0019, -0.0642, -0.0534), 0.002),
+    ),
+    "nilspod_ferraris": (
+        Fact("accel_scale", "x y z", (-0.0033, 0.0024, 0.0234), 0.006),
+        Fact("accel_misalignment", "yx zx zy", (-0.0063, 0.0060, 0.0041), 0.01),
+        Fact("accel_bias", "x y z", (0.537, -0.616, 0.399), 0.06),
+        Fact("gyro_scale", "x y z", (0.0278, -0.0177, -0.0017), 0.01),
+        Fact("gyro_misalignment", "xy xz yx yz zx zy",
+             (0.0148, 0.0011, -0.0148, -0.0046, 0.0021, 0.0096), 0.02),
+        Fact("gyro_bias", "x y z", (-0.0105, -0.0065, 0.0010), 0.002),
+    ),
+    "openaxes_circle250": (Fact("gyro_scale", "x", (-0.0172,), 0.005),),
+    "euroc_v203": (
+        Fact("lever_arm", "x y z", (-0.069, 0.028, 0.124), 0.015),
+        Fact("pose_delay", "delay", (-0.199,), 0.012),
+        Fact("gyro_bias", "x y z", (-0.0016, 0.0247, 0.0805), 0.002),
+    ),
+    "array_6_imu5": (
+        Fact("lever_arm", "x y z", (0.0189, 0.0, 0.0), 0.001),
+        Fact("gyro_scale", "x y z", (0.0058, -0.0061, 0.0024), 0.003),
+    ),
+    "broad_32_magnet": (Fact("mag_hard_iron", "x y z", (-6.2e-6, -1.2e-6, 58.2e-6), 3e-6),),
+    "broad_07": (
+        Fact("lever_arm", "z", (0.009,), 0.004),
+        Fact("pose_delay", "delay", (-0.004,), 0.0015),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", list(FACTS))
+def test_what_is_known_of_a_device_is_found(name: str, real_recordings: Path) -> None:
+    """Within the tolerance, sigma below it; at most one in five may be untellable instead."""
+    begun = time.monotonic()
+    found = explain([handcal.load(real_recordings / "devices" / f"{name}.mcap")])
+    got = {(p.effect, p.name): p for p in found.parameters}
+    hidden = {(p.effect, p.name) for p in found.untellable}
+    missed, untold, count = [], 0, 0
+    effects = ", ".join(f"{m.effect} ({m.log_evidence_gain:.0f})" for m in found.missing)
+    print(f"\n{name}: {found.verdict}, {effects}; {time.monotonic() - begun:.0f} s")
+    for fact in FACTS[name]:
+        for parameter, value in zip(fact.names.split(), fact.values, strict=True):
+            key, count = (fact.effect, parameter), count + 1
+            p = got.get(key)
+            if p is None or p.sigma > fact.within:
+                untold += key in hidden
+                if key not in hidden and abs(value) > fact.within:
+                    missed.append((*key, value, "not told"))
+            elif abs(p.value - value) > fact.within:
+                missed.append((*key, value, f"{p.value:.4g} +- {p.sigma:.2g}"))
+    print(f"  {count} facts, {untold} untellable, missed: {missed}")
+    assert not missed
+    assert untold <= count / 5
