@@ -111,7 +111,6 @@ def calibrate_together(
             resting(f, latitude, height, wanted) if gone else case
             for case, f, gone in zip(cases, model.parts, far, strict=True)
         ]
-        cases = [replace(case, noise_until=noise_until) for case in cases]
         model, chosen = _fitted(cases, wanted, options, engine, report)
     return _told(model, chosen, report)
 
@@ -143,7 +142,7 @@ def recalibrate(
             for r in recordings
         ]  # fmt: skip
         views = tuple(view_of(c) for c in cases)
-        chosen = replace(chosen, effects=effects, views=views, moments={})
+        chosen = replace(chosen, effects=effects, views=views, moments={}, levels=())
         for case in cases:
             _check_effects(effects, case.kinds)
     base = baseline(cases)

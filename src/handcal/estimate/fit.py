@@ -365,17 +365,18 @@ def transferred(nominal: Trajectory, old: Problem, new: Problem) -> Trajectory:
         return replace(nominal, node=node, constants=constants, markov=markov)
     return Trajectory(
         node,
-        _interpolated(t, t_old, nominal.p),
-        _interpolated(t, t_old, nominal.v),
+        interpolated(t, t_old, nominal.p),
+        interpolated(t, t_old, nominal.v),
         so3.between(t_old, nominal.C, t),
         nominal.bg,
         nominal.ba,
         constants,
-        _interpolated(t, t_old, markov),
+        interpolated(t, t_old, markov),
     )
 
 
-def _interpolated(t: Array, t_old: Array, x: Array) -> Array:
+def interpolated(t: Array, t_old: Array, x: Array) -> Array:
+    """Columns x (k, m) at times t_old (k,), on straight lines at times t (n,)."""
     out = np.empty((len(t), x.shape[1]))
     for i in range(x.shape[1]):
         out[:, i] = np.interp(t, t_old, x[:, i])

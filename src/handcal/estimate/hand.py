@@ -34,4 +34,4 @@ def resting(
         f"The hand travels: as a held point it would sway by {wide:.2g} m. Only the rests are "
         "taken to be still (--assume fixed-point has it otherwise)."
     )
-    return replace(case, warnings=(*case.warnings, said))
+    return replace(case, warnings=(*case.warnings, said), noise_until=held.case.noise_until)

@@ -10,7 +10,7 @@ import numpy as np
 
 from handcal import batch, so3
 from handcal import noise as noise_levels
-from handcal.estimate.fit import Fitted, Model
+from handcal.estimate.fit import Fitted, Model, interpolated
 from handcal.estimate.parameters import Known, Moment, known
 from handcal.estimate.robust import inflation
 from handcal.kernel import BASE
@@ -106,15 +106,10 @@ def _dense(f: Fitted) -> Linear:
     more = np.unique(np.r_[node, wanted.clip(max=len(t) - 1)])
     old, new = t[node], t[more]
     nominal = linear.trajectory
-
-    def between(x: Array) -> Array:
-        columns = [np.interp(new, old, x[:, i]) for i in range(x.shape[1])]
-        return np.stack(columns, axis=1) if columns else np.zeros((len(new), 0))
-
     C = so3.between(old, nominal.C, new)
     dense: Trajectory = replace(
-        nominal, node=more, p=between(nominal.p), v=between(nominal.v), C=C,
-        markov=between(nominal.markov),
+        nominal, node=more, C=C,
+        **{name: interpolated(new, old, getattr(nominal, name)) for name in ("p", "v", "markov")},
     )  # fmt: skip
     out = linearise_about(linear.problem, linear.start, dense)
     x, _ = batch.smoothed_mean(out, f.levels)

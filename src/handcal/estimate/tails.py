@@ -18,7 +18,7 @@ from scipy.special import log_ndtr
 from handcal.estimate.quadratic import Posterior, Quadratic, posterior
 from handcal.types import Array, BoolArray, IntArray
 
-# Scales, in standard deviations of the prior, and how many devices in a thousand have them.
+# Scales, in standard deviations of the prior, and the share of devices that have them.
 SCALES = np.array([1.0, 5.0, 25.0])
 LOG_SHARES = np.log([0.9, 0.09, 0.01])
 # Of a parameter within so many standard deviations the wide scales say nothing worth a pass.
@@ -64,8 +64,7 @@ def tailed(
 def usual(q: Quadratic, index: IntArray, root: Array | None = None) -> Posterior:
     """As ``tailed``, of the usual scale alone: what the others add is left out."""
     found = posterior(q, index, root)
-    count = sum(_has_tails(q, int(index[e[0]])) for e in _effects(q, index))
-    value = found.log_evidence + count * float(LOG_SHARES[0])
+    value = found.log_evidence + _left_out(q, index)
     return Posterior(value, found.mean, found.covariance)
 
 
@@ -79,8 +78,13 @@ def log_evidence(q: Quadratic, index: IntArray, root: Array | None = None) -> fl
     x = np.linalg.solve(L.T, y)
     if np.abs(x).max(initial=0.0) > NEAR:
         return tailed(q, index, root).log_evidence
+    return float(q.a + 0.5 * y @ y - np.log(np.diag(L)).sum()) + _left_out(q, index)
+
+
+def _left_out(q: Quadratic, index: IntArray) -> float:
+    """Nats by which the usual scale alone, with its share of devices, counts for less than one."""
     count = sum(_has_tails(q, int(index[e[0]])) for e in _effects(q, index))
-    return float(q.a + 0.5 * y @ y - np.log(np.diag(L)).sum()) + count * float(LOG_SHARES[0])
+    return count * float(LOG_SHARES[0])
 
 
 def _effects(q: Quadratic, index: IntArray) -> list[IntArray]:

@@ -148,7 +148,7 @@ def _searched(
     cases: Sequence[Case], report: Progress
 ) -> tuple[Model, Found, outliers.Wrong | None]:
     """The baseline, where the search from it ended, and the headings that are merely wrong."""
-    base = fitted([started(c) for c in cases], (), noise_rounds=2)
+    base = baseline(cases)
     report(0.15)
     start = ironed(base)
     cleaned, wrong = outliers.cleaned(start)
