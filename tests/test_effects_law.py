@@ -388,8 +388,8 @@ def test_what_is_taken_off_changes_as_the_jacobian_says(effect, share):
     at = share * size * (1.0 if effect.parameters[0].positive else rng.choice([-1, 1], len(size)))
     step = 0.02 * size * rng.uniform(0.5, 1.0, len(size))
     zero = np.zeros(3)
-    here = relinearised(problem, at, zero, zero, None, C_nb)
-    less, more = (relinearised(problem, at + x, zero, zero, None, C_nb) for x in (-step, step))
+    here = relinearised(problem, at, zero, zero, C_nb)
+    less, more = (relinearised(problem, at + x, zero, zero, C_nb) for x in (-step, step))
     changed = np.hstack([more.nodes.gyro - less.nodes.gyro, more.nodes.accel - less.nodes.accel])
     said = -2.0 * here.nodes.J @ step
     inner = slice(50, -50)

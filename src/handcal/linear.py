@@ -17,9 +17,15 @@ from handcal.covariance import propagation_work
 from handcal.effects import DELAY
 from handcal.filter import Track
 from handcal.kernel import BASE, MAX_DIM, Nodes, Tables, corrected, fill_nav, linearise
-from handcal.model import Problem, errors_by_bias, markov_transitions, relinearised
+from handcal.model import (
+    Problem,
+    corrected_readings,
+    differentiated,
+    errors_by_bias,
+    markov_transitions,
+)
 from handcal.observations import NAV, nearest
-from handcal.preintegration import preintegrate
+from handcal.preintegration import integrate, preintegrate
 from handcal.start import Start
 from handcal.types import Array, BoolArray, IntArray
 
@@ -107,21 +113,16 @@ def linearise_about(problem: Problem, start: Start, nominal: Trajectory) -> Line
     C_nb = None
     asked = held or (problem.navigated and any("attitude" in e.needs for e in problem.effects))
     if problem.imu_constants and asked:
-        # (between two epochs at a constant rate)
-        C_nb = so3.between(problem.nodes.t[nominal.node], nominal.C, problem.recording.imu.t)
-    problem = relinearised(
-        problem, nominal.constants, nominal.bg, nominal.ba, None, C_nb, jacobian=False
-    )
-    if problem.imu_constants:
+        C_nb = path(problem, nominal).C[np.searchsorted(problem.nodes.t, problem.recording.imu.t)]
+    if not problem.imu_constants:
+        problem = replace(problem, ref=nominal.constants)
+    else:
+        done = corrected_readings(problem, nominal.constants, nominal.bg, nominal.ba, C_nb)
         # What an effect does depends on the true rate and force: take off the noise that
         # this trajectory implies, or each sample's noise would pose as motion that excites it.
-        noise = None
-        if problem.navigated:
-            noise = _implied_noise(problem, nominal)
-        force = None if C_nb is None or not held else _steady_force(problem, nominal, C_nb)
-        problem = relinearised(
-            problem, nominal.constants, nominal.bg, nominal.ba, noise, C_nb, force
-        )
+        noise = _implied_noise(done.problem, nominal) if problem.navigated else None
+        force = None if C_nb is None or not held else _steady_force(done.problem, nominal, C_nb)
+        problem = differentiated(done, noise, force)
     Phi, d, Q = _transitions(problem, nominal)
     nodes = problem.nodes
     q = len(nodes.kind)
@@ -254,11 +255,41 @@ def _turn_noise(Phi: Array, d: Array) -> None:
         Phi[1:, i : i + 3] += so3.skew(d[1:, i : i + 3]) @ turned
 
 
+@dataclass(frozen=True)
+class Path:
+    """Position, velocity (n, 3) and attitude (n, 3, 3) at all nodes, and by how much what was
+    integrated missed the epochs, d (k, 9)."""
+
+    p: Array
+    v: Array
+    C: Array
+    d: Array
+
+
+def path(problem: Problem, nominal: Trajectory) -> Path:
+    """The nominal trajectory between its epochs, as the readings tell it."""
+    n = len(problem.nodes.t)
+    out = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3, 3))
+    d = np.zeros((len(nominal.node), 9))
+    extras = np.r_[nominal.constants, np.zeros(problem.markov_size)]
+    integrate(
+        problem.nodes,
+        nominal.node,
+        (nominal.p, nominal.v, nominal.C),
+        (*biases(problem, nominal), extras, problem.ref),
+        problem.g_n,
+        problem.omega_ie_n,
+        out,
+        d,
+    )
+    return Path(*out, d)
+
+
 def _implied_noise(problem: Problem, nominal: Trajectory) -> Array:
-    """Mean noise of gyro and accelerometer (n, 6) at the IMU's samples, interval by interval."""
-    # (the readings are corrected already, so no column is needed)
+    """Mean noise of gyro and accelerometer (n, 6) at the IMU's samples, interval by interval, of
+    a problem whose readings were corrected with the nominal constants."""
     bare = problem.nodes._replace(J=np.zeros((len(problem.nodes.t), 6, 0)))
-    _, d, _ = _transitions(replace(problem, nodes=bare, imu_constants=0), nominal)
+    d = path(replace(problem, nodes=bare), nominal).d
     t = problem.nodes.t[nominal.node]
     dt = np.maximum(np.diff(t), 1e-6)[:, None]
     C_bn = nominal.C[1:].transpose(0, 2, 1)

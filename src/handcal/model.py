@@ -14,13 +14,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from handcal._jit import njit
 from handcal.effects import DELAY, TIME, Z_DIM, Effect, Signals, correction_jacobian
 from handcal.kernel import BASE, MAX_DIM, Nodes, Noise, Tables
 from handcal.observations import Observation, Rows, nearest
 from handcal.signals import of_recording, reading
 from handcal.types import ACCEL_BIAS_PRIOR as ACCEL_BIAS_PRIOR
 from handcal.types import GYRO_BIAS_PRIOR as GYRO_BIAS_PRIOR
-from handcal.types import Array, BoolArray, Level, Markov, Recording
+from handcal.types import Array, BoolArray, IntArray, Level, Markov, Recording
 
 # The readings themselves show the white noise of the sensors to a few percent; there can be
 # more than that (whatever the model lacks), hardly less.
@@ -274,42 +275,52 @@ def _extra(recording: Recording, t: Array) -> Array:
     return out
 
 
-def relinearised(
-    problem: Problem,
-    ref: Array,
-    bg: Array,
-    ba: Array,
-    noise: Array | None = None,
-    C_nb: Array | None = None,
-    force: Array | None = None,
-    *,
-    jacobian: bool = True,
-) -> Problem:
-    """The same problem with its effects linearised about constants ``ref`` (c,) and biases.
+@dataclass(frozen=True)
+class Corrected:
+    """A problem whose readings have been corrected, its derivatives still as they were: raw, the
+    readings less the biases, and the effects' error in them (n, 6)."""
 
-    noise: (n, 6) estimate of the noise in the readings, which is no motion; C_nb (n, 3, 3);
-    force (n, 3): the specific force that may excite effects, where it is not what is read.
-    jacobian: False to correct the readings only and leave the derivatives as they are.
+    problem: Problem
+    read: Signals
+    raw: Array
+    error: Array
+
+
+def corrected_readings(
+    problem: Problem, ref: Array, bg: Array, ba: Array, C_nb: Array | None = None
+) -> Corrected:
+    """The problem with the effects at constants ``ref`` (c,) taken off the readings; C_nb
+    (n, 3, 3).
 
     What an effect adds depends on the true rate and force, which are the readings less
     all errors, found by substitution.
     """
-    if problem.imu_constants == 0:
-        return replace(problem, ref=ref)
-    recording, nodes = problem.recording, problem.nodes
-    imu = recording.imu
+    imu, nodes = problem.recording.imu, problem.nodes
     raw = np.hstack([imu.gyro - bg, imu.accel - ba])
     acting = [e for e in problem.effects if e.imu_error is not None]
-    compared = bool(problem.observations) and not problem.navigated
-    read = of_recording(recording, acting, read=raw, C_nb=C_nb, alpha=problem.alpha)
+    read = of_recording(problem.recording, acting, read=raw, C_nb=C_nb, alpha=problem.alpha)
     error = substituted(acting, ref, read)
-    truth = raw - error if noise is None else raw - error - noise
     clean = np.hstack([imu.gyro, imu.accel]) - error
     at = [np.interp(nodes.t, imu.t, clean[:, k]) for k in range(6)]
-    gyro, accel = np.stack(at[:3], axis=1), np.stack(at[3:], axis=1)
-    nodes = nodes._replace(gyro=gyro, accel=accel)
-    if not jacobian:
-        return replace(problem, ref=ref, nodes=nodes)
+    nodes = nodes._replace(gyro=np.stack(at[:3], axis=1), accel=np.stack(at[3:], axis=1))
+    return Corrected(replace(problem, ref=ref, nodes=nodes), read, raw, error)
+
+
+def differentiated(
+    done: Corrected, noise: Array | None = None, force: Array | None = None
+) -> Problem:
+    """The problem with the derivatives of its effects where its readings were corrected.
+
+    noise: (n, 6) estimate of the noise in the readings, which is no motion; force (n, 3): the
+    specific force that may excite effects, where it is not what is read.
+    """
+    problem, read = done.problem, done.read
+    recording, nodes, ref = problem.recording, problem.nodes, problem.ref
+    imu = recording.imu
+    compared = bool(problem.observations) and not problem.navigated
+    truth = done.raw - done.error
+    if noise is not None:
+        truth = truth - noise
     if force is not None:
         truth = np.hstack([truth[:, :3], force])
     quiet = np.interp(imu.t, nodes.t, problem.rate) < QUIET_RATE
@@ -319,29 +330,44 @@ def relinearised(
     # (what is known of the angular acceleration has none of the noise that is averaged)
     short = max(1, round(AVERAGE_S[0] * recording.rate_hz))
     averaged = reading(read, _averaged(truth, short)) if compared else signals
-    J = np.empty((len(imu.t), 6, problem.imu_constants))
+    right = np.clip(np.searchsorted(imu.t, nodes.t), 1, len(imu.t) - 1)
+    share = (nodes.t - imu.t[right - 1]) / (imu.t[right] - imu.t[right - 1])
+    J = np.zeros((len(nodes.t), 6, problem.imu_constants))
     i = 0
-    for e in acting:
+    for e in (e for e in problem.effects if e.imu_error is not None):
         own = slice(i, i + len(e.parameters))
         i = own.stop
-        if e.imu_inverse is None:
-            J[:, :, own] = correction_jacobian(e, ref[own], averaged)
-            continue
-        J[:, :, own] = correction_jacobian(e, ref[own], signals)
-        if compared:
-            for k in range(6):
-                J[:, k, own] = _averaged(J[:, k, own], short)
-    right = np.clip(np.searchsorted(imu.t, nodes.t), 1, len(imu.t) - 1)
-    share = ((nodes.t - imu.t[right - 1]) / (imu.t[right] - imu.t[right - 1]))[:, None]
-    J_nodes = np.zeros((len(nodes.t), 6, problem.imu_constants))
-    for k in range(6):
-        # (channel by channel: all of J at once would be the largest thing in memory, thrice)
-        some = np.flatnonzero(J[:, k].any(axis=0))
-        of_imu = J[:, k, some]
-        if noise is not None:
-            of_imu = _calmed(of_imu, recording.rate_hz, quiet)
-        J_nodes[:, k, some] = of_imu[right - 1] * (1.0 - share) + of_imu[right] * share
-    return replace(problem, ref=ref, nodes=nodes._replace(J=J_nodes))
+        whole = e.imu_inverse is not None
+        of_imu = correction_jacobian(e, ref[own], signals if whole else averaged)
+        for k in range(6):
+            some = np.flatnonzero(of_imu[:, k].any(axis=0))
+            if not len(some):
+                continue
+            channel = of_imu[:, k, some]
+            if compared and whole:
+                channel = _averaged(channel, short)
+            if noise is not None:
+                channel = _calmed(channel, recording.rate_hz, quiet)
+            _onto_nodes(channel, right, share, J[:, k], own.start + some)
+    return replace(problem, nodes=nodes._replace(J=J))
+
+
+@njit
+def _onto_nodes(J: Array, right: IntArray, share: Array, out: Array, columns: IntArray) -> None:
+    """Columns of J (n, s) at the IMU's samples, on straight lines, into those of ``out`` (k, c)."""
+    for i in range(len(right)):
+        b = right[i]
+        for c in range(len(columns)):
+            out[i, columns[c]] = J[b - 1, c] * (1.0 - share[i]) + J[b, c] * share[i]
+
+
+def relinearised(
+    problem: Problem, ref: Array, bg: Array, ba: Array, C_nb: Array | None = None
+) -> Problem:
+    """The same problem with its effects linearised about constants ``ref`` (c,) and biases."""
+    if problem.imu_constants == 0:
+        return replace(problem, ref=ref)
+    return differentiated(corrected_readings(problem, ref, bg, ba, C_nb))
 
 
 def _stilled(truth: Array, t: Array, quiet: BoolArray) -> Array:

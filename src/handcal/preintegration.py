@@ -8,7 +8,9 @@ import numpy as np
 
 from handcal._jit import copy1, copy2, inner, local_matrix, njit, zero2
 from handcal.covariance import Propagation, propagate
-from handcal.kernel import BASE, Nodes, interval
+from handcal.kernel import BASE, Nodes, corrected, interval
+from handcal.so3 import exp, matmul
+from handcal.strapdown import advance, increments
 from handcal.types import Array, IntArray
 
 
@@ -58,6 +60,66 @@ def preintegrate(
             d_out[j, a] = p[a] - nominal[0][j, a]
             d_out[j, 3 + a] = v[a] - nominal[1][j, a]
         _angle_between(C, nominal[2][j], d_out[j, 6:9])
+
+
+@njit
+def integrate(
+    nodes: Nodes,
+    epoch: IntArray,
+    nominal: tuple[Array, Array, Array],
+    constants: tuple[Array, Array, Array, Array],
+    g_n: Array,
+    omega_ie_n: Array,
+    out: tuple[Array, Array, Array],
+    d: Array,
+) -> None:
+    """Position, velocity (n, 3) and attitude (n, 3, 3) at all nodes, into ``out``, and where the
+    integration ends beside the next epoch, d (k, 9): predicted minus nominal.
+
+    Each epoch begins anew from the nominal; what it lacks at its end is spread over its time.
+    constants: as in ``preintegrate``.
+    """
+    bg, ba, extras, ref = constants
+    mi = nodes.J.shape[2]
+    inc, f_n, w, psi = np.empty((3, 3)), np.empty(3), np.empty((4, 3)), np.empty(3)
+    p, v, C, turn = np.empty(3), np.empty(3), np.empty((3, 3)), np.empty((3, 3))
+    for j in range(1, len(epoch)):
+        copy1(nominal[0][j - 1], p)
+        copy1(nominal[1][j - 1], v)
+        copy2(nominal[2][j - 1], C)
+        a, b = epoch[j - 1], epoch[j]
+        for k in range(3):
+            out[0][a, k], out[1][a, k] = p[k], v[k]
+        copy2(C, out[2][a])
+        for i in range(a + 1, b + 1):
+            if mi > 0 or i == a + 1:
+                corrected(nodes.gyro[i - 1], nodes.J[i - 1], 0, bg[j - 1], extras, ref, w[0])
+                corrected(nodes.accel[i - 1], nodes.J[i - 1], 3, ba[j - 1], extras, ref, w[2])
+            else:
+                copy1(w[1], w[0])
+                copy1(w[3], w[2])
+            corrected(nodes.gyro[i], nodes.J[i], 0, bg[j - 1], extras, ref, w[1])
+            corrected(nodes.accel[i], nodes.J[i], 3, ba[j - 1], extras, ref, w[3])
+            dt = nodes.t[i] - nodes.t[i - 1]
+            increments(w[0], w[1], w[2], w[3], dt, inc)
+            advance(p, v, C, inc, dt, g_n, omega_ie_n, f_n)
+            copy1(p, out[0][i])
+            copy1(v, out[1][i])
+            copy2(C, out[2][i])
+        for k in range(3):
+            d[j, k] = p[k] - nominal[0][j, k]
+            d[j, 3 + k] = v[k] - nominal[1][j, k]
+        _angle_between(C, nominal[2][j], d[j, 6:9])
+        span = nodes.t[b] - nodes.t[a]
+        for i in range(a + 1, b + 1):
+            share = (nodes.t[i] - nodes.t[a]) / span if span > 0.0 else 1.0
+            for k in range(3):
+                out[0][i, k] -= share * d[j, k]
+                out[1][i, k] -= share * d[j, 3 + k]
+                psi[k] = -share * d[j, 6 + k]
+            exp(psi, turn)
+            copy2(out[2][i], C)
+            matmul(turn, C, out[2][i])
 
 
 @inner

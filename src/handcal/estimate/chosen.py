@@ -16,6 +16,7 @@ import numpy as np
 from handcal.effects import Effect, mag_hard_iron
 from handcal.estimate.case import Case, Edit, case_of, creeping, edited
 from handcal.estimate.fit import (
+    TOLERANCE,
     Fitted,
     Model,
     at_constants,
@@ -126,16 +127,16 @@ def settled(base: Model, chosen: Chosen, engine: str = "compiled") -> Model:
             replace(f, levels={k: levels.get(k, v) for k, v in f.levels.items()})
             for f, levels in zip(parts, chosen.levels, strict=True)
         ]
-        return fitted(noisy, chosen.effects, noise_rounds=2)
+        return fitted(noisy, chosen.effects, noise_rounds=2, tolerance=TOLERANCE)
     starts = [[with_usual_noise(f) for f in parts]]
     if not iron:
         # (online, an iron runs away with the heading; other effects may lead astray too: then
         # that is no start)
         with contextlib.suppress(HandcalError):
             starts.append([started(f.case, chosen.effects, engine) for f in begun.parts])
-    found = [fitted(start, chosen.effects, noise_rounds=2) for start in starts]
+    found = [fitted(start, chosen.effects, noise_rounds=2, tolerance=TOLERANCE) for start in starts]
     if max(m.log_evidence for m in found) < base.log_evidence:
-        found.append(fitted(parts, chosen.effects, noise_rounds=2))
+        found.append(fitted(parts, chosen.effects, noise_rounds=2, tolerance=TOLERANCE))
     return max(found, key=lambda m: m.log_evidence)
 
 

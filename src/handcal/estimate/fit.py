@@ -23,11 +23,13 @@ from handcal.estimate.robust import excess
 from handcal.estimate.tails import tailed, usual
 from handcal.evidence import backward, reduce, reduced_pass
 from handcal.filter import ENGINES, empty_track
-from handcal.linear import Linear, Trajectory, epochs, linearise_about, trajectory_of
+from handcal.linear import Linear, Trajectory, epochs, linearise_about, path, trajectory_of
 from handcal.model import Problem, noise_arrays, relinearised
 from handcal.types import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Array, HandcalError, IntArray
 
-TOLERANCE = 0.05
+# Nats within which evidence rests: of a fit that is written down, of one that a search compares
+# with others, and before noise levels are found anew, which changes it by more.
+TOLERANCE, COMPARED, ROUGH = 0.05, 0.2, 2.0
 ROUNDS = 10
 # Nats below what other noise levels gave at which a trajectory is given up.
 ASTRAY = 20.0
@@ -139,17 +141,20 @@ def fitted(
     effects: Sequence[Effect],
     noise_rounds: int = 1,
     known: Known | None = None,
+    tolerance: float = COMPARED,
 ) -> Model:
-    """Fit these effects to all recordings, beginning from other fits' trajectories and noise."""
+    """Fit these effects to all recordings, beginning from other fits' trajectories and noise,
+    until the evidence rests within ``tolerance`` nats."""
     parts = [moved_to(f, effects) for f in begin]
-    parts, settled, evidence = relinearised_parts(parts, effects, known)
+    rest = tolerance if noise_rounds == 0 else ROUGH
+    parts, settled, evidence = relinearised_parts(parts, effects, known, tolerance=rest)
     if not math.isfinite(evidence):
         return diverged(parts, effects)
     wide = False
     for left in range(noise_rounds, -1, -1):
         # (first at the usual scales: seen from far off, anything may look large)
         if not wide and known is None and _asks_for_more(parts, effects):
-            tried, rests, value = relinearised_parts(parts, effects, known, evidence, wide=True)
+            tried, rests, value = relinearised_parts(parts, effects, known, evidence, True, rest)
             if value > evidence:
                 parts, settled, evidence, wide = tried, rests, value, True
         if not left:
@@ -165,14 +170,20 @@ def fitted(
         for share in SHARES:
             # about one trajectory, evidence may favour a noise so small that no other is as good
             towards = [_towards(o, n, share) for o, n in zip(parts, new, strict=True)]
-            tried, rests, value = relinearised_parts(towards, effects, known, least, wide)
+            tried, rests, value = relinearised_parts(
+                towards, effects, known, least, wide, tolerance
+            )
             if value > least:
                 break
         else:
             break
-        parts, settled, evidence = tried, rests, value
+        parts, settled, evidence, rest = tried, rests, value, tolerance
         if change < 0.02:
             break
+    if rest > tolerance:
+        parts, settled, _ = relinearised_parts(
+            parts, effects, known, wide=wide, tolerance=tolerance
+        )
     whole = total([_local(f, effects).quadratic for f in parts])
     found = _posterior(whole, effects, known, wide)
     constant = sum(f.case.constant for f in parts)
@@ -254,14 +265,15 @@ def relinearised_parts(
     known: Known | None = None,
     least: float = -math.inf,
     wide: bool = False,
+    tolerance: float = TOLERANCE,
 ) -> tuple[list[Fitted], bool, float]:
     """Move and linearise again until the joint evidence rests; whether it does, and the evidence.
 
     least: where the evidence falls below that, there is no use in going on. wide: with all scales
-    of the priors instead of the usual one alone.
+    of the priors instead of the usual one alone. tolerance: nats.
     """
     shared = frozenset(e.id for e in effects)
-    parts, evidence = list(parts), -math.inf
+    parts, evidence, before = list(parts), -math.inf, -math.inf
     for _ in range(ROUNDS):
         if not all(_sane(f.linear) for f in parts):
             return parts, False, math.nan
@@ -269,9 +281,12 @@ def relinearised_parts(
         locals_ = [local(p, shared) for p in passes]
         whole = total([x.quadratic for x in locals_])
         found = _posterior(whole, effects, known, wide)
-        if abs(found.log_evidence - evidence) < TOLERANCE:
+        if abs(found.log_evidence - evidence) < tolerance:
             return parts, True, found.log_evidence
-        evidence = found.log_evidence
+        if abs(found.log_evidence - before) < tolerance and found.log_evidence > evidence:
+            # (to and fro between two trajectories: this is the better)
+            return parts, False, found.log_evidence
+        before, evidence = evidence, found.log_evidence
         if not evidence > least:  # (nor where it is no number any more)
             break
         new = []
@@ -363,11 +378,12 @@ def transferred(nominal: Trajectory, old: Problem, new: Problem) -> Trajectory:
         at += process.size
     if same:
         return replace(nominal, node=node, constants=constants, markov=markov)
+    way = path(old, nominal)
     return Trajectory(
         node,
-        interpolated(t, t_old, nominal.p),
-        interpolated(t, t_old, nominal.v),
-        so3.between(t_old, nominal.C, t),
+        interpolated(t, old.nodes.t, way.p),
+        interpolated(t, old.nodes.t, way.v),
+        so3.between(old.nodes.t, way.C, t),
         nominal.bg,
         nominal.ba,
         constants,

@@ -14,7 +14,7 @@ from handcal.estimate.fit import Fitted, Model, interpolated
 from handcal.estimate.parameters import Known, Moment, known
 from handcal.estimate.robust import inflation
 from handcal.kernel import BASE
-from handcal.linear import Linear, Trajectory, linearise_about
+from handcal.linear import Linear, Trajectory, linearise_about, path
 from handcal.model import Problem
 from handcal.types import Array, HandcalError, History, Innovations, NoiseLevel, Parameter, Result
 
@@ -106,10 +106,10 @@ def _dense(f: Fitted) -> Linear:
     more = np.unique(np.r_[node, wanted.clip(max=len(t) - 1)])
     old, new = t[node], t[more]
     nominal = linear.trajectory
-    C = so3.between(old, nominal.C, new)
+    way = path(linear.problem, nominal)
     dense: Trajectory = replace(
-        nominal, node=more, C=C,
-        **{name: interpolated(new, old, getattr(nominal, name)) for name in ("p", "v", "markov")},
+        nominal, node=more, p=way.p[more], v=way.v[more], C=way.C[more],
+        markov=interpolated(new, old, nominal.markov),
     )  # fmt: skip
     out = linearise_about(linear.problem, linear.start, dense)
     x, _ = batch.smoothed_mean(out, f.levels)

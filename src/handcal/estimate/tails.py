@@ -10,11 +10,11 @@ over the scales, never the best of them.
 from __future__ import annotations
 
 import math
-from itertools import groupby
+from itertools import groupby, pairwise
 
 import numpy as np
-from scipy.special import log_ndtr
 
+from handcal._jit import njit
 from handcal.estimate.quadratic import Posterior, Quadratic, posterior
 from handcal.types import Array, BoolArray, IntArray
 
@@ -24,7 +24,8 @@ LOG_SHARES = np.log([0.9, 0.09, 0.01])
 # Of a parameter within so many standard deviations the wide scales say nothing worth a pass.
 NEAR = 2.0
 ROUNDS = 6
-NORMAL = np.array([0.0, -np.inf, -np.inf])
+# Below this the logarithm of the normal distribution function is that of its asymptote.
+FAR_BELOW = -20.0
 
 
 def tailed(
@@ -41,77 +42,197 @@ def tailed(
     are summed over one by one, those of the others at their best: exact for effects that the
     recording tells apart.
     """
-    effects = _effects(q, index)
-    R = np.eye(len(index)) if root is None else root
-    half = np.zeros(len(index), dtype=np.bool_) if positive is None else positive
-    scale = np.zeros(len(effects), dtype=np.int64)
-    for _ in range(ROUNDS):
-        wide = R * np.repeat(SCALES[scale], [len(e) for e in effects])
-        found = posterior(q, index, wide)
-        shares = [
-            _shares(found, R, e, int(k), half[e])
-            + (LOG_SHARES if _has_tails(q, int(index[e[0]])) else NORMAL)
-            for e, k in zip(effects, scale, strict=True)
-        ]
-        best = np.array([int(np.argmax(s)) for s in shares], dtype=np.int64)
-        if np.array_equal(best, scale):
-            break
-        scale = best
-    value = found.log_evidence + sum(float(np.logaddexp.reduce(s)) for s in shares)
-    return Posterior(value, found.mean, found.covariance)
+    mean, covariance = np.empty(len(index)), np.empty((len(index), len(index)))
+    value = _tailed(*_prepared(q, index, root, positive), -1.0, mean, covariance)
+    return Posterior(q.a + value, mean, covariance)
 
 
 def usual(q: Quadratic, index: IntArray, root: Array | None = None) -> Posterior:
     """As ``tailed``, of the usual scale alone: what the others add is left out."""
     found = posterior(q, index, root)
-    value = found.log_evidence + _left_out(q, index)
-    return Posterior(value, found.mean, found.covariance)
+    left_out = _tails(q, index).sum() * float(LOG_SHARES[0])
+    return Posterior(found.log_evidence + left_out, found.mean, found.covariance)
 
 
-def log_evidence(q: Quadratic, index: IntArray, root: Array | None = None) -> float:
+def log_evidence(
+    q: Quadratic,
+    index: IntArray,
+    root: Array | None = None,
+    positive: BoolArray | None = None,
+) -> float:
     """As ``tailed``, only the evidence: what a search over subsets needs."""
-    b, G = q.b[index], q.G[np.ix_(index, index)]
+    mean, covariance = np.empty(len(index)), np.empty((len(index), len(index)))
+    return q.a + _tailed(*_prepared(q, index, root, positive), NEAR, mean, covariance)
+
+
+def _prepared(
+    q: Quadratic, index: IntArray, root: Array | None, positive: BoolArray | None
+) -> tuple[Array, Array, Array, IntArray, Array, BoolArray, BoolArray]:
+    """b, G, R of the subset; of its effects where each begins, the rank of its prior and whether
+    it has tails; and which parameters are positive."""
+    begin = _begin(q, index)
+    size = np.diff(begin).astype(np.float64)
+    R = np.eye(len(index)) if root is None else root
     if root is not None:
-        b, G = root.T @ b, root.T @ G @ root
-    L = np.linalg.cholesky(0.5 * (G + G.T) + np.eye(len(b)))
-    y = np.linalg.solve(L, b)
-    x = np.linalg.solve(L.T, y)
-    if np.abs(x).max(initial=0.0) > NEAR:
-        return tailed(q, index, root).log_evidence
-    return float(q.a + 0.5 * y @ y - np.log(np.diag(L)).sum()) + _left_out(q, index)
+        blocks = (slice(i, k) for i, k in pairwise(begin))
+        size = np.array([float(np.linalg.matrix_rank(R[b, b])) for b in blocks])
+    half = np.zeros(len(index), dtype=np.bool_) if positive is None else positive
+    tails = _tails(q, index)
+    return q.b[index], q.G[index[:, None], index], R, begin, size, tails, half
 
 
-def _left_out(q: Quadratic, index: IntArray) -> float:
-    """Nats by which the usual scale alone, with its share of devices, counts for less than one."""
-    count = sum(_has_tails(q, int(index[e[0]])) for e in _effects(q, index))
-    return count * float(LOG_SHARES[0])
+def _begin(q: Quadratic, index: IntArray) -> IntArray:
+    """Where each effect's parameters, which are neighbours, begin in the subset; and its end."""
+    runs = groupby(q.names[i][0] for i in index)
+    return np.cumsum([0, *(sum(1 for _ in run) for _, run in runs)], dtype=np.int64)
 
 
-def _effects(q: Quadratic, index: IntArray) -> list[IntArray]:
-    """Places in the subset of each effect's parameters, which are neighbours."""
-    owners = [q.names[i][0] for i in index]
-    runs = groupby(range(len(owners)), key=lambda i: owners[i])
-    return [np.array(list(run), dtype=np.int64) for _, run in runs]
+def _tails(q: Quadratic, index: IntArray) -> BoolArray:
+    """Of each effect of the subset whether its prior has tails: a term that was found in a
+    recording has a prior that suits that recording."""
+    owners = [owner for owner, _ in groupby(q.names[i][0] for i in index)]
+    return np.array(
+        ["+=" not in owner and not owner.startswith("basis:") for owner in owners], dtype=np.bool_
+    )
 
 
-def _has_tails(q: Quadratic, i: int) -> bool:
-    """A term that was found in a recording has a prior that suits that recording."""
-    return "+=" not in q.names[i][0] and not q.names[i][0].startswith("basis:")
+@njit
+def _tailed(
+    b: Array,
+    G: Array,
+    R: Array,
+    begin: IntArray,
+    rank: Array,
+    tails: BoolArray,
+    half: BoolArray,
+    near: float,
+    mean: Array,
+    covariance: Array,
+) -> float:
+    """Log-evidence against no parameter at all; mean (m,) and covariance (m, m) are written.
+
+    near: of means within so many standard deviations the usual scale alone counts (not
+    positive: never).
+    """
+    count = len(begin) - 1
+    scale = np.zeros(count, dtype=np.int64)
+    best = np.zeros(count, dtype=np.int64)
+    shares = np.full((count, len(SCALES)), -np.inf)
+    value = 0.0
+    for _ in range(ROUNDS):
+        value = _posterior(b, G, R, begin, scale, mean, covariance)
+        if near > 0.0 and not half.any() and np.abs(mean).max() <= near:
+            for e in range(count):
+                value += LOG_SHARES[0] if tails[e] else 0.0
+            return value
+        for e in range(count):
+            first, last = begin[e], begin[e + 1]
+            for k in range(len(SCALES) if tails[e] else 1):
+                shares[e, k] = _share(
+                    mean[first:last],
+                    covariance[first:last, first:last],
+                    rank[e],
+                    SCALES[scale[e]],
+                    SCALES[k],
+                    half[first:last],
+                )
+                if tails[e]:
+                    shares[e, k] += LOG_SHARES[k]
+            best[e] = np.argmax(shares[e])
+        same = True
+        for e in range(count):
+            same = same and best[e] == scale[e]
+            scale[e] = best[e]
+        if same:
+            break
+    for e in range(count):
+        top = shares[e].max()
+        value += top + math.log(np.exp(shares[e] - top).sum())
+    return value
 
 
-def _shares(found: Posterior, R: Array, mine: IntArray, scale: int, half: BoolArray) -> Array:
-    """Log of what each scale (3,) of an effect is worth against the one it has in ``found``: the
-    mean, over the posterior, of the ratio of the priors; half (k,): those that are positive."""
-    rank = float(np.linalg.matrix_rank(R[np.ix_(mine, mine)]))
-    m, C = found.mean[mine], found.covariance[np.ix_(mine, mine)]
-    out = np.empty(len(SCALES))
-    for k, s in enumerate(SCALES):
-        tighter = 1.0 / s**2 - 1.0 / SCALES[scale] ** 2
-        A = np.eye(len(m)) + tighter * C
-        mean = np.linalg.solve(A, m)
-        widened = rank * math.log(SCALES[scale] / s) - 0.5 * float(np.linalg.slogdet(A)[1])
-        out[k] = widened - 0.5 * tighter * float(m @ mean)
-        if half.any():
-            sigma = np.sqrt(np.diag(np.linalg.solve(A, C)))
-            out[k] += float((math.log(2.0) + log_ndtr(mean / sigma))[half].sum())
+@njit
+def _posterior(
+    b: Array, G: Array, R: Array, begin: IntArray, scale: IntArray, mean: Array, C: Array
+) -> float:
+    """``quadratic.posterior`` at these scales of the effects: log-evidence, mean (m,), C (m, m)."""
+    m = len(b)
+    wide = R.copy()
+    for e in range(len(scale)):
+        wide[:, begin[e] : begin[e + 1]] *= SCALES[scale[e]]
+    A = wide.T @ (G @ wide)
+    for i in range(m):
+        A[i, i] += 1.0
+    if not _rooted(A):
+        mean[:] = 0.0
+        C[:, :] = 0.0
+        return -np.inf
+    rows = wide.T.copy()
+    y = wide.T @ b
+    _forward(A, y)
+    for i in range(m):
+        for k in range(i):
+            rows[i] -= A[i, k] * rows[k]
+        rows[i] /= A[i, i]
+    mean[:] = rows.T @ y
+    C[:, :] = rows.T @ rows
+    value = 0.0
+    for i in range(m):
+        value += 0.5 * y[i] * y[i] - math.log(A[i, i])
+    return value
+
+
+@njit
+def _rooted(A: Array) -> bool:
+    """Cholesky's root in the lower half of A (m, m); False where A is not positive."""
+    for i in range(len(A)):
+        for j in range(i + 1):
+            s = 0.5 * (A[i, j] + A[j, i])
+            for k in range(j):
+                s -= A[i, k] * A[j, k]
+            if i > j:
+                A[i, j] = s / A[j, j]
+                continue
+            if not s > 0.0:
+                return False
+            A[i, i] = math.sqrt(s)
+    return True
+
+
+@njit
+def _forward(L: Array, y: Array) -> None:
+    """y (m,) becomes L^-1 y."""
+    for i in range(len(y)):
+        for k in range(i):
+            y[i] -= L[i, k] * y[k]
+        y[i] /= L[i, i]
+
+
+@njit
+def _share(m: Array, C: Array, rank: float, now: float, new: float, half: BoolArray) -> float:
+    """Log of what a scale of an effect's prior is worth against the one it has in the posterior
+    m (k,), C (k, k): the mean, over the posterior, of the ratio of the priors; half (k,): those
+    that are positive."""
+    k = len(m)
+    tighter = 1.0 / new**2 - 1.0 / now**2
+    # E exp(-t u'u / 2) for u ~ N(m, C), with C = S S', is |I + t S'S|^-1/2 times an exponential
+    A = tighter * C
+    for i in range(k):
+        A[i, i] += 1.0
+    x = np.linalg.solve(A, m)
+    out: float = rank * math.log(now / new) - 0.5 * np.linalg.slogdet(A)[1]
+    out -= 0.5 * tighter * float((m * x).sum())
+    if half.any():
+        spread = np.linalg.solve(A, C)
+        for i in range(k):
+            if half[i]:
+                out += math.log(2.0) + _log_normal(x[i] / math.sqrt(spread[i, i]))
     return out
+
+
+@njit
+def _log_normal(x: float) -> float:
+    """Log of the normal distribution function."""
+    if x < FAR_BELOW:
+        return -0.5 * x * x - math.log(-x) - 0.5 * math.log(2.0 * math.pi)
+    return math.log(0.5 * math.erfc(-x / math.sqrt(2.0)))

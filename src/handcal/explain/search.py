@@ -12,7 +12,7 @@ from handcal.effects import Effect
 from handcal.estimate.case import name_of
 from handcal.estimate.fit import prior_root
 from handcal.estimate.quadratic import Quadratic
-from handcal.estimate.tails import log_evidence, tailed
+from handcal.estimate.tails import log_evidence
 from handcal.types import Array, IntArray
 
 # Log prior odds that a device shows an effect so clearly that it has to be told.
@@ -69,11 +69,9 @@ class Space:
         root = prior_root(self.quadratic, effects, index)
         odds = sum(self.prior[i] for i in names)
         flags = [p.positive for e in effects for p in e.parameters]
+        # (of what is positive half of a symmetric prior, twice as dense)
         positive = np.array(flags, dtype=np.bool_)
-        if not positive.any():
-            return log_evidence(self.quadratic, index, root) + odds
-        # half of a symmetric prior, twice as dense
-        return tailed(self.quadratic, index, root, positive).log_evidence + odds
+        return log_evidence(self.quadratic, index, root, positive) + odds
 
 
 def space(quadratic: Quadratic, effects: Sequence[Effect], prior: Mapping[str, float]) -> Space:

@@ -100,15 +100,19 @@ def explain(
 
     cases = [prepared(r) for r in recordings]
     report(0.03)
-    base, found, wrong = _searched(cases, lambda f: report(0.03 + 0.77 * f))
+    base, found, wrong = _searched(baseline(cases), lambda f: report(0.03 + 0.77 * f))
     far = [assume == "auto" and travels(f) for f in found.model.parts]
     if any(far):
         # (only now: errors of the sensors look like a travelling hand too)
-        cases = [
-            resting(f, latitude, height) if gone else case
-            for case, f, gone in zip(cases, found.model.parts, far, strict=True)
-        ]
-        base, found, wrong = _searched(cases, lambda f: report(0.4 + 0.4 * f))
+        laid = baseline(
+            [
+                resting(f, latitude, height) if gone else case
+                for case, f, gone in zip(cases, found.model.parts, far, strict=True)
+            ]
+        )
+        far = [gone and math.isfinite(laid.log_evidence) for gone in far]
+    if any(far):
+        base, found, wrong = _searched(laid, lambda f: report(0.4 + 0.4 * f))
     report(0.75)
     options = Options(latitude, height, fixed, tuple(ignore), reference_exact)
     found, chosen = _refitted(base, found, options)
@@ -144,11 +148,8 @@ def _refitted(base: Model, found: Found, options: Options) -> tuple[Found, Chose
     return replace(found, model=model, space=where), chosen
 
 
-def _searched(
-    cases: Sequence[Case], report: Progress
-) -> tuple[Model, Found, outliers.Wrong | None]:
+def _searched(base: Model, report: Progress) -> tuple[Model, Found, outliers.Wrong | None]:
     """The baseline, where the search from it ended, and the headings that are merely wrong."""
-    base = baseline(cases)
     report(0.15)
     start = ironed(base)
     cleaned, wrong = outliers.cleaned(start)
