@@ -9,11 +9,13 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from handcal.effects import Effect, mag_hard_iron
+from handcal.estimate.beside import side_by_side
 from handcal.estimate.case import Case, Edit, case_of, creeping, edited
 from handcal.estimate.fit import (
     TOLERANCE,
@@ -134,7 +136,8 @@ def settled(base: Model, chosen: Chosen, engine: str = "compiled") -> Model:
         # that is no start)
         with contextlib.suppress(HandcalError):
             starts.append([started(f.case, chosen.effects, engine) for f in begun.parts])
-    found = [fitted(start, chosen.effects, noise_rounds=2, tolerance=TOLERANCE) for start in starts]
+    fits = (partial(fitted, s, chosen.effects, noise_rounds=2, tolerance=TOLERANCE) for s in starts)
+    found = list(side_by_side(fits))
     if max(m.log_evidence for m in found) < base.log_evidence:
         found.append(fitted(parts, chosen.effects, noise_rounds=2, tolerance=TOLERANCE))
     return max(found, key=lambda m: m.log_evidence)

@@ -10,7 +10,7 @@ over the scales, never the best of them.
 from __future__ import annotations
 
 import math
-from itertools import groupby, pairwise
+from itertools import groupby
 
 import numpy as np
 
@@ -74,8 +74,8 @@ def _prepared(
     size = np.diff(begin).astype(np.float64)
     R = np.eye(len(index)) if root is None else root
     if root is not None:
-        blocks = (slice(i, k) for i, k in pairwise(begin))
-        size = np.array([float(np.linalg.matrix_rank(R[b, b])) for b in blocks])
+        # (of a projection the rank is the trace)
+        size = np.asarray(np.round(np.add.reduceat(np.diag(R), begin[:-1])), dtype=np.float64)
     half = np.zeros(len(index), dtype=np.bool_) if positive is None else positive
     tails = _tails(q, index)
     return q.b[index], q.G[index[:, None], index], R, begin, size, tails, half

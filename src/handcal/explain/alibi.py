@@ -6,8 +6,10 @@ from __future__ import annotations
 import math
 from collections.abc import Set
 from dataclasses import replace
+from functools import partial
 
 from handcal.effects import Effect, catalogue
+from handcal.estimate.beside import side_by_side
 from handcal.estimate.case import applicable
 from handcal.estimate.fit import Fitted, Model, fitted
 from handcal.explain.search import PRIOR
@@ -26,13 +28,16 @@ def without_alibi(model: Model, worth: float, tried: set[str]) -> Model | None:
     suspected = frozenset(kind for f in model.parts for kind in _grown(f))
     begun = [_usual(f, suspected) for f in model.parts]
     best: Model | None = None
-    for effect in catalogue().values():
-        if effect.id in tried | set(model.ids) or not _acts(effect, suspected):
-            continue
-        if not any(applicable(f.case, effect) for f in model.parts):
-            continue
-        tried.add(effect.id)
-        fit = fitted(begun, (*model.effects, effect), noise_rounds=2)
+    wanted = [
+        e
+        for e in catalogue().values()
+        if e.id not in tried | set(model.ids)
+        and _acts(e, suspected)
+        and any(applicable(f.case, e) for f in model.parts)
+    ]
+    tried |= {e.id for e in wanted}
+    fits = (partial(fitted, begun, (*model.effects, e), noise_rounds=2) for e in wanted)
+    for fit in side_by_side(fits):
         gain = worth * (fit.log_evidence - model.log_evidence)
         if gain + PRIOR > 0.0 and (best is None or fit.log_evidence > best.log_evidence):
             best = fit

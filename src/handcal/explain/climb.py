@@ -7,12 +7,14 @@ do, and the first that does something ends the turn. The climb ends where none d
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
 from handcal.effects import Effect, catalogue
+from handcal.estimate.beside import side_by_side
 from handcal.estimate.case import Case, applicable, frozen_at, name_of
 from handcal.estimate.fit import Fitted, Model, fitted, moved_to, scan
 from handcal.estimate.robust import inflation
@@ -234,42 +236,57 @@ def _exchange(c: Climb) -> Model | None:
     accelerometer); about a fit with one of them the other cannot be judged, so it is fitted.
     """
     model, where = c.model, c.where
-    have = {name_of(i) for i in model.ids}
-    now = model.chosen
-    gained = gains(where, now)
-    for e in model.effects:
-        # (what was in the baseline is taken off the readings already)
-        if e.id not in now or e.id in c.kept or len(c.swaps) >= MOST_SWAPS:
-            continue
-        if gained[e.id] < -PRIOR:
-            continue
-        # what a rival would do of all that the effect does
-        near = {i: 1.0 + v / gained[e.id] for i, v in rivals(where, now, e.id).items()}
-        near = {i: v for i, v in near.items() if i in catalogue() and i != e.id}
-        near = {i: v for i, v in near.items() if v > NEARLY or akin(e.id, i)}
-        near = {i: v for i, v in near.items() if i not in have | c.dropped}
-        # (what holds this effect and more is not in its place, but beside it)
-        near = {i: v for i, v in near.items() if e.id not in catalogue()[i].exclusive}
-        near = {i: v for i, v in near.items() if (e.id, i) not in c.swaps}
-        if not near:
-            continue
-        rival = max(near, key=lambda i: near[i])
-        others = [x for x in model.effects if x.id != e.id]
+    gained = gains(where, model.chosen)
+    pairs = _rivalries(c, gained)
+
+    def exchanged(e: Effect, rival: str) -> Model:
         # (a delay may have to be begun where the grid found it)
         begin = next((m.parts for m in c.far if rival in m.ids), model.parts)
-        tried = fitted(begin, [*others, catalogue()[rival]])
+        return fitted(begin, [*(x for x in model.effects if x is not e), catalogue()[rival]])
+
+    fits = side_by_side(partial(exchanged, *pair) for pair in pairs)
+    for (e, rival), tried in zip(pairs, fits, strict=True):
         worse = c.worth * (model.log_evidence - tried.log_evidence)
         c.swaps[e.id, rival], c.swaps[rival, e.id] = worse, -worse
         if worse < 0.0:
             return tried
         # the wrong one of the two may need a weak third, which the right one does not
-        weakest = min((x for x in others if x.id in now), key=lambda x: gained[x.id], default=None)
+        others = [x for x in model.effects if x is not e]
+        weakest = min(
+            (x for x in others if x.id in model.chosen), key=lambda x: gained[x.id], default=None
+        )
         if weakest is not None and worse < -2.0 * PRIOR and gained[weakest.id] < WEAK:
             rest = [x for x in others if x is not weakest]
             fewer = fitted(model.parts, [*rest, catalogue()[rival]])
             if c.worth * (fewer.log_evidence - model.log_evidence) - PRIOR > 0.0:
                 return fewer
     return None
+
+
+def _rivalries(c: Climb, gained: Mapping[str, float]) -> list[tuple[Effect, str]]:
+    """Effects of the model, each with the rival that would do most of what it does."""
+    have, now = {name_of(i) for i in c.model.ids}, c.model.chosen
+    pairs: list[tuple[Effect, str]] = []
+    tried = set(c.swaps)
+    for e in c.model.effects:
+        # (what was in the baseline is taken off the readings already)
+        if e.id not in now or e.id in c.kept or len(tried) >= MOST_SWAPS:
+            continue
+        if gained[e.id] < -PRIOR:
+            continue
+        # what a rival would do of all that the effect does
+        near = {i: 1.0 + v / gained[e.id] for i, v in rivals(c.where, now, e.id).items()}
+        near = {i: v for i, v in near.items() if i in catalogue() and i != e.id}
+        near = {i: v for i, v in near.items() if v > NEARLY or akin(e.id, i)}
+        near = {i: v for i, v in near.items() if i not in have | c.dropped}
+        # (what holds this effect and more is not in its place, but beside it)
+        near = {i: v for i, v in near.items() if e.id not in catalogue()[i].exclusive}
+        near = {i: v for i, v in near.items() if (e.id, i) not in tried}
+        if near:
+            rival = max(near, key=lambda i: near[i])
+            pairs.append((e, rival))
+            tried |= {(e.id, rival), (rival, e.id)}
+    return pairs
 
 
 def akin(a: str, b: str) -> bool:
@@ -303,15 +320,17 @@ def _add_noise(c: Climb) -> Model | None:
     model, worth = c.model, c.worth
     have = set(model.ids)
     here = [reduced_pass(reduce(f.linear), f.levels).log_evidence for f in model.parts]
+    wanted: list[Effect] = []
     for effect in catalogue().values():
         if effect.process is None or effect.id in have | c.dropped:
             continue
         if not any(applicable(f.case, effect) for f in model.parts):
             continue
         looks = zip(model.parts, here, strict=True)
-        if not any(_worth_a_look(f, value, model.effects, effect) for f, value in looks):
-            continue
-        tried = fitted(model.parts, (*model.effects, effect), noise_rounds=1)
+        if any(_worth_a_look(f, value, model.effects, effect) for f, value in looks):
+            wanted.append(effect)
+    fits = side_by_side(partial(fitted, model.parts, (*model.effects, e)) for e in wanted)
+    for effect, tried in zip(wanted, fits, strict=True):
         gain = worth * (tried.log_evidence - model.log_evidence)
         gain -= OCCAM_LEVEL * len(effect.levels)
         if gain + PRIOR > 0.0 and (best is None or tried.log_evidence > best.log_evidence):
@@ -352,18 +371,23 @@ def _thin(c: Climb) -> Model | None:
     excess = inflation(model)
     last = {i: 0.0 if i in c.stale else v for i, v in c.noise.items()}
     weakest = sorted(model.effects, key=lambda e: gained.get(e.id, last.get(e.id, 0.0)))
+
+    def rest(e: Effect) -> list[Effect]:
+        return [x for x in model.effects if x is not e]
+
+    tried: list[Effect] = []
     for e in weakest[:FEW]:
-        rest = [x for x in model.effects if x.id != e.id]
         if e.process is None:
             more = max(1.0, excess[e.id] * c.worth)
             if gained[e.id] / more + where.prior[e.id] < 0.0:
                 c.dropped.add(name_of(e.id))
-                return fitted(model.parts, rest)
-            if gained[e.id] > CLOSE:
-                continue
-        elif last.get(e.id, 0.0) > 10.0 * CLOSE:
-            continue
-        without = fitted(model.parts, rest)
+                return fitted(model.parts, rest(e))
+            if gained[e.id] <= CLOSE:
+                tried.append(e)
+        elif last.get(e.id, 0.0) <= 10.0 * CLOSE:
+            tried.append(e)
+    fits = side_by_side(partial(fitted, model.parts, rest(e)) for e in tried)
+    for e, without in zip(tried, fits, strict=True):
         occam = OCCAM_LEVEL * len(e.levels) if e.process is not None else 0.0
         prior = where.prior.get(e.id, PRIOR)
         gain = c.worth * (model.log_evidence - without.log_evidence) - occam

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
 from handcal.effects import Effect, catalogue
+from handcal.estimate.beside import side_by_side
 from handcal.estimate.case import applicable
 from handcal.estimate.fit import Fitted, Model, delayed, fitted, moved_to
 from handcal.evidence import reduce, reduced_pass
@@ -64,9 +66,13 @@ def _begun(model: Model, wanted: Sequence[Effect], effect: Effect) -> list[Fitte
     least = _evidence(here) + LOOK
     best: list[Fitted] | None = None
     early = () if effect.parameters[0].positive else range(-count, 0)
-    for k in (*early, *range(1, count + 1)):
-        there = [delayed(f, wanted, effect, k * step) for f in here]
-        value = _evidence(there)
+
+    def late_by(seconds: float) -> tuple[list[Fitted], float]:
+        there = [delayed(f, wanted, effect, seconds) for f in here]
+        return there, _evidence(there)
+
+    steps = (partial(late_by, k * step) for k in (*early, *range(1, count + 1)))
+    for there, value in side_by_side(steps):
         if value > least:
             best, least = there, value
     return best
