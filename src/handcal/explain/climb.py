@@ -80,6 +80,7 @@ class Climb:
     dropped: set[str] = field(default_factory=set)
     favoured: set[str] = field(default_factory=set)
     visited: set[frozenset[str]] = field(default_factory=set)
+    refused: set[frozenset[str]] = field(default_factory=set)
     ordered: set[tuple[str, frozenset[str]]] = field(default_factory=set)
     shaped: set[str] = field(default_factory=set)
     suspects: set[str] = field(default_factory=set)
@@ -188,9 +189,9 @@ def _choose(c: Climb) -> Model | None:
         return None
     c.visited.add(chosen)
     larger = _grown(c, chosen)
-    if larger is None:
-        return c.model
-    c.swaps.clear()  # (they hold beside the same others only)
+    if larger is not None:
+        c.swaps.clear()  # (they hold beside the same others only)
+        c.refused.clear()
     return larger
 
 
@@ -207,16 +208,32 @@ def _fit(c: Climb, chosen: frozenset[str]) -> Model:
 
 
 def _grown(c: Climb, chosen: frozenset[str]) -> Model | None:
-    """The model with the chosen effects, or with the best of those added if no fit with all of
-    them holds; an effect with which none does is not looked at again."""
+    """The model with the chosen effects, or with the best of those added, if such a fit is
+    likelier than the one there is; an effect with which no fit holds is not looked at again."""
     now = c.model.chosen
     for wanted in (chosen, *_singles(c.where, now, chosen)):
+        if wanted in c.refused:
+            continue
         tried = _fit(c, wanted)
-        if tried.log_evidence > c.model.log_evidence - LOST:
+        if likelier(c, tried):
             return tried
-        if len(wanted - now) == 1:
+        c.refused.add(wanted)
+        if len(wanted - now) == 1 and tried.log_evidence < c.model.log_evidence - LOST:
             c.dropped |= {name_of(i) for i in wanted - now}
     return None
+
+
+def likelier(c: Climb, tried: Model) -> bool:
+    """Whether a model's score is above that of the one there is: evidence at its worth, and the
+    prior odds of effects and levels."""
+    gain = c.worth * (tried.log_evidence - c.model.log_evidence)
+    return gain + _odds(c, tried) - _odds(c, c.model) > 0.0
+
+
+def _odds(c: Climb, model: Model) -> float:
+    named = sum(c.where.prior.get(e.id, PRIOR) for e in model.effects if e.process is None)
+    noise = sum(PRIOR - OCCAM_LEVEL * len(e.levels) for e in model.effects if e.process is not None)
+    return named + noise
 
 
 def _singles(where: Space, now: frozenset[str], chosen: frozenset[str]) -> list[frozenset[str]]:
