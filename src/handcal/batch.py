@@ -23,7 +23,7 @@ from handcal.covariance import (
     update_linear,
     update_work,
 )
-from handcal.evidence import ReducedPass, backward, reduce, reduced_pass
+from handcal.evidence import ReducedPass, backward, kept, reduce, reduced_pass
 from handcal.filter import full_prior
 from handcal.folded import unfolded
 from handcal.kernel import BASE, MAX_DIM
@@ -51,11 +51,13 @@ class Pass:
         return float(self.loglik.sum())
 
 
-def forward(linear: Linear, levels: Mapping[str, float], keep: bool = True) -> Pass:
+def forward(
+    linear: Linear, levels: Mapping[str, float], keep: bool = True, rows: IntArray | None = None
+) -> Pass:
     """Kalman filter over the linearised problem at these noise levels.
 
-    keep: store every epoch's state (needed for smoothing and histories); otherwise only
-    the last one, which makes the search for noise levels cheap.
+    keep: store every epoch's state, or those of ``rows`` (k',), for histories; otherwise only
+    the last one.
     """
     problem = linear.problem
     k, n, q = len(linear.t), problem.size, len(linear.kind)
@@ -69,10 +71,11 @@ def forward(linear: Linear, levels: Mapping[str, float], keep: bool = True) -> P
     x0[BASE : BASE + problem.constants] = problem.prior_mean - nominal.constants
     x0[BASE + problem.constants :] = -nominal.markov[0]
     P0 = full_prior(problem, P15, dict(levels))
-    rows = k if keep else 1
+    place = kept(k, rows if keep else np.array([k - 1], dtype=np.int64))
+    count = int(place.max()) + 1
     out = Pass(
-        np.zeros((rows, n)),
-        np.zeros((rows, n, n)),
+        np.zeros((count, n)),
+        np.zeros((count, n, n)),
         np.zeros((q, MAX_DIM)),
         np.zeros((q, MAX_DIM)),
         np.full(q, np.nan),
@@ -90,6 +93,7 @@ def forward(linear: Linear, levels: Mapping[str, float], keep: bool = True) -> P
         (out.residual, out.sigma, out.nis, out.loglik),
         propagation_work(n, problem.markov_size),
         update_work(n, MAX_DIM),
+        place,
     )
     return out
 
@@ -107,12 +111,12 @@ def _forward(
     out: tuple[Array, Array, Array, Array],
     work: Propagation,
     update: Update,
+    place: IntArray,
 ) -> None:
     Phi, d, Q, B, Phi_e, Q_e, d_e, Phi_psi = dynamics
     first, kind, r, H, used = rows
     n = len(x)
     e = Phi_e.shape[1]
-    keep = store[0].shape[0] > 1
     e0 = BASE + c
     column, moved = np.empty((n, 1)), np.empty((n, 1))
     for j in range(Phi.shape[0]):
@@ -142,9 +146,9 @@ def _forward(
                     update,
                 )
         symmetrise(P)
-        at = j if keep else 0
-        copy1(x, store[0][at])
-        copy2(P, store[1][at])
+        if place[j] >= 0:
+            copy1(x, store[0][place[j]])
+            copy2(P, store[1][place[j]])
 
 
 def smoothed_mean(linear: Linear, levels: Mapping[str, float]) -> tuple[Array, float]:
@@ -166,16 +170,19 @@ def whole_mean(done: ReducedPass, r: Array) -> Array:
     return x if reduction.folded is None else unfolded(reduction.folded, reduction.t, x)
 
 
-def smooth(linear: Linear, levels: Mapping[str, float], forward_pass: Pass) -> tuple[Array, Array]:
-    """Fixed-interval smoother: x (k, N) and P (k, N, N) given the whole recording.
+def smooth(
+    linear: Linear, levels: Mapping[str, float], forward_pass: Pass, rows: IntArray | None = None
+) -> tuple[Array, Array]:
+    """Fixed-interval smoother: x (k, N) and P (k, N, N) given the whole recording; of all epochs,
+    or of those of ``rows``, which end with the last, as in the forward pass.
 
     The form of Bryson and Frazier on the reduced filter: nothing is inverted but the
     constants' information, in units of their priors. The last epoch is the filter's own.
     """
-    done = reduced_pass(reduce(linear, folds=False), levels, keep=True)
+    done = reduced_pass(reduce(linear, folds=False), levels, keep=True, rows=rows)
     k, m, columns = done.X.shape
     r, N = np.empty((k, m, columns)), np.empty((k, m, m))
-    backward(done, True, r, N)
+    backward(done, True, r, N, rows=rows)
     x = whole_mean(done, r[:, :, :1])
     moving, scale = done.reduction.moving, done.reduction.scale
     fixed = np.arange(9, 9 + len(scale))

@@ -142,10 +142,24 @@ class ReducedPass:
     log_likelihood: tuple[float, Array, Array]
 
 
+def kept(count: int, rows: IntArray | None) -> IntArray:
+    """Row (count,) in which each epoch is kept, -1 for nowhere: those of ``rows``, or all."""
+    out: IntArray = np.arange(count, dtype=np.int64)
+    if rows is not None:
+        out[:] = -1
+        out[rows] = np.arange(len(rows))
+    return out
+
+
 def reduced_pass(
-    reduction: Reduction, levels: Mapping[str, float], keep: bool = False
+    reduction: Reduction,
+    levels: Mapping[str, float],
+    keep: bool = False,
+    rows: IntArray | None = None,
 ) -> ReducedPass:
     """Evidence at these noise levels, as that of ``forward`` but several times faster.
+
+    keep: the states after every epoch, or after those of ``rows``; otherwise the last alone.
 
     Source: the augmented filter of de Jong, The diffuse Kalman filter, Annals of
     Statistics 19 (1991), with proper priors. Of numbers that ran away (a variance that is not
@@ -155,8 +169,9 @@ def reduced_pass(
     problem, k, s = linear.problem, len(linear.t), len(reduction.h)
     m, columns = reduction.X0.shape
     arrays = _reduced_arrays(reduction, levels)
-    rows = k if keep else 1
-    X, P = np.empty((rows, m, columns)), np.empty((rows, m, m))
+    place = kept(k, rows if keep else np.array([k - 1], dtype=np.int64))
+    count = int(place.max()) + 1
+    X, P = np.empty((count, m, columns)), np.empty((count, m, m))
     gain, nu, S = np.empty((s, m)), np.empty((s, columns)), np.empty(s)
     moving = reduction.moving
     P0 = full_prior(problem, reduction.P15, dict(levels))[np.ix_(moving, moving)]
@@ -164,7 +179,9 @@ def reduced_pass(
     P0[:9, :9] -= by_bias @ by_bias.T
     gram = np.zeros((columns, columns))
     work, extra = propagation_work(m, m - 9), (np.empty((m, columns)), np.empty(m))
-    reduced_forward(arrays, P0, reduction.X0.copy(), (X, P), (gain, nu, S), gram, work, extra)
+    reduced_forward(
+        arrays, P0, reduction.X0.copy(), (X, P), (gain, nu, S), gram, work, extra, place
+    )
     w0, b = reduction.w0, reduction.w0 - gram[1:, 0]
     G = np.tril(gram[1:, 1:]) + np.tril(gram[1:, 1:], -1).T
     root = _root(G + np.eye(columns - 1)) if S.min(initial=math.inf) > 0.0 else None
@@ -225,9 +242,15 @@ class Slopes:
 
 
 def backward(
-    done: ReducedPass, score: bool, r_kept: Array, N_kept: Array, spread: bool = True
+    done: ReducedPass,
+    score: bool,
+    r_kept: Array,
+    N_kept: Array,
+    spread: bool = True,
+    rows: IntArray | None = None,
 ) -> Slopes:
-    """Adjoint of ``reduced_pass``; r_kept (k, m, columns), N_kept (k, m, m) may be empty.
+    """Adjoint of ``reduced_pass``; r_kept (k, m, columns), N_kept (k, m, m) may be empty, and hold
+    the epochs of ``rows``, or all.
 
     score: with the derivatives; spread: r has columns for the uncertainty of the constants,
     besides the one for their mean.
@@ -258,5 +281,6 @@ def backward(
             np.empty(columns),
             np.empty(m),
         ),
+        kept(len(linear.t), rows),
     )
     return slopes

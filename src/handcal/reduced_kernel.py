@@ -94,18 +94,18 @@ def reduced_forward(
     gram: Array,
     work: Propagation,
     extra: tuple[Array, Array],
+    keep: IntArray,
 ) -> None:
     """Kalman filter over the moving states alone, for all values of the constants at once.
 
-    states: X (k, m, 1 + nc) and P (k, m, m) after each epoch, or of length 1 to keep only
-    the last; scalars: gain (s, m), innovation (s, 1 + nc) and its variance (s,). gram
+    states: X (., m, 1 + nc) and P (., m, m) after each epoch, in the row that ``keep`` (k,) says
+    (-1: nowhere); scalars: gain (s, m), innovation (s, 1 + nc) and its variance (s,). gram
     (1 + nc, 1 + nc) receives the lower half of the sum of nu nu' / S, which is all that the
     evidence and the constants need. extra (m, 1 + nc), (m,): work space.
     """
     m, columns = X.shape
     e = m - 9
     new, ph = extra
-    keep = states[0].shape[0] > 1
     e0 = m - e  # (nine; the literal would have numba compile its callees once more)
     for j in range(len(a.first) - 1):
         if j > 0:
@@ -138,9 +138,9 @@ def reduced_forward(
                 s = scalars[1][q, i] / scalars[2][q]
                 for c in range(i + 1):
                     gram[i, c] += s * scalars[1][q, c]
-        if keep or j == len(a.first) - 2:
-            copy2(X, states[0][j if keep else 0])
-            copy2(P, states[1][j if keep else 0])
+        if keep[j] >= 0:
+            copy2(X, states[0][keep[j]])
+            copy2(P, states[1][keep[j]])
 
 
 @inner
@@ -241,12 +241,14 @@ def reduced_backward(
     states: tuple[Array, Array],
     slopes: tuple[Array, Array, Array, Array],
     work: tuple[Array, Array, Array, Array, Array],
+    keep: IntArray,
 ) -> None:
     """Fixed-interval recursion of Bryson and Frazier, and with it the score.
 
     r (m, columns) and N (m, m, or empty if only the mean is wanted) start as zeros and end
     as those of the prior. given (1 + nc, columns): as in ``adjoint_update``. states: r and
-    N after the observations of each epoch, or empty. slopes: derivatives of the
+    N after the observations of each epoch, in the row that ``keep`` (k,) says (-1: nowhere), or
+    empty. slopes: derivatives of the
     log-evidence by R (s,), by the two densities whose Q (k, 9, 9) are Q_unit (2,), by Q_e
     (k, e, e) and by the prior of the moving states (m, m). work: (m, columns), (m, m),
     (m, m), (columns,), (m,).
@@ -259,10 +261,10 @@ def reduced_backward(
     new, left, half, error, u = work
     score = len(N) > 0
     for j in range(len(a.first) - 2, -1, -1):
-        if len(states[0]) > 0:
-            copy2(r, states[0][j])
-        if len(states[1]) > 0:
-            copy2(N, states[1][j])
+        if len(states[0]) > 0 and keep[j] >= 0:
+            copy2(r, states[0][keep[j]])
+        if len(states[1]) > 0 and keep[j] >= 0:
+            copy2(N, states[1][keep[j]])
         for q in range(a.first[j + 1] - 1, a.first[j] - 1, -1):
             at = a.at[q, : a.nonzero[q]]
             slopes[0][q] = adjoint_update(r, N, a.h[q], at, gain[q], nu[q], S[q], given, error, u)

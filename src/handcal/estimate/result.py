@@ -16,7 +16,16 @@ from handcal.estimate.robust import inflation
 from handcal.kernel import BASE
 from handcal.linear import Linear, Trajectory, linearise_about, path
 from handcal.model import Problem
-from handcal.types import Array, HandcalError, History, Innovations, NoiseLevel, Parameter, Result
+from handcal.types import (
+    Array,
+    HandcalError,
+    History,
+    Innovations,
+    IntArray,
+    NoiseLevel,
+    Parameter,
+    Result,
+)
 
 # Rows of a history: as many a second, and no more numbers in all its covariances.
 HISTORY_RATE, HISTORY_NUMBERS = 25.0, 4_000_000
@@ -53,9 +62,10 @@ def _result(model: Model, k: int, found: Known) -> Result:
             f"{problem.dropped} observations lie outside the IMU's time and were left out."
         )
     dense = _dense(f)
-    forward = batch.forward(dense, f.levels)
-    x, P = batch.smooth(dense, f.levels, forward)
-    history, smoothed = (_history(dense, found, *v) for v in ((forward.x, forward.P), (x, P)))
+    rows = _shown(dense)
+    forward = batch.forward(dense, f.levels, rows=rows)
+    x, P = batch.smooth(dense, f.levels, forward, rows)
+    history, smoothed = (_history(dense, rows, found, *v) for v in ((forward.x, forward.P), (x, P)))
     innovations = _innovations(dense, forward)
     for kind, i in innovations.items():
         if i.skipped:
@@ -145,28 +155,33 @@ def _walking(problem: Problem, P: Array) -> Array:
     return np.asarray(total @ P @ total.T)
 
 
-def _history(linear: Linear, found: Known, x: Array, P: Array) -> History:
-    """The nominal trajectory plus the estimated errors x (k, N), thinned for display."""
-    nominal, problem = linear.trajectory, linear.problem
+def _shown(linear: Linear) -> IntArray:
+    """Epochs that are enough to look at, the last one among them."""
     step = max(1, round(len(linear.t) / max(1.0, (linear.t[-1] - linear.t[0]) * HISTORY_RATE)))
-    rows = np.unique(np.r_[np.arange(0, len(linear.t), step), len(linear.t) - 1])
-    C = np.stack([so3.matrix_exp(x[j, 6:9]) @ nominal.C[j] for j in rows])
+    last = len(linear.t) - 1
+    return np.unique(np.r_[np.arange(0, last + 1, step), last]).astype(np.int64)
+
+
+def _history(linear: Linear, rows: IntArray, found: Known, x: Array, P: Array) -> History:
+    """The nominal trajectory at the epochs ``rows`` (k,) plus the estimated errors x (k, N)."""
+    nominal, problem = linear.trajectory, linear.problem
+    C = so3.rotations(x[:, 6:9]) @ nominal.C[rows]
     whole = np.r_[nominal.bg, nominal.ba, nominal.constants]
     at = 9 + np.array(found.column)
-    variance = np.einsum("kii->ki", _walking(problem, P[rows]))
-    parameters = whole[at - 9] + x[np.ix_(rows, at)]
+    variance = np.einsum("kii->ki", _walking(problem, P))
+    parameters = whole[at - 9] + x[:, at]
     sigma = np.sqrt(np.maximum(variance[:, at], 0.0))
     for i, k in enumerate(found.column):
         if k < 0:
             parameters[:, i], sigma[:, i] = found.parameters[i].value, found.parameters[i].sigma
     for state, column in problem.walks:
         own = BASE + problem.constants + state
-        walk = nominal.markov[rows, state : state + 3] + x[rows, own : own + 3]
+        walk = nominal.markov[rows, state : state + 3] + x[:, own : own + 3]
         parameters[:, column : column + 3] += walk
     return History(
         t=linear.t[rows],
-        p_n=nominal.p[rows] + x[rows, 0:3],
-        v_n=nominal.v[rows] + x[rows, 3:6],
+        p_n=nominal.p[rows] + x[:, 0:3],
+        v_n=nominal.v[rows] + x[:, 3:6],
         q_nb=so3.quaternion_of(C),
         yaw=so3.yaw_of(C),
         nav_sigma=np.sqrt(np.maximum(variance[:, :9], 0.0)),

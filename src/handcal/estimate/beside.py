@@ -1,0 +1,35 @@
+"""Fits that do not depend on each other, on two cores; the results come in their order."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import islice
+from typing import TypeVar
+
+T = TypeVar("T")
+# (of more than two the memory they work in is the limit)
+AT_ONCE = 2
+
+
+def side_by_side(calls: Iterable[Callable[[], T]]) -> Iterator[T]:
+    """What the calls return, in their order; one or two run at a time.
+
+    Threads, since compiled code lets others go on. Whoever stops asking leaves those that have
+    not begun undone.
+    """
+    if (os.cpu_count() or 1) < AT_ONCE:
+        yield from (call() for call in calls)
+        return
+    waiting = iter(calls)
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        running: list[Future[T]] = [pool.submit(call) for call in islice(waiting, AT_ONCE)]
+        try:
+            while running:
+                result = running.pop(0).result()
+                running += [pool.submit(call) for call in islice(waiting, 1)]
+                yield result
+        finally:
+            for future in running:
+                future.cancel()
