@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from handcal._jit import njit
+from handcal._jit import copy2, inner, njit, zero2
 from handcal.kernel import BASE, MAX_DIM
 from handcal.linear import Linear
 from handcal.types import Array, BoolArray, IntArray
@@ -66,22 +66,19 @@ def fold(linear: Linear) -> Folded | None:
     at = np.repeat(np.arange(k), np.diff(linear.first))
     r, H = linear.r.copy(), linear.H.copy()
     away = np.flatnonzero(linear.used & (at != start[of[at]]))
-    by_nav = H[away, :, :9].copy()
-    r[away] -= np.einsum("qij,qj->qi", by_nav, D[at[away]])
-    H[away, :, :9] = 0.0
-    H[away, :, :nav] += by_nav @ T[at[away]]
+    dim = linear.problem.tables.dim
+    _brought_back(away, at, dim[linear.kind], T, D, r, H)
     e0 = BASE + linear.problem.constants
     for state, column in linear.problem.walks:
         own = slice(e0 + state, e0 + state + 3)
         H[away, :, own] = H[away, :, 9 + column : 12 + column]
-    dim = linear.problem.tables.dim
     share = np.zeros((q, 2))
     row, count_of = np.full(q, -1, dtype=np.int64), np.zeros(q, dtype=np.int64)
     first, rows = _grouped(of[at], linear.kind, linear.used, folds, count, row, count_of)
     _shares(linear.t[at], row, count_of, share)
     r_out, H_out = np.zeros((rows, MAX_DIM)), np.zeros((rows, MAX_DIM, H.shape[2]))
     kind, scatter = np.zeros(rows, dtype=np.int64), np.zeros((len(kinds), MAX_DIM))
-    _summed(r, H, linear.kind, (row, count_of, share), (r_out, H_out, kind, scatter))
+    _summed(r, H, linear.kind, dim, (row, count_of, share), (r_out, H_out, kind, scatter))
     readings = np.bincount(linear.kind[row >= 0], minlength=len(kinds))
     extra = (readings - np.bincount(kind, minlength=len(kinds))).astype(np.float64)
     extra = np.where(np.arange(MAX_DIM) < dim[:, None], extra[:, None], 0.0).ravel()
@@ -154,40 +151,75 @@ def _carried(
     """T, D of every epoch, and Phi, d, Q from window to window."""
     T, D, Phi_out, d_out, Q_out = out
     width = Phi.shape[2]
-    total, new = np.zeros((9, width)), np.zeros((9, width))
     off, moved = np.zeros(9), np.zeros(9)
-    noise = np.zeros((3, 9, 9))
+    noise, half = np.zeros((3, 9, 9)), np.zeros((9, 9))
     w = 0
-    for a in range(9):
-        total[a, a] = 1.0
     for j in range(len(Phi)):
+        # (written where it belongs at once: T is the largest thing here)
+        new = T[j]
         if j > 0:
             for a in range(9):
                 moved[a] = d[j, a]
-                for c in range(width):
-                    new[a, c] = Phi[j, a, c] if c >= 9 else 0.0
+                for c in range(9, width):
+                    new[a, c] = Phi[j, a, c]
                 for b in range(9):
-                    moved[a] += Phi[j, a, b] * off[b]
-                    for c in range(width):
-                        new[a, c] += Phi[j, a, b] * total[b, c]
-            total[:, :], off[:] = new, moved
-            F = np.ascontiguousarray(Phi[j, :, :9])
+                    f = Phi[j, a, b]
+                    if f != 0.0:
+                        moved[a] += f * off[b]
+                        for c in range(width):
+                            new[a, c] += f * T[j - 1, b, c]
+            off[:] = moved
             for s in range(3):
-                noise[s] = F @ noise[s] @ F.T
-            noise[0] += Q[0][j]
-            noise[1] += Q[1][j]
-            noise[2] += Q[2][j]
+                _propagated(Phi[j], noise[s], half, Q[s][j])
         if w < len(start) and j == start[w]:
             if w > 0:
-                Phi_out[w], d_out[w] = total, off
+                Phi_out[w], d_out[w] = new, off
                 Q_out[0, w], Q_out[1, w], Q_out[2, w] = noise[0], noise[1], noise[2]
-            total[:, :] = 0.0
+            new[:, :] = 0.0
             off[:] = 0.0
             noise[:, :, :] = 0.0
             for a in range(9):
-                total[a, a] = 1.0
+                new[a, a] = 1.0
             w += 1
-        T[j], D[j] = total, off
+        D[j] = off
+
+
+@inner
+def _propagated(Phi: Array, P: Array, half: Array, Q: Array) -> None:
+    """P (9, 9) becomes F P F' + Q; F: the first nine columns of Phi, mostly zeros."""
+    zero2(half)
+    for a in range(9):
+        for b in range(9):
+            f = Phi[a, b]
+            if f != 0.0:
+                for c in range(9):
+                    half[a, c] += f * P[b, c]
+    copy2(Q, P)
+    for c in range(9):
+        for b in range(9):
+            f = Phi[c, b]
+            if f != 0.0:
+                for a in range(9):
+                    P[a, c] += half[a, b] * f
+
+
+@njit
+def _brought_back(
+    away: IntArray, at: IntArray, dim: IntArray, T: Array, D: Array, r: Array, H: Array
+) -> None:
+    """Residuals and rows of the readings ``away``, seen from where their windows begin."""
+    by_nav = np.empty(9)
+    for q in away:
+        for i in range(dim[q]):
+            for b in range(9):
+                by_nav[b] = H[q, i, b]
+                H[q, i, b] = 0.0
+            for b in range(9):
+                h = by_nav[b]
+                if h != 0.0:
+                    r[q, i] -= h * D[at[q], b]
+                    for c in range(T.shape[2]):
+                        H[q, i, c] += h * T[at[q], b, c]
 
 
 @njit
@@ -262,6 +294,7 @@ def _summed(
     r: Array,
     H: Array,
     kind: IntArray,
+    dim: IntArray,
     go: tuple[IntArray, IntArray, Array],
     out: tuple[Array, Array, IntArray, Array],
 ) -> None:
@@ -275,7 +308,7 @@ def _summed(
         for part in range(2 if count_of[q] > 1 else 1):
             to, s = row[q] + part, share[q, part]
             kind_out[to] = kind[q]
-            for i in range(H.shape[1]):
+            for i in range(dim[kind[q]]):
                 r_out[to, i] += s * r[q, i]
                 for c in range(H.shape[2]):
                     H_out[to, i, c] += s * H[q, i, c]

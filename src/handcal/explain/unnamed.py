@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from handcal.effects import Effect, Signals
+from handcal.estimate.beside import side_by_side
 from handcal.estimate.fit import Fitted, Model, fitted, prior_root, scan
 from handcal.estimate.quadratic import Quadratic
 from handcal.explain import shapes, terms
@@ -69,22 +71,30 @@ def best_term(model: Model, *, imu: bool = True, refused: Collection[str] = ()) 
     ]
     if {"heading", "magnetometer"} & set(f.case.kinds):
         chunks.append((terms.heading_terms(recording), shapes.heading_bases(recording.duration_s)))
-    own = [e for e in model.effects if e.process is None]
-    here = frozenset(e.id for e in own)
-    for chunk, bases in chunks:
-        options = [*own, *(e for e in chunk if e.id not in here)]
-        wide = space(scan(model, [*options, *(b.effect for b in bases)]), options, priors(options))
-        q, gained = wide.quadratic, gains(wide, here)
-        known = np.concatenate([np.zeros(0, dtype=np.int64), *(wide.where[e.id] for e in own)])
-        ends = [Term(e, gained[e.id], None) for e in options if e.id not in here]
-        for b in bases:
-            ends.append(Term(*shapes.best(b, q, known, prior_root(q, own, known)), b))
-        ends = [end for end in ends if end.effect.id not in refused]
-        top = max(ends, key=lambda end: end.gain)
-        full = top.gain / q.worth
+    tops = side_by_side(partial(_top, model, *chunk, refused) for chunk in chunks)
+    for top, worth in tops:
+        full = top.gain / worth
         if top.gain > enough and (found is None or full > found.gain):
             found = replace(top, gain=full)
     return found
+
+
+def _top(
+    model: Model, chunk: Sequence[Effect], bases: Sequence[shapes.Basis], refused: Collection[str]
+) -> tuple[Term, float]:
+    """The term of these, or the course over one of these bases, that gains most over the model;
+    and what evidence counts for."""
+    own = [e for e in model.effects if e.process is None]
+    here = frozenset(e.id for e in own)
+    options = [*own, *(e for e in chunk if e.id not in here)]
+    wide = space(scan(model, [*options, *(b.effect for b in bases)]), options, priors(options))
+    q, gained = wide.quadratic, gains(wide, here)
+    known = np.concatenate([np.zeros(0, dtype=np.int64), *(wide.where[e.id] for e in own)])
+    ends = [Term(e, gained[e.id], None) for e in options if e.id not in here]
+    for b in bases:
+        ends.append(Term(*shapes.best(b, q, known, prior_root(q, own, known)), b))
+    ends = [end for end in ends if end.effect.id not in refused]
+    return max(ends, key=lambda end: end.gain), q.worth
 
 
 def signals_of(f: Fitted) -> Signals:
