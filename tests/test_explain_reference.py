@@ -106,6 +106,7 @@ def test_what_both_sensors_feel_is_not_on_trial() -> None:
     assert {"clock_rate", "accel_scale", "lever_arm"} <= applicable
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.prove)])
 def test_crooked_gyros_beside_an_arm(seed: int) -> None:
     """The reference's axes were fitted by the turns, and the arm was as crooked as the gyros: a
@@ -120,6 +121,7 @@ def test_crooked_gyros_beside_an_arm(seed: int) -> None:
     assert {m.effect for m in found.missing} == set(effects)
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("ppm", [150.0, pytest.param(-150.0, marks=pytest.mark.prove)])
 def test_a_clock_that_runs_fast_beside_a_reference(ppm: float) -> None:
     """At the end the device is 7 ms ahead, nearly half a radian of a tremor."""
@@ -192,6 +194,7 @@ def slowly(noise: float, rate_hz: float) -> Callable[[np.random.Generator], Phon
     return phone
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.prove) for k in (1, 2))])
 @pytest.mark.parametrize("tau", [pytest.param(0.01, marks=pytest.mark.prove), 0.03])
 def test_a_low_pass_beside_a_reference(tau: float, seed: int) -> None:
@@ -207,6 +210,7 @@ def test_a_low_pass_beside_a_reference(tau: float, seed: int) -> None:
     assert abs(parameter.value - tau) < 4.0 * parameter.sigma
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("seed", [1, *(pytest.param(k, marks=pytest.mark.prove) for k in (0, 2))])
 def test_accelerometers_apart_in_slow_turns_beside_a_reference(seed: int) -> None:
     """Angular acceleration of the IMU's own gyro, a half of it noise, for these, and of the

@@ -244,6 +244,7 @@ def test_a_slow_gyro_is_no_early_heading() -> None:
     assert names(found) == ["gyro_bandwidth"]
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(
     "seed", [2, *(pytest.param(k, marks=pytest.mark.prove) for k in (0, 1, 3))]
 )
@@ -276,7 +277,9 @@ def test_a_fit_that_diverges_is_no_fit(grown: float) -> None:
 def test_no_noise_is_looked_for_about_no_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     """The search for noise levels about numbers that had run away ended explain in an error."""
     base = base_of(world_of({}, 0, 20.0))
-    monkeypatch.setattr(fit, "relinearised_parts", lambda *_: (list(base.parts), False, math.nan))
+    monkeypatch.setattr(
+        fit, "relinearised_parts", lambda *_, **__: (list(base.parts), False, math.nan)
+    )
     monkeypatch.setattr(fit, "with_noise", lambda _: pytest.fail("noise of no fit"))
     assert fitted(base.parts, (), noise_rounds=1).log_evidence == -math.inf
 
@@ -311,6 +314,7 @@ def test_a_climb_out_of_turns_ends_with_a_scan_of_its_model(
     assert climb.gains(c.where, c.model.chosen)[next(iter(c.model.chosen))] > 0.0
 
 
+@pytest.mark.prove
 def test_outliers_behind_a_step_of_the_bias() -> None:
     """The step bends the baseline until no heading is believed, and none of them stands out; then
     a walk and correlated noise were named."""

@@ -117,6 +117,7 @@ def test_the_planted_course_is_found(family: shapes.Family, numbers: Array, seed
     assert family.formula(numbers).split("(")[0] == effect.id.split("k * ")[1].split("(")[0]
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_what_passes_by_is_unexplained(sign: float) -> None:
     """A magnet that comes and goes is no noise that lasts."""

@@ -26,7 +26,11 @@ from handcal_sim.phone import Clocking, Phone, consumer_phone, with_rate
 SEALED = Path(__file__).resolve().parents[1] / "recordings"
 # Explained by nothing, by one effect, by a term without a name, by two effects; the real ones are
 # of six devices.
-QUICK = ("sealed_04", "sealed_02", "sealed_03", "sealed_06")
+QUICK = (
+    "sealed_04",
+    "sealed_02",
+    *(pytest.param(f"sealed_{k}", marks=pytest.mark.prove) for k in ("03", "06")),
+)
 REAL = (
     "devices/array_6_imu5", "devices/euroc_v203", "devices/phone_oscillations1",
     "devices/phone_oscillations3", "devices/android_fullpitch", "devices/openaxes_circle250",
@@ -73,7 +77,9 @@ def test_calibrate_repeats_what_explain_ended_with(name: str) -> None:
     [
         {"gyro_bias_step": [0.012, 0.011, -0.006, 19.0]},
         {"heading_outliers": [0.1]},
-        {"gyro_scale": [0.14, -0.12, 0.1], "heading_delay": [0.2]},
+        pytest.param(
+            {"gyro_scale": [0.14, -0.12, 0.1], "heading_delay": [0.2]}, marks=pytest.mark.prove
+        ),
     ],
     ids=lambda e: "+".join(e),
 )
@@ -157,7 +163,9 @@ def drops(recording: Recording) -> dict[str, float]:
     return out
 
 
-@pytest.mark.parametrize("seed", range(1))
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(k, marks=pytest.mark.prove) for k in range(1, 12))]
+)
 def test_an_effect_that_is_not_there_costs_its_parameters_at_most(seed: int) -> None:
     assert max(drops(made({}, seed, 30.0)).values()) < 0.0
 

@@ -20,7 +20,7 @@ from handcal_sim.effects import EFFECTS
 from handcal_sim.errors import SimulationError
 from handcal_sim.mcap_writer import write
 from handcal_sim.prove_show import show
-from handcal_sim.prove_suites import SIZES, SUITES, Answer
+from handcal_sim.prove_suites import LARGE, NEEDS, SIZES, SUITES, Answer
 from handcal_sim.prove_terms import formula_fits
 from handcal_sim.scenario import simulate
 
@@ -165,12 +165,25 @@ def test_a_plan_mixes_suites_and_its_names_tell_nothing():
         "turn": 2,
         "faint": 0,
         "reference": 0,
+        "large": 0,
     }
     assert [case[0] for case in cases] == [f"r{k:04d}" for k in range(1, 25)]
     assert cases == prove.plan("all", 24, 7) != prove.plan("all", 24, 8)
     assert len(prove.plan("all", None, 1)) == 24
     assert len(prove.plan("nothing", None, 1)) == 200
     assert {case[1] for case in prove.plan("turn", 3, 1)} == {"turn"}
+
+
+@pytest.mark.parametrize("number", range(8))
+def test_large_errors_are_as_large_as_they_say(number):
+    _, answer = prove_draw.draw("large", number, 5)
+    assert 1 <= len(answer.effects) <= 3
+    for name, values in answer.effects.items():
+        low, high = LARGE[name]
+        assert all(low <= abs(v) <= high for v in values.values())
+        assert set(NEEDS.get(name, ())) <= {
+            "mag" if answer.circumstances["mag"] else "heading", "pose", "temperature"
+        }  # fmt: skip
 
 
 # ---- strangers --------------------------------------------------------------------------

@@ -85,6 +85,7 @@ def _between(recording: Recording, a: float, b: float) -> Recording:
     return replace(recording, imu=cut, streams=streams)
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("name", _some(ALL[2]))
 def test_bias_from_the_motion_alone_with_the_pose(name: str, real_recordings: Path) -> None:
     recording = handcal.load(real_recordings / f"{name}.mcap")
@@ -118,6 +119,7 @@ def _at(t: Array, C: Array, wanted: Array) -> Array:
     return np.asarray(C[i] @ turn)
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("name", ALL[:2])
 def test_attitude_is_no_worse_than_vqf(name: str, real_recordings: Path) -> None:
     """From IMU and magnetometer alone: neither is told anything of the pose."""
@@ -143,6 +145,7 @@ BOARDS = {"array_1_imu5": (0.0189, 0.0, 0.0), "array_2_imu3": (0.0, -0.0189, 0.0
 ERRORS = ("gyro_scale", "accel_scale", "gyro_misalignment", "accel_misalignment")
 
 
+@pytest.mark.prove
 @pytest.mark.xfail(
     strict=True,
     reason="a levelled field tells iron from a bent field by the heading alone, and with priors "
@@ -200,6 +203,7 @@ def _motion_rms(result: Result) -> Array:
     return np.asarray(np.sqrt((found.residual[rate > 5.0, 3:] ** 2).mean(axis=0)))
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(
     "name", ["array_1_imu5", pytest.param("array_2_imu3", marks=pytest.mark.prove)]
 )

@@ -101,8 +101,8 @@ def calibrated(seed: int, rests: bool, exact: bool) -> tuple[Device, Result]:
     return made, calibrate(made.recording, effects, reference_exact=exact)
 
 
-@pytest.mark.parametrize("exact", [False, True])
-@pytest.mark.parametrize("rests", [True, False])
+@pytest.mark.parametrize("exact", [pytest.param(False, marks=pytest.mark.prove), True])
+@pytest.mark.parametrize("rests", [True, pytest.param(False, marks=pytest.mark.prove)])
 def test_the_biases_are_the_imus_own(rests: bool, exact: bool) -> None:
     """Over all seeds: squared errors in units of the covariance are chi-square, and no more lie
     beyond three sigma than may."""

@@ -44,7 +44,8 @@ def prove(
     suite: Annotated[
         str,
         typer.Option(
-            help="nothing, one, mixed, unknown, turn, faint, reference, or all (of the first five)."
+            help="nothing, one, mixed, unknown, turn, faint, reference, large, or all (of the "
+            "first five)."
         ),
     ] = ALL,
     out: Annotated[

@@ -33,6 +33,7 @@ from handcal_sim.prove_suites import (
     EARTH_GROUP,
     FAINT_NATS,
     GAUGES,
+    LARGE,
     NEEDS,
     OF_THE_WORLD,
     POSITIVE,
@@ -89,6 +90,8 @@ def _drawn(
         return _faint(given, number, rng, gain)
     if suite == "unknown":
         return _unknown(given, _next(list(strangers.KINDS), number, seed, suite), rng)
+    if suite == "large":
+        return _large(given, rng)
     if suite in ("one", "turn"):
         names = [_next(list(SIZES), number, seed, suite)]
     else:
@@ -284,6 +287,18 @@ def _unknown(given: Circumstances, kind: str, rng: np.random.Generator) -> tuple
     world, strange = strangers.estrange(kind, simulated(given, {}), rng)
     said = {"kind": kind, **strangers.said_of(strange)}
     return world, answer("unknown", "", given, {}, said)
+
+
+def _large(given: Circumstances, rng: np.random.Generator) -> tuple[World, Answer]:
+    names = [str(name) for name in rng.choice(list(LARGE), rng.integers(1, 4), replace=False)]
+    given = with_streams(given, names, rng)
+    effects = {
+        name: [float(rng.choice([-1.0, 1.0]) * rng.uniform(*LARGE[name])) for _ in EFFECTS[name]]
+        for name in names
+    }
+    for late in {"heading_delay", "pose_delay"} & set(names):
+        effects[late] = [abs(v) for v in effects[late]]
+    return simulated(given, effects), answer("large", "", given, effects)
 
 
 def _faint(

@@ -5,6 +5,7 @@ Nothing here is shared with the program on trial: sizes are those of consumers' 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -45,6 +46,17 @@ SIZES: dict[str, tuple[float, ...]] = {
     "clock_rate": (100.0,),
 }
 POSITIVE = {"tau", "density", "sigma", "fraction"}
+# Least and largest of what early, analogue and badly assembled devices have; delays of compasses
+# and cameras.
+LARGE: dict[str, tuple[float, float]] = {
+    "gyro_scale": (0.03, 0.20),
+    "accel_scale": (0.03, 0.20),
+    "gyro_misalignment": (0.02, math.radians(5.0)),
+    "accel_misalignment": (0.02, math.radians(5.0)),
+    "heading_delay": (0.05, 0.30),
+    "pose_delay": (0.05, 0.30),
+    "accel_delay": (0.05, 0.30),
+}
 # The streams that a recording must have for an effect to show.
 NEEDS: dict[str, frozenset[str]] = {
     **{name: frozenset({"heading"}) for name in SIZES if name.startswith("heading_")},
@@ -83,6 +95,9 @@ SUITES: dict[str, Suite] = {
     "turn": Suite("one effect, 30 s turn", 2 * len(SIZES), ("exact", "right_set", "missed"), 0.98),
     "faint": Suite("one effect near the limit", 40, ("exact", "right_set"), None),
     "reference": Suite("0 to 2 effects beside a trusted IMU", 60, ("exact", "right_set"), 0.90),
+    "large": Suite(
+        "1 to 3 of: 3 to 20 %, 1 to 5 deg, 50 to 300 ms", 100, ("exact", "right_set"), 0.95
+    ),
 }
 
 

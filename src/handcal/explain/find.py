@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 from handcal.estimate.fit import Model
 from handcal.explain.alibi import steadied, sways_far
@@ -39,12 +40,11 @@ def search(base: Model, report: Callable[[float], None] = lambda _: None) -> Fou
     with it, and the better of the two ends counts.
     """
     late = with_delays(base)
-    found = _end(base, (), late, lambda f: report(0.7 * f))
-    assert found is not None
-    if all(any(sways_far(f) for f in m.parts) for m in (found.model, base)):
-        other = _end(steadied(base), (), late, lambda f: report(0.7 + 0.2 * f))
-        if other is not None and advantage(other, found) > 0.0:
-            found = replace(other, alone=found.alone)
+    starts = [base]
+    if any(sways_far(f) for f in base.parts):
+        # (the usual sway first: in a wide one little of the physics shows)
+        starts.insert(0, steadied(base))
+    found = _begun(starts, late, lambda f: report(0.7 * f))
     named = [e for e in found.model.effects if "+=" not in e.id]
     several = len(named) > 1 or any(e.process is not None for e in named)
     if several or any(e.observation_error for e in named):
@@ -59,18 +59,38 @@ def search(base: Model, report: Callable[[float], None] = lambda _: None) -> Fou
     return found
 
 
+def _begun(
+    starts: Sequence[Model], late: Sequence[Model], report: Callable[[float], None]
+) -> Found:
+    """The best end of climbs from these starts, up to the first that leaves no wide sway."""
+    found: Found | None = None
+    for number, start in enumerate(starts):
+        end = _end(start, (), late, partial(_part_of, report, number / len(starts), len(starts)))
+        assert end is not None
+        if found is None:
+            found = end
+        elif advantage(end, found) > 0.0:
+            found = replace(end, alone=found.alone)
+        if not any(sways_far(f) for f in found.model.parts):
+            break
+    assert found is not None
+    return found
+
+
+def _part_of(report: Callable[[float], None], start: float, parts: int, f: float) -> None:
+    report(start + f / parts)
+
+
 def advantage(a: Found, b: Found) -> float:
     """Nats by which one end of a search is likelier than another, prior odds included."""
     worth = min(a.space.quadratic.worth, b.space.quadratic.worth)
-    return worth * (a.model.log_evidence - b.model.log_evidence) + _odds(a) - _odds(b)
+    return worth * (a.model.log_evidence - b.model.log_evidence) + odds(a.model) - odds(b.model)
 
 
-def _odds(found: Found) -> float:
-    odds = 0.0
-    for e in found.model.effects:
-        odds += TERM_PRIOR if "+=" in e.id else PRIOR
-        odds -= OCCAM_LEVEL * len(e.levels)
-    return odds
+def odds(model: Model) -> float:
+    """Log prior odds of a model's effects, and what its noise effects' levels cost."""
+    named = sum(TERM_PRIOR if "+=" in e.id else PRIOR for e in model.effects)
+    return named - OCCAM_LEVEL * sum(len(e.levels) for e in model.effects)
 
 
 def _end(

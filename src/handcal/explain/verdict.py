@@ -33,6 +33,7 @@ from handcal.explain.explanation import (
 )
 from handcal.explain.find import Found, advantage, search
 from handcal.explain.gauge import plainly
+from handcal.explain.hands import foretells
 from handcal.explain.leaning import leaning
 from handcal.explain.moments import moments
 from handcal.explain.next_motion import next_motions
@@ -112,7 +113,11 @@ def explain(
         )
         far = [gone and math.isfinite(laid.log_evidence) for gone in far]
     if any(far):
-        base, found, wrong = _searched(laid, lambda f: report(0.4 + 0.4 * f))
+        other = _searched(laid, lambda f: report(0.4 + 0.4 * f))
+        if foretells(found.model, laid, other[1]):
+            far = [False] * len(far)
+        else:
+            base, found, wrong = other
     report(0.75)
     options = Options(latitude, height, fixed, tuple(ignore), reference_exact)
     found, chosen = _refitted(base, found, options)
