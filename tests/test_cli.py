@@ -240,6 +240,18 @@ def test_progress_is_silent_where_nobody_watches(capfd):
     assert capfd.readouterr() == ("", "")
 
 
+def test_stages_are_lines_where_nobody_watches(capfd):
+    with cli.progress("explaining x") as bar:
+        bar(0.0, "the plain model")  # (nothing is said of what takes no two seconds)
+        bar.started -= 10
+        bar(0.1, "searching")
+        bar(0.3, "searching")
+        bar(0.8, "fitting")
+    assert capfd.readouterr().err.splitlines() == [
+        "handcal: explaining x: searching", "handcal: explaining x: fitting",
+    ]  # fmt: skip
+
+
 def test_help_needs_neither_numpy_nor_rich_to_start():
     code = "import sys, handcal.cli; print({'numpy', 'rich', 'jinja2'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

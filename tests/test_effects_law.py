@@ -69,6 +69,8 @@ CONTRACT = {
     "mag_hard_iron": ("x y z", "tesla", 1e-4),
     "heading_delay": ("delay", "s", 0.15),
     "pose_delay": ("delay", "s", 0.02),
+    "pose_scale": ("scale", "1", 0.02),
+    "pose_drift": ("position attitude", ("m/sqrt(s)", "rad/sqrt(s)"), (0.005, 5e-4)),
     "heading_drift": ("rate", "rad/s", 0.005),
     "heading_correlated_noise": ("sigma tau", ("rad", "s"), (0.15, 3.0)),
     "heading_outliers": ("fraction", "1", 0.1),
@@ -479,7 +481,21 @@ OBSERVED_BY_HAND = {
     # The reading points to (-2, 1) east and north; without the iron along y it is (-1, 1).
     ("mag_hard_iron", "magnetometer"): ([0, 1e-5, 0], [math.pi / 4 - math.atan(0.5)]),
     ("pose_delay", "pose"): ([0.2], [0.2, 0.4, 0.6, 0.0, 0.0, 0.1]),
+    # (the device is at the origin, see below)
+    ("pose_scale", "pose"): ([0.1], [0.0] * 6),
+    ("pose_drift", "pose"): ([1.0, 2.0, 3.0, 0.1, 0.2, 0.3], [-1.0, -2.0, -3.0, -0.1, -0.2, -0.3]),
 }
+
+
+def test_the_world_of_a_pose_grows_and_turns_about_its_origin():
+    """At (2, 0, 0) m: metres too long by a tenth read 0.2 m more; a world that turned by 0.1 rad
+    about up reads 0.2 m more along y."""
+    nav = nav_of(VELOCITY, NORTH, SPIN)
+    nav[0] = 2.0
+    grown = corrected("pose_scale", "pose", nav, [0.1], [0])
+    turned = corrected("pose_drift", "pose", nav, [0, 0, 0, 0, 0, 0.1], [0])
+    np.testing.assert_allclose(grown[:6], [-0.2, 0, 0, 0, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(turned[:6], [0, -0.2, 0, 0, 0, -0.1], atol=1e-12)
 
 
 @pytest.mark.parametrize(("name", "kind"), OBSERVED)
@@ -566,7 +582,8 @@ def test_noise_does_not_care_where_the_steps_are(name):
     np.testing.assert_allclose(Phi[1] @ Q[0] @ Phi[1].T + Q[1], Q[2], rtol=1e-12)
     np.testing.assert_array_equal(Phi[3], np.eye(effect.process.size))
     assert np.all(Q[3] == 0.0)
-    assert effect.process.vectors == 0  # sensors' axes, not those of n
+    # the sensors' axes, or those of n
+    assert effect.process.vectors == (2 if name == "pose_drift" else 0)
 
 
 # Levels, and by hand after 4 s: Phi, Q and the covariance at the start, each times the identity.
@@ -574,6 +591,7 @@ NOISE_BY_HAND = {
     "gyro_bias_walk": ([0.1], 1.0, 0.04, 0.0),
     "accel_bias_walk": ([0.1], 1.0, 0.04, 0.0),
     "heading_correlated_noise": ([0.2, 2.0], math.exp(-2), 0.04 * (1 - math.exp(-4)), 0.04),
+    "pose_drift": ([0.1, 0.2], 1.0, np.repeat([0.04, 0.16], 3), 0.0),
 }
 
 

@@ -85,7 +85,20 @@ def read_pose(sensor: Pose, motion: Motion, t: Array, rng: np.random.Generator) 
     k = evaluate(motion, t - sensor.delay_s)
     position = k.position @ sensor.C_wn.T + sensor.sigma_m * rng.standard_normal((len(t), 3))
     shake = euler_matrix(*(sensor.sigma_rad * rng.standard_normal((3, len(t)))))
-    return np.hstack([position, quaternion(sensor.C_wn @ k.C_nb @ sensor.C_bm @ shake)])
+    C_wm = sensor.C_wn @ k.C_nb @ sensor.C_bm @ shake
+    position *= 1.0 + sensor.scale
+    if sensor.position_walk or sensor.attitude_walk:
+        way, turn = _walked(t, rng), euler_matrix(*(sensor.attitude_walk * _walked(t, rng)).T)
+        position = np.einsum("nij,nj->ni", turn, position) + sensor.position_walk * way
+        C_wm = turn @ C_wm
+    return np.hstack([position, quaternion(C_wm)])
+
+
+def _walked(t: Array, rng: np.random.Generator) -> Array:
+    """Three random walks of unit density (n, 3), from zero at time zero."""
+    dt = np.diff(t, prepend=0.0).clip(min=0.0)
+    steps: Array = np.sqrt(dt)[:, None] * rng.standard_normal((len(t), 3))
+    return np.cumsum(steps, axis=0)
 
 
 def read_reference(

@@ -92,6 +92,11 @@ EFFECTS: dict[str, tuple[Parameter, ...]] = {
     "mag_hard_iron": _vector("phone.mag.hard_iron", "tesla"),
     "heading_delay": _scalar(f"{_H}.delay_s", "s", "delay"),
     "pose_delay": _scalar("phone.pose.delay_s", "s", "delay"),
+    "pose_scale": _scalar("phone.pose.scale", "1", "scale"),
+    "pose_drift": (
+        *_scalar("phone.pose.position_walk", "m/sqrt(s)", "position"),
+        *_scalar("phone.pose.attitude_walk", "rad/sqrt(s)", "attitude"),
+    ),
     "heading_drift": _scalar(f"{_H}.drift", _GYRO, "rate"),
     "heading_correlated_noise": _scalar(f"{_H}.correlated", "rad", "sigma")
     + _scalar(f"{_H}.correlated_tau_s", "s", "tau"),

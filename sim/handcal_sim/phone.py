@@ -148,11 +148,16 @@ class Pose:
     """Measured poses of a marker that sits at the reference point, on the true clock.
 
     C_wn (3, 3): navigation axes to the pose's world; C_bm: marker axes to the IMU's axes.
+    scale: ways are longer by that share; position_walk (m/sqrt(s)), attitude_walk (rad/sqrt(s)):
+    densities of the random walks by which the world wanders, from where it was at the start.
     """
 
     sigma_m: float = 0.0
     sigma_rad: float = 0.0
     delay_s: float = 0.0
+    scale: float = 0.0
+    position_walk: float = 0.0
+    attitude_walk: float = 0.0
     C_wn: Array = field(default_factory=lambda: np.eye(3))
     C_bm: Array = field(default_factory=lambda: np.eye(3))
     clocking: Clocking = Clocking(100.0)

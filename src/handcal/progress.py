@@ -1,4 +1,5 @@
-"""A progress bar on stderr, for terminals, once something has taken two seconds."""
+"""A progress bar on stderr once something has taken two seconds; where that is no terminal, a line
+for each stage."""
 
 from __future__ import annotations
 
@@ -15,19 +16,32 @@ PATIENCE_S = 2.0
 
 
 class Bar:
-    """Shows how far something has come: ``bar(fraction)``, or ``bar()`` to say it is alive."""
+    """Shows how far something has come: ``bar(fraction)``, ``bar(fraction, stage)``; ``bar()`` says
+    that it is alive."""
 
     def __init__(self, text: str) -> None:
         self.text = text
         self.started = time.monotonic()
         self.visible = sys.stderr.isatty()
         self.shown: Progress | None = None
+        self.stage = ""
 
-    def __call__(self, fraction: float | None = None) -> None:
+    def __call__(self, fraction: float | None = None, stage: str = "") -> None:
+        if stage and stage != self.stage:
+            self.stage = stage
+            self._begin(stage)
         if self.shown is None and self.visible and time.monotonic() - self.started > PATIENCE_S:
             self._show()
         if self.shown is not None and fraction is not None:
             self.shown.update(self.shown.task_ids[0], completed=fraction, total=1.0)
+
+    def _begin(self, stage: str) -> None:
+        """Say which stage begins."""
+        if self.visible:
+            if self.shown is not None:
+                self.shown.update(self.shown.task_ids[0], description=f"{self.text}: {stage}")
+        elif time.monotonic() - self.started > PATIENCE_S:
+            print(f"handcal: {self.text}: {stage}", file=sys.stderr, flush=True)
 
     def _show(self) -> None:
         from rich.console import Console
@@ -35,7 +49,8 @@ class Bar:
 
         columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
         self.shown = Progress(*columns, console=Console(stderr=True), transient=True)
-        self.shown.add_task(self.text, total=None)
+        named = f"{self.text}: {self.stage}" if self.stage else self.text
+        self.shown.add_task(named, total=None)
         self.shown.start()
 
     def describe(self, text: str) -> None:

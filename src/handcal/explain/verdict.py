@@ -52,7 +52,8 @@ from handcal.kernel import MAX_DIM
 from handcal.twin import twin
 from handcal.types import Array, InputError, Parameter, Recording, Result
 
-Progress = Callable[[float], None]
+# Called with the share that is done, and what is being done.
+Progress = Callable[[float, str], None]
 # An effect is named when it is that probable; a rival is listed when it has that share.
 NAMED = 0.9
 RIVAL = 0.05
@@ -87,7 +88,7 @@ def explain(
     blocks are predicted from earlier ones. Other options as in ``calibrate``. Raises
     InputError for wrong use, HandcalError where no result could be made.
     """
-    report = progress or (lambda _: None)
+    report = progress or (lambda _, __: None)
     if not recordings:
         raise InputError("There is no recording to explain.")
     for recording in recordings:
@@ -100,8 +101,11 @@ def explain(
         )
 
     cases = [prepared(r) for r in recordings]
-    report(0.03)
-    base, found, wrong = _searched(baseline(cases), lambda f: report(0.03 + 0.77 * f))
+    report(0.03, "fitting the plain model")
+    plain = baseline(cases)
+    base, found, wrong = _searched(
+        plain, lambda f: report(0.1 + 0.6 * f, "searching what is missing")
+    )
     far = [assume == "auto" and travels(f) for f in found.model.parts]
     if any(far):
         # (only now: errors of the sensors look like a travelling hand too)
@@ -113,22 +117,22 @@ def explain(
         )
         far = [gone and math.isfinite(laid.log_evidence) for gone in far]
     if any(far):
-        other = _searched(laid, lambda f: report(0.4 + 0.4 * f))
+        other = _searched(laid, lambda f: report(0.4 + 0.3 * f, "searching by the rests alone"))
         if foretells(found.model, laid, other[1]):
             far = [False] * len(far)
         else:
             base, found, wrong = other
-    report(0.75)
+    report(0.75, "fitting the model that was found")
     options = Options(latitude, height, fixed, tuple(ignore), reference_exact)
     found, chosen = _refitted(base, found, options)
-    report(0.8)
+    report(0.8, "predicting what was not seen")
     others = [prepared(r, "rest-only" if any(far) else assume) for r in held_out]
     scores = held.other_files(others, found.model) if others else held.later_blocks(
         base, found.model
     )  # fmt: skip
-    report(0.95)
+    report(0.9, "judging what this motion could tell")
     out = _explanation(base, found, wrong, scores, chosen)
-    report(1.0)
+    report(1.0, "")
     return out
 
 
@@ -153,14 +157,15 @@ def _refitted(base: Model, found: Found, options: Options) -> tuple[Found, Chose
     return replace(found, model=model, space=where), chosen
 
 
-def _searched(base: Model, report: Progress) -> tuple[Model, Found, outliers.Wrong | None]:
+def _searched(
+    base: Model, report: Callable[[float], None]
+) -> tuple[Model, Found, outliers.Wrong | None]:
     """The baseline, where the search from it ended, and the headings that are merely wrong."""
-    report(0.15)
     start = ironed(base)
     cleaned, wrong = outliers.cleaned(start)
 
     def climbed(f: float) -> None:
-        report(0.15 + 0.85 * f)
+        report(f)
 
     found = search(cleaned, climbed)
     if wrong is not None and wrong.burst is not None:
@@ -182,7 +187,7 @@ def _gained(found: Found) -> dict[str, float]:
 
 
 def _without_outliers(
-    start: Model, found: Found, report: Progress
+    start: Model, found: Found, report: Callable[[float], None]
 ) -> tuple[Found, outliers.Wrong | None]:
     """The search once more without headings that stand out from their neighbours: about the
     baseline, physics that is missing may have hidden that they are wrong."""
