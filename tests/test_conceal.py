@@ -249,6 +249,7 @@ def test_found_again_beside_a_heading():
     assert_found(dataclasses.replace(recording, streams=seldom), effects)
 
 
+@pytest.mark.prove
 def test_found_again_beside_a_pose():
     """The marker moves, the pose comes late, the device's clock runs fast."""
     rng = np.random.default_rng(1)

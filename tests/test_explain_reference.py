@@ -138,6 +138,7 @@ def test_a_clock_that_runs_fast_beside_a_reference(ppm: float) -> None:
     assert abs(parameter.value - ppm) < 4.0 * parameter.sigma
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.prove)])
 def test_noise_of_a_faster_reference_sets_no_clock(seed: int) -> None:
     """A polynomial through three moments has less noise at some times than at others; the clock
@@ -175,6 +176,7 @@ def test_noise_of_the_reference_makes_no_arm_shorter(seed: int) -> None:
         assert abs(got.value - wanted) < 5.0 * got.sigma
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.prove)])
 def test_noise_of_the_gyro_is_no_product_of_rates(seed: int) -> None:
     """Turning about one axis, what the others read is noise, and it is in both: in the residual

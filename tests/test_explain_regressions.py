@@ -215,6 +215,7 @@ def test_beside_a_step_of_the_bias_there_is_no_arm(seed: int) -> None:
 # --- how many readings are wrong ---------------------------------------------------------------
 
 
+@pytest.mark.prove
 def test_outliers_that_point_the_right_way_by_chance_are_counted() -> None:
     """With a noise of many degrees a good part of the wrong ones looks right; the share of those
     seen was 2 to 6 sigma too small."""
@@ -324,6 +325,7 @@ def test_outliers_behind_a_step_of_the_bias() -> None:
     assert (found.verdict, sorted(names(found))) == ("explained", sorted(step))
 
 
+@pytest.mark.prove
 def test_what_no_fit_holds_with_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     """A scan promised a term, the fit with it lost half a million nats, and the search went on
     from there: about such a fit, anything may be named."""

@@ -89,6 +89,7 @@ def test_moments_wrong_readings_and_starts_far_away_are_in_the_model(
     check_equal([made(effects, 0)])
 
 
+@pytest.mark.prove
 def test_of_two_recordings_too() -> None:
     scale = {"gyro_scale": [0.012, -0.01, 0.009]}
     check_equal([made(scale, 0), made(scale, 1)])

@@ -156,6 +156,7 @@ def lopsided(made: Device, asymmetry: Array) -> Recording:
     return replace(made.recording, imu=replace(imu, accel=imu.accel + asymmetry * np.abs(true)))
 
 
+@pytest.mark.prove
 def test_what_is_not_linear_shows_the_bias_itself() -> None:
     """Forces change sign where the sensor's own zero is, not where half the difference of two
     biases has it: a scale error was named beside an asymmetry to make up for that."""
