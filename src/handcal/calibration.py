@@ -146,6 +146,7 @@ def recalibrate(
         for case in cases:
             _check_effects(effects, case.kinds)
     base = baseline(cases)
+    chosen = replace(chosen, effects=_with_those_of_all(chosen.effects, base))
     report(0.5)
     told = _told(settled(base, chosen), chosen, report)
     return tuple(replace(r, repeated=True) for r in told)
@@ -160,8 +161,15 @@ def _fitted(
 ) -> tuple[Model, Chosen]:
     base = baseline(cases, engine)
     report(0.5)
-    chosen = Chosen(tuple(effects), tuple(view_of(c) for c in cases), options)
+    effects = _with_those_of_all(effects, base)
+    chosen = Chosen(effects, tuple(view_of(c) for c in cases), options)
     return settled(base, chosen, engine), chosen
+
+
+def _with_those_of_all(effects: Sequence[Effect], base: Model) -> tuple[Effect, ...]:
+    """The effects that were asked for, and before them those that every model has."""
+    have = {e.id for e in effects}
+    return (*(e for e in base.effects if e.id not in have), *effects)
 
 
 def _told(model: Model, chosen: Chosen, report: Progress) -> tuple[Result, ...]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import Any
 
@@ -17,8 +16,6 @@ PRIOR = 1e-4
 # How far readings stray from the sphere, tesla: rooms bend the field.
 STRAY = 3e-6
 GUESS_RATE = 10.0
-# Where z of a magnetometer holds the iron (3,) that is already taken off the field in it.
-TAKEN_OFF = 4
 
 
 def guess(recording: Recording) -> Array:
@@ -29,12 +26,11 @@ def guess(recording: Recording) -> Array:
 def sphere(recording: Recording) -> tuple[Array, Array]:
     """Centre (3,) of the sphere on which the readings lie and how well it is known (3,), tesla.
 
-    Near its prior the effect is far from linear about zero (the iron is stronger than the
-    Earth's field), so this is taken off the readings and only the rest is filtered. Where the
-    motion shows only part of the sphere, the prior decides. Linear least squares in the centre
-    c: |m|^2 = 2 m.c + (R^2 - |c|^2). The length of the field says nothing of the heading, so
-    the sigmas may serve as prior of an estimate from headings; as whatever bends the field
-    lasts, many readings make them no smaller than the readings' own distance from the sphere.
+    An iron may be stronger than the Earth's field, and before it is known nobody knows where
+    north is: so this is where a fit begins. Where the motion shows only part of the sphere, the
+    prior decides. Linear least squares in the centre c: |m|^2 = 2 m.c + (R^2 - |c|^2). As
+    whatever bends the field lasts, many readings make the sigmas no smaller than the readings'
+    own distance from the sphere.
 
     Raises InputError without a magnetometer.
     """
@@ -67,16 +63,9 @@ def cleaned(recording: Recording, iron: Array) -> Recording:
     return replace(recording, streams=streams)
 
 
-def _magnetometer(nav: Any, iron: Any, z: Any, out: Any) -> int:
-    x = z[0] - (iron[0] - z[TAKEN_OFF])
-    y = z[1] - (iron[1] - z[TAKEN_OFF + 1])
-    w = z[2] - (iron[2] - z[TAKEN_OFF + 2])
-    east = nav[6] * z[0] + nav[7] * z[1] + nav[8] * z[2]
-    north = nav[9] * z[0] + nav[10] * z[1] + nav[11] * z[2]
-    clean_east = nav[6] * x + nav[7] * y + nav[8] * w
-    clean_north = nav[9] * x + nav[10] * y + nav[11] * w
-    d = math.atan2(north, east) - math.atan2(clean_north, clean_east)
-    out[0] += d - 2.0 * math.pi * math.floor(d / (2.0 * math.pi) + 0.5)
+def _magnetometer(nav: Any, iron: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+    for i in range(3):
+        r[i] -= iron[i]
     return 0
 
 
@@ -91,4 +80,5 @@ EFFECT = Effect(
     observation_error={"magnetometer": residual_function(_magnetometer)},
     conceal=lambda iron, recording, _: cleaned(recording, -iron),
     undo=lambda iron, recording: cleaned(recording, iron),
+    always=True,
 )

@@ -10,10 +10,10 @@ import numpy as np
 from handcal import segment, so3
 from handcal.earth import local_earth
 from handcal.effects import Effect, Signals, catalogue, mag_hard_iron
-from handcal.estimate.observed import Choice, Observed, choose, observed_of
+from handcal.estimate.observed import Choice, Observed, choose, magnetic_yaw, observed_of
 from handcal.model import Problem, build
 from handcal.observations.fixed_position import CREEPING
-from handcal.start import Start
+from handcal.start import Start, levelled
 from handcal.types import Array, Recording, Series
 
 
@@ -37,7 +37,8 @@ class Case:
     are taken to come late, for linearising about; fixed: noise levels that are known;
     constant: log-evidence of readings that are held to be outliers and left out; read_hz: rate
     of the IMU, of which ``recording`` may hold averages; read: the recording as it was read;
-    noise_until: noise levels are found in what comes before, s; edits: what was made of the rows.
+    noise_until: noise levels are found in what comes before, s; edits: what was made of the rows;
+    iron: hard iron (3,) with which the first trajectory begins, and its sigmas (3,), tesla.
     """
 
     recording: Recording
@@ -54,6 +55,7 @@ class Case:
     read: Recording | None = None
     noise_until: float | None = None
     edits: tuple[Edit, ...] = ()
+    iron: tuple[Array, Array] | None = None
 
     @property
     def creeping(self) -> bool:
@@ -66,6 +68,7 @@ class Case:
 
 
 HELD = "held"
+# Less of it (tesla) leads no start astray.
 MUCH_IRON = 5e-6
 ENOUGH_HZ = 90.0
 
@@ -97,8 +100,7 @@ def case_of(
     rests = segment.rests(recording)
     earth = local_earth(latitude, height)
     if kinds is None:
-        asked = tuple(catalogue().values()) if effects is None else effects
-        choice = choose(recording, asked, assume, rests, reference_exact)
+        choice = choose(recording, assume, rests, reference_exact)
         if "fixed_position" in choice.kinds and segment.at_rest(recording):
             # What lies still turns no more than the Earth does, whatever point is held.
             choice = replace(choice, kinds=(*choice.kinds, "zero_rate"))
@@ -118,6 +120,7 @@ def case_of(
         dict(fixed or {}),
         read_hz=read.rate_hz,
         read=read,
+        iron=mag_hard_iron.sphere(recording) if "magnetometer" in choice.kinds else None,
     )
 
 
@@ -209,21 +212,22 @@ def _averaged(series: Series, width: float, count: int) -> Series:
 
 
 def without_iron(case: Case) -> Case | None:
-    """The case with its magnetometer's hard iron taken off, where there is much of it.
+    """The case begun as if its magnetometer had no hard iron; None where there is no magnetometer,
+    or where its readings show none to speak of.
 
-    From zero, an iron as large as the field cannot be found: the heading is not linear in it.
+    Where a motion shows a part of the sphere only, its centre may be anywhere, and with it north.
     """
     if "magnetometer" not in case.kinds:
         return None
-    iron = mag_hard_iron.guess(case.recording)
-    if float(np.linalg.norm(iron)) < MUCH_IRON:
+    if float(np.linalg.norm(mag_hard_iron.guess(case.recording))) < MUCH_IRON:
         return None
-    observed, start = observed_of(case.recording, case.kinds, case.rests, case.earth, None, iron)
-    out = replace(case, observed=tuple(observed), start=start, edits=())
-    out = creeping(out) if case.creeping else out
-    for edit in case.edits:
-        out = edited(out, edit)
-    return out
+    none = np.zeros(3)
+    start = case.start
+    if "heading" not in case.kinds and "pose" not in case.kinds:
+        yaw = magnetic_yaw(case.recording, start.C_nb, none)
+        assert start.force is not None
+        start = replace(start, C_nb=levelled(start.force, yaw))
+    return replace(case, start=start, iron=(none, np.full(3, mag_hard_iron.STRAY)))
 
 
 def problem_with(case: Case, effects: Sequence[Effect]) -> Problem:

@@ -164,6 +164,7 @@ def _scanned(c: Climb) -> Space:
         odds |= {e.id: PRIOR - e.imitated for e in options if e.imitated > 0.0}
     odds |= {e.id: REFUSED for e in options if name_of(e.id) in c.dropped}
     odds |= dict.fromkeys(c.favoured, FAVOURED)
+    odds |= {e.id: -REFUSED for e in options if e.always}
     return space(scan(c.model, options), options, odds)
 
 
@@ -393,7 +394,7 @@ def _thin(c: Climb) -> Model | None:
         return [x for x in model.effects if x is not e]
 
     tried: list[Effect] = []
-    for e in weakest[:FEW]:
+    for e in [e for e in weakest if not e.always][:FEW]:
         if e.process is None:
             more = max(1.0, excess[e.id] * c.worth)
             if gained[e.id] / more + where.prior[e.id] < 0.0:
@@ -445,7 +446,7 @@ def _held_too(model: Model, where: Space) -> str | None:
     are one or two; where the common part is by far the larger, they are two.
     """
     for e in model.effects:
-        if e.together is None or set(e.exclusive) & set(model.ids):
+        if e.together is None or not e.exclusive or set(e.exclusive) & set(model.ids):
             continue
         u = model.u[[i for i, n in enumerate(model.quadratic.names) if n[0] == e.id]]
         own = e.together @ u

@@ -45,7 +45,7 @@ def search(base: Model, report: Callable[[float], None] = lambda _: None) -> Fou
         other = _end(steadied(base), (), late, lambda f: report(0.7 + 0.2 * f))
         if other is not None and advantage(other, found) > 0.0:
             found = replace(other, alone=found.alone)
-    named = [e for e in found.model.effects if "+=" not in e.id]
+    named = [e for e in found.model.effects if "+=" not in e.id and not e.always]
     several = len(named) > 1 or any(e.process is not None for e in named)
     if several or any(e.observation_error for e in named):
         # (of the heading alone: a scan of few terms)

@@ -80,9 +80,8 @@ class Observation:
     folds: read so often that its readings within a tenth of a second may be folded into one.
     navigates: it says something of position, velocity or attitude.
     guess(z (k, zdim)): first guesses of levels that the observations themselves show.
-    moved(recording, series, C_nb (m, 3, 3), shift (m, dim), own (d,)): the stream as it would read
-    if its residuals were larger by the shift; own: the part of each reading that belongs to the
-    device and turns with it (iron).
+    moved(recording, series, C_nb (m, 3, 3), shift (m, dim)): the stream as it would read if its
+    residuals were larger by the shift.
     """
 
     kind: str
@@ -99,7 +98,7 @@ class Observation:
     markov: Markov | None = None
     markov_residual: int = 0
     guess: Callable[[Array], Mapping[str, float]] | None = None
-    moved: Callable[[Recording, Series, Array, Array, Array], Series] | None = None
+    moved: Callable[[Recording, Series, Array, Array], Series] | None = None
     isotropic: bool = False
     wandering: int | None = None
     navigates: bool = True
