@@ -18,19 +18,18 @@ FORGET_TIME = 1000.0
 
 
 class Turning:
-    """Independent states, each as large as the noise level named for it; time: s in which they
-    are forgotten at rest."""
+    """Independent states, each as large as the noise level named for it."""
 
     vectors = 0
 
-    def __init__(self, *levels: str, time: float = FORGET_TIME) -> None:
-        self.levels, self.size, self.time = levels, len(levels), time
+    def __init__(self, *levels: str) -> None:
+        self.levels, self.size = levels, len(levels)
 
     def transition(
         self, levels: Mapping[str, float], dt: Array, rate: Array
     ) -> tuple[Array, Array]:
         """Phi and Q (n, size, size): forgets over the angle turned; stationary."""
-        phi = np.exp(-dt * (np.maximum(rate - REST_RATE, 0.0) / FORGET_ANGLE + 1.0 / self.time))
+        phi = np.exp(-dt * (np.maximum(rate - REST_RATE, 0.0) / FORGET_ANGLE + 1.0 / FORGET_TIME))
         eye = np.eye(self.size)
         return phi[:, None, None] * eye, (1.0 - phi**2)[:, None, None] * self.start(levels, 0.0)
 

@@ -5,9 +5,11 @@ where the field's horizontal part points. How strong that is (h) and how strong 
 (u), nobody knows beforehand: ``theta`` holds by how much they differ from a first guess.
 
 Rooms bend the field, motors and currents change it, and no sensor is free of errors that nobody
-has named. All that lasts, in an angle turned or in seconds: were it taken for white noise, a
-hundred readings would seem to know the attitude ten times better than one. So the noise from one
-reading to the next is what neighbours show, and the rest is a Markov state of each axis. These
+has named. All that lasts as long as the device does and changes as it turns: were it taken for white
+noise, a hundred readings would seem to know the attitude ten times better than one. So the noise
+from one reading to the next is what neighbours show, and the rest is a Markov state of each axis,
+whose clock is the angle turned. (At rest hardly anything changes: of a phone in a hand beside iron
+evidence prefers that to a memory of ten seconds by 90 nats, and finds the delay only then.) These
 are the sensor's axes: of what the room adds and of what the device adds, the one is forgotten
 before it can be told from the other, and in the sensor's axes it says nothing of the attitude.
 """
@@ -33,8 +35,9 @@ STRENGTH_SIGMA = 1.5e-5
 HORIZONTAL, UPWARD, NOISE = 3, 4, 5
 # White noise that readings can show: less is their rounding, more is motion.
 LEAST_NOISE, MOST_NOISE = 1e-7, 3e-6
-# At rest a disturbance is another after so many seconds.
-FORGET_TIME = 10.0
+# So late (s) or early may readings be and still lie within the recording: evidence must be of the
+# same readings whatever a delay is taken to be.
+LATEST = 0.5
 
 
 def _residual(nav: Any, theta: Any, z: Any, r: Any) -> int:
@@ -68,6 +71,10 @@ def _rows(recording: Recording, scene: Scene) -> Rows | None:  # noqa: ARG001
     # Neighbouring readings share their disturbance; more of them would only feign certainty.
     step = max(1, round((len(series.t) - 1) / (series.t[-1] - series.t[0]) / MAX_RATE))
     t, field = series.t[::step], series.value[::step]
+    begin, end = recording.imu.t[0] + LATEST, recording.imu.t[-1] - LATEST
+    inside = (t >= begin) & (t <= end)
+    if inside.any():
+        t, field = t[inside], field[inside]
     known = (*strengths(recording), _white(series.value))
     return Rows(t, np.hstack([field, np.tile(known, (len(t), 1))]))
 
@@ -89,7 +96,7 @@ def heading_off(C_nb: Array, residual: Array, north: Array) -> Array:
     """By how much a heading taken from readings (k, 3) would be larger than that of attitudes
     C_nb (k, 3, 3), rad; residual (k, 3), and horizontal strength of the field (k,), tesla."""
     off = np.einsum("kij,kj->ki", C_nb, residual)
-    return np.asarray(-np.arctan2(off[:, 0], north + off[:, 1]))
+    return np.asarray(np.arctan2(off[:, 0], north + off[:, 1]))
 
 
 def _white(field: Array) -> float:
@@ -140,7 +147,7 @@ OBSERVATION = Observation(
     variance=_variance,
     constants=_constants,
     guess=_guess,
-    markov=Turning(*("mag_disturbance",) * 3, time=FORGET_TIME),
+    markov=Turning(*("mag_disturbance",) * 3),
     markov_residual=residual_function(_bent),
     moved=_moved,
 )
