@@ -20,6 +20,7 @@ import numpy as np
 from handcal import so3
 from handcal.calibration import calibrate
 from handcal.effects import TIME, Z_DIM, Effect, Signals, catalogue, observed_error
+from handcal.effects._field import NORTH, UP
 from handcal.effects._stamps import shifted
 from handcal.observations import Observation, magnetometer
 from handcal.observations import catalogue as observations
@@ -338,9 +339,7 @@ def _shift(
         C_nb = nav[:, 6:15].reshape(-1, 3, 3)
         z[:, :7] = np.hstack([nav[:, :3], so3.quaternion_of(C_nb)])
     if row.observation == "magnetometer":
-        z[:, [magnetometer.HORIZONTAL, magnetometer.UPWARD]] = magnetometer.strengths(
-            known.recording
-        )
+        z[:, [NORTH, UP]] = magnetometer.strengths(known.recording)
     z[:, TIME] = t + late - known.recording.imu.t[0]
     out = np.zeros((len(t), kind.dim))
     rate = np.linalg.norm(nav[:, 15:18], axis=1)

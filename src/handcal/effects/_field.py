@@ -6,13 +6,16 @@ from typing import Any
 
 from handcal._jit import njit
 
+# Places in a magnetometer's z of the field's horizontal and upward strength, as believed.
+NORTH, UP = 6, 7
+
 
 @njit
 def field_of(nav: Any, z: Any) -> tuple[float, float, float]:
-    """The field (3,) in b at the first guess of its strengths, which z holds behind the reading,
-    tesla: by how much they are off is small beside the field, and so is what an effect does."""
+    """The field (3,) in b at its strengths as they are believed to be, which z holds, tesla."""
+    north, up = z[NORTH], z[UP]
     return (
-        nav[9] * z[3] + nav[12] * z[4],
-        nav[10] * z[3] + nav[13] * z[4],
-        nav[11] * z[3] + nav[14] * z[4],
+        nav[9] * north + nav[12] * up,
+        nav[10] * north + nav[13] * up,
+        nav[11] * north + nav[14] * up,
     )

@@ -7,6 +7,7 @@ from typing import Any
 
 from handcal._jit import residual_function
 from handcal.effects import TIME, Effect, Param
+from handcal.effects._field import NORTH
 
 
 def _heading(nav: Any, rate: Any, z: Any, r: Any) -> int:  # noqa: ARG001
@@ -17,7 +18,7 @@ def _heading(nav: Any, rate: Any, z: Any, r: Any) -> int:  # noqa: ARG001
 def _magnetometer(nav: Any, rate: Any, z: Any, r: Any) -> int:
     # a heading that is too large is a north that has turned to the east
     angle = rate[0] * z[TIME]
-    east, north = z[3] * math.sin(angle), z[3] * (math.cos(angle) - 1.0)
+    east, north = z[NORTH] * math.sin(angle), z[NORTH] * (math.cos(angle) - 1.0)
     for i in range(3):
         r[i] -= nav[6 + i] * east + nav[9 + i] * north
     return 0

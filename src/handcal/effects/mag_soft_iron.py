@@ -59,6 +59,8 @@ EFFECT = Effect(
     observation_error={"magnetometer": residual_function(_magnetometer)},
     conceal=_conceal,
     undo=_undo,
+    # Above some tenths it would turn the field about, which a swing about one axis does not refute.
+    tails=False,
     # A field that is as much stronger along all axes is a stronger field.
     together=np.asarray(np.kron(np.diag([1.0, 0.0]), np.eye(3) - 1.0 / 3.0)
                         + np.kron(np.diag([0.0, 1.0]), np.eye(3))),

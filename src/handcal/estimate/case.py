@@ -10,10 +10,10 @@ import numpy as np
 from handcal import segment, so3
 from handcal.earth import local_earth
 from handcal.effects import Effect, Signals, catalogue, mag_hard_iron
-from handcal.estimate.observed import Choice, Observed, choose, magnetic_yaw, observed_of
+from handcal.estimate.observed import Choice, Observed, choose, observed_of
 from handcal.model import Problem, build
 from handcal.observations.fixed_position import CREEPING
-from handcal.start import Start, levelled
+from handcal.start import Start
 from handcal.types import Array, Recording, Series
 
 
@@ -68,7 +68,7 @@ class Case:
 
 
 HELD = "held"
-# Less of it (tesla) leads no start astray.
+# A difference of so much iron (tesla) leads no start astray.
 MUCH_IRON = 5e-6
 ENOUGH_HZ = 90.0
 
@@ -120,8 +120,13 @@ def case_of(
         dict(fixed or {}),
         read_hz=read.rate_hz,
         read=read,
-        iron=mag_hard_iron.sphere(recording) if "magnetometer" in choice.kinds else None,
+        iron=_iron(recording) if "magnetometer" in choice.kinds else None,
     )
+
+
+def _iron(recording: Recording) -> tuple[Array, Array]:
+    best = mag_hard_iron.spheres(recording)[0]
+    return best.centre, best.sigma
 
 
 def creeping(case: Case) -> Case:
@@ -211,23 +216,26 @@ def _averaged(series: Series, width: float, count: int) -> Series:
     return Series(t, np.hstack(mean))
 
 
-def without_iron(case: Case) -> Case | None:
-    """The case begun as if its magnetometer had no hard iron; None where there is no magnetometer,
-    or where its readings show none to speak of.
-
-    Where a motion shows a part of the sphere only, its centre may be anywhere, and with it north.
-    """
+def other_irons(case: Case) -> list[Case]:
+    """The case begun with other hard irons of its magnetometer, where its readings do not show
+    which it is: other spheres on which they may lie, and none at all."""
     if "magnetometer" not in case.kinds:
-        return None
-    if float(np.linalg.norm(mag_hard_iron.guess(case.recording))) < MUCH_IRON:
-        return None
-    none = np.zeros(3)
-    start = case.start
-    if "heading" not in case.kinds and "pose" not in case.kinds:
-        yaw = magnetic_yaw(case.recording, start.C_nb, none)
-        assert start.force is not None
-        start = replace(start, C_nb=levelled(start.force, yaw))
-    return replace(case, start=start, iron=(none, np.full(3, mag_hard_iron.STRAY)))
+        return []
+    best, *others = mag_hard_iron.spheres(case.recording)
+    found = [(s.centre, s.sigma) for s in others]
+    known = float(best.sigma.max()) < MUCH_IRON
+    if not known and all(np.linalg.norm(s.centre) > MUCH_IRON for s in (best, *others)):
+        found.append((np.zeros(3), np.full(3, mag_hard_iron.STRAY)))
+    return [_with_iron(case, *f) for f in found]
+
+
+def _with_iron(case: Case, iron: Array, sigma: Array) -> Case:
+    observed, start = observed_of(case.recording, case.kinds, case.rests, case.earth, None, iron)
+    out = replace(case, observed=tuple(observed), start=start, edits=(), iron=(iron, sigma))
+    out = creeping(out) if case.creeping else out
+    for edit in case.edits:
+        out = edited(out, edit)
+    return out
 
 
 def problem_with(case: Case, effects: Sequence[Effect]) -> Problem:

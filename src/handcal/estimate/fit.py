@@ -18,7 +18,7 @@ from handcal import batch, so3
 from handcal import noise as noise_levels
 from handcal.effects import Effect, catalogue
 from handcal.estimate.beside import side_by_side
-from handcal.estimate.case import Case, problem_with, without_iron
+from handcal.estimate.case import Case, other_irons, problem_with
 from handcal.estimate.observed import first_state
 from handcal.estimate.quadratic import Local, Posterior, Quadratic, given, local, posterior, total
 from handcal.estimate.robust import excess
@@ -95,13 +95,12 @@ def always(cases: Sequence[Case]) -> tuple[Effect, ...]:
 def baseline(cases: Sequence[Case], engine: str = "compiled") -> Model:
     """The fit with no effect but those that every model has, where every other begins.
 
-    A magnetometer's hard iron is tried from where its readings lie around, and from none.
+    A magnetometer's hard iron is tried from all that its readings may lie around.
     """
     effects = always(cases)
-    others = [without_iron(c) for c in cases]
-    ways = [cases]
-    if any(others):
-        ways.append([c if o is None else o for c, o in zip(cases, others, strict=True)])
+    ways = [tuple(cases)]
+    for k, case in enumerate(cases):
+        ways += [(*cases[:k], other, *cases[k + 1 :]) for other in other_irons(case)]
 
     def begun(way: Sequence[Case]) -> Model:
         return fitted([started(c, effects, engine) for c in way], effects, noise_rounds=2)

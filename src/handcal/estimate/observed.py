@@ -84,7 +84,8 @@ def _usable(recording: Recording, warnings: list[str]) -> set[str]:
             usable.discard("pose")
             warnings.append(f"The pose was left out: {problem}")
     if "mag" in usable:
-        strength = math.hypot(*magnetometer.strengths(recording))
+        iron = mag_hard_iron.guess(recording)
+        strength = float(np.median(np.linalg.norm(recording.streams["mag"].value - iron, axis=1)))
         if "heading" in usable:
             usable.discard("mag")
         elif not EARTHLY[0] < strength < EARTHLY[1]:
@@ -158,11 +159,13 @@ def observed_of(
     rests: Array,
     earth: tuple[Array, Array],
     start: Start | None,
+    iron: Array | None = None,
     rate: float | None = None,
     reference_exact: bool = False,
 ) -> tuple[list[Observed], Start]:
     """Each kind of observation with its rows and constants, and where the filter starts.
 
+    iron (3,): a magnetometer's hard iron with which to begin, tesla (None: the likeliest).
     rate: of pseudo-observations, Hz (None: as often as is usual). reference_exact:
     a reference has no bias of its own.
     """
@@ -170,6 +173,7 @@ def observed_of(
     scene = Scene(
         rests, has_heading, rate=rate or PSEUDO_RATE, omega_ie_n=earth[1],
         gravity=float(np.linalg.norm(earth[0])), reference_exact=reference_exact,
+        iron=iron,
     )  # fmt: skip
     begin = start or _level(recording, kinds, scene)
     if "pose" in kinds and has_heading:
@@ -196,7 +200,9 @@ def _level(recording: Recording, kinds: Sequence[str], scene: Scene) -> Start:
     if name not in recording.streams:
         raise HandcalError(f"The recording has no stream '{name}' to take a heading from.")
     if name == "mag":
-        yaw = magnetic_yaw(recording, begin.C_nb, mag_hard_iron.guess(recording))
+        iron = mag_hard_iron.guess(recording) if scene.iron is None else scene.iron
+        field = begin.C_nb @ (_early(recording.streams["mag"]).mean(axis=0) - iron)
+        yaw = 0.5 * math.pi - math.atan2(field[1], field[0])
     else:
         early = _early(recording.streams[name])
         yaw = math.atan2(np.sin(early[:, 0]).mean(), np.cos(early[:, 0]).mean())
@@ -208,14 +214,6 @@ def _level(recording: Recording, kinds: Sequence[str], scene: Scene) -> Start:
 def _early(series: Series) -> Array:
     """Readings (k, d) of the first half second."""
     return series.value[: max(1, int(np.searchsorted(series.t, series.t[0] + 0.5)))]
-
-
-def magnetic_yaw(recording: Recording, C_nb: Array, iron: Array) -> float:
-    """Yaw of body x at the start, rad, for a level attitude C_nb (3, 3) of any yaw and a
-    magnetometer with this iron (3,), tesla."""
-    field = C_nb @ (_early(recording.streams["mag"]).mean(axis=0) - iron)
-    away = 0.5 * math.pi - math.atan2(field[1], field[0])
-    return float(so3.wrap(so3.yaw_of(C_nb) + away))
 
 
 def first_state(

@@ -24,6 +24,7 @@ import numpy as np
 
 from handcal._jit import residual_function
 from handcal.effects import mag_hard_iron
+from handcal.effects._field import NORTH, UP
 from handcal.observations import Constant, Observation, Rows, Scene
 from handcal.observations._turning import Turning
 from handcal.types import Array, Level, Recording, Series
@@ -31,6 +32,8 @@ from handcal.types import Array, Level, Recording, Series
 MAX_RATE = 10.0
 # By how much the field's strengths may differ from the first guess, tesla.
 STRENGTH_SIGMA = 1.5e-5
+# The Earth's field is that strong, tesla: a sphere that is larger or smaller is not its.
+EARTHLY = (2.2e-5, 6.7e-5)
 # Places in z of the first guess of the field's strengths, and of the noise, tesla.
 HORIZONTAL, UPWARD, NOISE = 3, 4, 5
 # White noise that readings can show: less is their rounding, more is motion.
@@ -64,7 +67,7 @@ def _bent(nav: Any, bend: Any, z: Any, r: Any) -> int:  # noqa: ARG001
     return 0
 
 
-def _rows(recording: Recording, scene: Scene) -> Rows | None:  # noqa: ARG001
+def _rows(recording: Recording, scene: Scene) -> Rows | None:
     series = recording.streams.get("mag")
     if series is None or len(series.t) < 2:
         return None
@@ -75,20 +78,27 @@ def _rows(recording: Recording, scene: Scene) -> Rows | None:  # noqa: ARG001
     inside = (t >= begin) & (t <= end)
     if inside.any():
         t, field = t[inside], field[inside]
-    known = (*strengths(recording), _white(series.value))
+    guess = strengths(recording, scene.iron)
+    known = (*guess, _white(series.value), *guess)
     return Rows(t, np.hstack([field, np.tile(known, (len(t), 1))]))
 
 
-def strengths(recording: Recording) -> tuple[float, float]:
+def _believed(z: Array, theta: Array) -> Array:
+    out = z.copy()
+    out[:, [NORTH, UP]] = z[:, [HORIZONTAL, UPWARD]] + theta
+    return out
+
+
+def strengths(recording: Recording, iron: Array | None = None) -> tuple[float, float]:
     """First guess of the field's horizontal and upward strength, tesla: medians, less the iron
-    that the readings lie around, taking the force as up."""
+    (None: what the readings lie around), taking the force as up; such as the Earth may have."""
     imu, mag = recording.imu, recording.streams["mag"]
-    field = mag.value - mag_hard_iron.guess(recording)
+    field = mag.value - (mag_hard_iron.guess(recording) if iron is None else iron)
     up = np.stack([np.interp(mag.t, imu.t, imu.accel[:, i]) for i in range(3)], axis=1)
     size = np.linalg.norm(field, axis=1)
     product = np.maximum(np.linalg.norm(up, axis=1) * size, 1e-12)
     sine = float(np.median((up * field).sum(axis=1) / product))
-    strength = float(np.median(size))
+    strength = float(np.clip(np.median(size), *EARTHLY))
     return strength * math.sqrt(max(1.0 - sine * sine, 0.01)), strength * sine
 
 
@@ -147,6 +157,7 @@ OBSERVATION = Observation(
     variance=_variance,
     constants=_constants,
     guess=_guess,
+    believed=_believed,
     markov=Turning(*("mag_disturbance",) * 3),
     markov_residual=residual_function(_bent),
     moved=_moved,
