@@ -98,10 +98,9 @@ def _sphere(m: Array, start: Array) -> Sphere:
     share = 1.0 / math.sqrt(GUESS_RATE)
 
     def lost(x: Array) -> Array:
-        away = np.linalg.norm(m - x[:3], axis=1) - x[3]
-        # (the square of what soft_l1 makes of it)
-        z = (share * away / STRAY) ** 2
-        soft = np.sqrt(2.0 * (np.sqrt(1.0 + z) - 1.0))
+        away = share / STRAY * (np.linalg.norm(m - x[:3], axis=1) - x[3])
+        # (squared, this is the soft absolute value)
+        soft = away * np.sqrt(2.0 / (np.sqrt(1.0 + away**2) + 1.0))
         return np.concatenate([soft, x[:3] / PRIOR, [(x[3] - EARTH) / EARTH_SIGMA]])
 
     radius = float(np.median(np.linalg.norm(m - start, axis=1)))

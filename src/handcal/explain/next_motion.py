@@ -134,7 +134,7 @@ def _case(motion: Motion, like: Case) -> Case:
     # that a recording lay still says nothing of the next
     held = like.assume == "fixed-point"
     kinds = [k for k in like.kinds if not (held and k == "zero_rate")]
-    observed, start = observed_of(recording, kinds, rests, like.earth, None)
+    observed, start = observed_of(recording, kinds, rests, like.earth, None, np.zeros(3))
     return Case(recording, like.assume, tuple(observed), rests, like.earth, start, ())
 
 
