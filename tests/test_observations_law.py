@@ -47,7 +47,8 @@ def random_case(kind, seed):
     if kind == "heading":
         z = [float(wrap(so3.yaw_of(C) + rng.normal(0, 0.5)))]
     elif kind == "magnetometer":
-        z = np.r_[C.T @ [0.0, 0.5, -0.8] + rng.normal(0, 0.1, 3), 0.5, -0.8, 0.0, 0.5, -0.8]  # in gauss
+        field = C.T @ [0.0, 0.5, -0.8] + rng.normal(0, 0.1, 3)  # in gauss
+        z = np.r_[field, 0.5, -0.8, 0.0, 0.5, -0.8]
     elif kind == "pose":
         z = np.r_[p + rng.normal(0, 0.1, 3), so3.quaternion_of(turn @ C)]
     elif kind == "known_input":

@@ -35,7 +35,8 @@ def _conceal(parameters: Array, recording: Recording, known: Known) -> Recording
 
 
 def _undo(parameters: Array, recording: Recording) -> Recording:
-    return _times(recording, np.linalg.inv(np.eye(3) + matrix(parameters)))
+    inverse = np.linalg.inv(np.eye(3) + matrix(parameters))
+    return _times(recording, np.asarray(inverse, dtype=np.float64))
 
 
 def _times(recording: Recording, A: Array) -> Recording:
@@ -49,7 +50,7 @@ def _times(recording: Recording, A: Array) -> Recording:
 EFFECT = Effect(
     id="mag_soft_iron",
     title="Magnetometer soft iron",
-    parameters=tuple(Param(name, "1", 0.1) for name in NAMES),
+    parameters=tuple(Param(name, "1", 0.1, most=0.5) for name in NAMES),
     story="Iron in the device draws the Earth's field to itself: the sensor reads more of it along "
     "one axis and less along another, and some of one axis on the next.",
     source="contract of this project; Gebre-Egziabher et al., J. Aerospace Eng. 19(2), 2006; the "
@@ -59,7 +60,7 @@ EFFECT = Effect(
     observation_error={"magnetometer": residual_function(_magnetometer)},
     conceal=_conceal,
     undo=_undo,
-    # Above some tenths it would turn the field about, which a swing about one axis does not refute.
+    # Of some tenths it would turn the field about, which a swing about one axis does not refute.
     tails=False,
     # A field that is as much stronger along all axes is a stronger field.
     together=np.asarray(np.kron(np.diag([1.0, 0.0]), np.eye(3) - 1.0 / 3.0)

@@ -9,7 +9,7 @@ import numpy as np
 
 from handcal import segment, so3
 from handcal.earth import local_earth
-from handcal.effects import Effect, Signals, catalogue, mag_hard_iron
+from handcal.effects import Effect, Signals, mag_hard_iron
 from handcal.estimate.observed import Choice, Observed, choose, observed_of
 from handcal.model import Problem, build
 from handcal.observations.fixed_position import CREEPING

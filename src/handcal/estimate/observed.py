@@ -13,7 +13,7 @@ from handcal.effects import Effect, mag_hard_iron
 from handcal.filter import State, initial_state
 from handcal.kernel import BASE
 from handcal.model import Problem, build
-from handcal.observations import Observation, Rows, Scene, catalogue, magnetometer
+from handcal.observations import Observation, Rows, Scene, catalogue
 from handcal.start import Start, from_pose, from_rest, levelled
 from handcal.streams import STREAMS
 from handcal.types import Array, HandcalError, InputError, Recording, Series

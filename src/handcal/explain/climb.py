@@ -226,9 +226,20 @@ def _grown(c: Climb, chosen: frozenset[str]) -> Model | None:
 
 def likelier(c: Climb, tried: Model) -> bool:
     """Whether a model's score is above that of the one there is: evidence at its worth, and the
-    prior odds of effects and levels."""
+    prior odds of effects and levels; what no device has is no fit."""
+    if not _sensible(tried):
+        return False
     gain = c.worth * (tried.log_evidence - c.model.log_evidence)
     return gain + _odds(c, tried) - _odds(c, c.model) > 0.0
+
+
+def _sensible(model: Model) -> bool:
+    """Whether no parameter is larger than makes sense."""
+    known = {(e.id, p.name): p for e in model.effects for p in e.parameters}
+    return all(
+        abs(u) * known[n].prior_sigma <= known[n].most
+        for n, u in zip(model.quadratic.names, model.u, strict=True)
+    )
 
 
 def _odds(c: Climb, model: Model) -> float:
@@ -422,7 +433,7 @@ def _thin(c: Climb) -> Model | None:
 def _free(c: Climb) -> Model | None:
     """What noise stands in for, in its place."""
     other = without_alibi(c.model, c.worth, c.suspects)
-    if other is None:
+    if other is None or not _sensible(other):
         return None
     c.dropped -= {name_of(i) for i in other.ids}
     c.visited.clear()
