@@ -98,7 +98,7 @@ def calibrate_together(
     for recording in recordings:
         check_options(recording, assume, heading_sigma, ignore)
         case = case_of(
-            recording, assume, latitude, height, ignore, fixed, kinds=observations, effects=wanted,
+            recording, assume, latitude, height, ignore, fixed, kinds=observations,
             start=start, reference_exact=reference_exact,
         )  # fmt: skip
         _check_effects(wanted, case.kinds)
@@ -108,7 +108,7 @@ def calibrate_together(
     far = [assume == "auto" and observations is None and travels(f) for f in model.parts]
     if any(far):
         cases = [
-            resting(f, latitude, height, wanted) if gone else case
+            resting(f, latitude, height) if gone else case
             for case, f, gone in zip(cases, model.parts, far, strict=True)
         ]
         model, chosen = _fitted(cases, wanted, options, engine, report)
@@ -136,7 +136,7 @@ def recalibrate(
         cases = [
             case_of(
                 r, "auto", options.latitude, options.height,
-                [s for s in options.ignore if s in r.streams], options.fixed, effects=effects,
+                [s for s in options.ignore if s in r.streams], options.fixed,
                 reference_exact=options.reference_exact,
             )
             for r in recordings

@@ -132,9 +132,9 @@ class Effect:
     sensor. of_one_day: another day it is another. sound(parameters, t (n,), valid (n,)): which
     readings depend on measurements alone, where what is read depends on other moments. instead:
     the effect that is the same on a stream on which this one does not act. baseline: it is in every
-    model (a state of the filter), so it is never on trial. always: it is in every model of a recording
-    in which one of its observations is used, whether asked for or not: nobody has none. tails: its
-    prior has the wide scales that others have.
+    model (a state of the filter), so it is never on trial. always: it is in every model of a
+    recording in which one of its observations is used, whether asked for or not: nobody has none.
+    tails: its prior has the wide scales that others have.
     """
 
     id: str

@@ -82,16 +82,15 @@ def case_of(
     fixed: Mapping[str, float] | None = None,
     *,
     kinds: Sequence[str] | None = None,
-    effects: Sequence[Effect] | None = None,
     start: Start | None = None,
     reference_exact: bool = False,
 ) -> Case:
     """A recording with what is observed of it; ``auto`` begins with a held point, since errors of
     the sensors look like a travelling hand.
 
-    kinds: of observation, instead of those that streams and ``assume`` suggest; effects: those
-    that may be asked for (None: all there are); fixed: noise levels that are known, SI; start: a
-    prior of the first state instead of levelling; reference_exact: a reference has no bias.
+    kinds: of observation, instead of those that streams and ``assume`` suggest; fixed: noise
+    levels that are known, SI; start: a prior of the first state instead of levelling;
+    reference_exact: a reference has no bias.
     """
     read = replace(
         recording, streams={k: v for k, v in recording.streams.items() if k not in ignore}

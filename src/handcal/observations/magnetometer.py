@@ -8,10 +8,11 @@ Rooms bend the field, motors and currents change it, and no sensor is free of er
 has named. All that lasts as long as the device does and changes as it turns: were it taken for
 white noise, a hundred readings would seem to know the attitude ten times better than one. So the
 noise from one reading to the next is what neighbours show, and the rest is a Markov state of each
-axis, whose clock is the angle turned. (At rest hardly anything changes: of a phone in a hand beside iron
-evidence prefers that to a memory of ten seconds by 90 nats, and finds the delay only then.) These
-are the sensor's axes: of what the room adds and of what the device adds, the one is forgotten
-before it can be told from the other, and in the sensor's axes it says nothing of the attitude.
+axis, whose clock is the angle turned. (At rest hardly anything changes: for a phone in a hand
+beside iron, evidence prefers that to a memory of ten seconds by 90 nats, and finds the delay only
+then.) These are the sensor's axes: of what the room adds and of what the device adds, the one is
+forgotten before it can be told from the other, and in the sensor's axes it says nothing of the
+attitude.
 """
 
 from __future__ import annotations
