@@ -36,6 +36,7 @@ SIZES: dict[str, tuple[float, ...]] = {
     "heading_hard_iron": (0.2,),
     "heading_soft_iron": (0.15,),
     "mag_hard_iron": (1e-4,),
+    "mag_soft_iron": (0.1,),
     "heading_delay": (0.15,),
     "pose_delay": (0.02,),
     "heading_drift": (0.005,),
@@ -63,6 +64,7 @@ NEEDS: dict[str, frozenset[str]] = {
     "gyro_temperature": frozenset({"temperature"}),
     "accel_temperature": frozenset({"temperature"}),
     "mag_hard_iron": frozenset({"mag"}),
+    "mag_soft_iron": frozenset({"mag"}),
     "pose_delay": frozenset({"pose"}),
     "clock_rate": frozenset({"pose"}),
 }

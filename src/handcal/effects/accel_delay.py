@@ -18,6 +18,10 @@ def imu_error(delay: Array, signals: Signals) -> Array:
         # (straight lines between samples would average their noise, and less noise would
         # speak for half a sample's delay)
         then = np.clip(signals.t - delay[0], signals.t[0], signals.t[-1])
+        if not np.isfinite(signals.accel).all():
+            # (a fit that ran away; whoever made it finds that out)
+            out[:, 3:] = np.nan
+            return out
         out[:, 3:] = CubicSpline(signals.t, signals.accel)(then) - signals.accel
     return out
 
