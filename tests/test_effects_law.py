@@ -676,6 +676,7 @@ TRIALS = [
     ("clock_rate", "free-hand", with_reference, "reference", 3.0),
     ("gyro_misalignment", "free-hand", with_reference, "reference", 1.0),
     ("pose_delay", "free-hand", with_pose, "pose", 1.0),
+    ("pose_scale", "free-hand", with_pose, "pose", 1.0),
     ("mag_hard_iron", "free-hand", with_magnetometer, "mag", 0.1),
     ("mag_hard_iron", "free-hand", with_magnetometer, "mag", 1.0),
     ("mag_hard_iron", "free-hand", with_magnetometer, "mag", 3.0),
@@ -716,7 +717,7 @@ NOISE_TRIALS = [
 
 def test_every_effect_is_on_trial():
     tried = {getattr(trial, "values", trial)[0] for trial in TRIALS}
-    tried |= {name for name, *_ in NOISE_TRIALS} | set(STRAYING) | set(MOMENTARY)
+    tried |= {name for name, *_ in NOISE_TRIALS} | set(STRAYING) | set(MOMENTARY) | {"pose_drift"}
     assert tried == {i for i in IDS if not catalogue()[i].baseline}
 
 
@@ -863,6 +864,20 @@ def test_noise_that_the_simulator_injects_comes_back(name, truth, factors, seed)
             true = injected(world, f"{sensor}_bias")[i] + walk[sensor][i]
             # with the hand's sway unknown, sigmas of the accelerometer's biases are a bit small
             assert abs(got.value - true) < 5 * got.sigma, (got, true)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_world_that_wanders_comes_back(seed):
+    """Both densities, beside motion capture's own noise; evidence knows it from a still one."""
+    truth = {"pose_drift": [5e-3, 2e-3]}
+    world = simulate("free-hand", seed=seed, duration_s=84.0, phone=with_pose, effects=truth)
+    recording = recording_of(world, "pose")
+    found = calibrate(recording, ["pose_drift"], assume="fixed-point")
+    levels = {n.name: n.value for n in found.noise}
+    for name, value in zip(("position", "attitude"), truth["pose_drift"], strict=True):
+        assert value / 1.5 < levels[f"pose_drift_{name}"] < 1.5 * value
+    without = calibrate(recording, assume="fixed-point")
+    assert found.log_evidence > without.log_evidence + 20.0
 
 
 @pytest.mark.parametrize(("name", "truth", "factors"), NOISE_TRIALS)

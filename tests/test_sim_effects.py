@@ -37,6 +37,8 @@ PROMISED = {
     "mag_soft_iron": "xx yy zz xy xz yz",
     "heading_delay": "delay",
     "pose_delay": "delay",
+    "pose_scale": "scale",
+    "pose_drift": "position attitude",
     "heading_drift": "rate",
     "heading_correlated_noise": "sigma tau",
     "heading_outliers": "fraction",
