@@ -234,12 +234,26 @@ def test_a_clean_magnetometer_is_used(seed):
 
 
 @pytest.mark.parametrize("iron", [[5e-5, 0.0, 0.0], [0.0, 1e-4, -5e-5], [3e-4, 3e-4, 0.0]])
-def test_a_magnetometer_with_a_hard_iron_is_left_out_and_that_is_said(iron):
+def test_a_hard_iron_is_estimated_without_being_asked_for(iron):
+    """Nobody has none; strong ones too, from where the readings lie around."""
     recording, noise = compass(iron)
     result = calibrate(recording, assume="fixed-point", noise=noise)
+    assert not result.warnings
+    for axis, true in zip("xyz", iron, strict=True):
+        got = result.parameter("mag_hard_iron", axis)
+        assert abs(got.value - true) < 4.0 * got.sigma
+        assert got.observable
+
+
+def test_a_magnetometer_in_other_units_is_left_out_and_that_is_said():
+    """Milligauss taken for microtesla are a field of ten Earths."""
+    recording, noise = compass([0.0, 0.0, 0.0])
+    mag = recording.streams["mag"]
+    streams = {"mag": replace(mag, value=10.0 * mag.value)}
+    result = calibrate(replace(recording, streams=streams), assume="fixed-point", noise=noise)
     assert set(result.innovations) == {"fixed_position"}
     (said,) = [w for w in result.warnings if "magnetometer" in w]
-    assert "hard iron" in said
+    assert "not the Earth's" in said
 
 
 # --- the result ---------------------------------------------------------------------------------

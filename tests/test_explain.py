@@ -242,7 +242,9 @@ def test_the_command_writes_json_and_a_twin(file: Path, two: list[World], tmp_pa
     """Read back: the JSON has the contract's keys and no others, the twin is a recording."""
     twin = tmp_path / "twin.mcap"
     done = _run(str(file), "--json", str(tmp_path / "x.json"), "--twin", str(twin))
-    assert (done.returncode, done.stderr) == (0, "")
+    assert done.returncode == 0
+    # (nothing but the stages, of what takes longer than two seconds)
+    assert all(s.startswith("handcal: explaining phone.mcap: ") for s in done.stderr.splitlines())
     assert "lever arm" in done.stdout
     document = json.loads((tmp_path / "x.json").read_text())
     assert set(document) == {

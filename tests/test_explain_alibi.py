@@ -9,7 +9,7 @@ import pytest
 from worlds import recording_of
 
 from handcal.estimate import case
-from handcal.estimate.fit import Model, fitted, started
+from handcal.estimate.fit import Model, baseline, fitted
 from handcal.explain.alibi import without_alibi
 from handcal_sim import simulate
 from handcal_sim.phone import Clocking, Phone, consumer_magnetometer, consumer_phone, with_rate
@@ -23,26 +23,26 @@ def compass(rng: np.random.Generator) -> Phone:
 
 def base_of(effects: dict[str, list[float]], seed: int) -> Model:
     world = simulate("three-turns", seed=seed, duration_s=30.0, phone=compass, effects=effects)
-    return fitted([started(case.case_of(recording_of(world, "mag")))], ())
+    return baseline([case.case_of(recording_of(world, "mag"))])
 
 
 def wide(model: Model) -> Model:
     """The fit with all that the magnetometer says laid to a disturbance, as if for good."""
-    levels = {"mag_disturbance": 0.5, "mag_heading_noise": 2e-4}
+    levels = {"mag_disturbance": 3e-5, "mag_noise": 2e-7}
     parts = [replace(f, levels=f.levels | levels) for f in model.parts]
     return fitted(parts, model.effects, noise_rounds=0)
 
 
 @pytest.mark.parametrize("seed", range(2))
 def test_a_wide_disturbance_is_taken_back_for_what_it_hid(seed: int) -> None:
-    model = wide(base_of({"heading_soft_iron": [0.2, -0.15]}, seed))
+    model = wide(base_of({"mag_soft_iron": [0.1, -0.15, 0.05, 0.1, -0.05, 0.1]}, seed))
     tried = set[str]()
     found = without_alibi(model, 1.0, tried)
     assert found is not None
-    assert found.ids == ("heading_soft_iron",)
+    assert found.ids == ("mag_hard_iron", "mag_soft_iron")
     assert found.log_evidence > model.log_evidence + 100.0
-    assert found.parts[0].levels["mag_disturbance"] < 0.05
-    assert {"heading_soft_iron", "heading_delay"} <= tried
+    assert found.parts[0].levels["mag_disturbance"] < 3e-6
+    assert {"mag_soft_iron", "heading_delay"} <= tried
     assert not {"gyro_scale", "accel_scale", "lever_arm"} & tried
 
 
@@ -53,7 +53,7 @@ def test_a_usual_disturbance_is_not_suspected() -> None:
 
 
 def test_nothing_is_tried_twice() -> None:
-    model = wide(base_of({"heading_soft_iron": [0.2, -0.15]}, 0))
+    model = wide(base_of({"mag_soft_iron": [0.1, -0.15, 0.05, 0.1, -0.05, 0.1]}, 0))
     tried = set[str]()
     first = without_alibi(model, 1.0, tried)
     assert first is not None
@@ -61,7 +61,7 @@ def test_nothing_is_tried_twice() -> None:
 
 
 def test_a_level_that_was_given_is_left_alone() -> None:
-    model = wide(base_of({"heading_soft_iron": [0.2, -0.15]}, 0))
-    given = {"mag_disturbance": 0.5, "mag_heading_noise": 2e-4}
+    model = wide(base_of({"mag_soft_iron": [0.1, -0.15, 0.05, 0.1, -0.05, 0.1]}, 0))
+    given = {"mag_disturbance": 3e-5, "mag_noise": 2e-7}
     parts = tuple(replace(f, case=replace(f.case, fixed=given)) for f in model.parts)
     assert without_alibi(replace(model, parts=parts), 1.0, set()) is None

@@ -79,7 +79,7 @@ def _heading(nav, k, z, r):
 ADDRESS = residual_function(_heading)
 EFFECT = Effect(
     id="heading_tilt", title="Heading tilt", parameters=(Param("k", "rad", 0.2),),
-    observation_error={"heading": ADDRESS, "magnetometer": ADDRESS},''',
+    observation_error={"heading": ADDRESS},''',
 }
 VALUES = {
     "sensor_cubes": [1e-3, -8e-4, 1.2e-3, 2e-4, -1e-4, 1.5e-4],

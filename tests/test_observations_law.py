@@ -14,6 +14,7 @@ from handcal.effects import Z_DIM
 from handcal.effects import catalogue as effects
 from handcal.kernel import BASE, MAX_DIM, Tables, linearise
 from handcal.observations import NAV, Scene, catalogue
+from handcal.observations.magnetometer import HORIZONTAL, UPWARD, heading_off
 from handcal.observations.pose import aligned
 from handcal.so3 import wrap
 from handcal.streams import STREAMS, observed_by
@@ -46,8 +47,8 @@ def random_case(kind, seed):
     if kind == "heading":
         z = [float(wrap(so3.yaw_of(C) + rng.normal(0, 0.5)))]
     elif kind == "magnetometer":
-        # Its H is that of the field as predicted, so the reading is as predicted too.
-        z = np.r_[C.T @ (48e-6 * np.array([0.0, 0.5, -0.8])), -0.8 / 0.5]
+        field = C.T @ [0.0, 0.5, -0.8] + rng.normal(0, 0.1, 3)  # in gauss
+        z = np.r_[field, 0.5, -0.8, 0.0, 0.5, -0.8]
     elif kind == "pose":
         z = np.r_[p + rng.normal(0, 0.1, 3), so3.quaternion_of(turn @ C)]
     elif kind == "known_input":
@@ -163,7 +164,7 @@ def test_a_perfect_reading_leaves_no_residual(kind):
         if kind == "heading":
             z[0] = np.arctan2(C[1, 0], C[0, 0])
         elif kind == "magnetometer":
-            z[:3] = C.T @ [0.0, 2e-5, -4e-5]
+            z[:5] = np.r_[C.T @ [0.0, 2e-5, -4e-5], 2e-5, -4e-5]
         elif kind == "pose":
             z[:7] = np.r_[nav[:3], so3.quaternion_of(C)]
         elif kind == "known_input":
@@ -182,8 +183,8 @@ def test_residuals_are_observed_minus_predicted():
         "zero_velocity": ([0.0] * 3, [-0.1, -0.2, -0.3]),
         "zero_rate": ([0.0] * 3, [-0.4, -0.5, -0.6]),
         "heading": ([0.2], [0.2]),
-        # A field that points to +x of the body and north is +y of n: body x is at 90 degrees.
-        "magnetometer": ([2e-5, 0.0, -4e-5], [math.pi / 2]),
+        # North is +y of n, and of the body; 20 and -40 uT are the first guess.
+        "magnetometer": ([1e-5, 5e-5, -3e-5, 2e-5, -4e-5], [1e-5, 3e-5, 1e-5]),
         "pose": (
             [1.1, 2.0, 2.9, math.cos(0.05), 0.0, 0.0, math.sin(0.05)],
             [0.1, 0.0, -0.1, 0.0, 0.0, 0.1],
@@ -203,24 +204,20 @@ def test_residuals_are_observed_minus_predicted():
         np.testing.assert_allclose(got, expected, atol=1e-12, err_msg=kind)
 
 
-@pytest.mark.parametrize("kind", ["heading", "magnetometer"])
 @pytest.mark.parametrize("yaw", [math.pi - 0.01, -math.pi + 0.01, math.pi, 0.0, 3.0, -3.0])
 @pytest.mark.parametrize("off", [-0.5, -0.02, 0.02, 0.5, 3.0, -3.0])
-def test_headings_wrap_at_half_a_turn(kind, yaw, off):
+def test_headings_wrap_at_half_a_turn(yaw, off):
     """The residual is the short way round, whatever the yaw."""
-    o, tables, count = setup(kind)
+    o, tables, count = setup("heading")
     C = Rotation.from_euler("ZYX", [yaw, 0.3, -0.4]).as_matrix()
     nav = nav_of([0, 0, 0], [0, 0, 0], C, [0, 0, 0], [0, 0, 9.8])
     z = np.zeros(Z_DIM)
-    if kind == "heading":
-        z[0] = float(wrap(np.array(yaw + off)))
-    else:
-        z[:3] = (Rotation.from_euler("z", off).as_matrix() @ C).T @ [0.0, 2e-5, -4e-5]
+    z[0] = float(wrap(np.array(yaw + off)))
     got = residual(o, tables, nav, np.zeros(count), z)
     np.testing.assert_allclose(got, [off], atol=1e-12)
     J, r, H = np.zeros((6, 0)), np.zeros(MAX_DIM), np.zeros((MAX_DIM, BASE + count))
     assert linearise(0, tables, nav, np.zeros(max(1, count)), z, J, r, H) == 0
-    # about the vertical both are one to one
+    # about the vertical it is one to one
     assert H[0, 8] == pytest.approx(1.0, abs=1e-8)
 
 
@@ -239,27 +236,47 @@ def test_headings_are_skipped_within_15_degrees_of_body_x_vertical(from_vertical
             assert np.all(H == 0)
 
 
-@pytest.mark.parametrize(("dip_deg", "skipped"), [(84.5, 0), (85.5, 1), (-85.5, 1), (0.0, 0)])
-def test_a_steep_field_holds_no_heading(dip_deg, skipped):
-    _, tables, count = setup("magnetometer")
-    for seed in range(5):
-        C = Rotation.random(random_state=seed).as_matrix()
-        nav = nav_of([0, 0, 0], [0, 0, 0], C, [0, 0, 0], [0, 0, 9.8])
-        dip = math.radians(dip_deg)
-        z = np.zeros(Z_DIM)
-        z[:3] = C.T @ (5e-5 * np.array([0.0, math.cos(dip), -math.sin(dip)]))
-        r, H = np.zeros(MAX_DIM), np.zeros((MAX_DIM, BASE + count))
-        assert linearise(0, tables, nav, np.zeros(count), z, np.zeros((6, 0)), r, H) == skipped
-
-
-def test_magnetic_heading_works_where_body_x_is_vertical():
-    """The field is levelled as a whole, so no attitude of the device is forbidden."""
+@pytest.mark.parametrize("off", [-3.0, -0.5, 0.02, 0.1])
+def test_a_field_shows_a_heading_in_any_attitude(off):
+    """Body x vertical or not; of a north that differs from its first guess by 5 uT."""
     o, tables, count = setup("magnetometer")
-    C = tilted(np.random.default_rng(0), 0.5)
-    nav = nav_of([0, 0, 0], [0, 0, 0], C, [0, 0, 0], [0, 0, 9.8])
-    z = np.zeros(Z_DIM)
-    z[:3] = (so3.matrix_exp(np.array([0, 0, 0.1])) @ C).T @ [0.0, 2e-5, -4e-5]
-    np.testing.assert_allclose(residual(o, tables, nav, np.zeros(count), z), [0.1], atol=1e-12)
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        C = tilted(rng, 0.5 if seed % 2 else rng.uniform(1.0, 90.0))
+        nav = nav_of([0, 0, 0], [0, 0, 0], C, [0, 0, 0], [0, 0, 9.8])
+        z = np.zeros(Z_DIM)
+        z[:3] = (so3.matrix_exp(np.array([0, 0, off])) @ C).T @ [0.0, 2.5e-5, -4e-5]
+        z[HORIZONTAL], z[UPWARD] = 2e-5, -3e-5
+        theta = np.r_[5e-6, -1e-5, np.zeros(count - 2)]
+        r = residual(o, tables, nav, theta, z)
+        got = heading_off(C[None], r[None], np.array([2.5e-5]))
+        np.testing.assert_allclose(got, [off], atol=1e-12)
+
+
+def a_field(seed, rate_hz=50.0, noise=0.0, iron=(0.0, 0.0, 0.0)):
+    """A slowly turning magnetometer of 20 uT to the north and 40 downwards, as a recording."""
+    rng, t = np.random.default_rng(seed), np.arange(0.0, 20.0, 1.0 / rate_hz)
+    C = so3.rotations(np.stack([np.sin(0.9 * t), np.cos(0.7 * t), t], axis=1))
+    field = np.einsum("kji,j->ki", C, [0.0, 2e-5, -4e-5]) + noise * rng.standard_normal((len(t), 3))
+    imu = Imu(t, np.zeros((len(t), 3)), 9.8 * C[:, 2, :], np.ones(len(t), dtype=bool))
+    return Recording("made", imu, {"mag": Series(t, field + np.array(iron))})
+
+
+def test_first_guesses_of_a_field_and_its_noise():
+    """Strengths without a strong iron, to 2 uT; white noise to a quarter, repeated readings or
+    not; at most ten rows a second."""
+    o = catalogue()["magnetometer"]
+    for seed in range(3):
+        recording = a_field(seed, noise=5e-7, iron=(1e-4, -5e-5, 8e-5))
+        rows = o.rows(recording, SCENE)
+        np.testing.assert_allclose(rows.z[0, [HORIZONTAL, UPWARD]], [2e-5, -4e-5], atol=2e-6)
+        assert o.guess(rows.z)["mag_noise"] == pytest.approx(5e-7, rel=0.25)
+        assert len(rows.t) <= 10.5 * 20.0
+        mag = recording.streams["mag"]
+        twice = np.repeat(mag.t, 2) + np.tile([0.0, 0.01], len(mag.t))
+        held = Series(twice, np.repeat(mag.value, 2, axis=0))
+        again = o.rows(replace(recording, streams={"mag": held}), SCENE)
+        assert o.guess(again.z)["mag_noise"] == pytest.approx(5e-7, rel=0.25)
 
 
 def test_pose_constants_turn_world_and_marker():
@@ -402,7 +419,7 @@ def test_each_markov_state_moves_its_own_channel(kind):
         assert call_residual(o.markov_residual, nav, state, z, r) == 0
         expected = np.zeros(MAX_DIM)
         if i < o.dim:
-            expected[i] = -0.25 if kind in ("pose", "known_input") else 0.25
+            expected[i] = 0.25 if kind == "fixed_position" else -0.25
         np.testing.assert_array_equal(r, expected)
 
 
@@ -546,11 +563,10 @@ def test_a_moved_reading_has_a_residual_larger_by_the_shift(kind):
         value = rng.uniform(1.0, 3.0, (len(t), len(STREAMS[name].columns)))
         recording = replace(recording, streams={name: Series(t, value)})
     series = recording.streams[name]
-    iron = 0.1 * np.arange(1.0, 4.0) if name == "mag" else np.zeros(series.value.shape[1])
     residuals, used = [], np.ones(len(t), dtype=bool)
-    for s in (series, o.moved(recording, series, C_nb, shift, iron)):
+    for s in (series, o.moved(recording, series, C_nb, shift)):
         z, r = np.zeros((len(t), Z_DIM)), np.zeros((len(t), o.dim))
-        z[:, : s.value.shape[1]] = s.value - iron
+        z[:, : s.value.shape[1]] = s.value
         if name == "pose":
             q = so3.quaternion_of(R_nw @ so3.matrix_of(s.value[:, 3:]) @ R_bm.T)
             z[:, :7] = np.hstack([s.value[:, :3] @ R_nw.T, q])
@@ -560,5 +576,5 @@ def test_a_moved_reading_has_a_residual_larger_by_the_shift(kind):
         residuals.append(r)
     grown = residuals[1] - residuals[0]
     grown = wrap(grown) if o.dim == 1 else grown
-    assert used.mean() > 0.5  # (the others are skipped: body x or the field is near the vertical)
+    assert used.mean() > 0.5  # (the others are skipped: body x is near the vertical)
     np.testing.assert_allclose(grown[used], shift[used], atol=1e-9)

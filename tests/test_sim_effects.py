@@ -34,8 +34,11 @@ PROMISED = {
     "heading_hard_iron": "sin cos",
     "heading_soft_iron": "sin cos",
     "mag_hard_iron": "x y z",
+    "mag_soft_iron": "xx yy zz xy xz yz",
     "heading_delay": "delay",
     "pose_delay": "delay",
+    "pose_scale": "scale",
+    "pose_drift": "position attitude",
     "heading_drift": "rate",
     "heading_correlated_noise": "sigma tau",
     "heading_outliers": "fraction",
@@ -204,8 +207,16 @@ def test_without_a_heading_sensor_heading_effects_are_the_magnetometers():
     ]
     found = [math.pi / 2 - math.atan2(field[1], field[0]) for field in level]
     assert found[1] - found[0] == pytest.approx(0.3, abs=1e-12)
+    # symmetric: along x a tenth less, and of y a twentieth on z and the other way round
+    soft = recorded(mag_soft_iron=[-0.1, 0.0, 0.1, 0.0, 0.0, 0.05]).streams["mag"].values
+    S = np.array([[-0.1, 0.0, 0.0], [0.0, 0.0, 0.05], [0.0, 0.05, 0.1]])
+    np.testing.assert_allclose(soft - plain, plain @ S, atol=1e-18)
     with pytest.raises(SimulationError, match="mag_hard_iron"):
         recorded(alone, heading_hard_iron=[0.1, 0.0])
+    with pytest.raises(SimulationError, match="mag_soft_iron"):
+        recorded(alone, heading_soft_iron=[0.1, 0.0])
+    with pytest.raises(SimulationError, match="needs a heading sensor"):
+        recorded(alone, heading_correlated_noise=[0.1, 1.0])
     with pytest.raises(SimulationError, match="needs a heading sensor or a magnetometer"):
         recorded(replace(alone, mag=None), heading_drift=[0.1])
     with pytest.raises(SimulationError, match="not there: pose"):

@@ -65,8 +65,8 @@ def true_levels(world: World) -> dict[str, float]:
         levels["heading_noise"] = max(phone["heading"]["sigma"], 1e-4)
     if phone["mag"] is not None:
         mag = phone["mag"]
-        levels["mag_heading_noise"] = mag["sigma"] / (mag["strength"] * np.cos(mag["dip"]))
-        levels["mag_disturbance"] = 1e-3
+        levels["mag_noise"] = max(mag["sigma"], 2e-8)
+        levels["mag_disturbance"] = 5e-8
     if phone["pose"] is not None:
         levels["pose_position_noise"] = phone["pose"]["sigma_m"]
         levels["pose_attitude_noise"] = phone["pose"]["sigma_rad"]

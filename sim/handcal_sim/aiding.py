@@ -77,7 +77,9 @@ def read_mag(
     if errors is not None:
         zero = np.zeros(len(t))
         C_nb = euler_matrix(zero, zero, heading_error(errors, yaw(C_nb), t, rng)) @ C_nb
-    return into(C_nb, field_n) + sensor.hard_iron + noise
+    field_b = into(C_nb, field_n)
+    soft = np.triu(sensor.soft_iron) + np.triu(sensor.soft_iron, 1).T
+    return field_b + field_b @ soft + sensor.hard_iron + noise
 
 
 def read_pose(sensor: Pose, motion: Motion, t: Array, rng: np.random.Generator) -> Array:

@@ -90,6 +90,7 @@ EFFECTS: dict[str, tuple[Parameter, ...]] = {
     "heading_hard_iron": _vector(f"{_H}.hard_iron", "rad", ["sin", "cos"]),
     "heading_soft_iron": _vector(f"{_H}.soft_iron", "rad", ["sin", "cos"]),
     "mag_hard_iron": _vector("phone.mag.hard_iron", "tesla"),
+    "mag_soft_iron": _matrix("phone.mag.soft_iron", "1", ["xx", "yy", "zz", "xy", "xz", "yz"]),
     "heading_delay": _scalar(f"{_H}.delay_s", "s", "delay"),
     "pose_delay": _scalar("phone.pose.delay_s", "s", "delay"),
     "pose_scale": _scalar("phone.pose.scale", "1", "scale"),
@@ -106,6 +107,12 @@ EFFECTS: dict[str, tuple[Parameter, ...]] = {
     "clock_rate": _scalar("phone.clock_ppm", "1e-6", "ppm"),
 }
 
+# Not a magnetometer's, and what a magnetometer has instead.
+_OF_A_HEADING = {
+    "heading_hard_iron": "; see mag_hard_iron",
+    "heading_soft_iron": "; see mag_soft_iron",
+    "heading_correlated_noise": "",
+}
 _NOT_NEGATIVE = {"tau", "density", "sigma", "fraction"}
 
 
@@ -180,8 +187,8 @@ def _check_sensor(phone: Phone, name: str) -> None:
         return
     if phone.mag is None:
         raise SimulationError(f"{name} needs a heading sensor or a magnetometer")
-    if name == "heading_hard_iron":
-        raise SimulationError("heading_hard_iron needs a heading sensor; see mag_hard_iron")
+    if name in _OF_A_HEADING:
+        raise SimulationError(f"{name} needs a heading sensor{_OF_A_HEADING[name]}")
 
 
 def _set(owner: Any, path: list[str], index: tuple[int, ...], value: float, effect: str) -> Any:

@@ -119,12 +119,17 @@ class Heading:
 
 @dataclass(frozen=True, eq=False)
 class Magnetometer:
-    """Tesla. The field: its strength, dip and declination (east of north), rad."""
+    """Tesla. The field: its strength, dip and declination (east of north), rad.
+
+    soft_iron (3, 3): symmetric, what is above the diagonal counts; the field in body axes times it
+    is read in addition.
+    """
 
     strength: float = 48e-6
     dip: float = 65.0 * DEG
     declination: float = 0.0
     hard_iron: Array = field(default_factory=_three)
+    soft_iron: Array = field(default_factory=_matrix)
     sigma: float = 0.0
     clocking: Clocking = Clocking()
 

@@ -36,8 +36,11 @@ SIZES: dict[str, tuple[float, ...]] = {
     "heading_hard_iron": (0.2,),
     "heading_soft_iron": (0.15,),
     "mag_hard_iron": (1e-4,),
+    "mag_soft_iron": (0.1,),
     "heading_delay": (0.15,),
     "pose_delay": (0.02,),
+    "pose_scale": (0.02,),
+    "pose_drift": (0.005, 5e-4),
     "heading_drift": (0.005,),
     "heading_correlated_noise": (0.15, 3.0),
     "heading_outliers": (0.1,),
@@ -45,7 +48,7 @@ SIZES: dict[str, tuple[float, ...]] = {
     "earth_rate": (EARTH_RATE,),
     "clock_rate": (100.0,),
 }
-POSITIVE = {"tau", "density", "sigma", "fraction"}
+POSITIVE = {"tau", "density", "sigma", "fraction", "position", "attitude"}
 # Least and largest of what early, analogue and badly assembled devices have; delays of compasses
 # and cameras.
 LARGE: dict[str, tuple[float, float]] = {
@@ -63,7 +66,10 @@ NEEDS: dict[str, frozenset[str]] = {
     "gyro_temperature": frozenset({"temperature"}),
     "accel_temperature": frozenset({"temperature"}),
     "mag_hard_iron": frozenset({"mag"}),
+    "mag_soft_iron": frozenset({"mag"}),
     "pose_delay": frozenset({"pose"}),
+    "pose_scale": frozenset({"pose"}),
+    "pose_drift": frozenset({"pose"}),
     "clock_rate": frozenset({"pose"}),
 }
 # Never drawn together: no motion tells the two apart, so that there is no right answer.

@@ -98,7 +98,7 @@ def calibrate_together(
     for recording in recordings:
         check_options(recording, assume, heading_sigma, ignore)
         case = case_of(
-            recording, assume, latitude, height, ignore, fixed, kinds=observations, effects=wanted,
+            recording, assume, latitude, height, ignore, fixed, kinds=observations,
             start=start, reference_exact=reference_exact,
         )  # fmt: skip
         _check_effects(wanted, case.kinds)
@@ -108,7 +108,7 @@ def calibrate_together(
     far = [assume == "auto" and observations is None and travels(f) for f in model.parts]
     if any(far):
         cases = [
-            resting(f, latitude, height, wanted) if gone else case
+            resting(f, latitude, height) if gone else case
             for case, f, gone in zip(cases, model.parts, far, strict=True)
         ]
         model, chosen = _fitted(cases, wanted, options, engine, report)
@@ -136,7 +136,7 @@ def recalibrate(
         cases = [
             case_of(
                 r, "auto", options.latitude, options.height,
-                [s for s in options.ignore if s in r.streams], options.fixed, effects=effects,
+                [s for s in options.ignore if s in r.streams], options.fixed,
                 reference_exact=options.reference_exact,
             )
             for r in recordings
@@ -146,6 +146,7 @@ def recalibrate(
         for case in cases:
             _check_effects(effects, case.kinds)
     base = baseline(cases)
+    chosen = replace(chosen, effects=_with_those_of_all(chosen.effects, base))
     report(0.5)
     told = _told(settled(base, chosen), chosen, report)
     return tuple(replace(r, repeated=True) for r in told)
@@ -160,8 +161,15 @@ def _fitted(
 ) -> tuple[Model, Chosen]:
     base = baseline(cases, engine)
     report(0.5)
-    chosen = Chosen(tuple(effects), tuple(view_of(c) for c in cases), options)
+    effects = _with_those_of_all(effects, base)
+    chosen = Chosen(effects, tuple(view_of(c) for c in cases), options)
     return settled(base, chosen, engine), chosen
+
+
+def _with_those_of_all(effects: Sequence[Effect], base: Model) -> tuple[Effect, ...]:
+    """The effects that were asked for, and before them those that every model has."""
+    have = {e.id for e in effects}
+    return (*(e for e in base.effects if e.id not in have), *effects)
 
 
 def _told(model: Model, chosen: Chosen, report: Progress) -> tuple[Result, ...]:

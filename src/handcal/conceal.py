@@ -19,9 +19,10 @@ import numpy as np
 
 from handcal import so3
 from handcal.calibration import calibrate
-from handcal.effects import TIME, Z_DIM, Effect, Signals, catalogue, mag_hard_iron, observed_error
+from handcal.effects import TIME, Z_DIM, Effect, Signals, catalogue, observed_error
+from handcal.effects._field import NORTH, UP
 from handcal.effects._stamps import shifted
-from handcal.observations import Observation
+from handcal.observations import Observation, magnetometer
 from handcal.observations import catalogue as observations
 from handcal.signals import of_recording, probe, reading
 from handcal.streams import STREAMS, Stream
@@ -142,20 +143,10 @@ class Truth:
     truth: Imu | None = None
     results: dict[tuple[str, ...], Result] = field(default_factory=dict)
 
-    @cached_property
-    def iron(self) -> Array:
-        """A magnetometer's hard iron (3,), tesla: what its readings lie around."""
-        return mag_hard_iron.guess(self.recording)
-
     def result(self, beside: tuple[str, ...] = ()) -> Result:
-        """Of the recording as it is, with these effects. A magnetometer's north is that less its
-        hard iron."""
+        """Of the recording as it is, with these effects."""
         if beside not in self.results:
-            recording = self.recording
-            erring = [e for e in self.effects if "magnetometer" not in e.delays]
-            if any(kind == "magnetometer" for kind, _, _ in observed(recording, erring)):
-                recording = mag_hard_iron.cleaned(recording, self.iron)
-            self.results[beside] = calibrate(recording, beside)
+            self.results[beside] = calibrate(self.recording, beside)
         return self.results[beside]
 
     def attitude(self, t: Array, beside: tuple[str, ...] = ()) -> Array:
@@ -301,20 +292,19 @@ def observed(
 ) -> list[tuple[str, Stream, list[Effect]]]:
     """Kinds of observation on which effects act here, their streams, and those effects.
 
-    Of two streams that show the same (a heading, and a magnetometer's) the first alone counts.
+    Where there is a heading, what acts on headings does not act on a magnetometer.
     """
     out = []
-    shown: set[str] = set()
     for row in STREAMS.values():
         if not row.observation or row.name not in recording.streams:
             continue
         kind = observations()[row.observation]
         mine = [e for e in effects if kind.kind in (*e.observation_error, *e.outliers)]
         mine = [e for e in mine if e.conceal is None]
-        if shown & set(kind.channels) or not mine:
-            continue
-        shown |= set(kind.channels)
-        out.append((kind.kind, row, mine))
+        if kind.kind == "magnetometer" and "heading" in recording.streams:
+            mine = [e for e in mine if "heading" not in (*e.observation_error, *e.outliers)]
+        if mine:
+            out.append((kind.kind, row, mine))
     return out
 
 
@@ -331,9 +321,8 @@ def _observed(
             if kind.moved is None:
                 raise InputError(f"{adding[0].id} cannot be concealed in {row.topic}.")
             shift = _shift(kind, row, series, adding, values, late, known, rng)
-            own = known.iron if name == "magnetometer" else np.zeros(series.value.shape[1])
             C_nb = known.attitude(series.t)
-            series = kind.moved(known.recording, series, C_nb, shift, own)
+            series = kind.moved(known.recording, series, C_nb, shift)
         streams[row.name] = shifted(series, late, recording.imu) if late else series
     return replace(recording, streams=streams)
 
@@ -349,6 +338,8 @@ def _shift(
     if row.posed:
         C_nb = nav[:, 6:15].reshape(-1, 3, 3)
         z[:, :7] = np.hstack([nav[:, :3], so3.quaternion_of(C_nb)])
+    if row.observation == "magnetometer":
+        z[:, [NORTH, UP]] = magnetometer.strengths(known.recording)
     z[:, TIME] = t + late - known.recording.imu.t[0]
     out = np.zeros((len(t), kind.dim))
     rate = np.linalg.norm(nav[:, 15:18], axis=1)

@@ -19,7 +19,8 @@ from handcal.types import Array, Imu, Recording, Series
 
 IMU_RATE = STREAMS["imu"].planned_hz
 ROOM_TEMPERATURE = 25.0
-EARTH_FIELD = (2.5e-5, 6.5e-5)
+# Horizontal and upward, tesla, in middle latitudes of the north.
+EARTH_FIELD = (2e-5, -4.5e-5)
 REST = 2.0
 
 Turn = tuple[tuple[float, float, float], float, float]
@@ -129,10 +130,12 @@ def rate_of(series: Series) -> float:
     return (len(series.t) - 1) / max(float(series.t[-1] - series.t[0]), 1e-6)
 
 
-def recording_of(motion: Motion, like: Recording, g_n: Array, dip_slope: float = 0.0) -> Recording:
+def recording_of(
+    motion: Motion, like: Recording, g_n: Array, field: tuple[float, float] = EARTH_FIELD
+) -> Recording:
     """The motion as a recording without errors, with the streams that ``like`` has.
 
-    g_n (3,) m/s^2; dip_slope: upward over horizontal component of the magnetic field.
+    g_n (3,) m/s^2; field: horizontal and upward strength of the magnetic field, tesla.
     """
 
     def times(rate: float) -> Array:
@@ -145,7 +148,7 @@ def recording_of(motion: Motion, like: Recording, g_n: Array, dip_slope: float =
 
     values: dict[str, Callable[[Array], Array]] = {
         "heading": lambda t: so3.yaw_of(attitude(motion, t)[0])[:, None],
-        "mag": lambda t: np.einsum("nji,j->ni", attitude(motion, t)[0], _field(like, dip_slope)),
+        "mag": lambda t: np.einsum("nji,j->ni", attitude(motion, t)[0], np.r_[0.0, field]),
         "temperature": lambda t: _temperature(motion, like, t),
         "pose": lambda t: np.hstack(
             [np.zeros((len(t), 3)), so3.quaternion_of(attitude(motion, t)[0])]
@@ -163,13 +166,6 @@ def recording_of(motion: Motion, like: Recording, g_n: Array, dip_slope: float =
     valid = np.ones(len(t), dtype=np.bool_)
     gyro, accel = np.ascontiguousarray(imu[:, :3]), np.ascontiguousarray(imu[:, 3:])
     return Recording(motion.sentence, Imu(t, gyro, accel, valid), streams)
-
-
-def _field(like: Recording, dip_slope: float) -> Array:
-    """The Earth's field (3,) in n, as strong as readings of an honest magnetometer are, tesla."""
-    size = float(np.median(np.linalg.norm(like.streams["mag"].value, axis=1)))
-    direction = np.array([0.0, 1.0, dip_slope])
-    return np.asarray(np.clip(size, *EARTH_FIELD) * direction / np.linalg.norm(direction))
 
 
 def _temperature(motion: Motion, like: Recording, t: Array) -> Array:

@@ -172,7 +172,9 @@ def linearise(
     first = 0
     if tables.jacobian[kind] != 0:
         first = 1
-        call_residual(tables.jacobian[kind], nav, extras, z, Hn)
+        a = tables.start[kind, 0]
+        own = extras[a : a + max(1, tables.counts[kind, 0])]
+        call_residual(tables.jacobian[kind], nav, own, z, Hn)
     if tables.function.shape[1] > first and tables.function[kind, first] != 0:
         step = 1e-5
         for i in range(BASE):

@@ -19,6 +19,7 @@ from handcal.filter import Track
 from handcal.kernel import BASE, MAX_DIM, Nodes, Tables, corrected, fill_nav, linearise
 from handcal.model import (
     Problem,
+    constants_of,
     corrected_readings,
     differentiated,
     errors_by_bias,
@@ -123,6 +124,7 @@ def linearise_about(problem: Problem, start: Start, nominal: Trajectory) -> Line
         noise = _implied_noise(done.problem, nominal) if problem.navigated else None
         force = None if C_nb is None or not held else _steady_force(done.problem, nominal, C_nb)
         problem = differentiated(done, noise, force)
+    problem = _believing(problem, nominal.constants)
     Phi, d, Q = _transitions(problem, nominal)
     nodes = problem.nodes
     q = len(nodes.kind)
@@ -167,6 +169,16 @@ def linearise_about(problem: Problem, start: Start, nominal: Trajectory) -> Line
         H,
         used,
     )
+
+
+def _believing(problem: Problem, constants: Array) -> Problem:
+    """The problem with what its observations tell effects of their own constants (c,)."""
+    for k, o in enumerate(problem.observations):
+        if o.believed is not None:
+            z, mine = problem.nodes.z.copy(), problem.nodes.kind == k
+            z[mine] = o.believed(z[mine], constants_of(problem, constants, o.kind))
+            problem = replace(problem, nodes=problem.nodes._replace(z=z))
+    return problem
 
 
 def _turning(problem: Problem, node: IntArray) -> Array:

@@ -16,8 +16,8 @@ from handcal.estimate.observed import first_state, problem_of
 from handcal.filter import ENGINES, State, Track, empty_track
 from handcal.frames import Frame, Observed
 from handcal.kernel import BASE, MAX_DIM, corrected, fill_nav, linearise
-from handcal.model import Problem, noise_arrays
-from handcal.observations import NAV
+from handcal.model import Problem, constants_of, noise_arrays
+from handcal.observations import NAV, magnetometer
 from handcal.types import IntArray, Result
 
 
@@ -65,7 +65,7 @@ def _frame(problem: Problem, state: State, track: Track, rows: IntArray) -> Fram
         kind = problem.observations[nodes.kind[q]]
         residual, sigma = track.residual[q, : kind.dim], track.sigma[q, : kind.dim]
         observed.append(Observed(kind.kind, residual, sigma, float(track.nis[q])))
-        if kind.channels == ("heading",):
+        if kind.channels == ("heading",) or kind.kind == "magnetometer":
             heading = _measured_heading(problem, state, int(q))
     now = int(np.searchsorted(imu.t, t, side="right")) - 1
     return Frame(
@@ -93,4 +93,9 @@ def _measured_heading(problem: Problem, state: State, q: int) -> float | None:
     at = (nav, state.extras, nodes.z[q], nodes.J[i])
     if linearise(nodes.kind[q], problem.tables, *at, r, H) != 0:
         return None
-    return float(so3.wrap(so3.yaw_of(state.C) + r[0]))
+    off = r[0]
+    if problem.observations[nodes.kind[q]].kind == "magnetometer":
+        own = constants_of(problem, state.extras[: problem.constants], "magnetometer")
+        north = nodes.z[q, magnetometer.HORIZONTAL] + own[:1]
+        off = magnetometer.heading_off(state.C[None], r[None, :3], north)[0]
+    return float(so3.wrap(so3.yaw_of(state.C) + off))

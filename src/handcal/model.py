@@ -176,6 +176,11 @@ def build(
     return relinearised(problem, np.zeros(len(slots)), np.zeros(3), np.zeros(3))
 
 
+def constants_of(problem: Problem, constants: Array, owner: str) -> Array:
+    """Those of the problem's constants (c,) that are an observation's or an effect's."""
+    return constants[[i for i, s in enumerate(problem.slots) if s.owner == owner]]
+
+
 def _tables(
     kinds: Sequence[Observation],
     constants: Sequence[Sequence[tuple[str, str, float]]],

@@ -119,6 +119,7 @@ def estimate(
     for i, n in enumerate(names):
         if n in SENSORS:
             high[i] = min(high[i], centre[i] + math.log(excess))
+        high[i] = min(high[i], centre[i] + math.log(own[n].most))
     score = Score(linear, levels, names)
 
     def cost(x: Array) -> tuple[float, Array]:

@@ -49,8 +49,14 @@ class Start:
         mean = np.zeros(15)
         mean[0:3], mean[3:6] = self.p_n - p, self.v_n - v
         mean[9:12], mean[12:15] = -bg, -ba
-        A = self._tilt_by_bias(ba)
-        mean[6:9] = so3.matrix_log(self.attitude(ba) @ C.T) - A @ ba
+        # (where the nominal heading has gone far from the first guess of it, which hardly counts,
+        # a bias tilts the other axis of n)
+        D = self.attitude(ba) @ C.T
+        away = math.atan2(D[1, 0] - D[0, 1], D[0, 0] + D[1, 1])
+        back = so3.matrix_exp(np.array([0.0, 0.0, -away]))
+        A = back @ self._tilt_by_bias(ba)
+        mean[6:9] = so3.matrix_log(back @ D) - A @ ba
+        mean[8] += away
         P = np.diag(
             np.repeat(
                 [

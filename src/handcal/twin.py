@@ -16,10 +16,9 @@ import numpy as np
 
 from handcal import so3
 from handcal.effects import DELAY
-from handcal.effects.mag_hard_iron import TAKEN_OFF
 from handcal.kernel import BASE
 from handcal.linear import Linear
-from handcal.observations import Observation, catalogue
+from handcal.observations import Observation
 from handcal.observations.pose import aligned
 from handcal.streams import observed_by
 from handcal.types import Array, BoolArray, Imu, Recording, Series
@@ -44,9 +43,7 @@ def twin(linear: Linear) -> Recording:
 
     IMU at its own stamps, in sensor units; heading, mag and pose at the stamps at which they
     were used, as trajectory and effects have them: noise with a memory that every model
-    allows for (a bent field, a marker seen from another side) is left out like any noise. Of
-    a magnetometer only the direction in the horizontal plane is modelled: dip and strength
-    are as recorded.
+    allows for (a bent field, a marker seen from another side) is left out like any noise.
     """
     imu = linear.problem.recording.imu
     at, noise = _against_known(linear) or _intervals(linear)[:2]
@@ -84,9 +81,6 @@ def sensor_residuals(linear: Linear, slot: float = SLOT_S) -> dict[str, tuple[Ar
             # (a zero rate is only nearly true: the gyro is judged by the noise it implies)
             if channel not in IMU_CHANNELS and (channel not in out or observation.kind == channel):
                 out[channel] = (seen.t, seen.r[:, i])
-        if observation.kind == "magnetometer":
-            off = _read_field(seen) - _field(linear, seen)
-            out |= {f"mag_{a}": (seen.t, off[:, i]) for i, a in enumerate("xyz")}
     return out
 
 
@@ -152,31 +146,11 @@ def _seen(linear: Linear, kind: str) -> _Seen | None:
 
 def _predicted(linear: Linear, observation: Observation, seen: _Seen) -> Series:
     """A stream as the fit says it read, in the units and axes of the recording."""
-    if observation.kind == "magnetometer":
-        return Series(seen.t, _field(linear, seen))
     if observation.kind == "pose":
         return _pose(linear, seen)
-    own = np.zeros(seen.r.shape[1])
     read = Series(seen.t, seen.z[:, : seen.r.shape[1]])
     assert observation.moved is not None
-    return observation.moved(linear.problem.recording, read, seen.C_nb, -seen.r, own)
-
-
-def _read_field(seen: _Seen) -> Array:
-    """The field (k, 3) as recorded, tesla: a first value of the iron is taken off in z."""
-    return np.asarray(seen.z[:, :3] + seen.z[:, TAKEN_OFF : TAKEN_OFF + 3])
-
-
-def _field(linear: Linear, seen: _Seen) -> Array:
-    """The field (k, 3) turned about the vertical by as much as its heading is off, tesla."""
-    problem = linear.problem
-    iron = np.zeros(3)
-    for i, slot in enumerate(problem.slots):
-        if slot.owner == "mag_hard_iron":
-            iron["xyz".index(slot.name)] = linear.trajectory.constants[i]
-    read, moved = Series(seen.t, _read_field(seen)), catalogue()["magnetometer"].moved
-    assert moved is not None
-    return moved(problem.recording, read, seen.C_nb, -seen.r[:, :1], iron).value
+    return observation.moved(linear.problem.recording, read, seen.C_nb, -seen.r)
 
 
 def _pose(linear: Linear, seen: _Seen) -> Series:

@@ -6,6 +6,7 @@ Shapes are written as (n, 3); units are SI unless a name says otherwise
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -125,7 +126,7 @@ class Level:
     """A noise level: name, unit, first guess and the range in which it is estimated.
 
     below, above: how far it may stray from the first guess to either side, as a standard
-    deviation of its logarithm.
+    deviation of its logarithm. most: so many times the first guess it may be, and no more.
     """
 
     name: str
@@ -135,6 +136,7 @@ class Level:
     upper: float
     below: float = 2.0
     above: float = 2.0
+    most: float = math.inf
 
 
 class Markov(Protocol):

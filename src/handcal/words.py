@@ -72,7 +72,7 @@ _NOISE = {
     "position_noise": "Jitter of the held point",
     "velocity_noise": "Velocity at rest",
     "rest_rate_noise": "Rate noise at rest",
-    "mag_heading_noise": "Magnetic heading noise",
+    "mag_noise": "Magnetometer noise",
     "mag_disturbance": "Magnetic disturbance",
 }
 
@@ -344,7 +344,7 @@ def verdict(result: Result) -> Verdict:
 def not_shown(result: Result) -> tuple[str, ...]:
     """A sentence for each effect that this motion left unknown, with what would show it."""
     sentences = []
-    heading = "heading" in result.innovations or "mag" in result.innovations
+    heading = "heading" in result.innovations or "magnetometer" in result.innovations
     reference = "known_input" in result.innovations
     for (effect, _), group in by_effect(result.parameters).items():
         hidden = [p for p in group if not p.observable]

@@ -117,7 +117,8 @@ class Effect:
     moment). outliers: for each kind of observation the probability density of a reading that
     is merely wrong, in a share of readings that is the first parameter. exclusive: ids of
     effects of which this one keeps only what they lack: together with one of them, its
-    parameters are those of ``together @ parameters``. last: with ``imu_inverse``, whether it is
+    parameters are those of ``together @ parameters``; always so where there is a gauge but no such
+    effect. last: with ``imu_inverse``, whether it is
     done to what the other effects made of the truth (a filter behind a scale error), or to the
     truth alone, beside them. akin: ids of effects that are the same to the first order.
     made: of a course found in a recording, its kind and its numbers.
@@ -131,7 +132,9 @@ class Effect:
     sensor. of_one_day: another day it is another. sound(parameters, t (n,), valid (n,)): which
     readings depend on measurements alone, where what is read depends on other moments. instead:
     the effect that is the same on a stream on which this one does not act. baseline: it is in every
-    model (a state of the filter), so it is never on trial.
+    model (a state of the filter), so it is never on trial. always: it is in every model of a
+    recording in which one of its observations is used, whether asked for or not: nobody has none.
+    tails: its prior has the wide scales that others have.
     """
 
     id: str
@@ -164,6 +167,8 @@ class Effect:
     sound: Callable[[Array, Array, BoolArray], BoolArray] | None = None
     instead: str = ""
     baseline: bool = False
+    always: bool = False
+    tails: bool = True
 
     @property
     def prior_sigma(self) -> Array:

@@ -40,8 +40,6 @@ def _heading(nav: Any, state: Any, z: Any, r: Any) -> int:  # noqa: ARG001
     return 0
 
 
-_CORRECTION = residual_function(_heading)
-
 EFFECT = Effect(
     id="heading_correlated_noise",
     title="Correlated heading noise",
@@ -55,7 +53,7 @@ EFFECT = Effect(
     "Applied Kalman Filtering",
     motion="Any motion, many times longer than the noise remembers.",
     validated="the simulator's injection",
-    observation_error={"heading": _CORRECTION, "magnetometer": _CORRECTION},
+    observation_error={"heading": residual_function(_heading)},
     process=_GaussMarkov(),
     levels=(
         Level(SIGMA, "rad", 0.05, 1.5e-4, 4.5),

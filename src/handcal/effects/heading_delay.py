@@ -7,6 +7,7 @@ from typing import Any
 
 from handcal._jit import njit, residual_function
 from handcal.effects import DELAY, Effect, Param
+from handcal.effects._field import field_of
 
 
 @njit
@@ -32,8 +33,14 @@ def _heading(nav: Any, delay: Any, z: Any, out: Any) -> int:
 
 
 def _magnetometer(nav: Any, delay: Any, z: Any, out: Any) -> int:
-    # z was felt by the device as it stood a moment ago, and levelled as it stands now
-    out[0] += _turned(nav, z[0], z[1], z[2], delay[0] - z[DELAY])
+    # what is read is the field in the axes of a moment before
+    late = delay[0] - z[DELAY]
+    m = field_of(nav, z)
+    wx, wy, wz = nav[15] * late, nav[16] * late, nav[17] * late
+    cx, cy, cz = wy * m[2] - wz * m[1], wz * m[0] - wx * m[2], wx * m[1] - wy * m[0]
+    out[0] -= cx + 0.5 * (wy * cz - wz * cy)
+    out[1] -= cy + 0.5 * (wz * cx - wx * cz)
+    out[2] -= cz + 0.5 * (wx * cy - wy * cx)
     return 0
 
 

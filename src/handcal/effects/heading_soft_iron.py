@@ -15,8 +15,6 @@ def _heading(nav: Any, iron: Any, z: Any, r: Any) -> int:  # noqa: ARG001
     return 0
 
 
-_CORRECTION = residual_function(_heading)
-
 EFFECT = Effect(
     id="heading_soft_iron",
     title="Heading soft iron",
@@ -28,5 +26,6 @@ EFFECT = Effect(
     "Handbook of Magnetic Compass Adjustment)",
     motion="A full turn about the vertical, back and forth.",
     validated="the simulator's injection",
-    observation_error={"heading": _CORRECTION, "magnetometer": _CORRECTION},
+    observation_error={"heading": residual_function(_heading)},
+    instead="mag_soft_iron",
 )

@@ -9,7 +9,7 @@ import numpy as np
 
 from handcal import segment, so3
 from handcal.earth import local_earth
-from handcal.effects import Effect, Signals, catalogue, mag_hard_iron
+from handcal.effects import Effect, Signals, mag_hard_iron
 from handcal.estimate.observed import Choice, Observed, choose, observed_of
 from handcal.model import Problem, build
 from handcal.observations.fixed_position import CREEPING
@@ -37,7 +37,8 @@ class Case:
     are taken to come late, for linearising about; fixed: noise levels that are known;
     constant: log-evidence of readings that are held to be outliers and left out; read_hz: rate
     of the IMU, of which ``recording`` may hold averages; read: the recording as it was read;
-    noise_until: noise levels are found in what comes before, s; edits: what was made of the rows.
+    noise_until: noise levels are found in what comes before, s; edits: what was made of the rows;
+    iron: hard iron (3,) with which the first trajectory begins, and its sigmas (3,), tesla.
     """
 
     recording: Recording
@@ -54,6 +55,7 @@ class Case:
     read: Recording | None = None
     noise_until: float | None = None
     edits: tuple[Edit, ...] = ()
+    iron: tuple[Array, Array] | None = None
 
     @property
     def creeping(self) -> bool:
@@ -66,6 +68,7 @@ class Case:
 
 
 HELD = "held"
+# A difference of so much iron (tesla) leads no start astray.
 MUCH_IRON = 5e-6
 ENOUGH_HZ = 90.0
 
@@ -79,16 +82,15 @@ def case_of(
     fixed: Mapping[str, float] | None = None,
     *,
     kinds: Sequence[str] | None = None,
-    effects: Sequence[Effect] | None = None,
     start: Start | None = None,
     reference_exact: bool = False,
 ) -> Case:
     """A recording with what is observed of it; ``auto`` begins with a held point, since errors of
     the sensors look like a travelling hand.
 
-    kinds: of observation, instead of those that streams and ``assume`` suggest; effects: those
-    that may be asked for (None: all there are); fixed: noise levels that are known, SI; start: a
-    prior of the first state instead of levelling; reference_exact: a reference has no bias.
+    kinds: of observation, instead of those that streams and ``assume`` suggest; fixed: noise
+    levels that are known, SI; start: a prior of the first state instead of levelling;
+    reference_exact: a reference has no bias.
     """
     read = replace(
         recording, streams={k: v for k, v in recording.streams.items() if k not in ignore}
@@ -97,8 +99,7 @@ def case_of(
     rests = segment.rests(recording)
     earth = local_earth(latitude, height)
     if kinds is None:
-        asked = tuple(catalogue().values()) if effects is None else effects
-        choice = choose(recording, asked, assume, rests, reference_exact)
+        choice = choose(recording, assume, rests, reference_exact)
         if "fixed_position" in choice.kinds and segment.at_rest(recording):
             # What lies still turns no more than the Earth does, whatever point is held.
             choice = replace(choice, kinds=(*choice.kinds, "zero_rate"))
@@ -118,7 +119,13 @@ def case_of(
         dict(fixed or {}),
         read_hz=read.rate_hz,
         read=read,
+        iron=_iron(recording) if "magnetometer" in choice.kinds else None,
     )
+
+
+def _iron(recording: Recording) -> tuple[Array, Array]:
+    best = mag_hard_iron.spheres(recording)[0]
+    return best.centre, best.sigma
 
 
 def creeping(case: Case) -> Case:
@@ -208,18 +215,22 @@ def _averaged(series: Series, width: float, count: int) -> Series:
     return Series(t, np.hstack(mean))
 
 
-def without_iron(case: Case) -> Case | None:
-    """The case with its magnetometer's hard iron taken off, where there is much of it.
-
-    From zero, an iron as large as the field cannot be found: the heading is not linear in it.
-    """
+def other_irons(case: Case) -> list[Case]:
+    """The case begun with other hard irons of its magnetometer, where its readings do not show
+    which it is: other spheres on which they may lie, and none at all."""
     if "magnetometer" not in case.kinds:
-        return None
-    iron = mag_hard_iron.guess(case.recording)
-    if float(np.linalg.norm(iron)) < MUCH_IRON:
-        return None
+        return []
+    best, *others = mag_hard_iron.spheres(case.recording)
+    found = [(s.centre, s.sigma) for s in others]
+    known = float(best.sigma.max()) < MUCH_IRON
+    if not known and all(np.linalg.norm(s.centre) > MUCH_IRON for s in (best, *others)):
+        found.append((np.zeros(3), np.full(3, mag_hard_iron.STRAY)))
+    return [_with_iron(case, *f) for f in found]
+
+
+def _with_iron(case: Case, iron: Array, sigma: Array) -> Case:
     observed, start = observed_of(case.recording, case.kinds, case.rests, case.earth, None, iron)
-    out = replace(case, observed=tuple(observed), start=start, edits=())
+    out = replace(case, observed=tuple(observed), start=start, edits=(), iron=(iron, sigma))
     out = creeping(out) if case.creeping else out
     for edit in case.edits:
         out = edited(out, edit)

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from handcal.effects import Effect, mag_hard_iron
+from handcal.effects import Effect
 from handcal.estimate.beside import side_by_side
 from handcal.estimate.case import Case, Edit, case_of, creeping, edited
 from handcal.estimate.fit import (
@@ -23,7 +23,6 @@ from handcal.estimate.fit import (
     Model,
     at_constants,
     fitted,
-    ironed,
     moved_to,
     started,
     with_usual_noise,
@@ -118,12 +117,10 @@ def settled(base: Model, chosen: Chosen, engine: str = "compiled") -> Model:
     effects in it, and the best counts; from the baseline as it is where neither does better than
     no effect at all.
     """
-    if not chosen.effects:
+    if {e.id for e in chosen.effects} <= set(base.ids):
         return base
-    iron = mag_hard_iron.EFFECT.id in {e.id for e in chosen.effects}
-    begun = ironed(base) if iron else base
-    at = {k: v for k, v in chosen.starts.items() if k[0] not in begun.ids}
-    parts = [at_constants(moved_to(f, chosen.effects), chosen.effects, at) for f in begun.parts]
+    at = {k: v for k, v in chosen.starts.items() if k[0] not in base.ids}
+    parts = [at_constants(moved_to(f, chosen.effects), chosen.effects, at) for f in base.parts]
     if chosen.levels:
         noisy = [
             replace(f, levels={k: levels.get(k, v) for k, v in f.levels.items()})
@@ -131,11 +128,9 @@ def settled(base: Model, chosen: Chosen, engine: str = "compiled") -> Model:
         ]
         return fitted(noisy, chosen.effects, noise_rounds=2, tolerance=TOLERANCE)
     starts = [[with_usual_noise(f) for f in parts]]
-    if not iron:
-        # (online, an iron runs away with the heading; other effects may lead astray too: then
-        # that is no start)
-        with contextlib.suppress(HandcalError):
-            starts.append([started(f.case, chosen.effects, engine) for f in begun.parts])
+    # (online, effects may lead astray: then that is no start)
+    with contextlib.suppress(HandcalError):
+        starts.append([started(f.case, chosen.effects, engine) for f in base.parts])
     fits = (partial(fitted, s, chosen.effects, noise_rounds=2, tolerance=TOLERANCE) for s in starts)
     found = list(side_by_side(fits))
     if max(m.log_evidence for m in found) < base.log_evidence:

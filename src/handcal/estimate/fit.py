@@ -8,15 +8,17 @@ shared parameters, and moves each trajectory by what follows for it.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from handcal import batch, so3
 from handcal import noise as noise_levels
-from handcal.effects import Effect, mag_hard_iron
-from handcal.estimate.case import Case, problem_with, without_iron
+from handcal.effects import Effect, catalogue
+from handcal.estimate.beside import side_by_side
+from handcal.estimate.case import Case, other_irons, problem_with
 from handcal.estimate.observed import first_state
 from handcal.estimate.quadratic import Local, Posterior, Quadratic, given, local, posterior, total
 from handcal.estimate.robust import excess
@@ -40,8 +42,6 @@ SHARES = (1.0, 0.3, 0.1)
 EXCESS = 1.3
 # From one epoch to the next, m and m/s, no trajectory jumps so far.
 BEYOND = 1e3
-# Log prior odds of a large hard iron, of which there is one in every other phone.
-IRON_ODDS = -5.0
 # Nats that wider scales of the priors must promise to be tried.
 MORE = 0.5
 # No device's bias is so many times what is usual: a fit that says so is of something else.
@@ -86,24 +86,42 @@ class Model:
         return frozenset(e.id for e in self.effects if e.process is None)
 
 
+def always(cases: Sequence[Case]) -> tuple[Effect, ...]:
+    """The effects that every model of these recordings has."""
+    kinds = {k for c in cases for k in c.kinds}
+    return tuple(e for e in catalogue().values() if e.always and kinds & set(e.observation_error))
+
+
 def baseline(cases: Sequence[Case], engine: str = "compiled") -> Model:
-    """The fit with no effect at all, where every other begins."""
-    return fitted([started(c, engine=engine) for c in cases], (), noise_rounds=2)
+    """The fit with no effect but those that every model has, where every other begins.
+
+    A magnetometer's hard iron is tried from all that its readings may lie around.
+    """
+    effects = always(cases)
+    ways = [tuple(cases)]
+    for k, case in enumerate(cases):
+        ways += [(*cases[:k], other, *cases[k + 1 :]) for other in other_irons(case)]
+
+    def begun(way: Sequence[Case]) -> Model:
+        return fitted([started(c, effects, engine) for c in way], effects, noise_rounds=2)
+
+    if len(ways) == 1:
+        return begun(cases)
+    fits = []
+    for k, tried in enumerate(side_by_side(partial(_attempt, begun, way) for way in ways)):
+        if isinstance(tried, Model):
+            fits.append(tried)
+        elif k == len(ways) - 1 and not fits:
+            raise tried
+    return max(fits, key=lambda m: m.log_evidence)
 
 
-def ironed(base: Model) -> Model:
-    """The baseline with a hard iron, if the magnetometer carries one too large to be found from
-    zero; else the baseline as it is."""
-    effect = mag_hard_iron.EFFECT
-    cases = [without_iron(f.case) for f in base.parts]
-    if not any(cases):
-        return base
-    begin = [
-        f if case is None else started(case, [effect])
-        for f, case in zip(base.parts, cases, strict=True)
-    ]
-    model = fitted(begin, [effect])
-    return model if model.log_evidence + IRON_ODDS > base.log_evidence else base
+def _attempt(begun: Callable[[Sequence[Case]], Model], way: Sequence[Case]) -> Model | HandcalError:
+    """The fit, or why there is none: of several starts one may diverge."""
+    try:
+        return begun(way)
+    except HandcalError as error:
+        return error
 
 
 def started(case: Case, effects: Sequence[Effect] = (), engine: str = "compiled") -> Fitted:
@@ -114,7 +132,7 @@ def started(case: Case, effects: Sequence[Effect] = (), engine: str = "compiled"
         k: v for k, v in case.fixed.items() if k in {lv.name for lv in problem.levels}
     }
     track = empty_track(problem, epochs(problem))
-    state = first_state(problem, case.start, levels)
+    state = first_state(problem, case.start, levels, case.iron)
     state = ENGINES[engine](problem, noise_arrays(problem, levels), state, track)
     nominal = trajectory_of(problem, track, state.bg, state.ba, state.extras)
     linear, _, _ = batch.relinearise(linearise_about(problem, case.start, nominal), levels)
@@ -225,12 +243,13 @@ def prior_root(
     q: Quadratic, effects: Sequence[Effect], index: IntArray | None = None
 ) -> Array | None:
     """Square root of the prior covariance of a quadratic's parameters (``index`` of them), or
-    None for the identity: effects that are exclusive of another keep what that one lacks."""
+    None for the identity: effects that are exclusive of another keep what that one lacks, and
+    those with a gauge do without it."""
     ids = {e.id for e in effects}
     names = q.names if index is None else [q.names[i] for i in index]
     root = None
     for e in effects:
-        if e.together is not None and ids & set(e.exclusive):
+        if e.together is not None and (not e.exclusive or ids & set(e.exclusive)):
             mine = [i for i, n in enumerate(names) if n[0] == e.id]
             root = np.eye(len(names)) if root is None else root
             root[np.ix_(mine, mine)] = e.together

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
-from handcal.effects import Effect
 from handcal.estimate.case import Case, case_of
 from handcal.estimate.fit import Fitted
 from handcal.sway import TRAVEL_NATS, beyond_a_hand, sway_of
@@ -19,17 +17,11 @@ def travels(f: Fitted) -> bool:
     return held and beyond_a_hand(f.linear, f.levels) > TRAVEL_NATS
 
 
-def resting(
-    held: Fitted,
-    latitude: float | None,
-    height: float,
-    effects: Sequence[Effect] | None = None,
-) -> Case:
-    """The recording with its rests alone taken to be still; held: as if its point were held;
-    effects: as for ``case_of``."""
+def resting(held: Fitted, latitude: float | None, height: float) -> Case:
+    """The recording with its rests alone taken to be still; held: as if its point were held."""
     wide = sway_of(held.linear.problem, held.levels)
     read = held.case.read or held.case.recording
-    case = case_of(read, "rest-only", latitude, height, (), held.case.fixed, effects=effects)
+    case = case_of(read, "rest-only", latitude, height, (), held.case.fixed)
     said = (
         f"The hand travels: as a held point it would sway by {wide:.2g} m. Only the rests are "
         "taken to be still (--assume fixed-point has it otherwise)."

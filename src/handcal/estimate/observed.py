@@ -16,7 +16,7 @@ from handcal.model import Problem, build
 from handcal.observations import Observation, Rows, Scene, catalogue
 from handcal.start import Start, from_pose, from_rest, levelled
 from handcal.streams import STREAMS
-from handcal.types import Array, HandcalError, InputError, Recording
+from handcal.types import Array, HandcalError, InputError, Recording, Series
 
 Observed = tuple[Observation, Rows, tuple[tuple[str, str, float], ...]]
 ASSUMPTIONS = ("auto", "fixed-point", "rest-only")
@@ -26,6 +26,8 @@ MIN_READINGS = 20
 PSEUDO_RATE = 3.0
 UNKNOWN_YAW = math.radians(100.0)
 FIXED_YAW = 1e-6
+# A field that may be the Earth's with some iron or a wrong sphere in it, tesla.
+EARTHLY = (5e-6, 1.5e-4)
 
 
 @dataclass(frozen=True)
@@ -40,14 +42,13 @@ class Choice:
 
 def choose(
     recording: Recording,
-    effects: Sequence[Effect],
     assume: str,
     rests: Array,
     reference_exact: bool = False,
 ) -> Choice:
     """What to observe under one of ASSUMPTIONS; "auto" begins with a held point."""
     warnings: list[str] = []
-    usable = _usable(recording, effects, warnings)
+    usable = _usable(recording, warnings)
     if "reference" in usable:
         unknown = not (reference_exact or len(rests))
         return Choice("rest-only", ("known_input",), tuple(_only_reference(usable, unknown)))
@@ -69,7 +70,7 @@ def check_options(
             raise InputError(f"There is no stream '{name}' to ignore; the recording has: {have}.")
 
 
-def _usable(recording: Recording, effects: Sequence[Effect], warnings: list[str]) -> set[str]:
+def _usable(recording: Recording, warnings: list[str]) -> set[str]:
     """Streams that are fit to be observed; what is left out is said."""
     usable = {s.name for s in STREAMS.values() if s.observation} & set(recording.streams)
     for name in sorted(usable):
@@ -83,18 +84,15 @@ def _usable(recording: Recording, effects: Sequence[Effect], warnings: list[str]
             usable.discard("pose")
             warnings.append(f"The pose was left out: {problem}")
     if "mag" in usable:
-        size = np.linalg.norm(recording.streams["mag"].value, axis=1)
-        low, high = np.quantile(size, [0.05, 0.95])
+        iron = mag_hard_iron.guess(recording)
+        strength = float(np.median(np.linalg.norm(recording.streams["mag"].value - iron, axis=1)))
         if "heading" in usable:
             usable.discard("mag")
-        elif any(e.id == "mag_hard_iron" for e in effects):
-            pass
-        elif high - low > 0.4 * np.median(size) or not 5e-6 < np.median(size) < 1.5e-4:
+        elif not EARTHLY[0] < strength < EARTHLY[1]:
             usable.discard("mag")
             warnings.append(
-                f"The magnetometer was left out: its field of {1e6 * low:.0f} to {1e6 * high:.0f} "
-                "microtesla is not the Earth's (25 to 65, and the same in every attitude); "
-                "it carries a hard iron."
+                f"The magnetometer was left out: less what its readings lie around, its field of "
+                f"{1e6 * strength:.3g} microtesla is not the Earth's (25 to 65)."
             )
     return usable
 
@@ -140,12 +138,11 @@ def problem_of(
     start: Start | None,
 ) -> tuple[Problem, Start]:
     """The problem these kinds of observation make of the recording, and where it starts."""
-    if "magnetometer" not in kinds or not any(e.id == mag_hard_iron.EFFECT.id for e in effects):
-        observed, begin = observed_of(recording, kinds, rests, earth, start)
-        return build(recording, effects, observed, *earth), begin
-    iron, sigma = mag_hard_iron.sphere(recording)
-    observed, begin = observed_of(recording, kinds, rests, earth, start, iron)
+    observed, begin = observed_of(recording, kinds, rests, earth, start)
     problem = build(recording, effects, observed, *earth)
+    if "magnetometer" not in kinds or mag_hard_iron.EFFECT.id not in {e.id for e in effects}:
+        return problem, begin
+    iron, sigma = mag_hard_iron.sphere(recording)
     told = {axis: (float(s), float(c)) for axis, s, c in zip("xyz", sigma, iron, strict=True)}
     slots = tuple(
         replace(s, prior_sigma=told[s.name][0], prior_mean=told[s.name][1])
@@ -168,16 +165,15 @@ def observed_of(
 ) -> tuple[list[Observed], Start]:
     """Each kind of observation with its rows and constants, and where the filter starts.
 
-    iron (3,): a hard iron about which that of the magnetometer is to be sought, tesla.
+    iron (3,): a magnetometer's hard iron with which to begin, tesla (None: the likeliest).
     rate: of pseudo-observations, Hz (None: as often as is usual). reference_exact:
     a reference has no bias of its own.
     """
-    if iron is not None:
-        recording = mag_hard_iron.cleaned(recording, iron)
     has_heading = "heading" in kinds or "magnetometer" in kinds
     scene = Scene(
         rests, has_heading, rate=rate or PSEUDO_RATE, omega_ie_n=earth[1],
         gravity=float(np.linalg.norm(earth[0])), reference_exact=reference_exact,
+        iron=iron,
     )  # fmt: skip
     begin = start or _level(recording, kinds, scene)
     if "pose" in kinds and has_heading:
@@ -188,8 +184,6 @@ def observed_of(
         rows = observation.rows(recording, scene)
         if rows is None or not len(rows.t):
             raise HandcalError(f"The recording holds nothing for the observation '{kind}'.")
-        if kind == "magnetometer" and iron is not None:
-            rows = replace(rows, z=np.hstack([rows.z, np.tile(iron, (len(rows.t), 1))]))
         constants = tuple((c.name, c.unit, c.prior_sigma) for c in observation.constants(scene))
         observed.append((observation, rows, constants))
         if kind == "pose" and start is None:
@@ -205,34 +199,40 @@ def _level(recording: Recording, kinds: Sequence[str], scene: Scene) -> Start:
     name = "heading" if "heading" in kinds else "mag"
     if name not in recording.streams:
         raise HandcalError(f"The recording has no stream '{name}' to take a heading from.")
-    series = recording.streams[name]
-    early = series.value[: max(1, int(np.searchsorted(series.t, series.t[0] + 0.5)))]
-    if name == "heading":
-        yaw = math.atan2(np.sin(early[:, 0]).mean(), np.cos(early[:, 0]).mean())
-    else:
-        field = begin.C_nb @ early.mean(axis=0)
+    if name == "mag":
+        iron = mag_hard_iron.guess(recording) if scene.iron is None else scene.iron
+        field = begin.C_nb @ (_early(recording.streams["mag"]).mean(axis=0) - iron)
         yaw = 0.5 * math.pi - math.atan2(field[1], field[0])
+    else:
+        early = _early(recording.streams[name])
+        yaw = math.atan2(np.sin(early[:, 0]).mean(), np.cos(early[:, 0]).mean())
     force = begin.force
     assert force is not None
     return replace(begin, C_nb=levelled(force, yaw))
 
 
-def first_state(problem: Problem, start: Start, levels: Mapping[str, float]) -> State:
-    """The filter's state before the first node; about an iron that is already taken off.
+def _early(series: Series) -> Array:
+    """Readings (k, d) of the first half second."""
+    return series.value[: max(1, int(np.searchsorted(series.t, series.t[0] + 0.5)))]
+
+
+def first_state(
+    problem: Problem,
+    start: Start,
+    levels: Mapping[str, float],
+    iron: tuple[Array, Array] | None = None,
+) -> State:
+    """The filter's state before the first node; iron: a magnetometer's hard iron (3,) and its
+    sigmas (3,), tesla.
 
     The online pass cannot go back: it has to begin where the iron is, and to stay near.
     """
     state = initial_state(problem, start, dict(levels))
     mine = [i for i, s in enumerate(problem.slots) if s.owner == mag_hard_iron.EFFECT.id]
-    seen = [k for k, o in enumerate(problem.observations) if o.kind == "magnetometer"]
-    if not mine or not seen:
-        return state
-    first = problem.nodes.z[int(np.argmax(problem.nodes.kind == seen[0]))]
-    iron = first[mag_hard_iron.TAKEN_OFF : mag_hard_iron.TAKEN_OFF + 3]
-    if not iron.any():
+    if iron is None or not mine:
         return state
     extras, P = state.extras.copy(), state.P.copy()
-    for axis, i in enumerate(mine):
-        extras[i] = iron[axis]
-        P[BASE + i, BASE + i] = mag_hard_iron.STRAY**2
+    for i, value, sigma in zip(mine, *iron, strict=True):
+        extras[i] = value
+        P[BASE + i, BASE + i] = sigma**2
     return replace(state, extras=extras, P=P)

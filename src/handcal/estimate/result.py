@@ -15,7 +15,8 @@ from handcal.estimate.parameters import Known, Moment, known
 from handcal.estimate.robust import inflation
 from handcal.kernel import BASE
 from handcal.linear import Linear, Trajectory, linearise_about, path
-from handcal.model import Problem
+from handcal.model import Problem, constants_of
+from handcal.observations import magnetometer
 from handcal.types import (
     Array,
     HandcalError,
@@ -228,10 +229,17 @@ def _observed_heading(linear: Linear) -> Array | None:
     t = np.repeat(linear.t, np.diff(linear.first))
     at = np.repeat(np.arange(len(linear.t)), np.diff(linear.first))
     for k, observation in enumerate(linear.problem.observations):
+        mine = (linear.kind == k) & linear.used
+        C_nb = linear.trajectory.C[at[mine]]
         if observation.channels == ("heading",):
-            mine = (linear.kind == k) & linear.used
-            yaw = so3.yaw_of(linear.trajectory.C[at[mine]]) + linear.r[mine, 0]
-            return np.stack([t[mine], so3.wrap(yaw)], axis=1)
+            off = linear.r[mine, 0]
+        elif observation.kind == "magnetometer":
+            theta = constants_of(linear.problem, linear.trajectory.constants, observation.kind)
+            north = linear.problem.nodes.z[mine, magnetometer.HORIZONTAL] + theta[0]
+            off = magnetometer.heading_off(C_nb, linear.r[mine, :3], north)
+        else:
+            continue
+        return np.stack([t[mine], so3.wrap(so3.yaw_of(C_nb) + off)], axis=1)
     return None
 
 

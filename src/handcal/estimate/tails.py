@@ -15,6 +15,7 @@ from itertools import groupby
 import numpy as np
 
 from handcal._jit import njit
+from handcal.effects import catalogue
 from handcal.estimate.quadratic import Posterior, Quadratic, posterior
 from handcal.types import Array, BoolArray, IntArray
 
@@ -91,9 +92,12 @@ def _tails(q: Quadratic, index: IntArray) -> BoolArray:
     """Of each effect of the subset whether its prior has tails: a term that was found in a
     recording has a prior that suits that recording."""
     owners = [owner for owner, _ in groupby(q.names[i][0] for i in index)]
-    return np.array(
-        ["+=" not in owner and not owner.startswith("basis:") for owner in owners], dtype=np.bool_
-    )
+    return np.array([_has_tails(owner) for owner in owners], dtype=np.bool_)
+
+
+def _has_tails(owner: str) -> bool:
+    known = catalogue().get(owner)
+    return "+=" not in owner and not owner.startswith("basis:") and (known is None or known.tails)
 
 
 @njit

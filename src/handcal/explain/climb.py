@@ -164,6 +164,7 @@ def _scanned(c: Climb) -> Space:
         odds |= {e.id: PRIOR - e.imitated for e in options if e.imitated > 0.0}
     odds |= {e.id: REFUSED for e in options if name_of(e.id) in c.dropped}
     odds |= dict.fromkeys(c.favoured, FAVOURED)
+    odds |= {e.id: -REFUSED for e in options if e.always}
     return space(scan(c.model, options), options, odds)
 
 
@@ -225,9 +226,20 @@ def _grown(c: Climb, chosen: frozenset[str]) -> Model | None:
 
 def likelier(c: Climb, tried: Model) -> bool:
     """Whether a model's score is above that of the one there is: evidence at its worth, and the
-    prior odds of effects and levels."""
+    prior odds of effects and levels; what no device has is no fit."""
+    if not _sensible(tried):
+        return False
     gain = c.worth * (tried.log_evidence - c.model.log_evidence)
     return gain + _odds(c, tried) - _odds(c, c.model) > 0.0
+
+
+def _sensible(model: Model) -> bool:
+    """Whether no parameter is larger than makes sense."""
+    known = {(e.id, p.name): p for e in model.effects for p in e.parameters}
+    return all(
+        abs(u) * known[n].prior_sigma <= known[n].most
+        for n, u in zip(model.quadratic.names, model.u, strict=True)
+    )
 
 
 def _odds(c: Climb, model: Model) -> float:
@@ -393,7 +405,7 @@ def _thin(c: Climb) -> Model | None:
         return [x for x in model.effects if x is not e]
 
     tried: list[Effect] = []
-    for e in weakest[:FEW]:
+    for e in [e for e in weakest if not e.always][:FEW]:
         if e.process is None:
             more = max(1.0, excess[e.id] * c.worth)
             if gained[e.id] / more + where.prior[e.id] < 0.0:
@@ -421,7 +433,7 @@ def _thin(c: Climb) -> Model | None:
 def _free(c: Climb) -> Model | None:
     """What noise stands in for, in its place."""
     other = without_alibi(c.model, c.worth, c.suspects)
-    if other is None:
+    if other is None or not _sensible(other):
         return None
     c.dropped -= {name_of(i) for i in other.ids}
     c.visited.clear()
@@ -445,7 +457,7 @@ def _held_too(model: Model, where: Space) -> str | None:
     are one or two; where the common part is by far the larger, they are two.
     """
     for e in model.effects:
-        if e.together is None or set(e.exclusive) & set(model.ids):
+        if e.together is None or not e.exclusive or set(e.exclusive) & set(model.ids):
             continue
         u = model.u[[i for i, n in enumerate(model.quadratic.names) if n[0] == e.id]]
         own = e.together @ u

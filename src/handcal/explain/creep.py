@@ -22,7 +22,7 @@ def creeping(base: Model, model: Model, gained: Mapping[str, float]) -> Model | 
     Where nothing weak was found there is no need to ask.
     """
     held = any(OBSERVED in f.case.kinds for f in base.parts)
-    strong = [e for e in model.effects if gained[e.id] > WEAK]
+    strong = [e for e in model.effects if e.always or gained[e.id] > WEAK]
     if not held or len(strong) == len(model.effects):
         return None
     cases = [creeping_case(f.case) for f in base.parts]

@@ -45,7 +45,7 @@ def search(base: Model, report: Callable[[float], None] = lambda _: None) -> Fou
         # (the usual sway first: in a wide one little of the physics shows)
         starts.insert(0, steadied(base))
     found = _begun(starts, late, lambda f: report(0.7 * f))
-    named = [e for e in found.model.effects if "+=" not in e.id]
+    named = [e for e in found.model.effects if "+=" not in e.id and not e.always]
     several = len(named) > 1 or any(e.process is not None for e in named)
     if several or any(e.observation_error for e in named):
         # (of the heading alone: a scan of few terms)

@@ -23,7 +23,9 @@ def plainly(model: Model, missing: Missing, excess: Mapping[str, float]) -> Miss
     other. excess: by which the scores of each effect scatter beyond the matrix (``inflation``).
     """
     effect = next((e for e in model.effects if e.id == missing.effect), None)
-    if effect is None or effect.together is None or set(effect.exclusive) & set(model.ids):
+    if effect is None or effect.together is None or not effect.exclusive:
+        return missing
+    if set(effect.exclusive) & set(model.ids):
         return missing
     mine = [i for i, n in enumerate(model.quadratic.names) if n[0] == effect.id]
     own, u = effect.together, model.u[mine]

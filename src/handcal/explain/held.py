@@ -9,7 +9,7 @@ import numpy as np
 
 from handcal import noise as noise_levels
 from handcal.estimate.case import Case
-from handcal.estimate.fit import EXCESS, Fitted, Known, Model, fitted, started
+from handcal.estimate.fit import EXCESS, Fitted, Known, Model, always, fitted, started
 from handcal.evidence import reduce, reduced_pass
 from handcal.explain.explanation import HeldOut
 from handcal.explain.locate import at_levels, residual_rms
@@ -56,8 +56,9 @@ def other_files(cases: Sequence[Case], model: Model) -> HeldOut:
     known = Known(model.quadratic.names, model.u, root)
     before, after = [], []
     for case in cases:
-        start = started(case)
-        before.append(fitted([start], ()))
+        known_of_all = always([case])
+        start = started(case, known_of_all)
+        before.append(fitted([start], known_of_all))
         # a step belongs to the recording in which it happened
         effects = [e for e in model.effects if "@" not in e.id]
         begin = replace(start, levels={**start.levels, **_levels(model.parts[0])})

@@ -10,7 +10,7 @@ import numpy as np
 
 from handcal.effects import Effect, catalogue
 from handcal.estimate.case import Case, applicable, case_of, frozen_at
-from handcal.estimate.fit import fitted, moved_to, scan, started
+from handcal.estimate.fit import always, fitted, moved_to, scan, started
 from handcal.explain import shapes
 from handcal.explain.search import OCCAM_LEVEL, space
 from handcal.explain.search import expected_gain as expected_nats
@@ -42,9 +42,12 @@ def expected_gain(recording: Recording, effect_id: str, values: Sequence[float])
         column = int(np.flatnonzero(effect.moments(recording.imu.t)[0])[0])
         moment[column] = size[column]
         effect, size = frozen_at(effect, moment), np.delete(size, column)
-    base = fitted([started(case)], ())
-    where = space(scan(base, [effect]), [effect], {})
-    return expected_nats(where, effect.id, frozenset(), size / effect.prior_sigma)
+    known = always([case])
+    base = fitted([started(case, known)], known)
+    candidates = [effect, *(e for e in known if e.id != effect.id)]
+    where = space(scan(base, [effect]), candidates, {})
+    have = frozenset(e.id for e in known)
+    return expected_nats(where, effect.id, have, size / effect.prior_sigma)
 
 
 def _walk_gain(case: Case, effect: Effect, density: float) -> float:
@@ -55,8 +58,10 @@ def _walk_gain(case: Case, effect: Effect, density: float) -> float:
     nats, a third of all walks gain next to nothing.
     """
     # with the noise that is left when the walk is known, as if there had been none
-    whole = fitted([started(case)], [effect])
-    rest = replace(whole, effects=(), parts=tuple(moved_to(f, ()) for f in whole.parts))
+    known = always([case])
+    whole = fitted([started(case, known)], [*known, effect])
+    parts = tuple(moved_to(f, known) for f in whole.parts)
+    rest = replace(whole, effects=known, parts=parts)
     first = 0 if effect.walks == "gyro" else 3
     bases = [shapes.imu_basis(first + i, case.recording.duration_s) for i in range(3)]
     q = scan(rest, [b.effect for b in bases])

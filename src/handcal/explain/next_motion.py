@@ -17,7 +17,7 @@ from itertools import combinations
 import numpy as np
 
 from handcal import segment
-from handcal.design import MOTIONS, Motion, attitude, rate_of, recording_of
+from handcal.design import EARTH_FIELD, MOTIONS, Motion, attitude, rate_of, recording_of
 from handcal.effects import Effect
 from handcal.estimate.case import Case, name_of, problem_with
 from handcal.estimate.fit import Fitted, prior_root
@@ -29,6 +29,7 @@ from handcal.explain.find import Found
 from handcal.explain.search import Space, expected_gain
 from handcal.linear import Trajectory, epochs, linearise_about
 from handcal.model import Problem
+from handcal.observations.magnetometer import HORIZONTAL, UPWARD
 from handcal.streams import STREAMS
 from handcal.types import Array, HandcalError, IntArray
 
@@ -126,15 +127,14 @@ def motion_pass(
 
 def _case(motion: Motion, like: Case) -> Case:
     """The motion observed as the recording was."""
-    slope = next(
-        (float(rows.z[0, 3]) for o, rows, _ in like.observed if o.kind == "magnetometer"), 0.0
-    )
-    recording = recording_of(motion, like.recording, like.earth[0], slope)
+    fields = [rows.z[0] for o, rows, _ in like.observed if o.kind == "magnetometer"]
+    field = (float(fields[0][HORIZONTAL]), float(fields[0][UPWARD])) if fields else EARTH_FIELD
+    recording = recording_of(motion, like.recording, like.earth[0], field)
     rests = segment.rests(recording)
     # that a recording lay still says nothing of the next
     held = like.assume == "fixed-point"
     kinds = [k for k in like.kinds if not (held and k == "zero_rate")]
-    observed, start = observed_of(recording, kinds, rests, like.earth, None)
+    observed, start = observed_of(recording, kinds, rests, like.earth, None, np.zeros(3))
     return Case(recording, like.assume, tuple(observed), rests, like.earth, start, ())
 
 

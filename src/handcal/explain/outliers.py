@@ -15,6 +15,7 @@ from handcal.effects import catalogue
 from handcal.estimate.case import Case, Edit, edited
 from handcal.estimate.fit import Fitted, Model, fitted
 from handcal.explain.search import PRIOR, probability
+from handcal.model import constants_of
 from handcal.observations import Rows
 from handcal.types import Array, BoolArray, Parameter
 
@@ -100,7 +101,7 @@ def standing_out(base: Model) -> list[BoolArray | None] | None:
     masks: list[BoolArray | None] = []
     for f in base.parts:
         k = heading_kind(f.case)
-        if k is None or f.case.observed[k][1].z.shape[1] != 1:
+        if k is None or f.case.observed[k][0].dim != 1:
             masks.append(None)
             continue
         rows = f.case.observed[k][1]
@@ -108,7 +109,7 @@ def standing_out(base: Model) -> list[BoolArray | None] | None:
         if told.sum() < NEIGHBOURS:
             masks.append(None)
             continue
-        r = np.exp(1j * _off(f, rows)[told])
+        r = np.exp(1j * _off(f, rows)[told, 0])
         usual = median_filter(r.real, NEIGHBOURS) + 1j * median_filter(r.imag, NEIGHBOURS)
         away = np.abs(np.angle(r / np.where(usual == 0.0, 1.0, usual)))
         scale = max(1.4826 * float(np.median(away)), 1e-4)
@@ -125,12 +126,13 @@ def without(base: Model, masks: Sequence[BoolArray | None]) -> list[Fitted]:
 
 
 def _unseen(model: Model) -> float:
-    """Share of wrong headings, anywhere on the circle, that are no further off than a good one."""
+    """Share of wrong headings, anywhere on the circle, that are no further off than a good one;
+    of wrong fields, none."""
     widths = [0.0]
     for f in model.parts:
         k = heading_kind(f.case)
-        if k is not None:
-            widths.append(WRONG * _scale(residual(f, k)[1]))
+        if k is not None and f.case.observed[k][0].dim == 1:
+            widths.append(WRONG * _scale(residual(f, k)[1][:, 0]))
     return max(widths) / math.pi
 
 
@@ -147,9 +149,9 @@ def _turned_back(original: Fitted, f: Fitted, span: tuple[float, float]) -> Fitt
         return f
     observation, rows, _ = original.case.observed[k]
     there = (rows.t >= span[0]) & (rows.t <= span[1])
-    if rows.z.shape[1] != 1 or not there.any():
+    if observation.dim != 1 or not there.any():
         return f
-    off = _off(f, rows)
+    off = _off(f, rows)[:, 0]
     centre = float(np.median(off[~there]))
     away = so3.wrap(off[there] - centre)
     size = float(np.angle(np.mean(np.exp(1j * away))))
@@ -165,6 +167,8 @@ def _burst(base: Model, masks: Sequence[BoolArray | None]) -> tuple[float, float
         k = heading_kind(f.case)
         if mask is None or k is None or mask.sum() < FEWEST:
             continue
+        if f.case.observed[k][0].dim != 1:
+            continue  # (what a magnet that passes does is no turn of north)
         rows = f.case.observed[k][1]
         told = _told(f, rows) | mask
         t, mask = rows.t[told], mask[told]
@@ -182,19 +186,19 @@ def heading_kind(case: Case) -> int | None:
 
 
 def residual(f: Fitted, k: int) -> tuple[Array, Array]:
-    """Times (m,) s and residuals (m,) of the first channel of the k-th kind, as they are used."""
+    """Times (m,) s and residuals (m, d) of the k-th kind, as they are used."""
     mine = (f.linear.kind == k) & f.linear.used
     t = np.repeat(f.linear.t, np.diff(f.linear.first))
-    return t[mine], f.linear.r[mine, 0]
+    return t[mine], f.linear.r[mine, : f.linear.problem.observations[k].dim]
 
 
 def _suspicious(f: Fitted) -> bool:
     k = heading_kind(f.case)
     if k is None:
         return False
-    _, r = residual(f, k)
-    scale = _scale(r)
-    return int((np.abs(r - np.median(r)) > FAR * scale).sum()) >= FEWEST
+    observation, rows, _ = f.case.observed[k]
+    r = residual(f, k)[1] if observation.dim == 1 else _off(f, rows)
+    return int((_away(r) > FAR * np.maximum(_scales(r), 1e-12)).any(axis=1).sum()) >= FEWEST
 
 
 def _mask(original: Fitted, f: Fitted) -> BoolArray | None:
@@ -205,20 +209,39 @@ def _mask(original: Fitted, f: Fitted) -> BoolArray | None:
     t, r = residual(f, k)
     rows = original.case.observed[k][1]
     # (rows that were left out are judged by the trajectory that the others make)
-    full = np.interp(rows.t, t, r) if f.case.constant == 0.0 else _off(f, rows)
-    scale = _scale(full)
-    away = np.abs(full - np.median(full)) > WRONG * max(scale, 1e-4)
+    observation = original.case.observed[k][0]
+    if observation.dim == 1 and f.case.constant == 0.0:
+        full = np.interp(rows.t, t, r[:, 0])[:, None]
+    else:
+        full = _off(f, rows)
+    least = observation.levels[0].lower
+    away = (_away(full) > WRONG * np.maximum(_scales(full), least)).any(axis=1)
     return np.asarray(away & _told(f, rows))
 
 
+def _away(r: Array) -> Array:
+    """How far residuals (m, d) are from the usual: of a heading from all of them; of a field, which
+    is bent for seconds at a time, from those before and after."""
+    usual = np.median(r, axis=0) if r.shape[1] == 1 else median_filter(r, (NEIGHBOURS, 1))
+    return np.asarray(np.abs(r - usual))
+
+
+def _scales(r: Array) -> Array:
+    """Standard deviation of each channel of residuals (m, d), by their median distance (d,)."""
+    return np.asarray(1.4826 * np.median(_away(r), axis=0))
+
+
 def _off(f: Fitted, rows: Rows) -> Array:
-    """How far each reading (m,) of a heading or of a magnetic field is from the attitude, rad."""
+    """How far each reading of a heading (m, 1), rad, or of a magnetic field (m, 3), tesla, is from
+    what it would be at the attitude of its moment."""
     if rows.z.shape[1] == 1:
         yaw = np.interp(rows.t, f.linear.t, np.unwrap(_yaw(f)))
-        return np.asarray(so3.wrap(rows.z[:, 0] - yaw))
+        return np.asarray(so3.wrap(rows.z[:, 0] - yaw))[:, None]
+    problem, constants = f.linear.problem, f.linear.trajectory.constants
     C_nb = so3.between(f.linear.t, f.linear.trajectory.C, rows.t)
-    field = np.einsum("kij,kj->ki", C_nb, rows.z[:, :3])
-    return np.asarray(so3.wrap(0.5 * math.pi - np.arctan2(field[:, 1], field[:, 0])))
+    strengths = constants_of(problem, constants, "magnetometer") + rows.z[0, 3:5]
+    iron = constants_of(problem, constants, "mag_hard_iron")
+    return np.asarray(rows.z[:, :3] - C_nb[:, 1:].transpose(0, 2, 1) @ strengths - iron)
 
 
 def _told(f: Fitted, rows: Rows) -> BoolArray:
@@ -248,5 +271,5 @@ def _without(original: Fitted, f: Fitted, mask: BoolArray | None) -> Fitted:
     name = next(lv.name for lv in observation.levels if lv.name.endswith("noise"))
     levels = dict(f.levels)
     _, r = residual(f, k)
-    levels[name] = max(_scale(r), 1e-4)
+    levels[name] = max(float(_scales(r).mean()), observation.levels[0].lower)
     return replace(f, case=edited(original.case, edit), levels=levels)

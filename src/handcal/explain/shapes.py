@@ -31,7 +31,6 @@ DIRECTIONS = 32
 PEAK = 3.0
 # A course may be adjusted by its numbers, which a term of the measured signals cannot.
 FREEDOM = 3.0
-KINDS = ("heading", "magnetometer")
 
 Values = Callable[[Array, Array], Array]
 
@@ -281,7 +280,7 @@ def imu_basis(channel: int, duration: float) -> Basis:
 
 
 def heading_bases(duration: float) -> list[Basis]:
-    """Splines for the heading, measured or magnetic: over time, and over its direction."""
+    """Splines for the heading: over time, and over its direction."""
     grid = _grid(duration)
     address, count = _OVER_TIME[float(grid[1])], len(grid) + 2
     over = _splines("heading over time", "rad", HEADING_SIZE, count, None, address)
@@ -331,7 +330,7 @@ def _splines(
         motion="Any.",
         validated="never reported",
         imu_error=error,
-        observation_error={} if address is None else dict.fromkeys(KINDS, address),
+        observation_error={} if address is None else {"heading": address},
     )
 
 
@@ -402,7 +401,7 @@ def term_of(basis: Basis, family: Family, numbers: Array) -> Effect:
     made = family.name, tuple(float(n) for n in numbers)
     if basis.channel == "heading":
         address = residual_function(family.compiled(*made[1]), kept=False)
-        acts = dict.fromkeys(KINDS, address)
+        acts = {"heading": address}
         return term(formula, basis.unit, size, story, observation_error=acts, made=made)
     column = CHANNELS.index(basis.channel)
 

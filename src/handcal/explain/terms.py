@@ -236,7 +236,7 @@ def again(formula: str, prior: float) -> Effect:
     channel, product = formula.split(" += k * ", 1)
     if channel == "heading":
         address, unit = _HEADING[product]
-        acts = {"heading": address, "magnetometer": address}
+        acts = {"heading": address}
         return term(formula, unit, prior, observation_error=acts)
     column = {c: i for i, c in enumerate(CHANNELS)}[channel]
     feature, unit = features(temperature=True)[product]
@@ -303,7 +303,7 @@ _HEADING: Mapping[str, tuple[int, str]] = {
 
 
 def heading_terms(recording: Recording) -> list[Effect]:
-    """Terms of the heading, measured or magnetic."""
+    """Terms of a measured heading."""
     out = []
     known = _named_headings(tuple(catalogue()))
     for formula, (address, unit) in _HEADING.items():
@@ -315,7 +315,7 @@ def heading_terms(recording: Recording) -> list[Effect]:
                 f"heading += k * {formula}",
                 unit,
                 prior,
-                observation_error={"heading": address, "magnetometer": address},
+                observation_error={"heading": address},
             )
         )
     return out

@@ -69,7 +69,7 @@ def best_term(model: Model, *, imu: bool = True, refused: Collection[str] = ()) 
         (terms.imu_terms(signals, c), [shapes.imu_basis(c, recording.duration_s)])
         for c in range(6 if imu else 0)
     ]
-    if {"heading", "magnetometer"} & set(f.case.kinds):
+    if "heading" in f.case.kinds:
         chunks.append((terms.heading_terms(recording), shapes.heading_bases(recording.duration_s)))
     tops = side_by_side(partial(_top, model, *chunk, refused) for chunk in chunks)
     for top, worth in tops:

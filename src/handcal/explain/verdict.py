@@ -11,7 +11,7 @@ import numpy as np
 from handcal.effects import Effect, catalogue
 from handcal.estimate.case import Case, case_of, name_of
 from handcal.estimate.chosen import Chosen, Options, as_seen, chosen_of, seen, settled
-from handcal.estimate.fit import Fitted, Model, baseline, fitted, ironed, scan, started
+from handcal.estimate.fit import Fitted, Model, baseline, fitted, scan, started
 from handcal.estimate.hand import resting, travels
 from handcal.estimate.observed import check_options
 from handcal.estimate.process import process_parameters
@@ -161,8 +161,7 @@ def _searched(
     base: Model, report: Callable[[float], None]
 ) -> tuple[Model, Found, outliers.Wrong | None]:
     """The baseline, where the search from it ended, and the headings that are merely wrong."""
-    start = ironed(base)
-    cleaned, wrong = outliers.cleaned(start)
+    cleaned, wrong = outliers.cleaned(base)
 
     def climbed(f: float) -> None:
         report(f)
@@ -170,14 +169,14 @@ def _searched(
     found = search(cleaned, climbed)
     if wrong is not None and wrong.burst is not None:
         # what comes one after the other may be a heading that errs by a known effect
-        other = search(start, climbed)
+        other = search(base, climbed)
         if advantage(other, found) > TERM_PRIOR:
             found, wrong = other, None
     if wrong is None:
-        found, wrong = _without_outliers(start, found, climbed)
+        found, wrong = _without_outliers(base, found, climbed)
     slow = creeping(base, found.model, _gained(found)) if wrong is None else None
     if slow is not None:
-        base, found = slow, search(ironed(slow), climbed)
+        base, found = slow, search(slow, climbed)
     return base, found, wrong
 
 
@@ -281,6 +280,11 @@ def _missing(
             own = process_parameters(model, effect)
             out.append(_entry(effect, probability(gain), gain, (), own))
             continue
+        if effect.always:
+            if gained[effect.id] + PRIOR > 0.0:
+                gain, own = gained[effect.id], learnt[effect.id]
+                out.append(_entry(effect, probability(gain), gain, (), own))
+            continue
         set_, share = _set(found, chosen, effect.id)
         members = {name_of(i) for i in set_}
         p = min(CERTAIN, sum(v for i, v in probable.items() if name_of(i) in members))
@@ -354,7 +358,7 @@ def _burst(base: Model, wrong: outliers.Wrong, span: tuple[float, float]) -> Unn
     k = outliers.heading_kind(base.parts[0].case)
     assert k is not None
     t, r = outliers.residual(base.parts[0], k)
-    r = r[(t >= span[0]) & (t <= span[1])]
+    r = r[(t >= span[0]) & (t <= span[1]), 0]
     spread = float(np.std(r)) / math.sqrt(max(1, len(r)))
     formula = f"heading += k from {span[0]:.1f} s to {span[1]:.1f} s"
     story = f"Something was there from {span[0]:.0f} s to {span[1]:.0f} s, and then no more."
@@ -381,6 +385,8 @@ def _hypotheses(
             continue
         verdict = "named" if name in named else "set" if name in rival else ""
         together = sum(p for k, p in probable.items() if name_of(k) == name)
+        if where.effects[i].always:  # (whether or not it is in the model, which it is)
+            together = probability(final[i])
         out[name] = Hypothesis(
             name, catalogue()[name].title, alone, final[i],
             expected_gain(where, i, chosen, ones), min(CERTAIN, together), verdict,

@@ -31,6 +31,8 @@ class Scene:
     rate (Hz): of pseudo-observations, None for every IMU sample; sway: the hand's
     motion is modelled as a Markov process instead of white noise. omega_ie_n (3,): the
     Earth's rate, rad/s; gravity: its size, m/s^2. reference_exact: a reference has no bias.
+    iron (3,): a magnetometer's hard iron as far as it is known beforehand, tesla (None: what the
+    readings lie around).
     """
 
     rests: Array
@@ -41,6 +43,7 @@ class Scene:
     omega_ie_n: Array = field(default_factory=lambda: np.zeros(3))
     gravity: float = 9.80665
     reference_exact: bool = False
+    iron: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -79,10 +82,11 @@ class Observation:
     at random: what it feels is no motion that could excite an effect.
     folds: read so often that its readings within a tenth of a second may be folded into one.
     navigates: it says something of position, velocity or attitude.
+    believed(z (k, Z_DIM), theta): z with what effects have to know of the observation's constants,
+    at which everything is linearised.
     guess(z (k, zdim)): first guesses of levels that the observations themselves show.
-    moved(recording, series, C_nb (m, 3, 3), shift (m, dim), own (d,)): the stream as it would read
-    if its residuals were larger by the shift; own: the part of each reading that belongs to the
-    device and turns with it (iron).
+    moved(recording, series, C_nb (m, 3, 3), shift (m, dim)): the stream as it would read if its
+    residuals were larger by the shift.
     """
 
     kind: str
@@ -99,7 +103,8 @@ class Observation:
     markov: Markov | None = None
     markov_residual: int = 0
     guess: Callable[[Array], Mapping[str, float]] | None = None
-    moved: Callable[[Recording, Series, Array, Array, Array], Series] | None = None
+    believed: Callable[[Array, Array], Array] | None = None
+    moved: Callable[[Recording, Series, Array, Array], Series] | None = None
     isotropic: bool = False
     wandering: int | None = None
     navigates: bool = True

@@ -49,7 +49,7 @@ def _guess(z: Array) -> Mapping[str, float]:
     return {"heading_noise": float(np.clip(np.sqrt((d**2).mean() / 2), 1e-3, 2.0))}
 
 
-def _moved(recording: Recording, series: Series, C_nb: Array, shift: Array, own: Array) -> Series:  # noqa: ARG001
+def _moved(recording: Recording, series: Series, C_nb: Array, shift: Array) -> Series:  # noqa: ARG001
     return Series(series.t, so3.wrap(series.value + shift))
 
 

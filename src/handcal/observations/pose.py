@@ -160,7 +160,7 @@ def _constants(scene: Scene) -> tuple[Constant, ...]:
     )
 
 
-def _moved(recording: Recording, series: Series, C_nb: Array, shift: Array, own: Array) -> Series:  # noqa: ARG001
+def _moved(recording: Recording, series: Series, C_nb: Array, shift: Array) -> Series:
     """Shifts are in n, the readings in the pose's world: both know the device's attitude."""
     R_bm, _ = aligned(recording, recording.streams["pose"])
     C_wm = so3.matrix_of(series.value[:, 3:])
