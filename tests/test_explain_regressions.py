@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from worlds import recording_of
 
 from handcal import noise, observations, so3
-from handcal.effects import catalogue, select
+from handcal.effects import Signals, accel_delay, catalogue, select
 from handcal.estimate import case, fit, observed
 from handcal.estimate.fit import EXCESS, Model, fitted, moved_to, scan, started
 from handcal.estimate.quadratic import posterior
@@ -387,3 +387,12 @@ def test_a_magnetometers_outliers_are_outliers(seed: int) -> None:
     assert (found.verdict, names(found)) == ("explained", ["heading_outliers"])
     (share,) = found.missing[0].parameters
     assert abs(share.value - 0.1) < 4.0 * share.sigma
+
+
+def test_readings_that_ran_away_have_no_delayed_readings() -> None:
+    """The spline through them ended explain in a ValueError."""
+    t = np.arange(20) * 0.01
+    accel = np.full((20, 3), np.nan)
+    error = accel_delay.imu_error(np.array([0.02]), Signals(t, np.zeros((20, 3)), accel))
+    assert np.isnan(error[:, 3:]).all()
+    assert not error[:, :3].any()

@@ -8,10 +8,16 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from hand_world import Held, Sensor, Table, Turn, alternating, band, record, turns
+from worlds import recording_of
 
 import handcal
-from handcal import segment
-from handcal.types import Imu, Recording
+from handcal import segment, so3
+from handcal.estimate.case import case_of
+from handcal.estimate.fit import fitted, started
+from handcal.linear import path
+from handcal.types import Array, Imu, Recording
+from handcal_sim import simulate
+from handcal_sim.phone import perfect_phone
 
 RATES = (50.0, 100.0, 200.0, 500.0)
 
@@ -279,3 +285,27 @@ def test_sides_turns_and_pauses_of_a_real_device_are_found(real_recordings):
     several = [len(i) for i in inside if i]
     assert len(several) == 3
     assert min(several) >= 2
+
+
+def test_between_rests_the_trajectory_follows_the_readings() -> None:
+    """Epochs several seconds and more than a turn apart: the mean rate between them is that of
+    another motion, and a history made of it gave biases of hundreds of m/s^2."""
+    world = simulate("travel", seed=0, phone=lambda _: perfect_phone())
+    case = case_of(recording_of(world), "rest-only")
+    (part,) = fitted([started(case)], ()).parts
+    problem, nominal = part.linear.problem, part.linear.trajectory
+    way = path(problem, nominal)
+    t = problem.nodes.t
+    assert np.diff(t[nominal.node]).max() > 1.0
+    at = np.searchsorted(t, case.recording.imu.t)
+    straight = so3.between(t[nominal.node], nominal.C, case.recording.imu.t)
+    true = world.truth.C_nb
+    # (the yaw that nothing observes is that of the first epoch)
+    turn = nominal.C[0] @ true[0].T
+    assert _apart(way.C[at], turn @ true) < np.radians(1.0)
+    assert _apart(straight, turn @ true) > np.radians(5.0)
+
+
+def _apart(A: Array, B: Array) -> float:
+    """The largest angle between attitudes (n, 3, 3), rad."""
+    return float(np.linalg.norm(so3.matrix_log(A @ B.transpose(0, 2, 1)), axis=1).max())
