@@ -68,7 +68,8 @@ def setup(kind, effect=None):
         parts.append((o.markov_residual, o.markov.size))
     if effect is not None:
         e = effects()[effect]
-        parts.append((e.observation_error[kind], len(e.parameters)))
+        size = len(e.parameters) if e.process is None else e.process.size
+        parts.append((e.observation_error[kind], size))
     counts = np.array([[c for _, c in parts] + [0]])
     start = np.concatenate([[0], np.cumsum(counts[0])[:-1]])[None]
     function = np.array([[a for a, _ in parts] + [0]], dtype=np.int64)
