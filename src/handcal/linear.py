@@ -231,19 +231,30 @@ def biases(problem: Problem, nominal: Trajectory) -> tuple[Array, Array]:
     return np.ascontiguousarray(out[:, :3]), np.ascontiguousarray(out[:, 3:])
 
 
-def _transitions(problem: Problem, nominal: Trajectory) -> tuple[Array, Array, Array]:
-    """Phi (k, 9, 15 + mi), d (k, 9) and the three Q (3, k, 9, 9) between the epochs."""
-    k = len(nominal.node)
-    Phi, d = np.zeros((k, 9, BASE + problem.imu_constants)), np.zeros((k, 9))
-    Q = np.zeros((3, k, 9, 9))
+def _intervals(
+    problem: Problem, nominal: Trajectory
+) -> tuple[
+    Nodes, IntArray, tuple[Array, Array, Array], tuple[Array, Array, Array, Array], Array, Array
+]:
+    """What integrating from epoch to epoch begins with (see ``preintegrate``)."""
     extras = np.r_[nominal.constants, np.zeros(problem.markov_size)]
-    preintegrate(
+    return (
         problem.nodes,
         nominal.node,
         (nominal.p, nominal.v, nominal.C),
         (*biases(problem, nominal), extras, problem.ref),
         problem.g_n,
         problem.omega_ie_n,
+    )
+
+
+def _transitions(problem: Problem, nominal: Trajectory) -> tuple[Array, Array, Array]:
+    """Phi (k, 9, 15 + mi), d (k, 9) and the three Q (3, k, 9, 9) between the epochs."""
+    k = len(nominal.node)
+    Phi, d = np.zeros((k, 9, BASE + problem.imu_constants)), np.zeros((k, 9))
+    Q = np.zeros((3, k, 9, 9))
+    preintegrate(
+        *_intervals(problem, nominal),
         (Phi, d, Q[0], Q[1], Q[2]),
         propagation_work(9, 0),
     )
@@ -283,17 +294,7 @@ def path(problem: Problem, nominal: Trajectory) -> Path:
     n = len(problem.nodes.t)
     out = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3, 3))
     d = np.zeros((len(nominal.node), 9))
-    extras = np.r_[nominal.constants, np.zeros(problem.markov_size)]
-    integrate(
-        problem.nodes,
-        nominal.node,
-        (nominal.p, nominal.v, nominal.C),
-        (*biases(problem, nominal), extras, problem.ref),
-        problem.g_n,
-        problem.omega_ie_n,
-        out,
-        d,
-    )
+    integrate(*_intervals(problem, nominal), out, d)
     return Path(*out, d)
 
 

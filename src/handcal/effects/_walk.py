@@ -1,4 +1,4 @@
-"""A bias that wanders: three random walks in the body's axes, from zero at the start."""
+"""What wanders: random walks, three to a level, from zero at the start."""
 
 from __future__ import annotations
 
@@ -10,16 +10,14 @@ from handcal.types import Array
 
 
 class RandomWalk:
-    """Three independent walks of the density that the noise level ``level`` names.
+    """Three independent walks for each of the noise levels named, which are their densities.
 
-    They belong to the sensor's axes, not to n (vectors 0). Where they start is the constant
-    bias, so their own start is zero and certain.
+    vectors: how many of the threes turn with n; a sensor's axes do not (0). Where they start is a
+    constant of its own, so their own start is zero and certain.
     """
 
-    size, vectors = 3, 0
-
-    def __init__(self, level: str) -> None:
-        self.level = level
+    def __init__(self, *levels: str, vectors: int = 0) -> None:
+        self.levels, self.size, self.vectors = levels, 3 * len(levels), vectors
 
     def transition(
         self,
@@ -27,11 +25,12 @@ class RandomWalk:
         dt: Array,
         rate: Array,  # noqa: ARG002
     ) -> tuple[Array, Array]:
-        """Phi (the identity) and Q, each (n, 3, 3)."""
-        eye = np.eye(3)
-        Phi = np.broadcast_to(eye, (len(dt), 3, 3)).copy()
-        return Phi, (levels[self.level] ** 2 * dt)[:, None, None] * eye
+        """Phi (the identity) and Q, each (n, size, size)."""
+        eye = np.eye(self.size)
+        density = np.repeat([levels[name] ** 2 for name in self.levels], 3)
+        Phi = np.broadcast_to(eye, (len(dt), self.size, self.size)).copy()
+        return Phi, dt[:, None, None] * (density * eye)
 
     def start(self, levels: Mapping[str, float], rate: float) -> Array:  # noqa: ARG002
         """Nothing has been walked yet."""
-        return np.zeros((3, 3))
+        return np.zeros((self.size, self.size))

@@ -154,6 +154,18 @@ class Known:
     root: Array
 
 
+def known_of(model: Model) -> Known:
+    """What a model says of its parameters, for the fit of other observations."""
+    root = np.asarray(np.linalg.cholesky(model.covariance + 1e-12 * np.eye(len(model.u))))
+    return Known(model.quadratic.names, model.u, root)
+
+
+def own_levels(f: Fitted) -> dict[str, float]:
+    """Levels that the effects of a fit bring along."""
+    own = {lv.name for e in f.linear.problem.effects for lv in e.levels}
+    return {k: v for k, v in f.levels.items() if k in own}
+
+
 def fitted(
     begin: Sequence[Fitted],
     effects: Sequence[Effect],

@@ -11,9 +11,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
-from handcal.estimate.fit import Fitted, Known, Model, at_constants, fitted, moved_to
+from handcal.estimate.fit import (
+    Fitted,
+    Model,
+    at_constants,
+    fitted,
+    known_of,
+    moved_to,
+    own_levels,
+)
 from handcal.explain.find import Found, odds
 
 
@@ -25,11 +31,9 @@ def foretells(held: Model, base: Model, laid: Found) -> bool:
     """
     if held.chosen == laid.model.chosen:
         return False
-    root = np.asarray(np.linalg.cholesky(held.covariance + 1e-12 * np.eye(len(held.u))))
-    known = Known(held.quadratic.names, held.u, root)
     parts = zip(base.parts, held.parts, strict=True)
     begin = [_begun(b, held, h) for b, h in parts]
-    foretold = fitted(begin, held.effects, known=known).log_evidence
+    foretold = fitted(begin, held.effects, known=known_of(held)).log_evidence
     worth = laid.space.quadratic.worth
     return worth * (foretold - laid.model.log_evidence) > odds(laid.model)
 
@@ -40,6 +44,4 @@ def _begun(base: Fitted, held: Model, part: Fitted) -> Fitted:
     names = held.quadratic.names
     values = {n: float(u) * sizes[n] for n, u in zip(names, held.u, strict=True) if n in sizes}
     out = at_constants(moved_to(base, held.effects), held.effects, values)
-    own = {lv.name for e in held.effects for lv in e.levels}
-    levels = {k: part.levels.get(k, v) if k in own else v for k, v in out.levels.items()}
-    return replace(out, levels=levels)
+    return replace(out, levels={**out.levels, **own_levels(part)})

@@ -9,7 +9,16 @@ import numpy as np
 
 from handcal import noise as noise_levels
 from handcal.estimate.case import Case
-from handcal.estimate.fit import EXCESS, Fitted, Known, Model, always, fitted, started
+from handcal.estimate.fit import (
+    EXCESS,
+    Fitted,
+    Model,
+    always,
+    fitted,
+    known_of,
+    own_levels,
+    started,
+)
 from handcal.evidence import reduce, reduced_pass
 from handcal.explain.explanation import HeldOut
 from handcal.explain.locate import at_levels, residual_rms
@@ -52,8 +61,7 @@ def _residuals(fits: Sequence[Fitted]) -> dict[str, float]:
 
 def other_files(cases: Sequence[Case], model: Model) -> HeldOut:
     """Score recordings that took no part: with the effects as found, against none at all."""
-    root = np.asarray(np.linalg.cholesky(model.covariance + 1e-12 * np.eye(len(model.u))))
-    known = Known(model.quadratic.names, model.u, root)
+    known = known_of(model)
     before, after = [], []
     for case in cases:
         known_of_all = always([case])
@@ -61,7 +69,7 @@ def other_files(cases: Sequence[Case], model: Model) -> HeldOut:
         before.append(fitted([start], known_of_all))
         # a step belongs to the recording in which it happened
         effects = [e for e in model.effects if "@" not in e.id]
-        begin = replace(start, levels={**start.levels, **_levels(model.parts[0])})
+        begin = replace(start, levels={**start.levels, **own_levels(model.parts[0])})
         after.append(fitted([begin], effects, known=known))
     names = ", ".join(str(c.recording.path) for c in cases)
     return HeldOut(
@@ -73,9 +81,3 @@ def other_files(cases: Sequence[Case], model: Model) -> HeldOut:
         ),
         _residuals([f for m in after for f in m.parts]),
     )
-
-
-def _levels(known: Fitted) -> dict[str, float]:
-    """Levels of noise effects that the model brings along."""
-    own = {lv.name for e in known.linear.problem.effects for lv in e.levels}
-    return {k: v for k, v in known.levels.items() if k in own}

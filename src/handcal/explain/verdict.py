@@ -163,20 +163,17 @@ def _searched(
     """The baseline, where the search from it ended, and the headings that are merely wrong."""
     cleaned, wrong = outliers.cleaned(base)
 
-    def climbed(f: float) -> None:
-        report(f)
-
-    found = search(cleaned, climbed)
+    found = search(cleaned, report)
     if wrong is not None and wrong.burst is not None:
         # what comes one after the other may be a heading that errs by a known effect
-        other = search(base, climbed)
+        other = search(base, report)
         if advantage(other, found) > TERM_PRIOR:
             found, wrong = other, None
     if wrong is None:
-        found, wrong = _without_outliers(base, found, climbed)
+        found, wrong = _without_outliers(base, found, report)
     slow = creeping(base, found.model, _gained(found)) if wrong is None else None
     if slow is not None:
-        base, found = slow, search(slow, climbed)
+        base, found = slow, search(slow, report)
     return base, found, wrong
 
 
