@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 import handcal
 from handcal.types import InputError
-from handcal_sim import prove, prove_draw, prove_score, prove_workers, seal, strangers
+from handcal_sim import prove, prove_draw, prove_score, prove_trial, prove_workers, seal, strangers
 from handcal_sim.effects import EFFECTS
 from handcal_sim.errors import SimulationError
 from handcal_sim.mcap_writer import write
@@ -59,7 +59,7 @@ def test_one_effect_each_in_turn_with_what_it_needs(monkeypatch):
             seen.add(name)
             assert list(answer.effects) == [name]
             assert list(answer.effects[name].values()) == values
-            assert prove_draw.NEEDS.get(name, frozenset()) <= given.streams
+            assert NEEDS.get(name, frozenset()) <= given.streams
             assert given.duration_s == 84.0
             assert (given.heading_hz > 0.0) != given.mag
             if name.endswith("temperature"):
@@ -93,7 +93,7 @@ def test_mixed_has_up_to_three_effects_of_any_kind_and_nothing_has_none(monkeypa
         assert set(effects) == set(answer.effects)
         assert not {"gravity", "accel_scale"} <= set(effects)
         for name in effects:
-            assert prove_draw.NEEDS.get(name, frozenset()) <= given.streams
+            assert NEEDS.get(name, frozenset()) <= given.streams
         if {"lever_arm", "size_effect"} <= set(effects):
             middle = np.reshape(effects["size_effect"], (3, 3)).mean(axis=0)
             np.testing.assert_allclose(middle, 0.0, atol=1e-15)
@@ -166,6 +166,7 @@ def test_a_plan_mixes_suites_and_its_names_tell_nothing():
         "faint": 0,
         "reference": 0,
         "large": 0,
+        "phone": 0,
     }
     assert [case[0] for case in cases] == [f"r{k:04d}" for k in range(1, 25)]
     assert cases == prove.plan("all", 24, 7) != prove.plan("all", 24, 8)
@@ -311,7 +312,7 @@ def answered(*effects, suite="mixed", stranger=None, group=""):
 
 
 def trial(answer, document, **expected):
-    return prove_score.Trial("r0001", answer, document, 2.0, expected)
+    return prove_trial.Trial("r0001", answer, document, 2.0, expected)
 
 
 A, B, C = "gyro_scale", "lever_arm", "gravity"
@@ -380,8 +381,8 @@ def test_what_promised_too_little_is_not_judged():
      (1, 29, 0.0061, 0.1718)],
 )  # fmt: skip
 def test_intervals_are_wilsons(successes, n, low, high):
-    assert prove_score.wilson(successes, n) == pytest.approx((low, high), abs=5e-5)
-    assert prove_score.wilson(0, 0) == (0.0, 1.0)
+    assert prove_trial.wilson(successes, n) == pytest.approx((low, high), abs=5e-5)
+    assert prove_trial.wilson(0, 0) == (0.0, 1.0)
 
 
 def test_each_suite_counts_as_right_what_it_asks_for():

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from handcal_sim.motion import Motion, euler_matrix, evaluate, into
+from handcal_sim.motion import Motion, euler_matrix, evaluate, into, out_of
 from handcal_sim.phone import Heading, HeadingErrors, Magnetometer, Pose, Reference
 from handcal_sim.profiles import Array
 from handcal_sim.sensors import Earth, truth_at
@@ -64,15 +64,20 @@ def read_mag(
     sensor: Magnetometer,
     errors: HeadingErrors | None,
     motion: Motion,
+    place_b: Array,
     t: Array,
     rng: np.random.Generator,
 ) -> Array:
-    """The field in body axes (n, 3), tesla. Errors of heading turn the field it feels about up."""
+    """The field at place_b (3,) in body axes (n, 3), tesla. Errors of heading turn the field it
+    feels about up."""
     delay = 0.0 if errors is None else errors.delay_s
-    C_nb = evaluate(motion, t - delay).C_nb
+    at = evaluate(motion, t - delay)
+    C_nb = at.C_nb
     level = sensor.strength * math.cos(sensor.dip)
     east, north = level * math.sin(sensor.declination), level * math.cos(sensor.declination)
     field_n = np.array([east, north, -sensor.strength * math.sin(sensor.dip)])
+    if np.any(sensor.gradient):
+        field_n = field_n + (at.position + out_of(C_nb, place_b)) @ sensor.gradient.T
     noise = sensor.sigma * rng.standard_normal((len(t), 3))
     if errors is not None:
         zero = np.zeros(len(t))

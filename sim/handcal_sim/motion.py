@@ -142,9 +142,9 @@ def random_start(rng: np.random.Generator) -> Start:
     return Start(float(heading), float(pitch), float(roll), int(rng.choice([-1, 1])))
 
 
-_STILL = profiles.constant([0.0, 0.0, 0.0])
-_ONE = profiles.constant([1.0])
-_NONE = profiles.constant([0.0])
+STILL = profiles.constant([0.0, 0.0, 0.0])
+ONE = profiles.constant([1.0])
+NONE = profiles.constant([0.0])
 
 
 def z_turn(duration: float, start: Start, _rng: np.random.Generator) -> Motion:
@@ -176,15 +176,15 @@ def _turns(
     activity = profiles.add(*(profiles.turn_rate(a, b, angle) for _, a, b in when))
     windows = [(a, b) for _, a, b in when]
     return Motion(
-        name, duration, _C_start(start), (profiles.add(*angles),), _STILL, _ONE, activity,
-        _between(windows, duration),
+        name, duration, start_matrix(start), (profiles.add(*angles),), STILL, ONE, activity,
+        between(windows, duration),
     )  # fmt: skip
 
 
 def static(duration: float, start: Start, _rng: np.random.Generator) -> Motion:
     """On a table."""
     return Motion(
-        "static", duration, _C_start(start), (), _STILL, _NONE, _NONE, ((0.0, duration),)
+        "static", duration, start_matrix(start), (), STILL, NONE, NONE, ((0.0, duration),)
     )  # fmt: skip
 
 
@@ -214,30 +214,30 @@ def _free(
     ramp = min(2.0, 0.2 * (windows[0][1] - windows[0][0]))
     moving = profiles.gate(windows, ramp)
     # A flat spectrum of rates: slow turns go far. Euler rates add up to 1.5 rad/s rms.
-    omega, sin, cos = _random_sinusoids(rng, 12, 0.06, 0.5, 3)
+    omega, sin, cos = random_sinusoids(rng, 12, 0.06, 0.5, 3)
     sin, cos = sin / omega[:, None], cos / omega[:, None]
     power = 0.5 * np.sum((omega[:, None] ** 2) * (sin**2 + cos**2))
     size = 1.5 / math.sqrt(power)
     angles = profiles.multiply(moving, profiles.sinusoids(omega, size * sin, size * cos))
-    path, held = _STILL, _ONE
+    path, held = STILL, ONE
     if reach > 0.0:
-        path = profiles.multiply(moving, _roaming(rng, duration, reach))
+        path = profiles.multiply(moving, roaming(rng, duration, reach))
         held = moving
     activity = profiles.along([1.5], moving)
-    rests = _between(windows, duration)
-    return Motion(name, duration, _C_start(start), (angles,), path, held, activity, rests)
+    rests = between(windows, duration)
+    return Motion(name, duration, start_matrix(start), (angles,), path, held, activity, rests)
 
 
-def _roaming(rng: np.random.Generator, duration: float, reach: float) -> Profile:
+def roaming(rng: np.random.Generator, duration: float, reach: float) -> Profile:
     """A path whose largest distance from its start is `reach` m."""
-    omega, sin, cos = _random_sinusoids(rng, 8, 0.08, 0.45, 3)
+    omega, sin, cos = random_sinusoids(rng, 8, 0.08, 0.45, 3)
     sin, cos = sin / omega[:, None], cos / omega[:, None]
     value = profiles.sinusoids(omega, sin, cos)(np.arange(0.0, duration, 0.1))[0]
     size = reach / np.max(np.linalg.norm(value, axis=1))
     return profiles.sinusoids(omega, size * sin, size * cos)
 
 
-def _random_sinusoids(
+def random_sinusoids(
     rng: np.random.Generator, count: int, low_hz: float, high_hz: float, width: int
 ) -> tuple[Array, Array, Array]:
     """Frequencies spread over the band (rad/s), standard normal amplitudes."""
@@ -246,14 +246,12 @@ def _random_sinusoids(
     return omega, rng.standard_normal((count, width)), rng.standard_normal((count, width))
 
 
-def _between(
-    windows: list[tuple[float, float]], duration: float
-) -> tuple[tuple[float, float], ...]:
+def between(windows: list[tuple[float, float]], duration: float) -> tuple[tuple[float, float], ...]:
     edges = [0.0, *(edge for window in windows for edge in window), duration]
     return tuple(zip(edges[::2], edges[1::2], strict=True))
 
 
-def _C_start(start: Start) -> Array:
+def start_matrix(start: Start) -> Array:
     return euler_matrix(*(np.asarray(x) for x in (start.roll, start.pitch, start.heading)))
 
 

@@ -122,7 +122,8 @@ class Magnetometer:
     """Tesla. The field: its strength, dip and declination (east of north), rad.
 
     soft_iron (3, 3): symmetric, what is above the diagonal counts; the field in body axes times it
-    is read in addition.
+    is read in addition. gradient (3, 3): tesla/m in navigation axes, by how much the field differs
+    a metre away from where the held point began; symmetric and without trace, as fields are.
     """
 
     strength: float = 48e-6
@@ -130,6 +131,7 @@ class Magnetometer:
     declination: float = 0.0
     hard_iron: Array = field(default_factory=_three)
     soft_iron: Array = field(default_factory=_matrix)
+    gradient: Array = field(default_factory=_matrix)
     sigma: float = 0.0
     clocking: Clocking = Clocking()
 

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from handcal_sim.prove_score import Trial
+    from handcal_sim.prove_trial import Trial
     from handcal_sim.scenario import World
 
 ALL = "all"
@@ -44,8 +44,8 @@ def prove(
     suite: Annotated[
         str,
         typer.Option(
-            help="nothing, one, mixed, unknown, turn, faint, reference, large, or all (of the "
-            "first five)."
+            help="nothing, one, mixed, unknown, turn, faint, reference, large, phone, or all (of "
+            "the first five)."
         ),
     ] = ALL,
     out: Annotated[
@@ -114,7 +114,7 @@ def run(
     """Draw, write and explain. After an interrupt: what had been explained by then."""
     from handcal_sim.mcap_writer import write
     from handcal_sim.prove_draw import draw
-    from handcal_sim.prove_score import Trial
+    from handcal_sim.prove_trial import Trial
     from handcal_sim.prove_workers import Stopped, Workers
 
     recordings, explanations = folder / "recordings", folder / "explanations"
@@ -191,7 +191,8 @@ def promised(world: World, effect: str, values: Sequence[float]) -> float:
 
 def with_limits(trial: Trial, folder: Path) -> Trial:
     """The trial with what was to be expected of those effects that were not named, if known."""
-    from handcal_sim.prove_score import matched, named, outcome
+    from handcal_sim.prove_score import outcome
+    from handcal_sim.prove_trial import matched, named
 
     if outcome(trial) != "missed" or trial.answer.stranger:
         return trial

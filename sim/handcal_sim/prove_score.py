@@ -14,69 +14,24 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from handcal_sim import prove_score_phone
 from handcal_sim.prove_suites import SUITES, Answer
 from handcal_sim.prove_terms import formula_fits
+from handcal_sim.prove_trial import Trial, covered, matched, named, off, share
 
 OUTCOMES = ("exact", "right_set", "too_faint", "missed", "false", "wrong", "unexplained", "failed")
 LIMIT = 5.0
 _EDGES = (0.0, 0.5, 0.8, 0.95, 0.99, 0.999)
 _NAMING = ("explained", "cannot_tell")
-Document = Mapping[str, Any]
-Named = list[list[str]]
-
-
-@dataclass(frozen=True)
-class Trial:
-    """One recording: its answer, the explanation (or {"error": ...}), and how long that took.
-
-    expected: nats that an injected effect promises there, as far as they were asked for.
-    """
-
-    name: str
-    answer: Answer
-    document: Document
-    seconds: float
-    expected: Mapping[str, float] = field(default_factory=dict)
-
-
-def wilson(successes: int, n: int, z: float = 1.96) -> tuple[float, float]:
-    """95 % interval of a share (E. B. Wilson 1927); all there is without a single trial."""
-    if n == 0:
-        return 0.0, 1.0
-    share, spread = successes / n, z * z / n
-    middle = share + 0.5 * spread
-    half = z * math.sqrt((share * (1.0 - share) + 0.25 * spread) / n)
-    return max(0.0, (middle - half) / (1.0 + spread)), min(1.0, (middle + half) / (1.0 + spread))
-
-
-def share(successes: int, n: int) -> dict[str, Any]:
-    """A count as a share with its interval."""
-    low, high = wilson(successes, n)
-    return {"n": n, "count": successes, "share": successes / n if n else None,
-            "interval": [low, high]}  # fmt: skip
-
-
-def named(document: Document) -> Named:
-    """What was named: for each missing effect its name and then the others of its set."""
-    return [[m["effect"], *m.get("indistinguishable_from", [])] for m in document["missing"]]
-
-
-def matched(truth: Iterable[str], sets: Named) -> dict[str, int]:
-    """Which set stands for which truth: as many as possible, leading names before others."""
-    true = sorted(truth)
-    best: tuple[tuple[int, int], dict[str, int]] = ((0, 0), {})
-    places = [*range(len(sets)), *[-1] * len(true)]
-    for choice in set(itertools.permutations(places, len(true))):
-        pairs = {t: k for t, k in zip(true, choice, strict=True) if k >= 0 and t in sets[k]}
-        score = len(pairs), sum(sets[k][0] == t for t, k in pairs.items())
-        best = max(best, (score, pairs), key=lambda found: found[0])
-    return best[1]
+# What a suite asks for beyond names.
+_FURTHER: Mapping[str, Callable[[Sequence[Trial]], dict[str, Any]]] = {
+    "phone": prove_score_phone.score,
+}
 
 
 def outcome(trial: Trial) -> str:
@@ -114,9 +69,16 @@ def score(trials: Sequence[Trial], seed: int) -> dict[str, Any]:
         "coverage": {"effects": coverage(trials), "baseline": baseline_coverage(trials)},
         "probabilities": probabilities(trials),
         "held_out": held_out(trials),
+        "further": further(trials),
         "seconds": seconds(trials),
         "recordings": [_line(trial) for trial in trials],
     }
+
+
+def further(trials: Sequence[Trial]) -> dict[str, dict[str, Any]]:
+    """By suite: what it asks for beyond names."""
+    members = {name: [t for t in trials if t.answer.suite == name] for name in _FURTHER}
+    return {name: _FURTHER[name](those) for name, those in members.items() if those}
 
 
 def _line(trial: Trial) -> dict[str, Any]:
@@ -211,43 +173,28 @@ def unknown(trials: Sequence[Trial]) -> dict[str, dict[str, int]]:
 
 def coverage(trials: Sequence[Trial]) -> dict[str, dict[str, Any]]:
     """By rightly named effect and over all: share of parameters within 1 and 3 of their sigmas."""
-    off: dict[str, list[float]] = {"all": []}
+    sigmas: dict[str, list[float]] = {"all": []}
     for trial in trials:
         if trial.answer.stranger or trial.document.get("verdict") not in _NAMING:
             continue
         for missing in trial.document["missing"]:
             truth = trial.answer.truth(missing["effect"])
             if truth is not None:
-                found = _off(missing["parameters"], truth)
-                off["all"] += found
-                off.setdefault(missing["effect"], []).extend(found)
-    return {name: _covered(values) for name, values in off.items()}
+                found = off(missing["parameters"], truth)
+                sigmas["all"] += found
+                sigmas.setdefault(missing["effect"], []).extend(found)
+    return {name: covered(values) for name, values in sigmas.items()}
 
 
 def baseline_coverage(trials: Sequence[Trial]) -> dict[str, Any]:
     """The same for the biases where verdict and names are exact."""
-    off = []
+    sigmas: list[float] = []
     for trial in trials:
         if outcome(trial) == "exact" and not trial.answer.stranger:
             for name, truth in trial.answer.baseline.items():
                 of = [p for p in trial.document.get("parameters", []) if p["effect"] == name]
-                off += _off(of, truth)
-    return _covered(off)
-
-
-def _off(parameters: Iterable[Mapping[str, Any]], truth: Mapping[str, float]) -> list[float]:
-    return [
-        (p["value"] - truth[p["name"]]) / p["sigma"]
-        for p in parameters
-        if p["name"] in truth and (p["sigma"] or 0.0) > 0.0
-    ]
-
-
-def _covered(off: Sequence[float]) -> dict[str, Any]:
-    size = np.abs(np.asarray(off, dtype=float))
-    rms = float(np.sqrt(np.mean(size**2))) if len(size) else None
-    return {"within_1_sigma": share(int(np.sum(size < 1.0)), len(size)),
-            "within_3_sigma": share(int(np.sum(size < 3.0)), len(size)), "rms": rms}  # fmt: skip
+                sigmas += off(of, truth)
+    return covered(sigmas)
 
 
 def probabilities(trials: Sequence[Trial]) -> list[dict[str, Any]]:

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from handcal_sim.prove_score import OUTCOMES
+from handcal_sim.prove_show_further import FURTHER, percent
 
 Row = Mapping[str, Any]
 
@@ -21,16 +22,11 @@ def show(proof: Row, console: Console) -> None:
         console.print(_effects(proof["effects"]))
     if proof["unknown"]:
         console.print(_unknown(proof["unknown"]))
+    for suite, figures in proof["further"].items():
+        for line in FURTHER[suite](figures):
+            console.print(line, soft_wrap=True)
     for line in _lines(proof):
         console.print(line, soft_wrap=True)
-
-
-def percent(share: Row) -> str:
-    """A share and its interval: 98.0 % (94.3 to 99.6 %)."""
-    if not share["n"]:
-        return "-"
-    low, high = (100.0 * x for x in share["interval"])
-    return f"{100.0 * share['share']:.1f} % ({low:.1f} to {high:.1f})"
 
 
 def _table(title: str, *columns: str) -> Table:

@@ -14,7 +14,7 @@ from handcal_sim import aiding, hand, lab, sensors
 from handcal_sim import effects as catalogue
 from handcal_sim.errors import SimulationError
 from handcal_sim.hand import Hand
-from handcal_sim.motion import SCENARIOS, Motion, Start, build, random_start
+from handcal_sim.motion import SCENARIOS, Motion, Scenario, Start, build, random_start
 from handcal_sim.phone import Clocking, Phone, consumer_phone
 from handcal_sim.profiles import Array
 from handcal_sim.sensors import ASSUMED, Earth, ImuReadings, Truth
@@ -54,7 +54,7 @@ class World:
 
 
 def simulate(
-    scenario: str = "z-turn",
+    scenario: str | Scenario = "z-turn",
     *,
     seed: int | np.random.Generator = 0,
     phone: Phone | Callable[[np.random.Generator], Phone] = consumer_phone,
@@ -68,6 +68,7 @@ def simulate(
 ) -> World:
     """What a device records in a hand, or on laboratory equipment.
 
+    scenario: a name, or what makes the motion from its length, its start and a generator.
     phone and start: given, or drawn by a function of a generator. effects: by id, values in
     the order of its parameters; they replace the phone's. sway: 0 holds perfectly still,
     1 is usual. creep: by how much the arm drifts slowly, m. equipment: errors and rate of a
@@ -97,13 +98,17 @@ def simulate(
 
 
 def _motion(
-    name: str,
+    name: str | Scenario,
     duration_s: float | None,
     start: Start,
     equipment: lab.Equipment | None,
     rng: np.random.Generator,
 ) -> Motion:
     """The scenario of that name; SimulationError says which there are."""
+    if callable(name):
+        if duration_s is None:
+            raise SimulationError("a motion without a name needs a duration")
+        return name(duration_s, start, rng)
     if name in lab.SETUPS:
         return lab.build(name, duration_s, start, equipment or lab.Equipment(), rng)
     if equipment is not None:
@@ -155,7 +160,7 @@ def _streams(
         stamps, t = on_device(phone.mag.clocking)
         # Without a heading sensor, errors of heading are those of the magnetometer.
         of_mag = phone.heading_errors if phone.heading is None else None
-        read = aiding.read_mag(phone.mag, of_mag, motion, t, rngs["mag"])
+        read = aiding.read_mag(phone.mag, of_mag, motion, phone.lever_arm, t, rngs["mag"])
         streams["mag"] = Stream(stamps, read)
     if phone.thermometer.reported or _warms(phone):
         stamps, t = on_device(phone.thermometer.clocking)

@@ -1,0 +1,48 @@
+"""What single suites ask for beyond names, as lines for the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+Row = Mapping[str, Any]
+
+
+def percent(share: Row) -> str:
+    """A share and its interval: 98.0 % (94.3 to 99.6 %)."""
+    if not share["n"]:
+        return "-"
+    low, high = (100.0 * x for x in share["interval"])
+    return f"{100.0 * share['share']:.1f} % ({low:.1f} to {high:.1f})"
+
+
+def _judged(met: bool | None) -> str:
+    return {None: "", True: " [green]met[/]", False: " [red]not met[/]"}[met]
+
+
+def _coverage(rows: Mapping[str, Row], asked: Row | None = None) -> str:
+    """All reported parameters, and those effects of which more than one in a hundred is off."""
+    three = {name: row["within_3_sigma"] for name, row in rows.items()}
+    every = three.pop("all")
+    off = ", ".join(
+        f"{name} {row['n'] - row['count']} of {row['n']}"
+        for name, row in three.items()
+        if (row["share"] or 0.0) < 0.99
+    )
+    target = f"; {100.0 * asked['target']:g} % asked{_judged(asked['met'])}" if asked else ""
+    return (
+        f"Of {every['n']} reported parameters {percent(every)} lie within three sigma of the truth"
+        f"{target}." + (f" Beyond: {off}." if off else "")
+    )
+
+
+def _phone(figures: Row) -> list[str]:
+    claims = figures["impossible"]
+    return [
+        "phone: " + _coverage(figures["parameters"], figures["asked"]),
+        f"phone: {claims['count']} of {claims['n']} recordings claim a value beyond 5 % or 5 deg; "
+        f"none asked{_judged(claims['count'] == 0)}.",
+    ]
+
+
+FURTHER: Mapping[str, Callable[[Row], list[str]]] = {"phone": _phone}
