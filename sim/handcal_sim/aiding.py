@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
+from handcal_sim.companions import Heading, Magnetometer, Pose, Reference
 from handcal_sim.motion import Motion, euler_matrix, evaluate, into, out_of
-from handcal_sim.phone import Heading, HeadingErrors, Magnetometer, Pose, Reference
+from handcal_sim.phone import HeadingErrors
 from handcal_sim.profiles import Array
 from handcal_sim.sensors import Earth, truth_at
 
@@ -95,10 +96,19 @@ def read_pose(sensor: Pose, motion: Motion, t: Array, rng: np.random.Generator) 
     C_wm = sensor.C_wn @ k.C_nb @ sensor.C_bm @ shake
     position *= 1.0 + sensor.scale
     if sensor.position_walk or sensor.attitude_walk:
-        way, turn = _walked(t, rng), euler_matrix(*(sensor.attitude_walk * _walked(t, rng)).T)
-        position = np.einsum("nij,nj->ni", turn, position) + sensor.position_walk * way
+        clock = _by_way(k.position, t) if sensor.by_way else t
+        off, turn = _walked(clock, rng), euler_matrix(*(sensor.attitude_walk * _walked(t, rng)).T)
+        position = np.einsum("nij,nj->ni", turn, position) + sensor.position_walk * off
         C_wm = turn @ C_wm
+    position = position + np.where(t[:, None] >= sensor.lost_at_s, sensor.jump, 0.0)
     return np.hstack([position, quaternion(C_wm)])
+
+
+def _by_way(position: Array, t: Array) -> Array:
+    """A clock (n,) that goes with the way made along position (n, 3), and ends with t, s."""
+    way = np.cumsum(np.linalg.norm(np.diff(position, axis=0, prepend=position[:1]), axis=1))
+    clock: Array = t[0] + (t[-1] - t[0]) * way / max(way[-1], 1e-9)
+    return clock
 
 
 def _walked(t: Array, rng: np.random.Generator) -> Array:

@@ -11,6 +11,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from handcal_sim.companions import (
+    Clocking,
+    Heading,
+    Magnetometer,
+    Pose,
+    Reference,
+    Thermometer,
+)
 from handcal_sim.errors import SimulationError
 from handcal_sim.profiles import Array
 
@@ -101,85 +109,6 @@ class HeadingErrors:
     outliers: float = 0.0
 
 
-@dataclass(frozen=True)
-class Clocking:
-    """When a slow sensor samples: k / rate + phase; rate 0 means together with the IMU."""
-
-    rate_hz: float = 0.0
-    phase_s: float = 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class Heading:
-    """sigma: white noise, rad."""
-
-    sigma: float = 0.0
-    clocking: Clocking = Clocking()
-
-
-@dataclass(frozen=True, eq=False)
-class Magnetometer:
-    """Tesla. The field: its strength, dip and declination (east of north), rad.
-
-    soft_iron (3, 3): symmetric, what is above the diagonal counts; the field in body axes times it
-    is read in addition. gradient (3, 3): tesla/m in navigation axes, by how much the field differs
-    a metre away from where the held point began; symmetric and without trace, as fields are.
-    """
-
-    strength: float = 48e-6
-    dip: float = 65.0 * DEG
-    declination: float = 0.0
-    hard_iron: Array = field(default_factory=_three)
-    soft_iron: Array = field(default_factory=_matrix)
-    gradient: Array = field(default_factory=_matrix)
-    sigma: float = 0.0
-    clocking: Clocking = Clocking()
-
-
-@dataclass(frozen=True)
-class Thermometer:
-    """degC: from `start` by `rise` with time constant tau_s, or through knots (s, degC), straight
-    in between; sigma of one reading."""
-
-    start: float = 25.0
-    rise: float = 8.0
-    tau_s: float = 25.0
-    sigma: float = 0.0
-    reported: bool = False
-    knots: tuple[tuple[float, float], ...] = ()
-    clocking: Clocking = Clocking(5.0)
-
-
-@dataclass(frozen=True, eq=False)
-class Pose:
-    """Measured poses of a marker that sits at the reference point, on the true clock.
-
-    C_wn (3, 3): navigation axes to the pose's world; C_bm: marker axes to the IMU's axes.
-    scale: ways are longer by that share; position_walk (m/sqrt(s)), attitude_walk (rad/sqrt(s)):
-    densities of the random walks by which the world wanders, from where it was at the start.
-    """
-
-    sigma_m: float = 0.0
-    sigma_rad: float = 0.0
-    delay_s: float = 0.0
-    scale: float = 0.0
-    position_walk: float = 0.0
-    attitude_walk: float = 0.0
-    C_wn: Array = field(default_factory=lambda: np.eye(3))
-    C_bm: Array = field(default_factory=lambda: np.eye(3))
-    clocking: Clocking = Clocking(100.0)
-
-
-@dataclass(frozen=True, eq=False)
-class Reference:
-    """A trusted IMU at the reference point, on the true clock. C_br: its axes to the IMU's."""
-
-    gyro_noise: float = 0.0
-    accel_noise: float = 0.0
-    C_br: Array = field(default_factory=lambda: np.eye(3))
-    clocking: Clocking = Clocking(100.0)
-
-
 @dataclass(frozen=True, eq=False)
 class Phone:
     """A device and what else measures it; None: there is no such sensor.
@@ -201,7 +130,7 @@ class Phone:
     heading: Heading | None = field(default_factory=Heading)
     heading_errors: HeadingErrors = field(default_factory=HeadingErrors)
     mag: Magnetometer | None = None
-    thermometer: Thermometer = Thermometer()
+    thermometer: Thermometer = field(default_factory=Thermometer)
     pose: Pose | None = None
     reference: Reference | None = None
 

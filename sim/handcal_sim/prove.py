@@ -44,8 +44,8 @@ def prove(
     suite: Annotated[
         str,
         typer.Option(
-            help="nothing, one, mixed, unknown, turn, faint, reference, large, phone, or all (of "
-            "the first five)."
+            help="nothing, one, mixed, unknown, turn, faint, reference, large, phone, odometry, "
+            "or all (of the first five)."
         ),
     ] = ALL,
     out: Annotated[

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from handcal_sim import prove_draw_phone, strangers
+from handcal_sim import prove_draw_odometry, prove_draw_phone, strangers
 from handcal_sim.effects import EFFECTS
 from handcal_sim.profiles import Array
 from handcal_sim.prove_given import (
@@ -189,4 +189,5 @@ _DRAWINGS: Mapping[str, Drawing] = {
     "reference": _several(2),
     "large": _large,
     "phone": prove_draw_phone.drawn,
+    "odometry": prove_draw_odometry.drawn,
 }

@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from handcal_sim import motion_phone
+from handcal_sim.companions import Clocking
 from handcal_sim.effects import EFFECTS
 from handcal_sim.motion import Scenario
-from handcal_sim.phone import DEG, Clocking, Phone
+from handcal_sim.phone import DEG, Phone
 from handcal_sim.profiles import Array
 from handcal_sim.prove_given import Circumstances, Ticket, answer, log_uniform, simulated
 from handcal_sim.prove_suites import Answer

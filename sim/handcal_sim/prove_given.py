@@ -10,13 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from handcal_sim.companions import Clocking, Heading
 from handcal_sim.effects import EFFECTS
 from handcal_sim.motion import Scenario
 from handcal_sim.phone import (
     DEG,
     MG,
-    Clocking,
-    Heading,
     Phone,
     capture_pose,
     consumer_magnetometer,

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from handcal_sim import prove_score_phone
+from handcal_sim import prove_score_odometry, prove_score_phone
 from handcal_sim.prove_suites import SUITES, Answer
 from handcal_sim.prove_terms import formula_fits
 from handcal_sim.prove_trial import Trial, covered, matched, named, off, share
@@ -31,6 +31,7 @@ _NAMING = ("explained", "cannot_tell")
 # What a suite asks for beyond names.
 _FURTHER: Mapping[str, Callable[[Sequence[Trial]], dict[str, Any]]] = {
     "phone": prove_score_phone.score,
+    "odometry": prove_score_odometry.score,
 }
 
 

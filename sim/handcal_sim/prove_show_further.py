@@ -45,4 +45,16 @@ def _phone(figures: Row) -> list[str]:
     ]
 
 
-FURTHER: Mapping[str, Callable[[Row], list[str]]] = {"phone": _phone}
+def _odometry(figures: Row) -> list[str]:
+    wrong, right = figures["perfect_said_to_drift"], figures["drift_found"]
+    return [
+        f"odometry: {wrong['count']} of {wrong['n']} perfect trackers are said to drift; "
+        f"none asked{_judged(wrong['count'] == 0)}. Of those that drift, {percent(right)} are.",
+        "odometry: " + _coverage(figures["parameters"]),
+    ]
+
+
+FURTHER: Mapping[str, Callable[[Row], list[str]]] = {
+    "phone": _phone,
+    "odometry": _odometry,
+}

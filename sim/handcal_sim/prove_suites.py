@@ -105,6 +105,7 @@ SUITES: dict[str, Suite] = {
         "1 to 3 of: 3 to 20 %, 1 to 5 deg, 50 to 300 ms", 100, ("exact", "right_set"), 0.95
     ),
     "phone": Suite("phones with a raw magnetometer", 100, ("exact", "right_set"), None),
+    "odometry": Suite("a camera's poses, half of them perfect", 100, ("exact", "right_set"), 0.90),
 }
 
 

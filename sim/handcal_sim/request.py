@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from handcal_sim.companions import Clocking, Reference
 from handcal_sim.effects import parse_effect
 from handcal_sim.errors import SimulationError
 from handcal_sim.lab import ARCMIN, ARCSEC, SETUPS, Equipment
@@ -15,9 +16,7 @@ from handcal_sim.phone import (
     DEG,
     DEG_PER_HOUR,
     MG,
-    Clocking,
     Phone,
-    Reference,
     capture_pose,
     consumer_magnetometer,
     make_phone,

@@ -12,10 +12,11 @@ import numpy as np
 
 from handcal_sim import aiding, hand, lab, sensors
 from handcal_sim import effects as catalogue
+from handcal_sim.companions import Clocking
 from handcal_sim.errors import SimulationError
 from handcal_sim.hand import Hand
 from handcal_sim.motion import SCENARIOS, Motion, Scenario, Start, build, random_start
-from handcal_sim.phone import Clocking, Phone, consumer_phone
+from handcal_sim.phone import Phone, consumer_phone
 from handcal_sim.profiles import Array
 from handcal_sim.sensors import ASSUMED, Earth, ImuReadings, Truth
 
@@ -170,6 +171,9 @@ def _streams(
     if phone.pose is not None:
         stamps = _regular(phone.pose.clocking, motion.duration_s)
         read = aiding.read_pose(phone.pose, motion, stamps, rngs["pose"])
+        since = stamps - phone.pose.lost_at_s
+        tracked = (since < 0.0) | (since >= phone.pose.lost_for_s)
+        stamps, read = stamps[tracked], read[tracked]
         streams["pose"] = Stream(stamps, read)
     if phone.reference is not None:
         stamps = _regular(phone.reference.clocking, motion.duration_s)

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from handcal_sim.companions import Thermometer
 from handcal_sim.motion import Motion, evaluate, into, out_of
-from handcal_sim.phone import STANDARD_GRAVITY, Accel, Gyro, Phone, Thermometer
+from handcal_sim.phone import STANDARD_GRAVITY, Accel, Gyro, Phone
 from handcal_sim.profiles import Array
 
 EARTH_RATE = 7.292115e-5

@@ -18,7 +18,8 @@ import numpy as np
 
 from handcal_sim import sensors
 from handcal_sim.aiding import wrapped
-from handcal_sim.phone import STANDARD_GRAVITY, Thermometer
+from handcal_sim.companions import Thermometer
+from handcal_sim.phone import STANDARD_GRAVITY
 from handcal_sim.profiles import Array
 from handcal_sim.scenario import Stream, World
 

@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from handcal_sim.companions import Clocking, Heading
 from handcal_sim.motion import Start
-from handcal_sim.phone import DEG, DEG_PER_HOUR, MG, Clocking, Heading, paper_phone, with_rate
+from handcal_sim.phone import DEG, DEG_PER_HOUR, MG, paper_phone, with_rate
 from handcal_sim.profiles import Array
 from handcal_sim.scenario import World as Simulated
 from handcal_sim.scenario import simulate
