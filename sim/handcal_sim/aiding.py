@@ -58,6 +58,8 @@ def read_heading(
     true = yaw(evaluate(motion, t - errors.delay_s).C_nb)
     iron = errors.hard_iron[0] * np.sin(true) + errors.hard_iron[1] * np.cos(true)
     white = sensor.sigma * rng.standard_normal(len(t))
+    if sensor.passing is not None:
+        iron = iron + sensor.passing(t - errors.delay_s)[:, 0]
     return wrapped(true + heading_error(errors, true, t, rng) + iron + white)[:, None]
 
 
@@ -79,6 +81,8 @@ def read_mag(
     field_n = np.array([east, north, -sensor.strength * math.sin(sensor.dip)])
     if np.any(sensor.gradient):
         field_n = field_n + (at.position + out_of(C_nb, place_b)) @ sensor.gradient.T
+    if sensor.passing is not None:
+        field_n = field_n + sensor.passing(t - delay)
     noise = sensor.sigma * rng.standard_normal((len(t), 3))
     if errors is not None:
         zero = np.zeros(len(t))

@@ -30,11 +30,27 @@ class Clocking:
 
 
 @dataclass(frozen=True, eq=False)
+class Passing:
+    """Iron that comes by: what a sensor reads in addition, at its peak (d,) at at_s, and how that
+    comes and goes (standard deviation of a Gaussian shape), s."""
+
+    at_s: float
+    width_s: float
+    peak: Array
+
+    def __call__(self, t: Array) -> Array:
+        """In addition at the instants t (n,): (n, d)."""
+        addition: Array = np.exp(-0.5 * ((t[:, None] - self.at_s) / self.width_s) ** 2) * self.peak
+        return addition
+
+
+@dataclass(frozen=True, eq=False)
 class Heading:
-    """sigma: white noise, rad."""
+    """sigma: white noise, rad; passing: iron, by which angle (1,) it misleads, rad."""
 
     sigma: float = 0.0
     clocking: Clocking = Clocking()
+    passing: Passing | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +60,7 @@ class Magnetometer:
     soft_iron (3, 3): symmetric, what is above the diagonal counts; the field in body axes times it
     is read in addition. gradient (3, 3): tesla/m in navigation axes, by how much the field differs
     a metre away from where the held point began; symmetric and without trace, as fields are.
+    passing: iron, what it adds to the field (3,) in navigation axes.
     """
 
     strength: float = 48e-6
@@ -54,6 +71,7 @@ class Magnetometer:
     gradient: Array = field(default_factory=_matrix)
     sigma: float = 0.0
     clocking: Clocking = Clocking()
+    passing: Passing | None = None
 
 
 @dataclass(frozen=True)

@@ -48,6 +48,12 @@ def random_hand(rng: np.random.Generator, scale: float = 1.0) -> Hand:
     return Hand(*(float(scale * x) for x in draw))
 
 
+def trembling(hand: Hand, factor: float) -> Hand:
+    """The same hand with so many times its tremor."""
+    shake = {"tremor_m": factor * hand.tremor_m, "tremor_rad_s": factor * hand.tremor_rad_s}
+    return replace(hand, **shake)
+
+
 def in_hand(motion: Motion, hand: Hand, rng: np.random.Generator) -> Motion:
     """The motion as this hand carries it out."""
     size = np.array([hand.sway_m] * 3 + [hand.wobble_rad] * 3)

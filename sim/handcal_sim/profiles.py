@@ -7,6 +7,7 @@ and defined before 0 and after the end, so that delays and filters need no edge 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -108,7 +109,7 @@ def multiply(scalar: Profile, profile: Profile) -> Profile:
     return product
 
 
-def along(axis: Sequence[float], profile: Profile) -> Profile:
+def along(axis: Sequence[float] | Array, profile: Profile) -> Profile:
     """A profile with d = 1 along a constant direction."""
     direction = np.asarray(axis, dtype=float)[None, :]
 
@@ -117,6 +118,19 @@ def along(axis: Sequence[float], profile: Profile) -> Profile:
         return value * direction, rate * direction, second * direction
 
     return directed
+
+
+def circle(angle: Profile, radius: float, phase: float) -> Profile:
+    """A level way (d = 3) on a circle, to where an angle (d = 1, rad) leads; zero at angle zero."""
+
+    def profile(t: Array) -> Jet:
+        a, da, dda = angle(t)
+        out = radius * np.hstack([np.cos(a + phase), np.sin(a + phase), np.zeros_like(a)])
+        on = radius * np.hstack([-np.sin(a + phase), np.cos(a + phase), np.zeros_like(a)])
+        first = radius * np.array([math.cos(phase), math.sin(phase), 0.0])
+        return out - first, da * on, dda * on - da**2 * out
+
+    return profile
 
 
 def _sum(jets: Sequence[Jet]) -> Jet:

@@ -45,7 +45,7 @@ def prove(
         str,
         typer.Option(
             help="nothing, one, mixed, unknown, turn, faint, reference, large, phone, odometry, "
-            "or all (of the first five)."
+            "people, or all (of the first five)."
         ),
     ] = ALL,
     out: Annotated[

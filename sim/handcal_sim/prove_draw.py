@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from handcal_sim import prove_draw_odometry, prove_draw_phone, strangers
+from handcal_sim import prove_draw_odometry, prove_draw_people, prove_draw_phone, strangers
 from handcal_sim.effects import EFFECTS
 from handcal_sim.profiles import Array
 from handcal_sim.prove_given import (
@@ -190,4 +190,5 @@ _DRAWINGS: Mapping[str, Drawing] = {
     "large": _large,
     "phone": prove_draw_phone.drawn,
     "odometry": prove_draw_odometry.drawn,
+    "people": prove_draw_people.drawn,
 }

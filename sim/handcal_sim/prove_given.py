@@ -161,14 +161,17 @@ def simulated(
     effects: Mapping[str, Sequence[float]],
     motion: Scenario | None = None,
     refit: Callable[[Phone], Phone] = _as_it_is,
+    tremor: float = 1.0,
 ) -> World:
     """The world of these circumstances with these effects.
 
-    motion: what makes it, where it goes by no name; refit: changes the device before its errors.
+    motion: what makes it, where it goes by no name; refit: changes the device before its errors;
+    tremor: of the hand, times as much as usual.
     """
     return simulate(
         motion or given.scenario, seed=given.seed, phone=lambda rng: refit(device(given, rng)),
         effects=effects, duration_s=given.duration_s, sway=given.sway,
+        tremor=tremor,
     )  # fmt: skip
 
 

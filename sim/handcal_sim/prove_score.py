@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from handcal_sim import prove_score_odometry, prove_score_phone
+from handcal_sim import prove_score_odometry, prove_score_people, prove_score_phone
 from handcal_sim.prove_suites import SUITES, Answer
 from handcal_sim.prove_terms import formula_fits
 from handcal_sim.prove_trial import Trial, covered, matched, named, off, share
@@ -32,7 +32,10 @@ _NAMING = ("explained", "cannot_tell")
 _FURTHER: Mapping[str, Callable[[Sequence[Trial]], dict[str, Any]]] = {
     "phone": prove_score_phone.score,
     "odometry": prove_score_odometry.score,
+    "people": prove_score_people.score,
 }
+# Suites whose outcomes go by other rules.
+_JUDGED: Mapping[str, Callable[[Trial], str]] = {"people": prove_score_people.outcome}
 
 
 def outcome(trial: Trial) -> str:
@@ -40,6 +43,8 @@ def outcome(trial: Trial) -> str:
     document, answer = trial.document, trial.answer
     if "error" in document:
         return "failed"
+    if answer.suite in _JUDGED:
+        return _JUDGED[answer.suite](trial)
     verdict = document["verdict"]
     if answer.stranger:
         return {"unexplained": "exact", "nothing_missing": "missed"}.get(verdict, "wrong")

@@ -54,7 +54,18 @@ def _odometry(figures: Row) -> list[str]:
     ]
 
 
+def _people(figures: Row) -> list[str]:
+    wrong = {k: row for k, row in figures["doings"].items() if row["false"]}
+    said = "; ".join(
+        f"{doing} {row['false']} of {row['n']} ({', '.join(row['named'])})"
+        for doing, row in wrong.items()
+    )
+    verdicts = ", ".join(f"{verdict} {n}" for verdict, n in figures["verdicts"].items())
+    return [f"people: taken for errors of sensors: {said or 'nothing'}. Verdicts: {verdicts}."]
+
+
 FURTHER: Mapping[str, Callable[[Row], list[str]]] = {
     "phone": _phone,
     "odometry": _odometry,
+    "people": _people,
 }

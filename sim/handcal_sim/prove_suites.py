@@ -106,6 +106,7 @@ SUITES: dict[str, Suite] = {
     ),
     "phone": Suite("phones with a raw magnetometer", 100, ("exact", "right_set"), None),
     "odometry": Suite("a camera's poses, half of them perfect", 100, ("exact", "right_set"), 0.90),
+    "people": Suite("sound sensors while people do things", 100, ("exact",), 0.99),
 }
 
 

@@ -64,6 +64,7 @@ def simulate(
     start: Start | Callable[[np.random.Generator], Start] = random_start,
     sway: float = 1.0,
     creep: float = 0.0,
+    tremor: float = 1.0,
     earth: Earth = ASSUMED,
     equipment: lab.Equipment | None = None,
 ) -> World:
@@ -72,8 +73,8 @@ def simulate(
     scenario: a name, or what makes the motion from its length, its start and a generator.
     phone and start: given, or drawn by a function of a generator. effects: by id, values in
     the order of its parameters; they replace the phone's. sway: 0 holds perfectly still,
-    1 is usual. creep: by how much the arm drifts slowly, m. equipment: errors and rate of a
-    laboratory set-up. SimulationError on what cannot be.
+    1 is usual. creep: by how much the arm drifts slowly, m. tremor: times as much as usual.
+    equipment: errors and rate of a laboratory set-up. SimulationError on what cannot be.
     """
     if not 0.0 <= sway < math.inf:
         raise SimulationError(f"sway {sway:g} is not a factor of 0 or more")
@@ -82,7 +83,8 @@ def simulate(
     setup = catalogue.apply(catalogue.Setup(device, earth), effects or {})
     began = start(rngs["start"]) if callable(start) else start
     motion = _motion(scenario, duration_s, began, equipment, rngs["motion"])
-    holder = replace(hand.random_hand(rngs["hand"], sway), creep_m=creep)
+    holder = hand.trembling(hand.random_hand(rngs["hand"], sway), tremor)
+    holder = replace(holder, creep_m=creep)
     if motion.knots:
         chamber = replace(setup.phone.thermometer, knots=motion.knots, reported=True)
         setup = replace(setup, phone=replace(setup.phone, thermometer=chamber))
