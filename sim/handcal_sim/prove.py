@@ -45,7 +45,7 @@ def prove(
         str,
         typer.Option(
             help="nothing, one, mixed, unknown, turn, faint, reference, large, phone, odometry, "
-            "people, or all (of the first five)."
+            "people, budget, or all (of the first five)."
         ),
     ] = ALL,
     out: Annotated[
@@ -114,6 +114,8 @@ def run(
     """Draw, write and explain. After an interrupt: what had been explained by then."""
     from handcal_sim.mcap_writer import write
     from handcal_sim.prove_draw import draw
+    from handcal_sim.prove_further import worked_out
+    from handcal_sim.prove_given import Ticket
     from handcal_sim.prove_trial import Trial
     from handcal_sim.prove_workers import Stopped, Workers
 
@@ -132,7 +134,8 @@ def run(
         except Stopped:
             return None
         (explanations / f"{name}.json").write_text(json.dumps(document), encoding="utf-8")
-        return Trial(name, answer, document, taken)
+        further = worked_out(Ticket(suite, number, seed), document)
+        return Trial(name, answer, document, taken, further=further)
 
     with ThreadPoolExecutor(jobs) as pool:
         futures = [pool.submit(one, case) for case in cases]

@@ -11,7 +11,13 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from handcal_sim import prove_draw_odometry, prove_draw_people, prove_draw_phone, strangers
+from handcal_sim import (
+    prove_draw_budget,
+    prove_draw_odometry,
+    prove_draw_people,
+    prove_draw_phone,
+    strangers,
+)
 from handcal_sim.effects import EFFECTS
 from handcal_sim.profiles import Array
 from handcal_sim.prove_given import (
@@ -22,6 +28,7 @@ from handcal_sim.prove_given import (
     amplitudes,
     answer,
     completed,
+    generator,
     log_uniform,
     simulated,
     some,
@@ -35,8 +42,8 @@ Drawing = Callable[[Ticket, np.random.Generator], tuple[World, Answer]]
 
 def draw(suite: str, number: int, seed: int, gain: Gain | None = None) -> tuple[World, Answer]:
     """Recording `number` of a suite. gain: for `faint`, the nats that an effect promises there."""
-    rng = np.random.default_rng([seed, list(SUITES).index(suite), number])
-    world, drawn = _DRAWINGS[suite](Ticket(suite, number, seed, gain), rng)
+    ticket = Ticket(suite, number, seed, gain)
+    world, drawn = _DRAWINGS[suite](ticket, generator(ticket))
     return world, completed(world, drawn)
 
 
@@ -191,4 +198,5 @@ _DRAWINGS: Mapping[str, Drawing] = {
     "phone": prove_draw_phone.drawn,
     "odometry": prove_draw_odometry.drawn,
     "people": prove_draw_people.drawn,
+    "budget": prove_draw_budget.drawn,
 }

@@ -23,7 +23,7 @@ from handcal_sim.phone import (
     trusted_reference,
     with_rate,
 )
-from handcal_sim.prove_suites import GAUGES, NEEDS, OF_THE_WORLD, POSITIVE, SIZES, Answer
+from handcal_sim.prove_suites import GAUGES, NEEDS, OF_THE_WORLD, POSITIVE, SIZES, SUITES, Answer
 from handcal_sim.scenario import World, simulate
 from handcal_sim.sensors import EARTH_RATE
 
@@ -38,6 +38,11 @@ class Ticket:
     number: int
     seed: int
     gain: Gain | None = None
+
+
+def generator(ticket: Ticket) -> np.random.Generator:
+    """What a recording is drawn with."""
+    return np.random.default_rng([ticket.seed, list(SUITES).index(ticket.suite), ticket.number])
 
 
 @dataclass(frozen=True)
@@ -188,11 +193,17 @@ def answer(
 
 
 def completed(world: World, drawn: Answer) -> Answer:
-    """The answer with the true biases, which are never a question but show honest sigmas, and
-    with what iron looks like where north is off by the constant heading offset."""
+    """The answer with the true biases (their means, where they walk), which are never a question
+    but show honest sigmas, and with what iron looks like where north is off by the constant
+    heading offset."""
     present = world.parameters["effects"]
+    walked = world.parameters["mean_walk"]
     baseline = {
-        name: {p["name"]: p["value"] for p in present[name]} for name in ("gyro_bias", "accel_bias")
+        f"{sensor}_bias": {
+            p["name"]: p["value"] + mean
+            for p, mean in zip(present[f"{sensor}_bias"], walked[sensor], strict=True)
+        }
+        for sensor in ("gyro", "accel")
     }
     offset = world.parameters["phone"]["heading_errors"]["offset"]
     comparable = {}

@@ -19,7 +19,12 @@ from typing import Any
 
 import numpy as np
 
-from handcal_sim import prove_score_odometry, prove_score_people, prove_score_phone
+from handcal_sim import (
+    prove_score_budget,
+    prove_score_odometry,
+    prove_score_people,
+    prove_score_phone,
+)
 from handcal_sim.prove_suites import SUITES, Answer
 from handcal_sim.prove_terms import formula_fits
 from handcal_sim.prove_trial import Trial, covered, matched, named, off, share
@@ -33,6 +38,7 @@ _FURTHER: Mapping[str, Callable[[Sequence[Trial]], dict[str, Any]]] = {
     "phone": prove_score_phone.score,
     "odometry": prove_score_odometry.score,
     "people": prove_score_people.score,
+    "budget": prove_score_budget.score,
 }
 # Suites whose outcomes go by other rules.
 _JUDGED: Mapping[str, Callable[[Trial], str]] = {"people": prove_score_people.outcome}
@@ -99,6 +105,7 @@ def _line(trial: Trial) -> dict[str, Any]:
         "named": [] if "error" in document else named(document),
         "unnamed": [u["formula"] for u in document.get("unnamed", [])],
         "expected": dict(trial.expected),
+        "further": dict(trial.further),
         "seconds": trial.seconds,
         **({"error": document["error"]} if "error" in document else {}),
     }

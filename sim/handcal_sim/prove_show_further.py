@@ -64,8 +64,24 @@ def _people(figures: Row) -> list[str]:
     return [f"people: taken for errors of sensors: {said or 'nothing'}. Verdicts: {verdicts}."]
 
 
+def _budget(figures: Row) -> list[str]:
+    left, names = figures["left"], figures["names"]
+    shares = "-"
+    if left["n"]:
+        shares = f"median {100.0 * left['median']:.1f} %, worst {100.0 * left['worst']:.1f} %"
+    asked = left["asked"]
+    return [
+        f"budget: of the gyro's error in another recording there is left: {shares} of {left['n']}; "
+        f"{100.0 * asked['median']:g} and {100.0 * asked['worst']:g} % asked"
+        f"{_judged(left['met'])}.",
+        f"budget: {percent(names)} of {names['n']} effects are named.",
+        "budget: " + _coverage(figures["parameters"]),
+    ]
+
+
 FURTHER: Mapping[str, Callable[[Row], list[str]]] = {
     "phone": _phone,
     "odometry": _odometry,
     "people": _people,
+    "budget": _budget,
 }

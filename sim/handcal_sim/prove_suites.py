@@ -107,6 +107,7 @@ SUITES: dict[str, Suite] = {
     "phone": Suite("phones with a raw magnetometer", 100, ("exact", "right_set"), None),
     "odometry": Suite("a camera's poses, half of them perfect", 100, ("exact", "right_set"), 0.90),
     "people": Suite("sound sensors while people do things", 100, ("exact",), 0.99),
+    "budget": Suite("8 to 12 errors at once, two recordings", 60, ("exact", "right_set"), None),
 }
 
 

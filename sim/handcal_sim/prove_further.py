@@ -1,0 +1,19 @@
+"""What only the simulator can work out for a recording, besides its explanation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from handcal_sim import prove_draw_budget
+from handcal_sim.prove_given import Ticket
+
+_FURTHER: Mapping[str, Callable[[Ticket, Mapping[str, Any]], dict[str, float]]] = {
+    "budget": prove_draw_budget.left,
+}
+
+
+def worked_out(ticket: Ticket, document: Mapping[str, Any]) -> dict[str, float]:
+    """Figures by name; none for most suites."""
+    work = _FURTHER.get(ticket.suite)
+    return {} if work is None else work(ticket, document)
