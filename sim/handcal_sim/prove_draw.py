@@ -16,6 +16,7 @@ from handcal_sim import (
     prove_draw_odometry,
     prove_draw_people,
     prove_draw_phone,
+    prove_draw_wild,
     strangers,
 )
 from handcal_sim.effects import EFFECTS
@@ -199,4 +200,5 @@ _DRAWINGS: Mapping[str, Drawing] = {
     "odometry": prove_draw_odometry.drawn,
     "people": prove_draw_people.drawn,
     "budget": prove_draw_budget.drawn,
+    "wild": prove_draw_wild.drawn,
 }

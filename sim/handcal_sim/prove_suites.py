@@ -108,6 +108,7 @@ SUITES: dict[str, Suite] = {
     "odometry": Suite("a camera's poses, half of them perfect", 100, ("exact", "right_set"), 0.90),
     "people": Suite("sound sensors while people do things", 100, ("exact",), 0.99),
     "budget": Suite("8 to 12 errors at once, two recordings", 60, ("exact", "right_set"), None),
+    "wild": Suite("0 to 3 effects, wild motion", 100, ("exact", "right_set"), 0.95),
 }
 
 
