@@ -23,6 +23,7 @@ from handcal.evidence import reduce, reduced_pass
 from handcal.explain.explanation import HeldOut
 from handcal.explain.locate import at_levels, residual_rms
 
+# Share of a recording that is seen before the rest is predicted.
 EARLY = 0.6
 
 
