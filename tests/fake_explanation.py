@@ -13,6 +13,7 @@ from handcal.explain.explanation import (
     Explained,
     Explanation,
     Fit,
+    Hand,
     HeldOut,
     Hypothesis,
     Mismatch,
@@ -170,6 +171,11 @@ PARAMETERS = {
                        z=(-0.012, 0.056)),
     "gravity": _rows("gravity", "m/s^2", 0.02, delta=(0.0241, 1.1e-3)),
 }  # fmt: skip
+SIZES = {
+    "gyro_scale": {"gyro_x": 9.1e-3, "gyro_y": 3.2e-3, "gyro_z": 0.012},
+    "lever_arm": {"accel_x": 0.11, "accel_y": 0.2, "accel_z": 0.06},
+    "gravity": {"accel_x": 0.011, "accel_y": 9e-3, "accel_z": 0.021},
+}
 STORIES = {
     "gyro_scale": ("The gyro reports every turn a fixed fraction too large or too small.",
                    "At least one full turn about each axis, or a turn and its reverse."),
@@ -185,9 +191,10 @@ def _missing(case: Case) -> tuple[Missing, ...]:
     others = tuple(e for e, v in case.found.items() if v == "set" and e not in found)
     likely = {"gyro_scale": 0.9999, "lever_arm": 0.994, "gravity": 0.987}
     titles = {e: t for e, t, _ in TRIED}
+    whole = sum(case.final[e] for e in found)
     return tuple(
         Missing(e, titles[e], likely[e], case.final[e], others if case.found[e] == "set" else (),
-                PARAMETERS[e], *STORIES[e])
+                PARAMETERS[e], *STORIES[e], SIZES[e], case.final[e] / whole, 0.3 * case.final[e])
         for e in found
     )  # fmt: skip
 
@@ -242,7 +249,7 @@ def fake_explanation(verdict: str = "explained", recordings: int | None = None) 
         held_out=HeldOut("later blocks", 6120.0, 6120.0 + 0.3 * gained, before.residual_rms,
                          after.residual_rms),
         next_motion=(), parameters=tuple(p for m in _missing(case) for p in m.parameters),
-        noise=each[0].noise, recordings=each, warnings=(),
+        noise=each[0].noise, recordings=each, warnings=(), hand=Hand("held", 0.993),
     )  # fmt: skip
     return replace(e, **DETAILS[verdict](e))
 

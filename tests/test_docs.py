@@ -2,6 +2,7 @@
 
 import importlib.util
 import re
+import sys
 from pathlib import Path
 
 import pytest
@@ -12,10 +13,11 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 
 
-def made():
-    """docs/make_effects.py as a module."""
-    spec = importlib.util.spec_from_file_location("make_effects", ROOT / "docs/make_effects.py")
+def made(name="make_effects"):
+    """A script of docs/ as a module."""
+    spec = importlib.util.spec_from_file_location(name, ROOT / f"docs/{name}.py")
     module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
     spec.loader.exec_module(module)
     return module
 
@@ -41,3 +43,10 @@ def test_links_and_pictures_of_the_documents_exist(page):
 def test_pictures_are_small():
     for picture in (ROOT / "docs" / "images").iterdir():
         assert picture.stat().st_size < 200_000, picture.name
+
+
+def test_every_constant_says_what_it_is_and_stands_in_the_table():
+    script = made("make_constants")
+    without = [f"{c.file}: {c.name}" for c in script.constants() if not c.comment]
+    assert without == []
+    assert (ROOT / "docs" / "explain.md").read_text(encoding="utf-8") == script.page()

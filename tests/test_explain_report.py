@@ -23,18 +23,20 @@ from handcal import (
     explain_words,
     summary,
 )
+from handcal import explain_words as say
 from handcal.explain.explanation import VERDICTS, Unnamed
 from handcal.explain_report import render_explanation, write_explanation_report
 from handcal.types import HandcalError
 
 CONTRACT = {
     "schema", "verdict", "mismatch", "missing", "unnamed", "hypotheses", "fit", "held_out",
-    "next_motion", "parameters", "noise", "untellable", "model", "warnings",
+    "next_motion", "parameters", "noise", "untellable", "model", "warnings", "hand",
 }  # fmt: skip
 ENTRIES = {
     "mismatch": {"channel": str, "from_s": float, "to_s": float, "share": float, "when": str},
     "missing": {"effect": str, "probability": float, "log_evidence_gain": float,
-                "indistinguishable_from": list, "parameters": list, "story": str},
+                "indistinguishable_from": list, "parameters": list, "story": str,
+                "size": dict, "share": float, "held_out_gain": float},
     "unnamed": {"formula": str, "value": float, "sigma": float, "unit": str,
                 "log_evidence_gain": float, "story": str},
     "next_motion": {"motion": str, "separates": list, "expected_gain": float},
@@ -414,3 +416,25 @@ def test_a_browser_without_network_draws_it_without_complaint(browser, page, wid
       }).map(t => t.textContent)})"""
     assert tab.evaluate(outside) == []
     context.close()
+
+
+def test_of_many_causes_those_that_matter_come_first():
+    e = fake_explanation("explained")
+    shares = (0.6, 0.3, 0.02, 0.01)
+    four = tuple(replace(e.missing[k % 2], share=x) for k, x in enumerate(shares))
+    said = say.matters(replace(e, missing=four))
+    assert said is not None
+    assert "two matter" in said
+    assert "60" in said
+    assert "30" in said
+    assert "The two others" in said
+    assert say.matters(e) is None
+
+
+def test_what_an_effect_does_to_the_readings_is_said_in_their_unit():
+    m = fake_explanation("explained").missing[0]
+    said = say.weight(m).replace("\N{NO-BREAK SPACE}", " ")
+    assert "0.69 deg/s in gyro z" in said  # 0.012 rad/s, the largest of the three
+    assert "unseen data agree" in said
+    assert "do not agree" in say.weight(replace(m, held_out_gain=-4.0))
+    assert "unseen" not in say.weight(replace(m, held_out_gain=None))

@@ -136,6 +136,22 @@ def test_iron_is_compared_in_the_frame_that_headings_define(name, periods):
     assert answer.truth("gyro_scale") is None
 
 
+def test_soft_iron_is_compared_in_a_field_of_unknown_strength():
+    _, answer = prove_draw.draw("one", number_of("mag_soft_iron"), 3)
+    injected, seen = (
+        np.array([[b[i + j] for j in "xyz"] for i in "xyz"])
+        for b in (both(answer.effects["mag_soft_iron"]), both(answer.truth("mag_soft_iron")))
+    )
+    assert np.trace(seen) == pytest.approx(0.0, abs=1e-12)
+    ratio = (np.eye(3) + injected) @ np.linalg.inv(np.eye(3) + seen)
+    np.testing.assert_allclose(ratio, ratio[0, 0] * np.eye(3), atol=1e-12)
+
+
+def both(bend):
+    """A symmetric matrix's numbers by either order of their axes."""
+    return dict(bend) | {n[::-1]: v for n, v in bend.items()}
+
+
 def number_of(name, seed=3, suite="one"):
     """The number of the recording that conceals this effect."""
     drawn = (prove_draw._next(list(SIZES), k, seed, suite) for k in range(len(SIZES)))

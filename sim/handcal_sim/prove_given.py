@@ -213,4 +213,13 @@ def completed(world: World, drawn: Answer) -> Answer:
             # sin(yaw) seen from yaw + offset: both coefficients turn back by the offset.
             iron *= cmath.exp(-1j * periods * offset)
             comparable[name] = {"sin": iron.real, "cos": iron.imag}
+    if "mag_soft_iron" in drawn.effects:
+        comparable["mag_soft_iron"] = _traceless(drawn.effects["mag_soft_iron"])
     return replace(drawn, baseline=baseline, comparable=comparable)
+
+
+def _traceless(bend: Mapping[str, float]) -> dict[str, float]:
+    """The same bend in a field that is stronger by its mean, which no magnetometer can tell."""
+    mean = (bend["xx"] + bend["yy"] + bend["zz"]) / 3.0
+    axes = {"xx", "yy", "zz"}
+    return {n: (v - mean if n in axes else v) / (1.0 + mean) for n, v in bend.items()}

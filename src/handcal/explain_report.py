@@ -106,6 +106,7 @@ def _card(m: Missing, e: Explanation, styles: dict[str, tuple[str, Any]]) -> dic
         "colour": PALETTE[styles.get(m.effect, (explain_plots.AFTER, ""))[0]],
         "probability": say.percent(m.probability),
         "gain": say.nats(m.log_evidence_gain),
+        "weight": say.weight(m),
         "story": m.story,
         "motion": m.motion,
         "rows": [_row(p, unit) for p, unit in say.in_units(m.parameters)],

@@ -44,6 +44,7 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
             for m in e.mismatch
         ],
         "missing": [_missing_json(m) for m in e.missing],
+        "hand": {"id": e.hand.id, "probability": summary.finite(e.hand.probability)},
         "unnamed": [
             {"formula": u.formula, "value": summary.finite(u.value),
              "sigma": summary.finite(u.sigma), "unit": u.unit,
@@ -110,6 +111,9 @@ def _missing_json(m: Missing) -> dict[str, Any]:
             for p in m.parameters
         ],
         "story": m.story,
+        "size": _numbers(m.size),
+        "share": summary.finite(m.share),
+        "held_out_gain": None if m.held_out_gain is None else summary.finite(m.held_out_gain),
     }  # fmt: skip
 
 
@@ -183,6 +187,7 @@ def print_explanation(explanation: Explanation, console: Console) -> None:
     for m in e.missing:
         heading(f"Missing: {' or '.join(say.members(m, e))}")
         line(m.story)
+        line(say.weight(m), style="dim")
         console.print(_missing_table(m))
     if e.unnamed:
         heading("Found outside the catalogue")
@@ -313,7 +318,7 @@ def explanation_markdown(explanation: Explanation) -> str:
     e, judged = explanation, say.verdict(explanation)
     lines = [f"## {judged.headline}", "", *(f"{s}\n" for s in judged.sentences)]
     for m in e.missing:
-        lines += [f"### {' or '.join(say.members(m, e))}", "", m.story, "",
+        lines += [f"### {' or '.join(say.members(m, e))}", "", m.story, "", say.weight(m), "",
                   "| | value | ± 1 sigma | |", "|---|---:|---:|---|"]  # fmt: skip
         for p, unit in say.in_units(m.parameters):
             value, sigma = unit.value(p.value, p.sigma, sign=True), unit.value(p.sigma, p.sigma)

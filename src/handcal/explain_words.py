@@ -27,6 +27,7 @@ from handcal.words import NBSP, Shown, Verdict, effect_title, listed, shown
 
 SEEN = 3.0  # nats, odds of twenty to one: what an effect must promise to be looked for
 MANY = 5  # names in a row
+MATTERS = 0.05  # share of the mismatch from which a cause is one that matters
 OVERSURE = 1.6  # mean NIS above which errors are clearly larger than the model allows
 
 SHARED = 3  # named effects from which a probability that all share is said once
@@ -202,11 +203,48 @@ def _all_present(explanation: Explanation) -> str:
     )
 
 
+def matters(explanation: Explanation) -> str | None:
+    """Which of many named effects hold most of the mismatch; None where there are few."""
+    first = [m for m in explanation.missing if m.share >= MATTERS]
+    rest = len(explanation.missing) - len(first)
+    if not first or not rest or len(explanation.missing) <= SHARED:
+        return None
+    names = listed([f"{the(m.title)} ({whole_percent(m.share)} of the mismatch)" for m in first])
+    many = "one matters" if len(first) == 1 else f"{counted_word(len(first))} matter"
+    others = "other holds" if rest == 1 else "others hold"
+    return (
+        f"Of these {many}: {names}. The {counted_word(rest)} {others} less than "
+        f"{whole_percent(MATTERS)} each."
+    )
+
+
+def weight(m: Missing) -> str:
+    """How much of the mismatch an effect holds, what it does to the readings, and whether unseen
+    data agree."""
+    parts = [f"{whole_percent(m.share)} of the mismatch"]
+    largest: dict[str, tuple[str, float]] = {}
+    for channel, rms in m.size.items():
+        sensor = channel.rpartition("_")[0] or channel
+        if rms > largest.get(sensor, ("", 0.0))[1]:
+            largest[sensor] = channel, rms
+    if largest:
+        units = [(c, v, channel_shown(c, [v], small=True)) for c, v in largest.values()]
+        each = [f"{u.value(v, v)}{NBSP}{u.unit} in {channel_title(c)}" for c, v, u in units]
+        parts.append(f"adds {listed(each)} (root mean square)")
+    if m.held_out_gain is not None:
+        agree = "agree" if m.held_out_gain > 0.0 else "do not agree"
+        signed = f"{'+' if m.held_out_gain > 0 else ''}{nats(m.held_out_gain)}"
+        parts.append(f"unseen data {agree} ({signed})")
+    return "; ".join(parts) + "."
+
+
 def verdict(explanation: Explanation) -> Verdict:
     """The headline and what stands behind it, of any of the four verdicts."""
     head = {"nothing_missing": _nothing, "explained": _explained, "unexplained": _unexplained,
             "cannot_tell": _cannot_tell}[explanation.verdict]  # fmt: skip
     level, headline, sentences = head(explanation)
+    if (first := matters(explanation)) is not None:
+        sentences.insert(0, first)
     if (worst := worst_mismatch(explanation)) is not None:
         sentences.append(worst)
     proof = held_out_sentence(explanation)
@@ -239,22 +277,18 @@ def _nothing(e: Explanation) -> tuple[str, str, list[str]]:
 
 
 def _explained(e: Explanation) -> tuple[str, str, list[str]]:
-    traces = [
-        f"Besides, {u.formula} gains {nats(u.log_evidence_gain)}, next to nothing against that."
-        for u in e.unnamed
-    ]
     if len(e.missing) == 1:
         (m,) = e.missing
         headline = (
             f"Something is missing: {_present(m, e)}, and adding it makes {_what(e)} "
             f"{nats(gain(e))} more probable."
         )
-        return "good", headline, traces
+        return "good", headline, []
     headline = (
         f"{counted_word(len(e.missing)).capitalize()} things are missing: {_all_present(e)}. "
         f"Adding them makes {_what(e)} {nats(gain(e))} more probable."
     )
-    return "good", headline, traces
+    return "good", headline, []
 
 
 def _unexplained(e: Explanation) -> tuple[str, str, list[str]]:

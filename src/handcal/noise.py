@@ -20,9 +20,9 @@ from handcal.types import Array, Recording
 # and the least curvature, that of the widest prior.
 STEP = 1e-4
 DIFFERENCE = 0.01
-SENSORS = ("gyro_noise", "accel_noise")
 LONGEST_STEP = 1.5
 FLATTEST = 0.25
+SENSORS = ("gyro_noise", "accel_noise")
 
 
 def white_levels(recording: Recording) -> dict[str, float]:

@@ -20,6 +20,7 @@ from scipy.special import chdtri, fdtri
 
 from handcal.types import Array, BoolArray, Recording
 
+# Scatter is that of windows so long, s; a rest is longer than this, s.
 WINDOW_S = 0.5
 MIN_REST_S = 0.8
 # A device that is held still turns slower than this on the mean of a window, and a tremor is no
@@ -37,6 +38,7 @@ TREMOR_HZ = 4.0
 FALSE_ALARM = 1e-4
 _FREEDOM = 3 * 2.0 * TREMOR_HZ * WINDOW_S
 RATIO = float(fdtri(_FREEDOM, _FREEDOM, 1.0 - FALSE_ALARM))
+# The quietest share of windows shows the noise of the sensor alone.
 QUIETEST = 0.1
 # Below these a noise is none: of a sum over the axes a window's, of one axis a reading's.
 LEAST = MIN_RATE_SPREAD / np.sqrt(3.0 * RATIO), MIN_FORCE_SPREAD / np.sqrt(3.0 * RATIO)

@@ -20,6 +20,7 @@ from handcal.types import Array, HandcalError, InputError, Recording, Series
 
 Observed = tuple[Observation, Rows, tuple[tuple[str, str, float], ...]]
 ASSUMPTIONS = ("auto", "fixed-point", "rest-only")
+# Fewer readings than this of a stream are none.
 MIN_READINGS = 20
 # How a hand sways within less than a third of a second is nobody's model: looked at more often,
 # it is its shape at those frequencies that is judged, at the expense of a lever arm.

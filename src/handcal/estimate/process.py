@@ -13,6 +13,7 @@ from handcal.estimate.fit import Fitted, Model
 from handcal.evidence import reduce, reduced_pass
 from handcal.types import Array, Parameter
 
+# Step of second differences in the logarithm of a level.
 STEP = 0.15
 # Standard deviation of a level's logarithm before anything is known.
 PRIOR = 2.0

@@ -18,6 +18,7 @@ from handcal.types import Array, IntArray
 if TYPE_CHECKING:
     from handcal.estimate.fit import Fitted, Model
 
+# Scores are summed over so long, s: many times the correlation time of a sway.
 BLOCK_S = 4.0
 # As many blocks' worth of belief in the model itself.
 BELIEF = 6.0

@@ -33,6 +33,7 @@ from handcal.explain.search import (
 from handcal.explain.unnamed import Term, best_term, reshaped
 from handcal.types import Array
 
+# Turns of a climb at the most, beside two for each term that may be named.
 ROUNDS = 8
 # An effect whose gain is less than this is fitted without, to be sure.
 CLOSE = 20.0

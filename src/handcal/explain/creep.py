@@ -15,9 +15,9 @@ from handcal.types import HandcalError
 OBSERVED = CREEPING.kind
 
 
-def creeping(base: Model, model: Model, gained: Mapping[str, float]) -> Model | None:
+def creeping(base: Model, model: Model, gained: Mapping[str, float]) -> tuple[Model, float] | None:
     """The baseline with a hand that creeps, if that with the strong ones of the model's effects
-    explains as much as all of them; gained: nats by effect.
+    explains as much as all of them, and by how many nats; gained: nats by effect.
 
     Where nothing weak was found there is no need to ask.
     """
@@ -34,6 +34,5 @@ def creeping(base: Model, model: Model, gained: Mapping[str, float]) -> Model | 
     # (every arm tires a little, so that costs nothing; what is spared does)
     spared = [e for e in model.effects if e not in strong]
     price = sum(OCCAM_LEVEL * len(e.levels) - PRIOR for e in spared)
-    if tried.log_evidence + price < model.log_evidence:
-        return None
-    return baseline(cases)
+    advantage = tried.log_evidence + price - model.log_evidence
+    return None if advantage < 0.0 else (baseline(cases), advantage)

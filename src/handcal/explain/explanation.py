@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from handcal.estimate.chosen import Chosen
 from handcal.types import Array, NoiseLevel, Parameter, Recording
@@ -32,7 +32,10 @@ class Missing:
 
     probability: posterior that it (or its set) is present; log_evidence_gain: final model
     against the same without it, nats; indistinguishable_from: the others of its set, most
-    probable first; title, story, motion: from the catalogue, plain words.
+    probable first; title, story, motion: from the catalogue, plain words. size: root mean square
+    of what it adds to each channel's readings, SI; share: of all that the final model gains, what
+    is lost without it alone; held_out_gain: nats on unseen data with it against without it, None
+    where those would not tell.
     """
 
     effect: str
@@ -43,6 +46,9 @@ class Missing:
     parameters: tuple[Parameter, ...]
     story: str
     motion: str
+    size: Mapping[str, float] = field(default_factory=dict)
+    share: float = 0.0
+    held_out_gain: float | None = None
 
 
 @dataclass(frozen=True)
@@ -56,6 +62,16 @@ class Unnamed:
     unit: str
     log_evidence_gain: float
     story: str = ""
+
+
+@dataclass(frozen=True)
+class Hand:
+    """What the hand does: "held" (a point, but for sway), "creeping" (that point drifts),
+    "carried" (still in its rests alone), "resting" (never turned), "" (nobody asked: a pose or a
+    reference tells); and the probability of that against what else was tried."""
+
+    id: str
+    probability: float
 
 
 @dataclass(frozen=True)
@@ -167,7 +183,7 @@ class Explanation:
     """All that ``explain`` says of one device.
 
     parameters, noise: of the final model (noise of the first recording); missing is ordered by
-    evidence; hypotheses by ``alone``; model: the final model, whose fit ``calibrate`` repeats;
+    share; hypotheses by ``alone``; model: the final model, whose fit ``calibrate`` repeats;
     untellable: what the recordings cannot show, with the sigma that they would leave of it.
     """
 
@@ -186,3 +202,4 @@ class Explanation:
     warnings: tuple[str, ...]
     model: Chosen | None = None
     untellable: tuple[Parameter, ...] = ()
+    hand: Hand = Hand("", 1.0)

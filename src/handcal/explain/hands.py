@@ -9,6 +9,7 @@ up by a hand that went elsewhere, all those contradict it.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 from handcal.estimate.fit import (
@@ -20,22 +21,40 @@ from handcal.estimate.fit import (
     moved_to,
     own_levels,
 )
+from handcal.explain.explanation import Hand
 from handcal.explain.find import Found, odds
+from handcal.explain.search import CERTAIN
+from handcal.sway import TRAVEL_NATS, beyond_a_hand
 
 
-def foretells(held: Model, base: Model, laid: Found) -> bool:
-    """Whether the sensors as the ``held`` point shows them predict what is observed without it at
-    least as well as the best account of that alone, ``laid``, whose baseline is ``base``.
+def foretold(held: Model, base: Model, laid: Found) -> float:
+    """Nats by which the sensors as the ``held`` point shows them predict what is observed without
+    it better than the best account of that alone, ``laid``, whose baseline is ``base``.
 
-    Where both name the same, the sway is no physics that the rests do not show: False.
+    Where both name the same, the sway is no physics that the rests do not show, and as unlikely
+    of a hand that holds as it has to be for the rests to be asked.
     """
     if held.chosen == laid.model.chosen:
-        return False
+        return -TRAVEL_NATS
     parts = zip(base.parts, held.parts, strict=True)
     begin = [_begun(b, held, h) for b, h in parts]
-    foretold = fitted(begin, held.effects, known=known_of(held)).log_evidence
+    seen = fitted(begin, held.effects, known=known_of(held)).log_evidence
     worth = laid.space.quadratic.worth
-    return worth * (foretold - laid.model.log_evidence) > odds(laid.model)
+    return worth * (seen - laid.model.log_evidence) - odds(laid.model)
+
+
+def hand_of(f: Fitted, advantage: float) -> Hand:
+    """What the hand does according to a fit, that being so many nats better than what else was
+    tried; where nothing was, than a hand that travels, of which the sway would tell."""
+    if "fixed_position" in f.case.kinds:
+        kind = "creeping" if f.case.creeping else "held"
+    elif "zero_velocity" in f.case.kinds:
+        kind = "carried"
+    else:
+        return Hand("", 1.0)
+    if not math.isfinite(advantage):
+        advantage = max(0.0, TRAVEL_NATS - beyond_a_hand(f.linear, f.levels))
+    return Hand(kind, min(CERTAIN, 1.0 / (1.0 + math.exp(-min(700.0, advantage)))))
 
 
 def _begun(base: Fitted, held: Model, part: Fitted) -> Fitted:

@@ -23,6 +23,7 @@ from handcal.evidence import reduce, reduced_pass
 from handcal.explain.explanation import HeldOut
 from handcal.explain.locate import at_levels, residual_rms
 
+# Share of a recording that is seen before the rest is predicted.
 EARLY = 0.6
 
 
@@ -59,20 +60,21 @@ def _residuals(fits: Sequence[Fitted]) -> dict[str, float]:
     return {c: float(np.sqrt(np.mean([p[c] ** 2 for p in parts if c in p]))) for c in parts[0]}
 
 
-def other_files(cases: Sequence[Case], model: Model) -> HeldOut:
-    """Score recordings that took no part: with the effects as found, against none at all."""
+def other_files(cases: Sequence[Case], model: Model) -> tuple[HeldOut, Model]:
+    """Score recordings that took no part: with the effects as found, against none at all; and the
+    fit with them."""
     known = known_of(model)
+    # a step belongs to the recording in which it happened
+    effects = [e for e in model.effects if "@" not in e.id]
     before, after = [], []
     for case in cases:
         known_of_all = always([case])
         start = started(case, known_of_all)
         before.append(fitted([start], known_of_all))
-        # a step belongs to the recording in which it happened
-        effects = [e for e in model.effects if "@" not in e.id]
         begin = replace(start, levels={**start.levels, **own_levels(model.parts[0])})
         after.append(fitted([begin], effects, known=known))
     names = ", ".join(str(c.recording.path) for c in cases)
-    return HeldOut(
+    scores = HeldOut(
         names,
         sum(m.log_evidence for m in before),
         sum(m.log_evidence for m in after),
@@ -81,3 +83,5 @@ def other_files(cases: Sequence[Case], model: Model) -> HeldOut:
         ),
         _residuals([f for m in after for f in m.parts]),
     )
+    parts = tuple(f for m in after for f in m.parts)
+    return scores, replace(model, effects=tuple(effects), parts=parts)

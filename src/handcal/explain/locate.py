@@ -15,10 +15,13 @@ from handcal.model import observation_variances
 from handcal.twin import sensor_residuals
 from handcal.types import Array, BoolArray
 
+# Time bins of a recording at the most; share of the shortfall from which a channel is named.
 BINS = 60
 LEAST_SHARE = 0.05
+# For showing: points of a trace, and what they are means over, s.
 TRACE_POINTS = 1500
 SLOT_S = 0.1
+# Turning rates that people tell apart, rad/s.
 FAST = np.radians(90.0)
 SLOW = np.radians(5.0)
 

@@ -33,6 +33,7 @@ from handcal.observations.magnetometer import HORIZONTAL, UPWARD
 from handcal.streams import STREAMS
 from handcal.types import Array, HandcalError, IntArray
 
+# Motions that are proposed, at the most.
 MOST = 3
 # Nats worth a motion: odds of twenty to one.
 ENOUGH = 3.0

@@ -21,6 +21,8 @@ PRIOR = -5.0
 OCCAM_LEVEL = 2.5
 # Of a term without a name: there are hundreds, and any of the catalogue is likelier.
 TERM_PRIOR = -10.0
+# Nothing is surer than that.
+CERTAIN = 0.999999
 
 
 def probability(gain: float) -> float:

@@ -18,7 +18,7 @@ from handcal.estimate.process import process_parameters
 from handcal.estimate.result import noise, results
 from handcal.estimate.robust import inflation
 from handcal.evidence import reduce, reduced_pass
-from handcal.explain import held, locate, outliers
+from handcal.explain import held, locate, matter, outliers
 from handcal.explain.climb import akin
 from handcal.explain.creep import creeping
 from handcal.explain.explanation import (
@@ -33,11 +33,12 @@ from handcal.explain.explanation import (
 )
 from handcal.explain.find import Found, advantage, search
 from handcal.explain.gauge import plainly
-from handcal.explain.hands import foretells
+from handcal.explain.hands import foretold, hand_of
 from handcal.explain.leaning import leaning
 from handcal.explain.moments import moments
 from handcal.explain.next_motion import next_motions
 from handcal.explain.search import (
+    CERTAIN,
     PRIOR,
     TERM_PRIOR,
     expected_gain,
@@ -54,10 +55,11 @@ from handcal.types import Array, InputError, Parameter, Recording, Result
 
 # Called with the share that is done, and what is being done.
 Progress = Callable[[float, str], None]
-# An effect is named when it is that probable; a rival is listed when it has that share.
+# What is missing is likelier than not; a name is clear when it has that share of its set, and a
+# rival is listed when it has that.
+LIKELY = 0.5
 NAMED = 0.9
 RIVAL = 0.05
-CERTAIN = 0.999999
 # Between two that are the same to the first order, evidence swings by as much as eleven nats
 # with the hand's sway, whichever of them is there; it counts that much less.
 ALIKE = 4.0
@@ -103,7 +105,7 @@ def explain(
     cases = [prepared(r) for r in recordings]
     report(0.03, "fitting the plain model")
     plain = baseline(cases)
-    base, found, wrong = _searched(
+    base, found, wrong, surely = _searched(
         plain, lambda f: report(0.1 + 0.6 * f, "searching what is missing")
     )
     far = [assume == "auto" and travels(f) for f in found.model.parts]
@@ -118,20 +120,24 @@ def explain(
         far = [gone and math.isfinite(laid.log_evidence) for gone in far]
     if any(far):
         other = _searched(laid, lambda f: report(0.4 + 0.3 * f, "searching by the rests alone"))
-        if foretells(found.model, laid, other[1]):
+        surely = foretold(found.model, laid, other[1])
+        if surely > 0.0:
             far = [False] * len(far)
         else:
-            base, found, wrong = other
+            base, found, wrong, surely = *other[:3], -surely
     report(0.75, "fitting the model that was found")
     options = Options(latitude, height, fixed, tuple(ignore), reference_exact)
     found, chosen = _refitted(base, found, options)
     report(0.8, "predicting what was not seen")
     others = [prepared(r, "rest-only" if any(far) else assume) for r in held_out]
-    scores = held.other_files(others, found.model) if others else held.later_blocks(
-        base, found.model
-    )  # fmt: skip
+    if others:
+        scores, after = held.other_files(others, found.model)
+        judged = matter.by_other_files(found, after)
+    else:
+        scores, judged = held.later_blocks(base, found.model), matter.by_later_blocks(found)
     report(0.9, "judging what this motion could tell")
-    out = _explanation(base, found, wrong, scores, chosen)
+    out = _explanation(base, found, wrong, scores, chosen, judged)
+    out = replace(out, hand=hand_of(found.model.parts[0], surely))
     report(1.0, "")
     return out
 
@@ -159,8 +165,9 @@ def _refitted(base: Model, found: Found, options: Options) -> tuple[Found, Chose
 
 def _searched(
     base: Model, report: Callable[[float], None]
-) -> tuple[Model, Found, outliers.Wrong | None]:
-    """The baseline, where the search from it ended, and the headings that are merely wrong."""
+) -> tuple[Model, Found, outliers.Wrong | None, float]:
+    """The baseline, where the search from it ended, the headings that are merely wrong, and the
+    nats by which its hand is better than what was tried instead; NaN if nothing was."""
     cleaned, wrong = outliers.cleaned(base)
 
     found = search(cleaned, report)
@@ -172,9 +179,9 @@ def _searched(
     if wrong is None:
         found, wrong = _without_outliers(base, found, report)
     slow = creeping(base, found.model, _gained(found)) if wrong is None else None
-    if slow is not None:
-        base, found = slow, search(slow, report)
-    return base, found, wrong
+    if slow is None:
+        return base, found, wrong, math.nan
+    return slow[0], search(slow[0], report), wrong, slow[1]
 
 
 def _gained(found: Found) -> dict[str, float]:
@@ -201,7 +208,12 @@ def _without_outliers(
 
 
 def _explanation(
-    base: Model, found: Found, wrong: outliers.Wrong | None, scores: HeldOut, written: Chosen | None
+    base: Model,
+    found: Found,
+    wrong: outliers.Wrong | None,
+    scores: HeldOut,
+    written: Chosen | None,
+    judged: matter.Judged,
 ) -> Explanation:
     model = found.model
     chosen = model.chosen
@@ -213,15 +225,13 @@ def _explanation(
     unnamed = _unnamed(found, chosen, learnt)
     if wrong is not None and wrong.burst is not None:
         unnamed.append(_burst(base, wrong, wrong.burst))
-    verdict = "nothing_missing"
     found_in_all = sum(m.log_evidence_gain for m in missing)
-    left = sum(u.log_evidence_gain for u in unnamed)
-    if left > LEFT * found_in_all:
+    remarks = []
+    if sum(u.log_evidence_gain for u in unnamed) > LEFT * found_in_all:
         verdict = "unexplained"
-    elif unsure:
-        verdict = "cannot_tell"
-    elif missing:
-        verdict = "explained"
+    else:
+        remarks, unnamed = [_remark(u) for u in unnamed], []
+        verdict = "cannot_tell" if unsure else "explained" if missing else "nothing_missing"
     before = held.at_same_noise(base.parts, model.parts)
     if wrong is not None:
         before = list(base.parts)
@@ -232,7 +242,8 @@ def _explanation(
             mismatch += locate.mismatches(b, bins, short, k)
         explained.append(_explained(b, a, bins, short, model, fits[k]))
     mismatch = [replace(m, share=m.share / len(model.parts)) for m in mismatch]
-    told = [plainly(model, m, excess) for m in missing]
+    told = [plainly(model, matter.weighed(found, m, judged), excess) for m in missing]
+    told.sort(key=lambda m: (-m.share, -m.log_evidence_gain))
     hypotheses = _hypotheses(found, told, named)
     # what all recordings share, and the biases where there is but one
     own = explained[0].parameters if len(explained) == 1 else ()
@@ -249,9 +260,19 @@ def _explanation(
         (*own, *(p for known in learnt.values() for p in known)),
         noise(model.parts[0]),
         tuple(explained),
-        _warnings(base, model, {h.effect for h in hypotheses if h.expected < FAINT}, written),
+        (
+            *_warnings(base, model, {h.effect for h in hypotheses if h.expected < FAINT}, written),
+            *remarks,
+        ),
         written,
         untellable(found, fits[0].parameters),
+    )
+
+
+def _remark(u: Unnamed) -> str:
+    return (
+        f"Besides, {u.formula} gains {u.log_evidence_gain:.0f} nats: next to nothing against what "
+        "is named, and not counted."
     )
 
 
@@ -286,7 +307,7 @@ def _missing(
         members = {name_of(i) for i in set_}
         p = min(CERTAIN, sum(v for i, v in probable.items() if name_of(i) in members))
         gain = gained[effect.id]
-        unsure |= share < NAMED
+        unsure |= share < NAMED and p > LIKELY
         names = dict.fromkeys(name_of(i) for i in set_ if name_of(i) != name_of(effect.id))
         out.append(_entry(effect, p, gain, tuple(names), learnt[effect.id]))
     if wrong is not None:
@@ -294,7 +315,7 @@ def _missing(
             _entry(catalogue()["heading_outliers"], wrong.probability, wrong.gain, (),
                    (wrong.parameter,))
         )  # fmt: skip
-    return sorted(out, key=lambda m: -m.log_evidence_gain), unsure
+    return [m for m in out if m.probability > LIKELY], unsure
 
 
 def _set(found: Found, chosen: frozenset[str], effect: str) -> tuple[list[str], float]:

@@ -1,0 +1,67 @@
+"""What matters: sizes in the sensors' units, shares, and what unseen data say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_explain import slow
+from worlds import recording_of
+
+from handcal.explain import explain
+from handcal.explain.explanation import Explanation
+from handcal.types import Array
+from handcal_sim import simulate
+from handcal_sim.scenario import World
+
+SCALE = [0.012, -0.012, 0.012]
+ARM = [0.08, -0.06, 0.07]
+DELAY = [0.12]
+
+
+def _world(seed: int) -> World:
+    effects = {"gyro_scale": SCALE, "lever_arm": ARM, "heading_delay": DELAY}
+    return simulate("free-hand", seed=seed, duration_s=30.0, phone=slow, effects=effects)
+
+
+@pytest.fixture(scope="module")
+def known() -> tuple[World, Explanation]:
+    world = _world(0)
+    return world, explain([recording_of(world, "heading")])
+
+
+def _rms(x: Array) -> Array:
+    return np.sqrt((x**2).mean(axis=0))
+
+
+def test_a_size_is_what_the_effect_adds_to_the_readings(known) -> None:
+    world, e = known
+    size = {m.effect: m.size for m in e.missing}
+    rate = _rms(recording_of(world, "heading").imu.gyro)
+    for k, axis in enumerate("xyz"):
+        assert size["gyro_scale"][f"gyro_{axis}"] == pytest.approx(0.012 * rate[k], rel=0.25)
+    # a heading of 0.12 s ago is wrong by the rate about the vertical: less than all of it
+    assert 0.0 < size["heading_delay"]["heading"] < 0.12 * float(np.linalg.norm(rate)) * 1.2
+    # the swing of the accelerometer: of the order of rate squared times arm
+    assert {c[:-2] for c in size["lever_arm"]} == {"accel"}
+    assert set(size["gyro_scale"]) == {"gyro_x", "gyro_y", "gyro_z"}
+
+
+def test_shares_order_what_is_missing_and_none_is_more_than_all(known) -> None:
+    _, e = known
+    shares = [m.share for m in e.missing]
+    assert len(shares) == 3
+    assert shares == sorted(shares, reverse=True)
+    assert all(0.0 < s <= 1.0 for s in shares)
+
+
+def test_unseen_data_agree_with_what_is_there(known) -> None:
+    _, e = known
+    told = [m.held_out_gain for m in e.missing if m.held_out_gain is not None]
+    assert told
+    assert all(0.0 < g < m.log_evidence_gain for g, m in zip(told, e.missing, strict=False))
+
+
+def test_the_hand_is_said_and_how_surely(known) -> None:
+    _, e = known
+    assert e.hand.id == "held"
+    assert 0.9 < e.hand.probability < 1.0
