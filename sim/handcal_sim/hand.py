@@ -48,10 +48,11 @@ def random_hand(rng: np.random.Generator, scale: float = 1.0) -> Hand:
     return Hand(*(float(scale * x) for x in draw))
 
 
-def trembling(hand: Hand, factor: float) -> Hand:
-    """The same hand with so many times its tremor."""
-    shake = {"tremor_m": factor * hand.tremor_m, "tremor_rad_s": factor * hand.tremor_rad_s}
-    return replace(hand, **shake)
+def somebodys(rng: np.random.Generator, scale: float, tremor: float, creep_m: float) -> Hand:
+    """A random hand of this scale, with so many times its tremor, that creeps by so much."""
+    hand = random_hand(rng, scale)
+    return replace(hand, tremor_m=tremor * hand.tremor_m,
+                   tremor_rad_s=tremor * hand.tremor_rad_s, creep_m=creep_m)  # fmt: skip
 
 
 def in_hand(motion: Motion, hand: Hand, rng: np.random.Generator) -> Motion:

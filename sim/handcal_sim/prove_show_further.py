@@ -47,9 +47,10 @@ def _phone(figures: Row) -> list[str]:
 
 def _odometry(figures: Row) -> list[str]:
     wrong, right = figures["perfect_said_to_drift"], figures["drift_found"]
+    judged = _judged(wrong["count"] == 0 if wrong["n"] else None)
     return [
         f"odometry: {wrong['count']} of {wrong['n']} perfect trackers are said to drift; "
-        f"none asked{_judged(wrong['count'] == 0)}. Of those that drift, {percent(right)} are.",
+        f"none asked{judged}. Of those that drift, {percent(right)} are.",
         "odometry: " + _coverage(figures["parameters"]),
     ]
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from handcal_sim import aiding, hand, lab, sensors
 from handcal_sim import effects as catalogue
-from handcal_sim.companions import Clocking
+from handcal_sim.companions import Clocking, Pose
 from handcal_sim.errors import SimulationError
 from handcal_sim.hand import Hand
 from handcal_sim.motion import SCENARIOS, Motion, Scenario, Start, build, random_start
@@ -83,8 +83,7 @@ def simulate(
     setup = catalogue.apply(catalogue.Setup(device, earth), effects or {})
     began = start(rngs["start"]) if callable(start) else start
     motion = _motion(scenario, duration_s, began, equipment, rngs["motion"])
-    holder = hand.trembling(hand.random_hand(rngs["hand"], sway), tremor)
-    holder = replace(holder, creep_m=creep)
+    holder = hand.somebodys(rngs["hand"], sway, tremor, creep)
     if motion.knots:
         chamber = replace(setup.phone.thermometer, knots=motion.knots, reported=True)
         setup = replace(setup, phone=replace(setup.phone, thermometer=chamber))
@@ -171,17 +170,21 @@ def _streams(
         noise = phone.thermometer.sigma * rngs["temperature"].standard_normal(len(t))
         streams["temperature"] = Stream(stamps, (true + noise)[:, None])
     if phone.pose is not None:
-        stamps = _regular(phone.pose.clocking, motion.duration_s)
-        read = aiding.read_pose(phone.pose, motion, stamps, rngs["pose"])
-        since = stamps - phone.pose.lost_at_s
-        tracked = (since < 0.0) | (since >= phone.pose.lost_for_s)
-        stamps, read = stamps[tracked], read[tracked]
-        streams["pose"] = Stream(stamps, read)
+        streams["pose"] = _tracked(phone.pose, motion, rngs["pose"])
     if phone.reference is not None:
         stamps = _regular(phone.reference.clocking, motion.duration_s)
         read = aiding.read_reference(phone.reference, motion, earth, stamps, rngs["reference"])
         streams["reference"] = Stream(stamps, read)
     return streams
+
+
+def _tracked(pose: Pose, motion: Motion, rng: np.random.Generator) -> Stream:
+    """Poses, but for those where tracking is lost."""
+    stamps = _regular(pose.clocking, motion.duration_s)
+    read = aiding.read_pose(pose, motion, stamps, rng)
+    since = stamps - pose.lost_at_s
+    there = (since < 0.0) | (since >= pose.lost_for_s)
+    return Stream(stamps[there], read[there])
 
 
 def _regular(clocking: Clocking, duration: float) -> Array:
