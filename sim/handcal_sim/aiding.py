@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from handcal_sim.motion import Motion, euler_matrix, evaluate, into
+from handcal_sim.motion import Motion, euler_matrix, evaluate, into, out_of
 from handcal_sim.phone import Heading, HeadingErrors, Magnetometer, Pose, Reference
 from handcal_sim.profiles import Array
 from handcal_sim.sensors import Earth, truth_at
@@ -64,22 +64,34 @@ def read_mag(
     sensor: Magnetometer,
     errors: HeadingErrors | None,
     motion: Motion,
+    arm: Array,
     t: Array,
     rng: np.random.Generator,
 ) -> Array:
-    """The field in body axes (n, 3), tesla. Errors of heading turn the field it feels about up."""
+    """The field in body axes (n, 3), tesla, at a sensor at ``arm`` (3,) from the held point. Errors
+    of heading turn the field it feels about up."""
     delay = 0.0 if errors is None else errors.delay_s
-    C_nb = evaluate(motion, t - delay).C_nb
-    level = sensor.strength * math.cos(sensor.dip)
-    east, north = level * math.sin(sensor.declination), level * math.cos(sensor.declination)
-    field_n = np.array([east, north, -sensor.strength * math.sin(sensor.dip)])
+    k = evaluate(motion, t - delay)
+    C_nb, place = k.C_nb, k.position + out_of(k.C_nb, arm)
     noise = sensor.sigma * rng.standard_normal((len(t), 3))
+    turned = np.full(len(t), sensor.declination)
     if errors is not None:
-        zero = np.zeros(len(t))
-        C_nb = euler_matrix(zero, zero, heading_error(errors, yaw(C_nb), t, rng)) @ C_nb
-    field_b = into(C_nb, field_n)
-    soft = np.triu(sensor.soft_iron) + np.triu(sensor.soft_iron, 1).T
-    return field_b + field_b @ soft + sensor.hard_iron + noise
+        turned += heading_error(errors, yaw(C_nb), t, rng)
+    zero = np.zeros(len(t))
+    # axes n turned about up to those of the field, whose horizontal part is y
+    C_mn = euler_matrix(zero, zero, turned)
+    G = _symmetric(sensor.gradient)
+    G[2, 2] = -G[0, 0] - G[1, 1]
+    earth = sensor.strength * np.array([0.0, math.cos(sensor.dip), -math.sin(sensor.dip)])
+    field_b = into(C_mn @ C_nb, earth + out_of(C_mn, place) @ G)
+    iron = sensor.hard_iron + np.where(t[:, None] >= sensor.step_at_s, sensor.step, 0.0)
+    return field_b + field_b @ _symmetric(sensor.soft_iron) + iron + noise
+
+
+def _symmetric(upper: Array) -> Array:
+    """The symmetric matrix of which this is the diagonal and what lies above."""
+    matrix: Array = np.triu(upper) + np.triu(upper, 1).T
+    return matrix
 
 
 def read_pose(sensor: Pose, motion: Motion, t: Array, rng: np.random.Generator) -> Array:

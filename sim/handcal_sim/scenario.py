@@ -155,7 +155,7 @@ def _streams(
         stamps, t = on_device(phone.mag.clocking)
         # Without a heading sensor, errors of heading are those of the magnetometer.
         of_mag = phone.heading_errors if phone.heading is None else None
-        read = aiding.read_mag(phone.mag, of_mag, motion, t, rngs["mag"])
+        read = aiding.read_mag(phone.mag, of_mag, motion, phone.lever_arm, t, rngs["mag"])
         streams["mag"] = Stream(stamps, read)
     if phone.thermometer.reported or _warms(phone):
         stamps, t = on_device(phone.thermometer.clocking)

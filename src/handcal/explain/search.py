@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -30,8 +31,8 @@ def probability(gain: float) -> float:
 
 def priors(effects: Sequence[Effect]) -> dict[str, float]:
     """Log prior odds that differ from the usual: a step shares its own over its moments."""
-    moments = sum("@" in e.id for e in effects)
-    out = {e.id: PRIOR - math.log(max(1, moments)) for e in effects if "@" in e.id}
+    moments = Counter(name_of(e.id) for e in effects if "@" in e.id)
+    out = {e.id: PRIOR - math.log(moments[name_of(e.id)]) for e in effects if "@" in e.id}
     out |= {e.id: TERM_PRIOR for e in effects if "+=" in e.id}
     return out
 
