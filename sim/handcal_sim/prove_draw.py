@@ -30,6 +30,7 @@ from handcal_sim.phone import (
 )
 from handcal_sim.profiles import Array
 from handcal_sim.prove_suites import (
+    BESIDE,
     EARTH_GROUP,
     FAINT_NATS,
     GAUGES,
@@ -97,6 +98,7 @@ def _drawn(
     else:
         most = {"mixed": 3, "reference": 2}.get(suite, 0)
         names = _some(given, rng, most) if most else []
+    names = list(dict.fromkeys([*names, *(BESIDE[n] for n in names if n in BESIDE)]))
     given = with_streams(given, names, rng)
     effects = amplitudes(names, given, rng)
     group = EARTH_GROUP if "earth_rate" in names else ""

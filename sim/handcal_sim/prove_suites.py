@@ -73,6 +73,8 @@ NEEDS: dict[str, frozenset[str]] = {
     "pose_drift": frozenset({"pose"}),
     "clock_rate": frozenset({"pose"}),
 }
+# What shows only beside another: the field changes with place where the device goes about an arm.
+BESIDE = {"mag_gradient": "lever_arm"}
 # Never drawn together: no motion tells the two apart, so that there is no right answer.
 GAUGES = (frozenset({"gravity", "accel_scale"}),)
 

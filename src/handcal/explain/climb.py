@@ -30,6 +30,7 @@ from handcal.explain.search import (
     rivals,
     space,
 )
+from handcal.explain.sudden import sudden
 from handcal.explain.unnamed import Term, best_term, reshaped
 from handcal.types import Array
 
@@ -115,10 +116,11 @@ def climbed(c: Climb, report: Callable[[float], None]) -> bool:
     return True
 
 
-def candidates(cases: Sequence[Case], present: Sequence[Effect]) -> list[Effect]:
-    """Effects with parameters that at least one recording could show; a step at every moment,
-    or near the moment where it is already."""
+def candidates(parts: Sequence[Fitted], present: Sequence[Effect]) -> list[Effect]:
+    """Effects with parameters that at least one recording could show; a step at moments all over
+    the recording, near the moment where it is already, and where a reading was least expected."""
     out: list[Effect] = []
+    cases = [f.case for f in parts]
     t = cases[0].recording.imu.t
     for effect in catalogue().values():
         if effect.process is not None or effect.outliers:
@@ -130,12 +132,15 @@ def candidates(cases: Sequence[Case], present: Sequence[Effect]) -> list[Effect]
         elif len(cases) == 1:
             grid = effect.moments(t)
             grid = grid[:: max(1, math.ceil(len(grid) / MOMENTS))]
-            out += [frozen_at(effect, m) for m in _near(effect, grid, present)]
+            grid = _near(effect, grid, present)
+            if effect.observation_error:
+                grid = _with(grid, sudden(parts[0], effect.observation_error.keys()))
+            out += [frozen_at(effect, m) for m in grid]
     return out
 
 
 def _near(effect: Effect, grid: Array, present: Sequence[Effect]) -> Array:
-    """The grid of moments, with a finer one about the moment that is in the model."""
+    """The grid of moments, or a finer one about the moment that is in the model."""
     for e in present:
         if name_of(e.id) == effect.id:
             at, column = float(e.id.split("@")[1]), int(np.flatnonzero(grid[0])[0])
@@ -148,6 +153,15 @@ def _near(effect: Effect, grid: Array, present: Sequence[Effect]) -> Array:
     return grid
 
 
+def _with(grid: Array, at: Array) -> Array:
+    """The grid (k, p) with further moments (m,), in their order."""
+    column = int(np.flatnonzero(grid[0])[0])
+    more = np.zeros((len(at), grid.shape[1]))
+    more[:, column] = at
+    out = np.vstack([grid, more[[not _on(grid[:, column], x) for x in at]]])
+    return out[np.argsort(out[:, column])]
+
+
 def _on(grid: Array, at: float) -> bool:
     return bool(np.min(np.abs(grid - at)) < 2e-3)
 
@@ -156,7 +170,7 @@ def _scanned(c: Climb) -> Space:
     own = {e.id: e for e in c.model.effects}
     cases = [f.case for f in c.model.parts]
     terms = [t.effect for t in c.unnamed]
-    options = [own.get(e.id, e) for e in (*candidates(cases, c.model.effects), *terms)]
+    options = [own.get(e.id, e) for e in (*candidates(c.model.parts, c.model.effects), *terms)]
     have = {e.id for e in options}
     options += [e for e in c.model.effects if e.id not in have and e.process is None]
     odds = priors(options)
