@@ -162,7 +162,7 @@ def test_what_is_held_is_no_column_and_all_else_stays(at):
     """A step at its moment: residual and columns are those of the effect with all its parameters,
     but for the moment's."""
     step = effects()["mag_step"].parameters
-    o, whole, count = setup("magnetometer", "mag_step")
+    _, whole, count = setup("magnetometer", "mag_step")
     held = whole._replace(
         counts=whole.counts - [0, 0, 1, 0],
         whole=np.array([[0, 0, len(step), 0]]),

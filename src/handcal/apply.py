@@ -112,7 +112,7 @@ def apply(recording: Recording, learnt: Learnt, *, biases: bool = False) -> Corr
 def _reason(effect: str, recording: Recording, biases: bool) -> str:
     """Why an effect is left as it is; empty if it can be taken off."""
     known = catalogue().get(effect)
-    if known is None or known.of_one_day and not biases:
+    if known is None or (known.of_one_day and not biases):
         return "" if biases else NOT_ASKED
     if known.world or known.process is not None or known.outliers:
         return NO_SENSOR

@@ -226,7 +226,7 @@ def _total(
 def _called(
     kind: int, k: int, tables: Tables, nav: Array, extras: Array, z: Array, r: Array
 ) -> int:
-    """Function number k of a kind with its parameters: its slice of the extras, and what is held."""
+    """Function number k of a kind with its own of the extras, and with what is held."""
     address, a = tables.function[kind, k], tables.start[kind, k]
     n = tables.whole[kind, k]
     if n == 0:

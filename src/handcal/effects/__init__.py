@@ -117,8 +117,8 @@ class Effect:
     have the parameters' names behind the id (``gyro_bias_walk_density``); walks: the reading
     they add to, "gyro" or "accel". moments: reference points (k, p) to be tried, given the
     recording's times, where the error is not linear in all parameters (a step at an unknown
-    moment); held: of an effect held at one, the parameters of its
-    ``observation_error``, nan where they are free. outliers: for each kind of observation the probability density of a reading that
+    moment); held: of an effect held at one, the parameters of its ``observation_error``, nan where
+    they are free. outliers: for each kind of observation the probability density of a reading that
     is merely wrong, in a share of readings that is the first parameter. exclusive: ids of
     effects of which this one keeps only what they lack: together with one of them, its
     parameters are those of ``together @ parameters``; always so where there is a gauge but no such

@@ -15,7 +15,7 @@ import numpy as np
 
 from handcal.effects import Effect, catalogue
 from handcal.estimate.beside import side_by_side
-from handcal.estimate.case import Case, applicable, frozen_at, name_of
+from handcal.estimate.case import applicable, frozen_at, name_of
 from handcal.estimate.fit import Fitted, Model, fitted, moved_to, scan
 from handcal.estimate.robust import inflation
 from handcal.evidence import reduce, reduced_pass
