@@ -152,9 +152,14 @@ def _refitted(base: Model, found: Found, options: Options) -> tuple[Found, Chose
             model, chosen = other, exact
     if model.log_evidence < searched.log_evidence - LOST:
         return found, None
+    return _with(found, model), chosen
+
+
+def _with(found: Found, model: Model) -> Found:
+    """The end of the search with another fit of its model."""
     candidates = list(found.space.effects.values())
     where = space(scan(model, candidates), candidates, found.space.prior)
-    return replace(found, model=model, space=where), chosen
+    return replace(found, model=model, space=where)
 
 
 def _searched(
@@ -169,6 +174,10 @@ def _searched(
         other = search(base, report)
         if advantage(other, found) > TERM_PRIOR:
             found, wrong = other, None
+    elif wrong is not None:
+        whole = outliers.put_back(base, found.model)
+        if found.model.log_evidence - whole.log_evidence + PRIOR < 0.0:
+            found, wrong = _with(found, whole), None
     if wrong is None:
         found, wrong = _without_outliers(base, found, report)
     slow = creeping(base, found.model, _gained(found)) if wrong is None else None
