@@ -169,15 +169,16 @@ def _searched(
     cleaned, wrong = outliers.cleaned(base)
 
     found = search(cleaned, report)
-    if wrong is not None and wrong.burst is not None:
-        # what comes one after the other may be a heading that errs by a known effect
-        other = search(base, report)
-        if advantage(other, found) > TERM_PRIOR:
-            found, wrong = other, None
-    elif wrong is not None:
+    if wrong is not None and wrong.burst is None:
         whole = outliers.put_back(base, found.model)
         if found.model.log_evidence - whole.log_evidence + PRIOR < 0.0:
             found, wrong = _with(found, whole), None
+    if wrong is not None and (wrong.burst or any(e.held for e in found.model.effects)):
+        # what comes one after the other may be a heading that errs by a known effect, and a step
+        # has its moment from the very readings that were left out
+        other = search(base, report)
+        if advantage(other, found) > (TERM_PRIOR if wrong.burst else PRIOR):
+            found, wrong = other, None
     if wrong is None:
         found, wrong = _without_outliers(base, found, report)
     slow = creeping(base, found.model, _gained(found)) if wrong is None else None
