@@ -8,7 +8,8 @@ from itertools import groupby
 from pathlib import Path
 
 from handcal import words
-from handcal.effects import Effect, Param, catalogue
+from handcal.effects import PLACE, Effect, Param, catalogue
+from handcal.streams import STREAMS
 
 FILE = Path(__file__).with_name("effects.md")
 GROUPS = (
@@ -53,8 +54,10 @@ def entry(effect: Effect) -> str:
         f"- Usual: {'; '.join(_usual(effect))}",
         f"- What shows it: {effect.motion}",
     ]
-    if needs := [n for n in effect.needs if n != "attitude"]:
-        lines.append(f"- Needs: a stream `{'`, `'.join(needs)}`")
+    needs = [f"a stream `{n}`" for n in effect.needs if n in STREAMS]
+    needs += ["a held point or a stream `pose`"] * (PLACE in effect.needs)
+    if needs:
+        lines.append(f"- Needs: {', and '.join(needs)}")
     lines += [f"- Source: {effect.source}", f"- Tried on: {effect.validated}", ""]
     return "\n".join(lines)
 

@@ -68,6 +68,8 @@ CONTRACT = {
     "heading_soft_iron": ("sin cos", "rad", 0.15),
     "mag_hard_iron": ("x y z", "tesla", 1e-4),
     "mag_soft_iron": ("xx yy zz xy xz yz", "1", 0.1),
+    "mag_gradient": ("xx yy xy xz yz", "tesla/m", 2e-5),
+    "mag_step": ("x y z at", ("tesla", "tesla", "tesla", "s"), None),
     "heading_delay": ("delay", "s", 0.15),
     "pose_delay": ("delay", "s", 0.02),
     "pose_scale": ("scale", "1", 0.02),
@@ -206,11 +208,15 @@ def test_moments_to_try(name):
         assert at[-1] == pytest.approx(0.95 * duration, abs=0.01)
         if duration < 60.0:
             assert np.diff(at).max() < 1.5
-        signals = Signals(t, np.ones((n, 3)), np.ones((n, 3)))
-        assert np.all(effect.imu_error(points[0], signals) == 0.0)
+        if effect.imu_error is not None:
+            signals = Signals(t, np.ones((n, 3)), np.ones((n, 3)))
+            assert np.all(effect.imu_error(points[0], signals) == 0.0)
+        for kind in effect.observation_error:
+            nav = nav_of(VELOCITY, NORTH, SPIN)
+            assert np.all(corrected(name, kind, nav, points[0], READINGS[kind]) == 0.0)
 
 
-@pytest.mark.parametrize("name", MOMENTARY)
+@pytest.mark.parametrize("name", [i for i in MOMENTARY if i in ACTING])
 def test_a_later_moment_takes_away_the_time_between(name):
     """By the moment: what the error would have added up to in between, wherever it falls."""
     effect = catalogue()[name]
@@ -490,6 +496,10 @@ OBSERVED_BY_HAND = {
     # its velocity is 0.5 z x (-0.2, 0.1) = (-0.05, -0.1) more than that of the point
     ("lever_arm", "zero_velocity"): ([0.1, 0.2, 0.3], [-0.05, -0.1, 0.0]),
     ("mag_hard_iron", "magnetometer"): ([1e-5, 2e-5, -3e-5], [-1e-5, -2e-5, 3e-5]),
+    # 39 s after the start; it is 40 s
+    ("mag_step", "magnetometer"): ([1e-5, 2e-5, -3e-5, 39.0], [-1e-5, -2e-5, 3e-5]),
+    # (the device is at the origin, see below)
+    ("mag_gradient", "magnetometer"): ([0.1, 0.2, 0.3, 0.4, 0.5], [0.0] * 3),
     ("pose_delay", "pose"): ([0.2], [0.2, 0.4, 0.6, 0.0, 0.0, 0.1]),
     # (the device is at the origin, see below)
     ("pose_scale", "pose"): ([0.1], [0.0] * 6),
@@ -506,6 +516,28 @@ def test_the_world_of_a_pose_grows_and_turns_about_its_origin():
     turned = corrected("pose_drift", "pose", nav, [0, 0, 0, 0, 0, 0.1], [0])
     np.testing.assert_allclose(grown[:6], [-0.2, 0, 0, 0, 0, 0], atol=1e-12)
     np.testing.assert_allclose(turned[:6], [0, -0.2, 0, 0, 0, -0.1], atol=1e-12)
+
+
+def test_a_step_of_the_readings_begins_at_its_moment():
+    nav, values = nav_of(VELOCITY, NORTH, SPIN), [1e-5, 2e-5, -3e-5]
+    for at, there in ((39.99, True), (40.0, True), (40.01, False)):
+        got = corrected("mag_step", "magnetometer", nav, [*values, at], READINGS["magnetometer"])
+        np.testing.assert_array_equal(got[:3] != 0.0, there)
+
+
+def test_the_field_changes_with_the_place():
+    """At (1, 2, 3) m: 1.9 uT more to the east, 2.2 to the north and 0.5 up, where body x points
+    north and y west. Soft iron draws the field as it is there, once the change is believed."""
+    nav = nav_of(VELOCITY, NORTH, SPIN)
+    nav[:3] = 1.0, 2.0, 3.0
+    G = np.array([1e-7, 2e-7, 3e-7, 4e-7, 5e-7])
+    effect, z = catalogue()["mag_gradient"], np.zeros((1, Z_DIM))
+    z[0, : len(READINGS["magnetometer"])] = READINGS["magnetometer"]
+    got = corrected("mag_gradient", "magnetometer", nav, G, z[0])
+    np.testing.assert_allclose(got[:3], [-2.2e-6, 1.9e-6, -0.5e-6], atol=1e-18)
+    z = effect.believed["magnetometer"](z, G)
+    got = corrected("mag_soft_iron", "magnetometer", nav, [0.1, 0.2, 0.3, 0.0, 0.0, 0.0], z[0])
+    np.testing.assert_allclose(got[:3], [-2.22e-6, 0.38e-6, 11.85e-6], atol=1e-18)
 
 
 @pytest.mark.parametrize(("name", "kind"), OBSERVED)
@@ -717,7 +749,8 @@ NOISE_TRIALS = [
 
 def test_every_effect_is_on_trial():
     tried = {getattr(trial, "values", trial)[0] for trial in TRIALS}
-    tried |= {name for name, *_ in NOISE_TRIALS} | set(STRAYING) | set(MOMENTARY) | {"pose_drift"}
+    tried |= {name for name, *_ in NOISE_TRIALS} | set(STRAYING) | set(MOMENTARY)
+    tried |= {"pose_drift", "mag_gradient"}
     assert tried == {i for i in IDS if not catalogue()[i].baseline}
 
 
@@ -770,6 +803,26 @@ def test_what_the_simulator_injects_comes_back(name, motion, phone, stream, prio
         assert abs(got.value - value) < most * got.sigma, (parameter.name, got, value)
         assert got.sigma < parameter.prior_sigma
         assert got.observable
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_field_that_changes_with_place_comes_back(seed):
+    """Shown by the arm at whose end the device is, which is unknown too."""
+    rng = np.random.default_rng(1000 + seed)
+    truth = {
+        "lever_arm": 0.1 * rng.choice([-1, 1], 3) * rng.uniform(0.7, 1.3, 3),
+        "mag_gradient": 2e-5 * rng.choice([-1, 1], 5) * rng.uniform(0.7, 1.3, 5),
+    }
+    world = simulate(
+        "free-hand", seed=seed, phone=with_magnetometer, duration_s=32.0, effects=truth
+    )
+    found = calibrate(recording_of(world, "mag"), [*truth], assume="fixed-point")
+    for parameter, value in zip(
+        catalogue()["mag_gradient"].parameters, truth["mag_gradient"], strict=True
+    ):
+        got = found.parameter("mag_gradient", parameter.name)
+        assert abs(got.value - value) < 4.0 * got.sigma, (parameter.name, got, value)
+        assert got.sigma < 0.2 * parameter.prior_sigma
 
 
 @pytest.mark.parametrize("seed", range(4))

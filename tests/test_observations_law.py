@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from handcal import so3
 from handcal._jit import call_residual
-from handcal.effects import Z_DIM
+from handcal.effects import TIME, Z_DIM
 from handcal.effects import catalogue as effects
-from handcal.kernel import BASE, MAX_DIM, Tables, linearise
+from handcal.kernel import BASE, MAX_DIM, MOST_HELD, Tables, linearise
 from handcal.observations import NAV, Scene, catalogue
 from handcal.observations.magnetometer import HORIZONTAL, UPWARD, heading_off
 from handcal.observations.pose import aligned
@@ -80,6 +80,8 @@ def setup(kind, effect=None):
         start,
         counts,
         np.full(64, 1e-5),
+        np.zeros_like(counts),
+        np.full((*counts.shape, MOST_HELD), np.nan),
     )
     return o, tables, int(counts.sum())
 
@@ -153,6 +155,31 @@ def test_observation_matrix_is_the_derivative_of_the_residual(kind, effect, step
         np.testing.assert_allclose(H[: o.dim], expected, rtol=3e-6, atol=2e-8)
         assert np.all(H[o.dim :] == 0)
         assert np.abs(expected).max() > 0.5
+
+
+@pytest.mark.parametrize("at", [0.3, 0.7])
+def test_what_is_held_is_no_column_and_all_else_stays(at):
+    """A step at its moment: residual and columns are those of the effect with all its parameters,
+    but for the moment's."""
+    step = effects()["mag_step"].parameters
+    _, whole, count = setup("magnetometer", "mag_step")
+    held = whole._replace(
+        counts=whole.counts - [0, 0, 1, 0],
+        whole=np.array([[0, 0, len(step), 0]]),
+        held=whole.held.copy(),
+    )
+    held.held[0, 2, : len(step)] = [np.nan, np.nan, np.nan, at]
+    nav, z = random_case("magnetometer", 0)
+    z[TIME] = 0.5
+    own = np.random.default_rng(0).normal(0, 0.1, count - 1)
+    out = []
+    for tables, extras in ((held, own), (whole, np.r_[own, at])):
+        r, H = np.zeros(MAX_DIM), np.zeros((MAX_DIM, BASE + len(extras)))
+        assert linearise(0, tables, nav, extras.copy(), z, np.zeros((6, 0)), r, H) == 0
+        out.append((r, H[:, : BASE + count - 1]))
+    np.testing.assert_array_equal(out[0][0], out[1][0])
+    np.testing.assert_array_equal(out[0][1], out[1][1])
+    assert bool(out[0][1][:3, -3:].any()) == (at < z[TIME])
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -35,6 +35,8 @@ PROMISED = {
     "heading_soft_iron": "sin cos",
     "mag_hard_iron": "x y z",
     "mag_soft_iron": "xx yy zz xy xz yz",
+    "mag_gradient": "xx yy xy xz yz",
+    "mag_step": "x y z at",
     "heading_delay": "delay",
     "pose_delay": "delay",
     "pose_scale": "scale",
@@ -211,6 +213,9 @@ def test_without_a_heading_sensor_heading_effects_are_the_magnetometers():
     soft = recorded(mag_soft_iron=[-0.1, 0.0, 0.1, 0.0, 0.0, 0.05]).streams["mag"].values
     S = np.array([[-0.1, 0.0, 0.0], [0.0, 0.0, 0.05], [0.0, 0.05, 0.1]])
     np.testing.assert_allclose(soft - plain, plain @ S, atol=1e-18)
+    jump = recorded(mag_step=[1e-5, -2e-5, 3e-5, 12.0]).streams["mag"]
+    later = (jump.stamps >= 12.0)[:, None]
+    np.testing.assert_allclose(jump.values - plain, later * [1e-5, -2e-5, 3e-5], atol=1e-18)
     with pytest.raises(SimulationError, match="mag_hard_iron"):
         recorded(alone, heading_hard_iron=[0.1, 0.0])
     with pytest.raises(SimulationError, match="mag_soft_iron"):
@@ -250,6 +255,29 @@ def test_heading_is_the_yaw_of_body_x():
     C = PLAIN.truth.C_nb
     expected = np.arctan2(C[:, 1, 0], C[:, 0, 0])
     np.testing.assert_allclose(PLAIN.streams["heading"].values[:, 0], expected, atol=1e-14)
+
+
+def test_a_field_that_changes_with_place():
+    """Along the arm, in axes whose y is the way that the field points: the sensor at its end."""
+    there = replace(DEVICE, heading=None, mag=phone.Magnetometer(declination=0.4))
+    there = replace(there, heading_errors=replace(there.heading_errors, offset=0.3))
+    G = np.array([[1e-5, 3e-5, 4e-5], [3e-5, 2e-5, 5e-5], [4e-5, 5e-5, -3e-5]])
+    arm = [0.1, -0.2, 0.05]
+    world = recorded(there, mag_gradient=[1e-5, 2e-5, 3e-5, 4e-5, 5e-5], lever_arm=arm)
+    added = world.streams["mag"].values - recorded(there).streams["mag"].values
+    c, s = math.cos(0.7), math.sin(0.7)
+    C_nm = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T
+    change = C_nm @ G @ C_nm.T
+    C = world.truth.C_nb
+    np.testing.assert_allclose(
+        added, np.einsum("nji,jk,nk->ni", C, change, world.truth.position), atol=1e-16
+    )
+    # soft iron draws the field as it is there
+    soft = {"mag_soft_iron": [-0.1, 0.0, 0.1, 0.0, 0.0, 0.05]}
+    bent = recorded(there, mag_gradient=[1e-5, 2e-5, 3e-5, 4e-5, 5e-5], lever_arm=arm, **soft)
+    S = np.array([[-0.1, 0.0, 0.0], [0.0, 0.0, 0.05], [0.0, 0.05, 0.1]])
+    read = world.streams["mag"].values
+    np.testing.assert_allclose(bent.streams["mag"].values, read + read @ S, atol=1e-16)
 
 
 def test_the_earth_that_was_left_out():

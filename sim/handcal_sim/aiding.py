@@ -67,29 +67,37 @@ def read_mag(
     sensor: Magnetometer,
     errors: HeadingErrors | None,
     motion: Motion,
-    place_b: Array,
+    arm: Array,
     t: Array,
     rng: np.random.Generator,
 ) -> Array:
-    """The field at place_b (3,) in body axes (n, 3), tesla. Errors of heading turn the field it
-    feels about up."""
+    """The field in body axes (n, 3), tesla, at a sensor at ``arm`` (3,) from the held point. Errors
+    of heading turn the field it feels about up."""
     delay = 0.0 if errors is None else errors.delay_s
-    at = evaluate(motion, t - delay)
-    C_nb = at.C_nb
-    level = sensor.strength * math.cos(sensor.dip)
-    east, north = level * math.sin(sensor.declination), level * math.cos(sensor.declination)
-    field_n = np.array([east, north, -sensor.strength * math.sin(sensor.dip)])
-    if np.any(sensor.gradient):
-        field_n = field_n + (at.position + out_of(C_nb, place_b)) @ sensor.gradient.T
-    if sensor.passing is not None:
-        field_n = field_n + sensor.passing(t - delay)
+    k = evaluate(motion, t - delay)
+    C_nb, place = k.C_nb, k.position + out_of(k.C_nb, arm)
     noise = sensor.sigma * rng.standard_normal((len(t), 3))
+    turned = np.full(len(t), sensor.declination)
     if errors is not None:
-        zero = np.zeros(len(t))
-        C_nb = euler_matrix(zero, zero, heading_error(errors, yaw(C_nb), t, rng)) @ C_nb
-    field_b = into(C_nb, field_n)
-    soft = np.triu(sensor.soft_iron) + np.triu(sensor.soft_iron, 1).T
-    return field_b + field_b @ soft + sensor.hard_iron + noise
+        turned += heading_error(errors, yaw(C_nb), t, rng)
+    zero = np.zeros(len(t))
+    # axes n turned about up to those of the field, whose horizontal part is y
+    C_mn = euler_matrix(zero, zero, turned)
+    G = _symmetric(sensor.gradient)
+    G[2, 2] = -G[0, 0] - G[1, 1]
+    earth = sensor.strength * np.array([0.0, math.cos(sensor.dip), -math.sin(sensor.dip)])
+    field_m = earth + out_of(C_mn, place) @ G
+    if sensor.passing is not None:
+        field_m = field_m + out_of(C_mn, sensor.passing(t - delay))
+    field_b = into(C_mn @ C_nb, field_m)
+    iron = sensor.hard_iron + np.where(t[:, None] >= sensor.step_at_s, sensor.step, 0.0)
+    return field_b + field_b @ _symmetric(sensor.soft_iron) + iron + noise
+
+
+def _symmetric(upper: Array) -> Array:
+    """The symmetric matrix of which this is the diagonal and what lies above."""
+    matrix: Array = np.triu(upper) + np.triu(upper, 1).T
+    return matrix
 
 
 def read_pose(sensor: Pose, motion: Motion, t: Array, rng: np.random.Generator) -> Array:

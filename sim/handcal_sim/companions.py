@@ -58,8 +58,9 @@ class Magnetometer:
     """Tesla. The field: its strength, dip and declination (east of north), rad.
 
     soft_iron (3, 3): symmetric, what is above the diagonal counts; the field in body axes times it
-    is read in addition. gradient (3, 3): tesla/m in navigation axes, by how much the field differs
-    a metre away from where the held point began; symmetric and without trace, as fields are.
+    is read in addition. gradient (3, 3): how the field changes with place, tesla/m, in axes of the
+    field (its horizontal part is y, z is up): symmetric and without trace, what is above the
+    diagonal counts, and the last of the diagonal follows; step (3,): added from step_at_s on.
     passing: iron, what it adds to the field (3,) in navigation axes.
     """
 
@@ -69,6 +70,8 @@ class Magnetometer:
     hard_iron: Array = field(default_factory=_three)
     soft_iron: Array = field(default_factory=_matrix)
     gradient: Array = field(default_factory=_matrix)
+    step: Array = field(default_factory=_three)
+    step_at_s: float = 0.0
     sigma: float = 0.0
     clocking: Clocking = Clocking()
     passing: Passing | None = None

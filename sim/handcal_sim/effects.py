@@ -91,6 +91,8 @@ EFFECTS: dict[str, tuple[Parameter, ...]] = {
     "heading_soft_iron": _vector(f"{_H}.soft_iron", "rad", ["sin", "cos"]),
     "mag_hard_iron": _vector("phone.mag.hard_iron", "tesla"),
     "mag_soft_iron": _matrix("phone.mag.soft_iron", "1", ["xx", "yy", "zz", "xy", "xz", "yz"]),
+    "mag_gradient": _matrix("phone.mag.gradient", "tesla/m", ["xx", "yy", "xy", "xz", "yz"]),
+    "mag_step": _vector("phone.mag.step", "tesla") + _scalar("phone.mag.step_at_s", "s", "at"),
     "heading_delay": _scalar(f"{_H}.delay_s", "s", "delay"),
     "pose_delay": _scalar("phone.pose.delay_s", "s", "delay"),
     "pose_scale": _scalar("phone.pose.scale", "1", "scale"),

@@ -35,7 +35,7 @@ from handcal_sim.prove_given import (
     some,
     with_streams,
 )
-from handcal_sim.prove_suites import EARTH_GROUP, FAINT_NATS, LARGE, SIZES, SUITES, Answer
+from handcal_sim.prove_suites import BESIDE, EARTH_GROUP, FAINT_NATS, LARGE, SIZES, SUITES, Answer
 from handcal_sim.scenario import World
 
 Drawing = Callable[[Ticket, np.random.Generator], tuple[World, Answer]]
@@ -67,6 +67,7 @@ def _each(ticket: Ticket, rng: np.random.Generator) -> tuple[World, Answer]:
 def _with(
     names: list[str], ticket: Ticket, given: Circumstances, rng: np.random.Generator
 ) -> tuple[World, Answer]:
+    names = list(dict.fromkeys([*names, *(BESIDE[n] for n in names if n in BESIDE)]))
     given = with_streams(given, names, rng)
     effects = amplitudes(names, given, rng)
     group = EARTH_GROUP if "earth_rate" in names else ""

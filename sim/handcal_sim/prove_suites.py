@@ -37,6 +37,8 @@ SIZES: dict[str, tuple[float, ...]] = {
     "heading_soft_iron": (0.15,),
     "mag_hard_iron": (1e-4,),
     "mag_soft_iron": (0.1,),
+    "mag_gradient": (2e-5,),
+    "mag_step": (2e-5,),
     "heading_delay": (0.15,),
     "pose_delay": (0.02,),
     "pose_scale": (0.02,),
@@ -65,13 +67,14 @@ NEEDS: dict[str, frozenset[str]] = {
     **{name: frozenset({"heading"}) for name in SIZES if name.startswith("heading_")},
     "gyro_temperature": frozenset({"temperature"}),
     "accel_temperature": frozenset({"temperature"}),
-    "mag_hard_iron": frozenset({"mag"}),
-    "mag_soft_iron": frozenset({"mag"}),
+    **{name: frozenset({"mag"}) for name in SIZES if name.startswith("mag_")},
     "pose_delay": frozenset({"pose"}),
     "pose_scale": frozenset({"pose"}),
     "pose_drift": frozenset({"pose"}),
     "clock_rate": frozenset({"pose"}),
 }
+# What shows only beside another: the field changes with place where the device goes about an arm.
+BESIDE = {"mag_gradient": "lever_arm"}
 # Never drawn together: no motion tells the two apart, so that there is no right answer.
 GAUGES = (frozenset({"gravity", "accel_scale"}),)
 

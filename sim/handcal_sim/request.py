@@ -121,7 +121,7 @@ def _phone(request: Request, effects: set[str], rng: np.random.Generator) -> Pho
         phone = replace(phone, thermometer=replace(phone.thermometer, reported=True))
     return replace(
         _with_heading(phone, request),
-        mag=mag if request.mag or {"mag_hard_iron", "mag_soft_iron"} & set(effects) else None,
+        mag=mag if request.mag or any(e.startswith("mag_") for e in effects) else None,
         pose=pose if request.pose or "pose_delay" in effects else None,
         reference=_known(request, reference),
     )

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from handcal.conceal import Truth, streams_of
-from handcal.effects import TIME, Z_DIM, Effect, catalogue, observed_error
+from handcal.effects import ATTITUDE, TIME, Z_DIM, Effect, catalogue, observed_error
 from handcal.effects._stamps import shifted
 from handcal.explain_summary import EXPLANATION_SCHEMA
 from handcal.model import substituted
@@ -112,7 +112,7 @@ def apply(recording: Recording, learnt: Learnt, *, biases: bool = False) -> Corr
 def _reason(effect: str, recording: Recording, biases: bool) -> str:
     """Why an effect is left as it is; empty if it can be taken off."""
     known = catalogue().get(effect)
-    if known is None or known.of_one_day:
+    if known is None or (known.of_one_day and not biases):
         return "" if biases else NOT_ASKED
     if known.world or known.process is not None or known.outliers:
         return NO_SENSOR
@@ -148,7 +148,7 @@ def _imu(
     """about (6,): the likely biases, which must not count as motion; bias: to be taken off."""
     imu = recording.imu
     raw = np.hstack([imu.gyro, imu.accel])
-    needed = any("attitude" in e.needs for e in acting)
+    needed = any(ATTITUDE in e.needs for e in acting)
     C_nb = Truth(recording, tuple(acting)).attitude(imu.t) if needed else None
     signals = of_recording(recording, acting, read=raw - about, C_nb=C_nb)
     ref = np.concatenate([np.zeros(0), *(values[e.id] for e in acting)])

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
-from handcal.effects import Effect, select
+from handcal.effects import PLACE, Effect, select
 from handcal.effects import catalogue as known
 from handcal.estimate.case import Case, case_of
 from handcal.estimate.chosen import Chosen, Options, document_of, seen, settled, view_of
@@ -204,4 +204,9 @@ def _check_effects(effects: Sequence[Effect], kinds: Sequence[str]) -> None:
             raise InputError(
                 f"The effect '{e.id}' acts on {' or '.join(sorted(e.observation_error))}, and "
                 "nothing like that is observed here: leave it out."
+            )
+        if PLACE in e.needs and not any(catalogue()[k].places for k in kinds):
+            raise InputError(
+                f"The effect '{e.id}' depends on where the device is, and neither a held point nor "
+                "a pose tells that here: leave it out."
             )

@@ -19,7 +19,7 @@ import numpy as np
 
 from handcal import so3
 from handcal.calibration import calibrate
-from handcal.effects import TIME, Z_DIM, Effect, Signals, catalogue, observed_error
+from handcal.effects import ATTITUDE, TIME, Z_DIM, Effect, Signals, catalogue, observed_error
 from handcal.effects._field import NORTH, UP
 from handcal.effects._stamps import shifted
 from handcal.observations import Observation, magnetometer
@@ -176,7 +176,7 @@ class Truth:
         return self._signals(replace(imu, gyro=imu.gyro - gyro, accel=imu.accel - accel))
 
     def _signals(self, imu: Imu) -> Signals:
-        needed = any("attitude" in e.needs for e in self.effects if e.conceal is None)
+        needed = any(ATTITUDE in e.needs for e in self.effects if e.conceal is None)
         C_nb = self.attitude(imu.t) if needed else None
         read = np.hstack([imu.gyro, imu.accel])
         return of_recording(self.recording, self.effects, read=read, C_nb=C_nb)

@@ -7,6 +7,7 @@ the readings), all constants, and the total size.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 from handcal._jit import (
@@ -27,6 +28,8 @@ from handcal.types import Array, IntArray
 BASE = 15
 MAX_DIM = 6
 _SLOPES = MAX_DIM * BASE
+# Parameters of a function of which some are held, at the most.
+MOST_HELD = 16
 
 
 class Tables(NamedTuple):
@@ -34,7 +37,9 @@ class Tables(NamedTuple):
 
     dim (K,), jacobian (K,) addresses or 0; function (K, F) addresses, the first the
     observation's own, 0 ends the list; start, counts (K, F): its slice of the extras;
-    step: of the central difference by each of the extras.
+    step: of the central difference by each of the extras. whole (K, F): of a function some of
+    whose parameters are held, how many it has, else 0; held (K, F, MOST_HELD): those, nan where
+    the extras tell.
     """
 
     dim: IntArray
@@ -43,6 +48,8 @@ class Tables(NamedTuple):
     start: IntArray
     counts: IntArray
     step: Array
+    whole: IntArray
+    held: Array
 
 
 class Nodes(NamedTuple):
@@ -209,12 +216,28 @@ def _total(
     zero1(r)
     status = 0
     for k in range(only, tables.function.shape[1]):
-        address = tables.function[kind, k]
-        if address == 0:
+        if tables.function[kind, k] == 0:
             break
-        a = tables.start[kind, k]
-        status |= call_residual(address, nav, extras[a : a + max(1, tables.counts[kind, k])], z, r)
+        status |= _called(kind, k, tables, nav, extras, z, r)
     return status
+
+
+@inner
+def _called(
+    kind: int, k: int, tables: Tables, nav: Array, extras: Array, z: Array, r: Array
+) -> int:
+    """Function number k of a kind with its own of the extras, and with what is held."""
+    address, a = tables.function[kind, k], tables.start[kind, k]
+    n = tables.whole[kind, k]
+    if n == 0:
+        return call_residual(address, nav, extras[a : a + max(1, tables.counts[kind, k])], z, r)
+    own = local_vector(MOST_HELD)
+    for i in range(n):
+        own[i] = tables.held[kind, k, i]
+        if math.isnan(own[i]):
+            own[i] = extras[a]
+            a += 1
+    return call_residual(address, nav, own, z, r)
 
 
 @inner
@@ -255,19 +278,17 @@ def _extras_columns(
     Functions only add to a residual, so each is differenced alone.
     """
     for k in range(tables.function.shape[1]):
-        address = tables.function[kind, k]
-        if address == 0:
+        if tables.function[kind, k] == 0:
             break
         a = tables.start[kind, k]
-        own = extras[a : a + max(1, tables.counts[kind, k])]
         for c in range(a, a + tables.counts[kind, k]):
             keep, step = extras[c], tables.step[c]
             zero1(plus)
             zero1(minus)
             extras[c] = keep + step
-            call_residual(address, nav, own, z, plus)
+            _called(kind, k, tables, nav, extras, z, plus)
             extras[c] = keep - step
-            call_residual(address, nav, own, z, minus)
+            _called(kind, k, tables, nav, extras, z, minus)
             extras[c] = keep
             for j in range(d):
                 H[j, BASE + c] -= (plus[j] - minus[j]) / (2 * step)

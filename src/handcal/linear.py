@@ -14,7 +14,7 @@ import numpy as np
 from handcal import so3
 from handcal._jit import njit
 from handcal.covariance import propagation_work
-from handcal.effects import DELAY
+from handcal.effects import ATTITUDE, DELAY
 from handcal.filter import Track
 from handcal.kernel import BASE, MAX_DIM, Nodes, Tables, corrected, fill_nav, linearise
 from handcal.model import (
@@ -112,7 +112,7 @@ def linearise_about(problem: Problem, start: Start, nominal: Trajectory) -> Line
     """Integrate between the epochs and linearise everything about the nominal trajectory."""
     held = any(o.wandering is not None for o in problem.observations)
     C_nb = None
-    asked = held or (problem.navigated and any("attitude" in e.needs for e in problem.effects))
+    asked = held or (problem.navigated and any(ATTITUDE in e.needs for e in problem.effects))
     if problem.imu_constants and asked:
         C_nb = path(problem, nominal).C[np.searchsorted(problem.nodes.t, problem.recording.imu.t)]
     if not problem.imu_constants:
@@ -172,11 +172,14 @@ def linearise_about(problem: Problem, start: Start, nominal: Trajectory) -> Line
 
 
 def _believing(problem: Problem, constants: Array) -> Problem:
-    """The problem with what its observations tell effects of their own constants (c,)."""
+    """The problem with what its observations and effects tell others of their constants (c,)."""
     for k, o in enumerate(problem.observations):
-        if o.believed is not None:
+        told = [(o.kind, o.believed)] if o.believed is not None else []
+        told += [(e.id, e.believed[o.kind]) for e in problem.effects if o.kind in e.believed]
+        if told:
             z, mine = problem.nodes.z.copy(), problem.nodes.kind == k
-            z[mine] = o.believed(z[mine], constants_of(problem, constants, o.kind))
+            for owner, believed in told:
+                z[mine] = believed(z[mine], constants_of(problem, constants, owner))
             problem = replace(problem, nodes=problem.nodes._replace(z=z))
     return problem
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from handcal._jit import njit
 from handcal.effects import DELAY, TIME, Z_DIM, Effect, Signals, correction_jacobian
-from handcal.kernel import BASE, MAX_DIM, Nodes, Noise, Tables
+from handcal.kernel import BASE, MAX_DIM, MOST_HELD, Nodes, Noise, Tables
 from handcal.observations import Observation, Rows, nearest
 from handcal.signals import of_recording, reading
 from handcal.types import ACCEL_BIAS_PRIOR as ACCEL_BIAS_PRIOR
@@ -193,17 +193,22 @@ def _tables(
     function = np.zeros((len(kinds), width), dtype=np.int64)
     start = np.zeros((len(kinds), width), dtype=np.int64)
     count = np.zeros((len(kinds), width), dtype=np.int64)
+    whole = np.zeros((len(kinds), width), dtype=np.int64)
+    held = np.full((len(kinds), width, MOST_HELD), np.nan)
     for k, kind in enumerate(kinds):
         function[k, 0] = kind.residual
         parts = [(kind.residual, at[kind.kind], len(constants[k]))]
         if kind.markov is not None:
             parts.append((kind.markov_residual, markov_at[kind.kind], kind.markov.size))
+        acting = [e for e in effects if kind.kind in e.observation_error]
+        for j, e in enumerate(acting, len(parts)):
+            whole[k, j] = len(e.held)
+            held[k, j, : len(e.held)] = e.held
         parts += [
             (e.observation_error[kind.kind], at[e.id], len(e.parameters))
             if e.process is None
             else (e.observation_error[kind.kind], markov_at[e.id], e.process.size)
-            for e in effects
-            if kind.kind in e.observation_error
+            for e in acting
         ]
         for j, part in enumerate(parts):
             function[k, j], start[k, j], count[k, j] = part
@@ -214,6 +219,8 @@ def _tables(
         start,
         count,
         step,
+        whole,
+        held,
     )
 
 

@@ -32,6 +32,7 @@ _UNITS: dict[str, tuple[tuple[str, float, float], ...]] = {
     "s": (("ms", 1000.0, 1000.0), ("s", 1.0, math.inf)),
     "m/s": (("mm/s", 1000.0, 1000.0), ("m/s", 1.0, math.inf)),
     "tesla": (("µT", 1e6, math.inf),),
+    "tesla/m": (("µT/m", 1e6, math.inf),),
     "s/rad": (("%/(100 deg/s)", 1e4 / _DEG, math.inf),),
     "s^2/m": (("mg/g²", 1000.0 * 9.80665, math.inf),),
     "rad/s/m/s^2": (("deg/s/g", _DEG * 9.80665, math.inf),),

@@ -32,6 +32,8 @@ import numpy as np
 from handcal._jit import call_residuals
 from handcal.types import Array, BoolArray, InputError, Level, Markov, Recording, Result
 
+# What an effect may need besides streams.
+ATTITUDE, PLACE = "attitude", "place"
 # Places in an observation's z (Z_DIM numbers) that are the same for every kind.
 Z_DIM = 46
 DELAY, TIME = 44, 45
@@ -107,14 +109,16 @@ class Known(Protocol):
 class Effect:
     """One cause of sensor error: its parameters, its physics and its story in plain words.
 
-    needs: streams without which it cannot be told ("temperature"), or "attitude" where
-    ``imu_error`` reads ``Signals.C_nb``. delays: kinds of observation whose time its first
+    needs: streams without which it cannot be told ("temperature"), ATTITUDE where ``imu_error``
+    reads ``Signals.C_nb``, PLACE where it reads the position in ``nav``, which only some kinds of
+    observation tell. delays: kinds of observation whose time its first
     parameter shifts, so that large ones can be found about a shifted time: ``z[DELAY]`` is
     the part already taken off. process: Markov states of noise, whose levels ``levels``
     have the parameters' names behind the id (``gyro_bias_walk_density``); walks: the reading
     they add to, "gyro" or "accel". moments: reference points (k, p) to be tried, given the
     recording's times, where the error is not linear in all parameters (a step at an unknown
-    moment). outliers: for each kind of observation the probability density of a reading that
+    moment); held: of an effect held at one, the parameters of its ``observation_error``, nan where
+    they are free. outliers: for each kind of observation the probability density of a reading that
     is merely wrong, in a share of readings that is the first parameter. exclusive: ids of
     effects of which this one keeps only what they lack: together with one of them, its
     parameters are those of ``together @ parameters``; always so where there is a gauge but no such
@@ -129,7 +133,9 @@ class Effect:
     Where that is but an approximation, an effect brings its own ways: conceal(parameters,
     recording, known), the recording as a device with the effect makes it, and undo(parameters,
     recording), its reverse. world: it changes what there is to be measured, and is no error of a
-    sensor. of_one_day: another day it is another. sound(parameters, t (n,), valid (n,)): which
+    sensor. believed: for each kind of observation z (k, Z_DIM) with what others that act on it have
+    to know of this one's parameters (k,), at which everything is linearised. of_one_day: another
+    day it is another. sound(parameters, t (n,), valid (n,)): which
     readings depend on measurements alone, where what is read depends on other moments. instead:
     the effect that is the same on a stream on which this one does not act. baseline: it is in every
     model (a state of the filter), so it is never on trial. always: it is in every model of a
@@ -153,6 +159,7 @@ class Effect:
     levels: tuple[Level, ...] = ()
     walks: str = ""
     moments: Callable[[Array], Array] | None = None
+    held: tuple[float, ...] = ()
     outliers: Mapping[str, float] = field(default_factory=dict)
     exclusive: tuple[str, ...] = ()
     together: Array | None = None
@@ -163,6 +170,7 @@ class Effect:
     conceal: Callable[[Array, Recording, Known], Recording] | None = None
     undo: Callable[[Array, Recording], Recording] | None = None
     world: bool = False
+    believed: Mapping[str, Callable[[Array, Array], Array]] = field(default_factory=dict)
     of_one_day: bool = False
     sound: Callable[[Array, Array, BoolArray], BoolArray] | None = None
     instead: str = ""
@@ -224,8 +232,12 @@ def observed_error(
     parameters (k,), or (m, k) where they change; nav (m, 21) as in ``observations``; z (m, Z_DIM).
     """
     address = int(effect.observation_error[kind])
-    theta = np.empty((len(nav), np.shape(parameters)[-1]))
-    theta[:] = parameters
+    theta = np.empty((len(nav), len(effect.held) or np.shape(parameters)[-1]))
+    if effect.held:
+        theta[:] = effect.held
+        theta[:, np.isnan(effect.held)] = parameters
+    else:
+        theta[:] = parameters
     out = np.zeros((len(nav), dim))
     call_residuals(address, np.ascontiguousarray(nav), theta, np.ascontiguousarray(z), out)
     return -out

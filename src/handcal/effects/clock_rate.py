@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from handcal._jit import residual_function
-from handcal.effects import TIME, Effect, Param, Signals
+from handcal.effects import ATTITUDE, TIME, Effect, Param, Signals
 from handcal.effects._late import add_lateness
 from handcal.effects._stamps import stretched
 from handcal.types import Array
@@ -72,7 +72,7 @@ EFFECT = Effect(
         "known_input": residual_function(_reference),
         "pose": residual_function(_pose),
     },
-    needs=("attitude",),
+    needs=(ATTITUDE,),
     conceal=lambda ppm, recording, _: stretched(recording, 1.0 + 1e-6 * float(ppm[0])),
     undo=lambda ppm, recording: stretched(recording, 1.0 / (1.0 + 1e-6 * float(ppm[0]))),
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from handcal.effects import Effect, Param, Signals
+from handcal.effects import ATTITUDE, Effect, Param, Signals
 from handcal.types import Array
 
 
@@ -25,6 +25,6 @@ EFFECT = Effect(
     motion="Many attitudes over minutes, with a heading and a gyro of little noise.",
     validated="the simulator's injection",
     imu_error=imu_error,
-    needs=("attitude",),
+    needs=(ATTITUDE,),
     world=True,
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from handcal.effects import Effect, Param, Signals
+from handcal.effects import ATTITUDE, Effect, Param, Signals
 from handcal.types import Array
 
 
@@ -25,6 +25,6 @@ EFFECT = Effect(
     motion="The device held in many attitudes, upside down too.",
     validated="the simulator's injection",
     imu_error=imu_error,
-    needs=("attitude",),
+    needs=(ATTITUDE,),
     world=True,
 )

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from handcal.effects import Effect, Param, Signals
+from handcal.effects._moments import moments
 from handcal.types import Array
-
-MOST_MOMENTS = 64
 
 
 def imu_error(p: Array, signals: Signals) -> Array:
@@ -22,15 +21,6 @@ def imu_error(p: Array, signals: Signals) -> Array:
     return out
 
 
-def moments(t: Array) -> Array:
-    """Reference points (k, 4): no step yet, at moments about a second apart."""
-    duration = float(t[-1] - t[0])
-    count = int(np.clip(round(0.9 * duration) + 1, 2, MOST_MOMENTS))
-    out = np.zeros((count, 4))
-    out[:, 3] = np.linspace(0.05, 0.95, count) * duration
-    return out
-
-
 EFFECT = Effect(
     id="gyro_bias_step",
     title="Gyro bias step",
@@ -40,6 +30,6 @@ EFFECT = Effect(
     motion="Any; with a heading for a jump about the vertical.",
     validated="the simulator's injection",
     imu_error=imu_error,
-    moments=moments,
+    moments=moments(4),
     of_one_day=True,
 )

@@ -9,7 +9,7 @@ import numpy as np
 
 from handcal import segment, so3
 from handcal.earth import local_earth
-from handcal.effects import Effect, Signals, mag_hard_iron
+from handcal.effects import ATTITUDE, PLACE, Effect, Signals, mag_hard_iron
 from handcal.estimate.observed import Choice, Observed, choose, observed_of
 from handcal.model import Problem, build
 from handcal.observations.fixed_position import CREEPING
@@ -250,10 +250,11 @@ def applicable(case: Case, effect: Effect) -> bool:
     """Whether this recording could show the effect at all, and has to be asked."""
     if effect.baseline:
         return False
-    for need in effect.needs:
-        if need != "attitude" and need not in case.recording.streams:
-            return False
-    if "attitude" in effect.needs and not any(o.navigates for o, _, _ in case.observed):
+    if any(n not in (ATTITUDE, PLACE, *case.recording.streams) for n in effect.needs):
+        return False
+    if PLACE in effect.needs and not any(o.places for o, _, _ in case.observed):
+        return False
+    if ATTITUDE in effect.needs and not any(o.navigates for o, _, _ in case.observed):
         # beside a reference nothing is integrated: what changes the world, both sensors feel
         return bool(set(case.kinds) & set(effect.observation_error))
     if effect.id == "earth_rate" and bool(np.any(case.earth[1])):
@@ -270,20 +271,22 @@ def frozen_at(effect: Effect, moment: Array) -> Effect:
     The parameters that are not zero at the moment are the ones held.
     """
     free = np.flatnonzero(moment == 0.0)
-    assert effect.imu_error is not None
     error = effect.imu_error
 
     def held(parameters: Array, signals: Signals) -> Array:
+        assert error is not None
         whole = moment.copy()
         whole[free] = parameters
         return error(whole, signals)
 
+    numbers = np.where(moment == 0.0, np.nan, moment).tolist()
     return replace(
         effect,
         id=f"{effect.id}@{moment[moment != 0.0][0]:.3f}",
         parameters=tuple(effect.parameters[i] for i in free),
-        imu_error=held,
+        imu_error=None if error is None else held,
         moments=None,
+        held=tuple(numbers) if effect.observation_error else (),
         made=(HELD, tuple(float(x) for x in moment)),
     )
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from handcal.effects import Effect, catalogue
 from handcal.estimate.beside import side_by_side
-from handcal.estimate.case import Case, applicable, frozen_at, name_of
+from handcal.estimate.case import applicable, frozen_at, name_of
 from handcal.estimate.fit import Fitted, Model, fitted, moved_to, scan
 from handcal.estimate.robust import inflation
 from handcal.evidence import reduce, reduced_pass
@@ -30,6 +30,7 @@ from handcal.explain.search import (
     rivals,
     space,
 )
+from handcal.explain.sudden import sudden
 from handcal.explain.unnamed import Term, best_term, reshaped
 from handcal.types import Array
 
@@ -66,7 +67,8 @@ class Climb:
     effects gained in the first; noise: log-evidence gained by each noise effect in the model,
     and stale: those for which that is out of date; swaps: (effect, rival) to the nats by which
     the rival, fitted in its place, does worse. dropped: names of what was not missed, or with
-    which no fit holds; favoured: what an effect that holds more mostly is.
+    which no fit holds; beyond: of what came out larger than makes sense beside the same others;
+    favoured: what an effect that holds more mostly is.
     """
 
     model: Model
@@ -79,6 +81,7 @@ class Climb:
     stale: set[str] = field(default_factory=set)
     swaps: dict[tuple[str, str], float] = field(default_factory=dict)
     dropped: set[str] = field(default_factory=set)
+    beyond: set[str] = field(default_factory=set)
     favoured: set[str] = field(default_factory=set)
     visited: set[frozenset[str]] = field(default_factory=set)
     refused: set[frozenset[str]] = field(default_factory=set)
@@ -116,10 +119,11 @@ def climbed(c: Climb, report: Callable[[float], None]) -> bool:
     return True
 
 
-def candidates(cases: Sequence[Case], present: Sequence[Effect]) -> list[Effect]:
-    """Effects with parameters that at least one recording could show; a step at every moment,
-    or near the moment where it is already."""
+def candidates(parts: Sequence[Fitted], present: Sequence[Effect]) -> list[Effect]:
+    """Effects with parameters that at least one recording could show; a step at moments all over
+    the recording, near the moment where it is already, and where a reading was least expected."""
     out: list[Effect] = []
+    cases = [f.case for f in parts]
     t = cases[0].recording.imu.t
     for effect in catalogue().values():
         if effect.process is not None or effect.outliers:
@@ -131,12 +135,15 @@ def candidates(cases: Sequence[Case], present: Sequence[Effect]) -> list[Effect]
         elif len(cases) == 1:
             grid = effect.moments(t)
             grid = grid[:: max(1, math.ceil(len(grid) / MOMENTS))]
-            out += [frozen_at(effect, m) for m in _near(effect, grid, present)]
+            grid = _near(effect, grid, present)
+            if effect.observation_error:
+                grid = _with(grid, sudden(parts[0], effect.observation_error.keys()))
+            out += [frozen_at(effect, m) for m in grid]
     return out
 
 
 def _near(effect: Effect, grid: Array, present: Sequence[Effect]) -> Array:
-    """The grid of moments, with a finer one about the moment that is in the model."""
+    """The grid of moments, or a finer one about the moment that is in the model."""
     for e in present:
         if name_of(e.id) == effect.id:
             at, column = float(e.id.split("@")[1]), int(np.flatnonzero(grid[0])[0])
@@ -149,6 +156,15 @@ def _near(effect: Effect, grid: Array, present: Sequence[Effect]) -> Array:
     return grid
 
 
+def _with(grid: Array, at: Array) -> Array:
+    """The grid (k, p) with further moments (m,), in their order."""
+    column = int(np.flatnonzero(grid[0])[0])
+    more = np.zeros((len(at), grid.shape[1]))
+    more[:, column] = at
+    out = np.vstack([grid, more[[not _on(grid[:, column], x) for x in at]]])
+    return out[np.argsort(out[:, column])]
+
+
 def _on(grid: Array, at: float) -> bool:
     return bool(np.min(np.abs(grid - at)) < 2e-3)
 
@@ -157,13 +173,13 @@ def _scanned(c: Climb) -> Space:
     own = {e.id: e for e in c.model.effects}
     cases = [f.case for f in c.model.parts]
     terms = [t.effect for t in c.unnamed]
-    options = [own.get(e.id, e) for e in (*candidates(cases, c.model.effects), *terms)]
+    options = [own.get(e.id, e) for e in (*candidates(c.model.parts, c.model.effects), *terms)]
     have = {e.id for e in options}
     options += [e for e in c.model.effects if e.id not in have and e.process is None]
-    odds = priors(options)
+    odds = priors(options, cases)
     if any("fixed_position" in case.kinds for case in cases):
         odds |= {e.id: PRIOR - e.imitated for e in options if e.imitated > 0.0}
-    odds |= {e.id: REFUSED for e in options if name_of(e.id) in c.dropped}
+    odds |= {e.id: REFUSED for e in options if name_of(e.id) in c.dropped | c.beyond}
     odds |= dict.fromkeys(c.favoured, FAVOURED)
     odds |= {e.id: -REFUSED for e in options if e.always}
     return space(scan(c.model, options), options, odds)
@@ -185,16 +201,25 @@ def _delay(c: Climb) -> Model | None:
 
 
 def _choose(c: Climb) -> Model | None:
-    """The effects that the scan likes best, fitted, if such a fit holds."""
-    now, chosen = c.model.chosen, _favourite(c)
-    if chosen == now or chosen in c.visited or _same(c.where, now, chosen):
-        return None
-    c.visited.add(chosen)
-    larger = _grown(c, chosen)
-    if larger is not None:
-        c.swaps.clear()  # (they hold beside the same others only)
-        c.refused.clear()
-    return larger
+    """The effects that the scan likes best, fitted, if such a fit holds; where one of them came out
+    larger than makes sense, those that it likes best without that one."""
+    now = c.model.chosen
+    for _ in range(FEW):
+        chosen, known = _favourite(c), len(c.beyond)
+        if chosen == now or chosen in c.visited or _same(c.where, now, chosen):
+            return None
+        c.visited.add(chosen)
+        larger = _grown(c, chosen)
+        if larger is not None:
+            c.swaps.clear()  # (they hold beside the same others only)
+            c.refused.clear()
+            c.beyond.clear()
+            return larger
+        if len(c.beyond) == known:
+            return None
+        prior = {i: REFUSED if name_of(i) in c.beyond else p for i, p in c.where.prior.items()}
+        c.where = replace(c.where, prior=prior, scores={})
+    return None
 
 
 def _same(where: Space, now: frozenset[str], chosen: frozenset[str]) -> bool:
@@ -220,6 +245,9 @@ def _grown(c: Climb, chosen: frozenset[str]) -> Model | None:
         if likelier(c, tried):
             return tried
         c.refused.add(wanted)
+        if large := _too_large(tried) - {name_of(i) for i in now}:
+            c.beyond |= large
+            return None
         if len(wanted - now) == 1 and tried.log_evidence < c.model.log_evidence - LOST:
             c.dropped |= {name_of(i) for i in wanted - now}
     return None
@@ -236,11 +264,17 @@ def likelier(c: Climb, tried: Model) -> bool:
 
 def _sensible(model: Model) -> bool:
     """Whether no parameter is larger than makes sense."""
+    return not _too_large(model)
+
+
+def _too_large(model: Model) -> set[str]:
+    """Names of the effects of which a parameter is larger than makes sense."""
     known = {(e.id, p.name): p for e in model.effects for p in e.parameters}
-    return all(
-        abs(u) * known[n].prior_sigma <= known[n].most
+    return {
+        name_of(n[0])
         for n, u in zip(model.quadratic.names, model.u, strict=True)
-    )
+        if abs(u) * known[n].prior_sigma > known[n].most
+    }
 
 
 def _odds(c: Climb, model: Model) -> float:

@@ -80,6 +80,19 @@ def cleaned(base: Model) -> tuple[Model, Wrong | None]:
     return model, replace(wrong, gain=gain, probability=probability(gain), burst=span)
 
 
+def put_back(base: Model, model: Model) -> Model:
+    """The model fitted to the readings of the baseline, those left out among them: what missing
+    physics did to a reading looks like a mistake until that physics is there."""
+    begin = []
+    for original, f in zip(base.parts, model.parts, strict=True):
+        rows = {o.kind: r for o, r, _ in original.case.observed}
+        observed = tuple((o, rows[o.kind], constants) for o, _, constants in f.case.observed)
+        own = original.case
+        case = replace(f.case, observed=observed, constant=own.constant, edits=own.edits)
+        begin.append(replace(f, case=case))
+    return fitted(begin, model.effects)
+
+
 def share(model: Model, masks: Sequence[BoolArray | None], gain: float) -> Wrong:
     """The share of headings that were left out of a model, and what that gained."""
     effect = catalogue()["heading_outliers"]

@@ -87,7 +87,8 @@ def _top(
     own = [e for e in model.effects if e.process is None]
     here = frozenset(e.id for e in own)
     options = [*own, *(e for e in chunk if e.id not in here)]
-    wide = space(scan(model, [*options, *(b.effect for b in bases)]), options, priors(options))
+    odds = priors(options, [f.case for f in model.parts])
+    wide = space(scan(model, [*options, *(b.effect for b in bases)]), options, odds)
     q, gained = wide.quadratic, gains(wide, here)
     known = np.concatenate([np.zeros(0, dtype=np.int64), *(wide.where[e.id] for e in own)])
     ends = [Term(e, gained[e.id], None) for e in options if e.id not in here]

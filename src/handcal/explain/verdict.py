@@ -158,9 +158,14 @@ def _refitted(base: Model, found: Found, options: Options) -> tuple[Found, Chose
             model, chosen = other, exact
     if model.log_evidence < searched.log_evidence - LOST:
         return found, None
+    return _with(found, model), chosen
+
+
+def _with(found: Found, model: Model) -> Found:
+    """The end of the search with another fit of its model."""
     candidates = list(found.space.effects.values())
     where = space(scan(model, candidates), candidates, found.space.prior)
-    return replace(found, model=model, space=where), chosen
+    return replace(found, model=model, space=where)
 
 
 def _searched(
@@ -171,10 +176,15 @@ def _searched(
     cleaned, wrong = outliers.cleaned(base)
 
     found = search(cleaned, report)
-    if wrong is not None and wrong.burst is not None:
-        # what comes one after the other may be a heading that errs by a known effect
+    if wrong is not None and wrong.burst is None:
+        whole = outliers.put_back(base, found.model)
+        if found.model.log_evidence - whole.log_evidence + PRIOR < 0.0:
+            found, wrong = _with(found, whole), None
+    if wrong is not None and (wrong.burst or any(e.held for e in found.model.effects)):
+        # what comes one after the other may be a heading that errs by a known effect, and a step
+        # has its moment from the very readings that were left out
         other = search(base, report)
-        if advantage(other, found) > TERM_PRIOR:
+        if advantage(other, found) > (TERM_PRIOR if wrong.burst else PRIOR):
             found, wrong = other, None
     if wrong is None:
         found, wrong = _without_outliers(base, found, report)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from handcal.effects import Effect, select
+from handcal.effects import ATTITUDE, Effect, select
 from handcal.types import InputError
 
 
@@ -18,7 +18,7 @@ def chosen(ids: Sequence[str], temperature: bool) -> tuple[Effect, ...]:
     for e in effects:
         if e.imu_error is None or e.process is not None or e.moments is not None:
             raise InputError(f"{e.id} is no constant error of gyro or accelerometer.")
-        if "attitude" in e.needs:
+        if ATTITUDE in e.needs:
             raise InputError(
                 f"{e.id} belongs to the place, not to the sensors: here it is taken as known "
                 "(--gravity)."

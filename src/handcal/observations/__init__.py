@@ -81,7 +81,8 @@ class Observation:
     wandering: first of the three Markov states that are the velocity of a point that wanders
     at random: what it feels is no motion that could excite an effect.
     folds: read so often that its readings within a tenth of a second may be folded into one.
-    navigates: it says something of position, velocity or attitude.
+    navigates: it says something of position, velocity or attitude. places: it says where the
+    device is.
     believed(z (k, Z_DIM), theta): z with what effects have to know of the observation's constants,
     at which everything is linearised.
     guess(z (k, zdim)): first guesses of levels that the observations themselves show.
@@ -108,6 +109,7 @@ class Observation:
     isotropic: bool = False
     wandering: int | None = None
     navigates: bool = True
+    places: bool = False
     folds: bool = False
 
 

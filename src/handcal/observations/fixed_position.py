@@ -121,6 +121,7 @@ OBSERVATION = Observation(
     variance=_variance,
     markov=Sway(SWAY),
     isotropic=True,
+    places=True,
     wandering=3,
     markov_residual=residual_function(_swayed),
 )

@@ -185,6 +185,7 @@ OBSERVATION = Observation(
         Level("pose_attitude_distortion", "rad", 0.003, 1e-4, 0.3),
     ),
     variance=_variance,
+    places=True,
     constants=_constants,
     markov=Turning(*DISTORTION),
     markov_residual=residual_function(_bent),
