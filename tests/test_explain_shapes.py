@@ -160,3 +160,21 @@ def test_play_lags_and_does_not_lead() -> None:
     plays = [e for e in imu_terms(signals, 5) if "play" in e.id]
     assert len(plays) == len(PLAY)
     assert all(e.parameters[0].positive for e in plays)
+
+
+@pytest.mark.parametrize("direction", [-2.0, 0.3, 1.1])
+def test_a_sine_of_the_heading_is_no_lobe(direction: float) -> None:
+    """A lobe may be as wide as one of e^2 to one, by the square root of two: wider ones are what
+    hard iron does."""
+    basis = shapes.heading_bases(SPAN)[1]
+    k = basis.through @ np.cos(basis.grid - direction)
+    names = tuple((basis.effect.id, p.name) for p in basis.effect.parameters)
+    quadratic = Quadratic(names, 0.0, 40.0 * k, 40.0 * np.eye(len(k)))
+    found, _ = shapes.best(basis, quadratic, np.zeros(0, dtype=np.int64))
+    assert found.made is not None
+    kind, (at, sharp) = found.made
+    assert kind == "lobe"
+    assert np.cos(at - direction) == pytest.approx(1.0, abs=0.02) or np.cos(
+        at - direction
+    ) == pytest.approx(-1.0, abs=0.02)
+    assert sharp >= 2.0 / np.sqrt(2.0)

@@ -29,6 +29,8 @@ MOST = 48
 DIRECTIONS = 32
 # A course that is short stands out further than one that lasts, of the same mean square.
 PEAK = 3.0
+# What lies between two sizes on trial is that much larger or smaller than one of them.
+ABOUT = math.sqrt(2.0)
 # A course may be adjusted by its numbers, which a term of the measured signals cannot.
 FREEDOM = 3.0
 
@@ -360,10 +362,10 @@ def best(
         gained = gain(np.array([family.values(n, basis.grid) for n in starts]))
         k = int(np.argmax(gained))
         if gained[k] > top:
-            top, found = float(gained[k]), (family, starts[k])
+            top, found = float(gained[k]), (family, starts[k], starts)
     assert found is not None
-    family, numbers = found
-    numbers = _adjusted(partial(_lost, family, basis.grid, gain), numbers)
+    family, numbers, starts = found
+    numbers = _adjusted(partial(_lost, family, basis.grid, gain), numbers, starts)
     return term_of(basis, family, numbers), -_lost(family, basis.grid, gain, numbers) - FREEDOM
 
 
@@ -373,9 +375,13 @@ def _lost(family: Family, grid: Array, gain: Callable[[Array], Array], numbers: 
     return value if math.isfinite(value) else 0.0
 
 
-def _adjusted(lost: Callable[[Array], float], numbers: Array) -> Array:
-    """The numbers near these where least is lost."""
-    at = minimize(lost, numbers, method="Nelder-Mead", options={"maxfev": 200, "xatol": 1e-3})
+def _adjusted(lost: Callable[[Array], float], numbers: Array, tried: Array) -> Array:
+    """The numbers near these where least is lost, sizes within those that were tried (k, n): a lobe
+    that is wide enough is a sine, which has a name."""
+    ends = zip(tried.min(axis=0), tried.max(axis=0), strict=True)
+    bounds = [(a / ABOUT, b * ABOUT) if a > 0.0 else (None, None) for a, b in ends]
+    options = {"maxfev": 200, "xatol": 1e-3}
+    at = minimize(lost, numbers, method="Nelder-Mead", bounds=bounds, options=options)
     return np.asarray(at.x if at.fun < lost(numbers) else numbers)
 
 
