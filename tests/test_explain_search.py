@@ -18,8 +18,8 @@ from handcal.estimate.fit import fitted, started
 from handcal.estimate.quadratic import Quadratic
 from handcal.estimate.tails import LOG_SHARES, SCALES
 from handcal.explain import climb
+from handcal.explain.score import PRIOR
 from handcal.explain.search import (
-    PRIOR,
     Space,
     best_set,
     expected_gain,

@@ -19,7 +19,7 @@ from handcal.estimate.chosen import document_of
 from handcal.estimate.fit import baseline, fitted
 from handcal.explain import explain
 from handcal.explain.explanation import Explanation
-from handcal.explain.search import PRIOR, priors
+from handcal.explain.score import MOMENTS, PRIOR, prior
 from handcal.explain.sudden import sudden
 from handcal.explain.written import chosen_from
 from handcal.types import InputError, Recording
@@ -155,10 +155,10 @@ def test_each_kind_of_step_shares_its_own_odds(plain: Recording) -> None:
     one = [frozen_at(catalogue()["gyro_bias_step"], np.array([0, 0, 0, 5.0]))]
     case = case_of(plain, "fixed-point")
     count = len(case.observed[case.kinds.index("magnetometer")][1].t)
-    odds = priors([*many, *one, catalogue()["mag_soft_iron"]], [case])
-    assert odds["gyro_bias_step@5.000"] == PRIOR
-    assert odds["mag_step@5.000"] == odds["mag_step@9.000"] == PRIOR - np.log(count)
-    assert {e.id for e in (*many, *one) if applicable(case, e)} == {*odds}
+    assert prior(one[0], [case]) == PRIOR - np.log(MOMENTS)
+    assert [prior(e, [case]) for e in many] == [PRIOR - np.log(count)] * 2
+    assert prior(catalogue()["mag_soft_iron"], [case]) == PRIOR
+    assert all(applicable(case, e) for e in (*many, *one))
 
 
 # --- the mechanism --------------------------------------------------------------------------------

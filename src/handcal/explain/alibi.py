@@ -12,7 +12,7 @@ from handcal.effects import Effect, catalogue
 from handcal.estimate.beside import side_by_side
 from handcal.estimate.case import applicable
 from handcal.estimate.fit import Fitted, Model, fitted
-from handcal.explain.search import PRIOR
+from handcal.explain.score import better
 from handcal.sway import HAND_SWAY, sway_of
 
 # Sigmas of its prior by which a level lies above its first guess before it is suspected.
@@ -27,7 +27,6 @@ def without_alibi(model: Model, worth: float, tried: set[str]) -> Model | None:
     """
     suspected = frozenset(kind for f in model.parts for kind in _grown(f))
     begun = [_usual(f, suspected) for f in model.parts]
-    best: Model | None = None
     wanted = [
         e
         for e in catalogue().values()
@@ -37,11 +36,8 @@ def without_alibi(model: Model, worth: float, tried: set[str]) -> Model | None:
     ]
     tried |= {e.id for e in wanted}
     fits = (partial(fitted, begun, (*model.effects, e), noise_rounds=2) for e in wanted)
-    for fit in side_by_side(fits):
-        gain = worth * (fit.log_evidence - model.log_evidence)
-        if gain + PRIOR > 0.0 and (best is None or fit.log_evidence > best.log_evidence):
-            best = fit
-    return best
+    held = [fit for fit in side_by_side(fits) if better(fit, model, worth) > 0.0]
+    return max(held, key=lambda fit: fit.log_evidence, default=None)
 
 
 def sways_far(f: Fitted) -> bool:

@@ -20,13 +20,11 @@ from handcal.estimate.fit import Fitted, Model, fitted, moved_to, scan
 from handcal.estimate.robust import inflation
 from handcal.evidence import reduce, reduced_pass
 from handcal.explain.alibi import without_alibi
+from handcal.explain.score import MOMENTS, PRIOR, better, prior
 from handcal.explain.search import (
-    OCCAM_LEVEL,
-    PRIOR,
     Space,
     best_set,
     gains,
-    priors,
     rivals,
     space,
 )
@@ -52,10 +50,6 @@ LOST = 100.0
 FEW = 3
 # Log odds of what was fitted without and not missed.
 REFUSED = -1e6
-FAVOURED = 30.0
-# A common part of an exclusive effect that is so much larger than the rest is the simpler one.
-COMMON = 3.0
-MOMENTS = 16
 
 
 @dataclass
@@ -67,8 +61,7 @@ class Climb:
     effects gained in the first; noise: log-evidence gained by each noise effect in the model,
     and stale: those for which that is out of date; swaps: (effect, rival) to the nats by which
     the rival, fitted in its place, does worse. dropped: names of what was not missed, or with
-    which no fit holds; beyond: of what came out larger than makes sense beside the same others;
-    favoured: what an effect that holds more mostly is.
+    which no fit holds; beyond: of what came out larger than makes sense beside the same others.
     """
 
     model: Model
@@ -82,7 +75,6 @@ class Climb:
     swaps: dict[tuple[str, str], float] = field(default_factory=dict)
     dropped: set[str] = field(default_factory=set)
     beyond: set[str] = field(default_factory=set)
-    favoured: set[str] = field(default_factory=set)
     visited: set[frozenset[str]] = field(default_factory=set)
     refused: set[frozenset[str]] = field(default_factory=set)
     ordered: set[tuple[str, frozenset[str]]] = field(default_factory=set)
@@ -176,11 +168,8 @@ def _scanned(c: Climb) -> Space:
     options = [own.get(e.id, e) for e in (*candidates(c.model.parts, c.model.effects), *terms)]
     have = {e.id for e in options}
     options += [e for e in c.model.effects if e.id not in have and e.process is None]
-    odds = priors(options, cases)
-    if any("fixed_position" in case.kinds for case in cases):
-        odds |= {e.id: PRIOR - e.imitated for e in options if e.imitated > 0.0}
+    odds = {e.id: prior(e, cases) for e in options}
     odds |= {e.id: REFUSED for e in options if name_of(e.id) in c.dropped | c.beyond}
-    odds |= dict.fromkeys(c.favoured, FAVOURED)
     odds |= {e.id: -REFUSED for e in options if e.always}
     return space(scan(c.model, options), options, odds)
 
@@ -195,9 +184,7 @@ def _delay(c: Climb) -> Model | None:
     """A delay that no scan finds, before anything else: it looks like many things."""
     late, c.late = c.late, ()
     best = max(late, key=lambda m: m.log_evidence, default=None)
-    if best is None or c.worth * (best.log_evidence - c.model.log_evidence) <= -PRIOR:
-        return None
-    return best
+    return None if best is None or better(best, c.model, c.worth) <= 0.0 else best
 
 
 def _choose(c: Climb) -> Model | None:
@@ -254,12 +241,8 @@ def _grown(c: Climb, chosen: frozenset[str]) -> Model | None:
 
 
 def likelier(c: Climb, tried: Model) -> bool:
-    """Whether a model's score is above that of the one there is: evidence at its worth, and the
-    prior odds of effects and levels; what no device has is no fit."""
-    if not _sensible(tried):
-        return False
-    gain = c.worth * (tried.log_evidence - c.model.log_evidence)
-    return gain + _odds(c, tried) - _odds(c, c.model) > 0.0
+    """Whether a model's score is above that of the one there is; what no device has is no fit."""
+    return _sensible(tried) and better(tried, c.model, c.worth) > 0.0
 
 
 def _sensible(model: Model) -> bool:
@@ -275,12 +258,6 @@ def _too_large(model: Model) -> set[str]:
         for n, u in zip(model.quadratic.names, model.u, strict=True)
         if abs(u) * known[n].prior_sigma > known[n].most
     }
-
-
-def _odds(c: Climb, model: Model) -> float:
-    named = sum(c.where.prior.get(e.id, PRIOR) for e in model.effects if e.process is None)
-    noise = sum(PRIOR - OCCAM_LEVEL * len(e.levels) for e in model.effects if e.process is not None)
-    return named + noise
 
 
 def _singles(where: Space, now: frozenset[str], chosen: frozenset[str]) -> list[frozenset[str]]:
@@ -310,7 +287,7 @@ def _exchange(c: Climb) -> Model | None:
 
     fits = side_by_side(partial(exchanged, *pair) for pair in pairs)
     for (e, rival), tried in zip(pairs, fits, strict=True):
-        worse = c.worth * (model.log_evidence - tried.log_evidence)
+        worse = better(model, tried, c.worth)
         c.swaps[e.id, rival], c.swaps[rival, e.id] = worse, -worse
         if worse < 0.0:
             return tried
@@ -322,7 +299,7 @@ def _exchange(c: Climb) -> Model | None:
         if weakest is not None and worse < -2.0 * PRIOR and gained[weakest.id] < WEAK:
             rest = [x for x in others if x is not weakest]
             fewer = fitted(model.parts, [*rest, catalogue()[rival]])
-            if c.worth * (fewer.log_evidence - model.log_evidence) - PRIOR > 0.0:
+            if likelier(c, fewer):
                 return fewer
     return None
 
@@ -379,40 +356,42 @@ def _reorder(c: Climb) -> Model | None:
 def _add_noise(c: Climb) -> Model | None:
     """The model with the noise effect that gains most, if one does; or the same fitted anew, if
     that was what the noise effect gained by."""
-    best: Model | None = None
-    added: Effect | None = None
     model, worth = c.model, c.worth
-    have = set(model.ids)
-    here = [reduced_pass(reduce(f.linear), f.levels).log_evidence for f in model.parts]
-    wanted: list[Effect] = []
-    for effect in catalogue().values():
-        if effect.process is None or effect.id in have | c.dropped:
-            continue
-        if not any(applicable(f.case, effect) for f in model.parts):
-            continue
-        looks = zip(model.parts, here, strict=True)
-        if any(_worth_a_look(f, value, model.effects, effect) for f, value in looks):
-            wanted.append(effect)
+    wanted = _noise_wanted(c)
     fits = side_by_side(partial(fitted, model.parts, (*model.effects, e)) for e in wanted)
-    for effect, tried in zip(wanted, fits, strict=True):
-        gain = worth * (tried.log_evidence - model.log_evidence)
-        gain -= OCCAM_LEVEL * len(effect.levels)
-        if gain + PRIOR > 0.0 and (best is None or tried.log_evidence > best.log_evidence):
-            best, added = tried, effect
-    if best is None or added is None:
+    tried = [(m, e) for m, e in zip(fits, wanted, strict=True) if better(m, model, worth) > 0.0]
+    if not tried:
         return None
+    best, added = max(tried, key=lambda pair: pair[0].log_evidence)
     without = fitted(best.parts, model.effects, noise_rounds=1)
     if without.log_evidence < model.log_evidence:
         without = model
-    gain = worth * (best.log_evidence - without.log_evidence) - OCCAM_LEVEL * len(added.levels)
-    if gain + PRIOR > 0.0:
-        c.noise[added.id] = gain
+    gain = better(best, without, worth)
+    if gain > 0.0:
+        c.noise[added.id] = gain - PRIOR
     elif without is model:
         return None
     else:
         best = without
     c.visited.clear()
     return best
+
+
+def _noise_wanted(c: Climb) -> list[Effect]:
+    """Noise effects that the model does not have, and that are worth a fit."""
+    model = c.model
+    here = [reduced_pass(reduce(f.linear), f.levels).log_evidence for f in model.parts]
+    return [
+        e
+        for e in catalogue().values()
+        if e.process is not None
+        and e.id not in {*model.ids, *c.dropped}
+        and any(applicable(f.case, e) for f in model.parts)
+        and any(
+            _worth_a_look(f, value, model.effects, e)
+            for f, value in zip(model.parts, here, strict=True)
+        )
+    ]
 
 
 def _worth_a_look(f: Fitted, here: float, effects: Sequence[Effect], effect: Effect) -> bool:
@@ -452,13 +431,11 @@ def _thin(c: Climb) -> Model | None:
             tried.append(e)
     fits = side_by_side(partial(fitted, model.parts, rest(e)) for e in tried)
     for e, without in zip(tried, fits, strict=True):
-        occam = OCCAM_LEVEL * len(e.levels) if e.process is not None else 0.0
-        prior = where.prior.get(e.id, PRIOR)
-        gain = c.worth * (model.log_evidence - without.log_evidence) - occam
+        gain = better(model, without, c.worth)
         if e.process is not None:
-            c.noise[e.id] = gain
+            c.noise[e.id] = gain - PRIOR
             c.stale.discard(e.id)
-        if gain + prior < 0.0:
+        if gain < 0.0:
             c.noise.pop(e.id, None)
             c.dropped.add(name_of(e.id))
             return without
@@ -475,33 +452,6 @@ def _free(c: Climb) -> Model | None:
     return other
 
 
-def _split(c: Climb) -> Model | None:
-    """The same, the simpler of two effects favoured from now on."""
-    simple = _held_too(c.model, c.where) if len(c.unnamed) < MAX_TERMS else None
-    if simple is None:
-        return None
-    c.favoured.add(simple)
-    c.visited.clear()
-    return c.model
-
-
-def _held_too(model: Model, where: Space) -> str | None:
-    """The simpler effect that an exclusive one mostly is (an arm that all axes share).
-
-    Alone, the larger effect holds the simpler one too, and evidence hardly tells whether they
-    are one or two; where the common part is by far the larger, they are two.
-    """
-    for e in model.effects:
-        if e.together is None or not e.exclusive or set(e.exclusive) & set(model.ids):
-            continue
-        u = model.u[[i for i, n in enumerate(model.quadratic.names) if n[0] == e.id]]
-        own = e.together @ u
-        simple = next((i for i in e.exclusive if i in where.effects), None)
-        if simple and np.linalg.norm(u - own) > COMMON * np.linalg.norm(own):
-            return simple
-    return None
-
-
 def _name_term(c: Climb) -> Model | None:
     """The same, a term that nobody named on trial from now on."""
     term = best_term(c.model, refused=c.dropped) if len(c.unnamed) < MAX_TERMS else None
@@ -515,5 +465,5 @@ def _name_term(c: Climb) -> Model | None:
 
 # The cheap ones first; nothing is taken away or left without a name before all else rests.
 _STEPS = (
-    _delay, _choose, _reshape, _exchange, _reorder, _add_noise, _thin, _free, _split, _name_term,
+    _delay, _choose, _reshape, _exchange, _reorder, _add_noise, _thin, _free, _name_term,
 )  # fmt: skip

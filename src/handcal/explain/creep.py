@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from handcal.estimate.case import creeping as creeping_case
 from handcal.estimate.fit import Model, baseline, fitted, started
 from handcal.explain.climb import WEAK
-from handcal.explain.search import OCCAM_LEVEL, PRIOR
+from handcal.explain.score import better
 from handcal.observations.fixed_position import CREEPING
 from handcal.types import HandcalError
 
@@ -32,7 +32,5 @@ def creeping(base: Model, model: Model, gained: Mapping[str, float]) -> tuple[Mo
         return None
     tried = fitted(begin, strong, noise_rounds=2)
     # (every arm tires a little, so that costs nothing; what is spared does)
-    spared = [e for e in model.effects if e not in strong]
-    price = sum(OCCAM_LEVEL * len(e.levels) - PRIOR for e in spared)
-    advantage = tried.log_evidence + price - model.log_evidence
+    advantage = better(tried, model, 1.0)
     return None if advantage < 0.0 else (baseline(cases), advantage)

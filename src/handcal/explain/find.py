@@ -10,7 +10,8 @@ from handcal.estimate.fit import Model
 from handcal.explain.alibi import steadied, sways_far
 from handcal.explain.climb import Climb, climbed
 from handcal.explain.late import with_delays
-from handcal.explain.search import OCCAM_LEVEL, PRIOR, TERM_PRIOR, Space, best_set
+from handcal.explain.score import better
+from handcal.explain.search import Space, best_set
 from handcal.explain.unnamed import Term, best_term
 
 # What a single term has to gain, of all that was found, for a second climb to begin with it.
@@ -82,15 +83,8 @@ def _part_of(report: Callable[[float], None], start: float, parts: int, f: float
 
 
 def advantage(a: Found, b: Found) -> float:
-    """Nats by which one end of a search is likelier than another, prior odds included."""
-    worth = min(a.space.quadratic.worth, b.space.quadratic.worth)
-    return worth * (a.model.log_evidence - b.model.log_evidence) + odds(a.model) - odds(b.model)
-
-
-def odds(model: Model) -> float:
-    """Log prior odds of a model's effects, and what its noise effects' levels cost."""
-    named = sum(TERM_PRIOR if "+=" in e.id else PRIOR for e in model.effects)
-    return named - OCCAM_LEVEL * sum(len(e.levels) for e in model.effects)
+    """Nats by which one end of a search is likelier than another."""
+    return better(a.model, b.model, min(a.space.quadratic.worth, b.space.quadratic.worth))
 
 
 def _end(

@@ -22,8 +22,8 @@ from handcal.estimate.fit import (
     own_levels,
 )
 from handcal.explain.explanation import Hand
-from handcal.explain.find import Found, odds
-from handcal.explain.search import CERTAIN
+from handcal.explain.find import Found
+from handcal.explain.score import CERTAIN, score
 from handcal.sway import TRAVEL_NATS, beyond_a_hand
 
 
@@ -40,7 +40,7 @@ def foretold(held: Model, base: Model, laid: Found) -> float:
     begin = [_begun(b, held, h) for b, h in parts]
     seen = fitted(begin, held.effects, known=known_of(held)).log_evidence
     worth = laid.space.quadratic.worth
-    return worth * (seen - laid.model.log_evidence) - odds(laid.model)
+    return worth * seen - score(laid.model, worth)
 
 
 def hand_of(f: Fitted, advantage: float) -> Hand:

@@ -12,8 +12,9 @@ from handcal.effects import Effect, catalogue
 from handcal.estimate.case import Case, applicable, case_of, frozen_at
 from handcal.estimate.fit import always, fitted, moved_to, scan, started
 from handcal.explain import shapes
-from handcal.explain.search import OCCAM_LEVEL, space
+from handcal.explain.score import OCCAM_LEVEL
 from handcal.explain.search import expected_gain as expected_nats
+from handcal.explain.search import space
 from handcal.types import Array, HandcalError, InputError, Recording
 
 

@@ -14,7 +14,7 @@ from handcal import so3
 from handcal.effects import catalogue
 from handcal.estimate.case import Case, Edit, edited
 from handcal.estimate.fit import Fitted, Model, fitted
-from handcal.explain.search import PRIOR, probability
+from handcal.explain.score import PRIOR, probability
 from handcal.model import constants_of
 from handcal.observations import Rows
 from handcal.types import Array, BoolArray, Parameter

@@ -3,48 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from handcal.effects import Effect
-from handcal.estimate.case import Case, name_of
+from handcal.estimate.case import name_of
 from handcal.estimate.fit import prior_root
 from handcal.estimate.quadratic import Quadratic
 from handcal.estimate.tails import log_evidence
+from handcal.explain.score import PRIOR
 from handcal.types import Array, IntArray
-
-# Log prior odds that a device shows an effect so clearly that it has to be told.
-PRIOR = -5.0
-# What it costs that a noise level is not known.
-OCCAM_LEVEL = 2.5
-# Of a term without a name: there are hundreds, and any of the catalogue is likelier.
-TERM_PRIOR = -10.0
-# Nothing is surer than that.
-CERTAIN = 0.999999
-
-
-def probability(gain: float) -> float:
-    """Posterior probability of an effect that gains so many nats, on its own."""
-    return 1.0 / (1.0 + math.exp(-min(700.0, gain + PRIOR)))
-
-
-def priors(effects: Sequence[Effect], cases: Sequence[Case]) -> dict[str, float]:
-    """Log prior odds that differ from the usual: a step shares its own over its moments, which are
-    those on trial, or as many as there are readings of the observation that steps: where one was
-    least expected, all were looked at."""
-    moments = Counter(name_of(e.id) for e in effects if "@" in e.id)
-    for e in effects:
-        if e.held:
-            rows = [
-                r for case in cases for o, r, _ in case.observed if o.kind in e.observation_error
-            ]
-            moments[name_of(e.id)] = max(sum(len(r.t) for r in rows), 1)
-    out = {e.id: PRIOR - math.log(moments[name_of(e.id)]) for e in effects if "@" in e.id}
-    out |= {e.id: TERM_PRIOR for e in effects if "+=" in e.id}
-    return out
 
 
 @dataclass(frozen=True)

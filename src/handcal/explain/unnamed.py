@@ -14,7 +14,8 @@ from handcal.estimate.beside import side_by_side
 from handcal.estimate.fit import Fitted, Model, fitted, prior_root, scan
 from handcal.estimate.quadratic import Quadratic
 from handcal.explain import shapes, terms
-from handcal.explain.search import TERM_PRIOR, gains, priors, space
+from handcal.explain.score import TERM_PRIOR, prior
+from handcal.explain.search import gains, space
 from handcal.signals import of_recording
 from handcal.types import Array, IntArray
 
@@ -87,7 +88,8 @@ def _top(
     own = [e for e in model.effects if e.process is None]
     here = frozenset(e.id for e in own)
     options = [*own, *(e for e in chunk if e.id not in here)]
-    odds = priors(options, [f.case for f in model.parts])
+    cases = [f.case for f in model.parts]
+    odds = {e.id: prior(e, cases) for e in options}
     wide = space(scan(model, [*options, *(b.effect for b in bases)]), options, odds)
     q, gained = wide.quadratic, gains(wide, here)
     known = np.concatenate([np.zeros(0, dtype=np.int64), *(wide.where[e.id] for e in own)])

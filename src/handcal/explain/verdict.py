@@ -37,14 +37,11 @@ from handcal.explain.hands import foretold, hand_of
 from handcal.explain.leaning import leaning
 from handcal.explain.moments import moments
 from handcal.explain.next_motion import next_motions
+from handcal.explain.score import CERTAIN, PRIOR, TERM_PRIOR, probability
 from handcal.explain.search import (
-    CERTAIN,
-    PRIOR,
-    TERM_PRIOR,
     expected_gain,
     gains,
     probabilities,
-    probability,
     rivals,
     space,
 )

@@ -1,0 +1,69 @@
+"""The one score by which models of the same recordings are compared: what their evidence is worth,
+and their prior odds. Every step of the search is taken if, and only if, it rises."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+from handcal.effects import Effect
+from handcal.estimate.case import Case
+from handcal.estimate.fit import Model
+
+# Log prior odds that a device shows an effect so clearly that it has to be told.
+PRIOR = -5.0
+# What it costs that a noise level is not known.
+OCCAM_LEVEL = 2.5
+# Of a term without a name: there are hundreds, and any of the catalogue is likelier.
+TERM_PRIOR = -10.0
+# Moments of a step that are on trial.
+MOMENTS = 16
+# Nothing is surer than that.
+CERTAIN = 0.999999
+
+
+def probability(gain: float) -> float:
+    """Posterior probability of an effect that gains so many nats, on its own."""
+    return 1.0 / (1.0 + math.exp(-min(700.0, gain + PRIOR)))
+
+
+def prior(effect: Effect, cases: Sequence[Case]) -> float:
+    """Log prior odds of an effect in these recordings.
+
+    Noise pays for levels that nobody knows. A step shares its odds over the moments on trial; where
+    it was put at the reading that was least expected, all readings were looked at. What a hand that
+    turns the device about no single point can lend to an effect counts where only that point's rest
+    tells of it. What every model has costs nothing.
+    """
+    if effect.always:
+        return 0.0
+    if "+=" in effect.id:
+        return TERM_PRIOR
+    odds = PRIOR - OCCAM_LEVEL * len(effect.levels)
+    if "@" in effect.id:
+        odds -= math.log(_moments(effect, cases))
+    if any("fixed_position" in case.kinds for case in cases):
+        odds -= effect.imitated
+    return odds
+
+
+def _moments(effect: Effect, cases: Sequence[Case]) -> int:
+    if not effect.held:
+        return MOMENTS
+    observed = [(o, rows) for case in cases for o, rows, _ in case.observed]
+    return max(1, sum(len(r.t) for o, r in observed if o.kind in effect.observation_error))
+
+
+def log_prior(effects: Iterable[Effect], cases: Sequence[Case]) -> float:
+    """Log prior odds of a set of effects."""
+    return sum(prior(e, cases) for e in effects)
+
+
+def score(model: Model, worth: float) -> float:
+    """Log-evidence at its worth, and log prior odds, nats."""
+    return worth * model.log_evidence + log_prior(model.effects, [f.case for f in model.parts])
+
+
+def better(a: Model, b: Model, worth: float) -> float:
+    """Nats by which one model's score is above another's."""
+    return score(a, worth) - score(b, worth)
