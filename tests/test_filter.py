@@ -316,3 +316,25 @@ def test_attitude_of_the_filter_is_that_of_the_simulator():
     assert np.abs(error[:, :2]).max() < math.radians(1.5)
     offset = world.parameters["phone"]["heading_errors"]["offset"]
     assert np.abs(error[:, 2] - offset).max() < math.radians(3.0)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_an_app_that_pauses_is_no_swaying_hand(seed):
+    """Nobody knows where the device went within a second: as its place was taken to follow from
+    the readings before and after, the hand swayed by decimetres, or the gyro erred by a bump."""
+    _, recording = in_hand(seed)
+    imu = recording.imu
+    t = imu.t[0] + 0.5 * recording.duration_s
+    keep = (imu.t < t) | (imu.t > t + 1.2)
+    heading = recording.streams["heading"]
+    seen = (heading.t < t) | (heading.t > t + 1.2)
+    paused = replace(
+        recording,
+        imu=Imu(imu.t[keep], imu.gyro[keep], imu.accel[keep], imu.valid[keep]),
+        streams={"heading": Series(heading.t[seen], heading.value[seen])},
+    )
+    sways = []
+    for r in (recording, paused):
+        levels = {n.name: n.value for n in calibrate(r, assume="fixed-point").noise}
+        sways.append(math.hypot(levels["sway"], levels["sway_per_rate"]))
+    assert sways[0] / 1.5 < sways[1] < 1.5 * sways[0]

@@ -51,6 +51,17 @@ def times_transition(
 
 
 @inner
+def add_unknown_force(P: Array, axis: int, dt: float, variance: float) -> None:
+    """What an interval of dt seconds without a measured force leaves open on one axis: a change of
+    velocity of that variance, and of position by what a force that changes all the time (white
+    noise) makes of it."""
+    P[3 + axis, 3 + axis] += variance
+    P[axis, axis] += dt * dt * variance / 3.0
+    P[axis, 3 + axis] += 0.5 * dt * variance
+    P[3 + axis, axis] += 0.5 * dt * variance
+
+
+@inner
 def propagate(
     P: Array,
     Phi: Array,

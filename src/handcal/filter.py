@@ -28,6 +28,7 @@ from handcal._rows import blank, padded
 from handcal.covariance import (
     Propagation,
     Update,
+    add_unknown_force,
     propagate,
     propagation_work,
     symmetrise,
@@ -251,7 +252,8 @@ def move_markov(Phi_e: Array, c: int, extras: Array, x: Array) -> None:
 def add_noise(P: Array, noise: Noise, dt: float, extra: Array, Q_e: Array, c: int) -> None:
     """Add the process noise of one interval to P, in place."""
     for k in range(3):
-        P[3 + k, 3 + k] += noise.accel * dt + extra[1]
+        P[3 + k, 3 + k] += noise.accel * dt
+        add_unknown_force(P, k, dt, extra[1])
         P[6 + k, 6 + k] += noise.gyro * dt + extra[0]
     for k in range(9, BASE + c):
         P[k, k] += noise.walk[k] * dt

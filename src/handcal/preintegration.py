@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from handcal._jit import copy1, copy2, inner, local_matrix, njit, zero2
-from handcal.covariance import Propagation, propagate
+from handcal.covariance import Propagation, add_unknown_force, propagate
 from handcal.kernel import BASE, Nodes, corrected, interval
 from handcal.so3 import exp, matmul
 from handcal.strapdown import advance, increments
@@ -150,7 +150,7 @@ def _add_noise(
         Q[0, 6 + a, 6 + a] += dt
         Q[1, 3 + a, 3 + a] += dt
         Q[2, 6 + a, 6 + a] += extra[0]
-        Q[2, 3 + a, 3 + a] += extra[1]
+        add_unknown_force(Q[2], a, dt, extra[1])
 
 
 @inner

@@ -294,7 +294,9 @@ def _exchange(c: Climb) -> Model | None:
         # the wrong one of the two may need a weak third, which the right one does not
         others = [x for x in model.effects if x is not e]
         weakest = min(
-            (x for x in others if x.id in model.chosen), key=lambda x: gained[x.id], default=None
+            (x for x in others if x.id in model.chosen and not x.always),
+            key=lambda x: gained[x.id],
+            default=None,
         )
         if weakest is not None and worse < -2.0 * PRIOR and gained[weakest.id] < WEAK:
             rest = [x for x in others if x is not weakest]
