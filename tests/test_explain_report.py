@@ -38,7 +38,8 @@ ENTRIES = {
                 "indistinguishable_from": list, "parameters": list, "story": str,
                 "size": dict, "share": float, "held_out_gain": float},
     "unnamed": {"formula": str, "value": float, "sigma": float, "unit": str,
-                "log_evidence_gain": float, "story": str},
+                "log_evidence_gain": float, "story": str, "channels": list, "drivers": list,
+                "curve": dict},
     "next_motion": {"motion": str, "separates": list, "expected_gain": float},
     "noise": {"name": str, "value": float, "unit": str},
 }  # fmt: skip

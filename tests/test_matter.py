@@ -65,3 +65,33 @@ def test_the_hand_is_said_and_how_surely(known) -> None:
     _, e = known
     assert e.hand.id == "held"
     assert 0.9 < e.hand.probability < 1.0
+
+
+def test_a_term_without_a_name_is_drawn_over_what_drives_it(known) -> None:
+    """k omega_y^3: a curve of the cube, in the units of what is measured."""
+    from handcal.estimate.case import case_of
+    from handcal.estimate.fit import baseline
+    from handcal.explain.curve import channel_of, curve_of, drivers_of
+    from handcal.explain.terms import again
+
+    world, _ = known
+    f = baseline([case_of(recording_of(world, "heading"))]).parts[0]
+    for formula, drivers in (
+        ("gyro_x += k * omega_y^3", ("omega_y",)),
+        ("accel_z += k * omega_x * f_y", ("omega_x", "f_y")),
+        ("heading += k * sin(3 yaw)", ("yaw",)),
+    ):
+        effect = again(formula, 0.01)
+        drawn = curve_of(f, effect, 0.02, 0.004)
+        assert drivers_of(formula) == drivers
+        assert channel_of(formula) == formula.split()[0]
+        expected = {"gyro_x": drawn.x**3, "accel_z": drawn.x, "heading": np.sin(3.0 * drawn.x)}
+        # (means over a range of x are not what the mean of x gives, but nearly)
+        y = 0.02 * expected[formula.split()[0]]
+        assert np.abs(drawn.y - y).max() < 0.1 * np.abs(drawn.y).max()
+        np.testing.assert_allclose(drawn.sigma, 0.2 * np.abs(drawn.y))
+        assert (np.diff(drawn.x) >= 0.0).all()
+        units = {"gyro_x": ("rad/s", "rad/s"), "heading": ("rad", "rad")}
+        assert (drawn.x_unit, drawn.y_unit) == units.get(
+            channel_of(formula), ("rad*m/s^3", "m/s^2")
+        )

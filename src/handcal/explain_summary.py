@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from handcal import explain_words as say
 from handcal import summary, words
 from handcal.estimate.chosen import document_of
-from handcal.explain.explanation import Explained, Explanation, Fit, HeldOut, Missing
+from handcal.explain.explanation import Explained, Explanation, Fit, HeldOut, Missing, Unnamed
 from handcal.types import NoiseLevel, Parameter
 
 if TYPE_CHECKING:
@@ -45,12 +45,7 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
         ],
         "missing": [_missing_json(m) for m in e.missing],
         "hand": {"id": e.hand.id, "probability": summary.finite(e.hand.probability)},
-        "unnamed": [
-            {"formula": u.formula, "value": summary.finite(u.value),
-             "sigma": summary.finite(u.sigma), "unit": u.unit,
-             "log_evidence_gain": summary.finite(u.log_evidence_gain), "story": u.story}
-            for u in e.unnamed
-        ],
+        "unnamed": [_unnamed_json(u) for u in e.unnamed],
         "hypotheses": [
             {"effect": h.effect, "alone": summary.finite(h.alone),
              "final": summary.finite(h.final), "expected_gain": summary.finite(h.expected),
@@ -114,6 +109,24 @@ def _missing_json(m: Missing) -> dict[str, Any]:
         "size": _numbers(m.size),
         "share": summary.finite(m.share),
         "held_out_gain": None if m.held_out_gain is None else summary.finite(m.held_out_gain),
+    }  # fmt: skip
+
+
+def _unnamed_json(u: Unnamed) -> dict[str, Any]:
+    c = u.curve
+    return {
+        "formula": u.formula,
+        "value": summary.finite(u.value),
+        "sigma": summary.finite(u.sigma),
+        "unit": u.unit,
+        "log_evidence_gain": summary.finite(u.log_evidence_gain),
+        "story": u.story,
+        "channels": list(u.channels),
+        "drivers": list(u.drivers),
+        "curve": {} if c is None else {
+            "x": c.x.tolist(), "y": c.y.tolist(), "sigma": c.sigma.tolist(),
+            "x_unit": c.x_unit, "y_unit": c.y_unit,
+        },
     }  # fmt: skip
 
 

@@ -52,9 +52,21 @@ class Missing:
 
 
 @dataclass(frozen=True)
+class Curve:
+    """What a term adds, y (k,), with one sigma (k,), over what drives it, x (k,); units."""
+
+    x: Array
+    y: Array
+    sigma: Array
+    x_unit: str
+    y_unit: str
+
+
+@dataclass(frozen=True)
 class Unnamed:
     """A term found outside the catalogue, as a formula of measured signals; story: the same in
-    words, where the formula is a course over time or direction."""
+    words, where the formula is a course over time or direction. channels: to which it adds;
+    drivers: the signals in it; curve: what it adds in the first recording."""
 
     formula: str
     value: float
@@ -62,6 +74,9 @@ class Unnamed:
     unit: str
     log_evidence_gain: float
     story: str = ""
+    channels: tuple[str, ...] = ()
+    drivers: tuple[str, ...] = ()
+    curve: Curve | None = None
 
 
 @dataclass(frozen=True)

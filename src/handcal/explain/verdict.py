@@ -8,18 +8,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from handcal.effects import Effect, catalogue
 from handcal.estimate.case import Case, case_of, name_of
 from handcal.estimate.chosen import Chosen, Options, as_seen, chosen_of, seen, settled
 from handcal.estimate.fit import Fitted, Model, baseline, fitted, scan, started
 from handcal.estimate.hand import resting, travels
 from handcal.estimate.observed import check_options
-from handcal.estimate.process import process_parameters
 from handcal.estimate.result import noise, results
 from handcal.estimate.robust import inflation
 from handcal.evidence import reduce, reduced_pass
 from handcal.explain import held, locate, matter, outliers
-from handcal.explain.climb import akin
 from handcal.explain.creep import creeping
 from handcal.explain.explanation import (
     Evidence,
@@ -27,39 +24,33 @@ from handcal.explain.explanation import (
     Explanation,
     Fit,
     HeldOut,
-    Hypothesis,
-    Missing,
-    Unnamed,
 )
 from handcal.explain.find import Found, advantage, search
 from handcal.explain.gauge import plainly
 from handcal.explain.hands import foretold, hand_of
 from handcal.explain.leaning import leaning
 from handcal.explain.moments import moments
+from handcal.explain.naming import (
+    burst,
+    hypotheses_of,
+    missing_of,
+    parameters_of,
+    remark,
+    unnamed_of,
+)
 from handcal.explain.next_motion import next_motions
-from handcal.explain.score import CERTAIN, PRIOR, TERM_PRIOR, probability
+from handcal.explain.score import PRIOR, TERM_PRIOR
 from handcal.explain.search import (
-    expected_gain,
     gains,
-    probabilities,
-    rivals,
     space,
 )
 from handcal.explain.untellable import untellable
 from handcal.kernel import MAX_DIM
 from handcal.twin import twin
-from handcal.types import Array, InputError, Parameter, Recording, Result
+from handcal.types import Array, InputError, Recording, Result
 
 # Called with the share that is done, and what is being done.
 Progress = Callable[[float, str], None]
-# What is missing is likelier than not; a name is clear when it has that share of its set, and a
-# rival is listed when it has that.
-LIKELY = 0.5
-NAMED = 0.9
-RIVAL = 0.05
-# Between two that are the same to the first order, evidence swings by as much as eleven nats
-# with the hand's sway, whichever of them is there; it counts that much less.
-ALIKE = 4.0
 # Unnamed terms that hold less than this share of what the named effects do are a remark.
 LEFT = 0.02
 # Nats by which a fit from the start may do worse than that at the end of a search: as good, and
@@ -227,17 +218,17 @@ def _explanation(
     named = wrong if wrong is not None and wrong.burst is None else None
     excess = inflation(model)
     fits = results(model, moments(found) if written is None else written.moments)
-    learnt = {e.id: _of(fits[0], e) for e in model.effects if e.process is None}
-    missing, unsure = _missing(found, chosen, learnt, named)
-    unnamed = _unnamed(found, chosen, learnt)
+    learnt = {e.id: parameters_of(fits[0], e) for e in model.effects if e.process is None}
+    missing, unsure = missing_of(found, chosen, learnt, named)
+    unnamed = unnamed_of(found, chosen, learnt)
     if wrong is not None and wrong.burst is not None:
-        unnamed.append(_burst(base, wrong, wrong.burst))
+        unnamed.append(burst(base, wrong, wrong.burst))
     found_in_all = sum(m.log_evidence_gain for m in missing)
     remarks = []
     if sum(u.log_evidence_gain for u in unnamed) > LEFT * found_in_all:
         verdict = "unexplained"
     else:
-        remarks, unnamed = [_remark(u) for u in unnamed], []
+        remarks, unnamed = [remark(u) for u in unnamed], []
         verdict = "cannot_tell" if unsure else "explained" if missing else "nothing_missing"
     before = held.at_same_noise(base.parts, model.parts)
     if wrong is not None:
@@ -251,7 +242,7 @@ def _explanation(
     mismatch = [replace(m, share=m.share / len(model.parts)) for m in mismatch]
     told = [plainly(model, matter.weighed(found, m, judged), excess) for m in missing]
     told.sort(key=lambda m: (-m.share, -m.log_evidence_gain))
-    hypotheses = _hypotheses(found, told, named)
+    hypotheses = hypotheses_of(found, told, named)
     # what all recordings share, and the biases where there is but one
     own = explained[0].parameters if len(explained) == 1 else ()
     return Explanation(
@@ -274,159 +265,6 @@ def _explanation(
         written,
         untellable(found, fits[0].parameters),
     )
-
-
-def _remark(u: Unnamed) -> str:
-    return (
-        f"Besides, {u.formula} gains {u.log_evidence_gain:.0f} nats: next to nothing against what "
-        "is named, and not counted."
-    )
-
-
-def _of(result: Result, effect: Effect) -> tuple[Parameter, ...]:
-    return tuple(p for p in result.parameters if p.effect == name_of(effect.id))
-
-
-def _missing(
-    found: Found,
-    chosen: frozenset[str],
-    learnt: Mapping[str, tuple[Parameter, ...]],
-    wrong: outliers.Wrong | None,
-) -> tuple[list[Missing], bool]:
-    """What is named, most evidence first; whether for one of them a rival is as good."""
-    where, model = found.space, found.model
-    probable, gained = probabilities(where, chosen), gains(where, chosen)
-    out, unsure = [], False
-    for effect in model.effects:
-        if "+=" in effect.id:
-            continue
-        if effect.process is not None:
-            gain = found.noise[effect.id]
-            own = process_parameters(model, effect)
-            out.append(_entry(effect, probability(gain), gain, (), own))
-            continue
-        if effect.always:
-            if gained[effect.id] + PRIOR > 0.0:
-                gain, own = gained[effect.id], learnt[effect.id]
-                out.append(_entry(effect, probability(gain), gain, (), own))
-            continue
-        set_, share = _set(found, chosen, effect.id)
-        members = {name_of(i) for i in set_}
-        p = min(CERTAIN, sum(v for i, v in probable.items() if name_of(i) in members))
-        gain = gained[effect.id]
-        unsure |= share < NAMED and p > LIKELY
-        names = dict.fromkeys(name_of(i) for i in set_ if name_of(i) != name_of(effect.id))
-        out.append(_entry(effect, p, gain, tuple(names), learnt[effect.id]))
-    if wrong is not None:
-        out.append(
-            _entry(catalogue()["heading_outliers"], wrong.probability, wrong.gain, (),
-                   (wrong.parameter,))
-        )  # fmt: skip
-    return [m for m in out if m.probability > LIKELY], unsure
-
-
-def _set(found: Found, chosen: frozenset[str], effect: str) -> tuple[list[str], float]:
-    """The effect and those that could stand in its place, most probable first; its share."""
-    scores = rivals(found.space, chosen, effect)
-    scores = {i: s for i, s in scores.items() if "+=" not in i}
-    swaps = found.swaps.items()
-    scores |= {r: -worse for (e, r), worse in swaps if e == effect and r not in chosen}
-    scores |= {r: s / ALIKE for r, s in scores.items() if akin(effect, r)}
-    total = sum(math.exp(min(s, 50.0)) for s in scores.values())
-    shares = {i: math.exp(min(s, 50.0)) / total for i, s in scores.items()}
-    by_name: dict[str, float] = {}
-    for i, s in shares.items():
-        by_name[name_of(i)] = by_name.get(name_of(i), 0.0) + s
-    own = name_of(effect)
-    members = [effect]
-    for i in sorted(shares, key=lambda i: -shares[i]):
-        name = name_of(i)
-        if name != own and by_name[name] >= RIVAL and all(name_of(m) != name for m in members):
-            members.append(i)
-    return members, by_name[own]
-
-
-def _entry(
-    effect: Effect,
-    probability: float,
-    gain: float,
-    others: tuple[str, ...],
-    parameters: tuple[Parameter, ...],
-) -> Missing:
-    return Missing(
-        name_of(effect.id),
-        effect.title,
-        min(CERTAIN, probability),
-        gain,
-        others,
-        parameters,
-        effect.story,
-        effect.motion,
-    )
-
-
-def _unnamed(
-    found: Found, chosen: frozenset[str], learnt: Mapping[str, tuple[Parameter, ...]]
-) -> list[Unnamed]:
-    gained = gains(found.space, chosen)
-    out = []
-    for effect in found.model.effects:
-        if "+=" in effect.id:
-            (p,) = learnt[effect.id]
-            gain = gained[effect.id]
-            out.append(Unnamed(effect.id, p.value, p.sigma, p.unit, gain, effect.story))
-    return sorted(out, key=lambda u: -u.log_evidence_gain)
-
-
-def _burst(base: Model, wrong: outliers.Wrong, span: tuple[float, float]) -> Unnamed:
-    """Readings that err one after the other, as a term: how far, while it lasts."""
-    k = outliers.heading_kind(base.parts[0].case)
-    assert k is not None
-    t, r = outliers.residual(base.parts[0], k)
-    r = r[(t >= span[0]) & (t <= span[1]), 0]
-    spread = float(np.std(r)) / math.sqrt(max(1, len(r)))
-    formula = f"heading += k from {span[0]:.1f} s to {span[1]:.1f} s"
-    story = f"Something was there from {span[0]:.0f} s to {span[1]:.0f} s, and then no more."
-    return Unnamed(formula, float(np.mean(r)) if len(r) else 0.0, spread, "rad", wrong.gain, story)
-
-
-def _hypotheses(
-    found: Found, missing: Sequence[Missing], wrong: outliers.Wrong | None
-) -> tuple[Hypothesis, ...]:
-    where = found.space
-    chosen = found.model.chosen
-    probable, final = probabilities(where, chosen), gains(where, chosen)
-    named = {m.effect: m for m in missing}
-    rival = {i for m in missing for i in m.indistinguishable_from}
-    out: dict[str, Hypothesis] = {}
-    for i in where.effects:
-        name = name_of(i)
-        if "+=" in i:
-            continue
-        alone = max((v for k, v in found.alone.items() if name_of(k) == name), default=0.0)
-        ones = np.ones(len(where.where[i]))
-        kept = out.get(name)
-        if kept is not None and kept.final >= final[i]:
-            continue
-        verdict = "named" if name in named else "set" if name in rival else ""
-        together = sum(p for k, p in probable.items() if name_of(k) == name)
-        if where.effects[i].always:  # (whether or not it is in the model, which it is)
-            together = probability(final[i])
-        out[name] = Hypothesis(
-            name, catalogue()[name].title, alone, final[i],
-            expected_gain(where, i, chosen, ones), min(CERTAIN, together), verdict,
-        )  # fmt: skip
-    for name, gain in found.noise.items():
-        verdict = "named" if name in named else ""
-        out[name] = Hypothesis(
-            name, catalogue()[name].title, gain, gain, math.nan, probability(gain), verdict
-        )
-    if wrong is not None:
-        title = catalogue()["heading_outliers"].title
-        out["heading_outliers"] = Hypothesis(
-            "heading_outliers", title, wrong.gain, wrong.gain, math.nan, wrong.probability, "named"
-        )
-    return tuple(sorted(out.values(), key=lambda h: -h.alone))
 
 
 def _explained(

@@ -1,0 +1,191 @@
+"""What is named: effects and sets of them, terms without a name, and the hypotheses on trial."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from handcal.effects import Effect, catalogue
+from handcal.estimate.case import name_of
+from handcal.estimate.fit import Model
+from handcal.estimate.process import process_parameters
+from handcal.explain import outliers
+from handcal.explain.climb import akin
+from handcal.explain.curve import channel_of, curve_of, drivers_of
+from handcal.explain.explanation import Curve, Hypothesis, Missing, Unnamed
+from handcal.explain.find import Found
+from handcal.explain.score import CERTAIN, PRIOR, probability
+from handcal.explain.search import expected_gain, gains, probabilities, rivals
+from handcal.types import Parameter, Result
+
+# What is missing is likelier than not; a name is clear when it has that share of its set, and a
+# rival is listed when it has that.
+LIKELY = 0.5
+NAMED = 0.9
+RIVAL = 0.05
+# Between two that are the same to the first order, evidence swings by as much as eleven nats
+# with the hand's sway, whichever of them is there; it counts that much less.
+ALIKE = 4.0
+
+
+def missing_of(
+    found: Found,
+    chosen: frozenset[str],
+    learnt: Mapping[str, tuple[Parameter, ...]],
+    wrong: outliers.Wrong | None,
+) -> tuple[list[Missing], bool]:
+    """What is named, most evidence first; whether for one of them a rival is as good."""
+    where, model = found.space, found.model
+    probable, gained = probabilities(where, chosen), gains(where, chosen)
+    out, unsure = [], False
+    for effect in model.effects:
+        if "+=" in effect.id:
+            continue
+        if effect.process is not None:
+            gain = found.noise[effect.id]
+            own = process_parameters(model, effect)
+            out.append(_entry(effect, probability(gain), gain, (), own))
+            continue
+        if effect.always:
+            if gained[effect.id] + PRIOR > 0.0:
+                gain, own = gained[effect.id], learnt[effect.id]
+                out.append(_entry(effect, probability(gain), gain, (), own))
+            continue
+        set_, share = _set(found, chosen, effect.id)
+        members = {name_of(i) for i in set_}
+        p = min(CERTAIN, sum(v for i, v in probable.items() if name_of(i) in members))
+        gain = gained[effect.id]
+        unsure |= share < NAMED and p > LIKELY
+        names = dict.fromkeys(name_of(i) for i in set_ if name_of(i) != name_of(effect.id))
+        out.append(_entry(effect, p, gain, tuple(names), learnt[effect.id]))
+    if wrong is not None:
+        out.append(
+            _entry(catalogue()["heading_outliers"], wrong.probability, wrong.gain, (),
+                   (wrong.parameter,))
+        )  # fmt: skip
+    return [m for m in out if m.probability > LIKELY], unsure
+
+
+def _set(found: Found, chosen: frozenset[str], effect: str) -> tuple[list[str], float]:
+    """The effect and those that could stand in its place, most probable first; its share."""
+    scores = rivals(found.space, chosen, effect)
+    scores = {i: s for i, s in scores.items() if "+=" not in i}
+    swaps = found.swaps.items()
+    scores |= {r: -worse for (e, r), worse in swaps if e == effect and r not in chosen}
+    scores |= {r: s / ALIKE for r, s in scores.items() if akin(effect, r)}
+    total = sum(math.exp(min(s, 50.0)) for s in scores.values())
+    shares = {i: math.exp(min(s, 50.0)) / total for i, s in scores.items()}
+    by_name: dict[str, float] = {}
+    for i, s in shares.items():
+        by_name[name_of(i)] = by_name.get(name_of(i), 0.0) + s
+    own = name_of(effect)
+    members = [effect]
+    for i in sorted(shares, key=lambda i: -shares[i]):
+        name = name_of(i)
+        if name != own and by_name[name] >= RIVAL and all(name_of(m) != name for m in members):
+            members.append(i)
+    return members, by_name[own]
+
+
+def _entry(
+    effect: Effect,
+    probability: float,
+    gain: float,
+    others: tuple[str, ...],
+    parameters: tuple[Parameter, ...],
+) -> Missing:
+    return Missing(
+        name_of(effect.id),
+        effect.title,
+        min(CERTAIN, probability),
+        gain,
+        others,
+        parameters,
+        effect.story,
+        effect.motion,
+    )
+
+
+def unnamed_of(
+    found: Found, chosen: frozenset[str], learnt: Mapping[str, tuple[Parameter, ...]]
+) -> list[Unnamed]:
+    gained = gains(found.space, chosen)
+    out = []
+    for effect in found.model.effects:
+        if "+=" in effect.id:
+            (p,) = learnt[effect.id]
+            gain = gained[effect.id]
+            drawn = curve_of(found.model.parts[0], effect, p.value, p.sigma)
+            out.append(
+                Unnamed(
+                    effect.id, p.value, p.sigma, p.unit, gain, effect.story,
+                    (channel_of(effect.id),), drivers_of(effect.id), drawn,
+                )
+            )  # fmt: skip
+    return sorted(out, key=lambda u: -u.log_evidence_gain)
+
+
+def burst(base: Model, wrong: outliers.Wrong, span: tuple[float, float]) -> Unnamed:
+    """Readings that err one after the other, as a term: how far, while it lasts."""
+    k = outliers.heading_kind(base.parts[0].case)
+    assert k is not None
+    t, r = outliers.residual(base.parts[0], k)
+    r = r[(t >= span[0]) & (t <= span[1]), 0]
+    spread = float(np.std(r)) / math.sqrt(max(1, len(r)))
+    formula = f"heading += k from {span[0]:.1f} s to {span[1]:.1f} s"
+    story = f"Something was there from {span[0]:.0f} s to {span[1]:.0f} s, and then no more."
+    value = float(np.mean(r)) if len(r) else 0.0
+    drawn = Curve(np.array(span), np.full(2, value), np.full(2, spread), "s", "rad")
+    return Unnamed(formula, value, spread, "rad", wrong.gain, story, ("heading",), ("t",), drawn)
+
+
+def hypotheses_of(
+    found: Found, missing: Sequence[Missing], wrong: outliers.Wrong | None
+) -> tuple[Hypothesis, ...]:
+    where = found.space
+    chosen = found.model.chosen
+    probable, final = probabilities(where, chosen), gains(where, chosen)
+    named = {m.effect: m for m in missing}
+    rival = {i for m in missing for i in m.indistinguishable_from}
+    out: dict[str, Hypothesis] = {}
+    for i in where.effects:
+        name = name_of(i)
+        if "+=" in i:
+            continue
+        alone = max((v for k, v in found.alone.items() if name_of(k) == name), default=0.0)
+        ones = np.ones(len(where.where[i]))
+        kept = out.get(name)
+        if kept is not None and kept.final >= final[i]:
+            continue
+        verdict = "named" if name in named else "set" if name in rival else ""
+        together = sum(p for k, p in probable.items() if name_of(k) == name)
+        if where.effects[i].always:  # (whether or not it is in the model, which it is)
+            together = probability(final[i])
+        out[name] = Hypothesis(
+            name, catalogue()[name].title, alone, final[i],
+            expected_gain(where, i, chosen, ones), min(CERTAIN, together), verdict,
+        )  # fmt: skip
+    for name, gain in found.noise.items():
+        verdict = "named" if name in named else ""
+        out[name] = Hypothesis(
+            name, catalogue()[name].title, gain, gain, math.nan, probability(gain), verdict
+        )
+    if wrong is not None:
+        title = catalogue()["heading_outliers"].title
+        out["heading_outliers"] = Hypothesis(
+            "heading_outliers", title, wrong.gain, wrong.gain, math.nan, wrong.probability, "named"
+        )
+    return tuple(sorted(out.values(), key=lambda h: -h.alone))
+
+
+def remark(u: Unnamed) -> str:
+    return (
+        f"Besides, {u.formula} gains {u.log_evidence_gain:.0f} nats: next to nothing against what "
+        "is named, and not counted."
+    )
+
+
+def parameters_of(result: Result, effect: Effect) -> tuple[Parameter, ...]:
+    return tuple(p for p in result.parameters if p.effect == name_of(effect.id))
