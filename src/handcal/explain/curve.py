@@ -14,6 +14,7 @@ from handcal.explain.unnamed import signals_of
 from handcal.linear import path
 from handcal.types import Array
 
+# Points of a curve, at the most.
 POINTS = 60
 _DRIVERS = re.compile(r"\b(omega_[xyz]|f_[xyz]|alpha_[xyz]|yaw|pitch of [xy]|tilt|t|T)\b")
 _UNITS = {"omega": "rad/s", "f": "m/s^2", "alpha": "rad/s^2", "t": "s", "T": "degC"}
