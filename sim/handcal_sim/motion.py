@@ -247,11 +247,13 @@ def random_sinusoids(
 
 
 def between(windows: list[tuple[float, float]], duration: float) -> tuple[tuple[float, float], ...]:
+    """What lies between windows (start, end), s, from 0 to the duration."""
     edges = [0.0, *(edge for window in windows for edge in window), duration]
     return tuple(zip(edges[::2], edges[1::2], strict=True))
 
 
 def start_matrix(start: Start) -> Array:
+    """C_nb (3, 3) of the attitude at the start."""
     return euler_matrix(*(np.asarray(x) for x in (start.roll, start.pitch, start.heading)))
 
 

@@ -72,6 +72,7 @@ class Circumstances:
 
 
 def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    """A number of which the logarithm is anywhere between those of low and high."""
     return float(math.exp(rng.uniform(math.log(low), math.log(high))))
 
 
