@@ -45,7 +45,8 @@ def test_a_device_carried_about_is_judged_by_its_rests(seed: int) -> None:
     assert (found.verdict, found.missing, found.unnamed) == ("nothing_missing", (), ())
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.prove) for k in (1, 2))])
+@pytest.mark.prove
+@pytest.mark.parametrize("seed", range(3))
 def test_a_step_that_looks_like_a_wide_sway(seed: int) -> None:
     """A step of the gyro's bias with a heading whose noise lasts: the first noise levels were
     those of a hand that sways by 8 cm and slowly, which hid all but a tenth of the evidence, and

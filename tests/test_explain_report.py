@@ -56,10 +56,36 @@ def explanation(verdict):
 
 
 @pytest.fixture(scope="module")
-def page(explanation, tmp_path_factory):
+def figures(explanation):
+    """Drawing takes most of a page's time: once is enough."""
+    return explain_plots.draw(explanation)
+
+
+@pytest.fixture(scope="module")
+def page(explanation, figures, tmp_path_factory):
     path = tmp_path_factory.mktemp("report") / f"{explanation.verdict}.html"
-    write_explanation_report(explanation, path)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(explain_plots, "draw", lambda _: figures)
+        write_explanation_report(explanation, path)
     return path
+
+
+@pytest.fixture
+def no_figures(monkeypatch):
+    """For what a page says besides."""
+    bare = {section: [] for section in explain_plots.draw(nothing_in_it())}
+    monkeypatch.setattr(explain_plots, "draw", lambda _: bare)
+
+
+def nothing_in_it():
+    """An explanation of a recording without traces, evidence or noise."""
+    e = fake_explanation("nothing_missing")
+    r = e.recordings[0]
+    bare = replace(r, traces=(), bins=np.zeros(0), shortfall={}, rests=np.zeros((0, 2)),
+                   evidence=replace(r.evidence, t=np.zeros(0), gain={}), noise=())  # fmt: skip
+    empty = replace(e.before, residual_rms={}, nis={}, whiteness={})
+    return replace(e, recordings=(bare,), hypotheses=(), before=empty, after=empty, held_out=None,
+                   next_motion=(), noise=())  # fmt: skip
 
 
 def printed(explanation, width=80):
@@ -223,6 +249,7 @@ def test_a_term_without_a_name_has_its_place_in_every_figure(tmp_path):
     assert "omega_y" in entity
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_data_not_seen_have_a_score_and_no_residuals():
     """Those depend on the noise that each model allows itself."""
     html = render_explanation(fake_explanation("explained", recordings=1))
@@ -275,7 +302,8 @@ def test_the_terminal_cuts_nothing_and_breaks_no_number(explanation, width):
         assert u.formula in text
 
 
-def test_markup_in_names_is_text(explanation):
+def test_markup_in_names_is_text():
+    explanation = fake_explanation("cannot_tell")
     odd = replace(explanation.recordings[0].recording, path="[red]<img src=x>[/red].mcap")
     e = replace(explanation, recordings=(replace(explanation.recordings[0], recording=odd),),
                 warnings=("<b>bold</b> [bold]",), mismatch=())  # fmt: skip
@@ -304,9 +332,8 @@ def test_the_page_is_whole_and_says_what_the_explanation_says(explanation, page)
         assert Path(r.recording.path).name in text
 
 
-def test_every_figure_is_there(explanation):
-    plots = explain_plots.draw(explanation)
-    count = {section: len(p) for section, p in plots.items()}
+def test_every_figure_is_there(explanation, figures):
+    count = {section: len(p) for section, p in figures.items()}
     n = len(explanation.recordings)
     channels = sum(len(r.traces) for r in explanation.recordings)
     assert count["first"] == count["heat"] == n
@@ -316,17 +343,11 @@ def test_every_figure_is_there(explanation):
     assert count["parameters"] == (1 if explanation.missing else 0)
     worst = explanation.mismatch[0].channel if explanation.mismatch else None
     if worst:
-        assert explain_words.channel_title(worst) in plots["first"][0].title.lower()
+        assert explain_words.channel_title(worst) in figures["first"][0].title.lower()
 
 
 def test_an_explanation_with_next_to_nothing_in_it_still_shows(tmp_path):
-    e = fake_explanation("nothing_missing")
-    r = e.recordings[0]
-    bare = replace(r, traces=(), bins=np.zeros(0), shortfall={}, rests=np.zeros((0, 2)),
-                   evidence=replace(r.evidence, t=np.zeros(0), gain={}), noise=())  # fmt: skip
-    empty = replace(e.before, residual_rms={}, nis={}, whiteness={})
-    e = replace(e, recordings=(bare,), hypotheses=(), before=empty, after=empty, held_out=None,
-                next_motion=(), noise=())  # fmt: skip
+    e = nothing_in_it()
     assert "Nothing is missing" in render_explanation(e)
     assert "Nothing is missing" in printed(e)
     dashboard.save_explanation_rrd(e, tmp_path / "x.rrd")
@@ -374,6 +395,7 @@ def test_a_saved_explanation_reads_back(explanation, tmp_path):
             assert found[f"{home}/evidence/{effect}"] == r.evidence.t.size
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_a_folder_that_does_not_exist_is_a_sentence(tmp_path):
     e = fake_explanation("nothing_missing")
     for write in (write_explanation_report, dashboard.save_explanation_rrd):

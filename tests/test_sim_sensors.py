@@ -8,7 +8,7 @@ import pytest
 
 from handcal_sim import phone, scenario
 
-SEEDS = range(5)
+SEEDS = range(3)
 
 
 def still(device, seed, duration=100.0, **effects):

@@ -111,6 +111,7 @@ def _entry(
 def unnamed_of(
     found: Found, chosen: frozenset[str], learnt: Mapping[str, tuple[Parameter, ...]]
 ) -> list[Unnamed]:
+    """The model's terms without a name, most evidence first."""
     gained = gains(found.space, chosen)
     out = []
     for effect in found.model.effects:
@@ -144,6 +145,7 @@ def burst(base: Model, wrong: outliers.Wrong, span: tuple[float, float]) -> Unna
 def hypotheses_of(
     found: Found, missing: Sequence[Missing], wrong: outliers.Wrong | None
 ) -> tuple[Hypothesis, ...]:
+    """Every effect that was on trial, best alone first."""
     where = found.space
     chosen = found.model.chosen
     probable, final = probabilities(where, chosen), gains(where, chosen)
@@ -181,6 +183,7 @@ def hypotheses_of(
 
 
 def remark(u: Unnamed) -> str:
+    """What a term is that is too little to count."""
     return (
         f"Besides, {u.formula} gains {u.log_evidence_gain:.0f} nats: next to nothing against what "
         "is named, and not counted."
@@ -188,4 +191,5 @@ def remark(u: Unnamed) -> str:
 
 
 def parameters_of(result: Result, effect: Effect) -> tuple[Parameter, ...]:
+    """Those of a result that are an effect's."""
     return tuple(p for p in result.parameters if p.effect == name_of(effect.id))
