@@ -6,6 +6,7 @@ import math
 import re
 import shutil
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -55,10 +56,15 @@ def explanation(verdict):
     return fake_explanation(verdict)
 
 
-@pytest.fixture(scope="module")
-def figures(explanation):
+@cache
+def drawn(verdict):
     """Drawing takes most of a page's time: once is enough."""
-    return explain_plots.draw(explanation)
+    return explain_plots.draw(fake_explanation(verdict))
+
+
+@pytest.fixture(scope="module")
+def figures(verdict):
+    return drawn(verdict)
 
 
 @pytest.fixture(scope="module")
