@@ -255,6 +255,7 @@ def test_the_command_writes_json_and_a_twin(file: Path, two: list[World], tmp_pa
     assert set(document["mismatch"][0]) == {"channel", "from_s", "to_s", "share", "when"}
     (missing,) = document["missing"]
     assert set(missing) == {
+        "size", "share", "held_out_gain",
         "effect", "probability", "log_evidence_gain", "indistinguishable_from", "parameters",
         "story",
     }  # fmt: skip
