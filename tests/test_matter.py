@@ -95,3 +95,20 @@ def test_a_term_without_a_name_is_drawn_over_what_drives_it(known) -> None:
         assert (drawn.x_unit, drawn.y_unit) == units.get(
             channel_of(formula), ("rad*m/s^3", "m/s^2")
         )
+
+
+def test_iron_that_every_model_has_is_a_share_of_all_and_the_rest_of_what_lies_beyond() -> None:
+    """38,000 nats of iron would leave nothing to a scale error of a thousand."""
+    from types import SimpleNamespace
+
+    from handcal.explain.matter import whole_gain
+
+    gains = {"iron": 1000.0, "scale": 40.0, "arm": 60.0}
+    where = SimpleNamespace(
+        score=lambda ids: sum(gains[i] for i in ids), prior=dict.fromkeys(gains, 0.0)
+    )
+    effects = [SimpleNamespace(id=i, always=i == "iron") for i in gains]
+    model = SimpleNamespace(effects=effects, chosen=frozenset(gains))
+    found = SimpleNamespace(space=where, model=model, noise={"walk": 7.0})
+    assert whole_gain(found) == 100.0
+    assert whole_gain(found, from_nothing=True) == 1100.0

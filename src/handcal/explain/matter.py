@@ -78,7 +78,8 @@ def weighed(found: Found, missing: Missing, judged: Judged | None) -> Missing:
     effect = next((e for e in found.model.effects if _is(e, missing)), None)
     if effect is None:
         return missing
-    share = float(np.clip(missing.log_evidence_gain / max(whole_gain(found), 1e-9), 0.0, 1.0))
+    whole = max(whole_gain(found, effect.always), 1e-9)
+    share = float(np.clip(missing.log_evidence_gain / whole, 0.0, 1.0))
     return replace(
         missing,
         size=sizes(found.model, effect),
@@ -92,10 +93,11 @@ def _is(effect: Effect, missing: Missing) -> bool:
     return name_of(effect.id) in named
 
 
-def whole_gain(found: Found) -> float:
-    """Nats that all of the final model's effects gain together, at its noise levels."""
+def whole_gain(found: Found, from_nothing: bool = False) -> float:
+    """Nats that all of the final model's effects gain together, at its noise levels, over the
+    baseline; from_nothing: over a model without even those that every model has."""
     where, chosen = found.space, found.model.chosen
-    always = frozenset(e.id for e in found.model.effects if e.always)
+    always = frozenset(e.id for e in found.model.effects if e.always and not from_nothing)
     with_, without = (
         where.score(ids) - sum(where.prior[i] for i in ids) for ids in (chosen, always)
     )
