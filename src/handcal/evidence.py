@@ -141,6 +141,10 @@ class ReducedPass:
     log_evidence: float
     log_likelihood: tuple[float, Array, Array]
 
+    def innovations(self, w: Array) -> Array:
+        """Of every scalar (s,), were the constants' errors w (nc,)."""
+        return np.asarray(self.nu[:, 0] + self.nu[:, 1:] @ w)
+
 
 def kept(count: int, rows: IntArray | None) -> IntArray:
     """Row (count,) in which each epoch is kept, -1 for nowhere: those of ``rows``, or all."""

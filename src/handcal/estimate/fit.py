@@ -8,7 +8,7 @@ shared parameters, and moves each trajectory by what follows for it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -154,10 +154,14 @@ class Known:
     root: Array
 
 
-def known_of(model: Model) -> Known:
-    """What a model says of its parameters, for the fit of other observations."""
-    root = np.asarray(np.linalg.cholesky(model.covariance + 1e-12 * np.eye(len(model.u))))
-    return Known(model.quadratic.names, model.u, root)
+def known_of(model: Model, free: Set[str] = frozenset()) -> Known:
+    """What a model says of its parameters, for the fit of other observations; of effects that are
+    ``free`` no more than their priors do."""
+    names = model.quadratic.names
+    own = np.array([n[0] not in free for n in names], dtype=bool)
+    C = np.where(np.outer(own, own), model.covariance + 1e-12 * np.eye(len(names)), 0.0)
+    C[~own, ~own] = 1.0
+    return Known(names, np.where(own, model.u, 0.0), np.asarray(np.linalg.cholesky(C)))
 
 
 def own_levels(f: Fitted) -> dict[str, float]:

@@ -73,7 +73,7 @@ def _scattered(
     linear, G = done.reduction.linear, done.log_likelihood[2]
     n = len(done.w)
     owners = np.array(_owners(done))
-    nu = done.nu[:, 0] + done.nu[:, 1:] @ w
+    nu = done.innovations(w)
     t = np.repeat(linear.t, np.diff(done.reduction.first))
     block: IntArray = (
         ((t - t[0]) / BLOCK_S).astype(np.int64) if len(t) else np.zeros(0, dtype=np.int64)

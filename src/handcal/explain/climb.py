@@ -204,8 +204,8 @@ def _choose(c: Climb) -> Model | None:
             return larger
         if len(c.beyond) == known:
             return None
-        prior = {i: REFUSED if name_of(i) in c.beyond else p for i, p in c.where.prior.items()}
-        c.where = replace(c.where, prior=prior, scores={})
+        odds = {i: REFUSED if name_of(i) in c.beyond else p for i, p in c.where.prior.items()}
+        c.where = replace(c.where, prior=odds, scores={})
     return None
 
 

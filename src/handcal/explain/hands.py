@@ -10,14 +10,10 @@ up by a hand that went elsewhere, all those contradict it.
 from __future__ import annotations
 
 import math
-from collections.abc import Set
 from dataclasses import replace
-
-import numpy as np
 
 from handcal.estimate.fit import (
     Fitted,
-    Known,
     Model,
     at_constants,
     fitted,
@@ -42,21 +38,12 @@ def foretold(held: Model, base: Model, laid: Found) -> float:
         return -TRAVEL_NATS
     parts = zip(base.parts, held.parts, strict=True)
     begin = [_begun(b, held, h) for b, h in parts]
+    # (of what both name neither may know beforehand, or the same readings would count twice)
     both = frozenset(held.ids) & frozenset(laid.model.ids)
-    seen = fitted(begin, held.effects, known=_known(held, both)).log_evidence
+    seen = fitted(begin, held.effects, known=known_of(held, both)).log_evidence
     worth = laid.space.quadratic.worth
     shared = log_prior([e for e in laid.model.effects if e.id in both], [f.case for f in begin])
     return worth * seen + shared - score(laid.model, worth)
-
-
-def _known(held: Model, free: Set[str]) -> Known:
-    """What the model says of its effects, but for those that are ``free``: of what both accounts
-    have neither may know beforehand, or the same readings would count twice."""
-    known = known_of(held)
-    k = len(known.names)
-    own = np.array([n[0] not in free for n in known.names])
-    C = np.where(np.outer(own, own), known.root @ known.root.T, np.eye(k))
-    return Known(known.names, np.where(own, known.mean, 0.0), np.asarray(np.linalg.cholesky(C)))
 
 
 def hand_of(f: Fitted, advantage: float) -> Hand:

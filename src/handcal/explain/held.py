@@ -22,6 +22,7 @@ from handcal.estimate.fit import (
 from handcal.evidence import reduce, reduced_pass
 from handcal.explain.explanation import HeldOut
 from handcal.explain.locate import at_levels, residual_rms
+from handcal.linear import Linear
 
 # Share of a recording that is seen before the rest is predicted.
 EARLY = 0.6
@@ -33,8 +34,7 @@ def later_blocks(base: Model, model: Model) -> HeldOut:
     for m in (base, model):
         score = 0.0
         for f in m.parts:
-            t = f.linear.t
-            early = noise_levels.until(f.linear, t[0] + EARLY * (t[-1] - t[0]))
+            early = early_part(f.linear)
             names = [lv.name for lv in f.linear.problem.levels if lv.name not in f.case.fixed]
             levels, _ = noise_levels.estimate(
                 early, f.levels, names, excess=EXCESS, known=f.curvature
@@ -44,6 +44,11 @@ def later_blocks(base: Model, model: Model) -> HeldOut:
         scores.append(score + sum(f.case.constant for f in m.parts) * (1 - EARLY))
     before = _residuals(at_same_noise(base.parts, model.parts))
     return HeldOut("later blocks", scores[0], scores[1], before, _residuals(model.parts))
+
+
+def early_part(linear: Linear) -> Linear:
+    """What is seen before the rest is predicted."""
+    return noise_levels.until(linear, linear.t[0] + EARLY * (linear.t[-1] - linear.t[0]))
 
 
 def at_same_noise(before: Sequence[Fitted], after: Sequence[Fitted]) -> list[Fitted]:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from handcal import noise as noise_levels
 from handcal.effects import Effect, Signals
 from handcal.estimate.case import name_of
 from handcal.estimate.fit import Fitted, Model
@@ -16,10 +15,9 @@ from handcal.estimate.quadratic import Quadratic, local, total
 from handcal.evidence import reduce, reduced_pass
 from handcal.explain.explanation import Missing
 from handcal.explain.find import Found
-from handcal.explain.held import EARLY
+from handcal.explain.held import early_part
 from handcal.explain.search import Space, expected_gain, space
 from handcal.kernel import BASE
-from handcal.linear import Linear
 from handcal.model import Problem, corrected_readings
 from handcal.signals import reading
 from handcal.streams import observed_by
@@ -40,10 +38,15 @@ class Judged:
     noise: Mapping[str, float] = field(default_factory=dict)
 
 
-def by_later_blocks(found: Found) -> Judged:
-    """Later parts of the recordings, as seen from the earlier ones, at the final noise levels."""
+def by_later_blocks(found: Found) -> Judged | None:
+    """Later parts of the recordings, as seen from the earlier ones, at the final noise levels; None
+    where there is no effect to judge."""
     model = found.model
-    early = replace(model, parts=tuple(replace(f, linear=_early(f)) for f in model.parts))
+    if not model.effects:
+        return None
+    early = replace(
+        model, parts=tuple(replace(f, linear=early_part(f.linear)) for f in model.parts)
+    )
     noise: dict[str, float] = {}
     for e in (e for e in model.effects if e.process is not None):
         whole, seen = (sum(_missed(f, e) for f in m.parts) for m in (model, early))
@@ -119,11 +122,6 @@ def _held_out(found: Found, judged: Judged, effect: Effect) -> float | None:
         w.score(chosen) - w.score(chosen - {effect.id}) for w in (judged.whole, judged.seen)
     )
     return float(whole - seen)
-
-
-def _early(f: Fitted) -> Linear:
-    t = f.linear.t
-    return noise_levels.until(f.linear, t[0] + EARLY * (t[-1] - t[0]))
 
 
 def _missed(f: Fitted, effect: Effect) -> float:

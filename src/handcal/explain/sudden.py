@@ -25,7 +25,7 @@ def sudden(f: Fitted, kinds: Set[str]) -> Array:
     first sample, of each of these kinds of observation."""
     done = reduced_pass(reduce(f.linear), f.levels)
     linear = done.reduction.linear
-    square = (done.nu[:, 0] + done.nu[:, 1:] @ done.w) ** 2 / done.S
+    square = done.innovations(done.w) ** 2 / done.S
     epoch = np.repeat(np.arange(len(linear.t)), np.diff(done.reduction.first))
     found = []
     for k, observation in enumerate(linear.problem.observations):

@@ -40,10 +40,7 @@ from handcal.explain.naming import (
 )
 from handcal.explain.next_motion import next_motions
 from handcal.explain.score import PRIOR, TERM_PRIOR
-from handcal.explain.search import (
-    gains,
-    space,
-)
+from handcal.explain.search import gains, space
 from handcal.explain.untellable import untellable
 from handcal.kernel import MAX_DIM
 from handcal.twin import twin
@@ -118,6 +115,7 @@ def explain(
     found, chosen = _refitted(base, found, options)
     report(0.8, "predicting what was not seen")
     others = [prepared(r, "rest-only" if any(far) else assume) for r in held_out]
+    judged: matter.Judged | None
     if others:
         scores, after = held.other_files(others, found.model)
         judged = matter.by_other_files(found, after)
@@ -211,7 +209,7 @@ def _explanation(
     wrong: outliers.Wrong | None,
     scores: HeldOut,
     written: Chosen | None,
-    judged: matter.Judged,
+    judged: matter.Judged | None,
 ) -> Explanation:
     model = found.model
     chosen = model.chosen
@@ -297,7 +295,7 @@ def _evidence(f: Fitted, model: Model) -> Evidence:
     at = np.repeat(done.reduction.linear.t, scalars)
     w = done.w
     slots = f.linear.problem.slots
-    nu = done.nu[:, 0] + done.nu[:, 1:] @ w
+    nu = done.innovations(w)
     grid = np.linspace(f.linear.t[0], f.linear.t[-1], 400)
     gain = {}
     A = done.log_likelihood[2] + np.eye(len(w))
@@ -312,7 +310,7 @@ def _evidence(f: Fitted, model: Model) -> Evidence:
         )
         change = A[np.ix_(rest, mine)] @ (other[mine] - w[mine])
         other[rest] = w[rest] - np.linalg.solve(A[np.ix_(rest, rest)], change)
-        without = done.nu[:, 0] + done.nu[:, 1:] @ other
+        without = done.innovations(other)
         more = np.cumsum(0.5 * (without**2 - nu**2) / done.S)
         gain[name_of(e.id)] = np.interp(grid, at, more) if len(at) else np.zeros_like(grid)
     return Evidence(grid, gain)
@@ -324,7 +322,7 @@ def _fit(model: Model, parts: Sequence[Fitted]) -> Fit:
     rms: dict[str, list[float]] = {}
     for f in parts:
         done = reduced_pass(reduce(f.linear), f.levels)
-        nu = (done.nu[:, 0] + done.nu[:, 1:] @ done.w) / np.sqrt(done.S)
+        nu = done.innovations(done.w) / np.sqrt(done.S)
         slot = done.reduction.slot
         for k, observation in enumerate(f.linear.problem.observations):
             for i, channel in enumerate(observation.channels):
