@@ -164,7 +164,7 @@ def test_preintegrated_transition_is_the_derivative_of_navigation(short):
     linear, _ = short
     problem, nominal = linear.problem, linear.trajectory
     nodes = problem.nodes
-    J = nodes.J
+    J = problem.slopes.dense(problem.imu_constants)
     for j in range(5, len(nominal.node), 9):
         a, b = nominal.node[j - 1], nominal.node[j]
         span = slice(a, b + 1)

@@ -76,7 +76,7 @@ def fold(linear: Linear) -> Folded | None:
     row, count_of = np.full(q, -1, dtype=np.int64), np.zeros(q, dtype=np.int64)
     first, rows = _grouped(of[at], linear.kind, linear.used, folds, count, row, count_of)
     _shares(linear.t[at], row, count_of, share)
-    r_out, H_out = np.zeros((rows, MAX_DIM)), np.zeros((rows, MAX_DIM, H.shape[2]))
+    r_out, H_out = np.zeros((rows, H.shape[1])), np.zeros((rows, *H.shape[1:]))
     kind, scatter = np.zeros(rows, dtype=np.int64), np.zeros((len(kinds), MAX_DIM))
     _summed(r, H, linear.kind, dim, (row, count_of, share), (r_out, H_out, kind, scatter))
     readings = np.bincount(linear.kind[row >= 0], minlength=len(kinds))
@@ -153,6 +153,7 @@ def _carried(
     width = Phi.shape[2]
     off, moved = np.zeros(9), np.zeros(9)
     noise, half = np.zeros((3, 9, 9)), np.zeros((9, 9))
+    sources = 3 if Q[2].any() else 2  # (most recordings have no gap)
     w = 0
     for j in range(len(Phi)):
         # (written where it belongs at once: T is the largest thing here)
@@ -169,7 +170,7 @@ def _carried(
                         for c in range(width):
                             new[a, c] += f * T[j - 1, b, c]
             off[:] = moved
-            for s in range(3):
+            for s in range(sources):
                 _propagated(Phi[j], noise[s], half, Q[s][j])
         if w < len(start) and j == start[w]:
             if w > 0:

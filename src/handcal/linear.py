@@ -13,12 +13,12 @@ import numpy as np
 
 from handcal import so3
 from handcal._jit import njit
-from handcal.covariance import propagation_work
 from handcal.effects import ATTITUDE, DELAY
 from handcal.filter import Track
-from handcal.kernel import BASE, MAX_DIM, Nodes, Tables, corrected, fill_nav, linearise
+from handcal.kernel import BASE, Nodes, Tables, fill_nav, linearise
 from handcal.model import (
     Problem,
+    Slopes,
     constants_of,
     corrected_readings,
     differentiated,
@@ -26,7 +26,7 @@ from handcal.model import (
     markov_transitions,
 )
 from handcal.observations import NAV, nearest
-from handcal.preintegration import integrate, preintegrate
+from handcal.preintegration import integrate, preintegrate, responses, turn_noise
 from handcal.start import Start
 from handcal.types import Array, BoolArray, IntArray
 
@@ -52,7 +52,7 @@ class Linear:
 
     Phi (k, 9, 15 + mi) from the epoch before, d (k, 9) predicted minus nominal, Q_gyro,
     Q_accel, Q_extra (k, 9, 9) per unit density; t, rate (k,); first (k + 1,) rows of each
-    epoch; kind (q,), r (q, MAX_DIM), H (q, MAX_DIM, N), used (q,).
+    epoch; kind (q,), r (q, m), H (q, m, N), used (q,), m the most that any kind reads at once.
     """
 
     problem: Problem
@@ -111,33 +111,44 @@ def trajectory_of(
 def linearise_about(problem: Problem, start: Start, nominal: Trajectory) -> Linear:
     """Integrate between the epochs and linearise everything about the nominal trajectory."""
     held = any(o.wandering is not None for o in problem.observations)
-    C_nb = None
     asked = held or (problem.navigated and any(ATTITUDE in e.needs for e in problem.effects))
-    if problem.imu_constants and asked:
-        C_nb = path(problem, nominal).C[np.searchsorted(problem.nodes.t, problem.recording.imu.t)]
-    if not problem.imu_constants:
-        problem = replace(problem, ref=nominal.constants)
-    else:
+    done, C_nb = None, None
+    if problem.imu_constants:
+        if asked:
+            at_imu = np.searchsorted(problem.nodes.t, problem.recording.imu.t)
+            C_nb = path(problem, nominal).C[at_imu]
         done = corrected_readings(problem, nominal.constants, nominal.bg, nominal.ba, C_nb)
+        problem = done.problem
+    problem = _bare(replace(problem, ref=nominal.constants))
+    Phi, d, Q, W = _transitions(problem, nominal)
+    if done is not None:
         # What an effect does depends on the true rate and force: take off the noise that
         # this trajectory implies, or each sample's noise would pose as motion that excites it.
-        noise = _implied_noise(done.problem, nominal) if problem.navigated else None
-        force = None if C_nb is None or not held else _steady_force(done.problem, nominal, C_nb)
+        noise = _implied_noise(problem, nominal, d) if problem.navigated else None
+        force = None if C_nb is None or not held else _steady_force(problem, nominal, C_nb)
         problem = differentiated(done, noise, force)
+        slopes = problem.slopes
+        assert slopes is not None
+        responses(W, slopes.values, slopes.channel, slopes.column, nominal.node, Phi[:, :, BASE:])
+    if any(o.navigates for o in problem.observations):
+        # (else d is no noise: it holds whatever moved the biases, and nothing pulls it back)
+        turn_noise(Phi, d)
     problem = _believing(problem, nominal.constants)
-    Phi, d, Q = _transitions(problem, nominal)
     nodes = problem.nodes
     q = len(nodes.kind)
-    r, H = np.zeros((q, MAX_DIM)), np.zeros((q, MAX_DIM, problem.size))
+    widest = int(problem.tables.dim.max(initial=1))
+    r, H = np.zeros((q, widest)), np.zeros((q, widest, problem.size))
     used = np.zeros(q, dtype=np.bool_)
     _linearise_rows(
         nodes,
         problem.tables,
         nominal.node,
         (nominal.p, nominal.v, nominal.C, nominal.markov),
-        (*biases(problem, nominal), nominal.constants, problem.ref),
+        (*biases(problem, nominal), nominal.constants),
         (r, H, used),
     )
+    if problem.slopes is not None:
+        _seen_by_constants(problem.slopes, nodes.first, H)
     by_bias = None if problem.navigated else errors_by_bias(problem, nominal.bg, nominal.ba)
     if by_bias is not None:
         t = problem.recording.imu.t
@@ -234,51 +245,44 @@ def biases(problem: Problem, nominal: Trajectory) -> tuple[Array, Array]:
     return np.ascontiguousarray(out[:, :3]), np.ascontiguousarray(out[:, 3:])
 
 
+def _seen_by_constants(slopes: Slopes, first: IntArray, H: Array) -> None:
+    """Let observations that look at rate and force see the IMU constants, in their rows H."""
+    rows = np.flatnonzero(H[:, :, 9:BASE].any(axis=(1, 2)))
+    if not len(rows):
+        return
+    node = np.searchsorted(first, rows, side="right") - 1
+    for s, (channel, column) in enumerate(zip(slopes.channel, slopes.column, strict=True)):
+        by_reading = H[rows, :, 9 + channel]
+        H[rows, :, BASE + column] += by_reading * slopes.values[node, s, None]
+
+
+def _bare(problem: Problem) -> Problem:
+    """The problem with readings that have been corrected at problem.ref for good."""
+    return replace(problem, nodes=problem.nodes._replace(J=np.zeros((len(problem.nodes.t), 6, 0))))
+
+
 def _intervals(
     problem: Problem, nominal: Trajectory
-) -> tuple[
-    Nodes, IntArray, tuple[Array, Array, Array], tuple[Array, Array, Array, Array], Array, Array
-]:
+) -> tuple[Nodes, IntArray, tuple[Array, Array, Array], tuple[Array, Array], Array, Array]:
     """What integrating from epoch to epoch begins with (see ``preintegrate``)."""
-    extras = np.r_[nominal.constants, np.zeros(problem.markov_size)]
     return (
         problem.nodes,
         nominal.node,
         (nominal.p, nominal.v, nominal.C),
-        (*biases(problem, nominal), extras, problem.ref),
+        biases(problem, nominal),
         problem.g_n,
         problem.omega_ie_n,
     )
 
 
-def _transitions(problem: Problem, nominal: Trajectory) -> tuple[Array, Array, Array]:
-    """Phi (k, 9, 15 + mi), d (k, 9) and the three Q (3, k, 9, 9) between the epochs."""
+def _transitions(problem: Problem, nominal: Trajectory) -> tuple[Array, Array, Array, Array]:
+    """Phi (k, 9, 15 + mi) but for the constants, d (k, 9) and the three Q (3, k, 9, 9) between the
+    epochs; W (n, 9, 6) (see ``preintegrate``)."""
     k = len(nominal.node)
     Phi, d = np.zeros((k, 9, BASE + problem.imu_constants)), np.zeros((k, 9))
-    Q = np.zeros((3, k, 9, 9))
-    preintegrate(
-        *_intervals(problem, nominal),
-        (Phi, d, Q[0], Q[1], Q[2]),
-        propagation_work(9, 0),
-    )
-    if any(o.navigates for o in problem.observations):
-        # (else d is no noise: it holds whatever moved the biases, and nothing pulls it back)
-        _turn_noise(Phi, d)
-    return Phi, d, Q
-
-
-def _turn_noise(Phi: Array, d: Array) -> None:
-    """Let an attitude error turn the noise that the trajectory implies, in Phi.
-
-    Sensor noise lives in the body: what the measured rate and force differ from those of
-    the nominal trajectory turns with the attitude and is no information about it. Taking
-    it for a signal makes a heading observable that is not (in a z turn without a heading,
-    sigma of the vertical gyro bias falls to a tenth).
-    """
-    turned = 0.5 * Phi[1:, 6:9]
-    turned[:, :, 6:9] += 0.5 * np.eye(3)
-    for i in (0, 3, 6):
-        Phi[1:, i : i + 3] += so3.skew(d[1:, i : i + 3]) @ turned
+    Q, W = np.zeros((3, k, 9, 9)), np.empty((len(problem.nodes.t), 9, 6))
+    preintegrate(*_intervals(problem, nominal), (Phi, d, Q[0], Q[1], Q[2]), W)
+    return Phi, d, Q, W
 
 
 @dataclass(frozen=True)
@@ -295,17 +299,20 @@ class Path:
 def path(problem: Problem, nominal: Trajectory) -> Path:
     """The nominal trajectory between its epochs, as the readings tell it."""
     n = len(problem.nodes.t)
+    if problem.slopes is not None:
+        moved = problem.slopes.times(nominal.constants - problem.ref)
+        nodes = problem.nodes
+        gyro, accel = nodes.gyro - moved[:, :3], nodes.accel - moved[:, 3:]
+        problem = replace(problem, nodes=nodes._replace(gyro=gyro, accel=accel))
     out = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3, 3))
     d = np.zeros((len(nominal.node), 9))
     integrate(*_intervals(problem, nominal), out, d)
     return Path(*out, d)
 
 
-def _implied_noise(problem: Problem, nominal: Trajectory) -> Array:
+def _implied_noise(problem: Problem, nominal: Trajectory, d: Array) -> Array:
     """Mean noise of gyro and accelerometer (n, 6) at the IMU's samples, interval by interval, of
-    a problem whose readings were corrected with the nominal constants."""
-    bare = problem.nodes._replace(J=np.zeros((len(problem.nodes.t), 6, 0)))
-    d = path(replace(problem, nodes=bare), nominal).d
+    a problem whose readings were corrected with the nominal constants; d as in ``Linear``."""
     t = problem.nodes.t[nominal.node]
     dt = np.maximum(np.diff(t), 1e-6)[:, None]
     C_bn = nominal.C[1:].transpose(0, 2, 1)
@@ -321,18 +328,19 @@ def _linearise_rows(
     tables: Tables,
     epoch: IntArray,
     nominal: tuple[Array, Array, Array, Array],
-    constants: tuple[Array, Array, Array, Array],
+    constants: tuple[Array, Array, Array],
     out: tuple[Array, Array, BoolArray],
 ) -> None:
-    bg, ba, constant, ref = constants
+    bg, ba, constant = constants
     extras = np.concatenate((constant, nominal[3][0]))
     nav, w, f = np.empty(NAV), np.empty(3), np.empty(3)
     for j in range(len(epoch)):
         i = epoch[j]
         for a in range(nominal[3].shape[1]):
             extras[len(constant) + a] = nominal[3][j, a]
-        corrected(nodes.gyro[i], nodes.J[i], 0, bg[j], extras, ref, w)
-        corrected(nodes.accel[i], nodes.J[i], 3, ba[j], extras, ref, f)
+        for a in range(3):
+            w[a] = nodes.gyro[i, a] - bg[j, a]
+            f[a] = nodes.accel[i, a] - ba[j, a]
         fill_nav(nominal[0][j], nominal[1][j], nominal[2][j], w, f, nav)
         for q in range(nodes.first[i], nodes.first[i + 1]):
             out[2][q] = (

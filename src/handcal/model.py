@@ -9,7 +9,7 @@ the first five (3,). Constants are first those of effects that act on the readin
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -53,6 +53,27 @@ class Slot:
 
 
 @dataclass(frozen=True)
+class Slopes:
+    """How the readings depend on the IMU constants: derivatives (n, s) at the nodes, each of one
+    channel (s,) by one constant (s,), in the order of the channels; all others are zero."""
+
+    values: Array
+    channel: IntArray
+    column: IntArray
+
+    def dense(self, constants: int) -> Array:
+        """The same as (n, 6, constants)."""
+        out = np.zeros((len(self.values), 6, constants))
+        out[:, self.channel, self.column] = self.values
+        return out
+
+    def times(self, x: Array) -> Array:
+        """By how much the readings (n, 6) change with constants that change by x (c,)."""
+        of_channel = np.where(self.channel[:, None] == np.arange(6), x[self.column][:, None], 0.0)
+        return np.asarray(self.values @ of_channel)
+
+
+@dataclass(frozen=True)
 class Problem:
     """A recording made ready for the filter.
 
@@ -61,7 +82,8 @@ class Problem:
     observations: the kinds in use, numbered as in ``nodes.kind``; dropped: rows outside
     the recording. markovs: the processes whose states follow the constants, in their order;
     walks: (first state of those, column of the readings) of each that adds to a bias; alpha: known
-    angular acceleration (n, 3) at the IMU's samples, rad/s^2.
+    angular acceleration (n, 3) at the IMU's samples, rad/s^2. slopes: at ref, of what has been
+    linearised about a trajectory; the online filter reads ``nodes.J`` instead.
     """
 
     recording: Recording
@@ -79,6 +101,7 @@ class Problem:
     rate: Array
     dropped: int
     alpha: Array | None = None
+    slopes: Slopes | None = None
 
     @property
     def constants(self) -> int:
@@ -344,33 +367,48 @@ def differentiated(
     averaged = reading(read, _averaged(truth, short)) if compared else signals
     right = np.clip(np.searchsorted(imu.t, nodes.t), 1, len(imu.t) - 1)
     share = (nodes.t - imu.t[right - 1]) / (imu.t[right] - imu.t[right - 1])
-    J = np.zeros((len(nodes.t), 6, problem.imu_constants))
+    parts: list[tuple[int, int, Array]] = []
     i = 0
     for e in (e for e in problem.effects if e.imu_error is not None):
         own = slice(i, i + len(e.parameters))
         i = own.stop
         whole = e.imu_inverse is not None
-        of_imu = correction_jacobian(e, ref[own], signals if whole else averaged)
-        for k in range(6):
-            some = np.flatnonzero(of_imu[:, k].any(axis=0))
-            if not len(some):
-                continue
-            channel = of_imu[:, k, some]
-            if compared and whole:
-                channel = _averaged(channel, short)
-            if noise is not None:
-                channel = _calmed(channel, recording.rate_hz, quiet)
-            _onto_nodes(channel, right, share, J[:, k], own.start + some)
-    return replace(problem, nodes=nodes._replace(J=J))
+        for channel, of_imu in _by_channel(e, ref[own], signals if whole else averaged):
+            for k in np.flatnonzero(of_imu.any(axis=0)):
+                column = of_imu[:, k]
+                if compared and whole:
+                    column = _averaged(column[:, None], short)[:, 0]
+                parts.append((channel, own.start + int(k), column))
+    parts.sort(key=lambda part: part[:2])
+    at_imu = np.stack([p[2] for p in parts], axis=1) if parts else np.zeros((len(imu.t), 0))
+    if noise is not None:
+        at_imu = _calmed(at_imu, recording.rate_hz, quiet)
+    values = np.empty((len(nodes.t), len(parts)))
+    _onto_nodes(at_imu, right, share, values)
+    channels, columns = (np.array([p[k] for p in parts], dtype=np.int64) for k in (0, 1))
+    return replace(
+        problem,
+        nodes=nodes._replace(J=np.zeros((len(nodes.t), 6, 0))),
+        slopes=Slopes(values, channels, columns),
+    )
+
+
+def _by_channel(effect: Effect, at: Array, truth: Signals) -> Iterator[tuple[int, Array]]:
+    """Channels on which an effect acts, with the derivatives (n, k) by its parameters."""
+    if effect.features is not None:
+        yield from effect.features(truth)
+        return
+    of_imu = correction_jacobian(effect, at, truth)
+    yield from ((k, of_imu[:, k]) for k in range(6))
 
 
 @njit
-def _onto_nodes(J: Array, right: IntArray, share: Array, out: Array, columns: IntArray) -> None:
-    """Columns of J (n, s) at the IMU's samples, on straight lines, into those of ``out`` (k, c)."""
+def _onto_nodes(x: Array, right: IntArray, share: Array, out: Array) -> None:
+    """Columns (n, s) at the IMU's samples, on straight lines, at the nodes (k, s)."""
     for i in range(len(right)):
-        b = right[i]
-        for c in range(len(columns)):
-            out[i, columns[c]] = J[b - 1, c] * (1.0 - share[i]) + J[b, c] * share[i]
+        b, u = right[i], share[i]
+        for c in range(x.shape[1]):
+            out[i, c] = x[b - 1, c] * (1.0 - u) + x[b, c] * u
 
 
 def relinearised(
@@ -379,7 +417,10 @@ def relinearised(
     """The same problem with its effects linearised about constants ``ref`` (c,) and biases."""
     if problem.imu_constants == 0:
         return replace(problem, ref=ref)
-    return differentiated(corrected_readings(problem, ref, bg, ba, C_nb))
+    done = differentiated(corrected_readings(problem, ref, bg, ba, C_nb))
+    assert done.slopes is not None
+    J = done.slopes.dense(problem.imu_constants)
+    return replace(done, nodes=done.nodes._replace(J=J))
 
 
 def _stilled(truth: Array, t: Array, quiet: BoolArray) -> Array:

@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from handcal._jit import copy1, copy2, inner, local_matrix, njit, zero2
-from handcal.covariance import Propagation, add_unknown_force, propagate
-from handcal.kernel import BASE, Nodes, corrected, interval
+from handcal.covariance import add_unknown_force
+from handcal.kernel import BASE, Nodes, interval
 from handcal.so3 import exp, matmul
 from handcal.strapdown import advance, increments
 from handcal.types import Array, IntArray
@@ -19,47 +19,108 @@ def preintegrate(
     nodes: Nodes,
     epoch: IntArray,
     nominal: tuple[Array, Array, Array],
-    constants: tuple[Array, Array, Array, Array],
+    biases: tuple[Array, Array],
     g_n: Array,
     omega_ie_n: Array,
     out: tuple[Array, Array, Array, Array, Array],
-    work: Propagation,
+    W: Array,
 ) -> None:
-    """Phi, d and the three Q of every epoch but the first, into ``out`` (see ``Linear``).
+    """Phi (k, 9, 15), d and the three Q of every epoch but the first, into ``out`` (see
+    ``Linear``), and what an error of the readings over each interval makes of the state at the
+    next epoch, into W (n, 9, 6).
 
-    constants: bias of gyro and of accelerometer from each epoch on (k, 3), constants, reference.
+    biases: of gyro and of accelerometer from each epoch on (k, 3). Within an epoch it goes
+    backwards: noise and errors are carried to its end, which needs no covariance on the way.
     """
-    bg, ba, extras, ref = constants
+    bg, ba = biases
     Phi_out, d_out, Qg_out, Qa_out, Q0_out = out
-    mi = nodes.J.shape[2]
-    width = BASE + mi
-    Phi, J = np.empty((9, width)), np.empty((6, mi))
-    none = np.empty((0, 0))
-    total, new = np.zeros((9, width)), np.zeros((9, width))
-    Q = np.zeros((3, 9, 9))
+    longest = 0
+    for j in range(1, len(epoch)):
+        longest = max(longest, epoch[j] - epoch[j - 1])
+    Phi, J, none = np.empty((longest, 9, BASE)), np.empty((6, 0)), np.empty(0)
+    later, new, work = np.empty((9, 9)), np.empty((9, BASE)), np.empty((3, 9, 9))
     p, v, C = np.empty(3), np.empty(3), np.empty((3, 3))
     for j in range(1, len(epoch)):
+        a, b = epoch[j - 1], epoch[j]
         copy1(nominal[0][j - 1], p)
         copy1(nominal[1][j - 1], v)
         copy2(nominal[2][j - 1], C)
-        zero2(total)
-        for a in range(9):
-            total[a, a] = 1.0
-        for s in range(3):
-            zero2(Q[s])
-        for i in range(epoch[j - 1] + 1, epoch[j] + 1):
-            interval(nodes, i, bg[j - 1], ba[j - 1], extras, ref, g_n, omega_ie_n, p, v, C, Phi, J)
-            _chain(Phi, total, new)
-            copy2(new, total)
-            _add_noise(Q, Phi, none, nodes.t[i] - nodes.t[i - 1], nodes.extra[i], work)
-        copy2(total, Phi_out[j])
-        copy2(Q[0], Qg_out[j])
-        copy2(Q[1], Qa_out[j])
-        copy2(Q[2], Q0_out[j])
-        for a in range(3):
-            d_out[j, a] = p[a] - nominal[0][j, a]
-            d_out[j, 3 + a] = v[a] - nominal[1][j, a]
+        for i in range(a + 1, b + 1):
+            interval(nodes, i, bg[j - 1], ba[j - 1], none, none, g_n, omega_ie_n, p, v, C,
+                     Phi[i - a - 1], J)  # fmt: skip
+        zero2(later)
+        for k in range(9):
+            later[k, k] = 1.0
+        total, Q = Phi_out[j], (Qg_out[j], Qa_out[j], Q0_out[j])
+        for i in range(b, a, -1):
+            _add_noise(Q, later, nodes.t[i] - nodes.t[i - 1], nodes.extra[i], work)
+            _followed(later, Phi[i - a - 1], new)
+            for r in range(9):
+                for c in range(9):
+                    later[r, c] = new[r, c]
+                for c in range(6):
+                    W[i, r, c] = new[r, 9 + c]
+                    total[r, 9 + c] += new[r, 9 + c]
+        for r in range(9):
+            for c in range(9):
+                total[r, c] = later[r, c]
+        for k in range(3):
+            d_out[j, k] = p[k] - nominal[0][j, k]
+            d_out[j, 3 + k] = v[k] - nominal[1][j, k]
         _angle_between(C, nominal[2][j], d_out[j, 6:9])
+
+
+@njit
+def responses(W: Array, values: Array, channel: IntArray, column: IntArray, epoch: IntArray,
+              out: Array) -> None:  # fmt: skip
+    """What constants make of the state at the next epoch: derivatives (k, 9, c), added to ``out``.
+
+    W: see ``preintegrate``; values (n, s), channel, column (s,): see ``model.Slopes``.
+    """
+    s = len(channel)
+    mean, sums = np.empty(s), np.empty((9, s))
+    for j in range(1, len(epoch)):
+        zero2(sums)
+        for i in range(epoch[j - 1] + 1, epoch[j] + 1):
+            for k in range(s):
+                mean[k] = 0.5 * (values[i - 1, k] + values[i, k])
+            begin = 0
+            while begin < s:
+                end, c = begin, channel[begin]
+                while end < s and channel[end] == c:
+                    end += 1
+                for r in range(9):
+                    w = W[i, r, c]
+                    if w != 0.0:
+                        for k in range(begin, end):
+                            sums[r, k] += w * mean[k]
+                begin = end
+        for r in range(9):
+            for k in range(s):
+                out[j, r, column[k]] += sums[r, k]
+
+
+@njit
+def turn_noise(Phi: Array, d: Array) -> None:
+    """Let an attitude error turn the noise that the trajectory implies, in Phi (k, 9, 15 + c).
+
+    Sensor noise lives in the body: what the measured rate and force differ from those of
+    the nominal trajectory turns with the attitude and is no information about it. Taking
+    it for a signal makes a heading observable that is not (in a z turn without a heading,
+    sigma of the vertical gyro bias falls to a tenth).
+    """
+    turned = np.empty((3, Phi.shape[2]))
+    for j in range(1, len(Phi)):
+        for a in range(3):
+            for c in range(Phi.shape[2]):
+                turned[a, c] = 0.5 * Phi[j, 6 + a, c]
+            turned[a, 6 + a] += 0.5
+        for first in range(0, 9, 3):
+            for a in range(3):
+                b, e = (a + 1) % 3, (a + 2) % 3
+                less, more = -d[j, first + e], d[j, first + b]
+                for c in range(Phi.shape[2]):
+                    Phi[j, first + a, c] += less * turned[b, c] + more * turned[e, c]
 
 
 @njit
@@ -67,7 +128,7 @@ def integrate(
     nodes: Nodes,
     epoch: IntArray,
     nominal: tuple[Array, Array, Array],
-    constants: tuple[Array, Array, Array, Array],
+    biases: tuple[Array, Array],
     g_n: Array,
     omega_ie_n: Array,
     out: tuple[Array, Array, Array],
@@ -77,10 +138,9 @@ def integrate(
     integration ends beside the next epoch, d (k, 9): predicted minus nominal.
 
     Each epoch begins anew from the nominal; what it lacks at its end is spread over its time.
-    constants: as in ``preintegrate``.
+    biases: as in ``preintegrate``.
     """
-    bg, ba, extras, ref = constants
-    mi = nodes.J.shape[2]
+    bg, ba = biases
     inc, f_n, w, psi = np.empty((3, 3)), np.empty(3), np.empty((4, 3)), np.empty(3)
     p, v, C, turn = np.empty(3), np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     for j in range(1, len(epoch)):
@@ -92,14 +152,12 @@ def integrate(
             out[0][a, k], out[1][a, k] = p[k], v[k]
         copy2(C, out[2][a])
         for i in range(a + 1, b + 1):
-            if mi > 0 or i == a + 1:
-                corrected(nodes.gyro[i - 1], nodes.J[i - 1], 0, bg[j - 1], extras, ref, w[0])
-                corrected(nodes.accel[i - 1], nodes.J[i - 1], 3, ba[j - 1], extras, ref, w[2])
+            if i == a + 1:
+                _less(nodes, i - 1, bg[j - 1], ba[j - 1], w[0], w[2])
             else:
                 copy1(w[1], w[0])
                 copy1(w[3], w[2])
-            corrected(nodes.gyro[i], nodes.J[i], 0, bg[j - 1], extras, ref, w[1])
-            corrected(nodes.accel[i], nodes.J[i], 3, ba[j - 1], extras, ref, w[3])
+            _less(nodes, i, bg[j - 1], ba[j - 1], w[1], w[3])
             dt = nodes.t[i] - nodes.t[i - 1]
             increments(w[0], w[1], w[2], w[3], dt, inc)
             advance(p, v, C, inc, dt, g_n, omega_ie_n, f_n)
@@ -123,34 +181,57 @@ def integrate(
 
 
 @inner
-def _chain(Phi: Array, total: Array, out: Array) -> None:
-    """out = the transition ``total`` followed by Phi, both (9, 15 + mi): biases and constants
-    do not move, so their part of Phi is only added."""
+def _less(nodes: Nodes, i: int, bg: Array, ba: Array, w: Array, f: Array) -> None:
+    """Rate and force at a node without the biases."""
+    for k in range(3):
+        w[k] = nodes.gyro[i, k] - bg[k]
+        f[k] = nodes.accel[i, k] - ba[k]
+
+
+@inner
+def _followed(later: Array, Phi: Array, out: Array) -> None:
+    """out = later Phi, (9, 15), of transitions that are mostly zeros."""
+    zero2(out)
     for a in range(9):
-        for j in range(9):
-            out[a, j] = 0.0
-        for j in range(9, Phi.shape[1]):
-            out[a, j] = Phi[a, j]
         for k in range(9):
-            s = Phi[a, k]
+            s = later[a, k]
             if s != 0.0:
-                for j in range(Phi.shape[1]):
-                    out[a, j] += s * total[k, j]
+                for c in range(Phi.shape[1]):
+                    out[a, c] += s * Phi[k, c]
 
 
 @inner
 def _add_noise(
-    Q: Array, Phi: Array, none: Array, dt: float, extra: Array, work: Propagation
+    Q: tuple[Array, Array, Array], later: Array, dt: float, extra: Array, work: Array
 ) -> None:
-    """Carry the three Q (3, 9, 9), of gyro, accelerometer and gaps, over one interval."""
-    for s in range(3):
-        if s < 2 or Q[s, 3, 3] != 0.0 or Q[s, 6, 6] != 0.0:
-            propagate(Q[s], Phi, none, none, none, Q.shape[1], work)
+    """Add to the three Q (9, 9), of gyro, accelerometer and gaps, what an interval of dt seconds
+    brings, which the transition ``later`` then carries on."""
+    for s in range(2):
+        first = 6 - 3 * s
+        for a in range(9):
+            for b in range(a + 1):
+                q = 0.0
+                for k in range(first, first + 3):
+                    q += later[a, k] * later[b, k]
+                Q[s][a, b] += dt * q
+                if a != b:
+                    Q[s][b, a] += dt * q
+    if extra[0] == 0.0 and extra[1] == 0.0:
+        return
+    new, half = work[0], work[1]
+    zero2(new)
+    zero2(half)
     for a in range(3):
-        Q[0, 6 + a, 6 + a] += dt
-        Q[1, 3 + a, 3 + a] += dt
-        Q[2, 6 + a, 6 + a] += extra[0]
-        add_unknown_force(Q[2], a, dt, extra[1])
+        new[6 + a, 6 + a] = extra[0]
+        add_unknown_force(new, a, dt, extra[1])
+    for a in range(9):
+        for b in range(9):
+            for k in range(9):
+                half[a, b] += later[a, k] * new[k, b]
+    for a in range(9):
+        for b in range(9):
+            for k in range(9):
+                Q[2][a, b] += half[a, k] * later[b, k]
 
 
 @inner

@@ -140,7 +140,9 @@ class Effect:
     the effect that is the same on a stream on which this one does not act. baseline: it is in every
     model (a state of the filter), so it is never on trial. always: it is in every model of a
     recording in which one of its observations is used, whether asked for or not: nobody has none.
-    tails: its prior has the wide scales that others have.
+    tails: its prior has the wide scales that others have. features(truth): of an effect linear in
+    its parameters, which channels (0 to 5) it acts on and the derivatives there (n, k), where they
+    come cheaper than by differences of ``imu_error``.
     """
 
     id: str
@@ -177,6 +179,7 @@ class Effect:
     baseline: bool = False
     always: bool = False
     tails: bool = True
+    features: Callable[[Signals], Sequence[tuple[int, Array]]] | None = None
 
     @property
     def prior_sigma(self) -> Array:

@@ -150,8 +150,10 @@ def _added(f: Fitted, effect: Effect) -> dict[str, Array]:
     value = linear.trajectory.constants[constants]
     out: dict[str, Array] = {}
     imu = constants[constants < problem.imu_constants]
-    if len(imu):
-        added = problem.nodes.J[:, :, imu] @ value[: len(imu)]
+    if len(imu) and problem.slopes is not None:
+        own = np.zeros(problem.constants)
+        own[imu] = value[: len(imu)]
+        added = problem.slopes.times(own)
         out |= {c: added[:, k] for k, c in enumerate(IMU_CHANNELS)}
     if effect.walks:
         first = 0 if effect.walks == "gyro" else 3

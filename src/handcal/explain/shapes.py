@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -245,6 +245,21 @@ def _spline(t: Array, spacing: float, k: Array) -> Array:
     return out
 
 
+@njit
+def _spline_columns(t: Array, spacing: float, count: int) -> Array:
+    """Each of the cubic splines at the times t: (n, count)."""
+    out = np.zeros((len(t), count))
+    for j in range(len(t)):
+        x = t[j] / spacing
+        i = int(x)
+        u = x - i
+        out[j, i] = _cubic(u, 1.0, 0.0, 0.0, 0.0)
+        out[j, i + 1] = _cubic(u, 0.0, 1.0, 0.0, 0.0)
+        out[j, i + 2] = _cubic(u, 0.0, 0.0, 1.0, 0.0)
+        out[j, i + 3] = _cubic(u, 0.0, 0.0, 0.0, 1.0)
+    return out
+
+
 def _spline_over_time(spacing: float) -> Callable[..., int]:
     def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
         x = z[TIME] / spacing
@@ -276,8 +291,13 @@ def imu_basis(channel: int, duration: float) -> Basis:
         out[:, channel] = _spline(signals.t - signals.t[0], grid[1], k)
         return out
 
+    def features(truth: Signals) -> list[tuple[int, Array]]:
+        t = truth.t - truth.t[0]
+        return [(channel, _spline_columns(t, float(grid[1]), len(grid) + 2))]
+
     own = channel // 3
     effect = _splines(f"{CHANNELS[channel]} over time", UNITS[own], SIZE[own], len(grid) + 2, error)
+    effect = replace(effect, features=features)
     return Basis(effect, CHANNELS[channel], UNITS[own], grid, _natural(len(grid)), OVER_TIME)
 
 
@@ -358,8 +378,8 @@ def best(
 
     top, found = -math.inf, None
     for family in basis.families:
-        starts = np.array(list(family.starts(span)))
-        gained = gain(np.array([family.values(n, basis.grid) for n in starts]))
+        starts, values = _tried(family, span, tuple(basis.grid))
+        gained = gain(values)
         k = int(np.argmax(gained))
         if gained[k] > top:
             top, found = float(gained[k]), (family, starts[k], starts)
@@ -367,6 +387,13 @@ def best(
     family, numbers, starts = found
     numbers = _adjusted(partial(_lost, family, basis.grid, gain), numbers, starts)
     return term_of(basis, family, numbers), -_lost(family, basis.grid, gain, numbers) - FREEDOM
+
+
+@lru_cache(maxsize=16)
+def _tried(family: Family, span: float, grid: tuple[float, ...]) -> tuple[Array, Array]:
+    """Numbers (m, p) from which to begin, and those courses over the grid (m, n)."""
+    starts = np.array(list(family.starts(span)))
+    return starts, np.array([family.values(n, np.array(grid)) for n in starts])
 
 
 def _lost(family: Family, grid: Array, gain: Callable[[Array], Array], numbers: Array) -> float:

@@ -225,6 +225,7 @@ def _imu_term(channel: int, formula: str, feature: Feature, unit: str, prior: fl
         prior,
         positive="play" in formula,  # (it lags, and cannot lead)
         imu_error=error,
+        features=lambda truth: [(channel, feature(truth)[:, None])],
     )
 
 
