@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pytest
 from fake_result import fake_frames, fake_result
 
 import handcal
-from handcal import calibration, cli, commands
+from handcal import calibration, cli, commands, output
 from handcal.types import HandcalError, InputError
 
 
@@ -133,7 +134,9 @@ def test_several_files_get_a_page_each(main, tmp_path):
     assert status == 0
     assert len(json.loads((tmp_path / "x.json").read_text())["recordings"]) == 2
     recording = fake_result().recording
-    assert cli.beside(Path("out/x.html"), recording, True) == Path("out/x-hand-motion.html")
+    assert output.beside(Path("out/x.html"), [recording]) == [Path("out/x.html")]
+    two = output.beside(Path("out/x.html"), [recording, replace(recording, path="b/c.mcap")])
+    assert two == [Path("out/x-hand-motion.html"), Path("out/x-c.html")]
 
 
 def test_options_reach_the_filter_in_si(main):

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from handcal import so3
+from handcal import output, so3
 from handcal.batch import forward, relinearise
 from handcal.consistency import bound
 from handcal.earth import local_earth
@@ -331,7 +331,7 @@ def write_page(sweep: Mapping[str, Any], file: str | Path) -> None:
     import matplotlib as mpl
 
     import handcal
-    from handcal import drawing, report, summary
+    from handcal import drawing, report
     from handcal_sim import sweep_page
 
     with mpl.rc_context(drawing.RC):
@@ -343,4 +343,4 @@ def write_page(sweep: Mapping[str, Any], file: str | Path) -> None:
             for section, drawn in sweep_page.figures(sweep).items()
         }
     context = sweep_page.context(sweep) | {"plots": plots, "version": handcal.__version__}
-    summary.write_text(file, report.page("sweep.html.j2", context))
+    output.write_text(file, report.page("sweep.html.j2", context))

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from handcal.cli import Json, Report, Topics, Units, check_folders, load
+from handcal.cli import Json, Report, Topics, Units, load
 from handcal.progress import progress
 
 
@@ -28,9 +28,10 @@ def allan(
     """Noise of a device at rest: Allan deviation, its terms, and what to give the filter."""
     from handcal.allan import analyse
     from handcal.allan_report import allan_json, print_allan, write_allan_report
+    from handcal.output import check_outputs
     from handcal.summary import write_json
 
-    check_folders(json, report)
+    check_outputs((json, report), (file,))
     chosen = _span(span)
     recording = load(file, topic, units)
     with progress(f"analysing {file.name}"):

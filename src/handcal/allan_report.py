@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import handcal
-from handcal import report, summary, words
+from handcal import output, report, words
 from handcal.allan import CHANNELS, LAWS, UNITS, Allan, Channel
 from handcal.drawing import INK, MUTED, PURPLE, RC, RED, XYZ, Plot, canvas, legend, svg
 from handcal.types import Array
@@ -31,7 +31,7 @@ SUGGESTED = {
 
 def write_allan_report(result: Allan, path: str | Path) -> None:
     """Write the page as one HTML file; nothing in it needs a network."""
-    summary.write_text(path, report.page("allan.html.j2", _context(result)))
+    output.write_text(path, report.page("allan.html.j2", _context(result)))
 
 
 def allan_json(result: Allan) -> dict[str, Any]:

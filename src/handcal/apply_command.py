@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from handcal.cli import Topics, Units, check_folders, load
+from handcal.cli import Topics, Units, load
 from handcal.commands import say
 
 if TYPE_CHECKING:
@@ -45,11 +45,10 @@ def apply(
     from handcal.apply import apply as applied
     from handcal.apply import read
     from handcal.export import write_mcap
-    from handcal.types import HandcalError, InputError
+    from handcal.output import check_outputs
+    from handcal.types import HandcalError
 
-    check_folders(out)
-    if out.exists() and recording.exists() and out.samefile(recording):
-        raise InputError(f"{out} is the recording itself; write the corrected one beside it.")
+    check_outputs((out,), (recording, learnt_from))
     learnt = read(learnt_from)
     given = load(recording, topic, units)
     corrected = applied(given, learnt, biases=biases)

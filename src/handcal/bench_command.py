@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from handcal.cli import Json, check_folders
+from handcal.cli import Json
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -55,9 +55,10 @@ def bench(
 
     Peers that are not installed are left out; the extra 'bench' brings them.
     """
+    from handcal.output import check_outputs
     from handcal.types import InputError
 
-    check_folders(json)
+    check_outputs((json,))
     for name in only or ():
         if name not in GROUPS:
             raise InputError(f"--only {name}: there are {', '.join(GROUPS)}.")

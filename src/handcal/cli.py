@@ -192,20 +192,6 @@ def _calibrated(
         return recalibrate(recordings, chosen, report)
 
 
-def check_folders(*outputs: Path | None) -> None:
-    """A sentence, before any work is done, where an output has no folder to go to."""
-    from handcal.types import InputError
-
-    for path in outputs:
-        if path and str(path) != "-" and not path.absolute().parent.is_dir():
-            raise InputError(f"{path} cannot be written: there is no folder {path.parent}.")
-
-
-def beside(path: Path, recording: Recording, several: bool) -> Path:
-    """The output of one of several files has the recording's name added to it."""
-    return path.with_stem(f"{path.stem}-{Path(recording.path).stem}") if several else path
-
-
 @app.command()
 def calibrate(
     files: Annotated[
@@ -241,22 +227,28 @@ def calibrate(
     are each recording's own. With --from, the fit of that result is repeated; of other
     recordings, the same effects are estimated.
     """
-    check_folders(json, report, rrd)
+    from handcal.output import beside, check_outputs
+
+    check_outputs((json, report, rrd), (*files, learnt_from))
     recordings = [load(path, topic, units) for path in files]
+    for several in (report, rrd):
+        if several:
+            check_outputs(beside(several, recordings), (*files, learnt_from))
     results = _calibrated(
         recordings, effects, learnt_from, heading_sigma=heading_sigma, assume=assume,
         latitude=latitude, height=height, ignore=ignore, reference_exact=reference_exact,
         noise_until=noise_until, engine=engine,
     )  # fmt: skip
-    for recording, result in zip(recordings, results, strict=True):
-        if report:
-            from handcal.report import write_report
+    if report:
+        from handcal.report import write_report
 
-            write_report(result, beside(report, recording, len(files) > 1))
-        if rrd:
-            from handcal.dashboard import save_rrd
+        for result, path in zip(results, beside(report, recordings), strict=True):
+            write_report(result, path)
+    if rrd:
+        from handcal.dashboard import save_rrd
 
-            save_rrd(result, beside(rrd, recording, len(files) > 1))
+        for result, path in zip(results, beside(rrd, recordings), strict=True):
+            save_rrd(result, path)
     if json:
         from handcal.summary import calibration_json, write_json
 
@@ -287,8 +279,9 @@ def import_(
 ) -> None:
     """Turn a phone log or another format into an MCAP recording."""
     from handcal.export import write_mcap
+    from handcal.output import check_outputs
 
-    check_folders(out)
+    check_outputs((out,), (source,))
     recording = load(source, topic, units)
     write_mcap(recording, out)
     for warning in recording.warnings:
@@ -333,9 +326,10 @@ def conceal(
 
     from handcal import conceal as hidden
     from handcal.export import write_mcap
+    from handcal.output import check_outputs
 
     values = dict(hidden.parse(text) for text in effect)
-    check_folders(out)
+    check_outputs((out,), (file, learnt_from))
     seed = secrets.randbelow(2**31) if seed is None else seed
     recording = load(file, topic, units)
     truth = None
@@ -376,6 +370,7 @@ def replay(
 
     A calibration goes before it: that is where the noise levels come from.
     """
+    from handcal.output import check_outputs
     from handcal.types import InputError
     from handcal.viewer import require_display
 
@@ -383,7 +378,7 @@ def replay(
         raise InputError("--no-viewer without --rrd FILE.rrd leaves nothing to do.")
     if not (no_viewer or web):
         require_display()
-    check_folders(rrd)
+    check_outputs((rrd,), (file,))
     (result,) = _calibrated(
         [load(file, topic, units)], effects, heading_sigma=heading_sigma, assume=assume,
         latitude=latitude, height=height, ignore=ignore, noise_until=noise_until, engine=engine,

@@ -23,7 +23,6 @@ from handcal.cli import (
     Rrd,
     Topics,
     Units,
-    check_folders,
     load,
     radians,
 )
@@ -104,9 +103,10 @@ def poses(
     from handcal.design_picture import check_ending, save_picture
     from handcal.design_poses import experiment
     from handcal.design_search import design as search
+    from handcal.output import check_outputs
     from handcal.summary import write_json
 
-    check_folders(json, report, rrd, picture)
+    check_outputs((json, report, rrd, picture))
     if picture:
         check_ending(picture)
     ids = [e.strip() for e in effects.split(",") if e.strip()]
@@ -170,9 +170,10 @@ def motion(
     from handcal import design_motion_report
     from handcal.design_motion import plan
     from handcal.design_picture import check_ending
+    from handcal.output import check_outputs
     from handcal.summary import write_json
 
-    check_folders(json, report, picture)
+    check_outputs((json, report, picture), (after,))
     if picture:
         check_ending(picture)
     wanted, others = (

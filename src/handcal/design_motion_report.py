@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import handcal
-from handcal import report, summary, words
+from handcal import output, report, words
 from handcal.design_motion import Plan, Prospect
 from handcal.design_picture import check_ending
 from handcal.drawing import INK, MUTED, RC, WIDE, XYZ, Plot, legend, svg
@@ -41,7 +41,7 @@ def write_motion_report(plan: Plan, path: str | Path) -> None:
         "sentences": sentences(plan), "columns": _columns(plan), "rows": _rows(plan),
         "warnings": list(plan.warnings), "plot": Plot("Motions", caption, figure),
     }  # fmt: skip
-    summary.write_text(path, report.page("motion.html.j2", context))
+    output.write_text(path, report.page("motion.html.j2", context))
 
 
 def save_motion_picture(plan: Plan, path: Path) -> None:
@@ -52,7 +52,7 @@ def save_motion_picture(plan: Plan, path: Path) -> None:
     out = io.BytesIO()
     with mpl.rc_context(RC):
         _figure(plan).savefig(out, format=path.suffix[1:].lower(), dpi=110, facecolor="white")
-    path.write_bytes(out.getvalue())
+    output.write_bytes(path, out.getvalue())
 
 
 def motion_json(plan: Plan) -> dict[str, Any]:

@@ -13,6 +13,7 @@ import numpy as np
 from handcal.design_search import Design
 from handcal.design_words import attitude_of, elevations, instruction
 from handcal.drawing import GRID, INK, MUTED, RC, SHADE, XYZ, Plot, svg
+from handcal.output import write_bytes
 from handcal.types import Array, InputError
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ def save_picture(design: Design, path: Path) -> None:
     check_ending(path)
     out = io.BytesIO()
     _figure(design).savefig(out, format=path.suffix[1:].lower(), dpi=110, facecolor="white")
-    path.write_bytes(out.getvalue())
+    write_bytes(path, out.getvalue())
 
 
 def check_ending(path: Path) -> None:

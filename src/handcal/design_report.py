@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import handcal
-from handcal import report, summary, words
+from handcal import output, report, words
 from handcal.design_picture import poses_plot
 from handcal.design_poses import MOUNTING, NOISE
 from handcal.design_search import HELD_WITHIN_DEG, Design
@@ -39,7 +39,7 @@ def write_design_report(design: Design, path: str | Path) -> None:
         "sentences": _sentences(design), "sigmas": _sigmas(design), "noise": _noise(design),
         "plot": poses_plot(design),
     }  # fmt: skip
-    summary.write_text(path, report.page("design.html.j2", context))
+    output.write_text(path, report.page("design.html.j2", context))
 
 
 def design_json(design: Design) -> dict[str, Any]:

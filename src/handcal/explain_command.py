@@ -20,8 +20,6 @@ from handcal.cli import (
     Rrd,
     Topics,
     Units,
-    beside,
-    check_folders,
     load,
     radians,
 )
@@ -62,9 +60,13 @@ def explain(
     The exit status is 0 with every verdict.
     """
     from handcal.explain import explain as explained
+    from handcal.output import beside, check_outputs
 
-    check_folders(json, report, rrd, twin)
+    read = (*files, *(held_out or ()))
+    check_outputs((json, report, rrd, twin), read)
     recordings = [load(path, topic, units) for path in files]
+    if twin:
+        check_outputs(beside(twin, recordings), read)
     others = [load(path, topic, units) for path in held_out or ()]
     with progress(f"explaining {', '.join(path.name for path in files)}") as done:
         explanation = explained(
@@ -89,10 +91,9 @@ def explain(
     if twin:
         from handcal.export import write_twin
 
-        for one in explanation.recordings:
+        for one, path in zip(explanation.recordings, beside(twin, recordings), strict=True):
             if one.twins is not None:
-                several = len(explanation.recordings) > 1
-                write_twin(one.recording, *one.twins, beside(twin, one.recording, several))
+                write_twin(one.recording, *one.twins, path)
     from handcal.explain_summary import explanation_json, print_explanation
 
     if json:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import handcal
-from handcal import explain_frames, explain_plots, explain_summary, report, summary, words
+from handcal import explain_frames, explain_plots, explain_summary, output, report, words
 from handcal import explain_words as say
 from handcal.drawing import PALETTE
 from handcal.explain.explanation import Explanation, Hypothesis, Missing
@@ -16,7 +16,7 @@ from handcal.types import Parameter
 
 def write_explanation_report(explanation: Explanation, path: str | Path) -> None:
     """Write the report as one HTML file; nothing in it needs a network."""
-    summary.write_text(path, render_explanation(explanation))
+    output.write_text(path, render_explanation(explanation))
 
 
 def render_explanation(explanation: Explanation) -> str:

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
+from handcal import output
 from handcal.inputs._messages import ByteArray, body_offset
 from handcal.inputs._repair import nanoseconds
 from handcal.streams import STREAMS, TWINS, Stream
@@ -36,14 +37,11 @@ def write_twin(recorded: Recording, before: Recording, after: Recording, path: s
 
 
 def _write(recordings: Mapping[str, Recording], path: str | Path) -> None:
-    try:
-        with Path(path).open("wb") as file:
-            writer = Writer(file, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD)
-            writer.start(profile="ros2", library="handcal")
-            _write_messages(writer, recordings)
-            writer.finish()  # type: ignore[no-untyped-call]
-    except OSError as error:
-        raise HandcalError(f"{path} cannot be written: {error.strerror or error}.") from error
+    with output.whole(path) as place, place.open("wb") as file:
+        writer = Writer(file, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD)
+        writer.start(profile="ros2", library="handcal")
+        _write_messages(writer, recordings)
+        writer.finish()  # type: ignore[no-untyped-call]
 
 
 def _write_messages(writer: Writer, recordings: Mapping[str, Recording]) -> None:

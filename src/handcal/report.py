@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 import handcal
-from handcal import plots, summary, words
+from handcal import output, plots, summary, words
 from handcal.drawing import AXES
 from handcal.types import Array, Result
 
@@ -18,7 +18,7 @@ _APPLIED = ("gyro_bias", "accel_bias", "gyro_g_sensitivity", *_MATRIX)
 
 def write_report(result: Result, path: str | Path) -> None:
     """Write the report on a result as one HTML file; nothing in it needs a network."""
-    summary.write_text(path, render(result))
+    output.write_text(path, render(result))
 
 
 def render(result: Result) -> str:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from handcal import words
-from handcal.types import Array, HandcalError, Innovations, Parameter, Recording, Result
+from handcal import output, words
+from handcal.types import Array, Innovations, Parameter, Recording, Result
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -156,21 +156,13 @@ def calibration_json(result: Result | Sequence[Result]) -> dict[str, Any]:
     }
 
 
-def write_text(path: str | Path, text: str) -> None:
-    """Write a file for the user, or say in a sentence why not."""
-    try:
-        Path(path).write_text(text, encoding="utf-8")
-    except OSError as e:
-        raise HandcalError(f"{path} could not be written: {e.strerror or e}.") from e
-
-
 def write_json(document: Any, path: str | Path) -> None:
     """Write a JSON document, ``-`` meaning standard output. NaN is an error, not a token."""
     text = json.dumps(document, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
     if str(path) == "-":
         print(text, end="")
     else:
-        write_text(path, text)
+        output.write_text(path, text)
 
 
 def all_warnings(result: Result) -> tuple[str, ...]:

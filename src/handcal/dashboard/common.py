@@ -10,6 +10,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from handcal import output
 from handcal.types import Array, HandcalError
 
 APPLICATION = "handcal"
@@ -72,10 +73,11 @@ def save(path: str | Path, plan: rrb.Blueprint, log: Callable[[rr.RecordingStrea
     """Write what ``log`` sends as a file that ``rerun FILE.rrd`` opens, blueprint included."""
     rec = rr.RecordingStream(APPLICATION)
     try:
-        rec.set_sinks(file_sink(path), default_blueprint=plan)
-        log(rec)
-        rec.flush()
-        rec.disconnect()
+        with output.whole(path) as place:
+            rec.set_sinks(file_sink(place), default_blueprint=plan)
+            log(rec)
+            rec.flush()
+            rec.disconnect()
     except RuntimeError as error:  # rerun's word for a full disk
         raise HandcalError(f"{path} could not be written: {error}.") from error
 

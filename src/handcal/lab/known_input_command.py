@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from handcal.cli import Height, Json, Latitude, Report, Topics, Units, check_folders, load
+from handcal.cli import Height, Json, Latitude, Report, Topics, Units, load
 from handcal.lab.gravity import Gravity, gravity_of
 from handcal.progress import progress
 
@@ -81,11 +81,12 @@ def known_input(
     from handcal.lab.known_input import known_input
     from handcal.lab.known_input_show import known_input_json, known_input_sheet
     from handcal.lab.sheet import print_sheet, write_sheet
+    from handcal.output import check_outputs
     from handcal.summary import write_json
     from handcal.types import InputError
 
     g = gravity_of(gravity, latitude, height)
-    check_folders(json, report)
+    check_outputs((json, report), (file,))
     recording, poses = None, None
     if file.suffix.lower() in (".csv", ".tsv"):
         tests, poses = bench_csv.read(file, sequence, g)

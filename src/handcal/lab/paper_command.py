@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from handcal.cli import Json, Report, check_folders
+from handcal.cli import Json, Report
 from handcal.progress import progress
 
 
@@ -18,9 +18,10 @@ def paper(
     """Compute a paper's figures again and say which of them hold (its page is in docs/)."""
     from handcal.lab.paper import computed, paper_json, paper_sheet
     from handcal.lab.sheet import print_sheet, write_sheet
+    from handcal.output import check_outputs
     from handcal.summary import write_json
 
-    check_folders(json, report)
+    check_outputs((json, report))
     with progress(f"computing paper {number}") as bar:
         result = computed(number, bar)
     if report:

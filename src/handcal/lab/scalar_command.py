@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from handcal.cli import Height, Json, Latitude, Report, Topics, Units, check_folders, load
+from handcal.cli import Height, Json, Latitude, Report, Topics, Units, load
 from handcal.lab.gravity import Gravity, gravity_of
 from handcal.progress import progress
 
@@ -36,10 +36,11 @@ def scalar(
     from handcal.lab.scalar import halves_or_none, scalar
     from handcal.lab.scalar_show import scalar_json, scalar_sheet
     from handcal.lab.sheet import print_sheet, write_sheet
+    from handcal.output import check_outputs
     from handcal.summary import write_json
 
     g = gravity_of(gravity, latitude, height)
-    check_folders(json, report)
+    check_outputs((json, report), (file,))
     recording = load(file, topic, units)
     ids = tuple(e.strip() for e in effects.split(",") if e.strip())
     with progress(f"calibrating {file.name}"):

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import handcal
-from handcal import report, summary, words
+from handcal import output, report, words
 from handcal.drawing import Plot
 from handcal.types import Parameter
 
@@ -44,7 +44,7 @@ class Sheet:
 def write_sheet(sheet: Sheet, path: str | Path) -> None:
     """Write the page as one HTML file; nothing in it needs a network."""
     context = {"sheet": sheet, "groups": _groups(sheet.parameters), "version": handcal.__version__}
-    summary.write_text(path, report.page("lab.html.j2", context))
+    output.write_text(path, report.page("lab.html.j2", context))
 
 
 def print_sheet(sheet: Sheet, console: Console) -> None:

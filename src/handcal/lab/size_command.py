@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from handcal.cli import Height, Json, Latitude, Report, Topics, Units, check_folders, load
+from handcal.cli import Height, Json, Latitude, Report, Topics, Units, load
 from handcal.lab.gravity import Gravity, gravity_of
 from handcal.progress import progress
 
@@ -39,10 +39,11 @@ def size(
     from handcal.lab import size as method
     from handcal.lab.sheet import print_sheet, write_sheet
     from handcal.lab.size_show import size_json, size_sheet
+    from handcal.output import check_outputs
     from handcal.summary import write_json
 
     g = gravity_of(gravity, latitude, height)
-    check_folders(json, report)
+    check_outputs((json, report), (file,))
     table = file.suffix.lower() in (".csv", ".tsv")
     recording = None if table else load(file, topic, units)
     with progress(f"calibrating {file.name}"):

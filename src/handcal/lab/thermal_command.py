@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from handcal.cli import Height, Json, Latitude, Report, Topics, Units, check_folders, load
+from handcal.cli import Height, Json, Latitude, Report, Topics, Units, load
 from handcal.lab.gravity import Gravity, gravity_of
 from handcal.progress import progress
 
@@ -36,10 +36,11 @@ def thermal(
     from handcal.lab import thermal as method
     from handcal.lab.sheet import print_sheet, write_sheet
     from handcal.lab.thermal_show import files_title, thermal_json, thermal_sheet
+    from handcal.output import check_outputs
     from handcal.summary import write_json
 
     g = gravity_of(gravity, latitude, height)
-    check_folders(json, report)
+    check_outputs((json, report), files)
     recordings = [load(file, topic, units) for file in files]
     with progress("fitting curves") as bar:
         result = method.thermal(recordings, g, bar)

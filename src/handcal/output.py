@@ -1,0 +1,119 @@
+"""What is written for the user: whole or not at all, and never over what was read.
+
+A file is written beside its place and takes it when it is complete, so a full disk or a killed
+process leaves the old one. Pipes and devices are written to as they are.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+from handcal.types import HandcalError, InputError, Recording
+
+STANDARD_OUTPUT = "-"
+
+
+def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path | None] = ()) -> None:
+    """A sentence, before any work is done, where an output has no folder to go to, would replace
+    what is read, or would be written twice.
+
+    Files are the same if they are one on the disk, by whatever link. Errors: InputError.
+    """
+    read = [path for path in inputs if path is not None]
+    written: list[Path] = []
+    for path in outputs:
+        if path is None or str(path) == STANDARD_OUTPUT:
+            continue
+        if not path.absolute().parent.is_dir():
+            raise InputError(f"{path} cannot be written: there is no folder {path.parent}.")
+        for source in read:
+            if _same(path, source) or _within(path, source):
+                raise InputError(
+                    f"{path} is what is read ({source}); give the output another name."
+                )
+        if any(path.absolute() == other.absolute() or _same(path, other) for other in written):
+            raise InputError(f"{path} is asked for twice; give each output a name of its own.")
+        written.append(path)
+
+
+def _same(a: Path, b: Path) -> bool:
+    try:
+        return a.samefile(b)
+    except OSError:  # (one of them is not there)
+        return False
+
+
+def _within(path: Path, folder: Path) -> bool:
+    """Whether a file that is there already lies in a folder that is read as a recording."""
+    return folder.is_dir() and path.exists() and folder.resolve() in path.resolve().parents
+
+
+def beside(path: Path, recordings: Sequence[Recording]) -> list[Path]:
+    """The output of each recording: of one the path, of several with the recording's name added,
+    and where two have the same name, with their number."""
+    if len(recordings) == 1:
+        return [path]
+    stems = [Path(r.path).stem for r in recordings]
+    often = Counter(stems)
+    return [
+        path.with_stem(f"{path.stem}-{s}" + (f"-{k}" if often[s] > 1 else ""))
+        for k, s in enumerate(stems, 1)
+    ]
+
+
+@contextlib.contextmanager
+def whole(path: str | Path) -> Iterator[Path]:
+    """Where to write what shall become ``path``, which it does at the end of the block.
+
+    Errors: HandcalError if it cannot be written; then what was there before still is.
+    """
+    place = Path(path)
+    if place.exists() and not place.is_file():  # a pipe, a device
+        with _said(place):
+            yield place
+        return
+    place = place.resolve()  # (what a link leads to is replaced, not the link)
+    with _said(Path(path)):
+        handle, name = tempfile.mkstemp(dir=place.parent, prefix=f".{place.name}.", suffix=".part")
+        os.close(handle)
+        part = Path(name)
+        try:
+            yield part
+            part.chmod(place.stat().st_mode & 0o777 if place.exists() else 0o666 & ~_umask())
+            part.replace(place)
+        finally:
+            part.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def _said(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        if isinstance(error, BrokenPipeError):
+            raise
+        reason = error.strerror or error
+        raise HandcalError(f"{path} could not be written: {reason}.") from error
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a text for the user. Errors: HandcalError if it cannot be written."""
+    with whole(path) as place:
+        place.write_text(text, encoding="utf-8")
+
+
+def write_bytes(path: str | Path, data: bytes) -> None:
+    """Write a picture or the like. Errors: HandcalError if it cannot be written."""
+    with whole(path) as place:
+        place.write_bytes(data)

@@ -1,0 +1,104 @@
+"""What is written: whole or not at all, and never over what was read."""
+
+import os
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from fake_result import fake_result
+
+from handcal.output import beside, check_outputs, whole, write_text
+from handcal.types import HandcalError, InputError
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(b"recorded")
+    return path
+
+
+def linked(path: Path, kind: str) -> Path:
+    """The same file by another name."""
+    if kind == "itself":
+        return path
+    other = path.with_name("other.html")
+    if kind == "symbolic":
+        other.symlink_to(path)
+    elif kind == "hard":
+        os.link(path, other)
+    else:
+        return path.parent / "." / ".." / path.parent.name / path.name
+    return other
+
+
+@pytest.mark.parametrize("kind", ["itself", "symbolic", "hard", "roundabout"])
+def test_an_output_is_no_input(recording: Path, kind: str) -> None:
+    with pytest.raises(InputError, match="is what is read"):
+        check_outputs([None, linked(recording, kind)], [recording])
+
+
+def test_an_output_is_no_file_of_a_folder_that_is_read(recording: Path) -> None:
+    with pytest.raises(InputError, match="is what is read"):
+        check_outputs([recording], [recording.parent])
+    check_outputs([recording.with_name("new.html")], [recording.parent])
+
+
+def test_two_outputs_are_two_files(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="asked for twice"):
+        check_outputs([tmp_path / "x", tmp_path / "x"])
+    check_outputs([Path("-"), tmp_path / "x", tmp_path / "y"])
+
+
+def test_recordings_of_one_name_get_files_of_their_own() -> None:
+    one = fake_result().recording
+    three = [replace(one, path=p) for p in ("a/x.mcap", "b/x.mcap", "b/y.mcap")]
+    names = beside(Path("out/p.html"), three)
+    assert len(set(names)) == 3
+    assert names[2] == Path("out/p-y.html")
+
+
+def test_what_is_broken_off_leaves_the_old_file(recording: Path) -> None:
+    def broken_off() -> None:
+        with whole(recording) as place:
+            place.write_bytes(b"half")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        broken_off()
+    assert recording.read_bytes() == b"recorded"
+    assert [p.name for p in recording.parent.iterdir()] == ["a.mcap"]
+
+
+def test_a_link_stays_a_link_and_rights_stay(recording: Path) -> None:
+    link = recording.with_name("link")
+    link.symlink_to(recording)
+    recording.chmod(0o640)
+    write_text(link, "new")
+    assert link.is_symlink()
+    assert recording.read_text() == "new"
+    assert recording.stat().st_mode & 0o777 == 0o640
+
+
+def test_a_new_file_has_the_usual_rights(tmp_path: Path) -> None:
+    write_text(tmp_path / "ours", "x")
+    (tmp_path / "usual").write_text("x")
+    assert (tmp_path / "ours").stat().st_mode == (tmp_path / "usual").stat().st_mode
+
+
+def test_a_pipe_is_written_to_as_it_is(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    got: list[str] = []
+    reader = threading.Thread(target=lambda: got.append(pipe.read_text()))
+    reader.start()
+    write_text(pipe, "through")
+    reader.join(10.0)
+    assert got == ["through"]
+    assert pipe.is_fifo()
+
+
+def test_what_cannot_be_written_is_a_sentence(tmp_path: Path) -> None:
+    with pytest.raises(HandcalError, match="could not be written"):
+        write_text(tmp_path, "x")
