@@ -171,3 +171,8 @@ def test_command_page_and_json(tmp_path, capsys, analysed):
     assert {k: len(v) for k, v in draw(analysed[0]).items()} == {"sensors": 2, "channels": 6}
     with pytest.raises(HandcalError, match="could not be written"):
         write_allan_report(analysed[0], tmp_path / "none" / "x.html")
+
+
+def test_a_whole_minute_is_enough():
+    """Sixty seconds of samples last one interval less than sixty seconds."""
+    assert allan.analyse(recording(1, 2**14, walk=False), (0.0, 60.0)).span[0] == 0.0

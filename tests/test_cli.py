@@ -1,6 +1,7 @@
 """The command line from outside: statuses, one-line errors, files written."""
 
 import json
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -259,3 +260,30 @@ def test_help_needs_neither_numpy_nor_rich_to_start():
     code = "import sys, handcal.cli; print({'numpy', 'rich', 'jinja2'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "set()\n"
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "cp1252", "cp437"])
+def test_a_terminal_that_lacks_a_sign_gets_another(encoding):
+    text = "x = −1.5 ± 0.2 deg/√h at 20 °C; ☃"
+    shown = f"import codecs; from handcal import commands; commands.say({text!r})"
+    program = f"from handcal.commands import _show_what_can_be_shown as f; f(); {shown}"
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, check=True,
+        env={**os.environ, "PYTHONIOENCODING": encoding},
+    )  # fmt: skip
+    said = done.stderr.decode(encoding)
+    assert "-1.5" in said
+    assert said.rstrip().endswith("?")
+    assert ("+-" in said) == (encoding == "ascii")
+
+
+def test_wrong_words_are_met_with_the_right_ones():
+    near = run("conceal", "x.mcap", "--effect", "gyro_scal=1", "-o", "y.mcap")
+    assert near.returncode == 2
+    wrong = run("calibrate", "x.mcap", "--assume", "fixed")
+    assert wrong.returncode == 2
+    assert "Value error" not in wrong.stderr
+    assert "fixed-point" in wrong.stderr
+    missing = run("replay", "nosuch.mcap")
+    assert missing.returncode == 2
+    assert "nosuch.mcap" in missing.stderr

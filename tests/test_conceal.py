@@ -293,7 +293,7 @@ def test_a_reference_keeps_its_place():
 @pytest.mark.parametrize(
     ("effects", "says"),
     [
-        ({"giro_scale": [1.0]}, "Unknown effect 'giro_scale'. Known: accel_asymmetry"),
+        ({"giro_scale": [1.0]}, "Unknown effect 'giro_scale'. Did you mean gyro_scale"),
         ({"gyro_scale": [1.0]}, "takes 3 values, not 1: gyro_scale=x,y,z without unit"),
         ({"gyro_bias_step": [1.0]}, "gyro_bias_step=x,y,z,at in rad/s, rad/s, rad/s, s"),
         ({"gyro_scale": [1.0, 2.0, float("nan")]}, "finite"),

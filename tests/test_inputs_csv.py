@@ -67,6 +67,24 @@ def test_units_by_header_or_option(tmp_path: Path, header: str, units: dict[str,
     np.testing.assert_allclose(back.imu.accel, sample().imu.accel, rtol=1e-13)
 
 
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_a_decimal_comma_is_a_decimal_point(tmp_path: Path, separator: str) -> None:
+    path = write_csv(tmp_path, HEADER.replace(",", separator), rows_of(sample()), separator)
+    path.write_text(path.read_text().replace(".", ","))
+    back = load(path)
+    np.testing.assert_allclose(back.imu.t, sample().imu.t, atol=1e-9)
+    np.testing.assert_allclose(back.imu.gyro, sample().imu.gyro, rtol=1e-13)
+
+
+def test_what_is_no_number_is_shown_with_its_line(tmp_path: Path) -> None:
+    path = write_csv(tmp_path, HEADER, rows_of(sample()))
+    header, *rows = path.read_text().splitlines()
+    rows[6] = rows[6].replace(rows[6].split(",")[2], "broken", 1)
+    path.write_text("\n".join([header, *rows]))
+    with pytest.raises(InputError, match="'broken' in line 8"):
+        load(path)
+
+
 def test_nanoseconds_since_1970_keep_their_last_digit(tmp_path: Path) -> None:
     path = write_csv(tmp_path, HEADER, rows_of(sample()))
     header, *rows = path.read_text().splitlines()

@@ -376,11 +376,12 @@ def replay(
 
     if no_viewer and rrd is None:
         raise InputError("--no-viewer without --rrd FILE.rrd leaves nothing to do.")
+    check_outputs((rrd,), (file,))
+    recording = load(file, topic, units)
     if not (no_viewer or web):
         require_display()
-    check_outputs((rrd,), (file,))
     (result,) = _calibrated(
-        [load(file, topic, units)], effects, heading_sigma=heading_sigma, assume=assume,
+        [recording], effects, heading_sigma=heading_sigma, assume=assume,
         latitude=latitude, height=height, ignore=ignore, noise_until=noise_until, engine=engine,
     )  # fmt: skip
     # rerun reports a viewer that its owner has closed as errors; set before its import

@@ -8,8 +8,10 @@ a command has commands of its own.
 from __future__ import annotations
 
 import ast
+import codecs
 import contextlib
 import importlib.util
+import io
 import os
 import sys
 from importlib.metadata import EntryPoint, entry_points
@@ -107,6 +109,28 @@ def _loaded(plugin: EntryPoint) -> Any:
     return typer.main.get_command(single)
 
 
+# Signs that an old terminal may lack, and what stands for them there.
+PLAIN = str.maketrans(
+    {"−": "-", "–": "-", "±": "+-", "×": "x", "·": "*", "°": " deg", "σ": "sigma", "µ": "u",
+     "μ": "u", "²": "^2", "³": "^3", "√": "sqrt", "≤": "<=", "≥": ">=", "→": "->", "…": "..."}
+)  # fmt: skip
+
+
+def plain_signs(error: UnicodeError) -> tuple[str, int]:
+    """What is written where a terminal cannot show a sign: one that it can."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    text = error.object[error.start : error.end].translate(PLAIN)
+    return "".join(c if c.isascii() else "?" for c in text), error.end
+
+
+def _show_what_can_be_shown() -> None:
+    codecs.register_error("handcal", plain_signs)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="handcal")
+
+
 def say(text: str) -> None:
     """One line on stderr."""
     print(f"handcal: {' '.join(text.split())}", file=sys.stderr)
@@ -115,6 +139,7 @@ def say(text: str) -> None:
 def run(app: typer.Typer) -> NoReturn:
     """Run the command line and leave by SystemExit; wrong use is one line, not a page."""
     arguments = sys.argv[1:] or ["--help"]
+    _show_what_can_be_shown()
     try:
         try:
             command = typer.main.get_command(app)
@@ -129,6 +154,7 @@ def run(app: typer.Typer) -> NoReturn:
             raise
         context = getattr(error, "ctx", None)
         path = context.command_path if context else "handcal"
-        say(f"{error.format_message().rstrip('.')}. See '{path} --help'.")
+        problem = error.format_message().replace("Value error, ", "")
+        say(f"{problem.rstrip('.')}. See '{path} --help'.")
         status = 2
     sys.exit(status if isinstance(status, int) else 0)

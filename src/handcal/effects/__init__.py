@@ -19,6 +19,7 @@ whole (a delay) brings ``imu_inverse(parameters, readings) -> (n, 6)``, the trut
 
 from __future__ import annotations
 
+import difflib
 import importlib
 import math
 import pkgutil
@@ -263,5 +264,7 @@ def select(ids: Sequence[str]) -> tuple[Effect, ...]:
     known = catalogue()
     for i in ids:
         if i not in known:
-            raise InputError(f"Unknown effect '{i}'. Known: {', '.join(sorted(known))}.")
+            near = difflib.get_close_matches(i, known, n=3)
+            meant = f" Did you mean {' or '.join(near)}?" if near else ""
+            raise InputError(f"Unknown effect '{i}'.{meant} Known: {', '.join(sorted(known))}.")
     return tuple(known[i] for i in dict.fromkeys(ids))

@@ -147,6 +147,8 @@ def _table(
     others = [index for key, index in places.items() if key[0] != "time"]
     for number, lines in _blocks(file):
         done += sum(map(len, lines))
+        if separator != ",":  # then a comma can only be a decimal sign
+            lines = [line.replace(",", ".") for line in lines]
         values = _parsed(lines, separator, others, path, number)
         stamps.append(_stamps(lines, separator, places["time", ""], factor, path, number))
         tables.append(values)
@@ -197,8 +199,25 @@ def _parsed(lines: list[str], separator: str, usecols: list[int], path: Path, nu
             )
             return table
         except ValueError as error:
-            problem = str(error).split(";")[0]
-    raise InputError(f"{path}, in the rows from line {number}: {problem[:200]}.")
+            problem = error
+    raise InputError(
+        f"{path}: the rows from line {number} are not all numbers in columns divided by "
+        f"{separator!r}; the first that is not: {_offender(lines, separator, usecols, number)}."
+    ) from problem
+
+
+def _offender(lines: list[str], separator: str, usecols: list[int], number: int) -> str:
+    """The first cell that is no number, and its line (blank ones not counted)."""
+    for k, line in enumerate(lines):
+        cells = [cell.strip() for cell in line.rstrip("\r\n").split(separator)]
+        if len(cells) <= max(usecols):
+            return f"line {number + k} has {len(cells)} columns"
+        for cell in (cells[c] for c in usecols):
+            try:
+                float(cell or "nan")
+            except ValueError:
+                return f"{cell[:40]!r} in line {number + k}"
+    return "unknown"
 
 
 def _filled(lines: list[str], separator: str) -> list[str]:
