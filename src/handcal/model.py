@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from handcal._jit import njit
-from handcal.effects import DELAY, TIME, Z_DIM, Effect, Signals, correction_jacobian
+from handcal.effects import DELAY, TIME, Z_DIM, Effect, Signals, correction_slopes
 from handcal.kernel import BASE, MAX_DIM, MOST_HELD, Nodes, Noise, Tables
 from handcal.observations import Observation, Rows, nearest
 from handcal.signals import of_recording, reading
@@ -373,12 +373,10 @@ def differentiated(
         own = slice(i, i + len(e.parameters))
         i = own.stop
         whole = e.imu_inverse is not None
-        for channel, of_imu in _by_channel(e, ref[own], signals if whole else averaged):
-            for k in np.flatnonzero(of_imu.any(axis=0)):
-                column = of_imu[:, k]
-                if compared and whole:
-                    column = _averaged(column[:, None], short)[:, 0]
-                parts.append((channel, own.start + int(k), column))
+        for channel, k, column in _slopes_of(e, ref[own], signals if whole else averaged):
+            if compared and whole:
+                column = _averaged(column[:, None], short)[:, 0]
+            parts.append((channel, own.start + k, column))
     parts.sort(key=lambda part: part[:2])
     at_imu = np.stack([p[2] for p in parts], axis=1) if parts else np.zeros((len(imu.t), 0))
     if noise is not None:
@@ -393,13 +391,29 @@ def differentiated(
     )
 
 
-def _by_channel(effect: Effect, at: Array, truth: Signals) -> Iterator[tuple[int, Array]]:
-    """Channels on which an effect acts, with the derivatives (n, k) by its parameters."""
+def _slopes_of(effect: Effect, at: Array, truth: Signals) -> Iterator[tuple[int, int, Array]]:
+    """Channel, number of the parameter, and derivative (n,), where there is one."""
     if effect.features is not None:
-        yield from effect.features(truth)
+        for channel, columns in effect.features(truth):
+            yield from ((channel, k, columns[:, k]) for k in range(columns.shape[1]))
         return
-    of_imu = correction_jacobian(effect, at, truth)
-    yield from ((k, of_imu[:, k]) for k in range(6))
+    for k, slope in enumerate(correction_slopes(effect, at, truth)):
+        yield from ((int(c), k, slope[:, c]) for c in np.flatnonzero(_acting(slope)))
+
+
+@njit
+def _acting(x: Array) -> BoolArray:
+    """Which columns of x (n, k) are anything but zero."""
+    out = np.zeros(x.shape[1], dtype=np.bool_)
+    left = x.shape[1]
+    for i in range(len(x)):
+        for k in range(x.shape[1]):
+            if x[i, k] != 0.0 and not out[k]:
+                out[k] = True
+                left -= 1
+        if left == 0:
+            break
+    return out
 
 
 @njit
@@ -468,9 +482,10 @@ def errors_by_bias(problem: Problem, bg: Array, ba: Array) -> Array | None:
 def _calmed(J: Array, rate: float, quiet: BoolArray) -> Array:
     """J (n, k) averaged over a short time, and over a longer one where the device rests."""
     moving, resting = (max(1, round(s * rate)) for s in AVERAGE_S)
-    out = _averaged(J, moving)
+    out = np.empty_like(J)
+    _running_mean(J, moving, ~quiet, out)
     if quiet.any():
-        out[quiet] = _averaged(J, resting)[quiet]
+        _running_mean(J, resting, quiet, out)
     return out
 
 
@@ -481,13 +496,27 @@ def _averaged(J: Array, width: int) -> Array:
     would count as information on the parameters (a device at rest would learn its scale
     errors). What an effect adds is still computed from the readings as they are.
     """
-    first, last = (
-        np.repeat(J[:1], width // 2, axis=0),
-        np.repeat(J[-1:], width - 1 - width // 2, axis=0),
-    )
-    padded = np.concatenate([np.zeros((1, J.shape[1])), first, J, last])
-    total = np.cumsum(padded, axis=0, out=padded)
-    return np.asarray((total[width:] - total[:-width]) / width)
+    out = np.empty_like(J)
+    _running_mean(J, width, np.ones(len(J), dtype=np.bool_), out)
+    return out
+
+
+@njit
+def _running_mean(x: Array, width: int, wanted: BoolArray, out: Array) -> None:
+    """Means over ``width`` rows of x (n, k), the first and the last repeated beyond the ends, into
+    the wanted rows of ``out``."""
+    n, k = x.shape
+    total = np.zeros(k)
+    for j in range(-(width // 2), width - width // 2):
+        for c in range(k):
+            total[c] += x[min(max(j, 0), n - 1), c]
+    for i in range(n):
+        if wanted[i]:
+            for c in range(k):
+                out[i, c] = total[c] / width
+        old, new = max(i - width // 2, 0), min(i + width - width // 2, n - 1)
+        for c in range(k):
+            total[c] += x[new, c] - x[old, c]
 
 
 def substituted(acting: Sequence[Effect], ref: Array, readings: Signals) -> Array:

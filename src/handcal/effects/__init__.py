@@ -23,7 +23,7 @@ import difflib
 import importlib
 import math
 import pkgutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Protocol
@@ -194,38 +194,37 @@ def imu_jacobian(effect: Effect, at: Array, signals: Signals) -> Array:
     A central difference with steps of a thousandth of the prior: exact for effects
     linear in their parameters, as most are.
     """
-    n, k = len(signals.t), len(effect.parameters)
-    out = np.zeros((n, 6, k))
-    if effect.imu_error is None:
-        return out
-    for i, step in enumerate(1e-3 * effect.prior_sigma):
-        e = np.zeros(k)
-        e[i] = step
-        out[:, :, i] = (effect.imu_error(at + e, signals) - effect.imu_error(at - e, signals)) / (
-            2 * step
-        )
-    return out
+    slopes = list(_slopes(effect.imu_error, effect.prior_sigma, at, signals))
+    return np.stack(slopes, axis=2) if slopes else np.zeros((len(signals.t), 6, len(at)))
 
 
-def correction_jacobian(effect: Effect, at: Array, truth: Signals) -> Array:
-    """Derivative (n, 6, k) of what is taken off the readings by an effect's parameters.
+def correction_slopes(effect: Effect, at: Array, truth: Signals) -> Iterator[Array]:
+    """Derivative (n, 6) of what is taken off the readings by each of an effect's parameters.
 
     To first order in the error that of the error itself. For an effect that moves the signal as a
     whole it is not: what a later moment's reading says of this one changes as the truth of this
     moment does, not as the reading of the later one.
     """
     if effect.imu_inverse is None:
-        return imu_jacobian(effect, at, truth)
+        yield from _slopes(effect.imu_error, effect.prior_sigma, at, truth)
+        return
     assert effect.imu_error is not None
     error = effect.imu_error(at, truth)
     read = replace(truth, gyro=truth.gyro + error[:, :3], accel=truth.accel + error[:, 3:])
-    out = np.zeros((len(truth.t), 6, len(at)))
-    for i, step in enumerate(1e-3 * effect.prior_sigma):
-        e = np.zeros(len(at))
+    # (a larger correction means a smaller truth)
+    yield from _slopes(effect.imu_inverse, -effect.prior_sigma, at, read)
+
+
+def _slopes(
+    function: Callable[[Array, Signals], Array] | None, size: Array, at: Array, signals: Signals
+) -> Iterator[Array]:
+    for i, step in enumerate(1e-3 * size if function is not None else ()):
+        assert function is not None
+        e = np.zeros(len(size))
         e[i] = step
-        less, more = effect.imu_inverse(at - e, read), effect.imu_inverse(at + e, read)
-        out[:, :, i] = (less - more) / (2 * step)
-    return out
+        difference = function(at + e, signals) - function(at - e, signals)
+        difference /= 2.0 * step
+        yield difference
 
 
 def observed_error(
