@@ -57,13 +57,17 @@ def left(ticket: Ticket, document: Mapping[str, Any]) -> dict[str, float]:
     """By law, in their order: the share of its error that the explanation leaves."""
     if "error" in document:
         return {}
-    case = _case(ticket, generator(ticket))
+    case = case_of(ticket)
     shares = [left_share(added, case.world, document) for added in case.laws]
     return {f"left_{n}": share for n, share in enumerate(shares, start=1) if share is not None}
 
 
+def case_of(ticket: Ticket) -> Case:
+    """What a ticket stands for, known effects and laws apart."""
+    return _case(ticket, generator(ticket))
+
+
 def _case(ticket: Ticket, rng: np.random.Generator) -> Case:
-    """The same for the same ticket and its generator."""
     first = LAWS[in_turn(list(LAWS), ticket)]
     second = _second(first, rng)
     chosen = [first] if second is None else [first, second]

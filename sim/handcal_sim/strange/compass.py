@@ -57,6 +57,6 @@ OTHER = (
     _law(over_time.beat, "t", "Two mains frequencies beat in the loop."),
     _law(over_time.on_and_off, "t", "A load current nearby is switched."),
     _law(over_time.loose_contact, "t", "A magnet in a cover is opened and closed."),
-    _law(over_time.bursts, "t", "Trams pass."),
+    _law(over_time.bursts, "t", "Trams pass by a few times."),
 )
 LAWS = (*CIRCLE, *NEEDLE, *TILT, *OTHER)

@@ -65,12 +65,13 @@ def remainder(scene: Scene, channel: str, error: Array) -> Array:
 
 
 def seen(scene: Scene, channel: str, error: Array) -> Array:
-    """The same of the error's means over each ``LOOK_S``: (looks,)."""
+    """The same of the error's means over each whole ``LOOK_S``: (looks,)."""
     looks = np.floor((scene.t - scene.t[0]) / LOOK_S).astype(int)
     count = np.bincount(looks)
+    whole = count > 0.5 * np.median(count)
 
     def means(column: Array) -> Array:
-        return np.asarray(np.bincount(looks, column)[count > 0] / count[count > 0])
+        return np.asarray(np.bincount(looks, column)[whole] / count[whole])
 
     known = np.column_stack([means(column) for column in columns(scene, channel).T])
     mean = means(error)

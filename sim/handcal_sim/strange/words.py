@@ -18,7 +18,6 @@ _SAME = (
     (r"(?:rate|turning|speed|size of omega|size of the rate)", "|omega|"),
     (r"(?:force|size of f|size of the force)", "|f|"),
     (r"(?:past|memory|lag|lagged|history|rate of change|rate|change|size) of (.+)", r"\1"),
-    (r"past (.+)", r"\1"),
     (r"pitch of ([xyz])", r"up_\1"),
     (r"(?:gyro|rate|w)_([xyz])", r"omega_\1"),
     (r"(?:accel|force)_([xyz])", r"f_\1"),
@@ -32,8 +31,8 @@ _SAME = (
 
 def said(driver: str) -> str:
     """The driver in the simulator's words, with what is said of its past; else as it is."""
-    past = driver.startswith("past ")
-    now = driver.removeprefix("past ").strip()
+    now = re.sub("^past (of )?", "", driver)
+    past = now != driver
     for pattern, here in _SAME:
         if re.fullmatch(pattern, now):
             now = re.sub(f"^{pattern}$", here, now)
