@@ -242,6 +242,7 @@ RIGHT = entry(["accel_y"], ["f_y"])
         (said("accel_scale"), [PLAY], [], "wrong"),
         (said("accel_scale"), [PLAY], ["accel_scale"], "missed"),
         (said(), [PLAY], [], "missed"),
+        ({**unexplained(RIGHT), "verdict": "explained"}, [PLAY], [], "missed"),
         ({"error": "x"}, [PLAY], [], "failed"),
         (unexplained(entry(["gyro_x"], ["|omega|"])), [SHAFT], [], "wrong"),
         (unexplained(entry(["gyro_x", "gyro_y"], ["|omega|"])), [SHAFT], [], "exact"),
