@@ -189,6 +189,7 @@ def test_a_plan_mixes_suites_and_its_names_tell_nothing():
         "people": 0,
         "budget": 0,
         "wild": 0,
+        "strange": 0,
     }
     assert [case[0] for case in cases] == [f"r{k:04d}" for k in range(1, 25)]
     assert cases == prove.plan("all", 24, 7) != prove.plan("all", 24, 8)
