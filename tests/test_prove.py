@@ -19,6 +19,7 @@ from handcal_sim import prove, prove_draw, prove_score, prove_trial, prove_worke
 from handcal_sim.effects import EFFECTS
 from handcal_sim.errors import SimulationError
 from handcal_sim.mcap_writer import write
+from handcal_sim.prove_given import Ticket, in_turn
 from handcal_sim.prove_show import show
 from handcal_sim.prove_suites import BESIDE, LARGE, NEEDS, SIZES, SUITES, Answer
 from handcal_sim.prove_terms import formula_fits
@@ -155,7 +156,7 @@ def both(bend):
 
 def number_of(name, seed=3, suite="one"):
     """The number of the recording that conceals this effect."""
-    drawn = (prove_draw._next(list(SIZES), k, seed, suite) for k in range(len(SIZES)))
+    drawn = (in_turn(list(SIZES), Ticket(suite, k, seed)) for k in range(len(SIZES)))
     return list(drawn).index(name)
 
 
@@ -188,6 +189,7 @@ def test_a_plan_mixes_suites_and_its_names_tell_nothing():
         "people": 0,
         "budget": 0,
         "wild": 0,
+        "strange": 0,
     }
     assert [case[0] for case in cases] == [f"r{k:04d}" for k in range(1, 25)]
     assert cases == prove.plan("all", 24, 7) != prove.plan("all", 24, 8)

@@ -45,7 +45,7 @@ def prove(
         str,
         typer.Option(
             help="nothing, one, mixed, unknown, turn, faint, reference, large, phone, odometry, "
-            "people, budget, wild, or all (of the first five)."
+            "people, budget, wild, strange, or all (of the first five)."
         ),
     ] = ALL,
     out: Annotated[

@@ -16,6 +16,7 @@ from handcal_sim import (
     prove_draw_odometry,
     prove_draw_people,
     prove_draw_phone,
+    prove_draw_strange,
     prove_draw_wild,
     strangers,
 )
@@ -30,12 +31,13 @@ from handcal_sim.prove_given import (
     answer,
     completed,
     generator,
+    in_turn,
     log_uniform,
     simulated,
     some,
     with_streams,
 )
-from handcal_sim.prove_suites import BESIDE, EARTH_GROUP, FAINT_NATS, LARGE, SIZES, SUITES, Answer
+from handcal_sim.prove_suites import BESIDE, EARTH_GROUP, FAINT_NATS, LARGE, SIZES, Answer
 from handcal_sim.scenario import World
 
 Drawing = Callable[[Ticket, np.random.Generator], tuple[World, Answer]]
@@ -61,7 +63,7 @@ def _several(most: int) -> Drawing:
 def _each(ticket: Ticket, rng: np.random.Generator) -> tuple[World, Answer]:
     """Every effect in turn."""
     given = circumstances(ticket.suite, rng)
-    return _with([_next(list(SIZES), ticket.number, ticket.seed, ticket.suite)], ticket, given, rng)
+    return _with([in_turn(list(SIZES), ticket)], ticket, given, rng)
 
 
 def _with(
@@ -72,15 +74,6 @@ def _with(
     effects = amplitudes(names, given, rng)
     group = EARTH_GROUP if "earth_rate" in names else ""
     return simulated(given, effects), answer(ticket.suite, group, given, effects)
-
-
-def _next(names: list[str], number: int, seed: int, suite: str) -> str:
-    """Every name equally often, in an order that differs from round to round."""
-    turn, place = divmod(number, len(names))
-    order = np.random.default_rng([seed, list(SUITES).index(suite), turn, 0]).permutation(
-        len(names)
-    )
-    return names[int(order[place])]
 
 
 def circumstances(suite: str, rng: np.random.Generator) -> Circumstances:
@@ -131,7 +124,7 @@ def _motion(suite: str, rng: np.random.Generator) -> tuple[str, float]:
 
 def _unknown(ticket: Ticket, rng: np.random.Generator) -> tuple[World, Answer]:
     given = circumstances(ticket.suite, rng)
-    kind = _next(list(strangers.KINDS), ticket.number, ticket.seed, ticket.suite)
+    kind = in_turn(list(strangers.KINDS), ticket)
     if kind in strangers.NEEDS_TEMPERATURE:
         given = with_streams(given, ["accel_temperature"], rng)
     world, strange = strangers.estrange(kind, simulated(given, {}), rng)
@@ -202,4 +195,5 @@ _DRAWINGS: Mapping[str, Drawing] = {
     "people": prove_draw_people.drawn,
     "budget": prove_draw_budget.drawn,
     "wild": prove_draw_wild.drawn,
+    "strange": prove_draw_strange.drawn,
 }

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from handcal_sim import prove_draw_budget
+from handcal_sim import prove_draw_budget, prove_draw_strange
 from handcal_sim.prove_given import Ticket
 
 _FURTHER: Mapping[str, Callable[[Ticket, Mapping[str, Any]], dict[str, float]]] = {
     "budget": prove_draw_budget.left,
+    "strange": prove_draw_strange.left,
 }
 
 

@@ -45,6 +45,13 @@ def generator(ticket: Ticket) -> np.random.Generator:
     return np.random.default_rng([ticket.seed, list(SUITES).index(ticket.suite), ticket.number])
 
 
+def in_turn(names: Sequence[str], ticket: Ticket) -> str:
+    """Every name equally often, in an order that differs from round to round."""
+    turn, place = divmod(ticket.number, len(names))
+    order = np.random.default_rng([ticket.seed, list(SUITES).index(ticket.suite), turn, 0])
+    return names[int(order.permutation(len(names))[place])]
+
+
 @dataclass(frozen=True)
 class Circumstances:
     """A motion and a device, but for what is wrong with it. heading_hz 0: no heading;

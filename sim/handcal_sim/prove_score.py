@@ -24,6 +24,7 @@ from handcal_sim import (
     prove_score_odometry,
     prove_score_people,
     prove_score_phone,
+    prove_score_strange,
 )
 from handcal_sim.prove_suites import SUITES, Answer
 from handcal_sim.prove_terms import formula_fits
@@ -39,9 +40,13 @@ _FURTHER: Mapping[str, Callable[[Sequence[Trial]], dict[str, Any]]] = {
     "odometry": prove_score_odometry.score,
     "people": prove_score_people.score,
     "budget": prove_score_budget.score,
+    "strange": prove_score_strange.score,
 }
 # Suites whose outcomes go by other rules.
-_JUDGED: Mapping[str, Callable[[Trial], str]] = {"people": prove_score_people.outcome}
+_JUDGED: Mapping[str, Callable[[Trial], str]] = {
+    "people": prove_score_people.outcome,
+    "strange": prove_score_strange.outcome,
+}
 
 
 def outcome(trial: Trial) -> str:
@@ -100,7 +105,7 @@ def _line(trial: Trial) -> dict[str, Any]:
         "suite": answer.suite,
         "group": answer.group,
         "outcome": outcome(trial),
-        "truth": list(answer.effects) or [_kind(answer)],
+        "truth": _truth(answer),
         "verdict": document.get("verdict", "failed"),
         "named": [] if "error" in document else named(document),
         "unnamed": [u["formula"] for u in document.get("unnamed", [])],
@@ -146,7 +151,7 @@ def confusion(trials: Sequence[Trial]) -> dict[str, dict[str, Any]]:
     for trial in trials:
         if outcome(trial) == "failed":
             continue
-        truth = list(trial.answer.effects) or [_kind(trial.answer)]
+        truth = _truth(trial.answer)
         sets = named(trial.document)
         pairs = matched(trial.answer.effects, sets)
         spare = [s[0] for k, s in enumerate(sets) if k not in pairs.values()]
@@ -167,11 +172,17 @@ def _kind(answer: Answer) -> str:
     return f"unknown: {answer.stranger['kind']}" if answer.stranger else "nothing"
 
 
+def _truth(answer: Answer) -> list[str]:
+    """What was there: known effects, and a stranger or nothing."""
+    return [*answer.effects, *([] if answer.effects and not answer.stranger else [_kind(answer)])]
+
+
 def unknown(trials: Sequence[Trial]) -> dict[str, dict[str, int]]:
-    """By kind of unknown physics: how many, declared unknown, and with a fitting formula."""
+    """By kind of unknown physics: how many, declared unknown, and with a fitting formula. What a
+    suite of its own asks for more of is not repeated."""
     rows: dict[str, dict[str, int]] = {}
     for trial in trials:
-        if not trial.answer.stranger:
+        if not trial.answer.stranger or trial.answer.suite in _FURTHER:
             continue
         zero = {"n": 0, "unexplained": 0, "channel": 0, "formula": 0}
         row = rows.setdefault(trial.answer.stranger["kind"], zero)

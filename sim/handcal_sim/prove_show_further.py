@@ -5,6 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from rich import box
+from rich.console import RenderableType
+from rich.table import Table
+
 Row = Mapping[str, Any]
 
 
@@ -36,7 +40,7 @@ def _coverage(rows: Mapping[str, Row], asked: Row | None = None) -> str:
     )
 
 
-def _phone(figures: Row) -> list[str]:
+def _phone(figures: Row) -> list[RenderableType]:
     claims = figures["impossible"]
     return [
         "phone: " + _coverage(figures["parameters"], figures["asked"]),
@@ -45,7 +49,7 @@ def _phone(figures: Row) -> list[str]:
     ]
 
 
-def _odometry(figures: Row) -> list[str]:
+def _odometry(figures: Row) -> list[RenderableType]:
     wrong, right = figures["perfect_said_to_drift"], figures["drift_found"]
     judged = _judged(wrong["count"] == 0 if wrong["n"] else None)
     return [
@@ -55,7 +59,7 @@ def _odometry(figures: Row) -> list[str]:
     ]
 
 
-def _people(figures: Row) -> list[str]:
+def _people(figures: Row) -> list[RenderableType]:
     wrong = {k: row for k, row in figures["doings"].items() if row["false"]}
     said = "; ".join(
         f"{doing} {row['false']} of {row['n']} ({', '.join(row['named'])})"
@@ -65,7 +69,7 @@ def _people(figures: Row) -> list[str]:
     return [f"people: taken for errors of sensors: {said or 'nothing'}. Verdicts: {verdicts}."]
 
 
-def _budget(figures: Row) -> list[str]:
+def _budget(figures: Row) -> list[RenderableType]:
     left, names = figures["left"], figures["names"]
     shares = "-"
     if left["n"]:
@@ -80,9 +84,33 @@ def _budget(figures: Row) -> list[str]:
     ]
 
 
-FURTHER: Mapping[str, Callable[[Row], list[str]]] = {
+def _strange(figures: Row) -> list[RenderableType]:
+    table = Table(title="Laws that nobody wrote down", title_justify="left", box=box.SIMPLE_HEAD,
+                  pad_edge=False)  # fmt: skip
+    for column in ("recording", "law", "on", "verdict", "channel", "driver", "false", "left"):
+        table.add_column(column)
+    for row in figures["laws"]:
+        told = ["yes" if row[key] else "" for key in ("channel", "driver")]
+        left = "-" if row["left"] is None else f"{100.0 * row['left']:.0f} %"
+        table.add_row(row["recording"], row["law"], " ".join(row["channels"]), row["verdict"],
+                      *told, " ".join(row["false"]), left)  # fmt: skip
+    said = {key: percent(figures[key]) for key in
+            ("told", "driver", "clean", "false", "nothing_left", "little_left")}  # fmt: skip
+    return [
+        table,
+        f"strange: {said['told']} of recordings are told rightly: unexplained, on the right "
+        f"channels; with the right drivers too: {said['driver']} (90 % asked).",
+        f"strange: called clean: {said['clean']} (2 % at most asked); with a catalogue name that "
+        f"is not there: {said['false']} (5 % at most asked).",
+        f"strange: of {figures['little_left']['n']} laws, names and curves leave at most a tenth "
+        f"of {said['little_left']}, at most a hundredth of {said['nothing_left']} (60 % asked).",
+    ]
+
+
+FURTHER: Mapping[str, Callable[[Row], list[RenderableType]]] = {
     "phone": _phone,
     "odometry": _odometry,
     "people": _people,
     "budget": _budget,
+    "strange": _strange,
 }

@@ -112,16 +112,17 @@ SUITES: dict[str, Suite] = {
     "people": Suite("sound sensors while people do things", 100, ("exact",), 0.99),
     "budget": Suite("8 to 12 errors at once, two recordings", 60, ("exact", "right_set"), None),
     "wild": Suite("0 to 3 effects, wild motion", 100, ("exact", "right_set"), 0.95),
+    "strange": Suite("one or two laws nobody wrote down", 150, ("exact",), 0.90),
 }
 
 
 @dataclass(frozen=True)
 class Answer:
     """What is right. effects: injected values, SI, by effect and parameter; stranger: what is
-    outside the catalogue (kind, channel, formula, signals, rms) or empty; baseline: true
-    biases; circumstances: all else that was drawn. comparable: effects whose values an
-    estimate can only give in another frame than the injected ones, in that frame: a constant
-    heading offset, which no recording shows, turns the directions that iron refers to."""
+    outside the catalogue (kind, channel, formula, signals, rms; or kind and laws) or empty;
+    baseline: true biases; circumstances: all else that was drawn. comparable: effects whose
+    values an estimate can only give in another frame than the injected ones, in that frame: a
+    constant heading offset, which no recording shows, turns the directions that iron refers to."""
 
     suite: str
     group: str

@@ -31,8 +31,8 @@ _RMS = {"gyro": 0.02, "accel": 0.15, "heading": 0.15}
 @dataclass(frozen=True)
 class Scene:
     """What was true at the instants t (n,): omega rad/s, alpha rad/s^2, f m/s^2 (n, 3),
-    temperature above 25 degC (n,), heading rad (n,); at_heading: the same at the instants of
-    the heading sensor, or None."""
+    temperature above 25 degC (n,), heading rad (n,); up, north (n, 3): what points there, in body
+    axes; at_heading: the same at the instants of the heading sensor, or None."""
 
     t: Array
     omega: Array
@@ -40,7 +40,14 @@ class Scene:
     f: Array
     warm: Array
     heading: Array
+    up: Array
+    north: Array
     at_heading: Scene | None = None
+
+    @property
+    def jerk(self) -> Array:
+        """How fast the force changes (n, 3), m/s^3."""
+        return np.asarray(np.gradient(self.f, self.t, axis=0))
 
 
 @dataclass(frozen=True)
@@ -62,10 +69,11 @@ def estrange(kind: str, world: World, rng: np.random.Generator) -> tuple[World, 
     sensor = strange.channel.split("_")[0]
     size = _RMS[sensor] * _LARGER.get(kind, 1.0) * rng.uniform(0.7, 1.5)
     error = strange.error * size / math.sqrt(float(np.mean(strange.error**2)))
-    return _with_error(world, strange.channel, error), dataclasses.replace(strange, error=error)
+    return with_error(world, strange.channel, error), dataclasses.replace(strange, error=error)
 
 
-def _with_error(world: World, channel: str, error: Array) -> World:
+def with_error(world: World, channel: str, error: Array) -> World:
+    """The world with this error (n,) in the readings of a channel such as gyro_x or heading."""
     if channel == "heading":
         stream = world.streams["heading"]
         read = Stream(stream.stamps, wrapped(stream.values + error[:, None]))
@@ -92,10 +100,10 @@ def _scene(world: World, thermometer: Thermometer, t: Array) -> Scene:
         return np.stack(columns, axis=1)
 
     true = world.truth
-    x = at(true.C_nb[:, :2, 0])
+    x, north, up = (at(rows) for rows in (true.C_nb[:, :2, 0], true.C_nb[:, 1], true.C_nb[:, 2]))
     warm = sensors.temperature(thermometer, t) - 25.0
     heading: Array = np.arctan2(x[:, 1], x[:, 0])
-    return Scene(t, at(true.omega), at(true.alpha), at(true.f), warm, heading)
+    return Scene(t, at(true.omega), at(true.alpha), at(true.f), warm, heading, up, north)
 
 
 def _one(rng: np.random.Generator) -> tuple[int, str]:

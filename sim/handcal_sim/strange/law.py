@@ -1,0 +1,128 @@
+"""What a strange law is: a response of one sensor to drivers, and how it is drawn.
+
+Drivers, in the simulator's words (templates: i stands for the axis that errs, j and k for the
+next two; ``past X``: what X was before counts, not only what it is):
+
+omega_x, f_x, alpha_x, jerk_x: rate, specific force, and how fast each of them changes;
+up_x, north_x: what points up, or north, in body axes; |omega|, |f|, |alpha|, |jerk|: sizes;
+tilt: angle between body z and up; heading; turn: rate about the vertical; T; t.
+
+A response acts on drivers in units of ``UNITS``, called u, v, w in formulas.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from handcal_sim.profiles import Array
+from handcal_sim.strangers import AXES, Scene
+
+# fn(t, u, ...) -> (n,), and the same as text.
+Response = Callable[[np.random.Generator], tuple[Callable[..., Array], str]]
+
+# By what drivers are divided: about the root mean square of each in a hand that turns freely.
+UNITS: dict[str, tuple[float, str]] = {
+    "omega": (1.0, "rad/s"), "f": (6.0, "m/s^2"), "alpha": (2.0, "rad/s^2"),
+    "jerk": (8.0, "m/s^3"), "up": (1.0, "1"), "north": (1.0, "1"), "tilt": (1.0, "rad"),
+    "heading": (1.0, "rad"), "turn": (1.0, "rad/s"), "T": (8.0, "K"), "t": (1.0, "s"),
+}  # fmt: skip
+_FIELDS = {"omega": "omega", "f": "f", "alpha": "alpha", "jerk": "jerk", "up": "up",
+           "north": "north"}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Law:
+    """A response of a sensor (gyro, accel, heading) to drivers (templates), and why it happens."""
+
+    sensor: str
+    response: Response
+    drivers: tuple[str, ...]
+    why: str
+
+    @property
+    def name(self) -> str:
+        """Its name in answers and tables."""
+        of = "_".join(d.replace("|", "").replace(" ", "_") for d in self.drivers)
+        return f"{self.sensor}_{self.response.__name__}_of_{of}"
+
+    @property
+    def needs_temperature(self) -> bool:
+        """Whether it cannot be told without a thermometer."""
+        return any(bare(driver) == "T" for driver in self.drivers)
+
+    @property
+    def turns_with_axes(self) -> bool:
+        """Whether it may be one law on all axes of its sensor."""
+        return self.sensor != "heading" and any(d.endswith("_i") for d in self.drivers)
+
+
+@dataclass(frozen=True)
+class Strange:
+    """A law as it was drawn, on one channel. drivers: with axes; formula: but for its size k;
+    error_of(scene): the error (n,) at the scene's instants with k = 1."""
+
+    law: str
+    channel: str
+    drivers: tuple[str, ...]
+    formula: str
+    error_of: Callable[[Scene], Array]
+
+
+def drawn(law: Law, axis: int, seed: int) -> Strange:
+    """The law on that axis (any, for heading) with the numbers that this seed gives it."""
+    respond, text = law.response(np.random.default_rng(seed))
+    drivers = tuple(_on_axes(driver, axis) for driver in law.drivers)
+    channel = law.sensor if law.sensor == "heading" else f"{law.sensor}_{AXES[axis]}"
+
+    def error_of(scene: Scene) -> Array:
+        signals = [signal(scene, bare(d)) / _unit(d)[0] for d in drivers]
+        return respond(scene.t, *signals)
+
+    given = ", ".join(
+        f"{letter} = {bare(d)} / ({_unit(d)[0]:g} {_unit(d)[1]})"
+        for letter, d in zip("uvw", drivers, strict=False)
+    )
+    return Strange(law.name, channel, drivers, f"{channel} += k * ({text}); {given}", error_of)
+
+
+def bare(driver: str) -> str:
+    """The driver without its past."""
+    return driver.removeprefix("past ")
+
+
+def signal(scene: Scene, name: str) -> Array:
+    """A driver's values (n,) in SI, T in K above 25 degC. KeyError: there is none of this name."""
+    plain = {"t": scene.t, "T": scene.warm, "heading": scene.heading}
+    if name in plain:
+        return plain[name]
+    if name == "turn":
+        return np.asarray(np.sum(scene.omega * scene.up, axis=1))
+    if name == "tilt":
+        return np.arccos(np.clip(scene.up[:, 2], -1.0, 1.0))
+    if name.startswith("|") and name.endswith("|") and "_" not in name:
+        return np.asarray(np.linalg.norm(getattr(scene, _FIELDS[name[1:-1]]), axis=1))
+    if name.startswith("|") and name.endswith("|"):
+        return np.abs(signal(scene, name[1:-1]))
+    head, _, axis = name.partition("_")
+    values: Array = getattr(scene, _FIELDS[head])[:, {"x": 0, "y": 1, "z": 2}[axis]]
+    return values
+
+
+def _on_axes(driver: str, axis: int) -> str:
+    head, _, letter = driver.partition("_")
+    return (
+        f"{head}_{AXES[(axis + 'ijk'.index(letter)) % 3]}" if letter in ("i", "j", "k") else driver
+    )
+
+
+def _unit(driver: str) -> tuple[float, str]:
+    return UNITS[bare(driver).strip("|").partition("_")[0]]
+
+
+def rms(values: Array) -> float:
+    """Root mean square about the mean, which no sensor's bias tells from its own."""
+    return math.sqrt(float(np.var(values)))

@@ -1,0 +1,114 @@
+"""How much of a strange law an explanation leaves: named and unnamed parts against the truth.
+
+The law's error and that of known effects, both as injected, less the effects as estimated and
+less the curves of what has no name: at the true motion, without noise, each less its mean.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from handcal_sim import sensors
+from handcal_sim.effects import EFFECTS, Setup, apply
+from handcal_sim.phone import HeadingErrors, Phone
+from handcal_sim.profiles import Array
+from handcal_sim.scenario import World
+from handcal_sim.strange.device import Added, off, own_scene
+from handcal_sim.strange.law import signal
+from handcal_sim.strange.words import said
+from handcal_sim.strangers import AXES, Scene, scene_of
+
+Values = Mapping[str, Mapping[str, float]]
+# What has no course that numbers of a document would tell, or no place on these channels.
+_WITHOUT = ("_walk", "_noise", "_outliers", "mag_", "pose_", "clock_rate", "earth_rate")
+
+
+def left_share(added: Sequence[Added], world: World, document: Mapping[str, Any]) -> float | None:
+    """Root mean square of what is left over that of the law, over its channels; None where a
+    curve is over something that is not known here."""
+    scene = scene_of(world)
+    true = _values(world.parameters["effects"])
+    found = _listed(document["parameters"])
+    before = after = 0.0
+    for one in added:
+        channel, at = one.strange.channel, own_scene(scene, one.strange.channel)
+        told = curves(document["unnamed"], channel, at)
+        if told is None:
+            return None
+        known = _known(true, channel, at) - _known(found, channel, at)
+        before += float(np.mean(off(channel, one.error) ** 2))
+        after += float(np.mean(off(channel, one.error + known - told) ** 2))
+    return math.sqrt(after / before)
+
+
+def curves(unnamed: Sequence[Mapping[str, Any]], channel: str, at: Scene) -> Array | None:
+    """What the curves of a channel add up to (n,); None where one cannot be told."""
+    total = np.zeros(len(at.t))
+    for entry in unnamed:
+        if channel not in entry["channels"]:
+            continue
+        curve, driver = entry.get("curve") or {}, np.ones(len(at.t))
+        try:
+            for name in entry["drivers"]:
+                driver = driver * _driver(name, at)
+        except (AttributeError, KeyError):
+            return None
+        if not curve.get("x") or not entry["drivers"]:
+            return None
+        total += np.interp(driver, curve["x"], curve["y"])
+    return total
+
+
+def _driver(name: str, at: Scene) -> Array:
+    """In the units of a curve: degC, and the angle of pitch."""
+    if name.startswith("pitch of "):
+        return np.asarray(np.arcsin(np.clip(signal(at, said(name)), -1.0, 1.0)))
+    values = signal(at, said(name))
+    return values + 25.0 if said(name) == "T" else values
+
+
+def _values(effects: Mapping[str, Sequence[Mapping[str, Any]]]) -> Values:
+    return {effect: {p["name"]: p["value"] for p in given} for effect, given in effects.items()}
+
+
+def _listed(parameters: Sequence[Mapping[str, Any]]) -> Values:
+    found: dict[str, dict[str, float]] = {}
+    for p in parameters:
+        found.setdefault(p["effect"], {})[p["name"]] = float(p["value"])
+    return found
+
+
+def _known(values: Values, channel: str, at: Scene) -> Array:
+    """What catalogued effects of these values add to a channel, delays to the first order."""
+    told = {
+        effect: [named.get(p.name, 0.0) for p in EFFECTS[effect]]
+        for effect, named in values.items()
+        if effect in EFFECTS and not any(part in effect for part in _WITHOUT)
+    }
+    if "gyro_bandwidth" in told:
+        told["gyro_bandwidth"] = [max(told["gyro_bandwidth"][0], 0.0)]
+    setup = apply(Setup(Phone(), sensors.ASSUMED), told)
+    sensor, _, axis = channel.partition("_")
+    if sensor == "heading":
+        return _heading(setup.phone.heading_errors, at)
+    i, truth = AXES.index(axis), sensors.Truth(at.f, at.f, at.f, at.omega, at.alpha, at.f)
+    if sensor == "gyro":
+        lag = setup.phone.gyro.lag_s * at.alpha
+        return np.asarray((sensors.gyro_error(setup.phone.gyro, truth, at.warm, at.t) - lag)[:, i])
+    late = setup.phone.accel.delay_s * at.jerk
+    place = sensors.rigid(at.omega, at.alpha, setup.phone.lever_arm)
+    more = setup.earth.gravity_error * at.up + place - late
+    return np.asarray((sensors.accel_error(setup.phone.accel, truth, at.warm) + more)[:, i])
+
+
+def _heading(errors: HeadingErrors, at: Scene) -> Array:
+    iron, soft = errors.hard_iron, errors.soft_iron
+    h, turn = at.heading, signal(at, "turn")
+    return np.asarray(
+        iron[0] * np.sin(h) + iron[1] * np.cos(h) + soft[0] * np.sin(2.0 * h)
+        + soft[1] * np.cos(2.0 * h) + errors.drift * at.t - errors.delay_s * turn
+    )  # fmt: skip

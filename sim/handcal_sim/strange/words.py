@@ -1,0 +1,71 @@
+"""Drivers as an explanation calls them, in the simulator's own words, so as to be compared.
+
+Two drivers count as the same where one is a function of the other at each moment in a hand that
+stays where it is, or is its past: size, square and memory are the response's. What points up is
+what the force shows; what points north is told by heading and tilt.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+
+from handcal_sim.strange.law import bare
+
+# As somebody else may say it: pattern and what it is here. `pitch of x` is how far body x points
+# up.
+_SAME = (
+    (r"(?:rate|turning|speed|size of omega|size of the rate)", "|omega|"),
+    (r"(?:force|size of f|size of the force)", "|f|"),
+    (r"(?:past|memory|lag|lagged|history|rate of change|rate|change|size) of (.+)", r"\1"),
+    (r"pitch of ([xyz])", r"up_\1"),
+    (r"(?:gyro|rate|w)_([xyz])", r"omega_\1"),
+    (r"(?:accel|force)_([xyz])", r"f_\1"),
+    (r"(?:yaw|psi)", "heading"),
+    (r"(?:temperature|temp|warm)", "T"),
+    (r"time", "t"),
+    (r"(?:heading rate|yaw rate|rate about (?:the )?vertical|turn)", "turn"),
+    (r"(?:roll|pitch|up)", "tilt"),
+)  # fmt: skip
+
+
+def said(driver: str) -> str:
+    """The driver in the simulator's words, with what is said of its past; else as it is."""
+    now = re.sub("^past (of )?", "", driver)
+    past = now != driver
+    for pattern, here in _SAME:
+        if re.fullmatch(pattern, now):
+            now = re.sub(f"^{pattern}$", here, now)
+    return f"past {now}" if past else now
+
+
+def core(driver: str) -> str:
+    """What stands for all drivers that count as the same: |omega_x| and past omega_x as omega_x,
+    up_x as f_x."""
+    now = bare(said(driver))
+    inner = re.fullmatch(r"\|(\w+_[xyz])\|", now)
+    now = inner.group(1) if inner else now
+    return re.sub(r"^up_([xyz])$", r"f_\1", now)
+
+
+def same(found: Iterable[str], true: Iterable[str]) -> bool:
+    """Whether drivers that were found are those of a law: no fewer and no more."""
+    f, t = ({core(driver) for driver in drivers} for drivers in (found, true))
+    return any(f == _put(t, old, new) for old, new in _EQUAL)
+
+
+# What else describes a driver completely: old, and what may stand for it.
+_EQUAL: tuple[tuple[str, frozenset[str]], ...] = (
+    ("", frozenset()),
+    ("|omega|", frozenset({"omega_x", "omega_y", "omega_z"})),
+    ("tilt", frozenset({"f_z"})),
+    *((f"north_{a}", frozenset({"heading", "tilt"})) for a in "xyz"),
+    *((f"north_{a}", frozenset({"heading"})) for a in "xyz"),
+    *((f"f_{a}", frozenset({"tilt"})) for a in "xyz"),
+    *((f"north_{a}", frozenset({"heading", f"f_{a}"})) for a in "xyz"),
+    ("turn", frozenset({"heading"})),
+)
+
+
+def _put(drivers: set[str], old: str, new: frozenset[str]) -> set[str]:
+    return (drivers - {old}) | new if old in drivers else drivers
