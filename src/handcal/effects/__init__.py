@@ -212,7 +212,7 @@ def correction_slopes(effect: Effect, at: Array, truth: Signals) -> Iterator[Arr
     error = effect.imu_error(at, truth)
     read = replace(truth, gyro=truth.gyro + error[:, :3], accel=truth.accel + error[:, 3:])
     # (a larger correction means a smaller truth)
-    yield from _slopes(effect.imu_inverse, -effect.prior_sigma, at, read)
+    yield from (-slope for slope in _slopes(effect.imu_inverse, effect.prior_sigma, at, read))
 
 
 def _slopes(
