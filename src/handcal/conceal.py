@@ -19,7 +19,16 @@ import numpy as np
 
 from handcal import so3
 from handcal.calibration import calibrate
-from handcal.effects import ATTITUDE, TIME, Z_DIM, Effect, Signals, catalogue, observed_error
+from handcal.effects import (
+    ATTITUDE,
+    TIME,
+    Z_DIM,
+    Effect,
+    Signals,
+    catalogue,
+    known_effect,
+    observed_error,
+)
 from handcal.effects._field import NORTH, UP
 from handcal.effects._stamps import shifted
 from handcal.observations import Observation, magnetometer
@@ -78,10 +87,7 @@ def parse(text: str) -> tuple[str, tuple[float, ...]]:
 
 def expected(name: str) -> str:
     """How the effect is written, with its units. Raises InputError if there is none such."""
-    known = catalogue()
-    if name not in known:
-        raise InputError(f"Unknown effect '{name}'. Known: {', '.join(sorted(known))}.")
-    parameters = known[name].parameters
+    parameters = known_effect(name).parameters
     units = [p.unit for p in parameters]
     of = ", ".join(units[:1] if len(set(units)) == 1 else units)
     unit = "without unit" if of == "1" else f"in {of}"

@@ -26,6 +26,7 @@ from handcal.cli import (
     check_folders,
     load,
     radians,
+    with_own_effects,
 )
 from handcal.commands import say
 from handcal.progress import progress
@@ -61,6 +62,7 @@ def _root() -> None:
 
 
 @design.command()
+@with_own_effects
 def poses(
     n: Annotated[int, typer.Option("--n", min=1, max=MOST_POSES, help="How many poses.")] = 9,
     effects: Annotated[
@@ -135,6 +137,7 @@ def poses(
 
 
 @design.command()
+@with_own_effects
 def motion(
     reduce: Annotated[
         str,

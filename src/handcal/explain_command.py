@@ -24,10 +24,12 @@ from handcal.cli import (
     check_folders,
     load,
     radians,
+    with_own_effects,
 )
 from handcal.progress import progress
 
 
+@with_own_effects
 def explain(
     files: Annotated[
         list[Path], typer.Argument(metavar="FILE...", help="Recordings of one device.")
