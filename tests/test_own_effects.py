@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,7 +18,10 @@ from handcal.explain.curve import channel_of, drivers_of
 from handcal.explain.explanation import Unnamed
 from handcal.signals import probe, some
 from handcal.types import InputError
+from handcal_sim import simulate
 from handcal_sim.commands import simulate as simulate_command
+from handcal_sim.mcap_writer import write
+from handcal_sim.prove_workers import Workers
 
 GOOD = """
 import numpy as np
@@ -290,3 +294,15 @@ def test_a_file_that_cannot_be_written_is_said_before_the_work(name, said, tmp_p
     assert done.exit_code == 2
     assert said in done.stderr
     assert (tmp_path / "there.py").read_text() == "mine"
+
+
+def test_the_processes_of_a_trial_have_the_folder_too(tmp_path):
+    world = simulate("z-turn", seed=0, duration_s=8.0)
+    write(world, tmp_path / "a.mcap", truth=False)
+    folder = folder_with(tmp_path, own_law=GOOD)
+    workers = Workers([sys.executable, "-m", "handcal_sim.prove", str(folder)], 1)
+    try:
+        document, _ = workers(tmp_path / "a.mcap")
+    finally:
+        workers.stop()
+    assert "own_law" in {h["effect"] for h in document["hypotheses"]}, document
