@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.metadata
 import sys
 from types import SimpleNamespace
@@ -17,7 +18,7 @@ from handcal.explain import law_file, shapes, terms
 from handcal.explain.curve import channel_of, drivers_of
 from handcal.explain.explanation import Unnamed
 from handcal.signals import probe, some
-from handcal.types import InputError
+from handcal.types import HandcalError, InputError
 from handcal_sim import simulate
 from handcal_sim.commands import simulate as simulate_command
 from handcal_sim.mcap_writer import write
@@ -269,6 +270,16 @@ def test_a_course_written_out_is_the_course(channel, kind, tmp_path):
         same_on_the_imu(effect, own, probe(400), 0.71 if kind == "while" else 1e-12)
 
 
+def test_every_course_that_there_is_has_a_writer():
+    families = {f.name for f in (*shapes.OVER_TIME, *shapes.OVER_YAW)}
+    assert families == set(law_file.WRITERS) == set(NUMBERS)
+    odd = dataclasses.replace(
+        unnamed(terms.again("gyro_x += k * t", 1.0)), made=("something else", ())
+    )
+    with pytest.raises(HandcalError, match="cannot be written"):
+        law_file.law_of(odd)
+
+
 def test_several_laws_are_several_files_and_none_is_overwritten(tmp_path):
     both = [unnamed(terms.again(f"{c} += k * omega_x^3", 1.0)) for c in ("gyro_x", "accel_x")]
     (tmp_path / "odd_2.py").write_text("mine")
@@ -279,6 +290,15 @@ def test_several_laws_are_several_files_and_none_is_overwritten(tmp_path):
     assert (one.id, other.id) == ("odd", "odd_4")
     assert one.title == "gyro_x: k * omega_x^3"
     assert "found in a.mcap, b.mcap" in other.source
+
+
+def test_a_recordings_name_is_no_code(tmp_path):
+    """Whoever names a recording must not be able to write what is run."""
+    name = 'a"""\nraise RuntimeError\n"""' + "'); raise RuntimeError(\\" + "\udcff\u2713.mcap"
+    law = unnamed(terms.again("gyro_x += k * t", 1.0))
+    (path,) = law_file.write([law], tmp_path / "odd.py", [name], catalogue())
+    own = own_effects.read(path)
+    assert own.source == f"found in {name} by handcal explain".replace("\n", " ")
 
 
 @pytest.mark.parametrize(

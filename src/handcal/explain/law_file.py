@@ -18,6 +18,7 @@ from pathlib import Path
 from handcal.effects import Param
 from handcal.explain.explanation import Unnamed
 from handcal.explain.terms import CHANNELS
+from handcal.types import HandcalError
 
 # Columns of a line in a file that is to be read.
 WIDE = 96
@@ -49,8 +50,11 @@ class Law:
 
 
 def law_of(u: Unnamed) -> Law:
-    """What a file has to hold of an unnamed law. Raises KeyError for a kind that none can."""
-    return (_term if u.made is None else WRITERS[u.made[0]])(u)
+    """What a file has to hold of an unnamed law. Raises HandcalError for a kind that none can."""
+    writer = _term if u.made is None else WRITERS.get(u.made[0])
+    if writer is None:
+        raise HandcalError(f"{u.formula} cannot be written as an effect file yet.")
+    return writer(u)
 
 
 # A signal by the name it has in a formula, as code that makes it of ``signals``; and of a heading's
@@ -201,7 +205,7 @@ def _wrapped(text: str) -> list[str]:
 
 # --- the file ------------------------------------------------------------------------------------
 
-_FILE = '''"""{about}"""
+_FILE = '''"""{about}."""
 
 from __future__ import annotations
 {imports}
@@ -224,26 +228,16 @@ EFFECT = Effect(
 
 def text_of(law: Law, effect_id: str, found_in: str, gain: float) -> str:
     """The file; found_in: names of recordings; gain: nats that the law gains there."""
-    imports = ["from handcal.effects import Effect, Param"]
+    acts = ["imu_error=imu_error,"]
     if law.of_heading:
-        above = "\nfrom typing import Any\n\nimport numpy as np\n" * ("np." in law.code)
-        above = above or "\nfrom typing import Any\n"
-        imports.insert(0, "from handcal._jit import residual_function")
-        imports[-1] = (
-            imports[-1].replace("import ", "import TIME, ") if "TIME" in law.code else (imports[-1])
-        )
         acts = ['observation_error={"heading": residual_function(_heading, kept=False)},']
-    else:
-        above = "\nimport numpy as np\n"
-        imports[-1] += ", Signals"
-        imports.append("from handcal.types import Array")
-        acts = ["imu_error=imu_error,"]
     if law.needs:
         acts.append(f"needs=({', '.join(json.dumps(n) for n in law.needs)},),")
     acts += ["of_one_day=True,"] * law.of_one_day
+    # (names of files are anybody's: they stand in literals only, since this text will be run)
     return _FILE.format(
-        about="\n".join(_wrapped(f"{law.title}, found in {found_in}.")),
-        imports=above + "\n" + "\n".join(imports) + "\n",
+        about=law.title,
+        imports=_imports(law),
         code=law.code,
         id=effect_id,
         title=_quoted(law.title),
@@ -253,6 +247,21 @@ def text_of(law: Law, effect_id: str, found_in: str, gain: float) -> str:
         motion=_quoted(law.motion),
         validated=_quoted(f"the recording in which it was found: {gain:.0f} nats"),
         acts="\n".join(f"    {line}" for line in acts),
+    )
+
+
+def _imports(law: Law) -> str:
+    if not law.of_heading:
+        return (
+            "\nimport numpy as np\n\nfrom handcal.effects import Effect, Param, Signals\n"
+            "from handcal.types import Array\n"
+        )
+    time = "TIME, " * ("TIME" in law.code)
+    return (
+        "\nfrom typing import Any\n"
+        + "\nimport numpy as np\n" * ("np." in law.code)
+        + "\nfrom handcal._jit import residual_function\n"
+        + f"from handcal.effects import {time}Effect, Param\n"
     )
 
 
@@ -282,6 +291,6 @@ def write(
             number += 1
             target = path.with_stem(f"{path.stem}_{number}")
         text = text_of(law_of(u), target.stem, ", ".join(recordings), u.log_evidence_gain)
-        target.write_text(text, encoding="utf-8")
+        target.write_text(text, encoding="utf-8", errors="backslashreplace")
         written.append(target)
     return written
