@@ -23,8 +23,7 @@ from handcal.explain_summary import explanation_json
 from handcal_sim import strangers
 
 DEVICE, MOTIONS, LENGTH_S = 0, (0, 1), 84.0
-# Of the suite `unknown`. Two are found in another form than theirs: what is left is said, and is
-# more than it might be.
+# Of the suite `unknown`. Of the last two, what was found leaves more than the law itself would.
 KINDS = (
     "gyro_cubic", "gyro_rate_force", "gyro_acceleration", "gyro_rectification", "accel_rate",
     "accel_warm_up", "accel_hysteresis", "heading_tilt",
