@@ -110,13 +110,13 @@ def members(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(effects, "__path__", [*effects.__path__, str(folder)])
         patch.setitem(STREAMS, ROW.name, ROW)
-        catalogue.cache_clear()
+        effects.installed.cache_clear()
         yield
     for name in FILES:
         sys.modules.pop(f"handcal.effects.{name}", None)
         if hasattr(effects, name):
             delattr(effects, name)
-    catalogue.cache_clear()
+    effects.installed.cache_clear()
 
 
 @pytest.fixture(scope="module")

@@ -36,6 +36,14 @@ def simulate(
             "a wrong one lists them. What only `handcal conceal` knows is added by it.",
         ),
     ] = None,
+    effects_from: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Effect files (*.py) of your own, for `handcal conceal`. This runs their code: "
+            "name no folder that you do not trust.",
+        ),
+    ] = None,
     device: Annotated[
         str,
         typer.Option(help="consumer (drawn at random), paper (paper 002) or perfect."),
@@ -124,7 +132,9 @@ def simulate(
         from handcal_sim import foreign
         from handcal_sim.mcap_writer import write
 
-        count = foreign.write(world, out, others, used) if others else write(world, out)
+        count = (
+            foreign.write(world, out, others, used, effects_from) if others else write(world, out)
+        )
     except SimulationError as problem:
         _wrong(str(problem))
     except OSError as problem:

@@ -24,14 +24,20 @@ from handcal_sim.scenario import World
 TRUTH, PARAMETERS = "/truth/", "/truth/parameters"
 
 
-def write(world: World, path: str | Path, effects: Sequence[str], seed: int) -> int:
+def write(
+    world: World, path: str | Path, effects: Sequence[str], seed: int, folder: Path | None = None
+) -> int:
     """As ``mcap_writer.write``, with these effects too, which /truth/parameters names "concealed".
+
+    folder: of effect files that the other program has not either.
 
     Raises SimulationError with the other program's sentence where it cannot.
     """
     options = [part for effect in effects for part in ("--effect", effect)]
-    with TemporaryDirectory() as folder:
-        simulated, concealed = (Path(folder) / f"{name}.mcap" for name in ("without", "with"))
+    if folder is not None:
+        options += ["--effects-from", str(folder)]
+    with TemporaryDirectory() as between:
+        simulated, concealed = (Path(between) / f"{name}.mcap" for name in ("without", "with"))
         count = mcap_writer.write(world, simulated)
         done = subprocess.run(
             [sys.executable, "-m", "handcal", "conceal", str(simulated), *options,

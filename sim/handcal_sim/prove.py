@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
+from contextvars import copy_context
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -56,8 +57,29 @@ def prove(
         Path | None, typer.Option("--json", metavar="FILE", help="The score as JSON.")
     ] = None,
     jobs: Annotated[int, typer.Option(min=1, help="Processes that explain at a time.")] = 1,
+    effects_from: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Explain with the effect files (*.py) of this folder in the catalogue. This runs "
+            "their code: name no folder that you do not trust.",
+        ),
+    ] = None,
 ) -> None:
     """Conceal random errors in random recordings, explain them blindly, and score that."""
+    from handcal.commands import say
+    from handcal.own_effects import effects_from as also
+
+    if effects_from is not None:
+        say(f"running the code of {effects_from}/*.py, as --effects-from asks")
+    with also(effects_from):
+        _proved(n, seed, suite, out, json_file, jobs, effects_from)
+
+
+def _proved(
+    n: int | None, seed: int | None, suite: str, out: Path | None, json_file: Path | None,
+    jobs: int, effects_from: Path | None,
+) -> None:  # fmt: skip
     from numpy.random import SeedSequence
     from rich.console import Console
 
@@ -75,7 +97,8 @@ def prove(
     cases = plan(suite, n, seed)
     say(f"{len(cases)} recordings, seed {seed}")
     with _folder(out) as folder, _progress(len(cases)) as advance:
-        workers = Workers([sys.executable, "-m", "handcal_sim.prove"], jobs)
+        own = [] if effects_from is None else [str(effects_from.absolute())]
+        workers = Workers([sys.executable, "-m", "handcal_sim.prove", *own], jobs)
         try:
             trials = run(cases, seed, folder, workers, jobs, advance)
         finally:
@@ -138,7 +161,7 @@ def run(
         return Trial(name, answer, document, taken, further=further)
 
     with ThreadPoolExecutor(jobs) as pool:
-        futures = [pool.submit(one, case) for case in cases]
+        futures = [pool.submit(copy_context().run, one, case) for case in cases]
         try:
             for future in as_completed(futures):
                 future.result()
@@ -263,6 +286,8 @@ def _progress(total: int) -> Iterator[Callable[[], None]]:
 
 
 if __name__ == "__main__":
+    from handcal.own_effects import effects_from as also
     from handcal_sim.prove_workers import serve
 
-    serve(explained)
+    with also(Path(sys.argv[1]) if sys.argv[1:] else None):
+        serve(explained)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -66,9 +66,28 @@ Kind = Callable[[Scene, np.random.Generator], Strange]
 def estrange(kind: str, world: World, rng: np.random.Generator) -> tuple[World, Strange]:
     """The world with this error in its readings, and the error as it was added."""
     strange = KINDS[kind](scene_of(world), rng)
-    sensor = strange.channel.split("_")[0]
-    size = _RMS[sensor] * _LARGER.get(kind, 1.0) * rng.uniform(0.7, 1.5)
-    error = strange.error * size / math.sqrt(float(np.mean(strange.error**2)))
+    size = _size(kind, strange) * rng.uniform(0.7, 1.5)
+    return _scaled(world, strange, size, _rms_of(strange))
+
+
+def of_one_device(kind: str, worlds: Sequence[World], seed: int) -> list[tuple[World, Strange]]:
+    """Several worlds with one law, as large in all as it has to be to show in the first."""
+    found = [KINDS[kind](scene_of(world), np.random.default_rng(seed)) for world in worlds]
+    size, rms = _size(kind, found[0]), _rms_of(found[0])
+    return [_scaled(world, one, size, rms) for world, one in zip(worlds, found, strict=True)]
+
+
+def _size(kind: str, strange: Strange) -> float:
+    """Root mean square at which a kind of error shows."""
+    return _RMS[strange.channel.split("_")[0]] * _LARGER.get(kind, 1.0)
+
+
+def _rms_of(strange: Strange) -> float:
+    return math.sqrt(float(np.mean(strange.error**2)))
+
+
+def _scaled(world: World, strange: Strange, size: float, of: float) -> tuple[World, Strange]:
+    error = strange.error * size / of
     return with_error(world, strange.channel, error), dataclasses.replace(strange, error=error)
 
 
@@ -277,6 +296,5 @@ NEEDS_TEMPERATURE = frozenset({"accel_rate_temperature", "accel_scale_temperatur
 
 def said_of(strange: Strange) -> dict[str, Any]:
     """For the answers: what was added, in words and size."""
-    rms = math.sqrt(float(np.mean(strange.error**2)))
-    return {"channel": strange.channel, "formula": strange.formula, "rms": rms,
+    return {"channel": strange.channel, "formula": strange.formula, "rms": _rms_of(strange),
             "signals": sorted(strange.signals)}  # fmt: skip

@@ -281,7 +281,10 @@ def _values(
         if effect in other:
             continue
         if effect not in BIASES and effect not in catalogue():
-            raise InputError(f"{path} has the effect '{effect}', of which nothing is known.")
+            raise InputError(
+                f"{path} has the effect '{effect}', of which nothing is known; if that is a file "
+                "of your own, say --effects-from with its folder."
+            )
         names = [*"xyz"] if effect in BIASES else [p.name for p in catalogue()[effect].parameters]
         numbers = np.array([named.get(name, math.nan) for name in names], dtype=np.float64)
         if named.keys() != set(names) or not np.isfinite(numbers).all():

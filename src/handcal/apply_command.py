@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from handcal.cli import Topics, Units, load
+from handcal.cli import Topics, Units, load, with_own_effects
 from handcal.commands import say
 
 if TYPE_CHECKING:
     from handcal.apply import Corrected, Learnt
 
 
+@with_own_effects
 def apply(
     recording: Annotated[
         Path, typer.Argument(metavar="RECORDING", help="A recording of the same device.")

@@ -8,7 +8,10 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Callable
 from enum import StrEnum
+from functools import wraps
+from inspect import Parameter, signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -128,6 +131,36 @@ Report = Annotated[Path | None, typer.Option(metavar="FILE.html", help="Write a 
 Rrd = Annotated[
     Path | None, typer.Option(metavar="FILE.rrd", help="Save a recording for the Rerun viewer.")
 ]
+EffectsFrom = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="DIR",
+        help="Take the effect files (*.py) of this folder into the catalogue. This runs their "
+        "code: name no folder that you do not trust.",
+    ),
+]
+
+
+def with_own_effects(command: Callable[..., None]) -> Callable[..., None]:
+    """The command with the option --effects-from: it runs with those effects in the catalogue."""
+
+    @wraps(command)
+    def run_with(*arguments: Any, effects_from: Path | None = None, **options: Any) -> None:
+        if effects_from is None:
+            command(*arguments, **options)
+            return
+        from handcal import own_effects
+
+        names = ", ".join(path.name for path in own_effects.files(effects_from))
+        say(f"running the code of {names} in {effects_from}, as --effects-from asks")
+        with own_effects.effects_from(effects_from):
+            command(*arguments, **options)
+
+    own = signature(command, eval_str=True)
+    option = Parameter("effects_from", Parameter.KEYWORD_ONLY, default=None, annotation=EffectsFrom)
+    run_with.__signature__ = own.replace(parameters=[*own.parameters.values(), option])  # type: ignore[attr-defined]
+    run_with.__annotations__ = {**command.__annotations__, "effects_from": EffectsFrom}
+    return run_with
 
 
 def _pairs(items: list[str], option: str) -> dict[str, str]:
@@ -193,6 +226,7 @@ def _calibrated(
 
 
 @app.command()
+@with_own_effects
 def calibrate(
     files: Annotated[
         list[Path], typer.Argument(metavar="FILE...", help="Recordings of one device.")
@@ -291,6 +325,7 @@ def import_(
 
 
 @app.command()
+@with_own_effects
 def conceal(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording, real ones too.")],
     effect: Annotated[
@@ -342,6 +377,7 @@ def conceal(
 
 
 @app.command()
+@with_own_effects
 def replay(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording.")],
     speed: Annotated[

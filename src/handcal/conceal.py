@@ -26,8 +26,8 @@ from handcal.effects import (
     Effect,
     Signals,
     catalogue,
+    known_effect,
     observed_error,
-    select,
 )
 from handcal.effects._field import NORTH, UP
 from handcal.effects._stamps import shifted
@@ -87,7 +87,7 @@ def parse(text: str) -> tuple[str, tuple[float, ...]]:
 
 def expected(name: str) -> str:
     """How the effect is written, with its units. Raises InputError if there is none such."""
-    parameters = select([name])[0].parameters
+    parameters = known_effect(name).parameters
     units = [p.unit for p in parameters]
     of = ", ".join(units[:1] if len(set(units)) == 1 else units)
     unit = "without unit" if of == "1" else f"in {of}"

@@ -25,6 +25,7 @@ from handcal.cli import (
     Units,
     load,
     radians,
+    with_own_effects,
 )
 from handcal.commands import say
 from handcal.progress import progress
@@ -60,6 +61,7 @@ def _root() -> None:
 
 
 @design.command()
+@with_own_effects
 def poses(
     n: Annotated[int, typer.Option("--n", min=1, max=MOST_POSES, help="How many poses.")] = 9,
     effects: Annotated[
@@ -135,6 +137,7 @@ def poses(
 
 
 @design.command()
+@with_own_effects
 def motion(
     reduce: Annotated[
         str,

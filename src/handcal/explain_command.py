@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -22,10 +22,16 @@ from handcal.cli import (
     Units,
     load,
     radians,
+    with_own_effects,
 )
+from handcal.commands import say
 from handcal.progress import progress
 
+if TYPE_CHECKING:
+    from handcal.explain import Explanation
 
+
+@with_own_effects
 def explain(
     files: Annotated[
         list[Path], typer.Argument(metavar="FILE...", help="Recordings of one device.")
@@ -41,6 +47,14 @@ def explain(
         typer.Option(
             metavar="FILE.mcap",
             help="Write the simulated counterpart, before and after, beside what was recorded.",
+        ),
+    ] = None,
+    write_effect: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.py",
+            help="Write what was found and has no name as an effect file, for --effects-from; "
+            "further ones as FILE_2.py and so on. Its name is the effect's id.",
         ),
     ] = None,
     heading_sigma: HeadingSigma = None,
@@ -63,7 +77,9 @@ def explain(
     from handcal.output import beside, check_outputs
 
     read = (*files, *(held_out or ()))
-    check_outputs((json, report, rrd, twin), read)
+    check_outputs((json, report, rrd, twin, write_effect), read)
+    if write_effect is not None:
+        _check_new(write_effect)
     recordings = [load(path, topic, units) for path in files]
     if twin:
         check_outputs(beside(twin, recordings), read)
@@ -94,6 +110,8 @@ def explain(
         for one, path in zip(explanation.recordings, beside(twin, recordings), strict=True):
             if one.twins is not None:
                 write_twin(one.recording, *one.twins, path)
+    if write_effect:
+        _write(explanation, write_effect)
     from handcal.explain_summary import explanation_json, print_explanation
 
     if json:
@@ -104,3 +122,32 @@ def explain(
         from rich.console import Console
 
         print_explanation(explanation, Console())
+
+
+def _check_new(path: Path) -> None:
+    """That an effect can be written there. Errors: InputError."""
+    from handcal.effects import catalogue
+    from handcal.types import InputError
+
+    if path.suffix != ".py" or not path.stem.isidentifier() or path.stem.startswith("_"):
+        raise InputError(
+            f"--write-effect {path}: expected a name such as gyro_odd.py; it becomes an effect's "
+            "id, so letters, digits and underscores."
+        )
+    if path.stem in catalogue():
+        raise InputError(f"--write-effect {path}: there is an effect {path.stem}; name another.")
+    if path.exists():
+        raise InputError(f"--write-effect {path}: that file exists; name another or remove it.")
+
+
+def _write(explanation: Explanation, path: Path) -> None:
+    from handcal.effects import catalogue
+    from handcal.explain import law_file
+
+    if not explanation.unnamed:
+        say(f"nothing was found that has no name; {path} is not written")
+        return
+    names = [Path(r.recording.path).name for r in explanation.recordings]
+    written = law_file.write(explanation.unnamed, path, names, catalogue())
+    for u, target in zip(explanation.unnamed, written, strict=True):
+        say(f"{target}: {u.formula}; edit it, and read it in with --effects-from {target.parent}")

@@ -15,6 +15,11 @@ An effect that is noise brings a ``process`` instead: Markov states that walk wi
 What an effect adds depends on the truth, of which only readings are known. Errors much
 smaller than the signal are found by substitution; an effect that moves the signal as a
 whole (a delay) brings ``imu_inverse(parameters, readings) -> (n, 6)``, the truth.
+
+Effects come from this folder, from installed packages (entry points of the group
+``handcal.effects``, each of them an ``Effect``), and, for as long as somebody asks for it, from
+elsewhere: inside ``with_effects`` the catalogue is larger. Threads begun there have to be handed
+the context (``contextvars.copy_context``, as ``estimate.beside`` does), processes the files.
 """
 
 from __future__ import annotations
@@ -23,9 +28,12 @@ import difflib
 import importlib
 import math
 import pkgutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from functools import cache
+from importlib.metadata import entry_points
 from typing import Protocol
 
 import numpy as np
@@ -246,24 +254,90 @@ def observed_error(
     return -out
 
 
+class Catalogue(dict[str, Effect]):
+    """Effects by id. Equal to itself alone, so that what was worked out of it can be kept by it."""
+
+    def __eq__(self, other: object) -> bool:
+        return self is other
+
+    def __hash__(self) -> int:  # type: ignore[override]
+        return id(self)
+
+
+# None: what is installed, and nothing more.
+_LARGER: ContextVar[Catalogue | None] = ContextVar("catalogue", default=None)
+
+
+def catalogue() -> Catalogue:
+    """Every effect by id: those that are installed, and those that ``with_effects`` adds here."""
+    return _LARGER.get() or installed()
+
+
 @cache
-def catalogue() -> Mapping[str, Effect]:
-    """Every effect in this folder, by id."""
-    found: dict[str, Effect] = {}
+def installed() -> Catalogue:
+    """The effects of this folder and of installed packages. Raises InputError where a package has
+    something else to offer, or an effect of which there is one already."""
+    own = []
     for info in pkgutil.iter_modules(__path__):
-        if info.name.startswith("_"):
-            continue
-        effect: Effect = importlib.import_module(f"{__name__}.{info.name}").EFFECT
-        found[effect.id] = effect
-    return found
+        if not info.name.startswith("_"):
+            own.append((info.name, importlib.import_module(f"{__name__}.{info.name}").EFFECT))
+    return _joined(_joined(Catalogue(), own), _of_packages())
+
+
+def _of_packages() -> Iterator[tuple[str, Effect]]:
+    """Where each effect of an installed package comes from, and the effect."""
+    for entry in entry_points(group="handcal.effects"):
+        whose = f" of {entry.dist.name}" if entry.dist else ""
+        where = f"The installed effect '{entry.name}'{whose}"
+        try:
+            effect = entry.load()
+        except Exception as error:  # whatever a stranger's module may raise
+            raise InputError(f"{where} cannot be loaded: {error}.") from error
+        if not isinstance(effect, Effect):
+            raise InputError(f"{where} is no Effect: {entry.value}.")
+        yield where, effect
+
+
+@contextmanager
+def with_effects(more: Iterable[tuple[str, Effect]]) -> Iterator[None]:
+    """Inside, the catalogue has these effects too; each comes with a name of where it is from.
+
+    Raises InputError for a second effect of the same id.
+    """
+    token = _LARGER.set(_joined(catalogue(), more))
+    try:
+        yield
+    finally:
+        _LARGER.reset(token)
+
+
+def _joined(known: Catalogue, more: Iterable[tuple[str, Effect]]) -> Catalogue:
+    out, origin = Catalogue(known), dict.fromkeys(known, "the catalogue")
+    for where, effect in more:
+        if not effect.id.isidentifier():
+            raise InputError(f"{where}: an effect's id is one word, not '{effect.id}'.")
+        if effect.id in out:
+            raise InputError(
+                f"{where} has an effect '{effect.id}', and so has {origin[effect.id]}: "
+                "give it another id."
+            )
+        out[effect.id], origin[effect.id] = effect, where
+    return out
 
 
 def select(ids: Sequence[str]) -> tuple[Effect, ...]:
     """The effects of these ids, in that order. Raises InputError for one that is unknown."""
+    return tuple(known_effect(i) for i in dict.fromkeys(ids))
+
+
+def known_effect(effect_id: str) -> Effect:
+    """The effect of this id. Raises InputError with a list of those that there are."""
     known = catalogue()
-    for i in ids:
-        if i not in known:
-            near = difflib.get_close_matches(i, known, n=3)
-            meant = f" Did you mean {' or '.join(near)}?" if near else ""
-            raise InputError(f"Unknown effect '{i}'.{meant} Known: {', '.join(sorted(known))}.")
-    return tuple(known[i] for i in dict.fromkeys(ids))
+    if effect_id not in known:
+        near = difflib.get_close_matches(effect_id, known, n=3)
+        meant = f" Did you mean {' or '.join(near)}?" if near else ""
+        raise InputError(
+            f"Unknown effect '{effect_id}'.{meant} Known: {', '.join(sorted(known))}; files of "
+            "your own come with --effects-from."
+        )
+    return known[effect_id]

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextvars import copy_context
+from functools import partial
 from itertools import islice
 from typing import TypeVar
 
@@ -16,13 +18,15 @@ AT_ONCE = 2
 def side_by_side(calls: Iterable[Callable[[], T]]) -> Iterator[T]:
     """What the calls return, in their order; one or two run at a time.
 
-    Threads, since compiled code lets others go on. Whoever stops asking leaves those that have
+    Threads, since compiled code lets others go on; in the context of the caller, who may have a
+    catalogue of his own. Whoever stops asking leaves those that have
     not begun undone.
     """
     if (os.cpu_count() or 1) < AT_ONCE:
         yield from (call() for call in calls)
         return
-    waiting = iter(calls)
+    # (a context can be entered by one thread at a time: each call has a copy of its own)
+    waiting = (partial(copy_context().run, call) for call in calls)
     with ThreadPoolExecutor(AT_ONCE) as pool:
         running: list[Future[T]] = [pool.submit(call) for call in islice(waiting, AT_ONCE)]
         try:

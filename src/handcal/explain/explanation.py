@@ -66,7 +66,8 @@ class Curve:
 class Unnamed:
     """A term found outside the catalogue, as a formula of measured signals; story: the same in
     words, where the formula is a course over time or direction. channels: to which it adds;
-    drivers: the signals in it; curve: what it adds in the first recording."""
+    drivers: the signals in it; curve: what it adds in the first recording; made: of a course, its
+    kind and its numbers."""
 
     formula: str
     value: float
@@ -77,6 +78,7 @@ class Unnamed:
     channels: tuple[str, ...] = ()
     drivers: tuple[str, ...] = ()
     curve: Curve | None = None
+    made: tuple[str, tuple[float, ...]] | None = None
 
 
 @dataclass(frozen=True)

@@ -122,7 +122,7 @@ def unnamed_of(
             out.append(
                 Unnamed(
                     effect.id, p.value, p.sigma, p.unit, gain, effect.story,
-                    (channel_of(effect.id),), drivers_of(effect.id), drawn,
+                    (channel_of(effect.id),), drivers_of(effect.id), drawn, effect.made,
                 )
             )  # fmt: skip
     return sorted(out, key=lambda u: -u.log_evidence_gain)
@@ -139,7 +139,10 @@ def burst(base: Model, wrong: outliers.Wrong, span: tuple[float, float]) -> Unna
     story = f"Something was there from {span[0]:.0f} s to {span[1]:.0f} s, and then no more."
     value = float(np.mean(r)) if len(r) else 0.0
     drawn = Curve(np.array(span), np.full(2, value), np.full(2, spread), "s", "rad")
-    return Unnamed(formula, value, spread, "rad", wrong.gain, story, ("heading",), ("t",), drawn)
+    return Unnamed(
+        formula, value, spread, "rad", wrong.gain, story, ("heading",), ("t",), drawn,
+        ("while", span),
+    )  # fmt: skip
 
 
 def hypotheses_of(

@@ -278,7 +278,7 @@ def _spline_over_yaw(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
     return 0
 
 
-_OVER_TIME = {2.0**e: residual_function(_spline_over_time(2.0**e)) for e in range(-4, 12)}
+_OVER_TIME = {2.0**e: residual_function(_spline_over_time(2.0**e)) for e in range(-5, 12)}
 _OVER_YAW = residual_function(_spline_over_yaw)
 
 

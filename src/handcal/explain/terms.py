@@ -18,6 +18,7 @@ from handcal._jit import njit, residual_function
 from handcal.effects import (
     TIME,
     Z_DIM,
+    Catalogue,
     Effect,
     Param,
     Signals,
@@ -136,11 +137,11 @@ def features(temperature: bool) -> dict[str, tuple[Feature, str]]:
 
 def named(channel: int, formula: str) -> bool:
     """Whether the catalogue has this already."""
-    return (channel, formula) in _named(tuple(catalogue()))
+    return (channel, formula) in _named(catalogue())
 
 
 @cache
-def _named(ids: tuple[str, ...]) -> frozenset[tuple[int, str]]:
+def _named(known: Catalogue) -> frozenset[tuple[int, str]]:
     """Channels and formulas that effects of the catalogue add up to, tried on a probing motion.
 
     How the axes of the body are turned against the sensors' is convention: a turn of all readings
@@ -152,8 +153,7 @@ def _named(ids: tuple[str, ...]) -> frozenset[tuple[int, str]]:
     for axis in np.eye(3):
         turned = np.hstack([np.cross(axis, s.gyro), np.cross(axis, s.accel)])
         columns.append(turned.T.reshape(-1, 1))
-    for i in ids:
-        effect = catalogue()[i]
+    for effect in known.values():
         J = imu_jacobian(effect, np.zeros(len(effect.parameters)), s)
         columns.append(J.transpose(1, 0, 2).reshape(6 * n, -1))
     Q = _basis(np.hstack(columns)).reshape(6, n, -1)
@@ -306,7 +306,7 @@ _HEADING: Mapping[str, tuple[int, str]] = {
 def heading_terms(recording: Recording) -> list[Effect]:
     """Terms of a measured heading."""
     out = []
-    known = _named_headings(tuple(catalogue()))
+    known = _named_headings(catalogue())
     for formula, (address, unit) in _HEADING.items():
         if formula in known:
             continue
@@ -323,7 +323,7 @@ def heading_terms(recording: Recording) -> list[Effect]:
 
 
 @cache
-def _named_headings(ids: tuple[str, ...]) -> frozenset[str]:
+def _named_headings(known: Catalogue) -> frozenset[str]:
     """Formulas of the heading that effects of the catalogue add up to, tried as in ``_named``."""
     s = probe(PROBED)
     assert s.C_nb is not None
@@ -333,8 +333,7 @@ def _named_headings(ids: tuple[str, ...]) -> frozenset[str]:
     z = np.zeros((n, Z_DIM))
     z[:, 0], z[:, TIME] = so3.yaw_of(s.C_nb), s.t
     columns = [np.ones((n, 1))]  # a constant offset
-    for i in ids:
-        effect = catalogue()[i]
+    for effect in known.values():
         if "heading" in effect.observation_error and effect.process is None:
             for step in np.diag(1e-3 * effect.prior_sigma):
                 less, more = (

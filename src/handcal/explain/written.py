@@ -35,13 +35,15 @@ def read(path: Path) -> Chosen:
         )
     try:
         return chosen_from(model)
+    except InputError as error:
+        raise InputError(f"The model in {path}: {error}") from None
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
         raise InputError(f"The model in {path} is damaged or unknown here ({error}).") from None
 
 
 def chosen_from(model: Mapping[str, Any]) -> Chosen:
     """The model as ``estimate.chosen.document_of`` wrote it. Raises KeyError and the like where
-    it is not one."""
+    it is not one, InputError where it has an effect that is not in the catalogue."""
     effects, starts, moments = [], {}, {}
     for entry in model["effects"]:
         effect = _effect(entry)
@@ -52,7 +54,7 @@ def chosen_from(model: Mapping[str, Any]) -> Chosen:
             moments[effect.id] = Moment(
                 float(entry["moment"]["at"]), float(entry["moment"]["sigma"])
             )
-    effects += [catalogue()[str(i)] for i in model["noise_effects"]]
+    effects += [_known(str(i)) for i in model["noise_effects"]]
     o = model["options"]
     latitude = o.get("latitude")
     options = Options(
@@ -72,14 +74,23 @@ def _effect(entry: Mapping[str, Any]) -> Effect:
     if "made" in entry:
         kind, numbers = str(entry["made"]["kind"]), [float(n) for n in entry["made"]["numbers"]]
         if kind == HELD:
-            effect = frozen_at(catalogue()[name_of(name)], np.array(numbers))
+            effect = frozen_at(_known(name_of(name)), np.array(numbers))
         else:
             effect = shapes.again(name.split(" += ")[0], (kind, tuple(numbers)))
     elif "+=" in name:
         effect = terms.again(name, float(entry["prior"]))
     else:
-        effect = catalogue()[name]
+        effect = _known(name)
     return replace(effect, id=name, last=bool(entry.get("last", True)))
+
+
+def _known(name: str) -> Effect:
+    if name not in catalogue():
+        raise InputError(
+            f"nothing is known of its effect '{name}'; if that is a file of your own, say "
+            "--effects-from with its folder."
+        )
+    return catalogue()[name]
 
 
 def _view(entry: Mapping[str, Any]) -> View:

@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from handcal.cli import Height, Json, Latitude, Report, Topics, Units, load
+from handcal.cli import (
+    Height,
+    Json,
+    Latitude,
+    Report,
+    Topics,
+    Units,
+    load,
+    with_own_effects,
+)
 from handcal.lab.gravity import Gravity, gravity_of
 from handcal.progress import progress
 
@@ -30,6 +39,7 @@ class Axes(StrEnum):
     table = "table"
 
 
+@with_own_effects
 def known_input(
     file: Annotated[
         Path,

@@ -7,11 +7,21 @@ from typing import Annotated
 
 import typer
 
-from handcal.cli import Height, Json, Latitude, Report, Topics, Units, load
+from handcal.cli import (
+    Height,
+    Json,
+    Latitude,
+    Report,
+    Topics,
+    Units,
+    load,
+    with_own_effects,
+)
 from handcal.lab.gravity import Gravity, gravity_of
 from handcal.progress import progress
 
 
+@with_own_effects
 def scalar(
     file: Annotated[
         Path, typer.Argument(metavar="FILE", help="A recording with rests in many attitudes.")
