@@ -125,7 +125,8 @@ class Effect:
     effect. last: with ``imu_inverse``, whether it is
     done to what the other effects made of the truth (a filter behind a scale error), or to the
     truth alone, beside them. akin: ids of effects that are the same to the first order.
-    made: of a course found in a recording, its kind and its numbers.
+    made: of a law or a course found in a recording, its kind and its numbers.
+    columns: of an effect that is linear in its parameters, what a unit of each adds, (n, 6, k).
     imitated: nats that a hand which turns the device about no single point can lend to this one,
     where only that point's rest tells where the device was.
 
@@ -167,6 +168,7 @@ class Effect:
     akin: tuple[str, ...] = ()
     imitated: float = 0.0
     made: tuple[str, tuple[float, ...]] | None = None
+    columns: Callable[[Signals], Array] | None = None
     conceal: Callable[[Array, Recording, Known], Recording] | None = None
     undo: Callable[[Array, Recording], Recording] | None = None
     world: bool = False
@@ -190,6 +192,8 @@ def imu_jacobian(effect: Effect, at: Array, signals: Signals) -> Array:
     A central difference with steps of a thousandth of the prior: exact for effects
     linear in their parameters, as most are.
     """
+    if effect.columns is not None:
+        return effect.columns(signals)
     n, k = len(signals.t), len(effect.parameters)
     out = np.zeros((n, 6, k))
     if effect.imu_error is None:

@@ -10,13 +10,16 @@ from handcal import so3
 from handcal.effects import TIME, Z_DIM, Effect, Signals, observed_error
 from handcal.estimate.fit import Fitted
 from handcal.explain.explanation import Curve
+from handcal.explain.laws import UNITS, Law
 from handcal.explain.unnamed import signals_of
 from handcal.linear import path
 from handcal.types import Array
 
 # Points of a curve, at the most.
 POINTS = 60
-_DRIVERS = re.compile(r"\b(omega_[xyz]|f_[xyz]|alpha_[xyz]|yaw|pitch of [xy]|tilt|t|T)\b")
+_DRIVERS = re.compile(
+    r"(\|omega\||\|f\||\b(?:(?:omega|f|alpha|jerk)_[ijkxyz]|yaw|pitch of [xy]|tilt|time since a turn|t|T)\b)"
+)
 _UNITS = {"omega": "rad/s", "f": "m/s^2", "alpha": "rad/s^2", "t": "s", "T": "degC"}
 _AXES = "xyz"
 
@@ -41,13 +44,36 @@ def curve_of(f: Fitted, effect: Effect, value: float, sigma: float) -> Curve:
     C = way.C[np.searchsorted(f.linear.problem.nodes.t, signals.t)]
     added = _added(effect, channel, value, signals, C)
     of_imu = channel != "heading"
-    y_unit = ("rad/s" if channel.startswith("gyro") else "m/s^2") if of_imu else "rad"
+    y_unit = UNITS[channel.startswith("accel")] if of_imu else "rad"
     if len(drivers) == 1:
         x, x_unit = _driver(drivers[0], signals, C)
     else:
         x, x_unit = added / value, effect.parameters[0].unit.partition("/(")[2].rstrip(")")
     x, y = _binned(x, added)
     return Curve(x, y, np.abs(y) * abs(sigma / value), x_unit, y_unit)
+
+
+def law_curve(f: Fitted, law: Law, values: Array, C: Array) -> tuple[Curve, float, float]:
+    """A law with these constants (SI) and their covariance C, over its driver in a recording; the
+    root mean square of what it adds there, and its sigma. Of axes with constants of their own, the
+    one of which it adds most."""
+    signals, one = signals_of(f), law.form.constants
+    n = len(law.axes) if law.each else 1
+    axes = [[axis] for axis in law.axes] if law.each else [list(law.axes)]
+    drawn = []
+    for k in range(n):
+        own = slice(k * one, (k + 1) * one)
+        x = np.sort(np.concatenate([law.driver.of(signals, axis) for axis in axes[k]]))
+        B = law.form.values(x)
+        y, spread = B @ values[own], np.einsum("ni,ij,nj->n", B, C[own, own], B)
+        drawn.append((x, y, np.sqrt(np.maximum(spread, 0.0))))
+    size = [float(np.sqrt(np.mean(y**2))) for _, y, _ in drawn]
+    x, y, sigma = drawn[int(np.argmax(size))]
+    parts = np.array_split(np.arange(len(x)), min(POINTS, len(x)))
+    binned = [np.array([v[p].mean() for p in parts]) for v in (x, y, sigma)]
+    whole = float(np.sqrt(np.mean(np.square(size))))
+    known = np.mean([np.mean(s**2) for _, _, s in drawn])
+    return Curve(*binned, law.driver.unit, UNITS[law.sensor]), whole, float(np.sqrt(known))
 
 
 def _added(effect: Effect, channel: str, value: float, signals: Signals, C: Array) -> Array:

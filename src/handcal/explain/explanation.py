@@ -66,7 +66,9 @@ class Curve:
 class Unnamed:
     """A term found outside the catalogue, as a formula of measured signals; story: the same in
     words, where the formula is a course over time or direction. channels: to which it adds;
-    drivers: the signals in it; curve: what it adds in the first recording."""
+    drivers: the signals in it; curve: what it adds in the first recording. constants: all of a
+    formula's, none of a curve's; where there is not one alone, value and sigma are the root mean
+    square of what it adds in the first recording."""
 
     formula: str
     value: float
@@ -77,6 +79,7 @@ class Unnamed:
     channels: tuple[str, ...] = ()
     drivers: tuple[str, ...] = ()
     curve: Curve | None = None
+    constants: tuple[Parameter, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,8 @@ from scipy.optimize import minimize
 from handcal._jit import inner, njit, residual_function
 from handcal.effects import TIME, Effect, Param, Signals
 from handcal.estimate.quadratic import Quadratic
-from handcal.explain.terms import CHANNELS, HEADING_SIZE, SIZE, UNITS, term
+from handcal.explain.laws import CHANNELS, SIZE, UNITS
+from handcal.explain.terms import HEADING_SIZE, term
 from handcal.types import Array, IntArray
 
 # Knots over a recording: as many at most, a power of two of seconds apart.
@@ -348,7 +349,7 @@ def best(
     root: square root of the prior covariance of the known ones (None: the identity).
     """
     mine = np.array([i for i, n in enumerate(wide.names) if n[0] == basis.effect.id])
-    b, G = _beside(wide, mine, known, root)
+    b, G = integrated(wide, mine, known, root)
     span = 2.0 * np.pi if basis.families is OVER_YAW else float(basis.grid[-1])
 
     def gain(values: Array) -> Array:
@@ -385,7 +386,7 @@ def _adjusted(lost: Callable[[Array], float], numbers: Array, tried: Array) -> A
     return np.asarray(at.x if at.fun < lost(numbers) else numbers)
 
 
-def _beside(
+def integrated(
     q: Quadratic, mine: IntArray, known: IntArray, root: Array | None
 ) -> tuple[Array, Array]:
     """The quadratic of the parameters ``mine`` with those ``known`` integrated out."""
