@@ -466,7 +466,7 @@ def _instead(c: Climb) -> Model | None:
     quiet = [e for e in model.effects if e.process is None]
     bare = model if len(quiet) == len(model.effects) else fitted(model.parts, quiet)
     kept = {e.id for e in laws} | {e.id for e in quiet if e.always}
-    wanted = _fewest(c, bare, kept)
+    wanted = _fewest(bare, kept)
     for ids in dict.fromkeys((wanted, frozenset(kept))):
         if ids == key:
             continue
@@ -480,7 +480,7 @@ def _instead(c: Climb) -> Model | None:
     return None
 
 
-def _fewest(c: Climb, model: Model, kept: Set[str]) -> frozenset[str]:
+def _fewest(model: Model, kept: Set[str]) -> frozenset[str]:
     """The best of the sets that are left when one effect after another, the least missed each
     time, is taken out of the model, down to those that are kept."""
     own = [e for e in model.effects if e.process is None]

@@ -6,8 +6,10 @@ A driver is a signal for each axis of a sensor. In its name {i} is the sensor's 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -15,16 +17,18 @@ import numpy as np
 from handcal import so3
 from handcal._jit import njit
 from handcal.effects import ATTITUDE, Signals
-from handcal.types import Array
+from handcal.types import Array, BoolArray
 
 AXES = "xyz"
 # Knots of a curve over a driver: over an axis's own signal, where sensors stick, bend and give
 # way; over others'; a line over what is itself a law (memory, play, a product).
 FINE, COARSE, LINE = 9, 5, 0
 # Times of memory, s: from the settling of a filter to that of warm glue.
-MEMORIES = (0.5, 2.0, 8.0)
-# Half widths of play, m/s^2 and rad/s: wider than the noise, narrower than the motion.
-FORCE_PLAY, RATE_PLAY = (0.1, 0.2, 0.4), (0.03, 0.1, 0.3)
+MEMORIES = (0.4, 1.0, 2.5, 6.0, 15.0)
+# Half widths of play, rad/s and m/s^2: wider than the noise, narrower than the motion.
+PLAYS = ((0.03, 0.06, 0.12, 0.25), (0.1, 0.2, 0.4, 0.8))
+# Shares by which a time or a half width on trial is changed, in turn, to find the best.
+NEARER = ((0.65, 0.8, 1.25, 1.5), (0.9, 1.1), (0.95, 1.05))
 # Slower than this (rad/s) a device is not being turned.
 TURNING = 0.2
 # What a sensor's surroundings take to warm through, s.
@@ -39,7 +43,9 @@ Of = Callable[[Signals, int], Array]
 class Driver:
     """name: with {i}, {j}, {k}; unit; of(signals, axis) -> (n,); knots: of a curve over it;
     signed: whether it has a zero where a law may change; positive: a factor that can only be
-    positive; only: the sensor (0 gyro, 1 accelerometer) that alone could have it; round: an angle; needs: streams or ATTITUDE without which it is none."""
+    positive; number, at: its time or half width, and the same with another one; only: the sensor
+    (0 gyro, 1 accelerometer) that alone could have it; round: an angle; needs: streams or ATTITUDE
+    without which it is none."""
 
     name: str
     unit: str
@@ -47,6 +53,8 @@ class Driver:
     knots: int = FINE
     signed: bool = True
     positive: bool = False
+    number: float = 0.0
+    at: Callable[[float], Driver] | None = None
     only: int | None = None
     round: bool = False
     needs: tuple[str, ...] = ()
@@ -136,7 +144,7 @@ def _play(of: Of, half: float) -> Of:
 
 
 @njit
-def _since(t: Array, active: Array) -> Array:
+def _since(t: Array, active: BoolArray) -> Array:
     out = np.empty(len(t))
     last = t[0]
     for i in range(len(t)):
@@ -147,7 +155,7 @@ def _since(t: Array, active: Array) -> Array:
 
 
 def _settling(s: Signals, axis: int) -> Array:
-    return _since(s.t, _total(_rate(0))(s, axis) > TURNING)
+    return _since(s.t, np.asarray(_total(_rate(0))(s, axis) > TURNING))
 
 
 def _table() -> list[Driver]:
@@ -163,28 +171,37 @@ def _table() -> list[Driver]:
         called, unit = slopes[kind]
         knots = COARSE if axis == "{i}" else LINE
         out.append(Driver(f"{called}_{axis}", unit, _slope(of), knots))
-    for name, unit, of in (signals[0], signals[3], sizes[0]):
-        for tau in MEMORIES:
-            called = f"(memory({tau:g} s) of {name})"
-            out.append(Driver(called, unit, _memory(of, tau), LINE, "|" not in name))
-    for sensor, widths in enumerate((RATE_PLAY, FORCE_PLAY)):
-        name, unit, of = signals[3 * sensor]
-        for half in widths:
-            called = f"(play({half:g} {unit}) of {name} - {name})"
-            play = _play(of, half)
-            out.append(Driver(called, unit, play, LINE, positive=True, only=sensor))
+    for row in (signals[0], signals[3], sizes[0]):
+        out += [_memory_driver(row, tau) for tau in MEMORIES]
+    for sensor, widths in enumerate(PLAYS):
+        out += [_play_driver(signals[3 * sensor], sensor, half) for half in widths]
     out.append(Driver("(time since a turn)", "s", _settling, COARSE, signed=False))
     out.append(Driver("yaw", "rad", _yaw, COARSE, signed=False, round=True, needs=(ATTITUDE,)))
     warm = {"knots": COARSE, "signed": False, "needs": ("temperature",)}
     out.append(Driver("(T - 25)", "K", _warmth, **warm))  # type: ignore[arg-type]
-    late = f"(memory({WARMING:g} s) of T)"
+    late = f"(memory({WARMING:g} s) of (T - 25))"
     out.append(Driver(late, "K", _memory(_warmth, WARMING), **warm))  # type: ignore[arg-type]
     return out + _products(signals, sizes)
 
 
-def _products(
-    signals: list[tuple[str, str, Of]], sizes: list[tuple[str, str, Of]]
-) -> list[Driver]:
+def _memory_driver(row: tuple[str, str, Of], tau: float) -> Driver:
+    name, unit, of = row
+    tau = float(f"{tau:.3g}")
+    called = f"(memory({tau:g} s) of {name})"
+    at = partial(_memory_driver, row)
+    return Driver(called, unit, _memory(of, tau), LINE, number=tau, at=at)
+
+
+def _play_driver(row: tuple[str, str, Of], sensor: int, half: float) -> Driver:
+    name, unit, of = row
+    half = float(f"{half:.3g}")
+    called = f"(play({half:g} {unit}) of {name} - {name})"
+    at = partial(_play_driver, row, sensor)
+    return Driver(called, unit, _play(of, half), LINE, positive=True, number=half, at=at,
+                  only=sensor)  # fmt: skip
+
+
+def _products(signals: list[tuple[str, str, Of]], sizes: list[tuple[str, str, Of]]) -> list[Driver]:
     """A sensor's sensitivity to one signal that another one changes: lines over products."""
     pairs = [(a, b) for n, a in enumerate(signals[:3]) for b in signals[n + 1 : 3]]
     pairs += [(a, b) for n, a in enumerate(signals[3:]) for b in signals[3:][n + 1 :]]
@@ -198,19 +215,27 @@ def _products(
     return out
 
 
-def _product(
-    a: tuple[str, str, Of], b: tuple[str, str, Of], needs: tuple[str, ...] = ()
-) -> Driver:
+def _product(a: tuple[str, str, Of], b: tuple[str, str, Of], needs: tuple[str, ...] = ()) -> Driver:
     unit = f"({a[1]})*({b[1]})"
     return Driver(f"{a[0]} * {b[0]}", unit, _times(a[2], b[2]), LINE, needs=needs)
 
 
 DRIVERS: Mapping[str, Driver] = {d.name: d for d in _table()}
+_NUMBER = re.compile(r"\((memory|play)\(([^ ]+) ")
+
+
+def driver_of(name: str) -> Driver:
+    """The driver of this name, with whatever time or half width. Raises KeyError."""
+    found = _NUMBER.match(name)
+    if name in DRIVERS or found is None:
+        return DRIVERS[name]
+    for driver in DRIVERS.values():
+        if driver.at is not None and (new := driver.at(float(found[2]))).name == name:
+            return new
+    raise KeyError(name)
 
 
 def usable(driver: Driver, signals: Signals) -> bool:
     """Whether the recording has what the driver needs."""
     have = set(signals.streams) | ({ATTITUDE} if signals.C_nb is not None else set())
     return set(driver.needs) <= have
-
-

@@ -102,9 +102,7 @@ def circle(width: float, size: float) -> Form:
         return np.stack(parts, axis=1)
 
     root = np.diag(np.exp(-(order - 1.0) / (2.0 * width)))
-    return Form(
-        "circle", (width, size), len(order), (0,) * len(order), values, size * root
-    )
+    return Form("circle", (width, size), len(order), (0,) * len(order), values, size * root)
 
 
 @njit
@@ -241,8 +239,11 @@ def formula(parts: Sequence[Part]) -> Form:
     )
 
 
-def parts_for(over: Range, signed: bool, round_: bool) -> list[Part]:
-    """Every function of the grammar for a driver, with the numbers to begin with."""
+def parts_for(over: Range, signed: bool, round_: bool, line: bool) -> list[Part]:
+    """Every function of the grammar for a driver, with the numbers to begin with; line: for one
+    that is a law already."""
+    if line:
+        return [("line", ())]
     if round_:
         return [(name, ()) for name in ROUND]
     return [

@@ -10,7 +10,7 @@ import numpy as np
 
 from handcal.effects import Effect, Param, Signals, catalogue, imu_jacobian
 from handcal.explain import grammar
-from handcal.explain.drivers import AXES, DRIVERS, Driver
+from handcal.explain.drivers import AXES, Driver, driver_of
 from handcal.explain.grammar import Form
 from handcal.signals import probe
 from handcal.types import Array, BoolArray
@@ -105,7 +105,7 @@ def effect_of(law: Law) -> Effect:
         return out
 
     if root is not None and law.each:
-        root = np.kron(np.eye(len(law.axes)), root)
+        root = np.asarray(np.kron(np.eye(len(law.axes)), root))
     return Effect(
         id=law.said,
         title=law.said,
@@ -139,9 +139,14 @@ def again(kind: str, numbers: tuple[float, ...]) -> Law:
     found = grammar.again(form, numbers)
     sigmas = numbers[len(found.numbers) :]
     places = tuple(AXES.index(a) for a in axes)
-    return Law(
-        SENSORS.index(sensor), places, own == "each", DRIVERS[driver], found, sigmas
-    )
+    return Law(SENSORS.index(sensor), places, own == "each", driver_of(driver), found, sigmas)
+
+
+def law_of(effect: Effect) -> Law | None:
+    """The law that an effect is; None where it is none."""
+    if effect.made is None or not is_law(effect.made[0]):
+        return None
+    return again(*effect.made)
 
 
 def is_law(kind: str) -> bool:
@@ -162,7 +167,7 @@ def named(law: Law) -> bool:
 def _named(key: tuple[Any, ...], ids: tuple[str, ...]) -> bool:
     sensor, axes, each, driver, kind, numbers = key
     form = grammar.again(kind, numbers)
-    law = Law(sensor, axes, each, DRIVERS[driver], form, (1.0,) * form.constants)
+    law = Law(sensor, axes, each, driver_of(driver), form, (1.0,) * form.constants)
     J = effect_of(law).columns
     assert J is not None
     columns = J(_probing()).transpose(1, 0, 2).reshape(6 * PROBED, -1)

@@ -13,10 +13,10 @@ from handcal.estimate.fit import Model
 from handcal.estimate.process import process_parameters
 from handcal.explain import outliers
 from handcal.explain.climb import akin
-from handcal.explain.curve import channel_of, curve_of, drivers_of, law_curve
+from handcal.explain.curve import channel_of, drawn, drivers_of
 from handcal.explain.explanation import Curve, Hypothesis, Missing, Unnamed
 from handcal.explain.find import Found
-from handcal.explain.laws import UNITS, again, is_law
+from handcal.explain.laws import law_of
 from handcal.explain.score import CERTAIN, PRIOR, probability
 from handcal.explain.search import expected_gain, gains, probabilities, rivals
 from handcal.types import Parameter, Result
@@ -122,27 +122,20 @@ def unnamed_of(
 
 
 def _unnamed(model: Model, effect: Effect, own: tuple[Parameter, ...], gain: float) -> Unnamed:
-    f = model.parts[0]
-    if effect.made is None or not is_law(effect.made[0]):
-        (p,) = own
-        drawn = curve_of(f, effect, p.value, p.sigma)
-        channels, drivers = (channel_of(effect.id),), drivers_of(effect.id)
-        return Unnamed(
-            effect.id, p.value, p.sigma, p.unit, gain, effect.story, channels, drivers, drawn, own
-        )
-    law = again(*effect.made)
     mine = np.array([n[0] == effect.id for n in model.quadratic.names])
     scale = effect.prior_sigma
     C = model.covariance[np.ix_(mine, mine)] * np.outer(scale, scale)
     values = np.array([p.value for p in own])
-    drawn, size, sigma = law_curve(f, law, values, C)
-    constants = () if law.form.smooth else own
-    if len(constants) == 1:
-        size, sigma = own[0].value, own[0].sigma
-    unit = own[0].unit if len(constants) == 1 else UNITS[law.sensor]
+    shown = drawn(model.parts[0], effect, values, C)
+    law = law_of(effect)
+    channels = (channel_of(effect.id),) if law is None else law.channels
     drivers = drivers_of(effect.id)
+    size, sigma, unit = shown.size, shown.sigma, shown.curve.y_unit
+    constants = () if effect.together is not None else own
+    if len(constants) == 1:
+        size, sigma, unit = own[0].value, own[0].sigma, own[0].unit
     return Unnamed(
-        effect.id, size, sigma, unit, gain, effect.story, law.channels, drivers, drawn, constants
+        effect.id, size, sigma, unit, gain, effect.story, channels, drivers, shown.curve, constants
     )
 
 

@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
-from handcal.effects import Effect, Param, Signals
+from handcal.effects import Effect, Signals
 from handcal.estimate.beside import side_by_side
 from handcal.estimate.fit import Fitted, Model, fitted, prior_root, scan
 from handcal.estimate.quadratic import Quadratic
 from handcal.explain import shapes, terms
-from handcal.explain.drivers import DRIVERS, LINE, Driver, usable
+from handcal.explain.drivers import DRIVERS, LINE, NEARER, Driver, usable
 from handcal.explain.grammar import (
-    Form, Part, Range, about, curves, formula, parts_for, range_of,
+    Form,
+    Part,
+    Range,
+    about,
+    curves,
+    formula,
+    parts_for,
+    range_of,
 )
-from handcal.explain.laws import SIZE, Law, effect_of, named
+from handcal.explain.laws import SIZE, Law, effect_of, law_of, named
 from handcal.explain.score import TERM_PRIOR, better
 from handcal.linear import path
 from handcal.signals import of_recording
@@ -32,7 +39,6 @@ CLOSER = 3
 FREEDOM = shapes.FREEDOM
 # Shares of the way to a formula's next numbers on trial at which it is tried once more, in turn.
 FINER = (0.3, 0.08)
-NO_INDEX: IntArray = np.zeros(0, dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -46,12 +52,11 @@ class Term:
 @dataclass(frozen=True)
 class Beside:
     """What a scan says of parameters that are not in the model, those of the model integrated
-    out: b (m,), G (m, m), and the place of each effect's; worth: of the evidence."""
+    out: b (m,), G (m, m), and the place of each effect's."""
 
     b: Array
     G: Array
     at: dict[str, IntArray]
-    worth: float
 
     def gain(self, b: Array, G: Array, root: Array) -> float:
         """Nats that parameters of such a quadratic gain; root (k, k): of their prior."""
@@ -75,7 +80,13 @@ def beside(q: Quadratic, known: Sequence[Effect], absent: Sequence[Effect]) -> B
     for e in absent:
         at[e.id] = np.arange(first, first + len(where[e.id]), dtype=np.int64)
         first += len(where[e.id])
-    return Beside(b, G, at, q.worth)
+    return Beside(b, G, at)
+
+
+def weighed(q: Quadratic, worth: float) -> Quadratic:
+    """The quadratic with its evidence counting for so much: all that is compared, for the same."""
+    share = worth / q.worth
+    return replace(q, b=share * q.b, G=share * q.G, worth=worth)
 
 
 def wide_root(q: Quadratic, known: Sequence[Effect], index: IntArray) -> Array:
@@ -99,7 +110,6 @@ class Block:
 
     sensor: int
     driver: Driver
-    over: Range
     forms: tuple[Form, ...]
     sigmas: tuple[float, ...]
     effect: Effect
@@ -107,33 +117,27 @@ class Block:
 
 def blocks(signals: Signals) -> list[Block]:
     """Every sensor with every driver of which this recording has a course."""
-    out = []
-    for driver in DRIVERS.values():
-        if not usable(driver, signals):
-            continue
-        x = np.stack([driver.of(signals, axis) for axis in range(3)])
-        rms = float(np.sqrt(np.mean(x**2)))
-        if rms < 1e-9 or np.ptp(x) < 1e-6 * rms:
-            continue
-        over = range_of(x, driver.signed)
-        for sensor, size in enumerate(SIZE):
-            if driver.only not in (None, sensor):
-                continue
-            if driver.knots == LINE:
-                forms, sigma = [formula([("line", ())])], size / rms
-            else:
-                forms, sigma = curves(over, driver.knots, driver.round), size
-            sigmas = (sigma,) * forms[0].constants
-            out.append(_block(sensor, driver, over, tuple(forms), sigmas))
-    return out
+    return [b for d in DRIVERS.values() if usable(d, signals) for b in _over(d, signals)]
 
 
-def _block(
-    sensor: int, driver: Driver, over: Range, forms: tuple[Form, ...], sigmas: tuple[float, ...]
-) -> Block:
+def _over(driver: Driver, signals: Signals) -> list[Block]:
+    x = np.stack([driver.of(signals, axis) for axis in range(3)])
+    rms = float(np.sqrt(np.mean(x**2)))
+    if rms < 1e-9 or np.ptp(x) < 1e-6 * rms:
+        return []
+    sensors = [n for n in range(len(SIZE)) if driver.only in (None, n)]
+    if driver.knots == LINE:
+        forms = (formula([("line", ())]),)
+        return [_block(n, driver, forms, SIZE[n] / rms) for n in sensors]
+    smooth = tuple(curves(range_of(x, driver.signed), driver.knots, driver.round))
+    return [_block(n, driver, smooth, SIZE[n]) for n in sensors]
+
+
+def _block(sensor: int, driver: Driver, forms: tuple[Form, ...], sigma: float) -> Block:
+    sigmas = (sigma,) * forms[0].constants
     law = Law(sensor, (0, 1, 2), True, driver, replace(forms[0], root=None), sigmas)
     effect = replace(effect_of(law), id=f"basis: {sensor} {driver.name}")
-    return Block(sensor, driver, over, forms, sigmas, effect)
+    return Block(sensor, driver, forms, sigmas, effect)
 
 
 def _ways(block: Block, seen: Beside) -> Iterator[tuple[tuple[int, ...], bool, Array, Array]]:
@@ -154,7 +158,8 @@ def _of_block(block: Block, seen: Beside) -> Iterator[tuple[Law, float]]:
         gains = []
         for form in block.forms:
             root = np.eye(form.constants) if form.root is None else form.root
-            gains.append(seen.gain(b, G, np.kron(np.eye(len(b) // len(root)), root)))
+            whole = np.asarray(np.kron(np.eye(len(b) // len(root)), root))
+            gains.append(seen.gain(b, G, whole))
         top = max(gains)
         form = block.forms[int(np.argmax(gains))]
         law = Law(block.sensor, axes, each, block.driver, form, block.sigmas)
@@ -167,17 +172,22 @@ def _of_block(block: Block, seen: Beside) -> Iterator[tuple[Law, float]]:
 
 
 def written_out(
-    model: Model, known: Sequence[Effect], law: Law, over: Range, signals: Signals
+    model: Model,
+    known: Sequence[Effect],
+    law: Law,
+    over: Range,
+    signals: Signals,
+    worth: float,
 ) -> tuple[Law, float]:
     """The law as the formula that gains most over the model, and what it gains: of one function,
     or of two; with its numbers adjusted."""
-    parts = parts_for(over, law.driver.signed, law.driver.round)
-    tried = _tried(model, known, law, parts, signals)
+    parts = parts_for(over, law.driver.signed, law.driver.round, law.driver.knots == LINE)
+    tried = _tried(model, known, law, parts, signals, worth)
     for share in FINER:
         if tried is None:
             break
         best, gain = tried
-        finer = _tried(model, known, law, _finer(best.form, share), signals)
+        finer = _tried(model, known, law, _finer(best.form, share), signals, worth)
         if finer is not None and finer[1] > gain:
             tried = finer
     return tried if tried is not None else (law, -math.inf)
@@ -193,6 +203,7 @@ def _tried(
     law: Law,
     parts: Sequence[Part],
     signals: Signals,
+    worth: float,
 ) -> tuple[Law, float] | None:
     """The best sum of one or two of these functions in the law's place."""
     forms = [formula([part]) for part in parts]
@@ -203,12 +214,10 @@ def _tried(
     forms = [forms[n] for n in some]
     sigmas = [SIZE[law.sensor] / sizes[n] for n in some]
     effects = [
-        replace(
-            effect_of(replace(law, form=form, sigmas=(sigma,))), id=f"basis: {n}"
-        )
+        replace(effect_of(replace(law, form=form, sigmas=(sigma,))), id=f"basis: {n}")
         for n, (form, sigma) in enumerate(zip(forms, sigmas, strict=True))
     ]
-    seen = beside(scan(model, effects), known, effects)
+    seen = beside(weighed(scan(model, effects), worth), known, effects)
     cost = [FREEDOM * len(form.numbers) for form in forms]
     best: tuple[float, tuple[int, ...]] = (-math.inf, ())
     for chosen in _sets(len(forms)):
@@ -232,6 +241,31 @@ def _sets(count: int) -> Iterator[tuple[int, ...]]:
             yield n, m
 
 
+def tuned(
+    model: Model,
+    known: Sequence[Effect],
+    law: Law,
+    gain: float,
+    signals: Signals,
+    worth: float,
+) -> tuple[Law, float]:
+    """The law with the time or half width of its driver that gains most, and what it gains."""
+    for shares in NEARER:
+        at, number = law.driver.at, law.driver.number
+        if at is None:
+            break
+        tried = [
+            b for s in shares for b in _over(at(s * number), signals) if b.sensor == law.sensor
+        ]
+        effects = [b.effect for b in tried]
+        seen = beside(weighed(scan(model, effects), worth), known, effects)
+        for block in tried:
+            for other, value in _of_block(block, seen):
+                if value > gain and (other.axes, other.each) == (law.axes, law.each):
+                    law, gain = other, value
+    return law, gain
+
+
 def _rms(law: Law, form: Form, signals: Signals) -> float:
     values = [form.values(law.driver.of(signals, axis)) for axis in law.axes]
     return float(np.sqrt(np.mean(np.square(values))))
@@ -240,53 +274,75 @@ def _rms(law: Law, form: Form, signals: Signals) -> float:
 # --- the best of all -----------------------------------------------------------------------
 
 
-def best_term(
-    model: Model, *, imu: bool = True, refused: Collection[str] = (), without: str = ""
-) -> Term | None:
+def best_term(model: Model, *, refused: Collection[str] = (), without: str = "") -> Term | None:
     """What gains most over the model, if it gains enough: a law over a driver, or a course over
-    time or direction. imu: False to look for one of the heading alone; refused: formulas with
-    which no fit holds; without: an effect of the model in whose place it is looked for."""
+    time or direction. refused: formulas with which no fit holds; without: an effect of the model
+    in whose place it is looked for."""
     f = model.parts[0]
-    signals, recording = signals_of(f), f.case.recording
+    signals = signals_of(f)
     known = [e for e in model.effects if e.process is None and e.id != without]
+    looks = list(_looks(f, signals, known))
+    scans = list(side_by_side(partial(scan, model, look.effects) for look in looks))
+    # (what is absent scatters differently from scan to scan: one worth for all)
+    worth = float(np.median([q.worth for q in scans]))
     enough = -TERM_PRIOR + math.log(2.0)
-    calls = [partial(_laws, model, known, chunk) for chunk in _chunks(signals if imu else None)]
-    spans = [shapes.imu_basis(c, recording.duration_s) for c in range(6 if imu else 0)]
-    calls += [partial(_courses, model, known, (), spans[n : n + 2]) for n in range(0, len(spans), 2)]
+    ends = [
+        end
+        for look, q in zip(looks, scans, strict=True)
+        for end in look.best(weighed(q, worth), known)
+        if end[1] > enough
+    ]
+    out = [end for end in ends if isinstance(end[0], Effect)]
+    for law, gain in _closer(ends):
+        if law.driver.number:
+            law, gain = tuned(model, known, law, gain, signals, worth)
+            out.append((effect_of(law), gain - FREEDOM))
+            continue
+        x = np.stack([law.driver.of(signals, axis) for axis in range(3)])
+        over = range_of(x, law.driver.signed)
+        other, as_formula = written_out(model, known, law, over, signals, worth)
+        out.append((effect_of(other), as_formula) if as_formula >= gain else (effect_of(law), gain))
+    found = [
+        Term(e, gain / worth) for e, gain in out if isinstance(e, Effect) and e.id not in refused
+    ]
+    return max(found, key=lambda t: t.gain, default=None)
+
+
+End = tuple[Law | Effect, float]
+
+
+@dataclass(frozen=True)
+class Look:
+    """What one scan looks at, and the best that it may show, beside the known effects."""
+
+    effects: Sequence[Effect]
+    best: Callable[[Quadratic, Sequence[Effect]], list[End]]
+
+
+def _looks(f: Fitted, signals: Signals, known: Sequence[Effect]) -> Iterator[Look]:
+    """All scans: laws over drivers, courses over time, and those of a heading."""
+    recording = f.case.recording
+    for chunk in _chunks(signals):
+        yield Look([b.effect for b in chunk], partial(_laws, chunk))
+    for first in range(0, 6, 2):
+        spans = [shapes.imu_basis(first + n, recording.duration_s) for n in range(2)]
+        yield Look([b.effect for b in spans], partial(_courses, spans))
     if "heading" in f.case.kinds:
+        here = {e.id for e in known}
+        options = [[e] for e in terms.heading_terms(recording)] + terms.heading_curves()
+        options = [some for some in options if some[0].id not in here]
+        # (each as something to look at: what the model has of it is another matter)
+        looked = [replace(some[0], id=f"basis: {n}") for n, some in enumerate(options)]
+        yield Look(looked, partial(_headings, looked, options))
         bases = shapes.heading_bases(recording.duration_s)
-        calls.append(partial(_courses, model, known, terms.heading_terms(recording), bases))
-    ends = [end for some in side_by_side(calls) for end in some if end[1] > enough]
-    laws = _closer([e for e in ends if isinstance(e[0], Law)])
-    out = [Term(e[0], e[2]) for e in ends if isinstance(e[0], Effect)]
-    for law, gain, full in laws:
-        over = range_of(_of(law, signals), law.driver.signed)
-        other, better_ = written_out(model, known, law, over, signals)
-        out.append(Term(effect_of(law), full))
-        if better_ >= gain:
-            out.append(Term(effect_of(other), better_ * full / gain))
-    out = [t for t in out if t.effect.id not in refused]
-    return max(out, key=lambda t: t.gain, default=None)
+        yield Look([b.effect for b in bases], partial(_courses, bases))
 
 
-def _closer(ends: Sequence[End]) -> list[tuple[Law, float, float]]:
-    """The best laws, each of another driver."""
-    best: dict[tuple[int, str], tuple[Law, float, float]] = {}
-    for law, gain, full in sorted(ends, key=lambda e: -e[2]):
-        if isinstance(law, Law):
-            best.setdefault((law.sensor, law.driver.name), (law, gain, full))
-    return list(best.values())[:CLOSER]
-
-
-def _of(law: Law, signals: Signals) -> Array:
-    return np.stack([law.driver.of(signals, axis) for axis in range(3)])
-
-
-def _chunks(signals: Signals | None) -> Iterator[list[Block]]:
+def _chunks(signals: Signals) -> Iterator[list[Block]]:
     """All blocks, as many together as a scan may look at."""
     chunk: list[Block] = []
     size = 0
-    for block in blocks(signals) if signals is not None else ():
+    for block in blocks(signals):
         if chunk and size + len(block.effect.parameters) > AT_ONCE:
             yield chunk
             chunk, size = [], 0
@@ -296,38 +352,42 @@ def _chunks(signals: Signals | None) -> Iterator[list[Block]]:
         yield chunk
 
 
-End = tuple[Law | Effect, float, float]
+def _laws(chunk: Sequence[Block], q: Quadratic, known: Sequence[Effect]) -> list[End]:
+    seen = beside(q, known, [b.effect for b in chunk])
+    return [end for b in chunk for end in _of_block(b, seen)]
 
 
-def _laws(model: Model, known: Sequence[Effect], chunk: Sequence[Block]) -> list[End]:
-    """The laws of these blocks, what each gains, and the same at the likelihood's full worth."""
-    effects = [b.effect for b in chunk]
-    seen = beside(scan(model, effects), known, effects)
-    ends = [end for b in chunk for end in _of_block(b, seen)]
-    return [(law, gain, gain / seen.worth) for law, gain in ends]
+def _closer(ends: Sequence[End]) -> list[tuple[Law, float]]:
+    """The best laws, each of another driver."""
+    best: dict[tuple[int, str], tuple[Law, float]] = {}
+    for law, gain in sorted(ends, key=lambda e: -e[1]):
+        if isinstance(law, Law):
+            best.setdefault((law.sensor, law.driver.name), (law, gain))
+    return list(best.values())[:CLOSER]
 
 
-def _courses(
-    model: Model,
-    known: Sequence[Effect],
-    chunk: Sequence[Effect],
-    bases: Sequence[shapes.Basis],
-) -> list[End]:
-    """Terms, and the best course over each of these bases; what each gains."""
-    here = {e.id for e in model.effects}
-    chunk = [e for e in chunk if e.id not in here]
-    q = scan(model, [*chunk, *(b.effect for b in bases)])
-    seen = beside(q, known, chunk)
-    out: list[End] = []
-    for e in chunk:
-        at = seen.at[e.id]
-        gain = seen.gain(seen.b[at], seen.G[np.ix_(at, at)], np.eye(len(at)))
-        out.append((e, gain, gain / q.worth))
+def _courses(bases: Sequence[shapes.Basis], q: Quadratic, known: Sequence[Effect]) -> list[End]:
     ids = {e.id for e in known}
     index: IntArray = np.array([i for i, n in enumerate(q.names) if n[0] in ids], dtype=np.int64)
-    for basis in bases:
-        course, gain = shapes.best(basis, q, index, wide_root(q, known, index))
-        out.append((course, gain, gain / q.worth))
+    return [shapes.best(b, q, index, wide_root(q, known, index)) for b in bases]
+
+
+def _headings(
+    looked: Sequence[Effect],
+    options: Sequence[Sequence[Effect]],
+    q: Quadratic,
+    known: Sequence[Effect],
+) -> list[End]:
+    """Terms and curves of the heading, and what each gains."""
+    seen = beside(q, known, looked)
+    out: list[End] = []
+    for e, some in zip(looked, options, strict=True):
+        at = seen.at[e.id]
+        b, G = seen.b[at], seen.G[np.ix_(at, at)]
+        roots = [np.eye(len(at)) if x.together is None else x.together for x in some]
+        gains = np.array([seen.gain(b, G, root) for root in roots])
+        gain = float(gains.max() + math.log(np.mean(np.exp(gains - gains.max()))))
+        out.append((some[int(np.argmax(gains))], gain))
     return out
 
 
@@ -342,11 +402,21 @@ def reshaped(model: Model, worth: float, unnamed: list[Term], shaped: set[str]) 
         new = best_term(model, without=old.id)
         if new is None or new.effect.id in shaped | set(model.ids):
             continue
+        if not _adjustable(new.effect):
+            shaped.add(new.effect.id)
         tried = fitted(model.parts, [new.effect if e is old else e for e in model.effects])
         if better(tried, model, worth) > 0.0:
             unnamed[i] = new
             return tried
     return None
+
+
+def _adjustable(effect: Effect) -> bool:
+    """Whether it would be another about a better fit: a formula without numbers would not."""
+    law = law_of(effect)
+    if law is None:
+        return effect.made is not None
+    return bool(law.form.numbers or law.driver.number)
 
 
 def signals_of(f: Fitted) -> Signals:

@@ -73,6 +73,8 @@ def _effect(entry: Mapping[str, Any]) -> Effect:
         kind, numbers = str(entry["made"]["kind"]), [float(n) for n in entry["made"]["numbers"]]
         if kind == HELD:
             effect = frozen_at(catalogue()[name_of(name)], np.array(numbers))
+        elif kind.startswith(terms.CURVE):
+            effect = terms.curve(kind.removeprefix(terms.CURVE), *numbers)
         elif laws.is_law(kind):
             effect = laws.effect_of(laws.again(kind, tuple(numbers)))
         else:
