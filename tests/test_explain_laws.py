@@ -230,7 +230,7 @@ def test_formulas_are_told_in_the_names_of_their_axes() -> None:
 # --- from end to end ---------------------------------------------------------------------------
 
 
-def strange(sensor: str, law, seconds: float = 40.0) -> Recording:
+def strange(sensor: str, law, seconds: float = 30.0) -> Recording:
     """A simulated hand's recording with a law on all axes: law(omega (n, 3), f) -> (n, 3)."""
     world = simulate("free-hand", seed=0, duration_s=seconds, phone=slow, effects={})
     recording = recording_of(world, "heading")

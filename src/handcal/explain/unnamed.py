@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import combinations
 
 import numpy as np
 
@@ -18,7 +19,6 @@ from handcal.explain.drivers import DRIVERS, LINE, NEARER, Driver, usable
 from handcal.explain.grammar import (
     Form,
     Part,
-    Range,
     about,
     curves,
     formula,
@@ -38,7 +38,7 @@ CLOSER = 3
 # A number of a formula is chosen from many: nats that it costs.
 FREEDOM = shapes.FREEDOM
 # Shares of the way to a formula's next numbers on trial at which it is tried once more, in turn.
-FINER = (0.3, 0.08)
+FINER = (0.5, 0.2, 0.06)
 
 
 @dataclass(frozen=True)
@@ -171,98 +171,90 @@ def _of_block(block: Block, seen: Beside) -> Iterator[tuple[Law, float]]:
 # --- formulas ------------------------------------------------------------------------------
 
 
-def written_out(
-    model: Model,
-    known: Sequence[Effect],
-    law: Law,
-    over: Range,
-    signals: Signals,
-    worth: float,
-) -> tuple[Law, float]:
+@dataclass(frozen=True)
+class About:
+    """Where laws are weighed: about a model, beside its known effects, with the signals of its
+    first recording, and what evidence is worth."""
+
+    model: Model
+    known: Sequence[Effect]
+    signals: Signals
+    worth: float
+
+    def seen(self, absent: Sequence[Effect]) -> Beside:
+        """What a scan says of absent effects."""
+        return beside(weighed(scan(self.model, absent), self.worth), self.known, absent)
+
+
+def written_out(about_: About, law: Law) -> tuple[Law, float]:
     """The law as the formula that gains most over the model, and what it gains: of one function,
     or of two; with its numbers adjusted."""
-    parts = parts_for(over, law.driver.signed, law.driver.round, law.driver.knots == LINE)
-    tried = _tried(model, known, law, parts, signals, worth)
-    for share in FINER:
-        if tried is None:
-            break
-        best, gain = tried
-        finer = _tried(model, known, law, _finer(best.form, share), signals, worth)
-        if finer is not None and finer[1] > gain:
-            tried = finer
-    return tried if tried is not None else (law, -math.inf)
+    driver = law.driver
+    x = np.stack([driver.of(about_.signals, axis) for axis in range(3)])
+    over = range_of(x, driver.signed)
+    parts = parts_for(over, driver.signed, driver.round, driver.knots == LINE)
+    ends = [_adjusted(about_, *end) for end in _tried(about_, law, parts)]
+    return max(ends, key=lambda end: end[1], default=(law, -math.inf))
 
 
-def _finer(form: Form, share: float) -> list[Part]:
-    return [near for part in form.parts for near in about(part, share)]
+def _adjusted(about_: About, law: Law, gain: float) -> tuple[Law, float]:
+    """The formula with the numbers near its own that gain most, and what it gains."""
+    for share in FINER if law.form.numbers else ():
+        parts = [near for part in law.form.parts for near in about(part, share)]
+        for other, value in _tried(about_, law, parts):
+            if value > gain and len(other.form.parts) == len(law.form.parts):
+                law, gain = other, value
+    return law, gain
 
 
-def _tried(
-    model: Model,
-    known: Sequence[Effect],
-    law: Law,
-    parts: Sequence[Part],
-    signals: Signals,
-    worth: float,
-) -> tuple[Law, float] | None:
-    """The best sum of one or two of these functions in the law's place."""
+def _tried(about_: About, law: Law, parts: Sequence[Part]) -> list[tuple[Law, float]]:
+    """The best of these functions in the law's place, and the best sum of two; what they gain."""
     forms = [formula([part]) for part in parts]
-    sizes = [_rms(law, form, signals) for form in forms]
-    some = [n for n, size in enumerate(sizes) if size > 1e-9]
-    if not some:
-        return None
-    forms = [forms[n] for n in some]
-    sigmas = [SIZE[law.sensor] / sizes[n] for n in some]
+    sizes = np.array([_rms(law, form, about_.signals) for form in forms])
+    some = np.flatnonzero(sizes > 1e-9)
     effects = [
-        replace(effect_of(replace(law, form=form, sigmas=(sigma,))), id=f"basis: {n}")
-        for n, (form, sigma) in enumerate(zip(forms, sigmas, strict=True))
+        replace(
+            effect_of(replace(law, form=forms[n], sigmas=(SIZE[law.sensor] / sizes[n],))),
+            id=f"basis: {n}",
+        )
+        for n in some
     ]
-    seen = beside(weighed(scan(model, effects), worth), known, effects)
-    cost = [FREEDOM * len(form.numbers) for form in forms]
-    best: tuple[float, tuple[int, ...]] = (-math.inf, ())
-    for chosen in _sets(len(forms)):
+    seen = about_.seen(effects)
+    best: dict[int, tuple[Law, float]] = {}
+    for chosen in _sets([int(n) for n in some], parts):
         at = np.concatenate([seen.at[f"basis: {n}"] for n in chosen])
         gain = seen.gain(seen.b[at], seen.G[np.ix_(at, at)], np.eye(len(at)))
-        gain -= sum(cost[n] for n in chosen)
-        if gain > best[0]:
-            form = formula([forms[n].parts[0] for n in chosen])
-            candidate = replace(law, form=form, sigmas=tuple(sigmas[n] for n in chosen))
+        form = formula([parts[n] for n in chosen])
+        gain -= FREEDOM * len(form.numbers)
+        if len(chosen) not in best or gain > best[len(chosen)][1]:
+            sigmas = tuple(float(SIZE[law.sensor] / sizes[n]) for n in chosen)
+            candidate = replace(law, form=form, sigmas=sigmas)
             if not named(candidate):
-                best = gain, chosen
-                found = candidate
-    return (found, best[0]) if best[1] else None
+                best[len(chosen)] = candidate, gain
+    return list(best.values())
 
 
-def _sets(count: int) -> Iterator[tuple[int, ...]]:
-    for n in range(count):
+def _sets(some: Sequence[int], parts: Sequence[Part]) -> Iterator[tuple[int, ...]]:
+    """One of these, or two that are different functions."""
+    for n in some:
         yield (n,)
-    for n in range(count):
-        for m in range(n + 1, count):
+    for n, m in combinations(some, 2):
+        if parts[n][0] != parts[m][0]:
             yield n, m
 
 
-def tuned(
-    model: Model,
-    known: Sequence[Effect],
-    law: Law,
-    gain: float,
-    signals: Signals,
-    worth: float,
-) -> tuple[Law, float]:
+def tuned(about_: About, law: Law, gain: float) -> tuple[Law, float]:
     """The law with the time or half width of its driver that gains most, and what it gains."""
     for shares in NEARER:
         at, number = law.driver.at, law.driver.number
         if at is None:
             break
-        tried = [
-            b for s in shares for b in _over(at(s * number), signals) if b.sensor == law.sensor
-        ]
-        effects = [b.effect for b in tried]
-        seen = beside(weighed(scan(model, effects), worth), known, effects)
-        for block in tried:
-            for other, value in _of_block(block, seen):
-                if value > gain and (other.axes, other.each) == (law.axes, law.each):
-                    law, gain = other, value
+        near = [b for s in shares for b in _over(at(s * number), about_.signals)]
+        near = [b for b in near if b.sensor == law.sensor]
+        seen = about_.seen([b.effect for b in near])
+        for other, value in (end for block in near for end in _of_block(block, seen)):
+            if value > gain and (other.axes, other.each) == (law.axes, law.each):
+                law, gain = other, value
     return law, gain
 
 
@@ -293,15 +285,14 @@ def best_term(model: Model, *, refused: Collection[str] = (), without: str = "")
         if end[1] > enough
     ]
     out = [end for end in ends if isinstance(end[0], Effect)]
+    about_ = About(model, known, signals, worth)
     for law, gain in _closer(ends):
         if law.driver.number:
-            law, gain = tuned(model, known, law, gain, signals, worth)
-            out.append((effect_of(law), gain - FREEDOM))
+            other, value = tuned(about_, law, gain)
+            out.append((effect_of(other), value - FREEDOM))
             continue
-        x = np.stack([law.driver.of(signals, axis) for axis in range(3)])
-        over = range_of(x, law.driver.signed)
-        other, as_formula = written_out(model, known, law, over, signals, worth)
-        out.append((effect_of(other), as_formula) if as_formula >= gain else (effect_of(law), gain))
+        other, value = written_out(about_, law)
+        out.append((effect_of(other), value) if value >= gain else (effect_of(law), gain))
     found = [
         Term(e, gain / worth) for e, gain in out if isinstance(e, Effect) and e.id not in refused
     ]
