@@ -436,9 +436,9 @@ def sized(u: Unnamed) -> str:
     """ "k = 0.012 ± 0.001 rad/s"; each constant of a formula; the size of a curve."""
     if len(u.constants) > 1:
         return ", ".join(f"{c.name} = {amount(c)}" for c in u.constants)
-    if "k" in u.formula.split(" += ")[1].split(" ", 1)[0]:
-        return f"k = {amount(u)}"
-    return f"a size of {amount(u)} (root mean square)"
+    if u.formula.split(" += ")[1].startswith("g"):
+        return f"a size of {amount(u)} (root mean square)"
+    return f"k = {amount(u)}"
 
 
 def amount(u: Unnamed | Parameter) -> str:
