@@ -40,7 +40,7 @@ ENTRIES = {
                 "size": dict, "share": float, "held_out_gain": float},
     "unnamed": {"formula": str, "value": float, "sigma": float, "unit": str,
                 "log_evidence_gain": float, "story": str, "channels": list, "drivers": list,
-                "curve": dict},
+                "curve": dict, "constants": list},
     "next_motion": {"motion": str, "separates": list, "expected_gain": float},
     "noise": {"name": str, "value": float, "unit": str},
 }  # fmt: skip

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import re
 from dataclasses import replace
 
@@ -14,7 +13,6 @@ from handcal._jit import call_residual
 from handcal.effects import TIME, Z_DIM, Signals
 from handcal.estimate.quadratic import Quadratic
 from handcal.explain import explain, shapes
-from handcal.explain.terms import PLAY, features, imu_terms
 from handcal.types import Array
 from handcal_sim import simulate
 from handcal_sim.phone import Clocking, Phone, consumer_phone, with_rate
@@ -137,29 +135,6 @@ def test_what_passes_by_is_unexplained(sign: float) -> None:
     assert at == pytest.approx(24.0, abs=5.0 * 3.0 * bump.sigma / 0.5)
     assert width == pytest.approx(3.0, abs=5.0 * 3.0 * bump.sigma / 0.5)
     assert bump.value == pytest.approx(sign * 0.5, abs=4.0 * bump.sigma)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_play_lags_by_its_half_width_once_it_has_been_taken_up(seed: int) -> None:
-    """A signal that goes one way for more than the whole play is followed at half of it; within
-    the play it is not followed at all."""
-    rng = np.random.default_rng(seed)
-    ends = np.cumsum(np.r_[9.8, np.array([1.0, -1.0, 1.0]) * rng.uniform(0.5, 3.0, 3)])
-    f = np.concatenate([np.linspace(a, b, 50) for a, b in itertools.pairwise(ends)])
-    signals = Signals(np.arange(150.0), np.zeros((150, 3)), np.tile(f[:, None], 3))
-    lag = features(temperature=False)["(play(0.2 m/s^2) of f_y - f_y)"][0](signals)
-    np.testing.assert_allclose(lag[[49, 99, 149]], [-0.2, 0.2, -0.2], atol=1e-12)
-    still = Signals(np.arange(150.0), np.zeros((150, 3)), 0.19 * np.sin(np.tile(f[:, None], 3)))
-    lag = features(temperature=False)["(play(0.2 m/s^2) of f_x - f_x)"][0](still)
-    assert np.ptp(lag + still.accel[:, 0]) < 0.2
-
-
-def test_play_lags_and_does_not_lead() -> None:
-    """Of the other sign it is no hysteresis: on real data it took the place of scale errors."""
-    signals = Signals(np.arange(200.0), *np.random.default_rng(0).normal(size=(2, 200, 3)))
-    plays = [e for e in imu_terms(signals, 5) if "play" in e.id]
-    assert len(plays) == len(PLAY)
-    assert all(e.parameters[0].positive for e in plays)
 
 
 @pytest.mark.parametrize("direction", [-2.0, 0.3, 1.1])

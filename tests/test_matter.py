@@ -67,34 +67,40 @@ def test_the_hand_is_said_and_how_surely(known) -> None:
     assert 0.9 < e.hand.probability < 1.0
 
 
-def test_a_term_without_a_name_is_drawn_over_what_drives_it(known) -> None:
-    """k omega_y^3: a curve of the cube, in the units of what is measured."""
+def test_what_has_no_name_is_drawn_over_what_drives_it(known) -> None:
+    """k omega_y^3: a curve of the cube, in the units of what is measured, with its band."""
     from handcal.estimate.case import case_of
     from handcal.estimate.fit import baseline
-    from handcal.explain.curve import channel_of, curve_of, drivers_of
-    from handcal.explain.terms import again
+    from handcal.explain import drivers, grammar, laws, terms
+    from handcal.explain.curve import channel_of, drawn, drivers_of
+
+    def effect_of(sensor: int, axis: int, driver: str, form: str):
+        shape = grammar.formula([(form, ())])
+        law = laws.Law(sensor, (axis,), False, drivers.driver_of(driver), shape, (0.01,))
+        return laws.effect_of(law)
 
     world, _ = known
     f = baseline([case_of(recording_of(world, "heading"))]).parts[0]
-    for formula, drivers in (
-        ("gyro_x += k * omega_y^3", ("omega_y",)),
-        ("accel_z += k * omega_x * f_y", ("omega_x", "f_y")),
-        ("heading += k * sin(3 yaw)", ("yaw",)),
-    ):
-        effect = again(formula, 0.01)
-        drawn = curve_of(f, effect, 0.02, 0.004)
-        assert drivers_of(formula) == drivers
-        assert channel_of(formula) == formula.split()[0]
-        expected = {"gyro_x": drawn.x**3, "accel_z": drawn.x, "heading": np.sin(3.0 * drawn.x)}
+    third = terms.again("heading += k1 * sin(3 yaw) + k2 * cos(3 yaw)", 0.1)
+    cases = (
+        (effect_of(0, 0, "omega_{j}", "cube"), ("omega_y",), "rad/s", "rad/s", lambda x: x**3),
+        (effect_of(1, 2, "omega_{j} * f_{k}", "line"), ("omega_x", "f_y"),
+         "(rad/s)*(m/s^2)", "m/s^2", lambda x: x),
+        (third, ("yaw",), "rad", "rad", lambda x: np.sin(3.0 * x)),
+    )  # fmt: skip
+    for effect, names, x_unit, y_unit, law in cases:
+        k = np.r_[0.02, np.zeros(len(effect.parameters) - 1)]
+        C = 0.004**2 * np.outer(k > 0.0, k > 0.0)
+        shown = drawn(f, effect, k, C).curve
+        assert drivers_of(effect.id) == names
+        assert channel_of(effect.id) == effect.id.split()[0]
         # (means over a range of x are not what the mean of x gives, but nearly)
-        y = 0.02 * expected[formula.split()[0]]
-        assert np.abs(drawn.y - y).max() < 0.1 * np.abs(drawn.y).max()
-        np.testing.assert_allclose(drawn.sigma, 0.2 * np.abs(drawn.y))
-        assert (np.diff(drawn.x) >= 0.0).all()
-        units = {"gyro_x": ("rad/s", "rad/s"), "heading": ("rad", "rad")}
-        assert (drawn.x_unit, drawn.y_unit) == units.get(
-            channel_of(formula), ("rad*m/s^3", "m/s^2")
-        )
+        assert np.abs(shown.y - 0.02 * law(shown.x)).max() < 0.1 * np.abs(shown.y).max()
+        # (nor is the mean of a size that of what has two signs)
+        assert (shown.sigma >= 0.2 * np.abs(shown.y) * (1.0 - 1e-9)).all()
+        assert shown.sigma.max() == pytest.approx(0.2 * np.abs(shown.y).max(), rel=0.02)
+        assert (np.diff(shown.x) >= 0.0).all()
+        assert (shown.x_unit, shown.y_unit) == (x_unit, y_unit)
 
 
 def test_iron_that_every_model_has_is_a_share_of_all_and_the_rest_of_what_lies_beyond() -> None:

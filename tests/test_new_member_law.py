@@ -19,7 +19,7 @@ from handcal.apply import Learnt, apply
 from handcal.earth import local_earth
 from handcal.effects import catalogue, select
 from handcal.estimate.observed import observed_of
-from handcal.explain import explain, terms
+from handcal.explain import drivers, explain, grammar, laws, terms
 from handcal.export import write_mcap
 from handcal.model import SUBSTITUTED, build
 from handcal.signals import of_recording
@@ -241,9 +241,11 @@ def test_explain_names_it(concealed, effect):
 def test_what_the_catalogue_has_is_no_unknown_physics(plain):
     """The very terms of the new laws were unknown before, and are not any more."""
     for channel in range(3):
-        assert terms.named(channel, f"omega_{'xyz'[channel]}^3")
-        assert terms.named(channel + 3, f"f_{'xyz'[channel]}^3")
-        assert not terms.named(channel + 3, f"omega_{'xyz'[channel]}^3")
+        cube = grammar.formula([("cube", ())])
+        for sensor, driver, known in ((0, "omega_{i}", True), (1, "f_{i}", True),
+                                      (1, "omega_{i}", False)):  # fmt: skip
+            law = laws.Law(sensor, (channel,), False, drivers.driver_of(driver), cube, (1.0,))
+            assert laws.named(law) is known
     headings = {e.id for e in terms.heading_terms(plain)}
     assert "heading += k * sin(pitch of x)" not in headings
     assert "heading += k * sin(pitch of y)" in headings

@@ -42,7 +42,7 @@ def _context(e: Explanation) -> dict[str, Any]:
         ],
         "missing": [_card(m, e, styles) for m in e.missing],
         "unnamed": [
-            {"formula": u.formula, "amount": say.amount(u), "gain": say.nats(u.log_evidence_gain),
+            {"formula": u.formula, "amount": say.sized(u), "gain": say.nats(u.log_evidence_gain),
              "story": u.story}
             for u in e.unnamed
         ],

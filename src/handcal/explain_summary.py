@@ -123,6 +123,11 @@ def _unnamed_json(u: Unnamed) -> dict[str, Any]:
         "story": u.story,
         "channels": list(u.channels),
         "drivers": list(u.drivers),
+        "constants": [
+            {"name": p.name, "value": summary.finite(p.value), "sigma": summary.finite(p.sigma),
+             "unit": p.unit}
+            for p in u.constants
+        ],
         "curve": {} if c is None else {
             "x": c.x.tolist(), "y": c.y.tolist(), "sigma": c.sigma.tolist(),
             "x_unit": c.x_unit, "y_unit": c.y_unit,
@@ -206,7 +211,7 @@ def print_explanation(explanation: Explanation, console: Console) -> None:
         heading("Found outside the catalogue")
         for u in e.unnamed:
             line(u.formula, style="bold")
-            line(f"k = {say.amount(u)}, gains {say.nats(u.log_evidence_gain)}")
+            line(f"{say.sized(u)}, gains {say.nats(u.log_evidence_gain)}")
             if u.story:
                 line(u.story)
     if e.hypotheses:
@@ -340,7 +345,7 @@ def explanation_markdown(explanation: Explanation) -> str:
     for u in e.unnamed:
         gained = say.nats(u.log_evidence_gain)
         lines += ["### Outside the catalogue", "", f"`{u.formula}`", "",
-                  f"k = {say.amount(u)}, gains {gained}", ""]  # fmt: skip
+                  f"{say.sized(u)}, gains {gained}", ""]  # fmt: skip
         lines += [u.story, ""] if u.story else []
     told = say.untold(e)
     told += [f"Next: {say.motion_phrase(n.motion)}." for n in e.next_motion]

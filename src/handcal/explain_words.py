@@ -300,7 +300,7 @@ def _unexplained(e: Explanation) -> tuple[str, str, list[str]]:
         return "poor", headline, ["No simple term in the measured signals accounts for it either."]
     u = max(e.unnamed, key=lambda u: u.log_evidence_gain)
     return "poor", headline, [
-        f"What was found instead: {u.formula} with k = {amount(u)}, which gains "
+        f"What was found instead: {u.formula} with {sized(u)}, which gains "
         f"{nats(u.log_evidence_gain)}. {u.story} A formula is a lead, not yet a cause.".replace(
             "  ", " "
         )
@@ -432,8 +432,17 @@ def in_units(parameters: Sequence[Parameter]) -> list[tuple[Parameter, Shown]]:
     return [(p, unit) for group in groups for unit in [words.shown_group(group)] for p in group]
 
 
-def amount(u: Unnamed) -> str:
-    """The size of an unnamed term with its uncertainty; powers of ten where it is tiny."""
+def sized(u: Unnamed) -> str:
+    """ "k = 0.012 ± 0.001 rad/s"; each constant of a formula; the size of a curve."""
+    if len(u.constants) > 1:
+        return ", ".join(f"{c.name} = {amount(c)}" for c in u.constants)
+    if u.formula.split(" += ")[1].startswith("g"):
+        return f"a size of {amount(u)} (root mean square)"
+    return f"k = {amount(u)}"
+
+
+def amount(u: Unnamed | Parameter) -> str:
+    """A size with its uncertainty; powers of ten where it is tiny."""
     sigma = abs(u.sigma)
     if not (math.isfinite(u.value) and math.isfinite(sigma) and sigma > 0):
         return f"{u.value:.3g}".replace("-", "−") if math.isfinite(u.value) else "unknown"

@@ -394,8 +394,8 @@ def differentiated(
 def _slopes_of(effect: Effect, at: Array, truth: Signals) -> Iterator[tuple[int, int, Array]]:
     """Channel, number of the parameter, and derivative (n,), where there is one."""
     if effect.features is not None:
-        for channel, columns in effect.features(truth):
-            yield from ((channel, k, columns[:, k]) for k in range(columns.shape[1]))
+        for channel, first, columns in effect.features(truth):
+            yield from ((channel, first + k, columns[:, k]) for k in range(columns.shape[1]))
         return
     for k, slope in enumerate(correction_slopes(effect, at, truth)):
         yield from ((int(c), k, slope[:, c]) for c in np.flatnonzero(_acting(slope)))

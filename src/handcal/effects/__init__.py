@@ -134,7 +134,7 @@ class Effect:
     effect. last: with ``imu_inverse``, whether it is
     done to what the other effects made of the truth (a filter behind a scale error), or to the
     truth alone, beside them. akin: ids of effects that are the same to the first order.
-    made: of a course found in a recording, its kind and its numbers.
+    made: of a law or a course found in a recording, its kind and its numbers.
     imitated: nats that a hand which turns the device about no single point can lend to this one,
     where only that point's rest tells where the device was.
 
@@ -150,8 +150,8 @@ class Effect:
     model (a state of the filter), so it is never on trial. always: it is in every model of a
     recording in which one of its observations is used, whether asked for or not: nobody has none.
     tails: its prior has the wide scales that others have. features(truth): of an effect linear in
-    its parameters, which channels (0 to 5) it acts on and the derivatives there (n, k), where they
-    come cheaper than by differences of ``imu_error``.
+    its parameters, where that comes cheaper than differences of ``imu_error``: a channel (0 to 5),
+    the first of the parameters that act on it, and the derivatives by these, (n, m).
     """
 
     id: str
@@ -188,7 +188,7 @@ class Effect:
     baseline: bool = False
     always: bool = False
     tails: bool = True
-    features: Callable[[Signals], Sequence[tuple[int, Array]]] | None = None
+    features: Callable[[Signals], Sequence[tuple[int, int, Array]]] | None = None
 
     @property
     def prior_sigma(self) -> Array:
@@ -202,6 +202,11 @@ def imu_jacobian(effect: Effect, at: Array, signals: Signals) -> Array:
     A central difference with steps of a thousandth of the prior: exact for effects
     linear in their parameters, as most are.
     """
+    if effect.features is not None:
+        out = np.zeros((len(signals.t), 6, len(effect.parameters)))
+        for channel, first, columns in effect.features(signals):
+            out[:, channel, first : first + columns.shape[1]] = columns
+        return out
     slopes = list(_slopes(effect.imu_error, effect.prior_sigma, at, signals))
     return np.stack(slopes, axis=2) if slopes else np.zeros((len(signals.t), 6, len(at)))
 

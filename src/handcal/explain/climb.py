@@ -7,7 +7,7 @@ do, and the first that does something ends the turn. The climb ends where none d
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -80,6 +80,7 @@ class Climb:
     ordered: set[tuple[str, frozenset[str]]] = field(default_factory=set)
     shaped: set[str] = field(default_factory=set)
     suspects: set[str] = field(default_factory=set)
+    thinned: set[frozenset[str]] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         self.kept = frozenset(self.model.ids)
@@ -267,7 +268,7 @@ def _singles(where: Space, now: frozenset[str], chosen: frozenset[str]) -> list[
 
 def _reshape(c: Climb) -> Model | None:
     """A course over time or direction, chosen again."""
-    return reshaped(c.model, c.unnamed, c.shaped)
+    return reshaped(c.model, c.worth, c.unnamed, c.shaped)
 
 
 def _exchange(c: Climb) -> Model | None:
@@ -454,18 +455,80 @@ def _free(c: Climb) -> Model | None:
     return other
 
 
+def _instead(c: Climb) -> Model | None:
+    """The model with its laws without a name in the place of many effects with one, noise
+    included, if that scores better: what is left out is told by the quadratic, and fitted."""
+    model, laws = c.model, [e for e in c.model.effects if "+=" in e.id]
+    key = frozenset(model.ids)
+    if not laws or key in c.thinned or len(model.effects) == len(laws):
+        return None
+    c.thinned.add(key)
+    quiet = [e for e in model.effects if e.process is None]
+    bare = model if len(quiet) == len(model.effects) else fitted(model.parts, quiet)
+    kept = {e.id for e in laws} | {e.id for e in quiet if e.always}
+    wanted = _fewest(bare, kept)
+    for ids in dict.fromkeys((wanted, frozenset(kept))):
+        if ids == key:
+            continue
+        tried = fitted(bare.parts, [e for e in quiet if e.id in ids])
+        if likelier(c, tried):
+            _forget(c, tried)
+            return tried
+    if bare is not model and likelier(c, bare):
+        _forget(c, bare)
+        return bare
+    return None
+
+
+def _fewest(model: Model, kept: Set[str]) -> frozenset[str]:
+    """The best of the sets that are left when one effect after another, the least missed each
+    time, is taken out of the model, down to those that are kept."""
+    own = [e for e in model.effects if e.process is None]
+    cases = [f.case for f in model.parts]
+    where = space(scan(model, own), own, {e.id: prior(e, cases) for e in own})
+    now = frozenset(e.id for e in own)
+    sets = [now]
+    while now - kept:
+        now = max((now - {i} for i in sorted(now - kept)), key=where.score)
+        sets.append(now)
+    return max(sets, key=where.score)
+
+
+def _forget(c: Climb, model: Model) -> None:
+    """Let what was weighed beside effects that are gone be weighed anew."""
+    c.noise = {i: v for i, v in c.noise.items() if i in model.ids}
+    c.visited.clear()
+    c.swaps.clear()
+    c.stale |= set(c.noise)
+
+
 def _name_term(c: Climb) -> Model | None:
-    """The same, a term that nobody named on trial from now on."""
-    term = best_term(c.model, refused=c.dropped) if len(c.unnamed) < MAX_TERMS else None
-    if term is None:
+    """The same, a term that nobody named on trial from now on; or the model with one in the place
+    of its noise effects, which hide whatever has no name."""
+    if len(c.unnamed) >= MAX_TERMS:
+        return None
+    term = best_term(c.model, refused=c.dropped)
+    if term is not None:
+        c.unnamed.append(term)
+        c.visited.clear()
+        c.stale |= set(c.noise)  # (what noise effects gained was weighed without the term)
+        return c.model
+    key = frozenset(c.model.ids)
+    quiet = [e for e in c.model.effects if e.process is None]
+    if len(quiet) == len(c.model.effects) or key in c.thinned:
+        return None
+    c.thinned.add(key)
+    bare = fitted(c.model.parts, quiet)
+    term = best_term(bare, refused=c.dropped)
+    tried = None if term is None else fitted(bare.parts, (*quiet, term.effect))
+    if term is None or tried is None or not likelier(c, tried):
         return None
     c.unnamed.append(term)
-    c.visited.clear()
-    c.stale |= set(c.noise)  # (what noise effects gained was weighed without the term)
-    return c.model
+    _forget(c, tried)
+    return tried
 
 
 # The cheap ones first; nothing is taken away or left without a name before all else rests.
 _STEPS = (
-    _delay, _choose, _reshape, _exchange, _reorder, _add_noise, _thin, _free, _name_term,
+    _delay, _choose, _reshape, _exchange, _reorder, _instead, _add_noise, _thin, _free, _name_term,
 )  # fmt: skip

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import re
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,14 +12,16 @@ from handcal import so3
 from handcal.effects import TIME, Z_DIM, Effect, Signals, observed_error
 from handcal.estimate.fit import Fitted
 from handcal.explain.explanation import Curve
+from handcal.explain.laws import CHANNELS, UNITS, Law, law_of
 from handcal.explain.unnamed import signals_of
 from handcal.linear import path
 from handcal.types import Array
 
 # Points of a curve, at the most.
 POINTS = 60
-_DRIVERS = re.compile(r"\b(omega_[xyz]|f_[xyz]|alpha_[xyz]|yaw|pitch of [xy]|tilt|t|T)\b")
-_UNITS = {"omega": "rad/s", "f": "m/s^2", "alpha": "rad/s^2", "t": "s", "T": "degC"}
+_SIGNALS = (r"(?:omega|f|alpha|jerk)_[ijkxyz]", "pitch of [xy]", "tilt", "yaw rate", "yaw",
+            "time since a turn", "t", "T")  # fmt: skip
+_DRIVERS = re.compile(rf"(\|omega\||\|f\||\b(?:{'|'.join(_SIGNALS)})\b)")
 _AXES = "xyz"
 
 
@@ -31,34 +35,77 @@ def drivers_of(formula: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(_DRIVERS.findall(formula.split(" += ", 1)[1])))
 
 
-def curve_of(f: Fitted, effect: Effect, value: float, sigma: float) -> Curve:
-    """What a term of this size (SI) and sigma adds in a recording, over its driver; over the
-    product, where it has several."""
-    channel, drivers = channel_of(effect.id), drivers_of(effect.id)
+@dataclass(frozen=True)
+class Drawn:
+    """A curve, and the root mean square of all that is added, with its sigma (SI)."""
+
+    curve: Curve
+    size: float
+    sigma: float
+
+
+def drawn(f: Fitted, effect: Effect, values: Array, C: Array) -> Drawn:
+    """What something without a name, of these constants (k,) and their covariance C (k, k), SI,
+    adds in a recording, over its driver; of axes with constants of their own, the one to which it
+    adds most. A curve's mean is left to the bias."""
     signals = signals_of(f)
-    nominal = f.linear.trajectory
-    way = path(f.linear.problem, nominal)
-    C = way.C[np.searchsorted(f.linear.problem.nodes.t, signals.t)]
-    added = _added(effect, channel, value, signals, C)
-    of_imu = channel != "heading"
-    y_unit = ("rad/s" if channel.startswith("gyro") else "m/s^2") if of_imu else "rad"
-    if len(drivers) == 1:
-        x, x_unit = _driver(drivers[0], signals, C)
+    law = law_of(effect)
+    if law is None:
+        pieces, x_unit, y_unit = _of_term(f, effect, signals)
     else:
-        x, x_unit = added / value, effect.parameters[0].unit.partition("/(")[2].rstrip(")")
-    x, y = _binned(x, added)
-    return Curve(x, y, np.abs(y) * abs(sigma / value), x_unit, y_unit)
+        pieces, x_unit, y_unit = _of_law(law, signals), law.driver.unit, UNITS[law.sensor]
+    rows, size, known = [], [], []
+    for x, B in pieces:
+        B = B - B.mean(axis=0) if "g(" in effect.id or "g_i(" in effect.id else B
+        spread = np.maximum(np.einsum("ni,ij,nj->n", B, C, B), 0.0)
+        rows.append((x, B @ values, np.sqrt(spread)))
+        size.append(float(np.mean((B @ values) ** 2)))
+        known.append(float(np.mean(spread)))
+    x, y, sigma = _binned(*rows[int(np.argmax(size))])
+    whole, within = (math.sqrt(float(np.mean(v))) for v in (size, known))
+    return Drawn(Curve(x, y, sigma, x_unit, y_unit), whole, within)
 
 
-def _added(effect: Effect, channel: str, value: float, signals: Signals, C: Array) -> Array:
-    k = np.array([value])
+def _of_law(law: Law, signals: Signals) -> list[tuple[Array, Array]]:
+    """A law's driver (n,), and what a unit of each of its constants adds (n, k): of each axis, or
+    of all together where they have the same constants."""
+    one = law.form.constants
+    x = [law.driver.of(signals, axis) for axis in law.axes]
+    if not law.each:
+        together = np.concatenate(x)
+        return [(together, law.form.values(together))]
+    out = []
+    for n, own in enumerate(x):
+        B = np.zeros((len(own), one * len(x)))
+        B[:, n * one : (n + 1) * one] = law.form.values(own)
+        out.append((own, B))
+    return out
+
+
+def _of_term(
+    f: Fitted, effect: Effect, signals: Signals
+) -> tuple[list[tuple[Array, Array]], str, str]:
+    """The same of a course, or of a term of the heading; and the units."""
+    way = path(f.linear.problem, f.linear.trajectory)
+    C_nb = way.C[np.searchsorted(f.linear.problem.nodes.t, signals.t)]
+    channel, drivers = channel_of(effect.id), drivers_of(effect.id)
+    k = np.eye(len(effect.parameters))
+    B = np.stack([_added(effect, channel, row, signals, C_nb) for row in k], axis=1)
+    y_unit = UNITS[channel.startswith("accel")] if channel != "heading" else "rad"
+    if len(drivers) == 1:
+        x, x_unit = _driver(drivers[0], signals, C_nb)
+    else:
+        x, x_unit = B[:, 0], effect.parameters[0].unit.partition("/(")[2].rstrip(")")
+    return [(x, B)], x_unit, y_unit
+
+
+def _added(effect: Effect, channel: str, k: Array, signals: Signals, C: Array) -> Array:
     if effect.imu_error is not None:
-        error = effect.imu_error(k, signals)
-        column = 3 * channel.startswith("accel") + _AXES.index(channel[-1])
-        return np.asarray(error[:, column])
+        return np.asarray(effect.imu_error(k, signals)[:, CHANNELS.index(channel)])
     n = len(signals.t)
     nav, z = np.zeros((n, 21)), np.zeros((n, Z_DIM))
-    nav[:, 6:15], z[:, TIME] = C.reshape(n, 9), signals.t - signals.t[0]
+    nav[:, 6:15], nav[:, 15:18], nav[:, 18:] = C.reshape(n, 9), signals.gyro, signals.accel
+    z[:, TIME] = signals.t - signals.t[0]
     return observed_error(effect, "heading", k, nav, z, 1)[:, 0]
 
 
@@ -71,20 +118,16 @@ def _driver(name: str, signals: Signals, C: Array) -> tuple[Array, str]:
     if name == "tilt":
         return np.arccos(np.clip(C[:, 2, 2], -1.0, 1.0)), "rad"
     if name == "t":
-        return signals.t - signals.t[0], _UNITS["t"]
-    if name == "T":
-        warm = signals.temperature
-        return np.zeros_like(signals.t) if warm is None else warm, _UNITS["T"]
-    kind, _, axis = name.rpartition("_")
-    i = _AXES.index(axis)
-    if kind == "alpha":
-        return np.gradient(signals.gyro[:, i], signals.t), _UNITS[kind]
-    return (signals.gyro if kind == "omega" else signals.accel)[:, i], _UNITS[kind]
+        return signals.t - signals.t[0], "s"
+    if name == "|omega|":
+        return np.linalg.norm(signals.gyro, axis=1), "rad/s"
+    assert name == "yaw rate", name
+    return np.einsum("ni,ni->n", C[:, 2], signals.gyro), "rad/s"
 
 
-def _binned(x: Array, y: Array) -> tuple[Array, Array]:
+def _binned(x: Array, y: Array, sigma: Array) -> tuple[Array, Array, Array]:
     """Means over ranges of x that hold as many samples each, in the order of x."""
     order = np.argsort(x, kind="stable")
     parts = np.array_split(order, min(POINTS, len(order)))
-    means = np.array([(x[p].mean(), y[p].mean()) for p in parts])
-    return means[:, 0], means[:, 1]
+    means = np.array([(x[p].mean(), y[p].mean(), sigma[p].mean()) for p in parts])
+    return means[:, 0], means[:, 1], means[:, 2]

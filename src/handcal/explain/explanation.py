@@ -66,8 +66,9 @@ class Curve:
 class Unnamed:
     """A term found outside the catalogue, as a formula of measured signals; story: the same in
     words, where the formula is a course over time or direction. channels: to which it adds;
-    drivers: the signals in it; curve: what it adds in the first recording; made: of a course, its
-    kind and its numbers."""
+    drivers: the signals in it; curve: what it adds in the first recording; constants: all of a
+    formula's, none of a curve's; where there is not one alone, value and sigma are the root mean
+    square of what it adds in the first recording. made: its kind and its numbers."""
 
     formula: str
     value: float
@@ -78,6 +79,7 @@ class Unnamed:
     channels: tuple[str, ...] = ()
     drivers: tuple[str, ...] = ()
     curve: Curve | None = None
+    constants: tuple[Parameter, ...] = ()
     made: tuple[str, tuple[float, ...]] | None = None
 
 

@@ -36,9 +36,8 @@ class Found:
 def search(base: Model, report: Callable[[float], None] = lambda _: None) -> Found:
     """From the baseline to the model that explains the recordings best.
 
-    Where several named effects were needed, they may be stand-ins for one thing without a
-    name: if a single term does half as well from the baseline, the search begins again
-    with it, and the better of the two ends counts.
+    Named effects may be stand-ins for one thing without a name: if a single law does half as
+    well from the baseline, the search begins again with it, and the better of the two ends counts.
     """
     late = with_delays(base)
     starts = [base]
@@ -47,10 +46,8 @@ def search(base: Model, report: Callable[[float], None] = lambda _: None) -> Fou
         starts.insert(0, steadied(base))
     found = _begun(starts, late, lambda f: report(0.7 * f))
     named = [e for e in found.model.effects if "+=" not in e.id and not e.always]
-    several = len(named) > 1 or any(e.process is not None for e in named)
-    if several or any(e.observation_error for e in named):
-        # (of the heading alone: a scan of few terms)
-        term = best_term(base, imu=several)
+    if named:
+        term = best_term(base)
         first = found.first or found.space
         whole = (first.score(best_set(first)) - first.quadratic.a) / first.quadratic.worth
         if term is not None and term.gain > HALF * whole:

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from handcal.effects import Param
 from handcal.explain.explanation import Unnamed
-from handcal.explain.terms import CHANNELS
+from handcal.explain.laws import CHANNELS
 from handcal.types import HandcalError
 
 # Columns of a line in a file that is to be read.

@@ -13,9 +13,10 @@ from handcal.estimate.fit import Model
 from handcal.estimate.process import process_parameters
 from handcal.explain import outliers
 from handcal.explain.climb import akin
-from handcal.explain.curve import channel_of, curve_of, drivers_of
+from handcal.explain.curve import channel_of, drawn, drivers_of
 from handcal.explain.explanation import Curve, Hypothesis, Missing, Unnamed
 from handcal.explain.find import Found
+from handcal.explain.laws import law_of
 from handcal.explain.score import CERTAIN, PRIOR, probability
 from handcal.explain.search import expected_gain, gains, probabilities, rivals
 from handcal.types import Parameter, Result
@@ -116,16 +117,27 @@ def unnamed_of(
     out = []
     for effect in found.model.effects:
         if "+=" in effect.id:
-            (p,) = learnt[effect.id]
-            gain = gained[effect.id]
-            drawn = curve_of(found.model.parts[0], effect, p.value, p.sigma)
-            out.append(
-                Unnamed(
-                    effect.id, p.value, p.sigma, p.unit, gain, effect.story,
-                    (channel_of(effect.id),), drivers_of(effect.id), drawn, effect.made,
-                )
-            )  # fmt: skip
+            out.append(_unnamed(found.model, effect, learnt[effect.id], gained[effect.id]))
     return sorted(out, key=lambda u: -u.log_evidence_gain)
+
+
+def _unnamed(model: Model, effect: Effect, own: tuple[Parameter, ...], gain: float) -> Unnamed:
+    mine = np.array([n[0] == effect.id for n in model.quadratic.names])
+    scale = effect.prior_sigma
+    C = model.covariance[np.ix_(mine, mine)] * np.outer(scale, scale)
+    values = np.array([p.value for p in own])
+    shown = drawn(model.parts[0], effect, values, C)
+    law = law_of(effect)
+    channels = (channel_of(effect.id),) if law is None else law.channels
+    drivers = drivers_of(effect.id)
+    size, sigma, unit = shown.size, shown.sigma, shown.curve.y_unit
+    constants = () if effect.together is not None else own
+    if len(constants) == 1:
+        size, sigma, unit = own[0].value, own[0].sigma, own[0].unit
+    return Unnamed(
+        effect.id, size, sigma, unit, gain, effect.story, channels, drivers, shown.curve,
+        constants, effect.made,
+    )  # fmt: skip
 
 
 def burst(base: Model, wrong: outliers.Wrong, span: tuple[float, float]) -> Unnamed:
@@ -141,7 +153,7 @@ def burst(base: Model, wrong: outliers.Wrong, span: tuple[float, float]) -> Unna
     drawn = Curve(np.array(span), np.full(2, value), np.full(2, spread), "s", "rad")
     return Unnamed(
         formula, value, spread, "rad", wrong.gain, story, ("heading",), ("t",), drawn,
-        ("while", span),
+        (), ("while", span),
     )  # fmt: skip
 
 

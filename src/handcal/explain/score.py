@@ -14,8 +14,10 @@ from handcal.estimate.fit import Model
 PRIOR = -5.0
 # What it costs that a noise level is not known.
 OCCAM_LEVEL = 2.5
-# Of a term without a name: there are hundreds, and any of the catalogue is likelier.
-TERM_PRIOR = -10.0
+# Laws without a name that are on trial (channels and drivers), among which one effect's odds are
+# shared.
+LAWS = 600
+TERM_PRIOR = PRIOR - math.log(LAWS)
 # Moments of a step that are on trial.
 MOMENTS = 16
 # Nothing is surer than that.

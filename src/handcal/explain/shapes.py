@@ -18,15 +18,15 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from handcal._jit import inner, njit, residual_function
+from handcal._jit import njit, residual_function
 from handcal.effects import TIME, Effect, Param, Signals
 from handcal.estimate.quadratic import Quadratic
-from handcal.explain.terms import CHANNELS, HEADING_SIZE, SIZE, UNITS, term
+from handcal.explain.laws import CHANNELS, SIZE, UNITS
+from handcal.explain.terms import CURVES, DIRECTIONS, HEADING_SIZE, cubic, term
 from handcal.types import Array, IntArray
 
 # Knots over a recording: as many at most, a power of two of seconds apart.
 MOST = 48
-DIRECTIONS = 32
 # A course that is short stands out further than one that lasts, of the same mean square.
 PEAK = 3.0
 # What lies between two sizes on trial is that much larger or smaller than one of them.
@@ -222,18 +222,6 @@ OVER_YAW = (Family("lobe", _lobe, _lobe_formula, _lobe_words, _lobes, _lobe_at),
 # --- bases ---------------------------------------------------------------------------------
 
 
-@inner
-def _cubic(u: float, a: float, b: float, c: float, d: float) -> float:
-    """The cubic spline between two knots, a share u of the way, by its four coefficients there."""
-    v = 1.0 - u
-    return (
-        v * v * v * a
-        + (4.0 - 6.0 * u * u + 3.0 * u * u * u) * b
-        + (4.0 - 6.0 * v * v + 3.0 * v * v * v) * c
-        + u * u * u * d
-    ) / 6.0
-
-
 @njit
 def _spline(t: Array, spacing: float, k: Array) -> Array:
     """The cubic spline of the coefficients k at the times t (n,)."""
@@ -241,7 +229,7 @@ def _spline(t: Array, spacing: float, k: Array) -> Array:
     for j in range(len(t)):
         x = t[j] / spacing
         i = int(x)
-        out[j] = _cubic(x - i, k[i], k[i + 1], k[i + 2], k[i + 3])
+        out[j] = cubic(x - i, k[i], k[i + 1], k[i + 2], k[i + 3])
     return out
 
 
@@ -253,10 +241,10 @@ def _spline_columns(t: Array, spacing: float, count: int) -> Array:
         x = t[j] / spacing
         i = int(x)
         u = x - i
-        out[j, i] = _cubic(u, 1.0, 0.0, 0.0, 0.0)
-        out[j, i + 1] = _cubic(u, 0.0, 1.0, 0.0, 0.0)
-        out[j, i + 2] = _cubic(u, 0.0, 0.0, 1.0, 0.0)
-        out[j, i + 3] = _cubic(u, 0.0, 0.0, 0.0, 1.0)
+        out[j, i] = cubic(u, 1.0, 0.0, 0.0, 0.0)
+        out[j, i + 1] = cubic(u, 0.0, 1.0, 0.0, 0.0)
+        out[j, i + 2] = cubic(u, 0.0, 0.0, 1.0, 0.0)
+        out[j, i + 3] = cubic(u, 0.0, 0.0, 0.0, 1.0)
     return out
 
 
@@ -264,22 +252,13 @@ def _spline_over_time(spacing: float) -> Callable[..., int]:
     def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
         x = z[TIME] / spacing
         i = int(x)
-        r[0] -= _cubic(x - i, k[i], k[i + 1], k[i + 2], k[i + 3])
+        r[0] -= cubic(x - i, k[i], k[i + 1], k[i + 2], k[i + 3])
         return 0
 
     return heading
 
 
-def _spline_over_yaw(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
-    x = (math.atan2(nav[9], nav[6]) / math.pi + 1.0) * 0.5 * DIRECTIONS
-    i = int(x)
-    before, after = (i + DIRECTIONS - 1) % DIRECTIONS, (i + 1) % DIRECTIONS
-    r[0] -= _cubic(x - i, k[before], k[i % DIRECTIONS], k[after], k[(i + 2) % DIRECTIONS])
-    return 0
-
-
 _OVER_TIME = {2.0**e: residual_function(_spline_over_time(2.0**e)) for e in range(-5, 12)}
-_OVER_YAW = residual_function(_spline_over_yaw)
 
 
 def imu_basis(channel: int, duration: float) -> Basis:
@@ -291,9 +270,9 @@ def imu_basis(channel: int, duration: float) -> Basis:
         out[:, channel] = _spline(signals.t - signals.t[0], grid[1], k)
         return out
 
-    def features(truth: Signals) -> list[tuple[int, Array]]:
+    def features(truth: Signals) -> list[tuple[int, int, Array]]:
         t = truth.t - truth.t[0]
-        return [(channel, _spline_columns(t, float(grid[1]), len(grid) + 2))]
+        return [(channel, 0, _spline_columns(t, float(grid[1]), len(grid) + 2))]
 
     own = channel // 3
     effect = _splines(f"{CHANNELS[channel]} over time", UNITS[own], SIZE[own], len(grid) + 2, error)
@@ -306,7 +285,7 @@ def heading_bases(duration: float) -> list[Basis]:
     grid = _grid(duration)
     address, count = _OVER_TIME[float(grid[1])], len(grid) + 2
     over = _splines("heading over time", "rad", HEADING_SIZE, count, None, address)
-    round_ = _splines("heading over yaw", "rad", HEADING_SIZE, DIRECTIONS, None, _OVER_YAW)
+    round_ = _splines("heading over yaw", "rad", HEADING_SIZE, DIRECTIONS, None, CURVES["yaw"][0])
     yaw = np.linspace(-np.pi, np.pi, DIRECTIONS, endpoint=False)
     return [
         Basis(over, "heading", "rad", grid, _natural(len(grid)), OVER_TIME),
@@ -368,7 +347,7 @@ def best(
     root: square root of the prior covariance of the known ones (None: the identity).
     """
     mine = np.array([i for i, n in enumerate(wide.names) if n[0] == basis.effect.id])
-    b, G = _beside(wide, mine, known, root)
+    b, G = integrated(wide, mine, known, root)
     span = 2.0 * np.pi if basis.families is OVER_YAW else float(basis.grid[-1])
 
     def gain(values: Array) -> Array:
@@ -412,7 +391,7 @@ def _adjusted(lost: Callable[[Array], float], numbers: Array, tried: Array) -> A
     return np.asarray(at.x if at.fun < lost(numbers) else numbers)
 
 
-def _beside(
+def integrated(
     q: Quadratic, mine: IntArray, known: IntArray, root: Array | None
 ) -> tuple[Array, Array]:
     """The quadratic of the parameters ``mine`` with those ``known`` integrated out."""

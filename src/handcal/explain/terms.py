@@ -1,232 +1,38 @@
-"""Physics that nobody named: sparse terms in products of measured signals.
+"""A measured heading's laws that nobody named: functions of the attitude, the rate and of time.
 
-Each term is an effect of one parameter: a channel reads k times a signal in addition. What
-the catalogue covers is left out, so that a term found here has no name.
+What the catalogue covers is left out, so that a term found here has no name.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import numpy as np
 
 from handcal import so3
-from handcal._jit import njit, residual_function
-from handcal.effects import (
-    TIME,
-    Z_DIM,
-    Catalogue,
-    Effect,
-    Param,
-    Signals,
-    catalogue,
-    imu_jacobian,
-    observed_error,
-)
+from handcal._jit import inner, residual_function
+from handcal.effects import TIME, Z_DIM, Catalogue, Effect, Param, catalogue, observed_error
+from handcal.explain.grammar import SIZES, WIDTHS
+from handcal.explain.laws import PROBED, basis, spanned
 from handcal.signals import probe
-from handcal.types import Array, BoolArray, Recording
+from handcal.types import Array, Recording
 
-CHANNELS = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
-UNITS = ("rad/s", "m/s^2")
-# Root mean square of what a term adds, one prior sigma: half a degree a second, 10 mg.
-SIZE = (0.01, 0.1)
+# Root mean square of what a term adds, one prior sigma, rad.
 HEADING_SIZE = 0.1
-# Half widths of play in an accelerometer, m/s^2; wider than its noise.
-PLAY = (0.1, 0.2, 0.4)
-# Samples of the motion on which the catalogue is tried, and the share (squared) of a term that may
-# be left for it to be named: a central difference leaves far less, another law far more. Of a
-# column of length one, so much must be new.
-PROBED, SPANNED = 120, 1e-8
-DEPENDENT = 1e-6
-_AXES = "xyz"
-_UNIT = {"omega": "rad/s", "f": "m/s^2", "alpha": "rad/s^2", "t": "s", "T": "K"}
-
-Feature = Callable[[Signals], Array]
-
-
-def _power(unit: str, times: int) -> str:
-    return f"({unit})^{times}" if times > 1 else f"({unit})"
-
-
-def _omega(i: int) -> Feature:
-    return lambda s: s.gyro[:, i]
-
-
-def _force(i: int) -> Feature:
-    return lambda s: s.accel[:, i]
-
-
-def _time(s: Signals) -> Array:
-    return np.asarray(s.t - s.t[0])
-
-
-def _warmth(s: Signals) -> Array:
-    return np.zeros_like(s.t) if s.temperature is None else s.temperature - 25.0
-
-
-def _alpha(i: int) -> Feature:
-    return lambda s: np.asarray(np.gradient(s.gyro[:, i], s.t))
-
-
-def _times(*factors: Feature) -> Feature:
-    def product(s: Signals) -> Array:
-        out = np.array(factors[0](s))
-        for f in factors[1:]:
-            out = out * f(s)
-        return out
-
-    return product
-
-
-def _absolute(f: Feature) -> Feature:
-    return lambda s: np.abs(f(s))
-
-
-@njit
-def _follower(x: Array, half: float) -> Array:
-    out = np.empty(len(x))
-    follow = x[0]
-    for i in range(len(x)):
-        follow = min(max(follow, x[i] - half), x[i] + half)
-        out[i] = follow
-    return out
-
-
-def _play(f: Feature, half: float) -> Feature:
-    """By how much what follows a signal f with play lags behind it (the operator of which
-    Prandtl and Ishlinskii built hysteresis)."""
-    return lambda s: _follower(np.ascontiguousarray(f(s)), half) - f(s)
-
-
-def features(temperature: bool) -> dict[str, tuple[Feature, str]]:
-    """Every signal that may be a term: formula, function, unit."""
-    w, f = [_omega(i) for i in range(3)], [_force(i) for i in range(3)]
-    out: dict[str, tuple[Feature, str]] = {}
-    for i, a in enumerate(_AXES):
-        out[f"omega_{a}"] = (w[i], "rad/s")
-        out[f"f_{a}"] = (f[i], "m/s^2")
-        out[f"abs(omega_{a})"] = (_absolute(w[i]), "rad/s")
-        out[f"abs(f_{a})"] = (_absolute(f[i]), "m/s^2")
-        out[f"omega_{a}^2"] = (_times(w[i], w[i]), "(rad/s)^2")
-        out[f"omega_{a}^3"] = (_times(w[i], w[i], w[i]), "(rad/s)^3")
-        out[f"omega_{a} * abs(omega_{a})"] = (_times(w[i], _absolute(w[i])), "(rad/s)^2")
-        out[f"f_{a}^2"] = (_times(f[i], f[i]), "(m/s^2)^2")
-        out[f"f_{a}^3"] = (_times(f[i], f[i], f[i]), "(m/s^2)^3")
-        for half in PLAY:
-            out[f"(play({half:g} m/s^2) of f_{a} - f_{a})"] = (_play(f[i], half), "m/s^2")
-        out[f"alpha_{a}"] = (_alpha(i), "rad/s^2")
-        out[f"omega_{a} * t"] = (_times(w[i], _time), "rad")
-        out[f"f_{a} * t"] = (_times(f[i], _time), "m/s")
-        if temperature:
-            out[f"omega_{a} * T"] = (_times(w[i], _warmth), "rad/s*K")
-            out[f"f_{a} * T"] = (_times(f[i], _warmth), "m/s^2*K")
-        for j, b in enumerate(_AXES):
-            out[f"omega_{a} * f_{b}"] = (_times(w[i], f[j]), "rad*m/s^3")
-            if i < j:
-                out[f"omega_{a} * omega_{b}"] = (_times(w[i], w[j]), "(rad/s)^2")
-                out[f"f_{a} * f_{b}"] = (_times(f[i], f[j]), "(m/s^2)^2")
-    out["t"] = (_time, "s")
-    out["t^2"] = (_times(_time, _time), "s^2")
-    if temperature:
-        out["T^2"] = (_times(_warmth, _warmth), "K^2")
-    return out
-
-
-def named(channel: int, formula: str) -> bool:
-    """Whether the catalogue has this already."""
-    return (channel, formula) in _named(catalogue())
-
-
-@cache
-def _named(known: Catalogue) -> frozenset[tuple[int, str]]:
-    """Channels and formulas that effects of the catalogue add up to, tried on a probing motion.
-
-    How the axes of the body are turned against the sensors' is convention: a turn of all readings
-    together is no error (what lies above the accelerometer's diagonal is the gyro's misalignment).
-    """
-    s = probe(PROBED)
-    n = len(s.t)
-    columns = [np.kron(np.eye(6), np.ones((n, 1)))]  # the biases
-    for axis in np.eye(3):
-        turned = np.hstack([np.cross(axis, s.gyro), np.cross(axis, s.accel)])
-        columns.append(turned.T.reshape(-1, 1))
-    for effect in known.values():
-        J = imu_jacobian(effect, np.zeros(len(effect.parameters)), s)
-        columns.append(J.transpose(1, 0, 2).reshape(6 * n, -1))
-    Q = _basis(np.hstack(columns)).reshape(6, n, -1)
-    formulas = features(True)
-    U = np.stack([feature(s) for feature, _ in formulas.values()], axis=1)
-    return frozenset(
-        (channel, formula)
-        for channel in range(6)
-        for formula, inside in zip(formulas, _spanned(Q[channel], U), strict=True)
-        if inside
-    )
-
-
-def _basis(columns: Array) -> Array:
-    """Orthonormal basis (n, r) of what the columns (n, k) span, by Gram and Schmidt.
-
-    (So few numbers are sooner done than shared out among threads, which a library would do.)
-    """
-    found = np.zeros((columns.shape[1], len(columns)))
-    r = 0
-    for column in columns.T:
-        size = math.sqrt(np.einsum("n,n->", column, column))
-        rest = column / size if size else column
-        for _ in range(2):
-            inside = np.einsum("rn,n->r", found[:r], rest)
-            rest = rest - np.einsum("rn,r->n", found[:r], inside)
-        left = math.sqrt(np.einsum("n,n->", rest, rest))
-        if left > DEPENDENT:
-            found[r] = rest / left
-            r += 1
-    return found[:r].T
-
-
-def _spanned(Q: Array, U: Array) -> BoolArray:
-    """Which columns of U (n, q) lie in the span of orthonormal ones, of which Q (n, r) are the
-    rows that concern U (there is nothing of U in the others)."""
-    whole = np.einsum("nq,nq->q", U, U)
-    part = np.einsum("nr,nq->rq", Q, U)
-    return np.asarray(whole - np.einsum("rq,rq->q", part, part) <= SPANNED * whole)
-
-
-def _elsewhere(channel: int, formula: str) -> bool:
-    """Whether only another channel could have this: play is an accelerometer's own."""
-    return "play" in formula and not (channel >= 3 and f"f_{_AXES[channel - 3]}" in formula)
-
-
-def imu_terms(signals: Signals, channel: int) -> list[Effect]:
-    """Terms of one IMU channel (0 to 5) as effects; prior of each: a clearly visible size."""
-    out = []
-    for formula, (feature, unit) in features(signals.temperature is not None).items():
-        if named(channel, formula) or _elsewhere(channel, formula):
-            continue
-        size = float(np.sqrt(np.mean(feature(signals) ** 2)))
-        if size > 1e-9:
-            out.append(_imu_term(channel, formula, feature, unit, SIZE[channel // 3] / size))
-    return out
-
-
-def _imu_term(channel: int, formula: str, feature: Feature, unit: str, prior: float) -> Effect:
-    def error(k: Array, signals: Signals) -> Array:
-        out = np.zeros((len(signals.t), 6))
-        out[:, channel] = k[0] * feature(signals)
-        return out
-
-    own = UNITS[channel // 3]
-    return term(
-        f"{CHANNELS[channel]} += k * {formula}",
-        own if unit == "1" else f"({own})/({unit})",
-        prior,
-        positive="play" in formula,  # (it lags, and cannot lead)
-        imu_error=error,
-        features=lambda truth: [(channel, feature(truth)[:, None])],
-    )
+# Harmonics beyond those of iron, and grids of whole parts of the circle, deg.
+HARMONICS = 4
+GRIDS = (1.0, 2.0, 5.0, 10.0, 15.0, 22.5, 30.0, 45.0)
+# Rate below which a compass may stick, rad/s; its inverse sinh's largest size, at 20 rad/s.
+SLOW = 0.1
+FASTEST = math.asinh(20.0 / SLOW)
+# Knots of a curve over the heading's direction, and over anything else.
+DIRECTIONS, KNOTS = 32, 9
+# How the kind of a curve begins (``Effect.made``).
+CURVE = "heading over "
 
 
 def again(formula: str, prior: float) -> Effect:
@@ -234,14 +40,7 @@ def again(formula: str, prior: float) -> Effect:
 
     Raises KeyError for a formula that there is none of.
     """
-    channel, product = formula.split(" += k * ", 1)
-    if channel == "heading":
-        address, unit = _HEADING[product]
-        acts = {"heading": address}
-        return term(formula, unit, prior, observation_error=acts)
-    column = {c: i for i, c in enumerate(CHANNELS)}[channel]
-    feature, unit = features(temperature=True)[product]
-    return _imu_term(column, product, feature, unit, prior)
+    return _term_of(formula.removeprefix("heading += "), prior)
 
 
 def term(
@@ -261,26 +60,47 @@ def term(
     )
 
 
-def _sin3(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
-    yaw = np.arctan2(nav[9], nav[6])
-    r[0] -= k[0] * np.sin(3.0 * yaw)
-    return 0
+@inner
+def cubic(u: float, a: float, b: float, c: float, d: float) -> float:
+    """The cubic spline between two knots, a share u of the way, by its four coefficients there."""
+    v = 1.0 - u
+    return (
+        v * v * v * a
+        + (4.0 - 6.0 * u * u + 3.0 * u * u * u) * b
+        + (4.0 - 6.0 * v * v + 3.0 * v * v * v) * c
+        + u * u * u * d
+    ) / 6.0
 
 
-def _cos3(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
-    yaw = np.arctan2(nav[9], nav[6])
-    r[0] -= k[0] * np.cos(3.0 * yaw)
-    return 0
+# --- formulas ------------------------------------------------------------------------------
+
+Residual = Callable[..., int]
 
 
-def _pitch(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
-    r[0] -= k[0] * nav[12]
-    return 0
+def _harmonic(n: int) -> Residual:
+    def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+        yaw = np.arctan2(nav[9], nav[6])
+        r[0] -= k[0] * np.sin(n * yaw) + k[1] * np.cos(n * yaw)
+        return 0
+
+    return heading
 
 
-def _roll(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
-    r[0] -= k[0] * nav[13]
-    return 0
+def _tilted(row: int) -> Residual:
+    def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+        r[0] -= k[0] * nav[row]
+        return 0
+
+    return heading
+
+
+def _tilted_iron(row: int) -> Residual:
+    def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+        yaw = np.arctan2(nav[9], nav[6])
+        r[0] -= (k[0] * np.sin(yaw) + k[1] * np.cos(yaw)) * nav[row]
+        return 0
+
+    return heading
 
 
 def _tilt2(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
@@ -293,38 +113,73 @@ def _time2(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
     return 0
 
 
-_HEADING: Mapping[str, tuple[int, str]] = {
-    "sin(3 yaw)": (residual_function(_sin3), "rad"),
-    "cos(3 yaw)": (residual_function(_cos3), "rad"),
-    "sin(pitch of x)": (residual_function(_pitch), "rad"),
-    "sin(pitch of y)": (residual_function(_roll), "rad"),
-    "sin(tilt)^2": (residual_function(_tilt2), "rad"),
-    "t^2": (residual_function(_time2), "rad/s^2"),
+def _turn_size(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+    r[0] -= k[0] * abs(nav[12] * nav[15] + nav[13] * nav[16] + nav[14] * nav[17])
+    return 0
+
+
+def _turning(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+    r[0] -= k[0] * np.sqrt(nav[15] * nav[15] + nav[16] * nav[16] + nav[17] * nav[17])
+    return 0
+
+
+def _turn_sign(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+    rate = nav[12] * nav[15] + nav[13] * nav[16] + nav[14] * nav[17]
+    r[0] -= k[0] * np.tanh(rate / SLOW)
+    return 0
+
+
+def _grid(step: float) -> Residual:
+    def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+        yaw = np.arctan2(nav[9], nav[6])
+        r[0] -= k[0] * (np.floor(yaw / step + 0.5) * step - yaw)
+        return 0
+
+    return heading
+
+
+def _table() -> Iterator[tuple[str, tuple[Residual, tuple[str, ...]]]]:
+    for n in range(3, 3 + HARMONICS):
+        yield f"k1 * sin({n} yaw) + k2 * cos({n} yaw)", (_harmonic(n), ("rad", "rad"))
+    for axis, row in (("x", 12), ("y", 13)):
+        yield f"k * sin(pitch of {axis})", (_tilted(row), ("rad",))
+        text = f"(k1 * sin(yaw) + k2 * cos(yaw)) * sin(pitch of {axis})"
+        yield text, (_tilted_iron(row), ("rad", "rad"))
+    yield "k * sin(tilt)^2", (_tilt2, ("rad",))
+    yield "k * t^2", (_time2, ("rad/s^2",))
+    yield "k * abs(yaw rate)", (_turn_size, ("s",))
+    yield "k * |omega|", (_turning, ("s",))
+    yield f"k * tanh(yaw rate / {SLOW:g})", (_turn_sign, ("rad",))
+    for step in GRIDS:
+        text = f"k * (round(yaw / {step:g} deg) * {step:g} deg - yaw)"
+        yield text, (_grid(math.radians(step)), ("1",))
+
+
+_HEADING: Mapping[str, tuple[int, tuple[str, ...]]] = {
+    text: (residual_function(function), units) for text, (function, units) in _table()
 }
+
+
+def _term_of(text: str, prior: float) -> Effect:
+    address, units = _HEADING[text]
+    one = term(f"heading += {text}", units[0], prior, observation_error={"heading": address})
+    if len(units) == 1:
+        return one
+    several = tuple(Param(f"k{n + 1}", unit, prior) for n, unit in enumerate(units))
+    return replace(one, parameters=several)
 
 
 def heading_terms(recording: Recording) -> list[Effect]:
     """Terms of a measured heading."""
-    out = []
-    known = _named_headings(catalogue())
-    for formula, (address, unit) in _HEADING.items():
-        if formula in known:
-            continue
-        prior = HEADING_SIZE * (2.0 / recording.duration_s**2 if unit == "rad/s^2" else 1.0)
-        out.append(
-            term(
-                f"heading += k * {formula}",
-                unit,
-                prior,
-                observation_error={"heading": address},
-            )
-        )
-    return out
+    known, span = _named_headings(catalogue()), recording.duration_s
+    sizes = {"rad": HEADING_SIZE, "rad/s^2": 2.0 * HEADING_SIZE / span**2, "s": HEADING_SIZE,
+             "1": 1.0}  # fmt: skip
+    return [_term_of(text, sizes[u[0]]) for text, (_, u) in _HEADING.items() if text not in known]
 
 
 @cache
-def _named_headings(known: Catalogue) -> frozenset[str]:
-    """Formulas of the heading that effects of the catalogue add up to, tried as in ``_named``."""
+def _named_headings(catalogued: Catalogue) -> frozenset[str]:
+    """Formulas of the heading that effects of the catalogue add up to, on a probing motion."""
     s = probe(PROBED)
     assert s.C_nb is not None
     n = len(s.t)
@@ -332,17 +187,83 @@ def _named_headings(known: Catalogue) -> frozenset[str]:
     nav = np.hstack([place, speed, s.C_nb.reshape(n, 9), s.gyro, s.accel])
     z = np.zeros((n, Z_DIM))
     z[:, 0], z[:, TIME] = so3.yaw_of(s.C_nb), s.t
-    columns = [np.ones((n, 1))]  # a constant offset
-    for effect in known.values():
-        if "heading" in effect.observation_error and effect.process is None:
-            for step in np.diag(1e-3 * effect.prior_sigma):
-                less, more = (
-                    observed_error(effect, "heading", x, nav, z, 1) for x in (-step, step)
-                )
-                columns.append(more - less)
-    found = []
-    for formula, (address, unit) in _HEADING.items():
-        alone = term(formula, unit, 1.0, observation_error={"heading": address})
-        found.append(observed_error(alone, "heading", np.ones(1), nav, z, 1))
-    inside = _spanned(_basis(np.hstack(columns)), np.hstack(found))
-    return frozenset(f for f, yes in zip(_HEADING, inside, strict=True) if yes)
+
+    def columns(effect: Effect) -> Array:
+        steps = np.diag(1e-3 * effect.prior_sigma)
+        pairs = [(observed_error(effect, "heading", x, nav, z, 1) for x in (-e, e)) for e in steps]
+        return np.hstack([more - less for less, more in pairs])
+
+    known = [np.ones((n, 1))]  # a constant offset
+    known += [
+        columns(e)
+        for e in catalogued.values()
+        if "heading" in e.observation_error and not e.process
+    ]
+    inside = basis(np.hstack(known))
+    return frozenset(
+        text for text in _HEADING if spanned(inside, columns(_term_of(text, 1.0))).all()
+    )
+
+
+# --- curves --------------------------------------------------------------------------------
+
+
+def _over(row: int) -> Residual:
+    def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+        u = (min(max(nav[row], -1.0), 1.0) + 1.0) * 0.5 * (KNOTS - 3)
+        i = min(int(u), KNOTS - 4)
+        r[0] -= cubic(u - i, k[i], k[i + 1], k[i + 2], k[i + 3])
+        return 0
+
+    return heading
+
+
+def _over_turn(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+    rate = nav[12] * nav[15] + nav[13] * nav[16] + nav[14] * nav[17]
+    u = (np.arcsinh(rate / SLOW) / FASTEST + 1.0) * 0.5 * (KNOTS - 3)
+    u = min(max(u, 0.0), KNOTS - 3.0)
+    i = min(int(u), KNOTS - 4)
+    r[0] -= cubic(u - i, k[i], k[i + 1], k[i + 2], k[i + 3])
+    return 0
+
+
+def _over_yaw(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+    x = (math.atan2(nav[9], nav[6]) / math.pi + 1.0) * 0.5 * DIRECTIONS
+    i = int(x)
+    before, after = (i + DIRECTIONS - 1) % DIRECTIONS, (i + 1) % DIRECTIONS
+    r[0] -= cubic(x - i, k[before], k[i % DIRECTIONS], k[after], k[(i + 2) % DIRECTIONS])
+    return 0
+
+
+# Address and number of knots of the heading's curves, by what drives them.
+CURVES: Mapping[str, tuple[int, int]] = {
+    "yaw": (residual_function(_over_yaw), DIRECTIONS),
+    "pitch of x": (residual_function(_over(12)), KNOTS),
+    "pitch of y": (residual_function(_over(13)), KNOTS),
+    "tilt": (residual_function(_over(14)), KNOTS),
+    "yaw rate": (residual_function(_over_turn), KNOTS),
+}
+
+
+def curve(driver: str, width: float, size: float) -> Effect:
+    """The heading's error as a smooth curve over a driver; width of the Gaussian process that is
+    its prior, in knots, and size, of a clearly visible error. Raises KeyError."""
+    address, knots = CURVES[driver]
+    apart = np.abs(np.arange(knots)[:, None] - np.arange(knots))
+    if driver == "yaw":
+        # (a chord for the way round, as a covariance on the circle must be one everywhere)
+        apart = knots / np.pi * np.sin(np.pi * apart / knots)
+    K = np.exp(-0.5 * (apart / width) ** 2) + 1e-6 * np.eye(knots)
+    acts, made = {"heading": address}, (f"{CURVE}{driver}", (width, size))
+    one = term(f"heading += g({driver})", "rad", HEADING_SIZE, observation_error=acts, made=made)
+    several = tuple(Param(f"c{n + 1}", "rad", HEADING_SIZE) for n in range(knots))
+    return replace(one, parameters=several, together=size * np.linalg.cholesky(K))
+
+
+def heading_curves() -> list[list[Effect]]:
+    """The heading's curves over each driver, of every width and size."""
+    widths = {"yaw": (1.5, 4.0)}
+    return [
+        [curve(driver, w, s) for w in widths.get(driver, WIDTHS) for s in SIZES]
+        for driver in CURVES
+    ]

@@ -1,11 +1,12 @@
-"""Terms that nobody named: the best of hundreds beside a model, and courses fitted again."""
+"""Laws that nobody named: the best of hundreds beside a model, and the formula that it has."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import combinations
 
 import numpy as np
 
@@ -14,94 +15,407 @@ from handcal.estimate.beside import side_by_side
 from handcal.estimate.fit import Fitted, Model, fitted, prior_root, scan
 from handcal.estimate.quadratic import Quadratic
 from handcal.explain import shapes, terms
-from handcal.explain.score import TERM_PRIOR, prior
-from handcal.explain.search import gains, space
+from handcal.explain.drivers import DRIVERS, LINE, NEARER, Driver, usable
+from handcal.explain.grammar import (
+    Form,
+    Part,
+    about,
+    curves,
+    formula,
+    parts_for,
+    range_of,
+)
+from handcal.explain.laws import SIZE, Law, effect_of, law_of, named
+from handcal.explain.score import TERM_PRIOR, better
+from handcal.linear import path
 from handcal.signals import of_recording
 from handcal.types import Array, IntArray
+
+# Columns that a scan looks at together, by the memory that they take.
+AT_ONCE = 140
+# Drivers that are looked at more closely, of the best.
+CLOSER = 3
+# A number of a formula is chosen from many: nats that it costs.
+FREEDOM = shapes.FREEDOM
+# Shares of the way to a formula's next numbers on trial at which it is tried once more, in turn.
+FINER = (0.5, 0.2, 0.06)
 
 
 @dataclass(frozen=True)
 class Term:
-    """An unnamed term, and the nats that it gains at the likelihood's full worth; basis: the
-    spline of which it is a course, if it is one."""
+    """Something without a name, and the nats that it gains at the likelihood's full worth."""
 
     effect: Effect
     gain: float
-    basis: shapes.Basis | None
 
 
-def reshaped(model: Model, unnamed: list[Term], shaped: set[str]) -> Model | None:
-    """The model with a course over time or direction that fits better than the one it has, which
-    was chosen when less was known; ``unnamed`` is changed with it."""
+@dataclass(frozen=True)
+class Beside:
+    """What a scan says of parameters that are not in the model, those of the model integrated
+    out: b (m,), G (m, m), and the place of each effect's."""
+
+    b: Array
+    G: Array
+    at: dict[str, IntArray]
+
+    def gain(self, b: Array, G: Array, root: Array) -> float:
+        """Nats that parameters of such a quadratic gain; root (k, k): of their prior."""
+        A = root.T @ G @ root
+        A = 0.5 * (A + A.T) + np.eye(len(A))
+        L = np.linalg.cholesky(A)
+        y = np.linalg.solve(L, root.T @ b)
+        return float(0.5 * y @ y - np.log(np.diag(L)).sum())
+
+
+def beside(q: Quadratic, known: Sequence[Effect], absent: Sequence[Effect]) -> Beside:
+    """The quadratic of the parameters of absent effects beside those of known ones."""
+    where: dict[str, list[int]] = {e.id: [] for e in (*known, *absent)}
+    for i, (owner, _) in enumerate(q.names):
+        if owner in where:
+            where[owner].append(i)
+    index: IntArray = np.array([i for e in known for i in where[e.id]], dtype=np.int64)
+    mine: IntArray = np.array([i for e in absent for i in where[e.id]], dtype=np.int64)
+    b, G = shapes.integrated(q, mine, index, wide_root(q, known, index))
+    at, first = {}, 0
+    for e in absent:
+        at[e.id] = np.arange(first, first + len(where[e.id]), dtype=np.int64)
+        first += len(where[e.id])
+    return Beside(b, G, at)
+
+
+def weighed(q: Quadratic, worth: float) -> Quadratic:
+    """The quadratic with its evidence counting for so much: all that is compared, for the same."""
+    share = worth / q.worth
+    return replace(q, b=share * q.b, G=share * q.G, worth=worth)
+
+
+def wide_root(q: Quadratic, known: Sequence[Effect], index: IntArray) -> Array:
+    """Square root of the prior covariance of what is in the model, as wide as it is large: what
+    stands out of its prior may not be relieved by something else."""
+    root = prior_root(q, known, index)
+    if not len(index):
+        return np.zeros((0, 0))
+    root = np.eye(len(index)) if root is None else root
+    b, G = q.b[index], q.G[np.ix_(index, index)]
+    u = np.linalg.lstsq(G + 1e-6 * np.eye(len(b)), b, rcond=None)[0]
+    return np.asarray(np.maximum(1.0, np.abs(u))[:, None] * root)
+
+
+# --- laws over drivers ---------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Block:
+    """All laws of one sensor over one driver, as one effect of each axis's coefficients."""
+
+    sensor: int
+    driver: Driver
+    forms: tuple[Form, ...]
+    sigmas: tuple[float, ...]
+    effect: Effect
+
+
+def blocks(signals: Signals) -> list[Block]:
+    """Every sensor with every driver of which this recording has a course."""
+    return [b for d in DRIVERS.values() if usable(d, signals) for b in _over(d, signals)]
+
+
+def _over(driver: Driver, signals: Signals) -> list[Block]:
+    x = np.stack([driver.of(signals, axis) for axis in range(3)])
+    rms = float(np.sqrt(np.mean(x**2)))
+    if rms < 1e-9 or np.ptp(x) < 1e-6 * rms:
+        return []
+    sensors = [n for n in range(len(SIZE)) if driver.only in (None, n)]
+    if driver.knots == LINE:
+        forms = (formula([("line", ())]),)
+        return [_block(n, driver, forms, SIZE[n] / rms) for n in sensors]
+    smooth = tuple(curves(range_of(x, driver.signed), driver.knots, driver.round))
+    return [_block(n, driver, smooth, SIZE[n]) for n in sensors]
+
+
+def _block(sensor: int, driver: Driver, forms: tuple[Form, ...], sigma: float) -> Block:
+    sigmas = (sigma,) * forms[0].constants
+    law = Law(sensor, (0, 1, 2), True, driver, replace(forms[0], root=None), sigmas)
+    effect = replace(effect_of(law), id=f"basis: {sensor} {driver.name}")
+    return Block(sensor, driver, forms, sigmas, effect)
+
+
+def _ways(block: Block, seen: Beside) -> Iterator[tuple[tuple[int, ...], bool, Array, Array]]:
+    """Axes, whether each has its own constants, and the quadratic of these: each axis alone, and
+    all by one law."""
+    at = seen.at[block.effect.id].reshape(3, -1)
+    b, G = seen.b[at], seen.G[at[:, :, None, None], at[None, None]]
+    for axis in range(3):
+        yield (axis,), False, b[axis], G[axis, :, axis]
+    if block.driver.own:
+        yield (0, 1, 2), False, b.sum(axis=0), G.sum(axis=(0, 2))
+        yield (0, 1, 2), True, b.ravel(), G.reshape(b.size, b.size)
+
+
+def _of_block(block: Block, seen: Beside) -> Iterator[tuple[Law, float]]:
+    """The best law of each way, and what it gains."""
+    for axes, each, b, G in _ways(block, seen):
+        gains = []
+        for form in block.forms:
+            root = np.eye(form.constants) if form.root is None else form.root
+            whole = np.asarray(np.kron(np.eye(len(b) // len(root)), root))
+            gains.append(seen.gain(b, G, whole))
+        top = max(gains)
+        form = block.forms[int(np.argmax(gains))]
+        law = Law(block.sensor, axes, each, block.driver, form, block.sigmas)
+        if form.smooth or not named(law):
+            # (its width and size are not known: the mean over all)
+            yield law, top + math.log(np.mean(np.exp(np.array(gains) - top)))
+
+
+# --- formulas ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class About:
+    """Where laws are weighed: about a model, beside its known effects, with the signals of its
+    first recording, and what evidence is worth."""
+
+    model: Model
+    known: Sequence[Effect]
+    signals: Signals
+    worth: float
+
+    def seen(self, absent: Sequence[Effect]) -> Beside:
+        """What a scan says of absent effects."""
+        return beside(weighed(scan(self.model, absent), self.worth), self.known, absent)
+
+
+def written_out(about_: About, law: Law) -> tuple[Law, float]:
+    """The law as the formula that gains most over the model, and what it gains: of one function,
+    or of two; with its numbers adjusted."""
+    driver = law.driver
+    x = np.stack([driver.of(about_.signals, axis) for axis in range(3)])
+    over = range_of(x, driver.signed)
+    parts = parts_for(over, driver.signed, driver.round, driver.knots == LINE)
+    ends = [_adjusted(about_, *end) for end in _tried(about_, law, parts)]
+    return max(ends, key=lambda end: end[1], default=(law, -math.inf))
+
+
+def _adjusted(about_: About, law: Law, gain: float) -> tuple[Law, float]:
+    """The formula with the numbers near its own that gain most, and what it gains."""
+    for share in FINER if law.form.numbers else ():
+        parts = [near for part in law.form.parts for near in about(part, share)]
+        for other, value in _tried(about_, law, parts):
+            if value > gain and len(other.form.parts) == len(law.form.parts):
+                law, gain = other, value
+    return law, gain
+
+
+def _tried(about_: About, law: Law, parts: Sequence[Part]) -> list[tuple[Law, float]]:
+    """The best of these functions in the law's place, and the best sum of two; what they gain."""
+    forms = [formula([part]) for part in parts]
+    sizes = np.array([_rms(law, form, about_.signals) for form in forms])
+    some = np.flatnonzero(sizes > 1e-9)
+    effects = [
+        replace(
+            effect_of(replace(law, form=forms[n], sigmas=(SIZE[law.sensor] / sizes[n],))),
+            id=f"basis: {n}",
+        )
+        for n in some
+    ]
+    seen = about_.seen(effects)
+    best: dict[int, tuple[Law, float]] = {}
+    for chosen in _sets([int(n) for n in some], parts):
+        at = np.concatenate([seen.at[f"basis: {n}"] for n in chosen])
+        gain = seen.gain(seen.b[at], seen.G[np.ix_(at, at)], np.eye(len(at)))
+        form = formula([parts[n] for n in chosen])
+        gain -= FREEDOM * len(form.numbers)
+        if len(chosen) not in best or gain > best[len(chosen)][1]:
+            sigmas = tuple(float(SIZE[law.sensor] / sizes[n]) for n in chosen)
+            candidate = replace(law, form=form, sigmas=sigmas)
+            if not named(candidate):
+                best[len(chosen)] = candidate, gain
+    return list(best.values())
+
+
+def _sets(some: Sequence[int], parts: Sequence[Part]) -> Iterator[tuple[int, ...]]:
+    """One of these, or two that are different functions."""
+    for n in some:
+        yield (n,)
+    for n, m in combinations(some, 2):
+        if parts[n][0] != parts[m][0]:
+            yield n, m
+
+
+def tuned(about_: About, law: Law, gain: float) -> tuple[Law, float]:
+    """The law with the time or half width of its driver that gains most, and what it gains."""
+    for shares in NEARER:
+        at, number = law.driver.at, law.driver.number
+        if at is None:
+            break
+        near = [b for s in shares for b in _over(at(s * number), about_.signals)]
+        near = [b for b in near if b.sensor == law.sensor]
+        seen = about_.seen([b.effect for b in near])
+        for other, value in (end for block in near for end in _of_block(block, seen)):
+            if value > gain and (other.axes, other.each) == (law.axes, law.each):
+                law, gain = other, value
+    return law, gain
+
+
+def _rms(law: Law, form: Form, signals: Signals) -> float:
+    values = [form.values(law.driver.of(signals, axis)) for axis in law.axes]
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+# --- the best of all -----------------------------------------------------------------------
+
+
+def best_term(model: Model, *, refused: Collection[str] = (), without: str = "") -> Term | None:
+    """What gains most over the model, if it gains enough: a law over a driver, or a course over
+    time or direction. refused: formulas with which no fit holds; without: an effect of the model
+    in whose place it is looked for."""
+    f = model.parts[0]
+    signals = signals_of(f)
+    known = [e for e in model.effects if e.process is None and e.id != without]
+    looks = list(_looks(f, signals, known))
+    scans = list(side_by_side(partial(scan, model, look.effects) for look in looks))
+    # (what is absent scatters differently from scan to scan: one worth for all)
+    worth = float(np.median([q.worth for q in scans]))
+    enough = -TERM_PRIOR + math.log(2.0)
+    ends = [
+        end
+        for look, q in zip(looks, scans, strict=True)
+        for end in look.best(weighed(q, worth), known)
+        if end[1] > enough
+    ]
+    out = [end for end in ends if isinstance(end[0], Effect)]
+    about_ = About(model, known, signals, worth)
+    for law, gain in _closer(ends):
+        if law.driver.number:
+            other, value = tuned(about_, law, gain)
+            out.append((effect_of(other), value - FREEDOM))
+            continue
+        other, value = written_out(about_, law)
+        out.append((effect_of(other), value) if value >= gain else (effect_of(law), gain))
+    found = [
+        Term(e, gain / worth) for e, gain in out if isinstance(e, Effect) and e.id not in refused
+    ]
+    return max(found, key=lambda t: t.gain, default=None)
+
+
+End = tuple[Law | Effect, float]
+
+
+@dataclass(frozen=True)
+class Look:
+    """What one scan looks at, and the best that it may show, beside the known effects."""
+
+    effects: Sequence[Effect]
+    best: Callable[[Quadratic, Sequence[Effect]], list[End]]
+
+
+def _looks(f: Fitted, signals: Signals, known: Sequence[Effect]) -> Iterator[Look]:
+    """All scans: laws over drivers, courses over time, and those of a heading."""
+    recording = f.case.recording
+    for chunk in _chunks(signals):
+        yield Look([b.effect for b in chunk], partial(_laws, chunk))
+    for first in range(0, 6, 2):
+        spans = [shapes.imu_basis(first + n, recording.duration_s) for n in range(2)]
+        yield Look([b.effect for b in spans], partial(_courses, spans))
+    if "heading" in f.case.kinds:
+        here = {e.id for e in known}
+        options = [[e] for e in terms.heading_terms(recording)] + terms.heading_curves()
+        options = [some for some in options if some[0].id not in here]
+        # (each as something to look at: what the model has of it is another matter)
+        looked = [replace(some[0], id=f"basis: {n}") for n, some in enumerate(options)]
+        yield Look(looked, partial(_headings, looked, options))
+        bases = shapes.heading_bases(recording.duration_s)
+        yield Look([b.effect for b in bases], partial(_courses, bases))
+
+
+def _chunks(signals: Signals) -> Iterator[list[Block]]:
+    """All blocks, as many together as a scan may look at."""
+    chunk: list[Block] = []
+    size = 0
+    for block in blocks(signals):
+        if chunk and size + len(block.effect.parameters) > AT_ONCE:
+            yield chunk
+            chunk, size = [], 0
+        chunk.append(block)
+        size += len(block.effect.parameters)
+    if chunk:
+        yield chunk
+
+
+def _laws(chunk: Sequence[Block], q: Quadratic, known: Sequence[Effect]) -> list[End]:
+    seen = beside(q, known, [b.effect for b in chunk])
+    return [end for b in chunk for end in _of_block(b, seen)]
+
+
+def _closer(ends: Sequence[End]) -> list[tuple[Law, float]]:
+    """The best laws, each of another driver."""
+    best: dict[tuple[int, str], tuple[Law, float]] = {}
+    for law, gain in sorted(ends, key=lambda e: -e[1]):
+        if isinstance(law, Law):
+            best.setdefault((law.sensor, law.driver.name), (law, gain))
+    return list(best.values())[:CLOSER]
+
+
+def _courses(bases: Sequence[shapes.Basis], q: Quadratic, known: Sequence[Effect]) -> list[End]:
+    ids = {e.id for e in known}
+    index: IntArray = np.array([i for i, n in enumerate(q.names) if n[0] in ids], dtype=np.int64)
+    return [shapes.best(b, q, index, wide_root(q, known, index)) for b in bases]
+
+
+def _headings(
+    looked: Sequence[Effect],
+    options: Sequence[Sequence[Effect]],
+    q: Quadratic,
+    known: Sequence[Effect],
+) -> list[End]:
+    """Terms and curves of the heading, and what each gains."""
+    seen = beside(q, known, looked)
+    out: list[End] = []
+    for e, some in zip(looked, options, strict=True):
+        at = seen.at[e.id]
+        b, G = seen.b[at], seen.G[np.ix_(at, at)]
+        roots = [np.eye(len(at)) if x.together is None else x.together for x in some]
+        gains = np.array([seen.gain(b, G, root) for root in roots])
+        gain = float(gains.max() + math.log(np.mean(np.exp(gains - gains.max()))))
+        out.append((some[int(np.argmax(gains))], gain))
+    return out
+
+
+def reshaped(model: Model, worth: float, unnamed: list[Term], shaped: set[str]) -> Model | None:
+    """The model with a law or course that fits better than the one it has, which was chosen when
+    less was known; ``unnamed`` is changed with it."""
     for i, term in enumerate(unnamed):
         old = term.effect
-        if term.basis is None or old.id not in model.ids or old.id in shaped:
+        if old.id not in model.ids or old.id in shaped:
             continue
         shaped.add(old.id)
-        rest = [e for e in model.effects if e is not old and e.process is None]
-        new, _ = shapes.best(term.basis, *_beside(model, rest, term.basis))
-        if new.id == old.id:
+        new = best_term(model, without=old.id)
+        if new is None or new.effect.id in shaped | set(model.ids):
             continue
-        tried = fitted(model.parts, [new if e is old else e for e in model.effects])
-        if tried.log_evidence > model.log_evidence:
-            unnamed[i] = replace(term, effect=new)
+        if not _adjustable(new.effect):
+            shaped.add(new.effect.id)
+        tried = fitted(model.parts, [new.effect if e is old else e for e in model.effects])
+        if better(tried, model, worth) > 0.0:
+            unnamed[i] = new
             return tried
     return None
 
 
-def _beside(
-    model: Model, known: Sequence[Effect], basis: shapes.Basis
-) -> tuple[Quadratic, IntArray, Array | None]:
-    """What ``shapes.best`` asks for: the quadratic with the basis, and the known effects in it."""
-    wide = scan(model, [basis.effect])
-    ids = {e.id for e in known}
-    index: IntArray = np.array([i for i, n in enumerate(wide.names) if n[0] in ids], dtype=np.int64)
-    return wide, index, prior_root(wide, known, index)
-
-
-def best_term(model: Model, *, imu: bool = True, refused: Collection[str] = ()) -> Term | None:
-    """The unnamed term that gains most over the model, if one gains enough. imu: False to look
-    for one of the heading alone; refused: formulas that no fit holds with."""
-    f = model.parts[0]
-    signals, recording = signals_of(f), f.case.recording
-    enough = -TERM_PRIOR + math.log(2.0)
-    found: Term | None = None
-    chunks = [
-        (terms.imu_terms(signals, c), [shapes.imu_basis(c, recording.duration_s)])
-        for c in range(6 if imu else 0)
-    ]
-    if "heading" in f.case.kinds:
-        chunks.append((terms.heading_terms(recording), shapes.heading_bases(recording.duration_s)))
-    tops = side_by_side(partial(_top, model, *chunk, refused) for chunk in chunks)
-    for top, worth in tops:
-        full = top.gain / worth
-        if top.gain > enough and (found is None or full > found.gain):
-            found = replace(top, gain=full)
-    return found
-
-
-def _top(
-    model: Model, chunk: Sequence[Effect], bases: Sequence[shapes.Basis], refused: Collection[str]
-) -> tuple[Term, float]:
-    """The term of these, or the course over one of these bases, that gains most over the model;
-    and what evidence counts for."""
-    own = [e for e in model.effects if e.process is None]
-    here = frozenset(e.id for e in own)
-    options = [*own, *(e for e in chunk if e.id not in here)]
-    cases = [f.case for f in model.parts]
-    odds = {e.id: prior(e, cases) for e in options}
-    wide = space(scan(model, [*options, *(b.effect for b in bases)]), options, odds)
-    q, gained = wide.quadratic, gains(wide, here)
-    known = np.concatenate([np.zeros(0, dtype=np.int64), *(wide.where[e.id] for e in own)])
-    ends = [Term(e, gained[e.id], None) for e in options if e.id not in here]
-    for b in bases:
-        ends.append(Term(*shapes.best(b, q, known, prior_root(q, own, known)), b))
-    ends = [end for end in ends if end.effect.id not in refused]
-    return max(ends, key=lambda end: end.gain), q.worth
+def _adjustable(effect: Effect) -> bool:
+    """Whether it would be another about a better fit: a formula without numbers would not."""
+    law = law_of(effect)
+    if law is None:
+        return effect.made is not None
+    return bool(law.form.numbers or law.driver.number)
 
 
 def signals_of(f: Fitted) -> Signals:
-    """The best estimate of rate and force at the IMU's samples, for scaling terms."""
+    """The best estimate of rate, force and attitude at the IMU's samples."""
     imu, nominal = f.case.recording.imu, f.linear.trajectory
     read = np.hstack([imu.gyro - nominal.bg, imu.accel - nominal.ba])
-    return of_recording(f.case.recording, read=read)
+    C_nb = None
+    if f.linear.problem.navigated:
+        problem = f.linear.problem
+        C_nb = path(problem, nominal).C[np.searchsorted(problem.nodes.t, imu.t)]
+    return of_recording(f.case.recording, read=read, C_nb=C_nb)

@@ -14,7 +14,7 @@ from handcal.effects import Effect, catalogue
 from handcal.estimate.case import HELD, Edit, frozen_at, name_of
 from handcal.estimate.chosen import Chosen, Options, View
 from handcal.estimate.parameters import Moment
-from handcal.explain import shapes, terms
+from handcal.explain import laws, shapes, terms
 from handcal.observations import catalogue as observations
 from handcal.types import InputError
 
@@ -75,6 +75,10 @@ def _effect(entry: Mapping[str, Any]) -> Effect:
         kind, numbers = str(entry["made"]["kind"]), [float(n) for n in entry["made"]["numbers"]]
         if kind == HELD:
             effect = frozen_at(_known(name_of(name)), np.array(numbers))
+        elif kind.startswith(terms.CURVE):
+            effect = terms.curve(kind.removeprefix(terms.CURVE), *numbers)
+        elif laws.is_law(kind):
+            effect = laws.effect_of(laws.again(kind, tuple(numbers)))
         else:
             effect = shapes.again(name.split(" += ")[0], (kind, tuple(numbers)))
     elif "+=" in name:

@@ -1,0 +1,320 @@
+"""Laws that nobody named: their drivers, their forms, and that they are found and told."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_explain import slow
+from worlds import recording_of
+
+from handcal.effects import Signals, imu_jacobian, select
+from handcal.estimate.case import case_of
+from handcal.estimate.chosen import Options, chosen_of, document_of, settled
+from handcal.estimate.fit import Model, baseline, fitted
+from handcal.explain import climb, drivers, explain, grammar, laws, unnamed
+from handcal.explain.drivers import DRIVERS
+from handcal.explain.grammar import Range
+from handcal.explain.laws import Law
+from handcal.explain.written import chosen_from
+from handcal.signals import probe
+from handcal.types import Array, Recording
+from handcal_sim import simulate
+
+RANGES = (Range(-3.0, 3.0, 0.2), Range(0.5, 4.0, 3.5))
+FORMS = [
+    grammar.formula([part])
+    for part in grammar.parts_for(RANGES[0], signed=True, round_=False, line=False)
+]
+
+
+def law_over(driver: str, form: grammar.Form, axes: tuple[int, ...] = (0,), sensor: int = 0) -> Law:
+    return Law(sensor, axes, False, drivers.driver_of(driver), form, (0.01,) * form.constants)
+
+
+def formula(*names: str) -> grammar.Form:
+    return grammar.formula([(name, ()) for name in names])
+
+
+# --- forms -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("over", RANGES)
+def test_the_splines_of_a_curve_add_up_to_one_and_the_last_is_the_line(over: Range) -> None:
+    x = np.linspace(over.low, over.high, 301)
+    B = grammar.curve(over, 9, 1.0, 1.0).values(x)
+    np.testing.assert_allclose(B[:, :-1].sum(axis=1), 1.0, atol=1e-12)
+    assert (B[:, :-1] >= 0.0).all()
+    np.testing.assert_allclose(B[:, -1] * over.top, x, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "law",
+    [lambda x: x**3, np.abs, lambda x: np.clip(x, -1.0, 1.0), lambda x: np.tanh(x / 0.3)],
+)
+def test_a_curve_follows_what_bends_near_zero_and_at_the_ends(law) -> None:
+    """Root mean square of what the best coefficients leave: a twentieth, of which the evidence
+    would be a four-hundredth of that of the law."""
+    x = np.linspace(-3.0, 3.0, 601)
+    B = grammar.curve(RANGES[0], drivers.FINE, 1.0, 1.0).values(x)
+    rest = law(x) - B @ np.linalg.lstsq(B, law(x), rcond=None)[0]
+    assert np.mean(rest**2) < 0.05**2 * np.mean(law(x) ** 2)
+
+
+def test_the_prior_of_a_curve_is_as_smooth_as_its_width_says() -> None:
+    """Neighbouring coefficients of one size go together by exp(-1 / (2 width^2))."""
+    for width, size in itertools.product(grammar.WIDTHS, grammar.SIZES):
+        root = grammar.curve(RANGES[0], 9, width, size).root
+        assert root is not None
+        K = root @ root.T
+        np.testing.assert_allclose(np.diag(K), size**2, rtol=1e-5)
+        np.testing.assert_allclose(K[0, 1], size**2 * np.exp(-0.5 / width**2), rtol=1e-5)
+        assert not K[-1, :-1].any()  # (the line is nobody's neighbour)
+
+
+@pytest.mark.parametrize("form", FORMS, ids=lambda f: f"{f.kind} {f.numbers}")
+def test_a_formula_is_made_again_from_its_kind_and_numbers(form: grammar.Form) -> None:
+    x = np.linspace(-3.0, 3.0, 61)
+    pair = grammar.formula([("line", ()), *form.parts])
+    for whole in (form, pair):
+        same = grammar.again(whole.kind, (*whole.numbers, 0.01))  # (what follows is not its own)
+        np.testing.assert_array_equal(same.values(x), whole.values(x))
+        assert same.texts == whole.texts
+    assert np.isfinite(form.values(x)).all()
+
+
+def test_near_numbers_keep_what_there_is_and_go_both_ways() -> None:
+    around = grammar.about(("bump", (1.0, 0.5)), 0.2)
+    assert around[0] == ("bump", (1.0, 0.5))
+    for k, other in ((0, 1), (1, 0)):
+        moved = [p[1] for p in around[1:] if p[1][k] != (1.0, 0.5)[k]]
+        assert {p[other] for p in moved} == {(1.0, 0.5)[other]}
+        assert min(p[k] for p in moved) < (1.0, 0.5)[k] < max(p[k] for p in moved)
+
+
+# --- drivers -----------------------------------------------------------------------------------
+
+
+def test_every_driver_has_a_course_on_a_motion_that_has_everything() -> None:
+    s = probe()
+    for driver in DRIVERS.values():
+        for axis in range(3):
+            x = driver.of(s, axis)
+            assert x.shape == (len(s.t),)
+            assert np.isfinite(x).all()
+            # (the probing motion never stops turning for long)
+            assert np.ptp(x) > 0.0 or "since a turn" in driver.name, driver.name
+
+
+def test_what_is_common_is_the_same_for_all_axes_and_the_names_follow_the_axes() -> None:
+    s = probe()
+    for driver in DRIVERS.values():
+        same = all(np.array_equal(driver.of(s, 0), driver.of(s, axis)) for axis in (1, 2))
+        assert same == driver.common, driver.name
+    assert DRIVERS["omega_{j}"].said(2) == "omega_x"
+    np.testing.assert_array_equal(DRIVERS["omega_{j}"].of(s, 2), s.gyro[:, 0])
+    np.testing.assert_array_equal(DRIVERS["f_{k}"].of(s, 0), s.accel[:, 2])
+
+
+def test_memory_is_the_mean_of_the_past_weighed_by_its_age() -> None:
+    """A step of one is remembered as 1 - exp(-t / tau)."""
+    t = np.linspace(0.0, 10.0, 1001)
+    step = np.where(t > 0.0, 1.0, 0.0)
+    s = Signals(t, np.stack([step, 0 * t, 0 * t], axis=1), np.zeros((1001, 3)))
+    x = drivers.driver_of("(memory(2.5 s) of omega_{i})").of(s, 0)
+    np.testing.assert_allclose(x, -np.expm1(-t / 2.5), atol=1e-3)
+
+
+def test_a_driver_is_found_by_its_name_whatever_its_number() -> None:
+    for name in (*DRIVERS, "(memory(3.17 s) of |omega|)", "(play(0.29 m/s^2) of f_{i} - f_{i})"):
+        assert drivers.driver_of(name).name == name
+    for name in ("omega", "(memory(3 s) of nothing)", "(play(3 s) of f_{i} - f_{i})"):
+        with pytest.raises(KeyError):
+            drivers.driver_of(name)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_play_lags_by_its_half_width_once_it_has_been_taken_up(seed: int) -> None:
+    """A signal that goes one way for more than the whole play is followed at half of it; within
+    the play it is not followed at all."""
+    rng = np.random.default_rng(seed)
+    ends = np.cumsum(np.r_[9.8, np.array([1.0, -1.0, 1.0]) * rng.uniform(0.5, 3.0, 3)])
+    f = np.concatenate([np.linspace(a, b, 50) for a, b in itertools.pairwise(ends)])
+    play = drivers.driver_of("(play(0.2 m/s^2) of f_{i} - f_{i})")
+    signals = Signals(np.arange(150.0), np.zeros((150, 3)), np.tile(f[:, None], 3))
+    np.testing.assert_allclose(play.of(signals, 1)[[49, 99, 149]], [-0.2, 0.2, -0.2], atol=1e-12)
+    still = Signals(np.arange(150.0), np.zeros((150, 3)), 0.19 * np.sin(np.tile(f[:, None], 3)))
+    assert np.ptp(play.of(still, 0) + still.accel[:, 0]) < 0.2
+
+
+def test_play_lags_and_does_not_lead() -> None:
+    """Of the other sign it is no hysteresis: on real data it took the place of scale errors."""
+    plays = [d for d in DRIVERS.values() if "play" in d.name]
+    assert len(plays) == sum(len(widths) for widths in drivers.PLAYS)
+    for driver in plays:
+        law = law_over(driver.name, formula("line"), sensor=driver.only or 0)
+        assert laws.effect_of(law).parameters[0].positive
+
+
+# --- laws as effects ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("each", [False, True])
+@pytest.mark.parametrize("form", [formula("cube"), grammar.curve(RANGES[0], 9, 1.0, 1.0)])
+def test_the_columns_of_a_law_are_the_derivatives_of_its_error(form, each: bool) -> None:
+    law = replace(law_over("omega_{i}", form, (0, 1, 2), 1), each=each)
+    effect, s = laws.effect_of(law), probe()
+    k = np.random.default_rng(0).normal(size=len(effect.parameters))
+    J = imu_jacobian(effect, np.zeros(len(k)), s)
+    by_difference = imu_jacobian(replace(effect, columns=None), np.zeros(len(k)), s)
+    np.testing.assert_allclose(J, by_difference, atol=1e-9 * np.abs(J).max())
+    assert effect.imu_error is not None
+    np.testing.assert_allclose(J @ k, effect.imu_error(k, s), atol=1e-9)
+    assert not J[:, :3].any()
+    assert J[:, 3:].any(axis=(0, 2)).all()
+
+
+def test_a_law_is_made_again_from_what_is_written_of_it() -> None:
+    s = probe()
+    for driver, form in itertools.product(
+        ("|omega|", "omega_{j}", "(memory(3.3 s) of f_{i})", "yaw"),
+        (formula("line", "cube"), grammar.curve(RANGES[0], 9, 1.0, 4.0), grammar.circle(2.5, 0.3)),
+    ):
+        law = law_over(driver, form, (0, 1, 2))
+        effect = laws.effect_of(law)
+        again = laws.law_of(effect)
+        assert again is not None
+        other = laws.effect_of(again)
+        assert (other.id, other.parameters, other.made) == (effect.id, law.parameters, effect.made)
+        k = np.linspace(-1.0, 1.0, len(law.parameters))
+        assert effect.imu_error is not None
+        assert other.imu_error is not None
+        np.testing.assert_array_equal(effect.imu_error(k, s), other.imu_error(k, s))
+
+
+@pytest.mark.parametrize(
+    ("driver", "form", "sensor", "axes", "named"),
+    [
+        ("omega_{i}", "line", 0, (1,), True),  # gyro_scale
+        ("omega_{i}", "square", 0, (0, 1, 2), True),  # gyro_quadratic
+        ("f_{i}", "size", 1, (2,), True),  # accel_asymmetry
+        ("omega_{j}", "line", 0, (0,), True),  # gyro_misalignment
+        ("f_{i} * f_{j}", "line", 1, (0,), True),  # accel_cross_products
+        ("omega_{i}", "cube", 0, (1,), False),
+        ("omega_{i}", "size", 0, (1,), False),
+        ("|omega|", "line", 0, (0, 1, 2), False),
+        ("f_{j}", "size", 1, (0,), False),
+    ],
+)
+def test_what_the_catalogue_adds_up_to_is_no_law_without_a_name(
+    driver: str, form: str, sensor: int, axes: tuple[int, ...], named: bool
+) -> None:
+    assert laws.named(law_over(driver, formula(form), axes, sensor)) is named
+
+
+def test_formulas_are_told_in_the_names_of_their_axes() -> None:
+    cube = formula("line", "cube")
+    assert law_over("omega_{i}", cube, (1,)).said == "gyro_y += k1 * omega_y + k2 * omega_y^3"
+    assert law_over("|omega|", formula("line"), (0, 1, 2)).said == "gyro_xyz += k * |omega|"
+    smooth = grammar.curve(RANGES[0], 9, 1.0, 1.0)
+    assert law_over("f_{j}", smooth, (2,), 1).said == "accel_z += g(f_x)"
+    each = replace(law_over("omega_{i}", formula("cube"), (0, 1, 2)), each=True)
+    assert each.said == "gyro_xyz += k_i * omega_i^3"
+    assert [p.name for p in each.parameters] == ["k_x", "k_y", "k_z"]
+    assert {p.unit for p in each.parameters} == {"(rad/s)/(rad/s)^3"}
+
+
+# --- from end to end ---------------------------------------------------------------------------
+
+
+def strange(sensor: str, law, seconds: float = 30.0) -> Recording:
+    """A simulated hand's recording with a law on all axes: law(omega (n, 3), f) -> (n, 3)."""
+    world = simulate("free-hand", seed=0, duration_s=seconds, phone=slow, effects={})
+    recording = recording_of(world, "heading")
+    at = world.truth
+    omega, f = (
+        np.stack([np.interp(recording.imu.t, world.t, c) for c in v.T], axis=1)
+        for v in (at.omega, at.f)
+    )
+    error: Array = law(omega, f)
+    imu = recording.imu
+    read = {sensor: getattr(imu, sensor) + error}
+    return replace(recording, imu=replace(imu, **read))
+
+
+def size_of_the_rate(omega: Array, f: Array) -> Array:  # noqa: ARG001
+    return 0.01 * np.repeat(np.linalg.norm(omega, axis=1)[:, None], 3, axis=1)
+
+
+def friction(omega: Array, f: Array) -> Array:  # noqa: ARG001
+    return np.tanh(omega / 0.02) * np.array([0.0, 0.0, 0.02])
+
+
+def test_the_size_of_the_rate_on_all_axes_is_told_and_nothing_else() -> None:
+    """Until there were drivers for all axes this was gyro_quadratic, at 99.9 %."""
+    found = explain([strange("gyro", size_of_the_rate)])
+    assert found.verdict == "unexplained"
+    assert found.missing == ()
+    (law,) = found.unnamed
+    assert law.formula == "gyro_xyz += k * |omega|"
+    assert law.channels == ("gyro_x", "gyro_y", "gyro_z")
+    assert law.drivers == ("|omega|",)
+    assert law.value == pytest.approx(0.01, abs=5.0 * law.sigma)
+    assert law.curve is not None
+    np.testing.assert_allclose(law.curve.y, law.value * law.curve.x, rtol=0.01)
+
+
+def test_friction_at_zero_rate_is_told_by_its_own_axis() -> None:
+    found = explain([strange("gyro", friction)])
+    assert found.verdict == "unexplained"
+    assert found.missing == ()
+    (law,) = found.unnamed
+    assert "gyro_z" in law.channels
+    assert set(law.drivers) <= {"omega_z", "omega_i"}
+    assert law.curve is not None
+    x, y = law.curve.x, law.curve.y
+    fast = np.abs(x) > 0.3
+    # (its size is 0.02 rad/s either way, but for a constant, which is the bias)
+    assert np.ptp(y[fast]) == pytest.approx(0.04, rel=0.2)
+    assert np.median(y[x > 0.3]) - np.median(y[x < -0.3]) == pytest.approx(0.04, rel=0.1)
+
+
+@pytest.fixture(scope="module")
+def size_alone() -> tuple[Model, unnamed.Term]:
+    base = baseline([case_of(strange("gyro", size_of_the_rate))])
+    effect = laws.effect_of(law_over("|omega|", formula("line"), (0, 1, 2)))
+    return base, unnamed.Term(effect, 100.0)
+
+
+def test_many_that_stand_in_are_exchanged_for_one(size_alone) -> None:
+    """Each of them alone may gain something beside the others; the law needs none."""
+    base, term = size_alone
+    names = ("gyro_scale", "gyro_quadratic", "gyro_cross_products", "gyro_bias_walk")
+    many = fitted(base.parts, [*base.effects, *select(names), term.effect])
+    c = climb.Climb(many, [term], ())
+    c.where = climb._scanned(c)
+    fewer = climb._instead(c)
+    assert fewer is not None
+    assert fewer.ids == (*base.ids, term.effect.id)
+    assert climb._instead(replace_model(c, fewer)) is None
+
+
+def replace_model(c: climb.Climb, model: Model) -> climb.Climb:
+    c.model = model
+    return c
+
+
+def test_a_fit_with_a_law_is_repeated_to_the_last_bit(size_alone) -> None:
+    base, term = size_alone
+    over = Range(0.0, 4.0, 4.0)
+    smooth = laws.effect_of(law_over("|omega|", grammar.curve(over, 5, 1.0, 1.0), (0, 1, 2)))
+    for effect in (term.effect, smooth):
+        model = fitted(base.parts, [*base.effects, effect])
+        chosen = chosen_of(model, Options(), {})
+        again = chosen_from(json.loads(json.dumps(document_of(chosen))))
+        one, other = settled(base, chosen), settled(base, again)
+        assert one.log_evidence == other.log_evidence
+        np.testing.assert_array_equal(one.u, other.u)
