@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -51,6 +51,11 @@ def leaning(f: Fitted, effects: Sequence[Effect], hardly_shown: Collection[str])
         for k in np.flatnonzero(sigma > MUCH * alone):
             causes.setdefault(int(k), []).append(e.title.lower())
             worst[k] = max(worst[k], sigma[k])
+    return _sentences(alone, worst, causes)
+
+
+def _sentences(alone: Array, worst: Array, causes: Mapping[int, Sequence[str]]) -> list[str]:
+    """One for each sensor: how well its biases are known, and how well with a cause."""
     out = []
     for first, (sensor, factor, unit) in ((0, GYRO), (3, ACCEL)):
         mine = [k for k in sorted(causes) if first <= k < first + 3]

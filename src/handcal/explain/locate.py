@@ -56,20 +56,22 @@ def penalties(f: Fitted) -> dict[str, tuple[Array, Array]]:
     for observation in problem.observations:
         if observation.markov is None:
             continue
-        size = observation.markov.size
-        s = slice(at, at + size)
-        at += size
-        steps, Q = noise.d_e[1:, s], noise.Q_e[1:, s, s]
-        scale = np.sqrt(np.maximum(np.einsum("kii->ki", Q), 1e-30))
-        # over a very short interval position and velocity are driven by one and the same push
-        values, axes = np.linalg.eigh(Q / (scale[:, :, None] * scale[:, None]))
-        along = np.einsum("kji,kj->ki", axes, steps / scale)
-        white = np.einsum("kij,kj->ki", axes, along / np.sqrt(np.maximum(values, 1e-3)))
+        s = slice(at, at + observation.markov.size)
+        at = s.stop
         channels = observation.channels
-        for i in range(size):
-            cost = 0.5 * np.minimum(white[:, i] ** 2, 1e6)
+        for i, x in enumerate(_whitened(noise.d_e[1:, s], noise.Q_e[1:, s, s]).T):
+            cost = 0.5 * np.minimum(x**2, 1e6)
             _add(out, channels[i % len(channels)], linear.t[1:], cost)
     return out
+
+
+def _whitened(steps: Array, Q: Array) -> Array:
+    """Steps (k, e) in units of their covariance Q (k, e, e), as near to the states as can be."""
+    scale = np.sqrt(np.maximum(np.einsum("kii->ki", Q), 1e-30))
+    # over a very short interval position and velocity are driven by one and the same push
+    values, axes = np.linalg.eigh(Q / (scale[:, :, None] * scale[:, None]))
+    along = np.einsum("kji,kj->ki", axes, steps / scale)
+    return np.asarray(np.einsum("kij,kj->ki", axes, along / np.sqrt(np.maximum(values, 1e-3))))
 
 
 def _add(out: dict[str, tuple[Array, Array]], channel: str, t: Array, cost: Array) -> None:

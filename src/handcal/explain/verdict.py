@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence, Set
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from handcal.explain.explanation import (
     Explanation,
     Fit,
     HeldOut,
+    Mismatch,
+    Missing,
+    Unnamed,
 )
 from handcal.explain.find import Found, advantage, search
 from handcal.explain.gauge import plainly
@@ -44,7 +47,7 @@ from handcal.explain.search import gains, space
 from handcal.explain.untellable import untellable
 from handcal.kernel import MAX_DIM
 from handcal.twin import twin
-from handcal.types import Array, InputError, Recording, Result
+from handcal.types import Array, InputError, Parameter, Recording, Result
 
 # Called with the share that is done, and what is being done.
 Progress = Callable[[float, str], None]
@@ -81,51 +84,75 @@ def explain(
     for recording in recordings:
         check_options(recording, assume, heading_sigma, ignore)
     fixed = {} if heading_sigma is None else {"heading_noise": heading_sigma}
-
-    def prepared(recording: Recording, assumed: str = assume) -> Case:
-        return case_of(
-            recording, assumed, latitude, height, ignore, fixed, reference_exact=reference_exact
-        )
-
-    cases = [prepared(r) for r in recordings]
-    report(0.03, "fitting the plain model")
-    plain = baseline(cases)
-    base, found, wrong, surely = _searched(
-        plain, lambda f: report(0.1 + 0.6 * f, "searching what is missing")
-    )
-    far = [assume == "auto" and travels(f) for f in found.model.parts]
-    if any(far):
-        # (only now: errors of the sensors look like a travelling hand too)
-        laid = baseline(
-            [
-                resting(f, latitude, height) if gone else case
-                for case, f, gone in zip(cases, found.model.parts, far, strict=True)
-            ]
-        )
-        far = [gone and math.isfinite(laid.log_evidence) for gone in far]
-    if any(far):
-        other = _searched(laid, lambda f: report(0.4 + 0.3 * f, "searching by the rests alone"))
-        surely = foretold(found.model, laid, other[1])
-        if surely > 0.0:
-            far = [False] * len(far)
-        else:
-            base, found, wrong, surely = *other[:3], -surely
-    report(0.75, "fitting the model that was found")
     options = Options(latitude, height, fixed, tuple(ignore), reference_exact)
-    found, chosen = _refitted(base, found, options)
+    cases = [_case(r, assume, options) for r in recordings]
+    report(0.03, "fitting the plain model")
+    end = _searched(baseline(cases), lambda f: report(0.1 + 0.6 * f, "searching what is missing"))
+    if assume == "auto":
+        end = _by_the_rests(cases, end, options, report)
+    report(0.75, "fitting the model that was found")
+    found, chosen = _refitted(end.base, end.found, options)
+    end = replace(end, found=found)
     report(0.8, "predicting what was not seen")
-    others = [prepared(r, "rest-only" if any(far) else assume) for r in held_out]
-    judged: matter.Judged | None
-    if others:
-        scores, after = held.other_files(others, found.model)
-        judged = matter.by_other_files(found, after)
-    else:
-        scores, judged = held.later_blocks(base, found.model), matter.by_later_blocks(found)
+    others = [_case(r, "rest-only" if end.rests else assume, options) for r in held_out]
+    scores, judged = _predicted(end, others)
     report(0.9, "judging what this motion could tell")
-    out = _explanation(base, found, wrong, scores, chosen, judged)
-    out = replace(out, hand=hand_of(found.model.parts[0], surely))
+    out = _explanation(end, scores, chosen, judged)
     report(1.0, "")
     return out
+
+
+def _predicted(end: _End, others: Sequence[Case]) -> tuple[HeldOut, matter.Judged | None]:
+    """How well what was not seen is predicted: other recordings, or else later blocks."""
+    found = end.found
+    if not others:
+        return held.later_blocks(end.base, found.model), matter.by_later_blocks(found)
+    scores, after = held.other_files(others, found.model)
+    return scores, matter.by_other_files(found, after)
+
+
+def _case(recording: Recording, assume: str, options: Options) -> Case:
+    o = options
+    return case_of(
+        recording, assume, o.latitude, o.height, o.ignore, o.fixed,
+        reference_exact=o.reference_exact,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _End:
+    """Where a search ended. base: the baseline; wrong: the headings that are merely wrong; surely:
+    nats by which its hand is better than what was tried instead, NaN if nothing was; rests:
+    whether some hand travels, so that its rests alone count."""
+
+    base: Model
+    found: Found
+    wrong: outliers.Wrong | None
+    surely: float
+    rests: bool = False
+
+
+def _by_the_rests(cases: Sequence[Case], end: _End, options: Options, report: Progress) -> _End:
+    """The end of a search by the rests alone, where a hand seems to travel and they know better.
+
+    (Only after the search: errors of the sensors look like a travelling hand too.)
+    """
+    far = [travels(f) for f in end.found.model.parts]
+    if not any(far):
+        return end
+    laid = baseline(
+        [
+            resting(f, options.latitude, options.height) if gone else case
+            for case, f, gone in zip(cases, end.found.model.parts, far, strict=True)
+        ]
+    )
+    if not math.isfinite(laid.log_evidence):
+        return end
+    other = _searched(laid, lambda f: report(0.4 + 0.3 * f, "searching by the rests alone"))
+    surely = foretold(end.found.model, laid, other.found)
+    if surely > 0.0:
+        return replace(end, surely=surely)
+    return replace(other, surely=-surely, rests=True)
 
 
 def _refitted(base: Model, found: Found, options: Options) -> tuple[Found, Chosen | None]:
@@ -154,11 +181,8 @@ def _with(found: Found, model: Model) -> Found:
     return replace(found, model=model, space=where)
 
 
-def _searched(
-    base: Model, report: Callable[[float], None]
-) -> tuple[Model, Found, outliers.Wrong | None, float]:
-    """The baseline, where the search from it ended, the headings that are merely wrong, and the
-    nats by which its hand is better than what was tried instead; NaN if nothing was."""
+def _searched(base: Model, report: Callable[[float], None]) -> _End:
+    """Where the search from this baseline ends."""
     cleaned, wrong = outliers.cleaned(base)
 
     found = search(cleaned, report)
@@ -176,8 +200,8 @@ def _searched(
         found, wrong = _without_outliers(base, found, report)
     slow = creeping(base, found.model, _gained(found)) if wrong is None else None
     if slow is None:
-        return base, found, wrong, math.nan
-    return slow[0], search(slow[0], report), wrong, slow[1]
+        return _End(base, found, wrong, math.nan)
+    return _End(slow[0], search(slow[0], report), wrong, slow[1])
 
 
 def _gained(found: Found) -> dict[str, float]:
@@ -203,65 +227,86 @@ def _without_outliers(
     return replace(other, alone=found.alone), outliers.share(other.model, masks, gain)
 
 
-def _explanation(
-    base: Model,
-    found: Found,
-    wrong: outliers.Wrong | None,
-    scores: HeldOut,
-    written: Chosen | None,
-    judged: matter.Judged | None,
-) -> Explanation:
-    model = found.model
-    chosen = model.chosen
-    named = wrong if wrong is not None and wrong.burst is None else None
-    excess = inflation(model)
-    fits = results(model, moments(found) if written is None else written.moments)
-    learnt = {e.id: parameters_of(fits[0], e) for e in model.effects if e.process is None}
-    missing, unsure = missing_of(found, chosen, learnt, named)
-    unnamed = unnamed_of(found, chosen, learnt)
-    if wrong is not None and wrong.burst is not None:
-        unnamed.append(burst(base, wrong, wrong.burst))
-    found_in_all = sum(m.log_evidence_gain for m in missing)
-    remarks = []
-    if sum(u.log_evidence_gain for u in unnamed) > LEFT * found_in_all:
-        verdict = "unexplained"
-    else:
-        remarks, unnamed = [remark(u) for u in unnamed], []
-        verdict = "cannot_tell" if unsure else "explained" if missing else "nothing_missing"
-    before = held.at_same_noise(base.parts, model.parts)
-    if wrong is not None:
-        before = list(base.parts)
-    explained, mismatch = [], []
+@dataclass(frozen=True)
+class _Named:
+    """What has a name and what has none, and the verdict; remarks: what without a name is too
+    little for one."""
+
+    verdict: str
+    missing: list[Missing]
+    unnamed: list[Unnamed]
+    remarks: list[str]
+
+
+def _named(
+    end: _End, learnt: Mapping[str, tuple[Parameter, ...]], wrong: outliers.Wrong | None
+) -> _Named:
+    found, burst_of = end.found, None if end.wrong is None else end.wrong.burst
+    missing, unsure = missing_of(found, found.model.chosen, learnt, wrong)
+    unnamed = unnamed_of(found, found.model.chosen, learnt)
+    if end.wrong is not None and burst_of is not None:
+        unnamed.append(burst(end.base, end.wrong, burst_of))
+    in_names = sum(m.log_evidence_gain for m in missing)
+    if sum(u.log_evidence_gain for u in unnamed) > LEFT * in_names:
+        return _Named("unexplained", missing, unnamed, [])
+    verdict = "cannot_tell" if unsure else "explained" if missing else "nothing_missing"
+    return _Named(verdict, missing, [], [remark(u) for u in unnamed])
+
+
+def _compared(
+    end: _End, verdict: str, fits: Sequence[Result]
+) -> tuple[list[Fitted], list[Explained], list[Mismatch]]:
+    """The baseline at the model's noise, each recording before and after, and where they differ."""
+    model = end.found.model
+    before = held.at_same_noise(end.base.parts, model.parts)
+    if end.wrong is not None:
+        before = list(end.base.parts)
+    explained: list[Explained] = []
+    mismatch: list[Mismatch] = []
     for k, (b, a) in enumerate(zip(before, model.parts, strict=True)):
         bins, short = locate.shortfall(b, a)
         if verdict != "nothing_missing":
             mismatch += locate.mismatches(b, bins, short, k)
         explained.append(_explained(b, a, bins, short, model, fits[k]))
     mismatch = [replace(m, share=m.share / len(model.parts)) for m in mismatch]
-    told = [plainly(model, matter.weighed(found, m, judged), excess) for m in missing]
+    return before, explained, sorted(mismatch, key=lambda m: -m.share)
+
+
+def _explanation(
+    end: _End, scores: HeldOut, written: Chosen | None, judged: matter.Judged | None
+) -> Explanation:
+    found, base, model = end.found, end.base, end.found.model
+    wrong = end.wrong if end.wrong is not None and end.wrong.burst is None else None
+    fits = results(model, moments(found) if written is None else written.moments)
+    learnt = {e.id: parameters_of(fits[0], e) for e in model.effects if e.process is None}
+    named = _named(end, learnt, wrong)
+    before, explained, mismatch = _compared(end, named.verdict, fits)
+    excess = inflation(model)
+    told = [plainly(model, matter.weighed(found, m, judged), excess) for m in named.missing]
     told.sort(key=lambda m: (-m.share, -m.log_evidence_gain))
-    hypotheses = hypotheses_of(found, told, named)
+    hypotheses = hypotheses_of(found, told, wrong)
     # what all recordings share, and the biases where there is but one
     own = explained[0].parameters if len(explained) == 1 else ()
     return Explanation(
-        verdict,
-        tuple(sorted(mismatch, key=lambda m: -m.share)),
+        named.verdict,
+        tuple(mismatch),
         tuple(told),
-        tuple(unnamed),
+        tuple(named.unnamed),
         hypotheses,
         _fit(base, before),
         _fit(model, model.parts),
         scores,
-        next_motions(found, missing, hypotheses, verdict),
+        next_motions(found, named.missing, hypotheses, named.verdict),
         (*own, *(p for known in learnt.values() for p in known)),
         noise(model.parts[0]),
         tuple(explained),
         (
             *_warnings(base, model, {h.effect for h in hypotheses if h.expected < FAINT}, written),
-            *remarks,
+            *named.remarks,
         ),
         written,
         untellable(found, fits[0].parameters),
+        hand_of(model.parts[0], end.surely),
     )
 
 
