@@ -16,6 +16,7 @@ from handcal.effects import (
     DELAY,
     TIME,
     Z_DIM,
+    Param,
     Signals,
     catalogue,
     imu_jacobian,
@@ -1014,3 +1015,19 @@ def test_a_filter_is_undone_on_its_side_of_the_other_errors(last: bool) -> None:
     ]
     near, far = (float(np.abs(w[inside]).max()) for w in wrong)
     assert near < 0.1 * far
+
+
+@pytest.mark.parametrize("slope", [-0.7, -0.3, 0.3, 0.77])
+def test_an_error_nearly_as_steep_as_what_is_measured_is_taken_off(slope: float) -> None:
+    """What bends by three quarters of the rate: substitution crawls, and must not stop halfway."""
+    t = np.arange(0.0, 10.0, 0.01)
+    rate = np.stack([3.0 * np.sin((1.3 + 0.3 * a) * t) for a in range(3)], axis=1)
+
+    def bent(k: np.ndarray, signals: Signals) -> np.ndarray:
+        return np.hstack([k[0] * np.tanh(signals.gyro), np.zeros_like(signals.accel)])
+
+    law = replace(catalogue()["gyro_scale"], parameters=(Param("k", "1", 1.0),), imu_error=bent)
+    truth = Signals(t, rate, np.tile([0.0, 0.0, 9.8], (len(t), 1)))
+    error = bent(np.array([slope]), truth)
+    found = substituted([law], np.array([slope]), replace(truth, gyro=rate + error[:, :3]))
+    np.testing.assert_allclose(found, error, atol=1e-5)

@@ -36,8 +36,11 @@ QUIET_RATE = 0.05
 # Step of the difference by a bias, of its prior.
 BIAS_STEP = 0.1
 # Rounds of substitution at the most, and the share of the largest reading by which the last one
-# may move any: a scale error of a fifth takes eight (after three it would be known to 1 %).
-SUBSTITUTIONS, SUBSTITUTED = 12, 1e-7
+# may move any: a scale error of a fifth takes eight (after three it would be known to 1 %), an
+# error that changes by three quarters of what is measured fifty-six.
+SUBSTITUTIONS, SUBSTITUTED = 60, 1e-7
+# A round that moves hardly less than the one before leads nowhere.
+SHRINKS = 0.9
 
 
 @dataclass(frozen=True)
@@ -551,7 +554,7 @@ def substituted(acting: Sequence[Effect], ref: Array, readings: Signals) -> Arra
             total += step
             moved = max(moved, float(np.abs(step).max()))
         # (some are so large that going on would lead away)
-        if moved < SUBSTITUTED * scale or (done > 1 and not moved < 0.5 * before):
+        if moved < SUBSTITUTED * scale or (done > 1 and not moved < SHRINKS * before):
             break
     return total
 
