@@ -393,8 +393,8 @@ def reshaped(model: Model, worth: float, unnamed: list[Term], shaped: set[str]) 
         new = best_term(model, without=old.id)
         if new is None or new.effect.id in shaped | set(model.ids):
             continue
-        if not _adjustable(new.effect):
-            shaped.add(new.effect.id)
+        if _kind(new.effect) == _kind(old):
+            shaped.add(new.effect.id)  # (its numbers are as good as they get)
         tried = fitted(model.parts, [new.effect if e is old else e for e in model.effects])
         if better(tried, model, worth) > 0.0:
             unnamed[i] = new
@@ -402,12 +402,12 @@ def reshaped(model: Model, worth: float, unnamed: list[Term], shaped: set[str]) 
     return None
 
 
-def _adjustable(effect: Effect) -> bool:
-    """Whether it would be another about a better fit: a formula without numbers would not."""
+def _kind(effect: Effect) -> tuple[str, ...]:
+    """What something without a name is, but for its numbers."""
     law = law_of(effect)
-    if law is None:
-        return effect.made is not None
-    return bool(law.form.numbers or law.driver.number)
+    if law is not None:
+        return effect.id.split(" += ")[0], law.driver.kind, law.form.kind
+    return (effect.id if effect.made is None else effect.made[0],)
 
 
 def signals_of(f: Fitted) -> Signals:
