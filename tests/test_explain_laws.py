@@ -26,8 +26,7 @@ from handcal_sim import simulate
 
 RANGES = (Range(-3.0, 3.0, 0.2), Range(0.5, 4.0, 3.5))
 FORMS = [
-    grammar.formula([part])
-    for part in grammar.parts_for(RANGES[0], signed=True, round_=False, line=False)
+    grammar.formula([part]) for part in grammar.parts_for(RANGES[0], signed=True, round_=False)
 ]
 
 

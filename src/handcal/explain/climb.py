@@ -539,6 +539,8 @@ def _name_term(c: Climb) -> Model | None:
     quiet = [e for e in c.model.effects if e.process is None]
     if len(quiet) == len(c.model.effects) or key in c.thinned:
         return None
+    if {e.id for e in quiet} == c.kept:
+        return None  # (from the baseline alone a climb begins with a law anyway)
     c.thinned.add(key)
     bare = fitted(c.model.parts, quiet)
     term = best_term(bare, refused=c.dropped)
@@ -552,6 +554,6 @@ def _name_term(c: Climb) -> Model | None:
 
 # The cheap ones first; nothing is taken away or left without a name before all else rests.
 _STEPS = (
-    _delay, _choose, _reshape, _narrow, _exchange, _reorder, _instead, _add_noise, _thin, _free,
+    _delay, _choose, _instead, _reshape, _narrow, _exchange, _reorder, _add_noise, _thin, _free,
     _name_term,
 )  # fmt: skip
