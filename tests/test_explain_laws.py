@@ -26,8 +26,7 @@ from handcal_sim import simulate
 
 RANGES = (Range(-3.0, 3.0, 0.2), Range(0.5, 4.0, 3.5))
 FORMS = [
-    grammar.formula([part])
-    for part in grammar.parts_for(RANGES[0], signed=True, round_=False, line=False)
+    grammar.formula([part]) for part in grammar.parts_for(RANGES[0], signed=True, round_=False)
 ]
 
 
@@ -305,6 +304,25 @@ def test_many_that_stand_in_are_exchanged_for_one(size_alone) -> None:
 def replace_model(c: climb.Climb, model: Model) -> climb.Climb:
     c.model = model
     return c
+
+
+def test_a_law_keeps_to_the_axes_on_which_it_is() -> None:
+    """Far from where it is large, a scan likes to give some of it to the other axes."""
+    base = baseline([case_of(strange("gyro", friction))])
+    form = grammar.formula([("sign", (0.02,))])
+    wide = replace(law_over("omega_{i}", form, (0, 1, 2)), each=True)
+    term = unnamed.Term(laws.effect_of(wide), 100.0)
+    c = climb.Climb(fitted(base.parts, [*base.effects, term.effect]), [term], ())
+    c.where = climb._scanned(c)
+    for axes in ((0, 2), (1, 2)), ((2,),):
+        narrower = climb._narrow(c)
+        assert narrower is not None
+        c.model = narrower
+        law = laws.law_of(c.unnamed[0].effect)
+        assert law is not None
+        assert law.axes in axes
+        assert c.unnamed[0].effect.id in narrower.ids
+    assert climb._narrow(c) is None
 
 
 def test_a_fit_with_a_law_is_repeated_to_the_last_bit(size_alone) -> None:

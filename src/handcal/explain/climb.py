@@ -20,6 +20,7 @@ from handcal.estimate.fit import Fitted, Model, fitted, moved_to, scan
 from handcal.estimate.robust import inflation
 from handcal.evidence import reduce, reduced_pass
 from handcal.explain.alibi import without_alibi
+from handcal.explain.laws import effect_of, law_of
 from handcal.explain.score import MOMENTS, PRIOR, better, prior
 from handcal.explain.search import (
     Space,
@@ -81,6 +82,7 @@ class Climb:
     shaped: set[str] = field(default_factory=set)
     suspects: set[str] = field(default_factory=set)
     thinned: set[frozenset[str]] = field(default_factory=set)
+    whole: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         self.kept = frozenset(self.model.ids)
@@ -269,6 +271,26 @@ def _singles(where: Space, now: frozenset[str], chosen: frozenset[str]) -> list[
 def _reshape(c: Climb) -> Model | None:
     """A course over time or direction, chosen again."""
     return reshaped(c.model, c.worth, c.unnamed, c.shaped)
+
+
+def _narrow(c: Climb) -> Model | None:
+    """The model with a law on fewer axes, if it does not miss the one where it adds least: far
+    from where a law is large a scan cannot tell what it adds there."""
+    for i, term in enumerate(c.unnamed):
+        old, law = term.effect, law_of(term.effect)
+        if law is None or not law.each or old.id not in c.model.ids or old.id in c.whole:
+            continue
+        c.whole.add(old.id)
+        mine = [k for k, n in enumerate(c.model.quadratic.names) if n[0] == old.id]
+        sizes = np.abs(c.model.u[mine]).reshape(len(law.axes), -1).sum(axis=1)
+        axes = tuple(a for k, a in enumerate(law.axes) if k != int(np.argmin(sizes)))
+        new = effect_of(replace(law, axes=axes, each=len(axes) > 1))
+        tried = fitted(c.model.parts, [new if e is old else e for e in c.model.effects])
+        if likelier(c, tried):
+            c.unnamed[i] = replace(term, effect=new)
+            c.shaped.add(new.id)
+            return tried
+    return None
 
 
 def _exchange(c: Climb) -> Model | None:
@@ -517,6 +539,8 @@ def _name_term(c: Climb) -> Model | None:
     quiet = [e for e in c.model.effects if e.process is None]
     if len(quiet) == len(c.model.effects) or key in c.thinned:
         return None
+    if {e.id for e in quiet} == c.kept:
+        return None  # (from the baseline alone a climb begins with a law anyway)
     c.thinned.add(key)
     bare = fitted(c.model.parts, quiet)
     term = best_term(bare, refused=c.dropped)
@@ -530,5 +554,6 @@ def _name_term(c: Climb) -> Model | None:
 
 # The cheap ones first; nothing is taken away or left without a name before all else rests.
 _STEPS = (
-    _delay, _choose, _reshape, _exchange, _reorder, _instead, _add_noise, _thin, _free, _name_term,
+    _delay, _choose, _instead, _reshape, _narrow, _exchange, _reorder, _add_noise, _thin, _free,
+    _name_term,
 )  # fmt: skip

@@ -37,6 +37,7 @@ WARMING = 60.0
 ROOM = 25.0
 
 Of = Callable[[Signals, int], Array]
+_NUMBER = re.compile(r"\((memory|play)\(([^ ]+) ")
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,11 @@ class Driver:
     def own(self) -> bool:
         """Whether it is each axis's own, or all axes'."""
         return "{j}" not in self.name and "{k}" not in self.name
+
+    @property
+    def kind(self) -> str:
+        """Its name, but for a number in it."""
+        return _NUMBER.sub(r"(\1 ", self.name)
 
     def said(self, axis: int | None) -> str:
         """Its name for one axis; None: for each axis i."""
@@ -221,7 +227,6 @@ def _product(a: tuple[str, str, Of], b: tuple[str, str, Of], needs: tuple[str, .
 
 
 DRIVERS: Mapping[str, Driver] = {d.name: d for d in _table()}
-_NUMBER = re.compile(r"\((memory|play)\(([^ ]+) ")
 
 
 def driver_of(name: str) -> Driver:

@@ -20,6 +20,8 @@ from handcal.types import Array
 NEAR_ZERO = 1.0 / 15.0
 # Widths of a curve, in knots, and its sizes, of a clearly visible error.
 WIDTHS, SIZES = (1.0, 2.5), (0.3, 1.0, 4.0)
+# A number of a form is chosen from many: nats that it costs.
+FREEDOM = 3.0
 # Harmonics of a law round the circle.
 HARMONICS = 3
 
@@ -48,6 +50,14 @@ class Form:
     def smooth(self) -> bool:
         """Whether it is a curve without a formula."""
         return not self.texts
+
+    @property
+    def cost(self) -> float:
+        """Nats by which a formula is less likely beforehand than the simplest: for its numbers, and
+        for further functions, each one of many."""
+        if self.smooth:
+            return 0.0
+        return FREEDOM * len(self.numbers) + math.log(len(ATOMS)) * (len(self.parts) - 1)
 
 
 # --- curves --------------------------------------------------------------------------------
@@ -239,11 +249,8 @@ def formula(parts: Sequence[Part]) -> Form:
     )
 
 
-def parts_for(over: Range, signed: bool, round_: bool, line: bool) -> list[Part]:
-    """Every function of the grammar for a driver, with the numbers to begin with; line: for one
-    that is a law already."""
-    if line:
-        return [("line", ())]
+def parts_for(over: Range, signed: bool, round_: bool) -> list[Part]:
+    """Every function of the grammar for a driver, with the numbers to begin with."""
     if round_:
         return [(name, ()) for name in ROUND]
     return [

@@ -45,6 +45,11 @@ class Law:
         return tuple(CHANNELS[3 * self.sensor + axis] for axis in self.axes)
 
     @property
+    def cost(self) -> float:
+        """Nats by which it is less likely beforehand than the simplest law."""
+        return self.form.cost + (grammar.FREEDOM if self.driver.number else 0.0)
+
+    @property
     def axis(self) -> int | None:
         """The one axis that it is of, or None."""
         return self.axes[0] if len(self.axes) == 1 else None

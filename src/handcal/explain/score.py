@@ -9,6 +9,7 @@ from collections.abc import Iterable, Sequence
 from handcal.effects import Effect
 from handcal.estimate.case import Case
 from handcal.estimate.fit import Model
+from handcal.explain.laws import law_of
 
 # Log prior odds that a device shows an effect so clearly that it has to be told.
 PRIOR = -5.0
@@ -35,12 +36,14 @@ def prior(effect: Effect, cases: Sequence[Case]) -> float:
     Noise pays for levels that nobody knows. A step shares its odds over the moments on trial; where
     it was put at the reading that was least expected, all readings were looked at. What a hand that
     turns the device about no single point can lend to an effect counts where only that point's rest
-    tells of it. What every model has costs nothing.
+    tells of it. A law without a name pays for what its form was chosen from. What every model
+    has costs nothing.
     """
     if effect.always:
         return 0.0
     if "+=" in effect.id:
-        return TERM_PRIOR
+        law = law_of(effect)
+        return TERM_PRIOR - (0.0 if law is None else law.cost)
     odds = PRIOR - OCCAM_LEVEL * len(effect.levels)
     if "@" in effect.id:
         odds -= math.log(_moments(effect, cases))

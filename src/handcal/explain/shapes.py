@@ -21,6 +21,7 @@ from scipy.optimize import minimize
 from handcal._jit import njit, residual_function
 from handcal.effects import TIME, Effect, Param, Signals
 from handcal.estimate.quadratic import Quadratic
+from handcal.explain.grammar import FREEDOM
 from handcal.explain.laws import CHANNELS, SIZE, UNITS
 from handcal.explain.terms import CURVES, DIRECTIONS, HEADING_SIZE, cubic, term
 from handcal.types import Array, IntArray
@@ -31,8 +32,6 @@ MOST = 48
 PEAK = 3.0
 # What lies between two sizes on trial is that much larger or smaller than one of them.
 ABOUT = math.sqrt(2.0)
-# A course may be adjusted by its numbers, which a term of the measured signals cannot.
-FREEDOM = 3.0
 
 Values = Callable[[Array, Array], Array]
 

@@ -26,7 +26,7 @@ from handcal.explain.grammar import (
     range_of,
 )
 from handcal.explain.laws import SIZE, Law, effect_of, law_of, named
-from handcal.explain.score import TERM_PRIOR, better
+from handcal.explain.score import TERM_PRIOR, better, score
 from handcal.linear import path
 from handcal.signals import of_recording
 from handcal.types import Array, IntArray
@@ -35,18 +35,21 @@ from handcal.types import Array, IntArray
 AT_ONCE = 140
 # Drivers that are looked at more closely, of the best.
 CLOSER = 3
-# A number of a formula is chosen from many: nats that it costs.
-FREEDOM = shapes.FREEDOM
+# Of what a law gains, the share that terms of second order leave open: a formula that costs more
+# than the one there is has to gain more than that.
+OPEN = 1e-3
 # Shares of the way to a formula's next numbers on trial at which it is tried once more, in turn.
 FINER = (0.5, 0.2, 0.06)
 
 
 @dataclass(frozen=True)
 class Term:
-    """Something without a name, and the nats that it gains at the likelihood's full worth."""
+    """Something without a name, and the nats that it gains at the likelihood's full worth;
+    others: the same law in other forms, which a scan likes less."""
 
     effect: Effect
     gain: float
+    others: tuple[Effect, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -186,15 +189,14 @@ class About:
         return beside(weighed(scan(self.model, absent), self.worth), self.known, absent)
 
 
-def written_out(about_: About, law: Law) -> tuple[Law, float]:
-    """The law as the formula that gains most over the model, and what it gains: of one function,
-    or of two; with its numbers adjusted."""
+def written_out(about_: About, law: Law) -> list[tuple[Law, float]]:
+    """The law as the formulas that gain most over the model, and what they gain: of one function,
+    and of two; with their numbers adjusted."""
     driver = law.driver
     x = np.stack([driver.of(about_.signals, axis) for axis in range(3)])
     over = range_of(x, driver.signed)
-    parts = parts_for(over, driver.signed, driver.round, driver.knots == LINE)
-    ends = [_adjusted(about_, *end) for end in _tried(about_, law, parts)]
-    return max(ends, key=lambda end: end[1], default=(law, -math.inf))
+    parts = parts_for(over, driver.signed, driver.round)
+    return [_adjusted(about_, *end) for end in _tried(about_, law, parts)]
 
 
 def _adjusted(about_: About, law: Law, gain: float) -> tuple[Law, float]:
@@ -225,7 +227,7 @@ def _tried(about_: About, law: Law, parts: Sequence[Part]) -> list[tuple[Law, fl
         at = np.concatenate([seen.at[f"basis: {n}"] for n in chosen])
         gain = seen.gain(seen.b[at], seen.G[np.ix_(at, at)], np.eye(len(at)))
         form = formula([parts[n] for n in chosen])
-        gain -= FREEDOM * len(form.numbers)
+        gain -= form.cost
         if len(chosen) not in best or gain > best[len(chosen)][1]:
             sigmas = tuple(float(SIZE[law.sensor] / sizes[n]) for n in chosen)
             candidate = replace(law, form=form, sigmas=sigmas)
@@ -284,19 +286,22 @@ def best_term(model: Model, *, refused: Collection[str] = (), without: str = "")
         for end in look.best(weighed(q, worth), known)
         if end[1] > enough
     ]
-    out = [end for end in ends if isinstance(end[0], Effect)]
     about_ = About(model, known, signals, worth)
-    for law, gain in _closer(ends):
-        if law.driver.number:
-            other, value = tuned(about_, law, gain)
-            out.append((effect_of(other), value - FREEDOM))
-            continue
-        other, value = written_out(about_, law)
-        out.append((effect_of(other), value) if value >= gain else (effect_of(law), gain))
-    found = [
-        Term(e, gain / worth) for e, gain in out if isinstance(e, Effect) and e.id not in refused
-    ]
+    found = [Term(e, gain / worth) for e, gain in ends if isinstance(e, Effect)]
+    found += [_as_told(about_, law, gain) for law, gain in _closer(ends)]
+    found = [t for t in found if t.effect.id not in refused]
     return max(found, key=lambda t: t.gain, default=None)
+
+
+def _as_told(about_: About, law: Law, gain: float) -> Term:
+    """The law in the form that gains most, a formula where it gains as much as the curve."""
+    if law.driver.number:
+        law, gain = tuned(about_, law, gain)
+        gain -= law.cost
+    ends = written_out(about_, law) if law.form.smooth else []
+    ends = sorted([*ends, (law, gain)], key=lambda end: -end[1])
+    first, *others = (effect_of(x) for x, _ in ends)
+    return Term(first, ends[0][1] / about_.worth, tuple(others))
 
 
 End = tuple[Law | Effect, float]
@@ -391,23 +396,41 @@ def reshaped(model: Model, worth: float, unnamed: list[Term], shaped: set[str]) 
             continue
         shaped.add(old.id)
         new = best_term(model, without=old.id)
-        if new is None or new.effect.id in shaped | set(model.ids):
+        if new is None:
             continue
-        if not _adjustable(new.effect):
-            shaped.add(new.effect.id)
-        tried = fitted(model.parts, [new.effect if e is old else e for e in model.effects])
-        if better(tried, model, worth) > 0.0:
-            unnamed[i] = new
-            return tried
+        options = [e for e in (new.effect, *new.others) if e.id not in shaped | set(model.ids)]
+        calls = (partial(_with, model, old, e) for e in options)
+        pairs = zip(side_by_side(calls), options, strict=True)
+        held = [
+            (m, e)
+            for m, e in pairs
+            if better(m, model, worth) > (OPEN * worth * new.gain if _cost(e) > _cost(old) else 0.0)
+        ]
+        if not held:
+            continue
+        best, effect = max(held, key=lambda pair: score(pair[0], worth))
+        unnamed[i] = Term(effect, new.gain)
+        if _kind(effect) == _kind(old):
+            shaped.add(effect.id)  # (its numbers are as good as they get)
+        return best
     return None
 
 
-def _adjustable(effect: Effect) -> bool:
-    """Whether it would be another about a better fit: a formula without numbers would not."""
+def _cost(effect: Effect) -> float:
     law = law_of(effect)
-    if law is None:
-        return effect.made is not None
-    return bool(law.form.numbers or law.driver.number)
+    return 0.0 if law is None or law.form.smooth else law.cost
+
+
+def _with(model: Model, old: Effect, new: Effect) -> Model:
+    return fitted(model.parts, [new if e is old else e for e in model.effects])
+
+
+def _kind(effect: Effect) -> tuple[str, ...]:
+    """What something without a name is, but for its numbers."""
+    law = law_of(effect)
+    if law is not None:
+        return effect.id.split(" += ")[0], law.driver.kind, law.form.kind
+    return (effect.id if effect.made is None else effect.made[0],)
 
 
 def signals_of(f: Fitted) -> Signals:
