@@ -31,8 +31,10 @@ from handcal.linear import path
 from handcal.signals import of_recording
 from handcal.types import Array, IntArray
 
-# Columns that a scan looks at together, by the memory that they take.
-AT_ONCE = 140
+# Columns that a scan looks at together at the most and at the least, and numbers that all of them
+# may take, some thirty for each epoch: 150 MB.
+MOST_COLUMNS, LEAST_COLUMNS = 140, 30
+NUMBERS, PER_EPOCH = 2e7, 30.0
 # Drivers that are looked at more closely, of the best.
 CLOSER = 3
 # Of what a law gains, the share that terms of second order leave open: a formula that costs more
@@ -318,7 +320,8 @@ class Look:
 def _looks(f: Fitted, signals: Signals, known: Sequence[Effect]) -> Iterator[Look]:
     """All scans: laws over drivers, courses over time, and those of a heading."""
     recording = f.case.recording
-    for chunk in _chunks(signals):
+    room = NUMBERS / (PER_EPOCH * len(f.linear.t))
+    for chunk in _chunks(signals, int(min(max(room, LEAST_COLUMNS), MOST_COLUMNS))):
         yield Look([b.effect for b in chunk], partial(_laws, chunk))
     for first in range(0, 6, 2):
         spans = [shapes.imu_basis(first + n, recording.duration_s) for n in range(2)]
@@ -334,12 +337,12 @@ def _looks(f: Fitted, signals: Signals, known: Sequence[Effect]) -> Iterator[Loo
         yield Look([b.effect for b in bases], partial(_courses, bases))
 
 
-def _chunks(signals: Signals) -> Iterator[list[Block]]:
-    """All blocks, as many together as a scan may look at."""
+def _chunks(signals: Signals, most: int) -> Iterator[list[Block]]:
+    """All blocks, together in scans of so many columns at the most."""
     chunk: list[Block] = []
     size = 0
     for block in blocks(signals):
-        if chunk and size + len(block.effect.parameters) > AT_ONCE:
+        if chunk and size + len(block.effect.parameters) > most:
             yield chunk
             chunk, size = [], 0
         chunk.append(block)
