@@ -85,7 +85,7 @@ def test_what_has_no_name_is_drawn_over_what_drives_it(known) -> None:
     cases = (
         (effect_of(0, 0, "omega_{j}", "cube"), ("omega_y",), "rad/s", "rad/s", lambda x: x**3),
         (effect_of(1, 2, "omega_{j} * f_{k}", "line"), ("omega_x", "f_y"),
-         "(rad/s)*(m/s^2)", "m/s^2", lambda x: x),
+         "rad*m/s^3", "m/s^2", lambda x: x),
         (third, ("yaw",), "rad", "rad", lambda x: np.sin(3.0 * x)),
     )  # fmt: skip
     for effect, names, x_unit, y_unit, law in cases:

@@ -58,8 +58,8 @@ class Climb:
     """A model on its way up, and what was tried.
 
     needed: terms without which the climb is of no use; late: the baseline with delays that no
-    scan of it would find. first, where: the first scan and the last; alone: what the catalogue's
-    effects gained in the first; noise: log-evidence gained by each noise effect in the model,
+    scan of it would find. where: the last scan; alone: what the catalogue's
+    effects gained in the first one; noise: log-evidence gained by each noise effect in the model,
     and stale: those for which that is out of date; swaps: (effect, rival) to the nats by which
     the rival, fitted in its place, does worse. dropped: names of what was not missed, or with
     which no fit holds; beyond: of what came out larger than makes sense beside the same others.
@@ -68,7 +68,6 @@ class Climb:
     model: Model
     needed: Sequence[Term]
     late: Sequence[Model]
-    first: Space = field(init=False)
     where: Space = field(init=False)
     alone: dict[str, float] = field(init=False)
     noise: dict[str, float] = field(default_factory=dict)
@@ -101,7 +100,7 @@ def climbed(c: Climb, report: Callable[[float], None]) -> bool:
         report(min(0.95, 0.15 + 0.1 * turn))
         c.where = _scanned(c)
         if turn == 0:
-            c.first, c.alone = c.where, gains(c.where, frozenset())
+            c.alone = gains(c.where, frozenset())
             if any(t.effect.id not in _favourite(c) for t in c.needed):
                 return False
         model = next((m for step in _STEPS if (m := step(c)) is not None), None)

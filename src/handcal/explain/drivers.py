@@ -221,8 +221,15 @@ def _products(signals: list[tuple[str, str, Of]], sizes: list[tuple[str, str, Of
     return out
 
 
+_PRODUCTS = {
+    ("rad/s", "m/s^2"): "rad*m/s^3", ("rad/s", "rad/s"): "(rad/s)^2",
+    ("m/s^2", "m/s^2"): "(m/s^2)^2", ("rad/s", "s"): "rad", ("m/s^2", "s"): "m/s",
+    ("rad/s", "K"): "rad/s*K", ("m/s^2", "K"): "m/s^2*K",
+}  # fmt: skip
+
+
 def _product(a: tuple[str, str, Of], b: tuple[str, str, Of], needs: tuple[str, ...] = ()) -> Driver:
-    unit = f"({a[1]})*({b[1]})"
+    unit = _PRODUCTS[a[1], b[1]] if (a[1], b[1]) in _PRODUCTS else _PRODUCTS[b[1], a[1]]
     return Driver(f"{a[0]} * {b[0]}", unit, _times(a[2], b[2]), LINE, needs=needs)
 
 

@@ -6,12 +6,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-from handcal.estimate.fit import Model
+from handcal.estimate.fit import Model, fitted
 from handcal.explain.alibi import steadied, sways_far
 from handcal.explain.climb import Climb, climbed
 from handcal.explain.late import with_delays
 from handcal.explain.score import better
-from handcal.explain.search import Space, best_set
+from handcal.explain.search import Space
 from handcal.explain.unnamed import Term, best_term
 
 # What a single term has to gain, of all that was found, for a second climb to begin with it.
@@ -20,7 +20,7 @@ HALF = 0.5
 
 @dataclass(frozen=True)
 class Found:
-    """Where the search ended: the final model, the spaces of the first and last scan, and
+    """Where the search ended: the final model, the space of the last scan, and
     what the catalogue's effects gained over the baseline alone; noise: log-evidence gained by
     each noise effect in the model; swaps: (effect, rival) to the nats by which the rival, fitted
     in its place, does worse."""
@@ -30,7 +30,6 @@ class Found:
     alone: dict[str, float]
     noise: dict[str, float]
     swaps: dict[tuple[str, str], float] = field(default_factory=dict)
-    first: Space | None = None
 
 
 def search(base: Model, report: Callable[[float], None] = lambda _: None) -> Found:
@@ -46,14 +45,16 @@ def search(base: Model, report: Callable[[float], None] = lambda _: None) -> Fou
         starts.insert(0, steadied(base))
     found = _begun(starts, late, lambda f: report(0.7 * f))
     named = [e for e in found.model.effects if "+=" not in e.id and not e.always]
-    if named:
-        term = best_term(base)
-        first = found.first or found.space
-        whole = (first.score(best_set(first)) - first.quadratic.a) / first.quadratic.worth
-        if term is not None and term.gain > HALF * whole:
-            other = _end(base, [term], late, lambda f: report(0.7 + 0.3 * f))
-            if other is not None and advantage(other, found) > 0.0:
-                found = replace(other, alone=found.alone)
+    term = best_term(base) if named else None
+    if term is None:
+        return found
+    # (by fits: about the baseline, whose noise holds what is missing, a scan promises too little)
+    alone = fitted(base.parts, [*base.effects, term.effect])
+    gained, whole = (m.log_evidence - base.log_evidence for m in (alone, found.model))
+    if gained > HALF * whole:
+        other = _end(base, [term], late, lambda f: report(0.7 + 0.3 * f), alone)
+        if other is not None and advantage(other, found) > 0.0:
+            found = replace(other, alone=found.alone)
     return found
 
 
@@ -85,10 +86,16 @@ def advantage(a: Found, b: Found) -> float:
 
 
 def _end(
-    base: Model, needed: Sequence[Term], late: Sequence[Model], report: Callable[[float], None]
+    base: Model,
+    needed: Sequence[Term],
+    late: Sequence[Model],
+    report: Callable[[float], None],
+    begun: Model | None = None,
 ) -> Found | None:
-    """The end of a climb from the baseline; None if it would begin without the terms needed."""
-    c = Climb(base, needed, late)
+    """The end of a climb from the baseline, or from one with the terms that are needed; None if it
+    would begin without these."""
+    c = Climb(base if begun is None else begun, needed, late)
+    c.kept = frozenset(base.ids)
     if not climbed(c, report):
         return None
-    return Found(c.model, c.where, c.alone, c.noise, c.swaps, c.first)
+    return Found(c.model, c.where, c.alone, c.noise, c.swaps)
