@@ -112,7 +112,8 @@ def _loaded(plugin: EntryPoint) -> Any:
 # Signs that an old terminal may lack, and what stands for them there.
 PLAIN = str.maketrans(
     {"−": "-", "–": "-", "±": "+-", "×": "x", "·": "*", "°": " deg", "σ": "sigma", "µ": "u",
-     "μ": "u", "²": "^2", "³": "^3", "√": "sqrt", "≤": "<=", "≥": ">=", "→": "->", "…": "..."}
+     "μ": "u", "²": "^2", "³": "^3", "√": "sqrt", "≤": "<=", "≥": ">=", "→": "->", "…": "...",
+     **dict(zip("▁▂▃▄▅▆▇█", "_.-=+*#@", strict=True))}
 )  # fmt: skip
 
 

@@ -110,8 +110,6 @@ def explain(
         for one, path in zip(explanation.recordings, beside(twin, recordings), strict=True):
             if one.twins is not None:
                 write_twin(one.recording, *one.twins, path)
-    if write_effect:
-        _write(explanation, write_effect)
     from handcal.explain_summary import explanation_json, print_explanation
 
     if json:
@@ -122,6 +120,8 @@ def explain(
         from rich.console import Console
 
         print_explanation(explanation, Console())
+    if write_effect:
+        _write(explanation, write_effect)
 
 
 def _check_new(path: Path) -> None:

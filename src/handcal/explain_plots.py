@@ -34,7 +34,7 @@ from handcal.drawing import (
     svg,
     thin,
 )
-from handcal.explain.explanation import Explanation, Trace
+from handcal.explain.explanation import Explanation, Trace, Unnamed
 from handcal.explain_frames import (
     by_gain,
     cells,
@@ -159,6 +159,28 @@ def heat_plot(explanation: Explanation, recording: int) -> Plot | None:
         caption += " Framed: what is listed above."
     title = f"Shortfall{say.of_recording(recording, explanation) or ' by channel'}"
     return Plot(title, caption, svg(figure, f"heat-{recording}"))
+
+
+def law_plot(u: Unnamed, number: int) -> Plot | None:
+    """What has no name: how much it adds, over what drives it, with the readings behind it."""
+    c = u.curve
+    if c is None or len(c.x) < 3:
+        return None
+    figure, (ax,) = canvas(1, 3.4, share=False)
+    unit, over = (words.shown(u, v.tolist()) for u, v in ((c.y_unit, c.y), (c.x_unit, c.x)))
+    x = over.factor * c.x
+    if len(c.behind):
+        ax.plot(over.factor * c.behind[:, 0], unit.factor * c.behind[:, 1], "o", color=INK, ms=3.2, alpha=0.45, lw=0,
+                label="what was read beyond the rest of the model")  # fmt: skip
+    below, above = (unit.factor * (c.y + n * c.sigma) for n in (-2.0, 2.0))
+    ax.fill_between(x, below, above, color=RED, alpha=0.18, lw=0)
+    ax.plot(x, unit.factor * c.y, color=RED, lw=2.0, label="the law, ± 2 sigma")
+    ax.axhline(0, color=MUTED, lw=0.8)
+    drivers = ", ".join(u.drivers) or "driver"
+    ax.set(xlabel=f"{drivers}, {over.unit}" if over.unit else drivers, ylabel=unit.unit)
+    legend(ax, 2)
+    caption = f"{', '.join(u.channels)}: what it reads in addition, over what drives it."
+    return Plot(u.formula, caption, svg(figure, f"law-{number}"))
 
 
 def hypothesis_plot(explanation: Explanation) -> Plot:
@@ -325,7 +347,7 @@ def parameter_plot(explanation: Explanation) -> Plot | None:
 def draw(explanation: Explanation) -> dict[str, list[Plot]]:
     """All figures by section: "first" (the worst channel of each recording, wide), "traces"
     (others with a mismatch, or the next worst), "others", "heat", "evidence", "balance",
-    "parameters"."""
+    "parameters", "laws"."""
     import matplotlib as mpl
 
     plots: dict[str, list[Plot]] = {"first": [], "traces": [], "others": []}
@@ -338,6 +360,7 @@ def draw(explanation: Explanation) -> dict[str, list[Plot]]:
                 title = plot.title + say.of_recording(r, explanation)
                 plots[section].append(Plot(title, plot.caption, plot.svg))
         single: Sequence[tuple[str, Plot | None]] = (
+            *(("laws", law_plot(u, n)) for n, u in enumerate(explanation.unnamed)),
             *(("heat", heat_plot(explanation, r)) for r in range(len(explanation.recordings))),
             ("evidence", hypothesis_plot(explanation) if explanation.hypotheses else None),
             ("evidence", evidence_plot(explanation)),

@@ -212,6 +212,8 @@ def print_explanation(explanation: Explanation, console: Console) -> None:
         for u in e.unnamed:
             line(u.formula, style="bold")
             line(f"{say.sized(u)}, gains {say.nats(u.log_evidence_gain)}")
+            if drawn := say.sparkline(u):
+                line(drawn)
             if u.story:
                 line(u.story)
     if e.hypotheses:

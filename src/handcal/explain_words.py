@@ -11,6 +11,8 @@ import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from handcal import words
 from handcal.explain.explanation import (
     Explained,
@@ -38,6 +40,8 @@ _UNITS = {
     "mag": Shown("µT", 1e6),
 }  # fmt: skip
 _SMALL = {"accel": "m/s^2", "position": "m", "velocity": "m/s"}
+# A law in one line of the terminal: so many signs, of these heights.
+SPARKS, BLOCKS = 32, "▁▂▃▄▅▆▇█"
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
 
@@ -439,6 +443,23 @@ def sized(u: Unnamed) -> str:
     if u.formula.split(" += ")[1].startswith("g"):
         return f"a size of {amount(u)} (root mean square)"
     return f"k = {amount(u)}"
+
+
+def sparkline(u: Unnamed) -> str:
+    """The law's curve in one line, over its driver from end to end; empty if there is none."""
+    c = u.curve
+    if c is None or len(c.x) < 3 or len(u.drivers) != 1:
+        return ""
+    x = np.linspace(c.x[0], c.x[-1], SPARKS)
+    y = np.interp(x, c.x, c.y)
+    low, high = float(y.min()), float(y.max())
+    steps = np.rint((y - low) / max(high - low, 1e-300) * (len(BLOCKS) - 1)).astype(int)
+    unit, over = words.shown(c.y_unit, [low, high]), words.shown(c.x_unit, c.x.tolist())
+    ends = [f"{v * over.factor:.3g}".replace("-", "−") for v in (c.x[0], c.x[-1])]
+    sizes = [f"{v * unit.factor:.2g}".replace("-", "−") for v in (low, high)]
+    line = "".join(BLOCKS[k] for k in steps)
+    driver = f"{u.drivers[0]} {over.unit}".rstrip()
+    return f"{ends[0]} {line} {ends[1]} {driver}; {sizes[0]} to {sizes[1]} {unit.unit}"
 
 
 def amount(u: Unnamed | Parameter) -> str:

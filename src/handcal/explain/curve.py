@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from handcal.explain.explanation import Curve
 from handcal.explain.laws import CHANNELS, UNITS, Law, law_of
 from handcal.explain.unnamed import signals_of
 from handcal.linear import path
+from handcal.twin import sensor_residuals
 from handcal.types import Array
 
 # Points of a curve, at the most.
@@ -61,9 +63,29 @@ def drawn(f: Fitted, effect: Effect, values: Array, C: Array) -> Drawn:
         rows.append((x, B @ values, np.sqrt(spread)))
         size.append(float(np.mean((B @ values) ** 2)))
         known.append(float(np.mean(spread)))
-    x, y, sigma = _binned(*rows[int(np.argmax(size))])
+    one = int(np.argmax(size))
+    x, y, sigma = _binned(*rows[one])
     whole, within = (math.sqrt(float(np.mean(v))) for v in (size, known))
-    return Drawn(Curve(x, y, sigma, x_unit, y_unit), whole, within)
+    channels = [channel_of(effect.id)]
+    if law is not None:
+        channels = list(law.channels[one : one + 1] if law.each else law.channels)
+    behind = _behind(f, signals.t, channels, *rows[one][:2])
+    return Drawn(Curve(x, y, sigma, x_unit, y_unit, behind), whole, within)
+
+
+def _behind(f: Fitted, t: Array, channels: Sequence[str], x: Array, y: Array) -> Array:
+    """Means (m, 2) of a driver x, and of what was read beyond the fit without the term y; both at
+    the times t of the IMU, for one channel after the other."""
+    left = sensor_residuals(f.linear)
+    parts = []
+    for n, channel in enumerate(channels):
+        own = slice(n * len(t), (n + 1) * len(t))
+        at, residual = left.get(channel, (np.zeros(0), np.zeros(0)))
+        parts.append((np.interp(at, t, x[own]), np.interp(at, t, y[own]) + residual))
+    driver, error = (np.concatenate(rows) for rows in zip(*parts, strict=True))
+    if len(driver) < POINTS:
+        return np.stack([driver, error], axis=1)
+    return np.stack(_binned(driver, error, error)[:2], axis=1)
 
 
 def _of_law(law: Law, signals: Signals) -> list[tuple[Array, Array]]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from handcal.estimate.chosen import Chosen
 from handcal.types import Array, NoiseLevel, Parameter, Recording
 
@@ -53,13 +55,15 @@ class Missing:
 
 @dataclass(frozen=True)
 class Curve:
-    """What a term adds, y (k,), with one sigma (k,), over what drives it, x (k,); units."""
+    """What a term adds, y (k,), with one sigma (k,), over what drives it, x (k,); units. behind
+    (m, 2): means of the driver, and of what was read beyond a fit without the term."""
 
     x: Array
     y: Array
     sigma: Array
     x_unit: str
     y_unit: str
+    behind: Array = field(default_factory=lambda: np.zeros((0, 2)))
 
 
 @dataclass(frozen=True)
