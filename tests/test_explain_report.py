@@ -25,7 +25,7 @@ from handcal import (
     summary,
 )
 from handcal import explain_words as say
-from handcal.explain.explanation import VERDICTS, Unnamed
+from handcal.explain.explanation import VERDICTS, Curve, Unnamed
 from handcal.explain_report import render_explanation, write_explanation_report
 from handcal.types import HandcalError
 
@@ -467,3 +467,24 @@ def test_what_an_effect_does_to_the_readings_is_said_in_their_unit():
     assert "unseen data agree" in said
     assert "do not agree" in say.weight(replace(m, held_out_gain=-4.0))
     assert "unseen" not in say.weight(replace(m, held_out_gain=None))
+
+
+def test_a_law_is_drawn_on_the_page_and_in_one_line() -> None:
+    """Friction: low at one end, high at the other, and the readings behind it."""
+    x = np.linspace(-2.0, 2.0, 41)
+    y = 0.02 * np.tanh(x / 0.2)
+    behind = np.stack([x, y + 1e-3], axis=1)
+    curve = Curve(x, y, np.full(41, 1e-3), "rad/s", "rad/s", behind)
+    law = Unnamed("gyro_z += k * tanh(omega_z / 0.2)", 0.02, 1e-3, "rad/s", 100.0,
+                  channels=("gyro_z",), drivers=("omega_z",), curve=curve)  # fmt: skip
+    line = explain_words.sparkline(law)
+    signs = line.split()[1]
+    assert signs == "".join(sorted(signs))
+    assert {signs[0], signs[-1]} == {"▁", "█"}
+    assert line.startswith("−115 ")
+    assert line.endswith("−1.1 to 1.1 deg/s")
+    plot = explain_plots.law_plot(law, 0)
+    assert plot is not None
+    assert plot.svg.count("<use") >= len(behind)
+    assert explain_plots.law_plot(replace(law, curve=None), 0) is None
+    assert explain_words.sparkline(replace(law, curve=None)) == ""

@@ -170,7 +170,8 @@ def law_plot(u: Unnamed, number: int) -> Plot | None:
     unit, over = (words.shown(u, v.tolist()) for u, v in ((c.y_unit, c.y), (c.x_unit, c.x)))
     x = over.factor * c.x
     if len(c.behind):
-        ax.plot(over.factor * c.behind[:, 0], unit.factor * c.behind[:, 1], "o", color=INK, ms=3.2, alpha=0.45, lw=0,
+        driver, read = (c.behind * [over.factor, unit.factor]).T
+        ax.plot(driver, read, "o", color=INK, ms=3.2, alpha=0.45, lw=0,
                 label="what was read beyond the rest of the model")  # fmt: skip
     below, above = (unit.factor * (c.y + n * c.sigma) for n in (-2.0, 2.0))
     ax.fill_between(x, below, above, color=RED, alpha=0.18, lw=0)
