@@ -240,10 +240,10 @@ def again(effect, tmp_path, values=None):
 
 
 def moved():
-    """The probing motion, with a rest in it."""
+    """The probing motion, with a rest before it and in it."""
     s = probe(200)
-    return dataclasses.replace(s, gyro=np.where((s.t > 3.0) & (s.t < 5.0), 0.02, 1.0)[:, None]
-                               * s.gyro)  # fmt: skip
+    resting = (s.t < 0.5) | ((s.t > 3.0) & (s.t < 5.0))
+    return dataclasses.replace(s, gyro=np.where(resting, 0.02, 1.0)[:, None] * s.gyro)
 
 
 def forms_over(driver, signals):
@@ -252,7 +252,7 @@ def forms_over(driver, signals):
     parts = {}
     for part in grammar.parts_for(over, driver.signed, driver.round, driver.knots == LINE):
         parts.setdefault(part[0], []).append(part)
-    some = [tried[len(tried) // 2] for tried in parts.values()]
+    some = [tried[len(tried) // 3] for tried in parts.values()]
     yield from (grammar.formula([part]) for part in some)
     if driver.knots != LINE:
         yield grammar.formula(some[-2:])

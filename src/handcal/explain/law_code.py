@@ -99,8 +99,8 @@ _MEMORY = re.compile(r"\(memory\(([^ ]+) s\) of (.+)\)")
 
 
 def driver_code(name: str) -> str:
-    """A driver as code that makes it (n,) of ``signals``; of {i}, {j}, {k} those of an axis i, of
-    x, y, z those. Raises KeyError for one that there is none of."""
+    """A driver of an axis x, y, z, or of each axis {i}, as code that makes it (n,) of ``signals``.
+    Raises KeyError for one that there is none of."""
     if name in _PLAIN:
         return _PLAIN[name]
     if found := _PLAY.fullmatch(name):
@@ -111,8 +111,8 @@ def driver_code(name: str) -> str:
     if " * " in name:
         return " * ".join(_factor(driver_code(part)) for part in name.split(" * "))
     kind, _, axis = name.partition("_")
-    columns = {"x": "0", "y": "1", "z": "2", "i": "i", "j": "(i + 1) % 3", "k": "(i + 2) % 3"}
-    signal = f"signals.{_STREAMS[kind]}[:, {columns[axis.strip('{}')]}]"
+    columns = {"x": "0", "y": "1", "z": "2", "{i}": "i"}
+    signal = f"signals.{_STREAMS[kind]}[:, {columns[axis]}]"
     return f"np.gradient({signal}, signals.t)" if kind in ("alpha", "jerk") else signal
 
 
