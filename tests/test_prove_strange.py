@@ -220,6 +220,9 @@ PLAY = {"law": "play", "channels": ["accel_y"], "drivers": [["past f_y"]], "form
 SHAFT = {"law": "size", "channels": ["gyro_x", "gyro_y"], "drivers": [["|omega|"], ["|omega|"]],
          "formula": "", "k": 1.0}  # fmt: skip
 
+OWN = {"law": "own", "channels": ["gyro_x", "gyro_z"], "drivers": [["alpha_x"], ["alpha_z"]],
+       "formula": "", "k": 1.0}  # fmt: skip
+
 
 def judged(document, *laws, effects=()):
     truth = {name: {"x": 1.0} for name in effects}
@@ -247,6 +250,8 @@ RIGHT = entry(["accel_y"], ["f_y"])
         (unexplained(entry(["gyro_x"], ["|omega|"])), [SHAFT], [], "wrong"),
         (unexplained(entry(["gyro_x", "gyro_y"], ["|omega|"])), [SHAFT], [], "exact"),
         (unexplained(RIGHT), [PLAY, SHAFT], [], "wrong"),
+        (unexplained(entry(["gyro_x", "gyro_y", "gyro_z"], ["alpha_i"])), [OWN], [], "exact"),
+        (unexplained(entry(["gyro_x", "gyro_y", "gyro_z"], ["alpha_j"])), [OWN], [], "right_set"),
     ],
 )
 def test_outcomes(document, laws, effects, expected):
@@ -266,11 +271,26 @@ def test_outcomes(document, laws, effects, expected):
         (["omega_x", "f_y", "t"], ["omega_x", "f_y"], False), (["f_z"], ["tilt"], True),
         (["tilt"], ["up_y"], True), (["heading", "tilt"], ["north_x"], True),
         (["past heading"], ["past turn"], True), (["|omega_x|"], ["omega_x"], True),
-        (["something else"], ["omega_x"], False),
+        (["something else"], ["omega_x"], False), (["time since a turn"], ["past |omega|"], True),
+        (["time since a turn"], ["t"], False), (["yaw rate"], ["turn"], True),
+        (["alpha_x"], ["past omega_x"], True), (["alpha_x"], ["omega_x"], False),
+        (["jerk_y"], ["past up_y"], True), (["alpha_y"], ["past omega_x"], False),
+        (["alpha_x"], ["alpha_x"], True), (["yaw rate"], ["past heading"], True),
+        (["yaw rate"], ["heading"], False),
     ],
 )  # fmt: skip
 def test_drivers_are_the_same_whatever_they_are_called(found, true, right):
     assert same(found, true) is right
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_law_of_all_axes_is_driven_on_each_by_its_own(axis):
+    """What is called omega_i is omega_y on y, omega_j there is omega_z."""
+    channel, (i, j, k) = f"accel_{'xyz'[axis]}", ("xyz" * 2)[axis : axis + 3]
+    assert same(["omega_i"], [f"omega_{i}"], channel)
+    assert same(["omega_j", "f_k"], [f"omega_{j}", f"f_{k}"], channel)
+    assert not same(["omega_i"], [f"omega_{j}"], channel)
+    assert same(["T"], ["past T"], channel)
 
 
 def test_every_law_has_the_drivers_that_it_has():
