@@ -10,6 +10,10 @@ from prove_help import parameter, said
 from rich.console import Console
 
 from handcal.effects import Signals, catalogue
+from handcal.explain import grammar
+from handcal.explain.curve import drivers_of
+from handcal.explain.drivers import DRIVERS
+from handcal.explain.laws import Law
 from handcal_sim import prove_draw, prove_draw_strange, prove_score, prove_score_strange
 from handcal_sim.effects import EFFECTS
 from handcal_sim.prove_further import worked_out
@@ -329,6 +333,29 @@ def test_a_true_curve_leaves_nothing_and_none_everything(scene):
     }
     assert left_share(added, case.world, odd) is None
     assert curves([], "gyro_x", scene).tolist() == [0.0] * len(scene.t)
+
+
+@pytest.mark.parametrize("channel", ["gyro_y", "accel_z"])
+def test_what_explain_draws_a_curve_over_is_known_here(world, scene, channel):
+    """Each of its drivers, in the words of its formulas: only the law itself is not the same."""
+    signals = Signals(
+        scene.t, scene.omega, scene.f, C_nb=world.truth.C_nb,
+        streams={"temperature": scene.warm[:, None] + 25.0},
+    )  # fmt: skip
+    sensor, axis = channel.startswith("accel"), "xyz".index(channel[-1])
+    form = grammar.formula([("line", ())])
+    for driver in DRIVERS.values():
+        for axes in [(axis,), (0, 1, 2)] if driver.own else [(axis,)]:
+            told = Law(int(sensor), axes, False, driver, form, (1.0,))
+            x = driver.of(signals, axis)
+            curve = {"x": [x.min(), x.max()], "y": [0.0, 1.0], "x_unit": driver.unit}
+            one = {**entry(list(told.channels), list(drivers_of(told.said)), curve),
+                   "formula": told.said}  # fmt: skip
+            found, true = curves([one], channel, scene), np.interp(x, curve["x"], curve["y"])
+            # (the program on trial has rates of change by differences)
+            assert law.rms(found - true) < 0.03 * law.rms(true), told.said
+    each = {**one, "formula": "gyro_xyz += g_i(omega_i)", "channels": ["gyro_x", channel]}
+    assert curves([each], channel, scene) is None
 
 
 def ticket_of(name, seed=0):
