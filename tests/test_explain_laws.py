@@ -168,7 +168,7 @@ def test_the_columns_of_a_law_are_the_derivatives_of_its_error(form, each: bool)
     effect, s = laws.effect_of(law), probe()
     k = np.random.default_rng(0).normal(size=len(effect.parameters))
     J = imu_jacobian(effect, np.zeros(len(k)), s)
-    by_difference = imu_jacobian(replace(effect, columns=None), np.zeros(len(k)), s)
+    by_difference = imu_jacobian(replace(effect, features=None), np.zeros(len(k)), s)
     np.testing.assert_allclose(J, by_difference, atol=1e-9 * np.abs(J).max())
     assert effect.imu_error is not None
     np.testing.assert_allclose(J @ k, effect.imu_error(k, s), atol=1e-9)

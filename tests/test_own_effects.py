@@ -12,13 +12,16 @@ import pytest
 from typer.testing import CliRunner
 
 from handcal import cli, effects, own_effects, so3
-from handcal.effects import TIME, Z_DIM, catalogue, observed_error, with_effects
+from handcal.effects import TIME, Z_DIM, Param, catalogue, observed_error, with_effects
 from handcal.estimate.beside import side_by_side
-from handcal.explain import law_file, shapes, terms
+from handcal.explain import grammar, law_file, laws, shapes, terms
 from handcal.explain.curve import channel_of, drivers_of
+from handcal.explain.drivers import DRIVERS, LINE
 from handcal.explain.explanation import Unnamed
-from handcal.signals import probe, some
-from handcal.types import HandcalError, InputError
+from handcal.explain.grammar import range_of
+from handcal.explain.laws import Law
+from handcal.signals import probe
+from handcal.types import HandcalError, InputError, Parameter
 from handcal_sim import simulate
 from handcal_sim.commands import simulate as simulate_command
 from handcal_sim.mcap_writer import write
@@ -47,8 +50,10 @@ WRONG = {
     GOOD.replace("hstack", "vstack"): r"a.py: imu_error has to .* \(40, 3\)",
     GOOD.replace("p[0] *", "np.nan *"): "a.py: imu_error has to give finite numbers",
 }
-TERMS = [f"{c} += k * {f}" for c in ("gyro_y", "accel_z") for f in terms.features(True)]
-HEADINGS = [f"heading += k * {f}" for f in terms._HEADING]
+HEADINGS = [f"heading += {f}" for f in terms._HEADING]
+# A law's ways: its axes, and whether each has its own constants.
+WAYS = [((1,), False), ((0, 1, 2), False), ((0, 1, 2), True)]
+CUBE = grammar.formula([("cube", ())])
 # A course of each family, as in 80 s.
 NUMBERS = {"bump": (30.0, 6.0), "while": (2.01, 5.13), "swing": (25.0, 0.7), "decay": (12.0,),
            "lobe": (0.4, 5.0)}  # fmt: skip
@@ -88,15 +93,18 @@ def test_what_the_catalogue_covers_is_that_of_the_context(tmp_path):
     cube = GOOD.replace("np.hstack([signals.gyro, signals.accel])", "np.hstack([signals.gyro**3, 0 "
                         "* signals.accel])")  # fmt: skip
     square = cube.replace("**3", " * np.abs(signals.gyro)")
-    formulas = "omega_y^3", "omega_y * abs(omega_y)"
+    forms = [grammar.formula([(name, ())]) for name in ("cube", "signed square")]
+    alone = [Law(0, (1,), False, DRIVERS["omega_{i}"], form, (1.0,)) for form in forms]
+    whole = [dataclasses.replace(law, axes=(0, 1, 2)) for law in alone]
     for k, text in enumerate((cube, square)):
         with own_effects.effects_from(folder_with(tmp_path, a=text)):
             # (all axes together are one law: of one alone there is still more to know)
-            assert not any(terms.named(1, f) for f in formulas)
-        alone = text.replace("p[0] * np", "p[0] * np.eye(6)[1] * np")
-        with own_effects.effects_from(folder_with(tmp_path, a=alone)):
-            assert [terms.named(1, f) for f in formulas] == [k == 0, k == 1]
-    assert not any(terms.named(1, f) for f in formulas)
+            assert not any(laws.named(law) for law in alone)
+            assert [laws.named(law) for law in whole] == [k == 0, k == 1]
+        one = text.replace("p[0] * np", "p[0] * np.eye(6)[1] * np")
+        with own_effects.effects_from(folder_with(tmp_path, a=one)):
+            assert [laws.named(law) for law in alone] == [k == 0, k == 1]
+    assert not any(laws.named(law) for law in (*alone, *whole))
 
 
 @pytest.mark.parametrize("text", WRONG)
@@ -204,84 +212,194 @@ def test_a_package_that_brings_none_is_named(packages, what, said):
 # --- laws written out ----------------------------------------------------------------------------
 
 
-def unnamed(effect, value=0.0123456):
-    """As an explanation has it."""
-    return Unnamed(effect.id, value, abs(value) / 50, effect.parameters[0].unit, 52.3, effect.story,
-                   (channel_of(effect.id),), drivers_of(effect.id), None, effect.made)  # fmt: skip
+def unnamed(effect, values=None):
+    """As an explanation has it, with these constants."""
+    if values is None:
+        values = 0.0123456 * np.arange(1, len(effect.parameters) + 1)
+    law, smooth = laws.law_of(effect), effect.together is not None
+    channels = (channel_of(effect.id),) if law is None else law.channels
+    own = tuple(Parameter(effect.id, p.name, v, v / 50, p.unit, p.prior_sigma, None)
+                for p, v in zip(effect.parameters, values, strict=True))  # fmt: skip
+    return Unnamed(
+        effect.id, values[0], values[0] / 50, effect.parameters[0].unit, 52.3, effect.story,
+        channels, drivers_of(effect.id), None, () if smooth else own, effect.made,
+        tuple(values) if smooth else (),
+    )  # fmt: skip
 
 
-def again(effect, tmp_path):
+def again(effect, tmp_path, values=None):
     """The effect, written out and read in."""
-    (path,) = law_file.write([unnamed(effect)], tmp_path / "odd.py", ["a.mcap"], catalogue())
+    path = tmp_path / "odd.py"
+    path.unlink(missing_ok=True)
+    (path,) = law_file.write([unnamed(effect, values)], path, ["a.mcap"], catalogue())
     own = own_effects.read(path)
     assert own.id == path.stem
     assert "a.mcap" in own.source
-    assert [(p.name, p.unit) for p in own.parameters] == [("k", effect.parameters[0].unit)]
-    assert own.parameters[0].prior_sigma == 0.012
-    assert own.parameters[0].positive == effect.parameters[0].positive
     assert max(len(line) for line in path.read_text().splitlines()) <= 100
     return own
 
 
-def same_on_the_imu(one, other, signals, atol=0.0):
-    k = np.array([0.7])
-    wanted = one.imu_error(k, signals)
-    assert np.abs(wanted).max() > 0.0
-    np.testing.assert_allclose(other.imu_error(k, signals), wanted, rtol=1e-9, atol=atol)
-
-
-def same_on_the_heading(one, other):
+def moved():
+    """The probing motion, with a rest before it and in it."""
     s = probe(200)
-    nav, z = np.zeros((200, 21)), np.zeros((200, Z_DIM))
-    nav[:, 6:15], z[:, TIME] = s.C_nb.reshape(200, 9), s.t
-    wanted, found = (observed_error(e, "heading", [0.7], nav, z, 1) for e in (one, other))
-    assert np.abs(wanted).max() > 0.0
-    np.testing.assert_allclose(found, wanted, rtol=1e-9)
-    assert so3.yaw_of(s.C_nb).std() > 0.5
+    resting = (s.t < 0.5) | ((s.t > 3.0) & (s.t < 5.0))
+    return dataclasses.replace(s, gyro=np.where(resting, 0.02, 1.0)[:, None] * s.gyro)
 
 
-@pytest.mark.parametrize("formula", TERMS)
-def test_a_term_written_out_is_the_term(formula, tmp_path):
-    effect = terms.again(formula, 1.0)
-    own = again(effect, tmp_path)
-    same_on_the_imu(effect, own, probe(200))
-    assert (own.needs == ("temperature",)) == ("T" in drivers_of(formula))
-    cold = some(probe(200), np.arange(50))
-    cold.streams.pop("temperature")
-    assert own.needs == () or not own.imu_error(np.array([0.7]), cold).any()
+def forms_over(driver, signals):
+    """Every function of the grammar for a driver, two together, and its curve."""
+    over = range_of(np.stack([driver.of(signals, a) for a in range(3)]), driver.signed)
+    parts = {}
+    for part in grammar.parts_for(over, driver.signed, driver.round, driver.knots == LINE):
+        parts.setdefault(part[0], []).append(part)
+    some = [tried[len(tried) // 3] for tried in parts.values()]
+    yield from (grammar.formula([part]) for part in some)
+    if driver.knots != LINE:
+        yield grammar.formula(some[-2:])
+        yield grammar.curves(over, driver.knots, driver.round)[0]
+
+
+def laws_over(driver, sensor, signals):
+    for form in forms_over(driver, signals):
+        for axes, each in WAYS:
+            if driver.own or len(axes) == 1:
+                yield Law(sensor, axes, each, driver, form, (1.0,) * form.constants)
+
+
+def test_every_law_written_out_is_the_law(tmp_path):
+    """Every driver, form and way: to a millionth of what it adds."""
+    s = moved()
+    cold, said = dataclasses.replace(s, streams={}, C_nb=None), set()
+    changed = [d.at(1.37 * d.number) for d in list(DRIVERS.values())[::5] if d.at]
+    for n, driver in enumerate((*DRIVERS.values(), *changed)):
+        sensor = n % 2 if driver.only is None else driver.only
+        for law in laws_over(driver, sensor, s):
+            effect = laws.effect_of(law)
+            values = 0.01 * np.cos(1.0 + np.arange(len(effect.parameters)))
+            own = again(effect, tmp_path, values)
+            # (of a curve the file has what was found, k times)
+            k = np.ones(3 if law.each else 1) if law.form.smooth else values
+            wanted, found = effect.imu_error(values, s), own.imu_error(k, s)
+            assert np.abs(found - wanted).max() <= 1e-6 * np.abs(wanted).max(), effect.id
+            assert np.abs(wanted).max() > 0.0, effect.id
+            assert own.needs == driver.needs
+            assert not own.needs or not own.imu_error(k, cold).any()
+            check_parameters(own, effect, values, law)
+            said |= set(law.form.kind.split(" + "))
+    assert said == {*grammar.ATOMS, *grammar.ROUND, "curve", "circle"}
+
+
+def check_parameters(own, effect, values, law):
+    """A formula's are its own, with what was found as their sizes; a curve's, one for each."""
     assert not own.of_one_day
+    if law.form.smooth:
+        names = ["k_x", "k_y", "k_z"] if law.each else ["k"]
+        assert [(p.name, p.unit, p.prior_sigma) for p in own.parameters] == [
+            (name, "1", 1.0) for name in names
+        ]
+        return
+    kept = [[(p.name, p.unit, p.positive) for p in e.parameters] for e in (own, effect)]
+    assert kept[0] == kept[1]
+    np.testing.assert_allclose(own.prior_sigma, np.abs(values), rtol=0.05)
+
+
+def test_what_is_known_badly_may_be_as_large_as_that():
+    """Found 0.03 and 0.04 sigma: the root of 0.03^2 + 0.04^2 is 0.05."""
+    effect = terms.again(HEADINGS[0], 1.0)
+    odd = unnamed(effect)
+    constants = tuple(dataclasses.replace(p, value=-0.03, sigma=0.04) for p in odd.constants)
+    law = law_file.law_of(dataclasses.replace(odd, constants=constants))
+    assert [p.prior_sigma for p in law.parameters] == [0.05, 0.05]
+
+
+def navigated(n=200):
+    """States (n, 21) of the probing motion, and the time."""
+    s = probe(n)
+    nav, z = np.zeros((n, 21)), np.zeros((n, Z_DIM))
+    nav[:, 6:15], nav[:, 15:18], z[:, TIME] = s.C_nb.reshape(n, 9), s.gyro, s.t
+    assert so3.yaw_of(s.C_nb).std() > 0.5
+    return nav, z
+
+
+def same_on_the_heading(effect, values, own, k, states):
+    wanted = observed_error(effect, "heading", values, *states, 1)
+    found = observed_error(own, "heading", k, *states, 1)
+    assert np.abs(wanted).max() > 0.0
+    np.testing.assert_allclose(found, wanted, rtol=0.0, atol=1e-6 * np.abs(wanted).max())
 
 
 @pytest.mark.parametrize("formula", HEADINGS)
-def test_a_term_of_the_heading_written_out_is_the_term(formula, tmp_path):
+def test_a_formula_of_the_heading_written_out_is_the_formula(formula, tmp_path):
     effect = terms.again(formula, 1.0)
-    same_on_the_heading(effect, again(effect, tmp_path))
+    own, values = again(effect, tmp_path), np.array([0.7, -0.4])[: len(effect.parameters)]
+    assert [(p.name, p.unit) for p in own.parameters] == [
+        (p.name, p.unit) for p in effect.parameters
+    ]
+    same_on_the_heading(effect, values, own, values, navigated())
+
+
+@pytest.mark.parametrize("driver", terms.CURVES)
+def test_a_curve_of_the_heading_written_out_is_the_curve(driver, tmp_path):
+    effect = terms.curve(driver, 1.0, 1.0)
+    values = np.cos(np.arange(len(effect.parameters)) ** 2)
+    nav, z = navigated()
+    # (both ends of a circle, faster than any table, and upright)
+    more = np.zeros((5, 21))
+    more[:, [6, 9]] = [[-1.0, 0.0], [-1.0, -0.0], [-1.0, -1e-9], [1.0, 0.0], [0.0, 1.0]]
+    more[:, [14, 17]] = [[1.0, 99.0], [1.0, -99.0], [-1.0, 0.0], [0.5, 20.0], [0.0, 0.0]]
+    states = np.vstack([nav, more]), np.vstack([z, z[:5]])
+    same_on_the_heading(effect, values, again(effect, tmp_path, values), np.ones(1), states)
 
 
 @pytest.mark.parametrize(("channel", "kind"), COURSES)
 def test_a_course_written_out_is_the_course(channel, kind, tmp_path):
-    effect = shapes.again(channel, (kind, NUMBERS[kind]))
+    effect, k = shapes.again(channel, (kind, NUMBERS[kind])), np.array([0.7])
     own = again(effect, tmp_path)
     assert own.of_one_day == (kind in ("bump", "while", "swing"))
+    assert [(p.name, p.unit, p.prior_sigma) for p in own.parameters] == [
+        ("k", effect.parameters[0].unit, 0.012)
+    ]
     if channel == "heading":
-        same_on_the_heading(effect, own)
-    else:
-        # (a while begins between two samples, on a slope for the search's sake)
-        same_on_the_imu(effect, own, probe(400), 0.71 if kind == "while" else 1e-12)
+        same_on_the_heading(effect, k, own, k, navigated())
+        return
+    wanted, found = (e.imu_error(k, probe(400)) for e in (effect, own))
+    # (a while begins between two samples, on a slope for the search's sake)
+    off = 0.71 if kind == "while" else 1e-6 * np.abs(wanted).max()
+    assert np.abs(found - wanted).max() <= off
+    assert np.abs(wanted).max() > 0.0
 
 
-def test_every_course_that_there_is_has_a_writer():
+def test_a_burst_is_written_as_a_while():
+    """It has no constants beside its size."""
+    burst = Unnamed("heading += k from 2.0 s to 5.1 s", 0.5, 0.02, "rad", 9.0, "", ("heading",),
+                    ("t",), None, (), ("while", (2.01, 5.13)))  # fmt: skip
+    law = law_file.law_of(burst)
+    assert law.of_heading
+    assert law.of_one_day
+    assert law.parameters == (Param("k", "rad", 0.5),)
+
+
+def test_every_course_that_there_is_has_a_writer_and_nothing_else_has():
     families = {f.name for f in (*shapes.OVER_TIME, *shapes.OVER_YAW)}
-    assert families == set(law_file.WRITERS) == set(NUMBERS)
-    odd = dataclasses.replace(
-        unnamed(terms.again("gyro_x += k * t", 1.0)), made=("something else", ())
-    )
-    with pytest.raises(HandcalError, match="cannot be written"):
-        law_file.law_of(odd)
+    assert families == set(law_file.COURSES) == set(NUMBERS)
+    known = unnamed(terms.again(HEADINGS[0], 1.0))
+    curved = unnamed(terms.curve("tilt", 1.0, 1.0))
+    over = laws.effect_of(Law(0, (0,), False, DRIVERS["omega_{i}"], CUBE, (1.0,)))
+    for odd in (
+        dataclasses.replace(known, made=("something else", ())),
+        dataclasses.replace(known, formula="heading += k * omega_x"),
+        dataclasses.replace(curved, coefficients=()),
+        dataclasses.replace(unnamed(over), made=(over.made[0].replace("omega", "zeal"), (1.0,))),
+    ):
+        with pytest.raises(HandcalError, match="cannot be written"):
+            law_file.law_of(odd)
 
 
 def test_several_laws_are_several_files_and_none_is_overwritten(tmp_path):
-    both = [unnamed(terms.again(f"{c} += k * omega_x^3", 1.0)) for c in ("gyro_x", "accel_x")]
+    both = [
+        unnamed(laws.effect_of(Law(sensor, (0,), False, DRIVERS[name], CUBE, (1.0,))))
+        for sensor, name in enumerate(("omega_{i}", "f_{i}"))
+    ]
     (tmp_path / "odd_2.py").write_text("mine")
     found = law_file.write(both, tmp_path / "odd.py", ["a.mcap", "b.mcap"], [*catalogue(), "odd_3"])
     assert [p.name for p in found] == ["odd.py", "odd_4.py"]
@@ -295,7 +413,7 @@ def test_several_laws_are_several_files_and_none_is_overwritten(tmp_path):
 def test_a_recordings_name_is_no_code(tmp_path):
     """Whoever names a recording must not be able to write what is run."""
     name = 'a"""\nraise RuntimeError\n"""' + "'); raise RuntimeError(\\" + "\udcff\u2713.mcap"
-    law = unnamed(terms.again("gyro_x += k * t", 1.0))
+    law = unnamed(shapes.again("gyro_x", ("decay", (12.0,))))
     (path,) = law_file.write([law], tmp_path / "odd.py", [name], catalogue())
     own = own_effects.read(path)
     assert own.source == f"found in {name} by handcal explain".replace("\n", " ")

@@ -10,6 +10,10 @@ from prove_help import parameter, said
 from rich.console import Console
 
 from handcal.effects import Signals, catalogue
+from handcal.explain import grammar
+from handcal.explain.curve import drivers_of
+from handcal.explain.drivers import DRIVERS
+from handcal.explain.laws import Law
 from handcal_sim import prove_draw, prove_draw_strange, prove_score, prove_score_strange
 from handcal_sim.effects import EFFECTS
 from handcal_sim.prove_further import worked_out
@@ -220,6 +224,9 @@ PLAY = {"law": "play", "channels": ["accel_y"], "drivers": [["past f_y"]], "form
 SHAFT = {"law": "size", "channels": ["gyro_x", "gyro_y"], "drivers": [["|omega|"], ["|omega|"]],
          "formula": "", "k": 1.0}  # fmt: skip
 
+OWN = {"law": "own", "channels": ["gyro_x", "gyro_z"], "drivers": [["alpha_x"], ["alpha_z"]],
+       "formula": "", "k": 1.0}  # fmt: skip
+
 
 def judged(document, *laws, effects=()):
     truth = {name: {"x": 1.0} for name in effects}
@@ -247,6 +254,8 @@ RIGHT = entry(["accel_y"], ["f_y"])
         (unexplained(entry(["gyro_x"], ["|omega|"])), [SHAFT], [], "wrong"),
         (unexplained(entry(["gyro_x", "gyro_y"], ["|omega|"])), [SHAFT], [], "exact"),
         (unexplained(RIGHT), [PLAY, SHAFT], [], "wrong"),
+        (unexplained(entry(["gyro_x", "gyro_y", "gyro_z"], ["alpha_i"])), [OWN], [], "exact"),
+        (unexplained(entry(["gyro_x", "gyro_y", "gyro_z"], ["alpha_j"])), [OWN], [], "right_set"),
     ],
 )
 def test_outcomes(document, laws, effects, expected):
@@ -266,11 +275,26 @@ def test_outcomes(document, laws, effects, expected):
         (["omega_x", "f_y", "t"], ["omega_x", "f_y"], False), (["f_z"], ["tilt"], True),
         (["tilt"], ["up_y"], True), (["heading", "tilt"], ["north_x"], True),
         (["past heading"], ["past turn"], True), (["|omega_x|"], ["omega_x"], True),
-        (["something else"], ["omega_x"], False),
+        (["something else"], ["omega_x"], False), (["time since a turn"], ["past |omega|"], True),
+        (["time since a turn"], ["t"], False), (["yaw rate"], ["turn"], True),
+        (["alpha_x"], ["past omega_x"], True), (["alpha_x"], ["omega_x"], False),
+        (["jerk_y"], ["past up_y"], True), (["alpha_y"], ["past omega_x"], False),
+        (["alpha_x"], ["alpha_x"], True), (["yaw rate"], ["past heading"], True),
+        (["yaw rate"], ["heading"], False),
     ],
 )  # fmt: skip
 def test_drivers_are_the_same_whatever_they_are_called(found, true, right):
     assert same(found, true) is right
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_law_of_all_axes_is_driven_on_each_by_its_own(axis):
+    """What is called omega_i is omega_y on y, omega_j there is omega_z."""
+    channel, (i, j, k) = f"accel_{'xyz'[axis]}", ("xyz" * 2)[axis : axis + 3]
+    assert same(["omega_i"], [f"omega_{i}"], channel)
+    assert same(["omega_j", "f_k"], [f"omega_{j}", f"f_{k}"], channel)
+    assert not same(["omega_i"], [f"omega_{j}"], channel)
+    assert same(["T"], ["past T"], channel)
 
 
 def test_every_law_has_the_drivers_that_it_has():
@@ -309,6 +333,29 @@ def test_a_true_curve_leaves_nothing_and_none_everything(scene):
     }
     assert left_share(added, case.world, odd) is None
     assert curves([], "gyro_x", scene).tolist() == [0.0] * len(scene.t)
+
+
+@pytest.mark.parametrize("channel", ["gyro_y", "accel_z"])
+def test_what_explain_draws_a_curve_over_is_known_here(world, scene, channel):
+    """Each of its drivers, in the words of its formulas: only the law itself is not the same."""
+    signals = Signals(
+        scene.t, scene.omega, scene.f, C_nb=world.truth.C_nb,
+        streams={"temperature": scene.warm[:, None] + 25.0},
+    )  # fmt: skip
+    sensor, axis = channel.startswith("accel"), "xyz".index(channel[-1])
+    form = grammar.formula([("line", ())])
+    for driver in DRIVERS.values():
+        for axes in [(axis,), (0, 1, 2)] if driver.own else [(axis,)]:
+            told = Law(int(sensor), axes, False, driver, form, (1.0,))
+            x = driver.of(signals, axis)
+            curve = {"x": [x.min(), x.max()], "y": [0.0, 1.0], "x_unit": driver.unit}
+            one = {**entry(list(told.channels), list(drivers_of(told.said)), curve),
+                   "formula": told.said}  # fmt: skip
+            found, true = curves([one], channel, scene), np.interp(x, curve["x"], curve["y"])
+            # (the program on trial has rates of change by differences)
+            assert law.rms(found - true) < 0.03 * law.rms(true), told.said
+    each = {**one, "formula": "gyro_xyz += g_i(omega_i)", "channels": ["gyro_x", channel]}
+    assert curves([each], channel, scene) is None
 
 
 def ticket_of(name, seed=0):

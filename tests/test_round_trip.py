@@ -20,6 +20,7 @@ from handcal.effects import Effect, Param, catalogue, with_effects
 from handcal.explain import Explanation, explain, law_file
 from handcal.explain.explanation import Unnamed
 from handcal.explain_summary import explanation_json
+from handcal.types import Parameter
 from handcal_sim import strangers
 
 DEVICE, MOTIONS, LENGTH_S = 0, (0, 1), 84.0
@@ -83,7 +84,9 @@ def _of_the_heading(kind):
         "heading_direction": (("lobe", (where, 6.0)), "heading += k * lobe"),
         "heading_tilt": (None, f"heading += k * sin(pitch of {_tilted()})"),
     }[kind]
-    return Unnamed(formula, 0.2, 0.01, "rad", 0.0, "", ("heading",), ("yaw",), None, made)
+    k = Parameter("true_law", "k", 0.2, 0.01, "rad", 0.1, None)
+    return Unnamed(formula, k.value, k.sigma, k.unit, 0.0, "", ("heading",), ("yaw",), None, (k,),
+                   made)  # fmt: skip
 
 
 def _tilted():

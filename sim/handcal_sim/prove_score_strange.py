@@ -35,7 +35,7 @@ def channels_told(law: Mapping[str, Any], document: Document) -> bool:
 def drivers_told(law: Mapping[str, Any], document: Document) -> bool:
     """Whether, besides, on each channel something is driven by what drives the law."""
     return channels_told(law, document) and all(
-        any(channel in entry["channels"] and same(entry["drivers"], drivers)
+        any(channel in entry["channels"] and same(entry["drivers"], drivers, channel)
             for entry in document["unnamed"])
         for channel, drivers in zip(law["channels"], law["drivers"], strict=True)
     )  # fmt: skip

@@ -75,7 +75,7 @@ class Strange:
 def drawn(law: Law, axis: int, seed: int) -> Strange:
     """The law on that axis (any, for heading) with the numbers that this seed gives it."""
     respond, text = law.response(np.random.default_rng(seed))
-    drivers = tuple(_on_axes(driver, axis) for driver in law.drivers)
+    drivers = tuple(on_axes(driver, axis) for driver in law.drivers)
     channel = law.sensor if law.sensor == "heading" else f"{law.sensor}_{AXES[axis]}"
 
     def error_of(scene: Scene) -> Array:
@@ -112,7 +112,8 @@ def signal(scene: Scene, name: str) -> Array:
     return values
 
 
-def _on_axes(driver: str, axis: int) -> str:
+def on_axes(driver: str, axis: int) -> str:
+    """The driver with the letters i, j and k as axes of a sensor whose own axis this is."""
     head, _, letter = driver.partition("_")
     return (
         f"{head}_{AXES[(axis + 'ijk'.index(letter)) % 3]}" if letter in ("i", "j", "k") else driver

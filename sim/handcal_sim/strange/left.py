@@ -7,6 +7,7 @@ less the curves of what has no name: at the true motion, without noise, each les
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -19,9 +20,12 @@ from handcal_sim.profiles import Array
 from handcal_sim.scenario import World
 from handcal_sim.strange.device import Added, off, own_scene
 from handcal_sim.strange.law import signal
-from handcal_sim.strange.words import said
+from handcal_sim.strange.memory import followed, lagged
+from handcal_sim.strange.words import of_channel, said
 from handcal_sim.strangers import AXES, Scene, scene_of
 
+# Slower than this (rad/s) a device is not being turned, to whoever speaks of the last turn.
+TURNING = 0.2
 Values = Mapping[str, Mapping[str, float]]
 # What has no course that numbers of a document would tell, or no place on these channels.
 _WITHOUT = ("_walk", "_noise", "_outliers", "mag_", "pose_", "clock_rate", "earth_rate")
@@ -51,24 +55,45 @@ def curves(unnamed: Sequence[Mapping[str, Any]], channel: str, at: Scene) -> Arr
     for entry in unnamed:
         if channel not in entry["channels"]:
             continue
-        curve, driver = entry.get("curve") or {}, np.ones(len(at.t))
-        try:
-            for name in entry["drivers"]:
-                driver = driver * _driver(name, at)
-        except (AttributeError, KeyError):
+        curve = entry.get("curve") or {}
+        if not curve.get("x") or not entry["drivers"] or _of_one_axis(entry):
             return None
-        if not curve.get("x") or not entry["drivers"]:
+        try:
+            driver = _course(entry, channel, at)
+        except (AttributeError, KeyError):
             return None
         total += np.interp(driver, curve["x"], curve["y"])
     return total
 
 
+def _of_one_axis(entry: Mapping[str, Any]) -> bool:
+    """Whether a curve is of one axis alone, where each has constants of its own."""
+    return len(entry["channels"]) > 1 and re.search(r"\b[gk]\d?_i\b", entry["formula"]) is not None
+
+
+def _course(entry: Mapping[str, Any], channel: str, at: Scene) -> Array:
+    """What the curve is drawn over (n,): the product of the drivers, or what is left of them."""
+    x, formula = np.ones(len(at.t)), entry["formula"]
+    if "time since a turn" in entry["drivers"]:
+        turned = signal(at, "|omega|") > TURNING
+        return np.asarray(at.t - np.maximum.accumulate(np.where(turned, at.t, at.t[0])))
+    for name in entry["drivers"]:
+        x = x * _driver(of_channel(name, channel), at)
+    if entry["curve"].get("x_unit") == "s^2":
+        x = x * x
+    if found := re.search(r"\bmemory\(([^ ]+) s\)", formula):
+        return lagged(at.t, x, float(found[1]))
+    if found := re.search(r"\bplay\(([^ ]+) ", formula):
+        return followed(x, float(found[1])) - x
+    return x
+
+
 def _driver(name: str, at: Scene) -> Array:
-    """In the units of a curve: degC, and the angle of pitch."""
-    if name.startswith("pitch of "):
-        return np.asarray(np.arcsin(np.clip(signal(at, said(name)), -1.0, 1.0)))
+    """In the units of a curve: K above 25 degC, and the angle of pitch."""
     values = signal(at, said(name))
-    return values + 25.0 if said(name) == "T" else values
+    if name.startswith("pitch of "):
+        return np.asarray(np.arcsin(np.clip(values, -1.0, 1.0)))
+    return values
 
 
 def _values(effects: Mapping[str, Sequence[Mapping[str, Any]]]) -> Values:

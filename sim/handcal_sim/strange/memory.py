@@ -19,6 +19,14 @@ def lagged(t: Array, u: Array, tau: float) -> Array:
     return np.asarray(smooth)
 
 
+def followed(u: Array, half: float) -> Array:
+    """What follows u (n,) with so much play to either side."""
+    follow, at = np.empty(len(u)), float(u[0])
+    for n, x in enumerate(u.tolist()):
+        follow[n] = at = min(max(at, x - half), x + half)
+    return follow
+
+
 def _step(t: Array) -> float:
     return float(t[-1] - t[0]) / (len(t) - 1)
 
@@ -61,13 +69,7 @@ def play(rng: Rng) -> Made:
     """What follows begins to move only once the play is used up."""
     half = rng.uniform(0.15, 0.45)
 
-    def respond(_t: Array, u: Array) -> Array:
-        follow, at = np.empty(len(u)), float(u[0])
-        for n, x in enumerate(u.tolist()):
-            follow[n] = at = min(max(at, x - half), x + half)
-        return follow - u
-
-    return respond, f"play(u, {half:.3f}) - u"
+    return lambda _, u: followed(u, half) - u, f"play(u, {half:.3f}) - u"
 
 
 def stiction(rng: Rng) -> Made:

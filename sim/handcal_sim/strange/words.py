@@ -10,7 +10,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 
-from handcal_sim.strange.law import bare
+from handcal_sim.strange.law import bare, on_axes
+from handcal_sim.strangers import AXES
 
 # As somebody else may say it: pattern and what it is here. `pitch of x` is how far body x points
 # up.
@@ -24,6 +25,7 @@ _SAME = (
     (r"(?:yaw|psi)", "heading"),
     (r"(?:temperature|temp|warm)", "T"),
     (r"time", "t"),
+    (r"time since (?:a|the last) turn", "|omega|"),
     (r"(?:heading rate|yaw rate|rate about (?:the )?vertical|turn)", "turn"),
     (r"(?:roll|pitch|up)", "tilt"),
 )  # fmt: skip
@@ -48,11 +50,32 @@ def core(driver: str) -> str:
     return re.sub(r"^up_([xyz])$", r"f_\1", now)
 
 
-def same(found: Iterable[str], true: Iterable[str]) -> bool:
-    """Whether drivers that were found are those of a law: no fewer and no more."""
-    f, t = ({core(driver) for driver in drivers} for drivers in (found, true))
-    return any(f == _put(t, old, new) for old, new in _EQUAL)
+def same(found: Iterable[str], true: Iterable[str], channel: str = "") -> bool:
+    """Whether drivers that were found are those of a law: no fewer and no more; channel: on which
+    they were found, if they may be called after its axis (omega_i)."""
+    f = {core(of_channel(driver, channel)) for driver in found}
+    true = tuple(true)
+    t = {core(driver) for driver in true}
+    changes = [(c, frozenset({_CHANGES[c]})) for c in _with_past(true) if c in _CHANGES]
+    return any(f == _put(t, old, new) for old, new in (*_EQUAL, *changes))
 
+
+def of_channel(driver: str, channel: str) -> str:
+    """The driver with its letters as axes: omega_i of accel_y is omega_y."""
+    axis = AXES.find(channel[-1:]) if channel else -1
+    return on_axes(driver, axis) if axis >= 0 else driver
+
+
+def _with_past(drivers: Iterable[str]) -> set[str]:
+    return {core(driver) for driver in drivers if driver != bare(driver)}
+
+
+# How fast something changes: of a law to which its past counts, that describes it too.
+_CHANGES = {
+    **{f"omega_{a}": f"alpha_{a}" for a in AXES},
+    **{f"f_{a}": f"jerk_{a}" for a in AXES},
+    "heading": "turn",
+}
 
 # What else describes a driver completely: old, and what may stand for it.
 _EQUAL: tuple[tuple[str, frozenset[str]], ...] = (

@@ -72,7 +72,8 @@ class Unnamed:
     words, where the formula is a course over time or direction. channels: to which it adds;
     drivers: the signals in it; curve: what it adds in the first recording; constants: all of a
     formula's, none of a curve's; where there is not one alone, value and sigma are the root mean
-    square of what it adds in the first recording. made: its kind and its numbers."""
+    square of what it adds in the first recording. made: its kind and its numbers; coefficients: of
+    a curve, those of its splines or waves."""
 
     formula: str
     value: float
@@ -85,6 +86,7 @@ class Unnamed:
     curve: Curve | None = None
     constants: tuple[Parameter, ...] = ()
     made: tuple[str, tuple[float, ...]] | None = None
+    coefficients: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)

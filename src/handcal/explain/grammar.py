@@ -244,7 +244,7 @@ def formula(parts: Sequence[Part]) -> Form:
         len(atoms),
         tuple(a.power for a, _ in atoms),
         values,
-        texts=tuple(_written(a.text, numbers) for a, numbers in atoms),
+        texts=tuple(text_of(part) for part in parts),
         parts=tuple(parts),
     )
 
@@ -271,9 +271,10 @@ def about(part: Part, share: float) -> list[Part]:
     return out
 
 
-def _written(text: str, numbers: tuple[float, ...]) -> str:
-    """The text with its numbers, the driver still open."""
-    return text.format(*(f"{n:.3g}" for n in numbers), x="{x}")
+def text_of(part: Part, digits: int = 3) -> str:
+    """The function as text with its numbers, the driver {x} still open."""
+    name, numbers = part
+    return _KNOWN[name].text.format(*(f"{n:.{digits}g}" for n in numbers), x="{x}")
 
 
 def again(kind: str, numbers: tuple[float, ...]) -> Form:

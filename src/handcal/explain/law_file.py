@@ -1,27 +1,41 @@
 """A law without a name as a file of the catalogue, to be edited and read in again.
 
 Two steps: ``law_of`` says what a file has to hold of something found, one function for each kind
-of it (``WRITERS``; a product of signals is the rest), and ``text_of`` puts that into a file like
-those in ``handcal.effects``.
+of it (a law over a driver, a course, a formula or a curve of the heading), and ``text_of`` puts
+that into a file like those in ``handcal.effects``.
+
+A curve becomes a table of what was found, times one constant that is one there. A second recording
+tells one number well, and what the first one saw stays where the second does not go; coefficients
+that are free again would have no more to go by than the second has seen. And a table of readings
+over what drives them is something that a person can mend.
 """
 
 from __future__ import annotations
 
 import json
 import math
-import re
 import textwrap
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from handcal.effects import Param
-from handcal.explain.explanation import Unnamed
-from handcal.explain.laws import CHANNELS
-from handcal.types import HandcalError
+import numpy as np
 
-# Columns of a line in a file that is to be read.
-WIDE = 96
+from handcal.effects import Param
+from handcal.explain import grammar, laws, terms
+from handcal.explain.drivers import AXES, DRIVERS
+from handcal.explain.explanation import Unnamed
+from handcal.explain.law_code import (
+    WIDE,
+    heading_curve,
+    heading_function,
+    imu_function,
+    law_code,
+    number,
+    python,
+    wrapped,
+)
+from handcal.types import HandcalError
 
 
 @dataclass(frozen=True)
@@ -30,7 +44,7 @@ class Law:
 
     title, story, motion: as of an ``Effect``; parameters: their priors are what was found. code:
     source of its constants and functions, among them ``imu_error`` or ``_heading``, a residual
-    function; needs: streams; of_one_day: another day it is another.
+    function; needs: streams or the attitude; of_one_day: another day it is another.
     """
 
     title: str
@@ -51,161 +65,133 @@ class Law:
 
 def law_of(u: Unnamed) -> Law:
     """What a file has to hold of an unnamed law. Raises HandcalError for a kind that none can."""
-    writer = _term if u.made is None else WRITERS.get(u.made[0])
-    if writer is None:
-        raise HandcalError(f"{u.formula} cannot be written as an effect file yet.")
-    return writer(u)
+    kind = u.made[0] if u.made is not None else ""
+    try:
+        if laws.is_law(kind):
+            return _over_driver(u)
+        if kind.startswith(terms.CURVE):
+            return _curve_of_heading(u)
+        return _formula_of_heading(u) if u.made is None else COURSES[kind](u)
+    except (KeyError, ValueError):
+        raise HandcalError(f"{u.formula} cannot be written as an effect file.") from None
 
 
-# A signal by the name it has in a formula, as code that makes it of ``signals``; and of a heading's
-# residual function.
-_SIGNAL = {
-    **{f"omega_{a}": f"signals.gyro[:, {i}]" for i, a in enumerate("xyz")},
-    **{f"f_{a}": f"signals.accel[:, {i}]" for i, a in enumerate("xyz")},
-    **{f"alpha_{a}": f"np.gradient(signals.gyro[:, {i}], signals.t)" for i, a in enumerate("xyz")},
-    "t": "signals.t - signals.t[0]",
-    "T": "signals.temperature - 25.0",
-}
-_SEEN = {
-    "yaw": "np.arctan2(nav[9], nav[6])",
-    "sin_pitch_x": "nav[12]",
-    "sin_pitch_y": "nav[13]",
-    "cos_tilt": "nav[14]",
-    "t": "z[TIME]",
-}
-_PYTHON = (
-    (r"play\(([\d.e-]+) m/s\^2\) of (f_[xyz])", r"following(\2, \1)"),
-    (r"\^", "**"),
-    (r"\babs\(", "np.abs("),
-    (r"\b(sin|cos)\(pitch of ([xy])\)", r"\1_pitch_\2"),
-    (r"\b(sin|cos)\((\d+) yaw\)", r"np.\1(\2.0 * yaw)"),
-    (r"\bsin\(tilt\)\*\*2", "(1.0 - cos_tilt**2)"),
-)
-_FOLLOWING = '''
-def following(x: Array, half: float) -> Array:
-    """What follows x (n,) with so much play to either side."""
-    out, at = [], float(x[0])
-    for now in x.tolist():
-        at = min(max(at, now - half), now + half)
-        out.append(at)
-    return np.array(out)
-
-'''
+def _over_driver(u: Unnamed) -> Law:
+    """A law over a driver, on one axis or on three."""
+    assert u.made is not None
+    law = laws.again(*u.made)
+    if law.form.smooth:
+        _complete(u, len(law.parameters))
+        parameters = _scales(AXES if law.each else "")
+    else:
+        parameters = _found(u, law.parameters)
+    code = law_code(law, u.formula, u.coefficients, parameters)
+    return replace(_law(u, parameters, code), needs=law.driver.needs)
 
 
-def _term(u: Unnamed) -> Law:
-    """A product of signals."""
-    product = u.formula.partition(" += k * ")[2]
-    code = product
-    for pattern, python in _PYTHON:
-        code = re.sub(pattern, python, code)
-    helper = _FOLLOWING if "following(" in code else ""
-    return _one_constant(u, code, helper, positive=bool(helper))
+def _formula_of_heading(u: Unnamed) -> Law:
+    """A formula of the heading's attitude, rate or time."""
+    parameters = _found(u, terms.again(u.formula, 1.0).parameters)
+    code = heading_function(python(u.formula.partition(" += ")[2]), u.formula, parameters)
+    return _law(u, parameters, code)
 
 
-_BUMP = "np.exp(-0.5 * ((t - AT) / WIDTH) ** 2)"
-_WHILE = "((t >= FIRST) & (t <= LAST))"
-_SWING = "np.sin(2.0 * np.pi * t / PERIOD + PHASE)"
-_DECAY = "np.exp(-t / TAU)"
-_LOBE = "np.exp(SHARPNESS * (np.cos(yaw - AT) - 1.0))"
-# Names and units of a course's numbers.
-_BUMP_NUMBERS = (("AT", "s"), ("WIDTH", "s"))
-_WHILE_NUMBERS = (("FIRST", "s"), ("LAST", "s"))
-_SWING_NUMBERS = (("PERIOD", "s"), ("PHASE", "rad"))
-_LOBE_NUMBERS = (("AT", "rad"), ("SHARPNESS", "1"))
+def _curve_of_heading(u: Unnamed) -> Law:
+    """A curve of the heading."""
+    assert u.made is not None
+    driver = u.made[0].removeprefix(terms.CURVE)
+    effect, parameters = terms.curve(driver, *u.made[1]), _scales()
+    _complete(u, len(effect.parameters))
+    code = heading_curve(effect, driver, np.array(u.coefficients), parameters)
+    return _law(u, parameters, code)
+
+
+def _complete(u: Unnamed, count: int) -> None:
+    if len(u.coefficients) != count:
+        raise ValueError(f"{count} coefficients, not {len(u.coefficients)}")
 
 
 def _course(
     code: str, numbers: Sequence[tuple[str, str]], of_one_day: bool = False
 ) -> Callable[[Unnamed], Law]:
-    """Courses over time or direction (``shapes``) whose numbers have these names."""
+    """Courses over time or direction (``shapes``) whose numbers have these names and units."""
 
     def law(u: Unnamed) -> Law:
         assert u.made is not None
+        (channel,) = u.channels
         named = zip(numbers, u.made[1], strict=True)
-        constants = [f"{name} = {float(f'{value:.6g}')}  # {unit}" for (name, unit), value in named]
-        above = "# As found; what is estimated is the height.\n" + "\n".join(constants) + "\n\n"
-        return _one_constant(u, code, above, of_one_day=of_one_day)
+        lines = [f"{name} = {number(value)}  # {unit}" for (name, unit), value in named]
+        above = "# As found; what is estimated is the height.\n" + "\n".join(lines) + "\n\n"
+        k = (Param("k", u.unit, _usual(u.value, u.sigma)),)
+        if channel == "heading":
+            function = heading_function(f"k * {code}", u.formula, k)
+        else:
+            function = imu_function(_over_time(channel), "t", [f"k * {code}"], u.formula, k)
+        return replace(_law(u, k, above + function), of_one_day=of_one_day)
 
     return law
 
 
-WRITERS: Mapping[str, Callable[[Unnamed], Law]] = {
-    "bump": _course(_BUMP, _BUMP_NUMBERS, of_one_day=True),
-    "while": _course(_WHILE, _WHILE_NUMBERS, of_one_day=True),
-    "swing": _course(_SWING, _SWING_NUMBERS, of_one_day=True),
-    "decay": _course(_DECAY, (("TAU", "s"),)),
-    "lobe": _course(_LOBE, _LOBE_NUMBERS),
-}
+def _over_time(channel: str) -> laws.Law:
+    sensor, axis = divmod(laws.CHANNELS.index(channel), 3)
+    return laws.Law(sensor, (axis,), False, DRIVERS["t"], grammar.formula([("line", ())]), (1.0,))
 
 
-def _one_constant(
-    u: Unnamed, code: str, above: str = "", *, positive: bool = False, of_one_day: bool = False
-) -> Law:
-    """A law of one channel that is k times an expression of signals."""
-    (channel,) = u.channels
-    k = Param("k", u.unit, _usual(u.value, u.sigma), positive)
-    function = heading_function if channel == "heading" else imu_function
-    words = u.story or f"{channel} reads too much by {u.formula.partition(' += ')[2]}."
+# Code, names and units of the numbers of each course.
+COURSES: Mapping[str, Callable[[Unnamed], Law]] = {
+    "bump": _course(
+        "np.exp(-0.5 * ((t - AT) / WIDTH) ** 2)", (("AT", "s"), ("WIDTH", "s")), of_one_day=True
+    ),
+    "while": _course(
+        "((t >= FIRST) & (t <= LAST))", (("FIRST", "s"), ("LAST", "s")), of_one_day=True
+    ),
+    "swing": _course(
+        "np.sin(2.0 * np.pi * t / PERIOD + PHASE)", (("PERIOD", "s"), ("PHASE", "rad")),
+        of_one_day=True,
+    ),
+    "decay": _course("np.exp(-t / TAU)", (("TAU", "s"),)),
+    "lobe": _course(
+        "np.exp(SHARPNESS * (np.cos(yaw - AT) - 1.0))", (("AT", "rad"), ("SHARPNESS", "1"))
+    ),
+}  # fmt: skip
+
+
+def _law(u: Unnamed, parameters: tuple[Param, ...], code: str) -> Law:
+    channel, _, what = u.formula.partition(" += ")
+    if u.coefficients:
+        what = f"k * {what}: the curve in this file, as found where k is one"
+    words = u.story or f"{channel} reads too much by {what}."
     return Law(
         title=u.formula.replace(" += ", ": "),
         story=f"{words} (To be edited: say here in plain words what does that.)",
         motion="Any." if u.drivers == ("t",) else f"One that changes {', '.join(u.drivers)} much.",
-        parameters=(k,),
-        code=f"{above}\n{function(channel, f'k * {code}', u.formula, (k,))}",
-        needs=("temperature",) if re.search(r"\bT\b", code) else (),
-        of_one_day=of_one_day,
+        parameters=parameters,
+        code=code,
     )
 
 
+def _found(u: Unnamed, parameters: Sequence[Param]) -> tuple[Param, ...]:
+    """The constants of a formula, with what was found as their usual sizes."""
+    found = {p.name: _usual(p.value, p.sigma) for p in u.constants}
+    return tuple(replace(p, prior_sigma=found[p.name]) for p in parameters)
+
+
+def _scales(axes: str = "") -> tuple[Param, ...]:
+    """What curves are multiplied by: one of all, or one for each axis."""
+    names = [f"k_{a}" for a in axes] or ["k"]
+    return tuple(Param(name, "1", 1.0) for name in names)
+
+
 def _usual(value: float, sigma: float) -> float:
-    """The prior of a constant of which this was found: its size, to two digits. A recording of the
-    same device will show as much, another device of its kind something of that order."""
-    size = abs(value) if value and math.isfinite(value) else abs(sigma)
-    return float(f"{size:.2g}")
-
-
-def imu_function(channel: str, code: str, formula: str, parameters: Sequence[Param]) -> str:
-    """Source of ``imu_error``, which adds an expression of parameters and signals to a channel."""
-    names = ", ".join(p.name for p in parameters) + "," * (len(parameters) == 1)
-    lines = [f"({names}) = p", "error = np.zeros((len(signals.t), 6))"]
-    signals = _used(_SIGNAL, code)
-    if "T" in signals:
-        lines += ["if signals.temperature is None:", "    return error"]
-    lines += [f"{name} = {signals[name]}" for name in signals]
-    lines += [f"error[:, {CHANNELS.index(channel)}] = {code}", "return error"]
-    units = ", ".join(p.unit for p in parameters)
-    says = f'"""``{formula}``; p ({len(parameters)},) {units}, result (n, 6)."""'
-    return _defined("imu_error(p: Array, signals: Signals) -> Array", [*_wrapped(says), *lines])
-
-
-def heading_function(channel: str, code: str, formula: str, parameters: Sequence[Param]) -> str:  # noqa: ARG001
-    """Source of ``_heading``, which takes such an expression off the heading's residual."""
-    seen = _used(_SEEN, code)
-    lines = [f"{p.name} = p[{i}]" for i, p in enumerate(parameters)]
-    lines += [f"{name} = {seen[name]}" for name in seen]
-    lines += [f"r[0] -= {code}", "return 0"]
-    says = f'"""``{formula}``, rad: the reading less what it errs by."""'
-    head = "_heading(nav: Any, p: Any, z: Any, r: Any) -> int"
-    return _defined(head + ":  # noqa: ARG001", [*_wrapped(says), *lines])
-
-
-def _used(vocabulary: Mapping[str, str], code: str) -> dict[str, str]:
-    return {name: how for name, how in vocabulary.items() if re.search(rf"\b{name}\b", code)}
-
-
-def _defined(head: str, lines: Sequence[str]) -> str:
-    head = head if ":  #" in head else head + ":"
-    return f"def {head}\n" + "\n".join(f"    {line}" for line in lines) + "\n"
-
-
-def _wrapped(text: str) -> list[str]:
-    return textwrap.wrap(text, WIDE - 4, break_long_words=False, break_on_hyphens=False)
+    """The prior of a constant of which this was found: the root mean square of what it may be, to
+    two digits. A recording of the same device will show as much, another device of its kind
+    something of that order."""
+    return float(f"{math.hypot(value, sigma):.2g}")
 
 
 # --- the file ------------------------------------------------------------------------------------
 
-_FILE = '''"""{about}."""
+_FILE = '''"""{about}"""
 
 from __future__ import annotations
 {imports}
@@ -236,12 +222,12 @@ def text_of(law: Law, effect_id: str, found_in: str, gain: float) -> str:
     acts += ["of_one_day=True,"] * law.of_one_day
     # (names of files are anybody's: they stand in literals only, since this text will be run)
     return _FILE.format(
-        about=law.title,
+        about="\n".join(wrapped(f"{law.title}.")),
         imports=_imports(law),
         code=law.code,
         id=effect_id,
         title=_quoted(law.title),
-        parameters=" ".join(f"{_param(p)}," for p in law.parameters),
+        parameters=_params(law.parameters),
         story=_quoted(law.story),
         source=_quoted(f"found in {found_in} by handcal explain"),
         motion=_quoted(law.motion),
@@ -251,18 +237,25 @@ def text_of(law: Law, effect_id: str, found_in: str, gain: float) -> str:
 
 
 def _imports(law: Law) -> str:
-    if not law.of_heading:
-        return (
-            "\nimport numpy as np\n\nfrom handcal.effects import Effect, Param, Signals\n"
-            "from handcal.types import Array\n"
+    """What the code needs, in the order of an import sorter."""
+    typing = "\nfrom typing import Any\n" * law.of_heading
+    numpy = "\nimport numpy as np\n" * ("np." in law.code)
+    numpy += "from scipy.interpolate import CubicSpline\n" * ("CubicSpline(" in law.code)
+    if law.of_heading:
+        time = "TIME, " * ("[TIME]" in law.code)
+        own = "from handcal._jit import residual_function\n"
+        own += f"from handcal.effects import {time}Effect, Param\n"
+    else:
+        own = (
+            "from handcal.effects import Effect, Param, Signals\nfrom handcal.types import Array\n"
         )
-    time = "TIME, " * ("TIME" in law.code)
-    return (
-        "\nfrom typing import Any\n"
-        + "\nimport numpy as np\n" * ("np." in law.code)
-        + "\nfrom handcal._jit import residual_function\n"
-        + f"from handcal.effects import {time}Effect, Param\n"
-    )
+    return f"{typing}{numpy}\n{own}"
+
+
+def _params(parameters: Sequence[Param]) -> str:
+    if len(parameters) == 1:
+        return f"{_param(parameters[0])},"
+    return "\n" + "".join(f"        {_param(p)},\n" for p in parameters) + "    "
 
 
 def _param(p: Param) -> str:

@@ -131,12 +131,13 @@ def _unnamed(model: Model, effect: Effect, own: tuple[Parameter, ...], gain: flo
     channels = (channel_of(effect.id),) if law is None else law.channels
     drivers = drivers_of(effect.id)
     size, sigma, unit = shown.size, shown.sigma, shown.curve.y_unit
-    constants = () if effect.together is not None else own
+    smooth = effect.together is not None
+    constants = () if smooth else own
     if len(constants) == 1:
         size, sigma, unit = own[0].value, own[0].sigma, own[0].unit
     return Unnamed(
         effect.id, size, sigma, unit, gain, effect.story, channels, drivers, shown.curve,
-        constants, effect.made,
+        constants, effect.made, tuple(values.tolist()) if smooth else (),
     )  # fmt: skip
 
 
