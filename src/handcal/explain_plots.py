@@ -351,7 +351,7 @@ def draw(explanation: Explanation) -> dict[str, list[Plot]]:
     "parameters", "laws"."""
     import matplotlib as mpl
 
-    plots: dict[str, list[Plot]] = {"first": [], "traces": [], "others": []}
+    plots: dict[str, list[Plot]] = {"first": [], "traces": [], "others": [], "laws": []}
     with mpl.rc_context(RC):
         for r in range(len(explanation.recordings)):
             for rank, trace in enumerate(ranked_traces(explanation, r)):
