@@ -55,7 +55,7 @@ def the_law_itself(kind, strange) -> Effect:
     def imu_error(p, signals):
         scene = strangers.Scene(
             signals.t - signals.t[0], signals.gyro, np.gradient(signals.gyro, signals.t, axis=0),
-            signals.accel, np.zeros(len(signals.t)), np.zeros(len(signals.t)),
+            signals.accel, *np.zeros((2, len(signals.t))), *np.zeros((2, len(signals.t), 3)),
         )  # fmt: skip
         error = strangers.KINDS[kind](scene, np.random.default_rng(DEVICE)).error
         out = np.zeros((len(signals.t), 6))
