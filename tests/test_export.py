@@ -89,7 +89,7 @@ def test_yaw_survives_its_quaternion_to_the_last_bit(yaw: np.ndarray) -> None:
 
 
 def test_folder_that_does_not_exist_is_a_sentence(tmp_path: Path) -> None:
-    with pytest.raises(HandcalError, match="cannot be written"):
+    with pytest.raises(HandcalError, match="could not be written"):
         write_mcap(sample(streams=False), tmp_path / "nowhere" / "a.mcap")
 
 

@@ -250,7 +250,8 @@ def forms_over(driver, signals):
     """Every function of the grammar for a driver, two together, and its curve."""
     over = range_of(np.stack([driver.of(signals, a) for a in range(3)]), driver.signed)
     parts = {}
-    for part in grammar.parts_for(over, driver.signed, driver.round, driver.knots == LINE):
+    line = driver.knots == LINE
+    for part in [("line", ())] if line else grammar.parts_for(over, driver.signed, driver.round):
         parts.setdefault(part[0], []).append(part)
     some = [tried[len(tried) // 3] for tried in parts.values()]
     yield from (grammar.formula([part]) for part in some)

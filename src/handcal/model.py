@@ -18,7 +18,8 @@ from handcal._jit import njit
 from handcal.effects import DELAY, TIME, Z_DIM, Effect, Signals, correction_slopes
 from handcal.kernel import BASE, MAX_DIM, MOST_HELD, Nodes, Noise, Tables
 from handcal.observations import Observation, Rows, nearest
-from handcal.signals import of_recording, reading
+from handcal.signals import at_times, of_recording, reading
+from handcal.streams import STREAMS
 from handcal.types import ACCEL_BIAS_PRIOR as ACCEL_BIAS_PRIOR
 from handcal.types import GYRO_BIAS_PRIOR as GYRO_BIAS_PRIOR
 from handcal.types import Array, BoolArray, IntArray, Level, Markov, Recording
@@ -35,6 +36,8 @@ AVERAGE_S = (0.05, 2.0)
 QUIET_RATE = 0.05
 # Step of the difference by a bias, of its prior.
 BIAS_STEP = 0.1
+# The stream of a second IMU on the same body.
+REFERENCE = "reference"
 # Rounds of substitution at the most, and the share of the largest reading by which the last one
 # may move any: a scale error of a fifth takes eight (after three it would be known to 1 %), an
 # error that changes by three quarters of what is measured fifty-six.
@@ -368,6 +371,8 @@ def differentiated(
     # (what is known of the angular acceleration has none of the noise that is averaged)
     short = max(1, round(AVERAGE_S[0] * recording.rate_hz))
     averaged = reading(read, _averaged(truth, short)) if compared else signals
+    other = _another_reading(recording) if compared else None
+    told = averaged if other is None else reading(read, other)
     right = np.clip(np.searchsorted(imu.t, nodes.t), 1, len(imu.t) - 1)
     share = (nodes.t - imu.t[right - 1]) / (imu.t[right] - imu.t[right - 1])
     parts: list[tuple[int, int, Array]] = []
@@ -376,7 +381,8 @@ def differentiated(
         own = slice(i, i + len(e.parameters))
         i = own.stop
         whole = e.imu_inverse is not None
-        for channel, k, column in _slopes_of(e, ref[own], signals if whole else averaged):
+        felt = signals if whole else averaged if e.features is None else told
+        for channel, k, column in _slopes_of(e, ref[own], felt):
             if compared and whole:
                 column = _averaged(column[:, None], short)[:, 0]
             parts.append((channel, own.start + k, column))
@@ -392,6 +398,13 @@ def differentiated(
         nodes=nodes._replace(J=np.zeros((len(nodes.t), 6, 0))),
         slopes=Slopes(values, channels, columns),
     )
+
+
+def _another_reading(recording: Recording) -> Array | None:
+    """Rate and force (n, 6) by the reference, if there is one: what a law of any shape is a
+    function of may not have in it the noise of the very reading that it shall explain."""
+    series = recording.streams.get(REFERENCE)
+    return None if series is None else at_times(STREAMS[REFERENCE], series, recording.imu.t)
 
 
 def _slopes_of(effect: Effect, at: Array, truth: Signals) -> Iterator[tuple[int, int, Array]]:
