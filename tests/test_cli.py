@@ -264,7 +264,7 @@ def test_help_needs_neither_numpy_nor_rich_to_start():
 
 @pytest.mark.parametrize("encoding", ["ascii", "cp1252", "cp437"])
 def test_a_terminal_that_lacks_a_sign_gets_another(encoding):
-    text = "x = −1.5 ± 0.2 deg/√h at 20 °C; ☃"
+    text = "x = −1.5 ± 0.2 deg/√h at 20\u00a0°C; ☃"
     shown = f"import codecs; from handcal import commands; commands.say({text!r})"
     program = f"from handcal.commands import _show_what_can_be_shown as f; f(); {shown}"
     done = subprocess.run(
