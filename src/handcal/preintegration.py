@@ -38,7 +38,7 @@ def preintegrate(
     for j in range(1, len(epoch)):
         longest = max(longest, epoch[j] - epoch[j - 1])
     Phi, J, none = np.empty((longest, 9, BASE)), np.empty((6, 0)), np.empty(0)
-    later, new, work = np.empty((9, 9)), np.empty((9, BASE)), np.empty((3, 9, 9))
+    later, new, work = np.empty((9, 9)), np.empty((9, BASE)), np.empty((2, 9, 9))
     p, v, C = np.empty(3), np.empty(3), np.empty((3, 3))
     for j in range(1, len(epoch)):
         a, b = epoch[j - 1], epoch[j]

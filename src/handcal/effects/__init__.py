@@ -207,8 +207,9 @@ def imu_jacobian(effect: Effect, at: Array, signals: Signals) -> Array:
         for channel, first, columns in effect.features(signals):
             out[:, channel, first : first + columns.shape[1]] = columns
         return out
-    slopes = list(_slopes(effect.imu_error, effect.prior_sigma, at, signals))
-    return np.stack(slopes, axis=2) if slopes else np.zeros((len(signals.t), 6, len(at)))
+    if effect.imu_error is None:
+        return np.zeros((len(signals.t), 6, len(at)))
+    return np.stack(list(_slopes(effect.imu_error, effect.prior_sigma, at, signals)), axis=2)
 
 
 def correction_slopes(effect: Effect, at: Array, truth: Signals) -> Iterator[Array]:
@@ -218,10 +219,10 @@ def correction_slopes(effect: Effect, at: Array, truth: Signals) -> Iterator[Arr
     whole it is not: what a later moment's reading says of this one changes as the truth of this
     moment does, not as the reading of the later one.
     """
+    assert effect.imu_error is not None
     if effect.imu_inverse is None:
         yield from _slopes(effect.imu_error, effect.prior_sigma, at, truth)
         return
-    assert effect.imu_error is not None
     error = effect.imu_error(at, truth)
     read = replace(truth, gyro=truth.gyro + error[:, :3], accel=truth.accel + error[:, 3:])
     # (a larger correction means a smaller truth)
@@ -229,10 +230,9 @@ def correction_slopes(effect: Effect, at: Array, truth: Signals) -> Iterator[Arr
 
 
 def _slopes(
-    function: Callable[[Array, Signals], Array] | None, size: Array, at: Array, signals: Signals
+    function: Callable[[Array, Signals], Array], size: Array, at: Array, signals: Signals
 ) -> Iterator[Array]:
-    for i, step in enumerate(1e-3 * size if function is not None else ()):
-        assert function is not None
+    for i, step in enumerate(1e-3 * size):
         e = np.zeros(len(size))
         e[i] = step
         difference = function(at + e, signals) - function(at - e, signals)

@@ -90,10 +90,9 @@ def range_of(x: Array, signed: bool) -> Range:
 def curve(over: Range, knots: int, width: float, size: float) -> Form:
     """A smooth curve: cubic splines through knots that are denser near zero, and a line; the prior
     of its coefficients is a Gaussian process of this width (in knots) and size."""
-    apart = np.arange(knots)[:, None] - np.arange(knots)
-    K = np.exp(-0.5 * (apart / width) ** 2) + 1e-6 * np.eye(knots)
+    apart = np.arange(1.0 * knots)[:, None] - np.arange(knots)
     root = np.eye(knots + 1)
-    root[:knots, :knots] = np.linalg.cholesky(K)
+    root[:knots, :knots] = process_root(apart, width)
 
     def values(x: Array) -> Array:
         return _splined(np.ascontiguousarray(x), over.low, over.high, over.near, knots)
@@ -101,6 +100,13 @@ def curve(over: Range, knots: int, width: float, size: float) -> Form:
     numbers = (over.low, over.high, over.near, float(knots), width, size)
     powers = (0,) * (knots + 1)
     return Form("curve", numbers, knots + 1, powers, values, size * root)
+
+
+def process_root(apart: Array, width: float) -> Array:
+    """Square root (k, k) of the covariance of a smooth Gaussian process at knots so far apart
+    (k, k), of size one."""
+    K = np.exp(-0.5 * (apart / width) ** 2) + 1e-6 * np.eye(len(apart))
+    return np.asarray(np.linalg.cholesky(K))
 
 
 def circle(width: float, size: float) -> Form:

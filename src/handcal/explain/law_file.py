@@ -21,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
+from handcal import output
 from handcal.effects import Param
 from handcal.explain import grammar, laws, terms
 from handcal.explain.drivers import AXES, DRIVERS
@@ -284,6 +285,6 @@ def write(
             number += 1
             target = path.with_stem(f"{path.stem}_{number}")
         text = text_of(law_of(u), target.stem, ", ".join(recordings), u.log_evidence_gain)
-        target.write_text(text, encoding="utf-8", errors="backslashreplace")
+        output.write_bytes(target, text.encode("utf-8", errors="backslashreplace"))
         written.append(target)
     return written

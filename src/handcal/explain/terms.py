@@ -16,7 +16,7 @@ import numpy as np
 from handcal import so3
 from handcal._jit import inner, residual_function
 from handcal.effects import TIME, Z_DIM, Catalogue, Effect, Param, catalogue, observed_error
-from handcal.explain.grammar import SIZES, WIDTHS
+from handcal.explain.grammar import SIZES, WIDTHS, process_root
 from handcal.explain.laws import PROBED, basis, spanned
 from handcal.signals import probe
 from handcal.types import Array, Recording
@@ -253,11 +253,10 @@ def curve(driver: str, width: float, size: float) -> Effect:
     if driver == "yaw":
         # (a chord for the way round, as a covariance on the circle must be one everywhere)
         apart = knots / np.pi * np.sin(np.pi * apart / knots)
-    K = np.exp(-0.5 * (apart / width) ** 2) + 1e-6 * np.eye(knots)
     acts, made = {"heading": address}, (f"{CURVE}{driver}", (width, size))
     one = term(f"heading += g({driver})", "rad", HEADING_SIZE, observation_error=acts, made=made)
     several = tuple(Param(f"c{n + 1}", "rad", HEADING_SIZE) for n in range(knots))
-    return replace(one, parameters=several, together=size * np.linalg.cholesky(K))
+    return replace(one, parameters=several, together=size * process_root(apart, width))
 
 
 def heading_curves() -> list[list[Effect]]:
