@@ -143,11 +143,16 @@ def _check_new(path: Path) -> None:
 def _write(explanation: Explanation, path: Path) -> None:
     from handcal.effects import catalogue
     from handcal.explain import law_file
+    from handcal.explain_words import lawless
 
-    if not explanation.unnamed:
-        say(f"nothing was found that has no name; {path} is not written")
+    found = [u for u in explanation.unnamed if not lawless(u)]
+    for u in explanation.unnamed:
+        if u not in found:
+            say(f"{u.formula} goes with the motion and is no law: there is nothing to write of it")
+    if not found:
+        say(f"no law was found that has no name; {path} is not written")
         return
     names = [Path(r.recording.path).name for r in explanation.recordings]
-    written = law_file.write(explanation.unnamed, path, names, catalogue())
-    for u, target in zip(explanation.unnamed, written, strict=True):
+    written = law_file.write(found, path, names, catalogue())
+    for u, target in zip(found, written, strict=True):
         say(f"{target}: {u.formula}; edit it, and read it in with --effects-from {target.parent}")

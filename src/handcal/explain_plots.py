@@ -175,12 +175,14 @@ def law_plot(u: Unnamed, number: int) -> Plot | None:
                 label="what was read beyond the rest of the model")  # fmt: skip
     below, above = (unit.factor * (c.y + n * c.sigma) for n in (-2.0, 2.0))
     ax.fill_between(x, below, above, color=RED, alpha=0.18, lw=0)
-    ax.plot(x, unit.factor * c.y, color=RED, lw=2.0, label="the law, ± 2 sigma")
+    what = "the error" if say.lawless(u) else "the law"
+    ax.plot(x, unit.factor * c.y, color=RED, lw=2.0, label=f"{what}, ± 2 sigma")
     ax.axhline(0, color=MUTED, lw=0.8)
-    drivers = ", ".join(u.drivers) or "driver"
+    drivers = say.over_what(u)
     ax.set(xlabel=f"{drivers}, {over.unit}" if over.unit else drivers, ylabel=unit.unit)
     legend(ax, 2)
-    caption = f"{', '.join(u.channels)}: what it reads in addition, over what drives it."
+    over_ = "over time, where it is largest" if say.lawless(u) else "over what drives it"
+    caption = f"{', '.join(u.channels)}: what it reads in addition, {over_}."
     return Plot(u.formula, caption, svg(figure, f"law-{number}"))
 
 

@@ -43,7 +43,7 @@ def _context(e: Explanation) -> dict[str, Any]:
         "missing": [_card(m, e, styles) for m in e.missing],
         "unnamed": [
             {"formula": u.formula, "amount": say.sized(u), "gain": say.nats(u.log_evidence_gain),
-             "story": u.story}
+             "story": u.story, "lead": say.lead(u)}
             for u in e.unnamed
         ],
         "plots": explain_plots.draw(e),

@@ -303,12 +303,19 @@ def _unexplained(e: Explanation) -> tuple[str, str, list[str]]:
     if not e.unnamed:
         return "poor", headline, ["No simple term in the measured signals accounts for it either."]
     u = max(e.unnamed, key=lambda u: u.log_evidence_gain)
-    return "poor", headline, [
-        f"What was found instead: {u.formula} with {sized(u)}, which gains "
-        f"{nats(u.log_evidence_gain)}. {u.story} A formula is a lead, not yet a cause.".replace(
-            "  ", " "
-        )
-    ]  # fmt: skip
+    found = f"What was found instead: {u.formula} with {sized(u)}, which gains"
+    told = (f"{found} {nats(u.log_evidence_gain)}.", u.story, lead(u))
+    return "poor", headline, [" ".join(part for part in told if part)]
+
+
+def lawless(u: Unnamed) -> bool:
+    """Whether it is an error that goes with the motion, and no law."""
+    return u.formula.partition(" += ")[2].startswith("e(")
+
+
+def lead(u: Unnamed) -> str:
+    """What a formula is worth."""
+    return "" if lawless(u) else "A formula is a lead, not yet a cause."
 
 
 def _cannot_tell(e: Explanation) -> tuple[str, str, list[str]]:
@@ -440,9 +447,14 @@ def sized(u: Unnamed) -> str:
     """ "k = 0.012 ± 0.001 rad/s"; each constant of a formula; the size of a curve."""
     if len(u.constants) > 1:
         return ", ".join(f"{c.name} = {amount(c)}" for c in u.constants)
-    if u.formula.split(" += ")[1].startswith("g"):
+    if lawless(u) or u.formula.split(" += ")[1].startswith("g"):
         return f"a size of {amount(u)} (root mean square)"
     return f"k = {amount(u)}"
+
+
+def over_what(u: Unnamed) -> str:
+    """Over what its curve is drawn."""
+    return "t" if lawless(u) else ", ".join(u.drivers) or "driver"
 
 
 def sparkline(u: Unnamed) -> str:
@@ -458,7 +470,7 @@ def sparkline(u: Unnamed) -> str:
     ends = [f"{v * over.factor:.3g}".replace("-", "−") for v in (c.x[0], c.x[-1])]
     sizes = [f"{v * unit.factor:.2g}".replace("-", "−") for v in (low, high)]
     line = "".join(BLOCKS[k] for k in steps)
-    driver = f"{u.drivers[0]} {over.unit}".rstrip()
+    driver = f"{over_what(u)} {over.unit}".rstrip()
     return f"{ends[0]} {line} {ends[1]} {driver}; {sizes[0]} to {sizes[1]} {unit.unit}"
 
 

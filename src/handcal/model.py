@@ -87,9 +87,10 @@ class Problem:
     omega_ie_n (3,); rate (n,): smoothed turning rate at the nodes, rad/s;
     observations: the kinds in use, numbered as in ``nodes.kind``; dropped: rows outside
     the recording. markovs: the processes whose states follow the constants, in their order;
-    walks: (first state of those, column of the readings) of each that adds to a bias; alpha: known
-    angular acceleration (n, 3) at the IMU's samples, rad/s^2. slopes: at ref, of what has been
-    linearised about a trajectory; the online filter reads ``nodes.J`` instead.
+    walks: (first state of those, column of the readings) of each that adds to these, and
+    wandering: of each that is a bias; alpha: known angular acceleration (n, 3) at the IMU's
+    samples, rad/s^2. slopes: at ref, of what has been linearised about a trajectory; the online
+    filter reads ``nodes.J`` instead.
     """
 
     recording: Recording
@@ -99,6 +100,7 @@ class Problem:
     imu_constants: int
     markovs: tuple[Markov, ...]
     walks: tuple[tuple[int, int], ...]
+    wandering: tuple[tuple[int, int], ...]
     nodes: Nodes
     tables: Tables
     ref: Array
@@ -171,13 +173,16 @@ def build(
     markovs: list[Markov] = []
     walks, size = [], 0
     markov_at: dict[str, int] = {}
-    processes = [(o.kind, o.markov, "") for o, _, _ in observed]
-    processes += [(e.id, e.process, e.walks) for e in others]
-    for owner, markov, walked in processes:
+    processes = [(o.kind, o.markov, "", False) for o, _, _ in observed]
+    processes += [(e.id, e.process, e.walks, e.passing) for e in others]
+    wandering = []
+    for owner, markov, walked, passing in processes:
         if markov is not None:
             markovs.append(markov)
             if walked:
                 walks.append((size, 0 if walked == "gyro" else 3))
+            if walked and not passing:
+                wandering.append(walks[-1])
             markov_at[owner] = len(slots) + size
             size += markov.size
     kinds = tuple(o for o, _, _ in observed)
@@ -191,6 +196,7 @@ def build(
         imu_constants,
         tuple(markovs),
         tuple(walks),
+        tuple(wandering),
         nodes,
         _tables(kinds, [c for _, _, c in observed], (*acting, *others), at, markov_at, step),
         np.zeros(len(slots)),

@@ -124,11 +124,12 @@ class Effect:
     parameter shifts, so that large ones can be found about a shifted time: ``z[DELAY]`` is
     the part already taken off. process: Markov states of noise, whose levels ``levels``
     have the parameters' names behind the id (``gyro_bias_walk_density``); walks: the reading
-    they add to, "gyro" or "accel". moments: reference points (k, p) to be tried, given the
-    recording's times, where the error is not linear in all parameters (a step at an unknown
-    moment); held: of an effect held at one, the parameters of its ``observation_error``, nan where
-    they are free. outliers: for each kind of observation the probability density of a reading that
-    is merely wrong, in a share of readings that is the first parameter. exclusive: ids of
+    they add to, "gyro" or "accel"; passing: what they add is no part of a bias. moments:
+    reference points (k, p) to be tried, given the recording's times, where the error is not
+    linear in all parameters (a step at an unknown moment); held: of an effect held at one, the
+    parameters of its ``observation_error``, nan where they are free. outliers: for each kind of
+    observation the probability density of a reading that is merely wrong, in a share of
+    readings that is the first parameter. exclusive: ids of
     effects of which this one keeps only what they lack: together with one of them, its
     parameters are those of ``together @ parameters``; always so where there is a gauge but no such
     effect. last: with ``imu_inverse``, whether it is
@@ -169,6 +170,7 @@ class Effect:
     process: Markov | None = None
     levels: tuple[Level, ...] = ()
     walks: str = ""
+    passing: bool = False
     moments: Callable[[Array], Array] | None = None
     held: tuple[float, ...] = ()
     outliers: Mapping[str, float] = field(default_factory=dict)

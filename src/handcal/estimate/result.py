@@ -132,11 +132,11 @@ def _walked(
 ) -> tuple[tuple[Parameter, ...], Array]:
     """The parameters, of a walking bias its mean over the recording, with the mean of its sigmas
     (at most that is the sigma of the mean); and their covariance."""
-    if not problem.walks:
+    if not problem.wandering:
         return found.parameters, found.covariance
     parameters = list(found.parameters)
     scale = np.ones(len(parameters))
-    for i in (column + i for _, column in problem.walks for i in range(3)):
+    for i in (column + i for _, column in problem.wandering for i in range(3)):
         p = parameters[i]
         sigma = float(smoothed.parameter_sigma[:, i].mean())
         value = float(smoothed.parameters[:, i].mean())
@@ -147,10 +147,10 @@ def _walked(
 
 def _walking(problem: Problem, P: Array) -> Array:
     """Covariances P (k, N, N) with the biases as they are at each moment, walks included."""
-    if not problem.walks:
+    if not problem.wandering:
         return P
     total = np.eye(problem.size)
-    for state, column in problem.walks:
+    for state, column in problem.wandering:
         at = BASE + problem.constants + state
         total[9 + column : 12 + column, at : at + 3] = np.eye(3)
     return np.asarray(total @ P @ total.T)
@@ -175,7 +175,7 @@ def _history(linear: Linear, rows: IntArray, found: Known, x: Array, P: Array) -
     for i, k in enumerate(found.column):
         if k < 0:
             parameters[:, i], sigma[:, i] = found.parameters[i].value, found.parameters[i].sigma
-    for state, column in problem.walks:
+    for state, column in problem.wandering:
         own = BASE + problem.constants + state
         walk = nominal.markov[rows, state : state + 3] + x[:, own : own + 3]
         parameters[:, column : column + 3] += walk

@@ -44,8 +44,8 @@ def search(base: Model, report: Callable[[float], None] = lambda _: None) -> Fou
         # (the usual sway first: in a wide one little of the physics shows)
         starts.insert(0, steadied(base))
     found = _begun(starts, late, lambda f: report(0.7 * f))
-    named = [e for e in found.model.effects if "+=" not in e.id and not e.always]
-    term = best_term(base) if named else None
+    others = [e for e in found.model.effects if e.process or not ("+=" in e.id or e.always)]
+    term = best_term(base) if others else None
     if term is None:
         return found
     # (by fits: about the baseline, whose noise holds what is missing, a scan promises too little)

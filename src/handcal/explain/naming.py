@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from handcal.effects import Effect, catalogue
 from handcal.estimate.case import name_of
 from handcal.estimate.fit import Model
 from handcal.estimate.process import process_parameters
-from handcal.explain import outliers
+from handcal.explain import matter, outliers, with_motion
 from handcal.explain.climb import akin
 from handcal.explain.curve import channel_of, drawn, drivers_of
 from handcal.explain.explanation import Curve, Hypothesis, Missing, Unnamed
@@ -66,7 +67,21 @@ def missing_of(
             _entry(catalogue()["heading_outliers"], wrong.probability, wrong.gain, (),
                    (wrong.parameter,))
         )  # fmt: skip
+    alone = {name_of(e.id): _own(model, e) for e in model.effects}
+    out = [replace(m, probability=m.probability * alone.get(m.effect, 1.0)) for m in out]
     return [m for m in out if m.probability > LIKELY], unsure
+
+
+def _own(model: Model, effect: Effect) -> float:
+    """Probability that an effect of the model is one of its own and no part of an error of which no
+    law is known, on the same channels: of what is not known, as much may be as the effect does, as
+    long as that is not much larger."""
+    unknown = [e for e in model.effects if with_motion.is_with_motion(e.id)]
+    if not unknown or effect.id not in model.ids:
+        return 1.0
+    size = matter.sizes(model, effect)
+    rest = sum(v**2 for e in unknown for c, v in matter.sizes(model, e).items() if c in size)
+    return probability(0.5 * sum(v**2 for v in size.values()) / rest) if rest else 1.0
 
 
 def _set(found: Found, chosen: frozenset[str], effect: str) -> tuple[list[str], float]:
@@ -116,9 +131,22 @@ def unnamed_of(
     gained = gains(found.space, chosen)
     out = []
     for effect in found.model.effects:
-        if "+=" in effect.id:
+        if with_motion.is_with_motion(effect.id):
+            out.append(_with_motion(found.model, effect, found.noise[effect.id]))
+        elif "+=" in effect.id:
             out.append(_unnamed(found.model, effect, learnt[effect.id], gained[effect.id]))
     return sorted(out, key=lambda u: -u.log_evidence_gain)
+
+
+def _with_motion(model: Model, effect: Effect, gain: float) -> Unnamed:
+    """An error that goes with the motion, and of which no law was found."""
+    own = process_parameters(model, effect)
+    curve, size = with_motion.course(model.parts[0], effect)
+    return Unnamed(
+        effect.id, size, size * own[0].sigma / max(own[0].value, 1e-300), curve.y_unit, gain,
+        effect.story, with_motion.channels(effect), with_motion.drivers(effect), curve,
+        made=effect.made,
+    )  # fmt: skip
 
 
 def _unnamed(model: Model, effect: Effect, own: tuple[Parameter, ...], gain: float) -> Unnamed:
@@ -183,13 +211,17 @@ def hypotheses_of(
             together = probability(final[i])
         out[name] = Hypothesis(
             name, catalogue()[name].title, alone, final[i],
-            expected_gain(where, i, chosen, ones), min(CERTAIN, together), verdict,
+            expected_gain(where, i, chosen, ones),
+            min(CERTAIN, together * _own(found.model, where.effects[i])), verdict,
         )  # fmt: skip
     for name, gain in found.noise.items():
+        if name not in catalogue():
+            continue
         verdict = "named" if name in named else ""
         out[name] = Hypothesis(
-            name, catalogue()[name].title, gain, gain, math.nan, probability(gain), verdict
-        )
+            name, catalogue()[name].title, gain, gain, math.nan,
+            probability(gain) * _own(found.model, catalogue()[name]), verdict,
+        )  # fmt: skip
     if wrong is not None:
         title = catalogue()["heading_outliers"].title
         out["heading_outliers"] = Hypothesis(

@@ -19,6 +19,9 @@ OCCAM_LEVEL = 2.5
 # shared.
 LAWS = 600
 TERM_PRIOR = PRIOR - math.log(LAWS)
+# Errors that go with the motion that are on trial: two ways, on seven sets of axes of two sensors
+# and on the heading.
+WITH_MOTION = 30
 # Moments of a step that are on trial.
 MOMENTS = 16
 # Nothing is surer than that.
@@ -41,6 +44,8 @@ def prior(effect: Effect, cases: Sequence[Case]) -> float:
     """
     if effect.always:
         return 0.0
+    if effect.process is not None and effect.passing:
+        return PRIOR - math.log(WITH_MOTION) - OCCAM_LEVEL * len(effect.levels)
     if "+=" in effect.id:
         law = law_of(effect)
         return TERM_PRIOR - (0.0 if law is None else law.cost)

@@ -14,7 +14,7 @@ from handcal.effects import Effect, catalogue
 from handcal.estimate.case import HELD, Edit, frozen_at, name_of
 from handcal.estimate.chosen import Chosen, Options, View
 from handcal.estimate.parameters import Moment
-from handcal.explain import laws, shapes, terms
+from handcal.explain import laws, shapes, terms, with_motion
 from handcal.observations import catalogue as observations
 from handcal.types import InputError
 
@@ -54,7 +54,7 @@ def chosen_from(model: Mapping[str, Any]) -> Chosen:
             moments[effect.id] = Moment(
                 float(entry["moment"]["at"]), float(entry["moment"]["sigma"])
             )
-    effects += [_known(str(i)) for i in model["noise_effects"]]
+    effects += [_noise(str(i)) for i in model["noise_effects"]]
     o = model["options"]
     latitude = o.get("latitude")
     options = Options(
@@ -86,6 +86,10 @@ def _effect(entry: Mapping[str, Any]) -> Effect:
     else:
         effect = _known(name)
     return replace(effect, id=name, last=bool(entry.get("last", True)))
+
+
+def _noise(name: str) -> Effect:
+    return with_motion.again(name) if with_motion.is_with_motion(name) else _known(name)
 
 
 def _known(name: str) -> Effect:

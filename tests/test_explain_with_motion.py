@@ -1,0 +1,93 @@
+"""Errors that go with the motion and have no law: their process, and that they are told as such."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_explain import slow as at_fifty_hertz
+from worlds import recording_of
+
+from handcal.explain import explain, with_motion
+from handcal.explain.explanation import Explanation
+from handcal.explain.written import chosen_from
+from handcal.explain_summary import explanation_json
+from handcal.types import Array, Recording
+from handcal_sim import simulate
+
+ALL = [e for of in with_motion.effects() for e in (of, *with_motion.fewer(of))]
+
+
+def noise_levels(e: with_motion.Effect) -> dict[str, float]:
+    return {level.name: level.initial for level in e.levels}
+
+
+@pytest.mark.parametrize("e", ALL, ids=lambda e: e.id)
+def test_its_variance_stays_while_the_rate_does(e: with_motion.Effect) -> None:
+    assert e.process is not None
+    levels, rate = noise_levels(e), 0.7
+    P = e.process.start(levels, rate)
+    Phi, Q = e.process.transition(levels, np.array([0.02, 0.4]), np.full(2, rate))
+    for k in range(2):
+        np.testing.assert_allclose(Phi[k] @ P @ Phi[k].T + Q[k], P, rtol=1e-12)
+    axes = 1 if "heading" in e.id else sum(c in "xyz" for c in e.id.split(" +=")[0].split("_")[1])
+    assert np.count_nonzero(np.diag(P)) == axes == len(with_motion.channels(e))
+
+
+def test_at_rest_one_kind_dies_away_and_the_other_stays() -> None:
+    for kind, lasts in (("turning", 0.0), ("attitude", 1.0)):
+        e = with_motion.effect("gyro", (0, 1, 2), kind)
+        assert e.process is not None
+        Phi, Q = e.process.transition(noise_levels(e), np.array([100.0]), np.zeros(1))
+        np.testing.assert_allclose(Phi[0], lasts * np.eye(3), atol=1e-12)
+        assert not Q.any()
+
+
+def test_every_one_is_told_by_its_id_and_is_always_the_same() -> None:
+    assert len({e.id for e in ALL}) == len(ALL)
+    for e in ALL:
+        assert with_motion.is_with_motion(e.id)
+        assert with_motion.again(e.id) is e
+    for unknown in ("gyro_x += k * omega_x", "gyro_bias_walk", "field_x += e(attitude)"):
+        assert not with_motion.is_with_motion(unknown) or unknown.startswith("field")
+        with pytest.raises(KeyError):
+            with_motion.again(unknown)
+
+
+def ringing(t: Array, omega: Array) -> Array:
+    """A resonance of 0.5 Hz, hardly damped, that a rate sets going: no law on trial."""
+    y, v = np.zeros_like(omega), np.zeros(3)
+    stiff, loss = (2.0 * np.pi * 0.5) ** 2, 2.0 * 0.1 * 2.0 * np.pi * 0.5
+    for k, dt in enumerate(np.diff(t)):
+        v = v + dt * (stiff * (omega[k] - y[k]) - loss * v)
+        y[k + 1] = y[k] + dt * v
+    return y - omega
+
+
+def rings(seed: int, size: float) -> Recording:
+    recording = recording_of(
+        simulate("free-hand", seed=seed, duration_s=60.0, phone=at_fifty_hertz), "heading"
+    )
+    imu = recording.imu
+    added = size * ringing(imu.t, imu.gyro) * np.array([1.0, 0.0, 0.0])
+    return replace(recording, imu=replace(imu, gyro=imu.gyro + added))
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_what_no_law_describes_is_no_walk_and_no_handful_of_names(seed: int) -> None:
+    e = explain([rings(seed, 0.05)])
+    assert e.verdict == "unexplained"
+    assert [m.effect for m in e.missing] == []
+    assert (
+        {"gyro_x"} <= {c for u in e.unnamed for c in u.channels} <= {"gyro_x", "gyro_y", "gyro_z"}
+    )
+    _is_told_and_written(e)
+
+
+def _is_told_and_written(e: Explanation) -> None:
+    document = explanation_json(e)
+    assert all(len(u["curve"]["x"]) > 10 for u in document["unnamed"])
+    assert e.model is not None
+    again = chosen_from(document["model"])
+    assert [x.id for x in again.effects] == [x.id for x in e.model.effects]
