@@ -488,3 +488,25 @@ def test_a_law_is_drawn_on_the_page_and_in_one_line() -> None:
     assert plot.svg.count("<use") >= len(behind)
     assert explain_plots.law_plot(replace(law, curve=None), 0) is None
     assert explain_words.sparkline(replace(law, curve=None)) == ""
+
+
+def test_what_has_no_name_is_drawn_in_the_viewer_and_said_for_what_it_is(tmp_path) -> None:
+    """A law over its driver, with the readings behind it; what goes with the motion, over time."""
+    x = np.linspace(0.0, 2.0, 41)
+    sigma = np.full(41, 1e-3)
+    over = Curve(x, 0.02 * x, sigma, "rad/s", "rad/s", np.stack([x, 0.02 * x], axis=1))
+    law = Unnamed("gyro_z += k * |omega|", 0.02, 1e-3, "1", 100.0,
+                  channels=("gyro_z",), drivers=("|omega|",), curve=over)  # fmt: skip
+    course = Curve(30.0 * x, 0.02 * np.sin(x), sigma, "s", "rad/s")
+    rest = replace(law, formula="gyro_xy += e(t) * |omega|", curve=course, story="It errs.")
+    e = replace(fake_explanation("unexplained"), unnamed=(law, rest))
+    dashboard.save_explanation_rrd(e, tmp_path / "x.rrd")
+    found = rows(tmp_path / "x.rrd")
+    assert {"/laws/1/law", "/laws/1/read", "/laws/1/scale"} <= set(found)
+    assert found["/laws/2"] == len(course.x)
+    assert "lead, not yet a cause" in explain_words.lead(law)
+    assert explain_words.lead(rest) == ""
+    assert explain_words.over_what(rest) == "t"
+    assert explain_words.sized(rest).startswith("a size of")
+    assert "over time" in explain_plots.law_plot(rest, 1).caption
+    assert "It errs." in printed(e)

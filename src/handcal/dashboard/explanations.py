@@ -13,6 +13,7 @@ import rerun.blueprint as rrb
 
 from handcal import explain_frames, explain_summary, words
 from handcal import explain_words as say
+from handcal.dashboard import laws
 from handcal.dashboard.common import GREY, TIMELINE, XYZ, columns, lines, plot, save
 from handcal.explain.explanation import Explained, Explanation, Hypothesis, Trace
 
@@ -64,7 +65,7 @@ def explanation_blueprint(explanation: Explanation) -> rrb.Blueprint:
         origin="/hypotheses", name="Each effect alone (1: 10 nats, 2: 100, 3: 1,000)",
         plot_legend=rrb.PlotLegend("LeftTop"),
     )  # fmt: skip
-    pages = []
+    pages: list[Any] = []
     for i, r in enumerate(e.recordings):
         home, span = f"/recording_{i + 1}", _span(r)
         traces = explain_frames.ranked_traces(e, i)
@@ -97,6 +98,8 @@ def explanation_blueprint(explanation: Explanation) -> rrb.Blueprint:
                 rrb.Vertical(*right), name=names[i],
             )
         )  # fmt: skip
+    if e.recordings and (drawn := laws.views(e, _span(e.recordings[0]))):
+        pages.append(rrb.Vertical(*drawn, name="What has no name"))
     left = rrb.Vertical(text, bars, row_shares=[3, 2])
     panels = (rrb.BlueprintPanel(state="hidden"), rrb.SelectionPanel(state="hidden"))
     time_panel = rrb.TimePanel(state="collapsed", timeline=TIMELINE)
@@ -124,6 +127,8 @@ def log_explanation(rec: rr.RecordingStream, explanation: Explanation) -> None:
     text = rr.TextDocument(explain_summary.explanation_markdown(e), media_type="text/markdown")
     rec.log("/verdict", text, static=True)
     _log_hypotheses(rec, e)
+    if e.recordings:
+        laws.log(rec, e)
     colours, found = _colours(e), explain_frames.found_effects(e)
     formulas = {u.formula for u in e.unnamed}
     for i, r in enumerate(e.recordings):

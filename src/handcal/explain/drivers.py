@@ -31,8 +31,8 @@ PLAYS = ((0.03, 0.06, 0.12, 0.25), (0.1, 0.2, 0.4, 0.8))
 NEARER = ((0.65, 0.8, 1.25, 1.5), (0.9, 1.1), (0.95, 1.05))
 # Slower than this (rad/s) a device is not being turned.
 TURNING = 0.2
-# What a sensor's surroundings take to warm through, s.
-WARMING = 60.0
+# What a sensor and its surroundings take to warm through, s.
+WARMING = (3.0, 10.0, 30.0, 60.0)
 # Degrees at which a temperature is none: as in the catalogue.
 ROOM = 25.0
 
@@ -91,6 +91,10 @@ def _force(n: int) -> Of:
 
 def _slope(of: Of) -> Of:
     return lambda s, axis: np.asarray(np.gradient(of(s, axis), s.t))
+
+
+def _size(of: Of) -> Of:
+    return lambda s, axis: np.abs(of(s, axis))
 
 
 def _total(of: Of) -> Of:
@@ -177,7 +181,8 @@ def _table() -> list[Driver]:
         called, unit = slopes[kind]
         knots = COARSE if axis == "{i}" else LINE
         out.append(Driver(f"{called}_{axis}", unit, _slope(of), knots))
-    for row in (signals[0], signals[3], sizes[0]):
+    own = [(f"|{name}|", unit, _size(of)) for name, unit, of in (signals[0], signals[3])]
+    for row in (signals[0], signals[3], sizes[0], *own):
         out += [_memory_driver(row, tau) for tau in MEMORIES]
     for sensor, widths in enumerate(PLAYS):
         out += [_play_driver(signals[3 * sensor], sensor, half) for half in widths]
@@ -185,8 +190,8 @@ def _table() -> list[Driver]:
     out.append(Driver("yaw", "rad", _yaw, COARSE, signed=False, round=True, needs=(ATTITUDE,)))
     warm = {"knots": COARSE, "signed": False, "needs": ("temperature",)}
     out.append(Driver("(T - 25)", "K", _warmth, **warm))  # type: ignore[arg-type]
-    late = f"(memory({WARMING:g} s) of (T - 25))"
-    out.append(Driver(late, "K", _memory(_warmth, WARMING), **warm))  # type: ignore[arg-type]
+    row = "(T - 25)", "K", _warmth
+    out += [_memory_driver(row, WARMING[-1]), *(_lag_driver(row, tau) for tau in WARMING[:-1])]
     return out + _products(signals, sizes)
 
 
@@ -195,7 +200,21 @@ def _memory_driver(row: tuple[str, str, Of], tau: float) -> Driver:
     tau = float(f"{tau:.3g}")
     called = f"(memory({tau:g} s) of {name})"
     at = partial(_memory_driver, row)
-    return Driver(called, unit, _memory(of, tau), LINE, number=tau, at=at)
+    needs = ("temperature",) if of is _warmth else ()
+    return Driver(called, unit, _memory(of, tau), LINE, number=tau, at=at, needs=needs)
+
+
+def _lag_driver(row: tuple[str, str, Of], tau: float) -> Driver:
+    """By how much the memory of a signal lags behind it, which is how fast the signal changes."""
+    name, unit, of = row
+    memory = _memory_driver(row, tau)
+
+    def lag(s: Signals, axis: int) -> Array:
+        return np.asarray(memory.of(s, axis) - of(s, axis))
+
+    called = f"({memory.name[1:-1]} - {name})"
+    at = partial(_lag_driver, row)
+    return Driver(called, unit, lag, LINE, number=memory.number, at=at, needs=memory.needs)
 
 
 def _play_driver(row: tuple[str, str, Of], sensor: int, half: float) -> Driver:

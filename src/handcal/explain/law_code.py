@@ -95,6 +95,7 @@ _PLAIN = {
 }
 _STREAMS = {"omega": "gyro", "f": "accel", "alpha": "gyro", "jerk": "accel"}
 _PLAY = re.compile(r"\(play\(([^ ]+) [^)]+\) of (.+) - \2\)")
+_LAG = re.compile(r"\(memory\(([^ ]+) s\) of (.+) - \2\)")
 _MEMORY = re.compile(r"\(memory\(([^ ]+) s\) of (.+)\)")
 
 
@@ -106,8 +107,13 @@ def driver_code(name: str) -> str:
     if found := _PLAY.fullmatch(name):
         x = driver_code(found[2])
         return f"following({x}, {found[1]}) - {x}"
+    if found := _LAG.fullmatch(name):
+        x = driver_code(found[2])
+        return f"remembered(signals.t, {x}, {found[1]}) - ({x})"
     if found := _MEMORY.fullmatch(name):
         return f"remembered(signals.t, {driver_code(found[2])}, {found[1]})"
+    if name.startswith("|") and name.endswith("|"):
+        return f"np.abs({driver_code(name[1:-1])})"
     if " * " in name:
         return " * ".join(_factor(driver_code(part)) for part in name.split(" * "))
     kind, _, axis = name.partition("_")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -75,13 +75,25 @@ def missing_of(
 def _own(model: Model, effect: Effect) -> float:
     """Probability that an effect of the model is one of its own and no part of an error of which no
     law is known, on the same channels: of what is not known, as much may be as the effect does, as
-    long as that is not much larger."""
-    unknown = [e for e in model.effects if with_motion.is_with_motion(e.id)]
-    if not unknown or effect.id not in model.ids:
+    long as that is not much larger.
+
+    Where something goes with the motion beside a law, that law is not known either. (And what noise
+    does may be part of any: its form is the best of some, and what that leaves looks like noise.)
+    """
+    if effect.id not in model.ids or "+=" in effect.id:
         return 1.0
     size = matter.sizes(model, effect)
-    rest = sum(v**2 for e in unknown for c, v in matter.sizes(model, e).items() if c in size)
+    beside = {e.id: _on(model, e, size) for e in model.effects if "+=" in e.id}
+    lawless = any(v for i, v in beside.items() if with_motion.is_with_motion(i))
+    if not lawless and effect.process is None:
+        return 1.0
+    rest = sum(beside.values())
     return probability(0.5 * sum(v**2 for v in size.values()) / rest) if rest else 1.0
+
+
+def _on(model: Model, effect: Effect, channels: Container[str]) -> float:
+    """The square of what an effect adds to some channels, summed over these."""
+    return sum(v**2 for c, v in matter.sizes(model, effect).items() if c in channels)
 
 
 def _set(found: Found, chosen: frozenset[str], effect: str) -> tuple[list[str], float]:
