@@ -155,12 +155,7 @@ def build(
     """
     acting = [e for e in effects if e.imu_error is not None]
     others = [e for e in effects if e.imu_error is None]
-    slots = [
-        Slot(e.id, p.name, p.unit, p.prior_sigma)
-        for e in (*acting, *others)
-        for p in e.parameters
-        if e.process is None and not e.outliers
-    ]
+    slots = slots_of(effects)
     imu_constants = sum(len(e.parameters) for e in acting)
     at: dict[str, int] = {}
     for i, s in enumerate(slots):
@@ -203,6 +198,18 @@ def build(
     if not linearised:
         return problem
     return relinearised(problem, np.zeros(len(slots)), np.zeros(3), np.zeros(3))
+
+
+def slots_of(effects: Sequence[Effect]) -> list[Slot]:
+    """Constants of effects, first of those that act on the readings."""
+    acting = [e for e in effects if e.imu_error is not None]
+    others = [e for e in effects if e.imu_error is None]
+    return [
+        Slot(e.id, p.name, p.unit, p.prior_sigma)
+        for e in (*acting, *others)
+        for p in e.parameters
+        if e.process is None and not e.outliers
+    ]
 
 
 def constants_of(problem: Problem, constants: Array, owner: str) -> Array:

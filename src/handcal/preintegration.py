@@ -115,12 +115,30 @@ def turn_noise(Phi: Array, d: Array) -> None:
             for c in range(Phi.shape[2]):
                 turned[a, c] = 0.5 * Phi[j, 6 + a, c]
             turned[a, 6 + a] += 0.5
-        for first in range(0, 9, 3):
+        _turn(turned, d[j], Phi[j])
+
+
+@njit
+def turn_errors(W: Array, epoch: IntArray, d: Array) -> None:
+    """The same for what errors of the readings bring, W (n, 9, 6) (see ``preintegrate``)."""
+    turned = np.empty((3, W.shape[2]))
+    for j in range(1, len(epoch)):
+        for i in range(epoch[j - 1] + 1, epoch[j] + 1):
             for a in range(3):
-                b, e = (a + 1) % 3, (a + 2) % 3
-                less, more = -d[j, first + e], d[j, first + b]
-                for c in range(Phi.shape[2]):
-                    Phi[j, first + a, c] += less * turned[b, c] + more * turned[e, c]
+                for c in range(W.shape[2]):
+                    turned[a, c] = 0.5 * W[i, 6 + a, c]
+            _turn(turned, d[j], W[i])
+
+
+@inner
+def _turn(turned: Array, d: Array, out: Array) -> None:
+    """Add to out (9, c) what the noise d (9,) does when it is turned by ``turned`` (3, c)."""
+    for first in range(0, 9, 3):
+        for a in range(3):
+            b, e = (a + 1) % 3, (a + 2) % 3
+            less, more = -d[first + e], d[first + b]
+            for c in range(out.shape[1]):
+                out[first + a, c] += less * turned[b, c] + more * turned[e, c]
 
 
 @njit

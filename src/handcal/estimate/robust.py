@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from handcal.evidence import ReducedPass, reduce, reduced_pass
+from handcal.evidence import Likelihood, reduce, reduced_pass
 from handcal.types import Array, IntArray
 
 if TYPE_CHECKING:
@@ -38,10 +38,10 @@ def inflation(model: Model) -> dict[str, float]:
     }
 
 
-def excess(done: ReducedPass, active: frozenset[str]) -> float:
+def excess(done: Likelihood, active: frozenset[str]) -> float:
     """How much more the scores of absent effects scatter than the model of these effects says:
     the median over effects, at least 1. By so much less the innovations are worth."""
-    n = len(done.w)
+    n = done.nu.shape[1] - 1
     owners = _owners(done)
     present = np.array([o == "" or o in active for o in owners])
     at_nominal = np.zeros(n)
@@ -52,7 +52,7 @@ def excess(done: ReducedPass, active: frozenset[str]) -> float:
     return float(np.clip(np.median(found), 1.0, MOST)) if found else 1.0
 
 
-def _owners(done: ReducedPass) -> list[str]:
+def _owners(done: Likelihood) -> list[str]:
     """Effect of each constant, empty for biases and what belongs to an observation."""
     problem = done.reduction.linear.problem
     effects = {e.id for e in problem.effects}
@@ -66,14 +66,14 @@ def _ratios(f: Fitted) -> list[tuple[str, float, float]]:
 
 
 def _scattered(
-    done: ReducedPass, w: Array, present: IntArray | None
+    done: Likelihood, w: Array, present: IntArray | None
 ) -> list[tuple[str, float, float]]:
     """(effect, mean ratio of scatter to information, blocks), each effect beside all that are
     present (None: all others)."""
     linear, G = done.reduction.linear, done.log_likelihood[2]
-    n = len(done.w)
+    n = len(w)
     owners = np.array(_owners(done))
-    nu = done.innovations(w)
+    nu = done.nu[:, 0] + done.nu[:, 1:] @ w
     t = np.repeat(linear.t, np.diff(done.reduction.first))
     block: IntArray = (
         ((t - t[0]) / BLOCK_S).astype(np.int64) if len(t) else np.zeros(0, dtype=np.int64)

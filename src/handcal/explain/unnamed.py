@@ -10,9 +10,10 @@ from itertools import combinations
 
 import numpy as np
 
+from handcal.columns import Ground
 from handcal.effects import Effect, Signals
 from handcal.estimate.beside import side_by_side
-from handcal.estimate.fit import Fitted, Model, fitted, prior_root, scan
+from handcal.estimate.fit import Fitted, Model, fitted, grounds, prior_root, scan
 from handcal.estimate.quadratic import Quadratic
 from handcal.explain import shapes, terms
 from handcal.explain.drivers import DRIVERS, LINE, NEARER, Driver, usable
@@ -178,17 +179,19 @@ def _of_block(block: Block, seen: Beside) -> Iterator[tuple[Law, float]]:
 
 @dataclass(frozen=True)
 class About:
-    """Where laws are weighed: about a model, beside its known effects, with the signals of its
-    first recording, and what evidence is worth."""
+    """Where laws are weighed: about a model (``grounds`` for its scans), beside its known effects,
+    with the signals of its first recording, and what evidence is worth."""
 
     model: Model
+    grounds: Sequence[Ground]
     known: Sequence[Effect]
     signals: Signals
     worth: float
 
     def seen(self, absent: Sequence[Effect]) -> Beside:
         """What a scan says of absent effects."""
-        return beside(weighed(scan(self.model, absent), self.worth), self.known, absent)
+        q = scan(self.model, absent, self.grounds)
+        return beside(weighed(q, self.worth), self.known, absent)
 
 
 def written_out(about_: About, law: Law) -> list[tuple[Law, float]]:
@@ -278,7 +281,8 @@ def best_term(model: Model, *, refused: Collection[str] = (), without: str = "")
     signals = signals_of(f)
     known = [e for e in model.effects if e.process is None and e.id != without]
     looks = list(_looks(f, signals, known))
-    scans = list(side_by_side(partial(scan, model, look.effects) for look in looks))
+    base = grounds(model)
+    scans = list(side_by_side(partial(scan, model, look.effects, base) for look in looks))
     # (what is absent scatters differently from scan to scan: one worth for all)
     worth = float(np.median([q.worth for q in scans]))
     enough = -TERM_PRIOR + math.log(2.0)
@@ -288,7 +292,7 @@ def best_term(model: Model, *, refused: Collection[str] = (), without: str = "")
         for end in look.best(weighed(q, worth), known)
         if end[1] > enough
     ]
-    about_ = About(model, known, signals, worth)
+    about_ = About(model, base, known, signals, worth)
     found = [Term(e, gain / worth) for e, gain in ends if isinstance(e, Effect)]
     found += [_as_told(about_, law, gain) for law, gain in _closer(ends)]
     found = [t for t in found if t.effect.id not in refused]
