@@ -31,7 +31,8 @@ def carried(
     Phi (k, 9, .), W (n, 9, 6): see ``Linear`` and ``preintegrate``; epoch (k,): nodes; start (K,):
     epochs at which windows begin. seen: of every epoch (k + 1,) the first of those looks, and of
     each look the scalar (counted within its window) and h (9,). far: first of each window's scalars
-    that look so (K + 1,), and where its rows of out[1] begin (K,). out: (n, 9, 6), and (., 6), one row a scalar for each sample in turn.
+    that look so (K + 1,), and where its rows of out[1] begin (K,). out: (n, 9, 6), and (., 6), one
+    row a scalar for each sample in turn.
     """
     first, which, h = seen
     count = len(start)
