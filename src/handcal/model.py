@@ -421,7 +421,8 @@ def _slopes_of(effect: Effect, at: Array, truth: Signals) -> Iterator[tuple[int,
             yield from ((channel, first + k, columns[:, k]) for k in range(columns.shape[1]))
         return
     for k, slope in enumerate(correction_slopes(effect, at, truth)):
-        yield from ((int(c), k, slope[:, c]) for c in np.flatnonzero(_acting(slope)))
+        # (copies: a column that is a part of the whole would keep all of it in memory)
+        yield from ((int(c), k, slope[:, c].copy()) for c in np.flatnonzero(_acting(slope)))
 
 
 @njit
@@ -560,19 +561,19 @@ def substituted(acting: Sequence[Effect], ref: Array, readings: Signals) -> Arra
         elif at.any():
             present.append((e, at))
     errors = [np.zeros_like(raw) for _ in present]
-    moved = math.inf
+    step, moved = np.empty_like(raw), math.inf
     for done in range(SUBSTITUTIONS if present else 0):
         before, moved = moved, 0.0
         for k, (e, at) in enumerate(present):
             own, old = raw - total, errors[k]
             if e.imu_inverse is not None:
-                own = own + old
+                own += old
                 errors[k] = own - e.imu_inverse(at, reading(readings, own))
             elif e.imu_error is not None:
                 errors[k] = e.imu_error(at, reading(readings, own))
-            step = errors[k] - old
+            np.subtract(errors[k], old, out=step)
             total += step
-            moved = max(moved, float(np.abs(step).max()))
+            moved = max(moved, float(step.max()), -float(step.min()))
         # (some are so large that going on would lead away)
         if moved < SUBSTITUTED * scale or (done > 1 and not moved < SHRINKS * before):
             break
