@@ -106,6 +106,7 @@ def responses(
     for w in range(len(windows[0])):
         most = max(most, scalars[0][w + 1] - scalars[0][w])
     mean, sums = np.empty(s), np.empty((9 + most, s))
+    edges = np.searchsorted(channel, np.arange(7))
     for w in range(len(windows[0])):
         rows = 9 + scalars[0][w + 1] - scalars[0][w]
         zero2(sums)
@@ -113,8 +114,8 @@ def responses(
         for i in range(windows[0][w] + 1, windows[1][w] + 1):
             for k in range(s):
                 mean[k] = 0.5 * (values[i - 1, k] + values[i, k])
-            _summed(weights[0][i], mean, channel, 0, sums)
-            _summed(weights[1][to : to + rows - 9], mean, channel, 9, sums)
+            _summed(weights[0][i], mean, edges, 0, sums)
+            _summed(weights[1][to : to + rows - 9], mean, edges, 9, sums)
             to += rows - 9
         if w + 1 < len(windows[0]):
             for r in range(9):
@@ -127,21 +128,15 @@ def responses(
 
 
 @inner
-def _summed(weight: Array, mean: Array, channel: IntArray, at: int, sums: Array) -> None:
+def _summed(weight: Array, mean: Array, edges: IntArray, at: int, sums: Array) -> None:
     """Add weight (r, 6), of each column's channel, times its mean to the rows of sums from at on;
-    columns of one channel come one after the other."""
-    s = len(mean)
-    begin = 0
-    while begin < s:
-        end, c = begin, channel[begin]
-        while end < s and channel[end] == c:
-            end += 1
-        for r in range(weight.shape[0]):
+    edges (7,): where the columns of each channel begin and end."""
+    for r in range(weight.shape[0]):
+        for c in range(6):
             x = weight[r, c]
             if x != 0.0:
-                for k in range(begin, end):
+                for k in range(edges[c], edges[c + 1]):
                     sums[at + r, k] += x * mean[k]
-        begin = end
 
 
 @njit

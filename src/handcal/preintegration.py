@@ -79,22 +79,18 @@ def responses(W: Array, values: Array, channel: IntArray, column: IntArray, epoc
     """
     s = len(channel)
     mean, sums = np.empty(s), np.empty((9, s))
+    edges = np.searchsorted(channel, np.arange(7))
     for j in range(1, len(epoch)):
         zero2(sums)
         for i in range(epoch[j - 1] + 1, epoch[j] + 1):
             for k in range(s):
                 mean[k] = 0.5 * (values[i - 1, k] + values[i, k])
-            begin = 0
-            while begin < s:
-                end, c = begin, channel[begin]
-                while end < s and channel[end] == c:
-                    end += 1
-                for r in range(9):
+            for r in range(9):
+                for c in range(6):
                     w = W[i, r, c]
                     if w != 0.0:
-                        for k in range(begin, end):
+                        for k in range(edges[c], edges[c + 1]):
                             sums[r, k] += w * mean[k]
-                begin = end
         for r in range(9):
             for k in range(s):
                 out[j, r, column[k]] += sums[r, k]
