@@ -229,8 +229,9 @@ def test_a_less_probable_rival_of_a_named_effect_is_said():
     assert "most probably the gyro scale error" in explain_words.untold(e)[0]
 
 
-def test_where_nothing_was_added_there_is_one_model():
+def test_where_nothing_was_added_there_is_one_model(monkeypatch):
     e = fake_explanation("nothing_missing")
+    monkeypatch.setattr(explain_plots, "draw", lambda _: drawn("nothing_missing"))
     html, text = render_explanation(e), printed(e)
     for word in ("Plain model", "Final model", "Before and after", "has not seen"):
         assert word not in html
@@ -246,7 +247,9 @@ def test_a_term_without_a_name_has_its_place_in_every_figure(tmp_path):
     formula = e.unnamed[0].formula
     r = e.recordings[0]
     gain = {formula: np.linspace(0.0, 95.0, r.evidence.t.size)}
-    e = replace(e, recordings=(replace(r, evidence=replace(r.evidence, gain=gain)),))
+    # (one trace: all the others look alike, and drawing them takes most of the time)
+    few = replace(r, evidence=replace(r.evidence, gain=gain), traces=r.traces[:1])
+    e = replace(e, recordings=(few,))
     bars, curve = explain_plots.draw(e)["evidence"]
     assert formula.split(" += ")[1] in bars.svg
     assert formula in curve.svg
@@ -310,8 +313,10 @@ def test_the_terminal_cuts_nothing_and_breaks_no_number(explanation, width):
 
 def test_markup_in_names_is_text():
     explanation = fake_explanation("cannot_tell")
-    odd = replace(explanation.recordings[0].recording, path="[red]<img src=x>[/red].mcap")
-    e = replace(explanation, recordings=(replace(explanation.recordings[0], recording=odd),),
+    r = explanation.recordings[0]
+    odd = replace(r.recording, path="[red]<img src=x>[/red].mcap")
+    # (one trace: see above)
+    e = replace(explanation, recordings=(replace(r, recording=odd, traces=r.traces[:1]),),
                 warnings=("<b>bold</b> [bold]",), mismatch=())  # fmt: skip
     assert "[red]" in printed(e)
     html = render_explanation(e)

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from handcal import _memory
 from handcal.commands import Commands, run, say
 from handcal.progress import progress
 
@@ -438,6 +439,7 @@ def main() -> None:
     # Before numpy is imported: threads on matrices of a hundred rows cost more than they bring.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
+    _memory.kept()
     run(app)
 
 

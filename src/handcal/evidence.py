@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -117,6 +118,22 @@ def reduce(linear: Linear, folds: bool = True) -> Reduction:
         folded,
         t,
     )
+
+
+class Likelihood(Protocol):
+    """What a pass says of constants (see ``ReducedPass``)."""
+
+    @property
+    def reduction(self) -> Reduction: ...
+
+    @property
+    def nu(self) -> Array: ...
+
+    @property
+    def S(self) -> Array: ...
+
+    @property
+    def log_likelihood(self) -> tuple[float, Array, Array]: ...
 
 
 @dataclass(frozen=True)

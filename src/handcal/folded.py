@@ -33,7 +33,9 @@ class Folded:
     start (K,): which epochs they are; of (k,): whose window each epoch is in; T (k, 9, 15 + mi)
     and D (k, 9): from the state at the window's first epoch to that at each epoch. extra, scatter
     (kinds * MAX_DIM,): by how many readings there are more than rows, and the sum of the squares
-    that the rows do not hold; markov (k, e): the trajectory's Markov states at all epochs.
+    that the rows do not hold; markov (k, e): the trajectory's Markov states at all epochs. row
+    (q,), share (q, 2): the first row of those into which each reading went (-1: left out), and by
+    how much into that and the next.
     """
 
     linear: Linear
@@ -44,6 +46,8 @@ class Folded:
     extra: Array
     scatter: Array
     markov: Array
+    row: IntArray
+    share: Array
 
 
 def fold(linear: Linear) -> Folded | None:
@@ -93,7 +97,7 @@ def fold(linear: Linear) -> Folded | None:
         used=np.ones(rows, dtype=np.bool_),
     )  # fmt: skip
     markov = nominal.markov[:k]
-    return Folded(folded, start, of, T, D, extra, scatter.ravel(), markov)
+    return Folded(folded, start, of, T, D, extra, scatter.ravel(), markov, row, share)
 
 
 def unfolded(f: Folded, t: Array, x: Array) -> Array:

@@ -204,7 +204,7 @@ def linearise(
                 H[j, 9 + i] -= h
                 for c in range(mi):
                     H[j, BASE + c] -= h * J[i, c]
-    _extras_columns(kind, tables, nav, extras, z, d, plus, minus, H)
+    extras_columns(kind, tables, nav, extras, z, d, plus, minus, H)
     return 0
 
 
@@ -262,7 +262,7 @@ def _perturb_nav(nav: Array, i: int, step: float, out: Array) -> None:
 
 
 @inner
-def _extras_columns(
+def extras_columns(
     kind: int,
     tables: Tables,
     nav: Array,

@@ -6,17 +6,18 @@ Between two observation epochs the readings are integrated once into one transit
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from handcal import so3
 from handcal._jit import njit
-from handcal.effects import ATTITUDE, DELAY
+from handcal.effects import ATTITUDE, DELAY, Effect
 from handcal.filter import Track
 from handcal.kernel import BASE, Nodes, Tables, fill_nav, linearise
 from handcal.model import (
+    Corrected,
     Problem,
     Slopes,
     constants_of,
@@ -26,7 +27,8 @@ from handcal.model import (
     markov_transitions,
 )
 from handcal.observations import NAV, nearest
-from handcal.preintegration import integrate, preintegrate, responses, turn_noise
+from handcal.preintegration import integrate, preintegrate, responses, turn_errors, turn_noise
+from handcal.signals import further
 from handcal.start import Start
 from handcal.types import Array, BoolArray, IntArray
 
@@ -110,13 +112,11 @@ def trajectory_of(
 
 def linearise_about(problem: Problem, start: Start, nominal: Trajectory) -> Linear:
     """Integrate between the epochs and linearise everything about the nominal trajectory."""
-    held = any(o.wandering is not None for o in problem.observations)
-    asked = held or (problem.navigated and any(ATTITUDE in e.needs for e in problem.effects))
+    turning = problem.navigated and any(ATTITUDE in e.needs for e in problem.effects)
+    asked = turning or _held(problem)
     done, C_nb = None, None
     if problem.imu_constants:
-        if asked:
-            at_imu = np.searchsorted(problem.nodes.t, problem.recording.imu.t)
-            C_nb = path(problem, nominal).C[at_imu]
+        C_nb = _attitude(problem, nominal) if asked else None
         done = corrected_readings(problem, nominal.constants, nominal.bg, nominal.ba, C_nb)
         problem = done.problem
     problem = _bare(replace(problem, ref=nominal.constants))
@@ -124,9 +124,7 @@ def linearise_about(problem: Problem, start: Start, nominal: Trajectory) -> Line
     if done is not None:
         # What an effect does depends on the true rate and force: take off the noise that
         # this trajectory implies, or each sample's noise would pose as motion that excites it.
-        noise = _implied_noise(problem, nominal, d) if problem.navigated else None
-        force = None if C_nb is None or not held else _steady_force(problem, nominal, C_nb)
-        problem = differentiated(done, noise, force)
+        problem = differentiated(done, *_unexciting(problem, nominal, d, C_nb))
         slopes = problem.slopes
         assert slopes is not None
         responses(W, slopes.values, slopes.channel, slopes.column, nominal.node, Phi[:, :, BASE:])
@@ -136,17 +134,7 @@ def linearise_about(problem: Problem, start: Start, nominal: Trajectory) -> Line
     problem = _believing(problem, nominal.constants)
     nodes = problem.nodes
     q = len(nodes.kind)
-    widest = int(problem.tables.dim.max(initial=1))
-    r, H = np.zeros((q, widest)), np.zeros((q, widest, problem.size))
-    used = np.zeros(q, dtype=np.bool_)
-    _linearise_rows(
-        nodes,
-        problem.tables,
-        nominal.node,
-        (nominal.p, nominal.v, nominal.C, nominal.markov),
-        (*biases(problem, nominal), nominal.constants),
-        (r, H, used),
-    )
+    r, H, used = _rows(problem, nominal)
     if problem.slopes is not None:
         _seen_by_constants(problem.slopes, nodes.first, H)
     by_bias = None if problem.navigated else errors_by_bias(problem, nominal.bg, nominal.ba)
@@ -180,6 +168,91 @@ def linearise_about(problem: Problem, start: Start, nominal: Trajectory) -> Line
         H,
         used,
     )
+
+
+def _rows(problem: Problem, nominal: Trajectory) -> tuple[Array, Array, BoolArray]:
+    """r (q, m), H (q, m, N) and used (q,) of all readings, but for what acts on the IMU's."""
+    q = len(problem.nodes.kind)
+    widest = int(problem.tables.dim.max(initial=1))
+    r, H = np.zeros((q, widest)), np.zeros((q, widest, problem.size))
+    used = np.zeros(q, dtype=np.bool_)
+    _linearise_rows(
+        problem.nodes,
+        problem.tables,
+        nominal.node,
+        (nominal.p, nominal.v, nominal.C, nominal.markov),
+        (*biases(problem, nominal), nominal.constants),
+        (r, H, used),
+    )
+    return r, H, used
+
+
+def _held(problem: Problem) -> bool:
+    """Whether the device turns about a point that wanders."""
+    return any(o.wandering is not None for o in problem.observations)
+
+
+def _attitude(problem: Problem, nominal: Trajectory) -> Array:
+    """C_nb (n, 3, 3) at the IMU's samples."""
+    return path(problem, nominal).C[np.searchsorted(problem.nodes.t, problem.recording.imu.t)]
+
+
+def _unexciting(
+    problem: Problem, nominal: Trajectory, d: Array, C_nb: Array | None
+) -> tuple[Array | None, Array | None]:
+    """What may excite no effect: the readings' noise, and a force without a hand's sway (see
+    ``differentiated``)."""
+    noise = _implied_noise(problem, nominal, d) if problem.navigated else None
+    if C_nb is None or not _held(problem):
+        return noise, None
+    return noise, _steady_force(problem, nominal, C_nb)
+
+
+@dataclass(frozen=True)
+class Excited:
+    """What effects that a linearised problem does not have would act on: its corrected readings,
+    and what of them counts as motion (noise, force: see ``differentiated``). C_nb (n, 3, 3), or
+    None; W (n, 9, 6): what an error of the readings over each interval makes of the state at the
+    next epoch; by_reading (q, m, 6): of observations that look at rate and force themselves."""
+
+    done: Corrected
+    noise: Array | None
+    force: Array | None
+    C_nb: Array | None
+    W: Array
+    by_reading: Array
+
+
+def excited(linear: Linear, fresh: Problem) -> Excited:
+    """What further effects would act on; fresh: the linearised problem as it was built."""
+    problem, nominal = linear.problem, linear.trajectory
+    C_nb = _attitude(fresh, nominal) if problem.navigated else None
+    done = corrected_readings(fresh, nominal.constants, nominal.bg, nominal.ba, C_nb)
+    _, d, _, W = _transitions(problem, nominal)
+    if problem.navigated:
+        turn_errors(W, nominal.node, d)
+    H = linear.H if problem.navigated else _rows(problem, nominal)[1]
+    by_reading = H[:, :, 9:BASE] if H[:, :, 9:BASE].any() else np.zeros((0, 0, 6))
+    noise, force = _unexciting(problem, nominal, d, C_nb)
+    return Excited(done, noise, force, C_nb, W, np.ascontiguousarray(by_reading))
+
+
+def slopes_of(told: Excited, effects: Sequence[Effect]) -> Slopes:
+    """Derivatives of the readings by the constants of effects that are zero."""
+    done, acting = told.done, [e for e in effects if e.imu_error is not None]
+    asked = told.force is not None or any(ATTITUDE in e.needs for e in acting)
+    have = done.problem
+    needed = [e for e in have.effects if e.imu_error is not None] + acting
+    read = replace(
+        done.read,
+        C_nb=told.C_nb if asked else None,
+        streams=further(have.recording, needed),
+    )
+    zeros = np.zeros(sum(len(e.parameters) for e in acting))
+    problem = replace(have, effects=tuple(acting), ref=zeros)
+    found = differentiated(replace(done, problem=problem, read=read), told.noise, told.force).slopes
+    assert found is not None
+    return found
 
 
 def _believing(problem: Problem, constants: Array) -> Problem:

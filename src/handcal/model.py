@@ -157,12 +157,7 @@ def build(
     """
     acting = [e for e in effects if e.imu_error is not None]
     others = [e for e in effects if e.imu_error is None]
-    slots = [
-        Slot(e.id, p.name, p.unit, p.prior_sigma)
-        for e in (*acting, *others)
-        for p in e.parameters
-        if e.process is None and not e.outliers
-    ]
+    slots = slots_of(effects)
     imu_constants = sum(len(e.parameters) for e in acting)
     at: dict[str, int] = {}
     for i, s in enumerate(slots):
@@ -209,6 +204,18 @@ def build(
     if not linearised:
         return problem
     return relinearised(problem, np.zeros(len(slots)), np.zeros(3), np.zeros(3))
+
+
+def slots_of(effects: Sequence[Effect]) -> list[Slot]:
+    """Constants of effects, first of those that act on the readings."""
+    acting = [e for e in effects if e.imu_error is not None]
+    others = [e for e in effects if e.imu_error is None]
+    return [
+        Slot(e.id, p.name, p.unit, p.prior_sigma)
+        for e in (*acting, *others)
+        for p in e.parameters
+        if e.process is None and not e.outliers
+    ]
 
 
 def constants_of(problem: Problem, constants: Array, owner: str) -> Array:
@@ -420,7 +427,8 @@ def _slopes_of(effect: Effect, at: Array, truth: Signals) -> Iterator[tuple[int,
             yield from ((channel, first + k, columns[:, k]) for k in range(columns.shape[1]))
         return
     for k, slope in enumerate(correction_slopes(effect, at, truth)):
-        yield from ((int(c), k, slope[:, c]) for c in np.flatnonzero(_acting(slope)))
+        # (copies: a column that is a part of the whole would keep all of it in memory)
+        yield from ((int(c), k, slope[:, c].copy()) for c in np.flatnonzero(_acting(slope)))
 
 
 @njit
@@ -559,19 +567,19 @@ def substituted(acting: Sequence[Effect], ref: Array, readings: Signals) -> Arra
         elif at.any():
             present.append((e, at))
     errors = [np.zeros_like(raw) for _ in present]
-    moved = math.inf
+    step, moved = np.empty_like(raw), math.inf
     for done in range(SUBSTITUTIONS if present else 0):
         before, moved = moved, 0.0
         for k, (e, at) in enumerate(present):
             own, old = raw - total, errors[k]
             if e.imu_inverse is not None:
-                own = own + old
+                own += old
                 errors[k] = own - e.imu_inverse(at, reading(readings, own))
             elif e.imu_error is not None:
                 errors[k] = e.imu_error(at, reading(readings, own))
-            step = errors[k] - old
+            np.subtract(errors[k], old, out=step)
             total += step
-            moved = max(moved, float(np.abs(step).max()))
+            moved = max(moved, float(step.max()), -float(step.min()))
         # (some are so large that going on would lead away)
         if moved < SUBSTITUTED * scale or (done > 1 and not moved < SHRINKS * before):
             break

@@ -79,22 +79,18 @@ def responses(W: Array, values: Array, channel: IntArray, column: IntArray, epoc
     """
     s = len(channel)
     mean, sums = np.empty(s), np.empty((9, s))
+    edges = np.searchsorted(channel, np.arange(7))
     for j in range(1, len(epoch)):
         zero2(sums)
         for i in range(epoch[j - 1] + 1, epoch[j] + 1):
             for k in range(s):
                 mean[k] = 0.5 * (values[i - 1, k] + values[i, k])
-            begin = 0
-            while begin < s:
-                end, c = begin, channel[begin]
-                while end < s and channel[end] == c:
-                    end += 1
-                for r in range(9):
+            for r in range(9):
+                for c in range(6):
                     w = W[i, r, c]
                     if w != 0.0:
-                        for k in range(begin, end):
+                        for k in range(edges[c], edges[c + 1]):
                             sums[r, k] += w * mean[k]
-                begin = end
         for r in range(9):
             for k in range(s):
                 out[j, r, column[k]] += sums[r, k]
@@ -115,12 +111,30 @@ def turn_noise(Phi: Array, d: Array) -> None:
             for c in range(Phi.shape[2]):
                 turned[a, c] = 0.5 * Phi[j, 6 + a, c]
             turned[a, 6 + a] += 0.5
-        for first in range(0, 9, 3):
+        _turn(turned, d[j], Phi[j])
+
+
+@njit
+def turn_errors(W: Array, epoch: IntArray, d: Array) -> None:
+    """The same for what errors of the readings bring, W (n, 9, 6) (see ``preintegrate``)."""
+    turned = np.empty((3, W.shape[2]))
+    for j in range(1, len(epoch)):
+        for i in range(epoch[j - 1] + 1, epoch[j] + 1):
             for a in range(3):
-                b, e = (a + 1) % 3, (a + 2) % 3
-                less, more = -d[j, first + e], d[j, first + b]
-                for c in range(Phi.shape[2]):
-                    Phi[j, first + a, c] += less * turned[b, c] + more * turned[e, c]
+                for c in range(W.shape[2]):
+                    turned[a, c] = 0.5 * W[i, 6 + a, c]
+            _turn(turned, d[j], W[i])
+
+
+@inner
+def _turn(turned: Array, d: Array, out: Array) -> None:
+    """Add to out (9, c) what the noise d (9,) does when it is turned by ``turned`` (3, c)."""
+    for first in range(0, 9, 3):
+        for a in range(3):
+            b, e = (a + 1) % 3, (a + 2) % 3
+            less, more = -d[first + e], d[first + b]
+            for c in range(out.shape[1]):
+                out[first + a, c] += less * turned[b, c] + more * turned[e, c]
 
 
 @njit

@@ -78,25 +78,25 @@ class Start:
 
     def _tilt_by_bias(self, ba: Array) -> Array:
         """Derivative (3, 3) of the levelled attitude by the accelerometer bias, rad/(m/s^2)."""
-        A = np.zeros((3, 3))
         if self.force is None:
-            return A
-        step = 1e-4
-        for i in range(3):
-            e = np.zeros(3)
-            e[i] = step
-            D = self.attitude(ba + e) @ self.attitude(ba - e).T
-            A[:, i] = so3.matrix_log(D) / (2 * step)
-        return A
+            return np.zeros((3, 3))
+        step, yaw = 1e-4, float(so3.yaw_of(self.C_nb))
+        D = np.empty((3, 3, 3))
+        for i, e in enumerate(step * np.eye(3)):
+            more, less = (levelled(self.force - b, yaw) for b in (ba + e, ba - e))
+            D[i] = more @ less.T
+        return np.asarray(so3.matrix_log(D).T / (2 * step))
 
 
 def levelled(force: Array, yaw: float) -> Array:
     """C_nb (3, 3) with the specific force (3,) upwards and body x at this heading (rad)."""
-    up = force / np.linalg.norm(force)
+    up = force / math.sqrt(force @ force)
     x = np.array([1.0, 0.0, 0.0]) if abs(up[0]) < 0.99 else np.array([0.0, 0.0, 1.0])
     x = x - up * (up @ x)
-    x /= np.linalg.norm(x)
-    C = np.stack([x, np.cross(up, x), up])
+    x /= math.sqrt(x @ x)
+    # (numpy's cross product takes longer than all else here)
+    (a, b, c), (d, e, f) = up, x
+    C = np.array([x, [b * f - c * e, c * d - a * f, a * e - b * d], up])
     turn = so3.matrix_exp(np.array([0.0, 0.0, yaw - float(so3.yaw_of(C))]))
     return np.asarray(turn @ C)
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from handcal import batch, so3
 from handcal import noise as noise_levels
+from handcal.columns import Ground, ground, widened
 from handcal.effects import Effect, catalogue
 from handcal.estimate.beside import side_by_side
 from handcal.estimate.case import Case, other_irons, problem_with
@@ -454,19 +455,32 @@ def with_noise(f: Fitted) -> Fitted:
     return replace(f, levels=levels, curvature=curvature)
 
 
-def scan(model: Model, candidates: Sequence[Effect]) -> Quadratic:
-    """The quadratic of the model's effects and of all candidates, about the model's fit.
+def grounds(model: Model) -> list[Ground]:
+    """Where all scans about a model begin: its parts, linearised and filtered once."""
+    out = []
+    for f in model.parts:
+        own = moved_to(f, model.effects)
+        out.append(ground(own.linear, problem_with(own.case, model.effects), own.levels))
+    return out
+
+
+def scan(
+    model: Model, candidates: Sequence[Effect], about: Sequence[Ground] | None = None
+) -> Quadratic:
+    """The quadratic of the model's effects and of all candidates, none of them noise, about the
+    model's fit; about: its ``grounds``, where there is more than one scan.
 
     Where the innovations' scatter shows that the filter trusts them too much, their evidence
     counts for that much less (a power of the likelihood; Holmes & Walker, Biometrika 104, 2017).
     """
     have = {e.id for e in model.effects}
-    everything = (*model.effects, *(e for e in candidates if e.id not in have))
+    new = [e for e in candidates if e.id not in have]
+    everything = frozenset(have | {e.id for e in new})
     parts = []
-    for f in model.parts:
-        wide = moved_to(f, everything)
-        done = reduced_pass(reduce(wide.linear), wide.levels)
-        q = local(done, frozenset(e.id for e in everything)).quadratic
+    for f, base in zip(model.parts, grounds(model) if about is None else about, strict=True):
+        seen = [e for e in new if set(f.case.kinds) & set(e.observation_error)]
+        done = widened(base, new, problem_with(f.case, seen) if seen else None)
+        q = local(done, everything).quadratic
         worth = 1.0 / excess(done, frozenset(have))
         parts.append(Quadratic(q.names, q.a, worth * q.b, worth * q.G, worth))
     return total(parts)

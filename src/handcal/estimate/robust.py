@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from handcal.evidence import ReducedPass, reduce, reduced_pass
+from handcal.evidence import Likelihood, reduce, reduced_pass
 from handcal.types import Array, IntArray
 
 if TYPE_CHECKING:
@@ -38,10 +38,10 @@ def inflation(model: Model) -> dict[str, float]:
     }
 
 
-def excess(done: ReducedPass, active: frozenset[str]) -> float:
+def excess(done: Likelihood, active: frozenset[str]) -> float:
     """How much more the scores of absent effects scatter than the model of these effects says:
     the median over effects, at least 1. By so much less the innovations are worth."""
-    n = len(done.w)
+    n = done.nu.shape[1] - 1
     owners = _owners(done)
     present = np.array([o == "" or o in active for o in owners])
     at_nominal = np.zeros(n)
@@ -52,7 +52,7 @@ def excess(done: ReducedPass, active: frozenset[str]) -> float:
     return float(np.clip(np.median(found), 1.0, MOST)) if found else 1.0
 
 
-def _owners(done: ReducedPass) -> list[str]:
+def _owners(done: Likelihood) -> list[str]:
     """Effect of each constant, empty for biases and what belongs to an observation."""
     problem = done.reduction.linear.problem
     effects = {e.id for e in problem.effects}
@@ -66,18 +66,16 @@ def _ratios(f: Fitted) -> list[tuple[str, float, float]]:
 
 
 def _scattered(
-    done: ReducedPass, w: Array, present: IntArray | None
+    done: Likelihood, w: Array, present: IntArray | None
 ) -> list[tuple[str, float, float]]:
     """(effect, mean ratio of scatter to information, blocks), each effect beside all that are
     present (None: all others)."""
     linear, G = done.reduction.linear, done.log_likelihood[2]
-    n = len(done.w)
+    n = len(w)
     owners = np.array(_owners(done))
-    nu = done.innovations(w)
+    weight = (done.nu[:, 0] + done.nu[:, 1:] @ w) / done.S
     t = np.repeat(linear.t, np.diff(done.reduction.first))
-    block: IntArray = (
-        ((t - t[0]) / BLOCK_S).astype(np.int64) if len(t) else np.zeros(0, dtype=np.int64)
-    )
+    block = ((t - t[0]) / BLOCK_S).astype(np.int64) if len(t) else np.zeros(0, dtype=np.int64)
     out = []
     for e in linear.problem.effects:
         mine = np.flatnonzero(owners == e.id)
@@ -85,11 +83,13 @@ def _scattered(
             continue
         rest = np.setdiff1d(np.arange(n) if present is None else present, mine)
         A = G[np.ix_(rest, rest)] + np.eye(len(rest))
-        by_rest = np.linalg.solve(A, G[np.ix_(rest, mine)])
-        own = done.nu[:, 1 + mine] - done.nu[:, 1 + rest] @ by_rest
-        scores = own * (nu / done.S)[:, None]
-        information = (own**2 / done.S[:, None]).sum(axis=0)
-        sums = _by_block(scores, block)
+        combined = np.zeros((n, len(mine)))
+        combined[mine] = np.eye(len(mine))
+        combined[rest] = -np.linalg.solve(A, G[np.ix_(rest, mine)])
+        used = np.flatnonzero(combined.any(axis=1))
+        own = done.nu[:, 1 + used] @ combined[used]
+        sums = _by_block(own * weight[:, None], block)
+        information = np.einsum("sk,sk,s->k", own, own, 1.0 / done.S)
         seen = information > 1e-9
         if seen.any():
             ratio = float(np.mean((sums[:, seen] ** 2).sum(axis=0) / information[seen]))
@@ -98,7 +98,9 @@ def _scattered(
 
 
 def _by_block(x: Array, block: IntArray) -> Array:
+    """Sums of the rows x (s, k) over each block, (s,), which are in order."""
     out = np.zeros((int(block.max()) + 1 if len(block) else 0, x.shape[1]))
-    for i in range(x.shape[1]):
-        out[:, i] = np.bincount(block, x[:, i], len(out))
+    if len(block):
+        first = np.flatnonzero(np.diff(block, prepend=-1))
+        out[block[first]] = np.add.reduceat(x, first, axis=0)
     return out

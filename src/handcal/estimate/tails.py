@@ -10,7 +10,7 @@ over the scales, never the best of them.
 from __future__ import annotations
 
 import math
-from itertools import groupby
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -51,7 +51,7 @@ def tailed(
 def usual(q: Quadratic, index: IntArray, root: Array | None = None) -> Posterior:
     """As ``tailed``, of the usual scale alone: what the others add is left out."""
     found = posterior(q, index, root)
-    left_out = _tails(q, index).sum() * float(LOG_SHARES[0])
+    left_out = _effects(q, index, None)[1].sum() * float(LOG_SHARES[0])
     return Posterior(found.log_evidence + left_out, found.mean, found.covariance)
 
 
@@ -60,39 +60,58 @@ def log_evidence(
     index: IntArray,
     root: Array | None = None,
     positive: BoolArray | None = None,
+    owners: Owners | None = None,
 ) -> float:
-    """As ``tailed``, only the evidence: what a search over subsets needs."""
+    """As ``tailed``, only the evidence: what a search over subsets needs, which knows the
+    ``owners`` of all parameters beforehand."""
     mean, covariance = np.empty(len(index)), np.empty((len(index), len(index)))
-    return q.a + _tailed(*_prepared(q, index, root, positive), NEAR, mean, covariance)
+    return q.a + _tailed(*_prepared(q, index, root, positive, owners), NEAR, mean, covariance)
+
+
+@dataclass(frozen=True)
+class Owners:
+    """Of each parameter of a quadratic (k,): a number that is its effect's own, and whether the
+    prior has tails."""
+
+    number: IntArray
+    tails: BoolArray
+
+
+def owners_of(q: Quadratic) -> Owners:
+    """Whose the parameters of a quadratic are."""
+    at: dict[str, int] = {}
+    number = np.array([at.setdefault(n[0], len(at)) for n in q.names], dtype=np.int64)
+    tails = np.array([_has_tails(owner) for owner in at], dtype=np.bool_)
+    return Owners(number, tails[number] if len(number) else tails)
 
 
 def _prepared(
-    q: Quadratic, index: IntArray, root: Array | None, positive: BoolArray | None
+    q: Quadratic,
+    index: IntArray,
+    root: Array | None,
+    positive: BoolArray | None,
+    owners: Owners | None = None,
 ) -> tuple[Array, Array, Array, IntArray, Array, BoolArray, BoolArray]:
     """b, G, R of the subset; of its effects where each begins, the rank of its prior and whether
     it has tails; and which parameters are positive."""
-    begin = _begin(q, index)
+    begin, tails = _effects(q, index, owners)
     size = np.diff(begin).astype(np.float64)
     R = np.eye(len(index)) if root is None else root
     if root is not None:
         # (of a projection the rank is the trace)
         size = np.asarray(np.round(np.add.reduceat(np.diag(R), begin[:-1])), dtype=np.float64)
     half = np.zeros(len(index), dtype=np.bool_) if positive is None else positive
-    tails = _tails(q, index)
     return q.b[index], q.G[index[:, None], index], R, begin, size, tails, half
 
 
-def _begin(q: Quadratic, index: IntArray) -> IntArray:
-    """Where each effect's parameters, which are neighbours, begin in the subset; and its end."""
-    runs = groupby(q.names[i][0] for i in index)
-    return np.cumsum([0, *(sum(1 for _ in run) for _, run in runs)], dtype=np.int64)
-
-
-def _tails(q: Quadratic, index: IntArray) -> BoolArray:
-    """Of each effect of the subset whether its prior has tails: a term that was found in a
-    recording has a prior that suits that recording."""
-    owners = [owner for owner, _ in groupby(q.names[i][0] for i in index)]
-    return np.array([_has_tails(owner) for owner in owners], dtype=np.bool_)
+def _effects(q: Quadratic, index: IntArray, owners: Owners | None) -> tuple[IntArray, BoolArray]:
+    """Where the parameters of each effect, which are neighbours, begin in the subset, and its end;
+    and whether its prior has tails: a term that was found in a recording has a prior that suits
+    that recording."""
+    owners = owners_of(q) if owners is None else owners
+    number = owners.number[index]
+    begin = np.flatnonzero(np.diff(number, prepend=-1))
+    return np.append(begin, len(index)), owners.tails[index[begin]]
 
 
 def _has_tails(owner: str) -> bool:

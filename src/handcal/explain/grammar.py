@@ -55,9 +55,13 @@ class Form:
     def cost(self) -> float:
         """Nats by which a formula is less likely beforehand than the simplest: for its numbers, and
         for further functions, each one of many."""
-        if self.smooth:
-            return 0.0
-        return FREEDOM * len(self.numbers) + math.log(len(ATOMS)) * (len(self.parts) - 1)
+        return 0.0 if self.smooth else cost_of(self.parts)
+
+
+def cost_of(parts: Sequence[Part]) -> float:
+    """The cost of the formula of these functions (see ``Form``)."""
+    numbers = sum(len(own) for _, own in parts)
+    return FREEDOM * numbers + math.log(len(ATOMS)) * (len(parts) - 1)
 
 
 # --- curves --------------------------------------------------------------------------------

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -12,9 +13,9 @@ from handcal.effects import Effect
 from handcal.estimate.case import name_of
 from handcal.estimate.fit import prior_root
 from handcal.estimate.quadratic import Quadratic
-from handcal.estimate.tails import log_evidence
+from handcal.estimate.tails import Owners, log_evidence, owners_of
 from handcal.explain.score import PRIOR
-from handcal.types import Array, IntArray
+from handcal.types import Array, BoolArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,24 @@ class Space:
     where: Mapping[str, IntArray]
     scores: dict[frozenset[str], float]
 
+    @cached_property
+    def owners(self) -> Owners:
+        """Whose the parameters are."""
+        return owners_of(self.quadratic)
+
+    @cached_property
+    def plain(self) -> Mapping[str, str]:
+        """Of each effect the catalogue's id."""
+        return {i: name_of(i) for i in self.effects}
+
+    @cached_property
+    def positive(self) -> Mapping[str, BoolArray]:
+        """Of each effect which parameters cannot be negative."""
+        return {
+            i: np.array([p.positive for p in e.parameters], dtype=np.bool_)
+            for i, e in self.effects.items()
+        }
+
     def score(self, chosen: Iterable[str]) -> float:
         """Log-evidence of this set plus its log prior odds."""
         key = frozenset(chosen)
@@ -40,19 +59,20 @@ class Space:
 
     def _score(self, key: frozenset[str]) -> float:
         names = sorted(key)
-        if len({name_of(i) for i in names}) < len(names):
+        if len({self.plain[i] for i in names}) < len(names):
             return -math.inf
         parts = [self.where[i] for i in names]
         index: IntArray = np.concatenate(parts) if parts else np.zeros(0, dtype=np.int64)
         if not len(index):
             return self.quadratic.a + sum(self.prior[i] for i in names)
         effects = [self.effects[i] for i in names]
-        root = prior_root(self.quadratic, effects, index)
+        root = None
+        if any(e.together is not None for e in effects):
+            root = prior_root(self.quadratic, effects, index)
         odds = sum(self.prior[i] for i in names)
-        flags = [p.positive for e in effects for p in e.parameters]
         # (of what is positive half of a symmetric prior, twice as dense)
-        positive = np.array(flags, dtype=np.bool_)
-        return log_evidence(self.quadratic, index, root, positive) + odds
+        positive = np.concatenate([self.positive[i] for i in names])
+        return log_evidence(self.quadratic, index, root, positive, self.owners) + odds
 
 
 def space(quadratic: Quadratic, effects: Sequence[Effect], prior: Mapping[str, float]) -> Space:

@@ -10,9 +10,10 @@ from itertools import combinations
 
 import numpy as np
 
+from handcal.columns import Ground
 from handcal.effects import Effect, Signals
 from handcal.estimate.beside import side_by_side
-from handcal.estimate.fit import Fitted, Model, fitted, prior_root, scan
+from handcal.estimate.fit import Fitted, Model, fitted, grounds, prior_root, scan
 from handcal.estimate.quadratic import Quadratic
 from handcal.explain import shapes, terms
 from handcal.explain.drivers import DRIVERS, LINE, NEARER, Driver, usable
@@ -20,6 +21,7 @@ from handcal.explain.grammar import (
     Form,
     Part,
     about,
+    cost_of,
     curves,
     formula,
     parts_for,
@@ -63,13 +65,21 @@ class Beside:
     G: Array
     at: dict[str, IntArray]
 
-    def gain(self, b: Array, G: Array, root: Array) -> float:
-        """Nats that parameters of such a quadratic gain; root (k, k): of their prior."""
-        A = root.T @ G @ root
-        A = 0.5 * (A + A.T) + np.eye(len(A))
-        L = np.linalg.cholesky(A)
-        y = np.linalg.solve(L, root.T @ b)
-        return float(0.5 * y @ y - np.log(np.diag(L)).sum())
+    def gains(self, index: IntArray) -> Array:
+        """Nats (f,) that each of several sets of parameters (f, k) gains under their priors."""
+        return gains(self.b[index], self.G[index[:, :, None], index[:, None]])
+
+
+def gains(b: Array, G: Array, root: Array | None = None) -> Array:
+    """Nats (f,) that parameters of such quadratics, b (f, k) and G (f, k, k), gain; root
+    (f, k, k): of their priors (None: the identity)."""
+    if root is not None:
+        back = root.transpose(0, 2, 1)
+        b, G = np.einsum("fij,fj->fi", back, b), back @ G @ root
+    A = 0.5 * (G + G.transpose(0, 2, 1)) + np.eye(b.shape[1])
+    L = np.linalg.cholesky(A)
+    y = np.linalg.solve(L, b[:, :, None])[:, :, 0]
+    return np.asarray(0.5 * (y**2).sum(axis=1) - np.log(np.einsum("fii->fi", L)).sum(axis=1))
 
 
 def beside(q: Quadratic, known: Sequence[Effect], absent: Sequence[Effect]) -> Beside:
@@ -159,18 +169,21 @@ def _ways(block: Block, seen: Beside) -> Iterator[tuple[tuple[int, ...], bool, A
 
 def _of_block(block: Block, seen: Beside) -> Iterator[tuple[Law, float]]:
     """The best law of each way, and what it gains."""
+    one = block.forms[0].constants
+    roots = np.stack([np.eye(one) if f.root is None else f.root for f in block.forms])
     for axes, each, b, G in _ways(block, seen):
-        gains = []
-        for form in block.forms:
-            root = np.eye(form.constants) if form.root is None else form.root
-            whole = np.asarray(np.kron(np.eye(len(b) // len(root)), root))
-            gains.append(seen.gain(b, G, whole))
-        top = max(gains)
-        form = block.forms[int(np.argmax(gains))]
+        own = len(b) // one
+        whole = np.zeros((len(roots), own, one, own, one))
+        for n in range(own):
+            whole[:, n, :, n] = roots
+        many = len(roots), len(b), len(b)
+        found = gains(np.broadcast_to(b, many[:2]), np.broadcast_to(G, many), whole.reshape(many))
+        top = float(found.max())
+        form = block.forms[int(np.argmax(found))]
         law = Law(block.sensor, axes, each, block.driver, form, block.sigmas)
         if form.smooth or not named(law):
             # (its width and size are not known: the mean over all)
-            yield law, top + math.log(np.mean(np.exp(np.array(gains) - top)))
+            yield law, top + math.log(np.mean(np.exp(found - top)))
 
 
 # --- formulas ------------------------------------------------------------------------------
@@ -178,17 +191,19 @@ def _of_block(block: Block, seen: Beside) -> Iterator[tuple[Law, float]]:
 
 @dataclass(frozen=True)
 class About:
-    """Where laws are weighed: about a model, beside its known effects, with the signals of its
-    first recording, and what evidence is worth."""
+    """Where laws are weighed: about a model (``grounds`` for its scans), beside its known effects,
+    with the signals of its first recording, and what evidence is worth."""
 
     model: Model
+    grounds: Sequence[Ground]
     known: Sequence[Effect]
     signals: Signals
     worth: float
 
     def seen(self, absent: Sequence[Effect]) -> Beside:
         """What a scan says of absent effects."""
-        return beside(weighed(scan(self.model, absent), self.worth), self.known, absent)
+        q = scan(self.model, absent, self.grounds)
+        return beside(weighed(q, self.worth), self.known, absent)
 
 
 def written_out(about_: About, law: Law) -> list[tuple[Law, float]]:
@@ -224,27 +239,27 @@ def _tried(about_: About, law: Law, parts: Sequence[Part]) -> list[tuple[Law, fl
         for n in some
     ]
     seen = about_.seen(effects)
-    best: dict[int, tuple[Law, float]] = {}
-    for chosen in _sets([int(n) for n in some], parts):
-        at = np.concatenate([seen.at[f"basis: {n}"] for n in chosen])
-        gain = seen.gain(seen.b[at], seen.G[np.ix_(at, at)], np.eye(len(at)))
-        form = formula([parts[n] for n in chosen])
-        gain -= form.cost
-        if len(chosen) not in best or gain > best[len(chosen)][1]:
-            sigmas = tuple(float(SIZE[law.sensor] / sizes[n]) for n in chosen)
+    out = []
+    for sets in _sets([int(n) for n in some], parts):
+        index = [np.concatenate([seen.at[f"basis: {n}"] for n in chosen]) for chosen in sets]
+        values = seen.gains(np.array(index)) - [cost_of([parts[n] for n in s]) for s in sets]
+        for k in np.argsort(-values, kind="stable"):
+            sigmas = tuple(float(SIZE[law.sensor] / sizes[n]) for n in sets[k])
+            form = formula([parts[n] for n in sets[k]])
             candidate = replace(law, form=form, sigmas=sigmas)
             if not named(candidate):
-                best[len(chosen)] = candidate, gain
-    return list(best.values())
+                out.append((candidate, float(values[k])))
+                break
+    return out
 
 
-def _sets(some: Sequence[int], parts: Sequence[Part]) -> Iterator[tuple[int, ...]]:
-    """One of these, or two that are different functions."""
-    for n in some:
-        yield (n,)
-    for n, m in combinations(some, 2):
-        if parts[n][0] != parts[m][0]:
-            yield n, m
+def _sets(some: Sequence[int], parts: Sequence[Part]) -> list[list[tuple[int, ...]]]:
+    """All of one of these, and all of two that are different functions."""
+    one: list[tuple[int, ...]] = [(n,) for n in some]
+    two: list[tuple[int, ...]] = [
+        (n, m) for n, m in combinations(some, 2) if parts[n][0] != parts[m][0]
+    ]
+    return [sets for sets in (one, two) if sets]
 
 
 def tuned(about_: About, law: Law, gain: float) -> tuple[Law, float]:
@@ -278,7 +293,8 @@ def best_term(model: Model, *, refused: Collection[str] = (), without: str = "")
     signals = signals_of(f)
     known = [e for e in model.effects if e.process is None and e.id != without]
     looks = list(_looks(f, signals, known))
-    scans = list(side_by_side(partial(scan, model, look.effects) for look in looks))
+    base = grounds(model)
+    scans = list(side_by_side(partial(scan, model, look.effects, base) for look in looks))
     # (what is absent scatters differently from scan to scan: one worth for all)
     worth = float(np.median([q.worth for q in scans]))
     enough = -TERM_PRIOR + math.log(2.0)
@@ -288,7 +304,7 @@ def best_term(model: Model, *, refused: Collection[str] = (), without: str = "")
         for end in look.best(weighed(q, worth), known)
         if end[1] > enough
     ]
-    about_ = About(model, known, signals, worth)
+    about_ = About(model, base, known, signals, worth)
     found = [Term(e, gain / worth) for e, gain in ends if isinstance(e, Effect)]
     found += [_as_told(about_, law, gain) for law, gain in _closer(ends)]
     found = [t for t in found if t.effect.id not in refused]
@@ -383,10 +399,11 @@ def _headings(
     for e, some in zip(looked, options, strict=True):
         at = seen.at[e.id]
         b, G = seen.b[at], seen.G[np.ix_(at, at)]
-        roots = [np.eye(len(at)) if x.together is None else x.together for x in some]
-        gains = np.array([seen.gain(b, G, root) for root in roots])
-        gain = float(gains.max() + math.log(np.mean(np.exp(gains - gains.max()))))
-        out.append((some[int(np.argmax(gains))], gain))
+        roots = np.stack([np.eye(len(at)) if x.together is None else x.together for x in some])
+        many = len(roots), len(at), len(at)
+        found = gains(np.broadcast_to(b, many[:2]), np.broadcast_to(G, many), roots)
+        gain = float(found.max() + math.log(np.mean(np.exp(found - found.max()))))
+        out.append((some[int(np.argmax(found))], gain))
     return out
 
 

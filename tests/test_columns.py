@@ -1,0 +1,80 @@
+"""Columns beside one pass of the filter, against a pass that has them all among its constants."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from worlds import recording_of
+
+from handcal.effects import Effect, select
+from handcal.estimate.case import case_of
+from handcal.estimate.fit import Model, baseline, fitted, grounds, moved_to, scan
+from handcal.estimate.quadratic import Quadratic, local
+from handcal.estimate.robust import excess
+from handcal.evidence import reduce, reduced_pass
+from handcal.explain import unnamed
+from handcal.explain.climb import candidates
+from handcal_sim import simulate
+from handcal_sim.phone import (
+    Phone,
+    capture_pose,
+    consumer_magnetometer,
+    consumer_phone,
+    trusted_reference,
+)
+
+# A stream that is folded, one that is and sees three axes, a pose, and nothing that is integrated.
+SCENES = {
+    "heading": ("gyro_scale", "gyro_bias_walk", "heading_delay"),
+    "mag": ("gyro_scale",),
+    "pose": ("accel_delay",),
+    "reference": ("gyro_scale", "accel_scale"),
+}
+
+
+def _phone(rng: np.random.Generator) -> Phone:
+    return replace(
+        consumer_phone(rng),
+        mag=consumer_magnetometer(rng),
+        pose=capture_pose(rng),
+        reference=trusted_reference(rng),
+    )
+
+
+@pytest.fixture(scope="module", params=SCENES)
+def model(request: pytest.FixtureRequest) -> Model:
+    world = simulate("free-hand", seed=0, duration_s=12.0, phone=_phone)
+    first = baseline([case_of(recording_of(world, request.param))])
+    return fitted(first.parts, [*first.effects, *select(SCENES[request.param])], noise_rounds=0)
+
+
+def _whole(model: Model, absent: list[Effect]) -> Quadratic:
+    """The scan as one pass over a problem that has all effects."""
+    (part,) = model.parts
+    everything = [*model.effects, *absent]
+    wide = moved_to(part, everything)
+    done = reduced_pass(reduce(wide.linear), wide.levels)
+    q = local(done, frozenset(e.id for e in everything)).quadratic
+    worth = 1.0 / excess(done, frozenset(e.id for e in model.effects))
+    return Quadratic(q.names, q.a, worth * q.b, worth * q.G, worth)
+
+
+def test_columns_are_what_a_pass_with_them_has(model: Model) -> None:
+    have = set(model.ids)
+    signals = unnamed.signals_of(model.parts[0])
+    laws = [b.effect for b in unnamed.blocks(signals)[::5]]
+    named = [e for e in candidates(model.parts, model.effects) if e.id not in have]
+    for absent in (named, laws):
+        whole, found = _whole(model, absent), scan(model, absent, grounds(model))
+        at = [found.names.index(n) for n in whole.names]
+        scale = np.sqrt(1.0 + np.diag(whole.G))
+        np.testing.assert_allclose(found.b[at] / scale, whole.b / scale, atol=1e-8)
+        G = found.G[np.ix_(at, at)] / np.outer(scale, scale)
+        np.testing.assert_allclose(G, whole.G / np.outer(scale, scale), atol=1e-8)
+        assert found.a == pytest.approx(whole.a, abs=1e-6)
+        assert found.worth == pytest.approx(whole.worth, rel=1e-8)
+        # (what has no effect at all would be the same in any way)
+        new = [i for i, n in enumerate(whole.names) if n[0] not in have]
+        assert np.mean(np.diag(whole.G)[new] > 1e-3) > 0.7
