@@ -29,6 +29,8 @@ MEMORIES = (0.4, 1.0, 2.5, 6.0, 15.0)
 PLAYS = ((0.03, 0.06, 0.12, 0.25), (0.1, 0.2, 0.4, 0.8))
 # Shares by which a time or a half width on trial is changed, in turn, to find the best.
 NEARER = ((0.65, 0.8, 1.25, 1.5), (0.9, 1.1), (0.95, 1.05))
+# Within so much of zero a sign is not one yet: wider than the noise, narrower than the motion.
+SIGN = {"rad/s": 0.1, "m/s^2": 0.5}
 # Slower than this (rad/s) a device is not being turned.
 TURNING = 0.2
 # What a sensor and its surroundings take to warm through, s.
@@ -95,6 +97,11 @@ def _slope(of: Of) -> Of:
 
 def _size(of: Of) -> Of:
     return lambda s, axis: np.abs(of(s, axis))
+
+
+def _sign(name: str, unit: str, of: Of) -> tuple[str, str, Of]:
+    near = SIGN[unit]
+    return f"tanh({name} / {near:g})", "", lambda s, axis: np.tanh(of(s, axis) / near)
 
 
 def _total(of: Of) -> Of:
@@ -232,6 +239,9 @@ def _products(signals: list[tuple[str, str, Of]], sizes: list[tuple[str, str, Of
     pairs += [(a, b) for n, a in enumerate(signals[3:]) for b in signals[3:][n + 1 :]]
     pairs += list(product(signals[:3], signals[3:]))
     pairs += list(product((signals[0], signals[3]), sizes))
+    others = [(a, b) for a in signals for b in signals if a is not b]
+    pairs += [(a, (f"|{name}|", unit, _size(of))) for a, (name, unit, of) in others]
+    pairs += [(a, _sign(*b)) for a, b in others]
     pairs += [(a, ("t", "s", _time)) for a in signals]
     out = [_product(a, b) for a, b in pairs]
     warm = ("(T - 25)", "K", _warmth)
@@ -248,7 +258,7 @@ _PRODUCTS = {
 
 
 def _product(a: tuple[str, str, Of], b: tuple[str, str, Of], needs: tuple[str, ...] = ()) -> Driver:
-    unit = _PRODUCTS[a[1], b[1]] if (a[1], b[1]) in _PRODUCTS else _PRODUCTS[b[1], a[1]]
+    unit = _PRODUCTS.get((a[1], b[1])) or _PRODUCTS.get((b[1], a[1])) or a[1]
     return Driver(f"{a[0]} * {b[0]}", unit, _times(a[2], b[2]), LINE, needs=needs)
 
 

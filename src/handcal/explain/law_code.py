@@ -96,6 +96,7 @@ _PLAIN = {
 _STREAMS = {"omega": "gyro", "f": "accel", "alpha": "gyro", "jerk": "accel"}
 _PLAY = re.compile(r"\(play\(([^ ]+) [^)]+\) of (.+) - \2\)")
 _LAG = re.compile(r"\(memory\(([^ ]+) s\) of (.+) - \2\)")
+_SIGN = re.compile(r"tanh\((.+) / (.+)\)")
 _MEMORY = re.compile(r"\(memory\(([^ ]+) s\) of (.+)\)")
 
 
@@ -112,10 +113,12 @@ def driver_code(name: str) -> str:
         return f"remembered(signals.t, {x}, {found[1]}) - ({x})"
     if found := _MEMORY.fullmatch(name):
         return f"remembered(signals.t, {driver_code(found[2])}, {found[1]})"
-    if name.startswith("|") and name.endswith("|"):
-        return f"np.abs({driver_code(name[1:-1])})"
     if " * " in name:
         return " * ".join(_factor(driver_code(part)) for part in name.split(" * "))
+    if name.startswith("|") and name.endswith("|"):
+        return f"np.abs({driver_code(name[1:-1])})"
+    if found := _SIGN.fullmatch(name):
+        return f"np.tanh({driver_code(found[1])} / {found[2]})"
     kind, _, axis = name.partition("_")
     columns = {"x": "0", "y": "1", "z": "2", "{i}": "i"}
     signal = f"signals.{_STREAMS[kind]}[:, {columns[axis]}]"

@@ -17,7 +17,7 @@ PRIOR = -5.0
 OCCAM_LEVEL = 2.5
 # Laws without a name that are on trial (channels and drivers), among which one effect's odds are
 # shared.
-LAWS = 600
+LAWS = 1000
 TERM_PRIOR = PRIOR - math.log(LAWS)
 # Errors that go with the motion that are on trial: two ways, on seven sets of axes of two sensors
 # and on the heading.
