@@ -37,6 +37,11 @@ def drivers_of(formula: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(_DRIVERS.findall(formula.split(" += ", 1)[1])))
 
 
+def is_curve(formula: str) -> bool:
+    """Whether a law is a curve, and no formula."""
+    return formula.partition(" += ")[2].startswith(("g(", "g_i("))
+
+
 @dataclass(frozen=True)
 class Drawn:
     """A curve, and the root mean square of all that is added, with its sigma (SI)."""
@@ -58,7 +63,7 @@ def drawn(f: Fitted, effect: Effect, values: Array, C: Array) -> Drawn:
         pieces, x_unit, y_unit = _of_law(law, signals), law.driver.unit, UNITS[law.sensor]
     rows, size, known = [], [], []
     for x, B in pieces:
-        B = B - B.mean(axis=0) if "g(" in effect.id or "g_i(" in effect.id else B
+        B = B - B.mean(axis=0) if is_curve(effect.id) else B
         spread = np.maximum(np.einsum("ni,ij,nj->n", B, C, B), 0.0)
         rows.append((x, B @ values, np.sqrt(spread)))
         size.append(float(np.mean((B @ values) ** 2)))

@@ -14,7 +14,7 @@ from handcal.estimate.fit import Model
 from handcal.estimate.process import process_parameters
 from handcal.explain import matter, outliers, with_motion
 from handcal.explain.climb import akin
-from handcal.explain.curve import channel_of, drawn, drivers_of
+from handcal.explain.curve import channel_of, drawn, drivers_of, is_curve
 from handcal.explain.explanation import Curve, Hypothesis, Missing, Unnamed
 from handcal.explain.find import Found
 from handcal.explain.laws import law_of
@@ -77,14 +77,15 @@ def _own(model: Model, effect: Effect) -> float:
     law is known, on the same channels: of what is not known, as much may be as the effect does, as
     long as that is not much larger.
 
-    Where something goes with the motion beside a law, that law is not known either. (And what noise
-    does may be part of any: its form is the best of some, and what that leaves looks like noise.)
+    Not known is a law that is a curve, or beside which something goes with the motion. (And what
+    noise does may be part of any: its form is the best of some, and what that leaves looks like
+    noise.)
     """
     if effect.id not in model.ids or "+=" in effect.id:
         return 1.0
     size = matter.sizes(model, effect)
     beside = {e.id: _on(model, e, size) for e in model.effects if "+=" in e.id}
-    lawless = any(v for i, v in beside.items() if with_motion.is_with_motion(i))
+    lawless = any(v for i, v in beside.items() if with_motion.is_with_motion(i) or is_curve(i))
     if not lawless and effect.process is None:
         return 1.0
     rest = sum(beside.values())
