@@ -32,6 +32,9 @@ from handcal.model import observation_variances
 from handcal.so3 import exp, matmul
 from handcal.types import Array, BoolArray, IntArray
 
+# Epochs whose covariances are smoothed at once: what that takes besides them is small.
+AT_ONCE = 256
+
 
 @dataclass(frozen=True)
 class Pass:
@@ -187,13 +190,17 @@ def smooth(
     moving, scale = done.reduction.moving, done.reduction.scale
     fixed = np.arange(9, 9 + len(scale))
     spread = done.spread * scale[:, None]
-    by_constants = done.X[:, :, 1:] @ done.spread + done.P @ r[:, :, 1:]
     P = np.empty((k, x.shape[1], x.shape[1]))
     P[:, fixed[:, None], fixed] = spread @ spread.T
-    P[:, moving[:, None], fixed] = by_constants @ spread.T
-    P[:, fixed[:, None], moving] = P[:, moving[:, None], fixed].transpose(0, 2, 1)
-    own = done.P - done.P @ N @ done.P + by_constants @ by_constants.transpose(0, 2, 1)
-    P[:, moving[:, None], moving] = 0.5 * (own + own.transpose(0, 2, 1))
+    for some in (slice(j, j + AT_ONCE) for j in range(0, k, AT_ONCE)):
+        X, P_moving = done.X[some], done.P[some]
+        by_constants = X[:, :, 1:] @ done.spread + P_moving @ r[some, :, 1:]
+        mixed = by_constants @ spread.T
+        P[some, moving[:, None], fixed] = mixed
+        P[some, fixed[:, None], moving] = mixed.transpose(0, 2, 1)
+        own = P_moving - P_moving @ N[some] @ P_moving
+        own = own + by_constants @ by_constants.transpose(0, 2, 1)
+        P[some, moving[:, None], moving] = 0.5 * (own + own.transpose(0, 2, 1))
     x[-1], P[-1] = forward_pass.x[-1], forward_pass.P[-1]
     return x, P
 

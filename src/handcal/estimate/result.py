@@ -65,8 +65,10 @@ def _result(model: Model, k: int, found: Known) -> Result:
     dense = _dense(f)
     rows = _shown(dense)
     forward = batch.forward(dense, f.levels, rows=rows)
-    x, P = batch.smooth(dense, f.levels, forward, rows)
-    history, smoothed = (_history(dense, rows, found, *v) for v in ((forward.x, forward.P), (x, P)))
+    history = _history(dense, rows, found, forward.x, forward.P)
+    # (the covariances are the largest thing here: of the filter's, the last is left)
+    forward = replace(forward, x=forward.x[-1:].copy(), P=forward.P[-1:].copy())
+    smoothed = _history(dense, rows, found, *batch.smooth(dense, f.levels, forward, rows))
     innovations = _innovations(dense, forward)
     for kind, i in innovations.items():
         if i.skipped:
@@ -145,15 +147,16 @@ def _walked(
     return tuple(parameters), found.covariance * np.outer(scale, scale)
 
 
-def _walking(problem: Problem, P: Array) -> Array:
-    """Covariances P (k, N, N) with the biases as they are at each moment, walks included."""
-    if not problem.wandering:
-        return P
-    total = np.eye(problem.size)
-    for state, column in problem.wandering:
-        at = BASE + problem.constants + state
-        total[9 + column : 12 + column, at : at + 3] = np.eye(3)
-    return np.asarray(total @ P @ total.T)
+def _variances(problem: Problem, P: Array) -> Array:
+    """Variances (k, N) of covariances P (k, N, N), of the biases as they are at each moment, walks
+    included."""
+    out = np.einsum("kii->ki", P).copy()
+    walks = [(BASE + problem.constants + state, 9 + column) for state, column in problem.wandering]
+    for column in {column for _, column in walks}:
+        for i in range(3):
+            own = np.array([column + i, *(state + i for state, at in walks if at == column)])
+            out[:, column + i] = P[:, own[:, None], own].sum(axis=(1, 2))
+    return np.asarray(out)
 
 
 def _shown(linear: Linear) -> IntArray:
@@ -169,7 +172,7 @@ def _history(linear: Linear, rows: IntArray, found: Known, x: Array, P: Array) -
     C = so3.rotations(x[:, 6:9]) @ nominal.C[rows]
     whole = np.r_[nominal.bg, nominal.ba, nominal.constants]
     at = 9 + np.array(found.column)
-    variance = np.einsum("kii->ki", _walking(problem, P))
+    variance = _variances(problem, P)
     parameters = whole[at - 9] + x[:, at]
     sigma = np.sqrt(np.maximum(variance[:, at], 0.0))
     for i, k in enumerate(found.column):
