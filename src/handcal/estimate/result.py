@@ -110,9 +110,9 @@ def _dense(f: Fitted) -> Linear:
     """The fit linearised at more moments than those at which something is observed, for showing:
     between two looks at a held point a device turns far.
     """
-    linear, size = f.linear, f.linear.problem.size
+    linear = f.linear
     t, node = linear.problem.nodes.t, linear.trajectory.node
-    rows = int(min(HISTORY_RATE * (t[-1] - t[0]), HISTORY_NUMBERS / size**2))
+    rows = _rows(linear)
     if rows < 2 * len(node) or not linear.problem.navigated:
         return linear
     wanted = np.searchsorted(t, np.linspace(t[0], t[-1], rows))
@@ -159,9 +159,15 @@ def _variances(problem: Problem, P: Array) -> Array:
     return np.asarray(out)
 
 
+def _rows(linear: Linear) -> int:
+    """How many rows a history has: as many a second, and no more than memory holds."""
+    span = float(linear.problem.nodes.t[-1] - linear.problem.nodes.t[0])
+    return max(1, int(min(HISTORY_RATE * span, HISTORY_NUMBERS / linear.problem.size**2)))
+
+
 def _shown(linear: Linear) -> IntArray:
     """Epochs that are enough to look at, the last one among them."""
-    step = max(1, round(len(linear.t) / max(1.0, (linear.t[-1] - linear.t[0]) * HISTORY_RATE)))
+    step = max(1, round(len(linear.t) / _rows(linear)))
     last = len(linear.t) - 1
     return np.unique(np.r_[np.arange(0, last + 1, step), last]).astype(np.int64)
 
