@@ -74,18 +74,31 @@ def _of_one_axis(entry: Mapping[str, Any]) -> bool:
 def _course(entry: Mapping[str, Any], channel: str, at: Scene) -> Array:
     """What the curve is drawn over (n,): the product of the drivers, or what is left of them."""
     x, formula = np.ones(len(at.t)), entry["formula"]
+    if formula.partition(" += ")[2].startswith("e("):
+        if len(entry["channels"]) > 1:
+            raise KeyError(formula)
+        return np.asarray(at.t - at.t[0])
     if "time since a turn" in entry["drivers"]:
         turned = signal(at, "|omega|") > TURNING
         return np.asarray(at.t - np.maximum.accumulate(np.where(turned, at.t, at.t[0])))
     for name in entry["drivers"]:
-        x = x * _driver(of_channel(name, channel), at)
+        x = x * _within(_driver(of_channel(name, channel), at), name, formula)
     if entry["curve"].get("x_unit") == "s^2":
         x = x * x
     if found := re.search(r"\bmemory\(([^ ]+) s\)", formula):
-        return lagged(at.t, x, float(found[1]))
+        past = lagged(at.t, x, float(found[1]))
+        return past - x if re.search(r"\bmemory\([^ ]+ s\) of (.+) - \1\)", formula) else past
     if found := re.search(r"\bplay\(([^ ]+) ", formula):
         return followed(x, float(found[1])) - x
     return x
+
+
+def _within(x: Array, name: str, formula: str) -> Array:
+    """A driver as its formula has it: its size, or its smooth sign."""
+    if f"|{name}|" in formula:
+        return np.abs(x)
+    found = re.search(rf"tanh\({re.escape(name)} / ([^)]+)\)", formula)
+    return np.tanh(x / float(found[1])) if found and f"* {found[0]}" in formula else x
 
 
 def _driver(name: str, at: Scene) -> Array:
