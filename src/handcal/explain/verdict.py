@@ -35,6 +35,8 @@ from handcal.explain.leaning import leaning
 from handcal.explain.moments import moments
 from handcal.explain.naming import (
     burst,
+    by_the_hand,
+    hand_remark,
     hypotheses_of,
     missing_of,
     parameters_of,
@@ -243,14 +245,17 @@ def _named(
 ) -> _Named:
     found, burst_of = end.found, None if end.wrong is None else end.wrong.burst
     missing, unsure = missing_of(found, found.model.chosen, learnt, wrong)
-    unnamed = unnamed_of(found, found.model.chosen, learnt)
+    cases = [f.case for f in found.model.parts]
+    every = unnamed_of(found, found.model.chosen, learnt)
+    unnamed = [u for u in every if not by_the_hand(u, cases)]
+    lent = [hand_remark(u) for u in every if by_the_hand(u, cases)]
     if end.wrong is not None and burst_of is not None:
         unnamed.append(burst(end.base, end.wrong, burst_of))
     in_names = sum(m.log_evidence_gain for m in missing)
     if sum(u.log_evidence_gain for u in unnamed) > LEFT * in_names:
-        return _Named("unexplained", missing, unnamed, [])
+        return _Named("unexplained", missing, unnamed, lent)
     verdict = "cannot_tell" if unsure else "explained" if missing else "nothing_missing"
-    return _Named(verdict, missing, [], [remark(u) for u in unnamed])
+    return _Named(verdict, missing, [], [*lent, *(remark(u) for u in unnamed)])
 
 
 def _compared(
