@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from test_explain import slow as at_fifty_hertz
 from worlds import recording_of
 
-from handcal.explain import explain, with_motion
-from handcal.explain.explanation import Explanation
+from handcal.effects import catalogue
+from handcal.explain import explain, naming, with_motion
+from handcal.explain.explanation import Explanation, Unnamed
 from handcal.explain.written import chosen_from
 from handcal.explain_summary import explanation_json
 from handcal.types import Array, Recording
@@ -93,3 +95,49 @@ def _is_told_and_written(e: Explanation) -> None:
     assert e.model is not None
     again = chosen_from(document["model"])
     assert [x.id for x in again.effects] == [x.id for x in e.model.effects]
+
+
+# --- names beside it ---------------------------------------------------------------------------
+
+
+class Stub:
+    """A model of these effects, which is asked for their names alone."""
+
+    def __init__(self, *effects: with_motion.Effect) -> None:
+        self.effects, self.ids = effects, {e.id for e in effects}
+
+
+@pytest.mark.parametrize(
+    ("name", "beside", "ratio", "told"),
+    [
+        ("gyro_scale", "gyro_xyz += e(attitude)", 3.0, False),
+        ("gyro_scale", "gyro_xyz += e(attitude)", 3.5, True),
+        ("gyro_scale", "accel_xyz += e(attitude)", 0.1, True),
+        ("gyro_bias_walk", "gyro_x += k * |omega|", 2.0, False),
+        ("gyro_scale", "gyro_x += k * |omega|", 0.5, True),
+        ("gyro_scale", "gyro_x += g(|omega|)", 0.5, False),
+    ],
+)
+def test_a_name_stands_out_from_what_is_not_understood(
+    monkeypatch: pytest.MonkeyPatch, name: str, beside: str, ratio: float, told: bool
+) -> None:
+    """By sqrt(10) times: z^2 / 2 nats against prior odds of 5."""
+    unknown = replace(catalogue()["gyro_quadratic"], id=beside)
+    size = {"gyro_scale": {"gyro_x": ratio}, "gyro_bias_walk": {"gyro_x": ratio}}
+    size[beside] = {"accel_x" if beside.startswith("accel") else "gyro_x": 1.0}
+    monkeypatch.setattr(naming.matter, "sizes", lambda _, e: size[e.id])
+    effect = catalogue()[name]
+    assert (naming._own(Stub(effect, unknown), effect) > naming.LIKELY) == told
+
+
+def test_what_a_hand_may_lend_is_no_physics() -> None:
+    held, posed = (SimpleNamespace(kinds=k) for k in (("fixed_position", "heading"), ("pose",)))
+    u = Unnamed(
+        "accel_xy += e(t) * |omega|", 0.1, 0.01, "m/s^2", 0.9 * naming.LENT,
+        channels=("accel_x", "accel_y"),
+    )  # fmt: skip
+    assert naming.by_the_hand(u, [held])
+    assert not naming.by_the_hand(u, [posed])
+    assert not naming.by_the_hand(replace(u, log_evidence_gain=1.1 * naming.LENT), [held])
+    assert not naming.by_the_hand(replace(u, formula="accel_x += k * f_x^2"), [held])
+    assert not naming.by_the_hand(replace(u, channels=("gyro_x",)), [held])
