@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from fake_explanation import fake_explanation
 from test_explain import slow as at_fifty_hertz
 from worlds import recording_of
 
+from handcal import explain_command
 from handcal.effects import catalogue
 from handcal.explain import explain, naming, with_motion
 from handcal.explain.explanation import Explanation, Unnamed
@@ -141,3 +144,16 @@ def test_what_a_hand_may_lend_is_no_physics() -> None:
     assert not naming.by_the_hand(replace(u, log_evidence_gain=1.1 * naming.LENT), [held])
     assert not naming.by_the_hand(replace(u, formula="accel_x += k * f_x^2"), [held])
     assert not naming.by_the_hand(replace(u, channels=("gyro_x",)), [held])
+
+
+def test_nothing_is_written_of_what_is_no_law(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    u = Unnamed("gyro_x += e(attitude)", 0.1, 0.01, "rad/s", 50.0, channels=("gyro_x",))
+    explain_command._write(
+        replace(fake_explanation("unexplained"), unnamed=(u,)), tmp_path / "x.py"
+    )
+    assert list(tmp_path.iterdir()) == []
+    said = capsys.readouterr().err
+    assert "is no law" in said
+    assert "x.py is not written" in said
