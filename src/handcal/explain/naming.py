@@ -40,8 +40,10 @@ def missing_of(
     chosen: frozenset[str],
     learnt: Mapping[str, tuple[Parameter, ...]],
     wrong: outliers.Wrong | None,
+    unexplained: bool,
 ) -> tuple[list[Missing], bool]:
-    """What is named, most evidence first; whether for one of them a rival is as good."""
+    """What is named, most evidence first; whether for one of them a rival is as good. unexplained:
+    whether something is not understood, from which a name has to stand out."""
     where, model = found.space, found.model
     probable, gained = probabilities(where, chosen), gains(where, chosen)
     out, unsure = [], False
@@ -70,7 +72,7 @@ def missing_of(
             _entry(catalogue()["heading_outliers"], wrong.probability, wrong.gain, (),
                    (wrong.parameter,))
         )  # fmt: skip
-    alone = {name_of(e.id): _own(model, e) for e in model.effects}
+    alone = {name_of(e.id): _own(model, e) for e in model.effects if unexplained}
     out = [replace(m, probability=m.probability * alone.get(m.effect, 1.0)) for m in out]
     return [m for m in out if m.probability > LIKELY], unsure
 
@@ -203,7 +205,10 @@ def burst(base: Model, wrong: outliers.Wrong, span: tuple[float, float]) -> Unna
 
 
 def hypotheses_of(
-    found: Found, missing: Sequence[Missing], wrong: outliers.Wrong | None
+    found: Found,
+    missing: Sequence[Missing],
+    wrong: outliers.Wrong | None,
+    unexplained: bool,
 ) -> tuple[Hypothesis, ...]:
     """Every effect that was on trial, best alone first."""
     where = found.space
@@ -212,6 +217,10 @@ def hypotheses_of(
     named = {m.effect: m for m in missing}
     rival = {i for m in missing for i in m.indistinguishable_from}
     out: dict[str, Hypothesis] = {}
+
+    def own(effect: Effect) -> float:
+        return _own(found.model, effect) if unexplained else 1.0
+
     for i in where.effects:
         name = name_of(i)
         if "+=" in i:
@@ -228,7 +237,7 @@ def hypotheses_of(
         out[name] = Hypothesis(
             name, catalogue()[name].title, alone, final[i],
             expected_gain(where, i, chosen, ones),
-            min(CERTAIN, together * _own(found.model, where.effects[i])), verdict,
+            min(CERTAIN, together * own(where.effects[i])), verdict,
         )  # fmt: skip
     for name, gain in found.noise.items():
         if name not in catalogue():
@@ -236,7 +245,7 @@ def hypotheses_of(
         verdict = "named" if name in named else ""
         out[name] = Hypothesis(
             name, catalogue()[name].title, gain, gain, math.nan,
-            probability(gain) * _own(found.model, catalogue()[name]), verdict,
+            probability(gain) * own(catalogue()[name]), verdict,
         )  # fmt: skip
     if wrong is not None:
         title = catalogue()["heading_outliers"].title

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -244,7 +245,8 @@ def _named(
     end: _End, learnt: Mapping[str, tuple[Parameter, ...]], wrong: outliers.Wrong | None
 ) -> _Named:
     found, burst_of = end.found, None if end.wrong is None else end.wrong.burst
-    missing, unsure = missing_of(found, found.model.chosen, learnt, wrong)
+    names = partial(missing_of, found, found.model.chosen, learnt, wrong)
+    missing, _ = names(unexplained=True)
     cases = [f.case for f in found.model.parts]
     every = unnamed_of(found, found.model.chosen, learnt)
     unnamed = [u for u in every if not by_the_hand(u, cases)]
@@ -254,6 +256,7 @@ def _named(
     in_names = sum(m.log_evidence_gain for m in missing)
     if sum(u.log_evidence_gain for u in unnamed) > LEFT * in_names:
         return _Named("unexplained", missing, unnamed, lent)
+    missing, unsure = names(unexplained=False)
     verdict = "cannot_tell" if unsure else "explained" if missing else "nothing_missing"
     return _Named(verdict, missing, [], [*lent, *(remark(u) for u in unnamed)])
 
@@ -289,7 +292,7 @@ def _explanation(
     excess = inflation(model)
     told = [plainly(model, matter.weighed(found, m, judged), excess) for m in named.missing]
     told.sort(key=lambda m: (-m.share, -m.log_evidence_gain))
-    hypotheses = hypotheses_of(found, told, wrong)
+    hypotheses = hypotheses_of(found, told, wrong, named.verdict == "unexplained")
     # what all recordings share, and the biases where there is but one
     own = explained[0].parameters if len(explained) == 1 else ()
     return Explanation(
