@@ -23,6 +23,7 @@ from handcal.explain.explanation import (
     Missing,
     NextMotion,
     Unnamed,
+    is_curve,
 )
 from handcal.types import Parameter
 from handcal.words import NBSP, Shown, Verdict, effect_title, listed, shown
@@ -447,7 +448,7 @@ def sized(u: Unnamed) -> str:
     """ "k = 0.012 ± 0.001 rad/s"; each constant of a formula; the size of a curve."""
     if len(u.constants) > 1:
         return ", ".join(f"{c.name} = {amount(c)}" for c in u.constants)
-    if lawless(u) or u.formula.split(" += ")[1].startswith("g"):
+    if lawless(u) or is_curve(u.formula):
         return f"a size of {amount(u)} (root mean square)"
     return f"k = {amount(u)}"
 

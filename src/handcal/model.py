@@ -129,6 +129,15 @@ class Problem:
     def markov_size(self) -> int:
         return sum(m.size for m in self.markovs)
 
+    def states_of(self, process: Markov | None) -> IntArray:
+        """Places of a process's states among those of all; none where it is not there."""
+        at = 0
+        for markov in self.markovs:
+            if markov is process:
+                return np.arange(at, at + markov.size, dtype=np.int64)
+            at += markov.size
+        return np.zeros(0, dtype=np.int64)
+
     @property
     def size(self) -> int:
         """Number of states."""

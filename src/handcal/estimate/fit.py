@@ -404,14 +404,9 @@ def transferred(nominal: Trajectory, old: Problem, new: Problem) -> Trajectory:
     t_old, t = old.nodes.t[nominal.node], new.nodes.t[node]
     same = len(t) == len(t_old) and bool(np.all(t == t_old))
     markov = np.zeros((len(t_old), new.markov_size))
-    at = 0
     for process in new.markovs:
-        begin = 0
-        for other in old.markovs:
-            if other is process:
-                markov[:, at : at + process.size] = nominal.markov[:, begin : begin + process.size]
-            begin += other.size
-        at += process.size
+        if len(have := old.states_of(process)):
+            markov[:, new.states_of(process)] = nominal.markov[:, have]
     if same:
         return replace(nominal, node=node, constants=constants, markov=markov)
     way = path(old, nominal)

@@ -10,19 +10,17 @@ import math
 from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import product
 
 import numpy as np
 
 from handcal.effects import Effect, catalogue
 from handcal.estimate.beside import side_by_side
 from handcal.estimate.case import applicable, frozen_at, name_of
-from handcal.estimate.fit import Fitted, Model, fitted, moved_to, scan
+from handcal.estimate.fit import Fitted, Model, fitted, scan
 from handcal.estimate.robust import inflation
-from handcal.evidence import reduce, reduced_pass
-from handcal.explain import with_motion
 from handcal.explain.alibi import without_alibi
 from handcal.explain.laws import effect_of, law_of
+from handcal.explain.noises import all_noise, looks_of, of_looks, on_fewer_axes
 from handcal.explain.score import MOMENTS, PRIOR, better, prior, score
 from handcal.explain.search import (
     Space,
@@ -39,9 +37,6 @@ from handcal.types import Array
 ROUNDS = 8
 # An effect whose gain is less than this is fitted without, to be sure.
 CLOSE = 20.0
-# Nats that a noise effect must gain beyond its own levels' freedom, at a first look; and times the
-# first guess of each level at which that is taken (a memory, not the smallest of them).
-LOOK, TIMES = 3.0, (0.1, 0.3, 1.0, 3.0)
 MAX_TERMS = 3
 # A rival that would do so much of what an effect does is fitted in its place.
 NEARLY = 0.4
@@ -386,11 +381,11 @@ def _add_noise(c: Climb) -> Model | None:
     that was what the noise effect gained by."""
     model, worth = c.model, c.worth
     have = {*model.ids, *c.dropped}
-    looks = _looks(model.parts, model.effects, [e for e in _all_noise() if e.id not in have])
-    tried = [(m, e) for m, e in _of_looks(looks) if better(m, model, worth) > 0.0]
+    looks = looks_of(model.parts, model.effects, [e for e in all_noise() if e.id not in have])
+    tried = [(m, e) for m, e in of_looks(looks[:FEW]) if better(m, model, worth) > 0.0]
     if not tried:
         return None
-    best, added = _on_fewer_axes(*max(tried, key=lambda pair: score(pair[0], worth)), worth)
+    best, added = on_fewer_axes(*max(tried, key=lambda pair: score(pair[0], worth)), worth)
     without = fitted(best.parts, model.effects, noise_rounds=1)
     if without.log_evidence < model.log_evidence:
         without = model
@@ -414,94 +409,21 @@ def _exchange_noise(c: Climb) -> Model | None:
         key = frozenset(e.id for e in rest)
         rivals = [
             e
-            for e in _all_noise()
+            for e in all_noise()
             if (e.walks, [*e.observation_error]) == (old.walks, [*old.observation_error])
             and e.id not in {*model.ids, *c.dropped}
             and (e.id, key) not in c.noises
         ]
         c.noises |= {(e.id, key) for e in (old, *rivals)}
-        looks = _looks(model.parts, rest, rivals)
-        tried = [(m, e) for m, e in _of_looks(looks[:1]) if likelier(c, m)]
+        looks = looks_of(model.parts, rest, rivals)
+        tried = [(m, e) for m, e in of_looks(looks[:1]) if likelier(c, m)]
         if tried:
-            best, new = _on_fewer_axes(*tried[0], c.worth)
+            best, new = on_fewer_axes(*tried[0], c.worth)
             c.noise[new.id] = c.noise.pop(old.id, 0.0) + better(best, model, c.worth)
             c.stale.add(new.id)
             c.visited.clear()
             return best
     return None
-
-
-def _all_noise() -> list[Effect]:
-    """Noise effects of the catalogue, and errors that go with the motion."""
-    return [e for e in (*catalogue().values(), *with_motion.effects()) if e.process is not None]
-
-
-@dataclass(frozen=True)
-class _Look:
-    """A model with one noise effect at the best of a few levels, nothing fitted, and the nats by
-    which it is likelier than without."""
-
-    effects: tuple[Effect, ...]
-    parts: tuple[Fitted, ...]
-    gain: float
-
-
-def _looks(
-    parts: Sequence[Fitted], effects: Sequence[Effect], noise: Sequence[Effect]
-) -> list[_Look]:
-    """The effects with one noise effect each that the recordings can show, the best first."""
-    plain = [moved_to(f, effects) for f in parts]
-    here = sum(reduced_pass(reduce(f.linear), f.levels).log_evidence for f in plain)
-    out = []
-    for e in noise:
-        if any(applicable(f.case, e) for f in parts):
-            wide = [_at_best(moved_to(f, (*effects, e)), e) for f in parts]
-            there = sum(value for _, value in wide)
-            out.append(_Look((*effects, e), tuple(f for f, _ in wide), there - here))
-    return sorted(out, key=lambda look: -look.gain)
-
-
-def _at_best(f: Fitted, e: Effect) -> tuple[Fitted, float]:
-    """With the levels of a noise effect at the best of a few times their first guesses."""
-    reduction, best = reduce(f.linear), (f, -math.inf)
-    for times in product(TIMES, *[TIMES[1:]] * (len(e.levels) - 1)):
-        levels = dict(f.levels)
-        for level, factor in zip(e.levels, times, strict=True):
-            levels[level.name] = min(max(factor * level.initial, level.lower), level.upper)
-        value = reduced_pass(reduction, levels).log_evidence
-        if value > best[1]:
-            best = replace(f, levels=levels), value
-    return best
-
-
-def _of_looks(looks: Sequence[_Look]) -> list[tuple[Model, Effect]]:
-    """Fits of the best few that were worth it at a look, with their noise effects."""
-    some = [look for look in looks if look.gain > LOOK][:FEW]
-    fits = side_by_side(partial(fitted, look.parts, look.effects) for look in some)
-    return [(m, look.effects[-1]) for m, look in zip(fits, some, strict=True)]
-
-
-def _on_fewer_axes(model: Model, added: Effect, worth: float) -> tuple[Model, Effect]:
-    """The model with an error that goes with the motion on fewer axes, if that is likelier."""
-    if not with_motion.is_with_motion(added.id):
-        return model, added
-    rest = [e for e in model.effects if e is not added]
-    options = with_motion.fewer(added)
-    if not options:
-        return model, added
-    best = max(options, key=lambda e: _kept_at(model, rest, e, added))
-    tried = fitted(model.parts, [*rest, best])
-    return (tried, best) if better(tried, model, worth) > 0.0 else (model, added)
-
-
-def _kept_at(model: Model, rest: Sequence[Effect], new: Effect, old: Effect) -> float:
-    """Log-evidence with one noise effect in another's place and its levels, all else kept."""
-    total = 0.0
-    for f in model.parts:
-        wide = moved_to(f, (*rest, new))
-        same = {b.name: f.levels[a.name] for a, b in zip(old.levels, new.levels, strict=True)}
-        total += reduced_pass(reduce(wide.linear), {**wide.levels, **same}).log_evidence
-    return total
 
 
 def _thin(c: Climb) -> Model | None:

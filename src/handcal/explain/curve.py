@@ -12,7 +12,7 @@ import numpy as np
 from handcal import so3
 from handcal.effects import TIME, Z_DIM, Effect, Signals, observed_error
 from handcal.estimate.fit import Fitted
-from handcal.explain.explanation import Curve
+from handcal.explain.explanation import Curve, is_curve
 from handcal.explain.laws import CHANNELS, UNITS, Law, law_of
 from handcal.explain.unnamed import signals_of
 from handcal.linear import path
@@ -35,11 +35,6 @@ def channel_of(formula: str) -> str:
 def drivers_of(formula: str) -> tuple[str, ...]:
     """The measured signals in a term, each once."""
     return tuple(dict.fromkeys(_DRIVERS.findall(formula.split(" += ", 1)[1])))
-
-
-def is_curve(formula: str) -> bool:
-    """Whether a law is a curve, and no formula."""
-    return formula.partition(" += ")[2].startswith(("g(", "g_i("))
 
 
 @dataclass(frozen=True)

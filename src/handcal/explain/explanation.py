@@ -89,6 +89,11 @@ class Unnamed:
     coefficients: tuple[float, ...] = ()
 
 
+def is_curve(formula: str) -> bool:
+    """Whether a law is a curve, and no formula."""
+    return formula.partition(" += ")[2].startswith(("g(", "g_i("))
+
+
 @dataclass(frozen=True)
 class Hand:
     """What the hand does: "held" (a point, but for sway), "creeping" (that point drifts),

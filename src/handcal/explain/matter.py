@@ -209,9 +209,4 @@ def _swung(f: Fitted, effect: Effect, value: Array) -> dict[str, Array]:
 def _columns(problem: Problem, effect: Effect) -> tuple[IntArray, IntArray]:
     """Places of the effect among the constants, and of its process among the Markov states."""
     constants: IntArray = np.flatnonzero([s.owner == effect.id for s in problem.slots])
-    at = 0
-    for process in problem.markovs:
-        if process is effect.process:
-            return constants, np.arange(at, at + process.size, dtype=np.int64)
-        at += process.size
-    return constants, np.zeros(0, dtype=np.int64)
+    return constants, problem.states_of(effect.process)

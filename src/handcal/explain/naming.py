@@ -14,8 +14,8 @@ from handcal.estimate.fit import Model
 from handcal.estimate.process import process_parameters
 from handcal.explain import matter, outliers, with_motion
 from handcal.explain.climb import akin
-from handcal.explain.curve import channel_of, drawn, drivers_of, is_curve
-from handcal.explain.explanation import Curve, Hypothesis, Missing, Unnamed
+from handcal.explain.curve import channel_of, drawn, drivers_of
+from handcal.explain.explanation import Curve, Hypothesis, Missing, Unnamed, is_curve
 from handcal.explain.find import Found
 from handcal.explain.laws import law_of
 from handcal.explain.score import CERTAIN, PRIOR, probability
@@ -35,15 +35,13 @@ LENT = 120.0
 ALIKE = 4.0
 
 
-def missing_of(
+def entries_of(
     found: Found,
     chosen: frozenset[str],
     learnt: Mapping[str, tuple[Parameter, ...]],
     wrong: outliers.Wrong | None,
-    unexplained: bool,
 ) -> tuple[list[Missing], bool]:
-    """What is named, most evidence first; whether for one of them a rival is as good. unexplained:
-    whether something is not understood, from which a name has to stand out."""
+    """The model's effects as they would be named; whether for one of them a rival is as good."""
     where, model = found.space, found.model
     probable, gained = probabilities(where, chosen), gains(where, chosen)
     out, unsure = [], False
@@ -72,9 +70,18 @@ def missing_of(
             _entry(catalogue()["heading_outliers"], wrong.probability, wrong.gain, (),
                    (wrong.parameter,))
         )  # fmt: skip
-    alone = {name_of(e.id): _own(model, e) for e in model.effects if unexplained}
-    out = [replace(m, probability=m.probability * alone.get(m.effect, 1.0)) for m in out]
-    return [m for m in out if m.probability > LIKELY], unsure
+    return out, unsure
+
+
+def likely(entries: Sequence[Missing], alone: Mapping[str, float]) -> list[Missing]:
+    """Those that are likelier than not, given the probability of each that it stands alone."""
+    out = [replace(m, probability=m.probability * alone.get(m.effect, 1.0)) for m in entries]
+    return [m for m in out if m.probability > LIKELY]
+
+
+def standing_out(model: Model) -> dict[str, float]:
+    """Probability, for each name of the model, that it is no part of what is not understood."""
+    return {name_of(e.id): _own(model, e) for e in model.effects}
 
 
 def _own(model: Model, effect: Effect) -> float:
@@ -163,7 +170,6 @@ def _with_motion(model: Model, effect: Effect, gain: float) -> Unnamed:
     return Unnamed(
         effect.id, size, size * own[0].sigma / max(own[0].value, 1e-300), curve.y_unit, gain,
         effect.story, with_motion.channels(effect), with_motion.drivers(effect), curve,
-        made=effect.made,
     )  # fmt: skip
 
 
@@ -208,9 +214,9 @@ def hypotheses_of(
     found: Found,
     missing: Sequence[Missing],
     wrong: outliers.Wrong | None,
-    unexplained: bool,
+    alone: Mapping[str, float],
 ) -> tuple[Hypothesis, ...]:
-    """Every effect that was on trial, best alone first."""
+    """Every effect that was on trial, best alone first; alone: as of ``standing_out``."""
     where = found.space
     chosen = found.model.chosen
     probable, final = probabilities(where, chosen), gains(where, chosen)
@@ -218,14 +224,11 @@ def hypotheses_of(
     rival = {i for m in missing for i in m.indistinguishable_from}
     out: dict[str, Hypothesis] = {}
 
-    def own(effect: Effect) -> float:
-        return _own(found.model, effect) if unexplained else 1.0
-
     for i in where.effects:
         name = name_of(i)
         if "+=" in i:
             continue
-        alone = max((v for k, v in found.alone.items() if name_of(k) == name), default=0.0)
+        gained = max((v for k, v in found.alone.items() if name_of(k) == name), default=0.0)
         ones = np.ones(len(where.where[i]))
         kept = out.get(name)
         if kept is not None and kept.final >= final[i]:
@@ -235,9 +238,9 @@ def hypotheses_of(
         if where.effects[i].always:  # (whether or not it is in the model, which it is)
             together = probability(final[i])
         out[name] = Hypothesis(
-            name, catalogue()[name].title, alone, final[i],
+            name, catalogue()[name].title, gained, final[i],
             expected_gain(where, i, chosen, ones),
-            min(CERTAIN, together * own(where.effects[i])), verdict,
+            min(CERTAIN, together * alone.get(name, 1.0)), verdict,
         )  # fmt: skip
     for name, gain in found.noise.items():
         if name not in catalogue():
@@ -245,7 +248,7 @@ def hypotheses_of(
         verdict = "named" if name in named else ""
         out[name] = Hypothesis(
             name, catalogue()[name].title, gain, gain, math.nan,
-            probability(gain) * own(catalogue()[name]), verdict,
+            probability(gain) * alone.get(name, 1.0), verdict,
         )  # fmt: skip
     if wrong is not None:
         title = catalogue()["heading_outliers"].title

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -37,11 +36,13 @@ from handcal.explain.moments import moments
 from handcal.explain.naming import (
     burst,
     by_the_hand,
+    entries_of,
     hand_remark,
     hypotheses_of,
-    missing_of,
+    likely,
     parameters_of,
     remark,
+    standing_out,
     unnamed_of,
 )
 from handcal.explain.next_motion import next_motions
@@ -232,12 +233,13 @@ def _without_outliers(
 
 @dataclass(frozen=True)
 class _Named:
-    """What has a name and what has none, and the verdict; remarks: what without a name is too
-    little for one."""
+    """What has a name and what has none, and the verdict; alone: probability of each effect that
+    it is no part of what has none; remarks: what without a name is too little for one."""
 
     verdict: str
     missing: list[Missing]
     unnamed: list[Unnamed]
+    alone: Mapping[str, float]
     remarks: list[str]
 
 
@@ -245,20 +247,22 @@ def _named(
     end: _End, learnt: Mapping[str, tuple[Parameter, ...]], wrong: outliers.Wrong | None
 ) -> _Named:
     found, burst_of = end.found, None if end.wrong is None else end.wrong.burst
-    names = partial(missing_of, found, found.model.chosen, learnt, wrong)
-    missing, _ = names(unexplained=True)
+    entries, unsure = entries_of(found, found.model.chosen, learnt, wrong)
     cases = [f.case for f in found.model.parts]
-    every = unnamed_of(found, found.model.chosen, learnt)
-    unnamed = [u for u in every if not by_the_hand(u, cases)]
-    lent = [hand_remark(u) for u in every if by_the_hand(u, cases)]
+    unnamed: list[Unnamed] = []
+    lent: list[Unnamed] = []
+    for u in unnamed_of(found, found.model.chosen, learnt):
+        (lent if by_the_hand(u, cases) else unnamed).append(u)
     if end.wrong is not None and burst_of is not None:
         unnamed.append(burst(end.base, end.wrong, burst_of))
+    alone = standing_out(found.model)
+    missing, remarks = likely(entries, alone), [hand_remark(u) for u in lent]
     in_names = sum(m.log_evidence_gain for m in missing)
     if sum(u.log_evidence_gain for u in unnamed) > LEFT * in_names:
-        return _Named("unexplained", missing, unnamed, lent)
-    missing, unsure = names(unexplained=False)
+        return _Named("unexplained", missing, unnamed, alone, remarks)
+    missing = likely(entries, {})
     verdict = "cannot_tell" if unsure else "explained" if missing else "nothing_missing"
-    return _Named(verdict, missing, [], [*lent, *(remark(u) for u in unnamed)])
+    return _Named(verdict, missing, [], {}, [*remarks, *(remark(u) for u in unnamed)])
 
 
 def _compared(
@@ -292,7 +296,7 @@ def _explanation(
     excess = inflation(model)
     told = [plainly(model, matter.weighed(found, m, judged), excess) for m in named.missing]
     told.sort(key=lambda m: (-m.share, -m.log_evidence_gain))
-    hypotheses = hypotheses_of(found, told, wrong, named.verdict == "unexplained")
+    hypotheses = hypotheses_of(found, told, wrong, named.alone)
     # what all recordings share, and the biases where there is but one
     own = explained[0].parameters if len(explained) == 1 else ()
     return Explanation(

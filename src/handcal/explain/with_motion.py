@@ -11,13 +11,11 @@ import math
 from collections.abc import Iterator, Mapping
 from functools import cache
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 
 from handcal import batch
-from handcal._jit import residual_function
-from handcal.effects import Effect, Param
+from handcal.effects import Effect, Param, catalogue
 from handcal.estimate.fit import Fitted
 from handcal.explain.explanation import Curve
 from handcal.kernel import BASE
@@ -45,7 +43,6 @@ SIZES = {
 }
 # The same of what it remembers: a time, s, or an angle, rad.
 MEMORIES = {"turning": ("s", 0.5, 0.03, 30.0), "attitude": ("rad", 0.5, 0.03, 10.0)}
-MADE = "with motion"
 AXES = "xyz"
 # Points of a course over time.
 POINTS = 200
@@ -78,16 +75,6 @@ class WithMotion:
         return np.asarray(size**2 * self.mask)
 
 
-def _heading(nav: Any, state: Any, z: Any, r: Any) -> int:  # noqa: ARG001
-    r[0] -= state[0]
-    return 0
-
-
-@cache
-def _compiled() -> int:
-    return residual_function(_heading)
-
-
 def effects() -> Iterator[Effect]:
     """One for each sensor, on all its axes, and each way of going with the motion."""
     for sensor in SENSORS:
@@ -97,7 +84,7 @@ def effects() -> Iterator[Effect]:
 
 def fewer(of: Effect) -> list[Effect]:
     """The same on fewer axes."""
-    sensor, axes, kind = _parts(of)
+    sensor, axes, kind = _parts(of.id)
     return [
         effect(sensor, some, kind) for n in range(1, len(axes)) for some in combinations(axes, n)
     ]
@@ -110,7 +97,8 @@ def effect(sensor: str, axes: tuple[int, ...], kind: str) -> Effect:
     unit, *sizes = SIZES[kind, sensor]
     span, *memories = MEMORIES[kind]
     size, memory = (f"{channel}_{kind}_{name}" for name in ("size", "memory"))
-    heading = {"heading": _compiled()} if sensor == "heading" else {}
+    heading = catalogue()["heading_correlated_noise"].observation_error
+    observed = heading if sensor == "heading" else {}
     return Effect(
         id=f"{channel} += {KINDS[kind]}",
         title=f"{channel} errs with the motion",
@@ -123,23 +111,17 @@ def effect(sensor: str, axes: tuple[int, ...], kind: str) -> Effect:
         "angle turned",
         motion="Any motion with rests in it.",
         validated="laws that nobody wrote down",
-        observation_error=heading,
-        process=WithMotion(kind, size, memory, axes, 1 if heading else 3),
+        observation_error=observed,
+        process=WithMotion(kind, size, memory, axes, 1 if observed else 3),
         levels=(Level(size, unit, *sizes), Level(memory, span, *memories)),
-        walks="" if heading else sensor,
+        walks="" if observed else sensor,
         passing=True,
-        made=(f"{MADE} | {sensor} | {''.join(AXES[a] for a in axes)} | {kind}", ()),
     )
 
 
 def again(effect_id: str) -> Effect:
     """The effect of this id. Raises KeyError if there is none."""
-    channel, _, how = effect_id.partition(" += ")
-    sensor, _, axes = channel.partition("_")
-    kinds = [kind for kind, said in KINDS.items() if said == how]
-    if sensor not in SENSORS or not kinds:
-        raise KeyError(effect_id)
-    return effect(sensor, tuple(AXES.index(a) for a in axes) or (0,), kinds[0])
+    return effect(*_parts(effect_id))
 
 
 def is_with_motion(effect_id: str) -> bool:
@@ -147,34 +129,33 @@ def is_with_motion(effect_id: str) -> bool:
     return effect_id.partition(" += ")[2] in KINDS.values()
 
 
-def _parts(of: Effect) -> tuple[str, tuple[int, ...], str]:
-    assert of.made is not None
-    _, sensor, axes, kind = of.made[0].split(" | ")
-    return sensor, tuple(AXES.index(a) for a in axes), kind
+def _parts(effect_id: str) -> tuple[str, tuple[int, ...], str]:
+    """Sensor, axes and kind of such an error. Raises KeyError for what is none."""
+    channel, _, how = effect_id.partition(" += ")
+    sensor, _, axes = channel.partition("_")
+    kinds = [kind for kind, said in KINDS.items() if said == how]
+    if sensor not in SENSORS or not kinds:
+        raise KeyError(effect_id)
+    return sensor, tuple(AXES.index(a) for a in axes) or (0,), kinds[0]
 
 
 def channels(of: Effect) -> tuple[str, ...]:
     """To which it adds."""
-    sensor, axes, _ = _parts(of)
+    sensor, axes, _ = _parts(of.id)
     return (sensor,) if sensor == "heading" else tuple(f"{sensor}_{AXES[a]}" for a in axes)
 
 
 def drivers(of: Effect) -> tuple[str, ...]:
     """With what it goes."""
-    return DRIVERS[_parts(of)[2]]
+    return DRIVERS[_parts(of.id)[2]]
 
 
 def course(f: Fitted, of: Effect) -> tuple[Curve, float]:
     """What it adds over time to the channel to which it adds most, and the root mean square of what
     it adds to all its channels, SI, given the whole recording."""
     problem, linear = f.linear.problem, f.linear
-    at = 0
-    for process in problem.markovs:
-        if process is of.process:
-            break
-        at += process.size
-    sensor, axes, _ = _parts(of)
-    own = at + np.array([0] if sensor == "heading" else axes)
+    sensor, axes, _ = _parts(of.id)
+    own = problem.states_of(of.process)[list(axes)]
     rows = np.unique(np.linspace(0, len(linear.t) - 1, POINTS).astype(np.int64))
     x, P = batch.smooth(linear, f.levels, batch.forward(linear, f.levels, rows=rows), rows)
     columns = BASE + problem.constants + own

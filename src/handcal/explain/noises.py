@@ -1,0 +1,94 @@
+"""Noise effects on trial: which of them a model may want, by a look at a few levels each."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import product
+
+from handcal.effects import Effect, catalogue
+from handcal.estimate.beside import side_by_side
+from handcal.estimate.case import applicable
+from handcal.estimate.fit import Fitted, Model, fitted, moved_to
+from handcal.evidence import reduce, reduced_pass
+from handcal.explain import with_motion
+from handcal.explain.score import better
+
+# Nats that a noise effect must gain beyond its own levels' freedom, at a first look; and times the
+# first guess of each level at which that is taken (a memory, not the smallest of them).
+LOOK, TIMES = 3.0, (0.1, 0.3, 1.0, 3.0)
+
+
+def all_noise() -> list[Effect]:
+    """Noise effects of the catalogue, and errors that go with the motion."""
+    return [e for e in (*catalogue().values(), *with_motion.effects()) if e.process is not None]
+
+
+@dataclass(frozen=True)
+class Look:
+    """A model with one noise effect at the best of a few levels, nothing fitted, and the nats by
+    which it is likelier than without."""
+
+    effects: tuple[Effect, ...]
+    parts: tuple[Fitted, ...]
+    gain: float
+
+
+def looks_of(
+    parts: Sequence[Fitted], effects: Sequence[Effect], noise: Sequence[Effect]
+) -> list[Look]:
+    """The effects with one noise effect each that the recordings can show, the best first."""
+    plain = [moved_to(f, effects) for f in parts]
+    here = sum(reduced_pass(reduce(f.linear), f.levels).log_evidence for f in plain)
+    out = []
+    for e in noise:
+        if any(applicable(f.case, e) for f in parts):
+            wide = [_at_best(moved_to(f, (*effects, e)), e) for f in parts]
+            there = sum(value for _, value in wide)
+            out.append(Look((*effects, e), tuple(f for f, _ in wide), there - here))
+    return sorted(out, key=lambda look: -look.gain)
+
+
+def _at_best(f: Fitted, e: Effect) -> tuple[Fitted, float]:
+    """With the levels of a noise effect at the best of a few times their first guesses."""
+    reduction, best = reduce(f.linear), (f, -math.inf)
+    for times in product(TIMES, *[TIMES[1:]] * (len(e.levels) - 1)):
+        levels = dict(f.levels)
+        for level, factor in zip(e.levels, times, strict=True):
+            levels[level.name] = min(max(factor * level.initial, level.lower), level.upper)
+        value = reduced_pass(reduction, levels).log_evidence
+        if value > best[1]:
+            best = replace(f, levels=levels), value
+    return best
+
+
+def of_looks(looks: Sequence[Look]) -> list[tuple[Model, Effect]]:
+    """Fits of those that were worth it at a look, with their noise effects."""
+    some = [look for look in looks if look.gain > LOOK]
+    fits = side_by_side(partial(fitted, look.parts, look.effects) for look in some)
+    return [(m, look.effects[-1]) for m, look in zip(fits, some, strict=True)]
+
+
+def on_fewer_axes(model: Model, added: Effect, worth: float) -> tuple[Model, Effect]:
+    """The model with an error that goes with the motion on fewer axes, if that is likelier."""
+    if not with_motion.is_with_motion(added.id):
+        return model, added
+    rest = [e for e in model.effects if e is not added]
+    options = with_motion.fewer(added)
+    if not options:
+        return model, added
+    best = max(options, key=lambda e: _kept_at(model, rest, e, added))
+    tried = fitted(model.parts, [*rest, best])
+    return (tried, best) if better(tried, model, worth) > 0.0 else (model, added)
+
+
+def _kept_at(model: Model, rest: Sequence[Effect], new: Effect, old: Effect) -> float:
+    """Log-evidence with one noise effect in another's place and its levels, all else kept."""
+    total = 0.0
+    for f in model.parts:
+        wide = moved_to(f, (*rest, new))
+        same = {b.name: f.levels[a.name] for a, b in zip(old.levels, new.levels, strict=True)}
+        total += reduced_pass(reduce(wide.linear), {**wide.levels, **same}).log_evidence
+    return total
