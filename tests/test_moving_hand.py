@@ -10,10 +10,10 @@ import pytest
 from scipy.linalg import expm
 from worlds import recording_of
 
-from handcal.estimate.case import case_of
+from handcal.estimate.case import Case, case_of
 from handcal.estimate.chosen import Chosen, Options, document_of, seen, view_of
-from handcal.estimate.fit import baseline
-from handcal.explain import moving, written
+from handcal.estimate.fit import Model, baseline, diverged
+from handcal.explain import moving, outliers, written
 from handcal.observations.fixed_position import CREEP, SWAY, Part, Sway
 from handcal.sway import sway_of
 from handcal_sim import simulate
@@ -84,9 +84,11 @@ def test_a_move_is_written_and_read_to_the_last_bit() -> None:
     chosen = Chosen((), (view_of(case),), Options())
     (view,) = written.chosen_from(document_of(chosen)).views
     again = seen(recording, view, Options())
-    assert again.constant == case.constant and view == view_of(again)
+    assert again.constant == case.constant
+    assert view == view_of(again)
     for (_, a, _), (_, b, _) in zip(again.observed, case.observed, strict=True):
-        assert np.array_equal(a.t, b.t) and np.array_equal(a.z, b.z)
+        assert np.array_equal(a.t, b.t)
+        assert np.array_equal(a.z, b.z)
         assert (a.moved is None) == (b.moved is None)
         assert a.moved is None or b.moved is None or np.array_equal(a.moved, b.moved)
 
@@ -105,3 +107,22 @@ def test_where_it_moves_the_point_is_not_looked_at() -> None:
     assert after.moved[[first, second]].tolist() == [0.3, 0.1]
     assert after.t[first - 1] < 9.95 < 11.05 < after.t[first]
     assert replace(after, moved=None).delay == before.delay
+
+
+def test_where_no_trajectory_holds_the_point_the_hand_drifts(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A lift and an app that paused: what was left of the baseline was no fit, and four in a
+    hundred headings were said to be wrong, at infinitely many nats."""
+    world = simulate("free-hand", seed=0, duration_s=20.0)
+    case = case_of(recording_of(world, "heading"), "fixed-point")
+
+    def astray(cases: list[Case]) -> Model:
+        return baseline(cases) if cases[0].creeping else diverged((), ())
+
+    monkeypatch.setattr(moving, "baseline", astray)
+    found = moving.begun([case])
+    assert math.isfinite(found.log_evidence)
+    assert found.parts[0].case.creeping
+    nothing = diverged(found.parts, ())
+    assert outliers.cleaned(nothing) == (nothing, None)

@@ -39,6 +39,15 @@ MOST_MOVES = 6
 LEAST, STROKE = 0.01, 0.5
 
 
+def begun(cases: Sequence[Case]) -> Model:
+    """The baseline; with a hand that drifts where no trajectory holds the point."""
+    base = baseline(cases)
+    if math.isfinite(base.log_evidence) or not any(OBSERVED in c.kinds for c in cases):
+        return base
+    drifting = baseline([creeping_case(c) for c in cases])
+    return drifting if math.isfinite(drifting.log_evidence) else base
+
+
 def moving(base: Model, model: Model, gained: Mapping[str, float]) -> tuple[Model, float] | None:
     """The baseline with a hand that moves, if that with the strong ones of the model's effects,
     or with those of them that have a name, explains as much as all of them, and by how many nats;

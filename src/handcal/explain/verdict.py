@@ -32,7 +32,7 @@ from handcal.explain.gauge import plainly
 from handcal.explain.hands import foretold, hand_of
 from handcal.explain.leaning import leaning
 from handcal.explain.moments import moments
-from handcal.explain.moving import moving
+from handcal.explain.moving import begun, moving
 from handcal.explain.naming import (
     burst,
     by_the_hand,
@@ -91,7 +91,7 @@ def explain(
     options = Options(latitude, height, fixed, tuple(ignore), reference_exact)
     cases = [_case(r, assume, options) for r in recordings]
     report(0.03, "fitting the plain model")
-    end = _searched(baseline(cases), lambda f: report(0.1 + 0.6 * f, "searching what is missing"))
+    end = _searched(begun(cases), lambda f: report(0.1 + 0.6 * f, "searching what is missing"))
     if assume == "auto":
         end = _by_the_rests(cases, end, options, report)
     report(0.75, "fitting the model that was found")
