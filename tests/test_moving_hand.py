@@ -13,7 +13,7 @@ from worlds import recording_of
 from handcal.estimate.case import Case, case_of
 from handcal.estimate.chosen import Chosen, Options, document_of, seen, view_of
 from handcal.estimate.fit import Model, baseline, diverged
-from handcal.explain import moving, outliers, written
+from handcal.explain import moving, written
 from handcal.observations.fixed_position import CREEP, SWAY, Part, Sway
 from handcal.sway import sway_of
 from handcal_sim import simulate
@@ -124,5 +124,3 @@ def test_where_no_trajectory_holds_the_point_the_hand_drifts(
     found = moving.begun([case])
     assert math.isfinite(found.log_evidence)
     assert found.parts[0].case.creeping
-    nothing = diverged(found.parts, ())
-    assert outliers.cleaned(nothing) == (nothing, None)
