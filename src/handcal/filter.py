@@ -255,6 +255,7 @@ def add_noise(P: Array, noise: Noise, dt: float, extra: Array, Q_e: Array, c: in
         P[3 + k, 3 + k] += noise.accel * dt
         add_unknown_force(P, k, dt, extra[1])
         P[6 + k, 6 + k] += noise.gyro * dt + extra[0]
+        P[k, k] += extra[2]
     for k in range(9, BASE + c):
         P[k, k] += noise.walk[k] * dt
     for i in range(Q_e.shape[0]):

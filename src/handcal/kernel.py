@@ -56,8 +56,9 @@ class Nodes(NamedTuple):
     """The recording on the union of IMU stamps and observation times, n nodes.
 
     t (n,); gyro, accel (n, 3) with the effects at their reference removed;
-    J (n, 6, mi): derivative of the readings by the IMU constants; extra (n, 2): variance
-    added to angle (rad^2) and velocity over the interval that ends here (gaps, masks);
+    J (n, 6, mi): derivative of the readings by the IMU constants; extra (n, 3): variance
+    added to angle (rad^2), velocity and position over the interval that ends here (gaps, masks,
+    and a held point that is moved);
     first (n + 1,): observations first[i]:first[i + 1] belong to node i; kind, z: of each.
     """
 

@@ -284,28 +284,30 @@ def _nodes(
     kind = (
         np.concatenate([np.full(len(r.t), k) for k, r in enumerate(rows)]) if rows else np.zeros(0)
     )
-    z = np.zeros((len(ot), Z_DIM))
+    z, moved = np.zeros((len(ot), Z_DIM)), np.zeros(len(ot))
     i = 0
     for r in rows:
-        z[i : i + len(r.t), : r.z.shape[1]] = r.z
-        z[i : i + len(r.t), DELAY] = r.delay
-        i += len(r.t)
+        own = slice(i, i + len(r.t))
+        z[own, : r.z.shape[1]] = r.z
+        z[own, DELAY] = r.delay
+        moved[own] = 0.0 if r.moved is None else r.moved
+        i = own.stop
     z[:, TIME] = ot - imu.t[0]
     keep = (ot >= imu.t[0]) & (ot <= imu.t[-1])
-    ot, kind, z = ot[keep], kind[keep].astype(np.int64), z[keep]
+    ot, kind, z, moved = ot[keep], kind[keep].astype(np.int64), z[keep], moved[keep]
     near = nearest(imu.t, ot)
     ot = np.where(np.abs(imu.t[near] - ot) < SNAP_S, imu.t[near], ot)
     order = np.lexsort((kind, ot))
-    ot, kind, z = ot[order], kind[order], z[order]
+    ot, kind, z, moved = ot[order], kind[order], z[order], moved[order]
     t = np.union1d(imu.t, ot)
     node = np.searchsorted(t, ot)
     first = np.searchsorted(node, np.arange(len(t) + 1)).astype(np.int64)
     gyro = np.stack([np.interp(t, imu.t, imu.gyro[:, k]) for k in range(3)], axis=1)
     accel = np.stack([np.interp(t, imu.t, imu.accel[:, k]) for k in range(3)], axis=1)
     rate = _smoothed_rate(recording, t)
-    nodes = Nodes(
-        t, gyro, accel, np.zeros((len(t), 6, imu_constants)), _extra(recording, t), first, kind, z
-    )
+    extra = _extra(recording, t)
+    np.add.at(extra[:, 2], node, moved**2)
+    nodes = Nodes(t, gyro, accel, np.zeros((len(t), 6, imu_constants)), extra, first, kind, z)
     return nodes, rate, int((~keep).sum())
 
 
@@ -319,14 +321,15 @@ def _smoothed_rate(recording: Recording, t: Array) -> Array:
 
 
 def _extra(recording: Recording, t: Array) -> Array:
-    """Variance (n, 2) added to angle and velocity over intervals that hold no measurement."""
+    """Variance (n, 3) added to angle, velocity and position: of the first two over intervals that
+    hold no measurement."""
     imu = recording.imu
     dt_imu = np.diff(imu.t)
     gap = dt_imu > 4.0 * np.median(dt_imu)
     masked = ~(imu.valid[1:] & imu.valid[:-1])
     at = np.clip(np.searchsorted(imu.t, t[1:], side="left") - 1, 0, len(dt_imu) - 1)
     dt = np.diff(t)
-    out = np.zeros((len(t), 2))
+    out = np.zeros((len(t), 3))
     turning = 1.0 + float(np.sqrt((imu.gyro**2).mean()))
     shaking = 2.0 + float(imu.accel.std())
     out[1:, 0] += (

@@ -230,12 +230,13 @@ def _add_noise(
                 Q[s][a, b] += dt * q
                 if a != b:
                     Q[s][b, a] += dt * q
-    if extra[0] == 0.0 and extra[1] == 0.0:
+    if extra[0] == 0.0 and extra[1] == 0.0 and extra[2] == 0.0:
         return
     new, half = work[0], work[1]
     zero2(new)
     zero2(half)
     for a in range(3):
+        new[a, a] = extra[2]
         new[6 + a, 6 + a] = extra[0]
         add_unknown_force(new, a, dt, extra[1])
     for a in range(9):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -20,8 +21,8 @@ from handcal.types import Array, Recording, Series
 @dataclass(frozen=True)
 class Edit:
     """Readings of one kind that are merely wrong: ``dropped``, numbers of the rows left out;
-    shifted: from, to (s) and by how much (rad) others are turned back; constant: their
-    log-evidence instead."""
+    shifted: from, to (s) and by how much (rad) others are turned back, or (m) the held point is
+    moved; constant: log-evidence of what was left out, less what is paid for the rest."""
 
     kind: str
     dropped: tuple[int, ...]
@@ -142,17 +143,22 @@ def edited(case: Case, edit: Edit) -> Case:
     observed = list(case.observed)
     k = case.kinds.index(edit.kind)
     observation, rows, constants = observed[k]
-    z = rows.z.copy()
+    z, moved = rows.z.copy(), rows.moved
     if edit.shifted is not None:
         first, last, by = edit.shifted
         there = (rows.t >= first) & (rows.t <= last)
-        z[there, 0] = so3.wrap(z[there, 0] - by)
+        if observation.kind == CREEPING.kind:
+            moved = np.zeros(len(rows.t)) if moved is None else moved.copy()
+            moved[(rows.t > last) & (np.r_[-math.inf, rows.t[:-1]] <= last)] = by
+        else:
+            z[there, 0] = so3.wrap(z[there, 0] - by)
     kept = np.ones(len(rows.t), dtype=bool)
     kept[list(edit.dropped)] = False
-    observed[k] = (observation, replace(rows, t=rows.t[kept], z=z[kept]), constants)
-    return replace(
-        case, observed=tuple(observed), constant=edit.constant, edits=(*case.edits, edit)
-    )
+    moved = None if moved is None else moved[kept]
+    rows = replace(rows, t=rows.t[kept], z=z[kept], moved=moved)
+    observed[k] = (observation, rows, constants)
+    constant = case.constant + edit.constant
+    return replace(case, observed=tuple(observed), constant=constant, edits=(*case.edits, edit))
 
 
 def thinned(recording: Recording) -> Recording:
@@ -230,7 +236,9 @@ def other_irons(case: Case) -> list[Case]:
 
 def _with_iron(case: Case, iron: Array, sigma: Array) -> Case:
     observed, start = observed_of(case.recording, case.kinds, case.rests, case.earth, None, iron)
-    out = replace(case, observed=tuple(observed), start=start, edits=(), iron=(iron, sigma))
+    out = replace(
+        case, observed=tuple(observed), start=start, constant=0.0, edits=(), iron=(iron, sigma)
+    )
     out = creeping(out) if case.creeping else out
     for edit in case.edits:
         out = edited(out, edit)

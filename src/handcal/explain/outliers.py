@@ -52,7 +52,8 @@ def cleaned(base: Model) -> tuple[Model, Wrong | None]:
     """
     effect = catalogue()["heading_outliers"]
     parts = [f for f in base.parts if set(effect.outliers) & set(f.case.kinds)]
-    if not parts or not any(_suspicious(f) for f in parts):
+    fits = math.isfinite(base.log_evidence)  # (of none at all, no reading can be told to be wrong)
+    if not fits or not parts or not any(_suspicious(f) for f in parts):
         return base, None
     model, bad = base, 0
     masks: list[BoolArray | None] = []

@@ -17,7 +17,6 @@ from handcal.estimate.result import noise, results
 from handcal.estimate.robust import inflation
 from handcal.evidence import reduce, reduced_pass
 from handcal.explain import held, locate, matter, outliers
-from handcal.explain.creep import creeping
 from handcal.explain.explanation import (
     Evidence,
     Explained,
@@ -33,6 +32,7 @@ from handcal.explain.gauge import plainly
 from handcal.explain.hands import foretold, hand_of
 from handcal.explain.leaning import leaning
 from handcal.explain.moments import moments
+from handcal.explain.moving import begun, moving
 from handcal.explain.naming import (
     burst,
     by_the_hand,
@@ -91,7 +91,7 @@ def explain(
     options = Options(latitude, height, fixed, tuple(ignore), reference_exact)
     cases = [_case(r, assume, options) for r in recordings]
     report(0.03, "fitting the plain model")
-    end = _searched(baseline(cases), lambda f: report(0.1 + 0.6 * f, "searching what is missing"))
+    end = _searched(begun(cases), lambda f: report(0.1 + 0.6 * f, "searching what is missing"))
     if assume == "auto":
         end = _by_the_rests(cases, end, options, report)
     report(0.75, "fitting the model that was found")
@@ -202,10 +202,10 @@ def _searched(base: Model, report: Callable[[float], None]) -> _End:
             found, wrong = other, None
     if wrong is None:
         found, wrong = _without_outliers(base, found, report)
-    slow = creeping(base, found.model, _gained(found)) if wrong is None else None
-    if slow is None:
+    other_hand = moving(base, found.model, _gained(found)) if wrong is None else None
+    if other_hand is None:
         return _End(base, found, wrong, math.nan)
-    return _End(slow[0], search(slow[0], report), wrong, slow[1])
+    return _End(other_hand[0], search(other_hand[0], report), wrong, other_hand[1])
 
 
 def _gained(found: Found) -> dict[str, float]:

@@ -51,13 +51,15 @@ class Rows:
     """Observations of one kind: t (k,) s on the IMU's clock, z (k, zdim).
 
     delay: s by which they are known to come late; they are put where they belong. alpha: angular
-    acceleration (n, 3) at the IMU's samples, rad/s^2, if these observations know it.
+    acceleration (n, 3) at the IMU's samples, rad/s^2, if these observations know it. moved (k,):
+    by how much the place that they hold may be another than at the row before, m.
     """
 
     t: Array
     z: Array
     delay: float = 0.0
     alpha: Array | None = None
+    moved: Array | None = None
 
 
 @dataclass(frozen=True)

@@ -6,15 +6,24 @@ Sway is a displacement of that point: a critically damped second-order Markov pr
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
+from scipy.linalg import solve_continuous_lyapunov
 
 from handcal._jit import residual_function
 from handcal.observations import Observation, Rows, Scene, pseudo_times
 from handcal.types import Array, Level, Recording
+
+# Up to so many states what is stationary less what is left is exact enough over the shortest
+# intervals; of more, it is not below so many times of the process (the difference is as x^5).
+EXACT_ORDER, SHORT = 2, 0.3
+# Points of a quadrature that is exact to 1e-7 over such a while.
+POINTS = 4
 
 
 def _residual(nav: Any, theta: Any, z: Any, r: Any) -> int:  # noqa: ARG001
@@ -50,58 +59,109 @@ def _variance(levels: Mapping[str, float]) -> Array:
     return np.full(3, levels["position_noise"] ** 2)
 
 
+@dataclass(frozen=True)
+class Part:
+    """One part of how a hand sways, a critically damped Markov process: the levels of its size at
+    rest, of what it has in addition for each rad/s of turning ("": nothing), and of its time; and
+    how many states each axis has (displacement, m; velocity; acceleration), each the slope of the
+    last and all but the last continuous, as a hand's are."""
+
+    size: str
+    per_rate: str
+    time: str
+    order: int
+
+
 class Sway:
-    """States of each part: displacement (3,) m, then its velocity (3,) m/s.
+    """States of each part, one after the other: displacement (3,) m, velocity (3,) m/s, and so
+    on."""
 
-    parts: for each the levels of its size at rest, of what it has in addition for each rad/s of
-    turning ("": nothing), and of its time.
-    """
-
-    def __init__(self, *parts: tuple[str, str, str]) -> None:
+    def __init__(self, *parts: Part) -> None:
         self.parts = parts
-        self.size, self.vectors = 6 * len(parts), 2 * len(parts)
+        self.vectors = sum(part.order for part in parts)
+        self.size = 3 * self.vectors
 
     def transition(
         self, levels: Mapping[str, float], dt: Array, rate: Array
     ) -> tuple[Array, Array]:
-        """Exact transition of x'' = -2 b x' - b^2 x + w; Q = P - Phi P Phi' (P stationary)."""
+        """Exact transition of each part, driven by white noise."""
         Phi, Q = np.zeros((2, len(dt), self.size, self.size))
-        for at, part in zip(range(0, self.size, 6), self.parts, strict=True):
-            b = 1.0 / levels[part[2]]
-            e = np.exp(-b * dt)
-            phi = np.empty((len(dt), 2, 2))
-            phi[:, 0, 0] = e * (1 + b * dt)
-            phi[:, 0, 1] = e * dt
-            phi[:, 1, 0] = -e * b * b * dt
-            phi[:, 1, 1] = e * (1 - b * dt)
-            P = np.array([1.0, b * b])
-            q = np.empty((len(dt), 2, 2))
-            q[:, 0, 0] = P[0] - phi[:, 0] ** 2 @ P
-            q[:, 1, 1] = P[1] - phi[:, 1] ** 2 @ P
-            q[:, 0, 1] = q[:, 1, 0] = -(phi[:, 0] * phi[:, 1]) @ P
+        at = 0
+        for part in self.parts:
+            b, end = 1.0 / levels[part.time], at + 3 * part.order
+            unit = b ** np.arange(part.order)
+            phi = _damped(b * dt, part.order) * np.divide.outer(unit, unit)
+            q = _driven(b * dt, part.order) * np.multiply.outer(unit, unit)
             q *= _variance_of(part, levels, rate)[:, None, None]
             for k in range(at, at + 3):
                 # (axes do not mix)
-                Phi[:, k : at + 6 : 3, k : at + 6 : 3] = phi
-                Q[:, k : at + 6 : 3, k : at + 6 : 3] = q
+                Phi[:, k:end:3, k:end:3] = phi
+                Q[:, k:end:3, k:end:3] = q
+            at = end
         return Phi, Q
 
     def start(self, levels: Mapping[str, float], rate: float) -> Array:
         """Stationary covariance at the turning rate of the start."""
-        units = []
+        out, at = np.zeros((self.size, self.size)), 0
         for part in self.parts:
-            b = 1.0 / levels[part[2]]
-            units.append(np.repeat([1.0, b * b], 3) * _variance_of(part, levels, np.array([rate])))
-        return np.diag(np.concatenate(units))
+            unit, end = (1.0 / levels[part.time]) ** np.arange(part.order), at + 3 * part.order
+            P = _stationary(part.order) * np.multiply.outer(unit, unit)
+            for k in range(at, at + 3):
+                out[k:end:3, k:end:3] = P * _variance_of(part, levels, np.array([rate]))
+            at = end
+        return out
 
 
-def _variance_of(part: tuple[str, str, str], levels: Mapping[str, float], rate: Array) -> Array:
-    more = levels[part[1]] * rate if part[1] else np.zeros_like(rate)
-    return np.asarray(levels[part[0]] ** 2 + more**2)
+def _damped(x: Array, order: int) -> Array:
+    """Transition (n, k, k) over x (n,) of its times, of a process with all its poles at one place
+    and time 1: less that pole, its dynamics are nilpotent, so that the series ends."""
+    N = np.eye(order) + np.eye(order, k=1)
+    N[-1] -= [math.comb(order, i) for i in range(order)]
+    out, power = np.zeros((len(x), order, order)), np.eye(order)
+    for i in range(order):
+        out += (x**i / math.factorial(i))[:, None, None] * power
+        power = power @ N
+    return np.asarray(out * np.exp(-x)[:, None, None])
 
 
-SWAY = ("sway", "sway_per_rate", "sway_time")
-CREEP = ("creep", "", "creep_time")
+@cache
+def _stationary(order: int) -> Array:
+    """Covariance (k, k) of such a process that has always been going on, of size 1."""
+    drift = np.eye(order, k=1)
+    drift[-1] = [-math.comb(order, i) for i in range(order)]
+    white = np.zeros((order, order))
+    white[-1, -1] = 1.0
+    P = solve_continuous_lyapunov(drift, -white)
+    return np.asarray(P / P[0, 0])
+
+
+def _driven(x: Array, order: int) -> Array:
+    """What comes in addition over x (n,) of its times, (n, k, k): what is stationary less what is
+    left of it; over a short while, where these are nearly the same, by quadrature."""
+    P, phi = _stationary(order), _damped(x, order)
+    out = P - phi @ P @ phi.transpose(0, 2, 1)
+    if order <= EXACT_ORDER:
+        return out
+    drift = np.eye(order, k=1)
+    drift[-1] = [-math.comb(order, i) for i in range(order)]
+    power = -2.0 * (drift @ P)[-1, -1]
+    at, weight = np.polynomial.legendre.leggauss(POINTS)
+    short = x < SHORT
+    total = np.zeros((int(short.sum()), order, order))
+    for u, w in zip(0.5 + 0.5 * at, 0.5 * weight, strict=True):
+        g = _damped(u * x[short], order)[:, :, -1]
+        total += w * g[:, :, None] * g[:, None, :]
+    out[short] = power * x[short, None, None] * total
+    return out
+
+
+def _variance_of(part: Part, levels: Mapping[str, float], rate: Array) -> Array:
+    more = levels[part.per_rate] * rate if part.per_rate else np.zeros_like(rate)
+    return np.asarray(levels[part.size] ** 2 + more**2)
+
+
+SWAY = Part("sway", "sway_per_rate", "sway_time", 2)
+CREEP = Part("creep", "", "creep_time", 3)
 
 OBSERVATION = Observation(
     kind="fixed_position",
@@ -126,13 +186,15 @@ OBSERVATION = Observation(
     markov_residual=residual_function(_swayed),
 )
 
-# The same of an arm that tires: the point drifts by centimetres within many seconds besides.
+# The same of somebody who moves: besides, the point drifts smoothly, by centimetres within many
+# seconds where an arm tires, by half a metre where a chair turns. (Its acceleration is continuous:
+# else what a swaying body lacks of the fast, white noise would be taken from what is slow.)
 CREEPING = replace(
     OBSERVATION,
     levels=(
         *OBSERVATION.levels,
-        Level("creep", "m", 0.02, 1e-3, 1.0),
-        Level("creep_time", "s", 5.0, 2.0, 60.0),
+        Level("creep", "m", 0.05, 1e-3, 10.0),
+        Level("creep_time", "s", 1.0, 0.2, 60.0),
     ),
     markov=Sway(SWAY, CREEP),
     markov_residual=residual_function(_crept),

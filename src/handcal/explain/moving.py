@@ -1,0 +1,156 @@
+"""What a hand does that holds no point. It drifts smoothly, by centimetres where an arm tires,
+further on a chair that turns; or it moves on, within a second, to another place: a step aside, the
+other hand. A walking bias, an error that goes with the motion or a law of it would stand in for
+that, so each such hand is a rival of what is weak or has no name."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from handcal.effects import Effect
+from handcal.estimate.beside import side_by_side
+from handcal.estimate.case import Case, Edit, edited
+from handcal.estimate.case import creeping as creeping_case
+from handcal.estimate.fit import Fitted, Model, baseline, diverged, fitted, started
+from handcal.evidence import reduce, reduced_pass
+from handcal.explain.climb import WEAK
+from handcal.explain.score import PRIOR, better
+from handcal.kernel import MAX_DIM
+from handcal.observations.fixed_position import CREEPING
+from handcal.sway import beyond_a_hand
+from handcal.types import Array, HandcalError
+from handcal.words import listed
+
+OBSERVED = CREEPING.kind
+# A hand moves on where it is so many times as fast as in the median of a recording: a hand that
+# holds a point, real or simulated, is seldom more than three times as fast.
+FAST = 5.0
+# Such moves are so short, and between two there is so much time, s; further apart than any of them
+# lasts they are a walk, of which only the rests tell.
+LONGEST, APART = 5.0, 0.5
+MOST_MOVES = 6
+# Nobody sees a point moved by less, m; and in so much time, s, an arm makes one stroke at the most
+# (to reach for something takes half a second to a second).
+LEAST, STROKE = 0.01, 0.5
+
+
+def begun(cases: Sequence[Case]) -> Model:
+    """The baseline; with a hand that drifts where no trajectory holds the point."""
+    base = baseline(cases)
+    if math.isfinite(base.log_evidence) or not any(OBSERVED in c.kinds for c in cases):
+        return base
+    drifting = baseline([creeping_case(c) for c in cases])
+    return drifting if math.isfinite(drifting.log_evidence) else base
+
+
+def moving(base: Model, model: Model, gained: Mapping[str, float]) -> tuple[Model, float] | None:
+    """The baseline with a hand that moves, if that with the strong ones of the model's effects,
+    or with those of them that have a name, explains as much as all of them, and by how many nats;
+    gained: nats by effect.
+
+    Where nothing weak and nothing without a name was found there is no need to ask.
+    """
+    held = any(OBSERVED in f.case.kinds for f in base.parts)
+    strong = [e for e in model.effects if e.always or gained[e.id] > WEAK]
+    named = [e for e in strong if "+=" not in e.id]
+    if not held or len(named) == len(model.effects):
+        return None
+    ways = [named] if len(strong) in (len(named), len(model.effects)) else [named, strong]
+    hands = _hands(fitted(model.parts, named))
+    tried = [(hand, way) for hand in hands for way in ways]
+    fits = side_by_side(partial(_fit, hand, way) for hand, way in tried)
+    # (every arm tires a little, so that costs nothing; what is spared does)
+    nats, best = max(
+        ((better(m, model, 1.0), hand) for m, (hand, _) in zip(fits, tried, strict=True)),
+        key=lambda pair: pair[0],
+    )
+    # (a point that sways further than a hand does was not held, whatever else there is)
+    nats += sum(beyond_a_hand(f.linear, f.levels) for f in model.parts)
+    return None if nats < 0.0 else (baseline(best), nats)
+
+
+def _hands(held: Model) -> list[list[Case]]:
+    """The recordings with a point that drifts, with one that is moved, and with one that does
+    both, given the fit of one that is held."""
+    cases = [f.case for f in held.parts]
+    out = [[creeping_case(c) for c in cases]]
+    moves = [_moves(f) for f in held.parts]
+    if any(moves):
+        first = _fit([_moved(*x) for x in zip(cases, moves, strict=True)], held.effects)
+        # (what a look at the point is worth while it is held, a fit tells that knows of the moves)
+        worth = [_usual(f) for f in first.parts] or [_usual(f) for f in held.parts]
+        moved = [_moved(*x) for x in zip(cases, moves, worth, strict=True)]
+        out += [moved, [creeping_case(c) for c in moved]]
+    return out
+
+
+def _moves(f: Fitted) -> list[tuple[float, float, float]]:
+    """From when to when (s) the hand was much faster than it is elsewhere, and how far it went."""
+    t, nominal = f.linear.t, f.linear.trajectory
+    if OBSERVED not in f.case.kinds:
+        return []
+    out = []
+    for first, last in _fast(t, np.linalg.norm(nominal.v, axis=1)):
+        way = np.diff(nominal.p[(t >= first) & (t <= last)], axis=0)
+        out.append((first, last, max(LEAST, float(np.linalg.norm(way, axis=1).sum()))))
+    return out
+
+
+def _moved(case: Case, moves: Sequence[tuple[float, float, float]], worth: float = 0.0) -> Case:
+    """The case with these moves; worth: nats of one look at the point that is held.
+
+    Meanwhile it is not looked at. That counts neither for nor against it, but for when it was and
+    for the way that the hand took, which nobody foretells.
+    """
+    near, t0 = math.exp(-worth / 3.0), case.recording.imu.t[0]
+    for first, last, far in moves:
+        t = case.observed[case.kinds.index(OBSERVED)][1].t
+        out = np.flatnonzero((t >= first) & (t <= last))
+        turns = 3.0 * (1.0 + (last - first) / STROKE)
+        cost = 2.0 * math.log(len(t)) - PRIOR + turns * max(0.0, math.log(far / near))
+        edit = Edit(OBSERVED, tuple(out.tolist()), (first, last, far), len(out) * worth - cost)
+        case = edited(case, edit)
+    if not moves:
+        return case
+    when = listed([f"{first - t0:.1f} to {last - t0:.1f} s" for first, last, _ in moves], "and")
+    said = f"The held point moves to another place ({when}); it counts as held before and after."
+    return replace(case, warnings=(*case.warnings, said))
+
+
+def _usual(f: Fitted) -> float:
+    """Log density of one look at the held point, in the median of all; 0 where there is none."""
+    if OBSERVED not in f.case.kinds:
+        return 0.0
+    done = reduced_pass(reduce(f.linear), f.levels)
+    own = done.reduction.slot // MAX_DIM == f.case.kinds.index(OBSERVED)
+    S = done.S[own]
+    each = np.log(2.0 * math.pi * S) + done.innovations(done.w)[own] ** 2 / S
+    return -1.5 * float(np.median(each))
+
+
+def _fast(t: Array, speed: Array) -> list[tuple[float, float]]:
+    """From when to when (s) the hand was fast, given its speed (n,) at times t; the fastest few."""
+    fast = speed > FAST * np.median(speed)
+    edges = np.flatnonzero(np.diff(np.r_[False, fast, False].astype(np.int8))).reshape(-1, 2)
+    spans: list[list[float]] = []
+    for a, b in edges:
+        if spans and t[a] - spans[-1][1] < APART:
+            spans[-1][1] = t[b - 1]
+            spans[-1][2] = max(spans[-1][2], float(speed[a:b].max()))
+        else:
+            spans.append([t[a], t[b - 1], float(speed[a:b].max())])
+    short = sorted((s for s in spans if s[1] - s[0] < LONGEST), key=lambda s: -s[2])[:MOST_MOVES]
+    return [(float(a) - 0.5 * APART, float(b) + 0.5 * APART) for a, b, _ in sorted(short)]
+
+
+def _fit(cases: Sequence[Case], effects: Sequence[Effect]) -> Model:
+    """The fit of such a hand; one that is worse than any other where it diverges."""
+    try:
+        return fitted([started(case, effects) for case in cases], effects, noise_rounds=2)
+    except HandcalError:
+        return diverged((), effects)

@@ -1,0 +1,126 @@
+"""A hand that moves: its process, and moves to another place."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from worlds import recording_of
+
+from handcal.estimate.case import Case, case_of
+from handcal.estimate.chosen import Chosen, Options, document_of, seen, view_of
+from handcal.estimate.fit import Model, baseline, diverged
+from handcal.explain import moving, written
+from handcal.observations.fixed_position import CREEP, SWAY, Part, Sway
+from handcal.sway import sway_of
+from handcal_sim import simulate
+from handcal_sim.motion import free_hand
+from handcal_sim.motion_people import changes_hands, people
+
+LEVELS = {"sway": 0.004, "sway_per_rate": 0.003, "sway_time": 0.7, "creep": 0.2, "creep_time": 3.0}
+
+
+@pytest.mark.parametrize("part", [SWAY, CREEP])
+@pytest.mark.parametrize("x", [0.005, 0.05, 0.29, 0.31, 1.5])
+def test_a_parts_noise_is_that_of_its_dynamics(part: Part, x: float) -> None:
+    """Van Loan (IEEE Transactions on Automatic Control 23, 1978): both from one exponential."""
+    k, b = part.order, 1.0 / LEVELS[part.time]
+    Phi, Q = Sway(part).transition(LEVELS, np.array([x / b]), np.zeros(1))
+    drift = np.eye(k, k=1)
+    drift[-1] = [-math.comb(k, i) * b ** (k - i) for i in range(k)]
+    # a white force of which the displacement comes out as large as it should
+    P = Sway(part).start(LEVELS, 0.0)[::3, ::3]
+    white = np.zeros((k, k))
+    white[-1, -1] = -2.0 * (drift @ P)[-1, -1]
+    both = expm(np.block([[-drift, white], [np.zeros((k, k)), drift.T]]) * x / b)
+    wanted = both[k:, k:].T @ both[:k, k:]
+    scale = np.sqrt(np.outer(np.diag(wanted), np.diag(wanted)))
+    assert np.abs((Q[0, ::3, ::3] - wanted) / scale).max() < 1e-5
+    assert np.abs(Phi[0, ::3, ::3] - expm(drift * x / b)).max() < 1e-9 * max(1.0, b**k)
+
+
+def test_what_is_stationary_stays_so() -> None:
+    hand = Sway(SWAY, CREEP)
+    P = hand.start(LEVELS, 0.4)
+    Phi, Q = hand.transition(LEVELS, np.array([0.02, 0.9, 20.0]), np.full(3, 0.4))
+    scale = np.sqrt(np.outer(np.diag(P), np.diag(P)))
+    for k in range(3):
+        assert np.abs((Phi[k] @ P @ Phi[k].T + Q[k] - P) / scale).max() < 1e-6
+        assert np.linalg.eigvalsh(Q[k] / scale).min() > -1e-15
+
+
+def test_fast_is_what_stands_out_and_is_short() -> None:
+    t = np.arange(0.0, 60.0, 0.1)
+    speed = np.full(len(t), 0.01)
+    speed[(t > 10.0) & (t < 10.75)] = 0.3
+    speed[(t > 11.0) & (t < 11.5)] = 0.1  # (the same move goes on)
+    speed[(t > 30.0) & (t < 40.0)] = 0.5  # (a walk)
+    assert moving._fast(t, speed) == [pytest.approx((9.85, 11.65), abs=0.01)]
+    assert moving._fast(t, np.full(len(t), 0.01)) == []
+
+
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.prove) for k in (1, 2))])
+def test_another_hand_is_another_place(seed: int) -> None:
+    """A third of a metre within a second: as a held point it swayed by centimetres all along."""
+    world = simulate(people(free_hand, [changes_hands]), seed=seed, duration_s=50.0)
+    base = baseline([case_of(recording_of(world, "heading"), "fixed-point")])
+    (moved,) = moving._hands(base)[1]
+    other = baseline([moved])
+    assert other.log_evidence > base.log_evidence
+    held, new = (sway_of(m.parts[0].linear.problem, m.parts[0].levels) for m in (base, other))
+    assert new < held
+    (said,) = (w for w in moved.warnings if "moves to another place" in w)
+    assert said in other.parts[0].case.warnings
+
+
+def test_a_move_is_written_and_read_to_the_last_bit() -> None:
+    world = simulate(people(free_hand, [changes_hands]), seed=0, duration_s=30.0)
+    recording = recording_of(world, "heading")
+    case = case_of(recording, "fixed-point")
+    case = moving._moved(case, [(9.9, 11.1, 0.31), (20.0, 20.7, 0.05)], 12.0)
+    chosen = Chosen((), (view_of(case),), Options())
+    (view,) = written.chosen_from(document_of(chosen)).views
+    again = seen(recording, view, Options())
+    assert again.constant == case.constant
+    assert view == view_of(again)
+    for (_, a, _), (_, b, _) in zip(again.observed, case.observed, strict=True):
+        assert np.array_equal(a.t, b.t)
+        assert np.array_equal(a.z, b.z)
+        assert (a.moved is None) == (b.moved is None)
+        assert a.moved is None or b.moved is None or np.array_equal(a.moved, b.moved)
+
+
+def test_where_it_moves_the_point_is_not_looked_at() -> None:
+    world = simulate("free-hand", seed=0, duration_s=30.0)
+    case = case_of(recording_of(world, "heading"), "fixed-point")
+    k = case.kinds.index(moving.OBSERVED)
+    before = case.observed[k][1]
+    moved = moving._moved(case, [(9.95, 11.05, 0.3), (20.05, 20.95, 0.1)])
+    after = moved.observed[k][1]
+    looked = ~((before.t >= 9.95) & (before.t <= 11.05) | (before.t >= 20.05) & (before.t <= 20.95))
+    assert np.array_equal(after.t, before.t[looked])
+    assert after.moved is not None
+    (first, second) = np.flatnonzero(after.moved)
+    assert after.moved[[first, second]].tolist() == [0.3, 0.1]
+    assert after.t[first - 1] < 9.95 < 11.05 < after.t[first]
+    assert replace(after, moved=None).delay == before.delay
+
+
+def test_where_no_trajectory_holds_the_point_the_hand_drifts(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A lift and an app that paused: what was left of the baseline was no fit, and four in a
+    hundred headings were said to be wrong, at infinitely many nats."""
+    world = simulate("free-hand", seed=0, duration_s=20.0)
+    case = case_of(recording_of(world, "heading"), "fixed-point")
+
+    def astray(cases: list[Case]) -> Model:
+        return baseline(cases) if cases[0].creeping else diverged((), ())
+
+    monkeypatch.setattr(moving, "baseline", astray)
+    found = moving.begun([case])
+    assert math.isfinite(found.log_evidence)
+    assert found.parts[0].case.creeping
