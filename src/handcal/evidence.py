@@ -261,12 +261,15 @@ def _reduced_arrays(reduction: Reduction, levels: Mapping[str, float]) -> Reduce
 @dataclass(frozen=True)
 class Slopes:
     """Derivatives of the log-evidence: by R (s,) of each scalar, by the two densities
-    squared (2,), by Q_e (k, e, e), and by the prior of the moving states (m, m)."""
+    squared (2,), by Q_e (k, e, e), by the prior of the moving states (m, m); by Phi_psi and Phi_e
+    (k, e, 3 + e) and by d_e (k, e), or empty."""
 
     R: Array
     densities: Array
     Q_e: Array
     prior: Array
+    step: Array
+    d_e: Array
 
 
 def backward(
@@ -276,12 +279,14 @@ def backward(
     N_kept: Array,
     spread: bool = True,
     rows: IntArray | None = None,
+    steps: bool = False,
 ) -> Slopes:
     """Adjoint of ``reduced_pass``; r_kept (k, m, columns), N_kept (k, m, m) may be empty, and hold
     the epochs of ``rows``, or all.
 
     score: with the derivatives; spread: r has columns for the uncertainty of the constants,
-    besides the one for their mean.
+    besides the one for their mean. steps: with the derivatives by how Markov states move; then the
+    pass was kept whole.
     """
     linear, (s, m) = done.reduction.linear, done.gain.shape
     e = m - 9
@@ -292,7 +297,11 @@ def backward(
     given[0, 0] = 1.0
     given[1:, 0] = done.w
     given[1:, 1:columns] = done.spread[:, : columns - 1]
-    slopes = Slopes(np.zeros(s), np.zeros(2), np.zeros((len(linear.t), e, e)), np.zeros((m, m)))
+    k, away = len(linear.t), 3 + e
+    slopes = Slopes(
+        np.zeros(s), np.zeros(2), np.zeros((k, e, e)), np.zeros((m, m)),
+        np.zeros((k if steps else 0, e, away)), np.zeros((k if steps else 0, e)),
+    )  # fmt: skip
     most = int(np.diff(done.arrays.first).max(initial=0))
     reduced_backward(
         done.arrays,
@@ -313,6 +322,15 @@ def backward(
             blank(most, width),
             blank(high),
         ),
-        kept(len(linear.t), rows),
+        kept(k, rows),
+        (slopes.step, slopes.d_e),
+        (done.X, done.P),
+        (
+            blank(away, width),
+            blank(width, padded(away)),
+            blank(m, m),
+            blank(m, padded(away)),
+            blank(e, padded(away)),
+        ),
     )
     return slopes

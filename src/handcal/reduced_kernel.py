@@ -228,6 +228,9 @@ def reduced_backward(
     slopes: tuple[Array, Array, Array, Array],
     work: tuple[Array, Array, Array, Array, Array, Array],
     keep: IntArray,
+    by_step: tuple[Array, Array],
+    passed: tuple[Array, Array],
+    work_step: tuple[Array, Array, Array, Array, Array],
 ) -> None:
     """Fixed-interval recursion of Bryson and Frazier, and with it the score.
 
@@ -238,7 +241,10 @@ def reduced_backward(
     says (-1: nowhere), or empty. slopes: derivatives of the
     log-evidence by R (s,), by the two densities whose Q (k, 9, 9) are Q_unit (2,), by Q_e
     (k, e, e) and by the prior of the moving states (m, m). work: as r; as it turned over, (w, p);
-    (m, m), (m, p), as many innovations as an epoch has, (n, w), and (p,).
+    (m, m), (m, p), as many innovations as an epoch has, (n, w), and (p,). by_step: derivatives by
+    the Markov states' own transitions (k, e, 3 + e), from psi and from each other, and by what is
+    added to them (k, e), or empty; passed: X and P after each epoch, for these, with work space
+    (3 + e, w), (w, b), (m, m), (m, b), (e, b), b >= 3 + e.
 
     Source: Durbin & Koopman, Time Series Analysis by State Space Methods, 4.5 and 7.3.3;
     with constants as in de Jong (1991).
@@ -266,6 +272,13 @@ def reduced_backward(
             for i in range(e):
                 for k in range(e):
                     slopes[2][j, i, k] = slopes[3][9 + i, 9 + k]
+        if j > 0 and len(by_step[0]) > 0:
+            times_transition(
+                a.A[j], a.B[j], a.Phi_e[j], a.Phi_psi[j], m - e, passed[1][j - 1], work_step[2]
+            )
+            _step_slope(r, slopes[3], passed[0][j - 1], given, work_step, by_step[0][j])
+            for i in range(e):
+                by_step[1][j, i] = r[9 + i, 0]
         if j > 0:
             _turned_over(a.A[j], a.B[j], a.Phi_e[j], a.Phi_psi[j], back)
             product(back, r, m, new)
@@ -301,3 +314,35 @@ def _covariance_slope(r: Array, N: Array, over: Array, square: Array, out: Array
     for i in range(m):
         for k in range(m):
             out[i, k] = 0.5 * (square[i, k] - N[i, k])
+
+
+@inner
+def _step_slope(
+    r: Array,
+    by_Q: Array,
+    X: Array,
+    given: Array,
+    work: tuple[Array, Array, Array, Array, Array],
+    out: Array,
+) -> None:
+    """Derivative (e, 3 + e) of the log-evidence by the transition F of the Markov states, from psi
+    and from each other: E r a' + (E r r' - N) F P, where a and P are the state before.
+
+    The log-evidence depends on F by the predicted state, F a, and its covariance, F P F'. by_Q:
+    (E r r' - N) / 2; X (m, 1 + nc) of the epoch before; work: as in ``reduced_backward``, the third
+    of them F P.
+    """
+    state, over, FP, some, total = work
+    e = len(out)
+    product(X[6:], given, len(given), state)
+    for i in range(3 + e):
+        for c in range(state.shape[1]):
+            over[c, i] = state[i, c]
+    for i in range(9 + e):
+        for c in range(3 + e):
+            some[i, c] = 2.0 * FP[i, 6 + c]
+    product(r[9:], over, r.shape[1], total)
+    add_product(by_Q[9:], some, 9 + e, total)
+    for i in range(e):
+        for c in range(3 + e):
+            out[i, c] = total[i, c]
