@@ -33,6 +33,8 @@ from handcal.types import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Array, HandcalError
 # Nats within which evidence rests: of a fit that is written down, of one that a search compares
 # with others, and before noise levels are found anew, which changes it by more.
 TOLERANCE, COMPARED, ROUGH = 0.05, 0.2, 2.0
+# Noise levels are found to this share of that.
+OF_NOISE = 0.2
 ROUNDS = 10
 # Nats below what other noise levels gave at which a trajectory is given up.
 ASTRAY = 20.0
@@ -185,16 +187,17 @@ def fitted(
     parts, settled, evidence = relinearised_parts(parts, effects, known, tolerance=rest)
     if not math.isfinite(evidence):
         return diverged(parts, effects)
-    wide = False
+    wide, whole = False, None
     for left in range(noise_rounds, -1, -1):
         # (first at the usual scales: seen from far off, anything may look large)
-        if not wide and known is None and _asks_for_more(parts, effects):
+        whole = None if wide or known is not None else _told(parts, effects)
+        if whole is not None and _asks_for_more(whole, effects):
             tried, rests, value = relinearised_parts(parts, effects, known, evidence, True, rest)
             if value > evidence:
-                parts, settled, evidence, wide = tried, rests, value, True
+                parts, settled, evidence, wide, whole = tried, rests, value, True, None
         if not left:
             break
-        new = [with_noise(f) for f in parts]
+        new = [with_noise(f, OF_NOISE * tolerance) for f in parts]
         # (of noise that is a part's alone the whole need not be the better)
         least = -math.inf if any(f.case.noise_until for f in parts) else evidence - ASTRAY
         change = max(
@@ -212,14 +215,15 @@ def fitted(
                 break
         else:
             break
-        parts, settled, evidence, rest = tried, rests, value, tolerance
+        parts, settled, evidence, rest, whole = tried, rests, value, tolerance, None
         if change < 0.02:
             break
     if rest > tolerance:
         parts, settled, _ = relinearised_parts(
             parts, effects, known, wide=wide, tolerance=tolerance
         )
-    whole = total([_local(f, effects).quadratic for f in parts])
+        whole = None
+    whole = whole or _told(parts, effects)
     found = _posterior(whole, effects, known, wide)
     constant = sum(f.case.constant for f in parts)
     return Model(
@@ -235,9 +239,13 @@ def diverged(parts: Sequence[Fitted], effects: Sequence[Effect]) -> Model:
     return Model(tuple(effects), tuple(parts), nothing, np.zeros(0), none, -math.inf, False)
 
 
-def _asks_for_more(parts: Sequence[Fitted], effects: Sequence[Effect]) -> bool:
+def _told(parts: Sequence[Fitted], effects: Sequence[Effect]) -> Quadratic:
+    """What all recordings say of the effects' parameters."""
+    return total([_local(f, effects).quadratic for f in parts])
+
+
+def _asks_for_more(whole: Quadratic, effects: Sequence[Effect]) -> bool:
     """Whether some effect is likelier under a wider scale of its prior than the usual one."""
-    whole = total([_local(f, effects).quadratic for f in parts])
     index = np.arange(len(whole.names), dtype=np.int64)
     root = prior_root(whole, effects)
     return tailed(whole, index, root).log_evidence > usual(whole, index, root).log_evidence + MORE
@@ -437,15 +445,16 @@ def with_usual_noise(f: Fitted) -> Fitted:
     return replace(f, levels=levels, curvature=noise_levels.NO_CURVATURE)
 
 
-def with_noise(f: Fitted) -> Fitted:
-    """The fit with its noise levels estimated anew, but for those that are known."""
+def with_noise(f: Fitted, tolerance: float) -> Fitted:
+    """The fit with its noise levels estimated anew to ``tolerance`` nats, but for those that are
+    known."""
     names = tuple(lv.name for lv in f.linear.problem.levels if lv.name not in f.case.fixed)
     if not names:
         return f
     until = f.case.noise_until
     part = f.linear if until is None else noise_levels.until(f.linear, until)
     levels, curvature = noise_levels.estimate(
-        part, f.levels, names, excess=EXCESS, known=f.curvature
+        part, f.levels, names, tolerance=tolerance, excess=EXCESS, known=f.curvature
     )
     return replace(f, levels=levels, curvature=curvature)
 
