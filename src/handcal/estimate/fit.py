@@ -33,9 +33,9 @@ from handcal.types import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Array, HandcalError
 # Nats within which evidence rests: of a fit that is written down, of one that a search compares
 # with others, and before noise levels are found anew, which changes it by more.
 TOLERANCE, COMPARED, ROUGH = 0.05, 0.2, 2.0
-# Noise levels are found to this share of that.
-OF_NOISE = 0.2
 ROUNDS = 10
+# Of the nats within which a fit's evidence rests, what its noise levels may leave.
+OF_NOISE = 0.2
 # Nats below what other noise levels gave at which a trajectory is given up.
 ASTRAY = 20.0
 # Of the way to other noise levels, as far as the trajectory can follow.
