@@ -34,8 +34,6 @@ from handcal.types import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Array, HandcalError
 # with others, and before noise levels are found anew, which changes it by more.
 TOLERANCE, COMPARED, ROUGH = 0.05, 0.2, 2.0
 ROUNDS = 10
-# Of the nats within which a fit's evidence rests, what its noise levels may leave.
-OF_NOISE = 0.2
 # Nats below what other noise levels gave at which a trajectory is given up.
 ASTRAY = 20.0
 # Of the way to other noise levels, as far as the trajectory can follow.
@@ -197,7 +195,7 @@ def fitted(
                 parts, settled, evidence, wide, whole = tried, rests, value, True, None
         if not left:
             break
-        new = [with_noise(f, OF_NOISE * tolerance) for f in parts]
+        new = [with_noise(f) for f in parts]
         # (of noise that is a part's alone the whole need not be the better)
         least = -math.inf if any(f.case.noise_until for f in parts) else evidence - ASTRAY
         change = max(
@@ -445,16 +443,15 @@ def with_usual_noise(f: Fitted) -> Fitted:
     return replace(f, levels=levels, curvature=noise_levels.NO_CURVATURE)
 
 
-def with_noise(f: Fitted, tolerance: float) -> Fitted:
-    """The fit with its noise levels estimated anew to ``tolerance`` nats, but for those that are
-    known."""
+def with_noise(f: Fitted) -> Fitted:
+    """The fit with its noise levels estimated anew, but for those that are known."""
     names = tuple(lv.name for lv in f.linear.problem.levels if lv.name not in f.case.fixed)
     if not names:
         return f
     until = f.case.noise_until
     part = f.linear if until is None else noise_levels.until(f.linear, until)
     levels, curvature = noise_levels.estimate(
-        part, f.levels, names, tolerance=tolerance, excess=EXCESS, known=f.curvature
+        part, f.levels, names, excess=EXCESS, known=f.curvature
     )
     return replace(f, levels=levels, curvature=curvature)
 
