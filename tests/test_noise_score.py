@@ -10,9 +10,12 @@ import pytest
 from worlds import recording_of
 
 from handcal.effects import select
+from handcal.estimate import beside
 from handcal.estimate.case import case_of
 from handcal.estimate.fit import Fitted, moved_to, started
 from handcal.evidence import reduced_pass
+from handcal.explain import with_motion
+from handcal.explain.noises import looks_of
 from handcal.noise import Score
 from handcal_sim import simulate
 from handcal_sim.phone import Phone, capture_pose, consumer_phone
@@ -67,3 +70,36 @@ def test_a_time_constant_is_among_them() -> None:
     """The cases hold levels that change transitions, or the test above would not see them."""
     f = _fit(*CASES["correlated"], 0)
     assert Score(f.linear, f.levels, sorted(lv.name for lv in f.linear.problem.levels)).moving
+
+
+@pytest.mark.parametrize("kind", ["heading", "pose"])
+def test_slope_by_several_memories_at_once(kind: str) -> None:
+    """Each tells its own: to a hundred-thousandth, the step of the difference squared times ten.
+
+    (A one-sided difference of the pass itself, 1e-4 long, is off by a thousandth.)
+    """
+    f = _fit(kind, ("gyro_scale",), 0)
+    errs = (with_motion.effect("gyro", (0, 1, 2), "turning"),
+            with_motion.effect("accel", (0, 2), "attitude"))  # fmt: skip
+    f = moved_to(f, (*select(("gyro_scale",)), *errs))
+    names = sorted({lv.name for lv in f.linear.problem.levels})
+    score = Score(f.linear, f.levels, names)
+    slope = dict(zip(names, score(f.levels)[1], strict=True))
+    for name in names:
+        if name.endswith(("_memory", "sway_time")):
+            want = _difference(score, dict(f.levels), name)
+            assert slope[name] == pytest.approx(want, rel=1e-5, abs=1e-5), name
+
+
+def test_looks_are_the_same_on_one_core(monkeypatch: pytest.MonkeyPatch) -> None:
+    """To the last bit: each works on arrays of its own."""
+    f = _fit("heading", ("gyro_scale",), 0)
+    chosen = select(("gyro_scale",))
+    noise = select(("gyro_bias_walk", "accel_bias_walk", "heading_correlated_noise"))
+    looks = []
+    for cores in (1, 2):
+        monkeypatch.setattr(beside.os, "cpu_count", lambda cores=cores: cores)
+        looks.append(looks_of([f], chosen, noise))
+    assert [(k.effects[-1].id, k.gain) for k in looks[0]] == [
+        (k.effects[-1].id, k.gain) for k in looks[1]
+    ]

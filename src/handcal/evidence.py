@@ -13,6 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
+from handcal._rows import blank, padded
 from handcal.covariance import propagation_work
 from handcal.filter import full_prior
 from handcal.folded import Folded, fold
@@ -21,6 +22,9 @@ from handcal.linear import Linear, driven
 from handcal.model import observation_variances
 from handcal.reduced_kernel import Reduced, reduced_backward, reduced_forward
 from handcal.types import Array, IntArray
+
+# Innovations whose squares are added up at once: their rows stay in the processor's own memory.
+TOGETHER = 64
 
 
 @dataclass(frozen=True)
@@ -198,11 +202,14 @@ def reduced_pass(
     P0 = full_prior(problem, reduction.P15, dict(levels))[np.ix_(moving, moving)]
     by_bias = reduction.X0[:9, 1:7]
     P0[:9, :9] -= by_bias @ by_bias.T
-    gram = np.zeros((columns, columns))
-    work, extra = propagation_work(m, m - 9), (np.empty((m, columns)), np.empty(m))
-    reduced_forward(
-        arrays, P0, reduction.X0.copy(), (X, P), (gain, nu, S), gram, work, extra, place
-    )
+    width = padded(columns)
+    gram, X0 = blank(width, width), blank(m, width)
+    X0[:, :columns] = reduction.X0
+    some = blank(width, TOGETHER), blank(TOGETHER, width)
+    extra = blank(m, width), (blank(m), blank(m), blank(m)), some
+    work = propagation_work(m, m - 9)
+    reduced_forward(arrays, P0, X0, (X, P), (gain, nu, S), gram, work, extra, place)
+    gram = gram[:columns, :columns]
     w0, b = reduction.w0, reduction.w0 - gram[1:, 0]
     G = np.tril(gram[1:, 1:]) + np.tril(gram[1:, 1:], -1).T
     root = _root(G + np.eye(columns - 1)) if S.min(initial=math.inf) > 0.0 else None
@@ -254,12 +261,15 @@ def _reduced_arrays(reduction: Reduction, levels: Mapping[str, float]) -> Reduce
 @dataclass(frozen=True)
 class Slopes:
     """Derivatives of the log-evidence: by R (s,) of each scalar, by the two densities
-    squared (2,), by Q_e (k, e, e), and by the prior of the moving states (m, m)."""
+    squared (2,), by Q_e (k, e, e), by the prior of the moving states (m, m); by Phi_psi and Phi_e
+    (k, e, 3 + e) and by d_e (k, e), or empty."""
 
     R: Array
     densities: Array
     Q_e: Array
     prior: Array
+    step: Array
+    d_e: Array
 
 
 def backward(
@@ -269,21 +279,30 @@ def backward(
     N_kept: Array,
     spread: bool = True,
     rows: IntArray | None = None,
+    steps: bool = False,
 ) -> Slopes:
     """Adjoint of ``reduced_pass``; r_kept (k, m, columns), N_kept (k, m, m) may be empty, and hold
     the epochs of ``rows``, or all.
 
     score: with the derivatives; spread: r has columns for the uncertainty of the constants,
-    besides the one for their mean.
+    besides the one for their mean. steps: with the derivatives by how Markov states move; then the
+    pass was kept whole.
     """
     linear, (s, m) = done.reduction.linear, done.gain.shape
     e = m - 9
     columns = 1 + len(done.w) if spread else 1
-    given = np.zeros((1 + len(done.w), columns))
+    # (rows of whole blocks of eight: zeros beyond what is wanted)
+    width, high = padded(columns) if spread else 1, padded(m)
+    given = blank(1 + len(done.w), width)
     given[0, 0] = 1.0
     given[1:, 0] = done.w
-    given[1:, 1:] = done.spread[:, : columns - 1]
-    slopes = Slopes(np.zeros(s), np.zeros(2), np.zeros((len(linear.t), e, e)), np.zeros((m, m)))
+    given[1:, 1:columns] = done.spread[:, : columns - 1]
+    k, away = len(linear.t), 3 + e
+    slopes = Slopes(
+        np.zeros(s), np.zeros(2), np.zeros((k, e, e)), np.zeros((m, m)),
+        np.zeros((k if steps else 0, e, away)), np.zeros((k if steps else 0, e)),
+    )  # fmt: skip
+    most = int(np.diff(done.arrays.first).max(initial=0))
     reduced_backward(
         done.arrays,
         done.gain,
@@ -291,17 +310,27 @@ def backward(
         done.S,
         given,
         (linear.Q_gyro, linear.Q_accel),
-        np.zeros((m, columns)),
-        np.zeros((m, m) if score else (0, 0)),
+        blank(m, width),
+        blank(m, high) if score else blank(0, 0),
         (r_kept, N_kept),
         (slopes.R, slopes.densities, slopes.Q_e, slopes.prior),
         (
-            np.empty((m, columns)),
-            np.empty((m, m)),
-            np.empty((m, m)),
-            np.empty(columns),
-            np.empty(m),
+            blank(m, width),
+            blank(width, high),
+            blank(m, m),
+            blank(m, high),
+            blank(most, width),
+            blank(high),
         ),
-        kept(len(linear.t), rows),
+        kept(k, rows),
+        (slopes.step, slopes.d_e),
+        (done.X, done.P),
+        (
+            blank(away, width),
+            blank(width, padded(away)),
+            blank(m, m),
+            blank(m, padded(away)),
+            blank(e, padded(away)),
+        ),
     )
     return slopes

@@ -324,9 +324,17 @@ def _seen_by_constants(slopes: Slopes, first: IntArray, H: Array) -> None:
     if not len(rows):
         return
     node = np.searchsorted(first, rows, side="right") - 1
-    for s, (channel, column) in enumerate(zip(slopes.channel, slopes.column, strict=True)):
-        by_reading = H[rows, :, 9 + channel]
-        H[rows, :, BASE + column] += by_reading * slopes.values[node, s, None]
+    _add_seen(rows, node, slopes.values, slopes.channel, slopes.column, H)
+
+
+@njit
+def _add_seen(
+    rows: IntArray, node: IntArray, slopes: Array, channel: IntArray, column: IntArray, H: Array
+) -> None:
+    for q, at in zip(rows, node):  # noqa: B905 (numba's zip has no strict)
+        for i in range(H.shape[1]):
+            for s in range(len(channel)):
+                H[q, i, BASE + column[s]] += H[q, i, 9 + channel[s]] * slopes[at, s]
 
 
 def _bare(problem: Problem) -> Problem:

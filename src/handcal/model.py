@@ -406,7 +406,7 @@ def differentiated(
         own = slice(i, i + len(e.parameters))
         i = own.stop
         whole = e.imu_inverse is not None
-        felt = signals if whole else averaged if e.features is None else told
+        felt = signals if whole else told if _of_any_shape(e) else averaged
         for channel, k, column in _slopes_of(e, ref[own], felt):
             if compared and whole:
                 column = _averaged(column[:, None], short)[:, 0]
@@ -423,6 +423,12 @@ def differentiated(
         nodes=nodes._replace(J=np.zeros((len(nodes.t), 6, 0))),
         slopes=Slopes(values, channels, columns),
     )
+
+
+def _of_any_shape(effect: Effect) -> bool:
+    """Whether this is a law found in a recording, or a course; of the catalogue's effects each has
+    an id that is one word."""
+    return effect.features is not None and not effect.id.isidentifier()
 
 
 def _another_reading(recording: Recording) -> Array | None:

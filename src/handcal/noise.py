@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from handcal.evidence import ReducedPass, Slopes, backward, reduce, reduced_pass
-from handcal.filter import full_prior
+from handcal import so3
+from handcal.evidence import Slopes, backward, reduce, reduced_pass
 from handcal.kernel import MAX_DIM
 from handcal.linear import Linear
-from handcal.model import Problem, markov_transitions, observation_variances
-from handcal.types import Array, Recording
+from handcal.model import Problem, observation_variances
+from handcal.types import Array, Markov, Recording
 
 # Logarithmic steps: of central differences, of the search's first curvature, its longest;
 # and the least curvature, that of the widest prior.
@@ -148,78 +147,89 @@ def _levels(names: Sequence[str], x: Array) -> dict[str, float]:
 class Score:
     """Log-evidence of a linearised problem and its slope by the logarithms of noise levels.
 
-    One forward and one backward pass give the slope by every variance there is; the chain
-    rule does the rest. A level that changes the dynamics themselves (a time constant) takes
-    another forward pass.
+    One forward and one backward pass give the slope by every variance and every transition of
+    Markov states there is; the chain rule does the rest.
     """
 
     def __init__(self, linear: Linear, levels: Mapping[str, float], names: Sequence[str]) -> None:
         self.names = names
         self.reduction = reduce(linear)
         self.linear = linear = self.reduction.linear
-        markov = [n for n in names if n not in SENSORS]
         # a few intervals are enough to see what a level does
         few = np.unique(np.linspace(0, len(linear.t) - 1, 50).astype(int))
-        t, rate = linear.t[few], 1.0 + linear.rate[few]
-        change = {n: self._markov_slopes(n, levels, t, rate) for n in markov}
-        self.moving = {n for n in markov if change[n][0].any()}
-        self.driving = {n for n in markov if change[n][1].any()} - self.moving
-
-    def _markov_slopes(
-        self, name: str, levels: Mapping[str, float], t: Array, rate: Array
-    ) -> tuple[Array, Array]:
-        """Derivatives of Phi_e and Q_e (k, e, e) by the logarithm of a level."""
-        up, down = _stepped(name, levels)
-        a = markov_transitions(self.linear.problem, up, t, rate)
-        b = markov_transitions(self.linear.problem, down, t, rate)
-        return (a[0] - b[0]) / (2 * STEP), (a[1] - b[1]) / (2 * STEP)
+        dt, rate = np.diff(linear.t, prepend=linear.t[0])[few], 1.0 + linear.rate[few]
+        self.by: dict[str, list[_Block]] = {n: [] for n in names if n not in SENSORS}
+        at = 0
+        for markov in linear.problem.markovs:
+            own = slice(at, at + markov.size)
+            at = own.stop
+            for n in self.by:
+                Phi, Q = _by_level(markov, n, levels, dt, rate)
+                if Phi.any() or Q.any():
+                    self.by[n].append(_Block(markov, own, bool(Phi.any())))
+        self.moving = any(block.moves for blocks in self.by.values() for block in blocks)
 
     def __call__(self, levels: Mapping[str, float]) -> tuple[float, Array]:
         """Log-evidence at these levels and its slope by the logarithm of each name's."""
-        linear, reduction = self.linear, self.reduction
-        problem = linear.problem
-        with ThreadPoolExecutor(1) as beside:
-            # (compiled code lets other threads go on)
-            waiting = beside.submit(self._above, levels)
-            done, slopes = self._sloped(levels)
-            above = waiting.result()
+        problem, reduction = self.linear.problem, self.reduction
+        done = reduced_pass(reduction, levels, keep=self.moving)
+        m, columns = done.gain.shape[1], done.nu.shape[1]
+        nothing = np.empty((0, m, columns)), np.empty((0, m, m))
+        slopes = backward(done, True, *nothing, steps=self.moving)
         size = len(problem.observations) * MAX_DIM
         by_R = reduction.scatter_slope(observation_variances(problem, levels))
         by_R = by_R + np.bincount(reduction.slot, slopes.R, size)
         out = np.zeros(len(self.names))
         for i, name in enumerate(self.names):
-            if name in self.moving:
-                # (one-sided: the search's curvatures are of order 100, its tolerance 0.01)
-                out[i] = (above[name] - done.log_evidence) / STEP
-                continue
             if name in SENSORS:
                 out[i] = 2.0 * levels[name] ** 2 * slopes.densities[int(name == "accel_noise")]
                 continue
             up, down = _stepped(name, levels)
             R = observation_variances(problem, up) - observation_variances(problem, down)
             out[i] = by_R @ R.ravel() / (2 * STEP)
-            if name in self.driving:
-                _, Q_e = self._markov_slopes(name, levels, linear.t, linear.rate)
-                prior = (
-                    full_prior(problem, reduction.P15, up)
-                    - full_prior(problem, reduction.P15, down)
-                )[np.ix_(reduction.moving, reduction.moving)]
-                out[i] += float(np.vdot(slopes.Q_e, Q_e))
-                out[i] += float(np.vdot(slopes.prior, prior)) / (2 * STEP)
+            for block in self.by[name]:
+                out[i] += self._by_block(block, name, levels, slopes)
         return done.log_evidence, out
 
-    def _sloped(self, levels: Mapping[str, float]) -> tuple[ReducedPass, Slopes]:
-        done = reduced_pass(self.reduction, levels)
-        m, columns = done.gain.shape[1], done.nu.shape[1]
-        return done, backward(done, True, np.empty((0, m, columns)), np.empty((0, m, m)))
+    def _by_block(
+        self, block: _Block, name: str, levels: Mapping[str, float], slopes: Slopes
+    ) -> float:
+        """Derivative by the logarithm of a level of what it does to one process."""
+        linear, own = self.linear, block.own
+        dt = np.diff(linear.t, prepend=linear.t[0])
+        Phi, Q = _by_level(block.markov, name, levels, dt, linear.rate)
+        up, down = _stepped(name, levels)
+        rate = float(linear.problem.rate[0])
+        start = block.markov.start(up, rate) - block.markov.start(down, rate)
+        in_m = slice(9 + own.start, 9 + own.stop)
+        out = float(np.vdot(slopes.prior[in_m, in_m], start)) / (2 * STEP)
+        out += float(np.vdot(slopes.Q_e[1:, own, own], Q[1:]))
+        if not block.moves:
+            return out
+        d_e = np.einsum("kij,kj->ki", Phi[1:], linear.trajectory.markov[: len(dt) - 1, own])
+        by_psi, by_state = slopes.step[1:, own, :3], slopes.step[1:, own, 3:][:, :, own]
+        out += float(np.vdot(by_state, Phi[1:])) + float(np.vdot(slopes.d_e[1:, own], d_e))
+        for i in range(0, 3 * block.markov.vectors, 3):
+            out += float(np.vdot(by_psi[:, i : i + 3], so3.skew(d_e[:, i : i + 3])))
+        return out
 
-    def _above(self, levels: Mapping[str, float]) -> dict[str, float]:
-        """Log-evidence a step above the level of each name that changes the dynamics."""
-        return {
-            n: reduced_pass(self.reduction, _stepped(n, levels)[0]).log_evidence
-            for n in self.names
-            if n in self.moving
-        }
+
+@dataclass(frozen=True)
+class _Block:
+    """A process that a level changes: its places among the Markov states, and whether the level
+    changes how they move, besides what drives them."""
+
+    markov: Markov
+    own: slice
+    moves: bool
+
+
+def _by_level(
+    markov: Markov, name: str, levels: Mapping[str, float], dt: Array, rate: Array
+) -> tuple[Array, Array]:
+    """Derivatives of a process's Phi and Q (k, size, size) by the logarithm of a level."""
+    a, b = (markov.transition(some, dt, rate) for some in _stepped(name, levels))
+    return (a[0] - b[0]) / (2 * STEP), (a[1] - b[1]) / (2 * STEP)
 
 
 def _stepped(name: str, levels: Mapping[str, float]) -> tuple[dict[str, float], dict[str, float]]:

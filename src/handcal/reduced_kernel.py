@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from handcal._jit import copy1, copy2, inner, lean, zero1, zero2
+from handcal._jit import copy2, inner, lean, zero1, zero2
+from handcal._rows import add_outer, add_product, add_row, product, set_row
 from handcal.covariance import Propagation, propagate, times_transition
 from handcal.types import Array, IntArray
 
@@ -40,48 +41,49 @@ class Reduced(NamedTuple):
 def reduced_update(
     P: Array,
     X: Array,
-    g: Array,
+    nu: Array,
     h: Array,
     at: IntArray,
     R: float,
-    ph: Array,
+    work: tuple[Array, Array, Array],
     gain: Array,
-    nu: Array,
 ) -> float:
-    """``scalar_update`` of X (m, 1 + nc) and P (m, m); at: where h is not zero.
+    """``scalar_update`` of X (m, w) and P (m, p), wider than the states by zeros; at: where h is
+    not zero.
 
-    gain (m,) and the innovation nu (1 + nc,) are written; returns the innovation's variance.
+    nu (w,) is what was observed minus predicted about X = 0, and becomes the innovation; gain (m,)
+    is written. Returns the innovation's variance.
     """
-    m, columns = X.shape
-    copy1(g, nu)
-    zero1(ph)
+    minus_ph, own, back = work
+    m = len(gain)
+    zero1(minus_ph)
     for a in at:
-        for c in range(columns):
-            nu[c] -= h[a] * X[a, c]
-        for i in range(m):
-            ph[i] += h[a] * P[a, i]
+        add_row(-h[a], X, a, nu)
+        add_row(-h[a], P, a, minus_ph)
     S: float = R
     for a in at:
-        S += h[a] * ph[a]
+        S -= h[a] * minus_ph[a]
+    set_row(-1.0 / S, minus_ph, 0, own)
     for i in range(m):
-        k = ph[i] / S
-        gain[i] = k
-        for c in range(columns):
-            X[i, c] += k * nu[c]
-    for i in range(m):
-        for j in range(m):
-            P[i, j] -= gain[i] * ph[j]
-        s = gain[i] * R
-        for a in at:
-            s -= P[i, a] * h[a]
-        for j in range(m):
-            P[i, j] += s * gain[j]
-    for i in range(m):
+        gain[i] = own[i]
+        add_row(own[i], nu, 0, X[i])
+    # (I - K h) P is not symmetric in round-off: multiply by (I - K h)' from what it is
+    set_row(R, own, 0, back)
+    for a in at:
+        for i in range(m):
+            back[i] -= (P[i, a] + own[i] * minus_ph[a]) * h[a]
+    add_outer(own, minus_ph, back, own, P)
+    return S
+
+
+@inner
+def _symmetric(P: Array) -> None:
+    """Round-off taken off a symmetric matrix (m, p), p >= m."""
+    for i in range(len(P)):
         for j in range(i):
             s = 0.5 * (P[i, j] + P[j, i])
             P[i, j] = s
             P[j, i] = s
-    return S
 
 
 @lean
@@ -93,86 +95,80 @@ def reduced_forward(
     scalars: tuple[Array, Array, Array],
     gram: Array,
     work: Propagation,
-    extra: tuple[Array, Array],
+    extra: tuple[Array, tuple[Array, Array, Array], tuple[Array, Array]],
     keep: IntArray,
 ) -> None:
     """Kalman filter over the moving states alone, for all values of the constants at once.
 
-    states: X (., m, 1 + nc) and P (., m, m) after each epoch, in the row that ``keep`` (k,) says
-    (-1: nowhere); scalars: gain (s, m), innovation (s, 1 + nc) and its variance (s,). gram
-    (1 + nc, 1 + nc) receives the lower half of the sum of nu nu' / S, which is all that the
-    evidence and the constants need. extra (m, 1 + nc), (m,): work space.
+    X (m, w), w >= 1 + nc, and P (m, m). states: X (., m, 1 + nc) and P (., m, m) after each epoch,
+    in the row that ``keep`` (k,) says (-1: nowhere); scalars: gain (s, m), innovation (s, 1 + nc)
+    and its variance (s,). gram (w, w) receives the sum of nu nu' / S, which is all that the
+    evidence and the constants need. extra: work space (m, w); three (m,); (w, b) and (b, w) for
+    innovations that are added up b at a time.
     """
-    m, columns = X.shape
+    m, columns = len(X), scalars[1].shape[1]
     e = m - 9
-    new, ph = extra
+    new, update, some = extra
     e0 = m - e  # (nine; the literal would have numba compile its callees once more)
+    waiting = 0
     for j in range(len(a.first) - 1):
         if j > 0:
             times_transition(a.A[j], a.B[j], a.Phi_e[j], a.Phi_psi[j], e0, X, new)
             propagate(P, a.A[j], a.B[j], a.Phi_e[j], a.Phi_psi[j], e0, work)
+            copy2(new, X)
             for i in range(9):
                 for c in range(columns):
-                    X[i, c] = new[i, c] + a.D[j, i, c]
+                    X[i, c] += a.D[j, i, c]
                 for c in range(9):
                     P[i, c] += a.Q[j, i, c]
             for i in range(e):
-                for c in range(columns):
-                    X[9 + i, c] = new[9 + i, c]
                 X[9 + i, 0] += a.d_e[j, i]
                 for c in range(e):
                     P[9 + i, 9 + c] += a.Q_e[j, i, c]
         for q in range(a.first[j], a.first[j + 1]):
-            scalars[2][q] = reduced_update(
-                P,
-                X,
-                a.g[q],
-                a.h[q],
-                a.at[q, : a.nonzero[q]],
-                a.R[q],
-                ph,
-                scalars[0][q],
-                scalars[1][q],
-            )
-            for i in range(columns):
-                s = scalars[1][q, i] / scalars[2][q]
-                for c in range(i + 1):
-                    gram[i, c] += s * scalars[1][q, c]
+            nu = some[1][waiting]
+            for c in range(columns):
+                nu[c] = a.g[q, c]
+            at = a.at[q, : a.nonzero[q]]
+            S = reduced_update(P, X, nu, a.h[q], at, a.R[q], update, scalars[0][q])
+            scalars[2][q] = S
+            for c in range(columns):
+                scalars[1][q, c] = nu[c]
+                some[0][c, waiting] = nu[c] / S
+            waiting += 1
+            if waiting == len(some[1]):
+                add_product(some[0], some[1], waiting, gram)
+                waiting = 0
+        _symmetric(P)
         if keep[j] >= 0:
-            copy2(X, states[0][keep[j]])
+            _copied(X, states[0][keep[j]])
             copy2(P, states[1][keep[j]])
+    add_product(some[0], some[1], waiting, gram)
 
 
 @inner
-def times_transposed(
-    Phi: Array, B: Array, Phi_e: Array, Phi_psi: Array, X: Array, out: Array
-) -> None:
-    """out = F' X for the moving states (m, n)."""
-    n = X.shape[1]
+def _copied(x: Array, out: Array) -> None:
+    """As much of x as there is room for in ``out``."""
+    for i in range(out.shape[0]):
+        for c in range(out.shape[1]):
+            out[i, c] = x[i, c]
+
+
+@inner
+def _turned_over(Phi: Array, B: Array, Phi_e: Array, Phi_psi: Array, out: Array) -> None:
+    """out (m, m) = F', the transition of the moving states turned over."""
     e = Phi_e.shape[0]
     zero2(out)
     for i in range(9):
         for k in range(9):
-            a = Phi[i, k]
-            if a != 0.0:
-                for j in range(n):
-                    out[k, j] += a * X[i, j]
+            out[k, i] = Phi[i, k]
         for k in range(B.shape[1]):
-            a = B[i, k]
-            if a != 0.0:
-                for j in range(n):
-                    out[9 + k, j] += a * X[i, j]
+            out[9 + k, i] = B[i, k]
     for i in range(e):
         for k in range(e):
-            a = Phi_e[i, k]
-            if a != 0.0:
-                for j in range(n):
-                    out[9 + k, j] += a * X[9 + i, j]
+            out[9 + k, 9 + i] = Phi_e[i, k]
         for k in range(3):
-            a = Phi_psi[i, k]
-            if a != 0.0:
-                for j in range(n):
-                    out[6 + k, j] += a * X[9 + i, j]
+            out[6 + k, 9 + i] = Phi_psi[i, k]
 
 
 @inner
@@ -182,45 +178,35 @@ def adjoint_update(
     h: Array,
     at: IntArray,
     gain: Array,
-    nu: Array,
     S: float,
-    given: Array,
     error: Array,
     u: Array,
 ) -> float:
-    """Take r (m, columns) and N (m, m) from after a scalar update to before it.
+    """Take r (m, w) and N (m, p) from after a scalar update to before it.
 
-    given (1 + nc, columns) turns the innovation nu into the one at the constants' posterior
-    mean and its spread. Returns the derivative of the log-evidence by the scalar's variance
-    R. error (columns,) and u (m,) are work space.
+    error (w,) is the innovation at the constants' posterior mean and its spread, and is used up; u
+    (p,) is work space. Returns the derivative of the log-evidence by the scalar's variance R.
     """
-    m, columns = r.shape
-    zero1(error)
-    for i in range(len(nu)):
-        weight = nu[i] / S
-        for c in range(columns):
-            error[c] += weight * given[i, c]
+    m = len(r)
+    set_row(1.0 / S, error, 0, error)
     for i in range(m):
-        for c in range(columns):
-            error[c] -= gain[i] * r[i, c]
+        add_row(-gain[i], r, i, error)
     slope = -1.0 / S
-    for c in range(columns):
+    for c in range(len(error)):
         slope += error[c] * error[c]
     for a in at:
-        for c in range(columns):
-            r[a, c] += h[a] * error[c]
+        add_row(h[a], error, 0, r[a])
     if len(N) == 0:
         return 0.0
     zero1(u)
     for i in range(m):
-        for j in range(m):
-            u[j] += gain[i] * N[i, j]
+        add_row(gain[i], N, i, u)
     s = 0.0
     for i in range(m):
         s += gain[i] * u[i]
     for a in at:
+        add_row(-h[a], u, 0, N[a])
         for i in range(m):
-            N[a, i] -= h[a] * u[i]
             N[i, a] -= h[a] * u[i]
         for b in at:
             N[a, b] += h[a] * h[b] * (s + 1.0 / S)
@@ -240,36 +226,45 @@ def reduced_backward(
     N: Array,
     states: tuple[Array, Array],
     slopes: tuple[Array, Array, Array, Array],
-    work: tuple[Array, Array, Array, Array, Array],
+    work: tuple[Array, Array, Array, Array, Array, Array],
     keep: IntArray,
+    by_step: tuple[Array, Array],
+    passed: tuple[Array, Array],
+    work_step: tuple[Array, Array, Array, Array, Array],
 ) -> None:
     """Fixed-interval recursion of Bryson and Frazier, and with it the score.
 
-    r (m, columns) and N (m, m, or empty if only the mean is wanted) start as zeros and end
-    as those of the prior. given (1 + nc, columns): as in ``adjoint_update``. states: r and
-    N after the observations of each epoch, in the row that ``keep`` (k,) says (-1: nowhere), or
-    empty. slopes: derivatives of the
+    r (m, w) and N (m, p; or empty if only the mean is wanted) start as zeros and end
+    as those of the prior; both may be wider than what is wanted by columns of zeros. given
+    (1 + nc, w): what makes of an innovation the one at the constants' posterior mean, and its
+    spread. states: r and N after the observations of each epoch, in the row that ``keep`` (k,)
+    says (-1: nowhere), or empty. slopes: derivatives of the
     log-evidence by R (s,), by the two densities whose Q (k, 9, 9) are Q_unit (2,), by Q_e
-    (k, e, e) and by the prior of the moving states (m, m). work: (m, columns), (m, m),
-    (m, m), (columns,), (m,).
+    (k, e, e) and by the prior of the moving states (m, m). work: as r; as it turned over, (w, p);
+    (m, m), (m, p), as many innovations as an epoch has, (n, w), and (p,). by_step: derivatives by
+    the Markov states' own transitions (k, e, 3 + e), from psi and from each other, and by what is
+    added to them (k, e), or empty; passed: X and P after each epoch, for these, with work space
+    (3 + e, w), (w, b), (m, m), (m, b), (e, b), b >= 3 + e.
 
     Source: Durbin & Koopman, Time Series Analysis by State Space Methods, 4.5 and 7.3.3;
     with constants as in de Jong (1991).
     """
     m = len(r)
     e = m - 9
-    new, left, half, error, u = work
+    new, over, back, square, errors, u = work
     score = len(N) > 0
     for j in range(len(a.first) - 2, -1, -1):
         if len(states[0]) > 0 and keep[j] >= 0:
-            copy2(r, states[0][keep[j]])
+            _copied(r, states[0][keep[j]])
         if len(states[1]) > 0 and keep[j] >= 0:
-            copy2(N, states[1][keep[j]])
-        for q in range(a.first[j + 1] - 1, a.first[j] - 1, -1):
+            _copied(N, states[1][keep[j]])
+        begin, end = a.first[j], a.first[j + 1]
+        product(nu[begin:end], given, len(given), errors[: end - begin])
+        for q in range(end - 1, begin - 1, -1):
             at = a.at[q, : a.nonzero[q]]
-            slopes[0][q] = adjoint_update(r, N, a.h[q], at, gain[q], nu[q], S[q], given, error, u)
+            slopes[0][q] = adjoint_update(r, N, a.h[q], at, gain[q], S[q], errors[q - begin], u)
         if score:
-            _covariance_slope(r, N, slopes[3])
+            _covariance_slope(r, N, over, square, slopes[3])
             for i in range(9):
                 for k in range(9):
                     slopes[1][0] += slopes[3][i, k] * Q_unit[0][j, i, k]
@@ -277,28 +272,77 @@ def reduced_backward(
             for i in range(e):
                 for k in range(e):
                     slopes[2][j, i, k] = slopes[3][9 + i, 9 + k]
+        if j > 0 and len(by_step[0]) > 0:
+            times_transition(
+                a.A[j], a.B[j], a.Phi_e[j], a.Phi_psi[j], m - e, passed[1][j - 1], work_step[2]
+            )
+            _step_slope(r, slopes[3], passed[0][j - 1], given, work_step, by_step[0][j])
+            for i in range(e):
+                by_step[1][j, i] = r[9 + i, 0]
         if j > 0:
-            times_transposed(a.A[j], a.B[j], a.Phi_e[j], a.Phi_psi[j], r, new)
+            _turned_over(a.A[j], a.B[j], a.Phi_e[j], a.Phi_psi[j], back)
+            product(back, r, m, new)
             copy2(new, r)
             if score:
-                times_transposed(a.A[j], a.B[j], a.Phi_e[j], a.Phi_psi[j], N, left)
-                for i in range(m):
-                    for k in range(m):
-                        half[k, i] = left[i, k]
-                times_transposed(a.A[j], a.B[j], a.Phi_e[j], a.Phi_psi[j], half, left)
-                for i in range(m):
-                    for k in range(m):
-                        N[i, k] = 0.5 * (left[i, k] + left[k, i])
+                _carried_back(back, N, square)
 
 
 @inner
-def _covariance_slope(r: Array, N: Array, out: Array) -> None:
+def _carried_back(back: Array, N: Array, work: Array) -> None:
+    """N (m, p) becomes F' N F, symmetric; back (m, m) is F'."""
+    m = len(back)
+    product(back, N, m, work)
+    for i in range(m):
+        for k in range(m):
+            N[k, i] = work[i, k]
+    product(back, N, m, work)
+    for i in range(m):
+        for k in range(i + 1):
+            s = 0.5 * (work[i, k] + work[k, i])
+            N[i, k] = s
+            N[k, i] = s
+
+
+@inner
+def _covariance_slope(r: Array, N: Array, over: Array, square: Array, out: Array) -> None:
     """Derivative (m, m) of the log-evidence by a covariance added here: (E r r' - N) / 2."""
     m, columns = r.shape
     for i in range(m):
-        for k in range(i + 1):
-            s = -N[i, k]
-            for c in range(columns):
-                s += r[i, c] * r[k, c]
-            out[i, k] = 0.5 * s
-            out[k, i] = 0.5 * s
+        for c in range(columns):
+            over[c, i] = r[i, c]
+    product(r, over, columns, square)
+    for i in range(m):
+        for k in range(m):
+            out[i, k] = 0.5 * (square[i, k] - N[i, k])
+
+
+@inner
+def _step_slope(
+    r: Array,
+    by_Q: Array,
+    X: Array,
+    given: Array,
+    work: tuple[Array, Array, Array, Array, Array],
+    out: Array,
+) -> None:
+    """Derivative (e, 3 + e) of the log-evidence by the transition F of the Markov states, from psi
+    and from each other: E r a' + (E r r' - N) F P, where a and P are the state before.
+
+    The log-evidence depends on F by the predicted state, F a, and its covariance, F P F'. by_Q:
+    (E r r' - N) / 2; X (m, 1 + nc) of the epoch before; work: as in ``reduced_backward``, the third
+    of them F P.
+    """
+    state, over, FP, some, total = work
+    e = len(out)
+    product(X[6:], given, len(given), state)
+    for i in range(3 + e):
+        for c in range(state.shape[1]):
+            over[c, i] = state[i, c]
+    for i in range(9 + e):
+        for c in range(3 + e):
+            some[i, c] = 2.0 * FP[i, 6 + c]
+    product(r[9:], over, r.shape[1], total)
+    add_product(by_Q[9:], some, 9 + e, total)
+    for i in range(e):
+        for c in range(3 + e):
+            out[i, c] = total[i, c]

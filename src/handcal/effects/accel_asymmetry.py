@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from handcal.effects import Effect, Param, Signals
+from handcal.effects._linear import added
 from handcal.types import Array
 
 
-def imu_error(a: Array, signals: Signals) -> Array:
-    """``a_i |f_i|`` on the accelerometer; a (3,), result (n, 6)."""
-    out = np.zeros((len(signals.t), 6))
-    out[:, 3:] = a * np.abs(signals.accel)
-    return out
+def features(signals: Signals) -> list[tuple[int, int, Array]]:
+    """Of ``a_i |f_i|`` on the accelerometer; a (3,)."""
+    return [(3 + i, i, np.abs(signals.accel[:, i : i + 1])) for i in range(3)]
 
 
 EFFECT = Effect(
@@ -23,5 +22,6 @@ EFFECT = Effect(
     source="paper 001",
     motion="Gravity along each axis, up, down and across.",
     validated="the simulator's injection",
-    imu_error=imu_error,
+    imu_error=added(features),
+    features=features,
 )

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from handcal.effects import Effect, Param, Signals
+from handcal.effects._linear import added
 from handcal.types import Array
 
 FIRST, SECOND = [0, 1, 0], [1, 2, 2]
 
 
-def imu_error(c: Array, signals: Signals) -> Array:
-    """``l_i,jk f_j f_k`` on accelerometer i; c (9,): x_xy x_yz x_xz y_xy ..., result (n, 6)."""
-    out = np.zeros((len(signals.t), 6))
-    f = signals.accel
-    out[:, 3:] = (f[:, FIRST] * f[:, SECOND]) @ c.reshape(3, 3).T
-    return out
+def features(signals: Signals) -> list[tuple[int, int, Array]]:
+    """Of ``l_i,jk f_j f_k`` on accelerometer i; l (9,): x_xy x_yz x_xz y_xy ..."""
+    products = signals.accel[:, FIRST] * signals.accel[:, SECOND]
+    return [(3 + i, 3 * i, products) for i in range(3)]
 
 
 EFFECT = Effect(
@@ -28,5 +25,6 @@ EFFECT = Effect(
     source="paper 000, equation 4",
     motion="Gravity between the axes: the device held slanted in many directions.",
     validated="the simulator's injection",
-    imu_error=imu_error,
+    imu_error=added(features),
+    features=features,
 )

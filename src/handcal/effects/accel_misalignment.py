@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from handcal.effects import Effect, Param, Signals
+from handcal.effects._linear import added
 from handcal.types import Array
 
 _PAIRS = ((1, 0), (2, 0), (2, 1))
 
 
-def imu_error(m: Array, signals: Signals) -> Array:
-    """``m_ij f_j`` on accelerometer i; m (3,) in the order yx zx zy, result (n, 6).
+def features(signals: Signals) -> list[tuple[int, int, Array]]:
+    """Of ``m_ij f_j`` on accelerometer i; m (3,) in the order yx zx zy.
 
     Accelerometer x defines body x, accelerometer y the body x-y plane.
     """
-    out = np.zeros((len(signals.t), 6))
-    for value, (i, j) in zip(m, _PAIRS, strict=True):
-        out[:, 3 + i] += value * signals.accel[:, j]
-    return out
+    return [(3 + i, k, signals.accel[:, j : j + 1]) for k, (i, j) in enumerate(_PAIRS)]
 
 
 EFFECT = Effect(
@@ -29,5 +25,6 @@ EFFECT = Effect(
     source="paper 003, equation 2",
     motion="Gravity along each axis and between them.",
     validated="the simulator's injection",
-    imu_error=imu_error,
+    imu_error=added(features),
+    features=features,
 )

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from handcal.effects import Effect, Param, Signals
+from handcal.effects._linear import added
 from handcal.types import Array
 
 
-def imu_error(s: Array, signals: Signals) -> Array:
-    """``s_i f_i`` on the accelerometer; s (3,), result (n, 6)."""
-    out = np.zeros((len(signals.t), 6))
-    out[:, 3:] = signals.accel * s
-    return out
+def features(signals: Signals) -> list[tuple[int, int, Array]]:
+    """Of ``s_i f_i`` on the accelerometer; s (3,)."""
+    return [(3 + i, i, signals.accel[:, i : i + 1]) for i in range(3)]
 
 
 EFFECT = Effect(
@@ -23,5 +20,6 @@ EFFECT = Effect(
     source="paper 002, equation 1",
     motion="Each axis up and down for a while, so that gravity pulls on it from both sides.",
     validated="three turns simulated with 200 seeds",
-    imu_error=imu_error,
+    imu_error=added(features),
+    features=features,
 )

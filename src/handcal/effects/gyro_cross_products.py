@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from handcal.effects import Effect, Param, Signals
+from handcal.effects._linear import added
 from handcal.types import Array
 
 FIRST, SECOND = [0, 1, 0], [1, 2, 2]
 
 
-def imu_error(p: Array, signals: Signals) -> Array:
-    """``p_i,jk omega_j omega_k`` on gyro i; p (9,): x_xy x_yz x_xz y_xy ..., result (n, 6)."""
-    out = np.zeros((len(signals.t), 6))
-    w = signals.gyro
-    out[:, :3] = (w[:, FIRST] * w[:, SECOND]) @ p.reshape(3, 3).T
-    return out
+def features(signals: Signals) -> list[tuple[int, int, Array]]:
+    """Of ``p_i,jk omega_j omega_k`` on gyro i; p (9,): x_xy x_yz x_xz y_xy ..."""
+    products = signals.gyro[:, FIRST] * signals.gyro[:, SECOND]
+    return [(i, 3 * i, products) for i in range(3)]
 
 
 EFFECT = Effect(
@@ -28,5 +25,6 @@ EFFECT = Effect(
     source="paper 000, equation 10",
     motion="Fast turns about slanted axes, between x and y, y and z, x and z.",
     validated="the simulator's injection",
-    imu_error=imu_error,
+    imu_error=added(features),
+    features=features,
 )

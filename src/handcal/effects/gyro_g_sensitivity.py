@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from handcal.effects import Effect, Param, Signals
+from handcal.effects._linear import added
 from handcal.types import Array
 
 
-def imu_error(g: Array, signals: Signals) -> Array:
-    """``g_ij f_j`` on gyro i; g (9,) in the order xx xy xz yx ... zz, result (n, 6)."""
-    out = np.zeros((len(signals.t), 6))
-    out[:, :3] = signals.accel @ g.reshape(3, 3).T
-    return out
+def features(signals: Signals) -> list[tuple[int, int, Array]]:
+    """Of ``g_ij f_j`` on gyro i; g (9,) in the order xx xy xz yx ... zz."""
+    return [(i, 3 * i, signals.accel) for i in range(3)]
 
 
 EFFECT = Effect(
@@ -23,5 +20,6 @@ EFFECT = Effect(
     source="IEEE Std 1431, acceleration-sensitive drift",
     motion="Gravity along each axis, up and down, in one recording.",
     validated="the simulator's injection",
-    imu_error=imu_error,
+    imu_error=added(features),
+    features=features,
 )

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from handcal.effects import Effect, Param, Signals
+from handcal.effects._linear import added
 from handcal.types import Array
 
 _PAIRS = ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))
 
 
-def imu_error(m: Array, signals: Signals) -> Array:
-    """``m_ij omega_j`` on gyro i; m (6,) in the order xy xz yx yz zx zy, result (n, 6)."""
-    out = np.zeros((len(signals.t), 6))
-    for value, (i, j) in zip(m, _PAIRS, strict=True):
-        out[:, i] += value * signals.gyro[:, j]
-    return out
+def features(signals: Signals) -> list[tuple[int, int, Array]]:
+    """Of ``m_ij omega_j`` on gyro i; m (6,) in the order xy xz yx yz zx zy."""
+    return [(i, k, signals.gyro[:, j : j + 1]) for k, (i, j) in enumerate(_PAIRS)]
 
 
 EFFECT = Effect(
@@ -26,5 +22,6 @@ EFFECT = Effect(
     source="paper 003, equation 3",
     motion="At least one turn about each axis.",
     validated="the simulator's injection; motion capture of a hand-held IMU",
-    imu_error=imu_error,
+    imu_error=added(features),
+    features=features,
 )

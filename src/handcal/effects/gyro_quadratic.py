@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from handcal.effects import Effect, Param, Signals
+from handcal.effects._linear import added
 from handcal.types import Array
 
 
-def imu_error(q: Array, signals: Signals) -> Array:
-    """``q_i omega_i^2`` on the gyro; q (3,) s/rad, result (n, 6)."""
-    out = np.zeros((len(signals.t), 6))
-    out[:, :3] = q * signals.gyro**2
-    return out
+def features(signals: Signals) -> list[tuple[int, int, Array]]:
+    """Of ``q_i omega_i^2`` on the gyro; q (3,) s/rad."""
+    return [(i, i, signals.gyro[:, i : i + 1] ** 2) for i in range(3)]
 
 
 EFFECT = Effect(
@@ -23,5 +20,6 @@ EFFECT = Effect(
     source="IEEE Std 1431, scale factor nonlinearity",
     motion="Fast turns both ways about each axis.",
     validated="the simulator's injection",
-    imu_error=imu_error,
+    imu_error=added(features),
+    features=features,
 )

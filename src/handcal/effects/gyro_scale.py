@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from handcal.effects import Effect, Param, Signals
+from handcal.effects._linear import added
 from handcal.types import Array
 
 
-def imu_error(s: Array, signals: Signals) -> Array:
-    """``s_i omega_i`` on the gyro; s (3,), result (n, 6)."""
-    out = np.zeros((len(signals.t), 6))
-    out[:, :3] = signals.gyro * s
-    return out
+def features(signals: Signals) -> list[tuple[int, int, Array]]:
+    """Of ``s_i omega_i`` on the gyro; s (3,)."""
+    return [(i, i, signals.gyro[:, i : i + 1]) for i in range(3)]
 
 
 EFFECT = Effect(
@@ -23,5 +20,6 @@ EFFECT = Effect(
     source="paper 002, equation 2",
     motion="At least one full turn about each axis, or a turn and its reverse with a heading.",
     validated="three turns simulated with 200 seeds; motion capture of a hand-held IMU",
-    imu_error=imu_error,
+    imu_error=added(features),
+    features=features,
 )

@@ -6,22 +6,26 @@ import numpy as np
 
 from handcal.effects import Effect, Param, Signals
 from handcal.effects._derivative import derivative, sound
+from handcal.effects._linear import added
 from handcal.types import Array
 
 
-def imu_error(r: Array, signals: Signals) -> Array:
-    """``[alpha x r_i + omega x (omega x r_i)]_i`` on accelerometer i, result (n, 6).
+def features(signals: Signals) -> list[tuple[int, int, Array]]:
+    """Of ``[alpha x r_i + omega x (omega x r_i)]_i`` on accelerometer i.
 
     r (9,) m in the order xx xy xz yx ... zz: row i is the place of accelerometer i.
     """
-    out = np.zeros((len(signals.t), 6))
-    w, places = signals.gyro, r.reshape(3, 3)
+    w = signals.gyro
     alpha = derivative(signals.t, w) if signals.alpha is None else signals.alpha
     square = np.einsum("ni,ni->n", w, w)
+    out = []
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
-        swing = alpha[:, j] * places[i, k] - alpha[:, k] * places[i, j]
-        out[:, 3 + i] = swing + w[:, i] * (w @ places[i]) - square * places[i, i]
+        columns = w[:, i : i + 1] * w
+        columns[:, i] -= square
+        columns[:, j] -= alpha[:, k]
+        columns[:, k] += alpha[:, j]
+        out.append((3 + i, 3 * i, columns))
     return out
 
 
@@ -33,7 +37,8 @@ EFFECT = Effect(
     source="paper 003",
     motion="Fast turns, speeding up and slowing down, about all axes.",
     validated="the simulator's injection",
-    imu_error=imu_error,
+    imu_error=added(features),
+    features=features,
     sound=sound,
     exclusive=("lever_arm",),
     # A hand turns a device about one place when it rolls it, about another when it pitches it.

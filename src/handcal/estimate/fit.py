@@ -185,13 +185,14 @@ def fitted(
     parts, settled, evidence = relinearised_parts(parts, effects, known, tolerance=rest)
     if not math.isfinite(evidence):
         return diverged(parts, effects)
-    wide = False
+    wide, whole = False, None
     for left in range(noise_rounds, -1, -1):
         # (first at the usual scales: seen from far off, anything may look large)
-        if not wide and known is None and _asks_for_more(parts, effects):
+        whole = None if wide or known is not None else _told(parts, effects)
+        if whole is not None and _asks_for_more(whole, effects):
             tried, rests, value = relinearised_parts(parts, effects, known, evidence, True, rest)
             if value > evidence:
-                parts, settled, evidence, wide = tried, rests, value, True
+                parts, settled, evidence, wide, whole = tried, rests, value, True, None
         if not left:
             break
         new = [with_noise(f) for f in parts]
@@ -212,14 +213,15 @@ def fitted(
                 break
         else:
             break
-        parts, settled, evidence, rest = tried, rests, value, tolerance
+        parts, settled, evidence, rest, whole = tried, rests, value, tolerance, None
         if change < 0.02:
             break
     if rest > tolerance:
         parts, settled, _ = relinearised_parts(
             parts, effects, known, wide=wide, tolerance=tolerance
         )
-    whole = total([_local(f, effects).quadratic for f in parts])
+        whole = None
+    whole = whole or _told(parts, effects)
     found = _posterior(whole, effects, known, wide)
     constant = sum(f.case.constant for f in parts)
     return Model(
@@ -235,9 +237,13 @@ def diverged(parts: Sequence[Fitted], effects: Sequence[Effect]) -> Model:
     return Model(tuple(effects), tuple(parts), nothing, np.zeros(0), none, -math.inf, False)
 
 
-def _asks_for_more(parts: Sequence[Fitted], effects: Sequence[Effect]) -> bool:
+def _told(parts: Sequence[Fitted], effects: Sequence[Effect]) -> Quadratic:
+    """What all recordings say of the effects' parameters."""
+    return total([_local(f, effects).quadratic for f in parts])
+
+
+def _asks_for_more(whole: Quadratic, effects: Sequence[Effect]) -> bool:
     """Whether some effect is likelier under a wider scale of its prior than the usual one."""
-    whole = total([_local(f, effects).quadratic for f in parts])
     index = np.arange(len(whole.names), dtype=np.int64)
     root = prior_root(whole, effects)
     return tailed(whole, index, root).log_evidence > usual(whole, index, root).log_evidence + MORE

@@ -42,12 +42,14 @@ def looks_of(
     """The effects with one noise effect each that the recordings can show, the best first."""
     plain = [moved_to(f, effects) for f in parts]
     here = sum(reduced_pass(reduce(f.linear), f.levels).log_evidence for f in plain)
-    out = []
-    for e in noise:
-        if any(applicable(f.case, e) for f in parts):
-            wide = [_at_best(moved_to(f, (*effects, e)), e) for f in parts]
-            there = sum(value for _, value in wide)
-            out.append(Look((*effects, e), tuple(f for f, _ in wide), there - here))
+
+    def look(e: Effect) -> Look:
+        wide = [_at_best(moved_to(f, (*effects, e)), e) for f in parts]
+        there = sum(value for _, value in wide)
+        return Look((*effects, e), tuple(f for f, _ in wide), there - here)
+
+    shown = [e for e in noise if any(applicable(f.case, e) for f in parts)]
+    out = side_by_side(partial(look, e) for e in shown)
     return sorted(out, key=lambda look: -look.gain)
 
 

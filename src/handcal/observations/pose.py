@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from handcal import so3
-from handcal._jit import njit, residual_function
+from handcal._jit import lean, local_matrix, local_vector, residual_function
 from handcal.observations import Constant, Observation, Rows, Scene
 from handcal.observations._turning import Turning
 from handcal.types import Array, InputError, Level, Recording, Series
@@ -27,41 +27,76 @@ MAX_RATE = 25.0
 DISTORTION = ("pose_position_distortion",) * 3 + ("pose_attitude_distortion",) * 3
 
 
-@njit
-def _rotation(x: float, y: float, z: float) -> Array:
-    out = np.empty((3, 3))
-    so3.exp(np.array((x, y, z)), out)
-    return out
+@lean
+def _rotation(theta: Any, first: int, out: Array) -> None:
+    phi = local_vector(3)
+    for i in range(3):
+        phi[i] = theta[first + i]
+    so3.exp(phi, out)
 
 
-@njit
-def _log(C: Array) -> Array:
+@lean
+def _log(C: Array, out: Array) -> None:
     """Rotation vector of a matrix away from half a turn (residuals are small)."""
-    s = np.array((C[2, 1] - C[1, 2], C[0, 2] - C[2, 0], C[1, 0] - C[0, 1])) * 0.5
-    sine = math.sqrt(s[0] ** 2 + s[1] ** 2 + s[2] ** 2)
+    out[0] = 0.5 * (C[2, 1] - C[1, 2])
+    out[1] = 0.5 * (C[0, 2] - C[2, 0])
+    out[2] = 0.5 * (C[1, 0] - C[0, 1])
+    sine = math.sqrt(out[0] ** 2 + out[1] ** 2 + out[2] ** 2)
     angle = math.atan2(sine, 0.5 * (C[0, 0] + C[1, 1] + C[2, 2] - 1.0))
-    if sine < 1e-7:
-        return s
-    return s * (angle / sine)
+    if sine >= 1e-7:
+        for i in range(3):
+            out[i] *= angle / sine
 
 
-def _residual(nav: Any, theta: Any, z: Any, r: Any) -> int:
-    world = _rotation(theta[0], theta[1], theta[2])
-    marker = _rotation(theta[3], theta[4], theta[5])
-    C, measured = np.empty((3, 3)), np.empty((3, 3))
-    predicted, D = np.empty((3, 3)), np.empty((3, 3))
+@lean
+def _angle(nav: Any, theta: Any, z: Any, world: Array, out: Array) -> None:
+    """Rotation vector (3,) from the attitude that is predicted to the one that was measured, and
+    the world's rotation (3, 3)."""
+    marker, C, measured = local_matrix(3, 3), local_matrix(3, 3), local_matrix(3, 3)
+    D, back = local_matrix(3, 3), local_matrix(3, 3)
+    _rotation(theta, 0, world)
+    _rotation(theta, 3, marker)
     so3.matrix_into(z[3], z[4], z[5], z[6], measured)
     for i in range(3):
         for j in range(3):
             C[i, j] = nav[6 + 3 * i + j]
     so3.matmul(world, C, D)
-    so3.matmul(D, marker, predicted)
-    so3.matmul(measured, predicted.T.copy(), D)
-    angle = _log(D)
+    so3.matmul(D, marker, C)
+    for i in range(3):
+        for j in range(3):
+            back[j, i] = C[i, j]
+    so3.matmul(measured, back, D)
+    _log(D, out)
+
+
+def _residual(nav: Any, theta: Any, z: Any, r: Any) -> int:
+    world, angle = local_matrix(3, 3), local_vector(3)
+    _angle(nav, theta, z, world, angle)
     for i in range(3):
         # the world's rotation is taken off the measurement, so that r is in n
         r[i] = world[0, i] * z[0] + world[1, i] * z[1] + world[2, i] * z[2] - nav[i]
         r[3 + i] = angle[i]
+    return 0
+
+
+def _jacobian(nav: Any, theta: Any, z: Any, H: Any) -> int:
+    # An attitude error psi turns what is left, exp(a), into exp(a) exp(-W psi): its rotation vector
+    # falls by the inverse right Jacobian of a, times W psi.
+    world, a = local_matrix(3, 3), local_vector(3)
+    _angle(nav, theta, z, world, a)
+    square = a[0] * a[0] + a[1] * a[1] + a[2] * a[2]
+    size = math.sqrt(square)
+    bend = 1.0 / 12.0
+    if size > 1e-3:
+        bend = (1.0 - 0.5 * size / math.tan(0.5 * size)) / square
+    for i in range(3):
+        H[15 * i + i] = 1.0
+        j, k = (i + 1) % 3, (i + 2) % 3
+        for c in range(3):
+            along = a[0] * world[0, c] + a[1] * world[1, c] + a[2] * world[2, c]
+            cross = a[j] * world[k, c] - a[k] * world[j, c]
+            twice = a[i] * along - square * world[i, c]
+            H[15 * (3 + i) + 6 + c] = world[i, c] + 0.5 * cross + bend * twice
     return 0
 
 
@@ -177,6 +212,7 @@ OBSERVATION = Observation(
     channels=("position_x", "position_y", "position_z", "attitude_x", "attitude_y", "attitude_z"),
     unit="m, rad",
     residual=residual_function(_residual),
+    jacobian=residual_function(_jacobian),
     rows=_rows,
     levels=(
         Level("pose_position_noise", "m", 0.001, 2e-5, 0.1),
