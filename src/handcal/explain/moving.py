@@ -24,7 +24,6 @@ from handcal.kernel import MAX_DIM
 from handcal.observations.fixed_position import CREEPING
 from handcal.sway import beyond_a_hand
 from handcal.types import Array, HandcalError
-from handcal.words import listed
 
 OBSERVED = CREEPING.kind
 # A hand moves on where it is so many times as fast as in the median of a recording: a hand that
@@ -117,7 +116,7 @@ def _moved(case: Case, moves: Sequence[tuple[float, float, float]], worth: float
         case = edited(case, edit)
     if not moves:
         return case
-    when = listed([f"{first - t0:.1f} to {last - t0:.1f} s" for first, last, _ in moves], "and")
+    when = " and ".join(f"{first - t0:.1f} to {last - t0:.1f} s" for first, last, _ in moves)
     said = f"The held point moves to another place ({when}); it counts as held before and after."
     return replace(case, warnings=(*case.warnings, said))
 
