@@ -2,7 +2,7 @@
 # PYTHON=/path/to/python chooses the interpreter .venv is made from.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo docs test lint format prove trial bench clean clean-cache
+.PHONY: help setup demo docs stories test lint format prove trial bench clean clean-cache
 
 BIN := .venv/bin
 # Of `make trial`: which suites, how many explanations at a time; SEED=N repeats a trial.
@@ -29,6 +29,9 @@ docs: .venv/.installed-dev ## write the catalogue and draw the figures of docs/ 
 	$(BIN)/python docs/make_sweep_figures.py
 	$(BIN)/handcal design poses --n 12 --seed 0 --picture docs/images/poses.png
 	$(BIN)/python docs/make_paper_tables.py
+
+stories: .venv/.installed-dev ## tell docs/stories.md anew: ten minutes
+	cd docs && ../$(BIN)/python make_stories.py
 
 test: lint ## all quick checks and tests
 	$(BIN)/python -m pytest -n auto --dist loadfile -m "not prove"
