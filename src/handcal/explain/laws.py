@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from handcal.effects import Catalogue, Effect, Param, Signals, catalogue, imu_jacobian
+from handcal.effects._linear import added
 from handcal.explain import grammar
 from handcal.explain.drivers import AXES, Driver, driver_of
 from handcal.explain.grammar import Form
@@ -101,13 +102,6 @@ def effect_of(law: Law) -> Effect:
             for n, axis in enumerate(law.axes)
         ]
 
-    def error(k: Array, signals: Signals) -> Array:
-        out = np.zeros((len(signals.t), 6))
-        for n, axis in enumerate(law.axes):
-            at = n * one if law.each else 0
-            out[:, 3 * law.sensor + axis] = law.values(signals, axis) @ k[at : at + one]
-        return out
-
     if root is not None and law.each:
         root = np.asarray(np.kron(np.eye(len(law.axes)), root))
     return Effect(
@@ -118,7 +112,7 @@ def effect_of(law: Law) -> Effect:
         source="found in this recording",
         motion="The motion in which it was found.",
         validated="held-out data alone",
-        imu_error=error,
+        imu_error=added(features),
         features=features,
         together=root,
         needs=law.driver.needs,

@@ -81,7 +81,10 @@ def likely(entries: Sequence[Missing], alone: Mapping[str, float]) -> list[Missi
 
 
 def standing_out(model: Model) -> dict[str, float]:
-    """Probability, for each name of the model, that it is no part of what is not understood."""
+    """Probability, for each name of the model, that it is no part of what is not understood; where
+    all has a name there is none to ask."""
+    if all("+=" not in e.id for e in model.effects):
+        return {}
     return {name_of(e.id): _own(model, e) for e in model.effects}
 
 
@@ -224,7 +227,6 @@ def hypotheses_of(
     named = {m.effect: m for m in missing}
     rival = {i for m in missing for i in m.indistinguishable_from}
     out: dict[str, Hypothesis] = {}
-
     for i in where.effects:
         name = name_of(i)
         if "+=" in i:

@@ -112,11 +112,17 @@ class Sway:
         return out
 
 
+def _dynamics(order: int) -> Array:
+    """Matrix (k, k) of a process with all its poles at one place and time 1."""
+    out = np.eye(order, k=1)
+    out[-1] = [-math.comb(order, i) for i in range(order)]
+    return out
+
+
 def _damped(x: Array, order: int) -> Array:
-    """Transition (n, k, k) over x (n,) of its times, of a process with all its poles at one place
-    and time 1: less that pole, its dynamics are nilpotent, so that the series ends."""
-    N = np.eye(order) + np.eye(order, k=1)
-    N[-1] -= [math.comb(order, i) for i in range(order)]
+    """Transition (n, k, k) of such a process over x (n,) of its times: less that pole, its dynamics
+    are nilpotent, so that the series ends."""
+    N = np.eye(order) + _dynamics(order)
     out, power = np.zeros((len(x), order, order)), np.eye(order)
     for i in range(order):
         out += (x**i / math.factorial(i))[:, None, None] * power
@@ -127,11 +133,9 @@ def _damped(x: Array, order: int) -> Array:
 @cache
 def _stationary(order: int) -> Array:
     """Covariance (k, k) of such a process that has always been going on, of size 1."""
-    drift = np.eye(order, k=1)
-    drift[-1] = [-math.comb(order, i) for i in range(order)]
     white = np.zeros((order, order))
     white[-1, -1] = 1.0
-    P = solve_continuous_lyapunov(drift, -white)
+    P = solve_continuous_lyapunov(_dynamics(order), -white)
     return np.asarray(P / P[0, 0])
 
 
@@ -142,9 +146,7 @@ def _driven(x: Array, order: int) -> Array:
     out = P - phi @ P @ phi.transpose(0, 2, 1)
     if order <= EXACT_ORDER:
         return out
-    drift = np.eye(order, k=1)
-    drift[-1] = [-math.comb(order, i) for i in range(order)]
-    power = -2.0 * (drift @ P)[-1, -1]
+    power = -2.0 * (_dynamics(order) @ P)[-1, -1]
     at, weight = np.polynomial.legendre.leggauss(POINTS)
     short = x < SHORT
     total = np.zeros((int(short.sum()), order, order))
