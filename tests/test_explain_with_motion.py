@@ -133,6 +133,36 @@ def test_a_name_stands_out_from_what_is_not_understood(
     assert (naming._own(Stub(effect, unknown), effect) > naming.LIKELY) == told
 
 
+@pytest.mark.parametrize(
+    ("sizes", "told"), [((2.0, 2.0, 2.0), False), ((4.0, 1.0, 1.0), True), ((3.1, 3.1, 3.1), False)]
+)
+def test_a_name_may_stand_out_on_one_axis(
+    monkeypatch: pytest.MonkeyPatch, sizes: tuple[float, ...], told: bool
+) -> None:
+    unknown = replace(catalogue()["gyro_quadratic"], id="gyro_xyz += e(attitude)")
+    effect, axes = catalogue()["gyro_scale"], ("gyro_x", "gyro_y", "gyro_z")
+    size = {effect.id: dict(zip(axes, sizes, strict=True)), unknown.id: dict.fromkeys(axes, 1.0)}
+    monkeypatch.setattr(naming.matter, "sizes", lambda _, e: size[e.id])
+    assert (naming._own(Stub(effect, unknown), effect) > naming.LIKELY) == told
+
+
+@pytest.mark.parametrize(
+    ("channel", "named", "counts"), [("gyro_x", 7.0, True), ("gyro_x", 7.2, False),
+                                     ("attitude_x", 1e6, True)],
+)  # fmt: skip
+def test_what_has_no_name_counts_beside_what_is_named_on_the_same_channel(
+    monkeypatch: pytest.MonkeyPatch, channel: str, named: float, counts: bool
+) -> None:
+    """A fiftieth of the power, which is a seventh of the size; a late tracker, worth as many nats
+    as one likes, adds to no gyro."""
+    law = replace(catalogue()["gyro_quadratic"], id="gyro_x += k * |omega|")
+    other = catalogue()["gyro_scale"]
+    size = {law.id: {"gyro_x": 1.0}, other.id: {channel: named}}
+    monkeypatch.setattr(naming.matter, "sizes", lambda _, e: size[e.id])
+    u = Unnamed(law.id, 1.0, 0.1, "rad/s", 50.0, channels=("gyro_x",))
+    assert naming.next_to_nothing(Stub(law, other), u) != counts
+
+
 def test_what_a_hand_may_lend_is_no_physics() -> None:
     held, posed = (SimpleNamespace(kinds=k) for k in (("fixed_position", "heading"), ("pose",)))
     u = Unnamed(

@@ -10,7 +10,8 @@ import pytest
 from scipy.linalg import expm
 from worlds import recording_of
 
-from handcal.estimate.case import Case, case_of
+from handcal import words
+from handcal.estimate.case import Case, case_of, creeping
 from handcal.estimate.chosen import Chosen, Options, document_of, seen, view_of
 from handcal.estimate.fit import Model, baseline, diverged
 from handcal.explain import moving, written
@@ -107,6 +108,18 @@ def test_where_it_moves_the_point_is_not_looked_at() -> None:
     assert after.moved[[first, second]].tolist() == [0.3, 0.1]
     assert after.t[first - 1] < 9.95 < 11.05 < after.t[first]
     assert replace(after, moved=None).delay == before.delay
+
+
+def test_the_page_says_what_the_held_point_does() -> None:
+    case = case_of(recording_of(simulate("free-hand", seed=0, duration_s=30.0), "heading"))
+    moved = moving._moved(case, [(9.95, 11.05, 0.3)])
+    said = {
+        words.assume_sentence("fixed-point", drifts=c.creeping, moves=c.moves)
+        for c in (case, creeping(case), moved, creeping(moved))
+    }
+    assert len(said) == 4
+    assert sum("but for the moves" in s for s in said) == 2
+    assert sum("drifts" in s for s in said) == 2
 
 
 def test_where_no_trajectory_holds_the_point_the_hand_drifts(

@@ -85,7 +85,10 @@ def promised(hypothesis: Hypothesis) -> str:
 
 def assumptions(explanation: Explanation) -> list[str]:
     """What was taken for granted, each sentence once."""
-    own = (words.assume_sentence(r.assume, r.recording.streams) for r in explanation.recordings)
+    own = (
+        words.assume_sentence(r.assume, r.recording.streams, drifts=r.drifts, moves=r.moves)
+        for r in explanation.recordings
+    )
     return list(dict.fromkeys(own))
 
 

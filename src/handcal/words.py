@@ -202,13 +202,20 @@ def kind_title(kind: str) -> str:
     return kind_name(kind).replace("_", " ")
 
 
-def assume_sentence(assume: str, streams: Iterable[str] = ()) -> str:
-    """What the filter took for granted about the hand, with these streams beside the IMU's."""
+def assume_sentence(
+    assume: str, streams: Iterable[str] = (), *, drifts: bool = False, moves: bool = False
+) -> str:
+    """What the filter took for granted about the hand, with these streams beside the IMU's; drifts,
+    moves: whether a held point may."""
     if "reference" in streams:
         return "Nothing was assumed of the hand: the reference tells how it moved."
     if "pose" in streams and assume == "fixed-point":
         return "Nothing was assumed of the hand: the pose tells where it was."
-    return f"It was assumed that {_ASSUME.get(assume, assume)}."
+    if assume != "fixed-point" or not (drifts or moves):
+        return f"It was assumed that {_ASSUME.get(assume, assume)}."
+    place = "drifts smoothly" if drifts else "stayed in its place"
+    but = " but for the moves that the warnings list" if moves else ""
+    return f"It was assumed that the held point {place}{but}."
 
 
 def nis_word(innovations: Innovations) -> str:

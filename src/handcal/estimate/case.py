@@ -64,6 +64,11 @@ class Case:
         return any(o is CREEPING for o, _, _ in self.observed)
 
     @property
+    def moves(self) -> bool:
+        """Whether the hand's held point moves to another place."""
+        return any(e.kind == CREEPING.kind and e.shifted is not None for e in self.edits)
+
+    @property
     def kinds(self) -> tuple[str, ...]:
         return tuple(o.kind for o, _, _ in self.observed)
 

@@ -524,7 +524,7 @@ def _forget(c: Climb, model: Model) -> None:
 
 def _name_term(c: Climb) -> Model | None:
     """The same, a term that nobody named on trial from now on; or the model with one in the place
-    of its noise effects, which hide whatever has no name."""
+    of its noise effects, which hide whatever has no name, or beside them."""
     if len(c.unnamed) >= MAX_TERMS:
         return None
     term = best_term(c.model, refused=c.dropped)
@@ -542,8 +542,11 @@ def _name_term(c: Climb) -> Model | None:
     c.thinned.add(key)
     bare = fitted(c.model.parts, quiet)
     term = best_term(bare, refused=c.dropped)
-    tried = None if term is None else fitted(bare.parts, (*quiet, term.effect))
-    if term is None or tried is None or not likelier(c, tried):
+    if term is None:
+        return None
+    calls = (partial(fitted, m.parts, (*m.effects, term.effect)) for m in (bare, c.model))
+    tried = max(side_by_side(calls), key=lambda m: score(m, c.worth))
+    if not likelier(c, tried):
         return None
     c.unnamed.append(term)
     _forget(c, tried)

@@ -192,7 +192,8 @@ class Explained:
     parameters: biases and other things of its own; shortfall: for each channel (k,) nats
     lost in time bins ``bins`` (k + 1,) s against what the model expects of itself. twins: the
     recording as the baseline and as the final model say that it read. read_hz: rate of the IMU,
-    of which ``recording`` may hold averages; 0 if that is not known.
+    of which ``recording`` may hold averages; 0 if that is not known. drifts, moves: whether a held
+    point does.
     """
 
     recording: Recording
@@ -206,6 +207,8 @@ class Explained:
     rests: Array
     twins: tuple[Recording, Recording] | None = None
     read_hz: float = 0.0
+    drifts: bool = False
+    moves: bool = False
 
 
 @dataclass(frozen=True)

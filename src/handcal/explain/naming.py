@@ -27,6 +27,9 @@ from handcal.types import Parameter, Result
 LIKELY = 0.5
 NAMED = 0.9
 RIVAL = 0.05
+# What is known of an effect with a name is so much of the power that it adds to a channel: a term
+# without one that adds less than the rest may be what the name's formula leaves.
+LEFT = 0.02
 # Nats that a hand may lend to an accelerometer's error that goes with the motion, where hands that
 # drift or move on were rivals and lost: 12 to 35 in two of 28 simulated people without any error,
 # both in a lift, which lent 93 and 551 to others.
@@ -91,7 +94,7 @@ def standing_out(model: Model) -> dict[str, float]:
 def _own(model: Model, effect: Effect) -> float:
     """Probability that an effect of the model is one of its own and no part of an error of which no
     law is known, on the same channels: of what is not known, as much may be as the effect does, as
-    long as that is not much larger.
+    long as that is not much larger, on all of them together or on the one where it stands out most.
 
     Not known is a law that is a curve, or beside which something goes with the motion. (And what
     noise does may be part of any: its form is the best of some, and what that leaves looks like
@@ -99,18 +102,24 @@ def _own(model: Model, effect: Effect) -> float:
     """
     if effect.id not in model.ids or "+=" in effect.id:
         return 1.0
-    size = matter.sizes(model, effect)
-    beside = {e.id: _on(model, e, size) for e in model.effects if "+=" in e.id}
+    size = _squares(model, effect)
+    beside = {e.id: _squares(model, e, size) for e in model.effects if "+=" in e.id}
     lawless = any(v for i, v in beside.items() if with_motion.is_with_motion(i) or is_curve(i))
     if not lawless and effect.process is None:
         return 1.0
-    rest = sum(beside.values())
-    return probability(0.5 * sum(v**2 for v in size.values()) / rest) if rest else 1.0
+    rest = {c: sum(v.get(c, 0.0) for v in beside.values()) for c in size}
+    if not any(rest.values()):
+        return 1.0
+    each = [size[c] / rest[c] for c in size if rest[c]]
+    return probability(0.5 * max(sum(size.values()) / sum(rest.values()), *each))
 
 
-def _on(model: Model, effect: Effect, channels: Container[str]) -> float:
-    """The square of what an effect adds to some channels, summed over these."""
-    return sum(v**2 for c, v in matter.sizes(model, effect).items() if c in channels)
+def _squares(
+    model: Model, effect: Effect, channels: Container[str] | None = None
+) -> dict[str, float]:
+    """The mean square of what an effect adds to each channel; to some of them."""
+    sizes = matter.sizes(model, effect)
+    return {c: v**2 for c, v in sizes.items() if channels is None or c in channels}
 
 
 def _set(found: Found, chosen: frozenset[str], effect: str) -> tuple[list[str], float]:
@@ -279,11 +288,20 @@ def hand_remark(u: Unnamed) -> str:
     )
 
 
+def next_to_nothing(model: Model, u: Unnamed) -> bool:
+    """Whether what has no name adds next to nothing to the readings, beside what is named on the
+    same channels: none of the formulas with a name holds to the last digit."""
+    own = [e for e in model.effects if e.id == u.formula]
+    names = [e for e in model.effects if "+=" not in e.id]
+    mine = sum(v for e in own for v in _squares(model, e).values())
+    return mine < LEFT * sum(v for e in names for v in _squares(model, e, u.channels).values())
+
+
 def remark(u: Unnamed) -> str:
     """What a term is that is too little to count."""
     return (
-        f"Besides, {u.formula} gains {u.log_evidence_gain:.0f} nats: next to nothing against what "
-        "is named, and not counted."
+        f"Besides, {u.formula} gains {u.log_evidence_gain:.0f} nats: it adds next to nothing to "
+        "the readings beside what is named there, and is not counted."
     )
 
 

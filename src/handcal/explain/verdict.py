@@ -40,6 +40,7 @@ from handcal.explain.naming import (
     hand_remark,
     hypotheses_of,
     likely,
+    next_to_nothing,
     parameters_of,
     remark,
     standing_out,
@@ -55,8 +56,6 @@ from handcal.types import Array, InputError, Parameter, Recording, Result
 
 # Called with the share that is done, and what is being done.
 Progress = Callable[[float, str], None]
-# Unnamed terms that hold less than this share of what the named effects do are a remark.
-LEFT = 0.02
 # Nats by which a fit from the start may do worse than that at the end of a search: as good, and
 # no fit of the same model at all.
 SAME, LOST = 1.0, 100.0
@@ -253,12 +252,13 @@ def _named(
     lent: list[Unnamed] = []
     for u in unnamed_of(found, found.model.chosen, learnt):
         (lent if by_the_hand(u, cases) else unnamed).append(u)
+    counts = any(not next_to_nothing(found.model, u) for u in unnamed)
     if end.wrong is not None and burst_of is not None:
         unnamed.append(burst(end.base, end.wrong, burst_of))
+        counts = True
     alone = standing_out(found.model)
     missing, remarks = likely(entries, alone), [hand_remark(u) for u in lent]
-    in_names = sum(m.log_evidence_gain for m in missing)
-    if sum(u.log_evidence_gain for u in unnamed) > LEFT * in_names:
+    if counts:
         return _Named("unexplained", missing, unnamed, alone, remarks)
     missing = likely(entries, {})
     verdict = "cannot_tell" if unsure else "explained" if missing else "nothing_missing"
@@ -342,6 +342,8 @@ def _explained(
         after.case.rests,
         (twin(before.linear), twin(after.linear)),
         after.case.read_hz,
+        after.case.creeping,
+        after.case.moves,
     )
 
 
