@@ -17,7 +17,7 @@ from handcal.estimate import case, fit, observed
 from handcal.estimate.fit import EXCESS, Model, fitted, moved_to, scan, started
 from handcal.estimate.quadratic import posterior
 from handcal.evidence import reduce, reduced_pass
-from handcal.explain import Explanation, climb, explain, outliers
+from handcal.explain import Explanation, climb, explain, outliers, verdict
 from handcal.types import InputError, Recording, Series
 from handcal_sim import prove_draw, simulate
 from handcal_sim.motion import Start
@@ -398,3 +398,22 @@ def test_readings_that_ran_away_have_no_delayed_readings() -> None:
     error = accel_delay.imu_error(np.array([0.02]), Signals(t, np.zeros((20, 3)), accel))
     assert np.isnan(error[:, 3:]).all()
     assert not error[:, :3].any()
+
+
+def test_what_no_device_has_is_no_end_of_a_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A real phone had soft iron of 0.7 and an arm of 0.6 m: the search ended below what makes
+    sense, the final fit of its model beyond."""
+    world = world_of({"lever_arm": [0.05, -0.04, 0.03]}, 0, 12.0)
+    recording = recording_of(world, "heading")
+
+    def large(model: Model) -> set[str]:
+        return {"lever_arm"} & set(model.ids)
+
+    monkeypatch.setattr(verdict, "too_large", large)
+    monkeypatch.setattr(verdict, "sensible", lambda model: not large(model))
+    found = explain([recording])
+    assert "lever_arm" not in names(found)
+    assert found.model is not None
+    assert "lever_arm" not in {e.id for e in found.model.effects}
+    monkeypatch.setattr(verdict, "sensible", lambda _: False)
+    assert any("No device has as much" in w for w in explain([recording]).warnings)

@@ -233,7 +233,7 @@ def _grown(c: Climb, chosen: frozenset[str]) -> Model | None:
         if likelier(c, tried):
             return tried
         c.refused.add(wanted)
-        if large := _too_large(tried) - {name_of(i) for i in now}:
+        if large := too_large(tried) - {name_of(i) for i in now}:
             c.beyond |= large
             return None
         if len(wanted - now) == 1 and tried.log_evidence < c.model.log_evidence - LOST:
@@ -243,15 +243,15 @@ def _grown(c: Climb, chosen: frozenset[str]) -> Model | None:
 
 def likelier(c: Climb, tried: Model) -> bool:
     """Whether a model's score is above that of the one there is; what no device has is no fit."""
-    return _sensible(tried) and better(tried, c.model, c.worth) > 0.0
+    return sensible(tried) and better(tried, c.model, c.worth) > 0.0
 
 
-def _sensible(model: Model) -> bool:
+def sensible(model: Model) -> bool:
     """Whether no parameter is larger than makes sense."""
-    return not _too_large(model)
+    return not too_large(model)
 
 
-def _too_large(model: Model) -> set[str]:
+def too_large(model: Model) -> set[str]:
     """Names of the effects of which a parameter is larger than makes sense."""
     known = {(e.id, p.name): p for e in model.effects for p in e.parameters}
     return {
@@ -464,7 +464,7 @@ def _thin(c: Climb) -> Model | None:
 def _free(c: Climb) -> Model | None:
     """What noise stands in for, in its place."""
     other = without_alibi(c.model, c.worth, c.suspects)
-    if other is None or not _sensible(other):
+    if other is None or not sensible(other):
         return None
     c.dropped -= {name_of(i) for i in other.ids}
     c.visited.clear()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -32,8 +32,11 @@ class Found:
     swaps: dict[tuple[str, str], float] = field(default_factory=dict)
 
 
-def search(base: Model, report: Callable[[float], None] = lambda _: None) -> Found:
-    """From the baseline to the model that explains the recordings best.
+def search(
+    base: Model, report: Callable[[float], None] = lambda _: None, refused: Set[str] = frozenset()
+) -> Found:
+    """From the baseline to the model that explains the recordings best; refused: effects of which
+    no device has as much as a fit came to.
 
     Named effects may be stand-ins for one thing without a name: if a single law does half as
     well from the baseline, the search begins again with it, and the better of the two ends counts.
@@ -43,7 +46,7 @@ def search(base: Model, report: Callable[[float], None] = lambda _: None) -> Fou
     if any(sways_far(f) for f in base.parts):
         # (the usual sway first: in a wide one little of the physics shows)
         starts.insert(0, steadied(base))
-    found = _begun(starts, late, lambda f: report(0.7 * f))
+    found = _begun(starts, late, refused, lambda f: report(0.7 * f))
     others = [e for e in found.model.effects if e.process or not ("+=" in e.id or e.always)]
     term = best_term(base) if others else None
     if term is None:
@@ -52,19 +55,23 @@ def search(base: Model, report: Callable[[float], None] = lambda _: None) -> Fou
     alone = fitted(base.parts, [*base.effects, term.effect])
     gained, whole = (m.log_evidence - base.log_evidence for m in (alone, found.model))
     if gained > HALF * whole:
-        other = _end(base, [term], late, lambda f: report(0.7 + 0.3 * f), alone)
+        other = _end(base, [term], late, refused, lambda f: report(0.7 + 0.3 * f), alone)
         if other is not None and advantage(other, found) > 0.0:
             found = replace(other, alone=found.alone)
     return found
 
 
 def _begun(
-    starts: Sequence[Model], late: Sequence[Model], report: Callable[[float], None]
+    starts: Sequence[Model],
+    late: Sequence[Model],
+    refused: Set[str],
+    report: Callable[[float], None],
 ) -> Found:
     """The best end of climbs from these starts, up to the first that leaves no wide sway."""
     found: Found | None = None
     for number, start in enumerate(starts):
-        end = _end(start, (), late, partial(_part_of, report, number / len(starts), len(starts)))
+        own = partial(_part_of, report, number / len(starts), len(starts))
+        end = _end(start, (), late, refused, own)
         assert end is not None
         if found is None:
             found = end
@@ -89,12 +96,13 @@ def _end(
     base: Model,
     needed: Sequence[Term],
     late: Sequence[Model],
+    refused: Set[str],
     report: Callable[[float], None],
     begun: Model | None = None,
 ) -> Found | None:
     """The end of a climb from the baseline, or from one with the terms that are needed; None if it
     would begin without these."""
-    c = Climb(base if begun is None else begun, needed, late)
+    c = Climb(base if begun is None else begun, needed, late, dropped=set(refused))
     c.kept = frozenset(base.ids)
     if not climbed(c, report):
         return None

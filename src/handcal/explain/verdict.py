@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from handcal.effects import catalogue
 from handcal.estimate.case import Case, case_of, name_of
 from handcal.estimate.chosen import Chosen, Options, as_seen, chosen_of, seen, settled
 from handcal.estimate.fit import Fitted, Model, baseline, fitted, scan, started
@@ -17,6 +18,7 @@ from handcal.estimate.result import noise, results
 from handcal.estimate.robust import inflation
 from handcal.evidence import reduce, reduced_pass
 from handcal.explain import held, locate, matter, outliers
+from handcal.explain.climb import sensible, too_large
 from handcal.explain.explanation import (
     Evidence,
     Explained,
@@ -95,6 +97,12 @@ def explain(
         end = _by_the_rests(cases, end, options, report)
     report(0.75, "fitting the model that was found")
     found, chosen = _refitted(end.base, end.found, options)
+    if large := too_large(found.model):
+        # (the search did not come so far)
+        other = search(end.base, lambda f: report(0.75 + 0.05 * f, "searching again"), large)
+        again, written = _refitted(end.base, other, options)
+        if sensible(again.model):
+            found, chosen = replace(again, alone=end.found.alone), written
     end = replace(end, found=found)
     report(0.8, "predicting what was not seen")
     others = [_case(r, "rest-only" if end.rests else assume, options) for r in held_out]
@@ -167,11 +175,11 @@ def _refitted(base: Model, found: Found, options: Options) -> tuple[Found, Chose
         parts = zip(searched.parts, chosen.views, strict=True)
         base = baseline([seen(f.case.read or f.case.recording, v, options) for f, v in parts])
     model = settled(base, chosen)
-    if model.log_evidence < searched.log_evidence - SAME:
+    if not sensible(model) or model.log_evidence < searched.log_evidence - SAME:
         exact = chosen_of(searched, options, moments(found), exact=True)
         other = settled(base, exact)
-        if other.log_evidence > model.log_evidence:
-            model, chosen = other, exact
+        ends = (model, chosen), (other, exact)
+        model, chosen = max(ends, key=lambda end: (sensible(end[0]), end[0].log_evidence))
     if model.log_evidence < searched.log_evidence - LOST:
         return found, None
     return _with(found, model), chosen
@@ -410,6 +418,12 @@ def _warnings(
     if not model.settled:
         out.append(
             "The final fit still moved after ten rounds of relinearisation; trust its numbers less."
+        )
+    if large := too_large(model):
+        names = ", ".join(catalogue()[i].title.lower() for i in sorted(large & set(catalogue())))
+        out.append(
+            f"No device has as much of this as was found here: {names}. Something else that has no "
+            "name stands behind it; take its numbers for no more than a sign of that."
         )
     if written is None:
         out.append(
