@@ -31,7 +31,7 @@ from rich.progress import track
 from rich.table import Table
 
 from handcal.effects import Effect, catalogue
-from handcal.inputs import load
+from handcal.recordings.inputs import load
 
 # Nats below which the recording itself does not promise that an effect of the usual size shows.
 FAINT = 10.0

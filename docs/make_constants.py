@@ -11,7 +11,7 @@ FILE = Path(__file__).with_name("explain.md")
 SOURCE = Path(__file__).parent.parent / "src" / "handcal"
 # Where a decision about a recording may hang on a number.
 FOLDERS = ("explain", "estimate")
-FILES = ("evidence.py", "folded.py", "noise.py", "segment.py", "sway.py")
+FILES = ("recordings/segment.py",)
 BEGIN, END = "<!-- constants: written by make docs -->\n", "<!-- end of constants -->\n"
 
 
@@ -27,7 +27,7 @@ class Constant:
 
 def constants() -> list[Constant]:
     """Every constant that is a number, or several."""
-    paths = [p for folder in FOLDERS for p in sorted((SOURCE / folder).glob("*.py"))]
+    paths = [p for folder in FOLDERS for p in sorted((SOURCE / folder).rglob("*.py"))]
     return [c for p in (*paths, *(SOURCE / f for f in FILES)) for c in _of(p)]
 
 

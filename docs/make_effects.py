@@ -7,9 +7,9 @@ from __future__ import annotations
 from itertools import groupby
 from pathlib import Path
 
-from handcal import words
 from handcal.effects import PLACE, Effect, Param, catalogue
-from handcal.streams import STREAMS
+from handcal.recordings.streams import STREAMS
+from handcal.units import shown
 
 FILE = Path(__file__).with_name("effects.md")
 GROUPS = (
@@ -74,7 +74,7 @@ def _usual(effect: Effect) -> list[str]:
         if effect.moments is not None and si_unit == "s":
             said.append(f"{names[0]} any moment, in s after the first sample")
             continue
-        unit = words.shown(si_unit, [sigma])
+        unit = shown(si_unit, [sigma])
         friendly = f"{unit.value(sigma)} {unit.unit}"
         si = friendly if si_unit == "1e-6" else f"{sigma:g}" + f" {si_unit}" * (si_unit != "1")
         more = "" if friendly == si else f" ({friendly})"

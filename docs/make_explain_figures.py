@@ -19,13 +19,14 @@ import handcal
 from handcal.effects import select
 from handcal.estimate import fit
 from handcal.estimate.case import case_of
-from handcal.estimate.fit import Model, fitted, scan, started
+from handcal.estimate.fit import fitted, scan, started
+from handcal.estimate.model import Model
 from handcal.explain import explain
-from handcal.explain.search import Space, gains, space
-from handcal.explain_report import write_explanation_report
+from handcal.explain.space import Space, gains, space
+from handcal.show.explanation.report import write_explanation_report
 from handcal.types import Recording
 from handcal_sim import simulate, write
-from handcal_sim.demo import concealing
+from handcal_sim.commands.demo import concealing
 from handcal_sim.strangers import estrange
 
 WIDTH = 1000  # of the picture of a report

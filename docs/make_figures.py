@@ -11,10 +11,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import handcal
-from handcal import linear, words
-from handcal.estimate import observed
-from handcal.noise import white_levels
+from handcal.estimate import linear, observed
+from handcal.estimate.noise import white_levels
 from handcal.observations import catalogue
+from handcal.show import words
 from handcal.types import Recording, Result
 from handcal_sim import simulate, write
 from handcal_sim.phone import consumer_phone
@@ -135,7 +135,7 @@ def naive(recording: Recording, levels: dict[str, float]) -> Result:
 
 def demo() -> None:
     """The README's picture: what `handcal demo` estimates, over time, and the truth."""
-    from handcal_sim.demo import CONCEALED, concealing, truth_of
+    from handcal_sim.commands.demo import CONCEALED, concealing, truth_of
 
     world = concealing(1)
     with tempfile.TemporaryDirectory() as folder:

@@ -6,7 +6,7 @@ Run `make docs`, or this file alone; numbers of papers as arguments choose some 
 import sys
 from pathlib import Path
 
-from handcal.lab.paper import computed, markdown, numbers
+from handcal.lab.papers.paper import computed, markdown, numbers
 
 BEGIN, END = "<!-- computed: docs/make_paper_tables.py -->", "<!-- end of what is computed -->"
 DOCS = Path(__file__).resolve().parent

@@ -14,10 +14,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 from make_figures import GREY, INK, STYLE, XYZ, save
 
-from handcal_sim.sweep import run_chunk
-from handcal_sim.sweep_compare import document, end_of, gyro_z
-from handcal_sim.sweep_grid import paper, turns, with_evidence
-from handcal_sim.sweep_run import Kept, Plan, opened, run
+from handcal_sim.sweep.cell import run_chunk
+from handcal_sim.sweep.compare import document, end_of, gyro_z
+from handcal_sim.sweep.grid import paper, turns, with_evidence
+from handcal_sim.sweep.run import Kept, Plan, opened, run
 
 SEEDS = 100
 THRESHOLDS = {"deg/h": 50.0, "ug": 500.0, "ppm": 500.0}

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from handcal.frames import Frame, Observed
+from handcal.estimate.live import Frame, Observed
 from handcal.types import (
     Array,
     History,

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handcal import cli
+from handcal.commands import _app
 from handcal.types import Imu, Recording, Series
 from handcal_sim import simulate
 from handcal_sim.lab import Equipment
@@ -56,7 +56,7 @@ def command(monkeypatch, capsys, *arguments):
     """The command line in this process: status, standard output, standard error."""
     monkeypatch.setattr(sys, "argv", ["handcal", *map(str, arguments)])
     with pytest.raises(SystemExit) as stop:
-        cli.main()
+        _app.main()
     said = capsys.readouterr()
     return stop.value.code, said.out, said.err
 

@@ -11,13 +11,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from handcal import batch, so3
+from handcal.compiled import so3
 from handcal.earth import local_earth
-from handcal.filter import empty_track, initial_state, run_compiled
-from handcal.linear import Linear, Trajectory, epochs, linearise_about, trajectory_of
-from handcal.model import Problem, build, noise_arrays
+from handcal.estimate import smoother
+from handcal.estimate.filter import empty_track, initial_state, run_compiled
+from handcal.estimate.linear import Linear, Trajectory, epochs, linearise_about, trajectory_of
+from handcal.estimate.problem import Problem, build, noise_arrays
+from handcal.estimate.start import Start, levelled
 from handcal.observations import Rows, catalogue
-from handcal.start import Start, levelled
 from handcal.types import Array, Imu, Recording
 from handcal_sim import simulate
 from handcal_sim.motion import Start as Pose
@@ -105,18 +106,18 @@ def _start(rng: np.random.Generator, C: Array, bg: Array, ba: Array) -> Start:  
     )
 
 
-def settle(world: World) -> tuple[Linear, batch.Pass]:
+def settle(world: World) -> tuple[Linear, smoother.Pass]:
     """The relinearised filter over one realisation."""
     problem, start = world.problem, world.start
     track = empty_track(problem, epochs(problem))
     state = initial_state(problem, start, LEVELS)
     state = run_compiled(problem, noise_arrays(problem, LEVELS), state, track)
     nominal = trajectory_of(problem, track, state.bg, state.ba, state.extras)
-    linear, _, _ = batch.relinearise(linearise_about(problem, start, nominal), LEVELS)
-    return linear, batch.forward(linear, LEVELS)
+    linear, _, _ = smoother.relinearise(linearise_about(problem, start, nominal), LEVELS)
+    return linear, smoother.forward(linear, LEVELS)
 
 
-def errors(world: World, linear: Linear, last: batch.Pass, j: int) -> Array:
+def errors(world: World, linear: Linear, last: smoother.Pass, j: int) -> Array:
     """True minus estimated state (15,) after epoch j of the last pass."""
     nominal, truth, x = linear.trajectory, world.truth, last.x[j]
     C = so3.matrix_exp(x[6:9]) @ nominal.C[j]

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.signal import butter, lfilter, sosfilt, sosfiltfilt
 from scipy.spatial.transform import Rotation
 
-from handcal import so3
+from handcal.compiled import so3
 from handcal.types import Imu, Recording, Series
 
 FINE = 2000.0

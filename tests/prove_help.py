@@ -1,7 +1,7 @@
 """Explanations and answers as a blind trial's tests need them."""
 
-from handcal_sim import prove_trial
-from handcal_sim.prove_suites import Answer
+from handcal_sim.prove import trial as prove_trial
+from handcal_sim.prove.suites import Answer
 
 
 def parameter(effect, name, value, sigma=1.0):

@@ -6,12 +6,12 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from handcal import batch, noise
+from handcal.estimate import noise, smoother
+from handcal.estimate.filter import empty_track, run_compiled
+from handcal.estimate.linear import Linear, epochs, linearise_about, trajectory_of
 from handcal.estimate.observed import first_state
-from handcal.filter import empty_track, run_compiled
-from handcal.linear import Linear, epochs, linearise_about, trajectory_of
-from handcal.model import Problem, noise_arrays
-from handcal.start import Start
+from handcal.estimate.problem import Problem, noise_arrays
+from handcal.estimate.start import Start
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class Solution:
     """A settled fit: the linearised problem, its last forward pass and its noise levels."""
 
     linear: Linear
-    forward: batch.Pass
+    forward: smoother.Pass
     levels: Mapping[str, float]
 
 
@@ -33,12 +33,12 @@ def solve(problem: Problem, start: Start, fixed: Mapping[str, float]) -> Solutio
         problem, noise_arrays(problem, levels), first_state(problem, start, levels), track
     )
     nominal = trajectory_of(problem, track, state.bg, state.ba, state.extras)
-    linear, _, _ = batch.relinearise(linearise_about(problem, start, nominal), levels)
+    linear, _, _ = smoother.relinearise(linearise_about(problem, start, nominal), levels)
     for _ in range(2 if free else 0):
         new, _ = noise.estimate(linear, levels, free)
         change = max(abs(math.log(new[n] / levels[n])) for n in free)
         levels = new
-        linear, _, _ = batch.relinearise(linear, levels)
+        linear, _, _ = smoother.relinearise(linear, levels)
         if change < 0.02:
             break
-    return Solution(linear, batch.forward(linear, levels), levels)
+    return Solution(linear, smoother.forward(linear, levels), levels)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from handcal import allan
-from handcal.allan_command import _span
-from handcal.allan_command import allan as command
-from handcal.allan_report import allan_json, draw, write_allan_report
-from handcal.export import write_mcap
+from handcal.commands.allan import _span
+from handcal.commands.allan import allan as command
+from handcal.recordings.export import write_mcap
+from handcal.show.allan import allan_json, draw, write_allan_report
 from handcal.types import HandcalError, Imu, InputError, Recording
 
 RATE = 100.0

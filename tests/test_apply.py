@@ -12,12 +12,13 @@ from test_conceal import ON_HEADING, ON_IMU, rms, world
 from worlds import injected, recording_of
 
 import handcal
-from handcal import apply as taken
-from handcal import commands, so3
-from handcal.apply_command import apply as command
-from handcal.explain_summary import explanation_json
-from handcal.export import write_mcap
-from handcal.summary import calibration_json, write_json
+from handcal.commands import _registry
+from handcal.commands.apply import apply as command
+from handcal.compiled import so3
+from handcal.device import apply as taken
+from handcal.recordings.export import write_mcap
+from handcal.show.calibration.summary import calibration_json, write_json
+from handcal.show.explanation.summary import explanation_json
 from handcal.types import HandcalError, InputError, Series
 
 # What stays of an error's rms; where none is named, what rounds of substitution leave.
@@ -251,14 +252,14 @@ def test_other_files_are_refused(tmp_path, text):
 
 @pytest.fixture
 def main(monkeypatch, capsys):
-    app = typer.Typer(cls=commands.Commands, add_completion=False)
+    app = typer.Typer(cls=_registry.Commands, add_completion=False)
     app.command("apply")(command)
     app.callback()(lambda: None)
 
     def call(*arguments):
         monkeypatch.setattr("sys.argv", ["handcal", "apply", *map(str, arguments)])
         with pytest.raises(SystemExit) as stop:
-            commands.run(app)
+            _registry.run(app)
         said = capsys.readouterr()
         return stop.value.code, said.out, said.err
 

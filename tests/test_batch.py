@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 from worlds import injected, problem_of, recording_of, true_levels
 
-from handcal import batch, calibrate, so3, strapdown
-from handcal.filter import empty_track, full_prior, initial_state, run_compiled
-from handcal.kernel import BASE
-from handcal.linear import epochs, linearise_about, trajectory_of
-from handcal.model import markov_transitions, noise_arrays, observation_variances
+from handcal import calibrate
+from handcal.compiled import so3, strapdown
+from handcal.compiled.kernel import BASE
+from handcal.estimate import smoother
+from handcal.estimate.filter import empty_track, full_prior, initial_state, run_compiled
+from handcal.estimate.linear import epochs, linearise_about, trajectory_of
+from handcal.estimate.problem import markov_transitions, noise_arrays, observation_variances
 from handcal_sim import simulate
 from handcal_sim.motion import Start
 from handcal_sim.phone import Clocking, consumer_phone, paper_phone
@@ -132,12 +134,14 @@ def test_evidence_is_the_density_of_all_residuals(short, brute):
     linear, levels = short
     assert linear.used.sum() > 50
     for keep in (True, False):
-        assert batch.forward(linear, levels, keep).log_evidence == pytest.approx(brute[0], abs=1e-6)
+        assert smoother.forward(linear, levels, keep).log_evidence == pytest.approx(
+            brute[0], abs=1e-6
+        )
 
 
 def test_smoother_is_the_dense_posterior(short, brute):
     linear, levels = short
-    x, P = batch.smooth(linear, levels, batch.forward(linear, levels))
+    x, P = smoother.smooth(linear, levels, smoother.forward(linear, levels))
     _, mean, blocks = brute
     sigma = np.sqrt(np.einsum("kii->ki", blocks))
     scale = sigma[:, :, None] * sigma[:, None, :]
@@ -147,8 +151,8 @@ def test_smoother_is_the_dense_posterior(short, brute):
 
 def test_filter_of_the_last_epoch_is_the_smoother_there(short):
     linear, levels = short
-    forward = batch.forward(linear, levels)
-    x, P = batch.smooth(linear, levels, forward)
+    forward = smoother.forward(linear, levels)
+    x, P = smoother.smooth(linear, levels, forward)
     np.testing.assert_array_equal(x[-1], forward.x[-1])
     np.testing.assert_array_equal(P[-1], forward.P[-1])
     # knowing the future as well never makes a variance larger
@@ -229,17 +233,17 @@ def half_minute():
         effects={"gyro_scale": [0.01, -0.01, 0.01], "lever_arm": [0.1, -0.05, 0.1]},
     )
     linear, levels = linearised(world)
-    settled, done, _ = batch.relinearise(linear, levels)
-    return linear, levels, (settled, batch.forward(settled, levels), done)
+    settled, done, _ = smoother.relinearise(linear, levels)
+    return linear, levels, (settled, smoother.forward(settled, levels), done)
 
 
 def test_relinearisation_settles(half_minute):
     """Another round changes nothing: evidence to the tolerance, estimates to a hundredth sigma."""
     linear, levels, (settled, forward, done) = half_minute
     assert done
-    x, P = batch.smooth(settled, levels, forward)
-    again = linearise_about(settled.problem, settled.start, batch.moved(settled, x))
-    second = batch.forward(again, levels)
+    x, P = smoother.smooth(settled, levels, forward)
+    again = linearise_about(settled.problem, settled.start, smoother.moved(settled, x))
+    second = smoother.forward(again, levels)
     assert abs(second.log_evidence - forward.log_evidence) < 0.05
     sigma = np.sqrt(np.diag(P[-1]))[9 : BASE + settled.problem.constants]
     first = x[-1, 9 : BASE + settled.problem.constants]
@@ -247,7 +251,7 @@ def test_relinearisation_settles(half_minute):
     assert np.all(np.abs(second.x[-1, 9 : BASE + settled.problem.constants]) < 0.02 * sigma)
     assert np.all(np.abs(first) < 0.5 * sigma)
     # the first pass was not good enough, or this test would show nothing
-    assert abs(forward.log_evidence - batch.forward(linear, levels).log_evidence) > 0.05
+    assert abs(forward.log_evidence - smoother.forward(linear, levels).log_evidence) > 0.05
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -267,9 +271,9 @@ def test_the_result_does_not_depend_on_where_the_passes_began(half_minute, seed)
         constants=nominal.constants + rng.normal(0, 0.005, len(nominal.constants)),
     )
     off = linearise_about(settled.problem, settled.start, wrong)
-    linear, done, _ = batch.relinearise(off, levels)
+    linear, done, _ = smoother.relinearise(off, levels)
     assert done
-    other = batch.forward(linear, levels)
+    other = smoother.forward(linear, levels)
     assert other.log_evidence == pytest.approx(forward.log_evidence, abs=0.1)
     c = settled.problem.constants
     sigma = np.sqrt(np.diag(forward.P[-1]))[9 : BASE + c]

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 from numba.core import event
 
-from handcal import bench, bench_command, bench_filter, bench_program, progress
-from handcal.bench import Figure, Missing, Skipped, Spent, Target, in_turns, peer
-from handcal.inputs import load
+from handcal.bench import filter, program, timing
+from handcal.bench.timing import Figure, Missing, Skipped, Spent, Target, in_turns, peer
+from handcal.commands import _progress
+from handcal.commands import bench as bench_command
+from handcal.recordings.inputs import load
 from handcal.types import HandcalError
 
 SERVE = """
@@ -25,7 +27,7 @@ for n, _ in enumerate(sys.stdin):
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
     path = tmp_path_factory.mktemp("bench") / "turn.mcap"
-    bench_program.simulated("z-turn", path)
+    program.simulated("z-turn", path)
     return load(path)
 
 
@@ -85,11 +87,11 @@ def test_a_program_that_is_not_there_is_missing(tmp_path):
 
 def test_a_command_that_fails_says_so(tmp_path):
     with pytest.raises(HandcalError, match=r"failed: handcal: .*nothing"):
-        bench.run_handcal("calibrate", tmp_path / "nothing.mcap")
+        timing.run_handcal("calibrate", tmp_path / "nothing.mcap")
 
 
 def test_the_case_has_fifteen_states_and_seven_scalars_at_every_sample(recording):
-    problem = bench_filter.case_of(recording).problem
+    problem = filter.case_of(recording).problem
     assert problem.size == 15
     n = len(recording.imu.t)
     assert len(problem.nodes.t) == n
@@ -99,7 +101,7 @@ def test_the_case_has_fifteen_states_and_seven_scalars_at_every_sample(recording
 
 
 def test_a_recording_repeated_goes_on_turning(recording):
-    long = bench_filter.repeated(recording, 100.0)
+    long = filter.repeated(recording, 100.0)
     n = len(recording.imu.t) - 1
     assert long.duration_s == pytest.approx(100.0, abs=1.0 / recording.rate_hz)
     np.testing.assert_allclose(np.diff(long.imu.t), 1.0 / recording.rate_hz, rtol=1e-9)
@@ -110,9 +112,7 @@ def test_a_recording_repeated_goes_on_turning(recording):
 
 
 def test_without_peers_the_reason_is_given(recording, tmp_path):
-    found = bench_filter.against_dense(
-        bench_filter.case_of(recording), tmp_path, tmp_path, 1, lambda: None
-    )
+    found = filter.against_dense(filter.case_of(recording), tmp_path, tmp_path, 1, lambda: None)
     assert isinstance(found[0], Figure)
     assert isinstance(found[1], Skipped)
     assert "--peers" in found[1].reason
@@ -141,9 +141,9 @@ def test_unknown_groups_are_refused():
 
 
 def test_a_bar_says_that_it_compiles(monkeypatch):
-    monkeypatch.setattr(progress, "PATIENCE_S", 0.0)
+    monkeypatch.setattr(_progress, "PATIENCE_S", 0.0)
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
-    with progress.progress("calibrating") as bar:
+    with _progress.progress("calibrating") as bar:
         with event.trigger_event("numba:compile"):
             assert bar.text == "calibrating: compiling, only this once"
             assert bar.shown is not None

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from worlds import recording_of, true_levels
 
-from handcal import calibrate, so3
+from handcal import calibrate
+from handcal.compiled import so3
 from handcal.earth import EARTH_RATE, local_earth
-from handcal.start import from_rest
+from handcal.estimate.start import from_rest
 from handcal.types import HandcalError, InputError, Series
 from handcal_sim import simulate
 from handcal_sim.phone import consumer_magnetometer, consumer_phone, paper_phone

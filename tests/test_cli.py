@@ -12,12 +12,15 @@ import pytest
 from fake_result import fake_frames, fake_result
 
 import handcal
-from handcal import calibration, cli, commands, output
+from handcal import output
+from handcal.commands import _app, _registry, calibrate
+from handcal.commands._progress import progress
+from handcal.estimate import calibration
 from handcal.types import HandcalError, InputError
 
 
 def run(*arguments: str, **options) -> subprocess.CompletedProcess:
-    command = [sys.executable, "-m", "handcal.cli", *arguments]
+    command = [sys.executable, "-m", "handcal", *arguments]
     return subprocess.run(
         command, capture_output=True, text=True, check=False, timeout=60, **options
     )
@@ -39,7 +42,7 @@ def main(monkeypatch, capsys):
     def call(*arguments: str):
         monkeypatch.setattr(sys, "argv", ["handcal", *arguments])
         with pytest.raises(SystemExit) as stop:
-            cli.main()
+            _app.main()
         captured = capsys.readouterr()
         return stop.value.code, captured.out, captured.err
 
@@ -100,7 +103,7 @@ def test_a_report_that_cannot_be_written_is_a_sentence(main, tmp_path):
 
 
 def test_a_reader_that_has_had_enough_is_no_error():
-    command = f"{sys.executable} -m handcal.cli calibrate --help | head -n 1"
+    command = f"{sys.executable} -m handcal calibrate --help | head -n 1"
     done = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
     assert done.stderr == ""
 
@@ -119,7 +122,7 @@ def test_files_are_written_before_anything_is_shown(main, monkeypatch, tmp_path)
     def closed(_):
         raise HandcalError("nobody reads this")
 
-    monkeypatch.setattr(cli, "_show", closed)
+    monkeypatch.setattr(calibrate, "_show", closed)
     main("calibrate", "x", "--json", str(tmp_path / "x.json"), "--rrd", str(tmp_path / "x.rrd"))
     assert {p.name for p in tmp_path.iterdir()} == {"x.json", "x.rrd"}
 
@@ -179,7 +182,9 @@ def test_a_number_that_is_none_is_wrong_use(main):
 
 def test_replay_into_a_file(main, tmp_path, monkeypatch):
     path = tmp_path / "x.rrd"
-    monkeypatch.setattr("handcal.live.live_frames", lambda result, **_: fake_frames(result))
+    monkeypatch.setattr(
+        "handcal.estimate.live.live_frames", lambda result, **_: fake_frames(result)
+    )
     status, _, _ = main("replay", "x", "--no-viewer", "--speed", "0", "--rrd", str(path))
     assert status == 0
     assert path.stat().st_size > 10_000
@@ -200,7 +205,8 @@ def plugin(monkeypatch, tmp_path, source: str):
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.delitem(sys.modules, "some_plugin", raising=False)
     entry = EntryPoint("extra", "some_plugin:extra", "handcal.commands")
-    monkeypatch.setattr(commands, "_plugins", lambda: {"extra": entry})
+    all_of_them = _registry._plugins() | {"extra": entry}
+    monkeypatch.setattr(_registry, "_plugins", lambda: all_of_them)
 
 
 def test_a_command_of_another_package_is_listed_unloaded_and_runs(main, monkeypatch, tmp_path):
@@ -238,14 +244,14 @@ def test_a_broken_plugin_harms_nothing_else(main, monkeypatch, tmp_path, source)
 
 
 def test_progress_is_silent_where_nobody_watches(capfd):
-    with cli.progress("working") as bar:
+    with progress("working") as bar:
         bar.started -= 10
         bar(0.5)
     assert capfd.readouterr() == ("", "")
 
 
 def test_stages_are_lines_where_nobody_watches(capfd):
-    with cli.progress("explaining x") as bar:
+    with progress("explaining x") as bar:
         bar(0.0, "the plain model")  # (nothing is said of what takes no two seconds)
         bar.started -= 10
         bar(0.1, "searching")
@@ -257,7 +263,9 @@ def test_stages_are_lines_where_nobody_watches(capfd):
 
 
 def test_help_needs_neither_numpy_nor_rich_to_start():
-    code = "import sys, handcal.cli; print({'numpy', 'rich', 'jinja2'} & set(sys.modules))"
+    code = (
+        "import sys, handcal.commands._app; print({'numpy', 'rich', 'jinja2'} & set(sys.modules))"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "set()\n"
 
@@ -265,8 +273,8 @@ def test_help_needs_neither_numpy_nor_rich_to_start():
 @pytest.mark.parametrize("encoding", ["ascii", "cp1252", "cp437"])
 def test_a_terminal_that_lacks_a_sign_gets_another(encoding):
     text = "x = −1.5 ± 0.2 deg/√h at 20\u00a0°C; ☃"
-    shown = f"import codecs; from handcal import commands; commands.say({text!r})"
-    program = f"from handcal.commands import _show_what_can_be_shown as f; f(); {shown}"
+    shown = f"import codecs; from handcal.commands._registry import say; say({text!r})"
+    program = f"from handcal.commands._registry import _show_what_can_be_shown as f; f(); {shown}"
     done = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, check=True,
         env={**os.environ, "PYTHONIOENCODING": encoding},

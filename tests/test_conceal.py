@@ -8,14 +8,16 @@ from typer.testing import CliRunner
 from worlds import recording_of
 
 import handcal
-from handcal import calibrate, cli, so3
-from handcal import conceal as hidden
-from handcal.apply import Learnt, apply
-from handcal.commands import run
+from handcal import calibrate
+from handcal.commands import _app
+from handcal.commands._registry import run
+from handcal.compiled import so3
+from handcal.device import conceal as hidden
+from handcal.device.apply import Learnt, apply
 from handcal.effects import select
-from handcal.export import write_mcap
 from handcal.observations import catalogue as observations
-from handcal.streams import STREAMS
+from handcal.recordings.export import write_mcap
+from handcal.recordings.streams import STREAMS
 from handcal.types import InputError, Series
 from handcal_sim import simulate
 from handcal_sim.phone import (
@@ -330,7 +332,7 @@ def test_command(plain, tmp_path):
     source, out = tmp_path / "a.mcap", tmp_path / "b.mcap"
     write_mcap(plain, source)
     arguments = ["conceal", str(source), "--effect", "gyro_scale=0.01,0.02,0.03", "-o", str(out)]
-    done = CliRunner().invoke(cli.app, [*arguments, "--seed", "3"])
+    done = CliRunner().invoke(_app.app, [*arguments, "--seed", "3"])
     assert done.exit_code == 0, done.output
     assert "gyro_scale concealed in a.mcap, seed 3" in done.output
     read = handcal.load(out)
@@ -344,7 +346,7 @@ def test_command_says_what_is_expected(text, tmp_path, capsys, monkeypatch):
     arguments = ["handcal", "conceal", "none.mcap", "--effect", text, "-o", str(out)]
     monkeypatch.setattr("sys.argv", arguments)
     with pytest.raises(SystemExit) as stop:
-        run(cli.app)
+        run(_app.app)
     assert stop.value.code == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1

@@ -14,7 +14,7 @@ import pytest
 from model_world import LEVELS, draw, errors, motion, settle
 
 import handcal
-from handcal.consistency import bound, chi2_bounds, nees
+from handcal.estimate.consistency import bound, chi2_bounds, nees
 from handcal.types import Array
 from handcal_sim import simulate, write
 

@@ -54,7 +54,7 @@ def test_help_imports_nothing_heavy():
     code = f"""
 import sys
 sys.argv = ["handcal", "--help"]
-from handcal.cli import main
+from handcal.commands._app import main
 try:
     status = main()
 except SystemExit as stop:

@@ -14,9 +14,9 @@ import rerun as rr
 from fake_result import fake_frames, fake_result
 from rerun.chunk import RrdReader
 
-from handcal import dashboard, frames
+from handcal.show import dashboard, frames
+from handcal.show.viewer import binary, require_display, viewer
 from handcal.types import HandcalError, InputError
-from handcal.viewer import binary, require_display, viewer
 
 
 def entities(path: Path) -> dict[str, int]:
@@ -130,7 +130,7 @@ def test_whatever_the_viewer_asks_the_network_ends_on_this_machine(tmp_path, mon
         proxy.listen()
         proxy.settimeout(30)
         nowhere = f"http://127.0.0.1:{proxy.getsockname()[1]}"
-        monkeypatch.setattr("handcal.viewer.NOWHERE", nowhere)
+        monkeypatch.setattr("handcal.show.viewer.NOWHERE", nowhere)
         with viewer(extra=("--headless",)):
             with proxy.accept()[0] as asked:
                 assert asked.makefile("rb").readline().startswith(b"CONNECT api.github.com:443")
@@ -155,7 +155,7 @@ def test_a_viewer_closed_half_way_ends_the_stream():
 def test_terminating_the_program_ends_its_viewer():
     code = """
 import time
-from handcal.viewer import viewer
+from handcal.show.viewer import viewer
 with viewer(web=True) as shown:
     print(shown.process.pid, flush=True)
     time.sleep(60)

@@ -9,11 +9,11 @@ import pytest
 
 import handcal
 from handcal_sim import write
-from handcal_sim.demo import CONCEALED, LEAST, MOST, concealing, off_by, truth_of
+from handcal_sim.commands.demo import CONCEALED, LEAST, MOST, concealing, off_by, truth_of
 
 
 def test_the_demo_writes_what_it_says_and_finds_the_truth(tmp_path):
-    command = [sys.executable, "-m", "handcal.cli", "demo", "--out", str(tmp_path / "a" / "b")]
+    command = [sys.executable, "-m", "handcal", "demo", "--out", str(tmp_path / "a" / "b")]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, done.stderr
     assert all(line.startswith("handcal: ") for line in done.stderr.splitlines())

@@ -11,14 +11,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from handcal.calibration import calibrate
-from handcal.cli import app
-from handcal.design import MOTIONS, recording_of
-from handcal.design_motion import Plan, plan
-from handcal.design_motion_report import sentences
-from handcal.design_picture import save_picture
-from handcal.design_poses import GRAVITY, NOISE, PLAIN, Experiment, everywhere, experiment
-from handcal.design_search import (
+from handcal.commands._app import app
+from handcal.design.motion import Plan, plan
+from handcal.design.poses import NOISE, PLAIN, Experiment, everywhere, experiment
+from handcal.design.search import (
     CRITERIA,
     anywhere,
     design,
@@ -27,9 +23,14 @@ from handcal.design_search import (
     one_by_one,
     value,
 )
-from handcal.design_words import attitude_of, instruction
+from handcal.earth import STANDARD_GRAVITY
 from handcal.effects import select
+from handcal.estimate.calibration import calibrate
 from handcal.estimate.case import case_of, problem_with
+from handcal.motions import MOTIONS, recording_of
+from handcal.show.design.motion_report import sentences
+from handcal.show.design.picture import save_picture
+from handcal.show.design.words import attitude_of, instruction
 from handcal.types import Array, HandcalError, Imu, InputError, Recording, Series
 
 STATIC = ("accel_scale", "accel_misalignment")
@@ -87,7 +88,9 @@ def test_rows_are_those_of_the_paper_but_for_units() -> None:
     names = [(u.effect, u.param.name) for u in e.unknowns]
     by_hand = {("accel_scale", "x"): (x, x), ("accel_misalignment", "zy"): (z, y)}
     for name, (i, j) in by_hand.items():
-        assert ours[:, names.index(name)] == pytest.approx(GRAVITY * up[:, i] * up[:, j], abs=1e-9)
+        assert ours[:, names.index(name)] == pytest.approx(
+            STANDARD_GRAVITY * up[:, i] * up[:, j], abs=1e-9
+        )
     assert ours[:, names.index(("accel_bias", "y"))] == pytest.approx(up[:, 1], abs=1e-12)
 
 
@@ -320,7 +323,7 @@ def test_what_is_promised_is_what_the_filter_then_says(heading_sigma: float | No
         still = replace(still, streams={"heading": Series(t, np.zeros((len(t), 1)))})
         # so many fewer headings say as much together
         levels = {"heading_noise": heading_sigma * math.sqrt(10.0 / 50.0)}
-    recording = recording_of(best.motion, still, np.array([0.0, 0.0, -GRAVITY]))
+    recording = recording_of(best.motion, still, np.array([0.0, 0.0, -STANDARD_GRAVITY]))
     assert recording.rate_hz == pytest.approx(50.0, rel=1e-6)
     of = problem_with(case_of(still, "fixed-point"), select(["gyro_scale"]))
     levels = {lv.name: lv.initial for lv in of.levels} | levels
@@ -331,14 +334,14 @@ def test_what_is_promised_is_what_the_filter_then_says(heading_sigma: float | No
 
 def _still() -> Imu:
     t = np.arange(0.0, 5.0, 0.01)
-    accel = np.tile([0.0, 0.0, GRAVITY], (len(t), 1))
+    accel = np.tile([0.0, 0.0, STANDARD_GRAVITY], (len(t), 1))
     return Imu(t, np.zeros_like(accel), accel, np.ones(len(t), dtype=np.bool_))
 
 
 def test_after_a_recording_nothing_becomes_less_certain() -> None:
     turn_x = next(m for m in MOTIONS if "its x axis" in m.sentence)
     like = Recording("like", _still(), {})
-    recording = recording_of(turn_x, like, np.array([0.0, 0.0, -GRAVITY]))
+    recording = recording_of(turn_x, like, np.array([0.0, 0.0, -STANDARD_GRAVITY]))
     rng_ = rng()
     noisy = replace(
         recording.imu,

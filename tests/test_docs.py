@@ -50,3 +50,18 @@ def test_every_constant_says_what_it_is_and_stands_in_the_table():
     without = [f"{c.file}: {c.name}" for c in script.constants() if not c.comment]
     assert without == []
     assert (ROOT / "docs" / "explain.md").read_text(encoding="utf-8") == script.page()
+
+
+def test_the_map_of_the_code_is_what_the_layers_are():
+    """If not: `make docs`, or docs/make_layers.py alone."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert made("make_layers").written(text) == text
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_files_that_the_documents_name_exist(page):
+    named = set(re.findall(r"`([a-z_/]+\.py)`", page.read_text(encoding="utf-8")))
+    places = [ROOT, ROOT / "docs", ROOT / "src/handcal", *(ROOT / "src/handcal").glob("estimate"),
+              ROOT / "sim/handcal_sim", ROOT / "sim/handcal_sim/prove"]  # fmt: skip
+    missing = [n for n in sorted(named) if not any((p / n).exists() for p in places)]
+    assert missing == []

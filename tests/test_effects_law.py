@@ -9,8 +9,10 @@ from scipy.spatial.transform import Rotation
 from settled import solve
 from worlds import injected, recording_of, true_levels
 
-from handcal import batch, calibrate, so3
-from handcal._jit import call_residual
+from handcal import calibrate
+from handcal.compiled import so3
+from handcal.compiled.jit import call_residual
+from handcal.compiled.kernel import BASE, MAX_DIM
 from handcal.earth import local_earth
 from handcal.effects import (
     DELAY,
@@ -23,10 +25,10 @@ from handcal.effects import (
     mag_hard_iron,
     select,
 )
+from handcal.estimate import smoother
+from handcal.estimate.linear import linearise_about
 from handcal.estimate.observed import observed_of
-from handcal.kernel import BASE, MAX_DIM
-from handcal.linear import linearise_about
-from handcal.model import build, relinearised, substituted
+from handcal.estimate.problem import build, relinearised, substituted
 from handcal.observations import catalogue as observations
 from handcal.signals import of_arrays
 from handcal.types import InputError, Series
@@ -851,15 +853,15 @@ def test_a_step_comes_back_from_the_best_of_its_moments(seed):
     for point in effect.moments(recording.imu.t):
         constants = np.r_[point, nominal.constants[len(point) :]]
         linear = linearise_about(problem, start, replace(nominal, constants=constants))
-        tried.append((batch.smoothed_mean(linear, levels)[1], len(tried), linear))
+        tried.append((smoother.smoothed_mean(linear, levels)[1], len(tried), linear))
     # As long as there is no step nothing tells its moment, which would fall back to its prior:
     # first the step, the moment held.
     best = max(tried)[2]
-    there = batch.moved(best, batch.smoothed_mean(best, levels)[0])
+    there = smoother.moved(best, smoother.smoothed_mean(best, levels)[0])
     there.constants[3] = best.trajectory.constants[3]
-    linear, settled, _ = batch.relinearise(linearise_about(problem, start, there), levels)
+    linear, settled, _ = smoother.relinearise(linearise_about(problem, start, there), levels)
     assert settled
-    forward = batch.forward(linear, levels)
+    forward = smoother.forward(linear, levels)
     got = linear.trajectory.constants[:4] + forward.x[-1, BASE : BASE + 4]
     sigma = np.sqrt(np.diag(forward.P[-1])[BASE : BASE + 4])
     assert np.all(np.abs(got - truth) < 4 * sigma), (got, truth, sigma)

@@ -17,11 +17,11 @@ from worlds import injected, recording_of
 
 import handcal
 import handcal.types
-from handcal import cli
+from handcal.commands import _app
 from handcal.effects import catalogue
 from handcal.explain import Explanation, explain
 from handcal.explain.explanation import VERDICTS, Missing
-from handcal.explain_summary import explanation_json
+from handcal.show.explanation.summary import explanation_json
 from handcal.types import Parameter, Recording, Series
 from handcal_sim import simulate, write
 from handcal_sim.phone import Clocking, Phone, consumer_phone, with_rate
@@ -227,7 +227,7 @@ def test_saturated_readings_are_no_evidence() -> None:
 
 
 def _run(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "handcal.cli", "explain", *arguments]
+    command = [sys.executable, "-m", "handcal", "explain", *arguments]
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
 
 
@@ -301,7 +301,7 @@ def main(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) ->
             monkeypatch.setattr("handcal.explain.explain", made_up)
         monkeypatch.setattr(sys, "argv", ["handcal", "explain", *arguments])
         with pytest.raises(SystemExit) as stop:
-            cli.main()
+            _app.main()
         captured = capsys.readouterr()
         return int(stop.value.code or 0), captured.out, captured.err
 

@@ -9,7 +9,8 @@ import pytest
 from worlds import recording_of
 
 from handcal.estimate import case
-from handcal.estimate.fit import Model, baseline, fitted
+from handcal.estimate.fit import baseline, fitted
+from handcal.estimate.model import Model
 from handcal.explain.alibi import without_alibi
 from handcal_sim import simulate
 from handcal_sim.phone import Clocking, Phone, consumer_magnetometer, consumer_phone, with_rate

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from handcal.effects import catalogue, select
-from handcal.estimate.fit import Model
+from handcal.estimate.model import Model
 from handcal.estimate.quadratic import Quadratic
 from handcal.explain import gauge
 from handcal.explain.explanation import Missing

@@ -15,11 +15,13 @@ from handcal import own_effects
 from handcal.effects import Signals, imu_jacobian, select
 from handcal.estimate.case import case_of
 from handcal.estimate.chosen import Options, chosen_of, document_of, settled
-from handcal.estimate.fit import Model, baseline, fitted
-from handcal.explain import climb, drivers, explain, grammar, law_file, laws, naming, unnamed
-from handcal.explain.drivers import DRIVERS
-from handcal.explain.grammar import Range
-from handcal.explain.laws import Law
+from handcal.estimate.fit import baseline, fitted
+from handcal.estimate.model import Model
+from handcal.explain import climb, explain, naming
+from handcal.explain.unnamed import best, drivers, grammar, law_file, laws
+from handcal.explain.unnamed.drivers import DRIVERS
+from handcal.explain.unnamed.grammar import Range
+from handcal.explain.unnamed.laws import Law
 from handcal.explain.written import chosen_from
 from handcal.signals import probe
 from handcal.types import Array, Parameter, Recording
@@ -283,10 +285,10 @@ def test_friction_at_zero_rate_is_told_by_its_own_axis() -> None:
 
 
 @pytest.fixture(scope="module")
-def size_alone() -> tuple[Model, unnamed.Term]:
+def size_alone() -> tuple[Model, best.Term]:
     base = baseline([case_of(strange("gyro", size_of_the_rate))])
     effect = laws.effect_of(law_over("|omega|", formula("line"), (0, 1, 2)))
-    return base, unnamed.Term(effect, 100.0)
+    return base, best.Term(effect, 100.0)
 
 
 def test_many_that_stand_in_are_exchanged_for_one(size_alone) -> None:
@@ -312,7 +314,7 @@ def test_a_law_keeps_to_the_axes_on_which_it_is() -> None:
     base = baseline([case_of(strange("gyro", friction))])
     form = grammar.formula([("sign", (0.02,))])
     wide = replace(law_over("omega_{i}", form, (0, 1, 2)), each=True)
-    term = unnamed.Term(laws.effect_of(wide), 100.0)
+    term = best.Term(laws.effect_of(wide), 100.0)
     c = climb.Climb(fitted(base.parts, [*base.effects, term.effect]), [term], ())
     c.where = climb._scanned(c)
     for axes in ((0, 2), (1, 2)), ((2,),):

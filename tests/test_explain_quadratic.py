@@ -12,7 +12,9 @@ from worlds import recording_of
 
 from handcal.effects import select
 from handcal.estimate.case import case_of
-from handcal.estimate.fit import Model, fitted, moved_to, prior_root, scan, started
+from handcal.estimate.evidence import ReducedPass, reduce, reduced_pass
+from handcal.estimate.fit import fitted, moved_to, prior_root, scan, started
+from handcal.estimate.model import Model
 from handcal.estimate.quadratic import (
     Local,
     Quadratic,
@@ -22,7 +24,6 @@ from handcal.estimate.quadratic import (
     posterior,
     total,
 )
-from handcal.evidence import ReducedPass, reduce, reduced_pass
 from handcal.types import Array, IntArray
 from handcal_sim import simulate
 from handcal_sim.phone import Clocking, Phone, consumer_phone, with_rate

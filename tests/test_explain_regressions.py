@@ -11,15 +11,17 @@ import pytest
 from scipy.stats import chi2
 from worlds import recording_of
 
-from handcal import noise, observations, so3
+from handcal import observations
+from handcal.compiled import so3
 from handcal.effects import Signals, accel_delay, catalogue, select
-from handcal.estimate import case, fit, observed
-from handcal.estimate.fit import EXCESS, Model, fitted, moved_to, scan, started
+from handcal.estimate import case, fit, noise, observed
+from handcal.estimate.evidence import reduce, reduced_pass
+from handcal.estimate.fit import EXCESS, fitted, moved_to, scan, started
+from handcal.estimate.model import Model
 from handcal.estimate.quadratic import posterior
-from handcal.evidence import reduce, reduced_pass
 from handcal.explain import Explanation, climb, explain, outliers, verdict
 from handcal.types import InputError, Recording, Series
-from handcal_sim import prove_draw, simulate
+from handcal_sim import simulate
 from handcal_sim.motion import Start
 from handcal_sim.phone import (
     Clocking,
@@ -29,6 +31,7 @@ from handcal_sim.phone import (
     consumer_phone,
     with_rate,
 )
+from handcal_sim.prove import draw
 from handcal_sim.scenario import World
 
 GYRO, ACCEL = {"gyro_scale": [0.01, -0.008, 0.012]}, {"accel_scale": [0.01, -0.008, 0.012]}
@@ -238,11 +241,11 @@ def test_outliers_that_point_the_right_way_by_chance_are_counted() -> None:
 def test_a_slow_gyro_is_no_early_heading() -> None:
     """Turning about one axis, the heading seems early by as much. It was named, since a scan
     about a gyro without lag sees a third of what the lag does."""
-    given = prove_draw.Circumstances(
+    given = draw.Circumstances(
         "z-turn", 93.4, 106, sway=1.913, noise=0.723, heading_sigma_deg=2.33, heading_hz=75.0,
         mag=False, pose=False, thermometer=False, warming_K=3.56, seed=2382910868846861224,
     )  # fmt: skip
-    world = prove_draw.simulated(given, {"gyro_bandwidth": [0.02619]})
+    world = draw.simulated(given, {"gyro_bandwidth": [0.02619]})
     found = explain([recording_of(world, "heading")])
     assert names(found) == ["gyro_bandwidth"]
 

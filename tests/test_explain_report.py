@@ -15,18 +15,13 @@ from fake_explanation import CASES, fake_explanation
 from rerun.chunk import RrdReader
 from rich.console import Console
 
-from handcal import (
-    dashboard,
-    drawing,
-    explain_frames,
-    explain_plots,
-    explain_summary,
-    explain_words,
-    summary,
-)
-from handcal import explain_words as say
 from handcal.explain.explanation import VERDICTS, Curve, Unnamed
-from handcal.explain_report import render_explanation, write_explanation_report
+from handcal.show import dashboard, drawing
+from handcal.show.calibration import summary
+from handcal.show.explanation import frames, plots, words
+from handcal.show.explanation import summary as explain_summary
+from handcal.show.explanation import words as say
+from handcal.show.explanation.report import render_explanation, write_explanation_report
 from handcal.types import HandcalError
 
 CONTRACT = {
@@ -59,7 +54,7 @@ def explanation(verdict):
 @cache
 def drawn(verdict):
     """Drawing takes most of a page's time: once is enough."""
-    return explain_plots.draw(fake_explanation(verdict))
+    return plots.draw(fake_explanation(verdict))
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +66,7 @@ def figures(verdict):
 def page(explanation, figures, tmp_path_factory):
     path = tmp_path_factory.mktemp("report") / f"{explanation.verdict}.html"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(explain_plots, "draw", lambda _: figures)
+        patch.setattr(plots, "draw", lambda _: figures)
         write_explanation_report(explanation, path)
     return path
 
@@ -79,8 +74,8 @@ def page(explanation, figures, tmp_path_factory):
 @pytest.fixture
 def no_figures(monkeypatch):
     """For what a page says besides."""
-    bare = {section: [] for section in explain_plots.draw(nothing_in_it())}
-    monkeypatch.setattr(explain_plots, "draw", lambda _: bare)
+    bare = {section: [] for section in plots.draw(nothing_in_it())}
+    monkeypatch.setattr(plots, "draw", lambda _: bare)
 
 
 def nothing_in_it():
@@ -173,7 +168,7 @@ def test_json_leaves_out_what_is_not_a_number():
     ],
 )  # fmt: skip
 def test_the_headline_says_it_plainly(verdict, headline, level):
-    judged = explain_words.verdict(fake_explanation(verdict))
+    judged = words.verdict(fake_explanation(verdict))
     assert judged.headline.replace("\u00a0", " ") == headline
     assert judged.level == level
 
@@ -181,7 +176,7 @@ def test_the_headline_says_it_plainly(verdict, headline, level):
 def test_one_missing_effect_is_one_sentence():
     e = fake_explanation("explained", recordings=1)
     gained = replace(e.before, log_evidence=e.before.log_evidence + 863.0)
-    judged = explain_words.verdict(replace(e, missing=e.missing[:1], after=gained))
+    judged = words.verdict(replace(e, missing=e.missing[:1], after=gained))
     assert judged.headline.replace("\u00a0", " ") == (
         "Something is missing: the gyro scale error (probability over 99.9 %), and adding it "
         "makes the recording 863 nats more probable."
@@ -191,32 +186,32 @@ def test_one_missing_effect_is_one_sentence():
 def test_what_speaks_against_a_model_is_said():
     e = fake_explanation("explained", recordings=1)
     worse = replace(e.held_out, log_score_after=e.held_out.log_score_before - 12.0)
-    judged = explain_words.verdict(replace(e, held_out=worse))
+    judged = words.verdict(replace(e, held_out=worse))
     assert judged.level == "partly"
     assert any("does worse" in s for s in judged.sentences)
     rough = replace(e.after, nis=dict(e.after.nis) | {"heading": 4.0})
-    judged = explain_words.verdict(replace(e, after=rough))
+    judged = words.verdict(replace(e, after=rough))
     assert judged.level == "partly"
     assert any("heading scatters 2.0 times as far" in s for s in judged.sentences)
 
 
 def test_what_cannot_be_told_is_said():
     e = fake_explanation("cannot_tell")
-    look, hidden = explain_words.untold(e)
+    look, hidden = words.untold(e)
     assert look.startswith("Gravity, the accelerometer scale error and the accelerometer asymm")
     assert "gyro temperature slope" in hidden
-    unlearnt = explain_words.untold(fake_explanation("explained"))[-1]
+    unlearnt = words.untold(fake_explanation("explained"))[-1]
     assert unlearnt.startswith("Lever arm z")
 
 
 def test_what_a_motion_would_do_is_said():
     e = fake_explanation("cannot_tell")
-    apart = explain_words.promise(e.next_motion[1], e)
+    apart = words.promise(e.next_motion[1], e)
     assert apart == "sets apart the accelerometer scale error and the accelerometer asymmetry"
     hidden = replace(e.next_motion[0], separates=("gyro_scale", "lever_arm"))
-    assert explain_words.promise(hidden, e) == "would show the gyro scale error and the lever arm"
+    assert words.promise(hidden, e) == "would show the gyro scale error and the lever arm"
     many = replace(hidden, separates=tuple(h.effect for h in e.hypotheses[:9]))
-    assert explain_words.promise(many, e).endswith(" and five more")
+    assert words.promise(many, e).endswith(" and five more")
 
 
 def test_a_less_probable_rival_of_a_named_effect_is_said():
@@ -224,14 +219,14 @@ def test_a_less_probable_rival_of_a_named_effect_is_said():
     m = replace(e.missing[0], indistinguishable_from=("gyro_quadratic",))
     e = replace(e, missing=(m,))
     assert "the gyro scale error or, less probably, the gyro quadratic error (probability" in (
-        explain_words.verdict(e).headline
+        words.verdict(e).headline
     )
-    assert "most probably the gyro scale error" in explain_words.untold(e)[0]
+    assert "most probably the gyro scale error" in words.untold(e)[0]
 
 
 def test_where_nothing_was_added_there_is_one_model(monkeypatch):
     e = fake_explanation("nothing_missing")
-    monkeypatch.setattr(explain_plots, "draw", lambda _: drawn("nothing_missing"))
+    monkeypatch.setattr(plots, "draw", lambda _: drawn("nothing_missing"))
     html, text = render_explanation(e), printed(e)
     for word in ("Plain model", "Final model", "Before and after", "has not seen"):
         assert word not in html
@@ -239,7 +234,7 @@ def test_where_nothing_was_added_there_is_one_model(monkeypatch):
     assert "unseen data" not in text
     quiet = {c: 0.0 * s for c, s in e.recordings[0].shortfall.items()}
     e = replace(e, recordings=(replace(e.recordings[0], shortfall=quiet),))
-    assert explain_plots.heat_plot(e, 0) is None
+    assert plots.heat_plot(e, 0) is None
 
 
 def test_a_term_without_a_name_has_its_place_in_every_figure(tmp_path):
@@ -250,7 +245,7 @@ def test_a_term_without_a_name_has_its_place_in_every_figure(tmp_path):
     # (one trace: all the others look alike, and drawing them takes most of the time)
     few = replace(r, evidence=replace(r.evidence, gain=gain), traces=r.traces[:1])
     e = replace(e, recordings=(few,))
-    bars, curve = explain_plots.draw(e)["evidence"]
+    bars, curve = plots.draw(e)["evidence"]
     assert formula.split(" += ")[1] in bars.svg
     assert formula in curve.svg
     dashboard.save_explanation_rrd(e, tmp_path / "x.rrd")
@@ -272,7 +267,7 @@ def test_data_not_seen_have_a_score_and_no_residuals():
      (0.0, "under 0.1 %"), (math.nan, "–")],
 )  # fmt: skip
 def test_no_certainty_that_nobody_has(share, text):
-    assert explain_words.percent(share).replace("\u00a0", " ") == text
+    assert words.percent(share).replace("\u00a0", " ") == text
 
 
 @pytest.mark.parametrize(
@@ -281,17 +276,17 @@ def test_no_certainty_that_nobody_has(share, text):
      (2.0, math.nan, "m", "2"), (math.nan, 1.0, "m", "unknown"), (0.0, 0.5, "", "0.00 ± 0.50")],
 )  # fmt: skip
 def test_amounts_of_unnamed_terms(value, sigma, unit, text):
-    assert explain_words.amount(Unnamed("f", value, sigma, unit, 1.0)).strip() == text
+    assert words.amount(Unnamed("f", value, sigma, unit, 1.0)).strip() == text
 
 
 def test_channels_in_words_and_units():
-    assert explain_words.channel_title("accel_y") == "accelerometer y"
-    assert explain_words.channel_title("heading") == "heading"
-    assert explain_words.channel_shown("gyro_x", [1.0]).unit == "deg/s"
-    assert explain_words.channel_shown("accel_x", [1.0]).unit == "m/s²"
-    assert explain_words.channel_shown("accel_x", [0.1], small=True).unit == "mg"
-    assert explain_words.channel_shown("position_x", [0.01]).unit == "mm"
-    order = explain_words.channels({"position_x": 1.0, "heading": 1.0}, {"gyro_z": 1.0})
+    assert words.channel_title("accel_y") == "accelerometer y"
+    assert words.channel_title("heading") == "heading"
+    assert words.channel_shown("gyro_x", [1.0]).unit == "deg/s"
+    assert words.channel_shown("accel_x", [1.0]).unit == "m/s²"
+    assert words.channel_shown("accel_x", [0.1], small=True).unit == "mg"
+    assert words.channel_shown("position_x", [0.01]).unit == "mm"
+    order = words.channels({"position_x": 1.0, "heading": 1.0}, {"gyro_z": 1.0})
     assert order == ["gyro_z", "heading", "position_x"]
 
 
@@ -303,7 +298,7 @@ def test_the_terminal_cuts_nothing_and_breaks_no_number(explanation, width):
     assert "…" not in text
     assert not re.search(r"\b(nan|None|inf)\b", text)
     assert not any(line.strip().startswith("%") for line in lines)
-    headline = explain_words.verdict(explanation).headline
+    headline = words.verdict(explanation).headline
     assert " ".join(text.split()).replace("\u00a0", " ").find(" ".join(headline.split())) >= 0
     for m in explanation.missing:
         assert f"Missing: {m.title}" in text
@@ -336,7 +331,7 @@ def test_the_page_is_whole_and_says_what_the_explanation_says(explanation, page)
     assert not re.search(r"\b(nan|None|inf|undefined)\b", words_only, re.I)
     for colour in drawing.PALETTE:
         assert colour not in body
-    assert explain_words.verdict(explanation).headline in text
+    assert words.verdict(explanation).headline in text
     for m in explanation.missing:
         assert m.story in words_only
     for r in explanation.recordings:
@@ -354,7 +349,7 @@ def test_every_figure_is_there(explanation, figures):
     assert count["parameters"] == (1 if explanation.missing else 0)
     worst = explanation.mismatch[0].channel if explanation.mismatch else None
     if worst:
-        assert explain_words.channel_title(worst) in figures["first"][0].title.lower()
+        assert words.channel_title(worst) in figures["first"][0].title.lower()
 
 
 def test_an_explanation_with_next_to_nothing_in_it_still_shows(tmp_path):
@@ -370,8 +365,8 @@ def test_many_bins_are_added_up_and_none_is_lost():
     r = e.recordings[0]
     many = np.linspace(0, 84, 1001)
     spread = {c: np.linspace(0, 1, 1000) for c in r.shortfall}
-    bins, cells = explain_frames.cells(replace(r, bins=many, shortfall=spread))
-    assert bins.size - 1 <= explain_frames.CELLS
+    bins, cells = frames.cells(replace(r, bins=many, shortfall=spread))
+    assert bins.size - 1 <= frames.CELLS
     assert bins[-1] == many[-1]
     assert cells["heading"].size == bins.size - 1
     assert cells["heading"].sum() == pytest.approx(500.0)
@@ -398,7 +393,7 @@ def test_a_saved_explanation_reads_back(explanation, tmp_path):
         for t in r.traces:
             assert found[f"{home}/simulated/{t.channel}"] == t.t.size
             assert found[f"{home}/difference/{t.channel}/model"] == t.t.size
-            where = explain_frames.mismatches(explanation, i, t.channel)
+            where = frames.mismatches(explanation, i, t.channel)
             assert found.get(f"{home}/difference/{t.channel}/amiss", 0) == 3 * len(where)
         for channel in r.shortfall:
             assert found[f"{home}/shortfall/{channel}"] == r.bins.size
@@ -482,17 +477,17 @@ def test_a_law_is_drawn_on_the_page_and_in_one_line() -> None:
     curve = Curve(x, y, np.full(41, 1e-3), "rad/s", "rad/s", behind)
     law = Unnamed("gyro_z += k * tanh(omega_z / 0.2)", 0.02, 1e-3, "rad/s", 100.0,
                   channels=("gyro_z",), drivers=("omega_z",), curve=curve)  # fmt: skip
-    line = explain_words.sparkline(law)
+    line = words.sparkline(law)
     signs = line.split()[1]
     assert signs == "".join(sorted(signs))
     assert {signs[0], signs[-1]} == {"▁", "█"}
     assert line.startswith("−115 ")
     assert line.endswith("−1.1 to 1.1 deg/s")
-    plot = explain_plots.law_plot(law, 0)
+    plot = plots.law_plot(law, 0)
     assert plot is not None
     assert plot.svg.count("<use") >= len(behind)
-    assert explain_plots.law_plot(replace(law, curve=None), 0) is None
-    assert explain_words.sparkline(replace(law, curve=None)) == ""
+    assert plots.law_plot(replace(law, curve=None), 0) is None
+    assert words.sparkline(replace(law, curve=None)) == ""
 
 
 def test_what_has_no_name_is_drawn_in_the_viewer_and_said_for_what_it_is(tmp_path) -> None:
@@ -509,9 +504,9 @@ def test_what_has_no_name_is_drawn_in_the_viewer_and_said_for_what_it_is(tmp_pat
     found = rows(tmp_path / "x.rrd")
     assert {"/laws/1/law", "/laws/1/read", "/laws/1/scale"} <= set(found)
     assert found["/laws/2"] == len(course.x)
-    assert "lead, not yet a cause" in explain_words.lead(law)
-    assert explain_words.lead(rest) == ""
-    assert explain_words.over_what(rest) == "t"
-    assert explain_words.sized(rest).startswith("a size of")
-    assert "over time" in explain_plots.law_plot(rest, 1).caption
+    assert "lead, not yet a cause" in words.lead(law)
+    assert words.lead(rest) == ""
+    assert words.over_what(rest) == "t"
+    assert words.sized(rest).startswith("a size of")
+    assert "over time" in plots.law_plot(rest, 1).caption
     assert "It errs." in printed(e)

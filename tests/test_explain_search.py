@@ -19,7 +19,7 @@ from handcal.estimate.quadratic import Quadratic
 from handcal.estimate.tails import LOG_SHARES, SCALES
 from handcal.explain import climb
 from handcal.explain.score import PRIOR
-from handcal.explain.search import (
+from handcal.explain.space import (
     Space,
     best_set,
     expected_gain,

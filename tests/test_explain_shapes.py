@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from worlds import recording_of
 
-from handcal._jit import call_residual
+from handcal.compiled.jit import call_residual
 from handcal.effects import TIME, Z_DIM, Signals
 from handcal.estimate.quadratic import Quadratic
-from handcal.explain import explain, shapes
+from handcal.explain import explain
+from handcal.explain.unnamed import shapes
 from handcal.types import Array
 from handcal_sim import simulate
 from handcal_sim.phone import Clocking, Phone, consumer_phone, with_rate

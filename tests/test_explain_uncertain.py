@@ -15,11 +15,12 @@ from worlds import recording_of
 
 from handcal.effects import catalogue
 from handcal.estimate import case, process
-from handcal.estimate.fit import Model, fitted, started
+from handcal.estimate.fit import fitted, started
+from handcal.estimate.model import Model
+from handcal.estimate.noise import Curvature
 from handcal.explain import explain
 from handcal.explain.leaning import leaning
-from handcal.explain_summary import print_explanation
-from handcal.noise import Curvature
+from handcal.show.explanation.summary import print_explanation
 from handcal.types import Array
 from handcal_sim import simulate
 from handcal_sim.phone import Clocking, Phone, consumer_phone, with_rate

@@ -12,12 +12,13 @@ from fake_explanation import fake_explanation
 from test_explain import slow as at_fifty_hertz
 from worlds import recording_of
 
-from handcal import explain_command
+from handcal.commands import explain as explain_command
 from handcal.effects import catalogue
-from handcal.explain import explain, naming, with_motion
+from handcal.explain import explain, naming
 from handcal.explain.explanation import Explanation, Unnamed
+from handcal.explain.unnamed import with_motion
 from handcal.explain.written import chosen_from
-from handcal.explain_summary import explanation_json
+from handcal.show.explanation.summary import explanation_json
 from handcal.types import Array, Recording
 from handcal_sim import simulate
 

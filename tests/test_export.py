@@ -14,9 +14,9 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from sample_recording import START_NS, sample
 
-from handcal.export import write_mcap
-from handcal.inputs import load
-from handcal.streams import quaternions_of_yaw, yaw_of_quaternions
+from handcal.recordings.export import write_mcap
+from handcal.recordings.inputs import load
+from handcal.recordings.streams import quaternions_of_yaw, yaw_of_quaternions
 from handcal.types import HandcalError, Recording
 
 

@@ -7,11 +7,20 @@ import numpy as np
 import pytest
 from worlds import part_of, problem_of, recording_of, true_levels
 
-from handcal import calibrate, load, segment, so3
-from handcal.filter import ENGINES, State, empty_track, initial_state, run_compiled, run_filterpy
-from handcal.linear import epochs
-from handcal.model import noise_arrays
-from handcal.noise import initial_levels
+from handcal import calibrate, load
+from handcal.compiled import so3
+from handcal.estimate.filter import (
+    ENGINES,
+    State,
+    empty_track,
+    initial_state,
+    run_compiled,
+    run_filterpy,
+)
+from handcal.estimate.linear import epochs
+from handcal.estimate.noise import initial_levels
+from handcal.estimate.problem import noise_arrays
+from handcal.recordings import segment
 from handcal.types import Imu, Series
 from handcal_sim import simulate
 from handcal_sim.motion import Start

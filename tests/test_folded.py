@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from worlds import recording_of
 
-from handcal import batch
 from handcal.effects import select
+from handcal.estimate import smoother
 from handcal.estimate.case import case_of
-from handcal.estimate.fit import Fitted, fitted, moved_to, started
-from handcal.evidence import backward, reduce, reduced_pass
-from handcal.folded import fold, unfolded
-from handcal.linear import linearise_about
+from handcal.estimate.evidence import backward, reduce, reduced_pass
+from handcal.estimate.fit import fitted, moved_to, started
+from handcal.estimate.folded import fold, unfolded
+from handcal.estimate.linear import linearise_about
+from handcal.estimate.model import Fitted
 from handcal_sim import simulate
 
 # Nats, and standard deviations (the issue that asked for it).
@@ -44,9 +45,9 @@ def test_the_same_evidence_and_constants(fit: Fitted) -> None:
 
 def test_the_same_trajectory(fit: Fitted) -> None:
     """Smoothed at every epoch: within a fiftieth of the sigma that the whole filter has there."""
-    x, _ = batch.smoothed_mean(fit.linear, fit.levels)
-    forward = batch.forward(fit.linear, fit.levels)
-    exact, P = batch.smooth(fit.linear, fit.levels, forward)
+    x, _ = smoother.smoothed_mean(fit.linear, fit.levels)
+    forward = smoother.forward(fit.linear, fit.levels)
+    exact, P = smoother.smooth(fit.linear, fit.levels, forward)
     sigma = np.sqrt(np.einsum("kii->ki", P)[:, :9])
     away = np.abs(x[:, :9] - exact[:, :9]) / sigma
     assert np.quantile(away, 0.99) < SIGMAS
@@ -78,6 +79,8 @@ def test_a_rough_start_is_smoothed_within_the_windows_too(fit: Fitted) -> None:
     rng = np.random.default_rng(0)
     rough = nominal.markov + 0.02 * rng.standard_normal(nominal.markov.shape)
     linear = linearise_about(fit.linear.problem, fit.linear.start, replace(nominal, markov=rough))
-    there, _, _ = batch.relinearise(linear, fit.levels)
-    away = there.trajectory.markov - batch.relinearise(fit.linear, fit.levels)[0].trajectory.markov
+    there, _, _ = smoother.relinearise(linear, fit.levels)
+    away = (
+        there.trajectory.markov - smoother.relinearise(fit.linear, fit.levels)[0].trajectory.markov
+    )
     assert np.abs(away).max() < 0.002

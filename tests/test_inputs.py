@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from sample_recording import sample
 
-from handcal.export import write_mcap
-from handcal.inputs import load
-from handcal.inputs._checks import check_gyro_unit, saturated
-from handcal.inputs._repair import Columns, assemble, columns
+from handcal.recordings.export import write_mcap
+from handcal.recordings.inputs import load
+from handcal.recordings.inputs._checks import check_gyro_unit, saturated
+from handcal.recordings.inputs._repair import Columns, assemble, columns
 from handcal.types import Imu, InputError, Recording
 
 DEG, G = np.pi / 180, 9.80665

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from sample_recording import sample
 
-from handcal.inputs import load
+from handcal.recordings.inputs import load
 from handcal.types import InputError, Recording
 
 DEG, G = np.pi / 180, 9.80665

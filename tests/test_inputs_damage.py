@@ -19,8 +19,8 @@ from mcap.records import Chunk, Footer, Header
 from mcap.writer import CompressionType
 from sample_recording import IMU, edited, imu_json, imu_messages, sample, write_channels
 
-from handcal.export import write_mcap
-from handcal.inputs import load
+from handcal.recordings.export import write_mcap
+from handcal.recordings.inputs import load
 from handcal.types import InputError, Recording
 
 MAGIC = b"\x89MCAP0\r\n"

@@ -20,8 +20,8 @@ from sample_recording import (
     write_channels,
 )
 
-from handcal.export import write_mcap
-from handcal.inputs import load
+from handcal.recordings.export import write_mcap
+from handcal.recordings.inputs import load
 from handcal.types import InputError, Recording
 
 

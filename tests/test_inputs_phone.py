@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from sample_recording import START_NS, sample
 
-from handcal.inputs import load, sensor_logger
+from handcal.recordings.inputs import load, sensor_logger
 from handcal.types import InputError, Recording
 
 G = 9.80665

@@ -9,15 +9,17 @@ import numpy as np
 import pytest
 from lab_world import command, off, recording
 
-from handcal import regression, segment
+from handcal.compiled.so3 import matrix_exp
 from handcal.effects import select
-from handcal.inputs._checks import saturated
-from handcal.lab import bench, paper_000, paper_004
+from handcal.estimate import regression
+from handcal.lab import bench
 from handcal.lab.known_input import BAD_CONDITION, DEFAULT, known_input
-from handcal.lab.paper import computed, markdown, numbers
+from handcal.lab.papers import paper_000, paper_004
+from handcal.lab.papers.paper import computed, markdown, numbers
 from handcal.lab.table import ARCMIN, ARCSEC, error_covariance, table
 from handcal.lab.ten_tests import best_rates, magnification, proposal
-from handcal.so3 import matrix_exp
+from handcal.recordings import segment
+from handcal.recordings.inputs._checks import saturated
 from handcal.types import HandcalError, InputError, Series
 
 EXACT = {"gyro": 0.0, "accel": 0.0}

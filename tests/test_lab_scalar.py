@@ -12,14 +12,14 @@ from lab_world import command, off, recording
 from scipy.optimize import least_squares
 
 import handcal
-from handcal.apply import apply, read
-from handcal.lab import paper_001
+from handcal.compiled.so3 import matrix_exp, matrix_log
+from handcal.device.apply import apply, read
+from handcal.estimate.regression import BIASES as CONSTANT
+from handcal.estimate.regression import unknowns
 from handcal.lab.norm_rows import Problem, carried_by_gyro, unit
+from handcal.lab.papers import paper_001
 from handcal.lab.scalar import DEFAULT, from_poses, halves, scalar
 from handcal.lab.stretches import extra_variance
-from handcal.regression import BIASES as CONSTANT
-from handcal.regression import unknowns
-from handcal.so3 import matrix_exp, matrix_log
 from handcal.types import HandcalError, Imu, InputError
 
 G = 9.80665

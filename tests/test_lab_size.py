@@ -13,11 +13,11 @@ import pytest
 from typer.testing import CliRunner
 
 import handcal
-from handcal import so3
-from handcal.cli import app
-from handcal.export import write_mcap
-from handcal.lab import paper_003 as paper
+from handcal.commands._app import app
+from handcal.compiled import so3
+from handcal.lab.papers import paper_003 as paper
 from handcal.lab.size import FACE_DIAGONALS, Sized, force_of, size
+from handcal.recordings.export import write_mcap
 from handcal.types import Array, HandcalError, Imu, Recording, Series
 
 G = 9.80665

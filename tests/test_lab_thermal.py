@@ -14,12 +14,12 @@ from scipy.stats import multivariate_normal
 from typer.testing import CliRunner
 
 import handcal
-from handcal import so3
-from handcal.cli import app
-from handcal.export import write_mcap
-from handcal.lab.thermal import Curve, Thermal, thermal
-from handcal.lab.thermal_basis import Basis, candidates
-from handcal.lab.thermal_fit import Rows, best_extra, fitted, log_evidence
+from handcal.commands._app import app
+from handcal.compiled import so3
+from handcal.lab.thermal.basis import Basis, candidates
+from handcal.lab.thermal.curves import Curve, Thermal, thermal
+from handcal.lab.thermal.fit import Rows, best_extra, fitted, log_evidence
+from handcal.recordings.export import write_mcap
 from handcal.types import Array, HandcalError, Imu, InputError, Recording, Series
 
 G = 9.80665

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import handcal
-from handcal.frames import layout_of
-from handcal.live import live_frames
+from handcal.estimate.live import live_frames
+from handcal.show.frames import layout_of
 from handcal_sim import simulate, write
 
 LEVELS = {"gyro_noise": 1e-3, "accel_noise": 5e-3, "sway": 0.004, "sway_per_rate": 0.004,

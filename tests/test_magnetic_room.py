@@ -10,8 +10,8 @@ import pytest
 from worlds import recording_of
 
 from handcal import calibrate
-from handcal.apply import NO_STREAM, NOT_ASKED, Learnt, apply
-from handcal.conceal import conceal
+from handcal.device.apply import NO_STREAM, NOT_ASKED, Learnt, apply
+from handcal.device.conceal import conceal
 from handcal.effects import Z_DIM, catalogue, observed_error
 from handcal.effects._field import GRADIENT
 from handcal.estimate.case import Case, applicable, case_of, frozen_at

@@ -16,9 +16,9 @@ import sys
 import numpy as np
 
 if sys.argv[1] == "kept":
-    from handcal import _memory
+    from handcal.compiled import memory
 
-    _memory.kept()
+    memory.kept()
 for n in range(20):
     if n == 5:
         before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt

@@ -10,13 +10,14 @@ import pytest
 from scipy.linalg import expm
 from worlds import recording_of
 
-from handcal import words
 from handcal.estimate.case import Case, case_of, creeping
 from handcal.estimate.chosen import Chosen, Options, document_of, seen, view_of
-from handcal.estimate.fit import Model, baseline, diverged
+from handcal.estimate.fit import baseline, diverged
+from handcal.estimate.model import Model
+from handcal.estimate.sway import sway_of
 from handcal.explain import moving, written
 from handcal.observations.fixed_position import CREEP, SWAY, Part, Sway
-from handcal.sway import sway_of
+from handcal.show import words
 from handcal_sim import simulate
 from handcal_sim.motion import free_hand
 from handcal_sim.motion_people import changes_hands, people

@@ -13,18 +13,22 @@ from typer.testing import CliRunner
 from worlds import recording_of
 
 import handcal
-from handcal import calibrate, cli, effects, segment, so3
-from handcal import conceal as hidden
-from handcal.apply import Learnt, apply
+from handcal import calibrate, effects
+from handcal.commands import _app
+from handcal.compiled import so3
+from handcal.device import conceal as hidden
+from handcal.device.apply import Learnt, apply
+from handcal.device.twin import twin
 from handcal.earth import local_earth
 from handcal.effects import catalogue, select
 from handcal.estimate.observed import observed_of
-from handcal.explain import drivers, explain, grammar, laws, terms
-from handcal.export import write_mcap
-from handcal.model import SUBSTITUTED, build
+from handcal.estimate.problem import SUBSTITUTED, build
+from handcal.explain import explain
+from handcal.explain.unnamed import drivers, grammar, laws, terms
+from handcal.recordings import segment
+from handcal.recordings.export import write_mcap
+from handcal.recordings.streams import STREAMS, Message, Stream
 from handcal.signals import of_recording
-from handcal.streams import STREAMS, Message, Stream
-from handcal.twin import twin
 from handcal.types import InputError, Series
 from handcal_sim import simulate
 from handcal_sim.phone import consumer_phone
@@ -69,7 +73,7 @@ EFFECT = Effect(
     imu_error=imu_error, needs=("pressure",),''',
     "heading_tilt": '''
 """One on an observation, that depends on more than the observation tells."""
-from handcal._jit import residual_function
+from handcal.compiled.jit import residual_function
 from handcal.effects import Effect, Param
 
 def _heading(nav, k, z, r):
@@ -313,10 +317,10 @@ def test_commands_know_it(plain, tmp_path):
     write_mcap(plain, source)
     values = ",".join(map(str, VALUES["gyro_pressure"]))
     given = ["conceal", str(source), "--effect", f"gyro_pressure={values}", "-o", str(out)]
-    done = CliRunner().invoke(cli.app, given)
+    done = CliRunner().invoke(_app.app, given)
     assert done.exit_code == 0, done.output
     assert rms(handcal.load(out).imu.gyro - plain.imu.gyro) > 0.01
-    done = CliRunner().invoke(cli.app, ["conceal", str(source), "--effect", "x=1", "-o", str(out)])
+    done = CliRunner().invoke(_app.app, ["conceal", str(source), "--effect", "x=1", "-o", str(out)])
     assert all(effect in str(done.output) + str(done.stderr) for effect in FILES)
 
 

@@ -9,19 +9,22 @@ import numpy as np
 import pytest
 from worlds import recording_of as recording_in
 
-from handcal import design, segment, so3
-from handcal.design import MOTIONS, Motion, attitude, recording_of
+from handcal import motions
+from handcal.compiled import so3
 from handcal.earth import local_earth
 from handcal.effects import Effect, Signals, select
 from handcal.estimate.case import case_of
-from handcal.estimate.fit import Fitted, Model, fitted, moved_to, scan, started
+from handcal.estimate.fit import fitted, moved_to, scan, started
+from handcal.estimate.model import Fitted, Model
 from handcal.estimate.quadratic import Quadratic, log_evidence
 from handcal.explain import next_motion
 from handcal.explain.explanation import Hypothesis, Missing
-from handcal.explain.find import Found
 from handcal.explain.next_motion import ENOUGH, _believed, _informations, next_motions
-from handcal.explain.search import Space, expected_gain, rivals, space
-from handcal.streams import STREAMS
+from handcal.explain.search import Found
+from handcal.explain.space import Space, expected_gain, rivals, space
+from handcal.motions import MOTIONS, Motion, attitude, recording_of
+from handcal.recordings import segment
+from handcal.recordings.streams import STREAMS
 from handcal.types import Array, Recording, Series
 from handcal_sim import simulate
 from handcal_sim.motion import Start
@@ -176,7 +179,7 @@ def test_the_promise_is_kept(one_way: Found) -> None:
 
     scale = u * select(["gyro_scale"])[0].prior_sigma
     recording = _read(next_motion._case(motion, like.case).recording, like, scale, rng)
-    rate = design.rate_of(like.case.recording.streams["heading"])
+    rate = motions.rate_of(like.case.recording.streams["heading"])
     thin = math.sqrt(STREAMS["heading"].planned_hz / rate)
     levels = {**like.levels, "heading_noise": like.levels["heading_noise"] * thin}
     made = started(replace(case_of(recording, like.case.assume), fixed=levels))

@@ -8,16 +8,16 @@ import pytest
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from handcal import so3
-from handcal._jit import call_residual
+from handcal.compiled import so3
+from handcal.compiled.jit import call_residual
+from handcal.compiled.kernel import BASE, MAX_DIM, MOST_HELD, Tables, linearise
+from handcal.compiled.so3 import wrap
 from handcal.effects import TIME, Z_DIM
 from handcal.effects import catalogue as effects
-from handcal.kernel import BASE, MAX_DIM, MOST_HELD, Tables, linearise
 from handcal.observations import NAV, Scene, catalogue
 from handcal.observations.magnetometer import HORIZONTAL, UPWARD, heading_off
 from handcal.observations.pose import aligned
-from handcal.so3 import wrap
-from handcal.streams import STREAMS, observed_by
+from handcal.recordings.streams import STREAMS, observed_by
 from handcal.types import Imu, Recording, Series
 
 SCENE = Scene(np.zeros((0, 2)), True)

@@ -14,11 +14,11 @@ import pytest
 from worlds import recording_of
 
 import handcal
-from handcal.calibration import calibrate_together, recalibrate
+from handcal.estimate.calibration import calibrate_together, recalibrate
 from handcal.explain import Explanation, explain
 from handcal.explain.written import chosen_from, read
-from handcal.explain_summary import explanation_json
-from handcal.summary import OWN, calibration_json
+from handcal.show.calibration.summary import OWN, calibration_json
+from handcal.show.explanation.summary import explanation_json
 from handcal.types import InputError, Recording
 from handcal_sim import simulate
 from handcal_sim.phone import Clocking, Phone, consumer_phone, with_rate

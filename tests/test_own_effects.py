@@ -11,21 +11,23 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from handcal import cli, effects, own_effects, so3
+from handcal import effects, own_effects
+from handcal.commands import _app
+from handcal.compiled import so3
 from handcal.effects import TIME, Z_DIM, Param, catalogue, observed_error, with_effects
 from handcal.estimate.beside import side_by_side
-from handcal.explain import grammar, law_file, laws, shapes, terms
-from handcal.explain.curve import channel_of, drivers_of
-from handcal.explain.drivers import DRIVERS, LINE
 from handcal.explain.explanation import Unnamed
-from handcal.explain.grammar import range_of
-from handcal.explain.laws import Law
+from handcal.explain.unnamed import grammar, law_file, laws, shapes, terms
+from handcal.explain.unnamed.curve import channel_of, drivers_of
+from handcal.explain.unnamed.drivers import DRIVERS, LINE
+from handcal.explain.unnamed.grammar import range_of
+from handcal.explain.unnamed.laws import Law
 from handcal.signals import probe
 from handcal.types import HandcalError, InputError, Parameter
 from handcal_sim import simulate
-from handcal_sim.commands import simulate as simulate_command
+from handcal_sim.commands.simulate import simulate as simulate_command
 from handcal_sim.mcap_writer import write
-from handcal_sim.prove_workers import Workers
+from handcal_sim.prove.workers import Workers
 
 GOOD = """
 import numpy as np
@@ -136,14 +138,14 @@ def test_commands_say_what_they_run_and_end_with_one_line(tmp_path):
              ["lab", "scalar", "x.mcap"], ["lab", "known-input", "x.mcap"],
              ["prove", "--n", "1"]]  # fmt: skip
     for call in calls:
-        done = CliRunner().invoke(cli.app, [*call, "--effects-from", str(folder)])
+        done = CliRunner().invoke(_app.app, [*call, "--effects-from", str(folder)])
         assert done.exit_code == 2, call
         first, second = done.stderr.splitlines()
         assert first.startswith("handcal: running the code of "), call
         assert "own.py is no effect file" in second
     for empty, said in ((tmp_path / "none", "there is no such folder"), (folder, "no effect file")):
         (folder / "own.py").unlink(missing_ok=True)
-        done = CliRunner().invoke(cli.app, [*calls[0], "--effects-from", str(empty)])
+        done = CliRunner().invoke(_app.app, [*calls[0], "--effects-from", str(empty)])
         assert done.exit_code == 2
         assert said in done.stderr
 
@@ -152,9 +154,9 @@ def test_simulate_hands_the_folder_on(tmp_path):
     assert "effects_from" in simulate_command.__annotations__
     folder, out = folder_with(tmp_path, own_law=GOOD), tmp_path / "a.mcap"
     given = ["simulate", "z-turn", "--duration", "3", "--seed", "0", "--effect", "own_law=0.5"]
-    done = CliRunner().invoke(cli.app, [*given, "-o", str(out)])
+    done = CliRunner().invoke(_app.app, [*given, "-o", str(out)])
     assert done.exit_code == 2
-    done = CliRunner().invoke(cli.app, [*given, "-o", str(out), "--effects-from", str(folder)])
+    done = CliRunner().invoke(_app.app, [*given, "-o", str(out), "--effects-from", str(folder)])
     assert done.exit_code == 0, done.stderr
     assert out.exists()
 
@@ -429,7 +431,7 @@ def test_a_recordings_name_is_no_code(tmp_path):
 def test_a_file_that_cannot_be_written_is_said_before_the_work(name, said, tmp_path):
     (tmp_path / "there.py").write_text("mine")
     given = ["explain", "x.mcap", "--write-effect", str(tmp_path / name)]
-    done = CliRunner().invoke(cli.app, given)
+    done = CliRunner().invoke(_app.app, given)
     assert done.exit_code == 2
     assert said in done.stderr
     assert (tmp_path / "there.py").read_text() == "mine"

@@ -14,9 +14,10 @@ from typer.testing import CliRunner
 from worlds import recording_of
 
 import handcal
-from handcal import cli, own_effects
+from handcal import own_effects
+from handcal.commands import _app
 from handcal.effects import catalogue
-from handcal.export import TWINS, write_mcap
+from handcal.recordings.export import TWINS, write_mcap
 from handcal_sim.strangers import scene_of
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -24,7 +25,7 @@ KIND, DEVICE, LENGTH_S, OWN = "gyro_rate_force", 0, 30.0, "gyro_under_force"
 
 
 def run(*arguments, fails=False):
-    done = CliRunner().invoke(cli.app, [str(a) for a in arguments])
+    done = CliRunner().invoke(_app.app, [str(a) for a in arguments])
     assert done.exit_code == (2 if fails else 0), done.stderr
     return done
 

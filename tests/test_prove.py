@@ -15,14 +15,19 @@ from typer.testing import CliRunner
 
 import handcal
 from handcal.types import InputError
-from handcal_sim import prove, prove_draw, prove_score, prove_trial, prove_workers, seal, strangers
+from handcal_sim import seal, strangers
+from handcal_sim.commands import prove as proving
 from handcal_sim.effects import EFFECTS
 from handcal_sim.errors import SimulationError
 from handcal_sim.mcap_writer import write
-from handcal_sim.prove_given import Ticket, in_turn
-from handcal_sim.prove_show import show
-from handcal_sim.prove_suites import BESIDE, LARGE, NEEDS, SIZES, SUITES, Answer
-from handcal_sim.prove_terms import formula_fits
+from handcal_sim.prove import draw, run
+from handcal_sim.prove import score as prove_score
+from handcal_sim.prove import trial as prove_trial
+from handcal_sim.prove import workers as prove_workers
+from handcal_sim.prove.given import Ticket, in_turn
+from handcal_sim.prove.show import show
+from handcal_sim.prove.suites import BESIDE, LARGE, NEEDS, SIZES, SUITES, Answer
+from handcal_sim.prove.terms import formula_fits
 from handcal_sim.scenario import simulate
 
 
@@ -40,7 +45,7 @@ def test_sizes_are_known_for_every_effect_but_the_biases():
 
 @pytest.mark.parametrize("suite", SUITES)
 def test_one_seed_gives_one_recording_and_another_seed_another(suite):
-    draws = [prove_draw.draw(suite, 2, seed, promised) for seed in (5, 5, 6)]
+    draws = [draw.draw(suite, 2, seed, promised) for seed in (5, 5, 6)]
     (one, said), (same, again), (other, _) = draws
     np.testing.assert_array_equal(one.imu.values, same.imu.values)
     assert json.dumps(dataclasses.asdict(said)) == json.dumps(dataclasses.asdict(again))
@@ -50,12 +55,12 @@ def test_one_seed_gives_one_recording_and_another_seed_another(suite):
 
 
 def test_one_effect_each_in_turn_with_what_it_needs(monkeypatch):
-    monkeypatch.setattr(prove_draw, "simulated", lambda given, effects: (given, effects))
-    monkeypatch.setattr(prove_draw, "completed", lambda _world, drawn: drawn)
+    monkeypatch.setattr(draw, "simulated", lambda given, effects: (given, effects))
+    monkeypatch.setattr(draw, "completed", lambda _world, drawn: drawn)
     for start in (0, len(SIZES)):
         seen = set()
         for number in range(start, start + len(SIZES)):
-            (given, effects), answer = prove_draw.draw("one", number, 3)
+            (given, effects), answer = draw.draw("one", number, 3)
             (name, values), *beside = effects.items()
             seen.add(name)
             assert [n for n, _ in beside] == [BESIDE[n] for n in (name,) if n in BESIDE]
@@ -85,11 +90,11 @@ def check_amplitudes(name, values, duration):
 
 
 def test_mixed_has_up_to_three_effects_of_any_kind_and_nothing_has_none(monkeypatch):
-    monkeypatch.setattr(prove_draw, "simulated", lambda given, effects: (given, effects))
-    monkeypatch.setattr(prove_draw, "completed", lambda _world, drawn: drawn)
+    monkeypatch.setattr(draw, "simulated", lambda given, effects: (given, effects))
+    monkeypatch.setattr(draw, "completed", lambda _world, drawn: drawn)
     counts, motions = [], set()
     for number in range(200):
-        (given, effects), answer = prove_draw.draw("mixed", number, 1)
+        (given, effects), answer = draw.draw("mixed", number, 1)
         counts.append(len(set(effects) - {BESIDE.get(name) for name in effects}))
         motions.add(given.scenario)
         assert set(effects) == set(answer.effects)
@@ -99,7 +104,7 @@ def test_mixed_has_up_to_three_effects_of_any_kind_and_nothing_has_none(monkeypa
         if {"lever_arm", "size_effect"} <= set(effects):
             middle = np.reshape(effects["size_effect"], (3, 3)).mean(axis=0)
             np.testing.assert_allclose(middle, 0.0, atol=1e-15)
-        (given, effects), answer = prove_draw.draw("nothing", number, 1)
+        (given, effects), answer = draw.draw("nothing", number, 1)
         assert effects == {}
         assert answer.effects == {}
         assert 50.0 <= given.rate_hz <= 400.0
@@ -109,7 +114,7 @@ def test_mixed_has_up_to_three_effects_of_any_kind_and_nothing_has_none(monkeypa
 
 
 def test_a_device_warms_as_said_and_has_biases_of_any_likely_size():
-    world, answer = prove_draw.draw("one", number_of("accel_temperature"), 3)
+    world, answer = draw.draw("one", number_of("accel_temperature"), 3)
     warm = world.streams["temperature"].values[:, 0]
     assert warm[-1] - warm[0] == pytest.approx(answer.circumstances["warming_K"], abs=0.3)
     assert warm[-1] - warm[0] > 9.7
@@ -123,7 +128,7 @@ def test_a_device_warms_as_said_and_has_biases_of_any_likely_size():
 @pytest.mark.parametrize(("name", "periods"), [("heading_hard_iron", 1), ("heading_soft_iron", 2)])
 def test_iron_is_compared_in_the_frame_that_headings_define(name, periods):
     """offset + a sin(n yaw) + b cos(n yaw) in terms of yaw + offset, which is all one can see."""
-    world, answer = prove_draw.draw("one", number_of(name), 3)
+    world, answer = draw.draw("one", number_of(name), 3)
     offset = world.parameters["phone"]["heading_errors"]["offset"]
     yaw = np.linspace(-3.0, 3.0, 50)
     injected, seen = answer.effects[name], answer.truth(name)
@@ -139,7 +144,7 @@ def test_iron_is_compared_in_the_frame_that_headings_define(name, periods):
 
 
 def test_soft_iron_is_compared_in_a_field_of_unknown_strength():
-    _, answer = prove_draw.draw("one", number_of("mag_soft_iron"), 3)
+    _, answer = draw.draw("one", number_of("mag_soft_iron"), 3)
     injected, seen = (
         np.array([[b[i + j] for j in "xyz"] for i in "xyz"])
         for b in (both(answer.effects["mag_soft_iron"]), both(answer.truth("mag_soft_iron")))
@@ -161,19 +166,19 @@ def number_of(name, seed=3, suite="one"):
 
 
 def test_faint_effects_promise_what_was_asked(monkeypatch):
-    monkeypatch.setattr(prove_draw, "simulated", lambda given, effects: (given, effects))
-    monkeypatch.setattr(prove_draw, "completed", lambda _world, drawn: drawn)
+    monkeypatch.setattr(draw, "simulated", lambda given, effects: (given, effects))
+    monkeypatch.setattr(draw, "completed", lambda _world, drawn: drawn)
     for number, nats in ((0, 10.0), (1, 25.0)):
-        world, answer = prove_draw.draw("faint", number, 4, promised)
+        world, answer = draw.draw("faint", number, 4, promised)
         ((name, values),) = answer.effects.items()
         assert promised(world, name, list(values.values())) == pytest.approx(nats, rel=0.02)
         assert answer.group == f"{nats:g} nats"
     with pytest.raises(ValueError, match="whatever its size"):
-        prove_draw.draw("faint", 0, 4, lambda *_: 0.0)
+        draw.draw("faint", 0, 4, lambda *_: 0.0)
 
 
 def test_a_plan_mixes_suites_and_its_names_tell_nothing():
-    cases = prove.plan("all", 24, 7)
+    cases = run.plan("all", 24, 7)
     counts = {suite: sum(case[1] == suite for case in cases) for suite in SUITES}
     assert counts == {
         "nothing": 6,
@@ -192,15 +197,15 @@ def test_a_plan_mixes_suites_and_its_names_tell_nothing():
         "strange": 0,
     }
     assert [case[0] for case in cases] == [f"r{k:04d}" for k in range(1, 25)]
-    assert cases == prove.plan("all", 24, 7) != prove.plan("all", 24, 8)
-    assert len(prove.plan("all", None, 1)) == 24
-    assert len(prove.plan("nothing", None, 1)) == 200
-    assert {case[1] for case in prove.plan("turn", 3, 1)} == {"turn"}
+    assert cases == run.plan("all", 24, 7) != run.plan("all", 24, 8)
+    assert len(run.plan("all", None, 1)) == 24
+    assert len(run.plan("nothing", None, 1)) == 200
+    assert {case[1] for case in run.plan("turn", 3, 1)} == {"turn"}
 
 
 @pytest.mark.parametrize("number", range(8))
 def test_large_errors_are_as_large_as_they_say(number):
-    _, answer = prove_draw.draw("large", number, 5)
+    _, answer = draw.draw("large", number, 5)
     assert 1 <= len(answer.effects) <= 3
     for name, values in answer.effects.items():
         low, high = LARGE[name]
@@ -271,7 +276,7 @@ def test_formulas_are_compared_by_their_signals(formula, fits):
 
 
 def test_no_truth_is_written(tmp_path):
-    world, answer = prove_draw.draw("one", number_of("gyro_scale"), 3)
+    world, answer = draw.draw("one", number_of("gyro_scale"), 3)
     file = tmp_path / "r.mcap"
     count = write(world, file, truth=False)
     with file.open("rb") as stream:
@@ -512,7 +517,7 @@ def test_the_rest_of_the_score_and_its_tables():
 
 def test_a_trial_from_end_to_end_with_an_oracle(tmp_path, monkeypatch):
     folder = tmp_path / "trial"
-    cases = prove.plan("turn", 2, 3)
+    cases = run.plan("turn", 2, 3)
     seen = []
 
     def explain(file):
@@ -520,13 +525,13 @@ def test_a_trial_from_end_to_end_with_an_oracle(tmp_path, monkeypatch):
         seen.append(handcal.load(file).duration_s)
         return said("nothing_missing"), 1.5
 
-    trials = prove.run(cases, 3, folder, explain, 1, lambda: None)
+    trials = run.run(cases, 3, folder, explain, 1, lambda: None)
     assert [t.name for t in trials] == ["r0001", "r0002"]
     assert seen == pytest.approx([30.0, 30.0], abs=0.1)
-    monkeypatch.setattr(prove, "expected_gain", lambda _file, _effect, values: 10.0 * len(values))
-    with_limits = [prove.with_limits(t, folder) for t in trials]
+    monkeypatch.setattr(run, "expected_gain", lambda _file, _effect, values: 10.0 * len(values))
+    with_limits = [run.with_limits(t, folder) for t in trials]
     assert all(list(t.expected) == list(t.answer.effects) for t in with_limits)
-    prove.write_answers(trials, 3, folder / "answers.json")
+    run.write_answers(trials, 3, folder / "answers.json")
     written = json.loads((folder / "answers.json").read_text())["recordings"]
     assert {t.name: dict(t.answer.effects) for t in trials} == {
         name: answer["effects"] for name, answer in written.items()
@@ -538,7 +543,7 @@ def test_a_trial_from_end_to_end_with_an_oracle(tmp_path, monkeypatch):
 
 ECHO = """
 import os, sys
-from handcal_sim.prove_workers import serve
+from handcal_sim.prove.workers import serve
 def explain(path):
     print("chatter")
     if "dies" in path:
@@ -572,24 +577,22 @@ def test_an_interrupt_leaves_what_was_explained_by_then(tmp_path):
         done.append(1)
         raise KeyboardInterrupt
 
-    cases = prove.plan("turn", 4, 1)
-    trials = prove.run(
-        cases, 1, tmp_path / "t", lambda _: (said("nothing_missing"), 0.1), 1, advance
-    )
+    cases = run.plan("turn", 4, 1)
+    trials = run.run(cases, 1, tmp_path / "t", lambda _: (said("nothing_missing"), 0.1), 1, advance)
     assert len(done) == 1
     assert 1 <= len(trials) < 4
 
 
 app = typer.Typer()
-app.command()(prove.prove)
+app.command()(proving.prove)
 
 
 def test_the_command_runs_and_refuses(tmp_path, monkeypatch):
-    fake = "import handcal_sim.prove_workers as w; w.serve(lambda path: %r)"
+    fake = "import handcal_sim.prove.workers as w; w.serve(lambda path: %r)"
     monkeypatch.setattr(
         prove_workers.Workers, "__init__", with_command(fake % (said("nothing_missing"),))
     )
-    monkeypatch.setattr(prove, "with_limits", lambda trial, _folder: trial)
+    monkeypatch.setattr(proving, "with_limits", lambda trial, _folder: trial)
     arguments = ["--suite", "turn", "--n", "2", "--seed", "3", "--out", str(tmp_path / "kept")]
     result = CliRunner().invoke(app, [*arguments, "--json", str(tmp_path / "score.json")])
     assert result.exit_code == 0, result.output

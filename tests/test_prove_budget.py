@@ -7,15 +7,16 @@ import pytest
 from prove_help import parameter, said, trial
 from rich.console import Console
 
-from handcal_sim import leftover, prove_draw, prove_score
+from handcal_sim import leftover
 from handcal_sim.effects import EFFECTS
 from handcal_sim.motion import build, random_start
 from handcal_sim.phone import Gyro, Phone
-from handcal_sim.prove_draw_budget import ALWAYS, AT_TIMES, left, planned
-from handcal_sim.prove_further import worked_out
-from handcal_sim.prove_given import Ticket, generator
-from handcal_sim.prove_show import show
-from handcal_sim.prove_suites import NEEDS
+from handcal_sim.prove import draw, score
+from handcal_sim.prove.draw_budget import ALWAYS, AT_TIMES, left, planned
+from handcal_sim.prove.further import worked_out
+from handcal_sim.prove.given import Ticket, generator
+from handcal_sim.prove.show import show
+from handcal_sim.prove.suites import NEEDS
 
 
 def test_eight_to_twelve_effects_as_the_streams_allow():
@@ -33,7 +34,7 @@ def test_eight_to_twelve_effects_as_the_streams_allow():
 
 
 def test_the_recording_jitters_and_has_lost_samples():
-    world, answer = prove_draw.draw("budget", 1, 5)
+    world, answer = draw.draw("budget", 1, 5)
     rate, lost = answer.circumstances["rate_hz"], answer.circumstances["lost"]
     gaps = np.diff(world.imu.stamps) * rate
     assert np.mean(gaps > 1.5) == pytest.approx(lost, rel=0.5)
@@ -86,14 +87,14 @@ def test_the_score_asks_for_median_and_worst():
         return trial("budget", truth, said(*names), further={"share_left": share})
 
     fine = [of(0.01, "gyro_scale", "lever_arm"), of(0.04, "gyro_scale"), of(0.19)]
-    proof = prove_score.score(fine, 1)
+    proof = score.score(fine, 1)
     figures = proof["further"]["budget"]
     assert figures["left"]["met"] is True
     assert (figures["left"]["median"], figures["left"]["worst"]) == (0.04, 0.19)
     assert (figures["names"]["count"], figures["names"]["n"]) == (3, 6)
     failed = trial("budget", {"gyro_scale": {"x": 0.01}}, {"error": "x"})
     for worse in ([*fine, of(0.21)], [of(0.06)], [*fine, failed]):
-        again = prove_score.score(worse, 1)
+        again = score.score(worse, 1)
         assert again["further"]["budget"]["left"]["met"] is False
     text = io.StringIO()
     show(proof, Console(file=text, width=200))

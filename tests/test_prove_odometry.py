@@ -8,17 +8,17 @@ import pytest
 from prove_help import said, trial
 from rich.console import Console
 
-from handcal_sim import prove_draw, prove_score
 from handcal_sim.aiding import read_pose
 from handcal_sim.companions import Pose
 from handcal_sim.motion import evaluate, random_start
 from handcal_sim.motion_carried import carried, strolled, way_of
-from handcal_sim.prove_show import show
+from handcal_sim.prove import draw, score
+from handcal_sim.prove.show import show
 
 
 @pytest.mark.parametrize("number", range(6))
 def test_poses_are_as_promised(number):
-    world, answer = prove_draw.draw("odometry", number, 4)
+    world, answer = draw.draw("odometry", number, 4)
     perfect, seen = number % 2 == 1, answer.circumstances
     assert seen["perfect"] is perfect
     assert {"pose_drift", "pose_scale"} <= set(answer.effects) or perfect
@@ -69,7 +69,7 @@ def test_the_score_tells_perfect_trackers_from_others():
         for effects in ({}, truth)
         for document in (said("pose_drift"), said())
     ]
-    proof = prove_score.score(trials, 1)
+    proof = score.score(trials, 1)
     figures = proof["further"]["odometry"]
     assert (figures["perfect_said_to_drift"]["count"], figures["drift_found"]["count"]) == (1, 1)
     assert proof["suites"][0]["met"] is False

@@ -8,13 +8,13 @@ from prove_help import said, trial
 from rich.console import Console
 
 from handcal_sim import motion_people as do
-from handcal_sim import prove_draw, prove_score
 from handcal_sim.aiding import read_heading, read_mag
 from handcal_sim.companions import Heading, Magnetometer, Passing
 from handcal_sim.motion import evaluate, free_hand, random_start, static
 from handcal_sim.phone import HeadingErrors
-from handcal_sim.prove_draw_people import DOINGS
-from handcal_sim.prove_show import show
+from handcal_sim.prove import draw, score
+from handcal_sim.prove.draw_people import DOINGS
+from handcal_sim.prove.show import show
 
 T = np.arange(0.0, 40.0, 0.002)
 ACTS = [doing.act for doing in DOINGS.values() if doing.act is not None]
@@ -78,7 +78,7 @@ def test_iron_misleads_while_it_passes():
 
 @pytest.mark.parametrize("name", ["pauses", "passes iron", "trembles", "swivels"])
 def test_what_is_drawn_has_no_errors_and_pauses_in_all_streams(name):
-    world, answer = prove_draw.draw("people", list(DOINGS).index(name), 4)
+    world, answer = draw.draw("people", list(DOINGS).index(name), 4)
     assert answer.effects == {}
     assert answer.circumstances["doings"][0] == name
     assert set(world.parameters["effects"]) == {"gyro_bias", "accel_bias"}
@@ -101,11 +101,11 @@ def test_the_score_allows_names_of_north_where_iron_passed_and_no_others():
               of(said(verdict="unexplained"), False, "walks"),
               of(said("heading_outliers"), False, "bumps"),
               of(said("lever_arm"), True, "passes iron", "swivels")]  # fmt: skip
-    proof = prove_score.score(trials, 1)
+    proof = score.score(trials, 1)
     outcomes = [line["outcome"] for line in proof["recordings"]]
     assert outcomes == ["exact", "exact", "exact", "false", "false"]
     assert proof["suites"][0]["met"] is False
     text = io.StringIO()
     show(proof, Console(file=text, width=200))
     assert "swivels 1 of 1 (lever_arm)" in text.getvalue()
-    assert prove_score.suites(trials[:3])[0]["met"] is True
+    assert score.suites(trials[:3])[0]["met"] is True

@@ -7,18 +7,18 @@ import pytest
 from prove_help import parameter, said, trial
 from rich.console import Console
 
-from handcal_sim import prove_draw, prove_draw_phone, prove_score
 from handcal_sim.motion import Motion, evaluate, random_start
 from handcal_sim.motion_phone import figure_of_eight, routine, swings
-from handcal_sim.prove_draw_phone import HABITS
-from handcal_sim.prove_show import show
+from handcal_sim.prove import draw, draw_phone, score
+from handcal_sim.prove.draw_phone import HABITS
+from handcal_sim.prove.show import show
 
 HARD, SOFT = "mag_hard_iron", "mag_soft_iron"
 
 
 @pytest.mark.parametrize("number", range(len(HABITS)))
 def test_iron_delays_rates_and_arms_are_as_promised(number):
-    world, answer = prove_draw.draw("phone", number, 5)
+    world, answer = draw.draw("phone", number, 5)
     hard, soft = (np.array(list(answer.effects[name].values())) for name in (HARD, SOFT))
     assert 30e-6 <= np.linalg.norm(hard) <= 300e-6
     S = np.diag(soft[:3]) + sum(
@@ -40,9 +40,9 @@ def test_iron_delays_rates_and_arms_are_as_promised(number):
 
 
 def test_a_third_have_a_field_with_a_gradient_that_fields_can_have(monkeypatch):
-    monkeypatch.setattr(prove_draw_phone, "simulated", lambda *_: None)
-    monkeypatch.setattr(prove_draw, "completed", lambda _world, drawn: drawn)
-    drawn = [prove_draw.draw("phone", 6 * k + 2, 1)[1].effects for k in range(60)]
+    monkeypatch.setattr(draw_phone, "simulated", lambda *_: None)
+    monkeypatch.setattr(draw, "completed", lambda _world, drawn: drawn)
+    drawn = [draw.draw("phone", 6 * k + 2, 1)[1].effects for k in range(60)]
     some = [e["mag_gradient"] for e in drawn if "mag_gradient" in e]
     assert 10 <= len(some) <= 30
     for g in some:
@@ -96,7 +96,7 @@ def test_the_score_counts_parameters_and_impossible_claims():
     trials = [trial("phone", effects, said(HARD, parameters=good), bias),
               trial("phone", effects, claim, bias),
               trial("phone", effects, untold)]  # fmt: skip
-    proof = prove_score.score(trials, 1)
+    proof = score.score(trials, 1)
     figures = proof["further"]["phone"]
     every = figures["parameters"]["all"]["within_3_sigma"]
     assert (every["count"], every["n"]) == (6, 7)
@@ -106,6 +106,6 @@ def test_the_score_counts_parameters_and_impossible_claims():
     show(proof, Console(file=text, width=160))
     assert "lever_arm 1 of 1" in text.getvalue()
     assert "1 of 3 recordings claim" in text.getvalue()
-    fine = prove_score.score(trials[:1], 1)["further"]["phone"]
+    fine = score.score(trials[:1], 1)["further"]["phone"]
     assert fine["asked"]["met"] is True
     assert fine["impossible"]["count"] == 0

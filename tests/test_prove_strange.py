@@ -10,17 +10,17 @@ from prove_help import parameter, said
 from rich.console import Console
 
 from handcal.effects import Signals, catalogue
-from handcal.explain import grammar
-from handcal.explain.curve import drivers_of
-from handcal.explain.drivers import DRIVERS
-from handcal.explain.laws import Law
-from handcal_sim import prove_draw, prove_draw_strange, prove_score, prove_score_strange
+from handcal.explain.unnamed import grammar
+from handcal.explain.unnamed.curve import drivers_of
+from handcal.explain.unnamed.drivers import DRIVERS
+from handcal.explain.unnamed.laws import Law
 from handcal_sim.effects import EFFECTS
-from handcal_sim.prove_further import worked_out
-from handcal_sim.prove_given import Circumstances, Ticket, simulated
-from handcal_sim.prove_show import show
-from handcal_sim.prove_suites import SUITES, Answer
-from handcal_sim.prove_trial import Trial
+from handcal_sim.prove import draw, draw_strange, score, score_strange
+from handcal_sim.prove.further import worked_out
+from handcal_sim.prove.given import Circumstances, Ticket, simulated
+from handcal_sim.prove.show import show
+from handcal_sim.prove.suites import SUITES, Answer
+from handcal_sim.prove.trial import Trial
 from handcal_sim.strange import known, law
 from handcal_sim.strange.device import LAWS, MOST, SIZES, own_scene, with_laws
 from handcal_sim.strange.left import curves, left_share
@@ -174,10 +174,10 @@ def test_the_columns_hold_every_effect_of_the_catalogue(world, scene):
 
 
 def test_only_the_declared_channels_err(monkeypatch):
-    monkeypatch.setattr(prove_draw_strange, "with_laws", lambda world, _: world)
+    monkeypatch.setattr(draw_strange, "with_laws", lambda world, _: world)
     for number in range(8):
         ticket = Ticket("strange", number, 1)
-        case = prove_draw_strange.case_of(ticket)
+        case = draw_strange.case_of(ticket)
         (added, *_) = case.laws
         changed = with_laws(case.world, added)
         names = [f"{s}_{a}" for s in ("gyro", "accel") for a in "xyz"]
@@ -191,7 +191,7 @@ def test_only_the_declared_channels_err(monkeypatch):
 def test_laws_come_in_turn_beside_up_to_two_effects():
     counts, kinds, sensors, first = set(), [], [], set()
     for number in range(14):
-        _, answer = prove_draw.draw("strange", number, 2)
+        _, answer = draw.draw("strange", number, 2)
         laws = answer.stranger["laws"]
         counts.add(len(set(answer.effects) - {"lever_arm"}))
         kinds.append(len(laws))
@@ -259,7 +259,7 @@ RIGHT = entry(["accel_y"], ["f_y"])
     ],
 )
 def test_outcomes(document, laws, effects, expected):
-    assert prove_score.outcome(judged(document, *laws, effects=effects)) == expected
+    assert score.outcome(judged(document, *laws, effects=effects)) == expected
 
 
 @pytest.mark.parametrize(
@@ -307,7 +307,7 @@ def test_every_law_has_the_drivers_that_it_has():
 
 def test_a_true_curve_leaves_nothing_and_none_everything(scene):
     """Of a law of one driver, its own curve at 2000 points, beside its device's other errors."""
-    case = prove_draw_strange.case_of(ticket_of("gyro_cubic_of_omega_i"))
+    case = draw_strange.case_of(ticket_of("gyro_cubic_of_omega_i"))
     scene, (added, *_) = scene_of(case.world), case.laws
     true = [
         parameter(effect, p["name"], p["value"])
@@ -361,14 +361,14 @@ def test_what_explain_draws_a_curve_over_is_known_here(world, scene, channel):
 def ticket_of(name, seed=0):
     for number in range(len(LAWS)):
         ticket = Ticket("strange", number, seed)
-        if prove_draw_strange.in_turn(list(LAWS), ticket) == name:
+        if draw_strange.in_turn(list(LAWS), ticket) == name:
             return ticket
     raise AssertionError(name)
 
 
 def test_a_trial_is_worked_out_scored_and_shown():
     ticket = Ticket("strange", 0, 0)
-    world, answer = prove_draw.draw("strange", 0, 0)
+    world, answer = draw.draw("strange", 0, 0)
     laws = answer.stranger["laws"]
     right = unexplained(*(
         entry([channel], drivers)
@@ -384,7 +384,7 @@ def test_a_trial_is_worked_out_scored_and_shown():
         Trial("r0003", answer, {"error": "Traceback\nValueError: odd"}, 1.0),
         Trial("r0004", answer, {**right, **said("mag_gradient"), "unnamed": []}, 1.0),
     ]
-    figures = prove_score.score(trials, 0)["further"]["strange"]
+    figures = score.score(trials, 0)["further"]["strange"]
     counts = {k: v["count"] for k, v in figures.items() if k != "laws"}
     assert counts == {"told": 1, "driver": 1, "clean": 1, "false": 1, "little_left": 1,
                       "nothing_left": 1}  # fmt: skip
@@ -392,10 +392,10 @@ def test_a_trial_is_worked_out_scored_and_shown():
     assert figures["laws"][0]["channel"] is figures["laws"][0]["driver"] is True
     assert figures["laws"][-1]["false"] == ["mag_gradient"]
     out = Console(file=io.StringIO(), width=160)
-    show(prove_score.score(trials, 0), out)
+    show(score.score(trials, 0), out)
     printed = out.file.getvalue()
     assert laws[0]["law"] in printed
     assert "25.0 %" in printed
-    assert prove_score_strange.score([])["told"]["n"] == 0
+    assert score_strange.score([])["told"]["n"] == 0
     assert set(EFFECTS) >= set(answer.effects)
     assert world.streams["heading"].values.shape[1] == 1

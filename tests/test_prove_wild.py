@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from prove_help import said, trial
 
-from handcal_sim import prove_draw, prove_draw_wild, prove_score
 from handcal_sim.motion import evaluate, random_start
 from handcal_sim.motion_wild import wild
-from handcal_sim.prove_suites import NEEDS
+from handcal_sim.prove import draw, draw_wild, score
+from handcal_sim.prove.suites import NEEDS
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -34,11 +34,11 @@ def test_motion_is_wild_and_pauses(seed):
 
 
 def test_up_to_three_effects_of_any_kind_that_the_streams_allow(monkeypatch):
-    monkeypatch.setattr(prove_draw_wild, "simulated", lambda given, *_: given)
-    monkeypatch.setattr(prove_draw, "completed", lambda _world, drawn: drawn)
+    monkeypatch.setattr(draw_wild, "simulated", lambda given, *_: given)
+    monkeypatch.setattr(draw, "completed", lambda _world, drawn: drawn)
     counts = set()
     for number in range(80):
-        given, answer = prove_draw.draw("wild", number, 1)
+        given, answer = draw.draw("wild", number, 1)
         counts.add(len(answer.effects))
         assert all(NEEDS.get(n, frozenset()) <= given.streams for n in answer.effects)
         assert 3.0 <= answer.circumstances["rate_rad_s"] <= 7.0
@@ -48,5 +48,5 @@ def test_up_to_three_effects_of_any_kind_that_the_streams_allow(monkeypatch):
 def test_the_score_asks_for_95_of_100():
     truth = {"gyro_scale": {"x": 0.01}}
     right, wrong = (trial("wild", truth, said(name)) for name in ("gyro_scale", "lever_arm"))
-    assert prove_score.suites([right] * 19 + [wrong])[0]["met"] is True
-    assert prove_score.suites([right] * 18 + [wrong] * 2)[0]["met"] is False
+    assert score.suites([right] * 19 + [wrong])[0]["met"] is True
+    assert score.suites([right] * 18 + [wrong] * 2)[0]["met"] is False

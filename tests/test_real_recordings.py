@@ -15,9 +15,10 @@ import pytest
 from vqf import VQF
 
 import handcal
-from handcal import segment, so3
-from handcal.consistency import nis_between
+from handcal.compiled import so3
 from handcal.effects import mag_hard_iron
+from handcal.estimate.consistency import nis_between
+from handcal.recordings import segment
 from handcal.types import Array, BoolArray, Imu, Recording, Result, Series
 
 ALL = (

@@ -16,16 +16,18 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 from scipy.stats import binom, chi2
 
-from handcal import apply as taking
-from handcal import calibrate, report, words
+from handcal import calibrate
+from handcal.device import apply as taking
 from handcal.earth import local_earth
 from handcal.effects import select
+from handcal.estimate.linear import Linear, Trajectory, epochs, linearise_about
 from handcal.estimate.observed import observed_of
+from handcal.estimate.problem import build
 from handcal.explain import explain
-from handcal.linear import Linear, Trajectory, epochs, linearise_about
-from handcal.model import build
 from handcal.observations import _reference_bias
-from handcal.summary import calibration_json, write_json
+from handcal.show import words
+from handcal.show.calibration import report
+from handcal.show.calibration.summary import calibration_json, write_json
 from handcal.types import Array, Imu, Recording, Result, Series
 
 G = 9.80665

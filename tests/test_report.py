@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from fake_result import fake_result
 
-from handcal import drawing, report
+from handcal.show import drawing
+from handcal.show.calibration import report
 from handcal.types import Parameter
 
 

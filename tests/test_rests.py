@@ -11,10 +11,11 @@ from hand_world import Held, Sensor, Table, Turn, alternating, band, record, tur
 from worlds import recording_of
 
 import handcal
-from handcal import segment, so3
+from handcal.compiled import so3
 from handcal.estimate.case import case_of
 from handcal.estimate.fit import fitted, started
-from handcal.linear import path
+from handcal.estimate.linear import path
+from handcal.recordings import segment
 from handcal.types import Array, Imu, Recording
 from handcal_sim import simulate
 from handcal_sim.phone import perfect_phone

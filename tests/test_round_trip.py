@@ -14,12 +14,14 @@ import pytest
 from strange_device import errs_by, turned
 from worlds import injected
 
-from handcal import own_effects, so3
-from handcal.apply import apply, read
+from handcal import own_effects
+from handcal.compiled import so3
+from handcal.device.apply import apply, read
 from handcal.effects import Effect, Param, catalogue, with_effects
-from handcal.explain import Explanation, explain, law_file
+from handcal.explain import Explanation, explain
 from handcal.explain.explanation import Unnamed
-from handcal.explain_summary import explanation_json
+from handcal.explain.unnamed import law_file
+from handcal.show.explanation.summary import explanation_json
 from handcal.types import Parameter
 from handcal_sim import strangers
 

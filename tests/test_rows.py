@@ -6,8 +6,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handcal._rows import BLOCK, add_product, add_row, blank, padded, product, set_row
-from handcal.covariance import propagate, propagation_work, symmetrise, update_linear, update_work
+from handcal.compiled.covariance import (
+    propagate,
+    propagation_work,
+    symmetrise,
+    update_linear,
+    update_work,
+)
+from handcal.compiled.rows import BLOCK, add_product, add_row, blank, padded, product, set_row
 
 # (no Phi of the filter is larger than nine rows; more, to meet every remainder)
 SIZES = st.integers(0, 19)

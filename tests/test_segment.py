@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from worlds import recording_of
 
-from handcal import segment
+from handcal.recordings import segment
 from handcal.types import Imu, Recording
 from handcal_sim import simulate
 

@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 import handcal
 import handcal_sim
 from handcal_sim import phone
-from handcal_sim.commands import simulate
+from handcal_sim.commands.simulate import simulate
 from handcal_sim.effects import EFFECTS
 
 START_NS = 1_760_000_000_000_000_000

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from scipy.linalg import polar
 from scipy.spatial.transform import Rotation
 
-from handcal import earth, so3
+from handcal import earth
+from handcal.compiled import so3
 from handcal.types import InputError
 
 EPS = np.finfo(float).eps

@@ -18,11 +18,13 @@ import numpy as np
 import pytest
 from vqf import VQF
 
-from handcal import apply as taken
-from handcal import load, segment, so3
+from handcal import load
+from handcal.compiled import so3
+from handcal.device import apply as taken
 from handcal.explain import explain
-from handcal.explain_summary import explanation_json
-from handcal.summary import write_json
+from handcal.recordings import segment
+from handcal.show.calibration.summary import write_json
+from handcal.show.explanation.summary import explanation_json
 from handcal.types import Array, Imu, Recording
 
 pytestmark = pytest.mark.prove

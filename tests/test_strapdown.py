@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from handcal import so3, strapdown
+from handcal.compiled import so3, strapdown
 from handcal.earth import EARTH_RATE, local_earth
 from handcal_sim import motion, sensors, simulate
 from handcal_sim.phone import perfect_phone

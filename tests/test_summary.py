@@ -10,8 +10,10 @@ import pytest
 from fake_result import fake_result
 from rich.console import Console
 
-from handcal import summary, words
-from handcal.noise import white_levels
+from handcal import units
+from handcal.estimate.noise import white_levels
+from handcal.show import words
+from handcal.show.calibration import summary
 from handcal.types import HandcalError, Innovations, NoiseLevel
 
 
@@ -118,15 +120,15 @@ def test_running_nis_stays_in_its_band_as_often_as_it_should():
     ],
 )
 def test_units_for_people(unit, value, sigma, text):
-    shown = words.shown(unit, [value])
+    shown = units.shown(unit, [value])
     assert f"{shown.value(value, sigma)} {shown.unit}" == text
 
 
 def test_digits_follow_sigma():
-    assert words.Shown("", 1.0).value(1.23456, 0.012) == "1.235"
-    assert words.Shown("", 1.0).value(1234.5, 37.0) == "1234"
-    assert words.Shown("", 1.0).value(-0.5, 0.1, sign=True) == "−0.50"
-    assert words.Shown("", 1.0).value(math.nan, 0.1) == "–"
+    assert units.Shown("", 1.0).value(1.23456, 0.012) == "1.235"
+    assert units.Shown("", 1.0).value(1234.5, 37.0) == "1234"
+    assert units.Shown("", 1.0).value(-0.5, 0.1, sign=True) == "−0.50"
+    assert units.Shown("", 1.0).value(math.nan, 0.1) == "–"
 
 
 @pytest.mark.parametrize(

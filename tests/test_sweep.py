@@ -17,15 +17,17 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from handcal.consistency import chi2_bounds
-from handcal_sim import sweep, sweep_compare, sweep_run
+from handcal.estimate.consistency import chi2_bounds
+from handcal_sim.commands.sweep import sweep as command
 from handcal_sim.errors import SimulationError
-from handcal_sim.sweep_command import sweep as command
-from handcal_sim.sweep_grid import Cell, World, paper, read_grid, turns, with_evidence
-from handcal_sim.sweep_printed import PRINTED
-from handcal_sim.sweep_run import Kept, Plan, Workers, WorkersDied, opened, run
-from handcal_sim.sweep_score import converged_at, scores, spread
-from handcal_sim.sweep_world import angle_sigma
+from handcal_sim.sweep import cell as sweep
+from handcal_sim.sweep import compare
+from handcal_sim.sweep import run as sweep_run
+from handcal_sim.sweep.grid import Cell, World, paper, read_grid, turns, with_evidence
+from handcal_sim.sweep.printed import PRINTED
+from handcal_sim.sweep.run import Kept, Plan, Workers, WorkersDied, opened, run
+from handcal_sim.sweep.score import converged_at, scores, spread
+from handcal_sim.sweep.world import angle_sigma
 
 THRESHOLDS = {"deg/h": 50.0, "ug": 500.0, "ppm": 500.0}
 SHORT = World(duration_s=6.0, rate_hz=20.0)
@@ -421,7 +423,7 @@ def whole(done):
     other = [replace(c, world=replace(c.world, scenario="three-turns"), figures=None, printed=None)
              for c in (plan.cells[0], plan.cells[-1])]  # fmt: skip
     more = run(replace(plan, cells=other), here(), sweep.run_chunk, Kept(None), ignored)
-    return sweep_compare.document("paper", 11, 3, THRESHOLDS, [*done, *more])
+    return compare.document("paper", 11, 3, THRESHOLDS, [*done, *more])
 
 
 def test_the_document_compares(whole):
@@ -478,7 +480,7 @@ def test_a_browser_without_network_draws_the_page_without_complaint(page, width,
 
 
 def test_the_command_from_end_to_end(tmp_path, monkeypatch):
-    monkeypatch.setattr("handcal_sim.sweep_run._processes", lambda _jobs: Here())
+    monkeypatch.setattr("handcal_sim.sweep.run._processes", lambda _jobs: Here())
     grid = tmp_path / "grid.toml"
     grid.write_text("[common]\nduration_s = 6\nrate_hz = 20\n[grid]\nr_h_rad = [0.1, 'none']\n")
     files = {k: tmp_path / f"x.{k}" for k in ("json", "csv", "html", "jsonl")}
@@ -502,7 +504,7 @@ def test_the_command_from_end_to_end(tmp_path, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("handcal_sim.sweep.run_chunk", interrupted)
+    monkeypatch.setattr("handcal_sim.sweep.cell.run_chunk", interrupted)
     monkeypatch.setattr(Here, "submit", interrupted)
     files["jsonl"].write_text(files["jsonl"].read_text().splitlines()[0] + "\n")
     result = invoked(*arguments)
@@ -512,7 +514,7 @@ def test_the_command_from_end_to_end(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("name", ["heading_outliers", "nonsense"])
 def test_what_cannot_be_estimated_is_refused(tmp_path, monkeypatch, name):
-    monkeypatch.setattr("handcal_sim.sweep_run._processes", lambda _jobs: Here())
+    monkeypatch.setattr("handcal_sim.sweep.run._processes", lambda _jobs: Here())
     grid = tmp_path / "grid.toml"
     grid.write_text(f"[common]\nduration_s = 6\nestimate = ['{name}']\n")
     result = invoked("--grid", grid, "--seeds", 1)

@@ -8,13 +8,14 @@ from settled import solve
 from worlds import recording_of
 
 import handcal
-from handcal import segment, so3
+from handcal.compiled import so3
+from handcal.device.twin import IMU_CHANNELS, sensor_residuals, twin
 from handcal.earth import local_earth
 from handcal.effects import select
 from handcal.estimate.observed import problem_of
-from handcal.export import write_twin
 from handcal.observations import catalogue
-from handcal.twin import IMU_CHANNELS, sensor_residuals, twin
+from handcal.recordings import segment
+from handcal.recordings.export import write_twin
 from handcal.types import Imu, InputError
 from handcal_sim import simulate
 from handcal_sim.phone import capture_pose, consumer_magnetometer, consumer_phone

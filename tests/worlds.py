@@ -8,9 +8,9 @@ import numpy as np
 
 from handcal.earth import local_earth
 from handcal.effects import select
-from handcal.model import Problem, build
+from handcal.estimate.problem import Problem, build
+from handcal.estimate.start import Start, from_pose, from_rest
 from handcal.observations import Scene, catalogue
-from handcal.start import Start, from_pose, from_rest
 from handcal.types import Imu, Recording, Series
 from handcal_sim.scenario import World
 

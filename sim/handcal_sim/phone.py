@@ -11,14 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from handcal_sim.companions import (
-    Clocking,
-    Heading,
-    Magnetometer,
-    Pose,
-    Reference,
-    Thermometer,
-)
+from handcal_sim.companions import Clocking, Heading, Magnetometer, Pose, Reference, Thermometer
 from handcal_sim.errors import SimulationError
 from handcal_sim.profiles import Array
 

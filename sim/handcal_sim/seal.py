@@ -19,9 +19,9 @@ import numpy as np
 from handcal_sim import strangers
 from handcal_sim.errors import SimulationError
 from handcal_sim.mcap_writer import write
-from handcal_sim.prove_draw import circumstances
-from handcal_sim.prove_given import Circumstances, amplitudes, answer, completed, simulated
-from handcal_sim.prove_suites import NEEDS, SIZES, Answer
+from handcal_sim.prove.draw import circumstances
+from handcal_sim.prove.given import Circumstances, amplitudes, answer, completed, simulated
+from handcal_sim.prove.suites import NEEDS, SIZES, Answer
 from handcal_sim.scenario import World
 
 ANSWERS = "answers.json"

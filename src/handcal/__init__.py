@@ -29,18 +29,18 @@ __version__ = "0.1.0"
 __all__ = ["calibrate", "load"]
 
 if TYPE_CHECKING:
-    from handcal.calibration import calibrate
-    from handcal.inputs import load
+    from handcal.estimate.calibration import calibrate
+    from handcal.recordings.inputs import load
 
 
 def __getattr__(name: str) -> Any:
     """Import the heavy parts when first used, so that ``handcal --help`` is instant."""
     if name == "load":
-        from handcal.inputs import load
+        from handcal.recordings.inputs import load
 
         return load
     if name == "calibrate":
-        from handcal.calibration import calibrate
+        from handcal.estimate.calibration import calibrate
 
         return calibrate
     raise AttributeError(f"module 'handcal' has no attribute {name!r}")

@@ -1,5 +1,5 @@
 """``python -m handcal`` is the ``handcal`` command."""
 
-from handcal.cli import main
+from handcal.commands._app import main
 
 main()

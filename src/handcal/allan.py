@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handcal.segment import rests
+from handcal.recordings.segment import rests
 from handcal.types import Array, HandcalError, InputError, NoiseLevel, Recording
 
 CHANNELS = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")

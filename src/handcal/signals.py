@@ -11,9 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from handcal import so3
+from handcal.compiled import so3
 from handcal.effects import Effect, Signals
-from handcal.streams import STREAMS, Stream
+from handcal.recordings.streams import STREAMS, Stream
 from handcal.types import Array, BoolArray, IntArray, Recording, Series
 
 

@@ -31,6 +31,11 @@ class InputError(HandcalError):
     """A sentence for the user: what is wrong with a file or an option. Exit status 2."""
 
 
+# What documents of this program call themselves.
+CALIBRATION_SCHEMA = "handcal/calibration/1"
+EXPLANATION_SCHEMA = "handcal/explanation/1"
+
+
 @dataclass(frozen=True)
 class Imu:
     """Inertial readings on one time base, the gyro's.

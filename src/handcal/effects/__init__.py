@@ -38,7 +38,7 @@ from typing import Protocol
 
 import numpy as np
 
-from handcal._jit import call_residuals
+from handcal.compiled.jit import call_residuals
 from handcal.types import Array, BoolArray, InputError, Level, Markov, Recording, Result
 
 # What an effect may need besides streams.
@@ -70,7 +70,7 @@ class Signals:
     t (n,) s; gyro (n, 3) true rate, rad/s; accel (n, 3) true specific force, m/s^2; C_nb
     (n, 3, 3) attitude, or None before there is any; alpha (n, 3) angular acceleration, rad/s^2,
     or None where it is told by the rate alone. streams: what else was measured, (n, d) by the
-    stream's name, with the columns and units of its row in ``handcal.streams``: all that no
+    stream's name, with the columns and units of its row in ``recordings.streams``: all that no
     observation looks at, and what the effects need; only what the recording has, so an effect
     adds nothing where ``streams.get`` finds nothing. Made in ``handcal.signals``.
     """
@@ -136,6 +136,7 @@ class Effect:
     done to what the other effects made of the truth (a filter behind a scale error), or to the
     truth alone, beside them. akin: ids of effects that are the same to the first order.
     made: of a law or a course found in a recording, its kind and its numbers.
+    cost: nats of its prior odds that were spent on choosing its form among many.
     imitated: nats that a hand which turns the device about no single point can lend to this one,
     where only that point's rest tells where the device was.
 
@@ -178,6 +179,7 @@ class Effect:
     together: Array | None = None
     last: bool = True
     akin: tuple[str, ...] = ()
+    cost: float = 0.0
     imitated: float = 0.0
     made: tuple[str, tuple[float, ...]] | None = None
     conceal: Callable[[Array, Recording, Known], Recording] | None = None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from handcal._jit import njit
+from handcal.compiled.jit import njit
 
 # Places in a magnetometer's z of the field's horizontal and upward strength, as believed.
 NORTH, UP = 6, 7

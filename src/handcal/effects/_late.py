@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from handcal._jit import njit
+from handcal.compiled.jit import njit
 
 
 @njit

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from handcal import so3
+from handcal.compiled import so3
 from handcal.effects import Known
 from handcal.effects._derivative import derivative
 from handcal.types import Array, Recording, Series

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from handcal.streams import STREAMS
+from handcal.recordings.streams import STREAMS
 from handcal.types import Array, BoolArray, Imu, InputError, Recording, Series
 
 

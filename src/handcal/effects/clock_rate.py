@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from handcal._jit import residual_function
+from handcal.compiled.jit import residual_function
+from handcal.earth import STANDARD_GRAVITY
 from handcal.effects import ATTITUDE, TIME, Effect, Param, Signals
 from handcal.effects._late import add_lateness
 from handcal.effects._stamps import stretched
 from handcal.types import Array
 
-STANDARD_GRAVITY = 9.80665
 MOST_PPM = 1e5
 # Where z of a reference has how far apart those moments are, s.
 REACH = 36

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from handcal._jit import njit
+from handcal.compiled.jit import njit
 from handcal.effects import Effect, Known, Param, Signals
 from handcal.effects._derivative import derivative, quiet_derivative, sound
 from handcal.types import Array, Recording

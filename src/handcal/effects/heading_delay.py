@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from handcal._jit import njit, residual_function
+from handcal.compiled.jit import njit, residual_function
 from handcal.effects import DELAY, Effect, Param
 from handcal.effects._field import field_of
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from handcal._jit import residual_function
+from handcal.compiled.jit import residual_function
 from handcal.effects import Effect, Param
 
 

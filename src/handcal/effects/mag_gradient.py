@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from handcal._jit import residual_function
+from handcal.compiled.jit import residual_function
 from handcal.effects import PLACE, Effect, Known, Param
 from handcal.effects._field import GRADIENT, gradient_of
 from handcal.types import Array, InputError, Recording, Series

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
 
-from handcal._jit import residual_function
+from handcal.compiled.jit import residual_function
 from handcal.effects import Effect, Param
 from handcal.types import Array, InputError, Recording
 

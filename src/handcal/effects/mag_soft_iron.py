@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from handcal._jit import residual_function
+from handcal.compiled.jit import residual_function
 from handcal.effects import Effect, Known, Param
 from handcal.effects import mag_hard_iron as hard
 from handcal.effects._field import field_of

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from handcal._jit import residual_function
+from handcal.compiled.jit import residual_function
 from handcal.effects import TIME, Effect, Known, Param
 from handcal.effects._moments import moments
 from handcal.types import Array, Recording

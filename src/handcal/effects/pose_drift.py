@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from handcal._jit import residual_function
+from handcal.compiled.jit import residual_function
 from handcal.effects import Effect, Param
 from handcal.effects._walk import RandomWalk
 from handcal.types import Level

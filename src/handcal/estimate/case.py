@@ -8,13 +8,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from handcal import segment, so3
+from handcal.compiled import so3
 from handcal.earth import local_earth
 from handcal.effects import ATTITUDE, PLACE, Effect, Signals, mag_hard_iron
 from handcal.estimate.observed import Choice, Observed, choose, observed_of
-from handcal.model import Problem, build
+from handcal.estimate.problem import Problem, build
+from handcal.estimate.start import Start
 from handcal.observations.fixed_position import CREEPING
-from handcal.start import Start
+from handcal.recordings import segment
 from handcal.types import Array, Recording, Series
 
 

@@ -19,14 +19,13 @@ from handcal.estimate.beside import side_by_side
 from handcal.estimate.case import Case, Edit, case_of, creeping, edited
 from handcal.estimate.fit import (
     TOLERANCE,
-    Fitted,
-    Model,
     at_constants,
     fitted,
     moved_to,
     started,
     with_usual_noise,
 )
+from handcal.estimate.model import Fitted, Model
 from handcal.estimate.parameters import Moment
 from handcal.types import HandcalError, Recording
 

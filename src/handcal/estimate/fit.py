@@ -14,20 +14,22 @@ from functools import partial
 
 import numpy as np
 
-from handcal import batch, so3
-from handcal import noise as noise_levels
-from handcal.columns import Ground, ground, widened
+from handcal.compiled import so3
 from handcal.effects import Effect, catalogue
+from handcal.estimate import noise as noise_levels
+from handcal.estimate import smoother
 from handcal.estimate.beside import side_by_side
 from handcal.estimate.case import Case, other_irons, problem_with
+from handcal.estimate.columns import Ground, ground, widened
+from handcal.estimate.evidence import backward, reduce, reduced_pass
+from handcal.estimate.filter import ENGINES, empty_track
+from handcal.estimate.linear import Linear, Trajectory, epochs, linearise_about, path, trajectory_of
+from handcal.estimate.model import Fitted, Model
 from handcal.estimate.observed import first_state
+from handcal.estimate.problem import Problem, noise_arrays, relinearised
 from handcal.estimate.quadratic import Local, Posterior, Quadratic, given, local, posterior, total
 from handcal.estimate.robust import excess
 from handcal.estimate.tails import tailed, usual
-from handcal.evidence import backward, reduce, reduced_pass
-from handcal.filter import ENGINES, empty_track
-from handcal.linear import Linear, Trajectory, epochs, linearise_about, path, trajectory_of
-from handcal.model import Problem, noise_arrays, relinearised
 from handcal.types import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Array, HandcalError, IntArray
 
 # Nats within which evidence rests: of a fit that is written down, of one that a search compares
@@ -49,42 +51,6 @@ MORE = 0.5
 FURTHEST = 25.0
 # A delay is linearised about where it is known to this, s.
 DELAY_STEP = 0.002
-
-
-@dataclass(frozen=True)
-class Fitted:
-    """One recording, linearised about its trajectory under the model, at its noise levels."""
-
-    case: Case
-    linear: Linear
-    levels: Mapping[str, float]
-    curvature: noise_levels.Curvature = noise_levels.NO_CURVATURE
-
-
-@dataclass(frozen=True)
-class Model:
-    """A settled fit of some effects to all recordings.
-
-    u, covariance: the effects' parameters in units of their priors, in the order of
-    ``quadratic.names``; log_evidence: of all recordings together, noise prior not counted.
-    """
-
-    effects: tuple[Effect, ...]
-    parts: tuple[Fitted, ...]
-    quadratic: Quadratic
-    u: Array
-    covariance: Array
-    log_evidence: float
-    settled: bool
-
-    @property
-    def ids(self) -> tuple[str, ...]:
-        return tuple(e.id for e in self.effects)
-
-    @property
-    def chosen(self) -> frozenset[str]:
-        """Ids of the effects that a scan weighs: all but those that are noise."""
-        return frozenset(e.id for e in self.effects if e.process is None)
 
 
 def always(cases: Sequence[Case]) -> tuple[Effect, ...]:
@@ -136,7 +102,7 @@ def started(case: Case, effects: Sequence[Effect] = (), engine: str = "compiled"
     state = first_state(problem, case.start, levels, case.iron)
     state = ENGINES[engine](problem, noise_arrays(problem, levels), state, track)
     nominal = trajectory_of(problem, track, state.bg, state.ba, state.extras)
-    linear, _, _ = batch.relinearise(linearise_about(problem, case.start, nominal), levels)
+    linear, _, _ = smoother.relinearise(linearise_about(problem, case.start, nominal), levels)
     if not np.isfinite(linear.d).all():
         raise HandcalError(
             "The filter diverged on this recording; check its units and axes, and whether the "
@@ -338,7 +304,7 @@ def relinearised_parts(
             k, m = done.X.shape[:2]
             r = np.empty((k, m, 1))
             backward(done, False, r, np.empty((0, m, m)), spread=False)
-            trajectory = batch.moved(f.linear, batch.whole_mean(done, r))
+            trajectory = smoother.moved(f.linear, smoother.whole_mean(done, r))
             new.append(_linearised(f, trajectory, effects))
         parts = new
     return parts, False, evidence if all(_sane(f.linear) for f in parts) else math.nan

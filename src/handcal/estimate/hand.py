@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from handcal.estimate.case import Case, case_of
-from handcal.estimate.fit import Fitted
-from handcal.sway import TRAVEL_NATS, beyond_a_hand, sway_of
+from handcal.estimate.model import Fitted
+from handcal.estimate.sway import TRAVEL_NATS, beyond_a_hand, sway_of
 
 
 def travels(f: Fitted) -> bool:

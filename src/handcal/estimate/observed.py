@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from handcal import so3
+from handcal.compiled import so3
+from handcal.compiled.kernel import BASE
 from handcal.effects import Effect, mag_hard_iron
-from handcal.filter import State, initial_state
-from handcal.kernel import BASE
-from handcal.model import Problem, build
+from handcal.estimate.filter import State, initial_state
+from handcal.estimate.problem import Problem, build
+from handcal.estimate.start import Start, from_pose, from_rest, levelled
 from handcal.observations import Observation, Rows, Scene, catalogue
-from handcal.start import Start, from_pose, from_rest, levelled
-from handcal.streams import STREAMS
+from handcal.recordings.streams import STREAMS
 from handcal.types import Array, HandcalError, InputError, Recording, Series
 
 Observed = tuple[Observation, Rows, tuple[tuple[str, str, float], ...]]

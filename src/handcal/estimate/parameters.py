@@ -10,9 +10,9 @@ import numpy as np
 
 from handcal.effects import Effect, Param, catalogue, select
 from handcal.estimate.case import name_of
-from handcal.estimate.fit import Model
+from handcal.estimate.evidence import reduce, reduced_pass
+from handcal.estimate.model import Model
 from handcal.estimate.quadratic import given, local
-from handcal.evidence import reduce, reduced_pass
 from handcal.types import Array, Parameter
 
 # In the order of the filter's states.

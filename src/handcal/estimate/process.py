@@ -9,8 +9,8 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from handcal.effects import Effect
-from handcal.estimate.fit import Fitted, Model
-from handcal.evidence import reduce, reduced_pass
+from handcal.estimate.evidence import reduce, reduced_pass
+from handcal.estimate.model import Fitted, Model
 from handcal.types import Array, Parameter
 
 # Step of second differences in the logarithm of a level.

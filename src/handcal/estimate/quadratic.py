@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handcal.evidence import Likelihood
+from handcal.estimate.evidence import Likelihood
 from handcal.types import Array, IntArray
 
 

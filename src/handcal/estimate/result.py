@@ -8,14 +8,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from handcal import batch, so3
-from handcal import noise as noise_levels
-from handcal.estimate.fit import Fitted, Model, interpolated
+from handcal.compiled import so3
+from handcal.compiled.kernel import BASE
+from handcal.estimate import noise as noise_levels
+from handcal.estimate import smoother
+from handcal.estimate.fit import interpolated
+from handcal.estimate.linear import Linear, Trajectory, linearise_about, path
+from handcal.estimate.model import Fitted, Model
 from handcal.estimate.parameters import Known, Moment, known
+from handcal.estimate.problem import Problem, constants_of
 from handcal.estimate.robust import inflation
-from handcal.kernel import BASE
-from handcal.linear import Linear, Trajectory, linearise_about, path
-from handcal.model import Problem, constants_of
 from handcal.observations import magnetometer
 from handcal.types import (
     Array,
@@ -64,11 +66,11 @@ def _result(model: Model, k: int, found: Known) -> Result:
         )
     dense = _dense(f)
     rows = _shown(dense)
-    forward = batch.forward(dense, f.levels, rows=rows)
+    forward = smoother.forward(dense, f.levels, rows=rows)
     history = _history(dense, rows, found, forward.x, forward.P)
     # (the covariances are the largest thing here: of the filter's, the last is left)
     forward = replace(forward, x=forward.x[-1:].copy(), P=forward.P[-1:].copy())
-    smoothed = _history(dense, rows, found, *batch.smooth(dense, f.levels, forward, rows))
+    smoothed = _history(dense, rows, found, *smoother.smooth(dense, f.levels, forward, rows))
     innovations = _innovations(dense, forward)
     for kind, i in innovations.items():
         if i.skipped:
@@ -125,8 +127,8 @@ def _dense(f: Fitted) -> Linear:
         markov=interpolated(new, old, nominal.markov),
     )  # fmt: skip
     out = linearise_about(linear.problem, linear.start, dense)
-    x, _ = batch.smoothed_mean(out, f.levels)
-    return linearise_about(linear.problem, linear.start, batch.moved(out, x))
+    x, _ = smoother.smoothed_mean(out, f.levels)
+    return linearise_about(linear.problem, linear.start, smoother.moved(out, x))
 
 
 def _walked(
@@ -214,7 +216,7 @@ def _converged(history: History, i: int, p: Parameter) -> float | None:
     return float(t[0] if not len(last) else t[min(last[-1] + 1, len(t) - 1)])
 
 
-def _innovations(linear: Linear, forward: batch.Pass) -> dict[str, Innovations]:
+def _innovations(linear: Linear, forward: smoother.Pass) -> dict[str, Innovations]:
     t = np.repeat(linear.t, np.diff(linear.first))
     out = {}
     for k, observation in enumerate(linear.problem.observations):

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from handcal.evidence import Likelihood, reduce, reduced_pass
+from handcal.estimate.evidence import Likelihood, reduce, reduced_pass
 from handcal.types import Array, IntArray
 
 if TYPE_CHECKING:
-    from handcal.estimate.fit import Fitted, Model
+    from handcal.estimate.model import Fitted, Model
 
 # Scores are summed over so long, s: many times the correlation time of a sway.
 BLOCK_S = 4.0

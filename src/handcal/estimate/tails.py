@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handcal._jit import njit
+from handcal.compiled.jit import njit
 from handcal.effects import catalogue
 from handcal.estimate.quadratic import Posterior, Quadratic, posterior
 from handcal.types import Array, BoolArray, IntArray

@@ -1,9 +1,9 @@
 """Locate the mismatch, name the missing physics, model it, prove it.
 
-Reading order: ``case`` (what is observed), ``fit`` (effects fitted to recordings),
-``quadratic`` (evidence of every subset from one pass), ``search``, ``climb`` (the loop),
-``find`` (where it begins), ``locate``, ``held``, and ``verdict``, which puts an Explanation
-together.
+Reading order: ``score`` (by which models are compared), ``space`` (the evidence of every subset of
+effects from one pass), ``climb`` (the steps from a model to a better one), ``search`` (where climbs
+begin, and which end counts), ``unnamed`` (laws without a name), ``naming``, ``locate``, ``held``,
+and ``verdict``, which puts an Explanation together.
 """
 
 from __future__ import annotations

@@ -11,9 +11,10 @@ from functools import partial
 from handcal.effects import Effect, catalogue
 from handcal.estimate.beside import side_by_side
 from handcal.estimate.case import applicable
-from handcal.estimate.fit import Fitted, Model, fitted
+from handcal.estimate.fit import fitted
+from handcal.estimate.model import Fitted, Model
+from handcal.estimate.sway import HAND_SWAY, sway_of
 from handcal.explain.score import better
-from handcal.sway import HAND_SWAY, sway_of
 
 # Sigmas of its prior by which a level lies above its first guess before it is suspected.
 FAR = 2.0

@@ -16,21 +16,16 @@ import numpy as np
 from handcal.effects import Effect, catalogue
 from handcal.estimate.beside import side_by_side
 from handcal.estimate.case import applicable, frozen_at, name_of
-from handcal.estimate.fit import Fitted, Model, fitted, scan
+from handcal.estimate.fit import fitted, scan
+from handcal.estimate.model import Fitted, Model
 from handcal.estimate.robust import inflation
 from handcal.explain.alibi import without_alibi
-from handcal.explain.laws import effect_of, law_of
 from handcal.explain.noises import all_noise, looks_of, of_looks, on_fewer_axes
 from handcal.explain.score import MOMENTS, PRIOR, better, prior, score
-from handcal.explain.search import (
-    Space,
-    best_set,
-    gains,
-    rivals,
-    space,
-)
+from handcal.explain.space import Space, best_set, gains, rivals, space
 from handcal.explain.sudden import sudden
-from handcal.explain.unnamed import Term, best_term, reshaped
+from handcal.explain.unnamed.best import Term, best_term, reshaped
+from handcal.explain.unnamed.laws import effect_of, law_of
 from handcal.types import Array
 
 # Turns of a climb at the most, beside two for each term that may be named.

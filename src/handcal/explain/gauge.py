@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from handcal.effects import catalogue
-from handcal.estimate.fit import Model
+from handcal.estimate.model import Model
 from handcal.explain.explanation import Missing
 from handcal.types import Array, Parameter
 

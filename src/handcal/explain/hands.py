@@ -12,19 +12,12 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from handcal.estimate.fit import (
-    Fitted,
-    Model,
-    at_constants,
-    fitted,
-    known_of,
-    moved_to,
-    own_levels,
-)
+from handcal.estimate.fit import at_constants, fitted, known_of, moved_to, own_levels
+from handcal.estimate.model import Fitted, Model
+from handcal.estimate.sway import TRAVEL_NATS, beyond_a_hand
 from handcal.explain.explanation import Hand
-from handcal.explain.find import Found
 from handcal.explain.score import CERTAIN, log_prior, score
-from handcal.sway import TRAVEL_NATS, beyond_a_hand
+from handcal.explain.search import Found
 
 
 def foretold(held: Model, base: Model, laid: Found) -> float:

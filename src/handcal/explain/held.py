@@ -7,22 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from handcal import noise as noise_levels
+from handcal.estimate import noise as noise_levels
 from handcal.estimate.case import Case
-from handcal.estimate.fit import (
-    EXCESS,
-    Fitted,
-    Model,
-    always,
-    fitted,
-    known_of,
-    own_levels,
-    started,
-)
-from handcal.evidence import reduce, reduced_pass
+from handcal.estimate.evidence import reduce, reduced_pass
+from handcal.estimate.fit import EXCESS, always, fitted, known_of, own_levels, started
+from handcal.estimate.linear import Linear
+from handcal.estimate.model import Fitted, Model
 from handcal.explain.explanation import HeldOut
 from handcal.explain.locate import at_levels, residual_rms
-from handcal.linear import Linear
 
 # Share of a recording that is seen before the rest is predicted.
 EARLY = 0.6

@@ -7,17 +7,19 @@ from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
+from handcal.earth import STANDARD_GRAVITY
 from handcal.effects import Effect, catalogue
 from handcal.estimate.case import applicable
-from handcal.estimate.fit import Fitted, moved_to
-from handcal.evidence import reduce, reduced_pass
+from handcal.estimate.evidence import reduce, reduced_pass
+from handcal.estimate.fit import moved_to
+from handcal.estimate.model import Fitted
 from handcal.types import Array
 
 # A bias leans on the absence of an effect that would make it so many times less certain.
 MUCH = 3.0
 # Names, and rad/s and m/s^2 as people read them.
 GYRO = ("gyro", 180.0 / math.pi, "deg/s")
-ACCEL = ("accelerometer", 1e3 / 9.80665, "mg")
+ACCEL = ("accelerometer", 1e3 / STANDARD_GRAVITY, "mg")
 
 
 def leaning(f: Fitted, effects: Sequence[Effect], hardly_shown: Collection[str]) -> list[str]:

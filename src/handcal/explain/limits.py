@@ -11,10 +11,10 @@ import numpy as np
 from handcal.effects import Effect, catalogue
 from handcal.estimate.case import Case, applicable, case_of, frozen_at
 from handcal.estimate.fit import always, fitted, moved_to, scan, started
-from handcal.explain import shapes
 from handcal.explain.score import OCCAM_LEVEL
-from handcal.explain.search import expected_gain as expected_nats
-from handcal.explain.search import space
+from handcal.explain.space import expected_gain as expected_nats
+from handcal.explain.space import space
+from handcal.explain.unnamed import shapes
 from handcal.types import Array, HandcalError, InputError, Recording
 
 

@@ -8,11 +8,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from handcal.estimate.fit import Fitted
+from handcal.device.twin import sensor_residuals
+from handcal.estimate.linear import driven
+from handcal.estimate.model import Fitted
+from handcal.estimate.problem import observation_variances
 from handcal.explain.explanation import Mismatch, Trace
-from handcal.linear import driven
-from handcal.model import observation_variances
-from handcal.twin import sensor_residuals
 from handcal.types import Array, BoolArray
 
 # Time bins of a recording at the most; share of the shortfall from which a channel is named.

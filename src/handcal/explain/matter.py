@@ -8,20 +8,20 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from handcal.compiled.kernel import BASE
+from handcal.device.twin import IMU_CHANNELS
 from handcal.effects import Effect, Signals
 from handcal.estimate.case import name_of
-from handcal.estimate.fit import Fitted, Model
+from handcal.estimate.evidence import reduce, reduced_pass
+from handcal.estimate.model import Fitted, Model
+from handcal.estimate.problem import Problem, corrected_readings
 from handcal.estimate.quadratic import Quadratic, local, total
-from handcal.evidence import reduce, reduced_pass
 from handcal.explain.explanation import Missing
-from handcal.explain.find import Found
 from handcal.explain.held import early_part
-from handcal.explain.search import Space, expected_gain, space
-from handcal.kernel import BASE
-from handcal.model import Problem, corrected_readings
+from handcal.explain.search import Found
+from handcal.explain.space import Space, expected_gain, space
+from handcal.recordings.streams import observed_by
 from handcal.signals import reading
-from handcal.streams import observed_by
-from handcal.twin import IMU_CHANNELS
 from handcal.types import Array, IntArray, Recording, Result
 
 # Nats that unseen data must promise of an effect before they are asked for their opinion.

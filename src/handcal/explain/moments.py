@@ -8,8 +8,8 @@ import numpy as np
 
 from handcal.estimate.case import name_of
 from handcal.estimate.parameters import Moment
-from handcal.explain.find import Found
-from handcal.explain.search import rivals
+from handcal.explain.search import Found
+from handcal.explain.space import rivals
 
 # How well a moment is known, s, where only one was on trial.
 MOMENT = 0.1

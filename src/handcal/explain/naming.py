@@ -10,16 +10,17 @@ import numpy as np
 
 from handcal.effects import Effect, catalogue
 from handcal.estimate.case import Case, name_of
-from handcal.estimate.fit import Model
+from handcal.estimate.model import Model
 from handcal.estimate.process import process_parameters
-from handcal.explain import matter, outliers, with_motion
+from handcal.explain import matter, outliers
 from handcal.explain.climb import akin
-from handcal.explain.curve import channel_of, drawn, drivers_of
 from handcal.explain.explanation import Curve, Hypothesis, Missing, Unnamed, is_curve
-from handcal.explain.find import Found
-from handcal.explain.laws import law_of
 from handcal.explain.score import CERTAIN, PRIOR, probability
-from handcal.explain.search import expected_gain, gains, probabilities, rivals
+from handcal.explain.search import Found
+from handcal.explain.space import expected_gain, gains, probabilities, rivals
+from handcal.explain.unnamed import with_motion
+from handcal.explain.unnamed.curve import channel_of, drawn, drivers_of
+from handcal.explain.unnamed.laws import law_of
 from handcal.types import Parameter, Result
 
 # What is missing is likelier than not; a name is clear when it has that share of its set, and a

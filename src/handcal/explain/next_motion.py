@@ -16,21 +16,22 @@ from itertools import combinations
 
 import numpy as np
 
-from handcal import segment
-from handcal.design import EARTH_FIELD, MOTIONS, Motion, attitude, rate_of, recording_of
 from handcal.effects import Effect
 from handcal.estimate.case import Case, name_of, problem_with
-from handcal.estimate.fit import Fitted, prior_root
+from handcal.estimate.evidence import ReducedPass, reduce, reduced_pass
+from handcal.estimate.fit import prior_root
+from handcal.estimate.linear import Trajectory, epochs, linearise_about
+from handcal.estimate.model import Fitted
 from handcal.estimate.observed import observed_of
+from handcal.estimate.problem import Problem
 from handcal.estimate.quadratic import Posterior, Quadratic, local, posterior
-from handcal.evidence import ReducedPass, reduce, reduced_pass
 from handcal.explain.explanation import Hypothesis, Missing, NextMotion
-from handcal.explain.find import Found
-from handcal.explain.search import Space, expected_gain
-from handcal.linear import Trajectory, epochs, linearise_about
-from handcal.model import Problem
+from handcal.explain.search import Found
+from handcal.explain.space import Space, expected_gain
+from handcal.motions import EARTH_FIELD, MOTIONS, Motion, attitude, rate_of, recording_of
 from handcal.observations.magnetometer import HORIZONTAL, UPWARD
-from handcal.streams import STREAMS
+from handcal.recordings import segment
+from handcal.recordings.streams import STREAMS
 from handcal.types import Array, HandcalError, IntArray
 
 # Motions that are proposed, at the most.

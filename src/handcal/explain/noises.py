@@ -11,10 +11,11 @@ from itertools import product
 from handcal.effects import Effect, catalogue
 from handcal.estimate.beside import side_by_side
 from handcal.estimate.case import applicable
-from handcal.estimate.fit import Fitted, Model, fitted, moved_to
-from handcal.evidence import reduce, reduced_pass
-from handcal.explain import with_motion
+from handcal.estimate.evidence import reduce, reduced_pass
+from handcal.estimate.fit import fitted, moved_to
+from handcal.estimate.model import Fitted, Model
 from handcal.explain.score import better
+from handcal.explain.unnamed import with_motion
 
 # Nats that a noise effect must gain beyond its own levels' freedom, at a first look; and times the
 # first guess of each level at which that is taken (a memory, not the smallest of them).

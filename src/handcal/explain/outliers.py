@@ -10,12 +10,13 @@ import numpy as np
 from scipy.ndimage import median_filter
 from scipy.special import betaln
 
-from handcal import so3
+from handcal.compiled import so3
 from handcal.effects import catalogue
 from handcal.estimate.case import Case, Edit, edited
-from handcal.estimate.fit import Fitted, Model, fitted
+from handcal.estimate.fit import fitted
+from handcal.estimate.model import Fitted, Model
+from handcal.estimate.problem import constants_of
 from handcal.explain.score import PRIOR, probability
-from handcal.model import constants_of
 from handcal.observations import Rows
 from handcal.types import Array, BoolArray, Parameter
 

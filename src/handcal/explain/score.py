@@ -8,8 +8,7 @@ from collections.abc import Iterable, Sequence
 
 from handcal.effects import Effect
 from handcal.estimate.case import Case
-from handcal.estimate.fit import Model
-from handcal.explain.laws import law_of
+from handcal.estimate.model import Model
 
 # Log prior odds that a device shows an effect so clearly that it has to be told.
 PRIOR = -5.0
@@ -47,8 +46,7 @@ def prior(effect: Effect, cases: Sequence[Case]) -> float:
     if effect.process is not None and effect.passing:
         return PRIOR - math.log(WITH_MOTION) - OCCAM_LEVEL * len(effect.levels)
     if "+=" in effect.id:
-        law = law_of(effect)
-        return TERM_PRIOR - (0.0 if law is None else law.cost)
+        return TERM_PRIOR - effect.cost
     odds = PRIOR - OCCAM_LEVEL * len(effect.levels)
     if "@" in effect.id:
         odds -= math.log(_moments(effect, cases))

@@ -1,198 +1,110 @@
-"""Which set of effects? A search over subsets on the quadratic, and posterior probabilities."""
+"""The search for what is missing: where its climbs begin, and which end counts."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable, Sequence, Set
+from dataclasses import dataclass, field, replace
+from functools import partial
 
-import numpy as np
+from handcal.estimate.fit import fitted
+from handcal.estimate.model import Model
+from handcal.explain.alibi import steadied, sways_far
+from handcal.explain.climb import Climb, climbed
+from handcal.explain.late import with_delays
+from handcal.explain.score import better
+from handcal.explain.space import Space
+from handcal.explain.unnamed.best import Term, best_term
 
-from handcal.effects import Effect
-from handcal.estimate.case import name_of
-from handcal.estimate.fit import prior_root
-from handcal.estimate.quadratic import Quadratic
-from handcal.estimate.tails import Owners, log_evidence, owners_of
-from handcal.explain.score import PRIOR
-from handcal.types import Array, BoolArray, IntArray
+# What a single term has to gain, of all that was found, for a second climb to begin with it.
+HALF = 0.5
 
 
 @dataclass(frozen=True)
-class Space:
-    """The candidates and what a pass of the filter says of them.
+class Found:
+    """Where the search ended: the final model, the space of the last scan, and
+    what the catalogue's effects gained over the baseline alone; noise: log-evidence gained by
+    each noise effect in the model; swaps: (effect, rival) to the nats by which the rival, fitted
+    in its place, does worse."""
 
-    prior: log prior odds by effect id; alone: ids of which at most one can be present
-    (one effect held at several moments), by id.
+    model: Model
+    space: Space
+    alone: dict[str, float]
+    noise: dict[str, float]
+    swaps: dict[tuple[str, str], float] = field(default_factory=dict)
+
+
+def search(
+    base: Model, report: Callable[[float], None] = lambda _: None, refused: Set[str] = frozenset()
+) -> Found:
+    """From the baseline to the model that explains the recordings best; refused: effects of which
+    no device has as much as a fit came to.
+
+    Named effects may be stand-ins for one thing without a name: if a single law does half as
+    well from the baseline, the search begins again with it, and the better of the two ends counts.
     """
-
-    quadratic: Quadratic
-    effects: Mapping[str, Effect]
-    prior: Mapping[str, float]
-    where: Mapping[str, IntArray]
-    scores: dict[frozenset[str], float]
-
-    @cached_property
-    def owners(self) -> Owners:
-        """Whose the parameters are."""
-        return owners_of(self.quadratic)
-
-    @cached_property
-    def plain(self) -> Mapping[str, str]:
-        """Of each effect the catalogue's id."""
-        return {i: name_of(i) for i in self.effects}
-
-    @cached_property
-    def positive(self) -> Mapping[str, BoolArray]:
-        """Of each effect which parameters cannot be negative."""
-        return {
-            i: np.array([p.positive for p in e.parameters], dtype=np.bool_)
-            for i, e in self.effects.items()
-        }
-
-    def score(self, chosen: Iterable[str]) -> float:
-        """Log-evidence of this set plus its log prior odds."""
-        key = frozenset(chosen)
-        if key not in self.scores:
-            self.scores[key] = self._score(key)
-        return self.scores[key]
-
-    def _score(self, key: frozenset[str]) -> float:
-        names = sorted(key)
-        if len({self.plain[i] for i in names}) < len(names):
-            return -math.inf
-        parts = [self.where[i] for i in names]
-        index: IntArray = np.concatenate(parts) if parts else np.zeros(0, dtype=np.int64)
-        if not len(index):
-            return self.quadratic.a + sum(self.prior[i] for i in names)
-        effects = [self.effects[i] for i in names]
-        root = None
-        if any(e.together is not None for e in effects):
-            root = prior_root(self.quadratic, effects, index)
-        odds = sum(self.prior[i] for i in names)
-        # (of what is positive half of a symmetric prior, twice as dense)
-        positive = np.concatenate([self.positive[i] for i in names])
-        return log_evidence(self.quadratic, index, root, positive, self.owners) + odds
-
-
-def space(quadratic: Quadratic, effects: Sequence[Effect], prior: Mapping[str, float]) -> Space:
-    """Candidates with their places in the quadratic. prior: log odds where not the usual."""
-    where: dict[str, list[int]] = {e.id: [] for e in effects}
-    for i, (owner, _) in enumerate(quadratic.names):
-        if owner in where:
-            where[owner].append(i)
-    return Space(
-        quadratic,
-        {e.id: e for e in effects},
-        {e.id: prior.get(e.id, PRIOR) for e in effects},
-        {k: np.array(v, dtype=np.int64) for k, v in where.items()},
-        {},
-    )
-
-
-def best_set(where: Space, start: Iterable[str] = (), tolerance: float = 0.0) -> frozenset[str]:
-    """Climb by adding, dropping and exchanging effects until nothing raises the score."""
-    chosen = frozenset(start)
-    value = where.score(chosen)
-    while True:
-        options = list(_neighbours(where, chosen))
-        scores = [where.score(o) for o in options]
-        k = int(np.argmax(scores)) if scores else -1
-        if k >= 0 and scores[k] > value + tolerance:
-            chosen, value = options[k], scores[k]
-            continue
-        option = _pair(where, chosen, value)
-        if option is None:
-            return chosen
-        chosen, value = option, where.score(option)
-
-
-def _neighbours(where: Space, chosen: frozenset[str]) -> Iterable[frozenset[str]]:
-    others = [i for i in where.effects if i not in chosen]
-    for i in others:
-        yield chosen | {i}
-    for j in sorted(chosen):
-        yield chosen - {j}
-        for i in others:
-            yield (chosen - {j}) | {i}
-
-
-def _pair(where: Space, chosen: frozenset[str], value: float) -> frozenset[str] | None:
-    """Two for one, or one for two, among the candidates that come next."""
-    others = [i for i in where.effects if i not in chosen]
-    near = sorted(others, key=lambda i: -where.score(chosen | {i}))[:8]
-    best, found = value + 1e-9, None
-    options: list[frozenset[str]] = []
-    members = sorted(chosen)
-    for n, a in enumerate(near):
-        for b in near[n + 1 :]:
-            options.append(chosen | {a, b})
-            options += [(chosen - {j}) | {a, b} for j in members]
-    for n, j in enumerate(members):
-        for k in members[n + 1 :]:
-            options += [(chosen - {j, k}) | {a} for a in near]
-            options.append(chosen - {j, k})
-    for option in options:
-        score = where.score(option)
-        if score > best:
-            best, found = score, option
+    late = with_delays(base)
+    starts = [base]
+    if any(sways_far(f) for f in base.parts):
+        # (the usual sway first: in a wide one little of the physics shows)
+        starts.insert(0, steadied(base))
+    found = _begun(starts, late, refused, lambda f: report(0.7 * f))
+    others = [e for e in found.model.effects if e.process or not ("+=" in e.id or e.always)]
+    term = best_term(base) if others else None
+    if term is None:
+        return found
+    # (by fits: about the baseline, whose noise holds what is missing, a scan promises too little)
+    alone = fitted(base.parts, [*base.effects, term.effect])
+    gained, whole = (m.log_evidence - base.log_evidence for m in (alone, found.model))
+    if gained > HALF * whole:
+        other = _end(base, [term], late, refused, lambda f: report(0.7 + 0.3 * f), alone)
+        if other is not None and advantage(other, found) > 0.0:
+            found = replace(other, alone=found.alone)
     return found
 
 
-def probabilities(where: Space, chosen: frozenset[str]) -> dict[str, float]:
-    """Posterior probability of each effect, over the sets near the best."""
-    # (in an order that is the same in every run)
-    scores = {s: where.score(s) for s in (chosen, *_neighbours(where, chosen))}
-    top = max(scores.values())
-    weight = {s: math.exp(v - top) for s, v in scores.items()}
-    norm = sum(weight.values())
-    return {i: sum(w for s, w in weight.items() if i in s) / norm for i in where.effects}
+def _begun(
+    starts: Sequence[Model],
+    late: Sequence[Model],
+    refused: Set[str],
+    report: Callable[[float], None],
+) -> Found:
+    """The best end of climbs from these starts, up to the first that leaves no wide sway."""
+    found: Found | None = None
+    for number, start in enumerate(starts):
+        own = partial(_part_of, report, number / len(starts), len(starts))
+        end = _end(start, (), late, refused, own)
+        assert end is not None
+        if found is None:
+            found = end
+        elif advantage(end, found) > 0.0:
+            found = replace(end, alone=found.alone)
+        if not any(sways_far(f) for f in found.model.parts):
+            break
+    assert found is not None
+    return found
 
 
-def rivals(where: Space, chosen: frozenset[str], member: str) -> dict[str, float]:
-    """Log score of each effect in the member's place, against the member: 0 for itself."""
-    rest = chosen - {member}
-    own = where.score(chosen)
-    out = {member: 0.0}
-    for i in where.effects:
-        if i not in chosen:
-            out[i] = where.score(rest | {i}) - own
-    return out
+def _part_of(report: Callable[[float], None], start: float, parts: int, f: float) -> None:
+    report(start + f / parts)
 
 
-def gains(where: Space, chosen: frozenset[str]) -> dict[str, float]:
-    """Nats that each effect gains: of those chosen over the set without it, of the others
-    over the set when added. Prior odds are not counted."""
-    value = where.score(chosen)
-    out = {}
-    for i in where.effects:
-        if i in chosen:
-            out[i] = value - where.score(chosen - {i}) - where.prior[i]
-        else:
-            score = where.score(chosen | {i})
-            out[i] = score - value - where.prior[i]
-    return out
+def advantage(a: Found, b: Found) -> float:
+    """Nats by which one end of a search is likelier than another."""
+    return better(a.model, b.model, min(a.space.quadratic.worth, b.space.quadratic.worth))
 
 
-def expected_gain(where: Space, effect: str, chosen: frozenset[str], size: Array) -> float:
-    """Nats that the information matrix promises for an effect of this size (k,), in priors.
-
-    The mean over the noise of the log-evidence it would gain, Occam's factor included.
-    """
-    rest = sorted(chosen - {effect})
-    parts = [where.where[i] for i in rest]
-    known = np.concatenate(parts) if parts else np.zeros(0, dtype=np.int64)
-    mine = where.where[effect]
-    G = where.quadratic.G
-    A = G[np.ix_(known, known)] + np.eye(len(known))
-    own = G[np.ix_(mine, mine)] - G[np.ix_(mine, known)] @ np.linalg.solve(
-        A, G[np.ix_(known, mine)]
-    )
-    own = 0.5 * (own + own.T)
-    # b ~ N(own size, own): E b'(I + own)^-1 b / 2 - log|I + own| / 2
-    inner = np.eye(len(mine)) + own
-    signal = own @ size
-    fit = float(signal @ np.linalg.solve(inner, signal)) + float(
-        np.trace(np.linalg.solve(inner, own))
-    )
-    return 0.5 * fit - 0.5 * float(np.linalg.slogdet(inner)[1])
+def _end(
+    base: Model,
+    needed: Sequence[Term],
+    late: Sequence[Model],
+    refused: Set[str],
+    report: Callable[[float], None],
+    begun: Model | None = None,
+) -> Found | None:
+    """The end of a climb from the baseline, or from one with the terms that are needed; None if it
+    would begin without these."""
+    c = Climb(base if begun is None else begun, needed, late, dropped=set(refused))
+    c.kept = frozenset(base.ids)
+    if not climbed(c, report):
+        return None
+    return Found(c.model, c.where, c.alone, c.noise, c.swaps)

@@ -11,9 +11,9 @@ from collections.abc import Set
 
 import numpy as np
 
-from handcal.estimate.fit import Fitted
-from handcal.evidence import reduce, reduced_pass
-from handcal.kernel import MAX_DIM
+from handcal.compiled.kernel import MAX_DIM
+from handcal.estimate.evidence import reduce, reduced_pass
+from handcal.estimate.model import Fitted
 from handcal.types import Array
 
 # Moments of each kind of observation that are looked at.

@@ -8,15 +8,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from handcal.compiled.kernel import MAX_DIM
+from handcal.device.twin import twin
 from handcal.effects import catalogue
 from handcal.estimate.case import Case, case_of, name_of
 from handcal.estimate.chosen import Chosen, Options, as_seen, chosen_of, seen, settled
-from handcal.estimate.fit import Fitted, Model, baseline, fitted, scan, started
+from handcal.estimate.evidence import reduce, reduced_pass
+from handcal.estimate.fit import baseline, fitted, scan, started
 from handcal.estimate.hand import resting, travels
+from handcal.estimate.model import Fitted, Model
 from handcal.estimate.observed import check_options
 from handcal.estimate.result import noise, results
 from handcal.estimate.robust import inflation
-from handcal.evidence import reduce, reduced_pass
 from handcal.explain import held, locate, matter, outliers
 from handcal.explain.climb import sensible, too_large
 from handcal.explain.explanation import (
@@ -29,7 +32,6 @@ from handcal.explain.explanation import (
     Missing,
     Unnamed,
 )
-from handcal.explain.find import Found, advantage, search
 from handcal.explain.gauge import plainly
 from handcal.explain.hands import foretold, hand_of
 from handcal.explain.leaning import leaning
@@ -50,10 +52,9 @@ from handcal.explain.naming import (
 )
 from handcal.explain.next_motion import next_motions
 from handcal.explain.score import PRIOR, TERM_PRIOR
-from handcal.explain.search import gains, space
+from handcal.explain.search import Found, advantage, search
+from handcal.explain.space import gains, space
 from handcal.explain.untellable import untellable
-from handcal.kernel import MAX_DIM
-from handcal.twin import twin
 from handcal.types import Array, InputError, Parameter, Recording, Result
 
 # Called with the share that is done, and what is being done.

@@ -14,7 +14,7 @@ from handcal.effects import Effect, catalogue
 from handcal.estimate.case import HELD, Edit, frozen_at, name_of
 from handcal.estimate.chosen import Chosen, Options, View
 from handcal.estimate.parameters import Moment
-from handcal.explain import laws, shapes, terms, with_motion
+from handcal.explain.unnamed import laws, shapes, terms, with_motion
 from handcal.observations import catalogue as observations
 from handcal.types import InputError
 

@@ -12,11 +12,12 @@ from itertools import pairwise
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from handcal import segment, signals
+from handcal import signals
 from handcal.effects import Effect, Signals
 from handcal.effects._derivative import reach
+from handcal.estimate.regression import columns, errors
 from handcal.lab.stretches import PERFECT, white_variance
-from handcal.regression import columns, errors
+from handcal.recordings import segment
 from handcal.types import Array, BoolArray, HandcalError, InputError, IntArray, Recording
 
 # A test that is one line of a table is held for so many samples, so that nothing changes in it.

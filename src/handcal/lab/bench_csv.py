@@ -18,10 +18,10 @@ from pathlib import Path
 
 import numpy as np
 
-from handcal.inputs._options import parse_unit, quantities
 from handcal.lab.bench import Bench, of_arrays
 from handcal.lab.stretches import PERFECT
 from handcal.lab.table import Table, table
+from handcal.recordings.inputs._options import parse_unit, quantities
 from handcal.types import Array, InputError
 
 GROUPS = {

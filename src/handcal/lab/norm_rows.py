@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handcal import regression
+from handcal.compiled.so3 import skew
 from handcal.effects import Effect, Signals
+from handcal.estimate import regression
+from handcal.estimate.regression import Unknown
 from handcal.lab.stretches import Means
 from handcal.lab.turns import Turns, turned
-from handcal.regression import Unknown
 from handcal.signals import of_arrays
-from handcal.so3 import skew
 from handcal.types import Array, IntArray
 
 KINDS = ("accel", "gyro", "turn")

@@ -19,18 +19,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handcal import regression, segment
+from handcal.earth import STANDARD_GRAVITY
+from handcal.estimate import regression
+from handcal.estimate.regression import BIASES, Unknown
 from handcal.lab.choice import chosen
 from handcal.lab.norm_rows import KINDS, Problem, Rows, across, carried_by_gyro, rows_of, unit
 from handcal.lab.stretches import PERFECT, Means, extra_variance, means
 from handcal.lab.telling import refuse_unseen
 from handcal.lab.turns import Turns, no_turns, turns
-from handcal.regression import BIASES, Unknown
+from handcal.recordings import segment
 from handcal.signals import of_arrays
 from handcal.types import Array, BoolArray, HandcalError, InputError, Parameter, Recording
 
 DEFAULT = ("accel_scale", "accel_misalignment", "gyro_scale", "gyro_misalignment")
-GRAVITY = 9.80665
 ROUNDS, LEVELS = 40, 12
 # Steps this small, in usual sizes of the parameters, are none; while levels are sought, larger.
 LAST_STEP, STEP = 1e-13, 1e-6
@@ -79,7 +80,7 @@ class _Solution:
 def scalar(
     recording: Recording,
     effects: Sequence[str] = DEFAULT,
-    gravity: float = GRAVITY,
+    gravity: float = STANDARD_GRAVITY,
     only: BoolArray | None = None,
     extra: Mapping[str, float] | None = None,
 ) -> Scalar:
@@ -115,7 +116,7 @@ def scalar(
 
 
 def from_poses(
-    reading: Array, effects: Sequence[str] = DEFAULT[:2], gravity: float = GRAVITY,
+    reading: Array, effects: Sequence[str] = DEFAULT[:2], gravity: float = STANDARD_GRAVITY,
     sigma: float = PERFECT,
 ) -> tuple[tuple[Unknown, ...], Array, Array]:  # fmt: skip
     """Parameters of the accelerometer from its mean readings (r, 3) in poses that nobody measured.

@@ -21,20 +21,21 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import nnls
 
-from handcal import regression, segment
-from handcal.design_poses import MOUNTING
+from handcal.design.poses import MOUNTING
+from handcal.earth import STANDARD_GRAVITY
 from handcal.effects import Effect, select
+from handcal.estimate import regression
+from handcal.estimate.regression import BIASES
 from handcal.lab import bench
 from handcal.lab.known_input import known_input
 from handcal.lab.spins import LEAST_SIGMA, SPINNING, of_spins
 from handcal.lab.telling import refuse_unseen
 from handcal.observations import Scene
 from handcal.observations.known_input import matched, read_at
-from handcal.regression import BIASES
+from handcal.recordings import segment
 from handcal.signals import of_arrays
 from handcal.types import Array, BoolArray, HandcalError, Parameter, Recording
 
-GRAVITY = 9.80665
 STATIC: tuple[Effect, ...] = (BIASES[1], *select(("accel_scale", "accel_misalignment")), MOUNTING)
 ARMS = select(("size_effect",))
 EFFECTS = STATIC + ARMS
@@ -94,7 +95,7 @@ class Sized:
         return self.arms.mean(axis=0), np.sqrt(np.diag(mean @ P @ mean.T))
 
 
-def size(recording: Recording, gravity: float = GRAVITY) -> Sized:
+def size(recording: Recording, gravity: float = STANDARD_GRAVITY) -> Sized:
     """The places of the accelerometers, from steady spins or from a shake beside a reference.
 
     Errors: HandcalError where the readings do not show them; the sentence says what would.

@@ -12,9 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from handcal import segment
+from handcal.earth import STANDARD_GRAVITY
 from handcal.lab.bench import Bench, of_arrays
 from handcal.lab.stretches import PERFECT, noise_power
+from handcal.recordings import segment
 from handcal.types import Array, BoolArray, HandcalError, Recording
 
 SPINNING = np.radians(20.0)
@@ -24,7 +25,7 @@ LEAST_FORCE = 0.9
 # Rates that differ by this factor tell arms from biases without a rest.
 APART = 1.3
 # No reading of a cheap accelerometer stays better than this from a rest to a spin, m/s^2.
-LEAST_SIGMA = 1e-4 * 9.80665
+LEAST_SIGMA = 1e-4 * STANDARD_GRAVITY
 
 
 @dataclass(frozen=True)

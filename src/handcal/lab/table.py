@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handcal import regression
+from handcal.compiled.so3 import rotations
+from handcal.estimate import regression
 from handcal.lab.bench import Bench
 from handcal.lab.known_input import KnownInput, turned
-from handcal.so3 import rotations
 from handcal.types import Array, InputError
 
 ARCSEC, ARCMIN = math.radians(1.0 / 3600.0), math.radians(1.0 / 60.0)

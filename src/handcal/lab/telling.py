@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from handcal import regression
-from handcal.regression import Unknown
+from handcal.estimate import regression
+from handcal.estimate.regression import Unknown
 from handcal.types import Array, HandcalError
-from handcal.words import shown
+from handcal.units import shown
 
 MOST_TERMS, MOST_SENTENCES = 4, 4
 

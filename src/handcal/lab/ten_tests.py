@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from handcal import regression
 from handcal.effects import Effect
+from handcal.estimate import regression
 from handcal.lab.bench import design, of_arrays
 from handcal.lab.known_input import KnownInput
 from handcal.types import Array, IntArray

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from handcal._jit import njit
+from handcal.compiled.jit import njit
+from handcal.compiled.so3 import matmul, rotations
 from handcal.effects import Effect, Signals
+from handcal.estimate.regression import columns, truth_of
 from handcal.lab.stretches import Means, white_variance
-from handcal.regression import columns, truth_of
 from handcal.signals import of_arrays, some
-from handcal.so3 import matmul, rotations
 from handcal.types import Array, BoolArray, IntArray, Recording
 
 GAP_S = 0.2

@@ -17,9 +17,9 @@ from functools import cache
 
 import numpy as np
 
+from handcal.compiled.kernel import NAV as NAV
+from handcal.earth import STANDARD_GRAVITY
 from handcal.types import Array, IntArray, Level, Markov, Recording, Series
-
-NAV = 21
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Scene:
     rate: float | None = 10.0
     sway: bool = True
     omega_ie_n: Array = field(default_factory=lambda: np.zeros(3))
-    gravity: float = 9.80665
+    gravity: float = STANDARD_GRAVITY
     reference_exact: bool = False
     iron: Array | None = None
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from handcal import so3
-from handcal._jit import residual_function
+from handcal.compiled import so3
+from handcal.compiled.jit import residual_function
 from handcal.observations import Observation, Rows, Scene
 from handcal.types import Array, Level, Recording, Series
 

@@ -28,8 +28,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from handcal import so3
-from handcal._jit import njit, residual_function
+from handcal.compiled import so3
+from handcal.compiled.jit import njit, residual_function
 from handcal.effects._derivative import quiet_derivative
 from handcal.observations import (
     Constant,

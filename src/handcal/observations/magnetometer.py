@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from handcal._jit import residual_function
+from handcal.compiled.jit import residual_function
 from handcal.effects import mag_hard_iron
 from handcal.effects._field import NORTH, UP
 from handcal.observations import Constant, Observation, Rows, Scene

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from handcal import so3
-from handcal._jit import lean, local_matrix, local_vector, residual_function
+from handcal.compiled import so3
+from handcal.compiled.jit import lean, local_matrix, local_vector, residual_function
 from handcal.observations import Constant, Observation, Rows, Scene
 from handcal.observations._turning import Turning
 from handcal.types import Array, InputError, Level, Recording, Series

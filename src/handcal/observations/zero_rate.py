@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from handcal._jit import residual_function
+from handcal.compiled.jit import residual_function
 from handcal.observations import Observation, Rows, Scene, pseudo_times
 from handcal.types import Array, Level, Recording
 

@@ -1,0 +1,142 @@
+"""The command `prove`. What is slow to import is imported where it is used."""
+
+from __future__ import annotations
+
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from handcal_sim.prove.run import ALL, plan, run, with_limits, write_answers
+
+
+def prove(
+    n: Annotated[
+        int | None,
+        typer.Option("--n", min=1, help="How many recordings (24; a suite's own: its full size)."),
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Same seed, same trial (drawn, and said).")
+    ] = None,
+    suite: Annotated[
+        str,
+        typer.Option(
+            help="nothing, one, mixed, unknown, turn, faint, reference, large, phone, odometry, "
+            "people, budget, wild, strange, or all (of the first five)."
+        ),
+    ] = ALL,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Keep recordings, answers, explanations here."),
+    ] = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="The score as JSON.")
+    ] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Processes that explain at a time.")] = 1,
+    effects_from: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Explain with the effect files (*.py) of this folder in the catalogue. This runs "
+            "their code: name no folder that you do not trust.",
+        ),
+    ] = None,
+) -> None:
+    """Conceal random errors in random recordings, explain them blindly, and score that."""
+    from handcal.commands._registry import say
+    from handcal.own_effects import effects_from as also
+
+    if effects_from is not None:
+        say(f"running the code of {effects_from}/*.py, as --effects-from asks")
+    with also(effects_from):
+        _proved(n, seed, suite, out, json_file, jobs, effects_from)
+
+
+def _proved(
+    n: int | None, seed: int | None, suite: str, out: Path | None, json_file: Path | None,
+    jobs: int, effects_from: Path | None,
+) -> None:  # fmt: skip
+    from numpy.random import SeedSequence
+    from rich.console import Console
+
+    from handcal.commands._registry import say
+    from handcal.types import InputError
+    from handcal_sim.prove.score import score
+    from handcal_sim.prove.show import show
+    from handcal_sim.prove.suites import SUITES
+    from handcal_sim.prove.workers import Workers
+
+    if suite not in (ALL, *SUITES):
+        raise InputError(f"--suite {suite}: there are {', '.join((*SUITES, ALL))}.")
+    if seed is None:
+        seed = int(SeedSequence().generate_state(1)[0])
+    cases = plan(suite, n, seed)
+    say(f"{len(cases)} recordings, seed {seed}")
+    with _folder(out) as folder, _progress(len(cases)) as advance:
+        own = [] if effects_from is None else [str(effects_from.absolute())]
+        workers = Workers([sys.executable, "-m", "handcal_sim.prove", *own], jobs)
+        try:
+            trials = run(cases, seed, folder, workers, jobs, advance)
+        finally:
+            workers.stop()
+        write_answers(trials, seed, folder / "answers.json")
+        trials = [with_limits(trial, folder) for trial in trials]
+    if len(trials) < len(cases):
+        say(f"interrupted: what follows is of {len(trials)} recordings")
+    proof = score(trials, seed)
+    if json_file is not None:
+        json_file.write_text(json.dumps(proof, indent=1) + "\n", encoding="utf-8")
+    show(proof, Console(highlight=False))
+
+
+@contextmanager
+def _folder(out: Path | None) -> Iterator[Path]:
+    """Where to write: a folder that is kept, which must hold no other trial, or one that is not."""
+    from handcal.types import InputError
+
+    if out is None:
+        with tempfile.TemporaryDirectory(prefix="handcal-prove-") as name:
+            yield Path(name)
+        return
+    if (out / "recordings").exists() or (out / "answers.json").exists():
+        raise InputError(f"{out} holds a trial already: name another folder.")
+    out.mkdir(parents=True, exist_ok=True)
+    yield out
+
+
+@contextmanager
+def _progress(total: int) -> Iterator[Callable[[], None]]:
+    """How far it is and the time left, on stderr: a bar, or a line now and then in a log."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+    from rich.progress import TimeElapsedColumn as Elapsed
+    from rich.progress import TimeRemainingColumn as Remaining
+
+    from handcal.commands._registry import say
+
+    started = said = time.monotonic()
+    done = 0
+    columns = (TextColumn("explaining"), BarColumn(), MofNCompleteColumn(), Elapsed(),
+               TextColumn("left"), Remaining())  # fmt: skip
+    terminal = sys.stderr.isatty()
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not terminal) as bar:
+        task = bar.add_task("", total=total)
+
+        def advance() -> None:
+            nonlocal done, said
+            done += 1
+            bar.advance(task)
+            now = time.monotonic()
+            if not terminal and now - said > 30.0:
+                left = (now - started) / done * (total - done)
+                say(f"{done} of {total} explained; about {left / 60:.0f} min left")
+                said = now
+
+        yield advance

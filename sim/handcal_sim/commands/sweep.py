@@ -1,0 +1,144 @@
+"""The command `sweep`. What is slow to import is imported where it is used."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from handcal_sim.sweep.grid import Cell
+    from handcal_sim.sweep.run import Plan
+
+PAPER, TURNS = "paper", "turns"
+UNITS = ("deg/h", "ug", "ppm")
+INTERRUPTED = 130
+
+
+def sweep(
+    grid: Annotated[
+        str,
+        typer.Option(metavar="paper|turns|FILE.toml", help="What to run: paper 002; the same with "
+                     "one turn about each axis beside it; or a grid of your own."),
+    ] = PAPER,
+    seeds: Annotated[int, typer.Option(min=1, help="Runs of each cell.")] = 100,
+    seed: Annotated[int, typer.Option(min=0, help="Same seed, same result.")] = 0,
+    choose_r_h: Annotated[
+        bool,
+        typer.Option("--choose-r-h", help="Beside each R_h set by hand, one chosen by evidence."),
+    ] = False,
+    settle: Annotated[
+        bool,
+        typer.Option("--settle", help="Beside the online filter, handcal's own calibration; takes "
+                     "six times as long. --choose-r-h implies it."),
+    ] = False,
+    threshold: Annotated[
+        str,
+        typer.Option(metavar="GYRO,ACCEL[,SCALE]",
+                     help="Of the convergence rule: 20 estimates vary by no more, deg/h, ug, ppm."),
+    ] = "50,500,500",
+    executor: Annotated[
+        str, typer.Option(metavar="local|dask://HOST:PORT", help="Where it is computed.")
+    ] = "local",
+    jobs: Annotated[
+        int | None, typer.Option(min=1, help="Processes, with --executor local (all cores).")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.jsonl", help="Keep finished cells here; go on from them."),
+    ] = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="Everything as JSON.")
+    ] = None,
+    csv_file: Annotated[
+        Path | None, typer.Option("--csv", metavar="FILE", help="The tables as CSV.")
+    ] = None,
+    report: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.html", help="One page with figures and tables."),
+    ] = None,
+) -> None:  # fmt: skip
+    """Monte Carlo over heading noise and R_h: paper 002, or a grid of your own."""
+    from handcal_sim.errors import SimulationError
+    from handcal_sim.sweep.compare import document
+    from handcal_sim.sweep.run import Plan, WorkersDied
+    from handcal_sim.sweep.show import console, show, write_csv
+
+    try:
+        plan = Plan(_cells(grid, choose_r_h, settle), seeds, seed, _thresholds(threshold))
+        results = _run(plan, executor, jobs or os.cpu_count() or 1, out)
+    except SimulationError as problem:
+        _say(str(problem))
+        raise typer.Exit(2) from None
+    except WorkersDied as problem:
+        _say(str(problem))
+        raise typer.Exit(1) from None
+    finished = [result for result in results if result is not None]
+    whole = document(grid, seeds, seed, plan.thresholds, finished)
+    if json_file is not None:
+        json_file.write_text(json.dumps(whole, indent=1) + "\n", encoding="utf-8")
+    if csv_file is not None:
+        write_csv(whole, csv_file)
+    if report is not None:
+        from handcal_sim.sweep.cell import write_page
+
+        write_page(whole, report)
+    show(whole, console())
+    if len(finished) < len(results):
+        kept = f"kept in {out}; the same command goes on from them" if out else \
+            "lost but for what is shown (--out FILE keeps them)"  # fmt: skip
+        _say(f"interrupted: {len(finished)} of {len(results)} cells are finished, {kept}")
+        raise typer.Exit(INTERRUPTED)
+
+
+def _cells(grid: str, choose_r_h: bool, settle: bool) -> list[Cell]:
+    from handcal_sim.errors import SimulationError
+    from handcal_sim.sweep import grid as sweep_grid
+
+    if grid in (PAPER, TURNS):
+        cells = sweep_grid.paper() if grid == PAPER else sweep_grid.turns()
+    elif grid.endswith(".toml"):
+        try:
+            cells = sweep_grid.read_grid(Path(grid))
+        except OSError as problem:
+            raise SimulationError(f"cannot read {grid}: {problem.strerror}") from None
+    else:
+        raise SimulationError(f"--grid {grid}: there are {PAPER}, {TURNS} and FILE.toml")
+    if settle or choose_r_h:
+        cells = [replace(cell, settle=True) for cell in cells]
+    return sweep_grid.with_evidence(cells) if choose_r_h else cells
+
+
+def _thresholds(text: str) -> dict[str, float]:
+    from handcal_sim.errors import SimulationError
+
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if not 2 <= len(values) <= 3 or not all(0.0 < value < float("inf") for value in values):
+        raise SimulationError(f"--threshold takes GYRO,ACCEL in deg/h and ug, not {text!r}")
+    return dict(zip(UNITS, values, strict=False))
+
+
+def _run(plan: Plan, executor: str, jobs: int, out: Path | None) -> list[Any]:
+    from handcal_sim.sweep.run import Kept, opened, run
+    from handcal_sim.sweep.show import progress
+
+    kept = Kept(out)
+    before = sum(kept[plan.key(cell)] is not None for cell in plan.cells)
+    if before:
+        _say(f"{before} of {len(plan.cells)} cells were finished before")
+    with opened(executor, jobs) as workers, progress(len(plan.cells) * plan.seeds, _say) as told:
+        from handcal_sim.sweep.cell import run_chunk
+
+        return list(run(plan, workers, run_chunk, kept, told))
+
+
+def _say(text: str) -> None:
+    print(f"handcal: {' '.join(text.split())}", file=sys.stderr)

@@ -1,0 +1,1 @@
+"""Blind trials of ``explain``: drawn, written, explained by other processes, scored."""

@@ -1,0 +1,1 @@
+"""Sweeps over heading noise and device: the grid, one cell, scores, pages."""

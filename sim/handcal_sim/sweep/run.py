@@ -1,0 +1,270 @@
+"""Runs the cells of a sweep on any `concurrent.futures` executor, and keeps finished ones.
+
+Cells are cut into chunks of seeds. A chunk whose process died is given out again; results
+depend on seed and numbers alone, so neither the order nor the executor shows in them.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
+from concurrent.futures import CancelledError as FutureCancelled
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from handcal_sim.errors import SimulationError
+from handcal_sim.sweep.grid import Cell
+from handcal_sim.sweep.printed import QUANTITIES
+from handcal_sim.sweep.score import Chunk, bands, beside, chunks, final, spread
+
+SCHEMA = "handcal-sim/sweep-cell/1"
+
+
+class WorkersDied(Exception):
+    """A sentence for the user: processes died again and again."""
+
+
+CHUNK = 5
+# Deaths in a row, without a result in between, until the fault must lie in the work itself.
+PATIENCE = 5
+_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+Document = dict[str, Any]
+Task = tuple[int, Sequence[int]]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is run: each cell with the seeds (seed, 0) to (seed, seeds - 1)."""
+
+    cells: Sequence[Cell]
+    seeds: int
+    seed: int
+    thresholds: Mapping[str, float]
+
+    def key(self, cell: Cell) -> Document:
+        """What a cell's result depends on."""
+        return {"cell": cell.key, "seeds": self.seeds, "seed": self.seed,
+                "thresholds": dict(self.thresholds)}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Where chunks are computed: an executor, a way to a new one, and how many run at once."""
+
+    start: Callable[[], Executor]
+    count: int
+    died: tuple[type[BaseException], ...] = (BrokenExecutor,)
+
+
+class Kept:
+    """Finished cells in a file, one line of JSON each; a line cut off in the middle is none."""
+
+    def __init__(self, file: Path | None) -> None:
+        self.file = file
+        self.found: list[Document] = []
+        if file is None or not file.exists():
+            return
+        text = file.read_text(encoding="utf-8", errors="replace")
+        for line in text.splitlines():
+            try:
+                document = json.loads(line)
+            except json.JSONDecodeError:
+                continue
+            if isinstance(document, dict) and document.get("schema") == SCHEMA:
+                self.found.append(document)
+        if text.strip() and not self.found:
+            raise SimulationError(f"{file} holds no cells of a sweep; --out will not overwrite it")
+        if text and not text.endswith("\n"):
+            with file.open("a", encoding="utf-8") as stream:
+                stream.write("\n")
+
+    def __getitem__(self, key: Document) -> Document | None:
+        """The cell with this key, None if it has not been finished."""
+        return next((d for d in self.found if d["key"] == key), None)
+
+    def add(self, document: Document) -> None:
+        """Keep a finished cell, at once."""
+        self.found.append(document)
+        if self.file is not None:
+            with self.file.open("a", encoding="utf-8") as stream:
+                stream.write(json.dumps(document) + "\n")
+
+
+def run(
+    plan: Plan, workers: Workers, work: Callable[..., Chunk], kept: Kept,
+    advance: Callable[[int], None],
+) -> list[Document | None]:  # fmt: skip
+    """Every cell's result in the order of the plan; after an interrupt None for unfinished ones.
+
+    advance: told how many runs have been done since, those of kept cells included.
+    """
+    results = [kept[plan.key(cell)] for cell in plan.cells]
+    tasks: list[Task] = []
+    for i, found in enumerate(results):
+        if found is None:
+            tasks += [(i, numbers) for numbers in chunks(plan.seeds, CHUNK)]
+        else:
+            advance(plan.seeds)
+    pieces: dict[int, list[Chunk]] = {}
+    try:
+        for (i, numbers), chunk in _computed(plan, workers, work, tasks):
+            pieces.setdefault(i, []).append(chunk)
+            advance(len(numbers))
+            if sum(len(p.numbers) for p in pieces[i]) == plan.seeds:
+                document = _again(summary(plan, plan.cells[i], pieces.pop(i)))
+                kept.add(document)
+                results[i] = document
+    except KeyboardInterrupt:
+        pass
+    return results
+
+
+def _computed(
+    plan: Plan, workers: Workers, work: Callable[..., Chunk], tasks: Sequence[Task]
+) -> Iterator[tuple[Task, Chunk]]:
+    """Chunks as they are done; those of a process that died are given out again."""
+    if not tasks:
+        return
+    waiting, running = deque(tasks), dict[Future[Any], Task]()
+    executor, deaths = workers.start(), 0
+    died: tuple[type[BaseException], ...] = (*workers.died, FutureCancelled)
+    try:
+        while waiting or running:
+            while waiting and len(running) < 4 * workers.count:
+                i, numbers = waiting.popleft()
+                future = _submitted(executor, work, plan.cells[i], plan.seed, numbers,
+                                    dict(plan.thresholds))  # fmt: skip
+                running[future] = (i, numbers)
+            done, _ = wait(running, return_when=FIRST_COMPLETED)
+            broken = False
+            # (in the order in which they were given out, so that cells are finished in turn)
+            for future in [future for future in running if future in done]:
+                task = running.pop(future)
+                try:
+                    chunk = future.result()
+                except died as death:
+                    broken = True
+                    waiting.appendleft(task)
+                    if deaths >= PATIENCE:
+                        raise WorkersDied(
+                            f"processes died {deaths + 1} times in a row: {death}"
+                        ) from None
+                else:
+                    deaths = 0
+                    yield task, chunk
+            if broken:
+                deaths += 1
+                waiting.extendleft(running.values())
+                _closed(executor, running)
+                executor = workers.start()
+    finally:
+        _closed(executor, running)
+
+
+def _closed(executor: Executor, running: dict[Future[Any], Task]) -> None:
+    for future in running:
+        future.cancel()
+    running.clear()
+    executor.shutdown(wait=False)
+
+
+def _submitted(executor: Executor, work: Callable[..., Chunk], *arguments: Any) -> Future[Any]:
+    """The future of a chunk; one that failed if the executor has broken in the meantime."""
+    try:
+        return executor.submit(work, *arguments)
+    except BrokenExecutor as death:
+        future: Future[Any] = Future()
+        future.set_exception(death)
+        return future
+
+
+def _again(document: Document) -> Document:
+    """As it will be read from the file."""
+    again: Document = json.loads(json.dumps(document))
+    return again
+
+
+# ---- where it runs ----------------------------------------------------------------------------
+
+
+@contextmanager
+def opened(where: str, jobs: int) -> Iterator[Workers]:
+    """`local`: that many processes of this machine. `dask://HOST:PORT`: a Dask cluster."""
+    if where == "local":
+        yield Workers(lambda: _processes(jobs), jobs)
+        return
+    scheme, _, address = where.partition("://")
+    if scheme != "dask" or ":" not in address:
+        raise SimulationError(f"--executor {where}: there are local and dask://HOST:PORT")
+    try:
+        distributed: Any = import_module("distributed")
+        broken: Any = import_module("distributed.client").FutureCancelledError
+    except ImportError:
+        raise SimulationError(
+            "--executor dask:// needs Dask, which is not installed: pip install 'handcal[dask]'"
+        ) from None
+    try:
+        client = distributed.Client(f"tcp://{address}", timeout=10)
+    except OSError as problem:
+        said = f": {problem}" if str(problem) else ""
+        raise SimulationError(f"no Dask scheduler at {address}{said}") from None
+    with client:
+        threads = max(1, sum(client.nthreads().values()))
+        yield Workers(client.get_executor, threads, (distributed.KilledWorker, broken))
+
+
+def _processes(jobs: int) -> Executor:
+    from concurrent.futures import ProcessPoolExecutor
+    from multiprocessing import get_context
+
+    # Each process is one thread: more would only be in each other's way.
+    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
+    return ProcessPoolExecutor(jobs, get_context("spawn"), _alone)
+
+
+def _alone() -> None:
+    """In a new process: an interrupt is for the parent to deal with."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+# ---- what comes of it -------------------------------------------------------------------------
+
+
+def summary(plan: Plan, cell: Cell, pieces: Sequence[Chunk]) -> Document:
+    """A cell's result over its seeds, ready for JSON."""
+    pieces = sorted(pieces, key=lambda piece: piece.numbers[0])
+    one = pieces[0]
+    scores = {name: np.concatenate([p.scores[name] for p in pieces]) for name in one.scores}
+    series = np.concatenate([p.series for p in pieces]).astype(float)
+    r_h = np.concatenate([p.r_h for p in pieces])
+    parameters = []
+    for k, (effect, name) in enumerate(one.names):
+        row: Document = {"effect": effect, "name": name, "unit": one.units[k],
+                         "truth": float(one.truth[k])}  # fmt: skip
+        for q, quantity in enumerate(QUANTITIES):
+            printed = cell.printed[k][q] if cell.printed and k < len(cell.printed) else None
+            row[quantity] = beside(spread(scores[quantity][:, k]), printed)
+        errors, sigmas = scores["final_error"][:, k], scores["sigma"][:, k]
+        row["final_error"] = final(errors, sigmas, float(one.bound[k]))
+        row["settled_error"] = None
+        if "settled_error" in scores:
+            errors, sigmas = scores["settled_error"][:, k], scores["settled_sigma"][:, k]
+            row["settled_error"] = final(errors, sigmas, float(one.bound[k]))
+        parameters.append(row)
+    return {
+        "schema": SCHEMA, "key": plan.key(cell), "group": cell.group, "r_h": cell.r_h,
+        "r_h_rad": cell.r_h_rad, "chosen_r_h_rad": spread(r_h) if cell.r_h_rad is None else None,
+        "world": asdict(cell.world), "estimate": list(cell.estimate),
+        "without_heading": cell.without_heading,
+        "figures": list(cell.figures) if cell.figures else None, "parameters": parameters,
+        "t": [round(float(t), 4) for t in one.t], "bands": bands(series),
+    }  # fmt: skip

@@ -1,0 +1,1 @@
+"""How fast: timings of the filter and of whole commands."""

@@ -1,0 +1,114 @@
+"""Figures of the program as a whole: reading, starting, memory, and a whole sweep."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from handcal.bench.timing import (
+    Figure,
+    Found,
+    Skipped,
+    Target,
+    Tick,
+    in_turns,
+    peer,
+    run_handcal,
+    side,
+)
+from handcal.recordings.inputs import load
+
+READ_S = 600.0
+HOUR_S = 3600.0
+RUNS = 1300
+
+
+def simulated(scenario: str, path: Path, *options: str) -> Path:
+    """A recording of that scenario in a file."""
+    run_handcal("simulate", scenario, "--seed", "0", *options, "-o", path)
+    return path
+
+
+def reading(folder: Path, script: list[str | Path], rounds: int, tick: Tick) -> Found:
+    """Imu messages read into a recording, beside the mcap library passing over them."""
+    raw = simulated("static", folder / "static.mcap", "--no-heading", "--duration", f"{READ_S:g}")
+    path = folder / "imu.mcap"
+    run_handcal("import", raw, "-o", path)
+    count = len(load(path).imu.t)
+
+    def work() -> int:
+        load(path)
+        return count
+
+    with peer([*script, path]) as other:
+        cpu, _ = in_turns([side(work), other], rounds, tick)
+    share = 100.0 * cpu[:, 1] / cpu[:, 0]
+    title = "Imu messages read, against the mcap library's undecoded ones"
+    return [
+        Figure("reading", "Imu messages read", "thousand/s", 1e-3 / cpu[:, 0], "cpu"),
+        Figure("reading", title, "%", share, "cpu", Target(75.0, False)),
+    ]
+
+
+def starting(folder: Path, rounds: int, tick: Tick) -> Found:
+    """What a person waits for at the start: the help, and a first and a second calibration."""
+    path = simulated("three-turns", folder / "turns.mcap")
+    run_handcal("--help")
+    wall, cpu = np.empty((rounds, 3)), np.empty((rounds, 3))
+    for r in range(rounds):
+        with TemporaryDirectory() as cache:
+            ran = [
+                run_handcal("--help"),
+                run_handcal("calibrate", path, cache=Path(cache)),
+                run_handcal("calibrate", path, cache=Path(cache)),
+            ]
+        wall[r], cpu[r] = [one.wall for one in ran], [one.cpu for one in ran]
+        tick()
+    titles = (
+        ("handcal --help", 0.25),
+        ("calibrate 30 s, nothing compiled yet", 6.0),
+        ("calibrate 30 s", 1.5),
+    )
+    found: Found = []
+    for k, (title, most) in enumerate(titles):
+        found.append(Figure("start", title, "s", wall[:, k], "wall", Target(most, True)))
+        if not np.isnan(cpu).any():
+            found.append(Figure("start", f"{title}: of the processor", "s", cpu[:, k], "cpu"))
+    return found
+
+
+def memory(folder: Path, tick: Tick) -> Found:
+    """The most memory that calibrate takes for an hour."""
+    title = "memory of calibrate, one hour at 100 Hz"
+    path = simulated("free-hand", folder / "hour.mcap", "--duration", f"{HOUR_S:g}")
+    ran = run_handcal("calibrate", path)
+    tick()
+    path.unlink()
+    if np.isnan(ran.memory):
+        return [Skipped("memory", title, "this system does not tell.")]
+    return [
+        Figure("memory", title, "MB", np.array([ran.memory]), "", Target(400.0, True)),
+        Figure("memory", "calibrate, one hour at 100 Hz", "s", np.array([ran.cpu]), "cpu"),
+    ]
+
+
+def sweeping(rounds: int, tick: Tick) -> Found:
+    """The whole grid of paper 002 with 100 seeds, on one core and on two."""
+    title = f"paper grid, {RUNS:,} runs, on two cores"
+    if (os.cpu_count() or 1) < 2:
+        return [Skipped("sweep", title, "this machine has one core.")]
+    command = ("sweep", "--grid", "paper", "--seeds", "100", "--jobs")
+    run_handcal(*command[:-3], "--seeds", "1", "--jobs", "1")
+    wall = np.empty((rounds, 2))
+    for r in range(rounds):
+        for k, jobs in enumerate(("1", "2")):
+            wall[r, k] = run_handcal(*command, jobs).wall
+            tick()
+    ratio = wall[:, 0] / wall[:, 1]
+    return [
+        Figure("sweep", title, "s", wall[:, 1], "wall", Target(25.0, True)),
+        Figure("sweep", "paper grid, one core over two", "x", ratio, "wall", Target(1.7, False)),
+    ]

@@ -1,0 +1,196 @@
+"""Options that several commands share, and what is made of them as typed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from enum import StrEnum
+from functools import wraps
+from inspect import Parameter, signature
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from handcal.commands._progress import progress
+from handcal.commands._registry import say
+
+if TYPE_CHECKING:
+    from handcal.types import Recording, Result
+
+
+class Assume(StrEnum):
+    """What may be taken for granted about the hand."""
+
+    auto = "auto"
+    fixed_point = "fixed-point"
+    rest_only = "rest-only"
+
+
+class Engine(StrEnum):
+    """Which implementation of the same filter runs."""
+
+    compiled = "compiled"
+    filterpy = "filterpy"
+
+
+Topics = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--topic",
+        metavar="NAME=TOPIC",
+        help="Which MCAP topic is which stream, as imu=/phone/imu (repeatable).",
+    ),
+]
+Units = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME=UNIT,...", help="Units in the file where they are not SI: accel=g,gyro=deg/s."
+    ),
+]
+Effects = Annotated[
+    str,
+    typer.Option(
+        metavar="ID,...", help="Effects to estimate beyond constant biases: gyro_scale,lever_arm."
+    ),
+]
+HeadingSigma = Annotated[
+    float | None,
+    typer.Option(
+        metavar="DEG", min=0.0, help="Noise of the heading; found from the data if not given."
+    ),
+]
+Assumption = Annotated[
+    Assume,
+    typer.Option(
+        help="fixed-point: the held point stays in its place; rest-only: still in detected rests "
+        "alone; auto: chosen by evidence."
+    ),
+]
+Latitude = Annotated[
+    float | None,
+    typer.Option(
+        metavar="DEG", min=-90.0, max=90.0, help="Take gravity and the Earth's turning from here."
+    ),
+]
+Height = Annotated[
+    float, typer.Option(metavar="M", help="Height above the ellipsoid, with --latitude.")
+]
+Ignore = Annotated[
+    list[str] | None,
+    typer.Option(metavar="STREAM", help="Leave a stream out: heading, mag, pose (repeatable)."),
+]
+ReferenceExact = Annotated[
+    bool,
+    typer.Option(
+        "--reference-exact",
+        help="/reference has no bias (a turntable): what both differ by is the IMU's.",
+    ),
+]
+NoiseUntil = Annotated[
+    float | None,
+    typer.Option(metavar="S", min=0.0, help="Find noise levels in the first S seconds only."),
+]
+EngineOption = Annotated[
+    Engine, typer.Option(help="compiled, or filterpy: slower, the same mathematics.")
+]
+Json = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Write the numbers as JSON; - for standard output."),
+]
+Report = Annotated[Path | None, typer.Option(metavar="FILE.html", help="Write a report to read.")]
+Rrd = Annotated[
+    Path | None, typer.Option(metavar="FILE.rrd", help="Save a recording for the Rerun viewer.")
+]
+EffectsFrom = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="DIR",
+        help="Take the effect files (*.py) of this folder into the catalogue. This runs their "
+        "code: name no folder that you do not trust.",
+    ),
+]
+
+
+def with_own_effects(command: Callable[..., None]) -> Callable[..., None]:
+    """The command with the option --effects-from: it runs with those effects in the catalogue."""
+
+    @wraps(command)
+    def run_with(*arguments: Any, effects_from: Path | None = None, **options: Any) -> None:
+        if effects_from is None:
+            command(*arguments, **options)
+            return
+        from handcal import own_effects
+
+        names = ", ".join(path.name for path in own_effects.files(effects_from))
+        say(f"running the code of {names} in {effects_from}, as --effects-from asks")
+        with own_effects.effects_from(effects_from):
+            command(*arguments, **options)
+
+    own = signature(command, eval_str=True)
+    option = Parameter("effects_from", Parameter.KEYWORD_ONLY, default=None, annotation=EffectsFrom)
+    run_with.__signature__ = own.replace(parameters=[*own.parameters.values(), option])  # type: ignore[attr-defined]
+    run_with.__annotations__ = {**command.__annotations__, "effects_from": EffectsFrom}
+    return run_with
+
+
+def _pairs(items: list[str], option: str) -> dict[str, str]:
+    """NAME=VALUE strings as a dictionary. Errors: InputError."""
+    from handcal.types import InputError
+
+    pairs: dict[str, str] = {}
+    for item in items:
+        name, equals, value = item.partition("=")
+        if not (equals and name.strip()):
+            raise InputError(f"{option} {item}: expected NAME=VALUE.")
+        pairs[name.strip()] = value.strip()
+    return pairs
+
+
+def load(path: Path, topics: list[str] | None, units: str | None) -> Recording:
+    """A recording with the options as typed. Errors: InputError."""
+    import handcal
+
+    chosen = _pairs(topics or [], "--topic")
+    said = _pairs([u for u in (units or "").split(",") if u.strip()], "--units")
+    with progress(f"reading {path.name}") as report:
+        recording: Recording = handcal.load(path, topics=chosen, units=said, progress=report)
+    return recording
+
+
+def radians(degrees: float | None) -> float | None:
+    """An angle as typed; None for unset."""
+    return None if degrees is None else math.radians(degrees)
+
+
+def calibrated(
+    recordings: list[Recording], effects: str, learnt_from: Path | None = None, **settings: Any
+) -> tuple[Result, ...]:
+    """Run the filter with the options as typed: angles in degrees, enums, None for unset."""
+    from handcal.estimate.calibration import calibrate_together, recalibrate
+    from handcal.types import InputError
+
+    for name in ("heading_sigma", "latitude", "height", "noise_until"):
+        value = settings[name]
+        if value is not None and not math.isfinite(value):
+            raise InputError(f"--{name.replace('_', '-')} {value}: expected a finite number.")
+    for name in ("heading_sigma", "latitude"):
+        settings[name] = radians(settings[name])
+    settings |= {"assume": str(settings["assume"]), "engine": str(settings["engine"])}
+    settings["ignore"] = tuple(settings["ignore"] or ())
+    ids = tuple(e.strip() for e in effects.split(",") if e.strip())
+    names = ", ".join(Path(r.path).name for r in recordings)
+    if learnt_from is None:
+        with progress(f"calibrating {names}") as report:
+            return calibrate_together(recordings, ids, progress=report, **settings)
+    from handcal.explain.written import read
+
+    usual = {"assume": "auto", "engine": "compiled", "height": 0.0, "ignore": (),
+             "reference_exact": False}  # fmt: skip
+    own = [n for n, v in settings.items() if v != usual.get(n)]
+    if ids or own:
+        said = ", ".join(f"--{n.replace('_', '-')}" for n in (["effects"] if ids else []) + own)
+        raise InputError(f"--from holds the model with its options; leave out {said}.")
+    chosen = read(learnt_from)
+    with progress(f"calibrating {names}") as report:
+        return recalibrate(recordings, chosen, report)

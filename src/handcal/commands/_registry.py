@@ -1,0 +1,181 @@
+"""How the command line finds its commands, and how it ends.
+
+Each entry of the entry-point group ``handcal.commands`` names a package: every module in it that
+does not begin with an underscore is a command, a function of the module's name with typer
+annotations, imported only when called; a package in it holds the commands of a command. An entry
+``module:name`` is one such function alone.
+"""
+
+from __future__ import annotations
+
+import ast
+import codecs
+import contextlib
+import importlib.util
+import io
+import os
+import pkgutil
+import sys
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import Any, NoReturn
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+FIRST = ("demo", "calibrate", "explain", "replay", "import", "simulate")
+INTERRUPTED = 130
+GROUP = "handcal.commands"
+
+
+class Commands(TyperGroup):
+    """The commands of this file and of the entry points; errors become one line and a status."""
+
+    listing = False
+
+    def plugins(self) -> dict[str, EntryPoint]:
+        """Where the commands are that are imported only when called, by name."""
+        return _plugins()
+
+    def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002
+        """Names, the most used first."""
+        names = {*self.commands, *self.plugins()}
+        order = {name: n for n, name in enumerate(FIRST)}
+        return sorted(names, key=lambda name: (order.get(name, len(order)), name))
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ARG002
+        """The command; for the list of commands only its name and its first line."""
+        plugin = self.plugins().get(cmd_name)
+        if cmd_name in self.commands or plugin is None:
+            return self.commands.get(cmd_name)
+        if self.listing:
+            return TyperCommand(cmd_name, help=_first_line(plugin))
+        return _loaded(plugin)
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """The list of commands, without importing any of them."""
+        self.listing = True
+        try:
+            super().format_help(ctx, formatter)
+        finally:
+            self.listing = False
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run a command; what goes wrong for a known reason ends in one line on stderr."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            say("interrupted")
+            raise typer.Exit(INTERRUPTED) from None
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            say(f"{error.filename or 'Files'}: {error.strerror or error}.")
+            raise typer.Exit(1) from None
+        except Exception as error:
+            from handcal.types import HandcalError, InputError
+
+            if not isinstance(error, HandcalError):
+                raise
+            say(str(error))
+            raise typer.Exit(2 if isinstance(error, InputError) else 1) from None
+
+
+def folder(package: str) -> dict[str, EntryPoint]:
+    """The commands of a package, by name; none of them is imported."""
+    spec = importlib.util.find_spec(package)
+    found: dict[str, EntryPoint] = {}
+    for module in pkgutil.iter_modules(spec.submodule_search_locations if spec else None):
+        if not module.name.startswith("_"):
+            name = module.name.strip("_").replace("_", "-")
+            attribute = "commands" if module.ispkg else module.name
+            found[name] = EntryPoint(name, f"{package}.{module.name}:{attribute}", GROUP)
+    return found
+
+
+def _plugins() -> dict[str, EntryPoint]:
+    found: dict[str, EntryPoint] = {}
+    for entry in sorted(entry_points(group=GROUP), key=lambda e: e.name):
+        found |= {entry.name: entry} if entry.attr else folder(entry.module)
+    return found
+
+
+def _first_line(plugin: EntryPoint) -> str:
+    """The first line of the function's docstring, or of its module's where it is no function,
+    read from the source without running it."""
+    with contextlib.suppress(ImportError, OSError, SyntaxError, AttributeError, ValueError):
+        spec = importlib.util.find_spec(plugin.module)
+        if spec and spec.origin:
+            module = ast.parse(Path(spec.origin).read_text(encoding="utf-8"))
+            named = (n for n in module.body if getattr(n, "name", "") == plugin.attr)
+            node = next((n for n in named if isinstance(n, ast.FunctionDef)), module)
+            return (ast.get_docstring(node) or "").split("\n\n")[0]
+    return f"from {plugin.dist.name}" if plugin.dist else "not installed completely"
+
+
+def _loaded(plugin: EntryPoint) -> Any:
+    from handcal.types import HandcalError
+
+    try:
+        function = plugin.load()
+    except (ImportError, AttributeError, SyntaxError) as e:
+        raise HandcalError(f"The command '{plugin.name}' could not be loaded: {e}.") from e
+    if isinstance(function, typer.Typer):
+        return typer.main.get_command(function)
+    single = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    single.command(plugin.name)(function)
+    return typer.main.get_command(single)
+
+
+# Signs that an old terminal may lack, and what stands for them there.
+PLAIN = str.maketrans(
+    {"−": "-", "–": "-", "±": "+-", "×": "x", "·": "*", "°": " deg", "σ": "sigma", "µ": "u",
+     "μ": "u", "²": "^2", "³": "^3", "√": "sqrt", "≤": "<=", "≥": ">=", "→": "->", "…": "...",
+     "\u00a0": " ", "\u202f": " ", "’": "'", "•": "*",
+     **dict(zip("⁻⁰¹⁴⁵⁶⁷⁸⁹", "-01456789", strict=True)),
+     **dict(zip("▁▂▃▄▅▆▇█", "_.-=+*#@", strict=True))}
+)  # fmt: skip
+
+
+def plain_signs(error: UnicodeError) -> tuple[str, int]:
+    """What is written where a terminal cannot show a sign: one that it can."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    text = error.object[error.start : error.end].translate(PLAIN)
+    return "".join(c if c.isascii() else "?" for c in text), error.end
+
+
+def _show_what_can_be_shown() -> None:
+    codecs.register_error("handcal", plain_signs)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="handcal")
+
+
+def say(text: str) -> None:
+    """One line on stderr."""
+    print(f"handcal: {' '.join(text.split())}", file=sys.stderr)
+
+
+def run(app: typer.Typer) -> NoReturn:
+    """Run the command line and leave by SystemExit; wrong use is one line, not a page."""
+    arguments = sys.argv[1:] or ["--help"]
+    _show_what_can_be_shown()
+    try:
+        try:
+            command = typer.main.get_command(app)
+            status = command.main(arguments, prog_name="handcal", standalone_mode=False)
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError:  # whoever read the output has had enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        status = 1
+    except Exception as error:
+        if not hasattr(error, "format_message"):  # of every usage error, whichever click it is
+            raise
+        context = getattr(error, "ctx", None)
+        path = context.command_path if context else "handcal"
+        problem = error.format_message().replace("Value error, ", "")
+        say(f"{problem.rstrip('.')}. See '{path} --help'.")
+        status = 2
+    sys.exit(status if isinstance(status, int) else 0)

@@ -1,0 +1,72 @@
+"""The command ``apply``. What is slow to import is imported where it is used."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from handcal.commands._options import Topics, Units, load, with_own_effects
+from handcal.commands._registry import say
+
+if TYPE_CHECKING:
+    from handcal.device.apply import Corrected, Learnt
+
+
+@with_own_effects
+def apply(
+    recording: Annotated[
+        Path, typer.Argument(metavar="RECORDING", help="A recording of the same device.")
+    ],
+    learnt_from: Annotated[
+        Path,
+        typer.Option(
+            "--from",
+            metavar="EXPLANATION.json",
+            help="What `explain --json` or `calibrate --json` learnt, of this recording or others.",
+        ),
+    ],
+    out: Annotated[
+        Path, typer.Option("-o", "--out", metavar="FILE.mcap", help="Recording to write.")
+    ],
+    biases: Annotated[
+        bool,
+        typer.Option(
+            "--biases", help="Take off biases too, which are those of the recording explained."
+        ),
+    ] = False,
+    topic: Topics = None,
+    units: Units = None,
+) -> None:
+    """Take the errors that were found off a recording's readings.
+
+    What is no error of a sensor (where it sits, gravity, noise) stays, and is said.
+    """
+    from handcal.device.apply import apply as applied
+    from handcal.device.apply import read
+    from handcal.output import check_outputs
+    from handcal.recordings.export import write_mcap
+    from handcal.types import HandcalError
+
+    check_outputs((out,), (recording, learnt_from))
+    learnt = read(learnt_from)
+    given = load(recording, topic, units)
+    corrected = applied(given, learnt, biases=biases)
+    left = _left(corrected, learnt)
+    if not corrected.taken:
+        nothing = f"{learnt_from} has nothing that could be taken off {recording.name}"
+        raise HandcalError(f"{nothing}. {left}" if left else f"{nothing}.")
+    write_mcap(corrected.recording, out)
+    for sentence in (*given.warnings, left):
+        if sentence:
+            say(sentence)
+    print(f"{out}: {', '.join(corrected.taken)} taken off {recording.name}")
+
+
+def _left(corrected: Corrected, learnt: Learnt) -> str:
+    """One sentence about what is left in the readings; empty if nothing is."""
+    parts = [f"{', '.join(ids)} ({reason})" for reason, ids in corrected.left.items()]
+    if learnt.unnamed:
+        parts.append(f"{', '.join(learnt.unnamed)} (without a name in the catalogue)")
+    return f"Left as it is: {'; '.join(parts)}." if parts else ""

@@ -1,0 +1,107 @@
+"""The command ``calibrate``. What is slow to import is imported where it is used."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from handcal.commands._options import (
+    Assume,
+    Assumption,
+    Effects,
+    Engine,
+    EngineOption,
+    HeadingSigma,
+    Height,
+    Ignore,
+    Json,
+    Latitude,
+    NoiseUntil,
+    ReferenceExact,
+    Report,
+    Rrd,
+    Topics,
+    Units,
+    calibrated,
+    load,
+    with_own_effects,
+)
+
+if TYPE_CHECKING:
+    from handcal.types import Result
+
+
+@with_own_effects
+def calibrate(
+    files: Annotated[
+        list[Path], typer.Argument(metavar="FILE...", help="Recordings of one device.")
+    ],
+    effects: Effects = "",
+    learnt_from: Annotated[
+        Path | None,
+        typer.Option(
+            "--from",
+            metavar="RESULT.json",
+            help="Repeat the fit that `explain --json` or `calibrate --json` wrote of these files; "
+            "of others, estimate the same effects.",
+        ),
+    ] = None,
+    heading_sigma: HeadingSigma = None,
+    assume: Assumption = Assume.auto,
+    latitude: Latitude = None,
+    height: Height = 0.0,
+    topic: Topics = None,
+    units: Units = None,
+    ignore: Ignore = None,
+    reference_exact: ReferenceExact = False,
+    noise_until: NoiseUntil = None,
+    engine: EngineOption = Engine.compiled,
+    json: Json = None,
+    report: Report = None,
+    rrd: Rrd = None,
+) -> None:
+    """Run the filter over recordings of one device: sensor errors, how well they are known.
+
+    Effects are those of the device, so several recordings tell them together; biases and noise
+    are each recording's own. With --from, the fit of that result is repeated; of other
+    recordings, the same effects are estimated.
+    """
+    from handcal.output import beside, check_outputs
+
+    check_outputs((json, report, rrd), (*files, learnt_from))
+    recordings = [load(path, topic, units) for path in files]
+    for several in (report, rrd):
+        if several:
+            check_outputs(beside(several, recordings), (*files, learnt_from))
+    results = calibrated(
+        recordings, effects, learnt_from, heading_sigma=heading_sigma, assume=assume,
+        latitude=latitude, height=height, ignore=ignore, reference_exact=reference_exact,
+        noise_until=noise_until, engine=engine,
+    )  # fmt: skip
+    if report:
+        from handcal.show.calibration.report import write_report
+
+        for result, path in zip(results, beside(report, recordings), strict=True):
+            write_report(result, path)
+    if rrd:
+        from handcal.show.dashboard import save_rrd
+
+        for result, path in zip(results, beside(rrd, recordings), strict=True):
+            save_rrd(result, path)
+    if json:
+        from handcal.show.calibration.summary import calibration_json, write_json
+
+        write_json(calibration_json(results), json)
+    if str(json) != "-":  # last: whoever reads this may have had enough before its end
+        for result in results:
+            _show(result)
+
+
+def _show(result: Result) -> None:
+    from rich.console import Console
+
+    from handcal.show.calibration.summary import print_summary
+
+    print_summary(result, Console())

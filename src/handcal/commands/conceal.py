@@ -1,0 +1,64 @@
+"""The command ``conceal``. What is slow to import is imported where it is used."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from handcal.commands._options import Topics, Units, load, with_own_effects
+
+if TYPE_CHECKING:
+    pass
+
+
+@with_own_effects
+def conceal(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording, real ones too.")],
+    effect: Annotated[
+        list[str],
+        typer.Option(
+            metavar="ID=v,v,...",
+            help="Effect to add, values in the order of its parameters (repeatable); a wrong one "
+            "lists them.",
+        ),
+    ],
+    out: Annotated[
+        Path, typer.Option("-o", "--out", metavar="FILE.mcap", help="Recording to write.")
+    ],
+    learnt_from: Annotated[
+        Path | None,
+        typer.Option(
+            "--from",
+            metavar="EXPLANATION.json",
+            help="What `explain --json` said of this recording as it is: what is added depends on "
+            "the true motion, and the device's own errors are no part of that.",
+        ),
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Same seed, same file (drawn, and said).")
+    ] = None,
+    topic: Topics = None,
+    units: Units = None,
+) -> None:
+    """Add an effect to a recording, to see whether it is found."""
+    import secrets
+
+    import numpy as np
+
+    from handcal.device import conceal as hidden
+    from handcal.output import check_outputs
+    from handcal.recordings.export import write_mcap
+
+    values = dict(hidden.parse(text) for text in effect)
+    check_outputs((out,), (file, learnt_from))
+    seed = secrets.randbelow(2**31) if seed is None else seed
+    recording = load(file, topic, units)
+    truth = None
+    if learnt_from is not None:
+        from handcal.device import apply as known
+
+        truth = known.apply(recording, known.read(learnt_from), biases=True).recording.imu
+    write_mcap(hidden.conceal(recording, values, np.random.default_rng(seed), truth), out)
+    print(f"{out}: {', '.join(values)} concealed in {Path(recording.path).name}, seed {seed}")

@@ -1,0 +1,158 @@
+"""The command ``explain``. What is slow to import is imported where it is used."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from handcal.commands._options import (
+    Assume,
+    Assumption,
+    HeadingSigma,
+    Height,
+    Ignore,
+    Json,
+    Latitude,
+    ReferenceExact,
+    Report,
+    Rrd,
+    Topics,
+    Units,
+    load,
+    radians,
+    with_own_effects,
+)
+from handcal.commands._progress import progress
+from handcal.commands._registry import say
+
+if TYPE_CHECKING:
+    from handcal.explain import Explanation
+
+
+@with_own_effects
+def explain(
+    files: Annotated[
+        list[Path], typer.Argument(metavar="FILE...", help="Recordings of one device.")
+    ],
+    held_out: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FILE", help="Another recording of it, for scoring only (repeatable)."
+        ),
+    ] = None,
+    twin: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.mcap",
+            help="Write the simulated counterpart, before and after, beside what was recorded.",
+        ),
+    ] = None,
+    write_effect: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.py",
+            help="Write what was found and has no name as an effect file, for --effects-from; "
+            "further ones as FILE_2.py and so on. Its name is the effect's id.",
+        ),
+    ] = None,
+    heading_sigma: HeadingSigma = None,
+    assume: Assumption = Assume.auto,
+    latitude: Latitude = None,
+    height: Height = 0.0,
+    topic: Topics = None,
+    units: Units = None,
+    ignore: Ignore = None,
+    reference_exact: ReferenceExact = False,
+    json: Json = None,
+    report: Report = None,
+    rrd: Rrd = None,
+) -> None:
+    """Say what a recording holds that the model does not: where, which physics, how certain.
+
+    The exit status is 0 with every verdict.
+    """
+    from handcal.explain import explain as explained
+    from handcal.output import beside, check_outputs
+
+    read = (*files, *(held_out or ()))
+    check_outputs((json, report, rrd, twin, write_effect), read)
+    if write_effect is not None:
+        _check_new(write_effect)
+    recordings = [load(path, topic, units) for path in files]
+    if twin:
+        check_outputs(beside(twin, recordings), read)
+    others = [load(path, topic, units) for path in held_out or ()]
+    with progress(f"explaining {', '.join(path.name for path in files)}") as done:
+        explanation = explained(
+            recordings,
+            others,
+            assume=str(assume),
+            heading_sigma=radians(heading_sigma),
+            latitude=radians(latitude),
+            height=height,
+            ignore=tuple(ignore or ()),
+            reference_exact=reference_exact,
+            progress=done,
+        )
+    if report:
+        from handcal.show.explanation.report import write_explanation_report
+
+        write_explanation_report(explanation, report)
+    if rrd:
+        from handcal.show.dashboard import save_explanation_rrd
+
+        save_explanation_rrd(explanation, rrd)
+    if twin:
+        from handcal.recordings.export import write_twin
+
+        for one, path in zip(explanation.recordings, beside(twin, recordings), strict=True):
+            if one.twins is not None:
+                write_twin(one.recording, *one.twins, path)
+    from handcal.show.explanation.summary import explanation_json, print_explanation
+
+    if json:
+        from handcal.show.calibration.summary import write_json
+
+        write_json(explanation_json(explanation), json)
+    if str(json) != "-":
+        from rich.console import Console
+
+        print_explanation(explanation, Console())
+    if write_effect:
+        _write(explanation, write_effect)
+
+
+def _check_new(path: Path) -> None:
+    """That an effect can be written there. Errors: InputError."""
+    from handcal.effects import catalogue
+    from handcal.types import InputError
+
+    if path.suffix != ".py" or not path.stem.isidentifier() or path.stem.startswith("_"):
+        raise InputError(
+            f"--write-effect {path}: expected a name such as gyro_odd.py; it becomes an effect's "
+            "id, so letters, digits and underscores."
+        )
+    if path.stem in catalogue():
+        raise InputError(f"--write-effect {path}: there is an effect {path.stem}; name another.")
+    if path.exists():
+        raise InputError(f"--write-effect {path}: that file exists; name another or remove it.")
+
+
+def _write(explanation: Explanation, path: Path) -> None:
+    from handcal.effects import catalogue
+    from handcal.explain.unnamed import law_file
+    from handcal.show.explanation.words import lawless
+
+    found = [u for u in explanation.unnamed if not lawless(u)]
+    for u in explanation.unnamed:
+        if u not in found:
+            say(f"{u.formula} goes with the motion and is no law: there is nothing to write of it")
+    if not found:
+        say(f"no law was found that has no name; {path} is not written")
+        return
+    names = [Path(r.recording.path).name for r in explanation.recordings]
+    written = law_file.write(found, path, names, catalogue())
+    for u, target in zip(found, written, strict=True):
+        say(f"{target}: {u.formula}; edit it, and read it in with --effects-from {target.parent}")

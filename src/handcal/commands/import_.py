@@ -1,0 +1,37 @@
+"""The command ``import``. What is slow to import is imported where it is used."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from handcal.commands._options import Topics, Units, load
+from handcal.commands._registry import say
+
+if TYPE_CHECKING:
+    pass
+
+
+def import_(
+    source: Annotated[
+        Path, typer.Argument(metavar="SOURCE", help="A phone log or any other format.")
+    ],
+    out: Annotated[
+        Path, typer.Option("-o", "--out", metavar="FILE.mcap", help="Recording to write.")
+    ],
+    topic: Topics = None,
+    units: Units = None,
+) -> None:
+    """Turn a phone log or another format into an MCAP recording."""
+    from handcal.output import check_outputs
+    from handcal.recordings.export import write_mcap
+
+    check_outputs((out,), (source,))
+    recording = load(source, topic, units)
+    write_mcap(recording, out)
+    for warning in recording.warnings:
+        say(warning)
+    streams = ", ".join(["imu", *recording.streams])
+    print(f"{out}: {recording.duration_s:.1f} s at {recording.rate_hz:.0f} Hz, {streams}")

@@ -1,0 +1,66 @@
+"""The command ``lab scalar``. What is slow to import is imported where it is used."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from handcal.commands._options import (
+    Height,
+    Json,
+    Latitude,
+    Report,
+    Topics,
+    Units,
+    load,
+    with_own_effects,
+)
+from handcal.commands._progress import progress
+from handcal.commands.lab._gravity import Gravity, gravity_of
+
+
+@with_own_effects
+def scalar(
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="A recording with rests in many attitudes.")
+    ],
+    effects: Annotated[
+        str,
+        typer.Option(metavar="ID,...", help="Effects to estimate beyond constant biases."),
+    ] = "accel_scale,accel_misalignment,gyro_scale,gyro_misalignment",
+    gravity: Gravity = None,
+    latitude: Latitude = None,
+    height: Height = 0.0,
+    topic: Topics = None,
+    units: Units = None,
+    json: Json = None,
+    report: Report = None,
+) -> None:
+    """Calibrate against the size of gravity alone: rests in many attitudes, and turns between.
+
+    No equipment is needed. Let the device lie still for some seconds in each of a dozen
+    attitudes, on sides, edges and slants, and turn it about all axes in between.
+    """
+    from handcal.lab.scalar import halves_or_none, scalar
+    from handcal.output import check_outputs
+    from handcal.show.calibration.summary import write_json
+    from handcal.show.lab.scalar import scalar_json, scalar_sheet
+    from handcal.show.lab.sheet import print_sheet, write_sheet
+
+    g = gravity_of(gravity, latitude, height)
+    check_outputs((json, report), (file,))
+    recording = load(file, topic, units)
+    ids = tuple(e.strip() for e in effects.split(",") if e.strip())
+    with progress(f"calibrating {file.name}"):
+        result = scalar(recording, ids, g)
+        halves = halves_or_none(result)
+    if report:
+        write_sheet(scalar_sheet(result, halves, pictures=True), report)
+    if json:
+        write_json(scalar_json(result, halves), json)
+    if str(json) != "-":
+        from rich.console import Console
+
+        print_sheet(scalar_sheet(result, halves, pictures=False), Console())

@@ -1,0 +1,1 @@
+"""Compiled numerics: rotations, strapdown mechanization, covariance, passes over recordings."""

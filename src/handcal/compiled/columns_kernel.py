@@ -1,0 +1,258 @@
+"""Compiled: what further constants do to a pass of the reduced filter (see ``columns``)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from handcal.compiled.covariance import times_transition
+from handcal.compiled.jit import copy2, inner, lean, local_matrix, njit, zero2
+from handcal.compiled.kernel import BASE, MAX_DIM, NAV, Nodes, Tables, extras_columns, fill_nav
+from handcal.compiled.reduced_kernel import Reduced
+from handcal.types import Array, BoolArray, IntArray
+
+# Innovations whose products are added up at once, so that the sums are read less often.
+AT_ONCE = 8
+
+
+@njit
+def carried(
+    Phi: Array,
+    W: Array,
+    epoch: IntArray,
+    start: IntArray,
+    seen: tuple[IntArray, IntArray, Array],
+    far: tuple[IntArray, IntArray],
+    out: tuple[Array, Array],
+) -> None:
+    """Carry what an error of the readings over each interval does to the end of its window, and to
+    the scalars that look at the window on the way.
+
+    Phi (k, 9, .), W (n, 9, 6): see ``Linear`` and ``preintegrate``; epoch (k,): nodes; start (K,):
+    epochs at which windows begin. seen: of every epoch (k + 1,) the first of those looks, and of
+    each look the scalar (counted within its window) and h (9,). far: first of each window's scalars
+    that look so (K + 1,), and where its rows of out[1] begin (K,). out: (n, 9, 6), and (., 6), one
+    row a scalar for each sample in turn.
+    """
+    first, which, h = seen
+    count = len(start)
+    most = 0
+    for w in range(count):
+        most = max(most, far[0][w + 1] - far[0][w])
+    later, new = np.zeros((9 + most, 9)), np.zeros((9 + most, 9))
+    for w in range(count):
+        rows = 9 + far[0][w + 1] - far[0][w]
+        last = start[w + 1] if w + 1 < count else len(epoch) - 1
+        zero2(later)
+        if w + 1 < count:
+            for a in range(9):
+                later[a, a] = 1.0
+        for j in range(last, start[w], -1):
+            for q in range(first[j], first[j + 1]):
+                for b in range(9):
+                    later[9 + which[q], b] += h[q, b]
+            for i in range(epoch[j - 1] + 1, epoch[j] + 1):
+                to = far[1][w] + (i - epoch[start[w]] - 1) * (rows - 9)
+                _through(later, W[i], 0, 9, out[0][i])
+                _through(later, W[i], 9, rows, out[1][to : to + rows - 9])
+            _before(later, Phi[j], rows, new)
+
+
+@inner
+def _through(later: Array, W: Array, begin: int, end: int, out: Array) -> None:
+    """out (end - begin, 6) = later[begin:end] W (9, 6)."""
+    for a in range(begin, end):
+        for c in range(6):
+            out[a - begin, c] = 0.0
+        for b in range(9):
+            x = later[a, b]
+            if x != 0.0:
+                for c in range(6):
+                    out[a - begin, c] += x * W[b, c]
+
+
+@inner
+def _before(later: Array, Phi: Array, rows: int, new: Array) -> None:
+    """The first rows of later (., 9) become those of later Phi[:, :9]."""
+    for a in range(rows):
+        for c in range(9):
+            new[a, c] = 0.0
+        for b in range(9):
+            x = later[a, b]
+            if x != 0.0:
+                for c in range(9):
+                    new[a, c] += x * Phi[b, c]
+    copy2(new, later)
+
+
+@njit
+def responses(
+    values: Array,
+    channel: IntArray,
+    column: IntArray,
+    windows: tuple[IntArray, IntArray, IntArray],
+    weights: tuple[Array, Array],
+    scalars: tuple[IntArray, IntArray],
+    out: tuple[Array, Array],
+) -> None:
+    """What constants do within every window: added to D (K, 9, c) at its end, taken from g (s, c).
+
+    values (n, s), channel, column (s,): see ``model.Slopes``. windows: first and last node of each
+    (K,), and where its rows of weights[1] begin; weights: see ``carried``. scalars: first of each
+    window's (K + 1,), and which they are.
+    """
+    s = len(channel)
+    most = 0
+    for w in range(len(windows[0])):
+        most = max(most, scalars[0][w + 1] - scalars[0][w])
+    mean, sums = np.empty(s), np.empty((9 + most, s))
+    edges = np.searchsorted(channel, np.arange(7))
+    for w in range(len(windows[0])):
+        rows = 9 + scalars[0][w + 1] - scalars[0][w]
+        zero2(sums)
+        to = windows[2][w]
+        for i in range(windows[0][w] + 1, windows[1][w] + 1):
+            for k in range(s):
+                mean[k] = 0.5 * (values[i - 1, k] + values[i, k])
+            _summed(weights[0][i], mean, edges, 0, sums)
+            _summed(weights[1][to : to + rows - 9], mean, edges, 9, sums)
+            to += rows - 9
+        if w + 1 < len(windows[0]):
+            for r in range(9):
+                for k in range(s):
+                    out[0][w + 1, r, column[k]] += sums[r, k]
+        for r in range(9, rows):
+            q = scalars[1][scalars[0][w] + r - 9]
+            for k in range(s):
+                out[1][q, column[k]] -= sums[r, k]
+
+
+@inner
+def _summed(weight: Array, mean: Array, edges: IntArray, at: int, sums: Array) -> None:
+    """Add weight (r, 6), of each column's channel, times its mean to the rows of sums from at on;
+    edges (7,): where the columns of each channel begin and end."""
+    for r in range(weight.shape[0]):
+        for c in range(6):
+            x = weight[r, c]
+            if x != 0.0:
+                for k in range(edges[c], edges[c + 1]):
+                    sums[at + r, k] += x * mean[k]
+
+
+@njit
+def seen_at_once(
+    values: Array,
+    channel: IntArray,
+    column: IntArray,
+    node: IntArray,
+    by_reading: Array,
+    rows: tuple[IntArray, Array],
+    g: Array,
+) -> None:
+    """Take from g (s, c) what readings (q,) that look at rate and force, by_reading (q, m, 6), see
+    of constants at their own nodes (q,). rows: first of the scalars of each (q, 2), or -1, and
+    its shares in them (q, 2)."""
+    for q in range(len(node)):
+        for i in range(by_reading.shape[1]):
+            for k in range(len(channel)):
+                x = by_reading[q, i, channel[k]]
+                if x != 0.0:
+                    x *= values[node[q], k]
+                    for part in range(2):
+                        if rows[0][q, part] >= 0:
+                            g[rows[0][q, part] + i, column[k]] -= rows[1][q, part] * x
+
+
+@njit
+def seen_by_readings(
+    nodes: Nodes,
+    tables: Tables,
+    nominal: tuple[IntArray, Array, Array, Array, Array, Array],
+    size: int,
+    rows: tuple[IntArray, Array],
+    place: IntArray,
+    used: BoolArray,
+    g: Array,
+) -> None:
+    """Take from g (s, c) what constants (size,), all zero, add to the readings themselves.
+
+    nominal: nodes (k,) of the epochs, p, v, C there, and the biases of both sensors; place (c',):
+    column of g of each constant. rows: as in ``seen_at_once``.
+    """
+    extras, nav, w, f = np.zeros(size), np.empty(NAV), np.empty(3), np.empty(3)
+    H = np.zeros((MAX_DIM, BASE + size))
+    plus, minus = np.empty(MAX_DIM), np.empty(MAX_DIM)
+    for j in range(len(nominal[0])):
+        i = nominal[0][j]
+        if nodes.first[i] == nodes.first[i + 1]:
+            continue
+        for a in range(3):
+            w[a] = nodes.gyro[i, a] - nominal[4][j, a]
+            f[a] = nodes.accel[i, a] - nominal[5][j, a]
+        fill_nav(nominal[1][j], nominal[2][j], nominal[3][j], w, f, nav)
+        for q in range(nodes.first[i], nodes.first[i + 1]):
+            d = tables.dim[nodes.kind[q]]
+            if not used[q] or rows[0][q, 0] < 0:
+                continue
+            zero2(H)
+            extras_columns(nodes.kind[q], tables, nav, extras, nodes.z[q], d, plus, minus, H)
+            for part in range(2):
+                first = rows[0][q, part]
+                if first >= 0:
+                    for a in range(d):
+                        for c in range(len(place)):
+                            g[first + a, place[c]] -= rows[1][q, part] * H[a, BASE + c]
+
+
+@lean
+def followed(a: Reduced, gain: Array, D: Array, g: Array, X: Array, new: Array, nu: Array) -> None:
+    """Innovations nu (s, c) of further columns beside a pass that has been made already.
+
+    gain (s, m): of that pass; D (K, 9, c), g (s, c): as in ``Reduced``; X (m, c): zeros, and new
+    (m, c) work space.
+    """
+    m, columns = X.shape
+    e0 = m - a.Phi_e.shape[1]
+    for j in range(len(a.first) - 1):
+        if j > 0:
+            times_transition(a.A[j], a.B[j], a.Phi_e[j], a.Phi_psi[j], e0, X, new)
+            for i in range(m):
+                for c in range(columns):
+                    X[i, c] = new[i, c]
+            for i in range(9):
+                for c in range(columns):
+                    X[i, c] += D[j, i, c]
+        for q in range(a.first[j], a.first[j + 1]):
+            for c in range(columns):
+                nu[q, c] = g[q, c]
+            for n in range(a.nonzero[q]):
+                i = a.at[q, n]
+                x = a.h[q, i]
+                for c in range(columns):
+                    nu[q, c] -= x * X[i, c]
+            for i in range(m):
+                x = gain[q, i]
+                for c in range(columns):
+                    X[i, c] += x * nu[q, c]
+
+
+@lean
+def products(x: Array, y: Array, S: Array, out: Array, lower: bool) -> None:
+    """Sums over rows of x (s, a) y (s, b) / S into out (a, b), of the lower half alone if so
+    wanted. (A library would share it among threads, and round differently with their number.)"""
+    weight = local_matrix(AT_ONCE, 1)
+    for begin in range(0, len(x), AT_ONCE):
+        end = min(begin + AT_ONCE, len(x))
+        for i in range(x.shape[1]):
+            width = i + 1 if lower else y.shape[1]
+            for q in range(begin, end):
+                weight[q - begin, 0] = x[q, i] / S[q]
+            if end - begin == AT_ONCE:
+                for c in range(width):
+                    s = out[i, c]
+                    for q in range(AT_ONCE):
+                        s += weight[q, 0] * y[begin + q, c]
+                    out[i, c] = s
+            else:
+                for q in range(begin, end):
+                    for c in range(width):
+                        out[i, c] += weight[q - begin, 0] * y[q, c]

@@ -1,0 +1,190 @@
+"""Compiled steps of the covariance: carried by a transition, updated by observations.
+
+P may be wider than the state by rows and columns of zeros, which stay zero: products of rows
+that are a multiple of eight long are several times as fast (see ``_rows``).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from handcal.compiled.jit import inlined, inner
+from handcal.compiled.rows import add_outer, add_product, add_row, blank, padded, product, set_row
+from handcal.types import Array, IntArray
+
+Propagation = tuple[Array, Array, Array]
+Update = tuple[Array, Array, Array, IntArray, IntArray]
+
+
+def propagation_work(n: int, e: int) -> Propagation:
+    """Work space of ``propagate`` for n states, e of them Markov states."""
+    width = padded(9 + e)
+    return blank(n, n), blank(n, width), blank(n, width)
+
+
+def update_work(n: int, d: int) -> Update:
+    """Work space of ``update_linear`` for n states and at most d scalars: -P h, gain, the second
+    correction, and of each scalar where its row of H is not zero, and how often."""
+    count = np.zeros(d, dtype=np.int64)
+    return blank(n), blank(n), blank(n), np.zeros((d, n), dtype=np.int64), count
+
+
+@inner
+def times_transition(
+    Phi: Array, B: Array, Phi_e: Array, Phi_psi: Array, e0: int, X: Array, out: Array
+) -> None:
+    """The rows of out = F X that differ from those of X; the others are left alone.
+
+    F is the full transition made of Phi (9, 15 + mi) in its first nine rows, the identity,
+    and from row e0 on, where the Markov states begin, Phi_e (e, e) and Phi_psi (e, 3): how
+    Markov states depend on psi. B (9, e), or empty: how the first nine depend on Markov
+    states. Without constants, e0 = 9 and Phi is cut to nine columns.
+    """
+    product(Phi, X, min(Phi.shape[1], e0), out)
+    if B.shape[1] > 0:
+        add_product(B, X[e0:], B.shape[1], out)
+    if len(Phi_e) > 0:
+        product(Phi_e, X[e0:], len(Phi_e), out[e0:])
+        add_product(Phi_psi, X[6:], Phi_psi.shape[1], out[e0:])
+
+
+@inner
+def add_unknown_force(P: Array, axis: int, dt: float, variance: float) -> None:
+    """What an interval of dt seconds without a measured force leaves open on one axis: a change of
+    velocity of that variance, and of position by what a force that changes all the time (white
+    noise) makes of it."""
+    P[3 + axis, 3 + axis] += variance
+    P[axis, axis] += dt * dt * variance / 3.0
+    P[axis, 3 + axis] += 0.5 * dt * variance
+    P[3 + axis, axis] += 0.5 * dt * variance
+
+
+@inner
+def propagate(
+    P: Array,
+    Phi: Array,
+    B: Array,
+    Phi_e: Array,
+    Phi_psi: Array,
+    e0: int,
+    work: Propagation,
+) -> None:
+    """P = F P F' in place (without Q), F as in ``times_transition``.
+
+    The constants' own block of P does not change, and their rows and columns only once.
+    """
+    W, W_t, new = work
+    n, e = P.shape[0], Phi_e.shape[0]
+    times_transition(Phi, B, Phi_e, Phi_psi, e0, P, W)
+    for j in range(n):
+        for i in range(9):
+            W_t[j, i] = W[i, j]
+        for i in range(e):
+            W_t[j, 9 + i] = W[e0 + i, j]
+    times_transition(Phi, B, Phi_e, Phi_psi, e0, W_t, new)
+    for i in range(9):
+        for j in range(9, e0):
+            P[i, j] = W[i, j]
+            P[j, i] = W[i, j]
+        for j in range(i + 1):
+            s = 0.5 * (new[i, j] + new[j, i])
+            P[i, j] = s
+            P[j, i] = s
+    for i in range(e):
+        for j in range(9, e0):
+            P[e0 + i, j] = W[e0 + i, j]
+            P[j, e0 + i] = W[e0 + i, j]
+        for j in range(9):
+            s = 0.5 * (new[e0 + i, j] + new[j, 9 + i])
+            P[e0 + i, j] = s
+            P[j, e0 + i] = s
+        for j in range(i + 1):
+            s = 0.5 * (new[e0 + i, 9 + j] + new[e0 + j, 9 + i])
+            P[e0 + i, e0 + j] = s
+            P[e0 + j, e0 + i] = s
+
+
+@inlined
+def scalar_update(
+    P: Array, x: Array, h: Array, at: IntArray, count: int, r: float, R: float, work: Update
+) -> tuple[float, float]:
+    """One scalar Kalman update in Joseph form; returns innovation and its variance.
+
+    (I - K h) P (I - K h)' + K R K', evaluated as two rank-one corrections. x (N,) and
+    P (N, N), symmetric but for round-off, are changed in place. h is zero but for at[:count];
+    at[0] must be valid in any case.
+    """
+    minus_ph, gain, back, _, _ = work
+    S, nu = R, r
+    set_row(-h[at[0]], P, at[0], minus_ph)
+    for k in range(1, count):
+        add_row(-h[at[k]], P, at[k], minus_ph)
+    for k in range(count):
+        nu -= h[at[k]] * x[at[k]]
+        S -= h[at[k]] * minus_ph[at[k]]
+    set_row(-1.0 / S, minus_ph, 0, gain)
+    add_row(nu, gain, 0, x)
+    # (I - K h) P is not symmetric in round-off: multiply by (I - K h)' from what it is
+    set_row(R, gain, 0, back)
+    for k in range(count):
+        a = at[k]
+        weight, change = h[a], minus_ph[a]
+        for i in range(len(x)):
+            back[i] -= (P[i, a] + gain[i] * change) * weight
+    add_outer(gain, minus_ph, back, gain, P)
+    return nu, S
+
+
+@inlined
+def update_linear(
+    r: Array,
+    H: Array,
+    d: int,
+    R: Array,
+    P: Array,
+    x: Array,
+    out: tuple[Array, Array, Array, Array],
+    work: Update,
+) -> None:
+    """Joint update of x and P by d scalars r with rows H and variances R.
+
+    out: the innovation (d,), the square root of the diagonal of S (d,), the NIS (1,) and
+    the log of the predictive density (1,). ``symmetrise`` P after the last update.
+    """
+    residual, sigma, nis, loglik = out
+    at, count = work[3], work[4]
+    for j in range(d):
+        S = R[j]
+        nu = r[j]
+        m = 0
+        at[j, 0] = 0
+        for a in range(H.shape[1]):
+            if H[j, a] != 0.0:
+                at[j, m] = a
+                m += 1
+        count[j] = m
+        for k in range(m):
+            a = at[j, k]
+            nu -= H[j, a] * x[a]
+            for l in range(m):
+                S += H[j, a] * P[a, at[j, l]] * H[j, at[j, l]]
+        residual[j] = nu
+        sigma[j] = math.sqrt(S)
+    nis[0] = 0.0
+    loglik[0] = 0.0
+    for j in range(d):
+        nu, S = scalar_update(P, x, H[j], at[j], count[j], r[j], R[j], work)
+        nis[0] += nu * nu / S
+        loglik[0] -= 0.5 * (nu * nu / S + math.log(2.0 * math.pi * S))
+
+
+@inner
+def symmetrise(P: Array) -> None:
+    """P = (P + P') / 2 in place."""
+    for i in range(len(P)):
+        for j in range(i):
+            s = 0.5 * (P[i, j] + P[j, i])
+            P[i, j] = s
+            P[j, i] = s

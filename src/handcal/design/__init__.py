@@ -1,0 +1,1 @@
+"""Which poses and motions would tell most, by the information matrix."""

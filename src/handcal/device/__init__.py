@@ -1,0 +1,1 @@
+"""What is done to readings once errors are known: correct them, conceal an effect, predict them."""

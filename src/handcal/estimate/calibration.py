@@ -1,0 +1,213 @@
+"""``calibrate``: from recordings to what is known of a device's sensors.
+
+1. segment the recording, choose observations and the assumption about the hand (``estimate.case``),
+2. filter once as a live filter would, smooth, relinearise, and find the noise levels by evidence:
+   the baseline (``estimate.fit``),
+3. the same with the effects asked for, from there (``estimate.chosen``),
+4. filter once more about the settled trajectory: that pass is what is shown (``estimate.result``).
+
+``explain`` ends in the same fit of the model that it chose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+from handcal.effects import PLACE, Effect, select
+from handcal.effects import catalogue as known
+from handcal.estimate.case import Case, case_of
+from handcal.estimate.chosen import Chosen, Options, document_of, seen, settled, view_of
+from handcal.estimate.filter import ENGINES
+from handcal.estimate.fit import baseline
+from handcal.estimate.hand import resting, travels
+from handcal.estimate.model import Model
+from handcal.estimate.observed import check_options
+from handcal.estimate.result import results
+from handcal.estimate.start import Start
+from handcal.observations import catalogue
+from handcal.types import InputError, Recording, Result
+
+Progress = Callable[[float], None]
+
+
+def calibrate(
+    recording: Recording,
+    effects: Sequence[str] = (),
+    observations: Sequence[str] | None = None,
+    *,
+    assume: str = "auto",
+    heading_sigma: float | None = None,
+    latitude: float | None = None,
+    height: float = 0.0,
+    noise: Mapping[str, float] | None = None,
+    noise_until: float | None = None,
+    start: Start | None = None,
+    engine: str = "compiled",
+    ignore: Sequence[str] = (),
+    reference_exact: bool = False,
+    progress: Progress | None = None,
+) -> Result:
+    """Estimate biases, and the parameters of the effects asked for, from one recording.
+
+    effects: ids of the catalogue. observations: kinds to use instead of those that
+    ``assume`` ("auto", "fixed-point", "rest-only") and the streams suggest. heading_sigma:
+    rad, if known. latitude (rad) and height (m) switch on the Earth's rate and true
+    gravity. noise: levels to keep fixed, SI, by name; all others are estimated, from the
+    part before ``noise_until`` (s) if given. start: a prior of the first state instead of
+    levelling. ignore: streams to leave out. reference_exact: a reference has no bias of its own.
+    progress: called with the fraction done.
+
+    Raises InputError for unknown names or options, HandcalError where no result could be
+    made. Source: paper 002 for the pseudo-observations, equations 7-12.
+    """
+    (result,) = calibrate_together(
+        [recording], effects, observations, assume=assume, heading_sigma=heading_sigma,
+        latitude=latitude, height=height, noise=noise, noise_until=noise_until, start=start,
+        engine=engine, ignore=ignore, reference_exact=reference_exact, progress=progress,
+    )  # fmt: skip
+    return result
+
+
+def calibrate_together(
+    recordings: Sequence[Recording],
+    effects: Sequence[str] = (),
+    observations: Sequence[str] | None = None,
+    *,
+    assume: str = "auto",
+    heading_sigma: float | None = None,
+    latitude: float | None = None,
+    height: float = 0.0,
+    noise: Mapping[str, float] | None = None,
+    noise_until: float | None = None,
+    start: Start | None = None,
+    engine: str = "compiled",
+    ignore: Sequence[str] = (),
+    reference_exact: bool = False,
+    progress: Progress | None = None,
+) -> tuple[Result, ...]:
+    """``calibrate`` for recordings of one device: its effects are theirs together, biases and
+    noise levels each recording's own. Options and errors as there."""
+    report = progress or (lambda _: None)
+    _check(engine, observations)
+    wanted = tuple(e for e in select(effects) if not e.baseline)
+    _check_calibrates(wanted)
+    fixed = dict(noise or {})
+    if heading_sigma is not None:
+        fixed["heading_noise"] = heading_sigma
+    cases = []
+    for recording in recordings:
+        check_options(recording, assume, heading_sigma, ignore)
+        case = case_of(
+            recording, assume, latitude, height, ignore, fixed, kinds=observations,
+            start=start, reference_exact=reference_exact,
+        )  # fmt: skip
+        _check_effects(wanted, case.kinds)
+        cases.append(replace(case, noise_until=noise_until))
+    options = Options(latitude, height, fixed, tuple(ignore), reference_exact)
+    model, chosen = _fitted(cases, wanted, options, engine, report)
+    far = [assume == "auto" and observations is None and travels(f) for f in model.parts]
+    if any(far):
+        cases = [
+            resting(f, latitude, height) if gone else case
+            for case, f, gone in zip(cases, model.parts, far, strict=True)
+        ]
+        model, chosen = _fitted(cases, wanted, options, engine, report)
+    return _told(model, chosen, report)
+
+
+def recalibrate(
+    recordings: Sequence[Recording], chosen: Chosen, progress: Progress | None = None
+) -> tuple[Result, ...]:
+    """A model that was written down (``explain`` and ``calibrate`` say theirs), fitted again.
+
+    To the recordings that it is of (known by the number of their samples): equal to the fit that
+    it was written down of. To others of the device: its effects, without what happened at one
+    moment only, observations and hand chosen anew.
+
+    Errors as of ``calibrate``.
+    """
+    report = progress or (lambda _: None)
+    options = chosen.options
+    theirs = [v.samples for v in chosen.views]
+    if [len(r.imu.t) for r in recordings] == theirs:
+        cases = [seen(r, v, options) for r, v in zip(recordings, chosen.views, strict=True)]
+    else:
+        effects = tuple(e for e in chosen.effects if e.id in known())
+        cases = [
+            case_of(
+                r, "auto", options.latitude, options.height,
+                [s for s in options.ignore if s in r.streams], options.fixed,
+                reference_exact=options.reference_exact,
+            )
+            for r in recordings
+        ]  # fmt: skip
+        views = tuple(view_of(c) for c in cases)
+        chosen = replace(chosen, effects=effects, views=views, moments={}, levels=())
+        for case in cases:
+            _check_effects(effects, case.kinds)
+    base = baseline(cases)
+    chosen = replace(chosen, effects=_with_those_of_all(chosen.effects, base))
+    report(0.5)
+    told = _told(settled(base, chosen), chosen, report)
+    return tuple(replace(r, repeated=True) for r in told)
+
+
+def _fitted(
+    cases: Sequence[Case],
+    effects: Sequence[Effect],
+    options: Options,
+    engine: str,
+    report: Progress,
+) -> tuple[Model, Chosen]:
+    base = baseline(cases, engine)
+    report(0.5)
+    effects = _with_those_of_all(effects, base)
+    chosen = Chosen(effects, tuple(view_of(c) for c in cases), options)
+    return settled(base, chosen, engine), chosen
+
+
+def _with_those_of_all(effects: Sequence[Effect], base: Model) -> tuple[Effect, ...]:
+    """The effects that were asked for, and before them those that every model has."""
+    have = {e.id for e in effects}
+    return (*(e for e in base.effects if e.id not in have), *effects)
+
+
+def _told(model: Model, chosen: Chosen, report: Progress) -> tuple[Result, ...]:
+    report(0.95)
+    document = document_of(chosen)
+    out = tuple(replace(r, model=document) for r in results(model, chosen.moments))
+    report(1.0)
+    return out
+
+
+def _check(engine: str, observations: Sequence[str] | None) -> None:
+    if engine not in ENGINES:
+        raise InputError(f"Unknown engine '{engine}'. Known: {', '.join(ENGINES)}.")
+    for kind in observations or ():
+        if kind not in catalogue():
+            raise InputError(f"Unknown observation '{kind}'. Known: {', '.join(catalogue())}.")
+
+
+def _check_calibrates(effects: Sequence[Effect]) -> None:
+    for e in effects:
+        if e.outliers:
+            raise InputError(
+                f"The effect '{e.id}' cannot be calibrated: the filter believes every reading. "
+                "'explain' can find it; leave it out here."
+            )
+
+
+def _check_effects(effects: Sequence[Effect], kinds: Sequence[str]) -> None:
+    for e in effects:
+        acts = e.imu_error is not None or e.walks or set(e.observation_error) & set(kinds)
+        if not acts:
+            raise InputError(
+                f"The effect '{e.id}' acts on {' or '.join(sorted(e.observation_error))}, and "
+                "nothing like that is observed here: leave it out."
+            )
+        if PLACE in e.needs and not any(catalogue()[k].places for k in kinds):
+            raise InputError(
+                f"The effect '{e.id}' depends on where the device is, and neither a held point nor "
+                "a pose tells that here: leave it out."
+            )

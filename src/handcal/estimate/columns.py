@@ -1,0 +1,190 @@
+"""What constants that a model does not have would do, beside one pass of the filter about it.
+
+Linearised about a trajectory, the gains of a pass do not depend on what else there may be: a
+further constant that is zero there is one more column, which the pass has not to be repeated
+for. What errors of the readings do to the state at the end of each window, and to what is seen
+on the way, is worked out once; a column is then a sum over the samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from handcal.compiled import columns_kernel as kernel
+from handcal.effects import Effect
+from handcal.estimate.evidence import ReducedPass, Reduction, reduce, reduced_pass
+from handcal.estimate.linear import Excited, Linear, biases, excited, slopes_of
+from handcal.estimate.problem import Problem, slots_of
+from handcal.types import Array, IntArray
+
+
+@dataclass(frozen=True)
+class Ground:
+    """A linearised problem, a pass of the filter over it, and what further columns begin with.
+
+    windows: first and last node of each window (K,), and where its rows of ``weights[1]`` begin;
+    weights, scalars: see ``columns_kernel``; rows: first of the scalars of each reading (q, 2),
+    -1 for none, and its shares in them (q, 2); by_reading (q, m, 6): of readings by rate and force.
+    """
+
+    linear: Linear
+    done: ReducedPass
+    excited: Excited
+    windows: tuple[IntArray, IntArray, IntArray]
+    weights: tuple[Array, Array]
+    scalars: tuple[IntArray, IntArray]
+    rows: tuple[IntArray, Array]
+    by_reading: Array
+
+
+def ground(linear: Linear, fresh: Problem, levels: Mapping[str, float]) -> Ground:
+    """Where scans about a linearised problem begin; fresh: the same problem before that."""
+    done = reduced_pass(reduce(linear), levels)
+    told = excited(linear, fresh)
+    reduction, nominal = done.reduction, linear.trajectory
+    start = np.arange(len(linear.t)) if reduction.folded is None else reduction.folded.start
+    rows = _rows(done)
+    seen, far, scalars = _looks(linear, done, start, rows)
+    node = nominal.node
+    ends = np.r_[node[start[1:]], node[-1]]
+    length = ends - node[start]
+    size = length * np.diff(far)
+    begin = np.r_[0, np.cumsum(size)[:-1]]
+    weights = np.zeros((len(told.W), 9, 6)), np.zeros((int(size.sum()), 6))
+    kernel.carried(linear.Phi, told.W, node, start, seen, (far, begin), weights)
+    windows = node[start], ends, begin
+    return Ground(linear, done, told, windows, weights, (far, scalars), rows, told.by_reading)
+
+
+def _rows(done: ReducedPass) -> tuple[IntArray, Array]:
+    """First of the scalars of each reading (q, 2), -1 for none, and its shares in them (q, 2)."""
+    reduction = done.reduction
+    linear, folded = reduction.linear, reduction.folded
+    dim = linear.problem.tables.dim[linear.kind] * linear.used
+    scalar = np.where(dim > 0, np.cumsum(dim) - dim, -1)
+    if folded is None:
+        first = np.stack([scalar, np.full(len(scalar), -1)], axis=1)
+        return first, np.tile([1.0, 0.0], (len(scalar), 1))
+    further = np.r_[scalar, -1]
+    both = folded.share[:, 1] != 0.0
+    at = np.stack([folded.row, np.where(both, folded.row + 1, -1)], axis=1)
+    return further[at], folded.share
+
+
+def _looks(
+    linear: Linear, done: ReducedPass, start: IntArray, rows: tuple[IntArray, Array]
+) -> tuple[tuple[IntArray, IntArray, Array], IntArray, IntArray]:
+    """What sees the state within windows: of each epoch the first of those looks (k + 1,), and of
+    each look its scalar within the window and h (9,); of each window the first (K + 1,) of its
+    scalars that look so, and which these are."""
+    k, count = len(linear.t), len(start)
+    at = np.repeat(np.arange(k), np.diff(linear.first))
+    of = np.searchsorted(start, np.arange(k), side="right") - 1
+    dim = linear.problem.tables.dim[linear.kind]
+    far = (at != start[of[at]])[:, None] & (rows[0] >= 0)
+    far3 = far[:, :, None] & (np.arange(linear.H.shape[1]) < dim[:, None])[:, None]
+    q, part, channel = np.nonzero(far3)
+    scalar = rows[0][q, part] + channel
+    h = rows[1][q, part, None] * linear.H[q, channel, :9]
+    scalars = np.unique(scalar)
+    window = np.searchsorted(done.reduction.first, scalars, side="right") - 1
+    first = np.searchsorted(window, np.arange(count + 1))
+    which = np.searchsorted(scalars, scalar) - first[of[at[q]]]
+    by_epoch = np.searchsorted(at[q], np.arange(k + 1))
+    return (by_epoch, which, h), first, scalars
+
+
+@dataclass(frozen=True)
+class Wider:
+    """What a pass says of its constants and of those of further effects, the last ones (see
+    ``ReducedPass``)."""
+
+    reduction: Reduction
+    nu: Array
+    S: Array
+    log_likelihood: tuple[float, Array, Array]
+
+
+def widened(about: Ground, effects: Sequence[Effect], seen: Problem | None = None) -> Wider:
+    """The pass with columns for the constants of effects that it does not have, none of them noise.
+
+    seen: the problem of those alone that act on what is observed, if any do.
+    """
+    done = about.done
+    slots = slots_of(effects)
+    scale = np.array([s.prior_sigma for s in slots])
+    D, g = _driven(about, effects, [(s.owner, s.name) for s in slots], seen)
+    D *= scale
+    g *= scale
+    m, c = done.gain.shape[1], len(slots)
+    nu = np.empty((len(done.S), c))
+    kernel.followed(done.arrays, done.gain, D, g, np.zeros((m, c)), np.zeros((m, c)), nu)
+    reduction, linear = done.reduction, done.reduction.linear
+    problem = replace(
+        linear.problem,
+        slots=(*linear.problem.slots, *slots),
+        effects=(*linear.problem.effects, *effects),
+    )
+    wider = replace(
+        reduction,
+        linear=replace(linear, problem=problem),
+        scale=np.r_[reduction.scale, scale],
+        w0=np.r_[reduction.w0, np.zeros(c)],
+    )
+    return Wider(wider, np.hstack([done.nu, nu]), done.S, _likelihood(done, nu))
+
+
+def _likelihood(done: ReducedPass, nu: Array) -> tuple[float, Array, Array]:
+    """a, b, G with the columns of further constants, nu (s, c)."""
+    a, b, G = done.log_likelihood
+    known, c = len(b), nu.shape[1]
+    mixed, own = np.zeros((1 + known, c)), np.zeros((c, c))
+    kernel.products(done.nu, nu, done.S, mixed, False)
+    kernel.products(nu, nu, done.S, own, True)
+    whole = np.zeros((known + c, known + c))
+    whole[:known, :known] = G
+    whole[:known, known:] = mixed[1:]
+    whole[known:, :known] = mixed[1:].T
+    whole[known:, known:] = np.tril(own) + np.tril(own, -1).T
+    return a, np.r_[b, -mixed[0]], whole
+
+
+def _driven(
+    about: Ground, effects: Sequence[Effect], names: list[tuple[str, str]], seen: Problem | None
+) -> tuple[Array, Array]:
+    """D (K, 9, c) and g (s, c) of further effects' constants."""
+    done, c = about.done, len(names)
+    D = np.zeros((len(done.arrays.A), 9, c))
+    g = np.zeros((len(done.S), c))
+    slopes = slopes_of(about.excited, effects)
+    kernel.responses(
+        slopes.values, slopes.channel, slopes.column, about.windows, about.weights,
+        about.scalars, (D, g),
+    )  # fmt: skip
+    nominal = about.linear.trajectory
+    if len(about.by_reading):
+        first = about.linear.problem.nodes.first
+        node = np.searchsorted(first, np.arange(first[-1]), side="right") - 1
+        kernel.seen_at_once(
+            slopes.values, slopes.channel, slopes.column, node, about.by_reading, about.rows, g
+        )
+    if seen is not None:
+        at = {name: i for i, name in enumerate(names)}
+        own = {e.id for e in effects}
+        place = np.array([at[s.owner, s.name] for s in seen.slots if s.owner in own])
+        tables = seen.tables
+        mine = np.where(tables.start < len(place), tables.counts, 0)
+        kernel.seen_by_readings(
+            about.linear.problem.nodes,
+            tables._replace(counts=mine),
+            (nominal.node, nominal.p, nominal.v, nominal.C, *biases(about.linear.problem, nominal)),
+            len(tables.step),
+            about.rows,
+            place,
+            about.linear.used,
+            g,
+        )
+    return D, g

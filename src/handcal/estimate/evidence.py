@@ -1,0 +1,336 @@
+"""The evidence of a linearised problem, and its slope by every variance there is.
+
+Biases and constants never move, so the filter runs over the moving states alone, for all
+values of the constants at once: that is several times faster than the whole filter.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from handcal.compiled.covariance import propagation_work
+from handcal.compiled.kernel import MAX_DIM
+from handcal.compiled.reduced_kernel import Reduced, reduced_backward, reduced_forward
+from handcal.compiled.rows import blank, padded
+from handcal.estimate.filter import full_prior
+from handcal.estimate.folded import Folded, fold
+from handcal.estimate.linear import Linear, driven
+from handcal.estimate.problem import observation_variances
+from handcal.types import Array, IntArray
+
+# Innovations whose squares are added up at once: their rows stay in the processor's own memory.
+TOGETHER = 64
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """What the reduced filter needs of a linearised problem, whatever the noise levels.
+
+    Biases and constants never move, so the filter runs over the m = 9 + e moving states
+    alone, once for all values w (nc,) of the constants' errors in units of their prior
+    sigma ``scale``; w0 is their prior mean. X0 (m, 1 + nc), P15 (15, 15): the prior;
+    slot (s,): kind and channel of each scalar, numbered through. folded: how the problem was
+    folded, if it was; ``linear`` is what it became; t (k,): the epochs before that, s.
+    """
+
+    linear: Linear
+    scale: Array
+    w0: Array
+    X0: Array
+    P15: Array
+    D: Array
+    first: IntArray
+    g: Array
+    h: Array
+    at: IntArray
+    count: IntArray
+    slot: IntArray
+    folded: Folded | None
+    t: Array
+
+    def scatter(self, variances: Array) -> float:
+        """Log-density of how readings scatter within their windows, given the variances of each
+        slot."""
+        if self.folded is None:
+            return 0.0
+        f, seen = self.folded, self.folded.extra > 0.0
+        R = variances.ravel()[seen]
+        return -0.5 * float(f.extra[seen] @ np.log(2.0 * math.pi * R) + (f.scatter[seen] / R).sum())
+
+    def scatter_slope(self, variances: Array) -> Array:
+        """Derivative of ``scatter`` by the variance of each slot."""
+        R = variances.ravel()
+        if self.folded is None:
+            return np.zeros(len(R))
+        return np.asarray(0.5 * (self.folded.scatter / R - self.folded.extra) / R)
+
+    @property
+    def moving(self) -> IntArray:
+        """Indices (m,) of the moving states in the full state."""
+        n = self.linear.problem.size
+        return np.asarray(np.r_[0:9, n - self.linear.problem.markov_size : n])
+
+
+def reduce(linear: Linear, folds: bool = True) -> Reduction:
+    """Split a linearised problem into what moves and what is constant.
+
+    folds: False to keep every epoch and every reading its own.
+    """
+    folded, t = fold(linear) if folds else None, linear.t
+    linear = linear if folded is None else folded.linear
+    problem, nominal = linear.problem, linear.trajectory
+    n, c, e = problem.size, problem.constants, problem.markov_size
+    mean15, P15 = linear.start.prior(
+        nominal.p[0], nominal.v[0], nominal.C[0], nominal.bg, nominal.ba
+    )
+    scale = np.sqrt(np.r_[np.diag(P15)[9:], [s.prior_sigma**2 for s in problem.slots]])
+    w0 = np.r_[mean15[9:], problem.prior_mean - nominal.constants] / scale
+    by_bias = P15[:9, 9:] / np.diag(P15)[9:]
+    X0 = np.zeros((9 + e, 1 + 6 + c))
+    X0[:9, 0] = mean15[:9] - by_bias @ mean15[9:]
+    X0[:9, 1:7] = by_bias * scale[:6]
+    X0[9:, 0] = -nominal.markov[0]
+    width = linear.Phi.shape[2]
+    D = np.zeros((len(linear.t), 9, 1 + 6 + c))
+    D[:, :, 0] = linear.d
+    np.multiply(linear.Phi[:, :, 9:], scale[: width - 9], out=D[:, :, 1 : width - 8])
+    dim = problem.tables.dim[linear.kind] * linear.used
+    row, channel = np.nonzero(np.arange(linear.H.shape[1]) < dim[:, None])
+    H = linear.H[row, channel]
+    h = np.hstack([H[:, :9], H[:, n - e :]])
+    g = np.empty((len(row), 1 + len(scale)))
+    g[:, 0] = linear.r[row, channel]
+    np.multiply(H[:, 9 : n - e], -scale, out=g[:, 1:])
+    return Reduction(
+        linear,
+        scale,
+        w0,
+        X0,
+        P15,
+        D,
+        np.searchsorted(row, linear.first).astype(np.int64),
+        g,
+        h,
+        np.argsort(h == 0.0, axis=1, kind="stable"),
+        (h != 0.0).sum(axis=1),
+        linear.kind[row] * MAX_DIM + channel,
+        folded,
+        t,
+    )
+
+
+class Likelihood(Protocol):
+    """What a pass says of constants (see ``ReducedPass``)."""
+
+    @property
+    def reduction(self) -> Reduction: ...
+
+    @property
+    def nu(self) -> Array: ...
+
+    @property
+    def S(self) -> Array: ...
+
+    @property
+    def log_likelihood(self) -> tuple[float, Array, Array]: ...
+
+
+@dataclass(frozen=True)
+class ReducedPass:
+    """The reduced filter at certain noise levels, and the constants given everything.
+
+    X (k, m, 1 + nc), P (k, m, m) after each epoch; gain (s, m), nu (s, 1 + nc), S (s,) of
+    each scalar; w (nc,) and spread (nc, nc): posterior mean and a square root of the
+    posterior covariance of the constants, in units of their priors; log_likelihood: a, b
+    (nc,), G (nc, nc) of a + b'w - w'G w / 2.
+    """
+
+    reduction: Reduction
+    arrays: Reduced
+    X: Array
+    P: Array
+    gain: Array
+    nu: Array
+    S: Array
+    w: Array
+    spread: Array
+    log_evidence: float
+    log_likelihood: tuple[float, Array, Array]
+
+    def innovations(self, w: Array) -> Array:
+        """Of every scalar (s,), were the constants' errors w (nc,)."""
+        return np.asarray(self.nu[:, 0] + self.nu[:, 1:] @ w)
+
+
+def kept(count: int, rows: IntArray | None) -> IntArray:
+    """Row (count,) in which each epoch is kept, -1 for nowhere: those of ``rows``, or all."""
+    out: IntArray = np.arange(count, dtype=np.int64)
+    if rows is not None:
+        out[:] = -1
+        out[rows] = np.arange(len(rows))
+    return out
+
+
+def reduced_pass(
+    reduction: Reduction,
+    levels: Mapping[str, float],
+    keep: bool = False,
+    rows: IntArray | None = None,
+) -> ReducedPass:
+    """Evidence at these noise levels, as that of ``forward`` but several times faster.
+
+    keep: the states after every epoch, or after those of ``rows``; otherwise the last alone.
+
+    Source: the augmented filter of de Jong, The diffuse Kalman filter, Annals of
+    Statistics 19 (1991), with proper priors. Of numbers that ran away (a variance that is not
+    positive, information that is not) the log-evidence is minus infinity.
+    """
+    linear = reduction.linear
+    problem, k, s = linear.problem, len(linear.t), len(reduction.h)
+    m, columns = reduction.X0.shape
+    arrays = _reduced_arrays(reduction, levels)
+    place = kept(k, rows if keep else np.array([k - 1], dtype=np.int64))
+    count = int(place.max()) + 1
+    X, P = np.empty((count, m, columns)), np.empty((count, m, m))
+    gain, nu, S = np.empty((s, m)), np.empty((s, columns)), np.empty(s)
+    moving = reduction.moving
+    P0 = full_prior(problem, reduction.P15, dict(levels))[np.ix_(moving, moving)]
+    by_bias = reduction.X0[:9, 1:7]
+    P0[:9, :9] -= by_bias @ by_bias.T
+    width = padded(columns)
+    gram, X0 = blank(width, width), blank(m, width)
+    X0[:, :columns] = reduction.X0
+    some = blank(width, TOGETHER), blank(TOGETHER, width)
+    extra = blank(m, width), (blank(m), blank(m), blank(m)), some
+    work = propagation_work(m, m - 9)
+    reduced_forward(arrays, P0, X0, (X, P), (gain, nu, S), gram, work, extra, place)
+    gram = gram[:columns, :columns]
+    w0, b = reduction.w0, reduction.w0 - gram[1:, 0]
+    G = np.tril(gram[1:, 1:]) + np.tril(gram[1:, 1:], -1).T
+    root = _root(G + np.eye(columns - 1)) if S.min(initial=math.inf) > 0.0 else None
+    if root is None:
+        none: Array = np.zeros((columns - 1, columns - 1))
+        w: Array = np.zeros(columns - 1)
+        nothing = (-math.inf, w, none)
+        return ReducedPass(reduction, arrays, X, P, gain, nu, S, w, none, -math.inf, nothing)
+    spread: Array = np.linalg.inv(root).T.astype(np.float64, copy=False)
+    w = spread @ (spread.T @ b)
+    white = float(np.log(2.0 * math.pi * S).sum()) + float(gram[0, 0])
+    white -= 2.0 * reduction.scatter(observation_variances(problem, levels))
+    value = -0.5 * (white + float(w0 @ w0 - b @ w)) - float(np.log(np.diag(root)).sum())
+    likelihood = (-0.5 * white, -gram[1:, 0], G)
+    return ReducedPass(reduction, arrays, X, P, gain, nu, S, w, spread, value, likelihood)
+
+
+def _root(information: Array) -> Array | None:
+    """Cholesky's root (c, c) of the constants' information, None if there is none."""
+    if not np.isfinite(information).all():
+        return None
+    try:
+        return np.asarray(np.linalg.cholesky(information))
+    except np.linalg.LinAlgError:
+        return None
+
+
+def _reduced_arrays(reduction: Reduction, levels: Mapping[str, float]) -> Reduced:
+    linear = reduction.linear
+    noise = driven(linear, levels)
+    return Reduced(
+        linear.Phi,
+        reduction.D,
+        noise.Q,
+        noise.B,
+        noise.Phi_e,
+        noise.Q_e,
+        noise.d_e,
+        noise.Phi_psi,
+        reduction.first,
+        reduction.g,
+        reduction.h,
+        reduction.at,
+        reduction.count,
+        observation_variances(linear.problem, levels).ravel()[reduction.slot],
+    )
+
+
+@dataclass(frozen=True)
+class Slopes:
+    """Derivatives of the log-evidence: by R (s,) of each scalar, by the two densities
+    squared (2,), by Q_e (k, e, e), by the prior of the moving states (m, m); by Phi_psi and Phi_e
+    (k, e, 3 + e) and by d_e (k, e), or empty."""
+
+    R: Array
+    densities: Array
+    Q_e: Array
+    prior: Array
+    step: Array
+    d_e: Array
+
+
+def backward(
+    done: ReducedPass,
+    score: bool,
+    r_kept: Array,
+    N_kept: Array,
+    spread: bool = True,
+    rows: IntArray | None = None,
+    steps: bool = False,
+) -> Slopes:
+    """Adjoint of ``reduced_pass``; r_kept (k, m, columns), N_kept (k, m, m) may be empty, and hold
+    the epochs of ``rows``, or all.
+
+    score: with the derivatives; spread: r has columns for the uncertainty of the constants,
+    besides the one for their mean. steps: with the derivatives by how Markov states move; then the
+    pass was kept whole.
+    """
+    linear, (s, m) = done.reduction.linear, done.gain.shape
+    e = m - 9
+    columns = 1 + len(done.w) if spread else 1
+    # (rows of whole blocks of eight: zeros beyond what is wanted)
+    width, high = padded(columns) if spread else 1, padded(m)
+    given = blank(1 + len(done.w), width)
+    given[0, 0] = 1.0
+    given[1:, 0] = done.w
+    given[1:, 1:columns] = done.spread[:, : columns - 1]
+    k, away = len(linear.t), 3 + e
+    slopes = Slopes(
+        np.zeros(s), np.zeros(2), np.zeros((k, e, e)), np.zeros((m, m)),
+        np.zeros((k if steps else 0, e, away)), np.zeros((k if steps else 0, e)),
+    )  # fmt: skip
+    most = int(np.diff(done.arrays.first).max(initial=0))
+    reduced_backward(
+        done.arrays,
+        done.gain,
+        done.nu,
+        done.S,
+        given,
+        (linear.Q_gyro, linear.Q_accel),
+        blank(m, width),
+        blank(m, high) if score else blank(0, 0),
+        (r_kept, N_kept),
+        (slopes.R, slopes.densities, slopes.Q_e, slopes.prior),
+        (
+            blank(m, width),
+            blank(width, high),
+            blank(m, m),
+            blank(m, high),
+            blank(most, width),
+            blank(high),
+        ),
+        kept(k, rows),
+        (slopes.step, slopes.d_e),
+        (done.X, done.P),
+        (
+            blank(away, width),
+            blank(width, padded(away)),
+            blank(m, m),
+            blank(m, padded(away)),
+            blank(e, padded(away)),
+        ),
+    )
+    return slopes

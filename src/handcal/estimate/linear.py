@@ -1,0 +1,473 @@
+"""A problem linearised about a fixed trajectory: everything but the noise levels, and those.
+
+Between two observation epochs the readings are integrated once into one transition
+(preintegration), so a pass costs as many steps as there are epochs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from handcal.compiled import so3
+from handcal.compiled.jit import njit
+from handcal.compiled.kernel import BASE, Nodes, Tables, fill_nav, linearise
+from handcal.compiled.preintegration import (
+    integrate,
+    preintegrate,
+    responses,
+    turn_errors,
+    turn_noise,
+)
+from handcal.effects import ATTITUDE, DELAY, Effect
+from handcal.estimate.filter import Track
+from handcal.estimate.problem import (
+    Corrected,
+    Problem,
+    Slopes,
+    constants_of,
+    corrected_readings,
+    differentiated,
+    errors_by_bias,
+    markov_transitions,
+)
+from handcal.estimate.start import Start
+from handcal.observations import NAV, nearest
+from handcal.signals import further
+from handcal.types import Array, BoolArray, IntArray
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Nominal states at k epochs: node (k,), p, v (k, 3), C (k, 3, 3), Markov states (k, e);
+    biases and constants."""
+
+    node: IntArray
+    p: Array
+    v: Array
+    C: Array
+    bg: Array
+    ba: Array
+    constants: Array
+    markov: Array
+
+
+@dataclass(frozen=True)
+class Linear:
+    """A problem linearised about a trajectory; everything but the noise levels.
+
+    Phi (k, 9, 15 + mi) from the epoch before, d (k, 9) predicted minus nominal, Q_gyro,
+    Q_accel, Q_extra (k, 9, 9) per unit density; t, rate (k,); first (k + 1,) rows of each
+    epoch; kind (q,), r (q, m), H (q, m, N), used (q,), m the most that any kind reads at once.
+    """
+
+    problem: Problem
+    trajectory: Trajectory
+    start: Start
+    Phi: Array
+    d: Array
+    Q_gyro: Array
+    Q_accel: Array
+    Q_extra: Array
+    t: Array
+    rate: Array
+    first: IntArray
+    kind: IntArray
+    r: Array
+    H: Array
+    used: BoolArray
+
+
+@dataclass(frozen=True)
+class Driven:
+    """What the noise levels make of a linearised problem: Q (k, 9, 9) of the navigation
+    errors; B (k, 9, e): how they depend on Markov
+    states; Phi_e, Q_e (k, e, e), d_e (k, e), Phi_psi (k, e, 3) of the Markov states."""
+
+    Q: Array
+    B: Array
+    Phi_e: Array
+    Q_e: Array
+    d_e: Array
+    Phi_psi: Array
+
+
+def epochs(problem: Problem) -> IntArray:
+    """Nodes at which something is observed, with the first and the last node."""
+    seen = np.flatnonzero(np.diff(problem.nodes.first))
+    return np.unique(np.r_[0, seen, len(problem.nodes.t) - 1])
+
+
+def trajectory_of(
+    problem: Problem, track: Track, bg: Array, ba: Array, extras: Array
+) -> Trajectory:
+    """Nominal trajectory from what the online filter recorded at the epochs."""
+    return Trajectory(
+        track.node,
+        track.p.copy(),
+        track.v.copy(),
+        track.C.copy(),
+        bg.copy(),
+        ba.copy(),
+        extras[: problem.constants].copy(),
+        track.extras[:, problem.constants :].copy(),
+    )
+
+
+def linearise_about(problem: Problem, start: Start, nominal: Trajectory) -> Linear:
+    """Integrate between the epochs and linearise everything about the nominal trajectory."""
+    turning = problem.navigated and any(ATTITUDE in e.needs for e in problem.effects)
+    asked = turning or _held(problem)
+    done, C_nb = None, None
+    if problem.imu_constants:
+        C_nb = _attitude(problem, nominal) if asked else None
+        done = corrected_readings(problem, nominal.constants, nominal.bg, nominal.ba, C_nb)
+        problem = done.problem
+    problem = _bare(replace(problem, ref=nominal.constants))
+    Phi, d, Q, W = _transitions(problem, nominal)
+    if done is not None:
+        # What an effect does depends on the true rate and force: take off the noise that
+        # this trajectory implies, or each sample's noise would pose as motion that excites it.
+        problem = differentiated(done, *_unexciting(problem, nominal, d, C_nb))
+        slopes = problem.slopes
+        assert slopes is not None
+        responses(W, slopes.values, slopes.channel, slopes.column, nominal.node, Phi[:, :, BASE:])
+    if any(o.navigates for o in problem.observations):
+        # (else d is no noise: it holds whatever moved the biases, and nothing pulls it back)
+        turn_noise(Phi, d)
+    problem = _believing(problem, nominal.constants)
+    nodes = problem.nodes
+    q = len(nodes.kind)
+    r, H, used = _rows(problem, nominal)
+    if problem.slopes is not None:
+        _seen_by_constants(problem.slopes, nodes.first, H)
+    by_bias = None if problem.navigated else errors_by_bias(problem, nominal.bg, nominal.ba)
+    if by_bias is not None:
+        t = problem.recording.imu.t
+        seen = np.searchsorted(nodes.first, np.arange(q), side="right") - 1
+        H[:, :, 9:15] += H[:, :, 9:15] @ by_bias[nearest(t, nodes.t[seen])]
+    e0 = BASE + problem.constants
+    for state, column in problem.walks:
+        H[:, :, e0 + state : e0 + state + 3] = H[:, :, 9 + column : 12 + column]
+    for kind, observation in enumerate(problem.observations):
+        if observation.isotropic:
+            rows = (nodes.kind == kind) & ~nodes.z[:, :DELAY].any(axis=1)
+            H[rows, :3, 6:9] -= so3.skew(r[rows, :3])
+    node = nominal.node
+    first = np.r_[nodes.first[node], nodes.first[-1]]
+    return Linear(
+        problem,
+        nominal,
+        start,
+        Phi,
+        d,
+        Q[0],
+        Q[1],
+        Q[2],
+        nodes.t[node],
+        _turning(problem, node),
+        first,
+        nodes.kind,
+        r,
+        H,
+        used,
+    )
+
+
+def _rows(problem: Problem, nominal: Trajectory) -> tuple[Array, Array, BoolArray]:
+    """r (q, m), H (q, m, N) and used (q,) of all readings, but for what acts on the IMU's."""
+    q = len(problem.nodes.kind)
+    widest = int(problem.tables.dim.max(initial=1))
+    r, H = np.zeros((q, widest)), np.zeros((q, widest, problem.size))
+    used = np.zeros(q, dtype=np.bool_)
+    _linearise_rows(
+        problem.nodes,
+        problem.tables,
+        nominal.node,
+        (nominal.p, nominal.v, nominal.C, nominal.markov),
+        (*biases(problem, nominal), nominal.constants),
+        (r, H, used),
+    )
+    return r, H, used
+
+
+def _held(problem: Problem) -> bool:
+    """Whether the device turns about a point that wanders."""
+    return any(o.wandering is not None for o in problem.observations)
+
+
+def _attitude(problem: Problem, nominal: Trajectory) -> Array:
+    """C_nb (n, 3, 3) at the IMU's samples."""
+    return path(problem, nominal).C[np.searchsorted(problem.nodes.t, problem.recording.imu.t)]
+
+
+def _unexciting(
+    problem: Problem, nominal: Trajectory, d: Array, C_nb: Array | None
+) -> tuple[Array | None, Array | None]:
+    """What may excite no effect: the readings' noise, and a force without a hand's sway (see
+    ``differentiated``)."""
+    noise = _implied_noise(problem, nominal, d) if problem.navigated else None
+    if C_nb is None or not _held(problem):
+        return noise, None
+    return noise, _steady_force(problem, nominal, C_nb)
+
+
+@dataclass(frozen=True)
+class Excited:
+    """What effects that a linearised problem does not have would act on: its corrected readings,
+    and what of them counts as motion (noise, force: see ``differentiated``). C_nb (n, 3, 3), or
+    None; W (n, 9, 6): what an error of the readings over each interval makes of the state at the
+    next epoch; by_reading (q, m, 6): of observations that look at rate and force themselves."""
+
+    done: Corrected
+    noise: Array | None
+    force: Array | None
+    C_nb: Array | None
+    W: Array
+    by_reading: Array
+
+
+def excited(linear: Linear, fresh: Problem) -> Excited:
+    """What further effects would act on; fresh: the linearised problem as it was built."""
+    problem, nominal = linear.problem, linear.trajectory
+    C_nb = _attitude(fresh, nominal) if problem.navigated else None
+    done = corrected_readings(fresh, nominal.constants, nominal.bg, nominal.ba, C_nb)
+    _, d, _, W = _transitions(problem, nominal)
+    if problem.navigated:
+        turn_errors(W, nominal.node, d)
+    H = linear.H if problem.navigated else _rows(problem, nominal)[1]
+    by_reading = H[:, :, 9:BASE] if H[:, :, 9:BASE].any() else np.zeros((0, 0, 6))
+    noise, force = _unexciting(problem, nominal, d, C_nb)
+    return Excited(done, noise, force, C_nb, W, np.ascontiguousarray(by_reading))
+
+
+def slopes_of(told: Excited, effects: Sequence[Effect]) -> Slopes:
+    """Derivatives of the readings by the constants of effects that are zero."""
+    done, acting = told.done, [e for e in effects if e.imu_error is not None]
+    asked = told.force is not None or any(ATTITUDE in e.needs for e in acting)
+    have = done.problem
+    needed = [e for e in have.effects if e.imu_error is not None] + acting
+    read = replace(
+        done.read,
+        C_nb=told.C_nb if asked else None,
+        streams=further(have.recording, needed),
+    )
+    zeros = np.zeros(sum(len(e.parameters) for e in acting))
+    problem = replace(have, effects=tuple(acting), ref=zeros)
+    found = differentiated(replace(done, problem=problem, read=read), told.noise, told.force).slopes
+    assert found is not None
+    return found
+
+
+def _believing(problem: Problem, constants: Array) -> Problem:
+    """The problem with what its observations and effects tell others of their constants (c,)."""
+    for k, o in enumerate(problem.observations):
+        told = [(o.kind, o.believed)] if o.believed is not None else []
+        told += [(e.id, e.believed[o.kind]) for e in problem.effects if o.kind in e.believed]
+        if told:
+            z, mine = problem.nodes.z.copy(), problem.nodes.kind == k
+            for owner, believed in told:
+                z[mine] = believed(z[mine], constants_of(problem, constants, owner))
+            problem = replace(problem, nodes=problem.nodes._replace(z=z))
+    return problem
+
+
+def _turning(problem: Problem, node: IntArray) -> Array:
+    """Turning rate (k,), rad/s, that the noise of each interval goes by: root mean square over the
+    time since the last look at the held point, so that it does not depend on how many readings
+    of a heading come in between."""
+    nodes = problem.nodes
+    folds = np.array([o.folds for o in problem.observations], dtype=np.bool_)
+    looks = np.zeros(len(nodes.t), dtype=np.bool_)
+    at = np.repeat(np.arange(len(nodes.t)), np.diff(nodes.first))
+    looks[at[~folds[nodes.kind]]] = True
+    look = np.flatnonzero(looks[node])
+    if not len(look):
+        return problem.rate[node]
+    ends = node[np.r_[look, len(node) - 1]]
+    begins = np.r_[node[0], ends[:-1]]
+    squares = np.r_[0.0, np.cumsum(problem.rate[1:] ** 2 * np.diff(nodes.t))]
+    span = nodes.t[ends] - nodes.t[begins]
+    mean = (squares[ends] - squares[begins]) / np.maximum(span, 1e-9)
+    rates = np.where(span > 0.0, np.sqrt(mean), problem.rate[ends])
+    return np.asarray(rates[np.searchsorted(look, np.arange(len(node)))])
+
+
+def _steady_force(problem: Problem, nominal: Trajectory, C_nb: Array) -> Array:
+    """Specific force (n, 3) at the IMU's samples without what a point that wanders feels.
+
+    The hand's sway is random, and how large it is nobody knows. An effect that makes it a
+    little smaller would be favoured for that alone (looked at ten times a second, a scale error
+    of the accelerometer by 8 nats in 84 s), so sway may not excite effects.
+    """
+    v, at = nominal.v.copy(), 0
+    for observation in problem.observations:
+        if observation.wandering is not None:
+            first = at + observation.wandering
+            v = v - nominal.markov[:, first : first + 3]
+        at += observation.markov.size if observation.markov is not None else 0
+    t = problem.nodes.t[nominal.node]
+    a = np.diff(v, axis=0) / np.maximum(np.diff(t), 1e-6)[:, None]
+    t_imu = problem.recording.imu.t
+    middle = 0.5 * (t[1:] + t[:-1])
+    f_n = np.stack([np.interp(t_imu, middle, a[:, i]) for i in range(3)], axis=1) - problem.g_n
+    return np.asarray(np.einsum("nji,nj->ni", C_nb, f_n))
+
+
+def biases(problem: Problem, nominal: Trajectory) -> tuple[Array, Array]:
+    """Bias of gyro and of accelerometer at the epochs, (k, 3) each, walks included."""
+    out = np.tile(np.r_[nominal.bg, nominal.ba], (len(nominal.node), 1))
+    for state, column in problem.walks:
+        out[:, column : column + 3] += nominal.markov[:, state : state + 3]
+    return np.ascontiguousarray(out[:, :3]), np.ascontiguousarray(out[:, 3:])
+
+
+def _seen_by_constants(slopes: Slopes, first: IntArray, H: Array) -> None:
+    """Let observations that look at rate and force see the IMU constants, in their rows H."""
+    rows = np.flatnonzero(H[:, :, 9:BASE].any(axis=(1, 2)))
+    if not len(rows):
+        return
+    node = np.searchsorted(first, rows, side="right") - 1
+    _add_seen(rows, node, slopes.values, slopes.channel, slopes.column, H)
+
+
+@njit
+def _add_seen(
+    rows: IntArray, node: IntArray, slopes: Array, channel: IntArray, column: IntArray, H: Array
+) -> None:
+    for q, at in zip(rows, node):  # noqa: B905 (numba's zip has no strict)
+        for i in range(H.shape[1]):
+            for s in range(len(channel)):
+                H[q, i, BASE + column[s]] += H[q, i, 9 + channel[s]] * slopes[at, s]
+
+
+def _bare(problem: Problem) -> Problem:
+    """The problem with readings that have been corrected at problem.ref for good."""
+    return replace(problem, nodes=problem.nodes._replace(J=np.zeros((len(problem.nodes.t), 6, 0))))
+
+
+def _intervals(
+    problem: Problem, nominal: Trajectory
+) -> tuple[Nodes, IntArray, tuple[Array, Array, Array], tuple[Array, Array], Array, Array]:
+    """What integrating from epoch to epoch begins with (see ``preintegrate``)."""
+    return (
+        problem.nodes,
+        nominal.node,
+        (nominal.p, nominal.v, nominal.C),
+        biases(problem, nominal),
+        problem.g_n,
+        problem.omega_ie_n,
+    )
+
+
+def _transitions(problem: Problem, nominal: Trajectory) -> tuple[Array, Array, Array, Array]:
+    """Phi (k, 9, 15 + mi) but for the constants, d (k, 9) and the three Q (3, k, 9, 9) between the
+    epochs; W (n, 9, 6) (see ``preintegrate``)."""
+    k = len(nominal.node)
+    Phi, d = np.zeros((k, 9, BASE + problem.imu_constants)), np.zeros((k, 9))
+    Q, W = np.zeros((3, k, 9, 9)), np.empty((len(problem.nodes.t), 9, 6))
+    preintegrate(*_intervals(problem, nominal), (Phi, d, Q[0], Q[1], Q[2]), W)
+    return Phi, d, Q, W
+
+
+@dataclass(frozen=True)
+class Path:
+    """Position, velocity (n, 3) and attitude (n, 3, 3) at all nodes, and by how much what was
+    integrated missed the epochs, d (k, 9)."""
+
+    p: Array
+    v: Array
+    C: Array
+    d: Array
+
+
+def path(problem: Problem, nominal: Trajectory) -> Path:
+    """The nominal trajectory between its epochs, as the readings tell it."""
+    n = len(problem.nodes.t)
+    if problem.slopes is not None:
+        moved = problem.slopes.times(nominal.constants - problem.ref)
+        nodes = problem.nodes
+        gyro, accel = nodes.gyro - moved[:, :3], nodes.accel - moved[:, 3:]
+        problem = replace(problem, nodes=nodes._replace(gyro=gyro, accel=accel))
+    out = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3, 3))
+    d = np.zeros((len(nominal.node), 9))
+    integrate(*_intervals(problem, nominal), out, d)
+    return Path(*out, d)
+
+
+def _implied_noise(problem: Problem, nominal: Trajectory, d: Array) -> Array:
+    """Mean noise of gyro and accelerometer (n, 6) at the IMU's samples, interval by interval, of
+    a problem whose readings were corrected with the nominal constants; d as in ``Linear``."""
+    t = problem.nodes.t[nominal.node]
+    dt = np.maximum(np.diff(t), 1e-6)[:, None]
+    C_bn = nominal.C[1:].transpose(0, 2, 1)
+    gyro = np.einsum("kij,kj->ki", C_bn, d[1:, 6:9]) / dt
+    accel = np.einsum("kij,kj->ki", C_bn, d[1:, 3:6]) / dt
+    at = np.clip(np.searchsorted(t, problem.recording.imu.t, side="right") - 1, 0, len(t) - 2)
+    return np.hstack([gyro, accel])[at]
+
+
+@njit
+def _linearise_rows(
+    nodes: Nodes,
+    tables: Tables,
+    epoch: IntArray,
+    nominal: tuple[Array, Array, Array, Array],
+    constants: tuple[Array, Array, Array],
+    out: tuple[Array, Array, BoolArray],
+) -> None:
+    bg, ba, constant = constants
+    extras = np.concatenate((constant, nominal[3][0]))
+    nav, w, f = np.empty(NAV), np.empty(3), np.empty(3)
+    for j in range(len(epoch)):
+        i = epoch[j]
+        for a in range(nominal[3].shape[1]):
+            extras[len(constant) + a] = nominal[3][j, a]
+        for a in range(3):
+            w[a] = nodes.gyro[i, a] - bg[j, a]
+            f[a] = nodes.accel[i, a] - ba[j, a]
+        fill_nav(nominal[0][j], nominal[1][j], nominal[2][j], w, f, nav)
+        for q in range(nodes.first[i], nodes.first[i + 1]):
+            out[2][q] = (
+                linearise(
+                    nodes.kind[q], tables, nav, extras, nodes.z[q], nodes.J[i], out[0][q], out[1][q]
+                )
+                == 0
+            )
+
+
+def driven(linear: Linear, levels: Mapping[str, float]) -> Driven:
+    """The intervals' noise at these levels."""
+    problem = linear.problem
+    Phi_e, Q_e = markov_transitions(problem, levels, linear.t, linear.rate)
+    d_e, Phi_psi = _markov_steps(problem, linear.trajectory.markov[: len(linear.t)], Phi_e)
+    Q = (
+        levels["gyro_noise"] ** 2 * linear.Q_gyro
+        + levels["accel_noise"] ** 2 * linear.Q_accel
+        + linear.Q_extra
+    )
+    B = np.zeros((len(linear.t), 9, problem.markov_size if problem.walks else 0))
+    for state, column in problem.walks:
+        B[:, :, state : state + 3] = linear.Phi[:, :, 9 + column : 12 + column]
+    return Driven(Q, B, Phi_e, Q_e, d_e, Phi_psi)
+
+
+def _markov_steps(problem: Problem, markov: Array, Phi_e: Array) -> tuple[Array, Array]:
+    """Steps d_e (k, e) predicted minus nominal of the Markov states, and Phi_psi (k, e, 3).
+
+    The noise that drives a vector such as the hand's sway has no preferred direction, so
+    an error of attitude turns what the trajectory says of it: with it, a heading that
+    nothing observes stays unobserved. (Without, the noise's own directions would seem to
+    be known, and the heading with them.)
+    """
+    d_e = np.zeros_like(markov)
+    d_e[1:] = np.einsum("kij,kj->ki", Phi_e[1:], markov[:-1]) - markov[1:]
+    Phi_psi = np.zeros((*markov.shape, 3))
+    at = 0
+    for kept in problem.markovs:
+        for i in range(at, at + 3 * kept.vectors, 3):
+            Phi_psi[:, i : i + 3] = so3.skew(d_e[:, i : i + 3])
+        at += kept.size
+    return d_e, Phi_psi

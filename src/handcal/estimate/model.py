@@ -1,0 +1,49 @@
+"""What a fit is: of one recording, and of all recordings of a device together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from handcal.effects import Effect
+from handcal.estimate import noise
+from handcal.estimate.case import Case
+from handcal.estimate.linear import Linear
+from handcal.estimate.quadratic import Quadratic
+from handcal.types import Array
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """One recording, linearised about its trajectory under the model, at its noise levels."""
+
+    case: Case
+    linear: Linear
+    levels: Mapping[str, float]
+    curvature: noise.Curvature = noise.NO_CURVATURE
+
+
+@dataclass(frozen=True)
+class Model:
+    """A settled fit of some effects to all recordings.
+
+    u, covariance: the effects' parameters in units of their priors, in the order of
+    ``quadratic.names``; log_evidence: of all recordings together, noise prior not counted.
+    """
+
+    effects: tuple[Effect, ...]
+    parts: tuple[Fitted, ...]
+    quadratic: Quadratic
+    u: Array
+    covariance: Array
+    log_evidence: float
+    settled: bool
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        return tuple(e.id for e in self.effects)
+
+    @property
+    def chosen(self) -> frozenset[str]:
+        """Ids of the effects that a scan weighs: all but those that are noise."""
+        return frozenset(e.id for e in self.effects if e.process is None)

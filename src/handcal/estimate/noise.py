@@ -1,0 +1,297 @@
+"""Noise levels by maximum evidence: what the recording itself says of its noise."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from handcal.compiled import so3
+from handcal.compiled.kernel import MAX_DIM
+from handcal.estimate.evidence import Slopes, backward, reduce, reduced_pass
+from handcal.estimate.linear import Linear
+from handcal.estimate.problem import Problem, observation_variances
+from handcal.types import Array, Markov, Recording
+
+# Logarithmic steps: of central differences, of the search's first curvature, its longest;
+# and the least curvature, that of the widest prior.
+STEP = 1e-4
+DIFFERENCE = 0.01
+LONGEST_STEP = 1.5
+FLATTEST = 0.25
+SENSORS = ("gyro_noise", "accel_noise")
+
+
+def white_levels(recording: Recording) -> dict[str, float]:
+    """White noise densities of gyro and accelerometer, a first guess from the readings.
+
+    Fourth differences hardly see the motion of a hand (at 100 Hz, tremor of 10 Hz counts
+    less than a thousandth), and the quieter third of half-second windows holds the least.
+    """
+    imu, fs = recording.imu, recording.rate_hz
+    out = {}
+    for name, x in (("gyro_noise", imu.gyro), ("accel_noise", imu.accel)):
+        d4 = np.diff(x, n=4, axis=0)
+        width = max(10, round(0.5 * fs))
+        m = len(d4) // width
+        if m == 0:
+            variance = float(d4.var(axis=0).mean())
+        else:
+            windows = (d4[: m * width].reshape(m, width, 3) ** 2).mean(axis=(1, 2))
+            variance = float(np.quantile(windows, 0.3))
+        quantum = 1e-9
+        out[name] = math.sqrt(max(variance / 70.0, quantum**2) / fs)
+    return out
+
+
+def initial_levels(problem: Problem) -> dict[str, float]:
+    """First guess of every level: the sensors' from the readings, the others' own."""
+    levels = {lv.name: lv.initial for lv in problem.levels}
+    levels.update(white_levels(problem.recording))
+    for k, observation in enumerate(problem.observations):
+        if observation.guess is not None:
+            mine = problem.nodes.kind == k
+            levels.update(observation.guess(problem.nodes.z[mine]))
+    return levels
+
+
+def until(linear: Linear, t: float) -> Linear:
+    """The part of a linearised problem up to time t, s."""
+    k = max(2, int(np.searchsorted(linear.t, t, side="right")))
+    if k >= len(linear.t):
+        return linear
+    q = linear.first[k]
+    return replace(
+        linear,
+        Phi=linear.Phi[:k],
+        d=linear.d[:k],
+        Q_gyro=linear.Q_gyro[:k],
+        Q_accel=linear.Q_accel[:k],
+        Q_extra=linear.Q_extra[:k],
+        t=linear.t[:k],
+        rate=linear.rate[:k],
+        first=linear.first[: k + 1],
+        kind=linear.kind[:q],
+        r=linear.r[:q],
+        H=linear.H[:q],
+        used=linear.used[:q],
+    )
+
+
+@dataclass(frozen=True)
+class Curvature:
+    """How the evidence bends with the logarithms of the levels ``names``: matrix (k, k)."""
+
+    names: tuple[str, ...]
+    matrix: Array
+
+
+NO_CURVATURE = Curvature((), np.zeros((0, 0)))
+
+
+def estimate(
+    linear: Linear,
+    levels: Mapping[str, float],
+    names: Sequence[str],
+    progress: Callable[[], None] | None = None,
+    tolerance: float = 0.01,
+    excess: float = 1e6,
+    known: Curvature = NO_CURVATURE,
+) -> tuple[dict[str, float], Curvature]:
+    """Levels that maximise the evidence of a linearised problem, starting from ``levels``.
+
+    names: those to estimate; the others stay. The search runs over logarithms, within
+    each level's range, with a log-normal prior around its first guess (its width on either
+    side is the level's own), so that a level the recording cannot see stays where it was.
+    It ends where less than about ``tolerance`` nats are to be gained. excess: the sensors' own
+    noise may not exceed its first guess by more than this factor.
+    """
+    own = {lv.name: lv for lv in linear.problem.levels}
+    guess = initial_levels(linear.problem)
+    centre = np.array([math.log(guess[n]) for n in names])
+    below, above = (np.array([getattr(own[n], side) for n in names]) for side in ("below", "above"))
+    start = np.array([math.log(levels[n]) for n in names])
+    low = np.array([math.log(own[n].lower) for n in names])
+    high = np.array([math.log(own[n].upper) for n in names])
+    for i, n in enumerate(names):
+        if n in SENSORS:
+            high[i] = min(high[i], centre[i] + math.log(excess))
+        high[i] = min(high[i], centre[i] + math.log(own[n].most))
+    score = Score(linear, levels, names)
+
+    def cost(x: Array) -> tuple[float, Array]:
+        value, slope = score(dict(levels) | _levels(names, x))
+        if progress is not None:
+            progress()
+        sigma = np.where(x < centre, below, above)
+        away = (x - centre) / sigma
+        return 0.5 * float(away @ away) - value, away / sigma - slope
+
+    begin = np.clip(start, low, high)
+    B = None
+    if known.names:
+        at = [known.names.index(n) if n in known.names else -1 for n in names]
+        B = np.where(
+            np.outer(np.array(at) >= 0, np.array(at) >= 0), known.matrix[np.ix_(at, at)], np.nan
+        )
+    found, B = minimise(cost, begin, low, high, tolerance, B)
+    return dict(levels) | _levels(names, found), Curvature(tuple(names), B)
+
+
+def _levels(names: Sequence[str], x: Array) -> dict[str, float]:
+    return {n: math.exp(v) for n, v in zip(names, x, strict=True)}
+
+
+class Score:
+    """Log-evidence of a linearised problem and its slope by the logarithms of noise levels.
+
+    One forward and one backward pass give the slope by every variance and every transition of
+    Markov states there is; the chain rule does the rest.
+    """
+
+    def __init__(self, linear: Linear, levels: Mapping[str, float], names: Sequence[str]) -> None:
+        self.names = names
+        self.reduction = reduce(linear)
+        self.linear = linear = self.reduction.linear
+        # a few intervals are enough to see what a level does
+        few = np.unique(np.linspace(0, len(linear.t) - 1, 50).astype(int))
+        dt, rate = np.diff(linear.t, prepend=linear.t[0])[few], 1.0 + linear.rate[few]
+        self.by: dict[str, list[_Block]] = {n: [] for n in names if n not in SENSORS}
+        at = 0
+        for markov in linear.problem.markovs:
+            own = slice(at, at + markov.size)
+            at = own.stop
+            for n in self.by:
+                Phi, Q = _by_level(markov, n, levels, dt, rate)
+                if Phi.any() or Q.any():
+                    self.by[n].append(_Block(markov, own, bool(Phi.any())))
+        self.moving = any(block.moves for blocks in self.by.values() for block in blocks)
+
+    def __call__(self, levels: Mapping[str, float]) -> tuple[float, Array]:
+        """Log-evidence at these levels and its slope by the logarithm of each name's."""
+        problem, reduction = self.linear.problem, self.reduction
+        done = reduced_pass(reduction, levels, keep=self.moving)
+        m, columns = done.gain.shape[1], done.nu.shape[1]
+        nothing = np.empty((0, m, columns)), np.empty((0, m, m))
+        slopes = backward(done, True, *nothing, steps=self.moving)
+        size = len(problem.observations) * MAX_DIM
+        by_R = reduction.scatter_slope(observation_variances(problem, levels))
+        by_R = by_R + np.bincount(reduction.slot, slopes.R, size)
+        out = np.zeros(len(self.names))
+        for i, name in enumerate(self.names):
+            if name in SENSORS:
+                out[i] = 2.0 * levels[name] ** 2 * slopes.densities[int(name == "accel_noise")]
+                continue
+            up, down = _stepped(name, levels)
+            R = observation_variances(problem, up) - observation_variances(problem, down)
+            out[i] = by_R @ R.ravel() / (2 * STEP)
+            for block in self.by[name]:
+                out[i] += self._by_block(block, name, levels, slopes)
+        return done.log_evidence, out
+
+    def _by_block(
+        self, block: _Block, name: str, levels: Mapping[str, float], slopes: Slopes
+    ) -> float:
+        """Derivative by the logarithm of a level of what it does to one process."""
+        linear, own = self.linear, block.own
+        dt = np.diff(linear.t, prepend=linear.t[0])
+        Phi, Q = _by_level(block.markov, name, levels, dt, linear.rate)
+        up, down = _stepped(name, levels)
+        rate = float(linear.problem.rate[0])
+        start = block.markov.start(up, rate) - block.markov.start(down, rate)
+        in_m = slice(9 + own.start, 9 + own.stop)
+        out = float(np.vdot(slopes.prior[in_m, in_m], start)) / (2 * STEP)
+        out += float(np.vdot(slopes.Q_e[1:, own, own], Q[1:]))
+        if not block.moves:
+            return out
+        d_e = np.einsum("kij,kj->ki", Phi[1:], linear.trajectory.markov[: len(dt) - 1, own])
+        by_psi, by_state = slopes.step[1:, own, :3], slopes.step[1:, own, 3:][:, :, own]
+        out += float(np.vdot(by_state, Phi[1:])) + float(np.vdot(slopes.d_e[1:, own], d_e))
+        for i in range(0, 3 * block.markov.vectors, 3):
+            out += float(np.vdot(by_psi[:, i : i + 3], so3.skew(d_e[:, i : i + 3])))
+        return out
+
+
+@dataclass(frozen=True)
+class _Block:
+    """A process that a level changes: its places among the Markov states, and whether the level
+    changes how they move, besides what drives them."""
+
+    markov: Markov
+    own: slice
+    moves: bool
+
+
+def _by_level(
+    markov: Markov, name: str, levels: Mapping[str, float], dt: Array, rate: Array
+) -> tuple[Array, Array]:
+    """Derivatives of a process's Phi and Q (k, size, size) by the logarithm of a level."""
+    a, b = (markov.transition(some, dt, rate) for some in _stepped(name, levels))
+    return (a[0] - b[0]) / (2 * STEP), (a[1] - b[1]) / (2 * STEP)
+
+
+def _stepped(name: str, levels: Mapping[str, float]) -> tuple[dict[str, float], dict[str, float]]:
+    up, down = math.exp(STEP), math.exp(-STEP)
+    return dict(levels) | {name: levels[name] * up}, dict(levels) | {name: levels[name] * down}
+
+
+def _curvature(
+    cost: Callable[[Array], tuple[float, Array]], x: Array, g: Array, known: Array | None
+) -> Array:
+    """Hessian of the cost with its eigenvalues made positive: where the cost is hollow
+    upwards, a step as long as the curvature allows is still the right scale. Of ``known``
+    only what is NaN is found out."""
+    rows = np.full((len(x), len(x)), np.nan) if known is None else known.copy()
+    for i in np.flatnonzero(np.isnan(np.diag(rows))):
+        e = np.zeros(len(x))
+        e[i] = DIFFERENCE
+        rows[i] = (cost(x + e)[1] - g) / DIFFERENCE
+    rows = np.where(np.isnan(rows), rows.T, rows)
+    eigenvalues, vectors = np.linalg.eigh(0.5 * (rows + rows.T))
+    return np.asarray((vectors * np.maximum(np.abs(eigenvalues), FLATTEST)) @ vectors.T)
+
+
+def minimise(
+    cost: Callable[[Array], tuple[float, Array]],
+    x: Array,
+    low: Array,
+    high: Array,
+    tolerance: float,
+    known: Array | None = None,
+    rounds: int = 60,
+) -> tuple[Array, Array]:
+    """Where ``cost(x) -> (value, gradient)`` is least within the bounds, and the curvature there.
+
+    All are of order one. A quasi-Newton search (BFGS) that starts from the curvature ``known``
+    (k, k; NaN: not known), else from that of differenced gradients; coordinates that press
+    against a bound rest there. It ends when the quadratic model promises less than
+    ``tolerance``. (scipy's takes longer to import than this to run.)
+    """
+    value, g = cost(x)
+    B = _curvature(cost, x, g, known)
+    for _ in range(rounds):
+        free = ~(((x <= low) & (g > 0)) | ((x >= high) & (g < 0)))
+        if not free.any() or not np.isfinite(value):
+            break
+        step = np.zeros_like(x)
+        step[free] = -np.linalg.solve(B[np.ix_(free, free)], g[free])
+        promise = -0.5 * float(g @ step)
+        if promise < tolerance:
+            break
+        step *= min(1.0, LONGEST_STEP / float(np.abs(step).max()))
+        for _halving in range(12):
+            new = np.clip(x + step, low, high)
+            new_value, new_g = cost(new)
+            if new_value <= value + 1e-4 * float(g @ (new - x)):
+                break
+            step *= 0.4
+        else:
+            break
+        s, y = new - x, new_g - g
+        x, value, g = new, new_value, new_g
+        Bs = B @ s
+        if s @ y > 1e-3 * (s @ Bs):
+            B = B + np.outer(y, y) / (s @ y) - np.outer(Bs, Bs) / (s @ Bs)
+    return x, B

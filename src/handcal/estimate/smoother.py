@@ -1,0 +1,250 @@
+"""The same filter about a fixed trajectory: forward, smoothed, moved, relinearised.
+
+Nothing is fed back inside a pass: the error state is estimated as a whole, the trajectory
+is moved by its smoothed value, and the pass is repeated until the evidence stops changing.
+That is Gauss-Newton on the whole recording, with the evidence of a linear Gaussian model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from handcal.compiled.covariance import (
+    Propagation,
+    Update,
+    propagate,
+    propagation_work,
+    symmetrise,
+    times_transition,
+    update_linear,
+    update_work,
+)
+from handcal.compiled.jit import copy1, copy2, njit
+from handcal.compiled.kernel import BASE, MAX_DIM
+from handcal.compiled.so3 import exp, matmul
+from handcal.estimate.evidence import ReducedPass, backward, kept, reduce, reduced_pass
+from handcal.estimate.filter import full_prior
+from handcal.estimate.folded import unfolded
+from handcal.estimate.linear import Linear, Trajectory, driven, linearise_about
+from handcal.estimate.problem import observation_variances
+from handcal.types import Array, BoolArray, IntArray
+
+# Epochs whose covariances are smoothed at once: what that takes besides them is small.
+AT_ONCE = 256
+
+
+@dataclass(frozen=True)
+class Pass:
+    """One forward pass: x (k, N) and P (k, N, N) after the observations of each epoch; of each
+    observation innovation and sigma (q, MAX_DIM), nis (q,) and the log of its predictive
+    density, loglik (q,)."""
+
+    x: Array
+    P: Array
+    residual: Array
+    sigma: Array
+    nis: Array
+    loglik: Array
+
+    @property
+    def log_evidence(self) -> float:
+        return float(self.loglik.sum())
+
+
+def forward(
+    linear: Linear, levels: Mapping[str, float], keep: bool = True, rows: IntArray | None = None
+) -> Pass:
+    """Kalman filter over the linearised problem at these noise levels.
+
+    keep: store every epoch's state, or those of ``rows`` (k',), for histories; otherwise only
+    the last one.
+    """
+    problem = linear.problem
+    k, n, q = len(linear.t), problem.size, len(linear.kind)
+    noise = driven(linear, levels)
+    nominal = linear.trajectory
+    mean15, P15 = linear.start.prior(
+        nominal.p[0], nominal.v[0], nominal.C[0], nominal.bg, nominal.ba
+    )
+    x0 = np.zeros(n)
+    x0[:BASE] = mean15
+    x0[BASE : BASE + problem.constants] = problem.prior_mean - nominal.constants
+    x0[BASE + problem.constants :] = -nominal.markov[0]
+    P0 = full_prior(problem, P15, dict(levels))
+    place = kept(k, rows if keep else np.array([k - 1], dtype=np.int64))
+    count = int(place.max()) + 1
+    out = Pass(
+        np.zeros((count, n)),
+        np.zeros((count, n, n)),
+        np.zeros((q, MAX_DIM)),
+        np.zeros((q, MAX_DIM)),
+        np.full(q, np.nan),
+        np.zeros(q),
+    )
+    _forward(
+        (linear.Phi, linear.d, noise.Q, noise.B, noise.Phi_e, noise.Q_e, noise.d_e, noise.Phi_psi),
+        (linear.first, linear.kind, linear.r, linear.H, linear.used),
+        problem.tables.dim,
+        observation_variances(problem, levels),
+        problem.constants,
+        x0,
+        P0,
+        (out.x, out.P),
+        (out.residual, out.sigma, out.nis, out.loglik),
+        propagation_work(n, problem.markov_size),
+        update_work(n, MAX_DIM),
+        place,
+    )
+    return out
+
+
+@njit
+def _forward(
+    dynamics: tuple[Array, Array, Array, Array, Array, Array, Array, Array],
+    rows: tuple[IntArray, IntArray, Array, Array, BoolArray],
+    dim: IntArray,
+    R: Array,
+    c: int,
+    x: Array,
+    P: Array,
+    store: tuple[Array, Array],
+    out: tuple[Array, Array, Array, Array],
+    work: Propagation,
+    update: Update,
+    place: IntArray,
+) -> None:
+    Phi, d, Q, B, Phi_e, Q_e, d_e, Phi_psi = dynamics
+    first, kind, r, H, used = rows
+    n = len(x)
+    e = Phi_e.shape[1]
+    e0 = BASE + c
+    column, moved = np.empty((n, 1)), np.empty((n, 1))
+    for j in range(Phi.shape[0]):
+        if j > 0:
+            for a in range(n):
+                column[a, 0] = x[a]
+            times_transition(Phi[j], B[j], Phi_e[j], Phi_psi[j], e0, column, moved)
+            propagate(P, Phi[j], B[j], Phi_e[j], Phi_psi[j], e0, work)
+            for a in range(9):
+                x[a] = moved[a, 0] + d[j, a]
+                for b in range(9):
+                    P[a, b] += Q[j, a, b]
+            for a in range(e):
+                x[e0 + a] = moved[e0 + a, 0] + d_e[j, a]
+                for b in range(e):
+                    P[e0 + a, e0 + b] += Q_e[j, a, b]
+        for q in range(first[j], first[j + 1]):
+            if used[q]:
+                update_linear(
+                    r[q],
+                    H[q],
+                    dim[kind[q]],
+                    R[kind[q]],
+                    P,
+                    x,
+                    (out[0][q], out[1][q], out[2][q : q + 1], out[3][q : q + 1]),
+                    update,
+                )
+        symmetrise(P)
+        if place[j] >= 0:
+            copy1(x, store[0][place[j]])
+            copy2(P, store[1][place[j]])
+
+
+def smoothed_mean(linear: Linear, levels: Mapping[str, float]) -> tuple[Array, float]:
+    """Estimated errors x (k, N) given the whole recording, and the log-evidence."""
+    done = reduced_pass(reduce(linear), levels, keep=True)
+    k, m = done.X.shape[:2]
+    r = np.empty((k, m, 1))
+    backward(done, False, r, np.empty((0, m, m)), spread=False)
+    return whole_mean(done, r), done.log_evidence
+
+
+def whole_mean(done: ReducedPass, r: Array) -> Array:
+    """Errors x (k, N) at all epochs given the whole recording, of a pass that was kept and its
+    adjoint r."""
+    reduction = done.reduction
+    x = np.empty((len(done.X), reduction.linear.problem.size))
+    x[:, 9 : 9 + len(done.w)] = reduction.scale * done.w
+    x[:, reduction.moving] = done.X[:, :, 0] + done.X[:, :, 1:] @ done.w + (done.P @ r)[:, :, 0]
+    return x if reduction.folded is None else unfolded(reduction.folded, reduction.t, x)
+
+
+def smooth(
+    linear: Linear, levels: Mapping[str, float], forward_pass: Pass, rows: IntArray | None = None
+) -> tuple[Array, Array]:
+    """Fixed-interval smoother: x (k, N) and P (k, N, N) given the whole recording; of all epochs,
+    or of those of ``rows``, which end with the last, as in the forward pass.
+
+    The form of Bryson and Frazier on the reduced filter: nothing is inverted but the
+    constants' information, in units of their priors. The last epoch is the filter's own.
+    """
+    done = reduced_pass(reduce(linear, folds=False), levels, keep=True, rows=rows)
+    k, m, columns = done.X.shape
+    r, N = np.empty((k, m, columns)), np.empty((k, m, m))
+    backward(done, True, r, N, rows=rows)
+    x = whole_mean(done, r[:, :, :1])
+    moving, scale = done.reduction.moving, done.reduction.scale
+    fixed = np.arange(9, 9 + len(scale))
+    spread = done.spread * scale[:, None]
+    P = np.empty((k, x.shape[1], x.shape[1]))
+    P[:, fixed[:, None], fixed] = spread @ spread.T
+    for some in (slice(j, j + AT_ONCE) for j in range(0, k, AT_ONCE)):
+        X, P_moving = done.X[some], done.P[some]
+        by_constants = X[:, :, 1:] @ done.spread + P_moving @ r[some, :, 1:]
+        mixed = by_constants @ spread.T
+        P[some, moving[:, None], fixed] = mixed
+        P[some, fixed[:, None], moving] = mixed.transpose(0, 2, 1)
+        own = P_moving - P_moving @ N[some] @ P_moving
+        own = own + by_constants @ by_constants.transpose(0, 2, 1)
+        P[some, moving[:, None], moving] = 0.5 * (own + own.transpose(0, 2, 1))
+    x[-1], P[-1] = forward_pass.x[-1], forward_pass.P[-1]
+    return x, P
+
+
+@njit
+def _turned(psi: Array, C: Array, out: Array) -> None:
+    turn = np.empty((3, 3))
+    for j in range(len(psi)):
+        exp(psi[j], turn)
+        matmul(turn, C[j], out[j])
+
+
+def moved(linear: Linear, x: Array) -> Trajectory:
+    """The nominal trajectory moved by the estimated errors x (k, N)."""
+    nominal, c = linear.trajectory, linear.problem.constants
+    last = x[-1]
+    C = np.empty_like(nominal.C)
+    _turned(np.ascontiguousarray(x[:, 6:9]), nominal.C, C)
+    return replace(
+        nominal,
+        p=nominal.p + x[:, 0:3],
+        v=nominal.v + x[:, 3:6],
+        C=C,
+        bg=nominal.bg + last[9:12],
+        ba=nominal.ba + last[12:15],
+        constants=nominal.constants + last[BASE : BASE + c],
+        markov=nominal.markov + x[:, BASE + c :],
+    )
+
+
+def relinearise(
+    linear: Linear, levels: Mapping[str, float], tolerance: float = 0.05, rounds: int = 8
+) -> tuple[Linear, bool, float]:
+    """Move the trajectory and linearise again until the evidence changes by < tolerance nats.
+
+    Returns the last linearisation, whether it settled, and its log evidence.
+    """
+    x, evidence = smoothed_mean(linear, levels)
+    settled = False
+    for _ in range(rounds):
+        linear = linearise_about(linear.problem, linear.start, moved(linear, x))
+        x, new = smoothed_mean(linear, levels)
+        settled = abs(new - evidence) < tolerance
+        evidence = new
+        if settled:
+            break
+    return linear, settled, evidence

@@ -1,0 +1,198 @@
+"""Which set of effects? A search over subsets on the quadratic, and posterior probabilities."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from handcal.effects import Effect
+from handcal.estimate.case import name_of
+from handcal.estimate.fit import prior_root
+from handcal.estimate.quadratic import Quadratic
+from handcal.estimate.tails import Owners, log_evidence, owners_of
+from handcal.explain.score import PRIOR
+from handcal.types import Array, BoolArray, IntArray
+
+
+@dataclass(frozen=True)
+class Space:
+    """The candidates and what a pass of the filter says of them.
+
+    prior: log prior odds by effect id; alone: ids of which at most one can be present
+    (one effect held at several moments), by id.
+    """
+
+    quadratic: Quadratic
+    effects: Mapping[str, Effect]
+    prior: Mapping[str, float]
+    where: Mapping[str, IntArray]
+    scores: dict[frozenset[str], float]
+
+    @cached_property
+    def owners(self) -> Owners:
+        """Whose the parameters are."""
+        return owners_of(self.quadratic)
+
+    @cached_property
+    def plain(self) -> Mapping[str, str]:
+        """Of each effect the catalogue's id."""
+        return {i: name_of(i) for i in self.effects}
+
+    @cached_property
+    def positive(self) -> Mapping[str, BoolArray]:
+        """Of each effect which parameters cannot be negative."""
+        return {
+            i: np.array([p.positive for p in e.parameters], dtype=np.bool_)
+            for i, e in self.effects.items()
+        }
+
+    def score(self, chosen: Iterable[str]) -> float:
+        """Log-evidence of this set plus its log prior odds."""
+        key = frozenset(chosen)
+        if key not in self.scores:
+            self.scores[key] = self._score(key)
+        return self.scores[key]
+
+    def _score(self, key: frozenset[str]) -> float:
+        names = sorted(key)
+        if len({self.plain[i] for i in names}) < len(names):
+            return -math.inf
+        parts = [self.where[i] for i in names]
+        index: IntArray = np.concatenate(parts) if parts else np.zeros(0, dtype=np.int64)
+        if not len(index):
+            return self.quadratic.a + sum(self.prior[i] for i in names)
+        effects = [self.effects[i] for i in names]
+        root = None
+        if any(e.together is not None for e in effects):
+            root = prior_root(self.quadratic, effects, index)
+        odds = sum(self.prior[i] for i in names)
+        # (of what is positive half of a symmetric prior, twice as dense)
+        positive = np.concatenate([self.positive[i] for i in names])
+        return log_evidence(self.quadratic, index, root, positive, self.owners) + odds
+
+
+def space(quadratic: Quadratic, effects: Sequence[Effect], prior: Mapping[str, float]) -> Space:
+    """Candidates with their places in the quadratic. prior: log odds where not the usual."""
+    where: dict[str, list[int]] = {e.id: [] for e in effects}
+    for i, (owner, _) in enumerate(quadratic.names):
+        if owner in where:
+            where[owner].append(i)
+    return Space(
+        quadratic,
+        {e.id: e for e in effects},
+        {e.id: prior.get(e.id, PRIOR) for e in effects},
+        {k: np.array(v, dtype=np.int64) for k, v in where.items()},
+        {},
+    )
+
+
+def best_set(where: Space, start: Iterable[str] = (), tolerance: float = 0.0) -> frozenset[str]:
+    """Climb by adding, dropping and exchanging effects until nothing raises the score."""
+    chosen = frozenset(start)
+    value = where.score(chosen)
+    while True:
+        options = list(_neighbours(where, chosen))
+        scores = [where.score(o) for o in options]
+        k = int(np.argmax(scores)) if scores else -1
+        if k >= 0 and scores[k] > value + tolerance:
+            chosen, value = options[k], scores[k]
+            continue
+        option = _pair(where, chosen, value)
+        if option is None:
+            return chosen
+        chosen, value = option, where.score(option)
+
+
+def _neighbours(where: Space, chosen: frozenset[str]) -> Iterable[frozenset[str]]:
+    others = [i for i in where.effects if i not in chosen]
+    for i in others:
+        yield chosen | {i}
+    for j in sorted(chosen):
+        yield chosen - {j}
+        for i in others:
+            yield (chosen - {j}) | {i}
+
+
+def _pair(where: Space, chosen: frozenset[str], value: float) -> frozenset[str] | None:
+    """Two for one, or one for two, among the candidates that come next."""
+    others = [i for i in where.effects if i not in chosen]
+    near = sorted(others, key=lambda i: -where.score(chosen | {i}))[:8]
+    best, found = value + 1e-9, None
+    options: list[frozenset[str]] = []
+    members = sorted(chosen)
+    for n, a in enumerate(near):
+        for b in near[n + 1 :]:
+            options.append(chosen | {a, b})
+            options += [(chosen - {j}) | {a, b} for j in members]
+    for n, j in enumerate(members):
+        for k in members[n + 1 :]:
+            options += [(chosen - {j, k}) | {a} for a in near]
+            options.append(chosen - {j, k})
+    for option in options:
+        score = where.score(option)
+        if score > best:
+            best, found = score, option
+    return found
+
+
+def probabilities(where: Space, chosen: frozenset[str]) -> dict[str, float]:
+    """Posterior probability of each effect, over the sets near the best."""
+    # (in an order that is the same in every run)
+    scores = {s: where.score(s) for s in (chosen, *_neighbours(where, chosen))}
+    top = max(scores.values())
+    weight = {s: math.exp(v - top) for s, v in scores.items()}
+    norm = sum(weight.values())
+    return {i: sum(w for s, w in weight.items() if i in s) / norm for i in where.effects}
+
+
+def rivals(where: Space, chosen: frozenset[str], member: str) -> dict[str, float]:
+    """Log score of each effect in the member's place, against the member: 0 for itself."""
+    rest = chosen - {member}
+    own = where.score(chosen)
+    out = {member: 0.0}
+    for i in where.effects:
+        if i not in chosen:
+            out[i] = where.score(rest | {i}) - own
+    return out
+
+
+def gains(where: Space, chosen: frozenset[str]) -> dict[str, float]:
+    """Nats that each effect gains: of those chosen over the set without it, of the others
+    over the set when added. Prior odds are not counted."""
+    value = where.score(chosen)
+    out = {}
+    for i in where.effects:
+        if i in chosen:
+            out[i] = value - where.score(chosen - {i}) - where.prior[i]
+        else:
+            score = where.score(chosen | {i})
+            out[i] = score - value - where.prior[i]
+    return out
+
+
+def expected_gain(where: Space, effect: str, chosen: frozenset[str], size: Array) -> float:
+    """Nats that the information matrix promises for an effect of this size (k,), in priors.
+
+    The mean over the noise of the log-evidence it would gain, Occam's factor included.
+    """
+    rest = sorted(chosen - {effect})
+    parts = [where.where[i] for i in rest]
+    known = np.concatenate(parts) if parts else np.zeros(0, dtype=np.int64)
+    mine = where.where[effect]
+    G = where.quadratic.G
+    A = G[np.ix_(known, known)] + np.eye(len(known))
+    own = G[np.ix_(mine, mine)] - G[np.ix_(mine, known)] @ np.linalg.solve(
+        A, G[np.ix_(known, mine)]
+    )
+    own = 0.5 * (own + own.T)
+    # b ~ N(own size, own): E b'(I + own)^-1 b / 2 - log|I + own| / 2
+    inner = np.eye(len(mine)) + own
+    signal = own @ size
+    fit = float(signal @ np.linalg.solve(inner, signal)) + float(
+        np.trace(np.linalg.solve(inner, own))
+    )
+    return 0.5 * fit - 0.5 * float(np.linalg.slogdet(inner)[1])

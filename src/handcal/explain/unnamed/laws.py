@@ -1,0 +1,222 @@
+"""A law that nobody named, as an effect: what a sensor reads too much, as a form of a driver."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from typing import Any
+
+import numpy as np
+
+from handcal.effects import Catalogue, Effect, Param, Signals, catalogue, imu_jacobian
+from handcal.effects._linear import added
+from handcal.explain.unnamed import grammar
+from handcal.explain.unnamed.drivers import AXES, Driver, driver_of
+from handcal.explain.unnamed.grammar import Form
+from handcal.signals import probe
+from handcal.types import Array, BoolArray
+
+SENSORS = ("gyro", "accel")
+CHANNELS = tuple(f"{sensor}_{axis}" for sensor in SENSORS for axis in AXES)
+UNITS = ("rad/s", "m/s^2")
+# Root mean square of what a law adds, one prior sigma: half a degree a second, 10 mg.
+SIZE = (0.01, 0.1)
+# Samples of the motion on which the catalogue is tried, and the share (squared) of a law that may
+# be left for it to be named: a central difference leaves far less, another law far more. Of a
+# column of length one, so much must be new.
+PROBED, SPANNED = 120, 1e-8
+DEPENDENT = 1e-6
+
+
+@dataclass(frozen=True)
+class Law:
+    """sensor: 0 gyro, 1 accelerometer; axes: one or all three; each: whether each axis has its own
+    constants; driver, form: of what, and how; sigmas: prior of each constant of the form."""
+
+    sensor: int
+    axes: tuple[int, ...]
+    each: bool
+    driver: Driver
+    form: Form
+    sigmas: tuple[float, ...]
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """To which it adds."""
+        return tuple(CHANNELS[3 * self.sensor + axis] for axis in self.axes)
+
+    @property
+    def cost(self) -> float:
+        """Nats by which it is less likely beforehand than the simplest law."""
+        return self.form.cost + (grammar.FREEDOM if self.driver.number else 0.0)
+
+    @property
+    def axis(self) -> int | None:
+        """The one axis that it is of, or None."""
+        return self.axes[0] if len(self.axes) == 1 else None
+
+    @property
+    def said(self) -> str:
+        """The formula: ``gyro_x += k * omega_x^3``, ``accel_xyz += g(|omega|)``."""
+        left = f"{SENSORS[self.sensor]}_{''.join(AXES[a] for a in self.axes)}"
+        x, own = self.driver.said(self.axis), "_i" if self.each else ""
+        if self.form.smooth:
+            return f"{left} += g{own}({x})"
+        many = len(self.form.texts) > 1
+        parts = [
+            f"k{n + 1 if many else ''}{own} * {text.format(x=x)}"
+            for n, text in enumerate(self.form.texts)
+        ]
+        return f"{left} += {' + '.join(parts)}"
+
+    @property
+    def parameters(self) -> tuple[Param, ...]:
+        """Its constants, those of one axis after those of another where each has its own."""
+        one = self.form.constants
+        name = "c" if self.form.smooth else "k"
+        names = [f"{name}{n + 1}" if one > 1 else name for n in range(one)]
+        if self.each:
+            names = [f"{n}_{AXES[a]}" for a in self.axes for n in names]
+        units = [_unit(UNITS[self.sensor], self.driver.unit, p) for p in self.form.powers]
+        rows = zip(names, [*units] * 3, [*self.sigmas] * 3, strict=False)
+        return tuple(Param(*row, self.driver.positive) for row in rows)
+
+    def values(self, signals: Signals, axis: int) -> Array:
+        """What a unit of each constant of the form adds on one axis, (n, k)."""
+        return self.form.values(self.driver.of(signals, axis))
+
+
+def _unit(own: str, driver: str, power: int) -> str:
+    if power == 0:
+        return own
+    return f"({own})/({driver})" + (f"^{power}" if power > 1 else "")
+
+
+def effect_of(law: Law) -> Effect:
+    """The law as an effect, linear in its constants."""
+    one, root = law.form.constants, law.form.root
+
+    def features(signals: Signals) -> list[tuple[int, int, Array]]:
+        return [
+            (3 * law.sensor + axis, n * one if law.each else 0, law.values(signals, axis))
+            for n, axis in enumerate(law.axes)
+        ]
+
+    if root is not None and law.each:
+        root = np.asarray(np.kron(np.eye(len(law.axes)), root))
+    return Effect(
+        id=law.said,
+        title=law.said,
+        parameters=law.parameters,
+        story="",
+        source="found in this recording",
+        motion="The motion in which it was found.",
+        validated="held-out data alone",
+        cost=law.cost,
+        imu_error=added(features),
+        features=features,
+        together=root,
+        needs=law.driver.needs,
+        made=_made(law),
+    )
+
+
+def _made(law: Law) -> tuple[str, tuple[float, ...]]:
+    """Kind and numbers by which a law is made again."""
+    axes = "".join(AXES[a] for a in law.axes)
+    own = "each" if law.each else "same"
+    kind = " | ".join((SENSORS[law.sensor], axes, own, law.driver.name, law.form.kind))
+    return kind, (*law.form.numbers, *law.sigmas)
+
+
+def again(kind: str, numbers: tuple[float, ...]) -> Law:
+    """The law that was found before, by what it was made of (``Effect.made``).
+
+    Raises KeyError or ValueError for one that there is none of.
+    """
+    sensor, axes, own, driver, form = kind.split(" | ")
+    found = grammar.again(form, numbers)
+    sigmas = numbers[len(found.numbers) :]
+    places = tuple(AXES.index(a) for a in axes)
+    return Law(SENSORS.index(sensor), places, own == "each", driver_of(driver), found, sigmas)
+
+
+def law_of(effect: Effect) -> Law | None:
+    """The law that an effect is; None where it is none."""
+    if effect.made is None or not is_law(effect.made[0]):
+        return None
+    return again(*effect.made)
+
+
+def is_law(kind: str) -> bool:
+    """Whether this kind (``Effect.made``) is that of a law over a driver."""
+    return kind.count(" | ") == 4
+
+
+# --- what has a name -----------------------------------------------------------------------
+
+
+def named(law: Law) -> bool:
+    """Whether effects of the catalogue add up to the law, tried on a probing motion."""
+    key = law.sensor, law.axes, law.each, law.driver.name, law.form.kind, law.form.numbers
+    return _named(key, catalogue())
+
+
+@lru_cache(maxsize=4096)
+def _named(key: tuple[Any, ...], known: Catalogue) -> bool:
+    sensor, axes, each, driver, kind, numbers = key
+    form = grammar.again(kind, numbers)
+    law = Law(sensor, axes, each, driver_of(driver), form, (1.0,) * form.constants)
+    J = imu_jacobian(effect_of(law), np.zeros(0), _probing())
+    return bool(spanned(_catalogue(known), J.transpose(1, 0, 2).reshape(6 * PROBED, -1)).all())
+
+
+@cache
+def _probing() -> Signals:
+    return probe(PROBED)
+
+
+@cache
+def _catalogue(known: Catalogue) -> Array:
+    """Basis (6 n, r) of all that effects of the catalogue add on the probing motion.
+
+    How the axes of the body are turned against the sensors' is convention: a turn of all readings
+    together is no error (what lies above the accelerometer's diagonal is the gyro's misalignment).
+    """
+    s = _probing()
+    n = len(s.t)
+    columns = [np.kron(np.eye(6), np.ones((n, 1)))]  # the biases
+    for axis in np.eye(3):
+        turned = np.hstack([np.cross(axis, s.gyro), np.cross(axis, s.accel)])
+        columns.append(turned.T.reshape(-1, 1))
+    for effect in known.values():
+        J = imu_jacobian(effect, np.zeros(len(effect.parameters)), s)
+        columns.append(J.transpose(1, 0, 2).reshape(6 * n, -1))
+    return basis(np.hstack(columns))
+
+
+def basis(columns: Array) -> Array:
+    """Orthonormal basis (n, r) of what the columns (n, k) span, by Gram and Schmidt.
+
+    (So few numbers are sooner done than shared out among threads, which a library would do.)
+    """
+    found = np.zeros((columns.shape[1], len(columns)))
+    r = 0
+    for column in columns.T:
+        size = float(np.sqrt(np.einsum("n,n->", column, column)))
+        rest = column / size if size else column
+        for _ in range(2):
+            inside = np.einsum("rn,n->r", found[:r], rest)
+            rest = rest - np.einsum("rn,r->n", found[:r], inside)
+        left = float(np.sqrt(np.einsum("n,n->", rest, rest)))
+        if left > DEPENDENT:
+            found[r] = rest / left
+            r += 1
+    return found[:r].T
+
+
+def spanned(Q: Array, U: Array) -> BoolArray:
+    """Which columns of U (n, q) lie in the span of the orthonormal ones Q (n, r)."""
+    whole = np.einsum("nq,nq->q", U, U)
+    part = np.einsum("nr,nq->rq", Q, U)
+    return np.asarray(whole - np.einsum("rq,rq->q", part, part) <= SPANNED * whole)

@@ -1,0 +1,439 @@
+"""Physics that nobody named and that no product of signals gives: a course over time, or over
+the direction of the heading.
+
+A channel is given a cubic spline, whose coefficients one pass of the filter judges
+all at once. A course (a passing bump, a while, a swing, a lobe in one direction) is then a
+vector of coefficients, so that thousands of them, and every place between, cost no further pass.
+The best becomes an effect of one parameter like any other term.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize
+
+from handcal.compiled.jit import njit, residual_function
+from handcal.effects import TIME, Effect, Param, Signals
+from handcal.estimate.quadratic import Quadratic
+from handcal.explain.unnamed.grammar import FREEDOM
+from handcal.explain.unnamed.laws import CHANNELS, SIZE, UNITS
+from handcal.explain.unnamed.terms import CURVES, DIRECTIONS, HEADING_SIZE, cubic, term
+from handcal.types import Array, IntArray
+
+# Knots over a recording: as many at most, a power of two of seconds apart.
+MOST = 48
+# A course that is short stands out further than one that lasts, of the same mean square.
+PEAK = 3.0
+# What lies between two sizes on trial is that much larger or smaller than one of them.
+ABOUT = math.sqrt(2.0)
+
+Values = Callable[[Array, Array], Array]
+
+
+@dataclass(frozen=True)
+class Family:
+    """Courses that differ by their numbers (p,): values(numbers, x) -> (m,) of height one,
+    their formula, the same in words, where to begin, and the course of a heading's error as a
+    function to compile."""
+
+    name: str
+    values: Values
+    formula: Callable[[Array], str]
+    words: Callable[[Array], str]
+    starts: Callable[[float], Iterator[tuple[float, ...]]]
+    compiled: Callable[..., Callable[..., int]]
+
+
+@dataclass(frozen=True)
+class Basis:
+    """A cubic spline over a grid (n,) of time, s, or of direction, rad, as one effect of m
+    parameters, which are ``through @ values`` (m, n) for values on the grid."""
+
+    effect: Effect
+    channel: str
+    unit: str
+    grid: Array
+    through: Array
+    families: tuple[Family, ...]
+
+
+# --- courses -------------------------------------------------------------------------------
+
+
+def _bump(numbers: Array, x: Array) -> Array:
+    return np.asarray(np.exp(-0.5 * ((x - numbers[0]) / numbers[1]) ** 2))
+
+
+def _bumps(span: float) -> Iterator[tuple[float, ...]]:
+    for width in span * np.geomspace(0.01, 0.15, 6):
+        for at in np.arange(0.0, span, 0.7 * width):
+            yield float(at), float(width)
+
+
+def _bump_at(at: float, width: float) -> Callable[..., int]:
+    def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+        x = (z[TIME] - at) / width
+        r[0] -= k[0] * math.exp(-0.5 * x * x)
+        return 0
+
+    return heading
+
+
+def _while(numbers: Array, x: Array) -> Array:
+    # (edges as wide as the grid is fine, so that they can be moved)
+    edge = max(1e-3, float(x[1] - x[0]))
+    up, down = (x - numbers[0]) / edge + 0.5, (numbers[1] - x) / edge + 0.5
+    return np.asarray(np.clip(up, 0.0, 1.0) * np.clip(down, 0.0, 1.0))
+
+
+def _whiles(span: float) -> Iterator[tuple[float, ...]]:
+    edges = np.linspace(0.0, span, MOST)
+    for i, a in enumerate(edges[:-1]):
+        for b in edges[i + 1 :]:
+            if a > 0.0 or b < span:
+                yield float(a), float(b)
+
+
+def _while_in(first: float, last: float) -> Callable[..., int]:
+    def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+        if first <= z[TIME] <= last:
+            r[0] -= k[0]
+        return 0
+
+    return heading
+
+
+def _swing(numbers: Array, x: Array) -> Array:
+    return np.asarray(np.sin(2.0 * np.pi * x / numbers[0] + numbers[1]))
+
+
+def _swings(span: float) -> Iterator[tuple[float, ...]]:
+    for k in np.arange(1.0, MOST / 3.0, 0.5):
+        for phase in np.arange(8) * np.pi / 8.0:
+            yield float(span / k), float(phase)
+
+
+def _swing_of(period: float, phase: float) -> Callable[..., int]:
+    def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+        r[0] -= k[0] * math.sin(2.0 * math.pi * z[TIME] / period + phase)
+        return 0
+
+    return heading
+
+
+def _decay(numbers: Array, x: Array) -> Array:
+    return np.asarray(np.exp(-x / numbers[0]))
+
+
+def _decays(span: float) -> Iterator[tuple[float, ...]]:
+    for tau in span * np.geomspace(0.03, 1.0, 12):
+        yield (float(tau),)
+
+
+def _decay_of(tau: float) -> Callable[..., int]:
+    def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+        r[0] -= k[0] * math.exp(-z[TIME] / tau)
+        return 0
+
+    return heading
+
+
+def _lobe(numbers: Array, x: Array) -> Array:
+    return np.asarray(np.exp(numbers[1] * (np.cos(x - numbers[0]) - 1.0)))
+
+
+def _lobes(span: float) -> Iterator[tuple[float, ...]]:
+    for sharp in (2.0, 4.0, 8.0, 16.0, 32.0):
+        for at in np.arange(DIRECTIONS) * span / DIRECTIONS:
+            yield float(at - np.pi), sharp
+
+
+def _lobe_at(at: float, sharp: float) -> Callable[..., int]:
+    def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+        yaw = math.atan2(nav[9], nav[6])
+        r[0] -= k[0] * math.exp(sharp * (math.cos(yaw - at) - 1.0))
+        return 0
+
+    return heading
+
+
+def _bump_formula(n: Array) -> str:
+    return f"exp(-((t - {n[0]:.3g} s) / {n[1]:.2g} s)^2 / 2)"
+
+
+def _while_formula(n: Array) -> str:
+    return f"(t from {_edge(n, 0)} s to {_edge(n, 1)} s)"
+
+
+def _swing_formula(n: Array) -> str:
+    return f"sin(2 pi t / {n[0]:.3g} s + {n[1] % (2.0 * np.pi):.2f})"
+
+
+def _decay_formula(n: Array) -> str:
+    return f"exp(-t / {n[0]:.3g} s)"
+
+
+def _lobe_formula(n: Array) -> str:
+    return f"exp({n[1]:.2g} (cos(yaw - {(n[0] + np.pi) % (2.0 * np.pi) - np.pi:.2f}) - 1))"
+
+
+def _bump_words(n: Array) -> str:
+    return f"Something came and went about {n[0]:.0f} s, within some {4.0 * n[1]:.2g} s."
+
+
+def _while_words(n: Array) -> str:
+    return f"It was there from {_edge(n, 0)} s to {_edge(n, 1)} s only."
+
+
+def _edge(n: Array, k: int) -> str:
+    """One of two moments, with as many digits as tell them apart."""
+    digits = max(0, math.ceil(-math.log10(max(float(n[1] - n[0]), 1e-6)))) + 1
+    return f"{n[k]:.{digits}f}"
+
+
+def _swing_words(n: Array) -> str:
+    return f"It swings, once in {n[0]:.3g} s."
+
+
+def _decay_words(n: Array) -> str:
+    return f"It fades after the start, to a third every {n[0]:.2g} s."
+
+
+def _lobe_words(n: Array) -> str:
+    at = math.degrees((n[0] + math.pi) % (2.0 * math.pi) - math.pi)
+    return f"It is felt where the heading is about {at:.0f} deg."
+
+
+OVER_TIME = (
+    Family("bump", _bump, _bump_formula, _bump_words, _bumps, _bump_at),
+    Family("while", _while, _while_formula, _while_words, _whiles, _while_in),
+    Family("swing", _swing, _swing_formula, _swing_words, _swings, _swing_of),
+    Family("decay", _decay, _decay_formula, _decay_words, _decays, _decay_of),
+)
+OVER_YAW = (Family("lobe", _lobe, _lobe_formula, _lobe_words, _lobes, _lobe_at),)
+
+# --- bases ---------------------------------------------------------------------------------
+
+
+@njit
+def _spline(t: Array, spacing: float, k: Array) -> Array:
+    """The cubic spline of the coefficients k at the times t (n,)."""
+    out = np.empty(len(t))
+    for j in range(len(t)):
+        x = t[j] / spacing
+        i = int(x)
+        out[j] = cubic(x - i, k[i], k[i + 1], k[i + 2], k[i + 3])
+    return out
+
+
+@njit
+def _spline_columns(t: Array, spacing: float, count: int) -> Array:
+    """Each of the cubic splines at the times t: (n, count)."""
+    out = np.zeros((len(t), count))
+    for j in range(len(t)):
+        x = t[j] / spacing
+        i = int(x)
+        u = x - i
+        out[j, i] = cubic(u, 1.0, 0.0, 0.0, 0.0)
+        out[j, i + 1] = cubic(u, 0.0, 1.0, 0.0, 0.0)
+        out[j, i + 2] = cubic(u, 0.0, 0.0, 1.0, 0.0)
+        out[j, i + 3] = cubic(u, 0.0, 0.0, 0.0, 1.0)
+    return out
+
+
+def _spline_over_time(spacing: float) -> Callable[..., int]:
+    def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+        x = z[TIME] / spacing
+        i = int(x)
+        r[0] -= cubic(x - i, k[i], k[i + 1], k[i + 2], k[i + 3])
+        return 0
+
+    return heading
+
+
+_OVER_TIME = {2.0**e: residual_function(_spline_over_time(2.0**e)) for e in range(-5, 12)}
+
+
+def imu_basis(channel: int, duration: float) -> Basis:
+    """Splines over time for one channel of the IMU (0 to 5)."""
+    grid = _grid(duration)
+
+    def error(k: Array, signals: Signals) -> Array:
+        out = np.zeros((len(signals.t), 6))
+        out[:, channel] = _spline(signals.t - signals.t[0], grid[1], k)
+        return out
+
+    def features(truth: Signals) -> list[tuple[int, int, Array]]:
+        t = truth.t - truth.t[0]
+        return [(channel, 0, _spline_columns(t, float(grid[1]), len(grid) + 2))]
+
+    own = channel // 3
+    effect = _splines(f"{CHANNELS[channel]} over time", UNITS[own], SIZE[own], len(grid) + 2, error)
+    effect = replace(effect, features=features)
+    return Basis(effect, CHANNELS[channel], UNITS[own], grid, _natural(len(grid)), OVER_TIME)
+
+
+def heading_bases(duration: float) -> list[Basis]:
+    """Splines for the heading: over time, and over its direction."""
+    grid = _grid(duration)
+    address, count = _OVER_TIME[float(grid[1])], len(grid) + 2
+    over = _splines("heading over time", "rad", HEADING_SIZE, count, None, address)
+    round_ = _splines("heading over yaw", "rad", HEADING_SIZE, DIRECTIONS, None, CURVES["yaw"][0])
+    yaw = np.linspace(-np.pi, np.pi, DIRECTIONS, endpoint=False)
+    return [
+        Basis(over, "heading", "rad", grid, _natural(len(grid)), OVER_TIME),
+        Basis(round_, "heading", "rad", yaw, _periodic(DIRECTIONS), OVER_YAW),
+    ]
+
+
+def _grid(duration: float) -> Array:
+    spacing = 2.0 ** math.ceil(math.log2(max(duration, 1.0) / MOST))
+    return np.asarray(spacing * np.arange(math.floor(duration / spacing) + 2))
+
+
+def _natural(n: int) -> Array:
+    """Coefficients (n + 2, n) of the cubic spline through n values, straight at both ends."""
+    rows = np.zeros((n + 2, n + 2))
+    for i in range(n):
+        rows[i + 1, i : i + 3] = np.array([1.0, 4.0, 1.0]) / 6.0
+    rows[0, :3] = rows[-1, -3:] = [1.0, -2.0, 1.0]
+    return np.asarray(np.linalg.solve(rows, np.eye(n + 2)[:, 1:-1]))
+
+
+def _periodic(n: int) -> Array:
+    """Coefficients (n, n) of the periodic cubic spline through n values."""
+    one = np.eye(n)
+    rows = (4.0 * one + np.roll(one, 1, axis=1) + np.roll(one, -1, axis=1)) / 6.0
+    return np.asarray(np.linalg.solve(rows, one))
+
+
+def _splines(
+    title: str,
+    unit: str,
+    size: float,
+    count: int,
+    error: Callable[[Array, Signals], Array] | None,
+    address: int | None = None,
+) -> Effect:
+    return Effect(
+        id=f"basis: {title}",
+        title=title,
+        parameters=tuple(Param(f"k{i}", unit, PEAK * size) for i in range(count)),
+        story="Coefficients of a spline.",
+        source="found in this recording",
+        motion="Any.",
+        validated="never reported",
+        imu_error=error,
+        observation_error={} if address is None else {"heading": address},
+    )
+
+
+# --- the best course -----------------------------------------------------------------------
+
+
+def best(
+    basis: Basis, wide: Quadratic, known: IntArray, root: Array | None = None
+) -> tuple[Effect, float]:
+    """The course that gains most beside the parameters ``known`` of a quadratic that holds the
+    basis, as an effect of one parameter; and the nats that it gains, less what its freedom costs.
+
+    root: square root of the prior covariance of the known ones (None: the identity).
+    """
+    mine = np.array([i for i, n in enumerate(wide.names) if n[0] == basis.effect.id])
+    b, G = integrated(wide, mine, known, root)
+    span = 2.0 * np.pi if basis.families is OVER_YAW else float(basis.grid[-1])
+
+    def gain(values: Array) -> Array:
+        D = values @ basis.through.T
+        information = np.einsum("...i,ij,...j->...", D, G, D)
+        return np.asarray(0.5 * (D @ b) ** 2 / (1.0 + information) - 0.5 * np.log1p(information))
+
+    top, found = -math.inf, None
+    for family in basis.families:
+        starts, values = _tried(family, span, tuple(basis.grid))
+        gained = gain(values)
+        k = int(np.argmax(gained))
+        if gained[k] > top:
+            top, found = float(gained[k]), (family, starts[k], starts)
+    assert found is not None
+    family, numbers, starts = found
+    numbers = _adjusted(partial(_lost, family, basis.grid, gain), numbers, starts)
+    return term_of(basis, family, numbers), -_lost(family, basis.grid, gain, numbers) - FREEDOM
+
+
+@lru_cache(maxsize=16)
+def _tried(family: Family, span: float, grid: tuple[float, ...]) -> tuple[Array, Array]:
+    """Numbers (m, p) from which to begin, and those courses over the grid (m, n)."""
+    starts = np.array(list(family.starts(span)))
+    return starts, np.array([family.values(n, np.array(grid)) for n in starts])
+
+
+def _lost(family: Family, grid: Array, gain: Callable[[Array], Array], numbers: Array) -> float:
+    with np.errstate(all="ignore"):
+        value = -float(gain(family.values(numbers, grid)))
+    return value if math.isfinite(value) else 0.0
+
+
+def _adjusted(lost: Callable[[Array], float], numbers: Array, tried: Array) -> Array:
+    """The numbers near these where least is lost, sizes within those that were tried (k, n): a lobe
+    that is wide enough is a sine, which has a name."""
+    ends = zip(tried.min(axis=0), tried.max(axis=0), strict=True)
+    bounds = [(a / ABOUT, b * ABOUT) if a > 0.0 else (None, None) for a, b in ends]
+    options = {"maxfev": 200, "xatol": 1e-3}
+    at = minimize(lost, numbers, method="Nelder-Mead", bounds=bounds, options=options)
+    return np.asarray(at.x if at.fun < lost(numbers) else numbers)
+
+
+def integrated(
+    q: Quadratic, mine: IntArray, known: IntArray, root: Array | None
+) -> tuple[Array, Array]:
+    """The quadratic of the parameters ``mine`` with those ``known`` integrated out."""
+    R = np.eye(len(known)) if root is None else root
+    A = np.eye(R.shape[1]) + R.T @ q.G[np.ix_(known, known)] @ R
+    half = np.linalg.solve(np.linalg.cholesky(0.5 * (A + A.T)), R.T)
+    cross = half @ q.G[np.ix_(known, mine)]
+    return (
+        q.b[mine] - cross.T @ (half @ q.b[known]),
+        q.G[np.ix_(mine, mine)] - cross.T @ cross,
+    )
+
+
+def term_of(basis: Basis, family: Family, numbers: Array) -> Effect:
+    """A course as an effect of one parameter, its height."""
+    formula = f"{basis.channel} += k * {family.formula(numbers)}"
+    story = family.words(numbers)
+    size = PEAK * (HEADING_SIZE if basis.channel == "heading" else SIZE[basis.unit == UNITS[1]])
+    made = family.name, tuple(float(n) for n in numbers)
+    if basis.channel == "heading":
+        address = residual_function(family.compiled(*made[1]), kept=False)
+        acts = {"heading": address}
+        return term(formula, basis.unit, size, story, observation_error=acts, made=made)
+    column = CHANNELS.index(basis.channel)
+
+    def error(k: Array, signals: Signals) -> Array:
+        out = np.zeros((len(signals.t), 6))
+        out[:, column] = k[0] * family.values(numbers, signals.t - signals.t[0])
+        return out
+
+    return term(formula, basis.unit, size, story, imu_error=error, made=made)
+
+
+def again(channel: str, made: tuple[str, tuple[float, ...]]) -> Effect:
+    """The course of a channel that was found before, by its kind and its numbers.
+
+    Raises KeyError for a kind or a channel that there is none of.
+    """
+    name, numbers = made
+    if channel == "heading":
+        bases = heading_bases(1.0)
+    else:
+        bases = [imu_basis({c: i for i, c in enumerate(CHANNELS)}[channel], 1.0)]
+    known = {f.name: (b, f) for b in bases for f in b.families}
+    basis, family = known[name]
+    return term_of(basis, family, np.array(numbers))

@@ -1,0 +1,268 @@
+"""A measured heading's laws that nobody named: functions of the attitude, the rate and of time.
+
+What the catalogue covers is left out, so that a term found here has no name.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from handcal.compiled import so3
+from handcal.compiled.jit import inner, residual_function
+from handcal.effects import TIME, Z_DIM, Catalogue, Effect, Param, catalogue, observed_error
+from handcal.explain.unnamed.grammar import SIZES, WIDTHS, process_root
+from handcal.explain.unnamed.laws import PROBED, basis, spanned
+from handcal.signals import probe
+from handcal.types import Array, Recording
+
+# Root mean square of what a term adds, one prior sigma, rad.
+HEADING_SIZE = 0.1
+# Harmonics beyond those of iron, and grids of whole parts of the circle, deg.
+HARMONICS = 4
+GRIDS = (1.0, 2.0, 5.0, 10.0, 15.0, 22.5, 30.0, 45.0)
+# Rate below which a compass may stick, rad/s; its inverse sinh's largest size, at 20 rad/s.
+SLOW = 0.1
+FASTEST = math.asinh(20.0 / SLOW)
+# Knots of a curve over the heading's direction, and over anything else.
+DIRECTIONS, KNOTS = 32, 9
+# How the kind of a curve begins (``Effect.made``).
+CURVE = "heading over "
+
+
+def again(formula: str, prior: float) -> Effect:
+    """The term that was found before by its formula, with its prior (SI).
+
+    Raises KeyError for a formula that there is none of.
+    """
+    return _term_of(formula.removeprefix("heading += "), prior)
+
+
+def term(
+    formula: str, unit: str, prior: float, story: str = "", positive: bool = False, **physics: Any
+) -> Effect:
+    """An effect of one parameter k without a name but its formula; prior: sigma of k; story: what
+    that means in plain words, if it can be said."""
+    return Effect(
+        id=formula,
+        title=formula,
+        parameters=(Param("k", unit, prior, positive),),
+        story=story,
+        source="found in this recording",
+        motion="The motion in which it was found.",
+        validated="held-out data alone",
+        **physics,
+    )
+
+
+@inner
+def cubic(u: float, a: float, b: float, c: float, d: float) -> float:
+    """The cubic spline between two knots, a share u of the way, by its four coefficients there."""
+    v = 1.0 - u
+    return (
+        v * v * v * a
+        + (4.0 - 6.0 * u * u + 3.0 * u * u * u) * b
+        + (4.0 - 6.0 * v * v + 3.0 * v * v * v) * c
+        + u * u * u * d
+    ) / 6.0
+
+
+# --- formulas ------------------------------------------------------------------------------
+
+Residual = Callable[..., int]
+
+
+def _harmonic(n: int) -> Residual:
+    def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+        yaw = np.arctan2(nav[9], nav[6])
+        r[0] -= k[0] * np.sin(n * yaw) + k[1] * np.cos(n * yaw)
+        return 0
+
+    return heading
+
+
+def _tilted(row: int) -> Residual:
+    def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+        r[0] -= k[0] * nav[row]
+        return 0
+
+    return heading
+
+
+def _tilted_iron(row: int) -> Residual:
+    def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+        yaw = np.arctan2(nav[9], nav[6])
+        r[0] -= (k[0] * np.sin(yaw) + k[1] * np.cos(yaw)) * nav[row]
+        return 0
+
+    return heading
+
+
+def _tilt2(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+    r[0] -= k[0] * (1.0 - nav[14] * nav[14])
+    return 0
+
+
+def _time2(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+    r[0] -= k[0] * z[TIME] * z[TIME]
+    return 0
+
+
+def _turn_size(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+    r[0] -= k[0] * abs(nav[12] * nav[15] + nav[13] * nav[16] + nav[14] * nav[17])
+    return 0
+
+
+def _turning(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+    r[0] -= k[0] * np.sqrt(nav[15] * nav[15] + nav[16] * nav[16] + nav[17] * nav[17])
+    return 0
+
+
+def _turn_sign(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+    rate = nav[12] * nav[15] + nav[13] * nav[16] + nav[14] * nav[17]
+    r[0] -= k[0] * np.tanh(rate / SLOW)
+    return 0
+
+
+def _grid(step: float) -> Residual:
+    def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+        yaw = np.arctan2(nav[9], nav[6])
+        r[0] -= k[0] * (np.floor(yaw / step + 0.5) * step - yaw)
+        return 0
+
+    return heading
+
+
+def _table() -> Iterator[tuple[str, tuple[Residual, tuple[str, ...]]]]:
+    for n in range(3, 3 + HARMONICS):
+        yield f"k1 * sin({n} yaw) + k2 * cos({n} yaw)", (_harmonic(n), ("rad", "rad"))
+    for axis, row in (("x", 12), ("y", 13)):
+        yield f"k * sin(pitch of {axis})", (_tilted(row), ("rad",))
+        text = f"(k1 * sin(yaw) + k2 * cos(yaw)) * sin(pitch of {axis})"
+        yield text, (_tilted_iron(row), ("rad", "rad"))
+    yield "k * sin(tilt)^2", (_tilt2, ("rad",))
+    yield "k * t^2", (_time2, ("rad/s^2",))
+    yield "k * abs(yaw rate)", (_turn_size, ("s",))
+    yield "k * |omega|", (_turning, ("s",))
+    yield f"k * tanh(yaw rate / {SLOW:g})", (_turn_sign, ("rad",))
+    for step in GRIDS:
+        text = f"k * (round(yaw / {step:g} deg) * {step:g} deg - yaw)"
+        yield text, (_grid(math.radians(step)), ("1",))
+
+
+_HEADING: Mapping[str, tuple[int, tuple[str, ...]]] = {
+    text: (residual_function(function), units) for text, (function, units) in _table()
+}
+
+
+def _term_of(text: str, prior: float) -> Effect:
+    address, units = _HEADING[text]
+    one = term(f"heading += {text}", units[0], prior, observation_error={"heading": address})
+    if len(units) == 1:
+        return one
+    several = tuple(Param(f"k{n + 1}", unit, prior) for n, unit in enumerate(units))
+    return replace(one, parameters=several)
+
+
+def heading_terms(recording: Recording) -> list[Effect]:
+    """Terms of a measured heading."""
+    known, span = _named_headings(catalogue()), recording.duration_s
+    sizes = {"rad": HEADING_SIZE, "rad/s^2": 2.0 * HEADING_SIZE / span**2, "s": HEADING_SIZE,
+             "1": 1.0}  # fmt: skip
+    return [_term_of(text, sizes[u[0]]) for text, (_, u) in _HEADING.items() if text not in known]
+
+
+@cache
+def _named_headings(catalogued: Catalogue) -> frozenset[str]:
+    """Formulas of the heading that effects of the catalogue add up to, on a probing motion."""
+    s = probe(PROBED)
+    assert s.C_nb is not None
+    n = len(s.t)
+    place, speed = s.streams["pose"][:, :3], s.streams["mag"]
+    nav = np.hstack([place, speed, s.C_nb.reshape(n, 9), s.gyro, s.accel])
+    z = np.zeros((n, Z_DIM))
+    z[:, 0], z[:, TIME] = so3.yaw_of(s.C_nb), s.t
+
+    def columns(effect: Effect) -> Array:
+        steps = np.diag(1e-3 * effect.prior_sigma)
+        pairs = [(observed_error(effect, "heading", x, nav, z, 1) for x in (-e, e)) for e in steps]
+        return np.hstack([more - less for less, more in pairs])
+
+    known = [np.ones((n, 1))]  # a constant offset
+    known += [
+        columns(e)
+        for e in catalogued.values()
+        if "heading" in e.observation_error and not e.process
+    ]
+    inside = basis(np.hstack(known))
+    return frozenset(
+        text for text in _HEADING if spanned(inside, columns(_term_of(text, 1.0))).all()
+    )
+
+
+# --- curves --------------------------------------------------------------------------------
+
+
+def _over(row: int) -> Residual:
+    def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+        u = (min(max(nav[row], -1.0), 1.0) + 1.0) * 0.5 * (KNOTS - 3)
+        i = min(int(u), KNOTS - 4)
+        r[0] -= cubic(u - i, k[i], k[i + 1], k[i + 2], k[i + 3])
+        return 0
+
+    return heading
+
+
+def _over_turn(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+    rate = nav[12] * nav[15] + nav[13] * nav[16] + nav[14] * nav[17]
+    u = (np.arcsinh(rate / SLOW) / FASTEST + 1.0) * 0.5 * (KNOTS - 3)
+    u = min(max(u, 0.0), KNOTS - 3.0)
+    i = min(int(u), KNOTS - 4)
+    r[0] -= cubic(u - i, k[i], k[i + 1], k[i + 2], k[i + 3])
+    return 0
+
+
+def _over_yaw(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+    x = (math.atan2(nav[9], nav[6]) / math.pi + 1.0) * 0.5 * DIRECTIONS
+    i = int(x)
+    before, after = (i + DIRECTIONS - 1) % DIRECTIONS, (i + 1) % DIRECTIONS
+    r[0] -= cubic(x - i, k[before], k[i % DIRECTIONS], k[after], k[(i + 2) % DIRECTIONS])
+    return 0
+
+
+# Address and number of knots of the heading's curves, by what drives them.
+CURVES: Mapping[str, tuple[int, int]] = {
+    "yaw": (residual_function(_over_yaw), DIRECTIONS),
+    "pitch of x": (residual_function(_over(12)), KNOTS),
+    "pitch of y": (residual_function(_over(13)), KNOTS),
+    "tilt": (residual_function(_over(14)), KNOTS),
+    "yaw rate": (residual_function(_over_turn), KNOTS),
+}
+
+
+def curve(driver: str, width: float, size: float) -> Effect:
+    """The heading's error as a smooth curve over a driver; width of the Gaussian process that is
+    its prior, in knots, and size, of a clearly visible error. Raises KeyError."""
+    address, knots = CURVES[driver]
+    apart = np.abs(np.arange(knots)[:, None] - np.arange(knots))
+    if driver == "yaw":
+        # (a chord for the way round, as a covariance on the circle must be one everywhere)
+        apart = knots / np.pi * np.sin(np.pi * apart / knots)
+    acts, made = {"heading": address}, (f"{CURVE}{driver}", (width, size))
+    one = term(f"heading += g({driver})", "rad", HEADING_SIZE, observation_error=acts, made=made)
+    several = tuple(Param(f"c{n + 1}", "rad", HEADING_SIZE) for n in range(knots))
+    return replace(one, parameters=several, together=size * process_root(apart, width))
+
+
+def heading_curves() -> list[list[Effect]]:
+    """The heading's curves over each driver, of every width and size."""
+    widths = {"yaw": (1.5, 4.0)}
+    return [
+        [curve(driver, w, s) for w in widths.get(driver, WIDTHS) for s in SIZES]
+        for driver in CURVES
+    ]

@@ -1,0 +1,1 @@
+"""The papers, computed again: one file a paper."""

@@ -1,0 +1,1 @@
+"""Errors against temperature (paper 004)."""

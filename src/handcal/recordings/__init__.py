@@ -1,0 +1,1 @@
+"""Recordings as they come and go: streams, formats, rests, MCAP."""

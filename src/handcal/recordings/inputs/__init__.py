@@ -1,0 +1,61 @@
+"""Recordings from files: one file per format, found by listing this folder.
+
+A format is a module here with ``can_read(path) -> bool``, which looks at the content,
+``read(path, options) -> Recording`` and ``UNDERSTOOD``, half a sentence for the message
+to people whose file fits none. Modules that begin with an underscore are shared.
+"""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+
+from handcal.recordings.inputs._options import Options, checked_options
+from handcal.types import InputError, Recording
+
+__all__ = ["Options", "load"]
+
+
+def _formats() -> list[ModuleType]:
+    names = sorted(m.name for m in pkgutil.iter_modules(__path__) if not m.name.startswith("_"))
+    return [importlib.import_module(f"{__name__}.{name}") for name in names]
+
+
+def load(
+    path: str | Path,
+    *,
+    topics: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Recording:
+    """Read a recording of any format that a module of this folder understands.
+
+    topics: which MCAP topic is which stream ({"imu": "/phone/imu"}; "" leaves the stream
+    out). units: of a quantity in the file ({"accel": "g", "gyro": "deg/s"}) where it is not
+    as the format states. progress: called with the fraction read so far, 0 to 1.
+
+    Errors: InputError, one sentence, for whatever is wrong with the file or the options.
+    """
+    path = Path(path)
+    options = checked_options(topics, units, progress)
+    if not path.exists():
+        raise InputError(f"{path} does not exist.")
+    if path.is_file() and path.stat().st_size == 0:
+        raise InputError(f"{path} is empty: it holds not a single byte.")
+    formats = _formats()
+    for module in formats:
+        try:
+            # Absurd numbers become infinite or NaN in conversion, and are dropped and told.
+            with np.errstate(over="ignore", invalid="ignore"):
+                if module.can_read(path):
+                    recording: Recording = module.read(path, options)
+                    return recording
+        except OSError as error:
+            raise InputError(f"{path} cannot be read: {error.strerror or error}.") from error
+    understood = "; ".join(str(module.UNDERSTOOD) for module in formats)
+    raise InputError(f"{path} is of no known format. Understood are: {understood}.")

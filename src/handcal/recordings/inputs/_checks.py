@@ -1,0 +1,195 @@
+"""Is it plausible that these numbers are what they are said to be? Units, dead sensors,
+saturation. Every refusal names the option that would put it right."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handcal.earth import STANDARD_GRAVITY
+from handcal.recordings.streams import DEGREE
+from handcal.types import Array, BoolArray, InputError
+
+IntArray = NDArray[np.int64]
+
+FASTEST_GYRO = 40.0  # rad/s; beyond the full scale of nearly every consumer gyro
+
+
+def saturated(value: Array, smallest: float) -> BoolArray:
+    """Where a sensor sits at its full scale. value (n, 3); result (n,).
+
+    A clipped signal piles up at one value that it otherwise passes through quickly.
+    Quantised readings of a resting or steadily turning sensor repeat their extreme too,
+    but have as many neighbours just below it, or sit there most of the time. Rows that
+    stay the same in all three numbers are no readings but the rate that a table was told.
+    smallest: below it nothing is a full scale.
+    """
+    clipped = np.zeros(len(value), dtype=np.bool_)
+    commanded = _held(value)
+    for column in value.T:
+        for signed in (column, -column):
+            extreme = signed.max(initial=0.0)
+            if extreme < smallest:
+                continue
+            at = (signed == extreme) & ~commanded
+            count = int(at.sum())
+            below = int((signed > 0.97 * extreme).sum()) - count
+            runs = bool(np.any(at[1:] & at[:-1]))
+            if runs and 5 <= count < 0.5 * len(signed) and count > 2 * below:
+                clipped |= at
+    return clipped
+
+
+def _held(value: Array) -> BoolArray:
+    """Rows (n,) of value (n, 3) that are one of five or more equal ones in a row."""
+    same = np.all(value[1:] == value[:-1], axis=1).astype(float)
+    if len(same) < 4:
+        return np.zeros(len(value), dtype=np.bool_)
+    four = np.convolve(same, np.ones(4), mode="valid") > 3.5
+    return np.asarray(np.convolve(four, np.ones(5)) > 0.5)
+
+
+def check_alive(gyro: Array, accel: Array) -> list[str]:
+    """A sensor that never moves by one bit is dead, unless the other one rests as perfectly.
+
+    (n, 3) each. Returns warnings. Errors: InputError.
+    """
+    constant = [bool(np.all(value == value[0])) for value in (gyro, accel)]
+    if all(constant) and np.any(accel):
+        return ["Neither sensor moves by one bit: an ideal device at rest, or a frozen one."]
+    for dead, name, value in zip(
+        constant, ("gyroscope", "accelerometer"), (gyro, accel), strict=True
+    ):
+        if dead:
+            reads = "the same value" if np.any(value) else "zero"
+            raise InputError(f"The {name} reads {reads} throughout: it was not recording.")
+    return []
+
+
+def rest_magnitude(accel: Array, rate_hz: float) -> float:
+    """Magnitude of the mean reading over the stillest tenth of half-second windows."""
+    size = min(len(accel), max(5, round(0.5 * rate_hz)))
+    windows = accel[: len(accel) // size * size].reshape(-1, size, 3)
+    restless = windows.var(axis=1).sum(axis=1)
+    stillest = np.argsort(restless, kind="stable")[: max(1, len(windows) // 10)]
+    return float(np.median(np.linalg.norm(windows[stillest].mean(axis=1), axis=1)))
+
+
+def check_accel_unit(accel: Array, rate_hz: float) -> list[str]:
+    """Gravity must be there, in m/s^2. Returns warnings. Errors: InputError."""
+    rest = rest_magnitude(accel, rate_hz)
+    if 5.0 <= rest <= 20.0:
+        if 8.8 <= rest <= 10.8:
+            return []
+        return [f"The accelerometer reads {rest:.2f} m/s^2 when stillest; 9.8 is expected."]
+    if 0.8 <= rest <= 1.2:
+        raise InputError(
+            f"The accelerometer reads {rest:.2f} at rest: that is g, not m/s^2; "
+            "give --units accel=g."
+        )
+    if 800 <= rest <= 1200:
+        raise InputError(
+            f"The accelerometer reads {rest:.0f} at rest: that is mg, not m/s^2; "
+            "give --units accel=mg."
+        )
+    if 0.8 * STANDARD_GRAVITY**2 <= rest <= 1.2 * STANDARD_GRAVITY**2:
+        raise InputError(
+            f"The accelerometer reads {rest:.1f} m/s^2 at rest, gravity squared: "
+            "it is in m/s^2 already; give --units accel=m/s^2."
+        )
+    if rest < 5.0:
+        raise InputError(
+            f"The accelerometer reads {rest:.2f} m/s^2 at rest, where 9.8 is expected: "
+            "gravity seems to have been removed; the raw accelerometer is needed."
+        )
+    raise InputError(
+        f"The accelerometer reads {rest:.1f} m/s^2 at rest, where 9.8 is expected: "
+        "name its unit with --units accel=..."
+    )
+
+
+def _turned(u: Array, rotation: Array) -> Array:
+    """A direction fixed in space, seen from a body that turned by `rotation` (k, 3), rad."""
+    angle = np.linalg.norm(rotation, axis=1, keepdims=True)
+    axis = rotation / np.maximum(angle, 1e-12)
+    along = np.sum(axis * u, axis=1, keepdims=True)
+    turned: Array = (
+        u * np.cos(angle) - np.cross(axis, u) * np.sin(angle) + axis * along * (1 - np.cos(angle))
+    )
+    return turned
+
+
+def _calm_windows(t: Array, gyro: Array, accel: Array) -> tuple[IntArray, int, Array, Array]:
+    """Windows of 0.4 s between moments without other acceleration than gravity.
+
+    First samples (k,), length, and the directions of gravity before and after (k, 3); of all
+    such windows those that turn most, whatever the gyro's unit.
+    """
+    step = float(np.median(np.diff(t)))
+    size, half = max(2, round(0.4 / step)), max(1, round(0.04 / step))
+    last = len(t) - size - half - 1
+    starts = np.unique(np.linspace(half, max(half, last), 1600).astype(np.int64))
+    starts = starts[starts <= last]
+    starts = starts[t[starts + size] - t[starts] < 1.5 * size * step]
+    sums = np.vstack([np.zeros(3), np.cumsum(accel, axis=0)])
+    before, after = (
+        (sums[at + half + 1] - sums[at - half]) / (2 * half + 1) for at in (starts, starts + size)
+    )
+    g0, g1 = np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1)
+    calm = (abs(g0 - STANDARD_GRAVITY) < 1.0) & (abs(g1 - STANDARD_GRAVITY) < 1.0)
+    starts, u0, u1 = starts[calm], (before.T / g0).T[calm], (after.T / g1).T[calm]
+    path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(gyro, axis=1))])
+    turn = path[starts + size] - path[starts]
+    most = turn >= 0.5 * np.quantile(turn, 0.98) if len(turn) else turn > 0
+    return starts[most], size, u0[most], u1[most]
+
+
+def _angle(u: Array, v: Array) -> float:
+    """Median angle between the rows, rad."""
+    return float(np.median(np.arccos(np.clip(np.sum(u * v, axis=1), -1, 1))))
+
+
+def _tilt_errors(t: Array, gyro: Array, accel: Array, factors: tuple[float, ...]) -> list[float]:
+    """Median error, rad, of the gravity direction predicted by the gyro times each factor.
+
+    Empty where there are fewer than five windows to judge by.
+    """
+    starts, size, u0, u1 = _calm_windows(t, gyro, accel)
+    if len(starts) < 5:
+        return []
+    dt, errors = np.diff(t), []
+    for factor in factors:
+        u = u0
+        for k in range(size):
+            row = starts + k
+            u = _turned(u, factor * 0.5 * (gyro[row] + gyro[row + 1]) * dt[row, None])
+        errors.append(_angle(u, u1))
+    return errors
+
+
+def check_gyro_unit(t: Array, gyro: Array, accel: Array) -> list[str]:
+    """The gyro must explain how the direction of gravity turns. accel in m/s^2.
+
+    Returns warnings. Errors: InputError if another unit explains it far better.
+    """
+    errors = _tilt_errors(t, gyro, accel, (1.0, DEGREE, 1 / DEGREE))
+    if errors:
+        as_is, degrees, radians = errors
+        # Turning 57 times too fast ends anywhere, about a right angle off.
+        if as_is > 0.5 and degrees < 0.4 * as_is:
+            raise InputError(
+                "The gyroscope turns 57 times faster than gravity does: it is in deg/s, "
+                "not rad/s; give --units gyro=deg/s."
+            )
+        if as_is > 0.15 and radians < 0.4 * as_is:
+            raise InputError(
+                "Gravity turns 57 times faster than the gyroscope: it is in rad/s, "
+                "not deg/s; give --units gyro=rad/s."
+            )
+    fastest = float(np.abs(gyro).max())
+    if fastest > FASTEST_GYRO:
+        return [
+            f"The gyroscope reads up to {fastest:.0f} rad/s, more than most can measure: "
+            "check its unit (--units gyro=deg/s)."
+        ]
+    return []

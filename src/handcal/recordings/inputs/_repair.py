@@ -1,0 +1,219 @@
+"""From the columns of a file to a Recording: one clock, one time base, nothing silent.
+
+Whatever is repaired is said in Recording.warnings; what cannot be is an InputError.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from handcal.recordings.inputs._checks import (
+    check_accel_unit,
+    check_alive,
+    check_gyro_unit,
+    saturated,
+)
+from handcal.recordings.streams import STREAMS
+from handcal.types import Array, BoolArray, Imu, InputError, IntArray, Recording, Series
+
+SHORTEST_S, FEWEST = 2.0, 50
+IMPOSSIBLE = 1e7  # in no stream's unit is this a reading
+# Smaller extremes than these are no full scale (125 deg/s and 2 g are the smallest made).
+SMALLEST_GYRO, SMALLEST_ACCEL = 2.0, 17.0
+
+
+@dataclass(frozen=True)
+class Columns:
+    """One sensor as the file gave it, in SI.
+
+    ns: (n,) stamps, ns since 1970 or since any other moment; value: (n, d);
+    valid: (n,) False where the file itself says that this is no measurement.
+    """
+
+    ns: IntArray
+    value: Array
+    valid: BoolArray
+
+    def rows(self, which: BoolArray | IntArray) -> Columns:
+        return Columns(self.ns[which], self.value[which], self.valid[which])
+
+
+def columns(ns: IntArray, value: Array, valid: BoolArray | None = None) -> Columns:
+    """Columns, all of them valid unless told."""
+    return Columns(ns, value, np.ones(len(ns), dtype=np.bool_) if valid is None else valid)
+
+
+def nanoseconds(seconds: Array, factor: float = 1e9) -> IntArray:
+    """Stamps as whole ns. Errors: InputError beyond what 64 bits hold."""
+    if not np.all(np.abs(seconds) < 9e18 / factor):
+        raise InputError("A time stamp is not a number or further away than 280 years.")
+    return np.rint(seconds * factor).astype(np.int64)
+
+
+def assemble(
+    path: Path,
+    gyro: Columns,
+    accel: Columns,
+    streams: Mapping[str, Columns],
+    warnings: tuple[str, ...] = (),
+) -> Recording:
+    """One Recording on the gyro's stamps, the accelerometer interpolated onto them.
+
+    gyro, accel (n, 3); streams as in types.Series. Errors: InputError.
+    """
+    said = list(warnings)
+    if len(gyro.ns) == len(accel.ns) and np.array_equal(gyro.ns, accel.ns):
+        both = columns(gyro.ns, np.hstack([gyro.value, accel.value]), gyro.valid & accel.valid)
+        both = _masked(_clean(both, "IMU", said), "IMU", said)
+        ns, rates, force, valid = both.ns, both.value[:, :3], both.value[:, 3:], both.valid
+    else:
+        gyro = _masked(_clean(gyro, "gyroscope", said), "gyroscope", said)
+        accel = _masked(_clean(accel, "accelerometer", said), "accelerometer", said)
+        gyro, force, valid = _on_gyro_stamps(gyro, accel, said)
+        ns, rates = gyro.ns, gyro.value
+    t = (ns - ns[0]) / 1e9
+    if len(t) < FEWEST or t[-1] < SHORTEST_S:
+        raise InputError(
+            f"{path} holds {len(t)} IMU samples over {t[-1]:.1f} s; "
+            f"at least {FEWEST} over {SHORTEST_S:.0f} s are needed."
+        )
+    said += check_alive(rates, force)
+    rate_hz = 1 / float(np.median(np.diff(t)))
+    said += check_accel_unit(force, rate_hz) + check_gyro_unit(t, rates, force)
+    said += _gap_warning(t)
+    series = {}
+    for name, stream in streams.items():
+        one = _series(name, stream, int(ns[0]), int(ns[-1]), said)
+        if one is not None:
+            series[name] = one
+    imu = Imu(t, np.ascontiguousarray(rates), np.ascontiguousarray(force), valid)
+    # Stamps before 1973 count from something else than 1970: boot, or the start.
+    start_ns = int(ns[0]) if ns[0] > 10**17 else 0
+    return Recording(str(path), imu, series, start_ns, tuple(said))
+
+
+def _clean(raw: Columns, name: str, said: list[str]) -> Columns:
+    """Finite rows with increasing stamps. Errors: InputError if none, or time is a mess."""
+    finite = np.all(np.abs(raw.value) < IMPOSSIBLE, axis=1)
+    bad = len(finite) - int(finite.sum())
+    if bad:
+        said.append(f"{name}: {bad} rows with NaN, infinite or impossible values were dropped.")
+        raw = raw.rows(finite)
+    if len(raw.ns) == 0:
+        raise InputError(f"There is not one {name} reading in this recording.")
+    backwards = raw.ns[:-1] - raw.ns[1:]
+    count = int((backwards > 0).sum())
+    if count:
+        worst = float(backwards.max()) / 1e9
+        if count > max(3, 0.01 * len(raw.ns)) or worst > 0.5:
+            raise InputError(
+                f"{name}: time runs backwards {count} times, by up to {worst:.3g} s: "
+                "these stamps cannot be put in order."
+            )
+        said.append(f"{name}: {count} readings came late (up to {worst:.3g} s) and were sorted.")
+        raw = raw.rows(np.argsort(raw.ns, kind="stable"))
+    repeated = np.diff(raw.ns, prepend=raw.ns[0] - 1) == 0
+    if repeated.any():
+        said.append(f"{name}: {int(repeated.sum())} readings with a repeated stamp were dropped.")
+        raw = raw.rows(~repeated)
+    return raw
+
+
+def _masked(raw: Columns, name: str, said: list[str]) -> Columns:
+    """Columns with saturated readings marked as not valid. (n, 3), or (n, 6) gyro and accel."""
+    clipped = np.zeros(len(raw.ns), dtype=np.bool_)
+    if name != "accelerometer":
+        clipped |= saturated(raw.value[:, :3], SMALLEST_GYRO)
+    if name != "gyroscope":
+        clipped |= saturated(raw.value[:, -3:], SMALLEST_ACCEL)
+    if clipped.any():
+        said.append(
+            f"{name}: {int(clipped.sum())} samples sit at the end of the measuring range "
+            "(saturated) and are not trusted."
+        )
+    return replace(raw, valid=raw.valid & ~clipped)
+
+
+def _on_gyro_stamps(
+    gyro: Columns, accel: Columns, said: list[str]
+) -> tuple[Columns, Array, BoolArray]:
+    """Gyro over the common time, the specific force at its stamps, and which are valid."""
+    common = (gyro.ns >= accel.ns[0]) & (gyro.ns <= accel.ns[-1])
+    if not common.any():
+        raise InputError("Gyroscope and accelerometer have no time in common.")
+    lost = len(common) - int(common.sum())
+    if lost:
+        said.append(f"{lost} gyroscope readings outside the accelerometer's time were dropped.")
+    gyro = gyro.rows(common)
+    zero = gyro.ns[0]
+    t, ta = (gyro.ns - zero) / 1e9, (accel.ns - zero) / 1e9
+    force = np.column_stack([np.interp(t, ta, axis) for axis in accel.value.T])
+    right = np.searchsorted(accel.ns, gyro.ns, side="left")
+    left = np.where(accel.ns[right] == gyro.ns, right, right - 1)
+    # A straight line across a gap is not a measurement.
+    gap = ta[right] - ta[left] > _gap_limit(ta)
+    if gap.any():
+        said.append(f"accelerometer: {int(gap.sum())} readings inside its gaps are not trusted.")
+    return gyro, force, gyro.valid & accel.valid[left] & accel.valid[right] & ~gap
+
+
+def _gap_limit(t: Array) -> float:
+    return 5 * float(np.median(np.diff(t))) if len(t) > 1 else 0.0
+
+
+def _gap_warning(t: Array) -> list[str]:
+    steps = np.diff(t)
+    count = int((steps > _gap_limit(t)).sum())
+    if not count:
+        return []
+    at = int(np.argmax(steps))
+    return [
+        f"The IMU has {count} gap{'s' if count > 1 else ''}, the longest of "
+        f"{steps[at]:.3g} s at {t[at]:.1f} s."
+    ]
+
+
+def _series(name: str, raw: Columns, first_ns: int, last_ns: int, said: list[str]) -> Series | None:
+    """A further stream over the IMU's time, or None if nothing of it is left."""
+    raw = raw.rows(raw.valid)
+    if not np.all(np.abs(raw.value) < IMPOSSIBLE, axis=1).any():
+        said.append(f"{name}: not one usable reading; the stream was left out.")
+        return None
+    raw = _clean(raw, name, said)
+    row = STREAMS[name]
+    if row.inertial:
+        raw = _masked(raw, name, said)
+        raw = raw.rows(raw.valid)
+    inside = (raw.ns >= first_ns) & (raw.ns <= last_ns)
+    if not inside.any():
+        said.append(f"{name}: no reading within the IMU's time; the stream was left out.")
+        return None
+    raw = raw.rows(inside)
+    value = raw.value
+    if row.circular:
+        value = value - 2 * np.pi * np.ceil((value - np.pi) / (2 * np.pi))
+    if row.posed:
+        raw, value = _unit_quaternions(name, raw, said)
+        if not len(value):
+            return None
+    return Series((raw.ns - first_ns) / 1e9, np.ascontiguousarray(value))
+
+
+def _unit_quaternions(name: str, raw: Columns, said: list[str]) -> tuple[Columns, Array]:
+    """Poses (m, 7) with unit quaternions that do not jump to their negative."""
+    norm = np.linalg.norm(raw.value[:, 3:], axis=1)
+    usable = norm > 0.1
+    if not usable.all():
+        said.append(f"{name}: {int((~usable).sum())} rows without an orientation were dropped.")
+        raw, norm = raw.rows(usable), norm[usable]
+    q = raw.value[:, 3:].copy()
+    # Nothing changes on the second reading: a recording written and read again stays equal.
+    off = np.abs(norm - 1) > 1e-9
+    q[off] /= norm[off, None]
+    flips = np.where(np.sum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0)
+    q[1:] *= np.cumprod(flips)[:, None]
+    return raw, np.hstack([raw.value[:, :3], q])

@@ -1,0 +1,132 @@
+"""Which topic is which stream, and from the topics' messages to a Recording."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from handcal.recordings.inputs._messages import Decoded
+from handcal.recordings.inputs._options import Options
+from handcal.recordings.inputs._repair import Columns, assemble, columns
+from handcal.recordings.streams import STREAMS, TWINS, Stream
+from handcal.types import Array, InputError, IntArray, Recording
+
+
+@dataclass(frozen=True)
+class Part:
+    """Some messages of a topic. order (n,): where in the file; log_ns (n,)."""
+
+    order: IntArray
+    log_ns: IntArray
+    decoded: Decoded
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A channel of the file. schema as in a row of STREAMS; parts: empty if not decoded."""
+
+    name: str
+    schema: str
+    encoding: str
+    parts: tuple[Part, ...]
+
+
+def recording_from_topics(
+    path: Path, topics: Sequence[Topic], options: Options, warnings: tuple[str, ...]
+) -> Recording:
+    """Assign the topics to streams and assemble them. Errors: InputError."""
+    chosen = _chosen(path, topics, options)
+    named = {
+        stream: _columns([topic for topic in topics if topic.name == name and topic.parts])
+        for stream, name in chosen.items()
+    }
+    imu = named.pop("imu")
+    value = imu.value * _factors(STREAMS["imu"], options)
+    gyro = columns(imu.ns, value[:, :3], imu.valid)
+    accel = columns(imu.ns, value[:, 3:], imu.valid)
+    streams = {}
+    for stream, raw in named.items():
+        row = STREAMS[stream]
+        value = raw.value if row.decode is None else row.decode(raw.value)
+        if row.quantities:
+            value = value * _factors(row, options)
+        streams[stream] = columns(raw.ns, value, raw.valid)
+    return assemble(path, gyro, accel, streams, warnings)
+
+
+def _factors(row: Stream, options: Options) -> Array:
+    """From the file's units to SI, of each column."""
+    factors = [options.factor(quantity) for quantity in row.quantities]
+    return np.repeat(factors, len(row.columns) // len(factors))
+
+
+def _columns(channels: Sequence[Topic]) -> Columns:
+    """The messages of one topic in the order of the file, stamped. Header time, else log time."""
+    parts = [part for channel in channels for part in channel.parts]
+    order = np.argsort(np.concatenate([p.order for p in parts]), kind="stable")
+    stamp = np.concatenate([p.decoded.stamp for p in parts])[order]
+    if not stamp.any():
+        stamp = np.concatenate([p.log_ns for p in parts])[order]
+    value = np.concatenate([p.decoded.value for p in parts])[order]
+    return columns(stamp, value, np.concatenate([p.decoded.valid for p in parts])[order])
+
+
+def _chosen(path: Path, topics: Sequence[Topic], options: Options) -> Mapping[str, str]:
+    """Topic by stream. Errors: InputError if there is no IMU, or several that fit."""
+    chosen = {s: name for s, name in options.topics.items() if name}
+    by_schema: dict[str, list[str]] = {}
+    for topic in topics:
+        names = by_schema.setdefault(topic.schema, [])
+        if topic.parts and topic.name not in names:
+            names.append(topic.name)
+    for stream, name in chosen.items():
+        schema = STREAMS[stream].message.schema
+        if name not in by_schema.get(schema, ()):
+            raise InputError(
+                f"--topic {stream}={name}: {path} has no such topic with messages of "
+                f"{schema}; {_listing(topics)}."
+            )
+    # What models say was read, beside what was read, is taken only where it is chosen.
+    apart = tuple(f"{begin}/" for begin in TWINS)
+    # Those with a name first: what is left of their schema is then more easily the other.
+    for row in sorted(STREAMS.values(), key=lambda row: not row.named):
+        if row.name in options.topics:
+            continue
+        free = [n for n in by_schema.get(row.message.schema, ()) if n not in chosen.values()]
+        free = [n for n in free if not n.startswith(apart)]
+        fitting = _fitting(free, row, path)
+        if fitting is not None:
+            chosen[row.name] = fitting
+    if "imu" not in chosen:
+        raise InputError(
+            f"{path} has no IMU: no messages of sensor_msgs/msg/Imu in cdr or json; "
+            f"{_listing(topics)}."
+        )
+    return chosen
+
+
+def _fitting(free: list[str], row: Stream, path: Path) -> str | None:
+    """The one topic for a stream; by its usual name where several have the schema."""
+    usual, spare = row.topic, row.named and row.inertial  # (there must be one for the IMU)
+    for named in ([n for n in free if n == usual], [n for n in free if n.endswith(usual)]):
+        if len(named) == 1 and (len(free) > 1 or not spare):
+            return named[0]
+    if row.named or not free:
+        return None
+    if len(free) == 1:
+        return free[0]
+    raise InputError(
+        f"{path} has several topics that could be {row.name}: {', '.join(sorted(free))}; "
+        f"choose one with --topic {row.name}={sorted(free)[0]}."
+    )
+
+
+def _listing(topics: Sequence[Topic]) -> str:
+    if not topics:
+        return "it holds no topics"
+    held = sorted({f"{t.name} ({t.schema or 'no schema'}, {t.encoding})" for t in topics})
+    more = f" and {len(held) - 12} more" if len(held) > 12 else ""
+    return f"it holds {', '.join(held[:12])}{more}"

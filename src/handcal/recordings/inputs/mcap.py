@@ -1,0 +1,287 @@
+"""MCAP files with ROS 2 messages (CDR or JSON), the format of handcal's own recordings.
+
+The file is walked record by record and not through its index, so that a truncated one
+gives what it holds. Every length in it is checked against what is really there before
+memory is spent: 16 kB of hostile file can ask for a gigabyte.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+from typing import BinaryIO
+
+import lz4.frame
+import numpy as np
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, DataEnd, Schema, Statistics
+
+from handcal.recordings.inputs._messages import (
+    ByteArray,
+    decode_cdr,
+    decode_json,
+    joined,
+    schema_key,
+)
+from handcal.recordings.inputs._options import Options
+from handcal.recordings.inputs._topics import Part, Topic, recording_from_topics
+from handcal.recordings.streams import message_of
+from handcal.types import InputError, IntArray, Recording
+
+UNDERSTOOD = "MCAP with ROS 2 messages (.mcap)"
+MAGIC = b"\x89MCAP0\r\n"
+LARGEST_CHUNK = 128 * 2**20
+# Beyond a few MiB nothing that sensors write shrinks to a thousandth.
+LARGEST_RATIO, RATIO_FROM = 1000, 4 * 2**20
+_MESSAGE = int(Opcode.MESSAGE)  # compared once a message: an enum is slow
+_DAMAGED = (struct.error, EndOfFile, UnicodeDecodeError, OverflowError)
+
+
+@dataclass
+class _Walk:
+    """What has been found in the file so far."""
+
+    path: Path
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    found: dict[int, list[Part]] = field(default_factory=dict)
+    base: int = 0
+    messages: int = 0
+    stated: int | None = None
+    complete: bool = False
+
+
+def can_read(path: Path) -> bool:
+    """By its first bytes, or by its name, so that a damaged one gets a fitting message."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(8) == MAGIC or path.suffix.lower() == ".mcap"
+
+
+def read(path: Path, options: Options) -> Recording:
+    """Read the recording; truncated files as far as they go. Errors: InputError."""
+    walk = _Walk(path)
+    with path.open("rb") as file:
+        if file.read(8) != MAGIC:
+            raise InputError(f"{path} is not an MCAP file, or its first bytes are damaged.")
+        loose: list[bytes] = []
+        for opcode, content in _records(file, walk, options):
+            if opcode == Opcode.CHUNK:
+                _take_records(_unpacked(walk, content), walk)
+            else:
+                loose.append(struct.pack("<BQ", opcode, len(content)) + content)
+            if len(loose) > 4000 or (loose and opcode in (Opcode.CHUNK, Opcode.DATA_END)):
+                _take_records(b"".join(loose), walk)
+                loose = []
+        _take_records(b"".join(loose), walk)
+    return recording_from_topics(path, _topics(walk), options, _warnings(walk))
+
+
+def _warnings(walk: _Walk) -> tuple[str, ...]:
+    if not walk.complete:
+        return (
+            "The file ends early or is damaged towards its end: "
+            f"{walk.messages} messages were recovered.",
+        )
+    if walk.stated is not None and walk.stated != walk.messages:
+        return (f"The file says it holds {walk.stated} messages, but {walk.messages} were found.",)
+    return ()
+
+
+def _records(file: BinaryIO, walk: _Walk, options: Options) -> Iterator[tuple[int, bytes]]:
+    """Top-level records of the data section that matter, with its checksum checked."""
+    size = file.seek(0, 2)
+    position = file.seek(8)
+    crc, data_section = zlib.crc32(MAGIC), True
+    while True:
+        head = file.read(9)
+        if len(head) < 9:
+            return
+        opcode, length = struct.unpack("<BQ", head)
+        if opcode == 0 or length > size - position - 9:
+            return
+        if opcode == Opcode.FOOTER:
+            walk.complete = True
+            options.progress(1.0)
+            return
+        content = b""
+        before = crc
+        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK):
+            content = _bounded(file, length, walk)
+            crc = zlib.crc32(content, zlib.crc32(head, crc))
+        elif opcode in (Opcode.DATA_END, Opcode.STATISTICS):
+            content = file.read(min(length, 2**20))
+            file.seek(position + 9 + length)
+        elif data_section:
+            crc = _skipped(file, length, zlib.crc32(head, crc))
+        else:
+            file.seek(length, 1)
+        position += 9 + length
+        if opcode == Opcode.DATA_END:
+            data_section = False
+            _check_data_crc(content, before, walk)
+        elif opcode == Opcode.STATISTICS:
+            walk.stated = _statistics(content)
+        elif data_section and content:
+            yield opcode, content
+            options.progress(position / size)
+
+
+def _bounded(file: BinaryIO, length: int, walk: _Walk) -> bytes:
+    if length > LARGEST_CHUNK:
+        raise InputError(
+            f"{walk.path} has a record of {length / 2**20:.0f} MiB, more than the "
+            f"{LARGEST_CHUNK // 2**20} MiB that are read at once: write it with smaller chunks."
+        )
+    return file.read(length)
+
+
+def _skipped(file: BinaryIO, length: int, crc: int) -> int:
+    """Pass over a record (an attachment may be large), keeping the checksum."""
+    while length > 0:
+        block = file.read(min(length, 2**20))
+        crc, length = zlib.crc32(block, crc), length - len(block)
+    return crc
+
+
+def _check_data_crc(content: bytes, crc: int, walk: _Walk) -> None:
+    try:
+        stated = DataEnd.read(ReadDataStream(BytesIO(content))).data_section_crc
+    except _DAMAGED:
+        return
+    if stated not in (0, crc):
+        raise InputError(
+            f"{walk.path} is damaged: the checksum of its data section is wrong "
+            "(at least one byte was flipped)."
+        )
+
+
+def _statistics(content: bytes) -> int | None:
+    try:
+        return int(Statistics.read(ReadDataStream(BytesIO(content))).message_count)
+    except _DAMAGED:
+        return None
+
+
+def _unpacked(walk: _Walk, content: bytes) -> bytes:
+    """The records of a chunk, decompressed within bounds and checked. Errors: InputError."""
+    try:
+        chunk = Chunk.read(ReadDataStream(BytesIO(content)))
+    except _DAMAGED as error:
+        raise InputError(f"{walk.path} is damaged: a chunk's header makes no sense.") from error
+    size, packed = chunk.uncompressed_size, chunk.data
+    if size > LARGEST_CHUNK or size > max(RATIO_FROM, LARGEST_RATIO * len(packed)):
+        raise InputError(
+            f"{walk.path} has a chunk that would unpack from {len(packed)} bytes to "
+            f"{size / 2**20:.0f} MiB; it was not unpacked."
+        )
+    data = _decompressed(walk, chunk.compression, packed, size)
+    if len(data) != size:
+        raise InputError(f"{walk.path} has a chunk that lies about its size; it was not read.")
+    if chunk.uncompressed_crc not in (0, zlib.crc32(data)):
+        raise InputError(
+            f"{walk.path} is damaged: the checksum of a chunk is wrong "
+            "(at least one byte was flipped)."
+        )
+    return data
+
+
+def _decompressed(walk: _Walk, compression: str, packed: bytes, size: int) -> bytes:
+    """At most `size` bytes, or one more. The frame's own header may lie as well."""
+    if compression == "":
+        return packed
+    try:
+        if compression == "zstd":
+            stated = zstandard.get_frame_parameters(packed).content_size
+            if stated not in (size, zstandard.CONTENTSIZE_UNKNOWN):
+                raise InputError(f"{walk.path} has a chunk that lies about its size.")
+            return zstandard.ZstdDecompressor().decompress(packed, max_output_size=size)
+        if compression == "lz4":
+            unpacked: bytes = lz4.frame.LZ4FrameDecompressor().decompress(packed, size + 1)
+            return unpacked
+    except (zstandard.ZstdError, RuntimeError, EOFError) as error:
+        raise InputError(f"{walk.path} is damaged: a chunk cannot be decompressed.") from error
+    raise InputError(
+        f"{walk.path} is compressed with {compression[:40]!r}; zstd, lz4 and none are understood."
+    )
+
+
+def _take_records(data: bytes, walk: _Walk) -> None:
+    """Schemas, channels and messages of a chunk. Errors: InputError."""
+    read_head, position, end = struct.Struct("<BQH").unpack_from, 0, len(data)
+    places: dict[int, tuple[list[int], list[int]]] = {}
+    while position + 11 <= end:
+        opcode, length, channel = read_head(data, position)
+        following = position + 9 + length
+        if following > end:
+            raise InputError(f"{walk.path} is damaged: a record reaches beyond its chunk.")
+        if opcode == _MESSAGE and length >= 22:
+            starts, lengths = places.setdefault(channel, ([], []))
+            starts.append(position + 31)
+            lengths.append(length - 22)
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            _register(opcode, data[position + 9 : following], walk)
+        position = following
+    buffer = np.frombuffer(data, dtype=np.uint8)
+    for channel, (starts, lengths) in places.items():
+        walk.messages += len(starts)
+        _decode(buffer, channel, np.array(starts), np.array(lengths), walk)
+    walk.base += end
+
+
+def _register(opcode: int, content: bytes, walk: _Walk) -> None:
+    try:
+        if opcode == Opcode.SCHEMA:
+            schema = Schema.read(ReadDataStream(BytesIO(content)))
+            walk.schemas[schema.id] = schema
+        else:
+            channel = Channel.read(ReadDataStream(BytesIO(content)))
+            walk.channels[channel.id] = channel
+    except _DAMAGED as error:
+        raise InputError(f"{walk.path} is damaged: a schema or channel is illegible.") from error
+
+
+def _decode(buffer: ByteArray, id: int, starts: IntArray, lengths: IntArray, walk: _Walk) -> None:
+    """Decode the messages of one channel, if handcal knows their schema."""
+    channel = walk.channels.get(id)
+    layout = message_of(_schema_name(walk, channel)) if channel else None
+    if channel is None or layout is None or channel.topic.startswith("/truth/"):
+        return
+    # A message follows its log time and publish time (8 bytes each).
+    log = buffer[(starts - 16)[:, None] + np.arange(8)].view("<u8")[:, 0]
+    if np.any(log > 9 * 10**18):
+        raise InputError(f"A log time on {channel.topic} is further away than 280 years.")
+    log_ns = log.astype(np.int64)
+    parts = walk.found.setdefault(id, [])
+    if channel.message_encoding == "json":
+        texts = [buffer[s : s + n].tobytes() for s, n in zip(starts, lengths, strict=True)]
+        decoded = joined([decode_json(text, layout, channel.topic) for text in texts])
+        parts.append(Part(walk.base + starts, log_ns, decoded))
+    elif channel.message_encoding == "cdr":
+        for length in np.unique(lengths):
+            same = np.flatnonzero(lengths == length)
+            block = buffer[starts[same][:, None] + np.arange(length)]
+            for rows, decoded in decode_cdr(block, layout, channel.topic):
+                of = same[rows]
+                parts.append(Part(walk.base + starts[of], log_ns[of], decoded))
+
+
+def _schema_name(walk: _Walk, channel: Channel) -> str:
+    schema = walk.schemas.get(channel.schema_id)
+    return schema_key(schema.name) if schema else ""
+
+
+def _topics(walk: _Walk) -> list[Topic]:
+    return [
+        Topic(c.topic, _schema_name(walk, c), c.message_encoding, tuple(walk.found.get(id, ())))
+        for id, c in walk.channels.items()
+        if not c.topic.startswith("/truth/")
+    ]

@@ -1,0 +1,240 @@
+"""Plain CSV: one header line that names the columns, one row a sample.
+
+Header names, in any case: ``t`` or ``time``; ``gx gy gz``, ``ax ay az``, ``mx my mz``,
+``temp``, ``heading``; or long ones such as ``Gyroscope X``. A unit may follow in round or
+square brackets, as in ``Gyroscope X (deg/s)``; without one it is SI (s, rad/s, m/s^2, tesla, degC,
+rad), and ``--units`` overrules both. Separators: comma, semicolon, tab. Empty cells are
+readings that were not taken.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from itertools import islice
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+
+from handcal.recordings.inputs._options import Options, parse_unit, quantities
+from handcal.recordings.inputs._repair import Columns, assemble, columns, nanoseconds
+from handcal.recordings.streams import STREAMS, Stream
+from handcal.types import Array, InputError, IntArray, Recording
+
+UNDERSTOOD = "plain CSV with columns t, gx, gy, gz, ax, ay, az (.csv)"
+_ROWS_AT_ONCE = 20_000
+_IMU = {
+    "gyro": ("g", "gyro", "gyroscope", "w", "angularvelocity"),
+    "accel": ("a", "acc", "accel", "accelerometer", "linearacceleration"),
+}
+_TIMES = ("t", "time", "timestamp")
+
+
+def _axes(row: Stream) -> tuple[str, ...]:
+    """What follows the name in a header: nothing where there is one column."""
+    return row.columns if len(row.columns) > 1 else ("",)
+
+
+def _names() -> dict[str, tuple[str, str]]:
+    """Quantity and axis by what a column is called."""
+    out = dict.fromkeys(_TIMES, ("time", ""))
+    out |= {n + axis: (q, axis) for q, names in _IMU.items() for n in names for axis in "xyz"}
+    for row in STREAMS.values():
+        out |= {name + axis: (row.name, axis) for name in row.csv for axis in _axes(row)}
+    return out
+
+
+def _expected() -> str:
+    more = [row.csv[0] + axis for row in STREAMS.values() if row.csv for axis in _axes(row)]
+    return f"t, gx, gy, gz, ax, ay, az and, if there, {', '.join(more)}"
+
+
+def can_read(path: Path) -> bool:
+    """By its name; what the header lacks is better said than guessed."""
+    return path.is_file() and path.suffix.lower() in (".csv", ".tsv")
+
+
+def read(path: Path, options: Options) -> Recording:
+    """Read the recording. Errors: InputError."""
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        header = file.readline().lstrip("#").rstrip("\r\n")
+        separator = max(",;\t", key=header.count)
+        names = [cell.strip().strip('"') for cell in header.split(separator)]
+        places, units, warnings = _understood(path, names)
+        units = {quantity: options.units.get(quantity, unit) for quantity, unit in units.items()}
+        ns, values = _table(file, path, separator, places, units, options)
+    taken = {quantity: values[:, at] for quantity, at in _slices(places).items()}
+    streams: dict[str, Columns] = {}
+    for quantity, value in taken.items():
+        value *= quantities()[quantity][units[quantity]]
+        if quantity not in ("gyro", "accel"):
+            streams[quantity] = _measured(quantity, columns(ns, value), warnings)
+    gyro, accel = columns(ns, taken["gyro"]), columns(ns, taken["accel"])
+    return assemble(path, gyro, accel, streams, tuple(warnings))
+
+
+def _understood(
+    path: Path, names: list[str]
+) -> tuple[dict[tuple[str, str], int], dict[str, str], list[str]]:
+    """Column by quantity and axis, unit by quantity, warnings. Errors: InputError."""
+    places: dict[tuple[str, str], int] = {}
+    units: dict[str, str] = {}
+    unknown, known, choices = [], _names(), quantities()
+    for index, name in enumerate(names):
+        text, unit_text = _split_unit(name)
+        key = known.get(re.sub(r"[\s_.\-]", "", text.lower()))
+        if key is None or key in places:
+            unknown.append(name)
+            continue
+        unit = next(iter(choices[key[0]])) if unit_text is None else parse_unit(key[0], unit_text)
+        if unit is None or units.get(key[0], unit) != unit:
+            raise InputError(
+                f"{path}: the unit of column {name!r} is not understood or differs from its "
+                f"neighbours'; the units of {key[0]} are {', '.join(choices[key[0]])}."
+            )
+        places[key], units[key[0]] = index, unit
+    missing = [f"{q} {axis}".strip() for q, axis in _wanted(places) if (q, axis) not in places]
+    listed = ", ".join(repr(name[:40]) for name in unknown[:12])
+    if missing:
+        others = f" Not understood: {listed}." if unknown else ""
+        raise InputError(
+            f"{path} lacks columns for {', '.join(missing)}.{others} Expected: {_expected()}, "
+            "each with its unit in brackets if it is not SI."
+        )
+    return places, units, [f"Columns not used: {listed}."] if unknown else []
+
+
+def _split_unit(name: str) -> tuple[str, str | None]:
+    match = re.fullmatch(r"(.*?)\s*[(\[]([^()\[\]]*)[)\]]\s*", name)
+    return (match[1], match[2]) if match else (name, None)
+
+
+def _wanted(places: Mapping[tuple[str, str], int]) -> list[tuple[str, str]]:
+    """Columns that must be there: time, gyro, accel; of a further stream all or nothing."""
+    there = {quantity for quantity, _ in places}
+    wanted = [("time", "")] + [(sensor, axis) for sensor in _IMU for axis in "xyz"]
+    rows = [row for row in STREAMS.values() if row.name in there]
+    return wanted + [(row.name, axis) for row in rows for axis in _axes(row)]
+
+
+def _slices(places: Mapping[tuple[str, str], int]) -> dict[str, list[int]]:
+    """Where each quantity stands in the table that ``_table`` returns, which has no time."""
+    order = [key for key in places if key[0] != "time"]
+    return {
+        quantity: [order.index((quantity, a)) for a in _order(quantity) if (quantity, a) in order]
+        for quantity, _ in order
+    }
+
+
+def _order(quantity: str) -> tuple[str, ...]:
+    return _axes(STREAMS[quantity]) if quantity in STREAMS else ("x", "y", "z")
+
+
+def _table(
+    file: TextIO,
+    path: Path,
+    separator: str,
+    places: Mapping[tuple[str, str], int],
+    units: Mapping[str, str],
+    options: Options,
+) -> tuple[IntArray, Array]:
+    """Stamps (n,) ns and the other columns (n, k) in the order of places. Errors: InputError."""
+    size, done = max(1, path.stat().st_size), 0
+    stamps: list[IntArray] = []
+    tables: list[Array] = []
+    factor = quantities()["time"][units["time"]]
+    others = [index for key, index in places.items() if key[0] != "time"]
+    for number, lines in _blocks(file):
+        done += sum(map(len, lines))
+        if separator != ",":  # then a comma can only be a decimal sign
+            lines = [line.replace(",", ".") for line in lines]
+        values = _parsed(lines, separator, others, path, number)
+        stamps.append(_stamps(lines, separator, places["time", ""], factor, path, number))
+        tables.append(values)
+        options.progress(min(1.0, done / size))
+    if not stamps:
+        raise InputError(f"{path} has a header but no rows.")
+    options.progress(1.0)
+    return np.concatenate(stamps), np.concatenate(tables)
+
+
+def _blocks(file: TextIO) -> Iterator[tuple[int, list[str]]]:
+    """Rows that are not blank, with the number of the first line."""
+    number = 2
+    while lines := list(islice(file, _ROWS_AT_ONCE)):
+        rows = [line for line in lines if line.strip()]
+        if rows:
+            yield number, rows
+        number += len(lines)
+
+
+def _stamps(
+    lines: list[str], separator: str, column: int, factor: float, path: Path, number: int
+) -> IntArray:
+    """Whole numbers exactly: ns since 1970 do not fit into a float64."""
+    if factor < 1e9:
+        try:
+            whole = np.loadtxt(
+                lines, np.int64, delimiter=separator, usecols=[column], ndmin=1, comments=None
+            )
+            if np.abs(whole).max() < 9e18 / factor:
+                exact: IntArray = whole * int(factor)
+                return exact
+        except ValueError:
+            pass  # fractions of them, then
+    return nanoseconds(_parsed(lines, separator, [column], path, number)[:, 0], factor)
+
+
+def _parsed(lines: list[str], separator: str, usecols: list[int], path: Path, number: int) -> Array:
+    """Numbers (rows, columns); NaN for empty cells. Errors: InputError."""
+    for rows in (lines, None):
+        try:
+            table: Array = np.loadtxt(
+                _filled(lines, separator) if rows is None else rows,
+                delimiter=separator,
+                usecols=usecols,
+                ndmin=2,
+                comments=None,
+            )
+            return table
+        except ValueError as error:
+            problem = error
+    raise InputError(
+        f"{path}: the rows from line {number} are not all numbers in columns divided by "
+        f"{separator!r}; the first that is not: {_offender(lines, separator, usecols, number)}."
+    ) from problem
+
+
+def _offender(lines: list[str], separator: str, usecols: list[int], number: int) -> str:
+    """The first cell that is no number, and its line (blank ones not counted)."""
+    for k, line in enumerate(lines):
+        cells = [cell.strip() for cell in line.rstrip("\r\n").split(separator)]
+        if len(cells) <= max(usecols):
+            return f"line {number + k} has {len(cells)} columns"
+        for cell in (cells[c] for c in usecols):
+            try:
+                float(cell or "nan")
+            except ValueError:
+                return f"{cell[:40]!r} in line {number + k}"
+    return "unknown"
+
+
+def _filled(lines: list[str], separator: str) -> list[str]:
+    return [
+        separator.join(cell.strip() or "nan" for cell in line.rstrip("\r\n").split(separator))
+        for line in lines
+    ]
+
+
+def _measured(name: str, held: Columns, warnings: list[str]) -> Columns:
+    """A slower stream in a table is blank, or repeats itself until its next reading."""
+    blank = np.all(np.isnan(held.value), axis=1)
+    if blank.any() or len(held.ns) < 2:
+        return held.rows(~blank)
+    fresh = np.concatenate([[True], np.any(np.diff(held.value, axis=0) != 0, axis=1)])
+    # (what nothing observes is known between its readings, so repeating does no harm)
+    if not STREAMS[name].observation or fresh.mean() > 0.5:
+        return held
+    warnings.append(f"{name}: only the {int(fresh.sum())} rows in which it changes are used.")
+    return held.rows(fresh)

@@ -1,0 +1,260 @@
+"""Exports of the Sensor Logger app (iOS and Android): zip, folder of CSV files, or JSON.
+
+Units and signs differ between the systems. Android: m/s^2, screen up reads +9.81 on z.
+iOS: the other sign, and the uncalibrated accelerometer in g; unless the app was told to
+standardise, which makes everything as on Android. Metadata say which; without them, the
+magnitude at rest does. Only raw classes are fit for calibration: the others have had a
+changing bias taken out by the phone.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import zipfile
+import zlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from handcal.earth import STANDARD_GRAVITY
+from handcal.recordings.inputs._checks import rest_magnitude
+from handcal.recordings.inputs._options import Options
+from handcal.recordings.inputs._repair import IMPOSSIBLE, Columns, assemble, columns
+from handcal.types import InputError, IntArray, Recording
+
+UNDERSTOOD = "an export of the Sensor Logger app (zip, folder or JSON)"
+LARGEST_MEMBER = 512 * 2**20
+GYROS = ("GyroscopeUncalibrated", "Gyroscope")
+MAGS = ("MagnetometerUncalibrated", "Magnetometer")
+ACCELS = ("AccelerometerUncalibrated", "TotalAcceleration", "Accelerometer", "Gravity")
+SENSORS = (*GYROS, *MAGS, *ACCELS)
+
+
+@dataclass(frozen=True)
+class _Export:
+    """What the export holds: sensors as they are in it, and the platform if it says."""
+
+    sensors: Mapping[str, Columns]
+    platform: str
+    standardised: bool
+
+
+def can_read(path: Path) -> bool:
+    """By the names of the files in it, or by the first bytes of the JSON."""
+    if path.is_dir():
+        return any((path / f"{name}.csv").is_file() for name in SENSORS)
+    if zipfile.is_zipfile(path):
+        try:
+            with zipfile.ZipFile(path) as archive:
+                return any(_stem(name) in SENSORS for name in archive.namelist())
+        except (zipfile.BadZipFile, ValueError, NotImplementedError):
+            return False
+    with path.open("rb") as file:
+        start = file.read(4096).lstrip(b"\xef\xbb\xbf \t\r\n")
+    return start.startswith(b"[") and b'"sensor"' in start
+
+
+def read(path: Path, options: Options) -> Recording:
+    """Read the recording. Errors: InputError."""
+    if path.is_dir():
+        export = _from_folder(path, options)
+    elif zipfile.is_zipfile(path):
+        export = _from_zip(path, options)
+    else:
+        export = _from_json(path)
+    options.progress(1.0)
+    said = ["Sensor Logger states its units: --units was ignored."] if options.units else []
+    gyro = _first(export, GYROS, said)
+    if gyro is None:
+        held = ", ".join(sorted(export.sensors)) or "no motion sensor"
+        raise InputError(f"{path} has no gyroscope readings; it holds {held}.")
+    accel = _specific_force(path, export, said)
+    mag = _first(export, MAGS, said)
+    streams = {} if mag is None else {"mag": columns(mag.ns, mag.value * 1e-6)}
+    return assemble(path, gyro, accel, streams, tuple(said))
+
+
+def _first(export: _Export, names: tuple[str, str], said: list[str]) -> Columns | None:
+    """The raw class, or the corrected one with a warning, or None."""
+    raw, corrected = names
+    if raw in export.sensors:
+        return export.sensors[raw]
+    if corrected in export.sensors:
+        said.append(
+            f"{raw} is absent or empty: {corrected} is used, from which the phone may have "
+            "taken a changing bias."
+        )
+    return export.sensors.get(corrected)
+
+
+def _specific_force(path: Path, export: _Export, said: list[str]) -> Columns:
+    """Specific force in m/s^2 in Android's signs. Errors: InputError."""
+    sensors = export.sensors
+    apple = export.platform == "ios" and not export.standardised
+    if "AccelerometerUncalibrated" in sensors:
+        raw = sensors["AccelerometerUncalibrated"]
+        if not export.platform:
+            apple = _rest(raw) < 3.0
+            said.append(
+                f"No metadata: the accelerometer reads {_rest(raw):.2f} at rest, taken for "
+                + ("g in the signs of iOS." if apple else "m/s^2 in the signs of Android.")
+            )
+        return columns(raw.ns, raw.value * (-STANDARD_GRAVITY if apple else 1.0))
+    said.append("AccelerometerUncalibrated is absent or empty: a corrected one is used.")
+    if "TotalAcceleration" in sensors:
+        raw = sensors["TotalAcceleration"]
+    elif "Accelerometer" in sensors and "Gravity" in sensors:
+        raw = _sum(sensors["Accelerometer"], sensors["Gravity"])
+    else:
+        raise InputError(
+            f"{path} has no accelerometer with gravity in it: AccelerometerUncalibrated, "
+            "TotalAcceleration, or Accelerometer and Gravity are needed."
+        )
+    if not export.platform and "TotalAcceleration" not in sensors:
+        raise InputError(
+            f"{path} does not say whether it is from iOS or Android, which differ in sign: "
+            "Metadata.csv with a column platform is needed."
+        )
+    unit = STANDARD_GRAVITY if _rest(raw) < 3.0 else 1.0
+    return columns(raw.ns, raw.value * (-unit if apple else unit))
+
+
+def _sum(motion: Columns, gravity: Columns) -> Columns:
+    """Both come from one fusion, mostly with equal stamps; else gravity is interpolated."""
+    order = np.argsort(gravity.ns, kind="stable")
+    zero = int(motion.ns[0])
+    t, tg = (motion.ns - zero) / 1e9, (gravity.ns[order] - zero) / 1e9
+    inside = (t >= tg[0]) & (t <= tg[-1])
+    parts = [np.interp(t[inside], tg, axis) for axis in gravity.value[order].T]
+    return columns(motion.ns[inside], motion.value[inside] + np.column_stack(parts))
+
+
+def _rest(raw: Columns) -> float:
+    finite = raw.value[np.all(np.abs(raw.value) < IMPOSSIBLE, axis=1)]
+    return rest_magnitude(finite, 100.0) if len(finite) else 0.0
+
+
+def _stem(name: str) -> str:
+    """``folder/Gyroscope.csv`` is Gyroscope."""
+    last = name.replace("\\", "/").rsplit("/", 1)[-1]
+    return last[:-4] if last.lower().endswith(".csv") else ""
+
+
+def _from_folder(path: Path, options: Options) -> _Export:
+    files = [f for f in sorted(path.glob("*.csv")) if f.stem in (*SENSORS, "Metadata")]
+    texts = {}
+    for k, file in enumerate(files):
+        if file.stat().st_size > LARGEST_MEMBER:
+            raise InputError(f"{file} is too large to be read.")
+        texts[file.stem] = file.read_bytes()
+        options.progress((k + 0.5) / len(files))
+    return _from_texts(path, texts)
+
+
+def _from_zip(path: Path, options: Options) -> _Export:
+    """Members are read into memory by name and never written, whatever their paths say."""
+    texts: dict[str, bytes] = {}
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = [m for m in archive.infolist() if _stem(m.filename) in (*SENSORS, "Metadata")]
+            for k, member in enumerate(members):
+                if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                    raise InputError(f"{path}: the compression of {member.filename} is unknown.")
+                if member.flag_bits & 1:
+                    raise InputError(f"{path} is encrypted.")
+                with archive.open(member) as file:
+                    text = file.read(LARGEST_MEMBER + 1)
+                if sum(map(len, texts.values())) + len(text) > LARGEST_MEMBER:
+                    raise InputError(f"{path} would unpack to too much; it was not read.")
+                texts.setdefault(_stem(member.filename), text)
+                options.progress((k + 0.5) / len(members))
+    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, ValueError) as error:
+        raise InputError(f"{path} is a damaged zip file: {error}.") from error
+    return _from_texts(path, texts)
+
+
+def _from_texts(path: Path, texts: Mapping[str, bytes]) -> _Export:
+    sensors = {}
+    for name, content in texts.items():
+        table = (
+            None
+            if name == "Metadata"
+            else _table(path, name, content.decode("utf-8-sig", "replace"))
+        )
+        if table is not None:
+            sensors[name] = table
+    rows = csv.DictReader(io.StringIO(texts.get("Metadata", b"").decode("utf-8-sig", "replace")))
+    try:
+        return _export(sensors, next(iter(rows), {}))
+    except csv.Error as error:
+        raise InputError(f"{path}: Metadata.csv is damaged.") from error
+
+
+def _export(sensors: Mapping[str, Columns], metadata: Mapping[str, object]) -> _Export:
+    platform = str(metadata.get("platform", "")).strip().lower()
+    platform = "ios" if platform in ("ios", "iphone", "ipados") else platform
+    standardised = str(metadata.get("standardisation", "")).strip().lower() == "true"
+    return _Export(sensors, platform if platform in ("ios", "android") else "", standardised)
+
+
+def _table(path: Path, name: str, text: str) -> Columns | None:
+    """One sensor's CSV, or None if it has no rows. Errors: InputError."""
+    header, _, body = text.partition("\n")
+    names = [cell.strip().strip('"') for cell in header.split(",")]
+    lines = [line for line in body.splitlines() if line.strip()]
+    if not lines:
+        return None
+    if not {"time", "x", "y", "z"} <= set(names):
+        raise InputError(f"{path}: {name}.csv lacks one of the columns time, x, y, z.")
+    try:
+        ns = np.loadtxt(
+            lines, np.int64, delimiter=",", usecols=[names.index("time")], ndmin=1, comments=None
+        )
+        value = np.loadtxt(
+            lines, delimiter=",", usecols=[names.index(a) for a in "xyz"], ndmin=2, comments=None
+        )
+    except ValueError as error:
+        problem = str(error).split(";")[0]
+        raise InputError(f"{path}: {name}.csv is damaged: {problem[:200]}.") from error
+    return columns(_checked_ns(path, ns), value)
+
+
+def _checked_ns(path: Path, ns: IntArray) -> IntArray:
+    if np.any(ns > 9 * 10**18) or np.any(ns < 0):
+        raise InputError(f"{path} has a time stamp that is no time since 1970.")
+    return ns
+
+
+def _from_json(path: Path) -> _Export:
+    """An array of objects whose values are all strings, one object a reading."""
+    if path.stat().st_size > LARGEST_MEMBER:
+        raise InputError(f"{path} is too large to be read as JSON: export it as zip.")
+    try:
+        entries = json.loads(path.read_bytes())
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path} is not whole JSON: it may be truncated.") from error
+    if not isinstance(entries, list) or not all(isinstance(e, dict) for e in entries):
+        raise InputError(f"{path} is not an array of readings.")
+    rows: dict[str, list[dict[str, object]]] = {}
+    metadata: dict[str, object] = {}
+    for entry in entries:
+        name = str(entry.get("sensor"))
+        if name in SENSORS:
+            rows.setdefault(name, []).append(entry)
+        elif "platform" in entry:
+            metadata = entry
+    sensors = {name: _json_columns(path, name, found) for name, found in rows.items()}
+    return _export(sensors, metadata)
+
+
+def _json_columns(path: Path, name: str, found: Iterable[Mapping[str, object]]) -> Columns:
+    try:
+        ns = np.array([int(str(row["time"])) for row in found], dtype=np.int64)
+        value = np.array([[float(str(row[axis])) for axis in "xyz"] for row in found])
+    except (KeyError, ValueError, OverflowError) as error:
+        raise InputError(f"{path}: a reading of {name} lacks time, x, y or z.") from error
+    return columns(_checked_ns(path, ns), value)

@@ -1,0 +1,1 @@
+"""What people see: words, pictures, pages, the terminal, the dashboard."""

@@ -1,0 +1,1 @@
+"""A calibration in the terminal, as JSON and as a page."""

@@ -1,0 +1,232 @@
+"""Results as JSON and as a table in the terminal; the figures both share with the report."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from handcal import output
+from handcal.show import words
+from handcal.types import CALIBRATION_SCHEMA, Array, Innovations, Parameter, Recording, Result
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+# Where the contract's name differs from that of the noise level.
+NOISE_NAMES = {"sway": "hand_sway"}
+# Parameters that every recording has of its own.
+OWN = ("gyro_bias", "accel_bias")
+WIDE = 96  # columns of a terminal that has room for everything
+
+
+def finite(value: float | None) -> float | None:
+    """The number as JSON can hold it: None for what is not finite."""
+    return float(value) if value is not None and math.isfinite(value) else None
+
+
+def whiteness(innovations: Innovations) -> float | None:
+    """Lag-one autocorrelation of the standardised innovations, averaged over the channels.
+
+    0 for a filter that leaves nothing behind; None with fewer than three updates.
+    """
+    if innovations.t.size < 3:
+        return None
+    z = innovations.residual / innovations.sigma
+    power = (z * z).mean(0)
+    return finite(float(np.mean((z[1:] * z[:-1]).mean(0) / np.where(power > 0, power, 1.0))))
+
+
+def nis_band(dof: int) -> tuple[float, float]:
+    """2.5 % and 97.5 % points of chi-square per degree of freedom, for ``dof`` of them."""
+    from scipy.special import gammaincinv
+
+    low, high = (2.0 * float(gammaincinv(dof / 2, p)) / dof for p in (0.025, 0.975))
+    return low, high
+
+
+def windowed_nis(innovations: Innovations, window: int) -> tuple[Array, Array]:
+    """Running mean of NIS per degree of freedom over ``window`` updates.
+
+    Returns t (k - window + 1,) s, the last of each window, and the mean; with fewer
+    updates than ``window``, one mean over them all.
+    """
+    k, d = innovations.residual.shape
+    n = min(window, k)
+    total = np.concatenate([[0.0], np.cumsum(innovations.nis)])
+    return innovations.t[n - 1 :], (total[n:] - total[:-n]) / (n * d)
+
+
+def settled(residual: Array, sigma: Array) -> float:
+    """Half the height of a plot that shows residuals and 3 sigma, but for the first few."""
+    if residual.size == 0:
+        return 1.0
+    widest = max(np.quantile(3 * sigma, 0.9), np.quantile(np.abs(residual), 0.99))
+    return 1.25 * float(widest) or 1.0
+
+
+def gapped(t: Array, degrees: Array) -> tuple[Array, Array]:
+    """A curve of angles, t (k,) and degrees (k,), with a NaN where it jumps past +-180."""
+    cuts = np.flatnonzero(np.abs(np.diff(degrees)) > 180.0) + 1
+    return np.insert(t, cuts, 0.5 * (t[cuts - 1] + t[cuts])), np.insert(degrees, cuts, np.nan)
+
+
+def parameter_json(p: Parameter) -> dict[str, Any]:
+    """One entry of ``parameters``, as the contract has it."""
+    return {
+        "effect": p.effect,
+        "name": p.name,
+        "value": finite(p.value),
+        "sigma": finite(p.sigma),
+        "unit": p.unit,
+        "observable": bool(p.observable),
+        "converged_at_s": finite(p.converged_at_s),
+    }
+
+
+def untellable_json(parameters: Sequence[Parameter]) -> list[dict[str, Any]]:
+    """The contract's ``untellable``: what the recording cannot show."""
+    return [
+        {"effect": p.effect, "name": p.name, "sigma": finite(p.sigma), "unit": p.unit}
+        for p in parameters
+    ]
+
+
+def recording_json(recording: Recording, assume: str) -> dict[str, Any]:
+    """The contract's ``recording``."""
+    streams = {"imu": recording.imu.t} | {n: s.t for n, s in recording.streams.items()}
+    return {
+        "path": recording.path,
+        "duration_s": finite(recording.duration_s),
+        "imu_rate_hz": finite(recording.rate_hz),
+        "streams": {name: {"samples": int(t.size)} for name, t in streams.items()},
+        "assume": assume,
+    }
+
+
+def calibration_json(result: Result | Sequence[Result]) -> dict[str, Any]:
+    """The contract's ``calibrate --json``.
+
+    ``whiteness`` is the function of that name, for each kind of observation. For several
+    results of one fit, ``parameters`` holds the shared ones and ``recordings`` the rest.
+    """
+    if not isinstance(result, Result):
+        each = [calibration_json(r) for r in result]
+        if len(each) == 1:
+            return each[0]
+        shared = [p for p in result[0].parameters if p.effect not in OWN]
+        own = [
+            one | {"parameters": [p for p in one["parameters"] if p["effect"] in OWN],
+                   "untellable": [p for p in one["untellable"] if p["effect"] in OWN]}
+            for one in each
+        ]  # fmt: skip
+        return {
+            "schema": CALIBRATION_SCHEMA,
+            "parameters": [parameter_json(p) for p in shared],
+            "noise": [],
+            "fit": {"log_evidence": finite(result[0].log_evidence),
+                    "observations": sum(r.observations for r in result)},
+            "untellable": untellable_json([p for p in shared if not p.observable]),
+            "model": dict(result[0].model),
+            "recordings": [{k: v for k, v in one.items() if k != "model"} for one in own],
+            "warnings": [],
+        }  # fmt: skip
+    kinds = result.innovations
+    return {
+        "schema": CALIBRATION_SCHEMA,
+        "recording": recording_json(result.recording, result.assume),
+        "parameters": [parameter_json(p) for p in result.parameters],
+        "noise": [
+            {"name": NOISE_NAMES.get(n.name, n.name), "value": finite(n.value), "unit": n.unit}
+            for n in result.noise
+        ],
+        "fit": {
+            "log_evidence": finite(result.log_evidence),
+            "observations": result.observations,
+            "nis": {words.kind_name(kind): finite(i.mean_nis) for kind, i in kinds.items()},
+            "whiteness": {words.kind_name(kind): whiteness(i) for kind, i in kinds.items()},
+        },
+        "untellable": untellable_json([p for p in result.parameters if not p.observable]),
+        "model": dict(result.model),
+        "warnings": list(all_warnings(result)),
+    }
+
+
+def write_json(document: Any, path: str | Path) -> None:
+    """Write a JSON document, ``-`` meaning standard output. NaN is an error, not a token."""
+    text = json.dumps(document, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+    if str(path) == "-":
+        print(text, end="")
+    else:
+        output.write_text(path, text)
+
+
+def all_warnings(result: Result) -> tuple[str, ...]:
+    """What the reader repaired and what the filter remarked, each once."""
+    return tuple(dict.fromkeys((*result.recording.warnings, *result.warnings)))
+
+
+def print_summary(result: Result, console: Console) -> None:
+    """Verdict, parameters, consistency and what the motion could not show, in the terminal."""
+    from rich.markup import escape
+    from rich.padding import Padding
+
+    recording, judged = result.recording, words.verdict(result)
+    colour = {"good": "green", "partly": "yellow", "poor": "red"}[judged.level]
+    console.print(
+        f"[bold]{escape(recording.path)}[/]  {recording.duration_s:.1f} s at "
+        f"{recording.rate_hz:.0f} Hz; {words.counted(len(result.rests), 'rest')}"
+    )
+    console.print(f"[bold {colour}]{escape(judged.headline)}[/]")
+    for sentence in judged.sentences:
+        console.print(Padding(escape(sentence), (0, 0, 0, 2)))
+    console.print(_parameter_table(result, prior=console.width >= WIDE))
+    console.print(_kind_table(result))
+    for heading, sentences in (
+        ("What this motion could not show", words.not_shown(result)),
+        ("Warnings", all_warnings(result)),
+    ):
+        if sentences:
+            console.print(f"[bold]{heading}[/]")
+            for sentence in sentences:
+                console.print(Padding(escape(f"• {sentence}"), (0, 0, 0, 2)))
+
+
+def _parameter_table(result: Result, prior: bool) -> Any:
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("parameter", no_wrap=True)
+    for column in ("value", "± 1 sigma", *(["prior ±"] if prior else [])):
+        table.add_column(column, justify="right", no_wrap=True)
+    for column in ("unit", "seen", "settled"):
+        table.add_column(column)
+    for group in words.by_effect(result.parameters).values():
+        unit = words.shown_group(group)
+        for p in group:
+            at = "" if p.converged_at_s is None else f"{p.converged_at_s:.0f} s"
+            seen = "[green]yes[/]" if p.observable else "[yellow]no[/]"
+            row = (unit.value(p.value, p.sigma, sign=True), unit.value(p.sigma, p.sigma))
+            before = [unit.value(p.prior_sigma)] if prior else []
+            table.add_row(words.parameter_title(p), *row, *before, unit.unit, seen, at)
+    return table
+
+
+def _kind_table(result: Result) -> Any:
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("observation")
+    table.add_column("updates", justify="right")
+    table.add_column("NIS / dof", justify="right")
+    table.add_column("the filter is")
+    for kind, i in result.innovations.items():
+        nis = "–" if i.mean_nis is None else f"{i.mean_nis:.2f}"
+        table.add_row(words.kind_title(kind), str(i.t.size), nis, words.nis_word(i))
+    return table

@@ -1,0 +1,1 @@
+"""Designs of poses and motions as words, pictures and pages."""

@@ -1,0 +1,379 @@
+"""Figures of an ``Explanation``; how they are drawn is in ``drawing``.
+
+One colour, one meaning: ink is what was recorded, orange the plain model, blue the final
+one; what was found has a colour of its own in every figure, what was not is grey.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from handcal.explain.explanation import Explanation, Trace, Unnamed
+from handcal.show import words
+from handcal.show.calibration import summary
+from handcal.show.drawing import (
+    GRID,
+    INK,
+    MISS,
+    MUTED,
+    PURPLE,
+    RC,
+    RED,
+    SHADE,
+    WIDE,
+    WIDTH,
+    XYZ,
+    Plot,
+    canvas,
+    envelope,
+    legend,
+    shade,
+    svg,
+    thin,
+)
+from handcal.show.explanation import words as say
+from handcal.show.explanation.frames import (
+    by_gain,
+    cells,
+    found_effects,
+    lost,
+    mismatches,
+    missed,
+    ranked_traces,
+)
+from handcal.types import Array
+from handcal.units import shown
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+BEFORE, AFTER = XYZ[0], XYZ[2]
+FOUND = (XYZ[2], XYZ[1], PURPLE)
+DASHES = ("-", (0, (5, 2)), (0, (1.5, 1.5)))
+OTHERS = ("-", (0, (5, 2)), (0, (1.5, 1.5)), (0, (6, 2, 1.5, 2)))
+BARS = 16  # hypotheses in one figure
+CURVES = 6
+
+
+def effect_styles(explanation: Explanation) -> dict[str, tuple[str, Any]]:
+    """Colour and dashes of each effect that was found."""
+    return {e: (FOUND[i % 3], DASHES[i // 3 % 3]) for i, e in enumerate(found_effects(explanation))}
+
+
+def trace_plot(explanation: Explanation, recording: int, trace: Trace, wide: bool = False) -> Plot:
+    """Simulated against recorded, and below what is left of the difference."""
+    unit = say.channel_shown(trace.channel, [float(np.abs(trace.recorded).max(initial=0.0))])
+    where = [(m.from_s, m.to_s) for m in mismatches(explanation, recording, trace.channel)]
+    width, height = (WIDE, 4.8) if wide else (WIDTH, 4.2)
+    figure, (top, low) = canvas(2, height, width, ratios=(4, 5))
+    shade((top, low), where, MISS)
+    points = 900 if wide else 420
+    k = thin(trace.t.size, points)
+    one = say.one_model(explanation)
+    recorded = (trace.recorded, {"color": INK, "lw": 3.6, "alpha": 0.3, "label": "recorded"})
+    lines: tuple[tuple[Array, dict[str, Any]], ...] = (
+        recorded,
+        (trace.before, {"color": BEFORE, "lw": 1.2, "label": "plain model"}),
+        (trace.after, {"color": AFTER, "lw": 1.2, "ls": (0, (3, 2)), "label": "final model"}),
+    )
+    if one:
+        lines = (recorded, (trace.after, {"color": AFTER, "lw": 1.2, "label": "model"}))
+    for value, style in lines:
+        at, y = trace.t[k], unit.factor * value[k]
+        if trace.unit == "rad":
+            at, y = summary.gapped(at, y)
+        top.plot(at, y, **style)
+    band = unit.factor * trace.sigma
+    low.axhspan(-band, band, color=MUTED, alpha=0.22, lw=0, zorder=1)
+    differences = [unit.factor * missed(trace, m) for m in (trace.before, trace.after)]
+    shown_lines = list(zip(differences, (BEFORE, AFTER), strict=True))
+    for difference, colour in shown_lines[one:]:
+        low.plot(*envelope(trace.t, difference, points), color=colour, lw=1.1)
+    size = max(float(np.quantile(np.abs(d), 0.995)) for d in differences)
+    limit = 1.15 * max(size, 1.5 * band) or 1.0
+    low.set_ylim(-limit, limit)
+    top.set_ylabel(unit.unit)
+    low.set_ylabel("recorded − model")
+    for ax in (top, low):
+        ax.locator_params(axis="y", nbins=5)
+    figure.align_ylabels([top, low])
+    legend(top)
+    rms = [float(np.sqrt((d**2).mean())) for d in differences]
+    shown = [unit.value(v / unit.factor, 0.1 * max(rms) / unit.factor) for v in rms]
+    caption = f"The plain model is {shown[0]} {unit.unit} (rms) off, the final model {shown[1]}."
+    if shown[0] == shown[1]:
+        who = "The model is" if one else "Both models are"
+        caption = f"{who} {shown[0]} {unit.unit} (rms) off."
+    if not trace.before.any():
+        caption += f" Counted from what the {'model' if one else 'plain model'} expects."
+    if where:
+        caption += " Coloured ground: where the plain model falls short."
+    title = say.channel_title(trace.channel)
+    name = f"trace-{recording}-{trace.channel}-{wide}"
+    return Plot(title[:1].upper() + title[1:], caption, svg(figure, name))
+
+
+def heat_plot(explanation: Explanation, recording: int) -> Plot | None:
+    """Shortfall by channel and time; None where there is none to speak of."""
+    from matplotlib.patches import Patch, Rectangle
+
+    r = explanation.recordings[recording]
+    if r.bins.size < 2 or sum(lost(r).values()) < 1.0:
+        return None
+    bins, loss = cells(r)
+    rows = say.channels(dict.fromkeys(r.shortfall, 0.0))
+    largest = max(10.0, *(float(c.max()) for e in explanation.recordings
+                          if e.bins.size > 1 for c in cells(e)[1].values()))  # fmt: skip
+    total = sum(lost(e)[c] for e in explanation.recordings for c in lost(e)) or 1.0
+
+    def strength(nats: Array | float) -> Any:
+        return np.log1p(np.clip(nats, 0, None) / 2.0) / math.log1p(largest / 2.0)
+
+    figure, (ax,) = canvas(1, 1.25 + 0.27 * len(rows), WIDE)
+    for row, channel in enumerate(rows):
+        for start, end, nats in zip(bins[:-1], bins[1:], loss[channel], strict=True):
+            if (alpha := float(strength(nats))) > 0.03:
+                ax.add_patch(Rectangle((start, row - 0.42), end - start, 0.84, color=BEFORE,
+                                       alpha=round(alpha, 2), linewidth=0))  # fmt: skip
+        for m in mismatches(explanation, recording, channel):
+            ax.add_patch(Rectangle((m.from_s, row - 0.46), m.to_s - m.from_s, 0.92, fill=False,
+                                   edgecolor=INK, linewidth=1.1))  # fmt: skip
+        share = lost(r)[channel] / total
+        ax.text(1.008, row, say.whole_percent(share), transform=ax.get_yaxis_transform(),
+                va="center", fontsize=10, color=INK if share >= 0.1 else MUTED)  # fmt: skip
+    ax.set(xlim=(bins[0], bins[-1]), ylim=(len(rows) - 0.4, -0.6))
+    ax.set_yticks(range(len(rows)), [say.channel_title(c) for c in rows])
+    ax.grid(visible=False, axis="y")
+    scale = [v for v in (3.0, 10.0, 30.0, 100.0, 300.0, 1000.0, 3000.0) if v <= 1.01 * largest]
+    scale = scale if len(scale) <= 4 else scale[-5::2]
+    swatches = [Patch(color=BEFORE, alpha=round(float(strength(v)), 2), lw=0) for v in scale]
+    ax.legend(swatches, [f"{v:,.0f} nats" for v in scale], loc="lower right", ncols=4,
+              bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, handlelength=1.3)  # fmt: skip
+    caption = (
+        f"Nats that the plain model loses to the final one in each {bins[1] - bins[0]:.3g} s; at "
+        f"the right, each channel's share."
+    )
+    if explanation.mismatch:
+        caption += " Framed: what is listed above."
+    title = f"Shortfall{say.of_recording(recording, explanation) or ' by channel'}"
+    return Plot(title, caption, svg(figure, f"heat-{recording}"))
+
+
+def law_plot(u: Unnamed, number: int) -> Plot | None:
+    """What has no name: how much it adds, over what drives it, with the readings behind it."""
+    c = u.curve
+    if c is None or len(c.x) < 3:
+        return None
+    figure, (ax,) = canvas(1, 3.4, share=False)
+    unit, over = (shown(u, v.tolist()) for u, v in ((c.y_unit, c.y), (c.x_unit, c.x)))
+    x = over.factor * c.x
+    if len(c.behind):
+        driver, read = (c.behind * [over.factor, unit.factor]).T
+        ax.plot(driver, read, "o", color=INK, ms=3.2, alpha=0.45, lw=0,
+                label="what was read beyond the rest of the model")  # fmt: skip
+    below, above = (unit.factor * (c.y + n * c.sigma) for n in (-2.0, 2.0))
+    ax.fill_between(x, below, above, color=RED, alpha=0.18, lw=0)
+    what = "the error" if say.lawless(u) else "the law"
+    ax.plot(x, unit.factor * c.y, color=RED, lw=2.0, label=f"{what}, ± 2 sigma")
+    ax.axhline(0, color=MUTED, lw=0.8)
+    drivers = say.over_what(u)
+    ax.set(xlabel=f"{drivers}, {over.unit}" if over.unit else drivers, ylabel=unit.unit)
+    legend(ax, 2)
+    over_ = "over time, where it is largest" if say.lawless(u) else "over what drives it"
+    caption = f"{', '.join(u.channels)}: what it reads in addition, {over_}."
+    return Plot(u.formula, caption, svg(figure, f"law-{number}"))
+
+
+def hypothesis_plot(explanation: Explanation) -> Plot:
+    """What each effect gains alone, beside what was found, and what it could have gained."""
+    shown, styles = by_gain(explanation)[:BARS], effect_styles(explanation)
+    terms = explanation.unnamed
+    dot: dict[str, Any] = {"markersize": 6.5, "markeredgewidth": 1.6, "zorder": 4}
+    rows = len(terms) + len(shown)
+    figure, (ax,) = canvas(1, 1.3 + 0.31 * rows + 0.12 * len(terms))
+    for row, u in enumerate(terms):
+        ax.plot(u.log_evidence_gain, row, "o", color=RED, markerfacecolor=SHADE, **dot)
+    for row, h in enumerate(shown, len(terms)):
+        colour = styles.get(h.effect, (MUTED, "-"))[0]
+        ax.barh(row, h.alone, height=0.56, color=colour, alpha=0.85 if h.verdict else 0.35, lw=0)
+        ax.plot(h.final, row, "o", color=INK, markerfacecolor=SHADE, **dot)
+        ax.plot([h.expected] * 2, [row - 0.36, row + 0.36], color=INK, lw=1.6, zorder=3)
+        likely = say.percent(h.probability).replace("over ", "> ").replace("under ", "< ")
+        ax.text(1.015, row, likely, transform=ax.get_yaxis_transform(), va="center", fontsize=10,
+                color=INK if h.verdict else MUTED)  # fmt: skip
+    ax.set_xscale("symlog", linthresh=10, linscale=0.6)
+    values = [v for h in shown for v in (h.alone, h.final, h.expected)]
+    values = [v for v in (*values, *(u.log_evidence_gain for u in terms)) if math.isfinite(v)]
+    high, low = max(100.0, 1.6 * max(values)), max(min(-10.0, 1.3 * min(values)), -300.0)
+    step = 1 if high < 2e4 else 2
+    decades = [10.0**d for d in range(1, 12, step)]
+    ticks = [-d for d in decades if -d >= low] + [0.0] + [d for d in decades if d <= high]
+    ax.set_xticks(ticks, [say.number(v) if v else "0" for v in ticks])
+    ax.minorticks_off()
+    ax.grid(visible=True, axis="x")  # setting a scale forgets it
+    ax.axvline(0, color=MUTED, lw=0.9)
+    ax.set(xlim=(low, high), ylim=(rows - 0.4, -0.6), xlabel="nats")
+    names = [u.formula.replace(" += ", " +=\n") for u in terms]
+    ax.set_yticks(range(rows), [*names, *(h.title for h in shown)])
+    ax.tick_params(axis="y", labelcolor=INK)
+    ax.grid(visible=False, axis="y")
+    inks = [RED] * len(terms) + [INK if h.verdict else MUTED for h in shown]
+    for label, ink in zip(ax.get_yticklabels(), inks, strict=True):
+        label.set_color(ink)
+    ax.text(1.015, -0.95, "present?", transform=ax.get_yaxis_transform(), fontsize=10, color=MUTED)
+    caption = (
+        "Bar: what it gains alone, coloured if it was found. Circle: what it gains beside "
+        "everything found, at the final noise; a long bar with its circle near zero only stands in "
+        "for something else. Tick: what an error of the usual size would gain in this motion."
+    )
+    if (rest := len(explanation.hypotheses) - len(shown)) > 0:
+        caption += f" {rest} more gained less."
+    return Plot("Evidence for each effect", caption, svg(figure, "hypotheses"))
+
+
+def evidence_plot(explanation: Explanation) -> Plot | None:
+    """Cumulated gain over time of what is in the final model, a panel for each recording."""
+    each = [r for r in explanation.recordings if r.evidence.t.size and r.evidence.gain]
+    if not each:
+        return None
+    styles = effect_styles(explanation)
+    titles = {h.effect: h.title for h in explanation.hypotheses}
+    for i, u in enumerate(explanation.unnamed):
+        styles[u.formula], titles[u.formula] = (RED, DASHES[i % 3]), u.formula
+    figure, axes = canvas(len(each), 0.9 + 2.9 * len(each) if len(each) > 1 else 4.4, share=False)
+    for ax, r in zip(axes, each, strict=True):
+        end = {e: float(g[-1]) for e, g in r.evidence.gain.items()}
+        order = sorted(end, key=lambda e: (e not in styles, -end[e]))[: max(CURVES, len(styles))]
+        others = [e for e in order if e not in styles]
+        k = thin(r.evidence.t.size)
+        for effect in sorted(order, key=lambda e: -end[e]):
+            found = effect in styles
+            colour, dashes = styles[effect] if found else (MUTED, OTHERS[others.index(effect) % 4])
+            ax.plot(r.evidence.t[k], r.evidence.gain[effect][k], color=colour, linestyle=dashes,
+                    lw=2.0 if found else 1.0,
+                    label=titles.get(effect) or words.effect_title(effect))  # fmt: skip
+        shade([ax], r.rests)
+        ax.axhline(0, color=MUTED, lw=0.8)
+        ax.set_ylabel("nats gained")
+        if ax is axes[0]:
+            ax.legend(loc="upper left", fontsize=9.5, borderaxespad=0.3, labelspacing=0.3)
+        if len(each) > 1:
+            name = say.recording_names(explanation)[explanation.recordings.index(r)]
+            ax.set_title(name, color=MUTED, pad=4)
+    caption = (
+        "The final model against the same without the effect, added up as the recording goes on: "
+        "where a curve climbs, the recording speaks for it. Rests shaded."
+    )
+    return Plot("Where the evidence came from", caption, svg(figure, "evidence"))
+
+
+def balance_plot(explanation: Explanation) -> Plot | None:
+    """NIS and whiteness before and after, by kind of observation."""
+    before, after = explanation.before, explanation.after
+    kinds = [k for k in before.nis if k in after.nis]
+    if not kinds:
+        return None
+    figure, axes = canvas(2, 1.7 + 0.62 * len(kinds), share=False)
+    pairs: tuple[tuple[Mapping[str, float], Mapping[str, float]], ...] = (
+        (before.nis, after.nis), (before.whiteness, after.whiteness),
+    )  # fmt: skip
+    one = say.one_model(explanation)
+    for ax, (old, new) in zip(axes, pairs, strict=True):
+        for row, kind in enumerate(kinds):
+            was = math.nan if one else old.get(kind, math.nan)
+            _dumbbell(ax, row, was, new.get(kind, math.nan))
+        ax.set_ylim(len(kinds) - 0.4, -0.6)
+        ax.set_yticks(range(len(kinds)), [words.kind_title(k) for k in kinds])
+        ax.grid(visible=False, axis="y")
+    nis = [v for m in pairs[0] for v in m.values() if math.isfinite(v) and v > 0]
+    low, high = min(0.4, 0.8 * min(nis, default=1.0)), max(2.5, 1.25 * max(nis, default=1.0))
+    axes[0].set_xscale("log")
+    ticks = [v for v in (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100) if low <= v <= high]
+    axes[0].set_xticks(ticks, [f"{v:g}" for v in ticks])
+    axes[0].minorticks_off()
+    axes[0].grid(visible=True, axis="x")
+    axes[0].axvline(1, color=INK, lw=1)
+    axes[0].set(xlim=(low, high), xlabel="NIS per degree of freedom (1 is right)")
+    axes[1].axvline(0, color=INK, lw=1)
+    axes[1].set(xlim=(-1, 1), xlabel="likeness of neighbouring surprises (0 is right)")
+    caption = "How large the surprises are against what the model expects, and how alike in a row."
+    if not one:
+        axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.1,
+                       handlelength=1.0, handletextpad=0.4)  # fmt: skip
+        caption += " Both models at the final noise."
+    return Plot("Does the model know its own errors?", caption, svg(figure, "balance"))
+
+
+def _dumbbell(ax: Axes, row: int, before: float, after: float) -> None:
+    label = (("plain model", "final model") if row == 0 else ("_", "_"))  # fmt: skip
+    ax.plot([before, after], [row, row], color=GRID, lw=3, zorder=2, solid_capstyle="round")
+    dot: dict[str, Any] = {"linestyle": "none", "markersize": 8, "markeredgewidth": 0, "zorder": 3}
+    ax.plot([before], [row], "D", color=BEFORE, label=label[0], **(dot | {"markersize": 7}))
+    ax.plot([after], [row], "o", color=AFTER, label=label[1], **dot)
+
+
+def parameter_plot(explanation: Explanation) -> Plot | None:
+    """What is missing, in units of what is usual, with one and three sigma."""
+    rows = [(m, p, unit) for m in explanation.missing for p, unit in say.in_units(m.parameters)]
+    rows = [r for r in rows if r[1].prior_sigma > 0 and math.isfinite(r[1].value)]
+    if not rows:
+        return None
+    styles = effect_styles(explanation)
+    figure, (ax,) = canvas(1, 1.2 + 0.36 * len(rows))
+    ax.axvspan(-1, 1, color=SHADE, lw=0, zorder=0)
+    ax.axvline(0, color=MUTED, lw=0.9)
+    reach = 1.5
+    for row, (m, p, unit) in enumerate(rows):
+        colour = styles.get(m.effect, (AFTER, "-"))[0]
+        value, sigma = p.value / p.prior_sigma, min(p.sigma / p.prior_sigma, 1.0)
+        for times, weight in ((3, 1.6), (1, 4.5)):
+            ax.plot([value - times * sigma, value + times * sigma], [row, row], color=colour,
+                    lw=weight, alpha=0.9, solid_capstyle="butt")  # fmt: skip
+        ax.plot(value, row, "o", color=colour, markersize=6, markeredgewidth=0)
+        amount = f"{unit.value(p.value, p.sigma, sign=True)} ± {unit.value(p.sigma, p.sigma)}"
+        ax.text(1.015, row, f"{amount} {unit.unit}".rstrip(), va="center", fontsize=10, color=INK,
+                transform=ax.get_yaxis_transform())  # fmt: skip
+        reach = max(reach, 1.1 * (abs(value) + min(3 * sigma, 2.0)))
+    ax.set(xlim=(-reach, reach), ylim=(len(rows) - 0.4, -0.6),
+           xlabel="value, in what is usual for such a device")  # fmt: skip
+    ax.set_yticks(range(len(rows)), [words.parameter_title(p) for _, p, _ in rows])
+    ax.tick_params(axis="y", labelcolor=INK)
+    ax.grid(visible=False, axis="y")
+    caption = (
+        "Thick: ±1 sigma; thin: ±3 sigma. Shaded: what was held possible before (±1 prior sigma)."
+    )
+    return Plot("What is missing, in size", caption, svg(figure, "parameters"))
+
+
+def draw(explanation: Explanation) -> dict[str, list[Plot]]:
+    """All figures by section: "first" (the worst channel of each recording, wide), "traces"
+    (others with a mismatch, or the next worst), "others", "heat", "evidence", "balance",
+    "parameters", "laws"."""
+    import matplotlib as mpl
+
+    plots: dict[str, list[Plot]] = {"first": [], "traces": [], "others": [], "laws": []}
+    with mpl.rc_context(RC):
+        for r in range(len(explanation.recordings)):
+            for rank, trace in enumerate(ranked_traces(explanation, r)):
+                found = bool(mismatches(explanation, r, trace.channel))
+                section = "first" if rank == 0 else "traces" if found or rank < 3 else "others"
+                plot = trace_plot(explanation, r, trace, wide=rank == 0)
+                title = plot.title + say.of_recording(r, explanation)
+                plots[section].append(Plot(title, plot.caption, plot.svg))
+        single: Sequence[tuple[str, Plot | None]] = (
+            *(("laws", law_plot(u, n)) for n, u in enumerate(explanation.unnamed)),
+            *(("heat", heat_plot(explanation, r)) for r in range(len(explanation.recordings))),
+            ("evidence", hypothesis_plot(explanation) if explanation.hypotheses else None),
+            ("evidence", evidence_plot(explanation)),
+            ("balance", balance_plot(explanation)),
+            ("parameters", parameter_plot(explanation)),
+        )
+        for section, plot_or_none in single:
+            plots.setdefault(section, [])
+            if plot_or_none is not None:
+                plots[section].append(plot_or_none)
+    return plots

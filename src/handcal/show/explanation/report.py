@@ -1,0 +1,178 @@
+"""The report on an explanation: one self-contained HTML page, read from top to bottom."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import handcal
+from handcal import output
+from handcal.explain.explanation import Explanation, Hypothesis, Missing
+from handcal.show import words
+from handcal.show.drawing import PALETTE
+from handcal.show.explanation import frames, plots, summary
+from handcal.show.explanation import words as say
+from handcal.show.page import page
+from handcal.types import Parameter
+from handcal.units import Shown
+
+
+def write_explanation_report(explanation: Explanation, path: str | Path) -> None:
+    """Write the report as one HTML file; nothing in it needs a network."""
+    output.write_text(path, render_explanation(explanation))
+
+
+def render_explanation(explanation: Explanation) -> str:
+    """The page as a string."""
+    return page("explain.html.j2", _context(explanation))
+
+
+def _context(e: Explanation) -> dict[str, Any]:
+    names = say.recording_names(e)
+    styles = plots.effect_styles(e)
+    gains = [m.log_evidence_gain for m in e.missing] + [u.log_evidence_gain for u in e.unnamed]
+    return {
+        "names": words.listed(names) if names else "nothing",
+        "version": handcal.__version__,
+        "assumed": say.assumptions(e),
+        "verdict": say.verdict(e),
+        "facts": _facts(e),
+        "mismatch": [
+            {"channel": say.channel_title(m.channel), "time": say.interval(m), "when": m.when,
+             "share": say.whole_percent(m.share), "width": _width(m.share),
+             "recording": names[m.recording] if len(names) > 1 else ""}
+            for m in e.mismatch
+        ],
+        "missing": [_card(m, e, styles) for m in e.missing],
+        "unnamed": [
+            {"formula": u.formula, "amount": say.sized(u), "gain": say.nats(u.log_evidence_gain),
+             "story": u.story, "lead": say.lead(u)}
+            for u in e.unnamed
+        ],
+        "plots": plots.draw(e),
+        "hypotheses": [_hypothesis(h) for h in frames.by_gain(e)],
+        "residuals": _residuals(e),
+        "log": _scores(e.before.log_evidence, e.after.log_evidence),
+        "held_out": _held_out(e),
+        "groups": _groups(e),
+        "one_model": say.one_model(e),
+        "more_apart": max(gains, default=0.0) > say.gain(e),
+        "untold": say.untold(e),
+        "next_motion": [
+            {"motion": n.motion.rstrip("."), "gain": say.nats(n.expected_gain),
+             "promise": say.promise(n, e)}
+            for n in e.next_motion
+        ],
+        "noise": [words.noise_line(n) for n in e.noise],
+        "warnings": summary.all_warnings(e),
+    }  # fmt: skip
+
+
+def _facts(e: Explanation) -> list[tuple[str, str]]:
+    seconds = sum(r.recording.duration_s for r in e.recordings)
+    facts = [
+        (f"{seconds:.0f} s", f"in {words.counted(len(e.recordings), 'recording')}"),
+        (f"{len(e.hypotheses)}", "effects tried"),
+    ]
+    if e.verdict == "nothing_missing":
+        best = max((h.alone for h in e.hypotheses), default=0.0)
+        return [*facts, (say.nats(best), "gained by the best of them")]
+    for value, label in ((say.gain(e), "gained by the final model"),
+                         (say.held_out_gain(e), "gained on unseen data")):  # fmt: skip
+        if label != "gained on unseen data" or e.held_out is not None:
+            facts.append((say.nats(value), label))
+    return facts
+
+
+def _width(share: float) -> str:
+    """Of a bar, in percent."""
+    return f"{100 * min(max(share, 0.0), 1.0):.1f}" if math.isfinite(share) else "0"
+
+
+def _row(p: Parameter, unit: Shown) -> dict[str, Any]:
+    return {
+        "title": words.parameter_title(p),
+        "name": words.parameter_name(p) or p.name,
+        "value": unit.value(p.value, p.sigma, sign=True),
+        "sigma": unit.value(p.sigma, p.sigma),
+        "prior": unit.value(p.prior_sigma),
+        "unit": unit.unit,
+        "observable": p.observable,
+    }
+
+
+def _card(m: Missing, e: Explanation, styles: dict[str, tuple[str, Any]]) -> dict[str, Any]:
+    titles = say.members(m, e)
+    return {
+        "title": titles[0],
+        "others": titles[1:],
+        "colour": PALETTE[styles.get(m.effect, (plots.AFTER, ""))[0]],
+        "probability": say.percent(m.probability),
+        "gain": say.nats(m.log_evidence_gain),
+        "weight": say.weight(m),
+        "story": m.story,
+        "motion": m.motion,
+        "rows": [_row(p, unit) for p, unit in say.in_units(m.parameters)],
+    }
+
+
+def _hypothesis(h: Hypothesis) -> dict[str, str]:
+    said = {"named": "present", "set": "one of a set"}.get(h.verdict, "")
+    return {"title": h.title, "alone": say.number(h.alone), "final": say.number(h.final),
+            "expected": say.promised(h), "probability": say.percent(h.probability),
+            "verdict": said}  # fmt: skip
+
+
+def _scores(before: float, after: float) -> dict[str, str]:
+    by = say.number(after - before)
+    return {"before": say.number(before), "after": say.number(after),
+            "change": f"+{by}" if after > before else by}  # fmt: skip
+
+
+def _residuals(e: Explanation) -> list[dict[str, str]]:
+    """Residuals by channel, before and after, with the widths of their bars in percent."""
+    old, new = e.before.residual_rms, e.after.residual_rms
+    rows = []
+    for channel in say.channels(old, new):
+        pair = [m.get(channel, math.nan) for m in (old, new)]
+        largest = max((v for v in pair if math.isfinite(v)), default=0.0)
+        unit = say.channel_shown(channel, pair, small=True)
+        shown = [unit.value(v, 0.1 * largest) for v in pair]
+        widths = [_width(v / largest if largest > 0 else 0.0) for v in pair]
+        rows.append({
+            "channel": say.channel_title(channel), "before": shown[0], "after": shown[1],
+            "unit": unit.unit, "change": say.change(*pair), "before_width": widths[0],
+            "after_width": widths[1],
+        })  # fmt: skip
+    return rows
+
+
+def _held_out(e: Explanation) -> dict[str, Any] | None:
+    """None where there were none. The score alone: residuals depend on how much noise each
+    model allows itself, and a plain model that lets the hand sway by metres has small ones."""
+    if (h := e.held_out) is None:
+        return None
+    return {
+        "sentence": say.held_out_sentence(e) or "",
+        "score": _scores(h.log_score_before, h.log_score_after),
+    }
+
+
+def _groups(e: Explanation) -> list[dict[str, Any]]:
+    """All parameters of the final model by effect, those of each recording after the shared."""
+    names, groups = say.recording_names(e), []
+    shared = {(p.effect, p.name) for p in e.parameters}
+    sections = [("", e.parameters)] + [
+        (names[i] if len(names) > 1 else "",
+         tuple(p for p in r.parameters if (p.effect, p.name) not in shared))
+        for i, r in enumerate(e.recordings)
+    ]  # fmt: skip
+    for recording, parameters in sections:
+        for (effect, _), group in words.by_effect(parameters).items():
+            unit = words.shown_group(group)
+            groups.append({
+                "title": words.effect_title(effect), "unit": unit.unit, "recording": recording,
+                "rows": [_row(p, unit) for p in group],
+            })  # fmt: skip
+    return groups

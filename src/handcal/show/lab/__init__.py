@@ -1,0 +1,1 @@
+"""Laboratory results as words, JSON and pages."""
