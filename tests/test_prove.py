@@ -186,6 +186,7 @@ def test_a_plan_mixes_suites_and_its_names_tell_nothing():
         "mixed": 5,
         "unknown": 4,
         "turn": 2,
+        "axis": 0,
         "faint": 0,
         "reference": 0,
         "large": 0,

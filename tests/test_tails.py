@@ -83,3 +83,25 @@ def test_a_faint_effect_pays_what_it_paid() -> None:
 def test_a_term_found_in_the_recording_has_no_tails() -> None:
     q = Quadratic((("gyro_x += k * t", "k"),), 0.0, np.array([14.0]), np.array([[1.0]]))
     assert tailed(q, np.arange(1)).mean[0] == posterior(q, np.arange(1)).mean[0]
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("truth", [[0.5, 0.0, 0.0], [0.4, -0.6, 0.0], [0.0, 0.0, 0.0]])
+def test_of_an_effect_any_parameter_may_be_zero(truth: list[float], seed: int) -> None:
+    """The mean over all subsets, exact where the recording tells the parameters apart."""
+    rng, axes = np.random.default_rng(seed), np.arange(3)
+    G = np.diag(1.0 / np.array([0.02, 0.03, 0.05]) ** 2)
+    b = G @ np.array(truth) + np.sqrt(np.diag(G)) * rng.standard_normal(3)
+    q = Quadratic(tuple(("gyro_scale", axis) for axis in "xyz"), 0.3, b, G)
+    sets = itertools.chain.from_iterable(itertools.combinations(range(3), n) for n in range(4))
+    each = [posterior(q, np.array(s, dtype=np.int64)).log_evidence if s else q.a for s in sets]
+    mean = float(logsumexp(each)) - 3.0 * math.log(2.0) + LOG_SHARES[0]
+    assert log_evidence(q, axes) == pytest.approx(mean, abs=1e-6)
+    # (the wide scales, and that of all zero each has its share, are a tenth of the whole)
+    assert tailed(q, axes).log_evidence == pytest.approx(mean, abs=0.3)
+
+
+def test_what_has_one_parameter_is_there_or_not() -> None:
+    q = Quadratic((("gravity", "delta"),), 0.0, np.array([2.0]), np.array([[400.0]]))
+    plain = posterior(q, np.arange(1)).log_evidence + LOG_SHARES[0]
+    assert log_evidence(q, np.arange(1)) == pytest.approx(plain, abs=1e-9)

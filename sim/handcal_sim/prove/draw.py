@@ -37,7 +37,7 @@ from handcal_sim.prove.given import (
     some,
     with_streams,
 )
-from handcal_sim.prove.suites import BESIDE, EARTH_GROUP, FAINT_NATS, LARGE, SIZES, Answer
+from handcal_sim.prove.suites import BESIDE, EARTH_GROUP, FAINT_NATS, IN_PART, LARGE, SIZES, Answer
 from handcal_sim.scenario import World
 
 Drawing = Callable[[Ticket, np.random.Generator], tuple[World, Answer]]
@@ -64,6 +64,16 @@ def _each(ticket: Ticket, rng: np.random.Generator) -> tuple[World, Answer]:
     """Every effect in turn."""
     given = circumstances(ticket.suite, rng)
     return _with([in_turn(list(SIZES), ticket)], ticket, given, rng)
+
+
+def _in_part(ticket: Ticket, rng: np.random.Generator) -> tuple[World, Answer]:
+    """Every such effect in turn, all its parameters but one zero."""
+    name = in_turn(list(IN_PART), ticket)
+    given = with_streams(circumstances(ticket.suite, rng), [name], rng)
+    values = amplitude(name, given, rng)
+    one = int(rng.integers(len(values)))
+    effects = {name: [v if k == one else 0.0 for k, v in enumerate(values)]}
+    return simulated(given, effects), answer(ticket.suite, "", given, effects)
 
 
 def _with(
@@ -187,6 +197,7 @@ _DRAWINGS: Mapping[str, Drawing] = {
     "mixed": _several(3),
     "unknown": _unknown,
     "turn": _each,
+    "axis": _in_part,
     "faint": _faint,
     "reference": _several(2),
     "large": _large,

@@ -73,6 +73,21 @@ NEEDS: dict[str, frozenset[str]] = {
     "pose_drift": frozenset({"pose"}),
     "clock_rate": frozenset({"pose"}),
 }
+# Effects of which a device may have a part alone: one axis, one pair of axes.
+IN_PART = (
+    "gyro_scale",
+    "accel_scale",
+    "gyro_misalignment",
+    "accel_misalignment",
+    "gyro_g_sensitivity",
+    "gyro_quadratic",
+    "gyro_cross_products",
+    "accel_cross_products",
+    "accel_asymmetry",
+    "lever_arm",
+    "gyro_temperature",
+    "accel_temperature",
+)
 # What shows only beside another: the field changes with place where the device goes about an arm.
 BESIDE = {"mag_gradient": "lever_arm"}
 # Never drawn together: no motion tells the two apart, so that there is no right answer.
@@ -102,6 +117,9 @@ SUITES: dict[str, Suite] = {
     "mixed": Suite("0 to 3 effects, any motion", 100, ("exact", "right_set"), 0.90),
     "unknown": Suite("physics outside the catalogue", 4 * len(strangers.KINDS), ("exact",), 0.90),
     "turn": Suite("one effect, 30 s turn", 2 * len(SIZES), ("exact", "right_set", "missed"), 0.98),
+    "axis": Suite(
+        "one effect on one axis, 84 s about three", 4 * len(IN_PART), ("exact", "right_set"), 0.98
+    ),
     "faint": Suite("one effect near the limit", 40, ("exact", "right_set"), None),
     "reference": Suite("0 to 2 effects beside a trusted IMU", 60, ("exact", "right_set"), 0.90),
     "large": Suite(

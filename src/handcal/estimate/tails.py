@@ -5,6 +5,12 @@ error of 14 % is nothing unheard of where 1 % is usual; under the normal density
 would cost a hundred nats, and whatever else may stand in for half of it is believed instead. All
 parameters of an effect have the same scale, as devices are good or bad. The evidence is the sum
 over the scales, never the best of them.
+
+And of an effect with several parameters each is as likely zero as not: the gyro's x axis may have a
+scale error and the others none. Were that not in the prior, a law of that one axis, which has but
+one number to pay for, would be believed instead. Of each parameter, the density at zero after the
+recording over that before it is the odds of its absence, all else being there (Savage and Dickey's
+ratio); the evidence is the mean of both, and mean and covariance are those without this.
 """
 
 from __future__ import annotations
@@ -16,6 +22,7 @@ import numpy as np
 
 from handcal.compiled.jit import njit
 from handcal.effects import catalogue
+from handcal.estimate.case import name_of
 from handcal.estimate.quadratic import Posterior, Quadratic, posterior
 from handcal.types import Array, BoolArray, IntArray
 
@@ -51,7 +58,11 @@ def tailed(
 def usual(q: Quadratic, index: IntArray, root: Array | None = None) -> Posterior:
     """As ``tailed``, of the usual scale alone: what the others add is left out."""
     found = posterior(q, index, root)
-    left_out = _effects(q, index, None)[1].sum() * float(LOG_SHARES[0])
+    begin, tails, sparse = _effects(q, index, None)
+    left_out = tails.sum() * float(LOG_SHARES[0])
+    for e in np.flatnonzero(sparse):
+        own = slice(begin[e], begin[e + 1])
+        left_out += _spared(found.mean[own], found.covariance[own, own], 1.0)
     return Posterior(found.log_evidence + left_out, found.mean, found.covariance)
 
 
@@ -70,11 +81,12 @@ def log_evidence(
 
 @dataclass(frozen=True)
 class Owners:
-    """Of each parameter of a quadratic (k,): a number that is its effect's own, and whether the
-    prior has tails."""
+    """Of each parameter of a quadratic (k,): a number that is its effect's own, whether the prior
+    has tails, and whether it may be zero while others of the effect are not."""
 
     number: IntArray
     tails: BoolArray
+    sparse: BoolArray
 
 
 def owners_of(q: Quadratic) -> Owners:
@@ -82,7 +94,8 @@ def owners_of(q: Quadratic) -> Owners:
     at: dict[str, int] = {}
     number = np.array([at.setdefault(n[0], len(at)) for n in q.names], dtype=np.int64)
     tails = np.array([_has_tails(owner) for owner in at], dtype=np.bool_)
-    return Owners(number, tails[number] if len(number) else tails)
+    sparse = np.array([_is_sparse(owner) for owner in at], dtype=np.bool_)
+    return Owners(number, tails[number], sparse[number]) if at else Owners(number, tails, sparse)
 
 
 def _prepared(
@@ -91,27 +104,37 @@ def _prepared(
     root: Array | None,
     positive: BoolArray | None,
     owners: Owners | None = None,
-) -> tuple[Array, Array, Array, IntArray, Array, BoolArray, BoolArray]:
-    """b, G, R of the subset; of its effects where each begins, the rank of its prior and whether
-    it has tails; and which parameters are positive."""
-    begin, tails = _effects(q, index, owners)
+) -> tuple[Array, Array, Array, IntArray, Array, BoolArray, BoolArray, BoolArray]:
+    """b, G, R of the subset; of its effects where each begins, the rank of its prior, whether it
+    has tails and is sparse; and which parameters are positive."""
+    begin, tails, sparse = _effects(q, index, owners)
     size = np.diff(begin).astype(np.float64)
     R = np.eye(len(index)) if root is None else root
     if root is not None:
         # (of a projection the rank is the trace)
         size = np.asarray(np.round(np.add.reduceat(np.diag(R), begin[:-1])), dtype=np.float64)
     half = np.zeros(len(index), dtype=np.bool_) if positive is None else positive
-    return q.b[index], q.G[index[:, None], index], R, begin, size, tails, half
+    return q.b[index], q.G[index[:, None], index], R, begin, size, tails, sparse, half
 
 
-def _effects(q: Quadratic, index: IntArray, owners: Owners | None) -> tuple[IntArray, BoolArray]:
+def _effects(
+    q: Quadratic, index: IntArray, owners: Owners | None
+) -> tuple[IntArray, BoolArray, BoolArray]:
     """Where the parameters of each effect, which are neighbours, begin in the subset, and its end;
-    and whether its prior has tails: a term that was found in a recording has a prior that suits
-    that recording."""
+    whether its prior has tails: a term that was found in a recording has a prior that suits that
+    recording; and whether it is sparse."""
     owners = owners_of(q) if owners is None else owners
     number = owners.number[index]
     begin = np.flatnonzero(np.diff(number, prepend=-1))
-    return np.append(begin, len(index)), owners.tails[index[begin]]
+    first = index[begin]
+    return np.append(begin, len(index)), owners.tails[first], owners.sparse[first]
+
+
+def _is_sparse(owner: str) -> bool:
+    """Whether parameters of an effect may be zero one by one: not where they are but so many views
+    of fewer (``Effect.together``), nor of a law, whose form was chosen."""
+    known = catalogue().get(name_of(owner))
+    return known is not None and len(known.parameters) > 1 and known.together is None
 
 
 def _has_tails(owner: str) -> bool:
@@ -127,6 +150,7 @@ def _tailed(
     begin: IntArray,
     rank: Array,
     tails: BoolArray,
+    sparse: BoolArray,
     half: BoolArray,
     near: float,
     mean: Array,
@@ -147,7 +171,7 @@ def _tailed(
         if near > 0.0 and not half.any() and np.abs(mean).max() <= near:
             for e in range(count):
                 value += LOG_SHARES[0] if tails[e] else 0.0
-            return value
+            return value + _all_spared(mean, covariance, begin, scale, sparse)
         for e in range(count):
             first, last = begin[e], begin[e + 1]
             for k in range(len(SCALES) if tails[e] else 1):
@@ -171,7 +195,32 @@ def _tailed(
     for e in range(count):
         top = shares[e].max()
         value += top + math.log(np.exp(shares[e] - top).sum())
-    return value
+    return value + _all_spared(mean, covariance, begin, scale, sparse)
+
+
+@njit
+def _all_spared(
+    mean: Array, covariance: Array, begin: IntArray, scale: IntArray, sparse: BoolArray
+) -> float:
+    """``_spared`` of all effects that are sparse, at their scales."""
+    out = 0.0
+    for e in range(len(sparse)):
+        if sparse[e]:
+            own = slice(begin[e], begin[e + 1])
+            out += _spared(mean[own], covariance[own, own], SCALES[scale[e]])
+    return out
+
+
+@njit
+def _spared(m: Array, C: Array, scale: float) -> float:
+    """Nats of evidence that an effect of posterior m (k,), C (k, k), each parameter's prior being
+    of that scale, gains as any of them may be zero."""
+    out = 0.0
+    for i in range(len(m)):
+        absent = -0.5 * m[i] ** 2 / C[i, i] + math.log(scale) - 0.5 * math.log(C[i, i])
+        # log of the mean of 1 and exp(absent)
+        out += max(absent, 0.0) + math.log1p(math.exp(-abs(absent))) - math.log(2.0)
+    return out
 
 
 @njit
