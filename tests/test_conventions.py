@@ -24,6 +24,7 @@ def test_every_public_function_has_a_docstring():
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef)
         and not node.name.startswith("_")
         and ast.get_docstring(node) is None
+        and not any(ast.unparse(d) == "overload" for d in node.decorator_list)
     ]
     assert len(SOURCES) > 0
     assert missing == []

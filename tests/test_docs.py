@@ -65,3 +65,11 @@ def test_files_that_the_documents_name_exist(page):
               ROOT / "sim/handcal_sim", ROOT / "sim/handcal_sim/prove"]  # fmt: skip
     missing = [n for n in sorted(named) if not any((p / n).exists() for p in places)]
     assert missing == []
+
+
+def test_the_notebook_runs():
+    """Every cell of docs/python.ipynb, from the first to the last."""
+    page = made("make_notebook").executed()
+    shown = [o for c in page.cells if c.cell_type == "code" for o in c.outputs]
+    assert any("image/png" in o.get("data", {}) for o in shown)
+    assert any("gyro scale" in str(o.get("data", {}).get("text/plain")) for o in shown)

@@ -19,28 +19,68 @@ Conventions, decided once (everything else in the package relies on them):
   unless a latitude is given.
 - Book letters: P covariance, Q process noise, R observation noise, H observation
   matrix, Phi transition.
+
+From Python::
+
+    import handcal as hc
+
+    rec = hc.read("my.mcap")                  # or hc.Recording.from_arrays(t, gyro, accel, ...)
+    result = hc.calibrate(rec, ["gyro_scale"])    # also a path, also several of one device
+    why = hc.explain(rec)                     # which physics is missing
+    hc.conceal(rec, {"gyro_scale": [0.01, 0, 0]}).write("worse.mcap")
+    hc.apply(rec, why).write("corrected.mcap")
+
+A result shows itself as a table, and has ``parameters`` (``to_pandas``, ``values``, ``sigmas``),
+``plot()``, ``report("page.html")`` and ``save("numbers.json")``. What cannot be done is a
+``HandcalError`` of one sentence, an ``InputError`` where a file or an argument is wrong.
 """
 
 from __future__ import annotations
 
+from importlib import import_module
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
-__all__ = ["calibrate", "load"]
+__all__ = [
+    "HandcalError",
+    "InputError",
+    "Recording",
+    "apply",
+    "calibrate",
+    "conceal",
+    "explain",
+    "load",
+    "read",
+]
 
 if TYPE_CHECKING:
-    from handcal.estimate.calibration import calibrate
+    from handcal.api import Recording, apply, calibrate, conceal, explain, read
     from handcal.recordings.inputs import load
+    from handcal.types import HandcalError, InputError
+
+_HOME = {
+    "HandcalError": "handcal.types",
+    "InputError": "handcal.types",
+    "load": "handcal.recordings.inputs",
+}
 
 
 def __getattr__(name: str) -> Any:
     """Import the heavy parts when first used, so that ``handcal --help`` is instant."""
-    if name == "load":
-        from handcal.recordings.inputs import load
-
-        return load
-    if name == "calibrate":
-        from handcal.estimate.calibration import calibrate
-
-        return calibrate
+    if name in __all__:
+        return getattr(import_module(_HOME.get(name, "handcal.api")), name)
     raise AttributeError(f"module 'handcal' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
+class AlsoAFunction(ModuleType):
+    """A package and a function of one name: ``handcal.explain``."""
+
+    def __call__(self, *arguments: Any, **options: Any) -> Any:
+        """The function of that name."""
+        name = self.__name__.rpartition(".")[2]
+        return getattr(import_module("handcal.api"), name)(*arguments, **options)

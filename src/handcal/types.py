@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, Protocol
 
 import numpy as np
@@ -31,13 +31,38 @@ class InputError(HandcalError):
     """A sentence for the user: what is wrong with a file or an option. Exit status 2."""
 
 
+# Letters of a value that a repr shows.
+LONGEST_REPR = 100
+
+
+class Brief:
+    """A repr that fits on a screen: of an array its shape, of a long tuple how many it holds."""
+
+    def __repr__(self) -> str:
+        names = [f.name for f in fields(self)]  # type: ignore[arg-type]
+        values = ", ".join(f"{name}={_brief(getattr(self, name))}" for name in names)
+        return f"{type(self).__name__}({values})"
+
+
+def _brief(value: Any) -> str:
+    if isinstance(value, np.ndarray):
+        return f"array{value.shape}"
+    if isinstance(value, tuple | list | Mapping):
+        if not value:
+            return repr(value)
+        keys = f": {', '.join(map(str, value))}" if isinstance(value, Mapping) else ""
+        return f"<{len(value)} {type(value).__name__} items{keys}>"
+    text = repr(value)
+    return text if len(text) < LONGEST_REPR else f"<{type(value).__name__}>"
+
+
 # What documents of this program call themselves.
 CALIBRATION_SCHEMA = "handcal/calibration/1"
 EXPLANATION_SCHEMA = "handcal/explanation/1"
 
 
-@dataclass(frozen=True)
-class Imu:
+@dataclass(frozen=True, repr=False)
+class Imu(Brief):
     """Inertial readings on one time base, the gyro's.
 
     t: (n,) s since the start of the recording, strictly increasing.
@@ -52,8 +77,8 @@ class Imu:
     valid: BoolArray
 
 
-@dataclass(frozen=True)
-class Series:
+@dataclass(frozen=True, repr=False)
+class Series(Brief):
     """One further stream. t: (m,) s on the IMU's clock, increasing; value: (m, d).
 
     What d columns mean, and in which units, says the stream's row in ``streams``.
@@ -63,8 +88,8 @@ class Series:
     value: Array
 
 
-@dataclass(frozen=True)
-class Recording:
+@dataclass(frozen=True, repr=False)
+class Recording(Brief):
     """What was recorded, in SI and in handcal's conventions.
 
     path: where it came from. streams: by name (rows of ``streams.STREAMS``),
@@ -164,8 +189,8 @@ class Markov(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class History:
+@dataclass(frozen=True, repr=False)
+class History(Brief):
     """The filter's solution over time, k rows.
 
     t (k,) s; p_n (k, 3) m; v_n (k, 3) m/s; q_nb (k, 4) quaternion w x y z of C_nb;
@@ -184,8 +209,8 @@ class History:
     parameter_sigma: Array
 
 
-@dataclass(frozen=True)
-class Innovations:
+@dataclass(frozen=True, repr=False)
+class Innovations(Brief):
     """What one kind of observation said against the prediction, k updates of dimension d.
 
     t (k,) s; residual (k, d) observed minus predicted; sigma (k, d): square root of
@@ -209,8 +234,8 @@ class Innovations:
         return float(self.nis.mean() / self.residual.shape[1])
 
 
-@dataclass(frozen=True)
-class Result:
+@dataclass(frozen=True, repr=False)
+class Result(Brief):
     """What ``calibrate`` learnt from one recording.
 
     covariance: (m, m) of the parameters, rows as in ``parameters``. assume:

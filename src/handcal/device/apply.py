@@ -227,30 +227,35 @@ def read(path: Path) -> Learnt:
         raise InputError(f"{path} cannot be read: {error.strerror or error}.") from error
     except (ValueError, RecursionError):
         raise InputError(f"{path} is not JSON.") from None
+    return of_document(str(path), document)
+
+
+def of_document(name: str, document: Any) -> Learnt:
+    """The same of what was read already; name: of it, in messages."""
     schema = document.get("schema") if isinstance(document, dict) else None
     if schema not in (EXPLANATION_SCHEMA, CALIBRATION_SCHEMA):
         raise InputError(
-            f"{path} is not what `handcal explain --json` or `handcal calibrate --json` writes."
+            f"{name} is not what `handcal explain --json` or `handcal calibrate --json` writes."
         )
     try:
-        return _learnt(path, document)
+        return _learnt(name, document)
     except (KeyError, TypeError, AttributeError, OverflowError):
-        raise InputError(f"{path} lacks something that a {schema} has, or it is damaged.") from None
+        raise InputError(f"{name} lacks something that a {schema} has, or it is damaged.") from None
 
 
-def _learnt(path: Path, document: Mapping[str, Any]) -> Learnt:
+def _learnt(name: str, document: Mapping[str, Any]) -> Learnt:
     recordings = document.get("recordings", [])
     if document["schema"] == CALIBRATION_SCHEMA and recordings:
         raise InputError(
-            f"{path} holds {len(recordings)} calibrations, each on its own; "
+            f"{name} holds {len(recordings)} calibrations, each on its own; "
             "calibrate one recording, or explain several together."
         )
     formulas = tuple(str(u["formula"]) for u in document.get("unnamed", []))
     other = {*observations(), *formulas}
-    values = _values(path, document["parameters"], other)
+    values = _values(name, document["parameters"], other)
     found, hidden = {"": values}, {"": _hidden(document["parameters"])}
     if recordings:
-        found = {r["recording"]["path"]: _values(path, r["parameters"], other) for r in recordings}
+        found = {r["recording"]["path"]: _values(name, r["parameters"], other) for r in recordings}
         hidden = {r["recording"]["path"]: _hidden(r["parameters"]) for r in recordings}
     elif "recording" in document:
         found = {document["recording"]["path"]: values}
@@ -261,7 +266,7 @@ def _learnt(path: Path, document: Mapping[str, Any]) -> Learnt:
         if all(i in own for i in BIASES)
     ]
     effects = {i: v for i, v in values.items() if i not in BIASES}
-    return Learnt(str(path), effects, tuple(biases), formulas, hidden)
+    return Learnt(name, effects, tuple(biases), formulas, hidden)
 
 
 def _hidden(parameters: Sequence[Mapping[str, Any]]) -> dict[str, str]:
@@ -274,7 +279,7 @@ def _hidden(parameters: Sequence[Mapping[str, Any]]) -> dict[str, str]:
 
 
 def _values(
-    path: Path, parameters: Sequence[Mapping[str, Any]], other: Set[str]
+    name: str, parameters: Sequence[Mapping[str, Any]], other: Set[str]
 ) -> dict[str, Array]:
     """By id; other: what is no effect (formulas, how a marker is turned). Errors: InputError."""
     said: dict[str, dict[str, float]] = {}
@@ -289,12 +294,12 @@ def _values(
             continue
         if effect not in BIASES and effect not in catalogue():
             raise InputError(
-                f"{path} has the effect '{effect}', of which nothing is known; if that is a file "
+                f"{name} has the effect '{effect}', of which nothing is known; if that is a file "
                 "of your own, say --effects-from with its folder."
             )
         names = [*"xyz"] if effect in BIASES else [p.name for p in catalogue()[effect].parameters]
         numbers = np.array([named.get(name, math.nan) for name in names], dtype=np.float64)
         if named.keys() != set(names) or not np.isfinite(numbers).all():
-            raise InputError(f"{path}: {effect} needs a finite number for {', '.join(names)}.")
+            raise InputError(f"{name}: {effect} needs a finite number for {', '.join(names)}.")
         out[effect] = numbers
     return out

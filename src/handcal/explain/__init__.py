@@ -8,7 +8,12 @@ and ``verdict``, which puts an Explanation together.
 
 from __future__ import annotations
 
+import sys
+
+from handcal import AlsoAFunction
 from handcal.explain.explanation import Explanation
 from handcal.explain.verdict import explain
 
 __all__ = ["Explanation", "explain"]
+
+sys.modules[__name__].__class__ = AlsoAFunction

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from handcal.estimate.chosen import Chosen
-from handcal.types import Array, NoiseLevel, Parameter, Recording
+from handcal.types import Array, Brief, NoiseLevel, Parameter, Recording
 
 VERDICTS = ("nothing_missing", "explained", "unexplained", "cannot_tell")
 
 
-@dataclass(frozen=True)
-class Mismatch:
+@dataclass(frozen=True, repr=False)
+class Mismatch(Brief):
     """Where the baseline falls short: share of the whole shortfall in log score, and when.
 
     recording: which of the explanation's recordings the times are of.
@@ -53,8 +53,8 @@ class Missing:
     held_out_gain: float | None = None
 
 
-@dataclass(frozen=True)
-class Curve:
+@dataclass(frozen=True, repr=False)
+class Curve(Brief):
     """What a term adds, y (k,), with one sigma (k,), over what drives it, x (k,); units. behind
     (m, 2): means of the driver, and of what was read beyond a fit without the term."""
 
@@ -124,8 +124,8 @@ class Hypothesis:
     verdict: str
 
 
-@dataclass(frozen=True)
-class Trace:
+@dataclass(frozen=True, repr=False)
+class Trace(Brief):
     """Simulated against recorded, in sensor units, for one channel of one recording.
 
     t (k,) s; recorded, before, after (k,): the reading and what the fitted baseline and the
@@ -142,8 +142,8 @@ class Trace:
     unit: str
 
 
-@dataclass(frozen=True)
-class Evidence:
+@dataclass(frozen=True, repr=False)
+class Evidence(Brief):
     """Where the evidence came from: cumulated gain (k,) nats over t (k,) s of each effect, final
     model against the same without it."""
 
@@ -185,8 +185,8 @@ class NextMotion:
     expected_gain: float
 
 
-@dataclass(frozen=True)
-class Explained:
+@dataclass(frozen=True, repr=False)
+class Explained(Brief):
     """One of the recordings: how it looked against the model.
 
     parameters: biases and other things of its own; shortfall: for each channel (k,) nats
@@ -211,8 +211,8 @@ class Explained:
     moves: bool = False
 
 
-@dataclass(frozen=True)
-class Explanation:
+@dataclass(frozen=True, repr=False)
+class Explanation(Brief):
     """All that ``explain`` says of one device.
 
     parameters, noise: of the final model (noise of the first recording); missing is ordered by

@@ -16,9 +16,10 @@ from types import ModuleType
 import numpy as np
 
 from handcal.recordings.inputs._options import Options, checked_options
-from handcal.types import InputError, Recording
+from handcal.recordings.inputs._repair import Columns, assemble, columns, nanoseconds
+from handcal.types import Array, InputError, Recording
 
-__all__ = ["Options", "load"]
+__all__ = ["Options", "load", "of_arrays"]
 
 
 def _formats() -> list[ModuleType]:
@@ -59,3 +60,37 @@ def load(
             raise InputError(f"{path} cannot be read: {error.strerror or error}.") from error
     understood = "; ".join(str(module.UNDERSTOOD) for module in formats)
     raise InputError(f"{path} is of no known format. Understood are: {understood}.")
+
+
+def of_arrays(
+    name: str,
+    t: Array,
+    gyro: Array,
+    accel: Array,
+    streams: Mapping[str, tuple[tuple[Array, Array], int]],
+) -> Recording:
+    """A recording of arrays in SI, repaired and checked as a file's columns are.
+
+    t (n,) s; gyro, accel (n, 3); streams: by name, (t (m,), values (m, d)) and d. Errors:
+    InputError, one sentence, where shapes do not fit or nothing can be made of the numbers.
+    """
+    imu = (_columns("gyro", t, gyro, 3), _columns("accel", t, accel, 3))
+    further = {n: _columns(n, *pair, width) for n, (pair, width) in streams.items()}
+    return assemble(Path(name), *imu, further)
+
+
+def _columns(name: str, t: Array, value: Array, width: int) -> Columns:
+    """Readings (n, width) at times t (n,), of anything that numpy can make an array of."""
+    try:
+        t, value = np.asarray(t, dtype=np.float64), np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{name}: what is given are no arrays of numbers.") from None
+    value = value[:, None] if width == 1 and value.ndim == 1 else value
+    if t.ndim != 1 or value.shape != (len(t), width):
+        raise InputError(
+            f"{name}: times of shape {t.shape} and values of shape {value.shape} do not fit; "
+            f"(n,) and (n, {width}) are needed."
+        )
+    if not np.isfinite(t).all():
+        raise InputError(f"{name}: a time is not a number.")
+    return columns(nanoseconds(t), value)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from handcal.show.calibration import summary
 from handcal.show.drawing import (
     AXES,
     DEG,
+    INK,
     MUTED,
     RC,
     SHADE,
@@ -24,10 +25,11 @@ from handcal.show.drawing import (
     svg,
     thin,
 )
-from handcal.types import Array, Innovations, Result
+from handcal.types import Array, Innovations, Parameter, Result
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 def _turning(result: Result) -> Plot:
@@ -189,6 +191,42 @@ def _raw(result: Result) -> Plot:
     legend(axes[0])
     caption = "Readings as recorded, before any correction. Detected rests shaded."
     return Plot("What the sensor read", caption, svg(figure, "raw"))
+
+
+def sizes(parameters: Sequence[Parameter], colours: Mapping[str, str] | None = None) -> Figure:
+    """Parameters with one (thick) and three sigma, each in what is usual for such a device;
+    colours: of effects."""
+    import matplotlib as mpl
+
+    with mpl.rc_context(RC):
+        return _sizes(parameters, colours or {})
+
+
+def _sizes(parameters: Sequence[Parameter], colours: Mapping[str, str]) -> Figure:
+    known = [p for p in parameters if p.prior_sigma > 0.0 and np.isfinite(p.value)]
+    groups = [(words.shown_group(group), group) for group in words.by_effect(known).values()]
+    shown = [(p, unit) for unit, group in groups for p in group]
+    figure, (ax,) = canvas(1, 1.2 + 0.36 * len(shown))
+    ax.axvspan(-1, 1, color=SHADE, lw=0, zorder=0)
+    ax.axvline(0, color=MUTED, lw=0.9)
+    reach = 1.5
+    for row, (p, unit) in enumerate(shown):
+        colour = colours.get(p.effect, XYZ[2])
+        value, sigma = p.value / p.prior_sigma, min(p.sigma / p.prior_sigma, 1.0)
+        for times, weight in ((3, 1.6), (1, 4.5)):
+            ax.plot([value - times * sigma, value + times * sigma], [row, row], color=colour,
+                    lw=weight, alpha=0.9, solid_capstyle="butt")  # fmt: skip
+        ax.plot(value, row, "o", color=colour, markersize=6, markeredgewidth=0)
+        amount = f"{unit.value(p.value, p.sigma, sign=True)} ± {unit.value(p.sigma, p.sigma)}"
+        ax.text(1.015, row, f"{amount} {unit.unit}".rstrip(), va="center", fontsize=10, color=INK,
+                transform=ax.get_yaxis_transform())  # fmt: skip
+        reach = max(reach, 1.1 * (abs(value) + min(3 * sigma, 2.0)))
+    ax.set(xlim=(-reach, reach), ylim=(len(shown) - 0.4, -0.6),
+           xlabel="value, in what is usual for such a device")  # fmt: skip
+    ax.set_yticks(range(len(shown)), [words.parameter_title(p) for p, _ in shown])
+    ax.tick_params(axis="y", labelcolor=INK)
+    ax.grid(visible=False, axis="y")
+    return figure
 
 
 def draw(result: Result) -> dict[str, list[Plot]]:

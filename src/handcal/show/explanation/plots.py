@@ -15,6 +15,7 @@ import numpy as np
 from handcal.explain.explanation import Explanation, Trace, Unnamed
 from handcal.show import words
 from handcal.show.calibration import summary
+from handcal.show.calibration.plots import sizes
 from handcal.show.drawing import (
     GRID,
     INK,
@@ -318,31 +319,10 @@ def _dumbbell(ax: Axes, row: int, before: float, after: float) -> None:
 
 def parameter_plot(explanation: Explanation) -> Plot | None:
     """What is missing, in units of what is usual, with one and three sigma."""
-    rows = [(m, p, unit) for m in explanation.missing for p, unit in say.in_units(m.parameters)]
-    rows = [r for r in rows if r[1].prior_sigma > 0 and math.isfinite(r[1].value)]
-    if not rows:
+    found = [p for m in explanation.missing for p in m.parameters if p.prior_sigma > 0]
+    if not any(math.isfinite(p.value) for p in found):
         return None
-    styles = effect_styles(explanation)
-    figure, (ax,) = canvas(1, 1.2 + 0.36 * len(rows))
-    ax.axvspan(-1, 1, color=SHADE, lw=0, zorder=0)
-    ax.axvline(0, color=MUTED, lw=0.9)
-    reach = 1.5
-    for row, (m, p, unit) in enumerate(rows):
-        colour = styles.get(m.effect, (AFTER, "-"))[0]
-        value, sigma = p.value / p.prior_sigma, min(p.sigma / p.prior_sigma, 1.0)
-        for times, weight in ((3, 1.6), (1, 4.5)):
-            ax.plot([value - times * sigma, value + times * sigma], [row, row], color=colour,
-                    lw=weight, alpha=0.9, solid_capstyle="butt")  # fmt: skip
-        ax.plot(value, row, "o", color=colour, markersize=6, markeredgewidth=0)
-        amount = f"{unit.value(p.value, p.sigma, sign=True)} ± {unit.value(p.sigma, p.sigma)}"
-        ax.text(1.015, row, f"{amount} {unit.unit}".rstrip(), va="center", fontsize=10, color=INK,
-                transform=ax.get_yaxis_transform())  # fmt: skip
-        reach = max(reach, 1.1 * (abs(value) + min(3 * sigma, 2.0)))
-    ax.set(xlim=(-reach, reach), ylim=(len(rows) - 0.4, -0.6),
-           xlabel="value, in what is usual for such a device")  # fmt: skip
-    ax.set_yticks(range(len(rows)), [words.parameter_title(p) for _, p, _ in rows])
-    ax.tick_params(axis="y", labelcolor=INK)
-    ax.grid(visible=False, axis="y")
+    figure = sizes(found, {e: c for e, (c, _) in effect_styles(explanation).items()})
     caption = (
         "Thick: ±1 sigma; thin: ±3 sigma. Shaded: what was held possible before (±1 prior sigma)."
     )

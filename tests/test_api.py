@@ -1,0 +1,145 @@
+"""handcal from Python: what a notebook does, what it shows, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from worlds import recording_of
+
+import handcal as hc
+from handcal import api, types
+from handcal.estimate.calibration import calibrate
+from handcal_sim import simulate
+
+SCREEN = 40 * 120
+
+
+@pytest.fixture(scope="module")
+def recording() -> types.Recording:
+    world = simulate("free-hand", seed=0, duration_s=20.0, effects={"gyro_scale": [0.02, 0, 0]})
+    return recording_of(world, "heading")
+
+
+@pytest.fixture(scope="module")
+def written(recording: types.Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("api") / "turns.mcap"
+    api.Recording.of(recording).write(path)
+    return path
+
+
+def test_arrays_and_files_are_the_same_recording(recording: types.Recording, written: Path) -> None:
+    imu, heading = recording.imu, recording.streams["heading"]
+    made = hc.Recording.from_arrays(
+        imu.t, imu.gyro, imu.accel, heading=(heading.t, heading.value[:, 0])
+    )
+    for other in (made, hc.read(written)):
+        assert np.array_equal(other.imu.gyro, imu.gyro)
+        assert np.array_equal(other.imu.accel, imu.accel)
+        assert np.abs(other.imu.t - (imu.t - imu.t[0])).max() < 2e-9
+        assert np.array_equal(other.streams["heading"].value, heading.value)
+
+
+def test_a_calibration_is_that_of_the_command_and_shows_itself(
+    recording: types.Recording, written: Path, tmp_path: Path
+) -> None:
+    found = hc.calibrate(recording, "gyro_scale")
+    plain = calibrate(recording, ("gyro_scale",))
+    assert tuple(found.parameters) == plain.parameters
+    assert np.array_equal(found.covariance, plain.covariance)
+    assert found.parameters.values.tolist() == [p.value for p in plain.parameters]
+    assert found.parameters["gyro_scale", "x"] is found.parameters["gyro_scale"][0]
+    assert found.parameters[-1] == plain.parameters[-1]
+    for shown in (found, found.parameters, hc.read(written), plain, recording, recording.imu):
+        assert 10 < len(repr(shown)) < SCREEN
+    assert found._repr_html_().count("<tr>") == 1 + len(plain.parameters)
+    assert len(found.plot().axes) == 1
+    found.save(tmp_path / "a.json")
+    assert json.loads((tmp_path / "a.json").read_text()) == found.document
+    found.report(tmp_path / "a.html")
+    assert "Gyro scale" in (tmp_path / "a.html").read_text()
+    several = hc.calibrate([recording, written])
+    assert len(several) == 2
+    assert all(isinstance(one, api.Calibration) for one in several)
+
+
+def test_what_was_explained_is_taken_off_and_written(
+    recording: types.Recording, written: Path, tmp_path: Path
+) -> None:
+    why = hc.explain(written)
+    assert [m.effect for m in why.missing] == ["gyro_scale"]
+    assert "gyro scale" in repr(why).lower()
+    assert len(repr(why)) < SCREEN
+    assert why._repr_html_().count("<table>") == 2
+    assert len(why.plot().axes) == 1
+    why.save(tmp_path / "why.json")
+    done = hc.apply(written, why)
+    assert done.taken == ("gyro_scale",)
+    again = hc.apply(recording, tmp_path / "why.json").recording
+    assert np.array_equal(again.imu.gyro, done.recording.imu.gyro)
+    done.write(tmp_path / "corrected.mcap")
+    left = hc.read(tmp_path / "corrected.mcap").imu.gyro - recording.imu.gyro / [1.02, 1.0, 1.0]
+    assert np.abs(left - left.mean(axis=0)).max() < 0.002 * np.abs(recording.imu.gyro).max()
+
+
+def test_what_is_concealed_is_another_recording(recording: types.Recording) -> None:
+    worse = hc.conceal(recording, {"gyro_quadratic": [0.01, 0, 0]})
+    assert np.abs(worse.imu.gyro[:, 0] - recording.imu.gyro[:, 0]).max() > 1e-4
+    assert np.array_equal(worse.imu.gyro[:, 1], recording.imu.gyro[:, 1])
+
+
+def test_misuse_is_one_sentence(recording: types.Recording, written: Path) -> None:
+    imu = recording.imu
+    wrong = [
+        lambda: hc.calibrate(imu.gyro),
+        lambda: hc.calibrate([written, imu]),
+        lambda: hc.explain(3),
+        lambda: hc.read("no-such-file.mcap"),
+        lambda: hc.apply(recording, recording),
+        lambda: hc.calibrate(recording, "gyro_scal"),
+        lambda: hc.read(written).write(written),
+        lambda: hc.Recording.from_arrays(imu.t, imu.gyro, imu.accel[:, :2]),
+        lambda: hc.Recording.from_arrays(imu.t, imu.gyro, imu.accel, head=(imu.t, imu.t)),
+        lambda: hc.Recording.from_arrays(["a"], imu.gyro, imu.accel),
+    ]
+    for call in wrong:
+        with pytest.raises(hc.InputError) as said:
+            call()
+        assert 20 < len(str(said.value)) < 900
+        assert str(said.value).endswith((".", "?"))
+    with pytest.raises(KeyError, match="gyro_bias"):
+        hc.calibrate(recording).parameters["lever_arm"]
+
+
+def test_without_pandas_a_table_is_a_sentence(
+    recording: types.Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    parameters = hc.calibrate(recording).parameters
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(hc.HandcalError, match="pandas is not installed"):
+        parameters.to_pandas()
+
+
+def test_a_package_may_be_called_by_its_name(recording: types.Recording) -> None:
+    import handcal.explain  # (which sets the attribute of that name)
+
+    assert callable(handcal.explain)
+    short = replace(recording, streams={})
+    with pytest.raises(hc.InputError, match="explain takes"):
+        handcal.explain(short, held_out=[3])
+
+
+def test_importing_is_quick_and_help_says_all() -> None:
+    code = "import sys, handcal as hc; print('numpy' in sys.modules, *dir(hc)); help(hc)"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    first, _, rest = run.stdout.partition("\n")
+    assert first.startswith("False")
+    for name in ("read", "calibrate", "explain", "apply", "conceal", "Recording"):
+        assert name in first.split()
+        assert f"hc.{name}" in rest
+    assert "true minus estimated" in rest
