@@ -10,6 +10,7 @@ import pytest
 from fake_result import fake_result
 from rich.console import Console
 
+import handcal
 from handcal import units
 from handcal.estimate.noise import white_levels
 from handcal.show import words
@@ -38,7 +39,14 @@ def test_the_json_has_the_contracts_fields():
         "schema", "recording", "parameters", "noise", "fit", "untellable", "model", "warnings",
     }  # fmt: skip
     assert document["schema"] == "handcal/calibration/1"
-    assert set(document["recording"]) == {"path", "duration_s", "imu_rate_hz", "streams", "assume"}
+    assert set(document["recording"]) == {
+        "path",
+        "duration_s",
+        "imu_rate_hz",
+        "streams",
+        "assume",
+        "sha256",
+    }
     assert document["recording"]["imu_rate_hz"] == pytest.approx(100)
     assert set(document["fit"]) == {"log_evidence", "observations", "nis", "whiteness"}
     for p in document["parameters"]:
@@ -229,3 +237,17 @@ def test_the_json_names_kinds_as_the_contract_does():
     assert (
         set(document["fit"]["nis"]) == set(document["fit"]["whiteness"]) == {"position", "velocity"}
     )
+
+
+def test_a_result_says_which_program_and_which_file(tmp_path):
+    file = tmp_path / "a.bin"
+    file.write_bytes(b"abc")
+    recording = replace(fake_result().recording, path=str(file))
+    # (FIPS 180-2, appendix B.1)
+    digest = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    assert summary.recording_json(recording, "auto")["sha256"] == digest
+    gone = replace(recording, path=str(tmp_path))
+    assert summary.recording_json(gone, "auto")["sha256"] is None
+    summary.write_json({"schema": "x/1", "a": 1}, tmp_path / "x.json")
+    written = json.loads((tmp_path / "x.json").read_text())
+    assert written == {"schema": "x/1", "version": handcal.__version__, "a": 1}

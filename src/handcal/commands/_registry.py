@@ -11,6 +11,7 @@ from __future__ import annotations
 import ast
 import codecs
 import contextlib
+import importlib
 import importlib.util
 import io
 import os
@@ -83,13 +84,13 @@ class Commands(TyperGroup):
 
 def folder(package: str) -> dict[str, EntryPoint]:
     """The commands of a package, by name; none of them is imported."""
-    spec = importlib.util.find_spec(package)
     found: dict[str, EntryPoint] = {}
-    for module in pkgutil.iter_modules(spec.submodule_search_locations if spec else None):
-        if not module.name.startswith("_"):
-            name = module.name.strip("_").replace("_", "-")
-            attribute = "commands" if module.ispkg else module.name
-            found[name] = EntryPoint(name, f"{package}.{module.name}:{attribute}", GROUP)
+    with contextlib.suppress(ImportError):  # (of a program that was installed, and broke)
+        for module in pkgutil.iter_modules(importlib.import_module(package).__path__):
+            if not module.name.startswith("_"):
+                name = module.name.strip("_").replace("_", "-")
+                attribute = "commands" if module.ispkg else module.name
+                found[name] = EntryPoint(name, f"{package}.{module.name}:{attribute}", GROUP)
     return found
 
 

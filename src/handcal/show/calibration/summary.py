@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 from collections.abc import Sequence
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+import handcal
 from handcal import output
 from handcal.show import words
 from handcal.types import CALIBRATION_SCHEMA, Array, Innovations, Parameter, Recording, Result
@@ -105,7 +107,16 @@ def recording_json(recording: Recording, assume: str) -> dict[str, Any]:
         "imu_rate_hz": finite(recording.rate_hz),
         "streams": {name: {"samples": int(t.size)} for name, t in streams.items()},
         "assume": assume,
+        "sha256": _digest(Path(recording.path)),
     }
+
+
+def _digest(path: Path) -> str | None:
+    """Of a recording's file; None where it is a folder, or was never a file."""
+    if not path.is_file():
+        return None
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def calibration_json(result: Result | Sequence[Result]) -> dict[str, Any]:
@@ -157,7 +168,11 @@ def calibration_json(result: Result | Sequence[Result]) -> dict[str, Any]:
 
 
 def write_json(document: Any, path: str | Path) -> None:
-    """Write a JSON document, ``-`` meaning standard output. NaN is an error, not a token."""
+    """Write a JSON document, ``-`` meaning standard output, with the program's version in it. NaN
+    is an error, not a token."""
+    if isinstance(document, dict) and "schema" in document:
+        rest = {k: v for k, v in document.items() if k != "schema"}
+        document = {"schema": document["schema"], "version": handcal.__version__} | rest
     text = json.dumps(document, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
     if str(path) == "-":
         print(text, end="")
