@@ -6,7 +6,7 @@
 
 BIN := .venv/bin
 # Of `make trial`: which suites, how many explanations at a time; SEED=N repeats a trial.
-SUITES := nothing one mixed unknown turn axis faint reference large phone odometry people budget wild strange
+SUITES := nothing one mixed unknown turn faint reference large phone odometry people budget wild strange axis
 JOBS := 1
 SEED :=
 PIP := $(BIN)/python -m pip install --disable-pip-version-check --quiet -c constraints.txt

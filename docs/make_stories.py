@@ -137,12 +137,11 @@ def real(folder: Path) -> str:
     )
     named = run(folder, f"handcal explain first.mcap --effects-from {laws} --json named.json")
     before, after, last = (read(folder, f"{k}.json") for k in ("plain", "first", "named"))
-    said = [w for w in after["warnings"] if w.startswith("Besides")]
-    gained = sum(u["log_evidence_gain"] for d in (after, last) for u in d["unnamed"])
-    assert gained == 0.0, "the story is another by now"
+    assert after["verdict"] == "unexplained", "the story is another by now"
+    where = listed([f"`{c}`" for u in after["unnamed"] for c in u["channels"]])
     size = [p for p in last["parameters"] if p["effect"] == "gyro_rectifies"]
     sizes = ", ".join(f"{p['value']:.4f} ± {p['sigma']:.4f}" for p in size)
-    return f"""## A law concealed in a real recording, and not told
+    return f"""## A law concealed in a real recording
 
 A drone flies for a minute in a room with motion capture (EuRoC, V2_03). As it is:
 
@@ -154,7 +153,7 @@ Now its gyro has the same law, 0.02 |omega_x| on z, which is added to the readin
 
 {made}
 
-{told(after)} {" ".join(said)} What is left without a name is reported as a law only if it is a fiftieth of what is named, and a tracker that is late by a fifth of a second is worth so much that all else is small beside it. It is not lost: whoever suspects the law and has it in a catalogue is told.
+{told(after)} That something is there, on which channels ({where}) and that it goes with the turning is told; its formula is not. The law was added to what the drone's gyro read 200 times a second, and the vibration of its motors, which changes from moment to moment, is rectified with the rest: an error that goes with the rate and comes and goes explains that better than any one curve over a rate. Whoever suspects the law and has it in a catalogue gets its size:
 
 {named}
 

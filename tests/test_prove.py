@@ -186,7 +186,6 @@ def test_a_plan_mixes_suites_and_its_names_tell_nothing():
         "mixed": 5,
         "unknown": 4,
         "turn": 2,
-        "axis": 0,
         "faint": 0,
         "reference": 0,
         "large": 0,
@@ -196,6 +195,7 @@ def test_a_plan_mixes_suites_and_its_names_tell_nothing():
         "budget": 0,
         "wild": 0,
         "strange": 0,
+        "axis": 0,
     }
     assert [case[0] for case in cases] == [f"r{k:04d}" for k in range(1, 25)]
     assert cases == run.plan("all", 24, 7) != run.plan("all", 24, 8)

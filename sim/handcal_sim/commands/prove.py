@@ -27,8 +27,8 @@ def prove(
     suite: Annotated[
         str,
         typer.Option(
-            help="nothing, one, mixed, unknown, turn, axis, faint, reference, large, phone, "
-            "odometry, people, budget, wild, strange, or all (of the first five)."
+            help="nothing, one, mixed, unknown, turn, faint, reference, large, phone, odometry, "
+            "people, budget, wild, strange, axis, or all (of the first five)."
         ),
     ] = ALL,
     out: Annotated[

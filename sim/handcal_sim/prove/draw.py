@@ -197,7 +197,6 @@ _DRAWINGS: Mapping[str, Drawing] = {
     "mixed": _several(3),
     "unknown": _unknown,
     "turn": _each,
-    "axis": _in_part,
     "faint": _faint,
     "reference": _several(2),
     "large": _large,
@@ -207,4 +206,5 @@ _DRAWINGS: Mapping[str, Drawing] = {
     "budget": draw_budget.drawn,
     "wild": draw_wild.drawn,
     "strange": draw_strange.drawn,
+    "axis": _in_part,
 }

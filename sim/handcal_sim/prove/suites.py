@@ -117,9 +117,6 @@ SUITES: dict[str, Suite] = {
     "mixed": Suite("0 to 3 effects, any motion", 100, ("exact", "right_set"), 0.90),
     "unknown": Suite("physics outside the catalogue", 4 * len(strangers.KINDS), ("exact",), 0.90),
     "turn": Suite("one effect, 30 s turn", 2 * len(SIZES), ("exact", "right_set", "missed"), 0.98),
-    "axis": Suite(
-        "one effect on one axis, 84 s about three", 4 * len(IN_PART), ("exact", "right_set"), 0.98
-    ),
     "faint": Suite("one effect near the limit", 40, ("exact", "right_set"), None),
     "reference": Suite("0 to 2 effects beside a trusted IMU", 60, ("exact", "right_set"), 0.90),
     "large": Suite(
@@ -131,6 +128,9 @@ SUITES: dict[str, Suite] = {
     "budget": Suite("8 to 12 errors at once, two recordings", 60, ("exact", "right_set"), None),
     "wild": Suite("0 to 3 effects, wild motion", 100, ("exact", "right_set"), 0.95),
     "strange": Suite("one or two laws nobody wrote down", 150, ("exact",), 0.90),
+    "axis": Suite(
+        "one effect on one axis, 84 s about three", 4 * len(IN_PART), ("exact", "right_set"), 0.98
+    ),
 }
 
 
