@@ -11,18 +11,18 @@ import pytest
 from test_explain import slow
 from worlds import recording_of
 
-from handcal import own_effects
+from handcal import user_effects
 from handcal.effects import Signals, imu_jacobian, select
 from handcal.estimate.case import case_of
 from handcal.estimate.chosen import Options, chosen_of, document_of, settled
 from handcal.estimate.fit import baseline, fitted
 from handcal.estimate.model import Model
 from handcal.explain import climb, explain, naming
+from handcal.explain.model_file import chosen_from
 from handcal.explain.unnamed import best, drivers, grammar, law_file, laws
 from handcal.explain.unnamed.drivers import DRIVERS
 from handcal.explain.unnamed.grammar import Range
 from handcal.explain.unnamed.laws import Law
-from handcal.explain.written import chosen_from
 from handcal.signals import probe
 from handcal.types import Array, Parameter, Recording
 from handcal_sim import simulate
@@ -356,7 +356,7 @@ def test_a_curve_that_was_found_is_written_out_with_what_was_found(size_alone, t
     u = naming._unnamed(model, effect, tuple(own), 9.0)
     assert u.constants == ()
     (path,) = law_file.write([u], tmp_path / "odd.py", ["a.mcap"], ())
-    read = own_effects.read(path)
+    read = user_effects.read(path)
     s = probe()
     assert read.imu_error is not None
     assert effect.imu_error is not None

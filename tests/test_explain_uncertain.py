@@ -19,7 +19,7 @@ from handcal.estimate.fit import fitted, started
 from handcal.estimate.model import Model
 from handcal.estimate.noise import Curvature
 from handcal.explain import explain
-from handcal.explain.leaning import leaning
+from handcal.explain.bias_limits import leaning
 from handcal.show.explanation.summary import print_explanation
 from handcal.types import Array
 from handcal_sim import simulate

@@ -19,9 +19,9 @@ from handcal.estimate.chosen import document_of
 from handcal.estimate.fit import baseline, fitted
 from handcal.explain import explain
 from handcal.explain.explanation import Explanation
+from handcal.explain.jumps import sudden
+from handcal.explain.model_file import chosen_from
 from handcal.explain.score import MOMENTS, PRIOR, prior
-from handcal.explain.sudden import sudden
-from handcal.explain.written import chosen_from
 from handcal.types import InputError, Recording
 from handcal_sim import simulate
 from handcal_sim.phone import (

@@ -15,7 +15,7 @@ from handcal.estimate.chosen import Chosen, Options, document_of, seen, view_of
 from handcal.estimate.fit import baseline, diverged
 from handcal.estimate.model import Model
 from handcal.estimate.sway import sway_of
-from handcal.explain import moving, written
+from handcal.explain import model_file, moving
 from handcal.observations.fixed_position import CREEP, SWAY, Part, Sway
 from handcal.show import words
 from handcal_sim import simulate
@@ -84,7 +84,7 @@ def test_a_move_is_written_and_read_to_the_last_bit() -> None:
     case = case_of(recording, "fixed-point")
     case = moving._moved(case, [(9.9, 11.1, 0.31), (20.0, 20.7, 0.05)], 12.0)
     chosen = Chosen((), (view_of(case),), Options())
-    (view,) = written.chosen_from(document_of(chosen)).views
+    (view,) = model_file.chosen_from(document_of(chosen)).views
     again = seen(recording, view, Options())
     assert again.constant == case.constant
     assert view == view_of(again)

@@ -16,7 +16,7 @@ from worlds import recording_of
 import handcal
 from handcal.estimate.calibration import calibrate_together, recalibrate
 from handcal.explain import Explanation, explain
-from handcal.explain.written import chosen_from, read
+from handcal.explain.model_file import chosen_from, read
 from handcal.show.calibration.summary import OWN, calibration_json
 from handcal.show.explanation.summary import explanation_json
 from handcal.types import InputError, Recording

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from worlds import recording_of
 
 import handcal
-from handcal import own_effects
+from handcal import user_effects
 from handcal.commands import _app
 from handcal.effects import catalogue
 from handcal.recordings.export import TWINS, write_mcap
@@ -145,7 +145,7 @@ def test_the_page_of_the_catalogue_has_it(told):
     spec = importlib.util.spec_from_file_location("make_effects", ROOT / "docs/make_effects.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    with own_effects.effects_from(told[0] / "effects"):
+    with user_effects.effects_from(told[0] / "effects"):
         assert catalogue()[OWN].source == "found in first.mcap by handcal explain"
         assert f"`{OWN}=k`" in module.page()
     assert OWN not in module.page()

@@ -14,7 +14,7 @@ import pytest
 from strange_device import errs_by, turned
 from worlds import injected
 
-from handcal import own_effects
+from handcal import user_effects
 from handcal.compiled import so3
 from handcal.device.apply import apply, read
 from handcal.effects import Effect, Param, catalogue, with_effects
@@ -101,7 +101,7 @@ def as_effect(law, folder) -> Effect:
         return law
     path = folder / "true_law.py"
     path.write_text(law_file.text_of(law_file.law_of(law), "true_law", "the simulator", 0.0))
-    return own_effects.read(path)
+    return user_effects.read(path)
 
 
 def told_of(recording, strange, world, folder) -> Told:
@@ -134,7 +134,7 @@ def test_the_next_recording_is_explained(kind, tmp_path):
     folder = tmp_path / "effects"
     folder.mkdir()
     files = law_file.write(found.unnamed, folder / "own.py", [first.path], catalogue())
-    with own_effects.effects_from(folder):
+    with user_effects.effects_from(folder):
         own = told_of(second, strange, worlds[1], tmp_path)
     with with_effects([("the simulator", as_effect(the_law_itself(kind, strange), tmp_path))]):
         true = told_of(second, strange, worlds[1], tmp_path)

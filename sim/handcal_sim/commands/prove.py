@@ -50,7 +50,7 @@ def prove(
 ) -> None:
     """Conceal random errors in random recordings, explain them blindly, and score that."""
     from handcal.commands._registry import say
-    from handcal.own_effects import effects_from as also
+    from handcal.user_effects import effects_from as also
 
     if effects_from is not None:
         say(f"running the code of {effects_from}/*.py, as --effects-from asks")

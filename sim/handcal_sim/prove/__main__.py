@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from handcal.own_effects import effects_from
+from handcal.user_effects import effects_from
 from handcal_sim.prove.run import explained
 from handcal_sim.prove.workers import serve
 

@@ -333,7 +333,7 @@ def write_page(sweep: Mapping[str, Any], file: str | Path) -> None:
 
     import handcal
     from handcal.show import drawing
-    from handcal.show.page import page as rendered
+    from handcal.show.html_page import page as rendered
     from handcal_sim.sweep import page
 
     with mpl.rc_context(drawing.RC):

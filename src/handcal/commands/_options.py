@@ -120,11 +120,11 @@ def with_own_effects(command: Callable[..., None]) -> Callable[..., None]:
         if effects_from is None:
             command(*arguments, **options)
             return
-        from handcal import own_effects
+        from handcal import user_effects
 
-        names = ", ".join(path.name for path in own_effects.files(effects_from))
+        names = ", ".join(path.name for path in user_effects.files(effects_from))
         say(f"running the code of {names} in {effects_from}, as --effects-from asks")
-        with own_effects.effects_from(effects_from):
+        with user_effects.effects_from(effects_from):
             command(*arguments, **options)
 
     own = signature(command, eval_str=True)
@@ -183,7 +183,7 @@ def calibrated(
     if learnt_from is None:
         with progress(f"calibrating {names}") as report:
             return calibrate_together(recordings, ids, progress=report, **settings)
-    from handcal.explain.written import read
+    from handcal.explain.model_file import read
 
     usual = {"assume": "auto", "engine": "compiled", "height": 0.0, "ignore": (),
              "reference_exact": False}  # fmt: skip

@@ -19,11 +19,11 @@ from handcal.estimate.case import applicable, frozen_at, name_of
 from handcal.estimate.fit import fitted, scan
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.robust import inflation
-from handcal.explain.alibi import without_alibi
+from handcal.explain.jumps import sudden
 from handcal.explain.noises import all_noise, looks_of, of_looks, on_fewer_axes
 from handcal.explain.score import MOMENTS, PRIOR, better, prior, score
 from handcal.explain.space import Space, best_set, gains, rivals, space
-from handcal.explain.sudden import sudden
+from handcal.explain.stand_ins import without_stand_in
 from handcal.explain.unnamed.best import Term, best_term, reshaped
 from handcal.explain.unnamed.laws import effect_of, law_of
 from handcal.types import Array
@@ -458,7 +458,7 @@ def _thin(c: Climb) -> Model | None:
 
 def _free(c: Climb) -> Model | None:
     """What noise stands in for, in its place."""
-    other = without_alibi(c.model, c.worth, c.suspects)
+    other = without_stand_in(c.model, c.worth, c.suspects)
     if other is None or not sensible(other):
         return None
     c.dropped -= {name_of(i) for i in other.ids}

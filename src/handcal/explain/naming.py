@@ -12,7 +12,7 @@ from handcal.effects import Effect, catalogue
 from handcal.estimate.case import Case, name_of
 from handcal.estimate.model import Model
 from handcal.estimate.process import process_parameters
-from handcal.explain import matter, outliers
+from handcal.explain import importance, outliers
 from handcal.explain.climb import akin
 from handcal.explain.explanation import Curve, Hypothesis, Missing, Unnamed, is_curve
 from handcal.explain.score import CERTAIN, PRIOR, probability
@@ -119,7 +119,7 @@ def _squares(
     model: Model, effect: Effect, channels: Container[str] | None = None
 ) -> dict[str, float]:
     """The mean square of what an effect adds to each channel; to some of them."""
-    sizes = matter.sizes(model, effect)
+    sizes = importance.sizes(model, effect)
     return {c: v**2 for c, v in sizes.items() if channels is None or c in channels}
 
 

@@ -8,11 +8,11 @@ from functools import partial
 
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
-from handcal.explain.alibi import steadied, sways_far
 from handcal.explain.climb import Climb, climbed
-from handcal.explain.late import with_delays
+from handcal.explain.delays import with_delays
 from handcal.explain.score import better
 from handcal.explain.space import Space
+from handcal.explain.stand_ins import steadied, sways_far
 from handcal.explain.unnamed.best import Term, best_term
 
 # What a single term has to gain, of all that was found, for a second climb to begin with it.

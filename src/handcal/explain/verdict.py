@@ -20,7 +20,9 @@ from handcal.estimate.model import Fitted, Model
 from handcal.estimate.observed import check_options
 from handcal.estimate.result import noise, results
 from handcal.estimate.robust import inflation
-from handcal.explain import held, locate, matter, outliers
+from handcal.explain import held_out as held
+from handcal.explain import importance, locate, outliers
+from handcal.explain.bias_limits import leaning
 from handcal.explain.climb import sensible, too_large
 from handcal.explain.explanation import (
     Evidence,
@@ -34,7 +36,6 @@ from handcal.explain.explanation import (
 )
 from handcal.explain.gauge import plainly
 from handcal.explain.hands import foretold, hand_of
-from handcal.explain.leaning import leaning
 from handcal.explain.moments import moments
 from handcal.explain.moving import begun, moving
 from handcal.explain.naming import (
@@ -114,13 +115,13 @@ def explain(
     return out
 
 
-def _predicted(end: _End, others: Sequence[Case]) -> tuple[HeldOut, matter.Judged | None]:
+def _predicted(end: _End, others: Sequence[Case]) -> tuple[HeldOut, importance.Judged | None]:
     """How well what was not seen is predicted: other recordings, or else later blocks."""
     found = end.found
     if not others:
-        return held.later_blocks(end.base, found.model), matter.by_later_blocks(found)
+        return held.later_blocks(end.base, found.model), importance.by_later_blocks(found)
     scores, after = held.other_files(others, found.model)
-    return scores, matter.by_other_files(found, after)
+    return scores, importance.by_other_files(found, after)
 
 
 def _case(recording: Recording, assume: str, options: Options) -> Case:
@@ -294,7 +295,7 @@ def _compared(
 
 
 def _explanation(
-    end: _End, scores: HeldOut, written: Chosen | None, judged: matter.Judged | None
+    end: _End, scores: HeldOut, written: Chosen | None, judged: importance.Judged | None
 ) -> Explanation:
     found, base, model = end.found, end.base, end.found.model
     wrong = end.wrong if end.wrong is not None and end.wrong.burst is None else None
@@ -303,7 +304,7 @@ def _explanation(
     named = _named(end, learnt, wrong)
     before, explained, mismatch = _compared(end, named.verdict, fits)
     excess = inflation(model)
-    told = [plainly(model, matter.weighed(found, m, judged), excess) for m in named.missing]
+    told = [plainly(model, importance.weighed(found, m, judged), excess) for m in named.missing]
     told.sort(key=lambda m: (-m.share, -m.log_evidence_gain))
     hypotheses = hypotheses_of(found, told, wrong, named.alone)
     # what all recordings share, and the biases where there is but one

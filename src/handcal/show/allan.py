@@ -9,7 +9,7 @@ import handcal
 from handcal import output
 from handcal.allan import CHANNELS, LAWS, UNITS, Allan, Channel
 from handcal.show.drawing import INK, MUTED, PURPLE, RC, RED, XYZ, Plot, canvas, legend, svg
-from handcal.show.page import page
+from handcal.show.html_page import page
 from handcal.types import Array
 from handcal.units import shown
 

@@ -12,7 +12,7 @@ from handcal import output
 from handcal.show import words
 from handcal.show.calibration import plots, summary
 from handcal.show.drawing import AXES
-from handcal.show.page import page
+from handcal.show.html_page import page
 from handcal.types import Array, Result
 
 _MATRIX = ("gyro_scale", "gyro_misalignment", "accel_scale", "accel_misalignment")

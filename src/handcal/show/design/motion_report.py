@@ -15,7 +15,7 @@ from handcal.design.motion import Plan, Prospect
 from handcal.show import words
 from handcal.show.design.picture import check_ending
 from handcal.show.drawing import INK, MUTED, RC, WIDE, XYZ, Plot, legend, svg
-from handcal.show.page import page
+from handcal.show.html_page import page
 from handcal.types import Array
 
 if TYPE_CHECKING:

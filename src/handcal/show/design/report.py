@@ -12,7 +12,7 @@ from handcal.design.search import HELD_WITHIN_DEG, Design
 from handcal.show import words
 from handcal.show.design.picture import poses_plot
 from handcal.show.design.words import elevations, instruction
-from handcal.show.page import page
+from handcal.show.html_page import page
 
 if TYPE_CHECKING:
     from rich.console import Console

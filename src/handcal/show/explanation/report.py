@@ -13,7 +13,7 @@ from handcal.show import words
 from handcal.show.drawing import PALETTE
 from handcal.show.explanation import frames, plots, summary
 from handcal.show.explanation import words as say
-from handcal.show.page import page
+from handcal.show.html_page import page
 from handcal.types import Parameter
 from handcal.units import Shown
 

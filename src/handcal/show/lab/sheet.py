@@ -12,7 +12,7 @@ from handcal import output
 from handcal.lab.papers.table import Table as Table
 from handcal.show import words
 from handcal.show.drawing import Plot
-from handcal.show.page import page
+from handcal.show.html_page import page
 from handcal.types import Parameter
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from handcal import effects, own_effects
+from handcal import effects, user_effects
 from handcal.commands import _app
 from handcal.compiled import so3
 from handcal.effects import TIME, Z_DIM, Param, catalogue, observed_error, with_effects
@@ -76,7 +76,7 @@ def test_a_folder_joins_the_catalogue_and_leaves_it_again(tmp_path):
     folder = folder_with(tmp_path, a=GOOD, _helper="raise RuntimeError")
     (folder / "notes.txt").write_text("no effect")
     before = catalogue()
-    with own_effects.effects_from(folder):
+    with user_effects.effects_from(folder):
         assert set(catalogue()) - set(before) == {"own_law"}
         assert effects.select(["own_law"])[0].title == "Own law"
         # threads have the catalogue of whoever began them
@@ -85,7 +85,7 @@ def test_a_folder_joins_the_catalogue_and_leaves_it_again(tmp_path):
     assert catalogue() is before
     with pytest.raises(InputError, match="come with --effects-from"):
         effects.select(["own_law"])
-    with own_effects.effects_from(None):
+    with user_effects.effects_from(None):
         assert catalogue() is before
     assert sorted(p.name for p in folder.iterdir()) == ["_helper.py", "a.py", "notes.txt"]
 
@@ -99,12 +99,12 @@ def test_what_the_catalogue_covers_is_that_of_the_context(tmp_path):
     alone = [Law(0, (1,), False, DRIVERS["omega_{i}"], form, (1.0,)) for form in forms]
     whole = [dataclasses.replace(law, axes=(0, 1, 2)) for law in alone]
     for k, text in enumerate((cube, square)):
-        with own_effects.effects_from(folder_with(tmp_path, a=text)):
+        with user_effects.effects_from(folder_with(tmp_path, a=text)):
             # (all axes together are one law: of one alone there is still more to know)
             assert not any(laws.named(law) for law in alone)
             assert [laws.named(law) for law in whole] == [k == 0, k == 1]
         one = text.replace("p[0] * np", "p[0] * np.eye(6)[1] * np")
-        with own_effects.effects_from(folder_with(tmp_path, a=one)):
+        with user_effects.effects_from(folder_with(tmp_path, a=one)):
             assert [laws.named(law) for law in alone] == [k == 0, k == 1]
     assert not any(laws.named(law) for law in (*alone, *whole))
 
@@ -114,7 +114,7 @@ def test_a_file_that_is_none_is_named(tmp_path, text):
     known = catalogue()
     with (
         pytest.raises(InputError, match=WRONG[text]),
-        own_effects.effects_from(folder_with(tmp_path, a=text)),
+        user_effects.effects_from(folder_with(tmp_path, a=text)),
     ):
         pass
     assert catalogue() is known
@@ -124,7 +124,7 @@ def test_two_files_with_one_id(tmp_path):
     folder = folder_with(tmp_path, a=GOOD, b=GOOD)
     with (
         pytest.raises(InputError, match=r"b\.py has an effect 'own_law', and so has .*a\.py"),
-        own_effects.effects_from(folder),
+        user_effects.effects_from(folder),
     ):
         pass
 
@@ -190,7 +190,7 @@ def packages(monkeypatch):
 
 
 def test_an_installed_package_brings_an_effect(tmp_path, packages):
-    own = own_effects.read(folder_with(tmp_path, a=GOOD) / "a.py")
+    own = user_effects.read(folder_with(tmp_path, a=GOOD) / "a.py")
     assert "own_law" not in catalogue()
     packages(own=own)
     assert catalogue()["own_law"] is own
@@ -234,7 +234,7 @@ def again(effect, tmp_path, values=None):
     path = tmp_path / "odd.py"
     path.unlink(missing_ok=True)
     (path,) = law_file.write([unnamed(effect, values)], path, ["a.mcap"], catalogue())
-    own = own_effects.read(path)
+    own = user_effects.read(path)
     assert own.id == path.stem
     assert "a.mcap" in own.source
     assert max(len(line) for line in path.read_text().splitlines()) <= 100
@@ -407,7 +407,7 @@ def test_several_laws_are_several_files_and_none_is_overwritten(tmp_path):
     found = law_file.write(both, tmp_path / "odd.py", ["a.mcap", "b.mcap"], [*catalogue(), "odd_3"])
     assert [p.name for p in found] == ["odd.py", "odd_4.py"]
     assert (tmp_path / "odd_2.py").read_text() == "mine"
-    one, other = (own_effects.read(p) for p in found)
+    one, other = (user_effects.read(p) for p in found)
     assert (one.id, other.id) == ("odd", "odd_4")
     assert one.title == "gyro_x: k * omega_x^3"
     assert "found in a.mcap, b.mcap" in other.source
@@ -418,7 +418,7 @@ def test_a_recordings_name_is_no_code(tmp_path):
     name = 'a"""\nraise RuntimeError\n"""' + "'); raise RuntimeError(\\" + "\udcff\u2713.mcap"
     law = unnamed(shapes.again("gyro_x", ("decay", (12.0,))))
     (path,) = law_file.write([law], tmp_path / "odd.py", [name], catalogue())
-    own = own_effects.read(path)
+    own = user_effects.read(path)
     assert own.source == f"found in {name} by handcal explain".replace("\n", " ")
 
 

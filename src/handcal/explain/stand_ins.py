@@ -20,7 +20,7 @@ from handcal.explain.score import better
 FAR = 2.0
 
 
-def without_alibi(model: Model, worth: float, tried: set[str]) -> Model | None:
+def without_stand_in(model: Model, worth: float, tried: set[str]) -> Model | None:
     """The model with the effect that explains what a disturbance was taken for, if one does.
 
     While the disturbance is wide a scan sees no effect beside it. So each effect that acts on

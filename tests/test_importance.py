@@ -107,7 +107,7 @@ def test_iron_that_every_model_has_is_a_share_of_all_and_the_rest_of_what_lies_b
     """38,000 nats of iron would leave nothing to a scale error of a thousand."""
     from types import SimpleNamespace
 
-    from handcal.explain.matter import whole_gain
+    from handcal.explain.importance import whole_gain
 
     gains = {"iron": 1000.0, "scale": 40.0, "arm": 60.0}
     where = SimpleNamespace(
