@@ -228,7 +228,7 @@ def test_where_nothing_was_added_there_is_one_model(monkeypatch):
     e = fake_explanation("nothing_missing")
     monkeypatch.setattr(plots, "draw", lambda _: drawn("nothing_missing"))
     html, text = render_explanation(e), printed(e)
-    for word in ("Plain model", "Final model", "Before and after", "has not seen"):
+    for word in ("Baseline", "Final model", "Before and after", "has not seen"):
         assert word not in html
     assert "Before and after" not in text
     assert "unseen data" not in text

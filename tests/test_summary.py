@@ -90,7 +90,7 @@ def test_several_results_are_a_list_of_recordings():
 
 def test_a_folder_that_does_not_exist_is_a_sentence(tmp_path):
     with pytest.raises(HandcalError, match="could not be written"):
-        summary.write_json({}, tmp_path / "none" / "x.json")
+        summary.write_json({"schema": "x/1"}, tmp_path / "none" / "x.json")
 
 
 def test_whiteness_tells_white_from_alike():

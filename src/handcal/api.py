@@ -196,9 +196,9 @@ class Calibration(Result):
     @property
     def document(self) -> Mapping[str, Any]:
         """What ``handcal calibrate --json`` writes."""
-        from handcal.show.calibration.summary import calibration_json
+        from handcal.show.calibration.summary import calibration_json, stamped
 
-        return calibration_json(self)
+        return stamped(calibration_json(self))
 
     def __repr__(self) -> str:
         from handcal.show import words
@@ -252,9 +252,10 @@ class Explanation(ExplanationData):
     @property
     def document(self) -> Mapping[str, Any]:
         """What ``handcal explain --json`` writes."""
+        from handcal.show.calibration.summary import stamped
         from handcal.show.explanation.summary import explanation_json
 
-        return explanation_json(self)
+        return stamped(explanation_json(self))
 
     @property
     def _paths(self) -> list[Path]:

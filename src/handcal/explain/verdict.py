@@ -93,7 +93,7 @@ def explain(
     fixed = {} if heading_sigma is None else {"heading_noise": heading_sigma}
     options = Options(latitude, height, fixed, tuple(ignore), reference_exact)
     cases = [_case(r, assume, options) for r in recordings]
-    report(0.03, "fitting the plain model")
+    report(0.03, "fitting the baseline")
     end = _searched(begun(cases), lambda f: report(0.1 + 0.6 * f, "searching what is missing"))
     if assume == "auto":
         end = _by_the_rests(cases, end, options, report)

@@ -282,7 +282,7 @@ def verdict(result: Result) -> Verdict:
         known = listed([_known_to(g) for g in groups])
         sentences.append(f"If the model is complete, known to one sigma: {known}.")
     if result.innovations and not doubts:
-        sentences.append("The errors agree with the bounds the filter set itself.")
+        sentences.append("The residuals match the predicted uncertainty.")
     sentences += doubts
     if overconfident and not result.repeated:
         sentences.append(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -167,13 +167,15 @@ def calibration_json(result: Result | Sequence[Result]) -> dict[str, Any]:
     }
 
 
-def write_json(document: Any, path: str | Path) -> None:
+def stamped(document: Mapping[str, Any]) -> dict[str, Any]:
+    """The document with the version of the program that made it."""
+    return {"schema": document["schema"], "version": handcal.__version__} | dict(document)
+
+
+def write_json(document: Mapping[str, Any], path: str | Path) -> None:
     """Write a JSON document, ``-`` meaning standard output, with the program's version in it. NaN
     is an error, not a token."""
-    if isinstance(document, dict) and "schema" in document:
-        rest = {k: v for k, v in document.items() if k != "schema"}
-        document = {"schema": document["schema"], "version": handcal.__version__} | rest
-    text = json.dumps(document, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+    text = json.dumps(stamped(document), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
     if str(path) == "-":
         print(text, end="")
     else:
@@ -219,7 +221,7 @@ def _parameter_table(result: Result, prior: bool) -> Any:
     table.add_column("parameter", no_wrap=True)
     for column in ("value", "± 1 sigma", *(["prior ±"] if prior else [])):
         table.add_column(column, justify="right", no_wrap=True)
-    for column in ("unit", "seen", "settled"):
+    for column in ("unit", "observable", "settled"):
         table.add_column(column)
     for group in words.by_effect(result.parameters).values():
         unit = words.shown_group(group)

@@ -26,7 +26,7 @@ OTHERS = ((165, 125, 100), (105, 145, 130), (110, 125, 160), (145, 120, 155), (1
 AMISS, RED = (245, 190, 90), (255, 120, 120)
 CHANNELS = (XYZ[2], XYZ[0], XYZ[1], (205, 150, 225), (240, 225, 110), GREY)
 BARS = 8
-NAMES = ("recorded", "plain model", "final model")
+NAMES = ("recorded", "baseline", "final model")
 
 
 def _span(r: Explained) -> tuple[float, float]:
@@ -83,7 +83,7 @@ def explanation_blueprint(explanation: Explanation) -> rrb.Blueprint:
             plot(
                 span,
                 f"{home}/shortfall",
-                "Nats lost by the plain model: worst channels",
+                "Nats lost by the baseline: worst channels",
                 only=list(frames.lost(r))[:5],
             ),
             plot(
@@ -186,7 +186,7 @@ def _log_trace(
         rec.log(f"{entity}/sigma", lines(["+1σ", "−1σ"], [GREY, GREY], 1.0), static=True)
         columns(rec, f"{entity}/sigma", ends, band)
     if where:  # a bar along the lower edge, with gaps between the stretches
-        rec.log(f"{entity}/amiss", lines(["plain model falls short"], [AMISS], 6.0), static=True)
+        rec.log(f"{entity}/amiss", lines(["baseline does not fit"], [AMISS], 6.0), static=True)
         t = np.array([[a, b, b + 1e-3] for a, b in where]).ravel()
         y = np.tile([-0.97 * _limit(trace)] * 2 + [np.nan], len(where))
         order = np.argsort(t, kind="stable")

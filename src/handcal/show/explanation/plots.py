@@ -1,6 +1,6 @@
 """Figures of an ``Explanation``; how they are drawn is in ``drawing``.
 
-One colour, one meaning: ink is what was recorded, orange the plain model, blue the final
+One colour, one meaning: ink is what was recorded, orange the baseline, blue the final
 one; what was found has a colour of its own in every figure, what was not is grey.
 """
 
@@ -78,7 +78,7 @@ def trace_plot(explanation: Explanation, recording: int, trace: Trace, wide: boo
     recorded = (trace.recorded, {"color": INK, "lw": 3.6, "alpha": 0.3, "label": "recorded"})
     lines: tuple[tuple[Array, dict[str, Any]], ...] = (
         recorded,
-        (trace.before, {"color": BEFORE, "lw": 1.2, "label": "plain model"}),
+        (trace.before, {"color": BEFORE, "lw": 1.2, "label": "baseline"}),
         (trace.after, {"color": AFTER, "lw": 1.2, "ls": (0, (3, 2)), "label": "final model"}),
     )
     if one:
@@ -105,14 +105,14 @@ def trace_plot(explanation: Explanation, recording: int, trace: Trace, wide: boo
     legend(top)
     rms = [float(np.sqrt((d**2).mean())) for d in differences]
     shown = [unit.value(v / unit.factor, 0.1 * max(rms) / unit.factor) for v in rms]
-    caption = f"The plain model is {shown[0]} {unit.unit} (rms) off, the final model {shown[1]}."
+    caption = f"The baseline is {shown[0]} {unit.unit} (rms) off, the final model {shown[1]}."
     if shown[0] == shown[1]:
         who = "The model is" if one else "Both models are"
         caption = f"{who} {shown[0]} {unit.unit} (rms) off."
     if not trace.before.any():
-        caption += f" Counted from what the {'model' if one else 'plain model'} expects."
+        caption += f" Counted from what the {'model' if one else 'baseline'} expects."
     if where:
-        caption += " Coloured ground: where the plain model falls short."
+        caption += " Shaded: where the baseline does not fit."
     title = say.channel_title(trace.channel)
     name = f"trace-{recording}-{trace.channel}-{wide}"
     return Plot(title[:1].upper() + title[1:], caption, svg(figure, name))
@@ -155,12 +155,12 @@ def heat_plot(explanation: Explanation, recording: int) -> Plot | None:
     ax.legend(swatches, [f"{v:,.0f} nats" for v in scale], loc="lower right", ncols=4,
               bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, handlelength=1.3)  # fmt: skip
     caption = (
-        f"Nats that the plain model loses to the final one in each {bins[1] - bins[0]:.3g} s; at "
+        f"Nats that the baseline loses to the final one in each {bins[1] - bins[0]:.3g} s; at "
         f"the right, each channel's share."
     )
     if explanation.mismatch:
         caption += " Framed: what is listed above."
-    title = f"Shortfall{say.of_recording(recording, explanation) or ' by channel'}"
+    title = f"Misfit{say.of_recording(recording, explanation) or ' by channel'}"
     return Plot(title, caption, svg(figure, f"heat-{recording}"))
 
 
@@ -300,8 +300,11 @@ def balance_plot(explanation: Explanation) -> Plot | None:
     axes[0].axvline(1, color=INK, lw=1)
     axes[0].set(xlim=(low, high), xlabel="NIS per degree of freedom (1 is right)")
     axes[1].axvline(0, color=INK, lw=1)
-    axes[1].set(xlim=(-1, 1), xlabel="likeness of neighbouring surprises (0 is right)")
-    caption = "How large the surprises are against what the model expects, and how alike in a row."
+    axes[1].set(xlim=(-1, 1), xlabel="lag-1 autocorrelation of innovations (0 expected)")
+    caption = (
+        "How large the innovations are against their predicted uncertainty, and how correlated "
+        "from one to the next."
+    )
     if not one:
         axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.1,
                        handlelength=1.0, handletextpad=0.4)  # fmt: skip
@@ -310,7 +313,7 @@ def balance_plot(explanation: Explanation) -> Plot | None:
 
 
 def _dumbbell(ax: Axes, row: int, before: float, after: float) -> None:
-    label = (("plain model", "final model") if row == 0 else ("_", "_"))  # fmt: skip
+    label = (("baseline", "final model") if row == 0 else ("_", "_"))  # fmt: skip
     ax.plot([before, after], [row, row], color=GRID, lw=3, zorder=2, solid_capstyle="round")
     dot: dict[str, Any] = {"linestyle": "none", "markersize": 8, "markeredgewidth": 0, "zorder": 3}
     ax.plot([before], [row], "D", color=BEFORE, label=label[0], **(dot | {"markersize": 7}))

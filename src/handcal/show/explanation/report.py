@@ -150,7 +150,7 @@ def _residuals(e: Explanation) -> list[dict[str, str]]:
 
 def _held_out(e: Explanation) -> dict[str, Any] | None:
     """None where there were none. The score alone: residuals depend on how much noise each
-    model allows itself, and a plain model that lets the hand sway by metres has small ones."""
+    model allows itself, and a baseline that lets the hand sway by metres has small ones."""
     if (h := e.held_out) is None:
         return None
     return {

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 KEY = (
-    "● present, ◐ one of a set that this motion cannot tell apart. Alone: over the plain model, "
+    "● present, ◐ one of a set that this motion cannot tell apart. Alone: over the baseline, "
     "which may call noise what it lacks; final: beside everything found, at the noise found with "
     "it; promised: what an effect of the usual size would gain."
 )
@@ -200,7 +200,7 @@ def print_explanation(explanation: Explanation, console: Console) -> None:
     for sentence in judged.sentences:
         line(sentence)
     if e.mismatch:
-        heading("Where the plain model falls short")
+        heading("Where the baseline does not fit")
         console.print(_mismatch_table(e))
     for m in e.missing:
         heading(f"Missing: {' or '.join(say.members(m, e))}")
@@ -264,7 +264,7 @@ def _mismatch_table(e: Explanation) -> Any:
 
 
 def _missing_table(m: Missing) -> Any:
-    table = _table("", ">value", ">± 1 sigma", "unit", "seen")
+    table = _table("", ">value", ">± 1 sigma", "unit", "observable")
     for p, unit in say.in_units(m.parameters):
         value = unit.value(p.value, p.sigma, sign=True)
         seen = "[green]yes[/]" if p.observable else "[yellow]no[/]"

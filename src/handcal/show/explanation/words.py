@@ -348,13 +348,13 @@ def motion_phrase(motion: str) -> str:
 
 
 def worst_mismatch(explanation: Explanation) -> str | None:
-    """Where and when the plain model falls short most."""
+    """Where and when the baseline fits worst."""
     if not explanation.mismatch:
         return None
     m = max(explanation.mismatch, key=lambda m: m.share)
     return (
-        f"The plain model falls short most in {channel_title(m.channel)}"
-        f"{', ' + m.when if m.when else ''} ({whole_percent(m.share)} of the whole shortfall)."
+        f"The baseline fits worst in {channel_title(m.channel)}"
+        f"{', ' + m.when if m.when else ''} ({whole_percent(m.share)} of the whole misfit)."
     )
 
 
