@@ -98,11 +98,11 @@ def explain(
     if assume == "auto":
         end = _by_the_rests(cases, end, options, report)
     report(0.75, "fitting the model that was found")
-    found, chosen = _refitted(end.base, end.found, options)
+    found, chosen = _refitted(end, end.found, options)
     if large := too_large(found.model):
         # (the search did not come so far)
         other = search(end.base, lambda f: report(0.75 + 0.05 * f, "searching again"), large)
-        again, written = _refitted(end.base, other, options)
+        again, written = _refitted(end, other, options)
         if sensible(again.model):
             found, chosen = replace(again, alone=end.found.alone), written
     end = replace(end, found=found)
@@ -136,13 +136,15 @@ def _case(recording: Recording, assume: str, options: Options) -> Case:
 class _End:
     """Where a search ended. base: the baseline; wrong: the headings that are merely wrong; surely:
     nats by which its hand is better than what was tried instead, NaN if nothing was; rests:
-    whether some hand travels, so that its rests alone count."""
+    whether some hand travels, so that its rests alone count; moves: whether the baseline is of a
+    hand that moves, and was begun from fits of one that does not."""
 
     base: Model
     found: Found
     wrong: outliers.Wrong | None
     surely: float
     rests: bool = False
+    moves: bool = False
 
 
 def _by_the_rests(cases: Sequence[Case], end: _End, options: Options, report: Progress) -> _End:
@@ -168,12 +170,12 @@ def _by_the_rests(cases: Sequence[Case], end: _End, options: Options, report: Pr
     return replace(other, surely=-surely, rests=True)
 
 
-def _refitted(base: Model, found: Found, options: Options) -> tuple[Found, Chosen | None]:
-    """The model that the search ended with, fitted from where any other would be, as
+def _refitted(end: _End, found: Found, options: Options) -> tuple[Found, Chosen | None]:
+    """The model that a search ended with, fitted from where any other would be, as
     ``calibrate`` does; and as it is written down: None where no fit from there is any good."""
-    searched = found.model
+    searched, base = found.model, end.base
     chosen = chosen_of(searched, options, moments(found))
-    if not as_seen(base.parts, chosen):
+    if end.moves or not as_seen(base.parts, chosen):
         parts = zip(searched.parts, chosen.views, strict=True)
         base = baseline([seen(f.case.read or f.case.recording, v, options) for f, v in parts])
     model = settled(base, chosen)
@@ -214,7 +216,8 @@ def _searched(base: Model, report: Callable[[float], None]) -> _End:
     other_hand = moving(base, found.model, _gained(found)) if wrong is None else None
     if other_hand is None:
         return _End(base, found, wrong, math.nan)
-    return _End(other_hand[0], search(other_hand[0], report), wrong, other_hand[1])
+    base, surely = other_hand
+    return _End(base, search(base, report), wrong, surely, moves=True)
 
 
 def _gained(found: Found) -> dict[str, float]:
