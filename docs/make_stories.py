@@ -138,7 +138,9 @@ def real(folder: Path) -> str:
     named = run(folder, f"handcal explain first.mcap --effects-from {laws} --json named.json")
     before, after, last = (read(folder, f"{k}.json") for k in ("plain", "first", "named"))
     assert after["verdict"] == "unexplained", "the story is another by now"
-    where = listed([f"`{c}`" for u in after["unnamed"] for c in u["channels"]])
+    (law,) = after["unnamed"]
+    assert law["formula"] == "gyro_z += k * abs(omega_x)", "the story is another by now"
+    found = f"k = {law['value']:.4f} ± {law['sigma']:.4f}"
     size = [p for p in last["parameters"] if p["effect"] == "gyro_rectifies"]
     sizes = ", ".join(f"{p['value']:.4f} ± {p['sigma']:.4f}" for p in size)
     return f"""## A law concealed in a real recording
@@ -153,7 +155,7 @@ Now its gyro has the same law, 0.02 |omega_x| on z, which is added to the readin
 
 {made}
 
-{told(after)} That something is there, on which channels ({where}) and that it goes with the turning is told; its formula is not. The law was added to what the drone's gyro read 200 times a second, and the vibration of its motors, which changes from moment to moment, is rectified with the rest: an error that goes with the rate and comes and goes explains that better than any one curve over a rate. Whoever suspects the law and has it in a catalogue gets its size:
+{told(after)} That is the law that was put in, on its channel, written out: {found}, where 0.02 was concealed. The tracker's delay is worth three thousand times as many nats, but adds nothing to a gyro; so it does not hide it. (Until lately `explain` said that something errs with the rate, and no more: `gyro_cross_products` came first, nine numbers of which all had to be paid for.) Whoever has the law in a catalogue gets its name:
 
 {named}
 

@@ -50,7 +50,7 @@ def _times(recording: Recording, A: Array) -> Recording:
 EFFECT = Effect(
     id="mag_soft_iron",
     title="Magnetometer soft iron",
-    parameters=tuple(Param(name, "1", 0.1, most=0.5) for name in NAMES),
+    parameters=tuple(Param(name, "1", 0.1, most=0.3) for name in NAMES),
     story="Iron in the device draws the Earth's field to itself: the sensor reads more of it along "
     "one axis and less along another, and some of one axis on the next.",
     source="contract of this project; Gebre-Egziabher et al., J. Aerospace Eng. 19(2), 2006; the "
