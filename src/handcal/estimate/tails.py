@@ -62,7 +62,8 @@ def usual(q: Quadratic, index: IntArray, root: Array | None = None) -> Posterior
     left_out = tails.sum() * float(LOG_SHARES[0])
     for e in np.flatnonzero(sparse):
         own = slice(begin[e], begin[e + 1])
-        left_out += _spared(found.mean[own], found.covariance[own, own], 1.0)
+        variance = np.diag(found.covariance)[own]
+        left_out += sum(_spared(m, v, 1.0) for m, v in zip(found.mean[own], variance, strict=True))
     return Posterior(found.log_evidence + left_out, found.mean, found.covariance)
 
 
@@ -109,7 +110,7 @@ def _prepared(
     has tails and is sparse; and which parameters are positive."""
     begin, tails, sparse = _effects(q, index, owners)
     size = np.diff(begin).astype(np.float64)
-    R = np.eye(len(index)) if root is None else root
+    R = np.empty((0, 0)) if root is None else root
     if root is not None:
         # (of a projection the rank is the trace)
         size = np.asarray(np.round(np.add.reduceat(np.diag(R), begin[:-1])), dtype=np.float64)
@@ -161,97 +162,140 @@ def _tailed(
     near: of means within so many standard deviations the usual scale alone counts (not
     positive: never).
     """
-    count = len(begin) - 1
-    scale = np.zeros(count, dtype=np.int64)
-    best = np.zeros(count, dtype=np.int64)
-    shares = np.full((count, len(SCALES)), -np.inf)
-    value = 0.0
+    # (loops, and nothing of numpy's algebra: that took a third of all compiling on a first run)
+    scale = np.zeros(len(begin) - 1, dtype=np.int64)
+    more = 0.0
     for _ in range(ROUNDS):
         value = _posterior(b, G, R, begin, scale, mean, covariance)
-        if near > 0.0 and not half.any() and np.abs(mean).max() <= near:
-            for e in range(count):
-                value += LOG_SHARES[0] if tails[e] else 0.0
-            return value + _all_spared(mean, covariance, begin, scale, sparse)
-        for e in range(count):
-            first, last = begin[e], begin[e + 1]
-            for k in range(len(SCALES) if tails[e] else 1):
-                shares[e, k] = _share(
-                    mean[first:last],
-                    covariance[first:last, first:last],
-                    rank[e],
-                    SCALES[scale[e]],
-                    SCALES[k],
-                    half[first:last],
-                )
-                if tails[e]:
-                    shares[e, k] += LOG_SHARES[k]
-            best[e] = np.argmax(shares[e])
-        same = True
-        for e in range(count):
-            same = same and best[e] == scale[e]
-            scale[e] = best[e]
+        if near > 0.0 and _small(mean, half, near):
+            more = 0.0
+            for e in range(len(scale)):
+                more += LOG_SHARES[0] if tails[e] else 0.0
+            break
+        more, same = _summed(mean, covariance, begin, rank, tails, half, scale)
         if same:
             break
-    for e in range(count):
-        top = shares[e].max()
-        value += top + math.log(np.exp(shares[e] - top).sum())
-    return value + _all_spared(mean, covariance, begin, scale, sparse)
+    return value + more + _all_spared(mean, covariance, begin, scale, sparse)
+
+
+@njit
+def _small(mean: Array, half: BoolArray, near: float) -> bool:
+    """Whether no mean is beyond this, and none must be positive."""
+    small = True
+    for i in range(len(mean)):
+        small = small and not half[i] and abs(mean[i]) <= near
+    return small
+
+
+@njit
+def _summed(
+    mean: Array,
+    covariance: Array,
+    begin: IntArray,
+    rank: Array,
+    tails: BoolArray,
+    half: BoolArray,
+    scale: IntArray,
+) -> tuple[float, bool]:
+    """Log of the sum over the scales of each effect, those of the others as they are; and whether
+    each effect has its best scale already, which is written."""
+    out, same = 0.0, True
+    shares = np.empty(len(SCALES))
+    for e in range(len(scale)):
+        count = len(SCALES) if tails[e] else 1
+        best = 0
+        for k in range(count):
+            shares[k] = _share(
+                mean, covariance, begin[e], begin[e + 1], rank[e], SCALES[scale[e]], SCALES[k], half
+            )
+            if tails[e]:
+                shares[k] += LOG_SHARES[k]
+            if shares[k] > shares[best]:
+                best = k
+        total = 0.0
+        for k in range(count):
+            total += math.exp(shares[k] - shares[best])
+        out += shares[best] + math.log(total)
+        same = same and best == scale[e]
+        scale[e] = best
+    return out, same
 
 
 @njit
 def _all_spared(
     mean: Array, covariance: Array, begin: IntArray, scale: IntArray, sparse: BoolArray
 ) -> float:
-    """``_spared`` of all effects that are sparse, at their scales."""
+    """Nats of evidence that the sparse effects gain as any of their parameters may be zero."""
     out = 0.0
     for e in range(len(sparse)):
         if sparse[e]:
-            own = slice(begin[e], begin[e + 1])
-            out += _spared(mean[own], covariance[own, own], SCALES[scale[e]])
+            for i in range(begin[e], begin[e + 1]):
+                out += _spared(mean[i], covariance[i, i], SCALES[scale[e]])
     return out
 
 
 @njit
-def _spared(m: Array, C: Array, scale: float) -> float:
-    """Nats of evidence that an effect of posterior m (k,), C (k, k), each parameter's prior being
-    of that scale, gains as any of them may be zero."""
-    out = 0.0
-    for i in range(len(m)):
-        absent = -0.5 * m[i] ** 2 / C[i, i] + math.log(scale) - 0.5 * math.log(C[i, i])
-        # log of the mean of 1 and exp(absent)
-        out += max(absent, 0.0) + math.log1p(math.exp(-abs(absent))) - math.log(2.0)
-    return out
+def _spared(m: float, variance: float, scale: float) -> float:
+    """The same of one parameter of this mean and variance, its prior being of that scale."""
+    absent: float = -0.5 * m**2 / variance + math.log(scale) - 0.5 * math.log(variance)
+    # log of the mean of 1 and exp(absent)
+    return max(absent, 0.0) + math.log1p(math.exp(-abs(absent))) - math.log(2.0)
 
 
 @njit
 def _posterior(
     b: Array, G: Array, R: Array, begin: IntArray, scale: IntArray, mean: Array, C: Array
 ) -> float:
-    """``quadratic.posterior`` at these scales of the effects: log-evidence, mean (m,), C (m, m)."""
+    """``quadratic.posterior`` at these scales of the effects: log-evidence, mean (m,), C (m, m).
+    R (m, m), or (0, 0) for the identity."""
     m = len(b)
-    wide = R.copy()
+    rows = np.zeros((m, m))
     for e in range(len(scale)):
-        wide[:, begin[e] : begin[e + 1]] *= SCALES[scale[e]]
-    A = wide.T @ (G @ wide)
+        for j in range(begin[e], begin[e + 1]):
+            rows[j, j] = SCALES[scale[e]]
+            for i in range(len(R)):
+                rows[j, i] = R[i, j] * SCALES[scale[e]]
+    A = _times(rows, G, len(R) == 0)
+    y = np.zeros(m)
     for i in range(m):
         A[i, i] += 1.0
+        for k in range(m):
+            y[i] += rows[i, k] * b[k]
     if not _rooted(A):
-        mean[:] = 0.0
-        C[:, :] = 0.0
+        for i in range(m):
+            mean[i] = 0.0
+            for j in range(m):
+                C[i, j] = 0.0
         return -np.inf
-    rows = wide.T.copy()
-    y = wide.T @ b
     _forward(A, y)
-    for i in range(m):
-        for k in range(i):
-            rows[i] -= A[i, k] * rows[k]
-        rows[i] /= A[i, i]
-    mean[:] = rows.T @ y
-    C[:, :] = rows.T @ rows
+    _forward_rows(A, rows, len(R) == 0)
+    _gram(rows, y, mean, C, len(R) == 0)
     value = 0.0
     for i in range(m):
         value += 0.5 * y[i] * y[i] - math.log(A[i, i])
     return value
+
+
+@njit
+def _times(W: Array, G: Array, diagonal: bool) -> Array:
+    """W G W' (m, m), of symmetric G."""
+    m = len(W)
+    out = np.zeros((m, m))
+    if diagonal:
+        for i in range(m):
+            for j in range(m):
+                out[i, j] = W[i, i] * G[i, j] * W[j, j]
+        return out
+    half = np.zeros((m, m))
+    for i in range(m):
+        for k in range(m):
+            for j in range(m):
+                half[i, j] += W[i, k] * G[k, j]
+    for i in range(m):
+        for k in range(m):
+            for j in range(m):
+                out[i, j] += half[i, k] * W[j, k]
+    return out
 
 
 @njit
@@ -281,24 +325,89 @@ def _forward(L: Array, y: Array) -> None:
 
 
 @njit
-def _share(m: Array, C: Array, rank: float, now: float, new: float, half: BoolArray) -> float:
-    """Log of what a scale of an effect's prior is worth against the one it has in the posterior
-    m (k,), C (k, k): the mean, over the posterior, of the ratio of the priors; half (k,): those
-    that are positive."""
-    k = len(m)
+def _forward_rows(L: Array, X: Array, diagonal: bool) -> None:
+    """X (m, m) becomes L^-1 X; of a diagonal one that is a lower half."""
+    for i in range(len(X)):
+        for k in range(i):
+            for j in range(k + 1 if diagonal else len(X)):
+                X[i, j] -= L[i, k] * X[k, j]
+        for j in range(i + 1 if diagonal else len(X)):
+            X[i, j] /= L[i, i]
+
+
+@njit
+def _gram(X: Array, y: Array, mean: Array, C: Array, lower: bool) -> None:
+    """X' y and X' X are written to mean (m,) and C (m, m)."""
+    m = len(X)
+    for i in range(m):
+        mean[i] = 0.0
+        for j in range(m):
+            C[i, j] = 0.0
+    for i in range(m):
+        for j in range(i + 1 if lower else m):
+            mean[j] += X[i, j] * y[i]
+            for k in range(j + 1):
+                C[j, k] += X[i, j] * X[i, k]
+    for j in range(m):
+        for k in range(j):
+            C[k, j] = C[j, k]
+
+
+@njit
+def _share(
+    mean: Array,
+    covariance: Array,
+    first: int,
+    last: int,
+    rank: float,
+    now: float,
+    new: float,
+    half: BoolArray,
+) -> float:
+    """Log of what a scale of an effect's prior is worth against the one it has in the posterior,
+    the effect's parameters being those from first to last: the mean, over the posterior, of the
+    ratio of the priors; half: those that are positive."""
+    k = last - first
     tighter = 1.0 / new**2 - 1.0 / now**2
     # E exp(-t u'u / 2) for u ~ N(m, C), with C = S S', is |I + t S'S|^-1/2 times an exponential
-    A = tighter * C
+    A = np.zeros((k, k))
+    x = np.zeros(k)
     for i in range(k):
+        x[i] = mean[first + i]
+        for j in range(k):
+            A[i, j] = tighter * covariance[first + i, first + j]
         A[i, i] += 1.0
-    x = np.linalg.solve(A, m)
-    out: float = rank * math.log(now / new) - 0.5 * np.linalg.slogdet(A)[1]
-    out -= 0.5 * tighter * float((m * x).sum())
-    if half.any():
-        spread = np.linalg.solve(A, C)
-        for i in range(k):
-            if half[i]:
-                out += math.log(2.0) + _log_normal(x[i] / math.sqrt(spread[i, i]))
+    # (positive: no posterior is wider than its prior, but for round-off)
+    if not _rooted(A):
+        return -np.inf
+    _forward(A, x)
+    out: float = rank * math.log(now / new)
+    for i in range(k):
+        out -= math.log(A[i, i]) + 0.5 * tighter * x[i] ** 2
+    return out + _positive_share(A, x, covariance, first, half)
+
+
+@njit
+def _positive_share(L: Array, x: Array, covariance: Array, first: int, half: BoolArray) -> float:
+    """What it is worth that some of an effect's parameters are positive: of root L (k, k) and
+    L^-1 m in x (k,)."""
+    k = len(x)
+    out = 0.0
+    row, column = np.zeros(k), np.zeros(k)
+    for i in range(k):
+        if not half[first + i]:
+            continue
+        # row i of (L L')^-1, on m and on the covariance's column i
+        for j in range(k):
+            row[j] = 1.0 if i == j else 0.0
+            column[j] = covariance[first + j, first + i]
+        _forward(L, row)
+        _forward(L, column)
+        value, spread = 0.0, 0.0
+        for j in range(k):
+            value += row[j] * x[j]
+            spread += row[j] * column[j]
+        out += math.log(2.0) + _log_normal(value / math.sqrt(spread))
     return out
 
 
