@@ -313,7 +313,7 @@ def test_a_climb_out_of_turns_ends_with_a_scan_of_its_model(
         scale = replace(catalogue()["gyro_scale"], id="gyro_x += k * anything")
         return fit.fitted(c.model.parts, [scale])
 
-    monkeypatch.setattr(climb, "_STEPS", (renamed,))
+    monkeypatch.setattr(climb, "_STEPS", {renamed: "anything"})
     c = climb.Climb(base, (), ())
     assert climb.climbed(c, lambda _: None)
     assert c.model.chosen <= set(c.where.effects)

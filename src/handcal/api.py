@@ -357,7 +357,8 @@ def explain(
     where, which, how certain.
 
     held_out: other recordings of the device, for scoring alone. options: as of ``calibrate``,
-    without engine, observations and noise. Errors: InputError, HandcalError.
+    without engine, observations and noise; and budget: seconds after which nothing further is
+    tried. Errors: InputError, HandcalError.
     """
     others = _recordings(held_out, "explain") if held_out else []
     return Explanation.of(verdict.explain(_recordings(recording, "explain"), others, **options))

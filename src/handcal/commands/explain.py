@@ -57,6 +57,15 @@ def explain(
             "further ones as FILE_2.py and so on. Its name is the effect's id.",
         ),
     ] = None,
+    budget: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0,
+            metavar="SECONDS",
+            help="Try nothing further after so long: the best model found by then, and what was "
+            "left untried.",
+        ),
+    ] = None,
     heading_sigma: HeadingSigma = None,
     assume: Assumption = Assume.auto,
     latitude: Latitude = None,
@@ -94,6 +103,7 @@ def explain(
             height=height,
             ignore=tuple(ignore or ()),
             reference_exact=reference_exact,
+            budget=budget,
             progress=done,
         )
     if report:

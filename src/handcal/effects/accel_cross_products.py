@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from handcal.effects import Effect, Param, Signals
 from handcal.effects._linear import added
 from handcal.types import Array
 
-FIRST, SECOND = [0, 1, 0], [1, 2, 2]
-
 
 def features(signals: Signals) -> list[tuple[int, int, Array]]:
     """Of ``l_i,jk f_j f_k`` on accelerometer i; l (9,): x_xy x_yz x_xz y_xy ..."""
-    products = signals.accel[:, FIRST] * signals.accel[:, SECOND]
+    x, y, z = signals.accel.T
+    products = np.stack([x * y, y * z, x * z], axis=1)
     return [(3 + i, 3 * i, products) for i in range(3)]
 
 

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from handcal.effects import Effect, Param, Signals
 from handcal.effects._linear import added
 from handcal.types import Array
 
-FIRST, SECOND = [0, 1, 0], [1, 2, 2]
-
 
 def features(signals: Signals) -> list[tuple[int, int, Array]]:
     """Of ``p_i,jk omega_j omega_k`` on gyro i; p (9,): x_xy x_yz x_xz y_xy ..."""
-    products = signals.gyro[:, FIRST] * signals.gyro[:, SECOND]
+    x, y, z = signals.gyro.T
+    products = np.stack([x * y, y * z, x * z], axis=1)
     return [(i, 3 * i, products) for i in range(3)]
 
 

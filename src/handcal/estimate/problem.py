@@ -91,7 +91,8 @@ class Problem:
     walks: (first state of those, column of the readings) of each that adds to these, and
     wandering: of each that is a bias; alpha: known angular acceleration (n, 3) at the IMU's
     samples, rad/s^2. slopes: at ref, of what has been linearised about a trajectory; the online
-    filter reads ``nodes.J`` instead.
+    filter reads ``nodes.J`` instead. error: (n, 6) at the IMU's samples, what the effects were
+    last found to add; where the next search for that begins.
     """
 
     recording: Recording
@@ -111,6 +112,7 @@ class Problem:
     dropped: int
     alpha: Array | None = None
     slopes: Slopes | None = None
+    error: Array | None = None
 
     @property
     def constants(self) -> int:
@@ -366,11 +368,11 @@ def corrected_readings(
     raw = np.hstack([imu.gyro - bg, imu.accel - ba])
     acting = [e for e in problem.effects if e.imu_error is not None]
     read = of_recording(problem.recording, acting, read=raw, C_nb=C_nb, alpha=problem.alpha)
-    error = substituted(acting, ref, read)
+    error = substituted(acting, ref, read, problem.error)
     clean = np.hstack([imu.gyro, imu.accel]) - error
     at = [np.interp(nodes.t, imu.t, clean[:, k]) for k in range(6)]
     nodes = nodes._replace(gyro=np.stack(at[:3], axis=1), accel=np.stack(at[3:], axis=1))
-    return Corrected(replace(problem, ref=ref, nodes=nodes), read, raw, error)
+    return Corrected(replace(problem, ref=ref, nodes=nodes, error=error), read, raw, error)
 
 
 def differentiated(
@@ -568,11 +570,14 @@ def _running_mean(x: Array, width: int, wanted: BoolArray, out: Array) -> None:
             total[c] += x[new, c] - x[old, c]
 
 
-def substituted(acting: Sequence[Effect], ref: Array, readings: Signals) -> Array:
+def substituted(
+    acting: Sequence[Effect], ref: Array, readings: Signals, begin: Array | None = None
+) -> Array:
     """What all effects add to these readings, (n, 6), by rounds of substitution: first what is
     done to the whole reading is undone, then the others follow from the truth.
 
-    Effects whose parameters are zero add nothing and are left out.
+    begin (n, 6): about what they add, if that is known. Effects whose parameters are zero add
+    nothing and are left out.
     """
     raw = np.hstack([readings.gyro, readings.accel])
     scale = float(np.abs(raw).max(initial=0.0))
@@ -586,6 +591,11 @@ def substituted(acting: Sequence[Effect], ref: Array, readings: Signals) -> Arra
         elif at.any():
             present.append((e, at))
     errors = [np.zeros_like(raw) for _ in present]
+    if begin is not None and all(e.imu_inverse is None for e, _ in present):
+        truth = reading(readings, raw - begin)
+        errors = [e.imu_error(at, truth) for e, at in present if e.imu_error is not None]
+        for error in errors:
+            total += error
     step, moved = np.empty_like(raw), math.inf
     for done in range(SUBSTITUTIONS if present else 0):
         before, moved = moved, 0.0
@@ -599,8 +609,10 @@ def substituted(acting: Sequence[Effect], ref: Array, readings: Signals) -> Arra
             np.subtract(errors[k], old, out=step)
             total += step
             moved = max(moved, float(step.max()), -float(step.min()))
+        # (each round moves by as much less as this one did)
+        following = moved * min(1.0, moved / before) if done else moved
         # (some are so large that going on would lead away)
-        if moved < SUBSTITUTED * scale or (done > 1 and not moved < SHRINKS * before):
+        if following < SUBSTITUTED * scale or (done > 1 and not moved < SHRINKS * before):
             break
     return total
 

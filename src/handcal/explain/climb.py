@@ -19,6 +19,7 @@ from handcal.estimate.case import applicable, frozen_at, name_of
 from handcal.estimate.fit import fitted, scan
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.robust import inflation
+from handcal.explain.budget import Budget
 from handcal.explain.jumps import sudden
 from handcal.explain.noises import all_noise, looks_of, of_looks, on_fewer_axes
 from handcal.explain.score import MOMENTS, PRIOR, better, prior, score
@@ -61,6 +62,7 @@ class Climb:
     model: Model
     needed: Sequence[Term]
     late: Sequence[Model]
+    budget: Budget = field(default_factory=Budget)
     where: Space = field(init=False)
     alone: dict[str, float] = field(init=False)
     noise: dict[str, float] = field(default_factory=dict)
@@ -97,7 +99,7 @@ def climbed(c: Climb, report: Callable[[float], None]) -> bool:
             c.alone = gains(c.where, frozenset())
             if any(t.effect.id not in _favourite(c) for t in c.needed):
                 return False
-        model = next((m for step in _STEPS if (m := step(c)) is not None), None)
+        model = next((m for step in _STEPS if (m := _taken(c, step)) is not None), None)
         if model is None:
             break
         c.model = model
@@ -105,6 +107,11 @@ def climbed(c: Climb, report: Callable[[float], None]) -> bool:
         # (out of turns: what is said of the model is said by a scan about it)
         c.where = _scanned(c)
     return True
+
+
+def _taken(c: Climb, step: Callable[[Climb], Model | None]) -> Model | None:
+    """Where a step leads, if there is time for it."""
+    return None if c.budget.spent(_STEPS[step]) else step(c)
 
 
 def candidates(parts: Sequence[Fitted], present: Sequence[Effect]) -> list[Effect]:
@@ -549,7 +556,18 @@ def _name_term(c: Climb) -> Model | None:
 
 
 # The cheap ones first; nothing is taken away or left without a name before all else rests.
-_STEPS = (
-    _delay, _choose, _instead, _reshape, _narrow, _exchange, _reorder, _add_noise, _exchange_noise,
-    _thin, _free, _name_term,
-)  # fmt: skip
+# Each with what is left untried where there is no time for it.
+_STEPS: dict[Callable[[Climb], Model | None], str] = {
+    _delay: "long delays",
+    _choose: "further effects",
+    _instead: "one law in the place of several names",
+    _reshape: "other forms of a law",
+    _narrow: "laws on fewer axes",
+    _exchange: "similar effects in the place of those that were found",
+    _reorder: "filters in another order",
+    _add_noise: "noise effects",
+    _exchange_noise: "noise that goes with the motion",
+    _thin: "the fit without its weakest effects",
+    _free: "the fit without what noise may stand in for",
+    _name_term: "laws that have no name",
+}

@@ -217,7 +217,8 @@ class Explanation(Brief):
 
     parameters, noise: of the final model (noise of the first recording); missing is ordered by
     share; hypotheses by ``alone``; model: the final model, whose fit ``calibrate`` repeats;
-    untellable: what the recordings cannot show, with the sigma that they would leave of it.
+    untellable: what the recordings cannot show, with the sigma that they would leave of it;
+    untried: what the search left out because it had only so much time, in words.
     """
 
     verdict: str
@@ -236,3 +237,4 @@ class Explanation(Brief):
     model: Chosen | None = None
     untellable: tuple[Parameter, ...] = ()
     hand: Hand = Hand("", 1.0)
+    untried: tuple[str, ...] = ()

@@ -8,6 +8,7 @@ from functools import partial
 
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
+from handcal.explain.budget import Budget
 from handcal.explain.climb import Climb, climbed
 from handcal.explain.delays import with_delays
 from handcal.explain.score import better
@@ -33,30 +34,44 @@ class Found:
     swaps: dict[tuple[str, str], float] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class _Common:
+    """What all climbs of a search have in common: see ``Climb`` and ``search``."""
+
+    late: Sequence[Model]
+    refused: Set[str]
+    budget: Budget
+
+
 def search(
-    base: Model, report: Callable[[float], None] = lambda _: None, refused: Set[str] = frozenset()
+    base: Model,
+    report: Callable[[float], None] = lambda _: None,
+    refused: Set[str] = frozenset(),
+    budget: Budget | None = None,
 ) -> Found:
     """From the baseline to the model that explains the recordings best; refused: effects of which
-    no device has as much as a fit came to.
+    no device has as much as a fit came to; budget: how long it may take.
 
     Named effects may be stand-ins for one thing without a name: if a single law does half as
     well from the baseline, the search begins again with it, and the better of the two ends counts.
     """
-    late = with_delays(base)
+    budget = budget or Budget()
+    late = [] if budget.spent("long delays") else with_delays(base)
+    common = _Common(late, refused, budget)
     starts = [base]
     if any(sways_far(f) for f in base.parts):
         # (the usual sway first: in a wide one little of the physics shows)
         starts.insert(0, steadied(base))
-    found = _begun(starts, late, refused, lambda f: report(0.7 * f))
+    found = _begun(starts, common, lambda f: report(0.7 * f))
     others = [e for e in found.model.effects if e.process or not ("+=" in e.id or e.always)]
-    term = best_term(base) if others else None
+    term = best_term(base) if others and not budget.spent("a search from a law on") else None
     if term is None:
         return found
     # (by fits: about the baseline, whose noise holds what is missing, a scan promises too little)
     alone = fitted(base.parts, [*base.effects, term.effect])
     gained, whole = (m.log_evidence - base.log_evidence for m in (alone, found.model))
     if gained > HALF * whole:
-        other = _end(base, [term], late, refused, lambda f: report(0.7 + 0.3 * f), alone)
+        other = _end(base, [term], common, lambda f: report(0.7 + 0.3 * f), alone)
         if other is not None and advantage(other, found) > 0.0:
             found = replace(other, alone=found.alone)
     return found
@@ -64,15 +79,14 @@ def search(
 
 def _begun(
     starts: Sequence[Model],
-    late: Sequence[Model],
-    refused: Set[str],
+    common: _Common,
     report: Callable[[float], None],
 ) -> Found:
     """The best end of climbs from these starts, up to the first that leaves no wide sway."""
     found: Found | None = None
     for number, start in enumerate(starts):
         own = partial(_part_of, report, number / len(starts), len(starts))
-        end = _end(start, (), late, refused, own)
+        end = _end(start, (), common, own)
         assert end is not None
         if found is None:
             found = end
@@ -96,14 +110,14 @@ def advantage(a: Found, b: Found) -> float:
 def _end(
     base: Model,
     needed: Sequence[Term],
-    late: Sequence[Model],
-    refused: Set[str],
+    common: _Common,
     report: Callable[[float], None],
     begun: Model | None = None,
 ) -> Found | None:
     """The end of a climb from the baseline, or from one with the terms that are needed; None if it
     would begin without these."""
-    c = Climb(base if begun is None else begun, needed, late, dropped=set(refused))
+    start = base if begun is None else begun
+    c = Climb(start, needed, common.late, common.budget, dropped=set(common.refused))
     c.kept = frozenset(base.ids)
     if not climbed(c, report):
         return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 
@@ -23,6 +24,7 @@ from handcal.estimate.robust import inflation
 from handcal.explain import held_out as held
 from handcal.explain import importance, locate, outliers
 from handcal.explain.bias_limits import leaning
+from handcal.explain.budget import Budget, after
 from handcal.explain.climb import sensible, too_large
 from handcal.explain.explanation import (
     Evidence,
@@ -77,14 +79,17 @@ def explain(
     height: float = 0.0,
     ignore: Sequence[str] = (),
     reference_exact: bool = False,
+    budget: float | None = None,
     progress: Progress | None = None,
 ) -> Explanation:
     """Say which physics the baseline lacks to explain these recordings of one device.
 
     held_out: other recordings of the same device, for scoring alone; without any, later
-    blocks are predicted from earlier ones. Other options as in ``calibrate``. Raises
+    blocks are predicted from earlier ones. budget: seconds after which nothing further is tried
+    (s; None: until all has been). Other options as in ``calibrate``. Raises
     InputError for wrong use, HandcalError where no result could be made.
     """
+    began = time.monotonic()
     report = progress or (lambda _, __: None)
     if not recordings:
         raise InputError("There is no recording to explain.")
@@ -94,12 +99,15 @@ def explain(
     options = Options(latitude, height, fixed, tuple(ignore), reference_exact)
     cases = [_case(r, assume, options) for r in recordings]
     report(0.03, "fitting the baseline")
-    end = _searched(begun(cases), lambda f: report(0.1 + 0.6 * f, "searching what is missing"))
+    base = begun(cases)
+    time_left = after(began, budget)
+    end = _searched(base, time_left, lambda f: report(0.1 + 0.6 * f, "searching what is missing"))
     if assume == "auto":
-        end = _by_the_rests(cases, end, options, report)
+        end = _by_the_rests(cases, end, options, time_left, report)
     report(0.75, "fitting the model that was found")
     found, chosen = _refitted(end, end.found, options)
-    if large := too_large(found.model):
+    large = too_large(found.model)
+    if large and not time_left.spent("a search without what came out too large"):
         # (the search did not come so far)
         other = search(end.base, lambda f: report(0.75 + 0.05 * f, "searching again"), large)
         again, written = _refitted(end, other, options)
@@ -110,7 +118,7 @@ def explain(
     others = [_case(r, "rest-only" if end.rests else assume, options) for r in held_out]
     scores, judged = _predicted(end, others)
     report(0.9, "judging what this motion could tell")
-    out = _explanation(end, scores, chosen, judged)
+    out = _explanation(end, scores, chosen, judged, tuple(time_left.untried))
     report(1.0, "")
     return out
 
@@ -147,13 +155,15 @@ class _End:
     moves: bool = False
 
 
-def _by_the_rests(cases: Sequence[Case], end: _End, options: Options, report: Progress) -> _End:
+def _by_the_rests(
+    cases: Sequence[Case], end: _End, options: Options, budget: Budget, report: Progress
+) -> _End:
     """The end of a search by the rests alone, where a hand seems to travel and they know better.
 
     (Only after the search: errors of the sensors look like a travelling hand too.)
     """
     far = [travels(f) for f in end.found.model.parts]
-    if not any(far):
+    if not any(far) or budget.spent("a hand that travels between rests"):
         return end
     laid = baseline(
         [
@@ -163,7 +173,8 @@ def _by_the_rests(cases: Sequence[Case], end: _End, options: Options, report: Pr
     )
     if not math.isfinite(laid.log_evidence):
         return end
-    other = _searched(laid, lambda f: report(0.4 + 0.3 * f, "searching by the rests alone"))
+    stage = "searching by the rests alone"
+    other = _searched(laid, budget, lambda f: report(0.4 + 0.3 * f, stage))
     surely = foretold(end.found.model, laid, other.found)
     if surely > 0.0:
         return replace(end, surely=surely)
@@ -196,11 +207,11 @@ def _with(found: Found, model: Model) -> Found:
     return replace(found, model=model, space=where)
 
 
-def _searched(base: Model, report: Callable[[float], None]) -> _End:
+def _searched(base: Model, budget: Budget, report: Callable[[float], None]) -> _End:
     """Where the search from this baseline ends."""
     cleaned, wrong = outliers.cleaned(base)
 
-    found = search(cleaned, report)
+    found = search(cleaned, report, budget=budget)
     if wrong is not None and wrong.burst is None:
         whole = outliers.put_back(base, found.model)
         if found.model.log_evidence - whole.log_evidence + PRIOR < 0.0:
@@ -208,16 +219,17 @@ def _searched(base: Model, report: Callable[[float], None]) -> _End:
     if wrong is not None and (wrong.burst or any(e.held for e in found.model.effects)):
         # what comes one after the other may be a heading that errs by a known effect, and a step
         # has its moment from the very readings that were left out
-        other = search(base, report)
+        other = search(base, report, budget=budget)
         if advantage(other, found) > (TERM_PRIOR if wrong.burst else PRIOR):
             found, wrong = other, None
     if wrong is None:
-        found, wrong = _without_outliers(base, found, report)
-    other_hand = moving(base, found.model, _gained(found)) if wrong is None else None
+        found, wrong = _without_outliers(base, found, budget, report)
+    still = wrong is not None or budget.spent("a hand that moves")
+    other_hand = None if still else moving(base, found.model, _gained(found))
     if other_hand is None:
         return _End(base, found, wrong, math.nan)
     base, surely = other_hand
-    return _End(base, search(base, report), wrong, surely, moves=True)
+    return _End(base, search(base, report, budget=budget), wrong, surely, moves=True)
 
 
 def _gained(found: Found) -> dict[str, float]:
@@ -226,17 +238,17 @@ def _gained(found: Found) -> dict[str, float]:
 
 
 def _without_outliers(
-    start: Model, found: Found, report: Callable[[float], None]
+    start: Model, found: Found, budget: Budget, report: Callable[[float], None]
 ) -> tuple[Found, outliers.Wrong | None]:
     """The search once more without headings that stand out from their neighbours: about the
     baseline, physics that is missing may have hidden that they are wrong."""
     masks = outliers.standing_out(start)
-    if masks is None:
+    if masks is None or budget.spent("single readings that are wrong"):
         return found, None
     # (from the start again: they may have led the first trajectory astray)
     cases = [f.case for f in outliers.without(start, masks)]
     begin = [started(c, start.effects) for c in cases]
-    other = search(fitted(begin, start.effects, noise_rounds=2), report)
+    other = search(fitted(begin, start.effects, noise_rounds=2), report, budget=budget)
     gain = advantage(other, found)
     if gain + PRIOR < 0.0:
         return found, None
@@ -256,7 +268,10 @@ class _Named:
 
 
 def _named(
-    end: _End, learnt: Mapping[str, tuple[Parameter, ...]], wrong: outliers.Wrong | None
+    end: _End,
+    learnt: Mapping[str, tuple[Parameter, ...]],
+    wrong: outliers.Wrong | None,
+    whole: bool,
 ) -> _Named:
     found, burst_of = end.found, None if end.wrong is None else end.wrong.burst
     entries, unsure = entries_of(found, found.model.chosen, learnt, wrong)
@@ -274,7 +289,9 @@ def _named(
     if counts:
         return _Named("unexplained", missing, unnamed, alone, remarks)
     missing = likely(entries, {})
-    verdict = "cannot_tell" if unsure else "explained" if missing else "nothing_missing"
+    # (that nothing is missing only a search says that was not broken off)
+    none = "nothing_missing" if whole else "cannot_tell"
+    verdict = "cannot_tell" if unsure else "explained" if missing else none
     return _Named(verdict, missing, [], {}, [*remarks, *(remark(u) for u in unnamed)])
 
 
@@ -298,13 +315,17 @@ def _compared(
 
 
 def _explanation(
-    end: _End, scores: HeldOut, written: Chosen | None, judged: importance.Judged | None
+    end: _End,
+    scores: HeldOut,
+    written: Chosen | None,
+    judged: importance.Judged | None,
+    untried: tuple[str, ...],
 ) -> Explanation:
     found, base, model = end.found, end.base, end.found.model
     wrong = end.wrong if end.wrong is not None and end.wrong.burst is None else None
     fits = results(model, moments(found) if written is None else written.moments)
     learnt = {e.id: parameters_of(fits[0], e) for e in model.effects if e.process is None}
-    named = _named(end, learnt, wrong)
+    named = _named(end, learnt, wrong, not untried)
     before, explained, mismatch = _compared(end, named.verdict, fits)
     excess = inflation(model)
     told = [plainly(model, importance.weighed(found, m, judged), excess) for m in named.missing]
@@ -328,10 +349,19 @@ def _explanation(
         (
             *_warnings(base, model, {h.effect for h in hypotheses if h.expected < FAINT}, written),
             *named.remarks,
+            *([_broken_off(untried)] if untried else []),
         ),
         written,
         untellable(found, fits[0].parameters),
         hand_of(model.parts[0], end.surely),
+        untried,
+    )
+
+
+def _broken_off(untried: Sequence[str]) -> str:
+    return (
+        f"The time that was given was over before all had been tried: {', '.join(untried)}. A "
+        "longer --budget, or none, tells whether they change anything."
     )
 
 

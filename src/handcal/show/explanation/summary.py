@@ -65,6 +65,8 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
         "model": {} if e.model is None else document_of(e.model),
         "warnings": all_warnings(e),
     }  # fmt: skip
+    if e.untried:
+        document["untried"] = list(e.untried)
     if several:
         document["recordings"] = [_recording_json(r) for r in e.recordings]
     return document

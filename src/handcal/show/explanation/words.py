@@ -326,6 +326,8 @@ def lead(u: Unnamed) -> str:
 def _cannot_tell(e: Explanation) -> tuple[str, str, list[str]]:
     open_, clear = ([m for m in e.missing if bool(m.indistinguishable_from) is yes]
                     for yes in (True, False))  # fmt: skip
+    if not e.missing and e.untried:
+        return "partly", "Nothing was found in the time that was given, which was too short.", []
     if not open_:
         return "partly", "Something is missing, but this motion cannot tell what.", []
     sets = [either(members(m, e)) for m in open_]
