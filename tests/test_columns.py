@@ -15,7 +15,7 @@ from handcal.estimate.fit import baseline, fitted, grounds, moved_to, scan
 from handcal.estimate.model import Model
 from handcal.estimate.quadratic import Quadratic, local
 from handcal.estimate.robust import excess
-from handcal.explain.climb import candidates
+from handcal.explain.climb.on_trial import candidates
 from handcal.explain.unnamed import best
 from handcal_sim import simulate
 from handcal_sim.phone import (

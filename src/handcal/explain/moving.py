@@ -21,7 +21,7 @@ from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.fit import baseline, diverged, fitted, started
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.sway import beyond_a_hand
-from handcal.explain.climb import WEAK
+from handcal.explain.climb.exchange import WEAK
 from handcal.explain.score import PRIOR, better
 from handcal.observations.fixed_position import CREEPING
 from handcal.types import Array, HandcalError

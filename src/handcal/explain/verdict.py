@@ -23,7 +23,7 @@ from handcal.estimate.robust import inflation
 from handcal.explain import held_out as held
 from handcal.explain import importance, locate, outliers
 from handcal.explain.bias_limits import leaning
-from handcal.explain.climb import sensible, too_large
+from handcal.explain.climb.state import sensible, too_large
 from handcal.explain.explanation import (
     Evidence,
     Explained,
