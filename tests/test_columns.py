@@ -9,12 +9,14 @@ import pytest
 from worlds import recording_of
 
 from handcal.effects import Effect, select
+from handcal.estimate.baseline import baseline
 from handcal.estimate.case import case_of
 from handcal.estimate.evidence import reduce, reduced_pass
-from handcal.estimate.fit import baseline, fitted, grounds, moved_to, scan
+from handcal.estimate.fit import fitted, grounds, scan
 from handcal.estimate.model import Model
 from handcal.estimate.quadratic import Quadratic, local
 from handcal.estimate.robust import excess
+from handcal.estimate.transfer import moved_to
 from handcal.explain.climb.on_trial import candidates
 from handcal.explain.unnamed import best
 from handcal_sim import simulate

@@ -13,9 +13,10 @@ from worlds import recording_of
 
 from handcal import user_effects
 from handcal.effects import Signals, imu_jacobian, select
+from handcal.estimate.baseline import baseline
 from handcal.estimate.case import case_of
 from handcal.estimate.chosen import Options, chosen_of, document_of, settled
-from handcal.estimate.fit import baseline, fitted
+from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.explain import explain, naming
 from handcal.explain.climb.laws import instead, narrow

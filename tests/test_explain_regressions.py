@@ -15,10 +15,12 @@ from handcal import observations
 from handcal.compiled import so3
 from handcal.effects import Signals, accel_delay, catalogue, select
 from handcal.estimate import case, fit, noise, observed
+from handcal.estimate.baseline import started
 from handcal.estimate.evidence import reduce, reduced_pass
-from handcal.estimate.fit import EXCESS, fitted, moved_to, scan, started
+from handcal.estimate.fit import EXCESS, fitted, scan
 from handcal.estimate.model import Model
 from handcal.estimate.quadratic import posterior
+from handcal.estimate.transfer import moved_to
 from handcal.explain import Explanation, explain, outliers, verdict
 from handcal.explain.climb import choose, turns
 from handcal.explain.climb.state import Climb

@@ -13,8 +13,9 @@ from scipy.special import logsumexp
 from worlds import recording_of
 
 from handcal.effects import Effect, Param, catalogue, select
+from handcal.estimate.baseline import started
 from handcal.estimate.case import case_of
-from handcal.estimate.fit import fitted, started
+from handcal.estimate.fit import fitted
 from handcal.estimate.quadratic import Quadratic
 from handcal.estimate.tails import LOG_SHARES, SCALES
 from handcal.explain.climb.exchange import akin

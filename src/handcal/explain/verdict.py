@@ -11,10 +11,11 @@ import numpy as np
 from handcal.compiled.kernel import MAX_DIM
 from handcal.device.twin import twin
 from handcal.effects import catalogue
+from handcal.estimate.baseline import baseline, started
 from handcal.estimate.case import Case, case_of, name_of
 from handcal.estimate.chosen import Chosen, Options, as_seen, chosen_of, seen, settled
 from handcal.estimate.evidence import reduce, reduced_pass
-from handcal.estimate.fit import baseline, fitted, scan, started
+from handcal.estimate.fit import fitted, scan
 from handcal.estimate.hand import resting, travels
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.observed import check_options

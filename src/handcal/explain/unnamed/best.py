@@ -14,9 +14,9 @@ from handcal.effects import Effect, Signals
 from handcal.estimate.beside import side_by_side
 from handcal.estimate.columns import Ground
 from handcal.estimate.fit import fitted, grounds, prior_root, scan
-from handcal.estimate.linear import path
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.quadratic import Quadratic
+from handcal.estimate.trajectory import path
 from handcal.explain.score import TERM_PRIOR, better, score
 from handcal.explain.unnamed import shapes, terms
 from handcal.explain.unnamed.drivers import DRIVERS, LINE, NEARER, Driver, usable
