@@ -18,7 +18,7 @@ from handcal.estimate.quadratic import Quadratic, local
 from handcal.estimate.robust import excess
 from handcal.estimate.transfer import moved_to
 from handcal.explain.climb.on_trial import candidates
-from handcal.explain.unnamed import best
+from handcal.explain.unnamed import best, over_drivers
 from handcal_sim import simulate
 from handcal_sim.phone import (
     Phone,
@@ -67,7 +67,7 @@ def _whole(model: Model, absent: list[Effect]) -> Quadratic:
 def test_columns_are_what_a_pass_with_them_has(model: Model) -> None:
     have = set(model.ids)
     signals = best.signals_of(model.parts[0])
-    laws = [b.effect for b in best.blocks(signals)[::5]]
+    laws = [b.effect for b in over_drivers.blocks(signals)[::5]]
     named = [e for e in candidates(model.parts, model.effects) if e.id not in have]
     for absent in (named, laws):
         whole, found = _whole(model, absent), scan(model, absent, grounds(model))

@@ -21,7 +21,7 @@ from handcal.estimate.fit import EXCESS, fitted, scan
 from handcal.estimate.model import Model
 from handcal.estimate.quadratic import posterior
 from handcal.estimate.transfer import moved_to
-from handcal.explain import Explanation, explain, outliers, verdict
+from handcal.explain import Explanation, account, explain, outliers, verdict
 from handcal.explain.climb import choose, turns
 from handcal.explain.climb.state import Climb
 from handcal.explain.space import Space, gains
@@ -417,7 +417,8 @@ def test_what_no_device_has_is_no_end_of_a_search(monkeypatch: pytest.MonkeyPatc
     def large(model: Model) -> set[str]:
         return {"lever_arm"} & set(model.ids)
 
-    monkeypatch.setattr(verdict, "too_large", large)
+    for module in (verdict, account):
+        monkeypatch.setattr(module, "too_large", large)
     monkeypatch.setattr(verdict, "sensible", lambda model: not large(model))
     found = explain([recording])
     assert "lever_arm" not in names(found)
