@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -31,44 +32,26 @@ def build(
     linearised: about zero; not needed where a trajectory to linearise about is at hand.
     """
     acting = [e for e in effects if e.imu_error is not None]
-    others = [e for e in effects if e.imu_error is None]
+    effects = (*acting, *(e for e in effects if e.imu_error is None))
     slots = slots_of(effects)
+    slots += [Slot(o.kind, *constant) for o, _, constants in observed for constant in constants]
     imu_constants = sum(len(e.parameters) for e in acting)
-    at: dict[str, int] = {}
-    for i, s in enumerate(slots):
-        at.setdefault(s.owner, i)
-    for observation, _, constants in observed:
-        at[observation.kind] = len(slots)
-        slots += [Slot(observation.kind, name, unit, sigma) for name, unit, sigma in constants]
-    markovs: list[Markov] = []
-    walks, size = [], 0
-    markov_at: dict[str, int] = {}
-    processes = [(o.kind, o.markov, "", False) for o, _, _ in observed]
-    processes += [(e.id, e.process, e.walks, e.passing) for e in others]
-    wandering = []
-    for owner, markov, walked, passing in processes:
-        if markov is not None:
-            markovs.append(markov)
-            if walked:
-                walks.append((size, 0 if walked == "gyro" else 3))
-            if walked and not passing:
-                wandering.append(walks[-1])
-            markov_at[owner] = len(slots) + size
-            size += markov.size
     kinds = tuple(o for o, _, _ in observed)
-    step = np.r_[[1e-3 * s.prior_sigma for s in slots], np.full(size, 1e-5)]
+    added = _processes(kinds, effects)
+    step = np.r_[[1e-3 * s.prior_sigma for s in slots], np.full(added.size, 1e-5)]
     nodes, rate, dropped = _nodes(recording, [r for _, r, _ in observed], imu_constants)
+    tables = _tables(kinds, [len(c) for _, _, c in observed], effects, slots, added, step)
     problem = Problem(
         recording,
-        (*acting, *others),
+        effects,
         kinds,
         tuple(slots),
         imu_constants,
-        tuple(markovs),
-        tuple(walks),
-        tuple(wandering),
+        added.markovs,
+        added.walks,
+        added.wandering,
         nodes,
-        _tables(kinds, [c for _, _, c in observed], (*acting, *others), at, markov_at, step),
+        tables,
         np.zeros(len(slots)),
         g_n,
         omega_ie_n,
@@ -76,28 +59,62 @@ def build(
         dropped,
         next((r.alpha for _, r, _ in observed if r.alpha is not None), None),
     )
-    if not linearised:
-        return problem
-    return relinearised(problem, np.zeros(len(slots)), np.zeros(3), np.zeros(3))
+    zero = np.zeros(3)
+    return relinearised(problem, problem.ref, zero, zero) if linearised else problem
+
+
+@dataclass(frozen=True)
+class _Processes:
+    """The Markov processes of a problem, the first state of each owner's among theirs, and which
+    of them add to the readings (see ``Problem``)."""
+
+    markovs: tuple[Markov, ...]
+    first: dict[str, int]
+    walks: tuple[tuple[int, int], ...]
+    wandering: tuple[tuple[int, int], ...]
+
+    @property
+    def size(self) -> int:
+        return sum(m.size for m in self.markovs)
+
+
+def _processes(kinds: Sequence[Observation], effects: Sequence[Effect]) -> _Processes:
+    """Those of the observations, then those of the effects."""
+    markovs: list[Markov] = []
+    first: dict[str, int] = {}
+    walks, wandering, size = [], [], 0
+    processes = [(o.kind, o.markov, "", False) for o in kinds]
+    processes += [(e.id, e.process, e.walks, e.passing) for e in effects if e.imu_error is None]
+    for owner, markov, walked, passing in processes:
+        if markov is None:
+            continue
+        markovs.append(markov)
+        if walked:
+            walks.append((size, 0 if walked == "gyro" else 3))
+        if walked and not passing:
+            wandering.append(walks[-1])
+        first[owner] = size
+        size += markov.size
+    return _Processes(tuple(markovs), first, tuple(walks), tuple(wandering))
 
 
 def _tables(
     kinds: Sequence[Observation],
-    constants: Sequence[Sequence[tuple[str, str, float]]],
+    constants: Sequence[int],
     effects: Sequence[Effect],
-    at: Mapping[str, int],
-    markov_at: Mapping[str, int],
+    slots: Sequence[Slot],
+    added: _Processes,
     step: Array,
 ) -> Tables:
-    width = 2 + len(effects)
-    function = np.zeros((len(kinds), width), dtype=np.int64)
-    start = np.zeros((len(kinds), width), dtype=np.int64)
-    count = np.zeros((len(kinds), width), dtype=np.int64)
-    whole = np.zeros((len(kinds), width), dtype=np.int64)
-    held = np.full((len(kinds), width, MOST_HELD), np.nan)
+    """What the kernel calls for each kind, and of which states: its own residual, that of its
+    process, then the effects on it. constants: how many each kind has."""
+    at = {s.owner: i for i, s in reversed(list(enumerate(slots)))}
+    markov_at = {owner: len(slots) + first for owner, first in added.first.items()}
+    shape = len(kinds), 2 + len(effects)
+    function, start, count, whole = (np.zeros(shape, dtype=np.int64) for _ in range(4))
+    held = np.full((*shape, MOST_HELD), np.nan)
     for k, kind in enumerate(kinds):
-        function[k, 0] = kind.residual
-        parts = [(kind.residual, at[kind.kind], len(constants[k]))]
+        parts = [(kind.residual, at.get(kind.kind, 0), constants[k])]
         if kind.markov is not None:
             parts.append((kind.markov_residual, markov_at[kind.kind], kind.markov.size))
         acting = [e for e in effects if kind.kind in e.observation_error]
@@ -112,16 +129,9 @@ def _tables(
         ]
         for j, part in enumerate(parts):
             function[k, j], start[k, j], count[k, j] = part
-    return Tables(
-        np.array([k.dim for k in kinds], dtype=np.int64),
-        np.array([k.jacobian for k in kinds], dtype=np.int64),
-        function,
-        start,
-        count,
-        step,
-        whole,
-        held,
-    )
+    dim = np.array([k.dim for k in kinds], dtype=np.int64)
+    jacobian = np.array([k.jacobian for k in kinds], dtype=np.int64)
+    return Tables(dim, jacobian, function, start, count, step, whole, held)
 
 
 def _nodes(

@@ -48,9 +48,8 @@ def differentiated(
     specific force that may excite effects, where it is not what is read.
     """
     problem, read = done.problem, done.read
-    recording, nodes, ref = problem.recording, problem.nodes, problem.ref
+    recording, nodes = problem.recording, problem.nodes
     imu = recording.imu
-    compared = bool(problem.observations) and not problem.navigated
     truth = done.raw - done.error
     if noise is not None:
         truth = truth - noise
@@ -59,29 +58,12 @@ def differentiated(
     quiet = np.interp(imu.t, nodes.t, problem.rate) < QUIET_RATE
     if noise is not None:
         truth = _stilled(truth, imu.t, quiet)
-    signals = reading(read, truth)
-    # (what is known of the angular acceleration has none of the noise that is averaged)
-    short = max(1, round(AVERAGE_S[0] * recording.rate_hz))
-    averaged = reading(read, _averaged(truth, short)) if compared else signals
-    other = _another_reading(recording) if compared else None
-    told = averaged if other is None else reading(read, other)
-    right = np.clip(np.searchsorted(imu.t, nodes.t), 1, len(imu.t) - 1)
-    share = (nodes.t - imu.t[right - 1]) / (imu.t[right] - imu.t[right - 1])
-    parts: list[tuple[int, int, Array]] = []
-    i = 0
-    for e in (e for e in problem.effects if e.imu_error is not None):
-        own = slice(i, i + len(e.parameters))
-        i = own.stop
-        whole = e.imu_inverse is not None
-        felt = signals if whole else told if _of_any_shape(e) else averaged
-        for channel, k, column in _slopes_of(e, ref[own], felt):
-            if compared and whole:
-                column = _averaged(column[:, None], short)[:, 0]
-            parts.append((channel, own.start + k, column))
-    parts.sort(key=lambda part: part[:2])
+    parts = _parts(problem, read, truth)
     at_imu = np.stack([p[2] for p in parts], axis=1) if parts else np.zeros((len(imu.t), 0))
     if noise is not None:
         at_imu = _calmed(at_imu, recording.rate_hz, quiet)
+    right = np.clip(np.searchsorted(imu.t, nodes.t), 1, len(imu.t) - 1)
+    share = (nodes.t - imu.t[right - 1]) / (imu.t[right] - imu.t[right - 1])
     values = np.empty((len(nodes.t), len(parts)))
     _onto_nodes(at_imu, right, share, values)
     channels, columns = (np.array([p[k] for p in parts], dtype=np.int64) for k in (0, 1))
@@ -90,6 +72,31 @@ def differentiated(
         nodes=nodes._replace(J=np.zeros((len(nodes.t), 6, 0))),
         slopes=Slopes(values, channels, columns),
     )
+
+
+def _parts(problem: Problem, read: Signals, truth: Array) -> list[tuple[int, int, Array]]:
+    """Channel, constant and derivative (n,) at the IMU's samples, where the true rate and force are
+    ``truth`` (n, 6), in the order of the channels."""
+    recording = problem.recording
+    compared = bool(problem.observations) and not problem.navigated
+    signals = reading(read, truth)
+    # (what is known of the angular acceleration has none of the noise that is averaged)
+    short = max(1, round(AVERAGE_S[0] * recording.rate_hz))
+    averaged = reading(read, _averaged(truth, short)) if compared else signals
+    other = _another_reading(recording) if compared else None
+    told = averaged if other is None else reading(read, other)
+    parts: list[tuple[int, int, Array]] = []
+    i = 0
+    for e in (e for e in problem.effects if e.imu_error is not None):
+        own = slice(i, i + len(e.parameters))
+        i = own.stop
+        whole = e.imu_inverse is not None
+        felt = signals if whole else told if _of_any_shape(e) else averaged
+        for channel, k, column in _slopes_of(e, problem.ref[own], felt):
+            if compared and whole:
+                column = _averaged(column[:, None], short)[:, 0]
+            parts.append((channel, own.start + k, column))
+    return sorted(parts, key=lambda part: part[:2])
 
 
 def _of_any_shape(effect: Effect) -> bool:

@@ -18,7 +18,7 @@ from handcal.estimate import noise as noise_levels
 from handcal.estimate import smoother
 from handcal.estimate.case import problem_with
 from handcal.estimate.columns import Ground, ground, widened
-from handcal.estimate.evidence import backward, reduce, reduced_pass
+from handcal.estimate.evidence import ReducedPass, backward, reduce, reduced_pass
 from handcal.estimate.linear import Linear
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.quadratic import Local, Posterior, Quadratic, given, local, posterior, total
@@ -72,6 +72,19 @@ def own_levels(f: Fitted) -> dict[str, float]:
     return {k: v for k, v in f.levels.items() if k in own}
 
 
+@dataclass(frozen=True)
+class _Rested:
+    """A fit on its way: its parts, whether they rest, their evidence, within how many nats; wide:
+    with all scales of the priors; whole: what all recordings say, where that is known already."""
+
+    parts: list[Fitted]
+    settled: bool
+    evidence: float
+    rest: float
+    wide: bool = False
+    whole: Quadratic | None = None
+
+
 def fitted(
     begin: Sequence[Fitted],
     effects: Sequence[Effect],
@@ -83,52 +96,76 @@ def fitted(
     until the evidence rests within ``tolerance`` nats."""
     parts = [moved_to(f, effects) for f in begin]
     rest = tolerance if noise_rounds == 0 else ROUGH
-    parts, settled, evidence = relinearised_parts(parts, effects, known, tolerance=rest)
-    if not math.isfinite(evidence):
-        return diverged(parts, effects)
-    wide, whole = False, None
+    now = _Rested(*relinearised_parts(parts, effects, known, tolerance=rest), rest)
+    if not math.isfinite(now.evidence):
+        return diverged(now.parts, effects)
     for left in range(noise_rounds, -1, -1):
-        # (first at the usual scales: seen from far off, anything may look large)
-        whole = None if wide or known is not None else _told(parts, effects)
-        if whole is not None and _asks_for_more(whole, effects):
-            tried, rests, value = relinearised_parts(parts, effects, known, evidence, True, rest)
-            if value > evidence:
-                parts, settled, evidence, wide, whole = tried, rests, value, True, None
+        now = _widened(now, effects, known)
         if not left:
             break
-        new = [with_noise(f) for f in parts]
-        # (of noise that is a part's alone the whole need not be the better)
-        least = -math.inf if any(f.case.noise_until for f in parts) else evidence - ASTRAY
-        change = max(
-            abs(math.log(n.levels[k] / o.levels[k]))
-            for n, o in zip(new, parts, strict=True)
-            for k in n.levels
-        )
-        for share in SHARES:
-            # about one trajectory, evidence may favour a noise so small that no other is as good
-            towards = [_towards(o, n, share) for o, n in zip(parts, new, strict=True)]
-            tried, rests, value = relinearised_parts(
-                towards, effects, known, least, wide, tolerance
-            )
-            if value > least:
-                break
-        else:
+        new = [with_noise(f) for f in now.parts]
+        moved = _with_levels(now, new, effects, known, tolerance)
+        if moved is None:
             break
-        parts, settled, evidence, rest, whole = tried, rests, value, tolerance, None
+        change = _change(now.parts, new)
+        now = moved
         if change < 0.02:
             break
-    if rest > tolerance:
-        parts, settled, _ = relinearised_parts(
-            parts, effects, known, wide=wide, tolerance=tolerance
-        )
-        whole = None
-    whole = whole or _told(parts, effects)
-    found = _posterior(whole, effects, known, wide)
-    constant = sum(f.case.constant for f in parts)
+    if now.rest > tolerance:
+        again = relinearised_parts(now.parts, effects, known, wide=now.wide, tolerance=tolerance)
+        now = _Rested(*again, tolerance, now.wide)
+    whole = now.whole or _told(now.parts, effects)
+    found = _posterior(whole, effects, known, now.wide)
+    constant = sum(f.case.constant for f in now.parts)
     return Model(
-        tuple(effects), tuple(parts), whole, found.mean, found.covariance,
-        found.log_evidence + constant, settled,
+        tuple(effects), tuple(now.parts), whole, found.mean, found.covariance,
+        found.log_evidence + constant, now.settled,
     )  # fmt: skip
+
+
+def _widened(now: _Rested, effects: Sequence[Effect], known: Known | None) -> _Rested:
+    """The fit with all scales of the priors, where some effect asks for more than the usual one.
+
+    (First at the usual scales: seen from far off, anything may look large.)
+    """
+    if now.wide or known is not None:
+        return replace(now, whole=None)
+    whole = _told(now.parts, effects)
+    if _asks_for_more(whole, effects):
+        tried = relinearised_parts(now.parts, effects, known, now.evidence, True, now.rest)
+        if tried[2] > now.evidence:
+            return _Rested(*tried, now.rest, wide=True)
+    return replace(now, whole=whole)
+
+
+def _with_levels(
+    now: _Rested,
+    new: Sequence[Fitted],
+    effects: Sequence[Effect],
+    known: Known | None,
+    tolerance: float,
+) -> _Rested | None:
+    """The fit at these noise levels, or as far on the way to them as the trajectory can follow:
+    about one trajectory, evidence may favour a noise so small that no other is as good. None where
+    it cannot follow at all."""
+    parts = now.parts
+    # (of noise that is a part's alone the whole need not be the better)
+    least = -math.inf if any(f.case.noise_until for f in parts) else now.evidence - ASTRAY
+    for share in SHARES:
+        towards = [_towards(o, n, share) for o, n in zip(parts, new, strict=True)]
+        tried = relinearised_parts(towards, effects, known, least, now.wide, tolerance)
+        if tried[2] > least:
+            return _Rested(*tried, tolerance, now.wide)
+    return None
+
+
+def _change(old: Sequence[Fitted], new: Sequence[Fitted]) -> float:
+    """By how much the noise level that moved most has moved, in its logarithm."""
+    return max(
+        abs(math.log(n.levels[k] / o.levels[k]))
+        for n, o in zip(new, old, strict=True)
+        for k in n.levels
+    )
 
 
 def diverged(parts: Sequence[Fitted], effects: Sequence[Effect]) -> Model:
@@ -232,17 +269,19 @@ def relinearised_parts(
         before, evidence = evidence, found.log_evidence
         if not evidence > least:  # (nor where it is no number any more)
             break
-        new = []
-        for f, done, own in zip(parts, passes, locals_, strict=True):
-            w = own.deviations(given(whole, own.quadratic, found.mean))
-            done = replace(done, w=w)
-            k, m = done.X.shape[:2]
-            r = np.empty((k, m, 1))
-            backward(done, False, r, np.empty((0, m, m)), spread=False)
-            trajectory = smoother.moved(f.linear, smoother.whole_mean(done, r))
-            new.append(linearised(f, trajectory, effects))
-        parts = new
+        deviations = (x.deviations(given(whole, x.quadratic, found.mean)) for x in locals_)
+        each = zip(parts, passes, deviations, strict=True)
+        parts = [_followed(f, done, w, effects) for f, done, w in each]
     return parts, False, evidence if all(_sane(f.linear) for f in parts) else math.nan
+
+
+def _followed(f: Fitted, done: ReducedPass, w: Array, effects: Sequence[Effect]) -> Fitted:
+    """The fit linearised where its trajectory goes with these deviations w of its constants."""
+    done = replace(done, w=w)
+    k, m = done.X.shape[:2]
+    r = np.empty((k, m, 1))
+    backward(done, False, r, np.empty((0, m, m)), spread=False)
+    return linearised(f, smoother.moved(f.linear, smoother.whole_mean(done, r)), effects)
 
 
 def with_usual_noise(f: Fitted) -> Fitted:

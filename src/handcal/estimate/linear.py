@@ -59,45 +59,20 @@ class Linear:
 
 def linearise_about(problem: Problem, start: Start, nominal: Trajectory) -> Linear:
     """Integrate between the epochs and linearise everything about the nominal trajectory."""
-    turning = problem.navigated and any(ATTITUDE in e.needs for e in problem.effects)
-    asked = turning or _held(problem)
-    done, C_nb = None, None
-    if problem.imu_constants:
-        C_nb = _attitude(problem, nominal) if asked else None
-        done = corrected_readings(problem, nominal.constants, nominal.bg, nominal.ba, C_nb)
-        problem = done.problem
-    problem = _bare(replace(problem, ref=nominal.constants))
-    Phi, d, Q, W = _transitions(problem, nominal)
-    if done is not None:
-        # What an effect does depends on the true rate and force: take off the noise that
-        # this trajectory implies, or each sample's noise would pose as motion that excites it.
-        problem = differentiated(done, *_unexciting(problem, nominal, d, C_nb))
-        slopes = problem.slopes
-        assert slopes is not None
-        responses(W, slopes.values, slopes.channel, slopes.column, nominal.node, Phi[:, :, BASE:])
+    problem, Phi, d, Q = _integrated(problem, nominal)
     if any(o.navigates for o in problem.observations):
         # (else d is no noise: it holds whatever moved the biases, and nothing pulls it back)
         turn_noise(Phi, d)
     problem = _believing(problem, nominal.constants)
-    nodes = problem.nodes
-    q = len(nodes.kind)
+    nodes, node = problem.nodes, nominal.node
     r, H, used = _rows(problem, nominal)
     if problem.slopes is not None:
         _seen_by_constants(problem.slopes, nodes.first, H)
-    by_bias = None if problem.navigated else errors_by_bias(problem, nominal.bg, nominal.ba)
-    if by_bias is not None:
-        t = problem.recording.imu.t
-        seen = np.searchsorted(nodes.first, np.arange(q), side="right") - 1
-        H[:, :, 9:15] += H[:, :, 9:15] @ by_bias[nearest(t, nodes.t[seen])]
-    e0 = BASE + problem.constants
-    for state, column in problem.walks:
-        H[:, :, e0 + state : e0 + state + 3] = H[:, :, 9 + column : 12 + column]
+    _seen_by_biases(problem, nominal, H)
     for kind, observation in enumerate(problem.observations):
         if observation.isotropic:
             rows = (nodes.kind == kind) & ~nodes.z[:, :DELAY].any(axis=1)
             H[rows, :3, 6:9] -= so3.skew(r[rows, :3])
-    node = nominal.node
-    first = np.r_[nodes.first[node], nodes.first[-1]]
     return Linear(
         problem,
         nominal,
@@ -109,12 +84,33 @@ def linearise_about(problem: Problem, start: Start, nominal: Trajectory) -> Line
         Q[2],
         nodes.t[node],
         _turning(problem, node),
-        first,
+        np.r_[nodes.first[node], nodes.first[-1]],
         nodes.kind,
         r,
         H,
         used,
     )
+
+
+def _integrated(problem: Problem, nominal: Trajectory) -> tuple[Problem, Array, Array, Array]:
+    """The problem with readings that are corrected at the nominal constants, and Phi, d and the
+    three Q (see ``_transitions``) between the epochs, those of the constants with them."""
+    turning = problem.navigated and any(ATTITUDE in e.needs for e in problem.effects)
+    done, C_nb = None, None
+    if problem.imu_constants:
+        C_nb = _attitude(problem, nominal) if turning or _held(problem) else None
+        done = corrected_readings(problem, nominal.constants, nominal.bg, nominal.ba, C_nb)
+        problem = done.problem
+    problem = _bare(replace(problem, ref=nominal.constants))
+    Phi, d, Q, W = _transitions(problem, nominal)
+    if done is not None:
+        # What an effect does depends on the true rate and force: take off the noise that
+        # this trajectory implies, or each sample's noise would pose as motion that excites it.
+        problem = differentiated(done, *_unexciting(problem, nominal, d, C_nb))
+        slopes = problem.slopes
+        assert slopes is not None
+        responses(W, slopes.values, slopes.channel, slopes.column, nominal.node, Phi[:, :, BASE:])
+    return problem, Phi, d, Q
 
 
 def _rows(problem: Problem, nominal: Trajectory) -> tuple[Array, Array, BoolArray]:
@@ -264,6 +260,20 @@ def _seen_by_constants(slopes: Slopes, first: IntArray, H: Array) -> None:
         return
     node = np.searchsorted(first, rows, side="right") - 1
     _add_seen(rows, node, slopes.values, slopes.channel, slopes.column, H)
+
+
+def _seen_by_biases(problem: Problem, nominal: Trajectory, H: Array) -> None:
+    """Let the rows H see what effects that are not linear add with a bias, and the walks what the
+    biases do."""
+    nodes = problem.nodes
+    by_bias = None if problem.navigated else errors_by_bias(problem, nominal.bg, nominal.ba)
+    if by_bias is not None:
+        t = problem.recording.imu.t
+        seen = np.searchsorted(nodes.first, np.arange(len(nodes.kind)), side="right") - 1
+        H[:, :, 9:15] += H[:, :, 9:15] @ by_bias[nearest(t, nodes.t[seen])]
+    e0 = BASE + problem.constants
+    for state, column in problem.walks:
+        H[:, :, e0 + state : e0 + state + 3] = H[:, :, 9 + column : 12 + column]
 
 
 @njit
