@@ -18,8 +18,9 @@ from make_figures import GREY, IMAGES, INK, STYLE, XYZ, save
 import handcal
 from handcal.effects import select
 from handcal.estimate import fit
+from handcal.estimate.baseline import started
 from handcal.estimate.case import case_of
-from handcal.estimate.fit import fitted, scan, started
+from handcal.estimate.fit import fitted, scan
 from handcal.estimate.model import Model
 from handcal.explain import explain
 from handcal.explain.space import Space, gains, space

@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import handcal
-from handcal.estimate import linear, observed
+from handcal.estimate import driven, linear, observed
 from handcal.estimate.noise import white_levels
 from handcal.observations import catalogue
 from handcal.show import words
@@ -118,19 +118,19 @@ def evidence_of_nothing() -> None:
 
 def naive(recording: Recording, levels: dict[str, float]) -> Result:
     """The same calibration by an estimator that takes its trajectory's noise for a signal."""
-    kept = linear._turn_noise, linear._markov_steps, observed.catalogue
+    kept = linear.turn_noise, driven._markov_steps, observed.catalogue
     plain = {k: replace(o, isotropic=False) for k, o in catalogue().items()}
 
     def steps(problem, markov, Phi_e):
         d_e, Phi_psi = kept[1](problem, markov, Phi_e)
         return d_e, np.zeros_like(Phi_psi)
 
-    linear._turn_noise, linear._markov_steps = (lambda *_: None), steps
+    linear.turn_noise, driven._markov_steps = (lambda *_: None), steps
     observed.catalogue = lambda: plain
     try:
         return handcal.calibrate(recording, assume="fixed-point", noise=levels)
     finally:
-        linear._turn_noise, linear._markov_steps, observed.catalogue = kept
+        linear.turn_noise, driven._markov_steps, observed.catalogue = kept
 
 
 def demo() -> None:

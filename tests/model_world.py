@@ -14,10 +14,12 @@ import numpy as np
 from handcal.compiled import so3
 from handcal.earth import local_earth
 from handcal.estimate import smoother
+from handcal.estimate.assemble import build
 from handcal.estimate.filter import empty_track, initial_state, run_compiled
-from handcal.estimate.linear import Linear, Trajectory, epochs, linearise_about, trajectory_of
-from handcal.estimate.problem import Problem, build, noise_arrays
+from handcal.estimate.linear import Linear, linearise_about
+from handcal.estimate.problem import Problem, noise_arrays
 from handcal.estimate.start import Start, levelled
+from handcal.estimate.trajectory import Trajectory, epochs, trajectory_of
 from handcal.observations import Rows, catalogue
 from handcal.types import Array, Imu, Recording
 from handcal_sim import simulate

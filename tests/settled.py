@@ -8,10 +8,11 @@ from dataclasses import dataclass
 
 from handcal.estimate import noise, smoother
 from handcal.estimate.filter import empty_track, run_compiled
-from handcal.estimate.linear import Linear, epochs, linearise_about, trajectory_of
+from handcal.estimate.linear import Linear, linearise_about
 from handcal.estimate.observed import first_state
 from handcal.estimate.problem import Problem, noise_arrays
 from handcal.estimate.start import Start
+from handcal.estimate.trajectory import epochs, trajectory_of
 
 
 @dataclass(frozen=True)

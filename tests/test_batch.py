@@ -12,8 +12,9 @@ from handcal.compiled import so3, strapdown
 from handcal.compiled.kernel import BASE
 from handcal.estimate import smoother
 from handcal.estimate.filter import empty_track, full_prior, initial_state, run_compiled
-from handcal.estimate.linear import epochs, linearise_about, trajectory_of
+from handcal.estimate.linear import linearise_about
 from handcal.estimate.problem import markov_transitions, noise_arrays, observation_variances
+from handcal.estimate.trajectory import epochs, trajectory_of
 from handcal_sim import simulate
 from handcal_sim.motion import Start
 from handcal_sim.phone import Clocking, consumer_phone, paper_phone

@@ -9,14 +9,16 @@ import pytest
 from worlds import recording_of
 
 from handcal.effects import Effect, select
+from handcal.estimate.baseline import baseline
 from handcal.estimate.case import case_of
 from handcal.estimate.evidence import reduce, reduced_pass
-from handcal.estimate.fit import baseline, fitted, grounds, moved_to, scan
+from handcal.estimate.fit import fitted, grounds, scan
 from handcal.estimate.model import Model
 from handcal.estimate.quadratic import Quadratic, local
 from handcal.estimate.robust import excess
-from handcal.explain.climb import candidates
-from handcal.explain.unnamed import best
+from handcal.estimate.transfer import moved_to
+from handcal.explain.climb.on_trial import candidates
+from handcal.explain.unnamed import best, over_drivers
 from handcal_sim import simulate
 from handcal_sim.phone import (
     Phone,
@@ -65,7 +67,7 @@ def _whole(model: Model, absent: list[Effect]) -> Quadratic:
 def test_columns_are_what_a_pass_with_them_has(model: Model) -> None:
     have = set(model.ids)
     signals = best.signals_of(model.parts[0])
-    laws = [b.effect for b in best.blocks(signals)[::5]]
+    laws = [b.effect for b in over_drivers.blocks(signals)[::5]]
     named = [e for e in candidates(model.parts, model.effects) if e.id not in have]
     for absent in (named, laws):
         whole, found = _whole(model, absent), scan(model, absent, grounds(model))

@@ -26,9 +26,11 @@ from handcal.effects import (
     select,
 )
 from handcal.estimate import smoother
+from handcal.estimate.assemble import build
+from handcal.estimate.corrected import substituted
+from handcal.estimate.derivatives import relinearised
 from handcal.estimate.linear import linearise_about
 from handcal.estimate.observed import observed_of
-from handcal.estimate.problem import build, relinearised, substituted
 from handcal.observations import catalogue as observations
 from handcal.signals import of_arrays
 from handcal.types import InputError, Series

@@ -13,11 +13,15 @@ from worlds import recording_of
 
 from handcal import user_effects
 from handcal.effects import Signals, imu_jacobian, select
+from handcal.estimate.baseline import baseline
 from handcal.estimate.case import case_of
 from handcal.estimate.chosen import Options, chosen_of, document_of, settled
-from handcal.estimate.fit import baseline, fitted
+from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
-from handcal.explain import climb, explain, naming
+from handcal.explain import explain, naming
+from handcal.explain.climb.laws import instead, narrow
+from handcal.explain.climb.on_trial import scanned
+from handcal.explain.climb.state import Climb
 from handcal.explain.model_file import chosen_from
 from handcal.explain.unnamed import best, drivers, grammar, law_file, laws
 from handcal.explain.unnamed.drivers import DRIVERS
@@ -296,15 +300,15 @@ def test_many_that_stand_in_are_exchanged_for_one(size_alone) -> None:
     base, term = size_alone
     names = ("gyro_scale", "gyro_quadratic", "gyro_cross_products", "gyro_bias_walk")
     many = fitted(base.parts, [*base.effects, *select(names), term.effect])
-    c = climb.Climb(many, [term], ())
-    c.where = climb._scanned(c)
-    fewer = climb._instead(c)
+    c = Climb(many, [term], ())
+    c.where = scanned(c)
+    fewer = instead(c)
     assert fewer is not None
     assert fewer.ids == (*base.ids, term.effect.id)
-    assert climb._instead(replace_model(c, fewer)) is None
+    assert instead(replace_model(c, fewer)) is None
 
 
-def replace_model(c: climb.Climb, model: Model) -> climb.Climb:
+def replace_model(c: Climb, model: Model) -> Climb:
     c.model = model
     return c
 
@@ -315,17 +319,17 @@ def test_a_law_keeps_to_the_axes_on_which_it_is() -> None:
     form = grammar.formula([("sign", (0.02,))])
     wide = replace(law_over("omega_{i}", form, (0, 1, 2)), each=True)
     term = best.Term(laws.effect_of(wide), 100.0)
-    c = climb.Climb(fitted(base.parts, [*base.effects, term.effect]), [term], ())
-    c.where = climb._scanned(c)
+    c = Climb(fitted(base.parts, [*base.effects, term.effect]), [term], ())
+    c.where = scanned(c)
     for axes in ((0, 2), (1, 2)), ((2,),):
-        narrower = climb._narrow(c)
+        narrower = narrow(c)
         assert narrower is not None
         c.model = narrower
         law = laws.law_of(c.unnamed[0].effect)
         assert law is not None
         assert law.axes in axes
         assert c.unnamed[0].effect.id in narrower.ids
-    assert climb._narrow(c) is None
+    assert narrow(c) is None
 
 
 def test_a_fit_with_a_law_is_repeated_to_the_last_bit(size_alone) -> None:

@@ -11,9 +11,10 @@ import pytest
 from worlds import recording_of
 
 from handcal.effects import select
+from handcal.estimate.baseline import started
 from handcal.estimate.case import case_of
 from handcal.estimate.evidence import ReducedPass, reduce, reduced_pass
-from handcal.estimate.fit import fitted, moved_to, prior_root, scan, started
+from handcal.estimate.fit import fitted, prior_root, scan
 from handcal.estimate.model import Model
 from handcal.estimate.quadratic import (
     Local,
@@ -24,6 +25,7 @@ from handcal.estimate.quadratic import (
     posterior,
     total,
 )
+from handcal.estimate.transfer import moved_to
 from handcal.types import Array, IntArray
 from handcal_sim import simulate
 from handcal_sim.phone import Clocking, Phone, consumer_phone, with_rate

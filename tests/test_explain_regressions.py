@@ -15,11 +15,16 @@ from handcal import observations
 from handcal.compiled import so3
 from handcal.effects import Signals, accel_delay, catalogue, select
 from handcal.estimate import case, fit, noise, observed
+from handcal.estimate.baseline import started
 from handcal.estimate.evidence import reduce, reduced_pass
-from handcal.estimate.fit import EXCESS, fitted, moved_to, scan, started
+from handcal.estimate.fit import EXCESS, fitted, scan
 from handcal.estimate.model import Model
 from handcal.estimate.quadratic import posterior
-from handcal.explain import Explanation, climb, explain, outliers, verdict
+from handcal.estimate.transfer import moved_to
+from handcal.explain import Explanation, account, explain, outliers, verdict
+from handcal.explain.climb import choose, turns
+from handcal.explain.climb.state import Climb
+from handcal.explain.space import Space, gains
 from handcal.types import InputError, Recording, Series
 from handcal_sim import simulate
 from handcal_sim.motion import Start
@@ -306,18 +311,18 @@ def test_a_climb_out_of_turns_ends_with_a_scan_of_its_model(
     """Where the last turn put a term in another's place, the last scan did not hold it, and
     explain ended in a KeyError."""
     base = base_of(world_of({"gyro_scale": [0.01, -0.008, 0.012]}, 0, 40.0))
-    monkeypatch.setattr(climb, "ROUNDS", 1)
-    monkeypatch.setattr(climb, "MAX_TERMS", 0)
+    monkeypatch.setattr(turns, "ROUNDS", 1)
+    monkeypatch.setattr(turns, "MAX_TERMS", 0)
 
-    def renamed(c: climb.Climb) -> Model:
+    def renamed(c: Climb) -> Model:
         scale = replace(catalogue()["gyro_scale"], id="gyro_x += k * anything")
         return fit.fitted(c.model.parts, [scale])
 
-    monkeypatch.setattr(climb, "_STEPS", {renamed: "anything"})
-    c = climb.Climb(base, (), ())
-    assert climb.climbed(c, lambda _: None)
+    monkeypatch.setattr(turns, "_STEPS", {renamed: "anything"})
+    c = Climb(base, (), ())
+    assert turns.climbed(c, lambda _: None)
     assert c.model.chosen <= set(c.where.effects)
-    assert climb.gains(c.where, c.model.chosen)[next(iter(c.model.chosen))] > 0.0
+    assert gains(c.where, c.model.chosen)[next(iter(c.model.chosen))] > 0.0
 
 
 @pytest.mark.prove
@@ -335,22 +340,22 @@ def test_what_no_fit_holds_with_is_left_out(monkeypatch: pytest.MonkeyPatch) -> 
     """A scan promised a term, the fit with it lost half a million nats, and the search went on
     from there: about such a fit, anything may be named."""
     world = world_of({"gyro_scale": [0.01, -0.008, 0.012]}, seed=0, seconds=40.0)
-    real = climb._fit
+    real = choose._fit
 
-    def astray(c: climb.Climb, chosen: frozenset[str]) -> Model:
+    def astray(c: Climb, chosen: frozenset[str]) -> Model:
         fit = real(c, chosen)
         return replace(fit, log_evidence=-1e6) if "lever_arm" in chosen else fit
 
-    promised = climb._scanned
+    promised = turns.scanned
 
-    def scanned(c: climb.Climb) -> climb.Space:
+    def scanned(c: Climb) -> Space:
         where = promised(c)
         if where.prior["lever_arm"] < -1e3:
             return where
         return replace(where, prior={**where.prior, "lever_arm": 1e4}, scores={})
 
-    monkeypatch.setattr(climb, "_fit", astray)
-    monkeypatch.setattr(climb, "_scanned", scanned)
+    monkeypatch.setattr(choose, "_fit", astray)
+    monkeypatch.setattr(turns, "scanned", scanned)
     found = explain([recording_of(world, "heading")])
     assert (found.verdict, names(found)) == ("explained", ["gyro_scale"])
 
@@ -412,7 +417,8 @@ def test_what_no_device_has_is_no_end_of_a_search(monkeypatch: pytest.MonkeyPatc
     def large(model: Model) -> set[str]:
         return {"lever_arm"} & set(model.ids)
 
-    monkeypatch.setattr(verdict, "too_large", large)
+    for module in (verdict, account):
+        monkeypatch.setattr(module, "too_large", large)
     monkeypatch.setattr(verdict, "sensible", lambda model: not large(model))
     found = explain([recording])
     assert "lever_arm" not in names(found)

@@ -13,11 +13,14 @@ from scipy.special import logsumexp
 from worlds import recording_of
 
 from handcal.effects import Effect, Param, catalogue, select
+from handcal.estimate.baseline import started
 from handcal.estimate.case import case_of
-from handcal.estimate.fit import fitted, started
+from handcal.estimate.fit import fitted
 from handcal.estimate.quadratic import Quadratic
 from handcal.estimate.tails import LOG_SHARES, SCALES
-from handcal.explain import climb
+from handcal.explain.climb.exchange import akin
+from handcal.explain.climb.on_trial import scanned
+from handcal.explain.climb.state import Climb
 from handcal.explain.score import PRIOR
 from handcal.explain.space import (
     Space,
@@ -268,10 +271,10 @@ def test_expected_gain_is_the_mean_gain(chosen: tuple[str, ...]) -> None:
 
 def test_effects_that_are_one_to_the_first_order_know_each_other() -> None:
     """Whatever the linearisation says, one is fitted in the other's place."""
-    assert climb.akin("gyro_bandwidth", "accel_delay")
-    assert climb.akin("accel_delay", "gyro_bandwidth")
-    assert not climb.akin("gyro_scale", "accel_delay")
-    assert not climb.akin("accel_delay", "gyro_bias_step@4.500")
+    assert akin("gyro_bandwidth", "accel_delay")
+    assert akin("accel_delay", "gyro_bandwidth")
+    assert not akin("gyro_scale", "accel_delay")
+    assert not akin("accel_delay", "gyro_bias_step@4.500")
     for effect in catalogue().values():
         assert set(effect.akin) <= set(catalogue())
 
@@ -287,7 +290,7 @@ def test_a_hand_that_turns_about_no_single_point_is_no_size_effect() -> None:
     odds = {}
     for stream in ("heading", "pose"):
         case = case_of(recording_of(held, stream))
-        c = climb.Climb(fitted([started(case)], ()), (), ())
-        odds[stream] = climb._scanned(c).prior["size_effect"]
+        c = Climb(fitted([started(case)], ()), (), ())
+        odds[stream] = scanned(c).prior["size_effect"]
     assert odds["pose"] == PRIOR
     assert odds["heading"] == PRIOR - catalogue()["size_effect"].imitated < PRIOR - 10.0

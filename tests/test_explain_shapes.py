@@ -13,13 +13,13 @@ from handcal.compiled.jit import call_residual
 from handcal.effects import TIME, Z_DIM, Signals
 from handcal.estimate.quadratic import Quadratic
 from handcal.explain import explain
-from handcal.explain.unnamed import shapes
+from handcal.explain.unnamed import courses, shapes
 from handcal.types import Array
 from handcal_sim import simulate
 from handcal_sim.phone import Clocking, Phone, consumer_phone, with_rate
 
 SPAN = 80.0
-FAMILIES = (*shapes.OVER_TIME, *shapes.OVER_YAW)
+FAMILIES = (*courses.OVER_TIME, *courses.OVER_YAW)
 NUMBERS = (
     np.array([30.0, 6.0]),
     np.array([20.0, 41.0]),
@@ -47,8 +47,8 @@ def _heading_error(effect: shapes.Effect, k: Array, t: float, yaw: float) -> flo
 
 
 @pytest.mark.parametrize(("family", "numbers"), COURSES)
-def test_a_compiled_course_is_the_course(family: shapes.Family, numbers: Array) -> None:
-    over_yaw = family in shapes.OVER_YAW
+def test_a_compiled_course_is_the_course(family: courses.Family, numbers: Array) -> None:
+    over_yaw = family in courses.OVER_YAW
     basis = shapes.heading_bases(SPAN)[int(over_yaw)]
     effect = shapes.term_of(basis, family, numbers)
     for x in np.linspace(0.3, 79.7, 40):
@@ -84,21 +84,21 @@ def test_an_imu_channels_spline_goes_through_a_bump() -> None:
     basis = shapes.imu_basis(4, SPAN)
     t = 5.0 + np.linspace(0.0, SPAN, 801)
     numbers = np.array([37.3, 8.0])
-    k = basis.through @ shapes.OVER_TIME[0].values(numbers, basis.grid)
+    k = basis.through @ courses.OVER_TIME[0].values(numbers, basis.grid)
     assert basis.effect.imu_error is not None
     error = basis.effect.imu_error(k, Signals(t, np.zeros((801, 3)), np.zeros((801, 3))))
     h = basis.grid[1]
-    expected = shapes.OVER_TIME[0].values(numbers, t - 5.0)
+    expected = courses.OVER_TIME[0].values(numbers, t - 5.0)
     assert np.abs(error[:, 4] - expected).max() < 1.1 * 5.0 / 384.0 * 3.0 * (h / 8.0) ** 4
     assert not error[:, [0, 1, 2, 3, 5]].any()
 
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize(("family", "numbers"), COURSES)
-def test_the_planted_course_is_found(family: shapes.Family, numbers: Array, seed: int) -> None:
+def test_the_planted_course_is_found(family: courses.Family, numbers: Array, seed: int) -> None:
     """What white readings say of a course ten times as large as their noise at each knot."""
     rng = np.random.default_rng(seed)
-    basis = shapes.heading_bases(SPAN)[int(family in shapes.OVER_YAW)]
+    basis = shapes.heading_bases(SPAN)[int(family in courses.OVER_YAW)]
     m = len(basis.effect.parameters)
     k = basis.through @ family.values(numbers, basis.grid)
     G = 100.0 * np.eye(m + 1)

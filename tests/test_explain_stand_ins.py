@@ -9,7 +9,8 @@ import pytest
 from worlds import recording_of
 
 from handcal.estimate import case
-from handcal.estimate.fit import baseline, fitted
+from handcal.estimate.baseline import baseline
+from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.explain.stand_ins import without_stand_in
 from handcal_sim import simulate

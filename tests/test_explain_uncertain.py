@@ -15,7 +15,8 @@ from worlds import recording_of
 
 from handcal.effects import catalogue
 from handcal.estimate import case, process
-from handcal.estimate.fit import fitted, started
+from handcal.estimate.baseline import started
+from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.noise import Curvature
 from handcal.explain import explain

@@ -17,9 +17,9 @@ from handcal.estimate.filter import (
     run_compiled,
     run_filterpy,
 )
-from handcal.estimate.linear import epochs
 from handcal.estimate.noise import initial_levels
 from handcal.estimate.problem import noise_arrays
+from handcal.estimate.trajectory import epochs
 from handcal.recordings import segment
 from handcal.types import Imu, Series
 from handcal_sim import simulate

@@ -10,12 +10,14 @@ from worlds import recording_of
 
 from handcal.effects import select
 from handcal.estimate import smoother
+from handcal.estimate.baseline import started
 from handcal.estimate.case import case_of
 from handcal.estimate.evidence import backward, reduce, reduced_pass
-from handcal.estimate.fit import fitted, moved_to, started
+from handcal.estimate.fit import fitted
 from handcal.estimate.folded import fold, unfolded
 from handcal.estimate.linear import linearise_about
 from handcal.estimate.model import Fitted
+from handcal.estimate.transfer import moved_to
 from handcal_sim import simulate
 
 # Nats, and standard deviations (the issue that asked for it).

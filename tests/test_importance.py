@@ -69,8 +69,8 @@ def test_the_hand_is_said_and_how_surely(known) -> None:
 
 def test_what_has_no_name_is_drawn_over_what_drives_it(known) -> None:
     """k omega_y^3: a curve of the cube, in the units of what is measured, with its band."""
+    from handcal.estimate.baseline import baseline
     from handcal.estimate.case import case_of
-    from handcal.estimate.fit import baseline
     from handcal.explain.unnamed import drivers, grammar, laws, terms
     from handcal.explain.unnamed.curve import channel_of, drawn, drivers_of
 

@@ -10,9 +10,10 @@ import pytest
 from scipy.linalg import expm
 from worlds import recording_of
 
+from handcal.estimate.baseline import baseline
 from handcal.estimate.case import Case, case_of, creeping
 from handcal.estimate.chosen import Chosen, Options, document_of, seen, view_of
-from handcal.estimate.fit import baseline, diverged
+from handcal.estimate.fit import diverged
 from handcal.estimate.model import Model
 from handcal.estimate.sway import sway_of
 from handcal.explain import model_file, moving

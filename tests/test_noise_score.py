@@ -11,11 +11,12 @@ from worlds import recording_of
 
 from handcal.effects import select
 from handcal.estimate import beside
+from handcal.estimate.baseline import started
 from handcal.estimate.case import case_of
 from handcal.estimate.evidence import reduced_pass
-from handcal.estimate.fit import moved_to, started
 from handcal.estimate.model import Fitted
 from handcal.estimate.noise import Score
+from handcal.estimate.transfer import moved_to
 from handcal.explain.noises import looks_of
 from handcal.explain.unnamed import with_motion
 from handcal_sim import simulate

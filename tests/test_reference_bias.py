@@ -20,9 +20,10 @@ from handcal import calibrate
 from handcal.device import apply as taking
 from handcal.earth import local_earth
 from handcal.effects import select
-from handcal.estimate.linear import Linear, Trajectory, epochs, linearise_about
+from handcal.estimate.assemble import build
+from handcal.estimate.linear import Linear, linearise_about
 from handcal.estimate.observed import observed_of
-from handcal.estimate.problem import build
+from handcal.estimate.trajectory import Trajectory, epochs
 from handcal.explain import explain
 from handcal.observations import _reference_bias
 from handcal.show import words

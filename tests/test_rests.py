@@ -12,9 +12,10 @@ from worlds import recording_of
 
 import handcal
 from handcal.compiled import so3
+from handcal.estimate.baseline import started
 from handcal.estimate.case import case_of
-from handcal.estimate.fit import fitted, started
-from handcal.estimate.linear import path
+from handcal.estimate.fit import fitted
+from handcal.estimate.trajectory import path
 from handcal.recordings import segment
 from handcal.types import Array, Imu, Recording
 from handcal_sim import simulate

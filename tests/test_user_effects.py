@@ -17,7 +17,7 @@ from handcal.compiled import so3
 from handcal.effects import TIME, Z_DIM, Param, catalogue, observed_error, with_effects
 from handcal.estimate.beside import side_by_side
 from handcal.explain.explanation import Unnamed
-from handcal.explain.unnamed import grammar, law_file, laws, shapes, terms
+from handcal.explain.unnamed import courses, grammar, law_file, laws, shapes, terms
 from handcal.explain.unnamed.curve import channel_of, drivers_of
 from handcal.explain.unnamed.drivers import DRIVERS, LINE
 from handcal.explain.unnamed.grammar import range_of
@@ -383,7 +383,7 @@ def test_a_burst_is_written_as_a_while():
 
 
 def test_every_course_that_there_is_has_a_writer_and_nothing_else_has():
-    families = {f.name for f in (*shapes.OVER_TIME, *shapes.OVER_YAW)}
+    families = {f.name for f in (*courses.OVER_TIME, *courses.OVER_YAW)}
     assert families == set(law_file.COURSES) == set(NUMBERS)
     known = unnamed(terms.again(HEADINGS[0], 1.0))
     curved = unnamed(terms.curve("tilt", 1.0, 1.0))

@@ -8,7 +8,8 @@ import numpy as np
 
 from handcal.earth import local_earth
 from handcal.effects import select
-from handcal.estimate.problem import Problem, build
+from handcal.estimate.assemble import build
+from handcal.estimate.problem import Problem
 from handcal.estimate.start import Start, from_pose, from_rest
 from handcal.observations import Scene, catalogue
 from handcal.types import Imu, Recording, Series

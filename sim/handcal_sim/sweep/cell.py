@@ -23,12 +23,15 @@ from handcal.compiled import so3
 from handcal.compiled.kernel import BASE
 from handcal.earth import local_earth
 from handcal.effects import select
+from handcal.estimate.assemble import build
 from handcal.estimate.consistency import bound
+from handcal.estimate.derivatives import relinearised
 from handcal.estimate.filter import State, Track, empty_track, initial_state, run_compiled
-from handcal.estimate.linear import Trajectory, epochs, linearise_about, trajectory_of
-from handcal.estimate.problem import Problem, build, noise_arrays, relinearised
+from handcal.estimate.linear import linearise_about
+from handcal.estimate.problem import Problem, noise_arrays
 from handcal.estimate.smoother import forward, relinearise
 from handcal.estimate.start import Start
+from handcal.estimate.trajectory import Trajectory, epochs, trajectory_of
 from handcal.observations import Observation, Rows, catalogue
 from handcal.types import Array, Imu, InputError, IntArray, Recording
 from handcal_sim.phone import DEG, DEG_PER_HOUR, MG

@@ -27,11 +27,13 @@ from handcal.bench.timing import (
     side,
 )
 from handcal.earth import local_earth
+from handcal.estimate.assemble import build
 from handcal.estimate.filter import empty_track, initial_state, run_compiled, run_filterpy
-from handcal.estimate.linear import Linear, epochs, linearise_about, trajectory_of
-from handcal.estimate.problem import Problem, build, noise_arrays
+from handcal.estimate.linear import Linear, linearise_about
+from handcal.estimate.problem import Problem, noise_arrays
 from handcal.estimate.smoother import smoothed_mean
 from handcal.estimate.start import Start, from_rest
+from handcal.estimate.trajectory import epochs, trajectory_of
 from handcal.observations import Observation, Rows, catalogue, pseudo_times
 from handcal.types import Array, Imu, IntArray, Recording, Series
 

@@ -26,7 +26,7 @@ def allan(
     report: Report = None,
 ) -> None:
     """Noise of a device at rest: Allan deviation, its terms, and what to give the filter."""
-    from handcal.allan import analyse
+    from handcal.allan.analysis import analyse
     from handcal.output import check_outputs
     from handcal.show.allan import allan_json, print_allan, write_allan_report
     from handcal.show.calibration.summary import write_json

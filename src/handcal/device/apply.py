@@ -20,7 +20,7 @@ from handcal.compiled.so3 import wrap
 from handcal.device.conceal import Truth, streams_of
 from handcal.effects import ATTITUDE, TIME, Z_DIM, Effect, catalogue, observed_error
 from handcal.effects._stamps import shifted
-from handcal.estimate.problem import substituted
+from handcal.estimate.corrected import substituted
 from handcal.observations import NAV
 from handcal.observations import catalogue as observations
 from handcal.recordings.streams import STREAMS, Stream, observed_by

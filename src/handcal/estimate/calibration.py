@@ -16,10 +16,10 @@ from dataclasses import replace
 
 from handcal.effects import PLACE, Effect, select
 from handcal.effects import catalogue as known
+from handcal.estimate.baseline import baseline
 from handcal.estimate.case import Case, case_of
 from handcal.estimate.chosen import Chosen, Options, document_of, seen, settled, view_of
 from handcal.estimate.filter import ENGINES
-from handcal.estimate.fit import baseline
 from handcal.estimate.hand import resting, travels
 from handcal.estimate.model import Model
 from handcal.estimate.observed import check_options

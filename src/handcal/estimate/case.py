@@ -11,8 +11,9 @@ import numpy as np
 from handcal.compiled import so3
 from handcal.earth import local_earth
 from handcal.effects import ATTITUDE, PLACE, Effect, Signals, mag_hard_iron
+from handcal.estimate.assemble import build
 from handcal.estimate.observed import Choice, Observed, choose, observed_of
-from handcal.estimate.problem import Problem, build
+from handcal.estimate.problem import Problem
 from handcal.estimate.start import Start
 from handcal.observations.fixed_position import CREEPING
 from handcal.recordings import segment

@@ -15,18 +15,13 @@ from typing import Any
 import numpy as np
 
 from handcal.effects import Effect
+from handcal.estimate.baseline import started
 from handcal.estimate.beside import side_by_side
 from handcal.estimate.case import Case, Edit, case_of, creeping, edited
-from handcal.estimate.fit import (
-    TOLERANCE,
-    at_constants,
-    fitted,
-    moved_to,
-    started,
-    with_usual_noise,
-)
+from handcal.estimate.fit import TOLERANCE, fitted, with_usual_noise
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.parameters import Moment
+from handcal.estimate.transfer import at_constants, moved_to
 from handcal.types import HandcalError, Recording
 
 

@@ -16,8 +16,9 @@ import numpy as np
 from handcal.compiled import columns_kernel as kernel
 from handcal.effects import Effect
 from handcal.estimate.evidence import ReducedPass, Reduction, reduce, reduced_pass
-from handcal.estimate.linear import Excited, Linear, biases, excited, slopes_of
+from handcal.estimate.linear import Excited, Linear, excited, slopes_of
 from handcal.estimate.problem import Problem, slots_of
+from handcal.estimate.trajectory import biases
 from handcal.types import Array, IntArray
 
 

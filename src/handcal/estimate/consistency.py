@@ -8,9 +8,10 @@ import numpy as np
 from scipy.stats import chi2
 
 from handcal.estimate import smoother
-from handcal.estimate.linear import Trajectory, linearise_about
+from handcal.estimate.linear import linearise_about
 from handcal.estimate.problem import Problem
 from handcal.estimate.start import Start
+from handcal.estimate.trajectory import Trajectory
 from handcal.types import Array, Innovations
 
 

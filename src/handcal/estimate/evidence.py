@@ -17,9 +17,10 @@ from handcal.compiled.covariance import propagation_work
 from handcal.compiled.kernel import MAX_DIM
 from handcal.compiled.reduced_kernel import Reduced, reduced_backward, reduced_forward
 from handcal.compiled.rows import blank, padded
+from handcal.estimate.driven import driven
 from handcal.estimate.filter import full_prior
 from handcal.estimate.folded import Folded, fold
-from handcal.estimate.linear import Linear, driven
+from handcal.estimate.linear import Linear
 from handcal.estimate.problem import observation_variances
 from handcal.types import Array, IntArray
 

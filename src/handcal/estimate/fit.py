@@ -8,29 +8,24 @@ shared parameters, and moves each trajectory by what follows for it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence, Set
+from collections.abc import Sequence, Set
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
-from handcal.compiled import so3
-from handcal.effects import Effect, catalogue
+from handcal.effects import Effect
 from handcal.estimate import noise as noise_levels
 from handcal.estimate import smoother
-from handcal.estimate.beside import side_by_side
-from handcal.estimate.case import Case, other_irons, problem_with
+from handcal.estimate.case import problem_with
 from handcal.estimate.columns import Ground, ground, widened
-from handcal.estimate.evidence import backward, reduce, reduced_pass
-from handcal.estimate.filter import ENGINES, empty_track
-from handcal.estimate.linear import Linear, Trajectory, epochs, linearise_about, path, trajectory_of
+from handcal.estimate.evidence import ReducedPass, backward, reduce, reduced_pass
+from handcal.estimate.linear import Linear
 from handcal.estimate.model import Fitted, Model
-from handcal.estimate.observed import first_state
-from handcal.estimate.problem import Problem, noise_arrays, relinearised
 from handcal.estimate.quadratic import Local, Posterior, Quadratic, given, local, posterior, total
 from handcal.estimate.robust import excess
 from handcal.estimate.tails import tailed, usual
-from handcal.types import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Array, HandcalError, IntArray
+from handcal.estimate.transfer import linearised, moved_to
+from handcal.types import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Array, IntArray
 
 # Nats within which evidence rests: of a fit that is written down, of one that a search compares
 # with others, and before noise levels are found anew, which changes it by more.
@@ -49,66 +44,6 @@ BEYOND = 1e3
 MORE = 0.5
 # No device's bias is so many times what is usual: a fit that says so is of something else.
 FURTHEST = 25.0
-# A delay is linearised about where it is known to this, s.
-DELAY_STEP = 0.002
-
-
-def always(cases: Sequence[Case]) -> tuple[Effect, ...]:
-    """The effects that every model of these recordings has."""
-    kinds = {k for c in cases for k in c.kinds}
-    return tuple(e for e in catalogue().values() if e.always and kinds & set(e.observation_error))
-
-
-def baseline(cases: Sequence[Case], engine: str = "compiled") -> Model:
-    """The fit with no effect but those that every model has, where every other begins.
-
-    A magnetometer's hard iron is tried from all that its readings may lie around.
-    """
-    effects = always(cases)
-    ways = [tuple(cases)]
-    for k, case in enumerate(cases):
-        ways += [(*cases[:k], other, *cases[k + 1 :]) for other in other_irons(case)]
-
-    def begun(way: Sequence[Case]) -> Model:
-        return fitted([started(c, effects, engine) for c in way], effects, noise_rounds=2)
-
-    if len(ways) == 1:
-        return begun(cases)
-    fits = []
-    for k, tried in enumerate(side_by_side(partial(_attempt, begun, way) for way in ways)):
-        if isinstance(tried, Model):
-            fits.append(tried)
-        elif k == len(ways) - 1 and not fits:
-            raise tried
-    return max(fits, key=lambda m: m.log_evidence)
-
-
-def _attempt(begun: Callable[[Sequence[Case]], Model], way: Sequence[Case]) -> Model | HandcalError:
-    """The fit, or why there is none: of several starts one may diverge."""
-    try:
-        return begun(way)
-    except HandcalError as error:
-        return error
-
-
-def started(case: Case, effects: Sequence[Effect] = (), engine: str = "compiled") -> Fitted:
-    """A first trajectory by the online filter, with the effects that it cannot do without."""
-    problem = problem_with(case, effects)
-    problem = relinearised(problem, np.zeros(problem.constants), np.zeros(3), np.zeros(3))
-    levels = noise_levels.initial_levels(problem) | {
-        k: v for k, v in case.fixed.items() if k in {lv.name for lv in problem.levels}
-    }
-    track = empty_track(problem, epochs(problem))
-    state = first_state(problem, case.start, levels, case.iron)
-    state = ENGINES[engine](problem, noise_arrays(problem, levels), state, track)
-    nominal = trajectory_of(problem, track, state.bg, state.ba, state.extras)
-    linear, _, _ = smoother.relinearise(linearise_about(problem, case.start, nominal), levels)
-    if not np.isfinite(linear.d).all():
-        raise HandcalError(
-            "The filter diverged on this recording; check its units and axes, and whether the "
-            "device was really held or laid as assumed."
-        )
-    return Fitted(case, linear, levels)
 
 
 @dataclass(frozen=True)
@@ -137,6 +72,19 @@ def own_levels(f: Fitted) -> dict[str, float]:
     return {k: v for k, v in f.levels.items() if k in own}
 
 
+@dataclass(frozen=True)
+class _Rested:
+    """A fit on its way: its parts, whether they rest, their evidence, within how many nats; wide:
+    with all scales of the priors; whole: what all recordings say, where that is known already."""
+
+    parts: list[Fitted]
+    settled: bool
+    evidence: float
+    rest: float
+    wide: bool = False
+    whole: Quadratic | None = None
+
+
 def fitted(
     begin: Sequence[Fitted],
     effects: Sequence[Effect],
@@ -148,52 +96,76 @@ def fitted(
     until the evidence rests within ``tolerance`` nats."""
     parts = [moved_to(f, effects) for f in begin]
     rest = tolerance if noise_rounds == 0 else ROUGH
-    parts, settled, evidence = relinearised_parts(parts, effects, known, tolerance=rest)
-    if not math.isfinite(evidence):
-        return diverged(parts, effects)
-    wide, whole = False, None
+    now = _Rested(*relinearised_parts(parts, effects, known, tolerance=rest), rest)
+    if not math.isfinite(now.evidence):
+        return diverged(now.parts, effects)
     for left in range(noise_rounds, -1, -1):
-        # (first at the usual scales: seen from far off, anything may look large)
-        whole = None if wide or known is not None else _told(parts, effects)
-        if whole is not None and _asks_for_more(whole, effects):
-            tried, rests, value = relinearised_parts(parts, effects, known, evidence, True, rest)
-            if value > evidence:
-                parts, settled, evidence, wide, whole = tried, rests, value, True, None
+        now = _widened(now, effects, known)
         if not left:
             break
-        new = [with_noise(f) for f in parts]
-        # (of noise that is a part's alone the whole need not be the better)
-        least = -math.inf if any(f.case.noise_until for f in parts) else evidence - ASTRAY
-        change = max(
-            abs(math.log(n.levels[k] / o.levels[k]))
-            for n, o in zip(new, parts, strict=True)
-            for k in n.levels
-        )
-        for share in SHARES:
-            # about one trajectory, evidence may favour a noise so small that no other is as good
-            towards = [_towards(o, n, share) for o, n in zip(parts, new, strict=True)]
-            tried, rests, value = relinearised_parts(
-                towards, effects, known, least, wide, tolerance
-            )
-            if value > least:
-                break
-        else:
+        new = [with_noise(f) for f in now.parts]
+        moved = _with_levels(now, new, effects, known, tolerance)
+        if moved is None:
             break
-        parts, settled, evidence, rest, whole = tried, rests, value, tolerance, None
+        change = _change(now.parts, new)
+        now = moved
         if change < 0.02:
             break
-    if rest > tolerance:
-        parts, settled, _ = relinearised_parts(
-            parts, effects, known, wide=wide, tolerance=tolerance
-        )
-        whole = None
-    whole = whole or _told(parts, effects)
-    found = _posterior(whole, effects, known, wide)
-    constant = sum(f.case.constant for f in parts)
+    if now.rest > tolerance:
+        again = relinearised_parts(now.parts, effects, known, wide=now.wide, tolerance=tolerance)
+        now = _Rested(*again, tolerance, now.wide)
+    whole = now.whole or _told(now.parts, effects)
+    found = _posterior(whole, effects, known, now.wide)
+    constant = sum(f.case.constant for f in now.parts)
     return Model(
-        tuple(effects), tuple(parts), whole, found.mean, found.covariance,
-        found.log_evidence + constant, settled,
+        tuple(effects), tuple(now.parts), whole, found.mean, found.covariance,
+        found.log_evidence + constant, now.settled,
     )  # fmt: skip
+
+
+def _widened(now: _Rested, effects: Sequence[Effect], known: Known | None) -> _Rested:
+    """The fit with all scales of the priors, where some effect asks for more than the usual one.
+
+    (First at the usual scales: seen from far off, anything may look large.)
+    """
+    if now.wide or known is not None:
+        return replace(now, whole=None)
+    whole = _told(now.parts, effects)
+    if _asks_for_more(whole, effects):
+        tried = relinearised_parts(now.parts, effects, known, now.evidence, True, now.rest)
+        if tried[2] > now.evidence:
+            return _Rested(*tried, now.rest, wide=True)
+    return replace(now, whole=whole)
+
+
+def _with_levels(
+    now: _Rested,
+    new: Sequence[Fitted],
+    effects: Sequence[Effect],
+    known: Known | None,
+    tolerance: float,
+) -> _Rested | None:
+    """The fit at these noise levels, or as far on the way to them as the trajectory can follow:
+    about one trajectory, evidence may favour a noise so small that no other is as good. None where
+    it cannot follow at all."""
+    parts = now.parts
+    # (of noise that is a part's alone the whole need not be the better)
+    least = -math.inf if any(f.case.noise_until for f in parts) else now.evidence - ASTRAY
+    for share in SHARES:
+        towards = [_towards(o, n, share) for o, n in zip(parts, new, strict=True)]
+        tried = relinearised_parts(towards, effects, known, least, now.wide, tolerance)
+        if tried[2] > least:
+            return _Rested(*tried, tolerance, now.wide)
+    return None
+
+
+def _change(old: Sequence[Fitted], new: Sequence[Fitted]) -> float:
+    """By how much the noise level that moved most has moved, in its logarithm."""
+    return max(
+        abs(math.log(n.levels[k] / o.levels[k]))
+        for n, o in zip(new, old, strict=True)
+        for k in n.levels
+    )
 
 
 def diverged(parts: Sequence[Fitted], effects: Sequence[Effect]) -> Model:
@@ -297,109 +269,19 @@ def relinearised_parts(
         before, evidence = evidence, found.log_evidence
         if not evidence > least:  # (nor where it is no number any more)
             break
-        new = []
-        for f, done, own in zip(parts, passes, locals_, strict=True):
-            w = own.deviations(given(whole, own.quadratic, found.mean))
-            done = replace(done, w=w)
-            k, m = done.X.shape[:2]
-            r = np.empty((k, m, 1))
-            backward(done, False, r, np.empty((0, m, m)), spread=False)
-            trajectory = smoother.moved(f.linear, smoother.whole_mean(done, r))
-            new.append(_linearised(f, trajectory, effects))
-        parts = new
+        deviations = (x.deviations(given(whole, x.quadratic, found.mean)) for x in locals_)
+        each = zip(parts, passes, deviations, strict=True)
+        parts = [_followed(f, done, w, effects) for f, done, w in each]
     return parts, False, evidence if all(_sane(f.linear) for f in parts) else math.nan
 
 
-def _linearised(f: Fitted, trajectory: Trajectory, effects: Sequence[Effect]) -> Fitted:
-    """Linearise about the trajectory; if a delay has moved, about the moment it points to."""
-    delays = _delays(f.linear.problem, trajectory, effects)
-    known = f.case.delays
-    if any(abs(delays[k] - known.get(k, 0.0)) > DELAY_STEP for k in delays):
-        case = replace(f.case, delays={**known, **delays})
-        problem = problem_with(case, effects)
-        trajectory = transferred(trajectory, f.linear.problem, problem)
-        linear = linearise_about(problem, f.linear.start, trajectory)
-        return replace(f, case=case, linear=linear)
-    return replace(f, linear=linearise_about(f.linear.problem, f.linear.start, trajectory))
-
-
-def _delays(
-    problem: Problem, trajectory: Trajectory, effects: Sequence[Effect]
-) -> dict[str, float]:
-    """Delay of each kind of observation that this trajectory's constants hold, s."""
-    have = {o.kind for o in problem.observations}
-    found = {}
-    for e in effects:
-        for kind in set(e.delays) & have:
-            at = next(i for i, s in enumerate(problem.slots) if s.owner == e.id)
-            found[kind] = float(trajectory.constants[at])
-    return found
-
-
-def moved_to(f: Fitted, effects: Sequence[Effect]) -> Fitted:
-    """The same trajectory in the problem of other effects: new parameters zero."""
-    kept = {k for e in effects for k in e.delays}
-    case = replace(f.case, delays={k: v for k, v in f.case.delays.items() if k in kept})
-    problem = problem_with(case, effects)
-    trajectory = transferred(f.linear.trajectory, f.linear.problem, problem)
-    levels = noise_levels.initial_levels(problem) | dict(case.fixed)
-    have = {lv.name for lv in problem.levels}
-    levels |= {k: v for k, v in f.levels.items() if k in have}
-    linear = linearise_about(problem, f.linear.start, trajectory)
-    return Fitted(case, linear, levels, f.curvature)
-
-
-def delayed(f: Fitted, effects: Sequence[Effect], effect: Effect, seconds: float) -> Fitted:
-    """The fit, of these effects already, with the delay of one of them set to so much and
-    nothing else moved."""
-    return at_constants(f, effects, {(effect.id, effect.parameters[0].name): seconds})
-
-
-def at_constants(
-    f: Fitted, effects: Sequence[Effect], values: Mapping[tuple[str, str], float]
-) -> Fitted:
-    """The fit, of these effects already, with some of their constants set to these values (SI)
-    and nothing else moved."""
-    if not values:
-        return f
-    constants = f.linear.trajectory.constants.copy()
-    for i, s in enumerate(f.linear.problem.slots):
-        constants[i] = values.get((s.owner, s.name), constants[i])
-    return _linearised(f, replace(f.linear.trajectory, constants=constants), effects)
-
-
-def transferred(nominal: Trajectory, old: Problem, new: Problem) -> Trajectory:
-    """A trajectory of one problem as one of another of the same recording."""
-    values = {(s.owner, s.name): v for s, v in zip(old.slots, nominal.constants, strict=True)}
-    constants = np.array([values.get((s.owner, s.name), 0.0) for s in new.slots])
-    node = epochs(new)
-    t_old, t = old.nodes.t[nominal.node], new.nodes.t[node]
-    same = len(t) == len(t_old) and bool(np.all(t == t_old))
-    markov = np.zeros((len(t_old), new.markov_size))
-    for process in new.markovs:
-        if len(have := old.states_of(process)):
-            markov[:, new.states_of(process)] = nominal.markov[:, have]
-    if same:
-        return replace(nominal, node=node, constants=constants, markov=markov)
-    way = path(old, nominal)
-    return Trajectory(
-        node,
-        interpolated(t, old.nodes.t, way.p),
-        interpolated(t, old.nodes.t, way.v),
-        so3.between(old.nodes.t, way.C, t),
-        nominal.bg,
-        nominal.ba,
-        constants,
-        interpolated(t, t_old, markov),
-    )
-
-
-def interpolated(t: Array, t_old: Array, x: Array) -> Array:
-    """Columns x (k, m) at times t_old (k,), on straight lines at times t (n,)."""
-    out = np.empty((len(t), x.shape[1]))
-    for i in range(x.shape[1]):
-        out[:, i] = np.interp(t, t_old, x[:, i])
-    return out
+def _followed(f: Fitted, done: ReducedPass, w: Array, effects: Sequence[Effect]) -> Fitted:
+    """The fit linearised where its trajectory goes with these deviations w of its constants."""
+    done = replace(done, w=w)
+    k, m = done.X.shape[:2]
+    r = np.empty((k, m, 1))
+    backward(done, False, r, np.empty((0, m, m)), spread=False)
+    return linearised(f, smoother.moved(f.linear, smoother.whole_mean(done, r)), effects)
 
 
 def with_usual_noise(f: Fitted) -> Fitted:

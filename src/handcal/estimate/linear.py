@@ -1,4 +1,4 @@
-"""A problem linearised about a fixed trajectory: everything but the noise levels, and those.
+"""A problem linearised about a fixed trajectory: everything but the noise levels.
 
 Between two observation epochs the readings are integrated once into one transition
 (preintegration), so a pass costs as many steps as there are epochs.
@@ -6,7 +6,7 @@ Between two observation epochs the readings are integrated once into one transit
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,43 +15,20 @@ from handcal.compiled import so3
 from handcal.compiled.jit import njit
 from handcal.compiled.kernel import BASE, Nodes, Tables, fill_nav, linearise
 from handcal.compiled.preintegration import (
-    integrate,
     preintegrate,
     responses,
     turn_errors,
     turn_noise,
 )
 from handcal.effects import ATTITUDE, DELAY, Effect
-from handcal.estimate.filter import Track
-from handcal.estimate.problem import (
-    Corrected,
-    Problem,
-    Slopes,
-    constants_of,
-    corrected_readings,
-    differentiated,
-    errors_by_bias,
-    markov_transitions,
-)
+from handcal.estimate.corrected import Corrected, corrected_readings
+from handcal.estimate.derivatives import differentiated, errors_by_bias
+from handcal.estimate.problem import Problem, Slopes, constants_of
 from handcal.estimate.start import Start
+from handcal.estimate.trajectory import Trajectory, biases, intervals, path
 from handcal.observations import NAV, nearest
 from handcal.signals import further
 from handcal.types import Array, BoolArray, IntArray
-
-
-@dataclass(frozen=True)
-class Trajectory:
-    """Nominal states at k epochs: node (k,), p, v (k, 3), C (k, 3, 3), Markov states (k, e);
-    biases and constants."""
-
-    node: IntArray
-    p: Array
-    v: Array
-    C: Array
-    bg: Array
-    ba: Array
-    constants: Array
-    markov: Array
 
 
 @dataclass(frozen=True)
@@ -80,83 +57,22 @@ class Linear:
     used: BoolArray
 
 
-@dataclass(frozen=True)
-class Driven:
-    """What the noise levels make of a linearised problem: Q (k, 9, 9) of the navigation
-    errors; B (k, 9, e): how they depend on Markov
-    states; Phi_e, Q_e (k, e, e), d_e (k, e), Phi_psi (k, e, 3) of the Markov states."""
-
-    Q: Array
-    B: Array
-    Phi_e: Array
-    Q_e: Array
-    d_e: Array
-    Phi_psi: Array
-
-
-def epochs(problem: Problem) -> IntArray:
-    """Nodes at which something is observed, with the first and the last node."""
-    seen = np.flatnonzero(np.diff(problem.nodes.first))
-    return np.unique(np.r_[0, seen, len(problem.nodes.t) - 1])
-
-
-def trajectory_of(
-    problem: Problem, track: Track, bg: Array, ba: Array, extras: Array
-) -> Trajectory:
-    """Nominal trajectory from what the online filter recorded at the epochs."""
-    return Trajectory(
-        track.node,
-        track.p.copy(),
-        track.v.copy(),
-        track.C.copy(),
-        bg.copy(),
-        ba.copy(),
-        extras[: problem.constants].copy(),
-        track.extras[:, problem.constants :].copy(),
-    )
-
-
 def linearise_about(problem: Problem, start: Start, nominal: Trajectory) -> Linear:
     """Integrate between the epochs and linearise everything about the nominal trajectory."""
-    turning = problem.navigated and any(ATTITUDE in e.needs for e in problem.effects)
-    asked = turning or _held(problem)
-    done, C_nb = None, None
-    if problem.imu_constants:
-        C_nb = _attitude(problem, nominal) if asked else None
-        done = corrected_readings(problem, nominal.constants, nominal.bg, nominal.ba, C_nb)
-        problem = done.problem
-    problem = _bare(replace(problem, ref=nominal.constants))
-    Phi, d, Q, W = _transitions(problem, nominal)
-    if done is not None:
-        # What an effect does depends on the true rate and force: take off the noise that
-        # this trajectory implies, or each sample's noise would pose as motion that excites it.
-        problem = differentiated(done, *_unexciting(problem, nominal, d, C_nb))
-        slopes = problem.slopes
-        assert slopes is not None
-        responses(W, slopes.values, slopes.channel, slopes.column, nominal.node, Phi[:, :, BASE:])
+    problem, Phi, d, Q = _integrated(problem, nominal)
     if any(o.navigates for o in problem.observations):
         # (else d is no noise: it holds whatever moved the biases, and nothing pulls it back)
         turn_noise(Phi, d)
     problem = _believing(problem, nominal.constants)
-    nodes = problem.nodes
-    q = len(nodes.kind)
+    nodes, node = problem.nodes, nominal.node
     r, H, used = _rows(problem, nominal)
     if problem.slopes is not None:
         _seen_by_constants(problem.slopes, nodes.first, H)
-    by_bias = None if problem.navigated else errors_by_bias(problem, nominal.bg, nominal.ba)
-    if by_bias is not None:
-        t = problem.recording.imu.t
-        seen = np.searchsorted(nodes.first, np.arange(q), side="right") - 1
-        H[:, :, 9:15] += H[:, :, 9:15] @ by_bias[nearest(t, nodes.t[seen])]
-    e0 = BASE + problem.constants
-    for state, column in problem.walks:
-        H[:, :, e0 + state : e0 + state + 3] = H[:, :, 9 + column : 12 + column]
+    _seen_by_biases(problem, nominal, H)
     for kind, observation in enumerate(problem.observations):
         if observation.isotropic:
             rows = (nodes.kind == kind) & ~nodes.z[:, :DELAY].any(axis=1)
             H[rows, :3, 6:9] -= so3.skew(r[rows, :3])
-    node = nominal.node
-    first = np.r_[nodes.first[node], nodes.first[-1]]
     return Linear(
         problem,
         nominal,
@@ -168,12 +84,33 @@ def linearise_about(problem: Problem, start: Start, nominal: Trajectory) -> Line
         Q[2],
         nodes.t[node],
         _turning(problem, node),
-        first,
+        np.r_[nodes.first[node], nodes.first[-1]],
         nodes.kind,
         r,
         H,
         used,
     )
+
+
+def _integrated(problem: Problem, nominal: Trajectory) -> tuple[Problem, Array, Array, Array]:
+    """The problem with readings that are corrected at the nominal constants, and Phi, d and the
+    three Q (see ``_transitions``) between the epochs, those of the constants with them."""
+    turning = problem.navigated and any(ATTITUDE in e.needs for e in problem.effects)
+    done, C_nb = None, None
+    if problem.imu_constants:
+        C_nb = _attitude(problem, nominal) if turning or _held(problem) else None
+        done = corrected_readings(problem, nominal.constants, nominal.bg, nominal.ba, C_nb)
+        problem = done.problem
+    problem = _bare(replace(problem, ref=nominal.constants))
+    Phi, d, Q, W = _transitions(problem, nominal)
+    if done is not None:
+        # What an effect does depends on the true rate and force: take off the noise that
+        # this trajectory implies, or each sample's noise would pose as motion that excites it.
+        problem = differentiated(done, *_unexciting(problem, nominal, d, C_nb))
+        slopes = problem.slopes
+        assert slopes is not None
+        responses(W, slopes.values, slopes.channel, slopes.column, nominal.node, Phi[:, :, BASE:])
+    return problem, Phi, d, Q
 
 
 def _rows(problem: Problem, nominal: Trajectory) -> tuple[Array, Array, BoolArray]:
@@ -316,14 +253,6 @@ def _steady_force(problem: Problem, nominal: Trajectory, C_nb: Array) -> Array:
     return np.asarray(np.einsum("nji,nj->ni", C_nb, f_n))
 
 
-def biases(problem: Problem, nominal: Trajectory) -> tuple[Array, Array]:
-    """Bias of gyro and of accelerometer at the epochs, (k, 3) each, walks included."""
-    out = np.tile(np.r_[nominal.bg, nominal.ba], (len(nominal.node), 1))
-    for state, column in problem.walks:
-        out[:, column : column + 3] += nominal.markov[:, state : state + 3]
-    return np.ascontiguousarray(out[:, :3]), np.ascontiguousarray(out[:, 3:])
-
-
 def _seen_by_constants(slopes: Slopes, first: IntArray, H: Array) -> None:
     """Let observations that look at rate and force see the IMU constants, in their rows H."""
     rows = np.flatnonzero(H[:, :, 9:BASE].any(axis=(1, 2)))
@@ -331,6 +260,20 @@ def _seen_by_constants(slopes: Slopes, first: IntArray, H: Array) -> None:
         return
     node = np.searchsorted(first, rows, side="right") - 1
     _add_seen(rows, node, slopes.values, slopes.channel, slopes.column, H)
+
+
+def _seen_by_biases(problem: Problem, nominal: Trajectory, H: Array) -> None:
+    """Let the rows H see what effects that are not linear add with a bias, and the walks what the
+    biases do."""
+    nodes = problem.nodes
+    by_bias = None if problem.navigated else errors_by_bias(problem, nominal.bg, nominal.ba)
+    if by_bias is not None:
+        t = problem.recording.imu.t
+        seen = np.searchsorted(nodes.first, np.arange(len(nodes.kind)), side="right") - 1
+        H[:, :, 9:15] += H[:, :, 9:15] @ by_bias[nearest(t, nodes.t[seen])]
+    e0 = BASE + problem.constants
+    for state, column in problem.walks:
+        H[:, :, e0 + state : e0 + state + 3] = H[:, :, 9 + column : 12 + column]
 
 
 @njit
@@ -348,53 +291,14 @@ def _bare(problem: Problem) -> Problem:
     return replace(problem, nodes=problem.nodes._replace(J=np.zeros((len(problem.nodes.t), 6, 0))))
 
 
-def _intervals(
-    problem: Problem, nominal: Trajectory
-) -> tuple[Nodes, IntArray, tuple[Array, Array, Array], tuple[Array, Array], Array, Array]:
-    """What integrating from epoch to epoch begins with (see ``preintegrate``)."""
-    return (
-        problem.nodes,
-        nominal.node,
-        (nominal.p, nominal.v, nominal.C),
-        biases(problem, nominal),
-        problem.g_n,
-        problem.omega_ie_n,
-    )
-
-
 def _transitions(problem: Problem, nominal: Trajectory) -> tuple[Array, Array, Array, Array]:
     """Phi (k, 9, 15 + mi) but for the constants, d (k, 9) and the three Q (3, k, 9, 9) between the
     epochs; W (n, 9, 6) (see ``preintegrate``)."""
     k = len(nominal.node)
     Phi, d = np.zeros((k, 9, BASE + problem.imu_constants)), np.zeros((k, 9))
     Q, W = np.zeros((3, k, 9, 9)), np.empty((len(problem.nodes.t), 9, 6))
-    preintegrate(*_intervals(problem, nominal), (Phi, d, Q[0], Q[1], Q[2]), W)
+    preintegrate(*intervals(problem, nominal), (Phi, d, Q[0], Q[1], Q[2]), W)
     return Phi, d, Q, W
-
-
-@dataclass(frozen=True)
-class Path:
-    """Position, velocity (n, 3) and attitude (n, 3, 3) at all nodes, and by how much what was
-    integrated missed the epochs, d (k, 9)."""
-
-    p: Array
-    v: Array
-    C: Array
-    d: Array
-
-
-def path(problem: Problem, nominal: Trajectory) -> Path:
-    """The nominal trajectory between its epochs, as the readings tell it."""
-    n = len(problem.nodes.t)
-    if problem.slopes is not None:
-        moved = problem.slopes.times(nominal.constants - problem.ref)
-        nodes = problem.nodes
-        gyro, accel = nodes.gyro - moved[:, :3], nodes.accel - moved[:, 3:]
-        problem = replace(problem, nodes=nodes._replace(gyro=gyro, accel=accel))
-    out = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3, 3))
-    d = np.zeros((len(nominal.node), 9))
-    integrate(*_intervals(problem, nominal), out, d)
-    return Path(*out, d)
 
 
 def _implied_noise(problem: Problem, nominal: Trajectory, d: Array) -> Array:
@@ -436,38 +340,3 @@ def _linearise_rows(
                 )
                 == 0
             )
-
-
-def driven(linear: Linear, levels: Mapping[str, float]) -> Driven:
-    """The intervals' noise at these levels."""
-    problem = linear.problem
-    Phi_e, Q_e = markov_transitions(problem, levels, linear.t, linear.rate)
-    d_e, Phi_psi = _markov_steps(problem, linear.trajectory.markov[: len(linear.t)], Phi_e)
-    Q = (
-        levels["gyro_noise"] ** 2 * linear.Q_gyro
-        + levels["accel_noise"] ** 2 * linear.Q_accel
-        + linear.Q_extra
-    )
-    B = np.zeros((len(linear.t), 9, problem.markov_size if problem.walks else 0))
-    for state, column in problem.walks:
-        B[:, :, state : state + 3] = linear.Phi[:, :, 9 + column : 12 + column]
-    return Driven(Q, B, Phi_e, Q_e, d_e, Phi_psi)
-
-
-def _markov_steps(problem: Problem, markov: Array, Phi_e: Array) -> tuple[Array, Array]:
-    """Steps d_e (k, e) predicted minus nominal of the Markov states, and Phi_psi (k, e, 3).
-
-    The noise that drives a vector such as the hand's sway has no preferred direction, so
-    an error of attitude turns what the trajectory says of it: with it, a heading that
-    nothing observes stays unobserved. (Without, the noise's own directions would seem to
-    be known, and the heading with them.)
-    """
-    d_e = np.zeros_like(markov)
-    d_e[1:] = np.einsum("kij,kj->ki", Phi_e[1:], markov[:-1]) - markov[1:]
-    Phi_psi = np.zeros((*markov.shape, 3))
-    at = 0
-    for kept in problem.markovs:
-        for i in range(at, at + 3 * kept.vectors, 3):
-            Phi_psi[:, i : i + 3] = so3.skew(d_e[:, i : i + 3])
-        at += kept.size
-    return d_e, Phi_psi

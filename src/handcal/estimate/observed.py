@@ -11,8 +11,9 @@ import numpy as np
 from handcal.compiled import so3
 from handcal.compiled.kernel import BASE
 from handcal.effects import Effect, mag_hard_iron
+from handcal.estimate.assemble import build
 from handcal.estimate.filter import State, initial_state
-from handcal.estimate.problem import Problem, build
+from handcal.estimate.problem import Problem
 from handcal.estimate.start import Start, from_pose, from_rest, levelled
 from handcal.observations import Observation, Rows, Scene, catalogue
 from handcal.recordings.streams import STREAMS

@@ -12,12 +12,13 @@ from handcal.compiled import so3
 from handcal.compiled.kernel import BASE
 from handcal.estimate import noise as noise_levels
 from handcal.estimate import smoother
-from handcal.estimate.fit import interpolated
-from handcal.estimate.linear import Linear, Trajectory, linearise_about, path
+from handcal.estimate.linear import Linear, linearise_about
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.parameters import Known, Moment, known
 from handcal.estimate.problem import Problem, constants_of
 from handcal.estimate.robust import inflation
+from handcal.estimate.trajectory import Trajectory, path
+from handcal.estimate.transfer import interpolated
 from handcal.observations import magnetometer
 from handcal.types import (
     Array,

@@ -25,11 +25,13 @@ from handcal.compiled.covariance import (
 from handcal.compiled.jit import copy1, copy2, njit
 from handcal.compiled.kernel import BASE, MAX_DIM
 from handcal.compiled.so3 import exp, matmul
+from handcal.estimate.driven import driven
 from handcal.estimate.evidence import ReducedPass, backward, kept, reduce, reduced_pass
 from handcal.estimate.filter import full_prior
 from handcal.estimate.folded import unfolded
-from handcal.estimate.linear import Linear, Trajectory, driven, linearise_about
+from handcal.estimate.linear import Linear, linearise_about
 from handcal.estimate.problem import observation_variances
+from handcal.estimate.trajectory import Trajectory
 from handcal.types import Array, BoolArray, IntArray
 
 # Epochs whose covariances are smoothed at once: what that takes besides them is small.

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from handcal.compiled import so3
-from handcal.estimate.problem import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR
-from handcal.types import Array, Recording
+from handcal.types import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Array, Recording
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from handcal.earth import STANDARD_GRAVITY
 from handcal.effects import Effect, catalogue
 from handcal.estimate.case import applicable
 from handcal.estimate.evidence import reduce, reduced_pass
-from handcal.estimate.fit import moved_to
 from handcal.estimate.model import Fitted
+from handcal.estimate.transfer import moved_to
 from handcal.types import Array
 
 # A bias leans on the absence of an effect that would make it so many times less certain.

@@ -11,8 +11,9 @@ from handcal.effects import Effect, catalogue
 from handcal.estimate.beside import side_by_side
 from handcal.estimate.case import applicable
 from handcal.estimate.evidence import reduce, reduced_pass
-from handcal.estimate.fit import delayed, fitted, moved_to
+from handcal.estimate.fit import fitted
 from handcal.estimate.model import Fitted, Model
+from handcal.estimate.transfer import delayed, moved_to
 
 # A scan does not see what a delay does when the device turns further than this within it, rad.
 BEYOND = 0.5

@@ -12,9 +12,10 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from handcal.estimate.fit import at_constants, fitted, known_of, moved_to, own_levels
+from handcal.estimate.fit import fitted, known_of, own_levels
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.sway import TRAVEL_NATS, beyond_a_hand
+from handcal.estimate.transfer import at_constants, moved_to
 from handcal.explain.explanation import Hand
 from handcal.explain.score import CERTAIN, log_prior, score
 from handcal.explain.search import Found

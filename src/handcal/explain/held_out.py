@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from handcal.estimate import noise as noise_levels
+from handcal.estimate.baseline import always, started
 from handcal.estimate.case import Case
 from handcal.estimate.evidence import reduce, reduced_pass
-from handcal.estimate.fit import EXCESS, always, fitted, known_of, own_levels, started
+from handcal.estimate.fit import EXCESS, fitted, known_of, own_levels
 from handcal.estimate.linear import Linear
 from handcal.estimate.model import Fitted, Model
 from handcal.explain.explanation import HeldOut

@@ -12,9 +12,10 @@ from handcal.compiled.kernel import BASE
 from handcal.device.twin import IMU_CHANNELS
 from handcal.effects import Effect, Signals
 from handcal.estimate.case import name_of
+from handcal.estimate.corrected import corrected_readings
 from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.model import Fitted, Model
-from handcal.estimate.problem import Problem, corrected_readings
+from handcal.estimate.problem import Problem
 from handcal.estimate.quadratic import Quadratic, local, total
 from handcal.explain.explanation import Missing
 from handcal.explain.held_out import early_part

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from handcal.device.twin import sensor_residuals
-from handcal.estimate.linear import driven
+from handcal.estimate.driven import driven
 from handcal.estimate.model import Fitted
 from handcal.estimate.problem import observation_variances
 from handcal.explain.explanation import Mismatch, Trace

@@ -14,14 +14,15 @@ import numpy as np
 
 from handcal.compiled.kernel import MAX_DIM
 from handcal.effects import Effect
+from handcal.estimate.baseline import baseline, started
 from handcal.estimate.beside import side_by_side
 from handcal.estimate.case import Case, Edit, edited
 from handcal.estimate.case import creeping as creeping_case
 from handcal.estimate.evidence import reduce, reduced_pass
-from handcal.estimate.fit import baseline, diverged, fitted, started
+from handcal.estimate.fit import diverged, fitted
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.sway import beyond_a_hand
-from handcal.explain.climb import WEAK
+from handcal.explain.climb.exchange import WEAK
 from handcal.explain.score import PRIOR, better
 from handcal.observations.fixed_position import CREEPING
 from handcal.types import Array, HandcalError

@@ -13,7 +13,7 @@ from handcal.estimate.case import Case, name_of
 from handcal.estimate.model import Model
 from handcal.estimate.process import process_parameters
 from handcal.explain import importance, outliers
-from handcal.explain.climb import akin
+from handcal.explain.climb.exchange import akin
 from handcal.explain.explanation import Curve, Hypothesis, Missing, Unnamed, is_curve
 from handcal.explain.score import CERTAIN, PRIOR, probability
 from handcal.explain.search import Found

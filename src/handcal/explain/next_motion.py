@@ -20,11 +20,12 @@ from handcal.effects import Effect
 from handcal.estimate.case import Case, name_of, problem_with
 from handcal.estimate.evidence import ReducedPass, reduce, reduced_pass
 from handcal.estimate.fit import prior_root
-from handcal.estimate.linear import Trajectory, epochs, linearise_about
+from handcal.estimate.linear import linearise_about
 from handcal.estimate.model import Fitted
 from handcal.estimate.observed import observed_of
 from handcal.estimate.problem import Problem
 from handcal.estimate.quadratic import Posterior, Quadratic, local, posterior
+from handcal.estimate.trajectory import Trajectory, epochs
 from handcal.explain.explanation import Hypothesis, Missing, NextMotion
 from handcal.explain.search import Found
 from handcal.explain.space import Space, expected_gain

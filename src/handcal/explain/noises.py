@@ -12,8 +12,9 @@ from handcal.effects import Effect, catalogue
 from handcal.estimate.beside import side_by_side
 from handcal.estimate.case import applicable
 from handcal.estimate.evidence import reduce, reduced_pass
-from handcal.estimate.fit import fitted, moved_to
+from handcal.estimate.fit import fitted
 from handcal.estimate.model import Fitted, Model
+from handcal.estimate.transfer import moved_to
 from handcal.explain.score import better
 from handcal.explain.unnamed import with_motion
 

@@ -9,8 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from handcal.effects import Effect, catalogue
+from handcal.estimate.baseline import always, started
 from handcal.estimate.case import Case, applicable, case_of, frozen_at
-from handcal.estimate.fit import always, fitted, moved_to, scan, started
+from handcal.estimate.fit import fitted, scan
+from handcal.estimate.transfer import moved_to
 from handcal.explain.score import OCCAM_LEVEL
 from handcal.explain.space import expected_gain as expected_nats
 from handcal.explain.space import space

@@ -9,7 +9,8 @@ from functools import partial
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.explain.budget import Budget
-from handcal.explain.climb import Climb, climbed
+from handcal.explain.climb.state import Climb
+from handcal.explain.climb.turns import climbed
 from handcal.explain.delays import with_delays
 from handcal.explain.score import better
 from handcal.explain.space import Space

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import handcal
 from handcal import output
-from handcal.allan import CHANNELS, LAWS, UNITS, Allan, Channel
+from handcal.allan.analysis import CHANNELS, UNITS, Allan, Channel
+from handcal.allan.terms import LAWS
 from handcal.show.drawing import INK, MUTED, PURPLE, RC, RED, XYZ, Plot, canvas, legend, svg
 from handcal.show.html_page import page
 from handcal.types import Array

@@ -1,4 +1,5 @@
-"""Laws that nobody named: the best of hundreds beside a model, and the formula that it has."""
+"""The best of all that nobody named: every look beside a model, and the law or course
+that gains most."""
 
 from __future__ import annotations
 
@@ -6,33 +7,29 @@ import math
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import combinations
 
 import numpy as np
 
 from handcal.effects import Effect, Signals
 from handcal.estimate.beside import side_by_side
-from handcal.estimate.columns import Ground
-from handcal.estimate.fit import fitted, grounds, prior_root, scan
-from handcal.estimate.linear import path
+from handcal.estimate.fit import fitted, grounds, scan
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.quadratic import Quadratic
+from handcal.estimate.trajectory import path
 from handcal.explain.score import TERM_PRIOR, better, score
 from handcal.explain.unnamed import shapes, terms
-from handcal.explain.unnamed.drivers import DRIVERS, LINE, NEARER, Driver, usable
-from handcal.explain.unnamed.grammar import (
-    Form,
-    Part,
-    about,
-    cost_of,
-    curves,
-    formula,
-    parts_for,
-    range_of,
+from handcal.explain.unnamed.laws import Law, effect_of, law_of
+from handcal.explain.unnamed.over_drivers import (
+    About,
+    Block,
+    best_of_block,
+    blocks,
+    tuned,
+    written_out,
 )
-from handcal.explain.unnamed.laws import SIZE, Law, effect_of, law_of, named
+from handcal.explain.unnamed.weighing import beside, gains, weighed, wide_root
 from handcal.signals import of_recording
-from handcal.types import Array, IntArray
+from handcal.types import IntArray
 
 # Columns that a scan looks at together at the most and at the least, and numbers that all of them
 # may take, some thirty for each epoch: 150 MB.
@@ -43,8 +40,6 @@ CLOSER = 3
 # Of what a law gains, the share that terms of second order leave open: a formula that costs more
 # than the one there is has to gain more than that.
 OPEN = 1e-3
-# Shares of the way to a formula's next numbers on trial at which it is tried once more, in turn.
-FINER = (0.5, 0.2, 0.06)
 
 
 @dataclass(frozen=True)
@@ -55,235 +50,6 @@ class Term:
     effect: Effect
     gain: float
     others: tuple[Effect, ...] = ()
-
-
-@dataclass(frozen=True)
-class Beside:
-    """What a scan says of parameters that are not in the model, those of the model integrated
-    out: b (m,), G (m, m), and the place of each effect's."""
-
-    b: Array
-    G: Array
-    at: dict[str, IntArray]
-
-    def gains(self, index: IntArray) -> Array:
-        """Nats (f,) that each of several sets of parameters (f, k) gains under their priors."""
-        return gains(self.b[index], self.G[index[:, :, None], index[:, None]])
-
-
-def gains(b: Array, G: Array, root: Array | None = None) -> Array:
-    """Nats (f,) that parameters of such quadratics, b (f, k) and G (f, k, k), gain; root
-    (f, k, k): of their priors (None: the identity)."""
-    if root is not None:
-        back = root.transpose(0, 2, 1)
-        b, G = np.einsum("fij,fj->fi", back, b), back @ G @ root
-    A = 0.5 * (G + G.transpose(0, 2, 1)) + np.eye(b.shape[1])
-    L = np.linalg.cholesky(A)
-    y = np.linalg.solve(L, b[:, :, None])[:, :, 0]
-    return np.asarray(0.5 * (y**2).sum(axis=1) - np.log(np.einsum("fii->fi", L)).sum(axis=1))
-
-
-def beside(q: Quadratic, known: Sequence[Effect], absent: Sequence[Effect]) -> Beside:
-    """The quadratic of the parameters of absent effects beside those of known ones."""
-    where: dict[str, list[int]] = {e.id: [] for e in (*known, *absent)}
-    for i, (owner, _) in enumerate(q.names):
-        if owner in where:
-            where[owner].append(i)
-    index: IntArray = np.array([i for e in known for i in where[e.id]], dtype=np.int64)
-    mine: IntArray = np.array([i for e in absent for i in where[e.id]], dtype=np.int64)
-    b, G = shapes.integrated(q, mine, index, wide_root(q, known, index))
-    at, first = {}, 0
-    for e in absent:
-        at[e.id] = np.arange(first, first + len(where[e.id]), dtype=np.int64)
-        first += len(where[e.id])
-    return Beside(b, G, at)
-
-
-def weighed(q: Quadratic, worth: float) -> Quadratic:
-    """The quadratic with its evidence counting for so much: all that is compared, for the same."""
-    share = worth / q.worth
-    return replace(q, b=share * q.b, G=share * q.G, worth=worth)
-
-
-def wide_root(q: Quadratic, known: Sequence[Effect], index: IntArray) -> Array:
-    """Square root of the prior covariance of what is in the model, as wide as it is large: what
-    stands out of its prior may not be relieved by something else."""
-    root = prior_root(q, known, index)
-    if not len(index):
-        return np.zeros((0, 0))
-    root = np.eye(len(index)) if root is None else root
-    b, G = q.b[index], q.G[np.ix_(index, index)]
-    u = np.linalg.lstsq(G + 1e-6 * np.eye(len(b)), b, rcond=None)[0]
-    return np.asarray(np.maximum(1.0, np.abs(u))[:, None] * root)
-
-
-# --- laws over drivers ---------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Block:
-    """All laws of one sensor over one driver, as one effect of each axis's coefficients."""
-
-    sensor: int
-    driver: Driver
-    forms: tuple[Form, ...]
-    sigmas: tuple[float, ...]
-    effect: Effect
-
-
-def blocks(signals: Signals) -> list[Block]:
-    """Every sensor with every driver of which this recording has a course."""
-    return [b for d in DRIVERS.values() if usable(d, signals) for b in _over(d, signals)]
-
-
-def _over(driver: Driver, signals: Signals) -> list[Block]:
-    x = np.stack([driver.of(signals, axis) for axis in range(3)])
-    rms = float(np.sqrt(np.mean(x**2)))
-    if rms < 1e-9 or np.ptp(x) < 1e-6 * rms:
-        return []
-    sensors = [n for n in range(len(SIZE)) if driver.only in (None, n)]
-    if driver.knots == LINE:
-        forms = (formula([("line", ())]),)
-        return [_block(n, driver, forms, SIZE[n] / rms) for n in sensors]
-    smooth = tuple(curves(range_of(x, driver.signed), driver.knots, driver.round))
-    return [_block(n, driver, smooth, SIZE[n]) for n in sensors]
-
-
-def _block(sensor: int, driver: Driver, forms: tuple[Form, ...], sigma: float) -> Block:
-    sigmas = (sigma,) * forms[0].constants
-    law = Law(sensor, (0, 1, 2), True, driver, replace(forms[0], root=None), sigmas)
-    effect = replace(effect_of(law), id=f"basis: {sensor} {driver.name}")
-    return Block(sensor, driver, forms, sigmas, effect)
-
-
-def _ways(block: Block, seen: Beside) -> Iterator[tuple[tuple[int, ...], bool, Array, Array]]:
-    """Axes, whether each has its own constants, and the quadratic of these: each axis alone, and
-    all by one law."""
-    at = seen.at[block.effect.id].reshape(3, -1)
-    b, G = seen.b[at], seen.G[at[:, :, None, None], at[None, None]]
-    for axis in range(3):
-        yield (axis,), False, b[axis], G[axis, :, axis]
-    if block.driver.own:
-        yield (0, 1, 2), False, b.sum(axis=0), G.sum(axis=(0, 2))
-        yield (0, 1, 2), True, b.ravel(), G.reshape(b.size, b.size)
-
-
-def _of_block(block: Block, seen: Beside) -> Iterator[tuple[Law, float]]:
-    """The best law of each way, and what it gains."""
-    one = block.forms[0].constants
-    roots = np.stack([np.eye(one) if f.root is None else f.root for f in block.forms])
-    for axes, each, b, G in _ways(block, seen):
-        own = len(b) // one
-        whole = np.zeros((len(roots), own, one, own, one))
-        for n in range(own):
-            whole[:, n, :, n] = roots
-        many = len(roots), len(b), len(b)
-        found = gains(np.broadcast_to(b, many[:2]), np.broadcast_to(G, many), whole.reshape(many))
-        top = float(found.max())
-        form = block.forms[int(np.argmax(found))]
-        law = Law(block.sensor, axes, each, block.driver, form, block.sigmas)
-        if form.smooth or not named(law):
-            # (its width and size are not known: the mean over all)
-            yield law, top + math.log(np.mean(np.exp(found - top)))
-
-
-# --- formulas ------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class About:
-    """Where laws are weighed: about a model (``grounds`` for its scans), beside its known effects,
-    with the signals of its first recording, and what evidence is worth."""
-
-    model: Model
-    grounds: Sequence[Ground]
-    known: Sequence[Effect]
-    signals: Signals
-    worth: float
-
-    def seen(self, absent: Sequence[Effect]) -> Beside:
-        """What a scan says of absent effects."""
-        q = scan(self.model, absent, self.grounds)
-        return beside(weighed(q, self.worth), self.known, absent)
-
-
-def written_out(about_: About, law: Law) -> list[tuple[Law, float]]:
-    """The law as the formulas that gain most over the model, and what they gain: of one function,
-    and of two; with their numbers adjusted."""
-    driver = law.driver
-    x = np.stack([driver.of(about_.signals, axis) for axis in range(3)])
-    over = range_of(x, driver.signed)
-    parts = parts_for(over, driver.signed, driver.round)
-    return [_adjusted(about_, *end) for end in _tried(about_, law, parts)]
-
-
-def _adjusted(about_: About, law: Law, gain: float) -> tuple[Law, float]:
-    """The formula with the numbers near its own that gain most, and what it gains."""
-    for share in FINER if law.form.numbers else ():
-        parts = [near for part in law.form.parts for near in about(part, share)]
-        for other, value in _tried(about_, law, parts):
-            if value > gain and len(other.form.parts) == len(law.form.parts):
-                law, gain = other, value
-    return law, gain
-
-
-def _tried(about_: About, law: Law, parts: Sequence[Part]) -> list[tuple[Law, float]]:
-    """The best of these functions in the law's place, and the best sum of two; what they gain."""
-    forms = [formula([part]) for part in parts]
-    sizes = np.array([_rms(law, form, about_.signals) for form in forms])
-    some = np.flatnonzero(sizes > 1e-9)
-    effects = [
-        replace(
-            effect_of(replace(law, form=forms[n], sigmas=(SIZE[law.sensor] / sizes[n],))),
-            id=f"basis: {n}",
-        )
-        for n in some
-    ]
-    seen = about_.seen(effects)
-    out = []
-    for sets in _sets([int(n) for n in some], parts):
-        index = [np.concatenate([seen.at[f"basis: {n}"] for n in chosen]) for chosen in sets]
-        values = seen.gains(np.array(index)) - [cost_of([parts[n] for n in s]) for s in sets]
-        for k in np.argsort(-values, kind="stable"):
-            sigmas = tuple(float(SIZE[law.sensor] / sizes[n]) for n in sets[k])
-            form = formula([parts[n] for n in sets[k]])
-            candidate = replace(law, form=form, sigmas=sigmas)
-            if not named(candidate):
-                out.append((candidate, float(values[k])))
-                break
-    return out
-
-
-def _sets(some: Sequence[int], parts: Sequence[Part]) -> list[list[tuple[int, ...]]]:
-    """All of one of these, and all of two that are different functions."""
-    one: list[tuple[int, ...]] = [(n,) for n in some]
-    two: list[tuple[int, ...]] = [
-        (n, m) for n, m in combinations(some, 2) if parts[n][0] != parts[m][0]
-    ]
-    return [sets for sets in (one, two) if sets]
-
-
-def tuned(about_: About, law: Law, gain: float) -> tuple[Law, float]:
-    """The law with the time or half width of its driver that gains most, and what it gains."""
-    for shares in NEARER:
-        at, number = law.driver.at, law.driver.number
-        if at is None:
-            break
-        near = [b for s in shares for b in _over(at(s * number), about_.signals)]
-        near = [b for b in near if b.sensor == law.sensor]
-        seen = about_.seen([b.effect for b in near])
-        for other, value in (end for block in near for end in _of_block(block, seen)):
-            if value > gain and (other.axes, other.each) == (law.axes, law.each):
-                law, gain = other, value
-    return law, gain
-
-
-def _rms(law: Law, form: Form, signals: Signals) -> float:
-    values = [form.values(law.driver.of(signals, axis)) for axis in law.axes]
-    return float(np.sqrt(np.mean(np.square(values))))
-
-
-# --- the best of all -----------------------------------------------------------------------
 
 
 def best_term(model: Model, *, refused: Collection[str] = (), without: str = "") -> Term | None:
@@ -370,7 +136,7 @@ def _chunks(signals: Signals, most: int) -> Iterator[list[Block]]:
 
 def _laws(chunk: Sequence[Block], q: Quadratic, known: Sequence[Effect]) -> list[End]:
     seen = beside(q, known, [b.effect for b in chunk])
-    return [end for b in chunk for end in _of_block(b, seen)]
+    return [end for b in chunk for end in best_of_block(b, seen)]
 
 
 def _closer(ends: Sequence[End]) -> list[tuple[Law, float]]:

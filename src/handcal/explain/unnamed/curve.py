@@ -12,8 +12,8 @@ import numpy as np
 from handcal.compiled import so3
 from handcal.device.twin import sensor_residuals
 from handcal.effects import TIME, Z_DIM, Effect, Signals, observed_error
-from handcal.estimate.linear import path
 from handcal.estimate.model import Fitted
+from handcal.estimate.trajectory import path
 from handcal.explain.explanation import Curve, is_curve
 from handcal.explain.unnamed.best import signals_of
 from handcal.explain.unnamed.laws import CHANNELS, UNITS, Law, law_of

@@ -11,7 +11,7 @@ from handcal import output
 from handcal.explain.explanation import Explanation, Hypothesis, Missing
 from handcal.show import words
 from handcal.show.drawing import PALETTE
-from handcal.show.explanation import frames, plots, summary
+from handcal.show.explanation import frames, plots, sentences, summary
 from handcal.show.explanation import words as say
 from handcal.show.html_page import page
 from handcal.types import Parameter
@@ -35,8 +35,8 @@ def _context(e: Explanation) -> dict[str, Any]:
     return {
         "names": words.listed(names) if names else "nothing",
         "version": handcal.__version__,
-        "assumed": say.assumptions(e),
-        "verdict": say.verdict(e),
+        "assumed": sentences.assumptions(e),
+        "verdict": sentences.verdict(e),
         "facts": _facts(e),
         "mismatch": [
             {"channel": say.channel_title(m.channel), "time": say.interval(m), "when": m.when,
@@ -47,7 +47,7 @@ def _context(e: Explanation) -> dict[str, Any]:
         "missing": [_card(m, e, styles) for m in e.missing],
         "unnamed": [
             {"formula": u.formula, "amount": say.sized(u), "gain": say.nats(u.log_evidence_gain),
-             "story": u.story, "lead": say.lead(u)}
+             "story": u.story, "lead": sentences.lead(u)}
             for u in e.unnamed
         ],
         "plots": plots.draw(e),
@@ -58,10 +58,10 @@ def _context(e: Explanation) -> dict[str, Any]:
         "groups": _groups(e),
         "one_model": say.one_model(e),
         "more_apart": max(gains, default=0.0) > say.gain(e),
-        "untold": say.untold(e),
+        "untold": sentences.untold(e),
         "next_motion": [
             {"motion": n.motion.rstrip("."), "gain": say.nats(n.expected_gain),
-             "promise": say.promise(n, e)}
+             "promise": sentences.promise(n, e)}
             for n in e.next_motion
         ],
         "noise": [words.noise_line(n) for n in e.noise],
@@ -79,7 +79,7 @@ def _facts(e: Explanation) -> list[tuple[str, str]]:
         best = max((h.alone for h in e.hypotheses), default=0.0)
         return [*facts, (say.nats(best), "gained by the best of them")]
     for value, label in ((say.gain(e), "gained by the final model"),
-                         (say.held_out_gain(e), "gained on unseen data")):  # fmt: skip
+                         (sentences.held_out_gain(e), "gained on unseen data")):  # fmt: skip
         if label != "gained on unseen data" or e.held_out is not None:
             facts.append((say.nats(value), label))
     return facts
@@ -110,7 +110,7 @@ def _card(m: Missing, e: Explanation, styles: dict[str, tuple[str, Any]]) -> dic
         "colour": PALETTE[styles.get(m.effect, (plots.AFTER, ""))[0]],
         "probability": say.percent(m.probability),
         "gain": say.nats(m.log_evidence_gain),
-        "weight": say.weight(m),
+        "weight": sentences.weight(m),
         "story": m.story,
         "motion": m.motion,
         "rows": [_row(p, unit) for p, unit in say.in_units(m.parameters)],
@@ -154,7 +154,7 @@ def _held_out(e: Explanation) -> dict[str, Any] | None:
     if (h := e.held_out) is None:
         return None
     return {
-        "sentence": say.held_out_sentence(e) or "",
+        "sentence": sentences.held_out_sentence(e) or "",
         "score": _scores(h.log_score_before, h.log_score_after),
     }
 

@@ -11,6 +11,7 @@ from handcal.estimate.chosen import document_of
 from handcal.explain.explanation import Explained, Explanation, Fit, HeldOut, Missing, Unnamed
 from handcal.show import words
 from handcal.show.calibration import summary
+from handcal.show.explanation import sentences
 from handcal.show.explanation import words as say
 from handcal.types import EXPLANATION_SCHEMA, NoiseLevel, Parameter
 
@@ -188,14 +189,14 @@ def print_explanation(explanation: Explanation, console: Console) -> None:
     def heading(text: str) -> None:
         console.print(f"\n[bold]{escape(text)}[/]")
 
-    e, judged = explanation, say.verdict(explanation)
+    e, judged = explanation, sentences.verdict(explanation)
     colour = {"good": "green", "partly": "yellow", "poor": "red"}[judged.level]
     for r in e.recordings:
         console.print(
             f"[bold]{escape(r.recording.path)}[/]  {r.recording.duration_s:.1f} s at "
             f"{say.rate(r)}; {words.counted(len(r.rests), 'rest')}"
         )
-    for assumed in say.assumptions(e):
+    for assumed in sentences.assumptions(e):
         line(assumed, 0, "dim")
     console.print()
     line(judged.headline, 0, f"bold {colour}")
@@ -207,7 +208,7 @@ def print_explanation(explanation: Explanation, console: Console) -> None:
     for m in e.missing:
         heading(f"Missing: {' or '.join(say.members(m, e))}")
         line(m.story)
-        line(say.weight(m), style="dim")
+        line(sentences.weight(m), style="dim")
         console.print(_missing_table(m))
     if e.unnamed:
         heading("Found outside the catalogue")
@@ -226,14 +227,14 @@ def print_explanation(explanation: Explanation, console: Console) -> None:
         line(KEY, style="dim")
     heading("How well the model fits" if say.one_model(e) else "Before and after")
     console.print(_fit_table(e))
-    if sentences := say.untold(e):
+    if untold := sentences.untold(e):
         heading("What this motion could not tell")
-        for sentence in sentences:
+        for sentence in untold:
             line(sentence, bullet="• ")
     if e.next_motion:
         heading("What motion would tell")
         for n in e.next_motion:
-            promise = f"{say.promise(n, e)} ({say.nats(n.expected_gain)} expected)"
+            promise = f"{sentences.promise(n, e)} ({say.nats(n.expected_gain)} expected)"
             line(f"{n.motion.rstrip('.')}: {promise}.", bullet="• ")
     if warnings := all_warnings(e):
         heading("Warnings")
@@ -304,7 +305,7 @@ def fit_rows(e: Explanation) -> list[tuple[str, ...]]:
              "nats", _signed(say.gain(e)))]  # fmt: skip
     if (h := e.held_out) is not None and not say.one_model(e):
         scores = say.number(h.log_score_before), say.number(h.log_score_after)
-        rows.append(("score on unseen data", *scores, "nats", _signed(say.held_out_gain(e))))
+        rows.append(("score on unseen data", *scores, "nats", _signed(sentences.held_out_gain(e))))
     for channel in say.channels(before.residual_rms, after.residual_rms):
         pair = [f.residual_rms.get(channel, math.nan) for f in (before, after)]
         unit = say.channel_shown(channel, pair, small=True)
@@ -337,10 +338,10 @@ def _fit_table(e: Explanation) -> Any:
 
 def explanation_markdown(explanation: Explanation) -> str:
     """The verdict with its numbers, for the dashboard's text panel."""
-    e, judged = explanation, say.verdict(explanation)
+    e, judged = explanation, sentences.verdict(explanation)
     lines = [f"## {judged.headline}", "", *(f"{s}\n" for s in judged.sentences)]
     for m in e.missing:
-        lines += [f"### {' or '.join(say.members(m, e))}", "", m.story, "", say.weight(m), "",
+        lines += [f"### {' or '.join(say.members(m, e))}", "", m.story, "", sentences.weight(m), "",
                   "| | value | ± 1 sigma | |", "|---|---:|---:|---|"]  # fmt: skip
         for p, unit in say.in_units(m.parameters):
             value, sigma = unit.value(p.value, p.sigma, sign=True), unit.value(p.sigma, p.sigma)
@@ -351,8 +352,8 @@ def explanation_markdown(explanation: Explanation) -> str:
         lines += ["### Outside the catalogue", "", f"`{u.formula}`", "",
                   f"{say.sized(u)}, gains {gained}", ""]  # fmt: skip
         lines += [u.story, ""] if u.story else []
-    told = say.untold(e)
-    told += [f"Next: {say.motion_phrase(n.motion)}." for n in e.next_motion]
+    told = sentences.untold(e)
+    told += [f"Next: {sentences.motion_phrase(n.motion)}." for n in e.next_motion]
     lines += ["### What could not be told", "", *(f"- {s}" for s in told), ""] if told else []
     lines += [f"- {w}" for w in all_warnings(e)]
     return "\n".join(lines)

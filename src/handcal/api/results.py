@@ -1,90 +1,26 @@
-"""What one calls from Python. ``import handcal`` has all of it; ``help(handcal)`` the conventions.
-
-Every function takes recordings, or paths of files, or several of either; every result is what the
-rest of the program works on, with a table that a notebook shows, ``plot`` and ``report``.
-"""
+"""What ``calibrate``, ``explain`` and ``apply`` give back: results that show themselves as a table,
+draw themselves, and write themselves to files."""
 
 from __future__ import annotations
 
 import html
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, overload
 
 import numpy as np
 
 from handcal import output
-from handcal.explain import verdict
+from handcal.api.recording import Recording, values_of
 from handcal.explain.explanation import Explanation as ExplanationData
-from handcal.recordings import inputs
-from handcal.recordings.streams import STREAMS
-from handcal.types import Array, HandcalError, InputError, Parameter, Result
-from handcal.types import Recording as RecordingData
+from handcal.types import Array, HandcalError, Parameter, Result
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from handcal.device import apply as device
 
-Progress = Callable[[float], None]
 COLUMNS = ("effect", "name", "value", "sigma", "unit", "observable")
-
-
-class Recording(RecordingData):
-    """A recording. ``imu`` has t (n,) s, gyro (n, 3) rad/s and accel (n, 3) m/s^2; ``streams`` what
-    else was measured, by name; SI, in the conventions of ``help(handcal)``."""
-
-    @classmethod
-    def from_arrays(
-        cls,
-        t: Array,
-        gyro: Array,
-        accel: Array,
-        *,
-        name: str = "arrays",
-        **streams: tuple[Array, Array],
-    ) -> Self:
-        """Of arrays: t (n,) s, gyro (n, 3) rad/s, accel (n, 3) m/s^2, specific force.
-
-        streams: of each a pair (t (m,) s on the same clock, values (m, d)): heading rad; mag
-        (m, 3) tesla; temperature degC; pose (m, 7) position in m and quaternion w x y z of the
-        marker's axes; reference (m, 6) rad/s and m/s^2. Repaired and checked as files are: what
-        was done is in ``warnings``. Errors: InputError.
-        """
-        for stream in streams:
-            if stream not in STREAMS or stream == "imu":
-                known = ", ".join(s for s in STREAMS if s != "imu")
-                raise InputError(f"There is no stream '{stream}'; there are {known}.")
-        read = inputs.of_arrays(
-            name,
-            t,
-            gyro,
-            accel,
-            {s: (pair, len(STREAMS[s].columns)) for s, pair in streams.items()},
-        )
-        return cls.of(read)
-
-    @classmethod
-    def of(cls, recording: RecordingData) -> Self:
-        """The same recording, with this class's ways."""
-        return cls(**_values(recording))
-
-    def write(self, path: str | Path) -> None:
-        """Write it as MCAP. Errors: InputError where that is the file it was read from."""
-        from handcal.recordings.export import write_mcap
-
-        output.check_outputs((Path(path),), (Path(self.path),))
-        write_mcap(self, path)
-
-    def __repr__(self) -> str:
-        name, streams = Path(self.path).name, ", ".join(["imu", *self.streams])
-        said = f"{self.duration_s:.1f} s at {self.rate_hz:.0f} Hz, {streams}"
-        warned = f", {len(self.warnings)} warnings" if self.warnings else ""
-        return f"Recording({name}: {said}{warned})"
-
-    def _repr_html_(self) -> str:
-        return f"<code>{html.escape(repr(self))}</code>"
 
 
 class Parameters(tuple[Parameter, ...]):
@@ -170,7 +106,7 @@ class Calibration(Result):
     @classmethod
     def of(cls, result: Result) -> Self:
         """The same result, with this class's ways."""
-        values = _values(result)
+        values = values_of(result)
         return cls(**values | {"parameters": Parameters(values["parameters"])})
 
     def plot(self) -> Figure:
@@ -224,7 +160,7 @@ class Explanation(ExplanationData):
     @classmethod
     def of(cls, explanation: ExplanationData) -> Self:
         """The same explanation, with this class's ways."""
-        values = _values(explanation)
+        values = values_of(explanation)
         return cls(**values | {"parameters": Parameters(values["parameters"])})
 
     def plot(self) -> Figure:
@@ -269,16 +205,16 @@ class Explanation(ExplanationData):
         return [*out, *((u.formula, "", words.nats(u.log_evidence_gain)) for u in self.unnamed)]
 
     def __repr__(self) -> str:
-        from handcal.show.explanation import words
+        from handcal.show.explanation import sentences
 
-        lines = [f"Explanation ({self.verdict}): {words.verdict(self).headline}"]
+        lines = [f"Explanation ({self.verdict}): {sentences.verdict(self).headline}"]
         lines += [f"  {a}  {c}" + (f", {b}" if b else "") for a, b, c in self._found()]
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
-        from handcal.show.explanation import words
+        from handcal.show.explanation import sentences
 
-        said = f"<p>{html.escape(words.verdict(self).headline)}</p>"
+        said = f"<p>{html.escape(sentences.verdict(self).headline)}</p>"
         found = self._found()
         table = _html(("missing", "probability", "gain"), found) if found else ""
         return said + table + self.parameters._repr_html_()
@@ -300,125 +236,6 @@ class Corrected:
     def __repr__(self) -> str:
         left = "".join(f"; left: {', '.join(ids)} ({why})" for why, ids in self.left.items())
         return f"Corrected({self.recording!r}, without {', '.join(self.taken) or 'anything'}{left})"
-
-
-Source = RecordingData | str | Path
-
-
-def read(
-    path: str | Path,
-    *,
-    topics: Mapping[str, str] | None = None,
-    units: Mapping[str, str] | None = None,
-) -> Recording:
-    """A recording from a file of any format that the command line reads.
-
-    topics: which MCAP topic is which stream ({"imu": "/phone/imu"}). units: where they are not as
-    the format states ({"accel": "g"}). Errors: InputError.
-    """
-    return Recording.of(inputs.load(path, topics=topics, units=units))
-
-
-@overload
-def calibrate(
-    recording: Source, effects: Sequence[str] | str = (), **options: Any
-) -> Calibration: ...
-@overload
-def calibrate(
-    recording: Sequence[Source], effects: Sequence[str] | str = (), **options: Any
-) -> tuple[Calibration, ...]: ...
-def calibrate(
-    recording: Source | Sequence[Source], effects: Sequence[str] | str = (), **options: Any
-) -> Calibration | tuple[Calibration, ...]:
-    """Sensor errors of a device from a recording, or from several together, and how well they are
-    known.
-
-    effects: ids of the catalogue beyond constant biases ("gyro_scale"). options: assume ("auto",
-    "fixed-point", "rest-only"), heading_sigma (rad), latitude (rad), height (m), ignore (streams),
-    observations, noise, noise_until (s), engine, reference_exact, progress. Of several recordings
-    one result each: the effects are told by all of them together. Errors: InputError,
-    HandcalError.
-    """
-    from handcal.estimate.calibration import calibrate_together
-
-    recordings = _recordings(recording, "calibrate")
-    wanted = [e.strip() for e in effects.split(",")] if isinstance(effects, str) else list(effects)
-    done = calibrate_together(recordings, [e for e in wanted if e], **options)
-    results = tuple(Calibration.of(r) for r in done)
-    return results[0] if isinstance(recording, RecordingData | str | Path) else results
-
-
-def explain(
-    recording: Source | Sequence[Source],
-    held_out: Source | Sequence[Source] = (),
-    **options: Any,
-) -> Explanation:
-    """Which physics a recording of a device, or several together, hold beyond constant biases:
-    where, which, how certain.
-
-    held_out: other recordings of the device, for scoring alone. options: as of ``calibrate``,
-    without engine, observations and noise; and budget: seconds after which nothing further is
-    tried. Errors: InputError, HandcalError.
-    """
-    others = _recordings(held_out, "explain") if held_out else []
-    return Explanation.of(verdict.explain(_recordings(recording, "explain"), others, **options))
-
-
-def conceal(recording: Source, effects: Mapping[str, Sequence[float]], seed: int = 0) -> Recording:
-    """The recording as a device with further errors would have made it: {"gyro_scale": [0.01, 0,
-    0]}, values in the order of the catalogue's parameters, SI. Errors: InputError, HandcalError."""
-    from handcal.device import conceal as device
-
-    (one,) = _recordings(recording, "conceal")
-    rng = np.random.default_rng(seed)
-    return Recording.of(device.conceal(one, effects, rng))
-
-
-def apply(
-    recording: Source, learnt: Result | ExplanationData | str | Path, *, biases: bool = False
-) -> Corrected:
-    """A recording of the device without the errors that were learnt, for any other program.
-
-    learnt: a calibration or an explanation, or the path of its JSON. biases: take off also what
-    differs from day to day. Errors: InputError, HandcalError.
-    """
-    from handcal.device import apply as device
-
-    (one,) = _recordings(recording, "apply")
-    done = device.apply(one, _learnt(learnt), biases=biases)
-    return Corrected(Recording.of(done.recording), done.taken, done.left)
-
-
-def _learnt(learnt: Result | ExplanationData | str | Path) -> device.Learnt:
-    from handcal.device import apply as device
-
-    if isinstance(learnt, str | Path):
-        return device.read(Path(learnt))
-    if isinstance(learnt, Result):
-        return device.of_document("this calibration", Calibration.of(learnt).document)
-    if isinstance(learnt, ExplanationData):
-        return device.of_document("this explanation", Explanation.of(learnt).document)
-    raise InputError(
-        "apply takes what was learnt second: a calibration, an explanation, or the path of its "
-        f"JSON, no {type(learnt).__name__}."
-    )
-
-
-def _recordings(given: Source | Sequence[Source], caller: str) -> list[RecordingData]:
-    """One or several recordings or paths as recordings. Errors: InputError."""
-    several = [given] if isinstance(given, RecordingData | str | Path) else given
-    if isinstance(several, list | tuple):
-        if all(isinstance(one, RecordingData | str | Path) for one in several):
-            return [one if isinstance(one, RecordingData) else read(one) for one in several]
-        given = next(x for x in several if not isinstance(x, RecordingData | str | Path))
-    raise InputError(
-        f"{caller} takes recordings or paths of files, no {type(given).__name__}; of arrays make "
-        "one by handcal.Recording.from_arrays(t, gyro, accel)."
-    )
-
-
-def _values(one: Any) -> dict[str, Any]:
-    return {f.name: getattr(one, f.name) for f in fields(one)}
 
 
 def _html(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

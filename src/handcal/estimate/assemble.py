@@ -1,0 +1,200 @@
+"""Puts recording, effects and observations together to a problem for the filter."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from handcal.compiled.kernel import MOST_HELD, Nodes, Tables
+from handcal.effects import DELAY, TIME, Z_DIM, Effect
+from handcal.estimate.derivatives import relinearised
+from handcal.estimate.problem import Problem, Slot, slots_of
+from handcal.observations import Observation, Rows, nearest
+from handcal.types import Array, Markov, Recording
+
+# Moments closer than this are one, s.
+SNAP_S = 1e-7
+
+
+def build(
+    recording: Recording,
+    effects: Sequence[Effect],
+    observed: Sequence[tuple[Observation, Rows, tuple[tuple[str, str, float], ...]]],
+    g_n: Array,
+    omega_ie_n: Array,
+    *,
+    linearised: bool = True,
+) -> Problem:
+    """Assemble a Problem. ``observed``: each kind with its rows and its constants.
+
+    linearised: about zero; not needed where a trajectory to linearise about is at hand.
+    """
+    acting = [e for e in effects if e.imu_error is not None]
+    effects = (*acting, *(e for e in effects if e.imu_error is None))
+    slots = slots_of(effects)
+    slots += [Slot(o.kind, *constant) for o, _, constants in observed for constant in constants]
+    imu_constants = sum(len(e.parameters) for e in acting)
+    kinds = tuple(o for o, _, _ in observed)
+    added = _processes(kinds, effects)
+    step = np.r_[[1e-3 * s.prior_sigma for s in slots], np.full(added.size, 1e-5)]
+    nodes, rate, dropped = _nodes(recording, [r for _, r, _ in observed], imu_constants)
+    tables = _tables(kinds, [len(c) for _, _, c in observed], effects, slots, added, step)
+    problem = Problem(
+        recording,
+        effects,
+        kinds,
+        tuple(slots),
+        imu_constants,
+        added.markovs,
+        added.walks,
+        added.wandering,
+        nodes,
+        tables,
+        np.zeros(len(slots)),
+        g_n,
+        omega_ie_n,
+        rate,
+        dropped,
+        next((r.alpha for _, r, _ in observed if r.alpha is not None), None),
+    )
+    zero = np.zeros(3)
+    return relinearised(problem, problem.ref, zero, zero) if linearised else problem
+
+
+@dataclass(frozen=True)
+class _Processes:
+    """The Markov processes of a problem, the first state of each owner's among theirs, and which
+    of them add to the readings (see ``Problem``)."""
+
+    markovs: tuple[Markov, ...]
+    first: dict[str, int]
+    walks: tuple[tuple[int, int], ...]
+    wandering: tuple[tuple[int, int], ...]
+
+    @property
+    def size(self) -> int:
+        return sum(m.size for m in self.markovs)
+
+
+def _processes(kinds: Sequence[Observation], effects: Sequence[Effect]) -> _Processes:
+    """Those of the observations, then those of the effects."""
+    markovs: list[Markov] = []
+    first: dict[str, int] = {}
+    walks, wandering, size = [], [], 0
+    processes = [(o.kind, o.markov, "", False) for o in kinds]
+    processes += [(e.id, e.process, e.walks, e.passing) for e in effects if e.imu_error is None]
+    for owner, markov, walked, passing in processes:
+        if markov is None:
+            continue
+        markovs.append(markov)
+        if walked:
+            walks.append((size, 0 if walked == "gyro" else 3))
+        if walked and not passing:
+            wandering.append(walks[-1])
+        first[owner] = size
+        size += markov.size
+    return _Processes(tuple(markovs), first, tuple(walks), tuple(wandering))
+
+
+def _tables(
+    kinds: Sequence[Observation],
+    constants: Sequence[int],
+    effects: Sequence[Effect],
+    slots: Sequence[Slot],
+    added: _Processes,
+    step: Array,
+) -> Tables:
+    """What the kernel calls for each kind, and of which states: its own residual, that of its
+    process, then the effects on it. constants: how many each kind has."""
+    at = {s.owner: i for i, s in reversed(list(enumerate(slots)))}
+    markov_at = {owner: len(slots) + first for owner, first in added.first.items()}
+    shape = len(kinds), 2 + len(effects)
+    function, start, count, whole = (np.zeros(shape, dtype=np.int64) for _ in range(4))
+    held = np.full((*shape, MOST_HELD), np.nan)
+    for k, kind in enumerate(kinds):
+        parts = [(kind.residual, at.get(kind.kind, 0), constants[k])]
+        if kind.markov is not None:
+            parts.append((kind.markov_residual, markov_at[kind.kind], kind.markov.size))
+        acting = [e for e in effects if kind.kind in e.observation_error]
+        for j, e in enumerate(acting, len(parts)):
+            whole[k, j] = len(e.held)
+            held[k, j, : len(e.held)] = e.held
+        parts += [
+            (e.observation_error[kind.kind], at[e.id], len(e.parameters))
+            if e.process is None
+            else (e.observation_error[kind.kind], markov_at[e.id], e.process.size)
+            for e in acting
+        ]
+        for j, part in enumerate(parts):
+            function[k, j], start[k, j], count[k, j] = part
+    dim = np.array([k.dim for k in kinds], dtype=np.int64)
+    jacobian = np.array([k.jacobian for k in kinds], dtype=np.int64)
+    return Tables(dim, jacobian, function, start, count, step, whole, held)
+
+
+def _nodes(
+    recording: Recording, rows: Sequence[Rows], imu_constants: int
+) -> tuple[Nodes, Array, int]:
+    """Insert the observation times between the IMU's stamps, readings interpolated there."""
+    imu = recording.imu
+    ot = np.concatenate([r.t - r.delay for r in rows]) if rows else np.zeros(0)
+    kind = (
+        np.concatenate([np.full(len(r.t), k) for k, r in enumerate(rows)]) if rows else np.zeros(0)
+    )
+    z, moved = np.zeros((len(ot), Z_DIM)), np.zeros(len(ot))
+    i = 0
+    for r in rows:
+        own = slice(i, i + len(r.t))
+        z[own, : r.z.shape[1]] = r.z
+        z[own, DELAY] = r.delay
+        moved[own] = 0.0 if r.moved is None else r.moved
+        i = own.stop
+    z[:, TIME] = ot - imu.t[0]
+    keep = (ot >= imu.t[0]) & (ot <= imu.t[-1])
+    ot, kind, z, moved = ot[keep], kind[keep].astype(np.int64), z[keep], moved[keep]
+    near = nearest(imu.t, ot)
+    ot = np.where(np.abs(imu.t[near] - ot) < SNAP_S, imu.t[near], ot)
+    order = np.lexsort((kind, ot))
+    ot, kind, z, moved = ot[order], kind[order], z[order], moved[order]
+    t = np.union1d(imu.t, ot)
+    node = np.searchsorted(t, ot)
+    first = np.searchsorted(node, np.arange(len(t) + 1)).astype(np.int64)
+    gyro = np.stack([np.interp(t, imu.t, imu.gyro[:, k]) for k in range(3)], axis=1)
+    accel = np.stack([np.interp(t, imu.t, imu.accel[:, k]) for k in range(3)], axis=1)
+    rate = _smoothed_rate(recording, t)
+    extra = _extra(recording, t)
+    np.add.at(extra[:, 2], node, moved**2)
+    nodes = Nodes(t, gyro, accel, np.zeros((len(t), 6, imu_constants)), extra, first, kind, z)
+    return nodes, rate, int((~keep).sum())
+
+
+def _smoothed_rate(recording: Recording, t: Array) -> Array:
+    imu = recording.imu
+    bias = np.median(imu.gyro, axis=0) if len(imu.t) < 10 else np.zeros(3)
+    speed = np.linalg.norm(imu.gyro - bias, axis=1)
+    width = max(1, round(0.3 * recording.rate_hz))
+    mean = np.convolve(speed, np.ones(width) / width, mode="same")
+    return np.asarray(np.interp(t, imu.t, mean))
+
+
+def _extra(recording: Recording, t: Array) -> Array:
+    """Variance (n, 3) added to angle, velocity and position: of the first two over intervals that
+    hold no measurement."""
+    imu = recording.imu
+    dt_imu = np.diff(imu.t)
+    gap = dt_imu > 4.0 * np.median(dt_imu)
+    masked = ~(imu.valid[1:] & imu.valid[:-1])
+    at = np.clip(np.searchsorted(imu.t, t[1:], side="left") - 1, 0, len(dt_imu) - 1)
+    dt = np.diff(t)
+    out = np.zeros((len(t), 3))
+    turning = 1.0 + float(np.sqrt((imu.gyro**2).mean()))
+    shaking = 2.0 + float(imu.accel.std())
+    out[1:, 0] += (
+        np.where(gap[at], turning * dt, 0.0) ** 2 + np.where(masked[at], 10.0 * dt, 0.0) ** 2
+    )
+    out[1:, 1] += (
+        np.where(gap[at], shaking * dt, 0.0) ** 2 + np.where(masked[at], 30.0 * dt, 0.0) ** 2
+    )
+    return out

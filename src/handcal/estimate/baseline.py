@@ -1,0 +1,82 @@
+"""Where every fit begins: a first trajectory by the online filter, and the fit with no effect but
+those that every model has."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
+
+from handcal.effects import Effect, catalogue
+from handcal.estimate import noise as noise_levels
+from handcal.estimate import smoother
+from handcal.estimate.beside import side_by_side
+from handcal.estimate.case import Case, other_irons, problem_with
+from handcal.estimate.derivatives import relinearised
+from handcal.estimate.filter import ENGINES, empty_track
+from handcal.estimate.fit import fitted
+from handcal.estimate.linear import linearise_about
+from handcal.estimate.model import Fitted, Model
+from handcal.estimate.observed import first_state
+from handcal.estimate.problem import noise_arrays
+from handcal.estimate.trajectory import epochs, trajectory_of
+from handcal.types import HandcalError
+
+
+def always(cases: Sequence[Case]) -> tuple[Effect, ...]:
+    """The effects that every model of these recordings has."""
+    kinds = {k for c in cases for k in c.kinds}
+    return tuple(e for e in catalogue().values() if e.always and kinds & set(e.observation_error))
+
+
+def baseline(cases: Sequence[Case], engine: str = "compiled") -> Model:
+    """The fit with no effect but those that every model has, where every other begins.
+
+    A magnetometer's hard iron is tried from all that its readings may lie around.
+    """
+    effects = always(cases)
+    ways = [tuple(cases)]
+    for k, case in enumerate(cases):
+        ways += [(*cases[:k], other, *cases[k + 1 :]) for other in other_irons(case)]
+
+    def begun(way: Sequence[Case]) -> Model:
+        return fitted([started(c, effects, engine) for c in way], effects, noise_rounds=2)
+
+    if len(ways) == 1:
+        return begun(cases)
+    fits = []
+    for k, tried in enumerate(side_by_side(partial(_attempt, begun, way) for way in ways)):
+        if isinstance(tried, Model):
+            fits.append(tried)
+        elif k == len(ways) - 1 and not fits:
+            raise tried
+    return max(fits, key=lambda m: m.log_evidence)
+
+
+def _attempt(begun: Callable[[Sequence[Case]], Model], way: Sequence[Case]) -> Model | HandcalError:
+    """The fit, or why there is none: of several starts one may diverge."""
+    try:
+        return begun(way)
+    except HandcalError as error:
+        return error
+
+
+def started(case: Case, effects: Sequence[Effect] = (), engine: str = "compiled") -> Fitted:
+    """A first trajectory by the online filter, with the effects that it cannot do without."""
+    problem = problem_with(case, effects)
+    problem = relinearised(problem, np.zeros(problem.constants), np.zeros(3), np.zeros(3))
+    levels = noise_levels.initial_levels(problem) | {
+        k: v for k, v in case.fixed.items() if k in {lv.name for lv in problem.levels}
+    }
+    track = empty_track(problem, epochs(problem))
+    state = first_state(problem, case.start, levels, case.iron)
+    state = ENGINES[engine](problem, noise_arrays(problem, levels), state, track)
+    nominal = trajectory_of(problem, track, state.bg, state.ba, state.extras)
+    linear, _, _ = smoother.relinearise(linearise_about(problem, case.start, nominal), levels)
+    if not np.isfinite(linear.d).all():
+        raise HandcalError(
+            "The filter diverged on this recording; check its units and axes, and whether the "
+            "device was really held or laid as assumed."
+        )
+    return Fitted(case, linear, levels)

@@ -1,0 +1,99 @@
+"""Readings without what the effects add to them, found by substitution."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from handcal.effects import Effect, Signals
+from handcal.estimate.problem import Problem
+from handcal.signals import of_recording, reading
+from handcal.types import Array
+
+# Rounds of substitution at the most, and the share of the largest reading by which the last one
+# may move any: a scale error of a fifth takes eight (after three it would be known to 1 %), an
+# error that changes by three quarters of what is measured fifty-six.
+SUBSTITUTIONS, SUBSTITUTED = 60, 1e-7
+# A round that moves hardly less than the one before leads nowhere.
+SHRINKS = 0.9
+
+
+@dataclass(frozen=True)
+class Corrected:
+    """A problem whose readings have been corrected, its derivatives still as they were: raw, the
+    readings less the biases, and the effects' error in them (n, 6)."""
+
+    problem: Problem
+    read: Signals
+    raw: Array
+    error: Array
+
+
+def corrected_readings(
+    problem: Problem, ref: Array, bg: Array, ba: Array, C_nb: Array | None = None
+) -> Corrected:
+    """The problem with the effects at constants ``ref`` (c,) taken off the readings; C_nb
+    (n, 3, 3).
+
+    What an effect adds depends on the true rate and force, which are the readings less
+    all errors, found by substitution.
+    """
+    imu, nodes = problem.recording.imu, problem.nodes
+    raw = np.hstack([imu.gyro - bg, imu.accel - ba])
+    acting = [e for e in problem.effects if e.imu_error is not None]
+    read = of_recording(problem.recording, acting, read=raw, C_nb=C_nb, alpha=problem.alpha)
+    error = substituted(acting, ref, read, problem.error)
+    clean = np.hstack([imu.gyro, imu.accel]) - error
+    at = [np.interp(nodes.t, imu.t, clean[:, k]) for k in range(6)]
+    nodes = nodes._replace(gyro=np.stack(at[:3], axis=1), accel=np.stack(at[3:], axis=1))
+    return Corrected(replace(problem, ref=ref, nodes=nodes, error=error), read, raw, error)
+
+
+def substituted(
+    acting: Sequence[Effect], ref: Array, readings: Signals, begin: Array | None = None
+) -> Array:
+    """What all effects add to these readings, (n, 6), by rounds of substitution: first what is
+    done to the whole reading is undone, then the others follow from the truth.
+
+    begin (n, 6): about what they add, if that is known. Effects whose parameters are zero add
+    nothing and are left out.
+    """
+    raw = np.hstack([readings.gyro, readings.accel])
+    scale = float(np.abs(raw).max(initial=0.0))
+    present, i = [], 0
+    total = np.zeros_like(raw)
+    for e in acting:
+        at = ref[i : i + len(e.parameters)]
+        i += len(e.parameters)
+        if at.any() and e.imu_inverse is not None and e.last:
+            total += raw - total - e.imu_inverse(at, reading(readings, raw - total))
+        elif at.any():
+            present.append((e, at))
+    errors = [np.zeros_like(raw) for _ in present]
+    if begin is not None and all(e.imu_inverse is None for e, _ in present):
+        truth = reading(readings, raw - begin)
+        errors = [e.imu_error(at, truth) for e, at in present if e.imu_error is not None]
+        for error in errors:
+            total += error
+    step, moved = np.empty_like(raw), math.inf
+    for done in range(SUBSTITUTIONS if present else 0):
+        before, moved = moved, 0.0
+        for k, (e, at) in enumerate(present):
+            own, old = raw - total, errors[k]
+            if e.imu_inverse is not None:
+                own += old
+                errors[k] = own - e.imu_inverse(at, reading(readings, own))
+            elif e.imu_error is not None:
+                errors[k] = e.imu_error(at, reading(readings, own))
+            np.subtract(errors[k], old, out=step)
+            total += step
+            moved = max(moved, float(step.max()), -float(step.min()))
+        # (each round moves by as much less as this one did)
+        following = moved * min(1.0, moved / before) if done else moved
+        # (some are so large that going on would lead away)
+        if following < SUBSTITUTED * scale or (done > 1 and not moved < SHRINKS * before):
+            break
+    return total

@@ -1,0 +1,229 @@
+"""How corrected readings depend on the effects' constants, and what effects add on the biases.
+
+What excites an effect is the true motion, so noise is taken off or averaged out first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from handcal.compiled.jit import njit
+from handcal.effects import Effect, Signals, correction_slopes
+from handcal.estimate.corrected import Corrected, corrected_readings, substituted
+from handcal.estimate.problem import Problem, Slopes
+from handcal.recordings.streams import STREAMS
+from handcal.signals import at_times, of_recording, reading
+from handcal.types import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Array, BoolArray, IntArray, Recording
+
+# What parameters do to the readings is averaged over this long, in motion and at rest.
+AVERAGE_S = (0.05, 2.0)
+QUIET_RATE = 0.05
+# Step of the difference by a bias, of its prior.
+BIAS_STEP = 0.1
+# The stream of a second IMU on the same body.
+REFERENCE = "reference"
+
+
+def relinearised(
+    problem: Problem, ref: Array, bg: Array, ba: Array, C_nb: Array | None = None
+) -> Problem:
+    """The same problem with its effects linearised about constants ``ref`` (c,) and biases."""
+    if problem.imu_constants == 0:
+        return replace(problem, ref=ref)
+    done = differentiated(corrected_readings(problem, ref, bg, ba, C_nb))
+    assert done.slopes is not None
+    J = done.slopes.dense(problem.imu_constants)
+    return replace(done, nodes=done.nodes._replace(J=J))
+
+
+def differentiated(
+    done: Corrected, noise: Array | None = None, force: Array | None = None
+) -> Problem:
+    """The problem with the derivatives of its effects where its readings were corrected.
+
+    noise: (n, 6) estimate of the noise in the readings, which is no motion; force (n, 3): the
+    specific force that may excite effects, where it is not what is read.
+    """
+    problem, read = done.problem, done.read
+    recording, nodes = problem.recording, problem.nodes
+    imu = recording.imu
+    truth = done.raw - done.error
+    if noise is not None:
+        truth = truth - noise
+    if force is not None:
+        truth = np.hstack([truth[:, :3], force])
+    quiet = np.interp(imu.t, nodes.t, problem.rate) < QUIET_RATE
+    if noise is not None:
+        truth = _stilled(truth, imu.t, quiet)
+    parts = _parts(problem, read, truth)
+    at_imu = np.stack([p[2] for p in parts], axis=1) if parts else np.zeros((len(imu.t), 0))
+    if noise is not None:
+        at_imu = _calmed(at_imu, recording.rate_hz, quiet)
+    right = np.clip(np.searchsorted(imu.t, nodes.t), 1, len(imu.t) - 1)
+    share = (nodes.t - imu.t[right - 1]) / (imu.t[right] - imu.t[right - 1])
+    values = np.empty((len(nodes.t), len(parts)))
+    _onto_nodes(at_imu, right, share, values)
+    channels, columns = (np.array([p[k] for p in parts], dtype=np.int64) for k in (0, 1))
+    return replace(
+        problem,
+        nodes=nodes._replace(J=np.zeros((len(nodes.t), 6, 0))),
+        slopes=Slopes(values, channels, columns),
+    )
+
+
+def _parts(problem: Problem, read: Signals, truth: Array) -> list[tuple[int, int, Array]]:
+    """Channel, constant and derivative (n,) at the IMU's samples, where the true rate and force are
+    ``truth`` (n, 6), in the order of the channels."""
+    recording = problem.recording
+    compared = bool(problem.observations) and not problem.navigated
+    signals = reading(read, truth)
+    # (what is known of the angular acceleration has none of the noise that is averaged)
+    short = max(1, round(AVERAGE_S[0] * recording.rate_hz))
+    averaged = reading(read, _averaged(truth, short)) if compared else signals
+    other = _another_reading(recording) if compared else None
+    told = averaged if other is None else reading(read, other)
+    parts: list[tuple[int, int, Array]] = []
+    i = 0
+    for e in (e for e in problem.effects if e.imu_error is not None):
+        own = slice(i, i + len(e.parameters))
+        i = own.stop
+        whole = e.imu_inverse is not None
+        felt = signals if whole else told if _of_any_shape(e) else averaged
+        for channel, k, column in _slopes_of(e, problem.ref[own], felt):
+            if compared and whole:
+                column = _averaged(column[:, None], short)[:, 0]
+            parts.append((channel, own.start + k, column))
+    return sorted(parts, key=lambda part: part[:2])
+
+
+def _of_any_shape(effect: Effect) -> bool:
+    """Whether this is a law found in a recording, or a course; of the catalogue's effects each has
+    an id that is one word."""
+    return effect.features is not None and not effect.id.isidentifier()
+
+
+def _another_reading(recording: Recording) -> Array | None:
+    """Rate and force (n, 6) by the reference, if there is one: what a law of any shape is a
+    function of may not have in it the noise of the very reading that it shall explain."""
+    series = recording.streams.get(REFERENCE)
+    return None if series is None else at_times(STREAMS[REFERENCE], series, recording.imu.t)
+
+
+def _slopes_of(effect: Effect, at: Array, truth: Signals) -> Iterator[tuple[int, int, Array]]:
+    """Channel, number of the parameter, and derivative (n,), where there is one."""
+    if effect.features is not None:
+        for channel, first, columns in effect.features(truth):
+            yield from ((channel, first + k, columns[:, k]) for k in range(columns.shape[1]))
+        return
+    for k, slope in enumerate(correction_slopes(effect, at, truth)):
+        # (copies: a column that is a part of the whole would keep all of it in memory)
+        yield from ((int(c), k, slope[:, c].copy()) for c in np.flatnonzero(_acting(slope)))
+
+
+@njit
+def _acting(x: Array) -> BoolArray:
+    """Which columns of x (n, k) are anything but zero."""
+    out = np.zeros(x.shape[1], dtype=np.bool_)
+    left = x.shape[1]
+    for i in range(len(x)):
+        for k in range(x.shape[1]):
+            if x[i, k] != 0.0 and not out[k]:
+                out[k] = True
+                left -= 1
+        if left == 0:
+            break
+    return out
+
+
+@njit
+def _onto_nodes(x: Array, right: IntArray, share: Array, out: Array) -> None:
+    """Columns (n, s) at the IMU's samples, on straight lines, at the nodes (k, s)."""
+    for i in range(len(right)):
+        b, u = right[i], share[i]
+        for c in range(x.shape[1]):
+            out[i, c] = x[b - 1, c] * (1.0 - u) + x[b, c] * u
+
+
+def _stilled(truth: Array, t: Array, quiet: BoolArray) -> Array:
+    """Rate and force (n, 6) with the mean rate of each quiet while throughout it: what the rate
+    does there is the sensor's noise, which would teach a device that never turns its scale."""
+    out = truth.copy()
+    edges = np.flatnonzero(np.diff(np.r_[0, quiet.astype(np.int8), 0])).reshape(-1, 2)
+    for a, b in edges:
+        if t[b - 1] - t[a] > AVERAGE_S[1]:
+            out[a:b, :3] = truth[a:b, :3].mean(axis=0)
+    return out
+
+
+def errors_by_bias(problem: Problem, bg: Array, ba: Array) -> Array | None:
+    """How what the effects add at problem.ref depends on the biases: (n, 6, 6) at the IMU's
+    samples, by [gyro bias, accel bias]; None where it does not. Not for effects that move the
+    signal as a whole: a constant stays what it is.
+
+    Beside a reference a bias may be known as a difference alone. An effect that is not linear
+    then shows what it really is, and if that could not move, a scale error would stand in for it.
+    """
+    imu, alpha = problem.recording.imu, problem.alpha
+    acting = [e for e in problem.effects if e.imu_error is not None]
+    raw = np.hstack([imu.gyro - bg, imu.accel - ba])
+    read = of_recording(problem.recording, acting, read=raw, alpha=alpha)
+    if not problem.ref[: problem.imu_constants].any():
+        return None
+    truth = raw - substituted(acting, problem.ref, read)
+    truth = _averaged(truth, max(1, round(AVERAGE_S[0] * problem.recording.rate_hz)))
+    out, i = np.zeros((len(imu.t), 6, 6)), 0
+    for e in acting:
+        at = problem.ref[i : i + len(e.parameters)]
+        i += len(e.parameters)
+        if e.imu_error is None or e.imu_inverse is not None or not at.any():
+            continue
+        for k, size in enumerate(np.repeat([GYRO_BIAS_PRIOR, ACCEL_BIAS_PRIOR], 3)):
+            step = np.zeros(6)
+            step[k] = BIAS_STEP * size
+            up, down = (e.imu_error(at, reading(read, truth + s)) for s in (step, -step))
+            # (a larger bias means a smaller truth)
+            out[:, :, k] -= (up - down) / (2.0 * step[k])
+    return out
+
+
+def _calmed(J: Array, rate: float, quiet: BoolArray) -> Array:
+    """J (n, k) averaged over a short time, and over a longer one where the device rests."""
+    moving, resting = (max(1, round(s * rate)) for s in AVERAGE_S)
+    out = np.empty_like(J)
+    _running_mean(J, moving, ~quiet, out)
+    if quiet.any():
+        _running_mean(J, resting, quiet, out)
+    return out
+
+
+def _averaged(J: Array, width: int) -> Array:
+    """Moving mean of J (n, k) over ``width`` samples.
+
+    The same sample's noise is in J and in what J shall explain; correlated like that, it
+    would count as information on the parameters (a device at rest would learn its scale
+    errors). What an effect adds is still computed from the readings as they are.
+    """
+    out = np.empty_like(J)
+    _running_mean(J, width, np.ones(len(J), dtype=np.bool_), out)
+    return out
+
+
+@njit
+def _running_mean(x: Array, width: int, wanted: BoolArray, out: Array) -> None:
+    """Means over ``width`` rows of x (n, k), the first and the last repeated beyond the ends, into
+    the wanted rows of ``out``."""
+    n, k = x.shape
+    total = np.zeros(k)
+    for j in range(-(width // 2), width - width // 2):
+        for c in range(k):
+            total[c] += x[min(max(j, 0), n - 1), c]
+    for i in range(n):
+        if wanted[i]:
+            for c in range(k):
+                out[i, c] = total[c] / width
+        old, new = max(i - width // 2, 0), min(i + width - width // 2, n - 1)
+        for c in range(k):
+            total[c] += x[new, c] - x[old, c]

@@ -1,0 +1,114 @@
+"""A fit taken over: to the problem of other effects, to other constants or delays, to another
+trajectory."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from handcal.compiled import so3
+from handcal.effects import Effect
+from handcal.estimate import noise as noise_levels
+from handcal.estimate.case import problem_with
+from handcal.estimate.linear import linearise_about
+from handcal.estimate.model import Fitted
+from handcal.estimate.problem import Problem
+from handcal.estimate.trajectory import Trajectory, epochs, path
+from handcal.types import Array
+
+# A delay is linearised about where it is known to this, s.
+DELAY_STEP = 0.002
+
+
+def linearised(f: Fitted, trajectory: Trajectory, effects: Sequence[Effect]) -> Fitted:
+    """Linearise about the trajectory; if a delay has moved, about the moment it points to."""
+    delays = _delays(f.linear.problem, trajectory, effects)
+    known = f.case.delays
+    if any(abs(delays[k] - known.get(k, 0.0)) > DELAY_STEP for k in delays):
+        case = replace(f.case, delays={**known, **delays})
+        problem = problem_with(case, effects)
+        trajectory = transferred(trajectory, f.linear.problem, problem)
+        linear = linearise_about(problem, f.linear.start, trajectory)
+        return replace(f, case=case, linear=linear)
+    return replace(f, linear=linearise_about(f.linear.problem, f.linear.start, trajectory))
+
+
+def _delays(
+    problem: Problem, trajectory: Trajectory, effects: Sequence[Effect]
+) -> dict[str, float]:
+    """Delay of each kind of observation that this trajectory's constants hold, s."""
+    have = {o.kind for o in problem.observations}
+    found = {}
+    for e in effects:
+        for kind in set(e.delays) & have:
+            at = next(i for i, s in enumerate(problem.slots) if s.owner == e.id)
+            found[kind] = float(trajectory.constants[at])
+    return found
+
+
+def moved_to(f: Fitted, effects: Sequence[Effect]) -> Fitted:
+    """The same trajectory in the problem of other effects: new parameters zero."""
+    kept = {k for e in effects for k in e.delays}
+    case = replace(f.case, delays={k: v for k, v in f.case.delays.items() if k in kept})
+    problem = problem_with(case, effects)
+    trajectory = transferred(f.linear.trajectory, f.linear.problem, problem)
+    levels = noise_levels.initial_levels(problem) | dict(case.fixed)
+    have = {lv.name for lv in problem.levels}
+    levels |= {k: v for k, v in f.levels.items() if k in have}
+    linear = linearise_about(problem, f.linear.start, trajectory)
+    return Fitted(case, linear, levels, f.curvature)
+
+
+def delayed(f: Fitted, effects: Sequence[Effect], effect: Effect, seconds: float) -> Fitted:
+    """The fit, of these effects already, with the delay of one of them set to so much and
+    nothing else moved."""
+    return at_constants(f, effects, {(effect.id, effect.parameters[0].name): seconds})
+
+
+def at_constants(
+    f: Fitted, effects: Sequence[Effect], values: Mapping[tuple[str, str], float]
+) -> Fitted:
+    """The fit, of these effects already, with some of their constants set to these values (SI)
+    and nothing else moved."""
+    if not values:
+        return f
+    constants = f.linear.trajectory.constants.copy()
+    for i, s in enumerate(f.linear.problem.slots):
+        constants[i] = values.get((s.owner, s.name), constants[i])
+    return linearised(f, replace(f.linear.trajectory, constants=constants), effects)
+
+
+def transferred(nominal: Trajectory, old: Problem, new: Problem) -> Trajectory:
+    """A trajectory of one problem as one of another of the same recording."""
+    values = {(s.owner, s.name): v for s, v in zip(old.slots, nominal.constants, strict=True)}
+    constants = np.array([values.get((s.owner, s.name), 0.0) for s in new.slots])
+    node = epochs(new)
+    t_old, t = old.nodes.t[nominal.node], new.nodes.t[node]
+    same = len(t) == len(t_old) and bool(np.all(t == t_old))
+    markov = np.zeros((len(t_old), new.markov_size))
+    for process in new.markovs:
+        if len(have := old.states_of(process)):
+            markov[:, new.states_of(process)] = nominal.markov[:, have]
+    if same:
+        return replace(nominal, node=node, constants=constants, markov=markov)
+    way = path(old, nominal)
+    return Trajectory(
+        node,
+        interpolated(t, old.nodes.t, way.p),
+        interpolated(t, old.nodes.t, way.v),
+        so3.between(old.nodes.t, way.C, t),
+        nominal.bg,
+        nominal.ba,
+        constants,
+        interpolated(t, t_old, markov),
+    )
+
+
+def interpolated(t: Array, t_old: Array, x: Array) -> Array:
+    """Columns x (k, m) at times t_old (k,), on straight lines at times t (n,)."""
+    out = np.empty((len(t), x.shape[1]))
+    for i in range(x.shape[1]):
+        out[:, i] = np.interp(t, t_old, x[:, i])
+    return out

@@ -1,0 +1,286 @@
+"""The account of where a search ended: what has a name and what has none, the verdict, and every
+number that goes with it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence, Set
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from handcal.compiled.kernel import MAX_DIM
+from handcal.device.twin import twin
+from handcal.effects import catalogue
+from handcal.estimate.case import name_of
+from handcal.estimate.chosen import Chosen
+from handcal.estimate.evidence import reduce, reduced_pass
+from handcal.estimate.model import Fitted, Model
+from handcal.estimate.result import noise, results
+from handcal.estimate.robust import inflation
+from handcal.explain import held_out as held
+from handcal.explain import importance, locate, outliers
+from handcal.explain.bias_limits import leaning
+from handcal.explain.climb.state import too_large
+from handcal.explain.explanation import (
+    Evidence,
+    Explained,
+    Explanation,
+    Fit,
+    HeldOut,
+    Mismatch,
+    Missing,
+    Unnamed,
+)
+from handcal.explain.gauge import plainly
+from handcal.explain.hands import hand_of
+from handcal.explain.moments import moments
+from handcal.explain.naming import (
+    burst,
+    by_the_hand,
+    entries_of,
+    hand_remark,
+    hypotheses_of,
+    likely,
+    next_to_nothing,
+    parameters_of,
+    remark,
+    standing_out,
+    unnamed_of,
+)
+from handcal.explain.next_motion import next_motions
+from handcal.explain.search import Found
+from handcal.explain.untellable import untellable
+from handcal.types import Array, Parameter, Result
+
+# Nats below which a recording does not promise to show an effect of the usual size.
+FAINT = 10.0
+
+
+@dataclass(frozen=True)
+class End:
+    """Where a search ended. base: the baseline; wrong: the headings that are merely wrong; surely:
+    nats by which its hand is better than what was tried instead, NaN if nothing was; rests:
+    whether some hand travels, so that its rests alone count; moves: whether the baseline is of a
+    hand that moves, and was begun from fits of one that does not."""
+
+    base: Model
+    found: Found
+    wrong: outliers.Wrong | None
+    surely: float
+    rests: bool = False
+    moves: bool = False
+
+
+@dataclass(frozen=True)
+class _Named:
+    """What has a name and what has none, and the verdict; alone: probability of each effect that
+    it is no part of what has none; remarks: what without a name is too little for one."""
+
+    verdict: str
+    missing: list[Missing]
+    unnamed: list[Unnamed]
+    alone: Mapping[str, float]
+    remarks: list[str]
+
+
+def _named(
+    end: End,
+    learnt: Mapping[str, tuple[Parameter, ...]],
+    wrong: outliers.Wrong | None,
+    whole: bool,
+) -> _Named:
+    found, burst_of = end.found, None if end.wrong is None else end.wrong.burst
+    entries, unsure = entries_of(found, found.model.chosen, learnt, wrong)
+    cases = [f.case for f in found.model.parts]
+    unnamed: list[Unnamed] = []
+    lent: list[Unnamed] = []
+    for u in unnamed_of(found, found.model.chosen, learnt):
+        (lent if by_the_hand(u, cases) else unnamed).append(u)
+    counts = any(not next_to_nothing(found.model, u) for u in unnamed)
+    if end.wrong is not None and burst_of is not None:
+        unnamed.append(burst(end.base, end.wrong, burst_of))
+        counts = True
+    alone = standing_out(found.model)
+    missing, remarks = likely(entries, alone), [hand_remark(u) for u in lent]
+    if counts:
+        return _Named("unexplained", missing, unnamed, alone, remarks)
+    missing = likely(entries, {})
+    # (that nothing is missing only a search says that was not broken off)
+    none = "nothing_missing" if whole else "cannot_tell"
+    verdict = "cannot_tell" if unsure else "explained" if missing else none
+    return _Named(verdict, missing, [], {}, [*remarks, *(remark(u) for u in unnamed)])
+
+
+def _compared(
+    end: End, verdict: str, fits: Sequence[Result]
+) -> tuple[list[Fitted], list[Explained], list[Mismatch]]:
+    """The baseline at the model's noise, each recording before and after, and where they differ."""
+    model = end.found.model
+    before = held.at_same_noise(end.base.parts, model.parts)
+    if end.wrong is not None:
+        before = list(end.base.parts)
+    explained: list[Explained] = []
+    mismatch: list[Mismatch] = []
+    for k, (b, a) in enumerate(zip(before, model.parts, strict=True)):
+        bins, short = locate.shortfall(b, a)
+        if verdict != "nothing_missing":
+            mismatch += locate.mismatches(b, bins, short, k)
+        explained.append(_explained(b, a, bins, short, model, fits[k]))
+    mismatch = [replace(m, share=m.share / len(model.parts)) for m in mismatch]
+    return before, explained, sorted(mismatch, key=lambda m: -m.share)
+
+
+def explanation_of(
+    end: End,
+    scores: HeldOut,
+    written: Chosen | None,
+    judged: importance.Judged | None,
+    untried: tuple[str, ...] = (),
+) -> Explanation:
+    """All that is said of the end of a search; written: its model as ``calibrate --from`` repeats
+    it, judged: by unseen data; untried: what there was no time for."""
+    found, base, model = end.found, end.base, end.found.model
+    wrong = end.wrong if end.wrong is not None and end.wrong.burst is None else None
+    fits = results(model, moments(found) if written is None else written.moments)
+    learnt = {e.id: parameters_of(fits[0], e) for e in model.effects if e.process is None}
+    named = _named(end, learnt, wrong, not untried)
+    before, explained, mismatch = _compared(end, named.verdict, fits)
+    excess = inflation(model)
+    told = [plainly(model, importance.weighed(found, m, judged), excess) for m in named.missing]
+    told.sort(key=lambda m: (-m.share, -m.log_evidence_gain))
+    hypotheses = hypotheses_of(found, told, wrong, named.alone)
+    # what all recordings share, and the biases where there is but one
+    own = explained[0].parameters if len(explained) == 1 else ()
+    return Explanation(
+        named.verdict,
+        tuple(mismatch),
+        tuple(told),
+        tuple(named.unnamed),
+        hypotheses,
+        _fit(base, before),
+        _fit(model, model.parts),
+        scores,
+        next_motions(found, named.missing, hypotheses, named.verdict),
+        (*own, *(p for known in learnt.values() for p in known)),
+        noise(model.parts[0]),
+        tuple(explained),
+        (
+            *_warnings(base, model, {h.effect for h in hypotheses if h.expected < FAINT}, written),
+            *named.remarks,
+            *([_broken_off(untried)] if untried else []),
+        ),
+        written,
+        untellable(found, fits[0].parameters),
+        hand_of(model.parts[0], end.surely),
+        untried,
+    )
+
+
+def _broken_off(untried: Sequence[str]) -> str:
+    return (
+        f"The time that was given was over before all had been tried: {', '.join(untried)}. A "
+        "longer --budget, or none, tells whether they change anything."
+    )
+
+
+def _explained(
+    before: Fitted,
+    after: Fitted,
+    bins: Array,
+    short: Mapping[str, Array],
+    model: Model,
+    result: Result,
+) -> Explained:
+    return Explained(
+        after.case.recording,
+        after.case.assume,
+        tuple(p for p in result.parameters if p.effect in ("gyro_bias", "accel_bias")),
+        result.noise,
+        locate.traces(before, after),
+        _evidence(after, model),
+        bins,
+        short,
+        after.case.rests,
+        (twin(before.linear), twin(after.linear)),
+        after.case.read_hz,
+        after.case.creeping,
+        after.case.moves,
+    )
+
+
+def _evidence(f: Fitted, model: Model) -> Evidence:
+    """Cumulated gain of each effect: the prediction of every scalar with it against without."""
+    done = reduced_pass(reduce(f.linear), f.levels)
+    scalars = np.diff(done.reduction.first)
+    at = np.repeat(done.reduction.linear.t, scalars)
+    w = done.w
+    slots = f.linear.problem.slots
+    nu = done.innovations(w)
+    grid = np.linspace(f.linear.t[0], f.linear.t[-1], 400)
+    gain = {}
+    A = done.log_likelihood[2] + np.eye(len(w))
+    for e in model.effects:
+        mine = np.array([6 + i for i, s in enumerate(slots) if s.owner == e.id], dtype=np.int64)
+        if not len(mine):
+            continue
+        rest = np.setdiff1d(np.arange(len(w)), mine)
+        other = w.copy()
+        other[mine] = (
+            -done.reduction.linear.trajectory.constants[mine - 6] / done.reduction.scale[mine]
+        )
+        change = A[np.ix_(rest, mine)] @ (other[mine] - w[mine])
+        other[rest] = w[rest] - np.linalg.solve(A[np.ix_(rest, rest)], change)
+        without = done.innovations(other)
+        more = np.cumsum(0.5 * (without**2 - nu**2) / done.S)
+        gain[name_of(e.id)] = np.interp(grid, at, more) if len(at) else np.zeros_like(grid)
+    return Evidence(grid, gain)
+
+
+def _fit(model: Model, parts: Sequence[Fitted]) -> Fit:
+    nis: dict[str, list[float]] = {}
+    white: dict[str, list[float]] = {}
+    rms: dict[str, list[float]] = {}
+    for f in parts:
+        done = reduced_pass(reduce(f.linear), f.levels)
+        nu = done.innovations(done.w) / np.sqrt(done.S)
+        slot = done.reduction.slot
+        for k, observation in enumerate(f.linear.problem.observations):
+            for i, channel in enumerate(observation.channels):
+                x = nu[slot == k * MAX_DIM + i]
+                if len(x) > 10:
+                    nis.setdefault(channel, []).append(float(np.mean(x**2)))
+                    white.setdefault(channel, []).append(
+                        float(np.mean(x[1:] * x[:-1]) / max(float(np.mean(x**2)), 1e-12))
+                    )
+        for channel, v in locate.residual_rms(f).items():
+            rms.setdefault(channel, []).append(v)
+    return Fit(
+        model.log_evidence,
+        {k: float(np.sqrt(np.mean(np.square(v)))) for k, v in rms.items()},
+        {k: float(np.mean(v)) for k, v in nis.items()},
+        {k: float(np.mean(v)) for k, v in white.items()},
+    )
+
+
+def _warnings(
+    base: Model, model: Model, hardly_shown: Set[str], written: Chosen | None
+) -> tuple[str, ...]:
+    out = [w for f in base.parts for w in f.case.warnings]
+    for f in model.parts:
+        out += leaning(f, model.effects, hardly_shown)
+    if not model.settled:
+        out.append(
+            "The final fit still moved after ten rounds of relinearisation; trust its numbers less."
+        )
+    if large := too_large(model):
+        names = ", ".join(catalogue()[i].title.lower() for i in sorted(large & set(catalogue())))
+        out.append(
+            f"No device has as much of this as was found here: {names}. Something else that has no "
+            "name stands behind it; take its numbers for no more than a sign of that."
+        )
+    if written is None:
+        out.append(
+            "The final fit is reached by the way of the search alone, not from its own start: it "
+            "cannot be repeated with --from, and its numbers deserve little trust."
+        )
+    return tuple(dict.fromkeys(out))

@@ -1,0 +1,9 @@
+"""The climb from a model to one that explains more: scan, take a step, fit again.
+
+One step, one function: it returns the model to go on from, or None where there is nothing to
+do, and the first that does something ends the turn. The climb ends where none does.
+
+``turns`` has the steps in their order. They are in ``choose`` (sets of effects), ``exchange`` (one
+effect for another), ``noise`` (noise effects) and ``laws`` (laws without a name); ``on_trial`` is
+what a turn scans, ``state`` what the steps hand on.
+"""

@@ -1,0 +1,129 @@
+"""Steps of a climb that choose the set of effects: those that the scan likes best are fitted, one
+that is not missed is left out, a delay that no scan finds comes first."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+from handcal.effects import Effect
+from handcal.estimate.beside import side_by_side
+from handcal.estimate.case import name_of
+from handcal.estimate.fit import fitted
+from handcal.estimate.model import Model
+from handcal.estimate.robust import inflation
+from handcal.explain.climb.on_trial import REFUSED
+from handcal.explain.climb.state import FEW, Climb, likelier, too_large
+from handcal.explain.score import PRIOR, better
+from handcal.explain.space import Space, best_set, gains
+
+# An effect whose gain is less than this is fitted without, to be sure.
+CLOSE = 20.0
+# Nats below which a model that a scan promised to be better has come to nothing.
+LOST = 100.0
+
+
+def delay(c: Climb) -> Model | None:
+    """A delay that no scan finds, before anything else: it looks like many things."""
+    late, c.late = c.late, ()
+    best = max(late, key=lambda m: m.log_evidence, default=None)
+    return None if best is None or better(best, c.model, c.worth) <= 0.0 else best
+
+
+def choose(c: Climb) -> Model | None:
+    """The effects that the scan likes best, fitted, if such a fit holds; where one of them came out
+    larger than makes sense, those that it likes best without that one."""
+    now = c.model.chosen
+    for _ in range(FEW):
+        chosen, known = favourite(c), len(c.beyond)
+        if chosen == now or chosen in c.visited or _same(c.where, now, chosen):
+            return None
+        c.visited.add(chosen)
+        larger = _grown(c, chosen)
+        if larger is not None:
+            c.swaps.clear()  # (they hold beside the same others only)
+            c.refused.clear()
+            c.beyond.clear()
+            return larger
+        if len(c.beyond) == known:
+            return None
+        odds = {i: REFUSED if name_of(i) in c.beyond else p for i, p in c.where.prior.items()}
+        c.where = replace(c.where, prior=odds, scores={})
+    return None
+
+
+def favourite(c: Climb) -> frozenset[str]:
+    """The set of effects that the last scan likes best."""
+    starts = (c.model.chosen, ())
+    return max((best_set(c.where, start) for start in starts), key=c.where.score)
+
+
+def _same(where: Space, now: frozenset[str], chosen: frozenset[str]) -> bool:
+    """Whether only a moment would move, for less than a nat."""
+    if {name_of(i) for i in now} != {name_of(i) for i in chosen}:
+        return False
+    return where.score(chosen) - where.score(now) < 1.0
+
+
+def _fit(c: Climb, chosen: frozenset[str]) -> Model:
+    processes = [e for e in c.model.effects if e.process is not None]
+    return fitted(c.model.parts, [*(c.where.effects[i] for i in sorted(chosen)), *processes])
+
+
+def _grown(c: Climb, chosen: frozenset[str]) -> Model | None:
+    """The model with the chosen effects, or with the best of those added, if such a fit is
+    likelier than the one there is; an effect with which no fit holds is not looked at again."""
+    now = c.model.chosen
+    for wanted in (chosen, *_singles(c.where, now, chosen)):
+        if wanted in c.refused:
+            continue
+        tried = _fit(c, wanted)
+        if likelier(c, tried):
+            return tried
+        c.refused.add(wanted)
+        if large := too_large(tried) - {name_of(i) for i in now}:
+            c.beyond |= large
+            return None
+        if len(wanted - now) == 1 and tried.log_evidence < c.model.log_evidence - LOST:
+            c.dropped |= {name_of(i) for i in wanted - now}
+    return None
+
+
+def _singles(where: Space, now: frozenset[str], chosen: frozenset[str]) -> list[frozenset[str]]:
+    added = chosen - now
+    return [max((now | {i} for i in added), key=where.score)] if len(added) > 1 else []
+
+
+def thin(c: Climb) -> Model | None:
+    """The model without an effect that it does not miss when all else is fitted again."""
+    model, where = c.model, c.where
+    gained = gains(where, model.chosen)
+    excess = inflation(model)
+    last = {i: 0.0 if i in c.stale else v for i, v in c.noise.items()}
+    weakest = sorted(model.effects, key=lambda e: gained.get(e.id, last.get(e.id, 0.0)))
+
+    def rest(e: Effect) -> list[Effect]:
+        return [x for x in model.effects if x is not e]
+
+    tried: list[Effect] = []
+    for e in [e for e in weakest if not e.always][:FEW]:
+        if e.process is None:
+            more = max(1.0, excess[e.id] * c.worth)
+            if gained[e.id] / more + where.prior[e.id] < 0.0:
+                c.dropped.add(name_of(e.id))
+                return fitted(model.parts, rest(e))
+            if gained[e.id] <= CLOSE:
+                tried.append(e)
+        elif last.get(e.id, 0.0) <= 10.0 * CLOSE:
+            tried.append(e)
+    fits = side_by_side(partial(fitted, model.parts, rest(e)) for e in tried)
+    for e, without in zip(tried, fits, strict=True):
+        gain = better(model, without, c.worth)
+        if e.process is not None:
+            c.noise[e.id] = gain - PRIOR
+            c.stale.discard(e.id)
+        if gain < 0.0:
+            c.noise.pop(e.id, None)
+            c.dropped.add(name_of(e.id))
+            return without
+    return None

@@ -1,0 +1,109 @@
+"""Steps of a climb that put one effect in the place of another that looks like it, or on the other
+side of the others."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+
+from handcal.effects import Effect, catalogue
+from handcal.estimate.beside import side_by_side
+from handcal.estimate.case import name_of
+from handcal.estimate.fit import fitted
+from handcal.estimate.model import Model
+from handcal.explain.climb.state import Climb, likelier
+from handcal.explain.score import PRIOR, better
+from handcal.explain.space import gains, rivals
+
+# A rival that would do so much of what an effect does is fitted in its place.
+NEARLY = 0.4
+# Exchanges tried in a climb at the most, each counted both ways.
+MOST_SWAPS = 6
+# Nats below which an effect may be there for the sake of another's wrong name only.
+WEAK = 100.0
+
+
+def exchange(c: Climb) -> Model | None:
+    """The model with an effect's closest rival in its place, if that fits better.
+
+    Two effects may be one to the first order (a low pass of the gyro, an early
+    accelerometer); about a fit with one of them the other cannot be judged, so it is fitted.
+    """
+    model, where = c.model, c.where
+    gained = gains(where, model.chosen)
+    pairs = _rivalries(c, gained)
+
+    def exchanged(e: Effect, rival: str) -> Model:
+        # (a delay may have to be begun where the grid found it)
+        begin = next((m.parts for m in c.far if rival in m.ids), model.parts)
+        return fitted(begin, [*(x for x in model.effects if x is not e), catalogue()[rival]])
+
+    fits = side_by_side(partial(exchanged, *pair) for pair in pairs)
+    for (e, rival), tried in zip(pairs, fits, strict=True):
+        worse = better(model, tried, c.worth)
+        c.swaps[e.id, rival], c.swaps[rival, e.id] = worse, -worse
+        if worse < 0.0:
+            return tried
+        # the wrong one of the two may need a weak third, which the right one does not
+        others = [x for x in model.effects if x is not e]
+        weakest = min(
+            (x for x in others if x.id in model.chosen and not x.always),
+            key=lambda x: gained[x.id],
+            default=None,
+        )
+        if weakest is not None and worse < -2.0 * PRIOR and gained[weakest.id] < WEAK:
+            rest = [x for x in others if x is not weakest]
+            fewer = fitted(model.parts, [*rest, catalogue()[rival]])
+            if likelier(c, fewer):
+                return fewer
+    return None
+
+
+def _rivalries(c: Climb, gained: Mapping[str, float]) -> list[tuple[Effect, str]]:
+    """Effects of the model, each with the rival that would do most of what it does."""
+    have, now = {name_of(i) for i in c.model.ids}, c.model.chosen
+    pairs: list[tuple[Effect, str]] = []
+    tried = set(c.swaps)
+    for e in c.model.effects:
+        # (what was in the baseline is taken off the readings already)
+        if e.id not in now or e.id in c.kept or len(tried) >= MOST_SWAPS:
+            continue
+        if gained[e.id] < -PRIOR:
+            continue
+        # what a rival would do of all that the effect does
+        near = {i: 1.0 + v / gained[e.id] for i, v in rivals(c.where, now, e.id).items()}
+        near = {i: v for i, v in near.items() if i in catalogue() and i != e.id}
+        near = {i: v for i, v in near.items() if v > NEARLY or akin(e.id, i)}
+        near = {i: v for i, v in near.items() if i not in have | c.dropped}
+        # (what holds this effect and more is not in its place, but beside it)
+        near = {i: v for i, v in near.items() if e.id not in catalogue()[i].exclusive}
+        near = {i: v for i, v in near.items() if (e.id, i) not in tried}
+        if near:
+            rival = max(near, key=lambda i: near[i])
+            pairs.append((e, rival))
+            tried |= {(e.id, rival), (rival, e.id)}
+    return pairs
+
+
+def akin(a: str, b: str) -> bool:
+    """Whether two effects are the same to the first order."""
+    one, other = catalogue().get(a), catalogue().get(b)
+    return one is not None and other is not None and (b in one.akin or a in other.akin)
+
+
+def reorder(c: Climb) -> Model | None:
+    """A filter or a delay on the other side of the other errors, if that fits better: in the
+    sensor they come one after the other, and nobody tells in which order."""
+    model = c.model
+    for e in model.effects:
+        key = e.id, frozenset(model.ids)
+        beside = [x for x in model.effects if x.imu_error is not None and x.id != e.id]
+        if e.imu_inverse is None or not beside or key in c.ordered:
+            continue
+        c.ordered.add(key)
+        turned = [replace(x, last=not x.last) if x is e else x for x in model.effects]
+        tried = fitted(model.parts, turned)
+        if tried.log_evidence > model.log_evidence:
+            return tried
+    return None

@@ -1,0 +1,122 @@
+"""Steps of a climb about laws without a name: find one, choose its form again, put it on fewer
+axes, leave out what it makes needless."""
+
+from __future__ import annotations
+
+from collections.abc import Set
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from handcal.effects import Effect
+from handcal.estimate.beside import side_by_side
+from handcal.estimate.fit import fitted, scan
+from handcal.estimate.model import Model
+from handcal.explain.climb.state import Climb, forget, likelier
+from handcal.explain.score import prior, score
+from handcal.explain.space import space
+from handcal.explain.unnamed.best import best_term, reshaped
+from handcal.explain.unnamed.laws import effect_of, law_of
+
+# Terms without a name at the most.
+MAX_TERMS = 3
+
+
+def name_term(c: Climb) -> Model | None:
+    """The same, a term that nobody named on trial from now on; or the model with one in the place
+    of its noise effects, which hide whatever has no name, or beside them."""
+    if len(c.unnamed) >= MAX_TERMS:
+        return None
+    term = best_term(c.model, refused=c.dropped)
+    if term is not None:
+        c.unnamed.append(term)
+        c.visited.clear()
+        c.stale |= set(c.noise)  # (what noise effects gained was weighed without the term)
+        return c.model
+    key = frozenset(c.model.ids)
+    quiet = [e for e in c.model.effects if e.process is None]
+    if len(quiet) == len(c.model.effects) or key in c.thinned:
+        return None
+    if {e.id for e in quiet} == c.kept:
+        return None  # (from the baseline alone a climb begins with a law anyway)
+    c.thinned.add(key)
+    bare = fitted(c.model.parts, quiet)
+    term = best_term(bare, refused=c.dropped)
+    if term is None:
+        return None
+    calls = (partial(fitted, m.parts, (*m.effects, term.effect)) for m in (bare, c.model))
+    tried = max(side_by_side(calls), key=lambda m: score(m, c.worth))
+    if not likelier(c, tried):
+        return None
+    c.unnamed.append(term)
+    forget(c, tried)
+    return tried
+
+
+def reshape(c: Climb) -> Model | None:
+    """A course over time or direction, chosen again."""
+    return reshaped(c.model, c.worth, c.unnamed, c.shaped)
+
+
+def narrow(c: Climb) -> Model | None:
+    """The model with a law on fewer axes, if it does not miss the one where it adds least: far
+    from where a law is large a scan cannot tell what it adds there."""
+    for i, term in enumerate(c.unnamed):
+        old, law = term.effect, law_of(term.effect)
+        if law is None or not law.each or old.id not in c.model.ids or old.id in c.whole:
+            continue
+        c.whole.add(old.id)
+        mine = [k for k, n in enumerate(c.model.quadratic.names) if n[0] == old.id]
+        sizes = np.abs(c.model.u[mine]).reshape(len(law.axes), -1).sum(axis=1)
+        axes = tuple(a for k, a in enumerate(law.axes) if k != int(np.argmin(sizes)))
+        new = effect_of(replace(law, axes=axes, each=len(axes) > 1))
+        tried = fitted(c.model.parts, [new if e is old else e for e in c.model.effects])
+        if likelier(c, tried):
+            c.unnamed[i] = replace(term, effect=new)
+            c.shaped.add(new.id)
+            return tried
+    return None
+
+
+def instead(c: Climb) -> Model | None:
+    """The model with its laws without a name in the place of many effects with one, noise
+    included, if that scores better: what is left out is told by the quadratic, and fitted."""
+    model, laws = c.model, [e for e in c.model.effects if _is_law(e)]
+    key = frozenset(model.ids)
+    if not laws or key in c.thinned or len(model.effects) == len(laws):
+        return None
+    c.thinned.add(key)
+    quiet = [e for e in model.effects if e.process is None]
+    bare = model if len(quiet) == len(model.effects) else fitted(model.parts, quiet)
+    kept = {e.id for e in laws} | {e.id for e in quiet if e.always}
+    wanted = _fewest(bare, kept)
+    for ids in dict.fromkeys((wanted, frozenset(kept))):
+        if ids == key:
+            continue
+        tried = fitted(bare.parts, [e for e in quiet if e.id in ids])
+        if likelier(c, tried):
+            forget(c, tried)
+            return tried
+    if bare is not model and likelier(c, bare):
+        forget(c, bare)
+        return bare
+    return None
+
+
+def _is_law(e: Effect) -> bool:
+    return "+=" in e.id and e.process is None
+
+
+def _fewest(model: Model, kept: Set[str]) -> frozenset[str]:
+    """The best of the sets that are left when one effect after another, the least missed each
+    time, is taken out of the model, down to those that are kept."""
+    own = [e for e in model.effects if e.process is None]
+    cases = [f.case for f in model.parts]
+    where = space(scan(model, own), own, {e.id: prior(e, cases) for e in own})
+    now = frozenset(e.id for e in own)
+    sets = [now]
+    while now - kept:
+        now = max((now - {i} for i in sorted(now - kept)), key=where.score)
+        sets.append(now)
+    return max(sets, key=where.score)

@@ -1,0 +1,72 @@
+"""Steps of a climb about noise effects: add one, exchange one, put in its place what it stands in
+for."""
+
+from __future__ import annotations
+
+from handcal.estimate.case import name_of
+from handcal.estimate.fit import fitted
+from handcal.estimate.model import Model
+from handcal.explain.climb.state import FEW, Climb, likelier, sensible
+from handcal.explain.noises import all_noise, looks_of, of_looks, on_fewer_axes
+from handcal.explain.score import PRIOR, better, score
+from handcal.explain.stand_ins import without_stand_in
+
+
+def add_noise(c: Climb) -> Model | None:
+    """The model with the noise effect that gains most, if one does; or the same fitted anew, if
+    that was what the noise effect gained by."""
+    model, worth = c.model, c.worth
+    have = {*model.ids, *c.dropped}
+    looks = looks_of(model.parts, model.effects, [e for e in all_noise() if e.id not in have])
+    tried = [(m, e) for m, e in of_looks(looks[:FEW]) if better(m, model, worth) > 0.0]
+    if not tried:
+        return None
+    best, added = on_fewer_axes(*max(tried, key=lambda pair: score(pair[0], worth)), worth)
+    without = fitted(best.parts, model.effects, noise_rounds=1)
+    if without.log_evidence < model.log_evidence:
+        without = model
+    gain = better(best, without, worth)
+    if gain > 0.0:
+        c.noise[added.id] = gain - PRIOR
+    elif without is model:
+        return None
+    else:
+        best = without
+    c.visited.clear()
+    return best
+
+
+def exchange_noise(c: Climb) -> Model | None:
+    """The model with another noise effect in the place of one on the same reading, if that is
+    likelier: what was taken for a walk may go with the motion."""
+    model = c.model
+    for old in [e for e in model.effects if e.process is not None]:
+        rest = [e for e in model.effects if e is not old]
+        key = frozenset(e.id for e in rest)
+        rivals = [
+            e
+            for e in all_noise()
+            if (e.walks, [*e.observation_error]) == (old.walks, [*old.observation_error])
+            and e.id not in {*model.ids, *c.dropped}
+            and (e.id, key) not in c.noises
+        ]
+        c.noises |= {(e.id, key) for e in (old, *rivals)}
+        looks = looks_of(model.parts, rest, rivals)
+        tried = [(m, e) for m, e in of_looks(looks[:1]) if likelier(c, m)]
+        if tried:
+            best, new = on_fewer_axes(*tried[0], c.worth)
+            c.noise[new.id] = c.noise.pop(old.id, 0.0) + better(best, model, c.worth)
+            c.stale.add(new.id)
+            c.visited.clear()
+            return best
+    return None
+
+
+def free(c: Climb) -> Model | None:
+    """What noise stands in for, in its place."""
+    other = without_stand_in(c.model, c.worth, c.suspects)
+    if other is None or not sensible(other):
+        return None
+    c.dropped -= {name_of(i) for i in other.ids}
+    c.visited.clear()
+    return other

@@ -1,0 +1,84 @@
+"""What is on trial in a turn of a climb: effects, steps at moments, terms; and the scan of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from handcal.effects import Effect, catalogue
+from handcal.estimate.case import applicable, frozen_at, name_of
+from handcal.estimate.fit import scan
+from handcal.estimate.model import Fitted
+from handcal.explain.climb.state import Climb
+from handcal.explain.jumps import sudden
+from handcal.explain.score import MOMENTS, prior
+from handcal.explain.space import Space, space
+from handcal.types import Array
+
+# Log odds of what was fitted without and not missed.
+REFUSED = -1e6
+
+
+def candidates(parts: Sequence[Fitted], present: Sequence[Effect]) -> list[Effect]:
+    """Effects with parameters that at least one recording could show; a step at moments all over
+    the recording, near the moment where it is already, and where a reading was least expected."""
+    out: list[Effect] = []
+    cases = [f.case for f in parts]
+    t = cases[0].recording.imu.t
+    for effect in catalogue().values():
+        if effect.process is not None or effect.outliers:
+            continue
+        if not any(applicable(c, effect) for c in cases):
+            continue
+        if effect.moments is None:
+            out.append(effect)
+        elif len(cases) == 1:
+            grid = effect.moments(t)
+            grid = grid[:: max(1, math.ceil(len(grid) / MOMENTS))]
+            grid = _near(effect, grid, present)
+            if effect.observation_error:
+                grid = _with(grid, sudden(parts[0], effect.observation_error.keys()))
+            out += [frozen_at(effect, m) for m in grid]
+    return out
+
+
+def _near(effect: Effect, grid: Array, present: Sequence[Effect]) -> Array:
+    """The grid of moments, or a finer one about the moment that is in the model."""
+    for e in present:
+        if name_of(e.id) == effect.id:
+            at, column = float(e.id.split("@")[1]), int(np.flatnonzero(grid[0])[0])
+            step = abs(grid[1, column] - grid[0, column]) if len(grid) > 1 else 1.0
+            fine = np.zeros((2 * 8 + 1, grid.shape[1]))
+            # halve the spacing each round; what is nearest stays in
+            width = step * (0.5 if _on(grid[:, column], at) else 0.1)
+            fine[:, column] = at + np.linspace(-width, width, len(fine))
+            return fine
+    return grid
+
+
+def _with(grid: Array, at: Array) -> Array:
+    """The grid (k, p) with further moments (m,), in their order."""
+    column = int(np.flatnonzero(grid[0])[0])
+    more = np.zeros((len(at), grid.shape[1]))
+    more[:, column] = at
+    out = np.vstack([grid, more[[not _on(grid[:, column], x) for x in at]]])
+    return out[np.argsort(out[:, column])]
+
+
+def _on(grid: Array, at: float) -> bool:
+    return bool(np.min(np.abs(grid - at)) < 2e-3)
+
+
+def scanned(c: Climb) -> Space:
+    own = {e.id: e for e in c.model.effects}
+    cases = [f.case for f in c.model.parts]
+    terms = [t.effect for t in c.unnamed]
+    options = [own.get(e.id, e) for e in (*candidates(c.model.parts, c.model.effects), *terms)]
+    have = {e.id for e in options}
+    options += [e for e in c.model.effects if e.id not in have and e.process is None]
+    odds = {e.id: prior(e, cases) for e in options}
+    odds |= {e.id: REFUSED for e in options if name_of(e.id) in c.dropped | c.beyond}
+    odds |= {e.id: -REFUSED for e in options if e.always}
+    return space(scan(c.model, options), options, odds)

@@ -1,0 +1,87 @@
+"""What the steps of a climb hand on to each other, and when a model counts as likelier."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from handcal.estimate.case import name_of
+from handcal.estimate.model import Model
+from handcal.explain.budget import Budget
+from handcal.explain.score import better
+from handcal.explain.space import Space
+from handcal.explain.unnamed.best import Term
+
+# How many of the weakest are fitted without.
+FEW = 3
+
+
+@dataclass
+class Climb:
+    """A model on its way up, and what was tried.
+
+    needed: terms without which the climb is of no use; late: the baseline with delays that no
+    scan of it would find. where: the last scan; alone: what the catalogue's
+    effects gained in the first one; noise: log-evidence gained by each noise effect in the model,
+    and stale: those for which that is out of date; swaps: (effect, rival) to the nats by which
+    the rival, fitted in its place, does worse. dropped: names of what was not missed, or with
+    which no fit holds; beyond: of what came out larger than makes sense beside the same others.
+    """
+
+    model: Model
+    needed: Sequence[Term]
+    late: Sequence[Model]
+    budget: Budget = field(default_factory=Budget)
+    where: Space = field(init=False)
+    alone: dict[str, float] = field(init=False)
+    noise: dict[str, float] = field(default_factory=dict)
+    stale: set[str] = field(default_factory=set)
+    swaps: dict[tuple[str, str], float] = field(default_factory=dict)
+    dropped: set[str] = field(default_factory=set)
+    beyond: set[str] = field(default_factory=set)
+    visited: set[frozenset[str]] = field(default_factory=set)
+    refused: set[frozenset[str]] = field(default_factory=set)
+    ordered: set[tuple[str, frozenset[str]]] = field(default_factory=set)
+    shaped: set[str] = field(default_factory=set)
+    suspects: set[str] = field(default_factory=set)
+    thinned: set[frozenset[str]] = field(default_factory=set)
+    whole: set[str] = field(default_factory=set)
+    noises: set[tuple[str, frozenset[str]]] = field(default_factory=set)
+
+    def __post_init__(self) -> None:
+        self.kept = frozenset(self.model.ids)
+        self.far = tuple(self.late)
+        self.unnamed = list(self.needed)
+
+    @property
+    def worth(self) -> float:
+        """What evidence counts for, at the last scan."""
+        return self.where.quadratic.worth
+
+
+def likelier(c: Climb, tried: Model) -> bool:
+    """Whether a model's score is above that of the one there is; what no device has is no fit."""
+    return sensible(tried) and better(tried, c.model, c.worth) > 0.0
+
+
+def sensible(model: Model) -> bool:
+    """Whether no parameter is larger than makes sense."""
+    return not too_large(model)
+
+
+def too_large(model: Model) -> set[str]:
+    """Names of the effects of which a parameter is larger than makes sense."""
+    known = {(e.id, p.name): p for e in model.effects for p in e.parameters}
+    return {
+        name_of(n[0])
+        for n, u in zip(model.quadratic.names, model.u, strict=True)
+        if abs(u) * known[n].prior_sigma > known[n].most
+    }
+
+
+def forget(c: Climb, model: Model) -> None:
+    """Let what was weighed beside effects that are gone be weighed anew."""
+    c.noise = {i: v for i, v in c.noise.items() if i in model.ids}
+    c.visited.clear()
+    c.swaps.clear()
+    c.stale |= set(c.noise)

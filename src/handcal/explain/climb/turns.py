@@ -1,0 +1,59 @@
+"""The turns of a climb: its steps in their order, and where it ends."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from handcal.estimate.model import Model
+from handcal.explain.climb.choose import choose, delay, favourite, thin
+from handcal.explain.climb.exchange import exchange, reorder
+from handcal.explain.climb.laws import MAX_TERMS, instead, name_term, narrow, reshape
+from handcal.explain.climb.noise import add_noise, exchange_noise, free
+from handcal.explain.climb.on_trial import scanned
+from handcal.explain.climb.state import Climb
+from handcal.explain.space import gains
+
+# Turns of a climb at the most, beside two for each term that may be named.
+ROUNDS = 8
+
+
+def climbed(c: Climb, report: Callable[[float], None]) -> bool:
+    """Climb as far as it goes; False where that would begin without the terms needed."""
+    for turn in range(ROUNDS + 2 * MAX_TERMS):
+        report(min(0.95, 0.15 + 0.1 * turn))
+        c.where = scanned(c)
+        if turn == 0:
+            c.alone = gains(c.where, frozenset())
+            if any(t.effect.id not in favourite(c) for t in c.needed):
+                return False
+        model = next((m for step in _STEPS if (m := _taken(c, step)) is not None), None)
+        if model is None:
+            break
+        c.model = model
+    else:
+        # (out of turns: what is said of the model is said by a scan about it)
+        c.where = scanned(c)
+    return True
+
+
+def _taken(c: Climb, step: Callable[[Climb], Model | None]) -> Model | None:
+    """Where a step leads, if there is time for it."""
+    return None if c.budget.spent(_STEPS[step]) else step(c)
+
+
+# The cheap ones first; nothing is taken away or left without a name before all else rests.
+# Each with what is left untried where there is no time for it.
+_STEPS: dict[Callable[[Climb], Model | None], str] = {
+    delay: "long delays",
+    choose: "further effects",
+    instead: "one law in the place of several names",
+    reshape: "other forms of a law",
+    narrow: "laws on fewer axes",
+    exchange: "similar effects in the place of those that were found",
+    reorder: "filters in another order",
+    add_noise: "noise effects",
+    exchange_noise: "noise that goes with the motion",
+    thin: "the fit without its weakest effects",
+    free: "the fit without what noise may stand in for",
+    name_term: "laws that have no name",
+}

@@ -1,0 +1,186 @@
+"""The families of courses over time and over the heading's direction: their values, formulas and
+words, and where to begin with their numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from handcal.effects import TIME
+from handcal.explain.unnamed.terms import DIRECTIONS
+from handcal.types import Array
+
+# Knots over a recording: as many at most, a power of two of seconds apart.
+MOST = 48
+Values = Callable[[Array, Array], Array]
+
+
+@dataclass(frozen=True)
+class Family:
+    """Courses that differ by their numbers (p,): values(numbers, x) -> (m,) of height one,
+    their formula, the same in words, where to begin, and the course of a heading's error as a
+    function to compile."""
+
+    name: str
+    values: Values
+    formula: Callable[[Array], str]
+    words: Callable[[Array], str]
+    starts: Callable[[float], Iterator[tuple[float, ...]]]
+    compiled: Callable[..., Callable[..., int]]
+
+
+def _bump(numbers: Array, x: Array) -> Array:
+    return np.asarray(np.exp(-0.5 * ((x - numbers[0]) / numbers[1]) ** 2))
+
+
+def _bumps(span: float) -> Iterator[tuple[float, ...]]:
+    for width in span * np.geomspace(0.01, 0.15, 6):
+        for at in np.arange(0.0, span, 0.7 * width):
+            yield float(at), float(width)
+
+
+def _bump_at(at: float, width: float) -> Callable[..., int]:
+    def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+        x = (z[TIME] - at) / width
+        r[0] -= k[0] * math.exp(-0.5 * x * x)
+        return 0
+
+    return heading
+
+
+def _while(numbers: Array, x: Array) -> Array:
+    # (edges as wide as the grid is fine, so that they can be moved)
+    edge = max(1e-3, float(x[1] - x[0]))
+    up, down = (x - numbers[0]) / edge + 0.5, (numbers[1] - x) / edge + 0.5
+    return np.asarray(np.clip(up, 0.0, 1.0) * np.clip(down, 0.0, 1.0))
+
+
+def _whiles(span: float) -> Iterator[tuple[float, ...]]:
+    edges = np.linspace(0.0, span, MOST)
+    for i, a in enumerate(edges[:-1]):
+        for b in edges[i + 1 :]:
+            if a > 0.0 or b < span:
+                yield float(a), float(b)
+
+
+def _while_in(first: float, last: float) -> Callable[..., int]:
+    def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+        if first <= z[TIME] <= last:
+            r[0] -= k[0]
+        return 0
+
+    return heading
+
+
+def _swing(numbers: Array, x: Array) -> Array:
+    return np.asarray(np.sin(2.0 * np.pi * x / numbers[0] + numbers[1]))
+
+
+def _swings(span: float) -> Iterator[tuple[float, ...]]:
+    for k in np.arange(1.0, MOST / 3.0, 0.5):
+        for phase in np.arange(8) * np.pi / 8.0:
+            yield float(span / k), float(phase)
+
+
+def _swing_of(period: float, phase: float) -> Callable[..., int]:
+    def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+        r[0] -= k[0] * math.sin(2.0 * math.pi * z[TIME] / period + phase)
+        return 0
+
+    return heading
+
+
+def _decay(numbers: Array, x: Array) -> Array:
+    return np.asarray(np.exp(-x / numbers[0]))
+
+
+def _decays(span: float) -> Iterator[tuple[float, ...]]:
+    for tau in span * np.geomspace(0.03, 1.0, 12):
+        yield (float(tau),)
+
+
+def _decay_of(tau: float) -> Callable[..., int]:
+    def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+        r[0] -= k[0] * math.exp(-z[TIME] / tau)
+        return 0
+
+    return heading
+
+
+def _lobe(numbers: Array, x: Array) -> Array:
+    return np.asarray(np.exp(numbers[1] * (np.cos(x - numbers[0]) - 1.0)))
+
+
+def _lobes(span: float) -> Iterator[tuple[float, ...]]:
+    for sharp in (2.0, 4.0, 8.0, 16.0, 32.0):
+        for at in np.arange(DIRECTIONS) * span / DIRECTIONS:
+            yield float(at - np.pi), sharp
+
+
+def _lobe_at(at: float, sharp: float) -> Callable[..., int]:
+    def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+        yaw = math.atan2(nav[9], nav[6])
+        r[0] -= k[0] * math.exp(sharp * (math.cos(yaw - at) - 1.0))
+        return 0
+
+    return heading
+
+
+def _bump_formula(n: Array) -> str:
+    return f"exp(-((t - {n[0]:.3g} s) / {n[1]:.2g} s)^2 / 2)"
+
+
+def _while_formula(n: Array) -> str:
+    return f"(t from {_edge(n, 0)} s to {_edge(n, 1)} s)"
+
+
+def _swing_formula(n: Array) -> str:
+    return f"sin(2 pi t / {n[0]:.3g} s + {n[1] % (2.0 * np.pi):.2f})"
+
+
+def _decay_formula(n: Array) -> str:
+    return f"exp(-t / {n[0]:.3g} s)"
+
+
+def _lobe_formula(n: Array) -> str:
+    return f"exp({n[1]:.2g} (cos(yaw - {(n[0] + np.pi) % (2.0 * np.pi) - np.pi:.2f}) - 1))"
+
+
+def _bump_words(n: Array) -> str:
+    return f"Something came and went about {n[0]:.0f} s, within some {4.0 * n[1]:.2g} s."
+
+
+def _while_words(n: Array) -> str:
+    return f"It was there from {_edge(n, 0)} s to {_edge(n, 1)} s only."
+
+
+def _edge(n: Array, k: int) -> str:
+    """One of two moments, with as many digits as tell them apart."""
+    digits = max(0, math.ceil(-math.log10(max(float(n[1] - n[0]), 1e-6)))) + 1
+    return f"{n[k]:.{digits}f}"
+
+
+def _swing_words(n: Array) -> str:
+    return f"It swings, once in {n[0]:.3g} s."
+
+
+def _decay_words(n: Array) -> str:
+    return f"It fades after the start, to a third every {n[0]:.2g} s."
+
+
+def _lobe_words(n: Array) -> str:
+    at = math.degrees((n[0] + math.pi) % (2.0 * math.pi) - math.pi)
+    return f"It is felt where the heading is about {at:.0f} deg."
+
+
+OVER_TIME = (
+    Family("bump", _bump, _bump_formula, _bump_words, _bumps, _bump_at),
+    Family("while", _while, _while_formula, _while_words, _whiles, _while_in),
+    Family("swing", _swing, _swing_formula, _swing_words, _swings, _swing_of),
+    Family("decay", _decay, _decay_formula, _decay_words, _decays, _decay_of),
+)
+OVER_YAW = (Family("lobe", _lobe, _lobe_formula, _lobe_words, _lobes, _lobe_at),)

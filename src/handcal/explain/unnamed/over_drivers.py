@@ -1,0 +1,192 @@
+"""Laws over drivers: all of them at once as curves, and the formulas that the best of them have."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from handcal.effects import Effect, Signals
+from handcal.estimate.columns import Ground
+from handcal.estimate.fit import scan
+from handcal.estimate.model import Model
+from handcal.explain.unnamed.drivers import DRIVERS, LINE, NEARER, Driver, usable
+from handcal.explain.unnamed.grammar import (
+    Form,
+    Part,
+    about,
+    cost_of,
+    curves,
+    formula,
+    parts_for,
+    range_of,
+)
+from handcal.explain.unnamed.laws import SIZE, Law, effect_of, named
+from handcal.explain.unnamed.weighing import Beside, beside, gains, weighed
+from handcal.types import Array
+
+# Shares of the way to a formula's next numbers on trial at which it is tried once more, in turn.
+FINER = (0.5, 0.2, 0.06)
+
+
+@dataclass(frozen=True)
+class Block:
+    """All laws of one sensor over one driver, as one effect of each axis's coefficients."""
+
+    sensor: int
+    driver: Driver
+    forms: tuple[Form, ...]
+    sigmas: tuple[float, ...]
+    effect: Effect
+
+
+def blocks(signals: Signals) -> list[Block]:
+    """Every sensor with every driver of which this recording has a course."""
+    return [b for d in DRIVERS.values() if usable(d, signals) for b in _over(d, signals)]
+
+
+def _over(driver: Driver, signals: Signals) -> list[Block]:
+    x = np.stack([driver.of(signals, axis) for axis in range(3)])
+    rms = float(np.sqrt(np.mean(x**2)))
+    if rms < 1e-9 or np.ptp(x) < 1e-6 * rms:
+        return []
+    sensors = [n for n in range(len(SIZE)) if driver.only in (None, n)]
+    if driver.knots == LINE:
+        forms = (formula([("line", ())]),)
+        return [_block(n, driver, forms, SIZE[n] / rms) for n in sensors]
+    smooth = tuple(curves(range_of(x, driver.signed), driver.knots, driver.round))
+    return [_block(n, driver, smooth, SIZE[n]) for n in sensors]
+
+
+def _block(sensor: int, driver: Driver, forms: tuple[Form, ...], sigma: float) -> Block:
+    sigmas = (sigma,) * forms[0].constants
+    law = Law(sensor, (0, 1, 2), True, driver, replace(forms[0], root=None), sigmas)
+    effect = replace(effect_of(law), id=f"basis: {sensor} {driver.name}")
+    return Block(sensor, driver, forms, sigmas, effect)
+
+
+def _ways(block: Block, seen: Beside) -> Iterator[tuple[tuple[int, ...], bool, Array, Array]]:
+    """Axes, whether each has its own constants, and the quadratic of these: each axis alone, and
+    all by one law."""
+    at = seen.at[block.effect.id].reshape(3, -1)
+    b, G = seen.b[at], seen.G[at[:, :, None, None], at[None, None]]
+    for axis in range(3):
+        yield (axis,), False, b[axis], G[axis, :, axis]
+    if block.driver.own:
+        yield (0, 1, 2), False, b.sum(axis=0), G.sum(axis=(0, 2))
+        yield (0, 1, 2), True, b.ravel(), G.reshape(b.size, b.size)
+
+
+def best_of_block(block: Block, seen: Beside) -> Iterator[tuple[Law, float]]:
+    """The best law of each way, and what it gains."""
+    one = block.forms[0].constants
+    roots = np.stack([np.eye(one) if f.root is None else f.root for f in block.forms])
+    for axes, each, b, G in _ways(block, seen):
+        own = len(b) // one
+        whole = np.zeros((len(roots), own, one, own, one))
+        for n in range(own):
+            whole[:, n, :, n] = roots
+        many = len(roots), len(b), len(b)
+        found = gains(np.broadcast_to(b, many[:2]), np.broadcast_to(G, many), whole.reshape(many))
+        top = float(found.max())
+        form = block.forms[int(np.argmax(found))]
+        law = Law(block.sensor, axes, each, block.driver, form, block.sigmas)
+        if form.smooth or not named(law):
+            # (its width and size are not known: the mean over all)
+            yield law, top + math.log(np.mean(np.exp(found - top)))
+
+
+@dataclass(frozen=True)
+class About:
+    """Where laws are weighed: about a model (``grounds`` for its scans), beside its known effects,
+    with the signals of its first recording, and what evidence is worth."""
+
+    model: Model
+    grounds: Sequence[Ground]
+    known: Sequence[Effect]
+    signals: Signals
+    worth: float
+
+    def seen(self, absent: Sequence[Effect]) -> Beside:
+        """What a scan says of absent effects."""
+        q = scan(self.model, absent, self.grounds)
+        return beside(weighed(q, self.worth), self.known, absent)
+
+
+def written_out(about_: About, law: Law) -> list[tuple[Law, float]]:
+    """The law as the formulas that gain most over the model, and what they gain: of one function,
+    and of two; with their numbers adjusted."""
+    driver = law.driver
+    x = np.stack([driver.of(about_.signals, axis) for axis in range(3)])
+    over = range_of(x, driver.signed)
+    parts = parts_for(over, driver.signed, driver.round)
+    return [_adjusted(about_, *end) for end in _tried(about_, law, parts)]
+
+
+def _adjusted(about_: About, law: Law, gain: float) -> tuple[Law, float]:
+    """The formula with the numbers near its own that gain most, and what it gains."""
+    for share in FINER if law.form.numbers else ():
+        parts = [near for part in law.form.parts for near in about(part, share)]
+        for other, value in _tried(about_, law, parts):
+            if value > gain and len(other.form.parts) == len(law.form.parts):
+                law, gain = other, value
+    return law, gain
+
+
+def _tried(about_: About, law: Law, parts: Sequence[Part]) -> list[tuple[Law, float]]:
+    """The best of these functions in the law's place, and the best sum of two; what they gain."""
+    forms = [formula([part]) for part in parts]
+    sizes = np.array([_rms(law, form, about_.signals) for form in forms])
+    some = np.flatnonzero(sizes > 1e-9)
+    effects = [
+        replace(
+            effect_of(replace(law, form=forms[n], sigmas=(SIZE[law.sensor] / sizes[n],))),
+            id=f"basis: {n}",
+        )
+        for n in some
+    ]
+    seen = about_.seen(effects)
+    out = []
+    for sets in _sets([int(n) for n in some], parts):
+        index = [np.concatenate([seen.at[f"basis: {n}"] for n in chosen]) for chosen in sets]
+        values = seen.gains(np.array(index)) - [cost_of([parts[n] for n in s]) for s in sets]
+        for k in np.argsort(-values, kind="stable"):
+            sigmas = tuple(float(SIZE[law.sensor] / sizes[n]) for n in sets[k])
+            form = formula([parts[n] for n in sets[k]])
+            candidate = replace(law, form=form, sigmas=sigmas)
+            if not named(candidate):
+                out.append((candidate, float(values[k])))
+                break
+    return out
+
+
+def _sets(some: Sequence[int], parts: Sequence[Part]) -> list[list[tuple[int, ...]]]:
+    """All of one of these, and all of two that are different functions."""
+    one: list[tuple[int, ...]] = [(n,) for n in some]
+    two: list[tuple[int, ...]] = [
+        (n, m) for n, m in combinations(some, 2) if parts[n][0] != parts[m][0]
+    ]
+    return [sets for sets in (one, two) if sets]
+
+
+def tuned(about_: About, law: Law, gain: float) -> tuple[Law, float]:
+    """The law with the time or half width of its driver that gains most, and what it gains."""
+    for shares in NEARER:
+        at, number = law.driver.at, law.driver.number
+        if at is None:
+            break
+        near = [b for s in shares for b in _over(at(s * number), about_.signals)]
+        near = [b for b in near if b.sensor == law.sensor]
+        seen = about_.seen([b.effect for b in near])
+        for other, value in (end for block in near for end in best_of_block(block, seen)):
+            if value > gain and (other.axes, other.each) == (law.axes, law.each):
+                law, gain = other, value
+    return law, gain
+
+
+def _rms(law: Law, form: Form, signals: Signals) -> float:
+    values = [form.values(law.driver.of(signals, axis)) for axis in law.axes]
+    return float(np.sqrt(np.mean(np.square(values))))

@@ -1,0 +1,74 @@
+"""What a scan says of parameters that a model does not have, and the nats that they gain."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from handcal.effects import Effect
+from handcal.estimate.fit import prior_root
+from handcal.estimate.quadratic import Quadratic
+from handcal.explain.unnamed import shapes
+from handcal.types import Array, IntArray
+
+
+@dataclass(frozen=True)
+class Beside:
+    """What a scan says of parameters that are not in the model, those of the model integrated
+    out: b (m,), G (m, m), and the place of each effect's."""
+
+    b: Array
+    G: Array
+    at: dict[str, IntArray]
+
+    def gains(self, index: IntArray) -> Array:
+        """Nats (f,) that each of several sets of parameters (f, k) gains under their priors."""
+        return gains(self.b[index], self.G[index[:, :, None], index[:, None]])
+
+
+def gains(b: Array, G: Array, root: Array | None = None) -> Array:
+    """Nats (f,) that parameters of such quadratics, b (f, k) and G (f, k, k), gain; root
+    (f, k, k): of their priors (None: the identity)."""
+    if root is not None:
+        back = root.transpose(0, 2, 1)
+        b, G = np.einsum("fij,fj->fi", back, b), back @ G @ root
+    A = 0.5 * (G + G.transpose(0, 2, 1)) + np.eye(b.shape[1])
+    L = np.linalg.cholesky(A)
+    y = np.linalg.solve(L, b[:, :, None])[:, :, 0]
+    return np.asarray(0.5 * (y**2).sum(axis=1) - np.log(np.einsum("fii->fi", L)).sum(axis=1))
+
+
+def beside(q: Quadratic, known: Sequence[Effect], absent: Sequence[Effect]) -> Beside:
+    """The quadratic of the parameters of absent effects beside those of known ones."""
+    where: dict[str, list[int]] = {e.id: [] for e in (*known, *absent)}
+    for i, (owner, _) in enumerate(q.names):
+        if owner in where:
+            where[owner].append(i)
+    index: IntArray = np.array([i for e in known for i in where[e.id]], dtype=np.int64)
+    mine: IntArray = np.array([i for e in absent for i in where[e.id]], dtype=np.int64)
+    b, G = shapes.integrated(q, mine, index, wide_root(q, known, index))
+    at, first = {}, 0
+    for e in absent:
+        at[e.id] = np.arange(first, first + len(where[e.id]), dtype=np.int64)
+        first += len(where[e.id])
+    return Beside(b, G, at)
+
+
+def weighed(q: Quadratic, worth: float) -> Quadratic:
+    """The quadratic with its evidence counting for so much: all that is compared, for the same."""
+    share = worth / q.worth
+    return replace(q, b=share * q.b, G=share * q.G, worth=worth)
+
+
+def wide_root(q: Quadratic, known: Sequence[Effect], index: IntArray) -> Array:
+    """Square root of the prior covariance of what is in the model, as wide as it is large: what
+    stands out of its prior may not be relieved by something else."""
+    root = prior_root(q, known, index)
+    if not len(index):
+        return np.zeros((0, 0))
+    root = np.eye(len(index)) if root is None else root
+    b, G = q.b[index], q.G[np.ix_(index, index)]
+    u = np.linalg.lstsq(G + 1e-6 * np.eye(len(b)), b, rcond=None)[0]
+    return np.asarray(np.maximum(1.0, np.abs(u))[:, None] * root)

@@ -1,0 +1,293 @@
+"""The sentences in which an explanation is told, the same in terminal, report and dashboard: the
+verdict, what stands behind it, and what the motion could not tell."""
+
+from __future__ import annotations
+
+import math
+
+from handcal.explain.explanation import (
+    Explanation,
+    Fit,
+    Hypothesis,
+    Missing,
+    NextMotion,
+    Unnamed,
+)
+from handcal.show import words
+from handcal.show.explanation.words import (
+    channel_shown,
+    channel_title,
+    counted_word,
+    either,
+    gain,
+    lawless,
+    members,
+    nats,
+    one_model,
+    percent,
+    sized,
+    the,
+    title_of,
+    whole_percent,
+)
+from handcal.show.words import NBSP, Verdict, listed
+
+SEEN = 3.0  # nats, odds of twenty to one: what an effect must promise to be looked for
+MANY = 5  # names in a row
+MATTERS = 0.05  # share of the mismatch from which a cause is one that matters
+OVERSURE = 1.6  # mean NIS above which errors are clearly larger than the model allows
+SHARED = 3  # named effects from which a probability that all share is said once
+
+
+def assumptions(explanation: Explanation) -> list[str]:
+    """What was taken for granted, each sentence once."""
+    own = (
+        words.assume_sentence(r.assume, r.recording.streams, drifts=r.drifts, moves=r.moves)
+        for r in explanation.recordings
+    )
+    return list(dict.fromkeys(own))
+
+
+def _what(explanation: Explanation) -> str:
+    return "the recording" if len(explanation.recordings) == 1 else "the recordings"
+
+
+def _named(m: Missing, explanation: Explanation) -> str:
+    names = members(m, explanation)
+    return the(names[0]) + (f" or, less probably, {either(names[1:])}" if len(names) > 1 else "")
+
+
+def _present(m: Missing, explanation: Explanation) -> str:
+    return f"{_named(m, explanation)} (probability {percent(m.probability)})"
+
+
+def _all_present(explanation: Explanation) -> str:
+    """Everything that is named; a probability that all share is said once."""
+    missing = explanation.missing
+    likely = {percent(m.probability) for m in missing}
+    if len(likely) > 1 or len(missing) < SHARED:
+        return listed([_present(m, explanation) for m in missing])
+    return (
+        f"{listed([_named(m, explanation) for m in missing])} (each with probability {min(likely)})"
+    )
+
+
+def matters(explanation: Explanation) -> str | None:
+    """Which of many named effects hold most of the mismatch; None where there are few."""
+    first = [m for m in explanation.missing if m.share >= MATTERS]
+    rest = len(explanation.missing) - len(first)
+    if not first or not rest or len(explanation.missing) <= SHARED:
+        return None
+    names = listed([f"{the(m.title)} ({whole_percent(m.share)} of the mismatch)" for m in first])
+    many = "one matters" if len(first) == 1 else f"{counted_word(len(first))} matter"
+    others = "other holds" if rest == 1 else "others hold"
+    return (
+        f"Of these {many}: {names}. The {counted_word(rest)} {others} less than "
+        f"{whole_percent(MATTERS)} each."
+    )
+
+
+def weight(m: Missing) -> str:
+    """How much of the mismatch an effect holds, what it does to the readings, and whether unseen
+    data agree."""
+    parts = [f"{whole_percent(m.share)} of the mismatch"]
+    largest: dict[str, tuple[str, float]] = {}
+    for channel, rms in m.size.items():
+        sensor = channel.rpartition("_")[0] or channel
+        if rms > largest.get(sensor, ("", 0.0))[1]:
+            largest[sensor] = channel, rms
+    if largest:
+        units = [(c, v, channel_shown(c, [v], small=True)) for c, v in largest.values()]
+        each = [f"{u.value(v, v)}{NBSP}{u.unit} in {channel_title(c)}" for c, v, u in units]
+        parts.append(f"adds {listed(each)} (root mean square)")
+    if m.held_out_gain is not None:
+        agree = "agree" if m.held_out_gain > 0.0 else "do not agree"
+        signed = f"{'+' if m.held_out_gain > 0 else ''}{nats(m.held_out_gain)}"
+        parts.append(f"unseen data {agree} ({signed})")
+    return "; ".join(parts) + "."
+
+
+def verdict(explanation: Explanation) -> Verdict:
+    """The headline and what stands behind it, of any of the four verdicts."""
+    head = {"nothing_missing": _nothing, "explained": _explained, "unexplained": _unexplained,
+            "cannot_tell": _cannot_tell}[explanation.verdict]  # fmt: skip
+    level, headline, sentences = head(explanation)
+    if (first := matters(explanation)) is not None:
+        sentences.insert(0, first)
+    if (worst := worst_mismatch(explanation)) is not None:
+        sentences.append(worst)
+    proof = held_out_sentence(explanation)
+    if proof is not None and not one_model(explanation):
+        sentences.append(proof)
+    doubts = left_over(explanation.after)
+    if held_out_gain(explanation) < 0 and explanation.verdict != "nothing_missing":
+        level = "partly" if level == "good" else level
+    if doubts and explanation.verdict != "unexplained":
+        sentences += doubts
+        level = "partly" if level == "good" else level
+    return Verdict(level, headline, tuple(sentences))
+
+
+def _nothing(e: Explanation) -> tuple[str, str, list[str]]:
+    headline = "Nothing is missing that this motion would show."
+    sentences = []
+    if e.hypotheses:
+        best = max(e.hypotheses, key=lambda h: h.alone)
+        tried = words.counted(len(e.hypotheses), "effect")
+        change = f"gains {nats(best.alone)}" if best.alone > 0 else f"loses {nats(-best.alone)}"
+        enough = "no more than chance gives" if best.alone < SEEN else "too little to be sure"
+        sentences.append(f"Of {tried} tried, the best, {the(best.title)}, {change}: {enough}.")
+        if hidden := unseen(e):
+            sentences.append(
+                f"That is not proof of absence: {words.counted(len(hidden), 'effect')} would "
+                f"hardly show in this motion even at the usual size (they are listed below)."
+            )
+    return "good", headline, sentences
+
+
+def _explained(e: Explanation) -> tuple[str, str, list[str]]:
+    if len(e.missing) == 1:
+        (m,) = e.missing
+        headline = (
+            f"Something is missing: {_present(m, e)}, and adding it makes {_what(e)} "
+            f"{nats(gain(e))} more probable."
+        )
+        return "good", headline, []
+    headline = (
+        f"{counted_word(len(e.missing)).capitalize()} things are missing: {_all_present(e)}. "
+        f"Adding them makes {_what(e)} {nats(gain(e))} more probable."
+    )
+    return "good", headline, []
+
+
+def _unexplained(e: Explanation) -> tuple[str, str, list[str]]:
+    besides = ""
+    if e.missing:
+        besides = f", besides {listed([_present(m, e) for m in e.missing])}"
+    headline = f"Something is missing that no known effect accounts for{besides}."
+    if not e.unnamed:
+        return "poor", headline, ["No simple term in the measured signals accounts for it either."]
+    u = max(e.unnamed, key=lambda u: u.log_evidence_gain)
+    found = f"What was found instead: {u.formula} with {sized(u)}, which gains"
+    told = (f"{found} {nats(u.log_evidence_gain)}.", u.story, lead(u))
+    return "poor", headline, [" ".join(part for part in told if part)]
+
+
+def _cannot_tell(e: Explanation) -> tuple[str, str, list[str]]:
+    open_, clear = ([m for m in e.missing if bool(m.indistinguishable_from) is yes]
+                    for yes in (True, False))  # fmt: skip
+    if not e.missing and e.untried:
+        return "partly", "Nothing was found in the time that was given, which was too short.", []
+    if not open_:
+        return "partly", "Something is missing, but this motion cannot tell what.", []
+    sets = [either(members(m, e)) for m in open_]
+    likely = listed([percent(m.probability) for m in open_])
+    headline = f"Something is missing, but this motion cannot tell which: {listed(sets, 'and')}."
+    sentences = [
+        f"One of them is present with probability {likely}; adding it makes {_what(e)} "
+        f"{nats(sum(m.log_evidence_gain for m in open_))} more probable, whichever it is."
+    ]
+    if clear:
+        sentences.append(f"Told apart clearly: {listed([_present(m, e) for m in clear])}.")
+    if e.next_motion:
+        sentences.append(f"What would tell: {motion_phrase(e.next_motion[0].motion)}.")
+    return "partly", headline, sentences
+
+
+def lead(u: Unnamed) -> str:
+    """What a formula is worth."""
+    return "" if lawless(u) else "A formula is a lead, not yet a cause."
+
+
+def motion_phrase(motion: str) -> str:
+    """A motion within a sentence: no capital, no full stop."""
+    return motion[:1].lower() + motion[1:].rstrip(".")
+
+
+def worst_mismatch(explanation: Explanation) -> str | None:
+    """Where and when the baseline fits worst."""
+    if not explanation.mismatch:
+        return None
+    m = max(explanation.mismatch, key=lambda m: m.share)
+    return (
+        f"The baseline fits worst in {channel_title(m.channel)}"
+        f"{', ' + m.when if m.when else ''} ({whole_percent(m.share)} of the whole misfit)."
+    )
+
+
+def promise(n: NextMotion, explanation: Explanation) -> str:
+    """What a motion would do: "sets apart gravity and the lever arm", "would show the ..."."""
+    titles = [the(title_of(x, explanation)) for x in n.separates]
+    if len(titles) > MANY:
+        titles = [*titles[: MANY - 1], f"{counted_word(len(titles) - MANY + 1)} more"]
+    alike = [{m.effect, *m.indistinguishable_from} for m in explanation.missing]
+    verb = "sets apart" if any(len(titles) > 1 and set(n.separates) <= s for s in alike) else (
+        "would show"
+    )  # fmt: skip
+    return f"{verb} {listed(titles) or 'it'}"
+
+
+def held_out_gain(explanation: Explanation) -> float:
+    """Nats of the final model over the baseline on unseen data; 0 where there were none."""
+    h = explanation.held_out
+    return h.log_score_after - h.log_score_before if h else 0.0
+
+
+def held_out_sentence(explanation: Explanation) -> str | None:
+    """What data that the fit has not seen say of it; None where there were none."""
+    h, difference = explanation.held_out, held_out_gain(explanation)
+    if h is None or not math.isfinite(difference):
+        return None
+    if abs(difference) < 1.0:
+        return f"On data that the fit has not seen ({h.source}) both models do equally well."
+    if difference < 0:
+        return (
+            f"On data that the fit has not seen ({h.source}) the final model does worse, by "
+            f"{nats(-difference)}: do not rely on it yet."
+        )
+    return (
+        f"On data that the fit has not seen ({h.source}) the final model does better, by "
+        f"{nats(difference)}."
+    )
+
+
+def left_over(fit: Fit) -> list[str]:
+    """A sentence where the final model still expects too little of itself."""
+    return [
+        f"Even so, {channel_title(words.kind_name(kind))} scatters {math.sqrt(nis):.1f} times as "
+        f"far as the final model expects: some of it is not accounted for."
+        for kind, nis in fit.nis.items() if math.isfinite(nis) and nis > OVERSURE
+    ]  # fmt: skip
+
+
+def unseen(explanation: Explanation) -> list[Hypothesis]:
+    """Effects that this motion would not have shown at their usual size."""
+    return [h for h in explanation.hypotheses if not h.verdict and h.expected < SEEN]
+
+
+def untold(explanation: Explanation) -> list[str]:
+    """What this motion could not tell, in sentences."""
+    sentences = []
+    for m in explanation.missing:
+        if m.indistinguishable_from:
+            names = listed([the(t) for t in members(m, explanation)])
+            surely = explanation.verdict == "explained"
+            which = f"most probably {the(m.title)}" if surely else "but it is not clear which"
+            sentences.append(
+                f"{names[:1].upper()}{names[1:]} look alike in this motion: one of them is "
+                f"present (probability {percent(m.probability)}), {which}."
+            )
+    if hidden := unseen(explanation):
+        names = listed([the(h.title) for h in hidden])
+        sentences.append(
+            f"{names[:1].upper()}{names[1:]} would hardly show in this motion even at the usual "
+            f"size, and {'is' if len(hidden) == 1 else 'are'} not ruled out."
+        )
+    weak = [p for m in explanation.missing for p in m.parameters if not p.observable]
+    if weak:
+        names = listed([words.parameter_title(p) for p in weak])
+        sentences.append(
+            f"{names} {'is' if len(weak) == 1 else 'are'} part of what is missing, but "
+            f"{'was' if len(weak) == 1 else 'were'} not learnt from this motion."
+        )
+    return sentences
