@@ -143,17 +143,19 @@ class Effect:
     ``conceal`` and ``apply`` add and take off what all this says, the delays by shifting stamps.
     Where that is but an approximation, an effect brings its own ways: conceal(parameters,
     recording, known), the recording as a device with the effect makes it, and undo(parameters,
-    recording), its reverse. world: it changes what there is to be measured, and is no error of a
-    sensor. believed: for each kind of observation z (k, Z_DIM) with what others that act on it have
-    to know of this one's parameters (k,), at which everything is linearised. of_one_day: another
-    day it is another. sound(parameters, t (n,), valid (n,)): which
-    readings depend on measurements alone, where what is read depends on other moments. instead:
-    the effect that is the same on a stream on which this one does not act. baseline: it is in every
+    recording), its reverse. world: it changes what there is to be measured, and is no error of
+    a sensor. swings: what it adds to the accelerometer are parts that nearly cancel in the
+    velocity. believed: for each kind of observation z (k, Z_DIM) with what others that act on
+    it have to know of this one's parameters (k,), at which everything is linearised.
+    of_one_day: another day it is another. sound(parameters, t (n,), valid (n,)): which readings
+    depend on measurements alone, where what is read depends on other moments. instead: the
+    effect that is the same on a stream on which this one does not act. baseline: it is in every
     model (a state of the filter), so it is never on trial. always: it is in every model of a
-    recording in which one of its observations is used, whether asked for or not: nobody has none.
-    tails: its prior has the wide scales that others have. features(truth): of an effect linear in
-    its parameters, where that comes cheaper than differences of ``imu_error``: a channel (0 to 5),
-    the first of the parameters that act on it, and the derivatives by these, (n, m).
+    recording in which one of its observations is used, whether asked for or not: nobody has
+    none. tails: its prior has the wide scales that others have. features(truth): of an effect
+    linear in its parameters, where that comes cheaper than differences of ``imu_error``: a
+    channel (0 to 5), the first of the parameters that act on it, and the derivatives by these,
+    (n, m).
     """
 
     id: str
@@ -185,6 +187,7 @@ class Effect:
     conceal: Callable[[Array, Recording, Known], Recording] | None = None
     undo: Callable[[Array, Recording], Recording] | None = None
     world: bool = False
+    swings: bool = False
     believed: Mapping[str, Callable[[Array, Array], Array]] = field(default_factory=dict)
     of_one_day: bool = False
     sound: Callable[[Array, Array, BoolArray], BoolArray] | None = None

@@ -40,6 +40,7 @@ EFFECT = Effect(
     imu_error=added(features),
     features=features,
     sound=sound,
+    swings=True,
     exclusive=("lever_arm",),
     # A hand turns a device about one place when it rolls it, about another when it pitches it.
     # Real ones, held to be a point, show 12 to 15 nats of this beyond a lever arm.

@@ -5,7 +5,7 @@ What excites an effect is the true motion, so noise is taken off or averaged out
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence, Set
 from dataclasses import replace
 
 import numpy as np
@@ -59,9 +59,15 @@ def differentiated(
     if noise is not None:
         truth = _stilled(truth, imu.t, quiet)
     parts = _parts(problem, read, truth)
+    C_nb = None if noise is None else read.C_nb
+    swinging = _swinging(problem)
+    if swinging and C_nb is not None:
+        parts = _turned(parts, swinging, C_nb)
     at_imu = np.stack([p[2] for p in parts], axis=1) if parts else np.zeros((len(imu.t), 0))
     if noise is not None:
         at_imu = _calmed(at_imu, recording.rate_hz, quiet)
+    if swinging and C_nb is not None:
+        _turn_back(parts, swinging, C_nb, at_imu)
     right = np.clip(np.searchsorted(imu.t, nodes.t), 1, len(imu.t) - 1)
     share = (nodes.t - imu.t[right - 1]) / (imu.t[right] - imu.t[right - 1])
     values = np.empty((len(nodes.t), len(parts)))
@@ -96,7 +102,48 @@ def _parts(problem: Problem, read: Signals, truth: Array) -> list[tuple[int, int
             if compared and whole:
                 column = _averaged(column[:, None], short)[:, 0]
             parts.append((channel, own.start + k, column))
-    return sorted(parts, key=lambda part: part[:2])
+    return sorted(parts, key=_place)
+
+
+def _swinging(problem: Problem) -> set[int]:
+    """Constants of effects whose parts on the accelerometer cancel but for a little."""
+    acting = [e for e in problem.effects if e.imu_error is not None]
+    first = np.cumsum([0, *(len(e.parameters) for e in acting)])
+    return {
+        k for e, i in zip(acting, first, strict=False) if e.swings
+        for k in range(i, i + len(e.parameters))
+    }  # fmt: skip
+
+
+def _turned(
+    parts: Sequence[tuple[int, int, Array]], swinging: Set[int], C_nb: Array
+) -> list[tuple[int, int, Array]]:
+    """The same with what swinging constants do to the accelerometer along axes that do not turn:
+    averaged like that, the velocity that they lead to stays what it is. Along the sensor's own
+    axes, which turn meanwhile, speeding up and the force towards the centre no longer cancel."""
+    at: dict[int, Array] = {}
+    for channel, k, column in parts:
+        if k in swinging:
+            along = column[:, None] * C_nb[:, :, channel - 3]
+            at[k] = at[k] + along if k in at else along
+    rest = [part for part in parts if part[1] not in swinging]
+    return sorted([*rest, *((3 + i, k, at[k][:, i]) for k in at for i in range(3))], key=_place)
+
+
+def _turn_back(
+    parts: Sequence[tuple[int, int, Array]], swinging: Set[int], C_nb: Array, columns: Array
+) -> None:
+    """Columns (n, s) of ``_turned``, along the sensor's axes again."""
+    places: dict[int, list[int]] = {}
+    for s, (_, k, _) in enumerate(parts):
+        if k in swinging:
+            places.setdefault(k, []).append(s)
+    for own in places.values():
+        columns[:, own] = np.einsum("nij,ni->nj", C_nb, columns[:, own])
+
+
+def _place(part: tuple[int, int, Array]) -> tuple[int, int]:
+    return part[:2]
 
 
 def _of_any_shape(effect: Effect) -> bool:
