@@ -568,10 +568,13 @@ def _running_mean(x: Array, width: int, wanted: BoolArray, out: Array) -> None:
             total[c] += x[new, c] - x[old, c]
 
 
-def substituted(acting: Sequence[Effect], ref: Array, readings: Signals) -> Array:
+def substituted(
+    acting: Sequence[Effect], ref: Array, readings: Signals, enough: float = SUBSTITUTED
+) -> Array:
     """What all effects add to these readings, (n, 6), by rounds of substitution: first what is
     done to the whole reading is undone, then the others follow from the truth.
 
+    enough: the change in a round, as a part of the largest reading, after which there is no other.
     Effects whose parameters are zero add nothing and are left out.
     """
     raw = np.hstack([readings.gyro, readings.accel])
@@ -600,7 +603,7 @@ def substituted(acting: Sequence[Effect], ref: Array, readings: Signals) -> Arra
             total += step
             moved = max(moved, float(step.max()), -float(step.min()))
         # (some are so large that going on would lead away)
-        if moved < SUBSTITUTED * scale or (done > 1 and not moved < SHRINKS * before):
+        if moved < enough * scale or (done > 1 and not moved < SHRINKS * before):
             break
     return total
 
