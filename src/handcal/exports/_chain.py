@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from handcal.exports import Contents, Correction
+from handcal.exports import Contents
+from handcal.exports._correction import Correction
 from handcal.exports._text import number, row
 
 KEYS = (
@@ -17,7 +18,9 @@ KEYS = (
 
 def noise(contents: Contents, indent: int) -> str:
     """The four noise levels, topic and rate; what the result does not have is left out and said."""
-    space, lines = " " * indent, []
+    space, lines = " " * indent, list[str]()
+    if any(getattr(contents.noise, name) for _, name, _ in KEYS):
+        lines.append(f"# Noise: {contents.noise.source}")
     for key, name, unit in KEYS:
         value = getattr(contents.noise, name)
         if value is None:

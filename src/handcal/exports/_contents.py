@@ -56,7 +56,9 @@ def known(path: Path, recording: Recording | None) -> Known:
     learnt = device.read(path)
     document = json.loads(path.read_text(encoding="utf-8"))
     bias, words, hidden = _bias(learnt, recording)
-    matrices, others, elsewhere = {}, [], []
+    matrices: dict[str, tuple[Array, Array]] = {}
+    others: list[str] = []
+    elsewhere: list[str] = []
     for i, values in learnt.values.items():
         effect = catalogue()[i]
         made = correction.as_matrix(effect, values)
@@ -66,8 +68,8 @@ def known(path: Path, recording: Recording | None) -> Known:
             elsewhere.append(i)
         else:
             others.append(i)
-    values = {i: learnt.values[i] for i in matrices}
-    correction.check(correction.together(list(matrices.values()), bias), values, bias)
+    held = {i: learnt.values[i] for i in matrices}
+    correction.check(correction.together(list(matrices.values()), bias), held, bias)
     return Known(learnt, document, bias, words, hidden, matrices, (*others, *learnt.unnamed),
                  tuple(elsewhere))  # fmt: skip
 
@@ -117,8 +119,6 @@ def contents(
         raise HandcalError(f"{path} has nothing that this format can hold; use `handcal apply`.")
     noise = _noise(found.document) if allan is None else _of_allan(allan)
     header = _header(path, found, form, kept, recording)
-    if noise.source:
-        header += (f"Noise: {noise.source}.",)
     return Contents(
         path.name, header, kept, found.bias, found.hidden, has_bias, noise,
         _rate(found.document), topic, axes, _parameters(found.document),
@@ -178,7 +178,8 @@ def _levels(rows: Sequence[Mapping[str, Any]], names: Mapping[str, str]) -> Nois
         for r in rows
         if r.get("name") in names and isinstance(r.get("value"), (int, float)) and r["value"] > 0
     }
-    return Noise(**found)
+    gyro, accel, gyro_walk, accel_walk = (found.get(name) for name in ALLAN)
+    return Noise(gyro, accel, gyro_walk, accel_walk)
 
 
 # --- what is left -------------------------------------------------------------------------------

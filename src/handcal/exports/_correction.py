@@ -1,7 +1,8 @@
 """What is taken off a reading, as far as matrices can say it.
 
-It is found by probing, not effect by effect: an effect whose error is linear in the readings of one moment comes out as a matrix, whoever wrote
-it; all others do not. That the matrices do what ``handcal apply`` does is checked each time.
+It is found by probing, not effect by effect: an effect whose error is linear in the readings of one
+moment comes out as a matrix, whoever wrote it; all others do not. That the matrices do what
+``handcal apply`` does is checked each time.
 """
 
 from __future__ import annotations
@@ -58,7 +59,8 @@ NOTHING = Correction(np.zeros(3), np.zeros(3), np.eye(3), np.eye(3), np.zeros((3
 
 def of_error(error: Array, bias: Array) -> Correction:
     """The correction where ``error @ truth + bias`` is read too much; (6, 6) and (6,)."""
-    gyro, accel = (np.linalg.inv(np.eye(3) + error[k : k + 3, k : k + 3]) for k in (0, 3))
+    blocks = (np.eye(3) + error[k : k + 3, k : k + 3] for k in (0, 3))
+    gyro, accel = (np.linalg.inv(block).astype(np.float64) for block in blocks)
     return Correction(bias[:3].copy(), bias[3:].copy(), gyro, accel, error[:3, 3:].copy())
 
 
@@ -70,7 +72,7 @@ def as_matrix(effect: Effect, values: Array) -> tuple[Array, Array] | None:
     truth = probe()
     signals = np.hstack([truth.gyro, truth.accel, np.ones((len(truth.t), 1))])
     error = effect.imu_error(values, truth)
-    found = np.linalg.lstsq(signals, error, rcond=None)[0].T
+    found: Array = np.linalg.lstsq(signals, error, rcond=None)[0].T.astype(np.float64)
     size = float(np.abs(error).max(initial=0.0))
     if not np.abs(error - signals @ found.T).max(initial=0.0) <= LINEAR * size:
         return None

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from typing import Any
+
 import numpy as np
 
 from handcal.types import Array, HandcalError
 
 # Entries so small, as a part of the largest, are zero but for rounding.
 ZERO = 1e-12
+# (what numpy.linalg.inv returns is typed loosely)
+AnyMatrix = np.ndarray[Any, np.dtype[Any]]
 
 
 def number(value: float) -> str:
@@ -17,7 +22,7 @@ def number(value: float) -> str:
     return text if "." in text else text.replace("e", ".0e")
 
 
-def row(values: Array, separator: str = ", ") -> str:
+def row(values: Iterable[float], separator: str = ", ") -> str:
     """Numbers in a row."""
     return separator.join(number(v) for v in values)
 
@@ -29,7 +34,7 @@ def yaml_matrix(name: str, matrix: Array, indent: int) -> str:
     return f"{space}{name}:\n{rows}"
 
 
-def lower_times_turn(matrix: Array) -> tuple[Array, Array]:
+def lower_times_turn(matrix: AnyMatrix) -> tuple[Array, Array]:
     """L (3, 3) lower triangular with a positive diagonal, and a rotation C: ``L @ C``.
 
     Errors: HandcalError where there is none (a matrix that mirrors).
@@ -59,7 +64,7 @@ def _cleaned(triangle: Array, turn: Array, sign: Array, columns: bool) -> tuple[
     return np.where(small, 0.0, triangle), turn
 
 
-def lower_accel(accel: Array, program: str) -> Array:
+def lower_accel(accel: AnyMatrix, program: str) -> Array:
     """The accelerometer's matrix (3, 3) for a program that wants it lower triangular.
 
     Errors: HandcalError where it is not.

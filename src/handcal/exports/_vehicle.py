@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from handcal.exports import Contents, Correction
+from handcal.exports import Contents
+from handcal.exports._correction import Correction
 from handcal.types import Array
 
 # Forward, left, up to forward, right, down.

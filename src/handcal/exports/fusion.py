@@ -14,7 +14,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from handcal.exports import Contents, Correction, Format
+from handcal.exports import Contents, Format
+from handcal.exports._correction import Correction
 from handcal.exports._text import row
 from handcal.types import Array
 

@@ -11,8 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from handcal.exports import Contents, Correction, Format
+from handcal.exports import Contents, Format
 from handcal.exports._chain import without_biases
+from handcal.exports._correction import Correction
 from handcal.exports._text import row, turn_times_upper
 from handcal.exports.openvins import chain
 from handcal.types import Array

@@ -7,10 +7,10 @@ src/proc/motion-transform.cpp, ``correct_motion_helper``):
 
 so its bias is behind the matrix: bias = T b where handcal has T (reading - b). The script
 tools/rs-imu-calibration/rs-imu-calibration.py fits the same (a column of -1 beside the readings)
-and writes to calibration.json the nine numbers of ``scale_and_alignment`` column by column. ``rs2_motion_device_intrinsic``
-has rows of scale, cross axes and bias; they are here as ``data``. Both hold in the depth sensor's
-axes, in which librealsense gives readings to you: record without motion correction
-(``enable_motion_correction`` 0).
+and writes to calibration.json the nine numbers of ``scale_and_alignment`` column by column.
+``rs2_motion_device_intrinsic`` has rows of scale, cross axes and bias; they are here as ``data``.
+Both hold in the depth sensor's axes, in which librealsense gives readings to you: record without
+motion correction (``enable_motion_correction`` 0).
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 
 sensor_msgs/msg/Imu (docs.ros.org, sensor_msgs, Imu) has covariances of rate and force, row by row;
 all zeros mean "unknown", -1 in the first place of ``orientation_covariance`` "no orientation".
-White noise of density N gives a sample, at f samples a second, the variance N^2 f. What a bias may have
-changed since is not in it. ROS 2 has no message for a calibration; ``handcal apply RECORDING.mcap
---from RESULT.json --biases -o corrected.mcap`` writes a corrected bag.
+White noise of density N gives a sample, at f samples a second, the variance N^2 f. What a bias
+may have changed since is not in it. ROS 2 has no message for a calibration; ``handcal apply
+RECORDING.mcap --from RESULT.json --biases -o corrected.mcap`` writes a corrected bag.
 """
 
 from __future__ import annotations
@@ -25,7 +25,11 @@ def write(contents: Contents) -> str:
             "covariance could be made; from a record at rest: `handcal allan REST --json "
             "ALLAN.json`, then --noise ALLAN.json."
         )
-    lines = [contents.commented(), "/**:\n  ros__parameters:\n"]
+    lines = [
+        contents.commented(),
+        f"# Noise: {contents.noise.source}\n",
+        "/**:\n  ros__parameters:\n",
+    ]
     lines.append(f"    orientation_covariance: [{row([-1.0, *[0.0] * 8])}]\n")
     for name, density in (("angular_velocity", gyro), ("linear_acceleration", accel)):
         variance = np.diag([density**2 * rate] * 3)
