@@ -476,8 +476,9 @@ def test_tables(result):
     latex = written(path, "latex")
     assert latex.count(r" \\") == len(rows) + 1
     assert r"gyro\_bias" in latex
-    sigma = rows[0]["sigma"]
-    assert f"{float(sigma):.5f}" in latex  # 0.00087: two digits
+    value, sigma = (float(rows[0][k]) for k in ("value", "sigma"))
+    assert f"${value:.5f}$ & ${sigma:.5f}$" in latex  # 0.00087: two digits
+    assert f"| {value:.5f} | {sigma:.5f} |" in written(path, "markdown")
 
 
 @pytest.fixture

@@ -71,7 +71,7 @@ def everything(correction: Correction) -> Correction:
 
 @dataclass(frozen=True)
 class Format:
-    """A format: one line for the list, and how it is written.
+    """A format: the program that reads it, one line for the list, and how it is written.
 
     write(contents): the text. keep(correction): the part of a correction that the format can hold,
     None for a format that corrects nothing (a table). notes: lines for the header. needs_bias:
@@ -79,6 +79,7 @@ class Format:
     so it is no fault that the format has none.
     """
 
+    program: str
     line: str
     write: Callable[[Contents], str]
     keep: Callable[[Correction], Correction] | None = everything

@@ -274,11 +274,12 @@ def _said(sizes: Mapping[str, Mapping[str, float]], effect: str) -> str:
 def _header(
     path: Path, found: Known, form: Format, kept: Correction, recording: Recording | None
 ) -> tuple[str, ...]:
-    made = found.document.get("version", "an older version")
+    version = found.document.get("version")
+    made = f"handcal {version}" if version else "an older handcal"
     kind = str(found.document["schema"]).split("/")[1]
     lines = [
         f"{form.line}, written by handcal {handcal.__version__}",
-        f"From {path.name}, {kind} by handcal {made}",
+        f"From {path.name}, {kind} by {made}",
     ]
     for r in _recordings(found.document):
         digest = f", sha256 {r['sha256']}" if r.get("sha256") else ""

@@ -28,7 +28,7 @@ def offsets(contents: Contents) -> dict[str, Array]:
     found = {}
     for sensor, bias in (("gyro", c.gyro_bias), ("accel", c.accel_bias)):
         lost = contents.hidden.get(f"{sensor}_bias", "")
-        found[sensor] = np.where([a in lost for a in "xyz"], np.nan, turn * bias)
+        found[sensor] = np.where([a in lost for a in "xyz"], np.nan, turn * bias + 0.0)
     return found
 
 

@@ -41,6 +41,7 @@ def write(contents: Contents) -> str:
 
 
 FORMAT = Format(
+    program="ArduPilot",
     line="ArduPilot: INS_GYROFFS_*, INS_ACCOFFS_*, INS_ACCSCAL_*, a parameter file",
     write=write,
     keep=keep,

@@ -47,6 +47,7 @@ def write(contents: Contents) -> str:
 
 
 FORMAT = Format(
+    program="C",
     line="C: a header of one function without dependencies",
     write=write,
     notes=("Signs: force = ACCEL (a - ACCEL_BIAS); rate = GYRO (w - GYRO_BIAS - G_SENSITIVITY "

@@ -20,6 +20,7 @@ def write(contents: Contents) -> str:
 
 
 FORMAT = Format(
+    program="a table of numbers (CSV)",
     line="CSV: the parameters with sigmas and units",
     write=write,
     keep=None,

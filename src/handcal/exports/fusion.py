@@ -56,6 +56,7 @@ def write(contents: Contents) -> str:
 
 
 FORMAT = Format(
+    program="xio Fusion",
     line="xio Fusion: misalignment, sensitivity and offset, for C and Python",
     write=write,
     keep=keep,

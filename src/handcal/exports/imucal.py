@@ -49,6 +49,7 @@ def write(contents: Contents) -> str:
 
 
 FORMAT = Format(
+    program="imucal",
     line="imucal: a Ferraris calibration as JSON (K_a, R_a, b_a, K_g, R_g, K_ga, b_g)",
     write=write,
     notes=("Signs: a = inv(R_a) inv(K_a) (read - b_a); w = inv(R_g) inv(K_g) (read - K_ga a - b_g)",

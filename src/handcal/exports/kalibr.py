@@ -43,6 +43,7 @@ def write(contents: Contents) -> str:
 
 
 FORMAT = Format(
+    program="Kalibr",
     line="Kalibr's imu.yaml: noise, rate, and the matrices M, A and C_gyro_i",
     write=write,
     keep=without_biases,

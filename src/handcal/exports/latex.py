@@ -30,6 +30,7 @@ def write(contents: Contents) -> str:
 
 
 FORMAT = Format(
+    program="a paper (LaTeX)",
     line="LaTeX: the parameters with sigmas and units, as a tabular",
     write=write,
     keep=None,

@@ -17,6 +17,7 @@ def write(contents: Contents) -> str:
 
 
 FORMAT = Format(
+    program="a page (Markdown)",
     line="Markdown: the parameters with sigmas and units",
     write=write,
     keep=None,

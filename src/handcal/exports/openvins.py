@@ -51,6 +51,7 @@ def chain(
 
 
 FORMAT = Format(
+    program="OpenVINS",
     line='OpenVINS\' kalibr_imu_chain.yaml: noise, Tw, Ta, Tg, R_IMUtoGYRO (model "kalibr")',
     write=write,
     keep=without_biases,

@@ -41,6 +41,7 @@ def write(contents: Contents) -> str:
 
 
 FORMAT = Format(
+    program="OpenVINS with its own IMU model",
     line='OpenVINS\' kalibr_imu_chain.yaml with R_IMUtoACC (model "rpng", the gyro\'s axes)',
     write=write,
     keep=without_biases,

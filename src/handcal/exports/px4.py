@@ -39,6 +39,7 @@ def write(contents: Contents) -> str:
 
 
 FORMAT = Format(
+    program="PX4",
     line="PX4: CAL_GYRO0_* and CAL_ACC0_*, a parameter file of QGroundControl",
     write=write,
     keep=keep,

@@ -43,6 +43,7 @@ def write(contents: Contents) -> str:
 
 
 FORMAT = Format(
+    program="Python",
     line="Python: a function of twenty lines without dependencies",
     write=write,
     notes=("Signs: force = ACCEL (a - ACCEL_BIAS); rate = GYRO (w - GYRO_BIAS - G_SENSITIVITY "

@@ -46,6 +46,7 @@ def write(contents: Contents) -> str:
 
 
 FORMAT = Format(
+    program="librealsense",
     line="RealSense: scale_and_alignment and bias of calibration.json",
     write=write,
     keep=keep,

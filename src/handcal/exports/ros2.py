@@ -38,6 +38,7 @@ def write(contents: Contents) -> str:
 
 
 FORMAT = Format(
+    program="ROS 2",
     line="ROS 2: covariances for the Imu messages, as parameters of a node",
     write=write,
     keep=None,
