@@ -259,7 +259,7 @@ def _learnt(name: str, document: Mapping[str, Any]) -> Learnt:
     if recordings:
         found = {r["recording"]["path"]: _values(name, r["parameters"], other) for r in recordings}
         hidden = {r["recording"]["path"]: _hidden(r["parameters"]) for r in recordings}
-    elif "recording" in document:
+    elif "recording" in document and document["schema"] == CALIBRATION_SCHEMA:
         found = {document["recording"]["path"]: values}
         hidden = {document["recording"]["path"]: hidden[""]}
     biases = [

@@ -55,7 +55,8 @@ def known(path: Path, recording: Recording | None) -> Known:
     """What a result file says. Errors: InputError; HandcalError where matrices would be wrong."""
     learnt = device.read(path)
     document = json.loads(path.read_text(encoding="utf-8"))
-    bias, words, hidden = _bias(learnt, recording)
+    said = ", ".join(Path(str(r["path"])).name for r in _recordings(document))
+    bias, words, hidden = _bias(learnt, recording, said)
     matrices: dict[str, tuple[Array, Array]] = {}
     others: list[str] = []
     elsewhere: list[str] = []
@@ -74,8 +75,12 @@ def known(path: Path, recording: Recording | None) -> Known:
                  tuple(elsewhere))  # fmt: skip
 
 
-def _bias(learnt: Learnt, recording: Recording | None) -> tuple[Array, str, dict[str, str]]:
-    """Biases (6,), of which recording in words, and their axes that were not observable."""
+def _bias(
+    learnt: Learnt, recording: Recording | None, said: str
+) -> tuple[Array, str, dict[str, str]]:
+    """Biases (6,), of which recording in words, and their axes that were not observable.
+
+    said: the recordings, for a result that does not say of which its biases are."""
     found = list(learnt.biases)
     if recording is not None and len(found) > 1:
         own = [b for b in found if Path(b[0]).name == Path(recording.path).name]
@@ -93,7 +98,7 @@ def _bias(learnt: Learnt, recording: Recording | None) -> tuple[Array, str, dict
     for k, lost in enumerate(~there.any(axis=0)):
         axes[k // 3] += "xyz"[k % 3] if lost else ""
     names = ", ".join(Path(of).name for of, _ in found if of)
-    words = f"biases of {names or 'the result'}"
+    words = f"biases of {names or said or 'the result'}"
     if len(found) > 1:
         spread = np.abs(table - mean)[there].max()
         words = f"biases: mean of {names}, up to {spread:.2g} away (another day they are others)"
