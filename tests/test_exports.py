@@ -4,6 +4,7 @@ import json
 import shutil
 import subprocess
 import sys
+from importlib.metadata import EntryPoint
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from imucal import FerrarisCalibrationInfo
 from imufusion import model_inertial
 from pymavlink.mavparm import MAVParmDict
 
+from handcal import exports
 from handcal.commands import _app
 from handcal.device import apply as device
 from handcal.effects import Effect, Param, catalogue, with_effects
@@ -479,6 +481,27 @@ def test_tables(result):
     value, sigma = (float(rows[0][k]) for k in ("value", "sigma"))
     assert f"${value:.5f}$ & ${sigma:.5f}$" in latex  # 0.00087: two digits
     assert f"| {value:.5f} | {sigma:.5f} |" in written(path, "markdown")
+
+
+def test_packages_bring_formats_of_their_own(tmp_path, monkeypatch):
+    folder = tmp_path / "more_formats"
+    folder.mkdir()
+    (folder / "__init__.py").write_text("")
+    text = "from handcal.exports import Format\n{} = Format('x', 'X: made up', lambda c: 'x')\n"
+    (folder / "made_up.py").write_text(text.format("FORMAT"))
+    monkeypatch.syspath_prepend(tmp_path)
+    entry = EntryPoint("more", "more_formats", exports.GROUP)
+    monkeypatch.setattr(exports, "entry_points", lambda **_: [entry])
+    formats.cache_clear()
+    try:
+        assert format_of("made_up").line == "X: made up"
+        assert "px4" in formats()
+        (folder / "px4.py").write_text(text.format("FORMAT"))
+        formats.cache_clear()
+        with pytest.raises(InputError, match=r"more_formats\.px4"):
+            formats()
+    finally:
+        formats.cache_clear()
 
 
 @pytest.fixture
