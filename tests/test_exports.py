@@ -368,6 +368,17 @@ def test_sizes_of_an_explanation_are_told_without_the_recording(result):
     assert "gyro_bandwidth: gyro 0.0289 rad/s RMS" in written(path, "python")
 
 
+def test_a_law_without_a_name_is_named_by_its_formula(result):
+    formula = "gyro_x += k * omega_y^2"
+    row = {"effect": formula, "name": "k", "value": 0.01, "sigma": 1e-3, "unit": "s/rad"}
+    rows = [*document(drawn(0, MATRICES))["parameters"], row]
+    more = {"parameters": rows, "unnamed": [{"formula": formula}]}
+    path = result({}, schema="handcal/explanation/1", **more)
+    for given in (None, recording()):
+        text = written(path, "python", recording=given)
+        assert f"Not in this file, {formula}: it has no name" in text
+
+
 def of_my_own(name, error):
     words = dict.fromkeys(("title", "story", "source", "motion", "validated"), "x")
     return Effect(id=name, parameters=(Param("k", "1", 0.01),), imu_error=error, **words)

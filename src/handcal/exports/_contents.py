@@ -233,6 +233,9 @@ def left(found: Known, form: Format, recording: Recording | None) -> list[str]:
                 f"{i}{some}: {_sized(_rms(alone.applied(read) - keep(alone).applied(read)))}"
             )
     for i in found.others:
+        if i not in found.learnt.values:
+            out.append(f"{i}: it has no name, its size stands in {Path(found.learnt.path).name}")
+            continue
         rms = None if recording is None else _without(found, i, recording)
         if rms is None and recording is not None and i not in sizes:
             out.append(f"{i}: no change of these readings that could be measured")
@@ -250,10 +253,8 @@ def _read(recording: Recording) -> Array:
 
 
 def _without(found: Known, effect: str, recording: Recording) -> tuple[float, float] | None:
-    """What an effect that is no matrix does to the readings of a recording; None if what has no
-    name, or an effect that needs a stream which is not there."""
-    if effect not in found.learnt.values:
-        return None
+    """What an effect that is no matrix does to the readings of a recording; None for one that
+    needs a stream which is not there, or changes stamps alone."""
     values = found.of_readings()
     with_it = correction.corrected(recording, values, found.bias)
     del values[effect]
