@@ -333,6 +333,14 @@ def test_header_says_what_from_which_and_by_whom(result, name):
         assert words in text
 
 
+@pytest.mark.parametrize("name", [n for n in formats() if n != "ros2"])
+def test_a_result_that_says_the_least_is_enough(result, name):
+    full = document(drawn(0, MATRICES))["parameters"]
+    rows = [{k: p[k] for k in ("effect", "name", "value")} for p in full]
+    path = result({}, parameters=rows, noise=[], schema="handcal/explanation/1", recording={})
+    assert "gyro_misalignment" in written(path, name)
+
+
 def rms(error):
     return np.sqrt((error**2).mean())
 

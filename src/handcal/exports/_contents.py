@@ -140,7 +140,7 @@ def _parameters(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 
 def _recordings(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     several = [r["recording"] for r in document.get("recordings", [])]
-    return several or ([document["recording"]] if "recording" in document else [])
+    return [r for r in several or [document.get("recording", {})] if r.get("path")]
 
 
 def _rate(document: Mapping[str, Any]) -> float | None:
@@ -173,7 +173,7 @@ def _of_allan(path: Path) -> Noise:
         raise InputError(f"{path} is not JSON.") from None
     if not isinstance(document, dict) or document.get("schema") != "handcal/allan/1":
         raise InputError(f"{path} is not what `handcal allan --json` writes.")
-    noise = _levels(document["suggested"], {name: name for name in ALLAN})
+    noise = _levels(document.get("suggested", []), {name: name for name in ALLAN})
     return replace(noise, source=f"at rest, {path.name}")
 
 
@@ -213,7 +213,7 @@ def left(found: Known, form: Format, recording: Recording | None) -> list[str]:
     keep = form.keep
     if keep is None:
         return []
-    sizes = {m["effect"]: m["size"] for m in found.document.get("missing", []) if m.get("size")}
+    sizes = {m.get("effect"): m["size"] for m in found.document.get("missing", []) if m.get("size")}
     read = None if recording is None else _read(recording)
     out = []
     only = correction.together([], found.bias)

@@ -15,7 +15,7 @@ def rows(contents: Contents) -> list[tuple[str, ...]]:
         numbers = ["" if p.get(k) is None else repr(float(p[k])) for k in ("value", "sigma")]
         seen = {True: "yes", False: "no"}.get(p.get("observable", None), "")
         of = str(p.get("recording", ""))
-        out.append((str(p["effect"]), str(p["name"]), *numbers, str(p["unit"]), seen, of))
+        out.append((str(p["effect"]), str(p["name"]), *numbers, str(p.get("unit", "")), seen, of))
     return out
 
 
