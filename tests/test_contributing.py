@@ -1,11 +1,14 @@
-"""CONTRIBUTING.md followed to the letter: an effect, a format and a command, each in one file."""
+"""CONTRIBUTING.md followed to the letter: an effect, a format, an export and a command, each in
+one file."""
 
 from __future__ import annotations
 
 import importlib
 import importlib.util
+import json
 import re
 import sys
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,7 +18,7 @@ from typer.testing import CliRunner
 from worlds import recording_of
 
 import handcal
-from handcal import effects
+from handcal import effects, exports
 from handcal.commands import _app
 from handcal.recordings import inputs
 from handcal_sim import simulate
@@ -42,6 +45,7 @@ def member(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
         monkeypatch.setattr(module, "__path__", [*module.__path__, str(tmp_path)])
         names.append(f"{package}.{name}")
         effects.installed.cache_clear()
+        exports.formats.cache_clear()
 
     yield put
     for name in names:
@@ -50,6 +54,7 @@ def member(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
         sys.modules[package].__dict__.pop(attribute, None)
     monkeypatch.undo()
     effects.installed.cache_clear()
+    exports.formats.cache_clear()
 
 
 def test_an_effect_is_one_file(member) -> None:
@@ -74,6 +79,25 @@ def test_a_format_is_one_file(member, tmp_path: Path) -> None:
     (tmp_path / "other.xyz").write_text("something else")
     with pytest.raises(handcal.InputError, match="made-up recorder"):
         handcal.read(tmp_path / "other.xyz")
+
+
+def test_an_export_is_one_file(member, tmp_path: Path) -> None:
+    member(exports.__name__, "toml", "A new export")
+    values = {"gyro_bias": [0.01, 0.0, -0.01], "gyro_scale": [0.25, 0.0, 0.0]}
+    rows = [
+        {"effect": i, "name": a, "value": v, "sigma": 1e-3, "unit": "1", "observable": True}
+        for i, own in values.items()
+        for a, v in zip("xyz", own, strict=True)
+    ]
+    result, out = tmp_path / "result.json", tmp_path / "gyro.toml"
+    rows += [r | {"effect": "accel_bias", "value": 0.5, "unit": "m/s^2"} for r in rows[:3]]
+    result.write_text(json.dumps({"schema": "handcal/calibration/1", "parameters": rows}))
+    done = CliRunner().invoke(_app.app, ["export", str(result), "--to", "toml", "-o", str(out)])
+    assert done.exit_code == 0, done.output
+    found = tomllib.loads(out.read_text())
+    assert found["gyro_bias"] == values["gyro_bias"]
+    assert np.allclose(found["gyro"], np.diag([0.8, 1.0, 1.0]))
+    assert "toml" in CliRunner().invoke(_app.app, ["export"]).output
 
 
 def test_a_command_is_one_file(member, tmp_path: Path) -> None:

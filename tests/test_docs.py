@@ -10,7 +10,7 @@ import pytest
 from handcal.effects import catalogue
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 def made(name="make_effects"):
@@ -30,6 +30,17 @@ def test_the_catalogue_page_is_what_the_effects_say():
         assert page.count(f"\n`{effect.id}={effect.parameters[0].name}") == 1
         for text in (effect.title, effect.story, effect.motion, effect.source):
             assert text in page
+
+
+def test_there_is_a_page_for_each_export_and_it_is_what_the_export_writes():
+    """If not: `make docs`, or docs/make_use.py alone."""
+    pages = made("make_use").pages()
+    folder = ROOT / "docs" / "use"
+    assert {p.name for p in folder.iterdir()} == set(pages)
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    for name, page in pages.items():
+        assert (folder / name).read_text(encoding="utf-8") == page
+        assert f"(docs/use/{name})" in readme
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)

@@ -129,9 +129,31 @@ def explain(
     if str(json) != "-":
         from rich.console import Console
 
-        print_explanation(explanation, Console())
+        from handcal.show.explanation.following import commands
+
+        typed = _typed(
+            assume, heading_sigma, latitude, height, ignore, reference_exact, topic, units
+        )
+        following = commands(explanation, [str(f) for f in files], typed, str(json or ""))
+        if json is None:
+            following = following[:1]  # (there is nothing that could be applied)
+        print_explanation(explanation, Console(), following)
     if write_effect:
         _write(explanation, write_effect)
+
+
+def _typed(
+    assume: Assume, heading_sigma: float | None, latitude: float | None, height: float,
+    ignore: list[str] | None, reference_exact: bool, topic: list[str] | None, units: str | None,
+) -> list[str]:  # fmt: skip
+    """The options that calibrate has too, as they were typed."""
+    out = [] if assume is Assume.auto else ["--assume", str(assume)]
+    for name, value in (("--heading-sigma", heading_sigma), ("--latitude", latitude),
+                        ("--height", height or None), ("--units", units)):  # fmt: skip
+        out += [] if value is None else [name, str(value)]
+    for name, values in (("--ignore", ignore), ("--topic", topic)):
+        out += [word for value in values or () for word in (name, value)]
+    return out + (["--reference-exact"] if reference_exact else [])
 
 
 def _check_new(path: Path) -> None:

@@ -39,6 +39,8 @@ from handcal.types import (
 BIASES = ("gyro_bias", "accel_bias")
 # Rounds in which the true heading is found, and what the last may change, rad.
 ROUNDS, FOUND = 2000, 1e-14
+# What the last round may change of the readings, as a part of the largest.
+EXACT = 1e-12
 
 NO_SENSOR = "no error of a sensor"
 NOT_ASKED = "of one day, taken off with --biases"
@@ -159,7 +161,7 @@ def _imu(
     C_nb = Truth(recording, tuple(acting)).attitude(imu.t) if needed else None
     signals = of_recording(recording, acting, read=raw - about, C_nb=C_nb)
     ref = np.concatenate([np.zeros(0), *(values[e.id] for e in acting)])
-    clean = raw - substituted(acting, ref, signals) - (0.0 if bias is None else bias)
+    clean = raw - substituted(acting, ref, signals, enough=EXACT) - (0.0 if bias is None else bias)
     clean = np.where(imu.valid[:, None], clean, raw)
     valid = imu.valid
     for e in acting:
@@ -257,7 +259,7 @@ def _learnt(name: str, document: Mapping[str, Any]) -> Learnt:
     if recordings:
         found = {r["recording"]["path"]: _values(name, r["parameters"], other) for r in recordings}
         hidden = {r["recording"]["path"]: _hidden(r["parameters"]) for r in recordings}
-    elif "recording" in document:
+    elif "recording" in document and document["schema"] == CALIBRATION_SCHEMA:
         found = {document["recording"]["path"]: values}
         hidden = {document["recording"]["path"]: hidden[""]}
     biases = [

@@ -53,12 +53,17 @@ def corrected_readings(
 
 
 def substituted(
-    acting: Sequence[Effect], ref: Array, readings: Signals, begin: Array | None = None
+    acting: Sequence[Effect],
+    ref: Array,
+    readings: Signals,
+    begin: Array | None = None,
+    enough: float = SUBSTITUTED,
 ) -> Array:
     """What all effects add to these readings, (n, 6), by rounds of substitution: first what is
     done to the whole reading is undone, then the others follow from the truth.
 
-    begin (n, 6): about what they add, if that is known. Effects whose parameters are zero add
+    begin (n, 6): about what they add, if that is known; enough: the change in a round, as a part
+    of the largest reading, after which there is no other. Effects whose parameters are zero add
     nothing and are left out.
     """
     raw = np.hstack([readings.gyro, readings.accel])
@@ -94,6 +99,6 @@ def substituted(
         # (each round moves by as much less as this one did)
         following = moved * min(1.0, moved / before) if done else moved
         # (some are so large that going on would lead away)
-        if following < SUBSTITUTED * scale or (done > 1 and not moved < SHRINKS * before):
+        if following < enough * scale or (done > 1 and not moved < SHRINKS * before):
             break
     return total

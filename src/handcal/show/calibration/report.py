@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from handcal.show import words
 from handcal.show.calibration import plots, summary
 from handcal.show.drawing import AXES
 from handcal.show.html_page import page
-from handcal.types import Array, Result
+from handcal.types import Array, Parameter, Result
 
 _MATRIX = ("gyro_scale", "gyro_misalignment", "accel_scale", "accel_misalignment")
 _APPLIED = ("gyro_bias", "accel_bias", "gyro_g_sensitivity", *_MATRIX)
@@ -40,8 +41,6 @@ def _context(result: Result) -> dict[str, Any]:
         (f"{len(result.rests)}", "rest" if len(result.rests) == 1 else "rests"),
         (f"{result.observations:,}".replace(",", "\u202f"), "observations"),
     ]
-    others = [words.effect_title(e) for e in dict.fromkeys(p.effect for p in result.parameters)
-              if e not in _APPLIED]  # fmt: skip
     return {
         "name": Path(recording.path).name,
         "version": handcal.__version__,
@@ -55,10 +54,18 @@ def _context(result: Result) -> dict[str, Any]:
         "kinds": _kinds(result),
         "warnings": summary.all_warnings(result),
         "plots": plots.draw(result),
-        "code": apply_code(result),
-        "others": others,
-        "g_sensitivity": any(p.effect == "gyro_g_sensitivity" for p in result.parameters),
-        "matrices": any(p.effect in _MATRIX for p in result.parameters),
+        "apply": how_to_apply(result.parameters),
+    }
+
+
+def how_to_apply(parameters: Sequence[Parameter]) -> dict[str, Any]:
+    """What the page says of undoing errors: the code, and what it leaves."""
+    effects = dict.fromkeys(p.effect for p in parameters)
+    return {
+        "code": code_of(parameters),
+        "others": [words.effect_title(e) for e in effects if e not in _APPLIED],
+        "g_sensitivity": "gyro_g_sensitivity" in effects,
+        "matrices": any(e in _MATRIX for e in effects),
     }
 
 
@@ -98,12 +105,12 @@ def _kinds(result: Result) -> list[dict[str, Any]]:
     return rows
 
 
-def error_matrices(result: Result) -> tuple[Array, Array, Array]:
+def error_matrices(parameters: Sequence[Parameter]) -> tuple[Array, Array, Array]:
     """What the sensors make of the truth: (I + S + M) of gyro and accelerometer, and G; (3, 3)."""
     gyro, accel, g = np.eye(3), np.eye(3), np.zeros((3, 3))
     into = {"gyro_scale": gyro, "gyro_misalignment": gyro, "accel_scale": accel,
             "accel_misalignment": accel, "gyro_g_sensitivity": g}  # fmt: skip
-    for p in result.parameters:
+    for p in parameters:
         if p.effect in into:
             row, column = AXES.index(p.name[0]), AXES.index(p.name[-1])
             into[p.effect][row, column] += p.value
@@ -112,11 +119,16 @@ def error_matrices(result: Result) -> tuple[Array, Array, Array]:
 
 def apply_code(result: Result) -> str:
     """Python that undoes biases, scales, misalignments and g-sensitivity, numbers filled in."""
-    effects = {p.effect for p in result.parameters}
-    gyro, accel, g = error_matrices(result)
+    return code_of(result.parameters)
+
+
+def code_of(parameters: Sequence[Parameter]) -> str:
+    """The same of parameters that came from anywhere."""
+    effects = {p.effect for p in parameters}
+    gyro, accel, g = error_matrices(parameters)
     lines = ["import numpy as np", ""]
     for effect, unit in (("gyro_bias", "rad/s"), ("accel_bias", "m/s^2")):
-        own = [p for p in result.parameters if p.effect == effect]
+        own = [p for p in parameters if p.effect == effect]
         # (what was not learnt would make readings no better)
         values = [p.value if p.observable else 0.0 for p in own]
         hidden = [p.name for p in own if not p.observable]

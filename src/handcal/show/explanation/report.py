@@ -10,9 +10,11 @@ import handcal
 from handcal import output
 from handcal.explain.explanation import Explanation, Hypothesis, Missing
 from handcal.show import words
+from handcal.show.calibration.report import how_to_apply
 from handcal.show.drawing import PALETTE
 from handcal.show.explanation import frames, plots, sentences, summary
 from handcal.show.explanation import words as say
+from handcal.show.explanation.following import applicable, biases_of, commands
 from handcal.show.html_page import page
 from handcal.types import Parameter
 from handcal.units import Shown
@@ -66,6 +68,9 @@ def _context(e: Explanation) -> dict[str, Any]:
         ],
         "noise": [words.noise_line(n) for n in e.noise],
         "warnings": summary.all_warnings(e),
+        "apply": how_to_apply(applicable(e)),
+        "biases_of": biases_of(e),
+        "following": commands(e),
     }  # fmt: skip
 
 

@@ -70,6 +70,9 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
         document["untried"] = list(e.untried)
     if several:
         document["recordings"] = [_recording_json(r) for r in e.recordings]
+    elif e.recordings:
+        only = e.recordings[0]
+        document["recording"] = summary.recording_json(only.recording, only.assume)
     return document
 
 
@@ -175,8 +178,11 @@ def _recording_json(r: Explained) -> dict[str, Any]:
     }
 
 
-def print_explanation(explanation: Explanation, console: Console) -> None:
-    """Verdict first, then what stands behind it; fits 80 columns."""
+def print_explanation(
+    explanation: Explanation, console: Console, following: Sequence[str] = ()
+) -> None:
+    """Verdict first, then what stands behind it; fits 80 columns, but for the commands that follow,
+    which are to be copied."""
     from rich.markup import escape
 
     def line(text: str, indent: int = 2, style: str = "", bullet: str = "") -> None:
@@ -240,6 +246,10 @@ def print_explanation(explanation: Explanation, console: Console) -> None:
         heading("Warnings")
         for warning in warnings:
             line(warning, bullet="• ")
+    if following:
+        heading("Next")
+        for command in following:
+            console.print(escape(command), soft_wrap=True, highlight=False)
 
 
 def _table(*columns: str) -> Any:

@@ -1,0 +1,113 @@
+"""Results in the formats of other programs: one file a format, and the folder listing is the list.
+
+A file defines ``FORMAT = Format(...)``; nothing else needs to know of it. What a format is given is
+a ``Contents``: the correction as matrices, and beside it all that a header says. Formats come from
+this folder and from packages that entry points of the group ``handcal.exports`` name.
+"""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from importlib.metadata import entry_points
+from typing import Any
+
+from handcal.exports._correction import Correction
+from handcal.types import Array, InputError
+
+GROUP = "handcal.exports"
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of the IMU: density and bias walk of gyro and accelerometer, SI; None: not known.
+
+    source: a line about where they are from.
+    """
+
+    gyro_noise: float | None = None
+    accel_noise: float | None = None
+    gyro_bias_walk: float | None = None
+    accel_bias_walk: float | None = None
+    source: str = ""
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What a format writes.
+
+    name: of the result's file. header: lines of text without any sign of a comment. correction:
+    what the format can hold of what is known. bias (6,): known biases, gyro first, whether or not
+    the format holds them; hidden: axes of "gyro_bias" and "accel_bias" that were not observable
+    (their bias counts as zero). has_bias: whether the result has biases at all. rate_hz: of the
+    IMU, None if the result does not say. topic: of the Imu messages. axes: "flu" or "frd", what
+    the recording's axes are on a vehicle. parameters: rows of the result, as its JSON has them.
+    """
+
+    name: str
+    header: tuple[str, ...]
+    correction: Correction
+    bias: Array
+    hidden: Mapping[str, str]
+    has_bias: bool
+    noise: Noise
+    rate_hz: float | None
+    topic: str
+    axes: str
+    parameters: Sequence[Mapping[str, Any]]
+
+    def commented(self, sign: str = "# ") -> str:
+        """The header, each line behind a sign."""
+        return "".join(f"{sign}{line}".rstrip() + "\n" for line in self.header)
+
+
+def everything(correction: Correction) -> Correction:
+    """What a format keeps of a correction if it can hold all of it."""
+    return correction
+
+
+@dataclass(frozen=True)
+class Format:
+    """A format: the program that reads it, one line for the list, and how it is written.
+
+    write(contents): the text. keep(correction): the part of a correction that the format can hold,
+    None for a format that corrects nothing (a table). notes: lines for the header. needs_bias:
+    writing zeros where there are no biases would be wrong. online: the program finds biases itself,
+    so it is no fault that the format has none.
+    """
+
+    program: str
+    line: str
+    write: Callable[[Contents], str]
+    keep: Callable[[Correction], Correction] | None = everything
+    notes: tuple[str, ...] = field(default=())
+    needs_bias: bool = False
+    online: bool = False
+
+
+@cache
+def formats() -> Mapping[str, Format]:
+    """Every format by its name. Raises InputError where a package has something else to offer."""
+    found: dict[str, Format] = {}
+    packages = [__name__, *sorted(e.value for e in entry_points(group=GROUP))]
+    for package in packages:
+        for info in pkgutil.iter_modules(importlib.import_module(package).__path__):
+            if info.name.startswith("_"):
+                continue
+            made = getattr(importlib.import_module(f"{package}.{info.name}"), "FORMAT", None)
+            if not isinstance(made, Format) or info.name in found:
+                raise InputError(
+                    f"{package}.{info.name} has no FORMAT, or one that is there already."
+                )
+            found[info.name] = made
+    return found
+
+
+def format_of(name: str) -> Format:
+    """The format of this name. Raises InputError with a list of those that there are."""
+    if name not in formats():
+        raise InputError(f"Unknown format '{name}'. Known: {', '.join(sorted(formats()))}.")
+    return formats()[name]

@@ -1,0 +1,54 @@
+"""Kalibr: ``imu.yaml``, with noise densities and the intrinsics of its model scale-misalignment.
+
+Kalibr predicts a reading from rate w and force a of the IMU's axes i (Rehder et al., Extending
+kalibr, ICRA 2016; github.com/ethz-asl/kalibr, IccSensors.py, class IccScaledMisalignedImu):
+
+    accelerometer = M_a a + b_a
+    gyro          = M_g C_gyro_i w + A C_gyro_i a + b_g
+
+with M_a and M_g lower triangular, so the accelerometer's x axis is that of i, as in handcal. Take
+them off in this order: a = inv(M_a) (read - b_a), then w = C_gyro_i^T inv(M_g) (read - b_g -
+A C_gyro_i a). The file has the keys of an ``imu.yaml`` (for ``--imu``) on top, and all of it again
+under ``imu0``, as Kalibr writes its own results. Biases are no part of it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from handcal.exports import Contents, Format
+from handcal.exports._chain import IDENTITY, biases, noise, without_biases
+from handcal.exports._text import lower_accel, lower_times_turn, yaml_matrix
+
+
+def write(contents: Contents) -> str:
+    """The file. Errors: HandcalError where Kalibr's axes cannot be met."""
+    c = contents.correction
+    accel = lower_accel(np.linalg.inv(c.accel), "Kalibr")
+    gyro, turn = lower_times_turn(np.linalg.inv(c.gyro))
+    chain = "".join(
+        [
+            yaml_matrix("T_i_b", IDENTITY, 2),
+            noise(contents, 2),
+            "  time_offset: 0.0\n  model: scale-misalignment\n",
+            "  accelerometers:\n",
+            yaml_matrix("M", accel, 4),
+            "  gyroscopes:\n",
+            yaml_matrix("M", gyro, 4),
+            yaml_matrix("A", c.g_sensitivity @ turn.T, 4),
+            yaml_matrix("C_gyro_i", turn, 4),
+        ]
+    )
+    return f"{contents.commented()}{biases(contents)}{noise(contents, 0)}imu0:\n{chain}"
+
+
+FORMAT = Format(
+    program="Kalibr",
+    line="Kalibr's imu.yaml: noise, rate, and the matrices M, A and C_gyro_i",
+    write=write,
+    keep=without_biases,
+    notes=(
+        "Signs: reading = M a + b, and M C_gyro_i w + A C_gyro_i a + b; SI, axes of the recording",
+    ),
+    online=True,
+)

@@ -1,0 +1,47 @@
+"""ROS 2: covariances for the Imu messages, and how to get a corrected bag.
+
+sensor_msgs/msg/Imu (docs.ros.org, sensor_msgs, Imu) has covariances of rate and force, row by row;
+all zeros mean "unknown", -1 in the first place of ``orientation_covariance`` "no orientation".
+White noise of density N gives a sample, at f samples a second, the variance N^2 f. What a bias
+may have changed since is not in it. ROS 2 has no message for a calibration; ``handcal apply
+RECORDING.mcap --from RESULT.json --biases -o corrected.mcap`` writes a corrected bag.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from handcal.exports import Contents, Format
+from handcal.exports._text import row
+from handcal.types import HandcalError
+
+
+def write(contents: Contents) -> str:
+    """The file. Errors: HandcalError where noise or rate is not known."""
+    gyro, accel, rate = contents.noise.gyro_noise, contents.noise.accel_noise, contents.rate_hz
+    if gyro is None or accel is None or rate is None:
+        raise HandcalError(
+            f"{contents.name} has no white noise of gyro and accelerometer, or no rate, of which a "
+            "covariance could be made; from a record at rest: `handcal allan REST --json "
+            "ALLAN.json`, then --noise ALLAN.json."
+        )
+    lines = [
+        contents.commented(),
+        f"# Noise: {contents.noise.source}\n",
+        "/**:\n  ros__parameters:\n",
+    ]
+    lines.append(f"    orientation_covariance: [{row([-1.0, *[0.0] * 8])}]\n")
+    for name, density in (("angular_velocity", gyro), ("linear_acceleration", accel)):
+        variance = np.diag([density**2 * rate] * 3)
+        lines.append(f"    {name}_covariance: [{row(variance.ravel())}]\n")
+    return "".join(lines)
+
+
+FORMAT = Format(
+    program="ROS 2",
+    line="ROS 2: covariances for the Imu messages, as parameters of a node",
+    write=write,
+    keep=None,
+    notes=("Variance of one sample: density^2 * rate; (rad/s)^2 and (m/s^2)^2, row by row",
+           "A corrected bag: handcal apply RECORDING --from RESULT.json --biases -o FILE.mcap"),
+)  # fmt: skip

@@ -1,0 +1,551 @@
+"""Each export, read back and applied as its program documents it, does what `apply` does."""
+
+import json
+import shutil
+import subprocess
+import sys
+from importlib.metadata import EntryPoint
+
+import numpy as np
+import pytest
+import yaml
+from imucal import FerrarisCalibrationInfo
+from imufusion import model_inertial
+from pymavlink.mavparm import MAVParmDict
+
+from handcal import exports
+from handcal.commands import _app
+from handcal.device import apply as device
+from handcal.effects import Effect, Param, catalogue, with_effects
+from handcal.exports import format_of, formats
+from handcal.exports._contents import contents
+from handcal.types import HandcalError, Imu, InputError, Recording
+
+BIASES = ("gyro_bias", "accel_bias")
+DIAGONAL = (*BIASES, "accel_scale")
+NO_G = (*DIAGONAL, "accel_misalignment", "gyro_scale", "gyro_misalignment")
+MATRICES = (*NO_G, "gyro_g_sensitivity")
+EQUAL = 1e-9
+# Eight roundings of readings up to ten, in single precision.
+SINGLE = 8 * 10 * 2.0**-24
+
+
+def drawn(seed, ids):
+    """Values of effects, of the usual sizes."""
+    rng = np.random.default_rng(seed)
+    found = {i: rng.normal(0.0, [p.prior_sigma for p in catalogue()[i].parameters]) for i in ids}
+    for i in ids:
+        found[i] = [abs(v) if p.positive else float(v)
+                    for v, p in zip(found[i], catalogue()[i].parameters, strict=True)]  # fmt: skip
+    return found
+
+
+def document(values, **more):
+    """What `calibrate --json` writes, with these values."""
+    parameters = [
+        {"effect": i, "name": p.name, "value": v, "sigma": p.prior_sigma / 20.0, "unit": p.unit,
+         "observable": True, "converged_at_s": 30.0}
+        for i, own in values.items()
+        for p, v in zip(catalogue()[i].parameters, own, strict=True)
+    ]  # fmt: skip
+    noise = [{"name": "gyro_noise", "value": 2e-5, "unit": "rad/s/sqrt(Hz)"},
+             {"name": "accel_noise", "value": 2e-3, "unit": "m/s^2/sqrt(Hz)"}]  # fmt: skip
+    recording = {"path": "turns.mcap", "duration_s": 10.0, "imu_rate_hz": 100.0, "sha256": "1f"}
+    return {"schema": "handcal/calibration/1", "version": "9.8.7", "recording": recording,
+            "parameters": parameters, "noise": noise, "warnings": []} | more  # fmt: skip
+
+
+@pytest.fixture
+def result(tmp_path):
+    def write(values, **more):
+        path = tmp_path / "result.json"
+        path.write_text(json.dumps(document(values, **more)), encoding="utf-8")
+        return path
+
+    return write
+
+
+def recording(seed=0, n=500):
+    """Readings of a hand in motion, as far as size goes."""
+    rng = np.random.default_rng(1000 + seed)
+    t = np.arange(n) / 100.0
+    tones = rng.uniform(0.5, 4.0, 6)
+    waves = np.sin(t[:, None] * tones + rng.uniform(0.0, 6.0, 6)) * 3.0
+    gyro, accel = waves[:, :3], 3.0 * waves[:, 3:]
+    return Recording("turns.mcap", Imu(t, gyro, accel, np.ones(n, dtype=bool)), {})
+
+
+def readings(given):
+    return given.imu.gyro, given.imu.accel
+
+
+def applied(path, given):
+    """Rate and force as `handcal apply --biases` gives them."""
+    imu = device.apply(given, device.read(path), biases=True).recording.imu
+    return imu.gyro, imu.accel
+
+
+def written(path, name, **options):
+    form = format_of(name)
+    return form.write(contents(path, form, **options))
+
+
+def close(found, wanted, atol=EQUAL):
+    for one, other in zip(found, wanted, strict=True):
+        np.testing.assert_allclose(one, other, rtol=0.0, atol=atol)
+
+
+def of(values):
+    return (np.array(values[i]) for i in BIASES)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_kalibr(result, seed):
+    values, given = drawn(seed, MATRICES), recording(seed)
+    path = result(values)
+    text = yaml.safe_load(written(path, "kalibr", topic="/phone/imu"))
+    chain = text["imu0"]
+    M_a, M_g, A, C = (
+        np.array(chain[sensor][name])
+        for sensor, name in (("accelerometers", "M"), ("gyroscopes", "M"), ("gyroscopes", "A"),
+                             ("gyroscopes", "C_gyro_i"))
+    )  # fmt: skip
+    np.testing.assert_array_equal([np.triu(M_a, 1), np.triu(M_g, 1)], 0.0)
+    np.testing.assert_allclose(C @ C.T, np.eye(3), atol=1e-14)
+    assert np.linalg.det(C) > 0
+    (gyro, accel), (b_g, b_a) = readings(given), of(values)
+    force = np.linalg.solve(M_a, (accel - b_a).T)
+    rate = C.T @ np.linalg.solve(M_g, (gyro - b_g).T - A @ C @ force)
+    close((rate.T, force.T), applied(path, given))
+    for place in (text, chain):
+        assert place["gyroscope_noise_density"] == 2e-5  # (a number, no word)
+        assert place["accelerometer_noise_density"] == 2e-3
+        assert place["update_rate"] == 100.0
+        assert place["rostopic"] == "/phone/imu"
+    assert chain["model"] == "scale-misalignment"
+
+
+def of_openvins(text):
+    first, rest = text.split("\n", 1)
+    assert first == "%YAML:1.0"
+    chain = yaml.safe_load(rest)["imu0"]
+    names = ("Tw", "R_IMUtoGYRO", "Ta", "R_IMUtoACC", "Tg")
+    return chain["model"], *(np.array(chain[name]) for name in names)
+
+
+def openvins(chain, values, given, triangle):
+    """OpenVINS' own way: inverses first, then only a triangle of each."""
+    _, Tw, R_gyro, Ta, R_acc, Tg = chain
+    Dw, Da = triangle(np.linalg.inv(Tw)), triangle(np.linalg.inv(Ta))
+    (gyro, accel), (b_g, b_a) = readings(given), of(values)
+    force = R_acc.T @ Da @ (accel - b_a).T
+    rate = R_gyro.T @ Dw @ ((gyro - b_g).T - Tg @ force)
+    return rate.T, force.T
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_openvins_kalibr(result, seed):
+    values, given = drawn(seed, MATRICES), recording(seed)
+    path = result(values)
+    chain = of_openvins(written(path, "openvins"))
+    assert chain[0] == "kalibr"
+    np.testing.assert_array_equal(chain[4], np.eye(3))
+    close(openvins(chain, values, given, np.tril), applied(path, given))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_openvins_rpng_on_the_axes_that_it_says(result, seed):
+    values, given = drawn(seed, MATRICES), recording(seed)
+    path = result(values)
+    text = written(path, "openvins_rpng")
+    chain = of_openvins(text)
+    assert chain[0] == "rpng"
+    np.testing.assert_array_equal(chain[2], np.eye(3))
+    line = next(x for x in text.split("\n") if x.startswith("# R_openvins_handcal: "))
+    R = np.array(json.loads(line.split(": ")[1]))
+    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-14)
+    turned = [x @ R.T for x in applied(path, given)]
+    close(openvins(chain, values, given, np.triu), turned)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_fusion_by_its_own_package(result, seed):
+    given = recording(seed)
+    path = result(drawn(seed, NO_G))
+    lines = written(path, "fusion").split("\n")
+    names = {"numpy": np}
+    for line in lines:
+        if "= numpy.array" in line:
+            exec(line.removeprefix("// "), names)
+    for sensor, read, wanted in zip(("gyroscope", "accelerometer"), readings(given),
+                                    applied(path, given), strict=True):  # fmt: skip
+        numbers = [names[f"{sensor}_{n}"] for n in ("misalignment", "sensitivity", "offset")]
+        for r, w in zip(read[::50], wanted[::50], strict=True):
+            np.testing.assert_allclose(model_inertial(r, *numbers), w, rtol=0.0, atol=SINGLE)
+        M, s, b = numbers
+        np.testing.assert_allclose((M @ (s * (read - b)).T).T, wanted, rtol=0.0, atol=EQUAL)
+        c_line = next(x for x in lines if f"{sensor}Misalignment" in x)
+        in_c = c_line.split("{.array = ")[1].rstrip("};").replace("f", "")
+        in_c = json.loads("[" + in_c.replace("{", "[").replace("}", "]").rstrip("]") + "]" * 3)
+        np.testing.assert_allclose(np.ravel(in_c), M.ravel(), rtol=1e-8)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_imucal_by_its_own_package(result, seed, tmp_path):
+    given = recording(seed)
+    path = result(drawn(seed, MATRICES))
+    file = tmp_path / "ferraris.json"
+    file.write_text(written(path, "imucal"), encoding="utf-8")
+    info = FerrarisCalibrationInfo.from_json_file(file)
+    gyro, accel = readings(given)
+    force, rate = info.calibrate(accel, gyro, "m/s^2", "rad/s")
+    close((rate, force), applied(path, given))
+    assert "turns.mcap" in info.comment
+
+
+def vehicle(parameters, names, given, axes):
+    """The readings in the vehicle's axes, corrected as both autopilots do it."""
+    turn = np.array([1.0, -1.0, -1.0]) if axes == "flu" else np.ones(3)
+    gyro, accel = (x * turn for x in readings(given))
+    gyro_offset, accel_offset, scale = (
+        np.array([parameters[name.format(axis)] for axis in "XYZ"]) for name in names
+    )
+    return (gyro - gyro_offset) * turn, (accel - accel_offset) * scale * turn
+
+
+@pytest.mark.parametrize("axes", ["flu", "frd"])
+def test_px4(result, axes):
+    given = recording()
+    path = result(drawn(0, DIAGONAL))
+    rows = [line.split("\t") for line in written(path, "px4", axes=axes).split("\n")
+            if line and not line.startswith("#")]  # fmt: skip
+    assert {(r[0], r[1], r[4]) for r in rows} == {("1", "1", "9")}
+    parameters = {r[2]: float(r[3]) for r in rows}
+    names = ("CAL_GYRO0_{}OFF", "CAL_ACC0_{}OFF", "CAL_ACC0_{}SCALE")
+    close(vehicle(parameters, names, given, axes), applied(path, given))
+    values = drawn(0, DIAGONAL)
+    sign = -1.0 if axes == "flu" else 1.0
+    assert parameters["CAL_GYRO0_ZOFF"] == pytest.approx(sign * values["gyro_bias"][2], abs=1e-11)
+
+
+@pytest.mark.parametrize("axes", ["flu", "frd"])
+def test_ardupilot_by_pymavlink(result, axes, tmp_path):
+    given = recording()
+    path = result(drawn(0, DIAGONAL))
+    file = tmp_path / "a.param"
+    file.write_text(written(path, "ardupilot", axes=axes), encoding="utf-8")
+    parameters = MAVParmDict()
+    assert parameters.load(str(file), use_excludes=False)
+    assert len(parameters) == 9
+    names = ("INS_GYROFFS_{}", "INS_ACCOFFS_{}", "INS_ACCSCAL_{}")
+    close(vehicle(parameters, names, given, axes), applied(path, given))
+
+
+def test_ardupilot_refuses_a_scale_that_it_does_not_take(result):
+    path = result(drawn(0, BIASES) | {"accel_scale": [0.3, 0.0, 0.0]})
+    with pytest.raises(HandcalError, match=r"0\.8 to 1\.2"):
+        written(path, "ardupilot")
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_realsense(result, seed):
+    given = recording(seed)
+    path = result(drawn(seed, NO_G))
+    imu = json.loads(written(path, "realsense"))["imus"][0]
+    found = []
+    for sensor, read in zip(("gyroscope", "accelerometer"), readings(given), strict=True):
+        one = imu[sensor]
+        X = np.reshape([*one["scale_and_alignment"], *one["bias"]], (4, 3))
+        found.append(np.column_stack([read, -np.ones(len(read))]) @ X)  # as the script fits it
+        data = np.array(one["data"])
+        np.testing.assert_allclose(read @ data[:, :3].T - data[:, 3], found[-1], atol=1e-12)
+    close(found, applied(path, given))
+
+
+def test_python_function(result):
+    given = recording()
+    path = result(drawn(0, MATRICES))
+    names = {}
+    exec(written(path, "python"), names)
+    found = [names["corrected"](w, a) for w, a in zip(*readings(given), strict=True)]
+    close([np.array(x) for x in zip(*found, strict=True)], applied(path, given))
+
+
+MAIN = """
+#include <stdio.h>
+#include "correct.h"
+int main(void) {
+    double w[3], a[3];
+    while (scanf("%lf %lf %lf %lf %lf %lf", w, w + 1, w + 2, a, a + 1, a + 2) == 6) {
+        handcal_correct(w, a, w, a);
+        printf("%.17g %.17g %.17g %.17g %.17g %.17g\\n", w[0], w[1], w[2], a[0], a[1], a[2]);
+    }
+    return 0;
+}
+"""
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler cc")
+def test_c_header_compiled(result, tmp_path):
+    given = recording()
+    path = result(drawn(0, MATRICES))
+    (tmp_path / "correct.h").write_text(written(path, "c"), encoding="utf-8")
+    (tmp_path / "main.c").write_text(MAIN, encoding="utf-8")
+    strict = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic"]
+    subprocess.run(["cc", *strict, "main.c", "-o", "main"], cwd=tmp_path, check=True)
+    lines = "".join(" ".join(map(repr, map(float, r))) + "\n" for r in np.hstack(readings(given)))
+    done = subprocess.run([tmp_path / "main"], input=lines, capture_output=True, text=True,
+                          check=True)  # fmt: skip
+    found = np.array([line.split() for line in done.stdout.splitlines()], dtype=float)
+    close((found[:, :3], found[:, 3:]), applied(path, given))
+
+
+def test_ros2_covariance_is_that_of_the_samples(result):
+    text = yaml.safe_load(written(result(drawn(0, MATRICES)), "ros2"))["/**"]["ros__parameters"]
+    for name, density in (("angular_velocity", 2e-5), ("linear_acceleration", 2e-3)):
+        covariance = np.reshape(text[f"{name}_covariance"], (3, 3))
+        np.testing.assert_allclose(covariance, np.eye(3) * density**2 * 100.0)
+    assert text["orientation_covariance"] == [-1.0, *[0.0] * 8]
+
+
+def test_no_noise_no_densities(result, tmp_path):
+    path = result(drawn(0, MATRICES), noise=[{"name": "accel_beyond_noise", "value": 0.1}])
+    text = written(path, "kalibr")
+    assert "gyroscope_noise_density" not in yaml.safe_load(text)
+    assert "# gyroscope_noise_density: not in the result" in text
+    with pytest.raises(HandcalError, match="--noise"):
+        written(path, "ros2")
+    allan = tmp_path / "allan.json"
+    suggested = [{"name": "gyro_noise", "value": 1e-4}, {"name": "gyro_bias_walk", "value": 3e-6}]
+    allan.write_text(json.dumps({"schema": "handcal/allan/1", "suggested": suggested}))
+    found = yaml.safe_load(written(path, "openvins", allan=allan).split("\n", 1)[1])["imu0"]
+    assert found["gyroscope_noise_density"] == 1e-4
+    assert found["gyroscope_random_walk"] == 3e-6
+    assert "accelerometer_random_walk" not in found
+    with pytest.raises(InputError, match="handcal allan"):
+        written(path, "kalibr", allan=path)
+
+
+@pytest.mark.parametrize("name", [n for n, form in formats().items()])
+def test_header_says_what_from_which_and_by_whom(result, name):
+    text = written(result(drawn(0, MATRICES)), name)
+    for words in ("gyro_misalignment", "result.json", "turns.mcap", "handcal 9.8.7", "sha256 1f"):
+        assert words in text
+
+
+@pytest.mark.parametrize("name", [n for n in formats() if n != "ros2"])
+def test_a_result_that_says_the_least_is_enough(result, name):
+    full = document(drawn(0, MATRICES))["parameters"]
+    rows = [{k: p[k] for k in ("effect", "name", "value")} for p in full]
+    path = result({}, parameters=rows, noise=[], schema="handcal/explanation/1", recording={})
+    assert "gyro_misalignment" in written(path, name)
+
+
+def rms(error):
+    return np.sqrt((error**2).mean())
+
+
+def test_what_is_left_is_what_is_measured(result):
+    given, values = recording(), drawn(1, (*MATRICES, "gyro_bandwidth", "lever_arm"))
+    path = result(values)
+    form = format_of("px4")
+    made = contents(path, form, given)
+    left = {line.split(": ")[0].removeprefix("Not in this file, "): line.split(": ")[1]
+            for line in made.header if line.startswith(("Not in", "All of"))}  # fmt: skip
+    total = left.pop("All of that together, in turns.mcap")
+    assert set(left) == {"gyro_scale", "gyro_misalignment", "accel_misalignment",
+                         "gyro_g_sensitivity", "gyro_bandwidth"}  # fmt: skip
+    assert "No errors of gyro or accelerometer: lever_arm" in made.header
+    # The parameter file's own correction beside all that is known.
+    kept = [x[:, :3] for x in np.split(made.correction.applied(np.hstack(readings(given))), 2, 1)]
+    for found, wanted, sensor in zip(kept, applied(path, given), ("gyro", "accelerometer"),
+                                     strict=True):  # fmt: skip
+        number = float(total.split(f"{sensor} ")[1].split()[0])
+        assert number == pytest.approx(rms(found - wanted), rel=0.01)
+    scale = device.read(path).values["gyro_scale"]
+    number = float(left["gyro_scale"].split()[1])
+    assert number == pytest.approx(rms(given.imu.gyro * scale / (1 + scale)), rel=0.01)
+    with_it, without = values, {i: v for i, v in values.items() if i != "gyro_bandwidth"}
+    change = applied(result(with_it), given)[0] - applied(result(without), given)[0]
+    assert float(left["gyro_bandwidth"].split()[1]) == pytest.approx(rms(change), rel=0.01)
+
+
+def test_sizes_of_an_explanation_are_told_without_the_recording(result):
+    missing = [{"effect": "gyro_bandwidth", "size": {"gyro_x": 0.03, "gyro_z": 0.04}}]
+    path = result(drawn(0, (*MATRICES, "gyro_bandwidth")), missing=missing)
+    assert "gyro_bandwidth: gyro 0.0289 rad/s RMS" in written(path, "python")
+
+
+def test_a_law_without_a_name_is_named_by_its_formula(result):
+    formula = "gyro_x += k * omega_y^2"
+    row = {"effect": formula, "name": "k", "value": 0.01, "sigma": 1e-3, "unit": "s/rad"}
+    rows = [*document(drawn(0, MATRICES))["parameters"], row]
+    more = {"parameters": rows, "unnamed": [{"formula": formula}]}
+    path = result({}, schema="handcal/explanation/1", **more)
+    for given in (None, recording()):
+        text = written(path, "python", recording=given)
+        assert f"Not in this file, {formula}: it has no name" in text
+
+
+def of_my_own(name, error):
+    words = dict.fromkeys(("title", "story", "source", "motion", "validated"), "x")
+    return Effect(id=name, parameters=(Param("k", "1", 0.01),), imu_error=error, **words)
+
+
+def adds(column, function):
+    def error(k, signals):
+        out = np.zeros((len(signals.t), 6))
+        out[:, column] = k[0] * function(signals)
+        return out
+
+    return error
+
+
+def test_an_effect_file_that_is_linear_is_exported_unchanged(result):
+    effect = of_my_own("gyro_feels", adds(0, lambda s: s.gyro[:, 2] - 0.1 * s.accel[:, 1] + 0.5))
+    given = recording()
+    with with_effects([("here", effect)]):
+        path = result(drawn(0, MATRICES) | {"gyro_feels": [0.02]})
+        names = {}
+        text = written(path, "python")
+        exec(text, names)
+        found = [names["corrected"](w, a) for w, a in zip(*readings(given), strict=True)]
+        close([np.array(x) for x in zip(*found, strict=True)], applied(path, given))
+    assert "Not in this file" not in text
+
+
+@pytest.mark.parametrize(
+    "error",
+    [adds(0, lambda s: s.gyro[:, 0] ** 2), adds(1, lambda s: np.sin(s.t)),
+     adds(3, lambda s: s.gyro[:, 0]), adds(4, lambda s: np.abs(s.accel[:, 1]))],
+)  # fmt: skip
+def test_an_effect_that_is_no_matrix_is_named(result, error):
+    with with_effects([("here", of_my_own("bends", error))]):
+        assert "Not in this file, bends" in written(
+            result({"bends": [0.02]} | drawn(0, BIASES)), "c"
+        )
+
+
+def test_an_accelerometer_that_turns_against_the_body_is_refused(result):
+    effect = of_my_own("accel_xy", adds(3, lambda s: s.accel[:, 1]))
+    with with_effects([("here", effect)]):
+        path = result({"accel_xy": [0.02]} | drawn(0, BIASES))
+        for name in ("kalibr", "openvins"):
+            with pytest.raises(HandcalError, match="x axis"):
+                written(path, name)
+        given = recording()
+        text = written(path, "openvins_rpng")  # whose axes are the gyro's
+        values = {i: drawn(0, BIASES)[i] for i in BIASES}
+        line = next(x for x in text.split("\n") if x.startswith("# R_openvins_handcal: "))
+        R = np.array(json.loads(line.split(": ")[1]))
+        close(openvins(of_openvins(text), values, given, np.triu),
+              [x @ R.T for x in applied(path, given)])  # fmt: skip
+
+
+def test_hidden_axes_are_left_to_the_vehicle(result):
+    path = result(drawn(0, DIAGONAL))
+    found = json.loads(path.read_text())
+    for p in found["parameters"]:
+        if (p["effect"], p["name"]) == ("accel_bias", "z"):
+            p["observable"] = False
+    path.write_text(json.dumps(found))
+    text = written(path, "px4")
+    assert "accel_bias z: not observable" in text
+    assert "\tCAL_ACC0_ZOFF\t" not in text
+    assert "\tCAL_ACC0_XOFF\t" in text
+    names = {}
+    exec(written(path, "python"), names)
+    assert names["ACCEL_BIAS"][2] == 0.0
+
+
+def test_without_biases_no_zeros_for_a_vehicle(result):
+    path = result(drawn(0, ("accel_scale",)))
+    for name in ("px4", "ardupilot"):
+        with pytest.raises(HandcalError, match="no biases"):
+            written(path, name)
+    assert "ACCEL_BIAS = (0.0, 0.0, 0.0)" in written(path, "python")
+    with pytest.raises(HandcalError, match="nothing that this format can hold"):
+        written(result(drawn(0, ("gyro_bandwidth",))), "python")
+
+
+def test_biases_of_several_recordings(result):
+    one, other = drawn(0, BIASES), drawn(1, BIASES)
+    parts = [
+        {"recording": document({})["recording"] | {"path": name},
+         "parameters": document(values)["parameters"], "noise": []}
+        for name, values in (("a.mcap", one), ("turns.mcap", other))
+    ]  # fmt: skip
+    more = {"schema": "handcal/explanation/1", "recordings": parts}
+    path = result({"accel_scale": [0.01, 0.0, 0.0]}, **more)
+    form = format_of("python")
+    wanted = np.concatenate([other[i] for i in BIASES])
+    np.testing.assert_allclose(contents(path, form, recording()).bias, wanted, atol=1e-15)
+    mean = contents(path, form)
+    both = 0.5 * (wanted + np.concatenate([one[i] for i in BIASES]))
+    np.testing.assert_allclose(mean.bias, both, atol=1e-15)
+    assert any("mean of a.mcap, turns.mcap" in line for line in mean.header)
+
+
+def test_tables(result):
+    values = drawn(0, MATRICES)
+    path = result(values)
+    lines = [x for x in written(path, "csv").split("\n") if x and not x.startswith("#")]
+    rows = [dict(zip(lines[0].split(","), x.split(","), strict=True)) for x in lines[1:]]
+    assert [float(r["value"]) for r in rows] == [v for own in values.values() for v in own]
+    assert [r["unit"] for r in rows[:3]] == ["rad/s"] * 3
+    assert written(path, "markdown").count("\n| `") == len(rows)
+    latex = written(path, "latex")
+    assert latex.count(r" \\") == len(rows) + 1
+    assert r"gyro\_bias" in latex
+    value, sigma = (float(rows[0][k]) for k in ("value", "sigma"))
+    assert f"${value:.5f}$ & ${sigma:.5f}$" in latex  # 0.00087: two digits
+    assert f"| {value:.5f} | {sigma:.5f} |" in written(path, "markdown")
+
+
+def test_packages_bring_formats_of_their_own(tmp_path, monkeypatch):
+    folder = tmp_path / "more_formats"
+    folder.mkdir()
+    (folder / "__init__.py").write_text("")
+    text = "from handcal.exports import Format\n{} = Format('x', 'X: made up', lambda c: 'x')\n"
+    (folder / "made_up.py").write_text(text.format("FORMAT"))
+    monkeypatch.syspath_prepend(tmp_path)
+    entry = EntryPoint("more", "more_formats", exports.GROUP)
+    monkeypatch.setattr(exports, "entry_points", lambda **_: [entry])
+    formats.cache_clear()
+    try:
+        assert format_of("made_up").line == "X: made up"
+        assert "px4" in formats()
+        (folder / "px4.py").write_text(text.format("FORMAT"))
+        formats.cache_clear()
+        with pytest.raises(InputError, match=r"more_formats\.px4"):
+            formats()
+    finally:
+        formats.cache_clear()
+
+
+@pytest.fixture
+def main(monkeypatch, capsys):
+    def call(*arguments):
+        monkeypatch.setattr(sys, "argv", ["handcal", *map(str, arguments)])
+        with pytest.raises(SystemExit) as stop:
+            _app.main()
+        captured = capsys.readouterr()
+        return stop.value.code, captured.out, captured.err
+
+    return call
+
+
+def test_command(result, tmp_path, main):
+    path, out = result(drawn(0, MATRICES)), tmp_path / "out.txt"
+    for arguments in (["export"], ["export", "--to", "list"], ["export", path]):
+        status, shown, _ = main(*arguments)
+        assert status == 0
+        assert [line.split()[0] for line in shown.splitlines()] == sorted(formats())
+    status, shown, said = main("export", path, "--to", "px4", "-o", out)
+    assert status == 0
+    assert out.read_text().startswith("# PX4")
+    assert "gyro_misalignment" in said
+    assert main("export", path, "--to", "px4", "-o", "-")[1].startswith("# PX4")
+    for wrong in (["--to", "pxr", "-o", out], ["--to", "px4"], ["--to", "px4", "-o", path]):
+        status, _, said = main("export", path, *wrong)
+        assert (status, said.count("\n")) == (2, 1)

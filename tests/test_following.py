@@ -1,0 +1,97 @@
+"""What `explain` says to do next can be copied, and its page says how to apply what was found."""
+
+import re
+import shlex
+from dataclasses import replace
+from html import unescape
+from io import StringIO
+
+import numpy as np
+import pytest
+from fake_explanation import fake_explanation
+from rich.console import Console
+
+from handcal.commands import _registry
+from handcal.commands.explain import Assume, _typed
+from handcal.show.explanation.following import applicable, commands
+from handcal.show.explanation.report import render_explanation
+from handcal.show.explanation.summary import explanation_json, print_explanation
+
+
+def understood(line):
+    """The options of a command as its command line reads them."""
+    program, name, *words = shlex.split(line)
+    assert program == "handcal"
+    return _registry._loaded(_registry._plugins()[name]).make_context(name, words).params
+
+
+def test_effects_options_and_files_are_in_it_and_are_understood():
+    e = fake_explanation("explained", recordings=1)
+    typed = _typed(Assume.rest_only, 3.0, 48.1, 520.0, ["mag"], True, ["imu=/a b"], "gyro=deg/s")
+    first, second = commands(e, ["my turns.mcap"], typed, "why.json")
+    given = understood(first)
+    assert given["effects"] == ",".join(m.effect for m in e.missing) == "gyro_scale,lever_arm"
+    assert [str(f) for f in given["files"]] == ["my turns.mcap"]
+    assert (str(given["assume"]), given["heading_sigma"]) == ("rest-only", 3.0)
+    assert (given["latitude"], given["height"], given["ignore"]) == (48.1, 520.0, ["mag"])
+    assert (given["reference_exact"], given["topic"], given["units"]) == (
+        True, ["imu=/a b"], "gyro=deg/s"
+    )  # fmt: skip
+    given = understood(second)
+    assert str(given["recording"]) == "my turns.mcap"
+    assert str(given["learnt_from"]) == "why.json"
+
+
+def test_nothing_typed_nothing_said():
+    assert _typed(Assume.auto, None, None, 0.0, None, False, None, None) == []
+    (only,) = commands(fake_explanation("nothing_missing", recordings=1), ["a.mcap"])
+    assert only == "handcal calibrate a.mcap --report a-calibration.html"
+
+
+def test_in_the_terminal_last_and_in_one_line():
+    e = fake_explanation("explained", recordings=1)
+    lines = commands(
+        e, ["a-recording-with-quite-a-long-name-for-eighty-columns.mcap"], [], "b.json"
+    )
+    out = StringIO()
+    print_explanation(e, Console(file=out, width=80), lines)
+    assert out.getvalue().rstrip("\n").split("\n")[-3:] == ["Next", *lines]
+
+
+@pytest.mark.parametrize("verdict", ["explained", "nothing_missing", "unexplained", "cannot_tell"])
+def test_the_page_says_how_to_apply_it(verdict):
+    e = fake_explanation(verdict, recordings=1)
+    page = render_explanation(e)
+    assert page.count("How to apply it") == 1
+    code = unescape(re.findall(r"<pre><code>(.*?)</code></pre>", page, re.DOTALL)[0])
+    rng = np.random.default_rng(0)
+    scope = {"gyro": rng.normal(size=(5, 3)), "accel": rng.normal(size=(5, 3))}
+    exec(code, scope)
+    known = {(p.effect, p.name): p.value if p.observable else 0.0 for p in applicable(e)}
+    bias = [known["gyro_bias", a] for a in "xyz"]
+    scale = [known.get(("gyro_scale", a), 0.0) for a in "xyz"]
+    wanted = (scope["gyro"] - bias) / (1.0 + np.array(scale))
+    np.testing.assert_allclose(scope["gyro_true"], wanted, atol=1e-5)
+    for line in commands(e):
+        assert line in unescape(page)
+
+
+def test_of_several_recordings_the_biases_are_said_to_be_of_one():
+    e = fake_explanation("explained", recordings=2)
+    one, other = e.recordings
+    moved = tuple(replace(p, value=p.value + 1.0) for p in other.parameters)
+    e = replace(e, recordings=(one, replace(other, parameters=moved)))
+    page = render_explanation(e)
+    assert f"The biases are those of {one.recording.path}" in page
+    of = {(p.effect, p.name): p.value for p in one.parameters}
+    assert {
+        k: v for k, v in ((((p.effect, p.name), p.value)) for p in applicable(e)) if k in of
+    } == of
+
+
+def test_the_json_of_one_recording_names_it():
+    e = fake_explanation("explained", recordings=1)
+    named = explanation_json(e)["recording"]
+    assert named["path"] == e.recordings[0].recording.path
+    assert named["imu_rate_hz"] == pytest.approx(100.0)
+    assert "recording" not in explanation_json(fake_explanation("explained", recordings=2))
