@@ -12,7 +12,7 @@ from handcal.compiled import so3
 from handcal.compiled.jit import call_residual
 from handcal.compiled.kernel import BASE, MAX_DIM, MOST_HELD, Tables, linearise
 from handcal.compiled.so3 import wrap
-from handcal.effects import TIME, Z_DIM
+from handcal.effects import DELAY, TIME, Z_DIM, _reference
 from handcal.effects import catalogue as effects
 from handcal.observations import NAV, Scene, catalogue
 from handcal.observations.magnetometer import HORIZONTAL, UPWARD, heading_off
@@ -606,3 +606,17 @@ def test_a_moved_reading_has_a_residual_larger_by_the_shift(kind):
     grown = wrap(grown) if o.dim == 1 else grown
     assert used.mean() > 0.5  # (the others are skipped: body x is near the vertical)
     np.testing.assert_allclose(grown[used], shift[used], atol=1e-9)
+
+
+def test_each_part_of_a_reference_reading_is_in_its_place() -> None:
+    """What ``known_input`` writes is what effects read by the same names; nothing overlaps, and
+    what every kind has in z is left alone."""
+    widths = (6, 6, 6, 6, 6, 6, 1, 1, 6)
+    parts = [np.arange(3.0)[:, None] + np.arange(w) + 100.0 * k for k, w in enumerate(widths)]
+    z = _reference.ReferenceRows(*parts).joined()
+    for first, part in zip(_reference.PLACES, parts, strict=True):
+        np.testing.assert_array_equal(z[:, first : first + part.shape[1]], part)
+    assert z.shape == (3, sum(widths))
+    assert min(DELAY, TIME) >= _reference.END
+    with pytest.raises(ValueError, match="broadcast"):
+        _reference.ReferenceRows(*parts[:-1], parts[-1][:, :5]).joined()

@@ -114,16 +114,6 @@ class Recording(Brief):
 
 
 @dataclass(frozen=True)
-class NavState:
-    """Navigation solution at one instant. p_n (3,) m, v_n (3,) m/s, C_nb (3, 3)."""
-
-    t: float
-    p_n: Array
-    v_n: Array
-    C_nb: Array
-
-
-@dataclass(frozen=True)
 class Parameter:
     """One estimated number and how far it can be trusted."""
 

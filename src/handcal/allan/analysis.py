@@ -125,16 +125,7 @@ def _stretch(recording: Recording, span: tuple[float, float] | None) -> tuple[in
     """The samples to analyse, half-open, and what there is to say about the choice."""
     t, warnings = recording.imu.t, []
     if span is None:
-        found = rests(recording)
-        longest = max(found, key=lambda r: float(r[1] - r[0]), default=np.zeros(2))
-        length = float(longest[1] - longest[0])
-        if length < MIN_REST_S:
-            raise HandcalError(
-                f"The longest rest lasts {length:.0f} s and noise analysis needs {MIN_REST_S:.0f} "
-                "at least, better hours: leave the device lying still, or choose a stretch with "
-                "--span FROM,TO."
-            )
-        start, end = float(longest[0]), float(longest[1])
+        start, end = _longest_rest(recording)
     else:
         start, end = span
         if not (start < end and start < t[-1] and end > t[0]):
@@ -162,6 +153,20 @@ def _stretch(recording: Recording, span: tuple[float, float] | None) -> tuple[in
             f"Gaps or invalid samples: only {t[first]:.1f} to {t[last - 1]:.1f} s were used."
         )
     return first, last, warnings
+
+
+def _longest_rest(recording: Recording) -> tuple[float, float]:
+    """Its start and end, s. Errors: HandcalError where it is too short."""
+    found = rests(recording)
+    longest = max(found, key=lambda r: float(r[1] - r[0]), default=np.zeros(2))
+    length = float(longest[1] - longest[0])
+    if length < MIN_REST_S:
+        raise HandcalError(
+            f"The longest rest lasts {length:.0f} s and noise analysis needs {MIN_REST_S:.0f} "
+            "at least, better hours: leave the device lying still, or choose a stretch with "
+            "--span FROM,TO."
+        )
+    return float(longest[0]), float(longest[1])
 
 
 def averaging(n: int) -> tuple[Array, Array]:

@@ -4,6 +4,11 @@ The compiler does not do this by itself: it cannot know that matrices do not ove
 loops over 15 states are too short for the ones it makes. Rows whose length is a multiple of
 eight have no remainder; that is why the filter pads its covariance. All arrays are float64,
 C-contiguous, and an output is none of the inputs.
+
+They are written as LLVM IR, through numba's private interface (so are the work space on the stack
+and the calls by address in ``jit``, which leave numba no arrays to count). As plain loops under
+plain ``njit``, whole commands took this much more processor time: 5 % (calibrate, a turn of 30 s),
+47 % (calibrate, 42 s with poses), 24 % (explain, 84 s).
 """
 
 from __future__ import annotations

@@ -119,6 +119,22 @@ def plan(
         before = result.covariance
         case = case_of(recording, result.assume, latitude, height)
     _check(case, effects)
+    informations, parameters = _informations(case, levels, effects, lambda f: report(0.8 + 0.2 * f))
+    if result is not None:
+        parameters = result.parameters
+    scale = np.array([p.prior_sigma for p in parameters])
+    known = np.eye(len(scale)) if result is None else before / np.outer(scale, scale)
+    index = [i for w in dict.fromkeys(wanted) for i, p in enumerate(parameters) if p.effect == w]
+    return Plan(
+        tuple(parameters[i] for i in index), _prospects(informations, known, scale, index),
+        result, case.kinds, () if result is None else result.warnings,
+    )  # fmt: skip
+
+
+def _informations(
+    case: Case, levels: Mapping[str, float], effects: Sequence[Effect], report: Progress
+) -> tuple[dict[Motion, Array], tuple[Parameter, ...]]:
+    """What each motion that these streams allow would tell, and the parameters that it is of."""
     motions = [m for m in (*MOTIONS, *MORE)
                if not m.warming or "temperature" in case.recording.streams]  # fmt: skip
     informations: dict[Motion, Array] = {}
@@ -129,25 +145,26 @@ def plan(
         except HandcalError:
             continue
         informations[motion] = G
-        report(0.8 + 0.2 * (i + 1) / len(motions))
+        report((i + 1) / len(motions))
     if not informations:
         raise HandcalError("None of the motions can be made sense of with these streams.")
-    if result is not None:
-        parameters = result.parameters
-    scale = np.array([p.prior_sigma for p in parameters])
-    known = np.eye(len(scale)) if result is None else before / np.outer(scale, scale)
-    index = [i for w in dict.fromkeys(wanted) for i, p in enumerate(parameters) if p.effect == w]
-    first = np.sqrt(np.diag(known))[index]
+    return informations, parameters
+
+
+def _prospects(
+    informations: Mapping[Motion, Array], known: Array, scale: Array, index: Sequence[int]
+) -> tuple[Prospect, ...]:
+    """What each motion would leave of the parameters ``index``, the best first; known (m, m): their
+    covariance before, in units of the priors' ``scale`` (m,)."""
+    at = list(index)
+    first = np.sqrt(np.diag(known))[at]
     prospects = []
     for motion, G in informations.items():
-        sigma = np.sqrt(np.diag(_updated(known, G)))[index]
+        sigma = np.sqrt(np.diag(_updated(known, G)))[at]
         times = math.exp(float(np.log(first / sigma).mean()))
-        prospects.append(Prospect(motion, sigma * scale[index], times))
+        prospects.append(Prospect(motion, sigma * scale[at], times))
     prospects.sort(key=lambda p: (-round(p.times, 6), p.motion.duration_s))
-    return Plan(
-        tuple(parameters[i] for i in index), tuple(prospects), result, case.kinds,
-        () if result is None else result.warnings,
-    )  # fmt: skip
+    return tuple(prospects)
 
 
 def _effects(wanted: Sequence[str], beside: Sequence[str]) -> tuple[Effect, ...]:

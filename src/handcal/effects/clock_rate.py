@@ -10,12 +10,19 @@ from handcal.compiled.jit import residual_function
 from handcal.earth import STANDARD_GRAVITY
 from handcal.effects import ATTITUDE, TIME, Effect, Param, Signals
 from handcal.effects._late import add_lateness
+from handcal.effects._reference import (
+    AFTER,
+    BEFORE,
+    NOW,
+    REACH,
+    SLOPE,
+    SLOPE_AFTER,
+    SLOPE_BEFORE,
+)
 from handcal.effects._stamps import stretched
 from handcal.types import Array
 
 MOST_PPM = 1e5
-# Where z of a reference has how far apart those moments are, s.
-REACH = 36
 
 
 def imu_error(ppm: Array, signals: Signals) -> Array:
@@ -47,9 +54,9 @@ def _reference(nav: Any, ppm: Any, z: Any, out: Any) -> int:  # noqa: ARG001
         return 0
     x = -1e-6 * ppm[0] * z[TIME] / z[REACH]
     for i in range(6):
-        now, slope = z[i], z[REACH] * z[6 + i]
-        before, after = z[12 + i] - now, z[18 + i] - now
-        slope_before, slope_after = z[REACH] * z[24 + i], z[REACH] * z[30 + i]
+        now, slope = z[NOW + i], z[REACH] * z[SLOPE + i]
+        before, after = z[BEFORE + i] - now, z[AFTER + i] - now
+        slope_before, slope_after = z[REACH] * z[SLOPE_BEFORE + i], z[REACH] * z[SLOPE_AFTER + i]
         even, odd = 0.5 * (after + before), 0.5 * (after - before) - slope
         slope_even = 0.5 * (slope_after + slope_before) - slope
         x4 = 0.25 * (slope_after - slope_before) - even

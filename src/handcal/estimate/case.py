@@ -107,10 +107,7 @@ def case_of(
     rests = segment.rests(recording)
     earth = local_earth(latitude, height)
     if kinds is None:
-        choice = choose(recording, assume, rests, reference_exact)
-        if "fixed_position" in choice.kinds and segment.at_rest(recording):
-            # What lies still turns no more than the Earth does, whatever point is held.
-            choice = replace(choice, kinds=(*choice.kinds, "zero_rate"))
+        choice = _chosen(recording, assume, rests, reference_exact)
     else:
         choice = Choice("rest-only" if "zero_rate" in kinds else "fixed-point", tuple(kinds), ())
     observed, begin = observed_of(
@@ -129,6 +126,14 @@ def case_of(
         read=read,
         iron=_iron(recording) if "magnetometer" in choice.kinds else None,
     )
+
+
+def _chosen(recording: Recording, assume: str, rests: Array, reference_exact: bool) -> Choice:
+    choice = choose(recording, assume, rests, reference_exact)
+    if "fixed_position" in choice.kinds and segment.at_rest(recording):
+        # What lies still turns no more than the Earth does, whatever point is held.
+        return replace(choice, kinds=(*choice.kinds, "zero_rate"))
+    return choice
 
 
 def _iron(recording: Recording) -> tuple[Array, Array]:

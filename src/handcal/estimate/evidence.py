@@ -191,18 +191,14 @@ def reduced_pass(
     Statistics 19 (1991), with proper priors. Of numbers that ran away (a variance that is not
     positive, information that is not) the log-evidence is minus infinity.
     """
-    linear = reduction.linear
-    problem, k, s = linear.problem, len(linear.t), len(reduction.h)
+    k, s = len(reduction.linear.t), len(reduction.h)
     m, columns = reduction.X0.shape
     arrays = _reduced_arrays(reduction, levels)
     place = kept(k, rows if keep else np.array([k - 1], dtype=np.int64))
     count = int(place.max()) + 1
     X, P = np.empty((count, m, columns)), np.empty((count, m, m))
     gain, nu, S = np.empty((s, m)), np.empty((s, columns)), np.empty(s)
-    moving = reduction.moving
-    P0 = full_prior(problem, reduction.P15, dict(levels))[np.ix_(moving, moving)]
-    by_bias = reduction.X0[:9, 1:7]
-    P0[:9, :9] -= by_bias @ by_bias.T
+    P0 = _moving_prior(reduction, levels)
     width = padded(columns)
     gram, X0 = blank(width, width), blank(m, width)
     X0[:, :columns] = reduction.X0
@@ -210,22 +206,39 @@ def reduced_pass(
     extra = blank(m, width), (blank(m), blank(m), blank(m)), some
     work = propagation_work(m, m - 9)
     reduced_forward(arrays, P0, X0, (X, P), (gain, nu, S), gram, work, extra, place)
-    gram = gram[:columns, :columns]
+    told = _told(reduction, levels, S, gram[:columns, :columns])
+    return ReducedPass(reduction, arrays, X, P, gain, nu, S, *told)
+
+
+def _moving_prior(reduction: Reduction, levels: Mapping[str, float]) -> Array:
+    """Prior covariance (m, m) of the moving states, the constants known."""
+    moving = reduction.moving
+    full = full_prior(reduction.linear.problem, reduction.P15, dict(levels))
+    P0 = full[np.ix_(moving, moving)]
+    by_bias = reduction.X0[:9, 1:7]
+    P0[:9, :9] -= by_bias @ by_bias.T
+    return P0
+
+
+def _told(
+    reduction: Reduction, levels: Mapping[str, float], S: Array, gram: Array
+) -> tuple[Array, Array, float, tuple[float, Array, Array]]:
+    """w, spread, log-evidence and log-likelihood (see ``ReducedPass``) from the products
+    (1 + nc, 1 + nc) of all innovations."""
+    count = len(gram) - 1
     w0, b = reduction.w0, reduction.w0 - gram[1:, 0]
     G = np.tril(gram[1:, 1:]) + np.tril(gram[1:, 1:], -1).T
-    root = _root(G + np.eye(columns - 1)) if S.min(initial=math.inf) > 0.0 else None
+    root = _root(G + np.eye(count)) if S.min(initial=math.inf) > 0.0 else None
     if root is None:
-        none: Array = np.zeros((columns - 1, columns - 1))
-        w: Array = np.zeros(columns - 1)
-        nothing = (-math.inf, w, none)
-        return ReducedPass(reduction, arrays, X, P, gain, nu, S, w, none, -math.inf, nothing)
+        none: Array = np.zeros((count, count))
+        w: Array = np.zeros(count)
+        return w, none, -math.inf, (-math.inf, w, none)
     spread: Array = np.linalg.inv(root).T.astype(np.float64, copy=False)
     w = spread @ (spread.T @ b)
     white = float(np.log(2.0 * math.pi * S).sum()) + float(gram[0, 0])
-    white -= 2.0 * reduction.scatter(observation_variances(problem, levels))
+    white -= 2.0 * reduction.scatter(observation_variances(reduction.linear.problem, levels))
     value = -0.5 * (white + float(w0 @ w0 - b @ w)) - float(np.log(np.diag(root)).sum())
-    likelihood = (-0.5 * white, -gram[1:, 0], G)
-    return ReducedPass(reduction, arrays, X, P, gain, nu, S, w, spread, value, likelihood)
+    return w, spread, value, (-0.5 * white, -gram[1:, 0], G)
 
 
 def _root(information: Array) -> Array | None:
@@ -290,7 +303,6 @@ def backward(
     pass was kept whole.
     """
     linear, (s, m) = done.reduction.linear, done.gain.shape
-    e = m - 9
     columns = 1 + len(done.w) if spread else 1
     # (rows of whole blocks of eight: zeros beyond what is wanted)
     width, high = padded(columns) if spread else 1, padded(m)
@@ -298,12 +310,12 @@ def backward(
     given[0, 0] = 1.0
     given[1:, 0] = done.w
     given[1:, 1:columns] = done.spread[:, : columns - 1]
-    k, away = len(linear.t), 3 + e
+    k, e = len(linear.t), m - 9
     slopes = Slopes(
         np.zeros(s), np.zeros(2), np.zeros((k, e, e)), np.zeros((m, m)),
-        np.zeros((k if steps else 0, e, away)), np.zeros((k if steps else 0, e)),
+        np.zeros((k if steps else 0, e, 3 + e)), np.zeros((k if steps else 0, e)),
     )  # fmt: skip
-    most = int(np.diff(done.arrays.first).max(initial=0))
+    rest, moves = _backward_work(m, width, int(np.diff(done.arrays.first).max(initial=0)))
     reduced_backward(
         done.arrays,
         done.gain,
@@ -315,23 +327,28 @@ def backward(
         blank(m, high) if score else blank(0, 0),
         (r_kept, N_kept),
         (slopes.R, slopes.densities, slopes.Q_e, slopes.prior),
-        (
-            blank(m, width),
-            blank(width, high),
-            blank(m, m),
-            blank(m, high),
-            blank(most, width),
-            blank(high),
-        ),
+        rest,
         kept(k, rows),
         (slopes.step, slopes.d_e),
         (done.X, done.P),
-        (
-            blank(away, width),
-            blank(width, padded(away)),
-            blank(m, m),
-            blank(m, padded(away)),
-            blank(e, padded(away)),
-        ),
+        moves,
     )
     return slopes
+
+
+def _backward_work(
+    m: int, width: int, most: int
+) -> tuple[
+    tuple[Array, Array, Array, Array, Array, Array], tuple[Array, Array, Array, Array, Array]
+]:
+    """Work space of ``reduced_backward``, for all it does and for how Markov states move; most:
+    scalars that an epoch holds."""
+    high, e = padded(m), m - 9
+    away = 3 + e
+    wide = padded(away)
+    rest = (
+        blank(m, width), blank(width, high), blank(m, m), blank(m, high), blank(most, width),
+        blank(high),
+    )  # fmt: skip
+    moves = blank(away, width), blank(width, wide), blank(m, m), blank(m, wide), blank(e, wide)
+    return rest, moves

@@ -49,30 +49,14 @@ def known(
     excess: by which the scores of each effect scatter beyond the information matrix; moments: of
     the effects that are held at one, by id.
     """
-    f = model.parts[part]
-    problem, nominal = f.linear.problem, f.linear.trajectory
-    shared = frozenset(e.id for e in model.effects)
-    done = reduced_pass(reduce(f.linear), f.levels)
-    own = local(done, shared)
-    at = {n: i for i, n in enumerate(model.quadratic.names)}
-    u = given(model.quadratic, own.quadratic, model.u)
-    mine = [at[n] for n in own.quadratic.names]
-    C_u = model.covariance[np.ix_(mine, mine)]
-    n = len(own.own) + len(own.shared)
-    C = np.zeros((n, n))
-    cross = own.by_shared @ C_u
-    C[np.ix_(own.shared, own.shared)] = C_u
-    C[np.ix_(own.own, own.own)] = own.covariance + cross @ own.by_shared.T
-    C[np.ix_(own.own, own.shared)], C[np.ix_(own.shared, own.own)] = cross, cross.T
-    whole = np.r_[
-        nominal.bg, nominal.ba, nominal.constants
-    ] + done.reduction.scale * own.deviations(u)
+    problem = model.parts[part].linear.problem
+    whole, C, unit_of = _constants(model, part)
     parameters, column, widen = [], [], []
     for i, (bias, axis, unit, prior) in enumerate(BIASES):
-        sigma = math.sqrt(C[i, i]) * float(done.reduction.scale[i])
+        sigma = math.sqrt(C[i, i]) * float(unit_of[i])
         parameters.append(Parameter(bias, axis, float(whole[i]), sigma, unit, prior, None))
         column.append(i)
-        widen.append(float(done.reduction.scale[i]))
+        widen.append(float(unit_of[i]))
     owners = [(s.owner, s.name) for s in problem.slots]
     for effect, p in _listed(problem.effects):
         if (effect.id, p.name) not in owners:
@@ -80,7 +64,7 @@ def known(
             value, sigma, k, scale = moment.at, moment.sigma, -1, 1.0
         else:
             k = 6 + owners.index((effect.id, p.name))
-            scale = math.sqrt(excess.get(effect.id, 1.0)) * float(done.reduction.scale[k])
+            scale = math.sqrt(excess.get(effect.id, 1.0)) * float(unit_of[k])
             value, sigma = float(whole[k]), math.sqrt(max(C[k, k], 0.0)) * scale
         parameters.append(
             Parameter(name_of(effect.id), p.name, value, sigma, p.unit, p.prior_sigma, None)
@@ -94,6 +78,28 @@ def known(
             covariance[i], covariance[:, i] = 0.0, 0.0
             covariance[i, i] = parameters[i].sigma ** 2
     return Known(tuple(parameters), covariance, tuple(column))
+
+
+def _constants(model: Model, part: int) -> tuple[Array, Array, Array]:
+    """Values (nc,) of a recording's biases and constants, SI, their covariance (nc, nc) in units
+    of their priors, and these units (nc,)."""
+    f = model.parts[part]
+    nominal = f.linear.trajectory
+    done = reduced_pass(reduce(f.linear), f.levels)
+    own = local(done, frozenset(e.id for e in model.effects))
+    at = {n: i for i, n in enumerate(model.quadratic.names)}
+    u = given(model.quadratic, own.quadratic, model.u)
+    mine = [at[n] for n in own.quadratic.names]
+    C_u = model.covariance[np.ix_(mine, mine)]
+    n = len(own.own) + len(own.shared)
+    C = np.zeros((n, n))
+    cross = own.by_shared @ C_u
+    C[np.ix_(own.shared, own.shared)] = C_u
+    C[np.ix_(own.own, own.own)] = own.covariance + cross @ own.by_shared.T
+    C[np.ix_(own.own, own.shared)], C[np.ix_(own.shared, own.own)] = cross, cross.T
+    scale = done.reduction.scale
+    whole = np.r_[nominal.bg, nominal.ba, nominal.constants] + scale * own.deviations(u)
+    return whole, C, scale
 
 
 def _listed(effects: Sequence[Effect]) -> list[tuple[Effect, Param]]:

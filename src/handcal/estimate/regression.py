@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg import qr, solve_triangular
 
 from handcal.effects import Effect, Param, Signals, imu_jacobian, select
-from handcal.types import Array, IntArray
+from handcal.types import Array, IntArray, Parameter
 
 # Rounds in which the truth behind readings is found, at the most.
 ROUNDS = 30
@@ -46,6 +46,15 @@ def unknowns(effects: Sequence[Effect]) -> tuple[Unknown, ...]:
 def priors(of: Sequence[Unknown]) -> Array:
     """Usual sizes (k,) of parameters."""
     return np.array([u.param.prior_sigma for u in of])
+
+
+def parameters(of: Sequence[Unknown], x: Array, sigma: Array) -> tuple[Parameter, ...]:
+    """What was estimated, as results tell it: values x (k,) and standard deviations (k,)."""
+    return tuple(
+        Parameter(u.effect, u.param.name, float(v), float(s), u.param.unit, u.param.prior_sigma,
+                  None)
+        for u, v, s in zip(of, x, sigma, strict=True)
+    )  # fmt: skip
 
 
 def errors(effects: Sequence[Effect], x: Array, truth: Signals) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -54,17 +54,7 @@ def results(model: Model, moments: Mapping[str, Moment]) -> tuple[Result, ...]:
 
 def _result(model: Model, k: int, found: Known) -> Result:
     f = model.parts[k]
-    warnings = list(f.case.warnings)
-    if not model.settled:
-        warnings.append(
-            "The estimate still moved after ten rounds of relinearisation; the motion may be "
-            "too poor for all that was asked, so trust the sigmas less."
-        )
     problem = f.linear.problem
-    if problem.dropped:
-        warnings.append(
-            f"{problem.dropped} observations lie outside the IMU's time and were left out."
-        )
     dense = _dense(f)
     rows = _shown(dense)
     forward = smoother.forward(dense, f.levels, rows=rows)
@@ -73,13 +63,6 @@ def _result(model: Model, k: int, found: Known) -> Result:
     forward = replace(forward, x=forward.x[-1:].copy(), P=forward.P[-1:].copy())
     smoothed = _history(dense, rows, found, *smoother.smooth(dense, f.levels, forward, rows))
     innovations = _innovations(dense, forward)
-    for kind, i in innovations.items():
-        if i.skipped:
-            warnings.append(
-                f"{i.skipped} observations of {kind} were skipped (body x near the vertical)."
-            )
-    warnings += _gravity_stays(f.linear.trajectory.C)
-    warnings += _contradicting_heading(problem, f.levels)
     parameters, covariance = _walked(problem, found, smoothed)
     recording = f.case.read or f.case.recording
     return Result(
@@ -95,10 +78,28 @@ def _result(model: Model, k: int, found: Known) -> Result:
         innovations=innovations,
         log_evidence=model.log_evidence,
         rests=f.case.rests,
-        warnings=tuple(dict.fromkeys(warnings)),
+        warnings=tuple(dict.fromkeys(_warnings(f, model.settled, innovations))),
         observed_heading=_observed_heading(dense),
         settled=model.settled,
     )
+
+
+def _warnings(f: Fitted, settled: bool, innovations: Mapping[str, Innovations]) -> Iterator[str]:
+    """What there is to doubt about a recording's results, in sentences."""
+    yield from f.case.warnings
+    if not settled:
+        yield (
+            "The estimate still moved after ten rounds of relinearisation; the motion may be "
+            "too poor for all that was asked, so trust the sigmas less."
+        )
+    problem = f.linear.problem
+    if problem.dropped:
+        yield f"{problem.dropped} observations lie outside the IMU's time and were left out."
+    for kind, i in innovations.items():
+        if i.skipped:
+            yield f"{i.skipped} observations of {kind} were skipped (body x near the vertical)."
+    yield from _gravity_stays(f.linear.trajectory.C)
+    yield from _contradicting_heading(problem, f.levels)
 
 
 def noise(f: Fitted) -> tuple[NoiseLevel, ...]:

@@ -67,15 +67,7 @@ def forward(
     problem = linear.problem
     k, n, q = len(linear.t), problem.size, len(linear.kind)
     noise = driven(linear, levels)
-    nominal = linear.trajectory
-    mean15, P15 = linear.start.prior(
-        nominal.p[0], nominal.v[0], nominal.C[0], nominal.bg, nominal.ba
-    )
-    x0 = np.zeros(n)
-    x0[:BASE] = mean15
-    x0[BASE : BASE + problem.constants] = problem.prior_mean - nominal.constants
-    x0[BASE + problem.constants :] = -nominal.markov[0]
-    P0 = full_prior(problem, P15, dict(levels))
+    x0, P0 = _prior(linear, levels)
     place = kept(k, rows if keep else np.array([k - 1], dtype=np.int64))
     count = int(place.max()) + 1
     out = Pass(
@@ -101,6 +93,16 @@ def forward(
         place,
     )
     return out
+
+
+def _prior(linear: Linear, levels: Mapping[str, float]) -> tuple[Array, Array]:
+    """Mean (n,) and covariance (n, n) of the errors before anything was observed."""
+    problem, nominal = linear.problem, linear.trajectory
+    mean15, P15 = linear.start.prior(
+        nominal.p[0], nominal.v[0], nominal.C[0], nominal.bg, nominal.ba
+    )
+    x0 = np.r_[mean15, problem.prior_mean - nominal.constants, -nominal.markov[0]]
+    return x0, full_prior(problem, P15, dict(levels))
 
 
 @njit

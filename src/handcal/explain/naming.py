@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence, Set
 from dataclasses import replace
 
 import numpy as np
@@ -255,20 +255,24 @@ def hypotheses_of(
             expected_gain(where, i, chosen, ones),
             min(CERTAIN, together * alone.get(name, 1.0)), verdict,
         )  # fmt: skip
-    for name, gain in found.noise.items():
-        if name not in catalogue():
-            continue
-        verdict = "named" if name in named else ""
-        out[name] = Hypothesis(
-            name, catalogue()[name].title, gain, gain, math.nan,
-            probability(gain) * alone.get(name, 1.0), verdict,
-        )  # fmt: skip
+    out |= {h.effect: h for h in _of_noise(found, set(named), alone)}
     if wrong is not None:
         title = catalogue()["heading_outliers"].title
         out["heading_outliers"] = Hypothesis(
             "heading_outliers", title, wrong.gain, wrong.gain, math.nan, wrong.probability, "named"
         )
     return tuple(sorted(out.values(), key=lambda h: -h.alone))
+
+
+def _of_noise(found: Found, named: Set[str], alone: Mapping[str, float]) -> Iterator[Hypothesis]:
+    """The noise effects of the model."""
+    for name, gain in found.noise.items():
+        if name in catalogue():
+            verdict = "named" if name in named else ""
+            yield Hypothesis(
+                name, catalogue()[name].title, gain, gain, math.nan,
+                probability(gain) * alone.get(name, 1.0), verdict,
+            )  # fmt: skip
 
 
 def by_the_hand(u: Unnamed, cases: Sequence[Case]) -> bool:

@@ -74,15 +74,7 @@ def explain(
     if assume == "auto":
         end = _by_the_rests(cases, end, options, time_left, report)
     report(0.75, "fitting the model that was found")
-    found, chosen = _refitted(end, end.found, options)
-    large = too_large(found.model)
-    if large and not time_left.spent("a search without what came out too large"):
-        # (the search did not come so far)
-        other = search(end.base, lambda f: report(0.75 + 0.05 * f, "searching again"), large)
-        again, written = _refitted(end, other, options)
-        if sensible(again.model):
-            found, chosen = replace(again, alone=end.found.alone), written
-    end = replace(end, found=found)
+    end, chosen = _finished(end, options, time_left, report)
     report(0.8, "predicting what was not seen")
     others = [_case(r, "rest-only" if end.rests else assume, options) for r in held_out]
     scores, judged = _predicted(end, others)
@@ -90,6 +82,22 @@ def explain(
     out = explanation_of(end, scores, chosen, judged, tuple(time_left.untried))
     report(1.0, "")
     return out
+
+
+def _finished(
+    end: End, options: Options, budget: Budget, report: Progress
+) -> tuple[End, Chosen | None]:
+    """The end with the final fit of its model, and as that is written down; the search once more
+    where the fit comes to what no device has."""
+    found, chosen = _refitted(end, end.found, options)
+    large = too_large(found.model)
+    if large and not budget.spent("a search without what came out too large"):
+        # (the search did not come so far)
+        other = search(end.base, lambda f: report(0.75 + 0.05 * f, "searching again"), large)
+        again, written = _refitted(end, other, options)
+        if sensible(again.model):
+            found, chosen = replace(again, alone=end.found.alone), written
+    return replace(end, found=found), chosen
 
 
 def _predicted(end: End, others: Sequence[Case]) -> tuple[HeldOut, importance.Judged | None]:

@@ -113,9 +113,7 @@ def known_input(
     Errors: InputError for effects that cannot be estimated; HandcalError where the tests do not
     tell the parameters apart, naming what they cannot see, or nothing fits.
     """
-    if not (np.isfinite(bench.reading).all() and np.isfinite(bench.truth.accel).all()
-            and np.isfinite(bench.truth.gyro).all()):  # fmt: skip
-        raise InputError("The readings or the known inputs hold numbers that are not finite.")
+    _check_finite(bench)
     acting, mounted = _acting(bench, effects, axes)
     names = _unknowns(acting, mounted)
     rows = np.flatnonzero(np.tile(bench.used, len(bench))).astype(np.int64)
@@ -135,11 +133,7 @@ def known_input(
     by_filter, _ = regression.kalman(W, y[rows] / root)
     usual = regression.priors(names)
     values = np.r_[matrix_log(state.R), state.x] if mounted else state.x
-    parameters = tuple(
-        Parameter(u.effect, u.param.name, float(v), float(s), u.param.unit, u.param.prior_sigma,
-                  None)
-        for u, v, s in zip(names, values, found.sigma, strict=True)
-    )  # fmt: skip
+    parameters = regression.parameters(names, values, found.sigma)
     before = _rows(bench, acting, replace(state, x=np.zeros_like(state.x)), mounted)[1]
     result = KnownInput(
         bench, acting, "imu" if mounted else "table", state.R, parameters, found.P, W,
@@ -148,6 +142,12 @@ def known_input(
         float(np.abs((by_filter - found.x) / usual).max()), levels, (),
     )  # fmt: skip
     return replace(result, warnings=_warnings(result))
+
+
+def _check_finite(bench: Bench) -> None:
+    if not (np.isfinite(bench.reading).all() and np.isfinite(bench.truth.accel).all()
+            and np.isfinite(bench.truth.gyro).all()):  # fmt: skip
+        raise InputError("The readings or the known inputs hold numbers that are not finite.")
 
 
 def _acting(bench: Bench, ids: Sequence[str], axes: str) -> tuple[tuple[Effect, ...], bool]:

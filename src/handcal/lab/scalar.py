@@ -101,11 +101,7 @@ def scalar(
     _enough(problem)
     found = _solved(problem, extra)
     sigma = np.sqrt(np.diag(found.P))
-    parameters = tuple(
-        Parameter(u.effect, u.param.name, float(v), float(s), u.param.unit,
-                  u.param.prior_sigma, None)
-        for u, v, s in zip(problem.unknowns, found.x, sigma, strict=True)
-    )  # fmt: skip
+    parameters = regression.parameters(problem.unknowns, found.x, sigma)
     before_after = np.zeros_like(found.x), found.x
     return Scalar(
         recording, tuple(e.id for e in acting[2:]), parameters, found.P, gravity, rests,

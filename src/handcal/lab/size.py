@@ -198,11 +198,7 @@ def of_reference(recording: Recording) -> Sized:
     fit = _fit(A, y, sigma)
     P = _clustered(A, y - A @ fit.x, sigma, both.t[use])
     plain = A[:, :, : len(regression.unknowns(STATIC))]
-    parameters = tuple(
-        Parameter(u.effect, u.param.name, float(v), float(s), u.param.unit, u.param.prior_sigma,
-                  None)
-        for u, v, s in zip(unknowns, fit.x, np.sqrt(np.diag(P)), strict=True)
-    )  # fmt: skip
+    parameters = regression.parameters(unknowns, fit.x, np.sqrt(np.diag(P)))
     return Sized(
         recording, "reference", parameters, P, pace[use], y - plain @ _fit(plain, y, sigma).x,
         y - A @ fit.x, (),

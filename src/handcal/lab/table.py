@@ -15,7 +15,6 @@ import numpy as np
 
 from handcal.compiled.so3 import rotations
 from handcal.estimate import regression
-from handcal.lab.bench import Bench
 from handcal.lab.known_input import KnownInput, turned
 from handcal.types import Array, InputError
 
@@ -115,10 +114,3 @@ def estimator(result: KnownInput) -> Array:
     root = np.sqrt(variance.ravel()[used])
     of_accel = np.tile(np.arange(6) >= 3, len(result.bench))[used]
     return np.asarray((np.linalg.pinv(result.A) / root)[:, of_accel])
-
-
-def of_table(poses: Table, reading: Array, sigma: float = 1.0) -> Bench:
-    """Tests in which a table stands in these poses; reading (n, 3) of the accelerometer."""
-    from handcal.lab.bench import of_arrays
-
-    return of_arrays(None, poses.force(), None, reading, (1.0, sigma))

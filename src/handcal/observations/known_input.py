@@ -7,9 +7,7 @@ a shake shows; without it, a clock that runs fast by a millionth would be named 
 The reference has biases too, and they are unknown: what is compared are differences of biases.
 Rests say more of them (``_reference_bias``); what they leave is in ``theta`` (6 more numbers), in
 units of what is left.
-``z`` holds the reference's rate and force (6) and their derivatives (6), for its lateness; for a
-clock that runs fast the same some time earlier and later, a time that grows with the
-recording: values (12), derivatives (12), and that time; then how uncertain the biases are.
+What ``z`` holds is in ``ReferenceRows``.
 Without an arm the reference is taken to sit where the IMU sits.
 
 Two IMUs never sample at the same instant, mounts flex, and a shake has more bandwidth than
@@ -31,6 +29,7 @@ import numpy as np
 from handcal.compiled import so3
 from handcal.compiled.jit import njit, residual_function
 from handcal.effects._derivative import quiet_derivative
+from handcal.effects._reference import ACCEL_LEFT, GYRO_LEFT, NOW, SLOPE, ReferenceRows
 from handcal.observations import (
     Constant,
     Observation,
@@ -59,9 +58,6 @@ STAMPED = 3e-5
 CLOCK_REACH = 2e-4
 # How crooked axes are (rad), and how far apart two sensors of one body (m): priors.
 CROOKED, LONGEST_ARM = 0.01, 0.3
-# Where z has the uncertainty of the reference's biases: of the gyro's one number, of the
-# accelerometer's six, row by row of a lower triangular matrix.
-LEFT = 37
 MOTION = ("reference_gyro_in_motion",) * 3 + tuple(f"reference_accel_in_motion_{a}" for a in "xyz")
 
 
@@ -77,14 +73,14 @@ def _residual(nav: Any, theta: Any, z: Any, r: Any) -> int:
     late = theta[3]
     for i in range(3):
         # taken off the measurement, so that r is in b, where a lever arm is given
-        turn, force, at = 0.0, 0.0, LEFT
+        turn, force, at = 0.0, 0.0, ACCEL_LEFT
         for j in range(3):
             bias = 0.0
             for k in range(j + 1):
-                at += 1
                 bias += z[at] * theta[7 + k]
-            turn += R[j, i] * (z[j] + late * z[6 + j] - z[LEFT] * theta[4 + j])
-            force += R[j, i] * (z[3 + j] + late * z[9 + j] - bias)
+                at += 1
+            turn += R[j, i] * (z[NOW + j] + late * z[SLOPE + j] - z[GYRO_LEFT] * theta[4 + j])
+            force += R[j, i] * (z[NOW + 3 + j] + late * z[SLOPE + 3 + j] - bias)
         r[i] = turn - nav[15 + i]
         r[3 + i] = force - nav[18 + i]
     return 0
@@ -261,13 +257,14 @@ def _rows(recording: Recording, scene: Scene) -> Rows | None:
     motion = slope.antiderivative()
     beside = [np.clip(t + sign * reach, own.t[0], own.t[-1]) for sign in (-1.0, 1.0)]
     now = both.known(t) - bias.mean
-    z = [now, both.turned(slope(t))]
-    z += [now + both.turned(motion(at) - motion(t)) for at in beside]
-    z += [both.turned(slope(at)) for at in beside]
+    before, after = (now + both.turned(motion(at) - motion(t)) for at in beside)
+    slope_before, slope_after = (both.turned(slope(at)) for at in beside)
     alpha = both.turned(slope(np.clip(imu.t, own.t[0], own.t[-1])))[:, :3]
-    left = np.r_[bias.gyro, bias.accel[np.tril_indices(3)]]
-    z += [reach[:, None], np.tile(left, (len(t), 1))]
-    return Rows(t, np.hstack(z), alpha=alpha)
+    rows = ReferenceRows(
+        now, both.turned(slope(t)), before, after, slope_before, slope_after, reach[:, None],
+        np.full((len(t), 1), bias.gyro), np.tile(bias.accel[np.tril_indices(3)], (len(t), 1)),
+    )  # fmt: skip
+    return Rows(t, rows.joined(), alpha=alpha)
 
 
 def _bias(value: Array, t: Array, scene: Scene) -> _reference_bias.Bias:
@@ -280,8 +277,8 @@ def _bias(value: Array, t: Array, scene: Scene) -> _reference_bias.Bias:
 
 def _guess(z: Array) -> Mapping[str, float]:
     """Levels that the reference itself shows: its white noise, and as much of the IMU."""
-    out = {}
-    for name, x in (("reference_gyro_noise", z[:, :3]), ("reference_accel_noise", z[:, 3:6])):
+    out, read = {}, z[:, NOW:SLOPE]
+    for name, x in (("reference_gyro_noise", read[:, :3]), ("reference_accel_noise", read[:, 3:])):
         d4 = np.diff(x, n=4, axis=0)
         power = (d4**2).mean(axis=1)
         width = max(1, min(30, len(power)))

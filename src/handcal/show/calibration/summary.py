@@ -126,26 +126,7 @@ def calibration_json(result: Result | Sequence[Result]) -> dict[str, Any]:
     results of one fit, ``parameters`` holds the shared ones and ``recordings`` the rest.
     """
     if not isinstance(result, Result):
-        each = [calibration_json(r) for r in result]
-        if len(each) == 1:
-            return each[0]
-        shared = [p for p in result[0].parameters if p.effect not in OWN]
-        own = [
-            one | {"parameters": [p for p in one["parameters"] if p["effect"] in OWN],
-                   "untellable": [p for p in one["untellable"] if p["effect"] in OWN]}
-            for one in each
-        ]  # fmt: skip
-        return {
-            "schema": CALIBRATION_SCHEMA,
-            "parameters": [parameter_json(p) for p in shared],
-            "noise": [],
-            "fit": {"log_evidence": finite(result[0].log_evidence),
-                    "observations": sum(r.observations for r in result)},
-            "untellable": untellable_json([p for p in shared if not p.observable]),
-            "model": dict(result[0].model),
-            "recordings": [{k: v for k, v in one.items() if k != "model"} for one in own],
-            "warnings": [],
-        }  # fmt: skip
+        return calibration_json(result[0]) if len(result) == 1 else _together_json(result)
     kinds = result.innovations
     return {
         "schema": CALIBRATION_SCHEMA,
@@ -165,6 +146,28 @@ def calibration_json(result: Result | Sequence[Result]) -> dict[str, Any]:
         "model": dict(result.model),
         "warnings": list(all_warnings(result)),
     }
+
+
+def _together_json(results: Sequence[Result]) -> dict[str, Any]:
+    """Several results of one fit."""
+    each = [calibration_json(r) for r in results]
+    shared = [p for p in results[0].parameters if p.effect not in OWN]
+    own = [
+        one | {"parameters": [p for p in one["parameters"] if p["effect"] in OWN],
+               "untellable": [p for p in one["untellable"] if p["effect"] in OWN]}
+        for one in each
+    ]  # fmt: skip
+    return {
+        "schema": CALIBRATION_SCHEMA,
+        "parameters": [parameter_json(p) for p in shared],
+        "noise": [],
+        "fit": {"log_evidence": finite(results[0].log_evidence),
+                "observations": sum(r.observations for r in results)},
+        "untellable": untellable_json([p for p in shared if not p.observable]),
+        "model": dict(results[0].model),
+        "recordings": [{k: v for k, v in one.items() if k != "model"} for one in own],
+        "warnings": [],
+    }  # fmt: skip
 
 
 def stamped(document: Mapping[str, Any]) -> dict[str, Any]:

@@ -47,7 +47,7 @@ from handcal.show.explanation.frames import (
     ranked_traces,
 )
 from handcal.types import Array
-from handcal.units import shown
+from handcal.units import Shown, shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -103,14 +103,7 @@ def trace_plot(explanation: Explanation, recording: int, trace: Trace, wide: boo
         ax.locator_params(axis="y", nbins=5)
     figure.align_ylabels([top, low])
     legend(top)
-    rms = [float(np.sqrt((d**2).mean())) for d in differences]
-    shown = [unit.value(v / unit.factor, 0.1 * max(rms) / unit.factor) for v in rms]
-    caption = f"The baseline is {shown[0]} {unit.unit} (rms) off, the final model {shown[1]}."
-    if shown[0] == shown[1]:
-        who = "The model is" if one else "Both models are"
-        caption = f"{who} {shown[0]} {unit.unit} (rms) off."
-    if not trace.before.any():
-        caption += f" Counted from what the {'model' if one else 'baseline'} expects."
+    caption = _trace_caption(trace, differences, unit, one)
     if where:
         caption += " Shaded: where the baseline does not fit."
     title = say.channel_title(trace.channel)
@@ -189,6 +182,19 @@ def law_plot(u: Unnamed, number: int) -> Plot | None:
     return Plot(u.formula, caption, svg(figure, f"law-{number}"))
 
 
+def _trace_caption(trace: Trace, differences: Sequence[Array], unit: Shown, one: bool) -> str:
+    """How far the models are off, in words; differences: of both, in the unit shown."""
+    rms = [float(np.sqrt((d**2).mean())) for d in differences]
+    shown = [unit.value(v / unit.factor, 0.1 * max(rms) / unit.factor) for v in rms]
+    caption = f"The baseline is {shown[0]} {unit.unit} (rms) off, the final model {shown[1]}."
+    if shown[0] == shown[1]:
+        who = "The model is" if one else "Both models are"
+        caption = f"{who} {shown[0]} {unit.unit} (rms) off."
+    if not trace.before.any():
+        caption += f" Counted from what the {'model' if one else 'baseline'} expects."
+    return caption
+
+
 def hypothesis_plot(explanation: Explanation) -> Plot:
     """What each effect gains alone, beside what was found, and what it could have gained."""
     shown, styles = by_gain(explanation)[:BARS], effect_styles(explanation)
@@ -206,18 +212,9 @@ def hypothesis_plot(explanation: Explanation) -> Plot:
         likely = say.percent(h.probability).replace("over ", "> ").replace("under ", "< ")
         ax.text(1.015, row, likely, transform=ax.get_yaxis_transform(), va="center", fontsize=10,
                 color=INK if h.verdict else MUTED)  # fmt: skip
-    ax.set_xscale("symlog", linthresh=10, linscale=0.6)
     values = [v for h in shown for v in (h.alone, h.final, h.expected)]
-    values = [v for v in (*values, *(u.log_evidence_gain for u in terms)) if math.isfinite(v)]
-    high, low = max(100.0, 1.6 * max(values)), max(min(-10.0, 1.3 * min(values)), -300.0)
-    step = 1 if high < 2e4 else 2
-    decades = [10.0**d for d in range(1, 12, step)]
-    ticks = [-d for d in decades if -d >= low] + [0.0] + [d for d in decades if d <= high]
-    ax.set_xticks(ticks, [say.number(v) if v else "0" for v in ticks])
-    ax.minorticks_off()
-    ax.grid(visible=True, axis="x")  # setting a scale forgets it
-    ax.axvline(0, color=MUTED, lw=0.9)
-    ax.set(xlim=(low, high), ylim=(rows - 0.4, -0.6), xlabel="nats")
+    _nats_axis(ax, [*values, *(u.log_evidence_gain for u in terms)])
+    ax.set_ylim(rows - 0.4, -0.6)
     names = [u.formula.replace(" += ", " +=\n") for u in terms]
     ax.set_yticks(range(rows), [*names, *(h.title for h in shown)])
     ax.tick_params(axis="y", labelcolor=INK)
@@ -234,6 +231,21 @@ def hypothesis_plot(explanation: Explanation) -> Plot:
     if (rest := len(explanation.hypotheses) - len(shown)) > 0:
         caption += f" {rest} more gained less."
     return Plot("Evidence for each effect", caption, svg(figure, "hypotheses"))
+
+
+def _nats_axis(ax: Any, values: Sequence[float]) -> None:
+    """A horizontal axis that has room for few and for thousands of nats, of both signs."""
+    ax.set_xscale("symlog", linthresh=10, linscale=0.6)
+    values = [v for v in values if math.isfinite(v)]
+    high, low = max(100.0, 1.6 * max(values)), max(min(-10.0, 1.3 * min(values)), -300.0)
+    step = 1 if high < 2e4 else 2
+    decades = [10.0**d for d in range(1, 12, step)]
+    ticks = [-d for d in decades if -d >= low] + [0.0] + [d for d in decades if d <= high]
+    ax.set_xticks(ticks, [say.number(v) if v else "0" for v in ticks])
+    ax.minorticks_off()
+    ax.grid(visible=True, axis="x")  # setting a scale forgets it
+    ax.axvline(0, color=MUTED, lw=0.9)
+    ax.set(xlim=(low, high), xlabel="nats")
 
 
 def evidence_plot(explanation: Explanation) -> Plot | None:

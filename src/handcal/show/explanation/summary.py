@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from handcal.estimate.chosen import document_of
@@ -183,19 +184,37 @@ def print_explanation(
 ) -> None:
     """Verdict first, then what stands behind it; fits 80 columns, but for the commands that follow,
     which are to be copied."""
+    _print_verdict(explanation, console)
+    _print_found(explanation, console)
+    _print_judged(explanation, console)
+    if following:
+        from rich.markup import escape
+
+        _heading(console, "Next")
+        for command in following:
+            console.print(escape(command), soft_wrap=True, highlight=False)
+
+
+def _line(console: Console, text: str, indent: int = 2, style: str = "", bullet: str = "") -> None:
+    """Wrapped here: rich would break lines at no-break spaces."""
     from rich.markup import escape
 
-    def line(text: str, indent: int = 2, style: str = "", bullet: str = "") -> None:
-        """Wrapped here: rich would break lines at no-break spaces."""
-        first, hang = " " * indent + bullet, " " * (indent + len(bullet))
-        wrapped = textwrap.fill(text, console.width - 1, initial_indent=first,
-                                subsequent_indent=hang, break_on_hyphens=False)  # fmt: skip
-        console.print(escape(wrapped), style=style, highlight=False)
+    first, hang = " " * indent + bullet, " " * (indent + len(bullet))
+    wrapped = textwrap.fill(text, console.width - 1, initial_indent=first,
+                            subsequent_indent=hang, break_on_hyphens=False)  # fmt: skip
+    console.print(escape(wrapped), style=style, highlight=False)
 
-    def heading(text: str) -> None:
-        console.print(f"\n[bold]{escape(text)}[/]")
 
-    e, judged = explanation, sentences.verdict(explanation)
+def _heading(console: Console, text: str) -> None:
+    from rich.markup import escape
+
+    console.print(f"\n[bold]{escape(text)}[/]")
+
+
+def _print_verdict(e: Explanation, console: Console) -> None:
+    from rich.markup import escape
+
+    line, judged = partial(_line, console), sentences.verdict(e)
     colour = {"good": "green", "partly": "yellow", "poor": "red"}[judged.level]
     for r in e.recordings:
         console.print(
@@ -208,6 +227,11 @@ def print_explanation(
     line(judged.headline, 0, f"bold {colour}")
     for sentence in judged.sentences:
         line(sentence)
+
+
+def _print_found(e: Explanation, console: Console) -> None:
+    """Where the baseline does not fit, and what was found."""
+    line, heading = partial(_line, console), partial(_heading, console)
     if e.mismatch:
         heading("Where the baseline does not fit")
         console.print(_mismatch_table(e))
@@ -218,13 +242,18 @@ def print_explanation(
         console.print(_missing_table(m))
     if e.unnamed:
         heading("Found outside the catalogue")
-        for u in e.unnamed:
-            line(u.formula, style="bold")
-            line(f"{say.sized(u)}, gains {say.nats(u.log_evidence_gain)}")
-            if drawn := say.sparkline(u):
-                line(drawn)
-            if u.story:
-                line(u.story)
+    for u in e.unnamed:
+        line(u.formula, style="bold")
+        line(f"{say.sized(u)}, gains {say.nats(u.log_evidence_gain)}")
+        if drawn := say.sparkline(u):
+            line(drawn)
+        if u.story:
+            line(u.story)
+
+
+def _print_judged(e: Explanation, console: Console) -> None:
+    """The evidence for it, and what is still open."""
+    line, heading = partial(_line, console), partial(_heading, console)
     if e.hypotheses:
         heading("Evidence for each effect, nats")
         console.print(_hypothesis_table(e, TOP))
