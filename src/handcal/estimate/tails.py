@@ -20,6 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from handcal.compiled.dense import congruent, forward, forward_rows, gram, rooted
 from handcal.compiled.jit import njit
 from handcal.effects import catalogue
 from handcal.estimate.case import name_of
@@ -255,102 +256,25 @@ def _posterior(
             rows[j, j] = SCALES[scale[e]]
             for i in range(len(R)):
                 rows[j, i] = R[i, j] * SCALES[scale[e]]
-    A = _times(rows, G, len(R) == 0)
+    A = congruent(rows, G, len(R) == 0)
     y = np.zeros(m)
     for i in range(m):
         A[i, i] += 1.0
         for k in range(m):
             y[i] += rows[i, k] * b[k]
-    if not _rooted(A):
+    if not rooted(A):
         for i in range(m):
             mean[i] = 0.0
             for j in range(m):
                 C[i, j] = 0.0
         return -np.inf
-    _forward(A, y)
-    _forward_rows(A, rows, len(R) == 0)
-    _gram(rows, y, mean, C, len(R) == 0)
+    forward(A, y)
+    forward_rows(A, rows, len(R) == 0)
+    gram(rows, y, mean, C, len(R) == 0)
     value = 0.0
     for i in range(m):
         value += 0.5 * y[i] * y[i] - math.log(A[i, i])
     return value
-
-
-@njit
-def _times(W: Array, G: Array, diagonal: bool) -> Array:
-    """W G W' (m, m), of symmetric G."""
-    m = len(W)
-    out = np.zeros((m, m))
-    if diagonal:
-        for i in range(m):
-            for j in range(m):
-                out[i, j] = W[i, i] * G[i, j] * W[j, j]
-        return out
-    half = np.zeros((m, m))
-    for i in range(m):
-        for k in range(m):
-            for j in range(m):
-                half[i, j] += W[i, k] * G[k, j]
-    for i in range(m):
-        for k in range(m):
-            for j in range(m):
-                out[i, j] += half[i, k] * W[j, k]
-    return out
-
-
-@njit
-def _rooted(A: Array) -> bool:
-    """Cholesky's root in the lower half of A (m, m); False where A is not positive."""
-    for i in range(len(A)):
-        for j in range(i + 1):
-            s = 0.5 * (A[i, j] + A[j, i])
-            for k in range(j):
-                s -= A[i, k] * A[j, k]
-            if i > j:
-                A[i, j] = s / A[j, j]
-                continue
-            if not s > 0.0:
-                return False
-            A[i, i] = math.sqrt(s)
-    return True
-
-
-@njit
-def _forward(L: Array, y: Array) -> None:
-    """y (m,) becomes L^-1 y."""
-    for i in range(len(y)):
-        for k in range(i):
-            y[i] -= L[i, k] * y[k]
-        y[i] /= L[i, i]
-
-
-@njit
-def _forward_rows(L: Array, X: Array, diagonal: bool) -> None:
-    """X (m, m) becomes L^-1 X; of a diagonal one that is a lower half."""
-    for i in range(len(X)):
-        for k in range(i):
-            for j in range(k + 1 if diagonal else len(X)):
-                X[i, j] -= L[i, k] * X[k, j]
-        for j in range(i + 1 if diagonal else len(X)):
-            X[i, j] /= L[i, i]
-
-
-@njit
-def _gram(X: Array, y: Array, mean: Array, C: Array, lower: bool) -> None:
-    """X' y and X' X are written to mean (m,) and C (m, m)."""
-    m = len(X)
-    for i in range(m):
-        mean[i] = 0.0
-        for j in range(m):
-            C[i, j] = 0.0
-    for i in range(m):
-        for j in range(i + 1 if lower else m):
-            mean[j] += X[i, j] * y[i]
-            for k in range(j + 1):
-                C[j, k] += X[i, j] * X[i, k]
-    for j in range(m):
-        for k in range(j):
-            C[k, j] = C[j, k]
 
 
 @njit
@@ -378,9 +302,9 @@ def _share(
             A[i, j] = tighter * covariance[first + i, first + j]
         A[i, i] += 1.0
     # (positive: no posterior is wider than its prior, but for round-off)
-    if not _rooted(A):
+    if not rooted(A):
         return -np.inf
-    _forward(A, x)
+    forward(A, x)
     out: float = rank * math.log(now / new)
     for i in range(k):
         out -= math.log(A[i, i]) + 0.5 * tighter * x[i] ** 2
@@ -401,8 +325,8 @@ def _positive_share(L: Array, x: Array, covariance: Array, first: int, half: Boo
         for j in range(k):
             row[j] = 1.0 if i == j else 0.0
             column[j] = covariance[first + j, first + i]
-        _forward(L, row)
-        _forward(L, column)
+        forward(L, row)
+        forward(L, column)
         value, spread = 0.0, 0.0
         for j in range(k):
             value += row[j] * x[j]

@@ -275,10 +275,6 @@ def _print_judged(e: Explanation, console: Console) -> None:
         heading("Warnings")
         for warning in warnings:
             line(warning, bullet="• ")
-    if following:
-        heading("Next")
-        for command in following:
-            console.print(escape(command), soft_wrap=True, highlight=False)
 
 
 def _table(*columns: str) -> Any:
