@@ -22,7 +22,7 @@ from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.fit import diverged, fitted
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.sway import beyond_a_hand
-from handcal.explain.climb.exchange import WEAK
+from handcal.explain.climb.state import WEAK
 from handcal.explain.score import PRIOR, better
 from handcal.observations.fixed_position import CREEPING
 from handcal.types import Array, HandcalError

@@ -12,7 +12,7 @@ from handcal.estimate.beside import side_by_side
 from handcal.estimate.case import name_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
-from handcal.explain.climb.state import Climb, likelier
+from handcal.explain.climb.state import WEAK, Climb, likelier
 from handcal.explain.score import PRIOR, better
 from handcal.explain.space import gains, rivals
 
@@ -20,8 +20,6 @@ from handcal.explain.space import gains, rivals
 NEARLY = 0.4
 # Exchanges tried in a climb at the most, each counted both ways.
 MOST_SWAPS = 6
-# Nats below which an effect may be there for the sake of another's wrong name only.
-WEAK = 100.0
 
 
 def exchange(c: Climb) -> Model | None:

@@ -6,9 +6,10 @@ from __future__ import annotations
 from handcal.estimate.case import name_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
-from handcal.explain.climb.state import FEW, Climb, likelier, sensible
-from handcal.explain.noises import all_noise, looks_of, of_looks, on_fewer_axes
+from handcal.explain.climb.state import FEW, WEAK, Climb, likelier, sensible
+from handcal.explain.noises import LOOK, all_noise, looks_of, of_looks, on_fewer_axes
 from handcal.explain.score import PRIOR, better, score
+from handcal.explain.space import gains
 from handcal.explain.stand_ins import without_stand_in
 
 
@@ -56,6 +57,31 @@ def exchange_noise(c: Climb) -> Model | None:
         if tried:
             best, new = on_fewer_axes(*tried[0], c.worth)
             c.noise[new.id] = c.noise.pop(old.id, 0.0) + better(best, model, c.worth)
+            c.stale.add(new.id)
+            c.visited.clear()
+            return best
+    return None
+
+
+def noise_instead(c: Climb) -> Model | None:
+    """The model with a bias that walks in the place of a weak effect on the readings, if that is
+    likelier: for a minute a walk may look like what goes with the temperature."""
+    model, gained = c.model, gains(c.where, c.model.chosen)
+    walks = [e for e in all_noise() if e.walks and not e.passing]
+    for old in model.effects:
+        rest = [e for e in model.effects if e is not old]
+        key = old.id, frozenset(e.id for e in rest)
+        weak = old.imu_error is not None and gained.get(old.id, WEAK) < WEAK
+        rivals = [e for e in walks if e.id not in {*model.ids, *c.dropped}]
+        if not weak or old.id in c.kept or key in c.noises:
+            continue
+        c.noises.add(key)
+        looks = looks_of(model.parts, rest, rivals)
+        # (a walk explains any slow thing a little: odds of 20 to 1 against what has a cause)
+        tried = [x for x in of_looks(looks[:1]) if better(x[0], model, c.worth) > LOOK]
+        if tried and sensible(tried[0][0]):
+            best, new = tried[0]
+            c.noise[new.id] = better(best, model, c.worth) + gained[old.id]
             c.stale.add(new.id)
             c.visited.clear()
             return best

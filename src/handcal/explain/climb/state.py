@@ -12,6 +12,8 @@ from handcal.explain.score import better
 from handcal.explain.space import Space
 from handcal.explain.unnamed.best import Term
 
+# Nats below which an effect may be there for the sake of another's wrong name only.
+WEAK = 100.0
 # How many of the weakest are fitted without.
 FEW = 3
 

@@ -8,7 +8,7 @@ from handcal.estimate.model import Model
 from handcal.explain.climb.choose import choose, delay, favourite, thin
 from handcal.explain.climb.exchange import exchange, reorder
 from handcal.explain.climb.laws import MAX_TERMS, instead, name_term, narrow, reshape
-from handcal.explain.climb.noise import add_noise, exchange_noise, free
+from handcal.explain.climb.noise import add_noise, exchange_noise, free, noise_instead
 from handcal.explain.climb.on_trial import scanned
 from handcal.explain.climb.state import Climb
 from handcal.explain.space import gains
@@ -54,6 +54,7 @@ _STEPS: dict[Callable[[Climb], Model | None], str] = {
     add_noise: "noise effects",
     exchange_noise: "noise that goes with the motion",
     thin: "the fit without its weakest effects",
+    noise_instead: "walks in the place of weak effects",
     free: "the fit without what noise may stand in for",
     name_term: "laws that have no name",
 }
