@@ -2,7 +2,7 @@
 # PYTHON=/path/to/python chooses the interpreter .venv is made from.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo docs stories test lint format prove fuzz trial bench clean clean-cache
+.PHONY: help setup demo docs stories test lint format prove fuzz soak trial bench clean clean-cache
 
 BIN := .venv/bin
 # Of `make trial`: which suites, how many explanations at a time; SEED=N repeats a trial.
@@ -43,6 +43,9 @@ prove: .venv/.installed-dev ## the slow statistics, with their tables
 
 fuzz: .venv/.installed-dev ## mutated files of every format: N=100000 SEED=0; failures go to fuzz-out/
 	$(BIN)/python tests/fuzz.py --n $(or $(N),100000) --seed $(or $(SEED),0)
+
+soak: .venv/.installed-dev ## a day of readings at 200 Hz, a million violent steps, truncation at every byte
+	$(BIN)/python -m pytest -m prove -s tests/test_soak.py tests/test_fuzz.py
 
 trial: setup ## blind trials of explain at full size: hours; scores in trial-out/
 	@mkdir -p trial-out

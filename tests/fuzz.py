@@ -130,7 +130,8 @@ def _recordings() -> Iterator[tuple[str, str, bytes]]:
     yield "sensor_logger", ".zip", _zipped({k: v.encode() for k, v in members.items()})
     entries = [{"sensor": "x", "platform": "android"}] + [
         {"sensor": f"{sensor}Uncalibrated",
-         "time": str(1_700_000_000_000_000_000 + round(s * 1e9)), **dict(zip("xyz", map(str, v), strict=True))}
+         "time": str(1_700_000_000_000_000_000 + round(s * 1e9)),
+         **dict(zip("xyz", map(str, v), strict=True))}
         for sensor, value in sensors
         for s, v in zip(t.tolist(), value.tolist(), strict=True)
     ]  # fmt: skip
