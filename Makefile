@@ -2,7 +2,7 @@
 # PYTHON=/path/to/python chooses the interpreter .venv is made from.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo docs stories test lint format prove trial bench clean clean-cache
+.PHONY: help setup demo docs stories test lint format prove fuzz soak trial bench clean clean-cache
 
 BIN := .venv/bin
 # Of `make trial`: which suites, how many explanations at a time; SEED=N repeats a trial.
@@ -42,6 +42,12 @@ test: lint ## all quick checks and tests
 prove: .venv/.installed-dev ## the slow statistics, with their tables
 	$(BIN)/python -m pytest -m prove -s
 
+fuzz: .venv/.installed-dev ## mutated files of every format: N=100000 SEED=0; failures go to fuzz-out/
+	$(BIN)/python tests/fuzz.py --n $(or $(N),100000) --seed $(or $(SEED),0)
+
+soak: .venv/.installed-dev ## a day of readings at 200 Hz, a million violent steps, truncation at every byte
+	$(BIN)/python -m pytest -m prove -s tests/test_soak.py tests/test_fuzz.py
+
 trial: setup ## blind trials of explain at full size: hours; scores in trial-out/
 	@mkdir -p trial-out
 	@for s in $(SUITES); do \
@@ -65,7 +71,7 @@ format: .venv/.installed-dev ## put the code into the project's format
 
 clean: ## remove .venv, caches, builds, the demo's output and scores of trials
 	rm -rf .venv .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
-	rm -rf build dist demo-out trial-out bench-out
+	rm -rf build dist demo-out trial-out bench-out fuzz-out
 	find src sim tests -name __pycache__ -prune -exec rm -rf {} +
 
 clean-cache: ## remove compiled kernels (do so after editing what is compiled into others)

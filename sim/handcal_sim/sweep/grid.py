@@ -168,7 +168,7 @@ def read_grid(path: Path) -> list[Cell]:
     """
     try:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
+    except (ValueError, RecursionError) as problem:  # (a number of 5,000 digits, too)
         raise SimulationError(f"{path} is not TOML: {problem}") from None
     if odd := sorted(set(document) - {"common", "grid"}):
         raise SimulationError(f"{path}: there is no table {odd[0]!r}, only [common] and [grid]")

@@ -5,8 +5,8 @@ started with ``--bind 127.0.0.1`` and ends with the command that started it.
 
 By itself it would also send usage statistics and ask for newer versions. It keeps no
 statistics where it finds the variable CI, and asks through a proxy where one is named:
-here that is a port of this machine at which nobody listens, so nothing leaves it. What
-the viewer's page in a browser fetches is the browser's own traffic and beyond this.
+here that is a port of this machine at which nobody listens, so nothing leaves it. Its page
+in a browser is kept to this machine by ``viewer_page``.
 """
 
 from __future__ import annotations
@@ -20,12 +20,13 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 from typing import IO
 
+from handcal.show import viewer_page
 from handcal.types import HandcalError, InputError
 
 LOOPBACK = "127.0.0.1"
@@ -116,8 +117,9 @@ def viewer(
         try:
             _await(process, [p for p in (port, web_port) if p], said)
             url = f"rerun+http://{LOOPBACK}:{port}/proxy"
-            page = f"http://{LOOPBACK}:{web_port}/?url={url.replace('+', '%2B')}" if web else None
-            yield Viewer(url, page, process)
+            with viewer_page.served(web_port, port) if web_port else nullcontext() as at:
+                page = f"http://{LOOPBACK}:{at}/?url={url.replace('+', '%2B')}" if at else None
+                yield Viewer(url, page, process)
         finally:
             _end(process)
             _on_terminate(before)

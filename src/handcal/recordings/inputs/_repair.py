@@ -21,6 +21,7 @@ from handcal.recordings.streams import STREAMS
 from handcal.types import Array, BoolArray, Imu, InputError, IntArray, Recording, Series
 
 SHORTEST_S, FEWEST = 2.0, 50
+LONGEST_GAP_S = 86_400.0  # beyond it a clock was set, or two recordings stand in one file
 IMPOSSIBLE = 1e7  # in no stream's unit is this a reading
 # Smaller extremes than these are no full scale (125 deg/s and 2 g are the smallest made).
 SMALLEST_GYRO, SMALLEST_ACCEL = 2.0, 17.0
@@ -81,6 +82,7 @@ def assemble(
             f"{path} holds {len(t)} IMU samples over {t[-1]:.1f} s; "
             f"at least {FEWEST} over {SHORTEST_S:.0f} s are needed."
         )
+    _check_clock(path, t)
     said += check_alive(rates, force)
     rate_hz = 1 / float(np.median(np.diff(t)))
     said += check_accel_unit(force, rate_hz) + check_gyro_unit(t, rates, force)
@@ -94,6 +96,17 @@ def assemble(
     # Stamps before 1973 count from something else than 1970: boot, or the start.
     start_ns = int(ns[0]) if ns[0] > 10**17 else 0
     return Recording(str(path), imu, series, start_ns, tuple(said))
+
+
+def _check_clock(path: Path, t: Array) -> None:
+    """Errors: InputError where t (n,), s, jumps as no recording pauses."""
+    at = int(np.argmax(np.diff(t)))
+    jump = float(t[at + 1] - t[at])
+    if jump > LONGEST_GAP_S:
+        raise InputError(
+            f"{path}: time jumps by {jump:.3g} s after {t[at]:.1f} s: the clock was set, or these "
+            "are two recordings; cut them apart there."
+        )
 
 
 def _clean(raw: Columns, name: str, said: list[str]) -> Columns:

@@ -1,0 +1,120 @@
+"""Readings wrong in themselves: repaired and said, or refused; never a confident number."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from fuzz import read_grid
+
+import handcal
+from handcal import allan
+from handcal.lab import scalar
+from handcal.recordings.inputs import of_arrays
+from handcal.types import Array, HandcalError, InputError, Recording
+from handcal_sim import simulate, write
+from handcal_sim.errors import SimulationError
+
+Readings = tuple[Array, Array, Array]
+Attack = Callable[[Array, Array, Array], Readings]
+
+
+@pytest.fixture(scope="module")
+def readings(tmp_path_factory: pytest.TempPathFactory) -> Readings:
+    """A gyro without any scale error, turned about each axis."""
+    path = tmp_path_factory.mktemp("signals") / "x.mcap"
+    write(simulate("three-turns", seed=5, duration_s=30.0), path)
+    imu = handcal.load(path).imu
+    return imu.t, imu.gyro, imu.accel
+
+
+def holes(fraction: float, value: float) -> Attack:
+    def attack(t: Array, gyro: Array, accel: Array) -> Readings:
+        hit = np.random.default_rng(0).random(len(t)) < fraction
+        return t, np.where(hit[:, None], value, gyro), accel
+
+    return attack
+
+
+def gap(seconds: float) -> Attack:
+    """In mid-turn: the stamps jump."""
+    return lambda t, gyro, accel: (t + np.where(np.arange(len(t)) < len(t) // 2, 0, seconds),
+                                   gyro, accel)  # fmt: skip
+
+
+def slower(t: Array, gyro: Array, accel: Array) -> Readings:
+    keep = (np.arange(len(t)) < len(t) // 2) | (np.arange(len(t)) % 4 == 0)
+    return t[keep], gyro[keep], accel[keep]
+
+
+def stuck(x: Array) -> Array:
+    return np.where((np.arange(len(x)) < len(x) // 2)[:, None], x, x[len(x) // 2])
+
+
+REFUSED: dict[str, tuple[Attack, str]] = {
+    "nothing but NaN": (holes(1.0, np.nan), "not one"),
+    "reversed": (lambda t, g, a: (t[::-1], g, a), "backwards"),
+    "one stamp": (lambda t, g, a: (0 * t, g, a), "1 IMU samples"),
+    "epoch jump": (gap(1.7e9), "clock was set"),
+    "epoch back": (gap(-1000.0), "backwards"),
+    "zeros": (lambda t, g, a: (t, 0 * g, 0 * a), "zero throughout"),
+    "gyro zeros": (lambda t, g, a: (t, 0 * g, a), "zero throughout"),
+    "accel of one axis dead": (lambda t, g, a: (t, g, a * [1, 1, 0]), "at rest"),
+    "deg/s": (lambda t, g, a: (t, np.degrees(g), a), "deg/s"),
+    "57 times too little": (lambda t, g, a: (t, np.radians(g), a), "rad/s"),
+    "g": (lambda t, g, a: (t, g, a / 9.80665), "is g"),
+}
+DOUBTFUL: dict[str, Attack] = {
+    "10 % NaN": holes(0.1, np.nan),
+    "10 % infinite": holes(0.1, np.inf),
+    "repeated stamps": lambda t, g, a: (np.repeat(t[::2], 2)[: len(t)], g, a),
+    "1 ms gap": gap(0.001),
+    "1 s gap": gap(1.0),
+    "60 s gap": gap(60.0),
+    "another rate": slower,
+    "gyro stuck": lambda t, g, a: (t, stuck(g), a),
+    "accel stuck": lambda t, g, a: (t, g, stuck(a)),
+    "gyro of one axis dead": lambda t, g, a: (t, g * [0, 1, 1], a),
+    "gyro saturated": lambda t, g, a: (t, np.clip(g, -0.3, 0.3), a),
+    "accel saturated": lambda t, g, a: (t, g, np.clip(a, -5, 5)),
+}
+SAID = ("10 % NaN", "10 % infinite", "repeated stamps", "1 s gap", "60 s gap", "accel saturated")
+
+
+def recorded(attack: Attack, readings: Readings) -> Recording:
+    return of_arrays("x", *attack(*readings), {})
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_cannot_be_readings_is_refused_with_the_reason(name: str, readings: Readings) -> None:
+    attack, reason = REFUSED[name]
+    with pytest.raises(InputError, match=reason):
+        recorded(attack, readings)
+
+
+@pytest.mark.parametrize("name", DOUBTFUL)
+def test_what_is_doubtful_gives_no_confident_number(name: str, readings: Readings) -> None:
+    """The true gyro scale error is zero: what comes out as surely something else is a lie."""
+    recording = recorded(DOUBTFUL[name], readings)
+    if name in SAID:
+        assert recording.warnings
+    for further in (allan.analyse, scalar.scalar):  # (rests of seconds: too little for either)
+        with pytest.raises(HandcalError):
+            further(recording)
+    try:
+        result = handcal.calibrate(recording, ["gyro_scale"])
+    except HandcalError:
+        return
+    for p in result.parameters:
+        if p.effect == "gyro_scale":
+            assert abs(p.value) < 4 * p.sigma, p
+
+
+def test_a_number_too_long_to_be_one_is_a_sentence(tmp_path) -> None:
+    """Found by `make fuzz`."""
+    path = tmp_path / "x.toml"
+    for text in ("[common]\nduration_s = " + "1" * 5000, "a = " + "[" * 5000):
+        path.write_text(text)
+        with pytest.raises(SimulationError, match="not TOML"):
+            read_grid(path)
