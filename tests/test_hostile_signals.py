@@ -9,7 +9,7 @@ import pytest
 from fuzz import read_grid
 
 import handcal
-from handcal import allan
+from handcal.allan import analysis as allan
 from handcal.lab import scalar
 from handcal.recordings.inputs import of_arrays
 from handcal.types import Array, HandcalError, InputError, Recording
