@@ -22,8 +22,8 @@ from handcal.device.twin import twin
 from handcal.earth import local_earth
 from handcal.effects import catalogue, select
 from handcal.estimate.assemble import build
+from handcal.estimate.corrected import SUBSTITUTED
 from handcal.estimate.observed import observed_of
-from handcal.estimate.problem import SUBSTITUTED
 from handcal.explain import explain
 from handcal.explain.unnamed import drivers, grammar, laws, terms
 from handcal.recordings import segment

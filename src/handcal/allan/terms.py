@@ -18,6 +18,8 @@ BOUND = 2.706  # the same for a bound from one side at 95 %
 
 
 def haar(m: int) -> Array:
+    """Haar's wavelet (2 m,), whose mean square over samples is the Allan variance of m of them, but
+    for a factor."""
     return np.repeat([1.0, -1.0], m)
 
 

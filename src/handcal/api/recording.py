@@ -71,4 +71,5 @@ class Recording(RecordingData):
 
 
 def values_of(one: Any) -> dict[str, Any]:
+    """The fields of a dataclass, by name, as they are."""
     return {f.name: getattr(one, f.name) for f in fields(one)}

@@ -72,6 +72,7 @@ def _on(grid: Array, at: float) -> bool:
 
 
 def scanned(c: Climb) -> Space:
+    """What every effect on trial, and every term so far, would gain about the model there is."""
     own = {e.id: e for e in c.model.effects}
     cases = [f.case for f in c.model.parts]
     terms = [t.effect for t in c.unnamed]
