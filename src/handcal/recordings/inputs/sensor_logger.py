@@ -149,7 +149,7 @@ def _stem(name: str) -> str:
 def _from_files(path: Path, options: Options) -> _Export:
     """Of a folder or zip: one CSV file a sensor, wherever it lies in it."""
     found = contents(path, lambda name: _stem(name) in (*SENSORS, "Metadata"), options)
-    return _from_texts(path, {_stem(name): text for name, text in reversed(found.items())})
+    return _from_texts(path, {_stem(name): text for name, text in reversed(list(found.items()))})
 
 
 def _from_texts(path: Path, texts: Mapping[str, bytes]) -> _Export:
