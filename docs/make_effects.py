@@ -4,20 +4,12 @@
 
 from __future__ import annotations
 
-from itertools import groupby
 from pathlib import Path
 
-from handcal.effects import PLACE, Effect, Param, catalogue
-from handcal.recordings.streams import STREAMS
-from handcal.units import shown
+from handcal.effects import Effect, catalogue
+from handcal.show.catalogue import grouped, needs, usual
 
 FILE = Path(__file__).with_name("effects.md")
-GROUPS = (
-    ("Gyro", ("gyro_",)),
-    ("Accelerometer", ("accel_",)),
-    ("Heading and magnetometer", ("heading_", "mag_")),
-    ("Place, world and clocks", ("",)),
-)
 INTRODUCTION = """# The catalogue of effects
 
 What a sensor may read besides the truth. `handcal explain` tries all of these, as far as the recording has the streams for them; `handcal calibrate --effects gyro_scale,lever_arm` estimates those that are named; `handcal simulate` and `handcal conceal` put them in: `--effect gyro_scale=0.008,-0.006,0.01`, values in SI units and in the order given here.
@@ -32,10 +24,8 @@ This page is written by `make docs` from the files in `src/handcal/effects/`: on
 
 def page() -> str:
     """The whole page as Markdown."""
-    left = dict(catalogue())
     parts = [INTRODUCTION]
-    for title, prefixes in GROUPS:
-        mine = [left.pop(i) for i in list(left) if i.startswith(prefixes)]
+    for title, mine in grouped(catalogue()):
         parts.append(f"## {title}\n")
         parts += [entry(e) for e in mine]
     return "\n".join(parts)
@@ -51,35 +41,13 @@ def entry(effect: Effect) -> str:
         "",
         effect.story,
         "",
-        f"- Usual: {'; '.join(_usual(effect))}",
+        f"- Usual: {'; '.join(usual(effect))}",
         f"- What shows it: {effect.motion}",
     ]
-    needs = [f"a stream `{n}`" for n in effect.needs if n in STREAMS]
-    needs += ["a held point or a stream `pose`"] * (PLACE in effect.needs)
-    if needs:
-        lines.append(f"- Needs: {', and '.join(needs)}")
+    if needs(effect):
+        lines.append(f"- Needs: {', and '.join(needs(effect))}")
     lines += [f"- Source: {effect.source}", f"- Tried on: {effect.validated}", ""]
     return "\n".join(lines)
-
-
-def _kind(p: Param) -> tuple[str, float]:
-    return p.unit, p.prior_sigma
-
-
-def _usual(effect: Effect) -> list[str]:
-    """ "each 0.01 rad (0.573 deg)", one for all that are alike."""
-    said = []
-    for (si_unit, sigma), group in groupby(effect.parameters, _kind):
-        names = [p.name for p in group]
-        if effect.moments is not None and si_unit == "s":
-            said.append(f"{names[0]} any moment, in s after the first sample")
-            continue
-        unit = shown(si_unit, [sigma])
-        friendly = f"{unit.value(sigma)} {unit.unit}"
-        si = friendly if si_unit == "1e-6" else f"{sigma:g}" + f" {si_unit}" * (si_unit != "1")
-        more = "" if friendly == si else f" ({friendly})"
-        said.append(f"{'each' if len(names) > 1 else names[0]} {si}{more}")
-    return said
 
 
 if __name__ == "__main__":

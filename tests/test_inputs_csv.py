@@ -150,7 +150,7 @@ def test_any_table_gives_a_sentence(tmp_path: Path, tail: bytes | str) -> None:
 
 def test_what_is_understood_is_listed(tmp_path: Path) -> None:
     (tmp_path / "a.txt").write_text("hello")
-    with pytest.raises(InputError, match=r"MCAP.*CSV.*Sensor Logger"):
+    with pytest.raises(InputError, match=r"MCAP.*Sensor Logger.*CSV"):
         load(tmp_path / "a.txt")
     with pytest.raises(InputError, match="does not exist"):
         load(tmp_path / "b.txt")

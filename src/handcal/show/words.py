@@ -104,6 +104,11 @@ def effect_title(effect: str) -> str:
     return _effect(effect)[0]
 
 
+def effect_motion(effect: str) -> str:
+    """The motion that shows it, as half a sentence."""
+    return _effect(effect)[1].rstrip(".").replace("{axis}", "each axis")
+
+
 def _effect(effect: str) -> tuple[str, str]:
     """Title and motion."""
     if (known := catalogue().get(effect)) is not None:

@@ -2,7 +2,10 @@
 
 A format is a module here with ``can_read(path) -> bool``, which looks at the content,
 ``read(path, options) -> Recording`` and ``UNDERSTOOD``, half a sentence for the message
-to people whose file fits none. Modules that begin with an underscore are shared.
+to people whose file fits none. It may say more: ``UNITS``, a sentence on units and signs in the
+file; ``MARK``, how such a file is recognised; ``ENDINGS`` of its name and ``MEMBERS`` that a
+folder or zip holds, by which the nearest format is found for a file that fits none; ``LAST``,
+where other formats are to be asked first. Modules that begin with an underscore are shared.
 """
 
 from __future__ import annotations
@@ -15,16 +18,36 @@ from types import ModuleType
 
 import numpy as np
 
+from handcal.recordings.inputs._nearest import of_no_format
 from handcal.recordings.inputs._options import Options, checked_options
 from handcal.recordings.inputs._repair import Columns, assemble, columns, nanoseconds
 from handcal.types import Array, InputError, Recording
 
-__all__ = ["Options", "load", "of_arrays"]
+__all__ = ["Options", "format_of", "formats", "load", "of_arrays"]
 
 
-def _formats() -> list[ModuleType]:
+def formats() -> list[ModuleType]:
+    """The modules of all formats, in the order in which they are asked."""
     names = sorted(m.name for m in pkgutil.iter_modules(__path__) if not m.name.startswith("_"))
-    return [importlib.import_module(f"{__name__}.{name}") for name in names]
+    modules = [importlib.import_module(f"{__name__}.{name}") for name in names]
+    return sorted(modules, key=lambda module: bool(getattr(module, "LAST", False)))
+
+
+def format_of(path: str | Path) -> ModuleType:
+    """The format of a file or folder. Errors: InputError, one sentence, where it is of none."""
+    path = Path(path)
+    if not path.exists():
+        raise InputError(f"{path} does not exist.")
+    if path.is_file() and path.stat().st_size == 0:
+        raise InputError(f"{path} is empty: it holds not a single byte.")
+    known = formats()
+    try:
+        found = next((module for module in known if module.can_read(path)), None)
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror or error}.") from error
+    if found is None:
+        raise InputError(of_no_format(path, known))
+    return found
 
 
 def load(
@@ -44,22 +67,14 @@ def load(
     """
     path = Path(path)
     options = checked_options(topics, units, progress)
-    if not path.exists():
-        raise InputError(f"{path} does not exist.")
-    if path.is_file() and path.stat().st_size == 0:
-        raise InputError(f"{path} is empty: it holds not a single byte.")
-    formats = _formats()
-    for module in formats:
-        try:
-            # Absurd numbers become infinite or NaN in conversion, and are dropped and told.
-            with np.errstate(over="ignore", invalid="ignore"):
-                if module.can_read(path):
-                    recording: Recording = module.read(path, options)
-                    return recording
-        except OSError as error:
-            raise InputError(f"{path} cannot be read: {error.strerror or error}.") from error
-    understood = "; ".join(str(module.UNDERSTOOD) for module in formats)
-    raise InputError(f"{path} is of no known format. Understood are: {understood}.")
+    module = format_of(path)
+    try:
+        # Absurd numbers become infinite or NaN in conversion, and are dropped and told.
+        with np.errstate(over="ignore", invalid="ignore"):
+            recording: Recording = module.read(path, options)
+            return recording
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror or error}.") from error
 
 
 def of_arrays(

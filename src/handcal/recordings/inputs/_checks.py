@@ -149,7 +149,9 @@ def _angle(u: Array, v: Array) -> float:
     return float(np.median(np.arccos(np.clip(np.sum(u * v, axis=1), -1, 1))))
 
 
-def _tilt_errors(t: Array, gyro: Array, accel: Array, factors: tuple[float, ...]) -> list[float]:
+def turning_mismatch(
+    t: Array, gyro: Array, accel: Array, factors: tuple[float, ...] = (1.0, DEGREE, 1 / DEGREE)
+) -> list[float]:
     """Median error, rad, of the gravity direction predicted by the gyro times each factor.
 
     Empty where there are fewer than five windows to judge by.
@@ -172,7 +174,7 @@ def check_gyro_unit(t: Array, gyro: Array, accel: Array) -> list[str]:
 
     Returns warnings. Errors: InputError if another unit explains it far better.
     """
-    errors = _tilt_errors(t, gyro, accel, (1.0, DEGREE, 1 / DEGREE))
+    errors = turning_mismatch(t, gyro, accel)
     if errors:
         as_is, degrees, radians = errors
         # Turning 57 times too fast ends anywhere, about a right angle off.

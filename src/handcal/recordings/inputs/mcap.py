@@ -36,6 +36,7 @@ from handcal.recordings.streams import message_of
 from handcal.types import InputError, IntArray, Recording
 
 UNDERSTOOD = "MCAP with ROS 2 messages (.mcap)"
+UNITS = "rad/s, m/s^2, tesla, degC, m (REP 103); at rest +g on the axis up (REP 145)"
 MAGIC = b"\x89MCAP0\r\n"
 LARGEST_CHUNK = 128 * 2**20
 # Beyond a few MiB nothing that sensors write shrinks to a thousandth.

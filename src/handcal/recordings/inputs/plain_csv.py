@@ -23,6 +23,8 @@ from handcal.recordings.streams import STREAMS, Stream
 from handcal.types import Array, InputError, IntArray, Recording
 
 UNDERSTOOD = "plain CSV with columns t, gx, gy, gz, ax, ay, az (.csv)"
+UNITS = "as the header's brackets say, else SI; signs as handcal's: at rest +g on the axis up"
+LAST = True  # (any CSV is this one, by its name)
 _ROWS_AT_ONCE = 20_000
 _IMU = {
     "gyro": ("g", "gyro", "gyroscope", "w", "angularvelocity"),

@@ -13,7 +13,6 @@ import csv
 import io
 import json
 import zipfile
-import zlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,14 +23,19 @@ from handcal.earth import STANDARD_GRAVITY
 from handcal.recordings.inputs._checks import rest_magnitude
 from handcal.recordings.inputs._options import Options
 from handcal.recordings.inputs._repair import IMPOSSIBLE, Columns, assemble, columns
+from handcal.recordings.inputs._zip import LARGEST, beginnings, contents, listing
 from handcal.types import InputError, IntArray, Recording
 
 UNDERSTOOD = "an export of the Sensor Logger app (zip, folder or JSON)"
-LARGEST_MEMBER = 512 * 2**20
+UNITS = (
+    "rad/s, m/s^2, uT; of iOS the uncalibrated accelerometer in g, and signs turned: "
+    "at rest -1 g on the axis up"
+)
 GYROS = ("GyroscopeUncalibrated", "Gyroscope")
 MAGS = ("MagnetometerUncalibrated", "Magnetometer")
 ACCELS = ("AccelerometerUncalibrated", "TotalAcceleration", "Accelerometer", "Gravity")
 SENSORS = (*GYROS, *MAGS, *ACCELS)
+MEMBERS = (f"{GYROS[0]}.csv", f"{ACCELS[0]}.csv")
 
 
 @dataclass(frozen=True)
@@ -44,15 +48,15 @@ class _Export:
 
 
 def can_read(path: Path) -> bool:
-    """By the names of the files in it, or by the first bytes of the JSON."""
-    if path.is_dir():
-        return any((path / f"{name}.csv").is_file() for name in SENSORS)
+    """By the names of the files in it and what their columns are called (phyphox has the same
+    names), or by the first bytes of the JSON."""
+    if listing(path) is not None:
+        found = beginnings(path, lambda name: _stem(name) in SENSORS)
+        return any(
+            not text.lstrip(b'\xef\xbb\xbf"').startswith(b"Time (") for text in found.values()
+        )
     if zipfile.is_zipfile(path):
-        try:
-            with zipfile.ZipFile(path) as archive:
-                return any(_stem(name) in SENSORS for name in archive.namelist())
-        except (zipfile.BadZipFile, ValueError, NotImplementedError):
-            return False
+        return False
     with path.open("rb") as file:
         start = file.read(4096).lstrip(b"\xef\xbb\xbf \t\r\n")
     return start.startswith(b"[") and b'"sensor"' in start
@@ -60,10 +64,8 @@ def can_read(path: Path) -> bool:
 
 def read(path: Path, options: Options) -> Recording:
     """Read the recording. Errors: InputError."""
-    if path.is_dir():
-        export = _from_folder(path, options)
-    elif zipfile.is_zipfile(path):
-        export = _from_zip(path, options)
+    if path.is_dir() or zipfile.is_zipfile(path):
+        export = _from_files(path, options)
     else:
         export = _from_json(path)
     options.progress(1.0)
@@ -144,37 +146,10 @@ def _stem(name: str) -> str:
     return last[:-4] if last.lower().endswith(".csv") else ""
 
 
-def _from_folder(path: Path, options: Options) -> _Export:
-    files = [f for f in sorted(path.glob("*.csv")) if f.stem in (*SENSORS, "Metadata")]
-    texts = {}
-    for k, file in enumerate(files):
-        if file.stat().st_size > LARGEST_MEMBER:
-            raise InputError(f"{file} is too large to be read.")
-        texts[file.stem] = file.read_bytes()
-        options.progress((k + 0.5) / len(files))
-    return _from_texts(path, texts)
-
-
-def _from_zip(path: Path, options: Options) -> _Export:
-    """Members are read into memory by name and never written, whatever their paths say."""
-    texts: dict[str, bytes] = {}
-    try:
-        with zipfile.ZipFile(path) as archive:
-            members = [m for m in archive.infolist() if _stem(m.filename) in (*SENSORS, "Metadata")]
-            for k, member in enumerate(members):
-                if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-                    raise InputError(f"{path}: the compression of {member.filename} is unknown.")
-                if member.flag_bits & 1:
-                    raise InputError(f"{path} is encrypted.")
-                with archive.open(member) as file:
-                    text = file.read(LARGEST_MEMBER + 1)
-                if sum(map(len, texts.values())) + len(text) > LARGEST_MEMBER:
-                    raise InputError(f"{path} would unpack to too much; it was not read.")
-                texts.setdefault(_stem(member.filename), text)
-                options.progress((k + 0.5) / len(members))
-    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, ValueError) as error:
-        raise InputError(f"{path} is a damaged zip file: {error}.") from error
-    return _from_texts(path, texts)
+def _from_files(path: Path, options: Options) -> _Export:
+    """Of a folder or zip: one CSV file a sensor, wherever it lies in it."""
+    found = contents(path, lambda name: _stem(name) in (*SENSORS, "Metadata"), options)
+    return _from_texts(path, {_stem(name): text for name, text in reversed(list(found.items()))})
 
 
 def _from_texts(path: Path, texts: Mapping[str, bytes]) -> _Export:
@@ -231,7 +206,7 @@ def _checked_ns(path: Path, ns: IntArray) -> IntArray:
 
 def _from_json(path: Path) -> _Export:
     """An array of objects whose values are all strings, one object a reading."""
-    if path.stat().st_size > LARGEST_MEMBER:
+    if path.stat().st_size > LARGEST:
         raise InputError(f"{path} is too large to be read as JSON: export it as zip.")
     try:
         entries = json.loads(path.read_bytes())

@@ -1,0 +1,44 @@
+"""The command ``info``. What is slow to import is imported where it is used."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from handcal.commands._options import Json, Report, Topics, Units, load
+
+
+def info(
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="A recording, of any format, or its folder.")
+    ],
+    topic: Topics = None,
+    units: Units = None,
+    json: Json = None,
+    report: Report = None,
+) -> None:
+    """What a file holds: streams, rates, gaps, units, rests, turns, and what it could teach."""
+    from handcal.design.seen import seen
+    from handcal.output import check_outputs
+    from handcal.recordings.inputs import format_of
+    from handcal.recordings.overview import overview
+    from handcal.show.calibration.summary import write_json
+    from handcal.show.info import Info, info_json, print_info, write_info_report
+
+    check_outputs((json, report), (file,))
+    recording = load(file, topic, units)
+    form, found = format_of(file), overview(recording)
+    stated = getattr(form, "UNITS", "SI")
+    if units:
+        stated += f"; overruled by --units {units}"
+    result = Info(form.UNDERSTOOD, stated, found, seen(found))
+    if report:
+        write_info_report(result, report)
+    if json:
+        write_json(info_json(result), json)
+    if str(json) != "-":
+        from rich.console import Console
+
+        print_info(result, Console())

@@ -1,0 +1,140 @@
+"""Zip files and folders as sets of small files, read within bounds.
+
+Nothing is ever written, so a member's path is only its name; one that climbs out of its folder
+is refused all the same, for nobody's export has it. What a zip says of itself is checked before
+memory or time is spent on it: sizes, how far it would unpack, compression, encryption. A zip
+inside a zip is not looked into.
+"""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from collections.abc import Callable, Mapping
+from pathlib import Path, PurePosixPath
+
+from handcal.recordings.inputs._options import Options
+from handcal.types import InputError
+
+LARGEST = 512 * 2**20
+# Tables of numbers shrink to a fifth, or, where a sensor says the same throughout, a fiftieth.
+LARGEST_RATIO, RATIO_FROM = 200, 4 * 2**20
+MOST_MEMBERS = 20_000
+DEEPEST = 2
+_DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, ValueError, RuntimeError)
+
+
+def names_within(path: Path) -> set[str] | None:
+    """Names of the files in a folder or zip, without what is before them, in small letters; None
+    for anything else, damaged zips too."""
+    listed = listing(path)
+    return None if listed is None else {PurePosixPath(n).name.lower() for n in listed}
+
+
+def listing(path: Path) -> list[str] | None:
+    """Paths inside a folder (two levels deep) or zip; None for anything else, damaged too."""
+    if path.is_dir():
+        found = [f for depth in range(1, DEEPEST + 1) for f in path.glob("/".join("*" * depth))]
+        return [f.relative_to(path).as_posix() for f in sorted(found) if f.is_file()]
+    if not zipfile.is_zipfile(path):
+        return None
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return [m.filename.replace("\\", "/") for m in archive.infolist() if not m.is_dir()]
+    except _DAMAGED:
+        return None
+
+
+def beginnings(path: Path, wanted: Callable[[str], bool], size: int = 4096) -> Mapping[str, bytes]:
+    """The first bytes of those files of a folder or zip; none of one that is damaged."""
+    chosen = [name for name in listing(path) or () if wanted(name)]
+    if not path.is_dir():
+        return {name: _begin(path, name, size) for name in chosen}
+    out = {}
+    for name in chosen:
+        with (path / name).open("rb") as file:
+            out[name] = file.read(size)
+    return out
+
+
+def _begin(path: Path, name: str, size: int) -> bytes:
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = {m.filename.replace("\\", "/"): m for m in archive.infolist()}
+            with archive.open(members[name]) as packed:
+                return packed.read(size)
+    except _DAMAGED:
+        return b""
+
+
+def contents(
+    path: Path, wanted: Callable[[str], bool], options: Options | None = None
+) -> Mapping[str, bytes]:
+    """The files of a folder or zip whose path inside it is wanted, by that path.
+
+    Errors: InputError for what is too much, encrypted, damaged, or climbs out of its folder.
+    """
+    if path.is_dir():
+        return _of_folder(path, wanted, options)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return _of_zip(path, archive, wanted, options)
+    except _DAMAGED as error:
+        raise InputError(f"{path} is a damaged zip file: {error}.") from error
+
+
+def _of_folder(
+    path: Path, wanted: Callable[[str], bool], options: Options | None
+) -> Mapping[str, bytes]:
+    names = [name for name in listing(path) or () if wanted(name)]
+    if sum((path / name).stat().st_size for name in names) > LARGEST:
+        raise InputError(f"{path} holds more than {LARGEST // 2**20} MiB to be read at once.")
+    out = {}
+    for k, name in enumerate(names):
+        out[name] = (path / name).read_bytes()
+        if options is not None:
+            options.progress((k + 0.5) / len(names))
+    return out
+
+
+def _of_zip(
+    path: Path,
+    archive: zipfile.ZipFile,
+    wanted: Callable[[str], bool],
+    options: Options | None,
+) -> Mapping[str, bytes]:
+    every = archive.infolist()
+    if len(every) > MOST_MEMBERS:
+        raise InputError(f"{path} holds {len(every)} files; it was not read.")
+    for m in every:
+        if ".." in m.filename.replace("\\", "/").split("/"):
+            raise InputError(
+                f"{path} has a path that leads out of it ({m.filename[:60]!r}): no app writes such "
+                "a zip, so it was not read."
+            )
+    chosen = {m.filename.replace("\\", "/"): m for m in every if not m.is_dir()}
+    chosen = {name: m for name, m in chosen.items() if wanted(name)}
+    for m in chosen.values():
+        _check(path, m)
+    if sum(m.file_size for m in chosen.values()) > LARGEST:
+        raise InputError(f"{path} would unpack to too much; it was not read.")
+    out = {}
+    for k, (name, m) in enumerate(chosen.items()):
+        with archive.open(m) as file:
+            out[name] = file.read(m.file_size + 1)
+        if options is not None:
+            options.progress((k + 0.5) / len(chosen))
+    return out
+
+
+def _check(path: Path, member: zipfile.ZipInfo) -> None:
+    """Errors: InputError for a member that must not be unpacked."""
+    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise InputError(f"{path}: the compression of {member.filename[:60]} is unknown.")
+    if member.flag_bits & 1:
+        raise InputError(f"{path} is encrypted.")
+    if member.file_size > max(RATIO_FROM, LARGEST_RATIO * member.compress_size):
+        raise InputError(
+            f"{path} would unpack to too much ({member.filename[:60]}: {member.compress_size} "
+            f"bytes to {member.file_size / 2**20:.0f} MiB); it was not read."
+        )
