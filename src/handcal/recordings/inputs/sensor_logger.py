@@ -28,6 +28,7 @@ from handcal.types import InputError, IntArray, Recording
 
 UNDERSTOOD = "an export of the Sensor Logger app (zip, folder or JSON)"
 LARGEST_MEMBER = 512 * 2**20
+LARGEST_RATIO, RATIO_FROM = 200, 4 * 2**20  # beyond these no table of numbers shrinks
 GYROS = ("GyroscopeUncalibrated", "Gyroscope")
 MAGS = ("MagnetometerUncalibrated", "Magnetometer")
 ACCELS = ("AccelerometerUncalibrated", "TotalAcceleration", "Accelerometer", "Gravity")
@@ -166,6 +167,8 @@ def _from_zip(path: Path, options: Options) -> _Export:
                     raise InputError(f"{path}: the compression of {member.filename} is unknown.")
                 if member.flag_bits & 1:
                     raise InputError(f"{path} is encrypted.")
+                if member.file_size > max(RATIO_FROM, LARGEST_RATIO * member.compress_size):
+                    raise InputError(f"{path} would unpack to too much; it was not read.")
                 with archive.open(member) as file:
                     text = file.read(LARGEST_MEMBER + 1)
                 if sum(map(len, texts.values())) + len(text) > LARGEST_MEMBER:
