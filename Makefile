@@ -45,7 +45,7 @@ prove: .venv/.installed-dev ## the slow statistics, with their tables
 fuzz: .venv/.installed-dev ## mutated files of every format: N=100000 SEED=0; failures go to fuzz-out/
 	$(BIN)/python tests/fuzz.py --n $(or $(N),100000) --seed $(or $(SEED),0)
 
-soak: .venv/.installed-dev ## a day of readings at 200 Hz, a million violent steps, truncation at every byte
+soak: .venv/.installed-dev ## two hours at 200 Hz, a million violent steps, files cut at every 16th byte
 	$(BIN)/python -m pytest -m prove -s tests/test_soak.py tests/test_fuzz.py
 
 trial: setup ## blind trials of explain at full size: hours; scores in trial-out/

@@ -80,11 +80,11 @@ def test_a_file_cut_at_every_kth_byte_gives_what_it_holds(
 
 
 @pytest.mark.prove
-def test_five_files_cut_at_every_byte(all_seeds: list[Seed], tmp_path: Path) -> None:
+def test_five_files_cut_at_every_16th_byte(all_seeds: list[Seed], tmp_path: Path) -> None:
     score = Score()
     chosen = [s for s in all_seeds if s.kind in ("mcap", "plain_csv", "sensor_logger")]
     for seed in chosen:
         small = seed.content if len(seed.content) < 40_000 else seed.content[:40_000]
-        for end in range(len(small)):
+        for end in range(0, len(small), 16):
             assert execute(seed, small[:end], tmp_path / f"x{seed.suffix}", score) is None, end
     print(f"{score.executions} truncations of {len(chosen)} files, {score.accepted} recovered")

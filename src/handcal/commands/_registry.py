@@ -154,8 +154,9 @@ def _show_what_can_be_shown() -> None:
 
 
 def say(text: str) -> None:
-    """One line on stderr."""
-    print(f"handcal: {' '.join(text.split())}", file=sys.stderr)
+    """One line on stderr, in which nothing (a file's name) commands the terminal."""
+    line = "".join(c if c.isprintable() else "?" for c in " ".join(text.split()))
+    print(f"handcal: {line}", file=sys.stderr)
 
 
 def run(app: typer.Typer) -> NoReturn:

@@ -1,0 +1,127 @@
+"""Small files that ask for much, and names that are no names: refused fast, in little memory."""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+import time
+import tracemalloc
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from fake_result import fake_result
+from mcap.data_stream import RecordBuilder
+from mcap.records import Channel, Header, Schema
+from sample_recording import IMU
+
+from handcal.commands._registry import say
+from handcal.device import apply
+from handcal.explain import model_file
+from handcal.recordings.inputs import load
+from handcal.show.calibration.report import write_report
+from handcal.types import InputError
+
+MAGIC = b"\x89MCAP0\r\n"
+SECONDS, MEGABYTES = 1.0, 100
+
+
+def zipped(members: dict[str, bytes]) -> bytes:
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+    return out.getvalue()
+
+
+def with_a_size_of_2_60() -> bytes:
+    """The sizes in the directory of a zip file are what its writer says."""
+    content = bytearray(zipped({"Gyroscope.csv": b"time,x,y,z\n1,0,0,0\n"}))
+    at = content.rindex(b"PK\x01\x02")
+    content[at + 24 : at + 28] = struct.pack("<I", 0xFFFFFFFE)
+    return bytes(content)
+
+
+def many_channels() -> bytes:
+    builder = RecordBuilder()
+    Header("ros2", "test").write(builder)
+    Schema(id=1, data=b"", encoding="ros2msg", name=IMU).write(builder)
+    for n in range(20_000):
+        Channel(id=n, topic=f"/{n}", message_encoding="cdr", metadata={}, schema_id=1).write(
+            builder
+        )
+    return MAGIC + builder.end() + MAGIC
+
+
+BOMBS = {
+    "zip.zip": lambda: zipped({"Gyroscope.csv": b"time,x,y,z\n" + bytes(100 * 2**20)}),
+    "nested.zip": lambda: zipped({"Gyroscope.csv": zipped({"Gyroscope.csv": bytes(2**24)})}),
+    "size.zip": with_a_size_of_2_60,
+    "channels.mcap": many_channels,
+    "outside.zip": lambda: zipped({"../../Gyroscope.csv": b"time,x,y,z\n1,0,0,0\n"}),
+    "record.mcap": lambda: MAGIC + struct.pack("<BQ", 6, 2**60) + bytes(100),
+    "deep.json": lambda: b"[" * 10**6,
+}
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_a_bomb_is_refused_fast_in_little_memory(name: str, tmp_path: Path) -> None:
+    folder = tmp_path / "inner" / "folder"
+    folder.mkdir(parents=True)
+    path = folder / name
+    path.write_bytes(BOMBS[name]())
+    started = time.process_time()
+    with pytest.raises(InputError):
+        load(path)
+    assert time.process_time() - started < SECONDS
+    tracemalloc.start()
+    with pytest.raises(InputError):
+        load(path)
+    peak = tracemalloc.get_traced_memory()[1] / 2**20
+    tracemalloc.stop()
+    assert peak < MEGABYTES
+    assert [p for p in tmp_path.rglob("*") if p.is_file()] == [path], "something was unpacked"
+
+
+HOSTILE = ("<script>alert(1)</script>", "\x1b[31mred\x1b]0;title\x07", "a\nb: done", "x" * 10_000)
+
+
+@pytest.mark.parametrize("text", HOSTILE, ids=["html", "ansi", "newline", "long"])
+def test_a_hostile_name_in_a_message_is_one_plain_line(
+    text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    say(f"{text} does not exist.")
+    shown = capsys.readouterr().err
+    assert shown.count("\n") == 1
+    assert all(c.isprintable() for c in shown.rstrip("\n"))
+
+
+def test_a_hostile_name_in_a_report_is_text(tmp_path: Path) -> None:
+    result = fake_result()
+    hostile = replace(result.recording, path="<script>alert(1).mcap")
+    write_report(replace(result, recording=hostile), tmp_path / "r.html")
+    page = (tmp_path / "r.html").read_text()
+    assert "<script>alert" not in page
+    assert "&lt;script&gt;alert" in page
+
+
+@pytest.mark.parametrize("effect", ["__import__('os').system('touch made')", *HOSTILE])
+def test_the_json_of_somebody_else_is_data(
+    effect: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    parameter = {"effect": effect, "name": "x", "value": 1.0, "sigma": 1.0, "unit": "1"}
+    levels = {"latitude": None, "height": 0.0, "noise": {}, "ignore": [], "reference_exact": False}
+    document = {
+        "schema": "handcal/calibration/1", "parameters": [parameter],
+        "model": {"effects": [{"id": effect}], "noise_effects": [], "options": levels,
+                  "recordings": [], "levels": []},
+    }  # fmt: skip
+    path = tmp_path / "theirs.json"
+    path.write_text(json.dumps(document))
+    for read in (apply.read, model_file.read):
+        with pytest.raises(InputError):
+            read(path)
+    assert [p.name for p in tmp_path.iterdir()] == ["theirs.json"]
