@@ -25,7 +25,7 @@ def test_no_mutation_gets_past_the_sentence() -> None:
 
 
 def test_every_format_of_the_folder_is_attacked(all_seeds: list[Seed]) -> None:
-    formats = {module.__name__.rsplit(".", 1)[-1] for module in inputs._formats()}
+    formats = {module.__name__.rsplit(".", 1)[-1] for module in inputs.formats()}
     assert formats <= {s.kind for s in all_seeds}
     assert len(dictionary()) > 100
 
