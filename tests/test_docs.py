@@ -22,6 +22,12 @@ def made(name="make_effects"):
     return module
 
 
+def apart(page):
+    """A page's words and its numbers."""
+    number = r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?"
+    return re.sub(number, "#", page), [float(x) for x in re.findall(number, page)]
+
+
 def test_the_catalogue_page_is_what_the_effects_say():
     """If not: `make docs`, or docs/make_effects.py alone."""
     page = made().page()
@@ -39,7 +45,11 @@ def test_there_is_a_page_for_each_export_and_it_is_what_the_export_writes():
     assert {p.name for p in folder.iterdir()} == set(pages)
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     for name, page in pages.items():
-        assert (folder / name).read_text(encoding="utf-8") == page
+        kept, numbers = apart((folder / name).read_text(encoding="utf-8"))
+        text, others = apart(page)
+        assert kept == text
+        # (the last digits of a matrix product differ between processors)
+        assert numbers == pytest.approx(others, rel=1e-9, abs=1e-12)
         assert f"(docs/use/{name})" in readme
 
 
