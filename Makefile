@@ -2,7 +2,7 @@
 # PYTHON=/path/to/python chooses the interpreter .venv is made from.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo docs stories test lint format prove fuzz soak trial bench clean clean-cache
+.PHONY: help setup demo docs stories test lint format prove fuzz soak trial bench bench-check clean clean-cache
 
 BIN := .venv/bin
 # Of `make trial`: which suites, how many explanations at a time; SEED=N repeats a trial.
@@ -58,6 +58,10 @@ trial: setup ## blind trials of explain at full size: hours; scores in trial-out
 bench: .venv/.installed-bench ## speed beside other programs, start-up, memory: ten minutes
 	@mkdir -p bench-out
 	$(BIN)/handcal bench --all --json bench-out/bench.json
+
+bench-check: .venv/.installed-bench ## fail where a ratio to other programs is 30 % worse than kept
+	$(BIN)/handcal bench --rounds 7 --only filter --only filterpy --only gtsam --only epochs \
+	  --only start --against benchmarks/ratios.json
 
 lint: .venv/.installed-dev ## style, types and the direction of imports
 	$(BIN)/ruff check

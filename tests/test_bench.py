@@ -5,6 +5,7 @@ import sys
 
 import numpy as np
 import pytest
+import typer
 from numba.core import event
 
 from handcal.bench import filter, program, timing
@@ -133,6 +134,45 @@ def test_the_table_as_json_gives_every_round(capsys, tmp_path, monkeypatch):
     shown = capsys.readouterr().out
     assert "met" in shown
     assert "Left out: GTSAM: there is none." in shown
+
+
+@pytest.mark.parametrize(
+    ("slower", "fewer", "status"),
+    [(1.29, 1.0, 0), (1.31, 1.0, 1), (1.0, 1.29, 0), (1.0, 1.31, 1), (0.2, 0.2, 0)],
+)
+def test_a_ratio_that_is_a_third_worse_than_it_was_fails(
+    slower, fewer, status, monkeypatch, tmp_path
+):
+    """Ours over theirs may not grow, theirs over ours may not shrink; seconds do not count."""
+
+    def run(ours, theirs, seconds, **options):
+        figures = [
+            Figure("a", "ours over theirs", "x", np.array([ours])),
+            Figure("a", "theirs over ours", "x", np.array([theirs]), "", Target(1.0, False)),
+            Figure("a", "seconds", "s", np.array([seconds])),
+        ]
+        monkeypatch.setattr(bench_command, "_measured", lambda *_: figures)
+        bench_command.bench(rounds=1, **options)
+
+    kept = tmp_path / "kept.json"
+    run(2.0, 3.0, 1.0, json=kept)
+    if status:
+        with pytest.raises(typer.Exit) as ended:
+            run(2.0 * slower, 3.0 / fewer, 9.0, against=kept)
+        assert ended.value.exit_code == status
+    else:
+        run(2.0 * slower, 3.0 / fewer, 9.0, against=kept)
+
+
+def test_nothing_to_compare_is_no_pass(monkeypatch, tmp_path):
+    kept = tmp_path / "kept.json"
+    kept.write_text('{"figures": []}')
+    monkeypatch.setattr(bench_command, "_measured", lambda *_: [])
+    with pytest.raises(typer.Exit):
+        bench_command.bench(rounds=1, against=kept)
+    kept.write_text("[]")
+    with pytest.raises(HandcalError, match="bench --json"):
+        bench_command.bench(rounds=1, against=kept)
 
 
 def test_unknown_groups_are_refused():

@@ -17,6 +17,7 @@ from handcal.bench.timing import (
     in_turns,
     peer,
     run_handcal,
+    run_python,
     side,
 )
 from handcal.recordings.inputs import load
@@ -53,30 +54,39 @@ def reading(folder: Path, script: list[str | Path], rounds: int, tick: Tick) -> 
     ]
 
 
+# What is waited for, what its libraries take to load in the same round, and what is asked beyond.
+STARTS: tuple[tuple[str, tuple[str, ...], str, float], ...] = (
+    ("handcal --help", ("--help",), "typer, rich.console, rich.table, rich.panel", 0.05),
+    ("calibrate 30 s", ("calibrate", "{}"), "numpy, scipy.linalg, numba", 0.4),
+)
+
+
 def starting(folder: Path, rounds: int, tick: Tick) -> Found:
     """What a person waits for at the start: the help, and a first and a second calibration."""
     path = simulated("three-turns", folder / "turns.mcap")
-    run_handcal("--help")
-    wall, cpu = np.empty((rounds, 3)), np.empty((rounds, 3))
+    first, wall, cpu = np.empty(rounds), np.empty((2, rounds, 2)), np.empty((2, rounds))
+    for _, arguments, modules, _ in STARTS:
+        run_handcal(*(a.format(path) for a in arguments))
+        run_python(f"import {modules}")
     for r in range(rounds):
         with TemporaryDirectory() as cache:
-            ran = [
-                run_handcal("--help"),
-                run_handcal("calibrate", path, cache=Path(cache)),
-                run_handcal("calibrate", path, cache=Path(cache)),
-            ]
-        wall[r], cpu[r] = [one.wall for one in ran], [one.cpu for one in ran]
+            first[r] = run_handcal("calibrate", path, cache=Path(cache)).wall
+        for k, (_, arguments, modules, _) in enumerate(STARTS):
+            ran = run_handcal(*(a.format(path) for a in arguments))
+            wall[k, r] = ran.wall, run_python(f"import {modules}").wall
+            cpu[k, r] = ran.cpu
         tick()
-    titles = (
-        ("handcal --help", 0.25),
-        ("calibrate 30 s, nothing compiled yet", 6.0),
-        ("calibrate 30 s", 1.5),
-    )
-    found: Found = []
-    for k, (title, most) in enumerate(titles):
-        found.append(Figure("start", title, "s", wall[:, k], "wall", Target(most, True)))
-        if not np.isnan(cpu).any():
-            found.append(Figure("start", f"{title}: of the processor", "s", cpu[:, k], "cpu"))
+    title = "calibrate 30 s, nothing compiled yet"
+    found: Found = [Figure("start", title, "s", first, "wall", Target(6.0, True))]
+    for (title, _, modules, most), (own, loading), used in zip(
+        STARTS, wall.transpose(0, 2, 1), cpu, strict=True
+    ):
+        found.append(Figure("start", title, "s", own.copy(), "wall"))
+        beyond = f"{title}, beyond importing {modules}"
+        found.append(Figure("start", beyond, "s", own - loading, "wall", Target(most, True)))
+        found.append(Figure("start", f"{title}, over importing these", "x", own / loading, "wall"))
+        if not np.isnan(used).any():
+            found.append(Figure("start", f"{title}: of the processor", "s", used, "cpu"))
     return found
 
 

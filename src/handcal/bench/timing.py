@@ -60,6 +60,11 @@ class Figure:
         return float(np.median(self.rounds))
 
     @property
+    def more_is_better(self) -> bool:
+        """Whether a larger value is the better one."""
+        return self.target is not None and not self.target.at_most
+
+    @property
     def met(self) -> bool | None:
         """Whether the median is good enough; None where nothing is asked."""
         return None if self.target is None else self.target.met(self.value)
@@ -194,8 +199,17 @@ def run_handcal(*arguments: str | Path, cache: Path | None = None) -> Ran:
 
     cache: the folder for compiled functions.
     """
-    command = [sys.executable, "-m", "handcal", *map(str, arguments)]
     environment = one_thread({"NUMBA_CACHE_DIR": str(cache)} if cache else None)
+    shown = f"handcal {' '.join(map(str, arguments))}"
+    return _run([sys.executable, "-m", "handcal", *map(str, arguments)], shown, environment)
+
+
+def run_python(code: str) -> Ran:
+    """Run a line of Python in a process of its own. Raises HandcalError if that fails."""
+    return _run([sys.executable, "-c", code], f"python -c {code}", one_thread())
+
+
+def _run(command: Sequence[str], shown: str, environment: Mapping[str, str]) -> Ran:
     with tempfile.TemporaryFile("w+") as said:
         begin = time.perf_counter()
         child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=said, env=environment)
@@ -203,7 +217,7 @@ def run_handcal(*arguments: str | Path, cache: Path | None = None) -> Ran:
         if child.returncode:
             said.seek(0)
             last = (said.read().strip().splitlines() or [""])[-1]
-            raise HandcalError(f"'handcal {' '.join(map(str, arguments))}' failed: {last}")
+            raise HandcalError(f"'{shown}' failed: {last}")
     return ran
 
 

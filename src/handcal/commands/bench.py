@@ -25,6 +25,7 @@ GROUPS = {
     "filterpy": "filterpy over the filter",
     "pyins": "pyins over the filter",
     "gtsam": "GTSAM's batch smoother over handcal's",
+    "epochs": "explain's pass over 84 s, over dense C++",
     "linear": "cost of a sample in recordings of 10 to 10,000 s",
     "reading": "messages read from MCAP",
     "start": "help and calibrate, from the start",
@@ -49,6 +50,13 @@ def bench(
         Path | None,
         typer.Option(metavar="DIR", help="Scripts of the peers (benchmarks/peers of the sources)."),
     ] = None,
+    against: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="An earlier --json: fail (exit status 1) where a ratio is 30 % worse now.",
+        ),
+    ] = None,
     json: Json = None,
 ) -> None:
     """Measure handcal on this machine: speed beside other programs, start-up, memory.
@@ -58,7 +66,8 @@ def bench(
     from handcal.output import check_outputs
     from handcal.types import InputError
 
-    check_outputs((json,))
+    check_outputs((json,), (against,))
+    kept = _kept(against) if against else None
     for name in only or ():
         if name not in GROUPS:
             raise InputError(f"--only {name}: there are {', '.join(GROUPS)}.")
@@ -74,6 +83,38 @@ def bench(
         write_json(_document(found, rounds, load), json)
     if str(json) != "-":
         _show(found, rounds, load)
+    if kept is not None:
+        _check(found, kept)
+
+
+def _kept(path: Path) -> list[dict[str, Any]]:
+    """The figures of an earlier run. Raises InputError."""
+    import json
+
+    from handcal.types import InputError
+
+    try:
+        figures = json.loads(path.read_text(encoding="utf-8"))["figures"]
+        return [{"title": str(f["title"]), "median": float(f["median"])} for f in figures]
+    except (OSError, ValueError, KeyError, TypeError):
+        raise InputError(f"{path} is not what `handcal bench --json` writes.") from None
+
+
+def _check(found: Found, kept: list[dict[str, Any]]) -> None:
+    """Say which ratios are worse than they were; exit with 1 if one is, or none was compared."""
+    from rich.console import Console
+
+    from handcal.bench.check import SLOWER, compared
+
+    console = Console(highlight=False, soft_wrap=True)
+    ratios = list(compared(found, kept))
+    for one in ratios:
+        word = "as before" if one.passed else f"[red]more than {SLOWER:g} times worse[/]"
+        console.print(f"{one.title}: {_number(one.then)} then, {_number(one.now)} now: {word}")
+    if not ratios:
+        console.print("None of the ratios of that file was measured.")
+    if not ratios or not all(one.passed for one in ratios):
+        raise typer.Exit(1)
 
 
 def _beside_the_sources() -> Path:
@@ -141,6 +182,13 @@ def _measurements(folder: Path, rounds: int, peers: Path) -> dict[str, Callable[
         ),
         "gtsam": lambda tick: f.against_gtsam(
             case(), script("gtsam_smoother.py", readings(), "1"), rounds, tick
+        ),
+        "epochs": lambda tick: f.epochs_against_dense(
+            load(p.simulated("free-hand", folder / "hand.mcap", "--duration", "84")),
+            peers,
+            folder,
+            rounds,
+            tick,
         ),
         "linear": lambda tick: f.linear_cost(case().problem.recording, rounds, tick),
         "reading": lambda tick: p.reading(folder, script("mcap_messages.py"), rounds, tick),
