@@ -56,7 +56,7 @@ def reading(folder: Path, script: list[str | Path], rounds: int, tick: Tick) -> 
 
 # What is waited for, what its libraries take to load in the same round, and what is asked beyond.
 STARTS: tuple[tuple[str, tuple[str, ...], str, float], ...] = (
-    ("handcal --help", ("--help",), "typer, rich.console, rich.table, rich.panel", 0.05),
+    ("handcal --help", ("--help",), "typer, typer.rich_utils", 0.05),
     ("calibrate 30 s", ("calibrate", "{}"), "numpy, scipy.linalg, numba", 0.4),
 )
 

@@ -17,6 +17,7 @@ import io
 import os
 import pkgutil
 import sys
+from functools import cached_property
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, NoReturn
@@ -34,19 +35,20 @@ class Commands(TyperGroup):
 
     listing = False
 
+    @cached_property
     def plugins(self) -> dict[str, EntryPoint]:
         """Where the commands are that are imported only when called, by name."""
         return _plugins()
 
     def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002
         """Names, the most used first."""
-        names = {*self.commands, *self.plugins()}
+        names = {*self.commands, *self.plugins}
         order = {name: n for n, name in enumerate(FIRST)}
         return sorted(names, key=lambda name: (order.get(name, len(order)), name))
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ARG002
         """The command; for the list of commands only its name and its first line."""
-        plugin = self.plugins().get(cmd_name)
+        plugin = self.plugins.get(cmd_name)
         if cmd_name in self.commands or plugin is None:
             return self.commands.get(cmd_name)
         if self.listing:

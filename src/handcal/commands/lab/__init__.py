@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from importlib.metadata import EntryPoint
 
 import typer
@@ -12,6 +13,7 @@ from handcal.commands._registry import Commands, folder
 class Methods(Commands):
     """One file in this folder is one command."""
 
+    @cached_property
     def plugins(self) -> dict[str, EntryPoint]:
         """By name; nothing is imported."""
         return folder(__name__)
