@@ -27,6 +27,7 @@ docs: .venv/.installed-dev ## write the catalogue and draw the figures of docs/ 
 	$(BIN)/python docs/make_layers.py
 	$(BIN)/python docs/make_use.py
 	$(BIN)/python docs/make_licences.py
+	$(BIN)/python docs/make_results.py
 	$(BIN)/python docs/make_notebook.py
 	$(BIN)/python docs/make_figures.py
 	$(BIN)/python docs/make_explain_figures.py
