@@ -2,7 +2,7 @@
 # PYTHON=/path/to/python chooses the interpreter .venv is made from.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo docs stories test lint format prove fuzz soak trial bench bench-check clean clean-cache
+.PHONY: help setup demo docs stories test lint format prove fuzz soak trial bench bench-check dist audit clean clean-cache
 
 BIN := .venv/bin
 # Of `make trial`: which suites, how many explanations at a time; SEED=N repeats a trial.
@@ -26,6 +26,8 @@ docs: .venv/.installed-dev ## write the catalogue and draw the figures of docs/ 
 	$(BIN)/python docs/make_constants.py
 	$(BIN)/python docs/make_layers.py
 	$(BIN)/python docs/make_use.py
+	$(BIN)/python docs/make_licences.py
+	$(BIN)/python docs/make_results.py
 	$(BIN)/python docs/make_notebook.py
 	$(BIN)/python docs/make_figures.py
 	$(BIN)/python docs/make_explain_figures.py
@@ -62,6 +64,15 @@ bench: .venv/.installed-bench ## speed beside other programs, start-up, memory: 
 bench-check: .venv/.installed-bench ## fail where a ratio to other programs is 30 % worse than kept
 	$(BIN)/handcal bench --rounds 7 --only filter --only filterpy --only gtsam --only epochs \
 	  --only start --against benchmarks/ratios.json
+
+dist: .venv/.installed-dev ## source archive, wheel and bill of materials (CycloneDX) in dist/
+	@rm -rf dist
+	$(BIN)/python -m hatchling build
+	$(PIP) --no-deps -e .
+	$(BIN)/python scripts/sbom.py dist
+
+audit: .venv/.installed-audit ## ask for known vulnerabilities of the pinned versions: needs a network
+	@$(BIN)/python scripts/audit.py
 
 lint: .venv/.installed-dev ## style, types and the direction of imports
 	$(BIN)/ruff check
@@ -108,4 +119,9 @@ clean-cache: ## remove compiled kernels (do so after editing what is compiled in
 .venv/.installed-bench: .venv/.installed
 	@echo "Installing what handcal is measured against into .venv."
 	@$(PIP) -e ".[bench]"
+	@touch $@
+
+.venv/.installed-audit: .venv/.installed
+	@echo "Installing pip-audit into .venv."
+	@$(PIP) -e ".[audit]"
 	@touch $@

@@ -15,6 +15,7 @@ from handcal.effects import catalogue
 from handcal.exports import Format, formats
 from handcal.exports._contents import contents
 
+VERSION = "0.1.0"  # that the pages show, so that no commit changes them
 FOLDER = Path(__file__).resolve().parent / "use"
 
 # The worked sensor: each error in the one place where its sign shows.
@@ -88,7 +89,7 @@ def _page(name: str, form: Format, result: Path) -> str:
     return PAGE.format(
         program=form.program, name=name, file=file, text=_docstring(name), w=w, a=a,
         corrected=corrected, language=LANGUAGES.get(Path(file).suffix[1:], ""),
-        written=form.write(made),
+        written=form.write(made).replace(f"handcal {handcal.__version__}", f"handcal {VERSION}"),
     )  # fmt: skip
 
 

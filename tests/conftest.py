@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 # Before numpy is imported: threads on matrices of twenty rows cost more than they bring.
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -20,3 +22,23 @@ def real_recordings() -> Path:
     if not (folder / "xio_fusion.csv").is_file():
         pytest.skip(f"no real recordings in {folder} (set HANDCAL_RECORDINGS)")
     return folder
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _results_follow_their_schemas() -> Iterator[None]:
+    """Every result that any test of this process writes is held against its schema."""
+    import schemas
+
+    from handcal.show.calibration import summary
+
+    stamped = summary.stamped
+
+    def checked(document: Mapping[str, Any]) -> dict[str, Any]:
+        whole = stamped(document)
+        if str(whole["schema"]).startswith("handcal"):
+            schemas.check(whole)
+        return whole
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(summary, "stamped", checked)
+        yield

@@ -1,4 +1,4 @@
-"""Known noise is found again within its own sigma; the estimator is allantools'; refusals."""
+"""Known noise is found again within its own sigma; the estimator against allantools; refusals."""
 
 import json
 import math
@@ -7,7 +7,7 @@ import allantools
 import numpy as np
 import pytest
 
-from handcal.allan import analysis, terms
+from handcal.allan import analysis, overlapping, terms
 from handcal.commands.allan import _span
 from handcal.commands.allan import allan as command
 from handcal.recordings.export import write_mcap
@@ -98,11 +98,45 @@ def test_the_deviation_is_that_of_allantools_and_of_its_definition(analysed):
         assert np.all((c.low < c.deviation) & (c.deviation < c.high))
 
 
+@pytest.mark.parametrize(("noise", "alpha"), [("white", 0), ("flicker", -1), ("walk", -2)])
+def test_degrees_of_freedom_and_bands_are_those_of_allantools(noise, alpha):
+    """Greenhall's formula is for bandlimited noise; sampled noise differs by 1/m, or its square.
+
+    Beyond 100 steps allantools takes its sum at 100 and rounds its tables to three digits.
+    """
+    for n in (1000, 2**15):
+        for m in (64, 100, n // 10, n // 4):
+            theirs = float(allantools.edf_greenhall(alpha, 2, m, n + 1, overlapping=True))
+            ours = overlapping.freedom(noise, m, n)
+            assert ours == pytest.approx(theirs, rel=0.003 if m > 64 else 1.0 / m)
+    edf, dev = np.array([2.3, 17.0, 4000.0]), np.array([1.0, 2e-4, 3.0])
+    low, high = overlapping.band(dev, edf, 0.95)
+    for d, e, a, b in zip(dev, edf, low, high, strict=True):
+        np.testing.assert_allclose((a, b), allantools.confidence_interval(d, e, ci=0.95))
+
+
+def test_degrees_of_freedom_of_a_sampled_walk_are_exact():
+    """From the covariance of its second differences, term by term."""
+    n, m = 60, 5
+    weight = np.zeros(n)
+    weight[:m], weight[m : 2 * m] = 1.0, -1.0
+    rows = np.array([np.roll(weight, k) for k in range(n - 2 * m + 1)])
+    steps = rows @ np.tril(np.ones((n, n)))
+    covariance = steps @ steps.T
+    exact = np.trace(covariance) ** 2 / (covariance**2).sum()
+    assert overlapping.freedom("walk", m, n) == pytest.approx(exact, rel=1e-9)
+
+
+def test_a_record_too_short_for_an_averaging_time_is_a_sentence():
+    with pytest.raises(HandcalError, match="too short"):
+        overlapping.deviation(np.arange(9.0), 1.0, np.array([5.0]))
+
+
 def test_degrees_of_freedom_are_those_of_white_noise():
     """Scatter of the variance over 400 draws, its sigma 1/sqrt(2 * 400) = 3.5 %; four of them."""
     n = 1024
     factors, freedom = analysis.averaging(n)
-    draws = [analysis.deviation(np.random.default_rng(s).standard_normal(n), 1.0, factors) ** 2
+    draws = [overlapping.deviation(np.random.default_rng(s).standard_normal(n), 1.0, factors) ** 2
              for s in range(400)]  # fmt: skip
     seen = 2 * np.mean(draws, axis=0) ** 2 / np.var(draws, axis=0, ddof=1)
     np.testing.assert_allclose(np.sqrt(seen / freedom[0])[:12], 1.0, atol=0.15)

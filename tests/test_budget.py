@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import schemas
 from worlds import recording_of
 
 from handcal.explain import explain
@@ -44,11 +45,14 @@ def test_without_time_nothing_is_claimed(recording: Recording) -> None:
     assert "further effects" in found.untried
     assert any("further effects" in w for w in found.warnings)
     assert "time" in verdict(found).headline
-    assert explanation_json(found)["untried"] == list(found.untried)
+    document = explanation_json(found)
+    schemas.check(document)
+    assert document["untried"] == list(found.untried)
 
 
 def test_with_enough_of_it_nothing_changes(recording: Recording) -> None:
     whole = explanation_json(explain([recording]))
+    schemas.check(whole)
     assert "untried" not in whole
     assert [m["effect"] for m in whole["missing"]] == ["gyro_scale"]
     assert json.dumps(whole) == json.dumps(explanation_json(explain([recording], budget=1e4)))

@@ -53,6 +53,14 @@ def test_there_is_a_page_for_each_export_and_it_is_what_the_export_writes():
         assert f"(docs/use/{name})" in readme
 
 
+def test_the_page_of_results_is_what_the_schemas_say():
+    """If not: `make docs`, or docs/make_results.py alone. Every part that is linked is there."""
+    page = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+    assert page == made("make_results").page()
+    parts = {f"part-{name}" for name in re.findall(r"^### Part: (\S+)$", page, re.M)}
+    assert set(re.findall(r"\(#(part-[^)]+)\)", page)) <= parts
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
 def test_links_and_pictures_of_the_documents_exist(page):
     text = page.read_text(encoding="utf-8")

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import schemas
 from fake_explanation import fake_explanation
 from worlds import injected, recording_of
 
@@ -183,6 +184,7 @@ def test_two_recordings_share_the_effect_and_keep_their_biases(
 
 def test_json_of_two_recordings_has_shared_parameters_apart(together: Explanation) -> None:
     document = explanation_json(together)
+    schemas.check(document)
     assert {p["effect"] for p in document["parameters"]} == {"lever_arm"}
     assert len(document["recordings"]) == 2
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import schemas
 from fake_explanation import CASES, fake_explanation
 from rerun.chunk import RrdReader
 from rich.console import Console
@@ -109,6 +110,7 @@ def test_there_is_a_made_up_explanation_of_every_verdict():
 
 def test_the_json_has_the_contracts_keys_and_types(verdict):
     document = explain_summary.explanation_json(fake_explanation(verdict, recordings=1))
+    schemas.check(document)
     assert set(document) == CONTRACT | {"recording"}
     assert document["schema"] == "handcal/explanation/1"
     assert document["verdict"] == verdict

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import schemas
 from fake_explanation import fake_explanation
 from test_explain import slow as at_fifty_hertz
 from worlds import recording_of
@@ -95,6 +96,7 @@ def test_what_no_law_describes_is_no_walk_and_no_handful_of_names(seed: int) -> 
 
 def _is_told_and_written(e: Explanation) -> None:
     document = explanation_json(e)
+    schemas.check(document)
     assert all(len(u["curve"]["x"]) > 10 for u in document["unnamed"])
     assert e.model is not None
     again = chosen_from(document["model"])

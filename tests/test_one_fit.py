@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import schemas
 from worlds import recording_of
 
 import handcal
@@ -52,7 +53,10 @@ def told(recordings: list[Recording], found: Explanation) -> tuple[dict[str, Any
     """What explain says, and what calibrate says from that, both through JSON."""
     said = json.loads(json.dumps(explanation_json(found)))
     results = recalibrate(recordings, chosen_from(said["model"]))
-    return said, json.loads(json.dumps(calibration_json(results)))
+    calibrated = json.loads(json.dumps(calibration_json(results)))
+    schemas.check(said)
+    schemas.check(calibrated)
+    return said, calibrated
 
 
 def check_equal(recordings: list[Recording]) -> None:

@@ -8,6 +8,7 @@ import sys
 
 import numpy as np
 import pytest
+import schemas
 import typer
 from mcap.reader import make_reader
 from rich.console import Console
@@ -495,6 +496,7 @@ def test_the_rest_of_the_score_and_its_tables():
         trial(answered(A, suite="turn"), {"error": "Traceback\nValueError: odd"}),
     ]
     proof = prove_score.score(trials, 5)
+    schemas.check(proof)
     assert proof["unknown"] == {
         "accel_rate": {"n": 1, "unexplained": 1, "channel": 1, "formula": 1}
     }
@@ -599,6 +601,8 @@ def test_the_command_runs_and_refuses(tmp_path, monkeypatch):
     assert result.exit_code == 0, result.output
     assert "Blind trial" in result.output
     score = json.loads((tmp_path / "score.json").read_text())
+    schemas.check(score)
+    schemas.check(json.loads((tmp_path / "kept" / "answers.json").read_text()))
     assert score["schema"] == "handcal-sim/proof/1"
     assert score["suites"][0]["outcomes"]["missed"] == 2
     assert (tmp_path / "kept" / "answers.json").exists()

@@ -4,6 +4,7 @@ import io
 
 import numpy as np
 import pytest
+import schemas
 from prove_help import parameter, said, trial
 from rich.console import Console
 
@@ -88,6 +89,7 @@ def test_the_score_asks_for_median_and_worst():
 
     fine = [of(0.01, "gyro_scale", "lever_arm"), of(0.04, "gyro_scale"), of(0.19)]
     proof = score.score(fine, 1)
+    schemas.check(proof)
     figures = proof["further"]["budget"]
     assert figures["left"]["met"] is True
     assert (figures["left"]["median"], figures["left"]["worst"]) == (0.04, 0.19)

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+import schemas
 from prove_help import said, trial
 from rich.console import Console
 
@@ -70,6 +71,7 @@ def test_the_score_tells_perfect_trackers_from_others():
         for document in (said("pose_drift"), said())
     ]
     proof = score.score(trials, 1)
+    schemas.check(proof)
     figures = proof["further"]["odometry"]
     assert (figures["perfect_said_to_drift"]["count"], figures["drift_found"]["count"]) == (1, 1)
     assert proof["suites"][0]["met"] is False

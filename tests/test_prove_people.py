@@ -4,6 +4,7 @@ import io
 
 import numpy as np
 import pytest
+import schemas
 from prove_help import said, trial
 from rich.console import Console
 
@@ -102,6 +103,7 @@ def test_the_score_allows_names_of_north_where_iron_passed_and_no_others():
               of(said("heading_outliers"), False, "bumps"),
               of(said("lever_arm"), True, "passes iron", "swivels")]  # fmt: skip
     proof = score.score(trials, 1)
+    schemas.check(proof)
     outcomes = [line["outcome"] for line in proof["recordings"]]
     assert outcomes == ["exact", "exact", "exact", "false", "false"]
     assert proof["suites"][0]["met"] is False

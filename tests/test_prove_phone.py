@@ -4,6 +4,7 @@ import io
 
 import numpy as np
 import pytest
+import schemas
 from prove_help import parameter, said, trial
 from rich.console import Console
 
@@ -97,6 +98,7 @@ def test_the_score_counts_parameters_and_impossible_claims():
               trial("phone", effects, claim, bias),
               trial("phone", effects, untold)]  # fmt: skip
     proof = score.score(trials, 1)
+    schemas.check(proof)
     figures = proof["further"]["phone"]
     every = figures["parameters"]["all"]["within_3_sigma"]
     assert (every["count"], every["n"]) == (6, 7)

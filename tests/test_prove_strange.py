@@ -6,6 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
+import schemas
 from prove_help import parameter, said
 from rich.console import Console
 
@@ -384,7 +385,9 @@ def test_a_trial_is_worked_out_scored_and_shown():
         Trial("r0003", answer, {"error": "Traceback\nValueError: odd"}, 1.0),
         Trial("r0004", answer, {**right, **said("mag_gradient"), "unnamed": []}, 1.0),
     ]
-    figures = score.score(trials, 0)["further"]["strange"]
+    proof = score.score(trials, 0)
+    schemas.check(proof)
+    figures = proof["further"]["strange"]
     counts = {k: v["count"] for k, v in figures.items() if k != "laws"}
     assert counts == {"told": 1, "driver": 1, "clean": 1, "false": 1, "little_left": 1,
                       "nothing_left": 1}  # fmt: skip

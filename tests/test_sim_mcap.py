@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import schemas
 import typer
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
@@ -35,7 +36,9 @@ app.command()(simulate)
 def parameters(path):
     with Path(path).open("rb") as file:
         ((_, _, message),) = make_reader(file).iter_messages(topics=["/truth/parameters"])
-    return json.loads(message.data)
+    found = json.loads(message.data)
+    schemas.check(found)
+    return found
 
 
 def xyz(vector):

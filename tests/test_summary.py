@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import schemas
 from fake_result import fake_result
 from rich.console import Console
 
@@ -35,6 +36,7 @@ def no_nulls_in_lists(node: object) -> bool:
 
 def test_the_json_has_the_contracts_fields():
     document = summary.calibration_json(fake_result())
+    schemas.check(document)
     assert set(document) == {
         "schema", "recording", "parameters", "noise", "fit", "untellable", "model", "warnings",
     }  # fmt: skip
@@ -82,6 +84,7 @@ def test_several_results_are_a_list_of_recordings():
     one = fake_result(extra=False)
     assert summary.calibration_json([one]) == summary.calibration_json(one)
     document = summary.calibration_json([fake_result(), fake_result()])
+    schemas.check(document)
     assert {p["effect"] for p in document["parameters"]}.isdisjoint(summary.OWN)
     assert len(document["parameters"]) == 7
     assert [len(r["parameters"]) for r in document["recordings"]] == [6, 6]

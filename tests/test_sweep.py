@@ -14,6 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import schemas
 import typer
 from typer.testing import CliRunner
 
@@ -491,6 +492,8 @@ def test_the_command_from_end_to_end(tmp_path, monkeypatch):
     assert "Gyro bias, deg/h" in result.stdout
     assert "settled" in files["html"].read_text()
     sweep_json = json.loads(files["json"].read_text())
+    schemas.check(sweep_json)
+    schemas.check(json.loads(files["jsonl"].read_text().splitlines()[0]))
     assert [c["r_h_rad"] for c in sweep_json["cells"]] == [0.1, 100.0]
     with files["csv"].open(newline="") as stream:
         rows = list(csv.DictReader(stream))

@@ -41,7 +41,7 @@ from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+UNKNOWN = "0+unknown"  # of a copy that was not installed
 __all__ = [
     "HandcalError",
     "InputError",
@@ -55,6 +55,7 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
+    __version__: str
     from handcal.api import Recording, apply, calibrate, conceal, explain, read
     from handcal.recordings.inputs import load
     from handcal.types import HandcalError, InputError
@@ -68,13 +69,25 @@ _HOME = {
 
 def __getattr__(name: str) -> Any:
     """Import the heavy parts when first used, so that ``handcal --help`` is instant."""
+    if name == "__version__":
+        return _version()
     if name in __all__:
         return getattr(import_module(_HOME.get(name, "handcal.api")), name)
     raise AttributeError(f"module 'handcal' has no attribute {name!r}")
 
 
+def _version() -> str:
+    """Of the installed program; git's tags made it when it was built."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("handcal")
+    except PackageNotFoundError:
+        return UNKNOWN
+
+
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*globals(), *__all__, "__version__"})
 
 
 class AlsoAFunction(ModuleType):

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handcal.allan.terms import LAWS, TERMS, Fit, haar
+from handcal.allan import overlapping
+from handcal.allan.terms import LAWS, TERMS, Fit
 from handcal.recordings.segment import rests
 from handcal.types import Array, HandcalError, InputError, NoiseLevel, Recording
 
@@ -174,35 +175,16 @@ def averaging(n: int) -> tuple[Array, Array]:
 
     n: samples. The rows are for white noise, flicker and random walk of the rate.
     """
-    import allantools
-
     octaves = 2 ** np.arange(int(math.log2(n // LONGEST)) + 1)
     between = 3 * octaves // 2
     factors = np.unique(np.r_[octaves, between[(between > 1) & (between <= n // LONGEST)]])
-    freedom = [[allantools.edf_greenhall(alpha, 2, m, n + 1, overlapping=True)
-                for m in factors.tolist()] for alpha in (0, -1, -2)]  # fmt: skip
-    out = np.array(freedom, dtype=float)
-    for k in np.flatnonzero(factors <= 32):  # there the formula is some 17 % off
-        m = int(factors[k])
-        r = np.correlate(haar(m), haar(m), "full") / (2 * m)
-        out[0, k] = (n - 2 * m + 1) / float(r @ r)
-    return factors.astype(float), out
-
-
-def deviation(x: Array, rate_hz: float, factors: Array) -> Array:
-    """Overlapping Allan deviation (m,) of readings x (n,) at averaging factors (m,)."""
-    import allantools
-
-    tau, out, _, _ = allantools.oadev(x, rate=rate_hz, data_type="freq", taus=factors / rate_hz)
-    if tau.size != factors.size:
-        raise HandcalError("The record is too short for these averaging times.")
-    return np.asarray(out, dtype=float)
+    freedom = [[overlapping.freedom(noise, m, n) for m in factors.tolist()]
+               for noise in overlapping.NOISES]  # fmt: skip
+    return factors.astype(float), np.array(freedom)
 
 
 def _channel(name: str, x: Array, rate: float, factors: Array, freedom: Array) -> Channel:
-    import allantools
-
-    dev, tau = deviation(x, rate, factors), factors / rate
+    dev, tau = overlapping.deviation(x, rate, factors), factors / rate
     octaves = np.flatnonzero(np.isin(factors, 2.0 ** np.arange(64)))
 
     def begun(first: int) -> tuple[float, Fit, list[int]]:
@@ -236,8 +218,7 @@ def _channel(name: str, x: Array, rate: float, factors: Array, freedom: Array) -
               for k in range(len(TERMS)) if value[k] == 0]  # fmt: skip
     whole = Fit(tau, dev**2, freedom)
     edf = whole.edf(value)
-    band = [allantools.confidence_interval(d, e, ci=WITHIN) for d, e in zip(dev, edf, strict=True)]
-    low, high = np.array(band, dtype=float).T
+    low, high = overlapping.band(dev, edf, WITHIN)
     fitted = np.sqrt(whole.variance(value))
     return Channel(name, tau, dev, low, high, edf, fitted, tuple(seen), tuple(unseen),
                    float(fit.tau[0]), miss)  # fmt: skip

@@ -29,8 +29,8 @@ LIKELY = 0.5
 NAMED = 0.9
 RIVAL = 0.05
 # What is known of an effect with a name is so much of the power that it adds to a channel: a term
-# without one that adds less than the rest may be what the name's formula leaves.
-LEFT = 0.02
+# without one that adds less than the rest, a twentieth in size, may be what the formula leaves.
+LEFT = 0.0025
 # Nats that a hand may lend to an accelerometer's error that goes with the motion, where hands that
 # drift or move on were rivals and lost: 12 to 35 in two of 28 simulated people without any error,
 # both in a lift, which lent 93 and 551 to others.
