@@ -8,8 +8,11 @@ from __future__ import annotations
 
 import io
 import struct
+import tempfile
 import zipfile
 from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from sample_recording import START_NS, sample
@@ -233,6 +236,132 @@ def dot(r: Recording) -> bytes:
     return head.encode() + rows(header, range(len(us)), us, *value)
 
 
+def messages(r: Recording, types: Any, odometry: str = "") -> list[tuple[str, str, int, object]]:
+    """Topic, type, stamp in ns and message of rosbags' own types, in time. odometry: the type
+    that holds the pose instead of a PoseStamped."""
+    cls = types.types
+    covariance, none = np.zeros(9), cls["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+
+    def header(ns: int) -> object:
+        sequence = {"seq": 7} if "seq" in cls["std_msgs/msg/Header"].__dataclass_fields__ else {}
+        stamp = cls["builtin_interfaces/msg/Time"](ns // 10**9, ns % 10**9)
+        return cls["std_msgs/msg/Header"](stamp=stamp, frame_id="body", **sequence)
+
+    def vector(v: np.ndarray, kind: str = "Vector3") -> object:
+        return cls[f"geometry_msgs/msg/{kind}"](*v.tolist())
+
+    out: list[tuple[str, str, int, object]] = []
+    name = "sensor_msgs/msg/Imu"
+    for ns, g, f in zip(stamps(r), r.imu.gyro, r.imu.accel, strict=True):
+        values = (none, covariance, vector(g), covariance, vector(f), covariance)
+        out.append(("/phone/imu", name, ns, cls[name](header(ns), *values)))
+    if not r.streams:
+        return out
+    name = "sensor_msgs/msg/MagneticField"
+    for t, b in zip(r.streams["mag"].t.tolist(), r.streams["mag"].value, strict=True):
+        ns = START_NS + round(t * 1e9)
+        out.append(("/mag", name, ns, cls[name](header(ns), vector(b), covariance)))
+    name = odometry or "geometry_msgs/msg/PoseStamped"
+    for ns, p in zip(*_pose(r), strict=True):
+        q = cls["geometry_msgs/msg/Quaternion"](*p[[4, 5, 6, 3]].tolist())
+        pose = cls["geometry_msgs/msg/Pose"](vector(p[:3], "Point"), q)
+        if name.endswith("Odometry"):
+            twist = cls["geometry_msgs/msg/Twist"](vector(p[:3]), vector(p[:3]))
+            rest = (
+                "camera",
+                cls["geometry_msgs/msg/PoseWithCovariance"](pose, np.zeros(36)),
+                cls["geometry_msgs/msg/TwistWithCovariance"](twist, np.zeros(36)),
+            )
+        elif name.endswith("TransformStamped"):
+            rest = ("a marker", cls["geometry_msgs/msg/Transform"](vector(p[:3]), q))
+        else:
+            rest = (pose,)
+        out.append(("/vicon/somewhere", name, ns, cls[name](header(ns), *rest)))
+    return sorted(out, key=lambda one: one[2])
+
+
+def ros1_bag(r: Recording, compression: str = "", odometry: str = "") -> bytes:
+    """By the package rosbags."""
+    from rosbags.rosbag1 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    types = get_typestore(Stores.ROS1_NOETIC)
+    with tempfile.TemporaryDirectory() as name:
+        path = Path(name) / "a.bag"
+        writer = Writer(path)
+        if compression:
+            writer.set_compression(Writer.CompressionFormat[compression])
+        with writer:
+            _write(writer, messages(r, types, odometry), types, types.serialize_ros1)
+        return path.read_bytes()
+
+
+def ros2_bag(path: Path, r: Recording, storage: str = "SQLITE3", odometry: str = "",
+             compression: str = "") -> Path:  # fmt: skip
+    """A folder, by the package rosbags."""
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    types = get_typestore(Stores.ROS2_HUMBLE)
+    writer = Writer(path, version=9, storage_plugin=StoragePlugin[storage])
+    if compression:
+        writer.set_compression(CompressionMode[compression], CompressionFormat.ZSTD)
+    with writer:
+        _write(writer, messages(r, types, odometry), types, types.serialize_cdr)
+    return path
+
+
+def _write(
+    writer: Any, rows: list[tuple[str, str, int, object]], types: Any, serialize: Any
+) -> None:
+    connections: dict[str, object] = {}
+    for topic, kind, ns, message in rows:
+        if topic not in connections:
+            connections[topic] = writer.add_connection(topic, kind, typestore=types)
+        writer.write(connections[topic], ns, bytes(serialize(message, kind)))
+
+
+def database(r: Recording) -> bytes:
+    """The .db3 of a ROS 2 bag alone."""
+    with tempfile.TemporaryDirectory() as name:
+        (file,) = ros2_bag(Path(name) / "bag", r).glob("*.db3")
+        return file.read_bytes()
+
+
+def ulog(r: Recording, raw: bool = True) -> bytes:
+    """A log of PX4: a header, formats, the topics subscribed to, their data."""
+    if raw:
+        fields = "uint64_t timestamp;uint64_t timestamp_sample;uint32_t device_id;"
+        fields += "float x;float y;float z;float temperature;"
+        formats = {"sensor_gyro": fields, "sensor_accel": fields}
+        data = [[(us, us, 1, *v, 31.5) for us, v in zip(_us(r), value.tolist(), strict=True)]
+                for value in (r.imu.gyro, r.imu.accel)]  # fmt: skip
+        layouts = ["<QQI4f", "<QQI4f"]
+    else:
+        fields = "uint64_t timestamp;float[3] gyro_rad;int32_t accelerometer_timestamp_relative;"
+        formats = {"sensor_combined": fields + "float[3] accelerometer_m_s2;"}
+        imu = zip(_us(r), r.imu.gyro.tolist(), r.imu.accel.tolist(), strict=True)
+        data, layouts = [[(us, *g, 0, *f) for us, g, f in imu]], ["<Q3fi3f"]
+
+    def message(kind: bytes, content: bytes) -> bytes:
+        return struct.pack("<Hc", len(content), kind) + content
+
+    out = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 5_000_000)
+    out += message(b"B", bytes(40))
+    for name, fields in formats.items():
+        out += message(b"F", f"{name}:{fields}".encode())
+    for id, name in enumerate(formats):
+        out += message(b"A", struct.pack("<BH", 0, id) + name.encode())
+    for id, (table, layout) in enumerate(zip(data, layouts, strict=True)):
+        for row in table:
+            out += message(b"D", struct.pack("<H", id) + struct.pack(layout, *row))
+    return out
+
+
+def _us(r: Recording) -> list[int]:
+    return [5_000_000 + round(t * 1e6) for t in r.imu.t.tolist()]
+
+
 # Of each format by its file: ending, and a recording written in it; folders come as zips.
 WRITERS: dict[str, list[tuple[str, Callable[[Recording], bytes]]]] = {
     "ios_logger": [(".zip", lambda r: zipped(ios_logger(r)))],
@@ -240,6 +369,9 @@ WRITERS: dict[str, list[tuple[str, Callable[[Recording], bytes]]]] = {
     "euroc": [(".zip", lambda r: zipped(euroc(r)))],
     "stray_scanner": [(".zip", lambda r: zipped(stray_scanner(r)))],
     "ximu3": [(".zip", lambda r: zipped(ximu3(r)))],
+    "ros1_bag": [(".bag", ros1_bag)],
+    "ros2_bag": [(".db3", database)],
+    "px4_ulog": [(".ulg", ulog), (".ulg", lambda r: ulog(r, raw=False))],
     "xsens": [(".txt", mt_manager), (".csv", dot)],
 }
 
