@@ -358,6 +358,29 @@ def ulog(r: Recording, raw: bool = True) -> bytes:
     return out
 
 
+def mat(r: Recording, compress: bool = True, **more: Any) -> bytes:
+    """By scipy, lying and standing arrays."""
+    from scipy.io import savemat
+
+    out, imu = io.BytesIO(), r.imu
+    arrays = {"t": imu.t, "gyro": imu.gyro, "accel": imu.accel.T, "note": "by hand", **more}
+    savemat(out, arrays, do_compression=compress)
+    return out.getvalue()
+
+
+def parquet(r: Recording, **more: Any) -> bytes:
+    """By pyarrow: time stamps of its own, the gyro in deg/s."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    out = pa.BufferOutputStream()
+    columns: dict[str, Any] = {"time": pa.array(stamps(r), pa.timestamp("ns"))}
+    for axis, g, f in zip("xyz", np.degrees(r.imu.gyro).T, r.imu.accel.T, strict=True):
+        columns |= {f"g{axis} (deg/s)": pa.array(g), f"a{axis}": pa.array(f)}
+    pq.write_table(pa.table({**columns, "remark": ["x"] * len(r.imu.t), **more}), out)
+    return bytes(out.getvalue())
+
+
 def _us(r: Recording) -> list[int]:
     return [5_000_000 + round(t * 1e6) for t in r.imu.t.tolist()]
 
@@ -372,6 +395,8 @@ WRITERS: dict[str, list[tuple[str, Callable[[Recording], bytes]]]] = {
     "ros1_bag": [(".bag", ros1_bag)],
     "ros2_bag": [(".db3", database)],
     "px4_ulog": [(".ulg", ulog), (".ulg", lambda r: ulog(r, raw=False))],
+    "matlab": [(".mat", mat), (".mat", lambda r: mat(r, compress=False))],
+    "parquet": [(".parquet", parquet)],
     "xsens": [(".txt", mt_manager), (".csv", dot)],
 }
 

@@ -4,12 +4,14 @@ format alone, from a folder as from a zip; what a file lacks is said in a senten
 from __future__ import annotations
 
 import dataclasses
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import format_files
 import numpy as np
 import pytest
+import pyulog
 from format_files import WRITERS
 from sample_recording import START_NS, sample
 
@@ -153,6 +155,64 @@ def test_the_gyro_unit_of_an_xsens_export_is_checked_against_gravity(tmp_path: P
     np.testing.assert_allclose(
         load(path, units={"gyro": "deg/s"}).imu.gyro, degrees.imu.gyro, atol=1e-6
     )
+
+
+def test_a_matlab_file_in_other_units(tmp_path: Path) -> None:
+    expected = sample(n=300)
+    imu = expected.imu
+    more = {"gyro": np.degrees(imu.gyro), "temp": np.linspace(20, 30, 300)[:, None]}
+    path = written(tmp_path, ".mat", format_files.mat(expected, **more))
+    with pytest.raises(InputError, match="--units gyro=deg/s"):
+        load(path)
+    got = load(path, units={"gyro": "deg/s"})
+    np.testing.assert_allclose(got.imu.gyro, imu.gyro, atol=1e-12)
+    assert got.streams["temperature"].value[-1] == 30
+
+
+def test_a_matlab_bomb_and_a_version_that_is_not_read(tmp_path: Path) -> None:
+    bomb = format_files.mat(format_files.small(), big=np.zeros((1_000_000, 2)))
+    assert len(bomb) < 100_000
+    with pytest.raises(InputError, match="would unpack to too much"):
+        load(written(tmp_path, ".mat", bomb))
+    with pytest.raises(InputError, match="save it with '-v7'"):
+        load(written(tmp_path, ".mat", b"MATLAB 7.3 MAT-file" + bytes(600)))
+
+
+def test_parquet_without_pyarrow_is_a_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = written(tmp_path, ".parquet", format_files.parquet(format_files.small()))
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(InputError, match="pip install pyarrow"):
+        load(path)
+
+
+def test_a_px4_log_is_the_one_that_pyulog_reads(tmp_path: Path) -> None:
+    """So the logs written here are ULog; and one cut in a message gives what is before."""
+    expected = sample(n=300, streams=False)
+    path = written(tmp_path, ".ulg", format_files.ulog(expected))
+    gyro = next(d.data for d in pyulog.ULog(str(path)).data_list if d.name == "sensor_gyro")
+    got = load(path)
+    theirs = np.column_stack([gyro[axis] for axis in "xyz"])
+    np.testing.assert_array_equal(got.imu.gyro, theirs.astype(np.float64))
+    content = path.read_bytes()
+    short = load(written(tmp_path, ".ulg", content[: len(content) - 41 * 50 - 20]))
+    assert len(short.imu.t) == 249
+    assert any("ends early" in warning for warning in short.warnings)
+
+
+def test_what_a_crash_appended_to_a_px4_log_is_read(tmp_path: Path) -> None:
+    """Half a message, and behind it the rest at the offset that the flags say."""
+    whole = format_files.ulog(sample(n=300, streams=False), raw=False)
+    size = 3 + 2 + 8 + 7 * 4  # of a message of sensor_combined
+    at = len(whole) - 100 * size
+    flags = bytearray(40)
+    flags[8] = 1
+    flags[16:24] = (at + 17).to_bytes(8, "little")
+    content = whole[:19] + bytes(flags) + whole[59:at] + whole[at : at + 17] + whole[at:]
+    got = load(written(tmp_path, ".ulg", content))
+    assert len(got.imu.t) == 300
+    assert not any("ends early" in warning for warning in got.warnings)
 
 
 def test_real_phyphox_exports(real_recordings: Path) -> None:

@@ -18,7 +18,7 @@ from typing import TextIO
 import numpy as np
 
 from handcal.recordings.inputs._options import Options, parse_unit, quantities
-from handcal.recordings.inputs._repair import Columns, assemble, columns
+from handcal.recordings.inputs._repair import Columns, assemble, columns, nanoseconds
 from handcal.recordings.inputs._rows import parsed, stamps
 from handcal.recordings.streams import STREAMS, Stream
 from handcal.types import Array, InputError, IntArray, Recording
@@ -97,6 +97,23 @@ def of_table(
             streams[quantity] = _measured(quantity, columns(ns, value), warnings)
     gyro, accel = columns(ns, taken["gyro"]), columns(ns, taken["accel"])
     return assemble(path, gyro, accel, streams, tuple(warnings))
+
+
+def of_named(path: Path, named: Mapping[str, Array | IntArray], options: Options) -> Recording:
+    """A recording of arrays (n,) by what a header would call them. Errors: InputError."""
+    names = list(named)
+
+    def table(places: Places, units: Mapping[str, str]) -> tuple[IntArray, Array]:
+        time, factor = named[names[places["time", ""]]], quantities()["time"][units["time"]]
+        values = [named[names[at]] for key, at in places.items() if key[0] != "time"]
+        exact = time.dtype.kind in "iu" and factor < 1e9 and not np.any(time > 9e18 / factor)
+        if exact:
+            ns: IntArray = time.astype(np.int64) * int(factor)
+        else:
+            ns = nanoseconds(np.asarray(time, dtype=np.float64), factor)
+        return ns, np.column_stack([np.asarray(v, dtype=np.float64) for v in values])
+
+    return of_table(path, names, options, table)
 
 
 def _understood(
