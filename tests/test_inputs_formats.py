@@ -17,6 +17,7 @@ from sample_recording import START_NS, sample
 
 from handcal.recordings.inputs import format_of, formats, load, phyphox
 from handcal.recordings.inputs._options import Options
+from handcal.recordings.streams import STREAMS
 from handcal.types import InputError, Recording
 
 WRITTEN = [(kind, *one) for kind, found in WRITERS.items() for one in found]
@@ -58,6 +59,21 @@ def test_what_was_written_is_read(kind: str, ending: str, write: Writer, tmp_pat
     path = written(tmp_path, ending, write(expected))
     assert format_of(path).__name__.endswith(f".{kind}")
     same(load(path), expected)
+
+
+def test_every_format_is_among_these_and_reads_the_streams_that_it_says(tmp_path: Path) -> None:
+    names = {module.__name__.rsplit(".", 1)[-1]: module for module in formats()}
+    assert set(names) - set(WRITERS) == {
+        "mcap",
+        "plain_csv",
+        "sensor_logger",
+    }  # (files of their own)
+    for k, (kind, ending, write) in enumerate(WRITTEN):
+        path = tmp_path / f"{k}{ending}"
+        path.write_bytes(write(sample(n=300)))
+        said = names[kind].STREAMS_READ
+        titles = [STREAMS[name].title for name in load(path).streams]
+        assert [t for t in titles if t not in said and "all" not in said] == [], kind
 
 
 @pytest.mark.parametrize(("kind", "ending", "write"), WRITTEN)

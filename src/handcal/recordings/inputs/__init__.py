@@ -3,7 +3,8 @@
 A format is a module here with ``can_read(path) -> bool``, which looks at the content,
 ``read(path, options) -> Recording`` and ``UNDERSTOOD``, half a sentence for the message
 to people whose file fits none. It may say more: ``UNITS``, a sentence on units and signs in the
-file; ``STREAMS_READ``, what is read of it; ``MARK``, what such a file lacks that is none;
+file; ``STREAMS_READ``, what is read of it; ``TRIED``, on which files (docs/formats.md is made of
+these); ``MARK``, what a file of another format shows that has one of the ``ENDINGS``;
 ``ENDINGS`` of its name and ``MEMBERS`` that a folder or zip holds, by which the nearest format is
 found for a file that fits none; ``LAST``, where other formats are to be asked first. Modules that
 begin with an underscore are shared.

@@ -20,6 +20,7 @@ from handcal.types import InputError, Recording
 UNDERSTOOD = "a folder or zip in the ASL format of EuRoC and TUM VI (mav0/imu0/data.csv)"
 UNITS = "rad/s, m/s^2, m, stamps in ns; at rest +g on the axis up; quaternion w x y z"
 STREAMS_READ = "IMU, pose (mocap0, vicon0, state_groundtruth_estimate0)"
+TRIED = "files written by the data sets' documented layout"
 _IMU = "imu0"
 _POSES = ("mocap0", "vicon0", "state_groundtruth_estimate0")
 _WANTED = (_IMU, *_POSES, "leica0")

@@ -28,6 +28,7 @@ UNITS = (
     "w x y z of the camera in a world with y up, read into one with z up"
 )
 STREAMS_READ = "IMU, magnetometer, pose (ARKit)"
+TRIED = "a real folder of an iPhone, equal to its conversion by other hands"
 MEMBERS = ("Gyro.txt", "Accel.txt")
 _ALL = {"gyro.txt": 3, "accel.txt": 3, "magnet.txt": 3, "arposes.txt": 7}
 _HALF = np.sqrt(0.5)

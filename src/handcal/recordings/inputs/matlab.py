@@ -23,6 +23,7 @@ from handcal.types import Array, InputError, Recording
 UNDERSTOOD = "a MATLAB file with arrays t, gyro, accel (.mat)"
 UNITS = "SI unless --units says otherwise (s, rad/s, m/s^2, tesla); at rest +g on the axis up"
 STREAMS_READ = "IMU, magnetometer, temperature, heading"
+TRIED = "files written by scipy.io"
 ENDINGS = (".mat",)
 MARK = "it does not begin with MATLAB"
 _NUMBERS = {"double", "single", "int8", "int16", "int32", "int64",

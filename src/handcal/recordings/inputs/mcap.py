@@ -31,6 +31,7 @@ from handcal.types import InputError, IntArray, Recording
 UNDERSTOOD = "MCAP with ROS 2 messages (.mcap)"
 UNITS = "rad/s, m/s^2, tesla, degC, m (REP 103); at rest +g on the axis up (REP 145)"
 STREAMS_READ = "all"
+TRIED = "real recordings; files written by the library mcap"
 ENDINGS = (".mcap",)
 MAGIC = b"\x89MCAP0\r\n"
 LARGEST_CHUNK = 128 * 2**20

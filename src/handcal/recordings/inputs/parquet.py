@@ -20,6 +20,7 @@ from handcal.types import Array, InputError, Recording
 UNDERSTOOD = "a Parquet table with columns t, gx, gy, gz, ax, ay, az (.parquet)"
 UNITS = "as the names' brackets say, else SI; at rest +g on the axis up"
 STREAMS_READ = "IMU, magnetometer, temperature, heading"
+TRIED = "tables written by pyarrow"
 ENDINGS = (".parquet",)
 MARK = "it does not begin with PAR1"
 MOST_COLUMNS = 1000

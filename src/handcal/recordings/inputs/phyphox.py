@@ -33,6 +33,10 @@ UNITS = (
     "up; of iOS 9.81 to a g, which is put right"
 )
 STREAMS_READ = "IMU, magnetometer"
+TRIED = (
+    "two real exports (a zip of an iPhone, an .xls), their numbers compared, both refused with a "
+    "reason; files written by the layout of such exports"
+)
 MEMBERS = ("Accelerometer.csv", "Gyroscope.csv", "device.csv", "time.csv")
 ENDINGS = (".xls",)
 MARK = "it does not begin as an Excel workbook (.xls) does"

@@ -26,6 +26,7 @@ from handcal.types import Array, InputError, IntArray, Recording
 UNDERSTOOD = "plain CSV with columns t, gx, gy, gz, ax, ay, az (.csv)"
 UNITS = "as the header's brackets say, else SI; signs as handcal's: at rest +g on the axis up"
 STREAMS_READ = "IMU, magnetometer, temperature, heading"
+TRIED = "a real recording of an x-IMU3; tables made by hypothesis"
 ENDINGS = (".csv", ".tsv")
 LAST = True  # (any CSV is this one, by its name)
 _ROWS_AT_ONCE = 20_000

@@ -27,6 +27,7 @@ from handcal.types import Array, InputError, Recording
 UNDERSTOOD = "a log of PX4 (.ulg)"
 UNITS = "rad/s, m/s^2, gauss, m; axes forward, right, down: at rest -9.81 on z, +g on the axis up"
 STREAMS_READ = "IMU, magnetometer, temperature, pose (vehicle_mocap_odometry)"
+TRIED = "logs written by ULog's specification, which pyulog reads alike"
 ENDINGS = (".ulg",)
 MARK = "it does not begin with ULog's magic bytes"
 MAGIC = b"ULog\x01\x12\x35"

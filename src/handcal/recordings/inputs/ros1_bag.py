@@ -27,6 +27,7 @@ from handcal.types import InputError, Recording
 UNDERSTOOD = "a ROS 1 bag (.bag)"
 UNITS = "rad/s, m/s^2, tesla, degC, m (REP 103); at rest +g on the axis up (REP 145)"
 STREAMS_READ = "all that MCAP has, also from Odometry and TransformStamped"
+TRIED = "bags written by the package rosbags, in each compression"
 ENDINGS = (".bag",)
 MARK = "it does not begin with #ROSBAG V2.0"
 MAGIC = b"#ROSBAG V2.0\n"

@@ -25,6 +25,7 @@ from handcal.types import InputError, IntArray, Recording
 UNDERSTOOD = "a ROS 2 bag (a folder with .db3 or .mcap, or .db3)"
 UNITS = mcap.UNITS
 STREAMS_READ = "all that MCAP has, also from Odometry and TransformStamped"
+TRIED = "bags written by the package rosbags, SQLite and MCAP"
 ENDINGS = (".db3",)
 MARK = "it is no SQLite database with the tables topics and messages"
 MEMBERS = ("metadata.yaml",)

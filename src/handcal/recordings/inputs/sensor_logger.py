@@ -31,6 +31,7 @@ UNITS = (
     "at rest -1 g on the axis up"
 )
 STREAMS_READ = "IMU, magnetometer"
+TRIED = "real exports of iOS and Android, the second equal to its conversion by other hands"
 GYROS = ("GyroscopeUncalibrated", "Gyroscope")
 MAGS = ("MagnetometerUncalibrated", "Magnetometer")
 ACCELS = ("AccelerometerUncalibrated", "TotalAcceleration", "Accelerometer", "Gravity")

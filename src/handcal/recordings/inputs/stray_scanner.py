@@ -28,6 +28,7 @@ UNITS = (
     "the camera in a world with y up, read into one with z up"
 )
 STREAMS_READ = "IMU, pose (ARKit)"
+TRIED = "files written by the layout that the app's documentation and code have"
 MEMBERS = ("imu.csv", "odometry.csv", "camera_matrix.csv")
 _IMU = ("alpha_x", "alpha_y", "alpha_z", "a_x", "a_y", "a_z")
 _POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")

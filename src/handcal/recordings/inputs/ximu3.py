@@ -29,6 +29,7 @@ UNITS = (
     "as the header's brackets say: deg/s, g; at rest +1 g on the axis up; the magnetometer in uT"
 )
 STREAMS_READ = "IMU, magnetometer (not in a.u.), temperature"
+TRIED = "files written by the layout of xio's exports"
 MEMBERS = ("Inertial.csv", "Magnetometer.csv")
 _FILES = ("inertial.csv", "magnetometer.csv", "temperature.csv")
 _TIMES = ("time", "timestamp")

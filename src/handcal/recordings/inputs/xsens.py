@@ -27,6 +27,7 @@ UNITS = (
     "0.1 ms of MTi, 1 us of DOT"
 )
 STREAMS_READ = "IMU, temperature"
+TRIED = "files written by the layout of the manuals"
 ENDINGS = (".txt",)
 MARK = "it has no line with the columns Acc_X and Gyr_X"
 _HEAD = 8192
