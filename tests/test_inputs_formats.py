@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import sys
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -140,6 +141,35 @@ def test_a_phyphox_file_without_accelerometer_says_what_to_record(tmp_path: Path
     del files["Accelerometer.csv"]
     with pytest.raises(InputError, match=r"no accelerometer with gravity.*it holds .*Gyroscope"):
         load(folder(tmp_path / "a", files))
+
+
+def test_an_instrument_s_pose_is_taken_before_an_estimate(tmp_path: Path) -> None:
+    expected = sample(n=300)
+    files = dict(format_files.euroc(expected, "state_groundtruth_estimate0"))
+    files |= format_files.euroc(sample(1, n=300), "vicon0") | {
+        "mav0/imu0/data.csv": files["mav0/imu0/data.csv"]
+    }
+    got = load(folder(tmp_path / "a", files))
+    place = sample(1, n=300).streams["pose"].value[0, :3]
+    np.testing.assert_allclose(got.streams["pose"].value[0, :3], place, atol=1e-9)
+
+
+@pytest.mark.parametrize("write", [format_files.ios_logger, format_files.phyphox,
+                                   format_files.euroc, format_files.stray_scanner,
+                                   format_files.ximu3])  # fmt: skip
+def test_a_bomb_is_not_unpacked(
+    write: Callable[[Recording], format_files.Files], tmp_path: Path
+) -> None:
+    path = tmp_path / "a.zip"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in write(format_files.small()).items():
+            archive.writestr(name, content + (b"0" * (8 * 2**20) if "yr" in name else b""))
+        if write in (format_files.euroc, format_files.stray_scanner):
+            name = "imu.csv" if write is format_files.stray_scanner else "mav0/vicon0/data.csv"
+            archive.writestr(f"x/{name}", b"0" * (8 * 2**20))
+        archive.writestr("Magnetometer.csv", b"0" * (8 * 2**20))
+    with pytest.raises(InputError, match="would unpack to too much"):
+        load(path)
 
 
 def test_a_pose_estimated_with_the_imu_is_called_so(tmp_path: Path) -> None:
