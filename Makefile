@@ -23,6 +23,7 @@ demo: setup ## simulate a recording, calibrate and explain it, write reports and
 
 docs: .venv/.installed-dev ## write the catalogue and draw the figures of docs/ anew
 	$(BIN)/python docs/make_effects.py
+	$(BIN)/python docs/make_formats.py
 	$(BIN)/python docs/make_constants.py
 	$(BIN)/python docs/make_layers.py
 	$(BIN)/python docs/make_use.py

@@ -30,6 +30,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from format_files import WRITERS
 from mcap.writer import CompressionType
 from sample_recording import IMU, imu_json, imu_messages, sample, write_channels
 
@@ -136,6 +137,9 @@ def _recordings() -> Iterator[tuple[str, str, bytes]]:
         for s, v in zip(t.tolist(), value.tolist(), strict=True)
     ]  # fmt: skip
     yield "sensor_logger", ".json", json.dumps(entries).encode()
+    for kind, written in WRITERS.items():
+        for ending, write in written:
+            yield kind, ending, write(recording)
 
 
 def _unknown_formats(known: list[Seed]) -> Iterator[Seed]:

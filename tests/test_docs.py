@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from handcal.effects import catalogue
+from handcal.recordings import inputs
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -36,6 +37,14 @@ def test_the_catalogue_page_is_what_the_effects_say():
         assert page.count(f"\n`{effect.id}={effect.parameters[0].name}") == 1
         for text in (effect.title, effect.story, effect.motion, effect.source):
             assert text in page
+
+
+def test_the_page_of_formats_is_what_the_formats_say():
+    """If not: `make docs`, or docs/make_formats.py alone."""
+    page = made("make_formats")
+    assert (ROOT / "docs" / "formats.md").read_text(encoding="utf-8") == page.page()
+    for module in inputs.formats():
+        assert all(getattr(module, name, "") for name in ("UNITS", "STREAMS_READ", "TRIED")), module
 
 
 def test_there_is_a_page_for_each_export_and_it_is_what_the_export_writes():

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from format_files import WRITERS
 from fuzz import SLOWEST_S, Score, Seed, dictionary, execute, fuzz, seeds
 
 from handcal.recordings import inputs
@@ -31,7 +32,7 @@ def test_every_format_of_the_folder_is_attacked(all_seeds: list[Seed]) -> None:
 
 
 def test_seeds_are_read_before_they_are_mutated(all_seeds: list[Seed], tmp_path: Path) -> None:
-    known = {"mcap", "plain_csv", "sensor_logger", "grid TOML", "bench table"}
+    known = {"mcap", "plain_csv", "sensor_logger", "grid TOML", "bench table", *WRITERS}
     for n, seed in enumerate(s for s in all_seeds if s.kind in known or "JSON" in s.kind):
         score = Score()
         assert execute(seed, seed.content, tmp_path / f"{n}{seed.suffix}", score) is None

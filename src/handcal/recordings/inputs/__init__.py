@@ -3,9 +3,11 @@
 A format is a module here with ``can_read(path) -> bool``, which looks at the content,
 ``read(path, options) -> Recording`` and ``UNDERSTOOD``, half a sentence for the message
 to people whose file fits none. It may say more: ``UNITS``, a sentence on units and signs in the
-file; ``MARK``, how such a file is recognised; ``ENDINGS`` of its name and ``MEMBERS`` that a
-folder or zip holds, by which the nearest format is found for a file that fits none; ``LAST``,
-where other formats are to be asked first. Modules that begin with an underscore are shared.
+file; ``STREAMS_READ``, what is read of it; ``TRIED``, on which files (docs/formats.md is made of
+these); ``MARK``, what a file of another format shows that has one of the ``ENDINGS``;
+``ENDINGS`` of its name and ``MEMBERS`` that a folder or zip holds, by which the nearest format is
+found for a file that fits none; ``LAST``, where other formats are to be asked first. Modules that
+begin with an underscore are shared.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ import numpy as np
 from handcal.recordings.inputs._nearest import of_no_format
 from handcal.recordings.inputs._options import Options, checked_options
 from handcal.recordings.inputs._repair import Columns, assemble, columns, nanoseconds
+from handcal.recordings.inputs._zip import check_crowd
 from handcal.types import Array, InputError, Recording
 
 __all__ = ["Options", "format_of", "formats", "load", "of_arrays"]
@@ -42,6 +45,7 @@ def format_of(path: str | Path) -> ModuleType:
         raise InputError(f"{path} is empty: it holds not a single byte.")
     known = formats()
     try:
+        check_crowd(path)
         found = next((module for module in known if module.can_read(path)), None)
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror or error}.") from error

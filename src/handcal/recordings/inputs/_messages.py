@@ -14,10 +14,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from handcal.recordings.streams import Message
+from handcal.recordings.streams import POSE, Message
 from handcal.types import Array, BoolArray, InputError, IntArray
 
 ByteArray = NDArray[np.uint8]
+
+# Messages that begin as a stamped pose does, but for so many strings behind the header.
+POSE_LIKE = {
+    "nav_msgs/msg/Odometry": 1,
+    "geometry_msgs/msg/TransformStamped": 1,
+    "geometry_msgs/msg/PoseWithCovarianceStamped": 0,
+}
 
 
 @dataclass(frozen=True)
@@ -40,27 +47,61 @@ def body_offset(frame_length: int) -> int:
     return 4 + (12 + frame_length + 7) // 8 * 8
 
 
-def decode_cdr(block: ByteArray, layout: Message, topic: str) -> Iterator[tuple[IntArray, Decoded]]:
+def read_as(schema: str) -> str:
+    """The schema of whose stream a message can be one: odometry holds a stamped pose."""
+    return POSE.schema if schema in POSE_LIKE else schema
+
+
+def decode_cdr(
+    block: ByteArray, layout: Message, topic: str, strings: int = 0
+) -> Iterator[tuple[IntArray, Decoded]]:
     """Decode a block (n, length) of messages: which of its rows, and their columns.
 
-    Rows that differ in byte order or in the length of frame_id come separately.
-    Errors: InputError for what is not that message.
+    strings: how many there are between header and numbers. Rows that differ in byte order or in
+    the length of a string come separately. Errors: InputError for what is not that message.
     """
     if block.shape[1] < 16:
         raise InputError(f"A message on {topic} is too short for its schema.")
     if np.any(block[:, 0] != 0) or np.any(block[:, 1] > 1):
         raise InputError(f"A message on {topic} is not encoded as plain CDR.")
-    little = block[:, 1] == 1
-    lengths = np.where(little, _u32(block, 12, "<"), _u32(block, 12, ">"))
-    for is_little, length in set(zip(little.tolist(), lengths.tolist(), strict=True)):
-        rows = np.flatnonzero((little == is_little) & (lengths == length))
-        yield rows, _decode_same(block[rows], "<" if is_little else ">", length, layout, topic)
+    for marker, order in ((1, "<"), (0, ">")):
+        same = np.flatnonzero(block[:, 1] == marker)
+        for rows, start in _starts(block[same], order, strings, (4, 8), topic):
+            yield same[rows], _decode_same(block[same[rows]], order, start, layout, topic)
 
 
-def _decode_same(
-    block: ByteArray, order: str, frame_length: int, layout: Message, topic: str
-) -> Decoded:
-    start = body_offset(frame_length)
+def decode_ros1(
+    block: ByteArray, layout: Message, topic: str, strings: int = 0
+) -> Iterator[tuple[IntArray, Decoded]]:
+    """The same of ROS 1: little endian, nothing aligned, a counter where CDR has its own head."""
+    if block.shape[1] < 16:
+        raise InputError(f"A message on {topic} is too short for its schema.")
+    for rows, start in _starts(block, "<", strings, (1, 1), topic):
+        yield rows, _decode_same(block[rows], "<", start, layout, topic)
+
+
+def _starts(
+    block: ByteArray, order: str, strings: int, aligned: tuple[int, int], topic: str
+) -> Iterator[tuple[IntArray, int]]:
+    """Rows alike in the lengths of their strings, frame_id the first, and where numbers begin.
+
+    aligned: to how many bytes lengths and numbers are, counted behind the first four.
+    """
+    groups = [(np.arange(len(block)), 12)] if len(block) else []
+    for _ in range(1 + strings):
+        longer = []
+        for rows, end in groups:
+            at = 4 + -(-(end - 4) // aligned[0]) * aligned[0]
+            if block.shape[1] < at + 4:
+                raise InputError(f"A message on {topic} is too short for its schema.")
+            lengths = _u32(block[rows], at, order)
+            longer += [(rows[lengths == n], at + 4 + n) for n in np.unique(lengths).tolist()]
+        groups = longer
+    yield from ((rows, 4 + -(-(end - 4) // aligned[1]) * aligned[1]) for rows, end in groups)
+
+
+def _decode_same(block: ByteArray, order: str, start: int, layout: Message, topic: str) -> Decoded:
+    """Messages whose numbers begin at the same place."""
     end = start + 8 * len(layout.floats)
     if block.shape[1] < end:
         raise InputError(f"A message on {topic} is too short for its schema.")
@@ -84,12 +125,15 @@ def joined(parts: list[Decoded]) -> Decoded:
     )
 
 
-def decode_json(message: bytes, layout: Message, topic: str) -> Decoded:
-    """Decode one message of a JSON channel. Errors: InputError, naming the field."""
+def decode_json(message: bytes, layout: Message, topic: str, nested: bool = False) -> Decoded:
+    """Decode one message of a JSON channel; nested: its pose has another in it, with covariance.
+    Errors: InputError, naming the field."""
     try:
         tree = json.loads(message)
     except (ValueError, RecursionError) as error:
         raise InputError(f"A message on {topic} is not JSON.") from error
+    if nested and isinstance(tree, dict):
+        tree = {"header": tree.get("header"), "pose": _at(tree, "pose.pose")}
     stamp = _at(tree, "header.stamp")
     ns = 0
     if isinstance(stamp, dict):

@@ -15,6 +15,7 @@ from handcal.recordings.inputs._checks import (
     check_accel_unit,
     check_alive,
     check_gyro_unit,
+    rest_magnitude,
     saturated,
 )
 from handcal.recordings.streams import STREAMS
@@ -53,6 +54,12 @@ def nanoseconds(seconds: Array, factor: float = 1e9) -> IntArray:
     if not np.all(np.abs(seconds) < 9e18 / factor):
         raise InputError("A time stamp is not a number or further away than 280 years.")
     return np.rint(seconds * factor).astype(np.int64)
+
+
+def magnitude_at_rest(raw: Columns) -> float:
+    """Of readings (n, 3) in the file's own unit, which gravity then tells; 0 without readings."""
+    finite = raw.value[np.all(np.abs(raw.value) < IMPOSSIBLE, axis=1)]
+    return rest_magnitude(finite, 100.0) if len(finite) else 0.0
 
 
 def assemble(

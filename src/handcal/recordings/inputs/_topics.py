@@ -8,10 +8,19 @@ from pathlib import Path
 
 import numpy as np
 
-from handcal.recordings.inputs._messages import Decoded
+from handcal.recordings.inputs._messages import (
+    POSE_LIKE,
+    ByteArray,
+    Decoded,
+    decode_cdr,
+    decode_json,
+    decode_ros1,
+    joined,
+    read_as,
+)
 from handcal.recordings.inputs._options import Options
 from handcal.recordings.inputs._repair import Columns, assemble, columns
-from handcal.recordings.streams import STREAMS, TWINS, Stream
+from handcal.recordings.streams import STREAMS, TWINS, Stream, message_of
 from handcal.types import Array, InputError, IntArray, Recording
 
 
@@ -32,6 +41,44 @@ class Topic:
     schema: str
     encoding: str
     parts: tuple[Part, ...]
+
+
+def readable(topic: Topic) -> bool:
+    """Whether a stream could be made of its messages; what a simulator knows is none."""
+    return message_of(read_as(topic.schema)) is not None and not topic.name.startswith("/truth/")
+
+
+def parts_of(
+    buffer: ByteArray,
+    starts: IntArray,
+    lengths: IntArray,
+    log_ns: IntArray,
+    base: int,
+    topic: Topic,
+) -> list[Part]:
+    """Messages of a topic that lie in a buffer, decoded; base: where in the file it begins.
+
+    Empty where nothing reads that schema or encoding. Errors: InputError.
+    """
+    layout = message_of(read_as(topic.schema))
+    if layout is None:
+        return []
+    if topic.encoding == "json":
+        texts = [buffer[s : s + n].tobytes() for s, n in zip(starts, lengths, strict=True)]
+        nested = topic.schema in POSE_LIKE
+        decoded = joined([decode_json(text, layout, topic.name, nested) for text in texts])
+        return [Part(base + starts, log_ns, decoded)]
+    if topic.encoding not in ("cdr", "bag"):
+        return []
+    decode = decode_cdr if topic.encoding == "cdr" else decode_ros1
+    parts = []
+    for length in np.unique(lengths):
+        same = np.flatnonzero(lengths == length)
+        block = buffer[starts[same][:, None] + np.arange(length)]
+        for rows, decoded in decode(block, layout, topic.name, POSE_LIKE.get(topic.schema, 0)):
+            of = same[rows]
+            parts.append(Part(base + starts[of], log_ns[of], decoded))
+    return parts
 
 
 def recording_from_topics(
@@ -78,8 +125,13 @@ def _chosen(path: Path, topics: Sequence[Topic], options: Options) -> Mapping[st
     """Topic by stream. Errors: InputError if there is no IMU, or several that fit."""
     chosen = {s: name for s, name in options.topics.items() if name}
     by_schema: dict[str, list[str]] = {}
+    exact = {topic.schema for topic in topics if topic.parts}
     for topic in topics:
-        names = by_schema.setdefault(topic.schema, [])
+        schema = read_as(topic.schema)
+        # What only holds a pose is one where there is no better, or where it is chosen.
+        if schema != topic.schema and schema in exact and topic.name not in chosen.values():
+            continue
+        names = by_schema.setdefault(schema, [])
         if topic.parts and topic.name not in names:
             names.append(topic.name)
     for stream, name in chosen.items():

@@ -21,6 +21,7 @@ LARGEST = 512 * 2**20
 LARGEST_RATIO, RATIO_FROM = 200, 4 * 2**20
 MOST_MEMBERS = 20_000
 DEEPEST = 2
+MOST_BEGUN = 100  # (to know a format by)
 _DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, ValueError, RuntimeError)
 
 
@@ -45,11 +46,22 @@ def listing(path: Path) -> list[str] | None:
         return None
 
 
+def check_crowd(path: Path) -> None:
+    """Errors: InputError for a zip of more files than are looked through once for each format."""
+    if path.is_file() and zipfile.is_zipfile(path):
+        _check_crowd(path, len(listing(path) or ()))
+
+
+def _check_crowd(path: Path, size: int) -> None:
+    if size > MOST_MEMBERS:
+        raise InputError(f"{path} holds {size} files; it was not read.")
+
+
 def beginnings(path: Path, wanted: Callable[[str], bool], size: int = 4096) -> Mapping[str, bytes]:
-    """The first bytes of those files of a folder or zip; none of one that is damaged."""
-    chosen = [name for name in listing(path) or () if wanted(name)]
-    if not path.is_dir():
-        return {name: _begin(path, name, size) for name in chosen}
+    """The first bytes of the first hundred such files of a folder or zip; none of a damaged one."""
+    chosen = [name for name in listing(path) or () if wanted(name)][:MOST_BEGUN]
+    if not chosen or not path.is_dir():
+        return _beginnings_in_zip(path, chosen, size) if chosen else {}
     out = {}
     for name in chosen:
         with (path / name).open("rb") as file:
@@ -57,12 +69,22 @@ def beginnings(path: Path, wanted: Callable[[str], bool], size: int = 4096) -> M
     return out
 
 
-def _begin(path: Path, name: str, size: int) -> bytes:
+def _beginnings_in_zip(path: Path, chosen: list[str], size: int) -> Mapping[str, bytes]:
+    out = dict.fromkeys(chosen, b"")
     try:
         with zipfile.ZipFile(path) as archive:
             members = {m.filename.replace("\\", "/"): m for m in archive.infolist()}
-            with archive.open(members[name]) as packed:
-                return packed.read(size)
+            for name in chosen:
+                out[name] = _begin(archive, members[name], size)
+    except _DAMAGED:
+        pass
+    return out
+
+
+def _begin(archive: zipfile.ZipFile, member: zipfile.ZipInfo, size: int) -> bytes:
+    try:
+        with archive.open(member) as packed:
+            return packed.read(size)
     except _DAMAGED:
         return b""
 
@@ -81,6 +103,17 @@ def contents(
             return _of_zip(path, archive, wanted, options)
     except _DAMAGED as error:
         raise InputError(f"{path} is a damaged zip file: {error}.") from error
+
+
+def by_name(files: Mapping[str, bytes]) -> Mapping[str, bytes]:
+    """Files by their last name in small letters; of two alike the one that lies higher."""
+    deepest_first = sorted(files, key=lambda name: (-name.count("/"), name))
+    return {PurePosixPath(name).name.lower(): files[name] for name in deepest_first}
+
+
+def stated(program: str, options: Options) -> tuple[str, ...]:
+    """The warning to somebody who gives units of a format that states its own."""
+    return (f"{program} states its units: --units was ignored.",) if options.units else ()
 
 
 def _of_folder(
@@ -104,8 +137,7 @@ def _of_zip(
     options: Options | None,
 ) -> Mapping[str, bytes]:
     every = archive.infolist()
-    if len(every) > MOST_MEMBERS:
-        raise InputError(f"{path} holds {len(every)} files; it was not read.")
+    _check_crowd(path, len(every))
     for m in every:
         if ".." in m.filename.replace("\\", "/").split("/"):
             raise InputError(

@@ -23,20 +23,16 @@ from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, DataEnd, Schema, Statistics
 
-from handcal.recordings.inputs._messages import (
-    ByteArray,
-    decode_cdr,
-    decode_json,
-    joined,
-    schema_key,
-)
+from handcal.recordings.inputs._messages import ByteArray, schema_key
 from handcal.recordings.inputs._options import Options
-from handcal.recordings.inputs._topics import Part, Topic, recording_from_topics
-from handcal.recordings.streams import message_of
+from handcal.recordings.inputs._topics import Part, Topic, parts_of, readable, recording_from_topics
 from handcal.types import InputError, IntArray, Recording
 
 UNDERSTOOD = "MCAP with ROS 2 messages (.mcap)"
 UNITS = "rad/s, m/s^2, tesla, degC, m (REP 103); at rest +g on the axis up (REP 145)"
+STREAMS_READ = "all"
+TRIED = "real recordings; files written by the library mcap"
+ENDINGS = (".mcap",)
 MAGIC = b"\x89MCAP0\r\n"
 LARGEST_CHUNK = 128 * 2**20
 # Beyond a few MiB nothing that sensors write shrinks to a thousandth.
@@ -69,7 +65,14 @@ def can_read(path: Path) -> bool:
 
 def read(path: Path, options: Options) -> Recording:
     """Read the recording; truncated files as far as they go. Errors: InputError."""
-    walk = _Walk(path)
+    topics, warnings = topics_in(path, options)
+    return recording_from_topics(path, topics, options, warnings)
+
+
+def topics_in(path: Path, options: Options, base: int = 0) -> tuple[list[Topic], tuple[str, ...]]:
+    """What a file holds, and warnings. base: bytes of the files before it, of a recording in
+    several. Errors: InputError."""
+    walk = _Walk(path, base=base)
     with path.open("rb") as file:
         if file.read(8) != MAGIC:
             raise InputError(f"{path} is not an MCAP file, or its first bytes are damaged.")
@@ -83,7 +86,7 @@ def read(path: Path, options: Options) -> Recording:
                 _take_records(b"".join(loose), walk)
                 loose = []
         _take_records(b"".join(loose), walk)
-    return recording_from_topics(path, _topics(walk), options, _warnings(walk))
+    return _topics(walk), _warnings(walk)
 
 
 def _warnings(walk: _Walk) -> tuple[str, ...]:
@@ -253,26 +256,17 @@ def _register(opcode: int, content: bytes, walk: _Walk) -> None:
 def _decode(buffer: ByteArray, id: int, starts: IntArray, lengths: IntArray, walk: _Walk) -> None:
     """Decode the messages of one channel, if handcal knows their schema."""
     channel = walk.channels.get(id)
-    layout = message_of(_schema_name(walk, channel)) if channel else None
-    if channel is None or layout is None or channel.topic.startswith("/truth/"):
+    if channel is None:
+        return
+    topic = Topic(channel.topic, _schema_name(walk, channel), channel.message_encoding, ())
+    if not readable(topic):
         return
     # A message follows its log time and publish time (8 bytes each).
     log = buffer[(starts - 16)[:, None] + np.arange(8)].view("<u8")[:, 0]
     if np.any(log > 9 * 10**18):
         raise InputError(f"A log time on {channel.topic} is further away than 280 years.")
-    log_ns = log.astype(np.int64)
-    parts = walk.found.setdefault(id, [])
-    if channel.message_encoding == "json":
-        texts = [buffer[s : s + n].tobytes() for s, n in zip(starts, lengths, strict=True)]
-        decoded = joined([decode_json(text, layout, channel.topic) for text in texts])
-        parts.append(Part(walk.base + starts, log_ns, decoded))
-    elif channel.message_encoding == "cdr":
-        for length in np.unique(lengths):
-            same = np.flatnonzero(lengths == length)
-            block = buffer[starts[same][:, None] + np.arange(length)]
-            for rows, decoded in decode_cdr(block, layout, channel.topic):
-                of = same[rows]
-                parts.append(Part(walk.base + starts[of], log_ns[of], decoded))
+    parts = parts_of(buffer, starts, lengths, log.astype(np.int64), walk.base, topic)
+    walk.found.setdefault(id, []).extend(parts)
 
 
 def _schema_name(walk: _Walk, channel: Channel) -> str:

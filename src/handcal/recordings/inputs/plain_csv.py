@@ -10,7 +10,7 @@ readings that were not taken.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from itertools import islice
 from pathlib import Path
 from typing import TextIO
@@ -19,11 +19,15 @@ import numpy as np
 
 from handcal.recordings.inputs._options import Options, parse_unit, quantities
 from handcal.recordings.inputs._repair import Columns, assemble, columns, nanoseconds
+from handcal.recordings.inputs._rows import parsed, stamps
 from handcal.recordings.streams import STREAMS, Stream
 from handcal.types import Array, InputError, IntArray, Recording
 
 UNDERSTOOD = "plain CSV with columns t, gx, gy, gz, ax, ay, az (.csv)"
 UNITS = "as the header's brackets say, else SI; signs as handcal's: at rest +g on the axis up"
+STREAMS_READ = "IMU, magnetometer, temperature, heading"
+TRIED = "a real recording of an x-IMU3; tables made by hypothesis"
+ENDINGS = (".csv", ".tsv")
 LAST = True  # (any CSV is this one, by its name)
 _ROWS_AT_ONCE = 20_000
 _IMU = {
@@ -31,6 +35,7 @@ _IMU = {
     "accel": ("a", "acc", "accel", "accelerometer", "linearacceleration"),
 }
 _TIMES = ("t", "time", "timestamp")
+Places = Mapping[tuple[str, str], int]  # column by quantity and axis
 
 
 def _axes(row: Stream) -> tuple[str, ...]:
@@ -63,9 +68,28 @@ def read(path: Path, options: Options) -> Recording:
         header = file.readline().lstrip("#").rstrip("\r\n")
         separator = max(",;\t", key=header.count)
         names = [cell.strip().strip('"') for cell in header.split(separator)]
-        places, units, warnings = _understood(path, names)
-        units = {quantity: options.units.get(quantity, unit) for quantity, unit in units.items()}
-        ns, values = _table(file, path, separator, places, units, options)
+        return of_table(
+            path,
+            names,
+            options,
+            lambda places, units: _table(file, path, separator, places, units, options),
+        )
+
+
+def of_table(
+    path: Path,
+    names: list[str],
+    options: Options,
+    table: Callable[[Places, Mapping[str, str]], tuple[IntArray, Array]],
+) -> Recording:
+    """A recording of columns with such names, as a header has them.
+
+    table: of the places of the columns and the units, to stamps (n,) ns and all other columns
+    (n, k) in the order of their places, as they are in the file. Errors: InputError.
+    """
+    places, units, warnings = _understood(path, names)
+    units = {quantity: options.units.get(quantity, unit) for quantity, unit in units.items()}
+    ns, values = table(places, units)
     taken = {quantity: values[:, at] for quantity, at in _slices(places).items()}
     streams: dict[str, Columns] = {}
     for quantity, value in taken.items():
@@ -74,6 +98,23 @@ def read(path: Path, options: Options) -> Recording:
             streams[quantity] = _measured(quantity, columns(ns, value), warnings)
     gyro, accel = columns(ns, taken["gyro"]), columns(ns, taken["accel"])
     return assemble(path, gyro, accel, streams, tuple(warnings))
+
+
+def of_named(path: Path, named: Mapping[str, Array | IntArray], options: Options) -> Recording:
+    """A recording of arrays (n,) by what a header would call them. Errors: InputError."""
+    names = list(named)
+
+    def table(places: Places, units: Mapping[str, str]) -> tuple[IntArray, Array]:
+        time, factor = named[names[places["time", ""]]], quantities()["time"][units["time"]]
+        values = [named[names[at]] for key, at in places.items() if key[0] != "time"]
+        exact = time.dtype.kind in "iu" and factor < 1e9 and not np.any(time > 9e18 / factor)
+        if exact:
+            ns: IntArray = time.astype(np.int64) * int(factor)
+        else:
+            ns = nanoseconds(np.asarray(time, dtype=np.float64), factor)
+        return ns, np.column_stack([np.asarray(v, dtype=np.float64) for v in values])
+
+    return of_table(path, names, options, table)
 
 
 def _understood(
@@ -112,7 +153,7 @@ def _split_unit(name: str) -> tuple[str, str | None]:
     return (match[1], match[2]) if match else (name, None)
 
 
-def _wanted(places: Mapping[tuple[str, str], int]) -> list[tuple[str, str]]:
+def _wanted(places: Places) -> list[tuple[str, str]]:
     """Columns that must be there: time, gyro, accel; of a further stream all or nothing."""
     there = {quantity for quantity, _ in places}
     wanted = [("time", "")] + [(sensor, axis) for sensor in _IMU for axis in "xyz"]
@@ -120,7 +161,7 @@ def _wanted(places: Mapping[tuple[str, str], int]) -> list[tuple[str, str]]:
     return wanted + [(row.name, axis) for row in rows for axis in _axes(row)]
 
 
-def _slices(places: Mapping[tuple[str, str], int]) -> dict[str, list[int]]:
+def _slices(places: Places) -> dict[str, list[int]]:
     """Where each quantity stands in the table that ``_table`` returns, which has no time."""
     order = [key for key in places if key[0] != "time"]
     return {
@@ -137,13 +178,13 @@ def _table(
     file: TextIO,
     path: Path,
     separator: str,
-    places: Mapping[tuple[str, str], int],
+    places: Places,
     units: Mapping[str, str],
     options: Options,
 ) -> tuple[IntArray, Array]:
     """Stamps (n,) ns and the other columns (n, k) in the order of places. Errors: InputError."""
     size, done = max(1, path.stat().st_size), 0
-    stamps: list[IntArray] = []
+    moments: list[IntArray] = []
     tables: list[Array] = []
     factor = quantities()["time"][units["time"]]
     others = [index for key, index in places.items() if key[0] != "time"]
@@ -151,14 +192,14 @@ def _table(
         done += sum(map(len, lines))
         if separator != ",":  # then a comma can only be a decimal sign
             lines = [line.replace(",", ".") for line in lines]
-        values = _parsed(lines, separator, others, path, number)
-        stamps.append(_stamps(lines, separator, places["time", ""], factor, path, number))
+        values = parsed(lines, separator, others, str(path), number)
+        moments.append(stamps(lines, separator, places["time", ""], factor, str(path), number))
         tables.append(values)
         options.progress(min(1.0, done / size))
-    if not stamps:
+    if not moments:
         raise InputError(f"{path} has a header but no rows.")
     options.progress(1.0)
-    return np.concatenate(stamps), np.concatenate(tables)
+    return np.concatenate(moments), np.concatenate(tables)
 
 
 def _blocks(file: TextIO) -> Iterator[tuple[int, list[str]]]:
@@ -169,64 +210,6 @@ def _blocks(file: TextIO) -> Iterator[tuple[int, list[str]]]:
         if rows:
             yield number, rows
         number += len(lines)
-
-
-def _stamps(
-    lines: list[str], separator: str, column: int, factor: float, path: Path, number: int
-) -> IntArray:
-    """Whole numbers exactly: ns since 1970 do not fit into a float64."""
-    if factor < 1e9:
-        try:
-            whole = np.loadtxt(
-                lines, np.int64, delimiter=separator, usecols=[column], ndmin=1, comments=None
-            )
-            if np.abs(whole).max() < 9e18 / factor:
-                exact: IntArray = whole * int(factor)
-                return exact
-        except ValueError:
-            pass  # fractions of them, then
-    return nanoseconds(_parsed(lines, separator, [column], path, number)[:, 0], factor)
-
-
-def _parsed(lines: list[str], separator: str, usecols: list[int], path: Path, number: int) -> Array:
-    """Numbers (rows, columns); NaN for empty cells. Errors: InputError."""
-    for rows in (lines, None):
-        try:
-            table: Array = np.loadtxt(
-                _filled(lines, separator) if rows is None else rows,
-                delimiter=separator,
-                usecols=usecols,
-                ndmin=2,
-                comments=None,
-            )
-            return table
-        except ValueError as error:
-            problem = error
-    raise InputError(
-        f"{path}: the rows from line {number} are not all numbers in columns divided by "
-        f"{separator!r}; the first that is not: {_offender(lines, separator, usecols, number)}."
-    ) from problem
-
-
-def _offender(lines: list[str], separator: str, usecols: list[int], number: int) -> str:
-    """The first cell that is no number, and its line (blank ones not counted)."""
-    for k, line in enumerate(lines):
-        cells = [cell.strip() for cell in line.rstrip("\r\n").split(separator)]
-        if len(cells) <= max(usecols):
-            return f"line {number + k} has {len(cells)} columns"
-        for cell in (cells[c] for c in usecols):
-            try:
-                float(cell or "nan")
-            except ValueError:
-                return f"{cell[:40]!r} in line {number + k}"
-    return "unknown"
-
-
-def _filled(lines: list[str], separator: str) -> list[str]:
-    return [
-        separator.join(cell.strip() or "nan" for cell in line.rstrip("\r\n").split(separator))
-        for line in lines
-    ]
 
 
 def _measured(name: str, held: Columns, warnings: list[str]) -> Columns:

@@ -20,10 +20,9 @@ from pathlib import Path
 import numpy as np
 
 from handcal.earth import STANDARD_GRAVITY
-from handcal.recordings.inputs._checks import rest_magnitude
 from handcal.recordings.inputs._options import Options
-from handcal.recordings.inputs._repair import IMPOSSIBLE, Columns, assemble, columns
-from handcal.recordings.inputs._zip import LARGEST, beginnings, contents, listing
+from handcal.recordings.inputs._repair import Columns, assemble, columns, magnitude_at_rest
+from handcal.recordings.inputs._zip import LARGEST, beginnings, contents, listing, stated
 from handcal.types import InputError, IntArray, Recording
 
 UNDERSTOOD = "an export of the Sensor Logger app (zip, folder or JSON)"
@@ -31,6 +30,8 @@ UNITS = (
     "rad/s, m/s^2, uT; of iOS the uncalibrated accelerometer in g, and signs turned: "
     "at rest -1 g on the axis up"
 )
+STREAMS_READ = "IMU, magnetometer"
+TRIED = "real exports of iOS and Android, the second equal to its conversion by other hands"
 GYROS = ("GyroscopeUncalibrated", "Gyroscope")
 MAGS = ("MagnetometerUncalibrated", "Magnetometer")
 ACCELS = ("AccelerometerUncalibrated", "TotalAcceleration", "Accelerometer", "Gravity")
@@ -49,12 +50,11 @@ class _Export:
 
 def can_read(path: Path) -> bool:
     """By the names of the files in it and what their columns are called (phyphox has the same
-    names), or by the first bytes of the JSON."""
+    names, the x-IMU3 one of them), or by the first bytes of the JSON."""
     if listing(path) is not None:
         found = beginnings(path, lambda name: _stem(name) in SENSORS)
-        return any(
-            not text.lstrip(b'\xef\xbb\xbf"').startswith(b"Time (") for text in found.values()
-        )
+        others = (b"Time (", b"Timestamp")
+        return any(not t.lstrip(b'\xef\xbb\xbf"').startswith(others) for t in found.values())
     if zipfile.is_zipfile(path):
         return False
     with path.open("rb") as file:
@@ -69,7 +69,7 @@ def read(path: Path, options: Options) -> Recording:
     else:
         export = _from_json(path)
     options.progress(1.0)
-    said = ["Sensor Logger states its units: --units was ignored."] if options.units else []
+    said = list(stated("Sensor Logger", options))
     gyro = _first(export, GYROS, said)
     if gyro is None:
         held = ", ".join(sorted(export.sensors)) or "no motion sensor"
@@ -100,9 +100,10 @@ def _specific_force(path: Path, export: _Export, said: list[str]) -> Columns:
     if "AccelerometerUncalibrated" in sensors:
         raw = sensors["AccelerometerUncalibrated"]
         if not export.platform:
-            apple = _rest(raw) < 3.0
+            rest = magnitude_at_rest(raw)
+            apple = rest < 3.0
             said.append(
-                f"No metadata: the accelerometer reads {_rest(raw):.2f} at rest, taken for "
+                f"No metadata: the accelerometer reads {rest:.2f} at rest, taken for "
                 + ("g in the signs of iOS." if apple else "m/s^2 in the signs of Android.")
             )
         return columns(raw.ns, raw.value * (-STANDARD_GRAVITY if apple else 1.0))
@@ -121,7 +122,7 @@ def _specific_force(path: Path, export: _Export, said: list[str]) -> Columns:
             f"{path} does not say whether it is from iOS or Android, which differ in sign: "
             "Metadata.csv with a column platform is needed."
         )
-    unit = STANDARD_GRAVITY if _rest(raw) < 3.0 else 1.0
+    unit = STANDARD_GRAVITY if magnitude_at_rest(raw) < 3.0 else 1.0
     return columns(raw.ns, raw.value * (-unit if apple else unit))
 
 
@@ -133,11 +134,6 @@ def _sum(motion: Columns, gravity: Columns) -> Columns:
     inside = (t >= tg[0]) & (t <= tg[-1])
     parts = [np.interp(t[inside], tg, axis) for axis in gravity.value[order].T]
     return columns(motion.ns[inside], motion.value[inside] + np.column_stack(parts))
-
-
-def _rest(raw: Columns) -> float:
-    finite = raw.value[np.all(np.abs(raw.value) < IMPOSSIBLE, axis=1)]
-    return rest_magnitude(finite, 100.0) if len(finite) else 0.0
 
 
 def _stem(name: str) -> str:

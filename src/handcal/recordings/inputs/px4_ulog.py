@@ -1,0 +1,217 @@
+"""Logs of PX4 (.ulg): ULog, as its specification has it.
+
+Rate in rad/s and specific force in m/s^2 in the autopilot's axes: x forward, y to the right, z
+down, so that a level vehicle at rest reads -9.81 on z, which is +g on the axis up. The raw
+sensor_gyro and sensor_accel, the first of each, are taken where they were logged as often as
+sensor_combined, which PX4 has corrected by a calibration of its own: that is said. The
+magnetometer, gauss, is sensor_mag beside the raw ones, else vehicle_magnetometer. A mocap's pose
+has a world with z down, which is turned about its x so that z is up. Stamps: us since boot.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from handcal.recordings.inputs._options import Options
+from handcal.recordings.inputs._repair import Columns, assemble, columns
+from handcal.recordings.inputs._zip import LARGEST, stated
+from handcal.types import Array, InputError, Recording
+
+UNDERSTOOD = "a log of PX4 (.ulg)"
+UNITS = "rad/s, m/s^2, gauss, m; axes forward, right, down: at rest -9.81 on z, +g on the axis up"
+STREAMS_READ = "IMU, magnetometer, temperature, pose (vehicle_mocap_odometry)"
+TRIED = "logs written by ULog's specification, which pyulog reads alike"
+ENDINGS = (".ulg",)
+MARK = "it does not begin with ULog's magic bytes"
+MAGIC = b"ULog\x01\x12\x35"
+_TOPICS = ("sensor_gyro", "sensor_accel", "sensor_combined", "sensor_mag", "vehicle_magnetometer",
+           "vehicle_mocap_odometry")  # fmt: skip
+HEADER = 16
+LARGEST_MESSAGE = 2**16
+_AT_ONCE = 50_000
+_KINDS = "BFIMPQARDLCSO"
+_DATA, _FLAGS, _FORMAT, _ADDED = (ord(kind) for kind in "DBFA")
+_FIELD = re.compile(r"(\w+?)(?:\[(\d{1,5})\])? (\w+)")
+_TYPES = {
+    **{f"{sign}int{8 * n}_t": f"<{sign or 'i'}{n}" for sign in ("", "u") for n in (1, 2, 4, 8)},
+    "float": "<f4", "double": "<f8", "bool": "<u1", "char": "<u1",
+}  # fmt: skip
+_Fields = Mapping[str, Array]
+
+
+def can_read(path: Path) -> bool:
+    """By its first bytes."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(len(MAGIC)) == MAGIC
+
+
+def read(path: Path, options: Options) -> Recording:
+    """Read the recording. Errors: InputError."""
+    topics, said = _topics(path)
+    options.progress(1.0)
+    said = [*stated("PX4", options), *said]
+    whole = topics.get("sensor_combined", {})
+    raw = all(name in topics for name in _TOPICS[:2]) and all(
+        2 * len(topics[name]["timestamp"]) > len(whole.get("timestamp", ())) for name in _TOPICS[:2]
+    )
+    try:
+        if raw:
+            gyro, accel = (_vector(topics[name], "", 1.0) for name in _TOPICS[:2])
+        elif whole:
+            said.append("sensor_combined: PX4 has corrected it by a calibration of its own.")
+            gyro = _vector(whole, "gyro_rad", 1.0)
+            accel = _vector(whole, "accelerometer_m_s2", 1.0)
+            late = whole["accelerometer_timestamp_relative"].astype(np.int64) * 1000
+            accel = columns(accel.ns + late, accel.value)
+        else:
+            raise InputError(
+                f"{path} has neither sensor_combined nor sensor_gyro and sensor_accel."
+            )
+        streams = _further(topics, raw)
+    except KeyError as error:
+        raise InputError(f"{path}: a topic of its IMU lacks the field {error}.") from error
+    return assemble(path, gyro, accel, streams, tuple(said))
+
+
+def _topics(path: Path) -> tuple[dict[str, _Fields], list[str]]:
+    """Fields by topic, the first instance of each, and warnings. Errors: InputError."""
+    if path.stat().st_size > LARGEST:
+        raise InputError(f"{path} is too large to be read at once.")
+    data = path.read_bytes()
+    log = _walked(path, data)
+    topics: dict[str, _Fields] = {}
+    buffer = np.frombuffer(data, dtype=np.uint8)
+    for id, (_, name) in sorted(log.names.items(), key=lambda one: one[1][0]):
+        layout = _layout(log.formats.get(name, ""))
+        starts = [at for at, length in log.places.get(id, ()) if length >= layout.itemsize]
+        if name in topics or not starts or "timestamp" not in (layout.names or ()):
+            continue
+        parts = []
+        for k in range(0, len(starts), _AT_ONCE):  # (what places of bytes take is eightfold)
+            places = np.array(starts[k : k + _AT_ONCE])[:, None] + np.arange(layout.itemsize)
+            parts.append(buffer[places].view(layout)[:, 0])
+        rows = np.concatenate(parts)
+        topics[name] = {one: rows[one] for one in layout.names or ()}
+    if log.whole:
+        return topics, []
+    return topics, [f"The log ends early or is damaged: {log.messages} messages were recovered."]
+
+
+@dataclass
+class _Log:
+    """What a walk found: formats by topic; instance and topic, and places, by id."""
+
+    formats: dict[str, str] = field(default_factory=dict)
+    names: dict[int, tuple[int, str]] = field(default_factory=dict)
+    places: dict[int, list[tuple[int, int]]] = field(default_factory=dict)
+    messages: int = 0
+    whole: bool = True
+
+
+def _walked(path: Path, data: bytes) -> _Log:
+    """Every message of the log, until something is none. Errors: InputError."""
+    log, at, ends = _Log(), HEADER, [len(data)]
+    head = struct.Struct("<HB").unpack_from
+    while at < len(data):
+        end = next(e for e in ends if e > at)
+        if at + 3 > end:
+            at, log.whole = end, log.whole and end < len(data)
+            continue
+        length, kind = head(data, at)
+        begin, following = at + 3, at + 3 + length
+        if chr(kind) not in _KINDS or following > end:
+            # Where data were appended after a crash, what is before them may be cut.
+            at, log.whole = end, log.whole and end < len(data)
+            continue
+        if kind == _DATA and length > 2:
+            (id,) = struct.unpack_from("<H", data, begin)
+            if id in log.names:
+                log.places.setdefault(id, []).append((begin + 2, length - 2))
+                log.messages += 1
+        elif kind == _FLAGS and length >= 40:
+            ends = _ends(path, data[begin:following], len(data))
+        elif kind == _FORMAT:
+            name, _, fields = data[begin:following].decode("ascii", "replace").partition(":")
+            if name in _TOPICS:
+                log.formats[name] = fields
+        elif kind == _ADDED and length > 3:
+            instance, id = struct.unpack_from("<BH", data, begin)
+            name = data[begin + 3 : following].decode("ascii", "replace")
+            if name in _TOPICS:
+                log.names[id] = (instance, name)
+        at = following
+    return log
+
+
+def _ends(path: Path, flags: bytes, size: int) -> list[int]:
+    """Where what was written at one go ends. Errors: InputError for what nobody knows yet."""
+    if flags[8] & ~1 or any(flags[9:16]):
+        raise InputError(f"{path} needs what this reader of ULog does not know.")
+    appended = struct.unpack_from("<3Q", flags, 16) if flags[8] & 1 else ()
+    return [*sorted(offset for offset in appended if HEADER < offset < size), size]
+
+
+def _layout(fields: str) -> np.dtype[np.void]:
+    """The fields that can be read of a message, until one of unknown type; arrays as name[0]."""
+    found: list[tuple[str, str]] = []
+    size = 0
+    for one in fields.split(";"):
+        match = _FIELD.fullmatch(one.strip())
+        code = _TYPES.get(match[1]) if match else None
+        if match is None or code is None:
+            break
+        count = int(match[2] or 1)
+        size += count * int(code[-1])
+        if size > LARGEST_MESSAGE:
+            break
+        name = match[3]
+        found += [(f"{name}[{k}]", code) for k in range(count)] if match[2] else [(name, code)]
+    while found and found[-1][0].startswith("_padding"):
+        found.pop()  # (of the last field none is written)
+    return np.dtype(list(dict(found).items()))
+
+
+def _further(topics: Mapping[str, _Fields], raw: bool) -> dict[str, Columns]:
+    """The streams beside the IMU."""
+    streams = {}
+    if raw and "sensor_mag" in topics:
+        streams["mag"] = _vector(topics["sensor_mag"], "", 1e-4)
+    elif not raw and "vehicle_magnetometer" in topics:
+        streams["mag"] = _vector(topics["vehicle_magnetometer"], "magnetometer_ga", 1e-4)
+    if raw and "temperature" in topics["sensor_accel"]:
+        fields = topics["sensor_accel"]
+        streams["temperature"] = columns(_stamps(fields), _floats(fields["temperature"])[:, None])
+    if "vehicle_mocap_odometry" in topics:
+        fields = topics["vehicle_mocap_odometry"]
+        place = [_floats(fields[f"position[{k}]"]) for k in range(3)]
+        w, x, y, z = (_floats(fields[f"q[{k}]"]) for k in range(4))
+        turned = np.column_stack([place[0], -place[1], -place[2], -x, w, -z, y])
+        streams["pose"] = columns(_stamps(fields), turned)
+    return streams
+
+
+def _vector(fields: _Fields, name: str, factor: float) -> Columns:
+    names = [f"{name}[{k}]" for k in range(3)] if name else ["x", "y", "z"]
+    value = np.column_stack([_floats(fields[n]) for n in names])
+    return columns(_stamps(fields), factor * value)
+
+
+def _floats(field: Array) -> Array:
+    return np.asarray(field, dtype=np.float64)
+
+
+def _stamps(fields: _Fields) -> Any:
+    """When the sample was taken, else when it was published; ns since boot."""
+    us = fields.get("timestamp_sample", fields["timestamp"])
+    if us.dtype.kind not in "iu" or np.any(us > 9 * 10**15):
+        raise InputError("A time stamp of the log is no number of microseconds since boot.")
+    return us.astype(np.int64) * 1000
