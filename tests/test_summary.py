@@ -36,7 +36,8 @@ def no_nulls_in_lists(node: object) -> bool:
 def test_the_json_has_the_contracts_fields():
     document = summary.calibration_json(fake_result())
     assert set(document) == {
-        "schema", "recording", "parameters", "noise", "fit", "untellable", "model", "warnings",
+        "schema", "recording", "parameters", "noise", "fit", "untellable", "covariance", "model",
+        "warnings",
     }  # fmt: skip
     assert document["schema"] == "handcal/calibration/1"
     assert set(document["recording"]) == {

@@ -178,11 +178,13 @@ def calibrated(
         settings[name] = radians(settings[name])
     settings |= {"assume": str(settings["assume"]), "engine": str(settings["engine"])}
     settings["ignore"] = tuple(settings["ignore"] or ())
+    before = settings.pop("before", None)
     ids = tuple(e.strip() for e in effects.split(",") if e.strip())
     names = ", ".join(Path(r.path).name for r in recordings)
     if learnt_from is None:
         with progress(f"calibrating {names}") as report:
-            return calibrate_together(recordings, ids, progress=report, **settings)
+            known = {} if before is None else {"before": before}
+            return calibrate_together(recordings, ids, progress=report, **settings, **known)
     from handcal.explain.model_file import read
 
     usual = {"assume": "auto", "engine": "compiled", "height": 0.0, "ignore": (),
@@ -193,4 +195,4 @@ def calibrated(
         raise InputError(f"--from holds the model with its options; leave out {said}.")
     chosen = read(learnt_from)
     with progress(f"calibrating {names}") as report:
-        return recalibrate(recordings, chosen, report)
+        return recalibrate(recordings, chosen, report, before)
