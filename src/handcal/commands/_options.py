@@ -48,6 +48,15 @@ Units = Annotated[
         metavar="NAME=UNIT,...", help="Units in the file where they are not SI: accel=g,gyro=deg/s."
     ),
 ]
+UnitsToo = Annotated[
+    str | None,
+    typer.Option(
+        metavar="si|UNIT,...|NAME=UNIT,...",
+        help="Show numbers in these (si, or of deg, deg/h, mrad, rad, mg, g, m/s^2, percent, ppm, "
+        "mm, ms; JSON is always SI); and NAME=UNIT: what is in the file where it is not SI "
+        "(accel=g).",
+    ),
+]
 Effects = Annotated[
     str,
     typer.Option(
@@ -132,6 +141,22 @@ def with_own_effects(command: Callable[..., None]) -> Callable[..., None]:
     run_with.__signature__ = own.replace(parameters=[*own.parameters.values(), option])  # type: ignore[attr-defined]
     run_with.__annotations__ = {**command.__annotations__, "effects_from": EffectsFrom}
     return run_with
+
+
+def in_units(command: Callable[..., None]) -> Callable[..., None]:
+    """The command, showing its numbers in the units that --units asks for; what it says of the
+    file (NAME=UNIT) is left to the command."""
+
+    @wraps(command)
+    def run_in(*arguments: Any, units: str | None = None, **options: Any) -> None:
+        from handcal.units import showing
+
+        items = [u.strip() for u in (units or "").split(",") if u.strip()]
+        of_file = [u for u in items if "=" in u]
+        with showing([u for u in items if "=" not in u]):
+            command(*arguments, units=",".join(of_file) or None, **options)
+
+    return run_in
 
 
 def _pairs(items: list[str], option: str) -> dict[str, str]:

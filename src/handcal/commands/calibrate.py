@@ -24,8 +24,9 @@ from handcal.commands._options import (
     Report,
     Rrd,
     Topics,
-    Units,
+    UnitsToo,
     calibrated,
+    in_units,
     load,
     with_own_effects,
 )
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
 
 
 @with_own_effects
+@in_units
 def calibrate(
     files: Annotated[
         list[Path], typer.Argument(metavar="FILE...", help="Recordings of one device.")
@@ -55,7 +57,7 @@ def calibrate(
     latitude: Latitude = None,
     height: Height = 0.0,
     topic: Topics = None,
-    units: Units = None,
+    units: UnitsToo = None,
     ignore: Ignore = None,
     reference_exact: ReferenceExact = False,
     noise_until: NoiseUntil = None,

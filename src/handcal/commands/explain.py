@@ -20,7 +20,8 @@ from handcal.commands._options import (
     Report,
     Rrd,
     Topics,
-    Units,
+    UnitsToo,
+    in_units,
     load,
     radians,
     with_own_effects,
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 
 
 @with_own_effects
+@in_units
 def explain(
     files: Annotated[
         list[Path], typer.Argument(metavar="FILE...", help="Recordings of one device.")
@@ -73,7 +75,7 @@ def explain(
     latitude: Latitude = None,
     height: Height = 0.0,
     topic: Topics = None,
-    units: Units = None,
+    units: UnitsToo = None,
     ignore: Ignore = None,
     reference_exact: ReferenceExact = False,
     json: Json = None,

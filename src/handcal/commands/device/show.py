@@ -8,9 +8,10 @@ from typing import Annotated
 
 import typer
 
-from handcal.commands._options import Json, Report
+from handcal.commands._options import Json, Report, UnitsToo, in_units
 
 
+@in_units
 def show(
     file: Annotated[Path, typer.Argument(metavar="PHONE.toml", help="A device file.")],
     date: Annotated[
@@ -21,10 +22,15 @@ def show(
             help="What is known on that day (today).",
         ),
     ] = None,
+    units: UnitsToo = None,
     json: Json = None,
     report: Report = None,
 ) -> None:
     """Print what is known of a device, by which sessions, and where they disagree."""
+    if units:
+        from handcal.types import InputError
+
+        raise InputError(f"--units {units}: a device file is SI; say only what to show (deg,mg).")
     from handcal.device import file as device_file
     from handcal.output import check_outputs
     from handcal.show import device as page
