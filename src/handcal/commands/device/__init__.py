@@ -1,4 +1,4 @@
-"""A device file: what is known of one physical device, kept over time."""
+"""Keep what is known of one physical device over time, as the next session's prior."""
 
 from __future__ import annotations
 
