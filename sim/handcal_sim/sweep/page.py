@@ -100,7 +100,8 @@ def _rows(sweep: Document, effect: str) -> list[dict[str, Any]]:
                 "values": [
                     {"median": number(row[q]["median"]),
                      "range": _range(row[q]) if enough(sweep) else "",
-                     "printed": printed_beside(row[q])[:-2], "inside": row[q]["inside"] if enough(sweep) else None}
+                     "printed": printed_beside(row[q])[:-2],
+                     "inside": row[q]["inside"] if enough(sweep) else None}
                     for q in QUANTITIES
                 ],
                 "ends": [number(e["rms"]) for e in (row["final_error"], own) if e],
