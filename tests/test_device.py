@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 import sys
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
+from fake_result import fake_result
 from worlds import recording_of
 
 import handcal
@@ -18,8 +20,10 @@ from handcal.commands import _app
 from handcal.device import file as device_file
 from handcal.device import history
 from handcal.device.file import Device, Session
+from handcal.recordings.overview import overview
 from handcal.show.calibration.summary import calibration_json, write_json
 from handcal.show.device import surprise_sentences, write_device_report
+from handcal.show.info import Info, write_info_report
 from handcal.types import GYRO_BIAS_PRIOR, InputError
 from handcal_sim import simulate
 from handcal_sim.phone import Clocking, consumer_phone, with_rate
@@ -245,7 +249,28 @@ def test_the_page_draws_each_parameter(told, tmp_path):
     write_device_report(known, DAY + timedelta(days=40), tmp_path / "x.html")
     page = (tmp_path / "x.html").read_text()
     assert page.count("<figure") == 3
-    assert "nan" not in page.lower().replace("finance", "")
+    assert ">nan" not in page
+
+
+def test_no_page_is_wider_than_a_telephone(tmp_path):
+    """However long the names are, and whatever is drawn."""
+    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    chromium = shutil.which("chromium") or shutil.which("google-chrome")
+    if chromium is None:
+        pytest.skip("no chromium on this machine")
+    long = "a_telephone_that_was_turned_about_all_axes" * 3
+    known = Device(long, (replace(made(0, gyro_bias_x=(0.01, 1e-3)), recordings=(long,)),))
+    write_device_report(known, DAY, tmp_path / "device.html")
+    fake = fake_result()
+    recording = replace(fake.recording, path=f"{long}.mcap")
+    write_info_report(Info("x", long, overview(recording), ()), tmp_path / "info.html")
+    with sync_api.sync_playwright() as p:
+        browser = p.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        tab = browser.new_page(viewport={"width": 390, "height": 800})
+        for page in ("device", "info"):
+            tab.goto((tmp_path / f"{page}.html").as_uri())
+            assert tab.evaluate("document.documentElement.scrollWidth") <= 390, page
+        browser.close()
 
 
 @pytest.mark.prove
