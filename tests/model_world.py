@@ -103,8 +103,7 @@ def _start(rng: np.random.Generator, C: Array, bg: Array, ba: Array) -> Start:  
         velocity_sigma=VELOCITY,
         tilt_sigma=TILT,
         yaw_sigma=YAW,
-        gyro_bias_sigma=GYRO_BIAS,
-        accel_bias_sigma=ACCEL_BIAS,
+        bias_sigma=np.repeat([GYRO_BIAS, ACCEL_BIAS], 3),
     )
 
 

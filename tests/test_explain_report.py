@@ -226,8 +226,8 @@ def test_a_less_probable_rival_of_a_named_effect_is_said():
 
 
 def test_where_nothing_was_added_there_is_one_model(monkeypatch):
-    e = fake_explanation("nothing_missing")
-    monkeypatch.setattr(plots, "draw", lambda _: drawn("nothing_missing"))
+    e, figures = fake_explanation("nothing_missing"), drawn("nothing_missing")
+    monkeypatch.setattr(plots, "draw", lambda _: figures)
     html, text = render_explanation(e), printed(e)
     for word in ("Baseline", "Final model", "Before and after", "has not seen"):
         assert word not in html
@@ -459,6 +459,26 @@ def test_of_many_causes_those_that_matter_come_first():
     assert "30" in said
     assert "The two others" in said
     assert sentences.matters(e) is None
+
+
+def test_of_many_the_headline_names_the_largest_three_and_says_how_many():
+    e = fake_explanation("explained")
+    first, second = e.missing
+    many = [replace(first, share=0.01 * k, title=f"Effect {k}") for k in range(1, 5)]
+    said = sentences.verdict(replace(e, missing=(second, *many))).headline
+    assert said.startswith("Five things are missing, above all the lever arm, the effect 4 and the")
+    assert "effect 2" not in said
+    assert "99.4" in said  # (the least of all probabilities)
+
+
+def test_a_place_that_nobody_measured_is_not_called_recorded():
+    r = fake_explanation("explained", recordings=1).recordings[0]
+    streams = dict(r.recording.streams)
+    held = replace(r, recording=replace(r.recording, streams={}))
+    assert words.source("position_x", held) == "held point (assumed)"
+    posed = replace(r, recording=replace(r.recording, streams=streams | {"pose": None}))
+    assert words.source("position_x", posed) == "recorded"
+    assert words.source("gyro_x", held) == "recorded"
 
 
 def test_what_an_effect_does_to_the_readings_is_said_in_their_unit():

@@ -107,6 +107,17 @@ def test_a_result_with_next_to_nothing_in_it_still_has_a_page():
     assert "Warnings" not in html
 
 
+def test_lines_and_bands_end_where_nothing_was_read():
+    t = np.r_[np.arange(0.0, 3.0, 0.01), np.arange(8.0, 9.0, 0.01)]
+    gaps = drawing.gaps_of(t)
+    assert gaps.round(2).tolist() == [[2.99, 8.0]]
+    at, y, band = drawing.broken(t[::7], gaps, np.sin(t[::7]), np.ones((len(t[::7]), 3)))
+    (hole,) = np.flatnonzero(np.isnan(y))
+    assert 2.9 < at[hole - 1] < 3.0 < at[hole] < 8.0 <= at[hole + 1]
+    assert np.isnan(band[hole]).all()
+    assert len(drawing.broken(t[:5], gaps, t[:5])[0]) == 5
+
+
 def test_thinning_keeps_the_peaks():
     t = np.arange(100_000) * 0.01
     y = np.sin(t)

@@ -100,7 +100,7 @@ def test_every_command_that_writes_json_has_a_schema_and_so_has_every_kind_of_do
     code = [p.read_text("utf-8") for d in ("src/handcal", "sim/handcal_sim")
             for p in (schemas.ROOT / d).rglob("*.py")]  # fmt: skip
     written = set(re.findall(r'"(handcal(?:-sim)?/[a-z-]+/\d+)"', "\n".join(code)))
-    assert written == known
+    assert written - {"handcal/device/1"} == known  # (which is a TOML file)
 
 
 def test_what_is_not_so_is_refused():

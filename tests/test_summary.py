@@ -38,7 +38,8 @@ def test_the_json_has_the_contracts_fields():
     document = summary.calibration_json(fake_result())
     schemas.check(document)
     assert set(document) == {
-        "schema", "recording", "parameters", "noise", "fit", "untellable", "model", "warnings",
+        "schema", "recording", "parameters", "noise", "fit", "untellable", "covariance", "model",
+        "warnings",
     }  # fmt: skip
     assert document["schema"] == "handcal/calibration/1"
     assert set(document["recording"]) == {

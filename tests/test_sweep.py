@@ -490,7 +490,12 @@ def test_the_command_from_end_to_end(tmp_path, monkeypatch):
     result = invoked(*arguments, "--report", files["html"])
     assert result.exit_code == 0, result.output
     assert "Gyro bias, deg/h" in result.stdout
-    assert "settled" in files["html"].read_text()
+    text = files["html"].read_text()
+    assert "settled" in text
+    assert "<td>none</td>" in text  # (as the grid says it, and not the 100 that stands for it)
+    assert "central 95" not in text.replace("too few for a central 95", "")
+    assert "As in paper 002, not varied: scenario z-turn" in text
+    assert "Cell 2: Gyro" in text
     sweep_json = json.loads(files["json"].read_text())
     schemas.check(sweep_json)
     schemas.check(json.loads(files["jsonl"].read_text().splitlines()[0]))

@@ -131,6 +131,20 @@ class Parameter:
         return self.sigma < 0.5 * self.prior_sigma
 
 
+@dataclass(frozen=True, repr=False)
+class Prior(Brief):
+    """What is known of a device before a recording, SI.
+
+    names (k,): (effect, parameter); mean (k,), covariance (k, k). What is not named is as
+    uncertain as is usual. source: where it is from, as JSON says it.
+    """
+
+    names: tuple[tuple[str, str], ...]
+    mean: Array
+    covariance: Array
+    source: Mapping[str, Any] = field(default_factory=dict)
+
+
 @dataclass(frozen=True)
 class NoiseLevel:
     """One noise level that the recording was found to have."""
@@ -234,6 +248,7 @@ class Result(Brief):
     None. rests: (r, 2) start and end of each detected rest, s. smoothed: the same as
     ``history``, each row given the whole recording. settled: relinearising had come to rest.
     model: what was fitted, as JSON holds it (contract); repeated: it was read from a result.
+    before: what was known of the device.
     """
 
     recording: Recording
@@ -251,6 +266,7 @@ class Result(Brief):
     settled: bool = True
     model: Mapping[str, Any] = field(default_factory=dict)
     repeated: bool = False
+    before: Prior | None = None
 
     @property
     def observations(self) -> int:

@@ -1,12 +1,20 @@
-"""Units as people think of them. Inside, everything is SI."""
+"""Units as people think of them. Inside, everything is SI.
+
+Inside ``showing`` numbers are shown in the units that somebody asked for; otherwise in those of
+``_UNITS``, by size.
+"""
 
 from __future__ import annotations
 
+import difflib
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 
 from handcal.earth import STANDARD_GRAVITY
+from handcal.types import InputError
 
 # What takes rad to degrees, and m/s^2 to thousandths of standard gravity.
 DEG = 180.0 / math.pi
@@ -39,6 +47,60 @@ _UNITS: dict[str, tuple[tuple[str, float, float], ...]] = {
 }
 
 
+# What may be asked for: of the SI units that begin so, the shown unit and its factor; None: as SI
+# has it. Units that are made of several (deg/s/K) go with those they begin with.
+WORDS: dict[str, tuple[str, dict[str, tuple[str, float]] | None]] = {
+    "deg": ("rad", {"rad": ("deg", DEG), "rad/s": ("deg/s", DEG)}),
+    "deg/h": ("rad/s", {"rad/s": ("deg/h", 3600 * DEG)}),
+    "mrad": ("rad", {"rad": ("mrad", 1000.0), "rad/s": ("mrad/s", 1000.0)}),
+    "rad": ("rad", None),
+    "mg": ("m/s^2", {"m/s^2": ("mg", MG)}),
+    "g": ("m/s^2", {"m/s^2": ("g", 1e-3 * MG)}),
+    "m/s^2": ("m/s^2", None),
+    "percent": ("1", {"1": ("%", 100.0), "1e-6": ("%", 1e-4)}),
+    "ppm": ("1", {"1": ("ppm", 1e6), "1e-6": ("ppm", 1.0)}),
+    "mm": ("m", {"m": ("mm", 1000.0)}),
+    "ms": ("s", {"s": ("ms", 1000.0)}),
+}
+SI = "si"
+MOST_DIGITS = 7  # behind the point; smaller numbers are shown with a power of ten
+_ASKED: ContextVar[tuple[str, ...]] = ContextVar("units", default=())
+
+
+@contextmanager
+def showing(words: Sequence[str]) -> Iterator[None]:
+    """Inside, numbers are shown in these units: "si", or some of ``WORDS``, the others as usual.
+
+    Raises InputError for a word that is unknown.
+    """
+    for word in words:
+        if word != SI and word not in WORDS:
+            near = difflib.get_close_matches(word, [SI, *WORDS], n=2)
+            meant = f" Did you mean {' or '.join(near)}?" if near else ""
+            raise InputError(
+                f"--units {word}: expected a unit to show numbers in (si, or of "
+                f"{', '.join(WORDS)}), or NAME=UNIT of what is in the file (accel=g).{meant}"
+            )
+    token = _ASKED.set(tuple(words))
+    try:
+        yield
+    finally:
+        _ASKED.reset(token)
+
+
+def _asked(key: str) -> tuple[str, float] | None:
+    """The unit that was asked for, of an SI unit; None for the usual."""
+    for word in _ASKED.get():
+        if word == SI:
+            return ("" if key == "1" else key), 1.0
+        first, units = WORDS[word]
+        if units is not None and key in units:
+            return units[key]
+        if units is None and key.startswith(first):
+            return key, 1.0
+    return None
+
+
 @dataclass(frozen=True)
 class Shown:
     """A unit for people and the factor that takes SI to it."""
@@ -54,13 +116,18 @@ class Shown:
         size = abs(self.factor * sigma) if sigma is not None else 0.0
         if not (math.isfinite(size) and size > 0):
             return f"{scaled:.0f}" if abs(scaled) >= 1000 else f"{scaled:.3g}"
-        digits = min(max(1 - math.floor(math.log10(size)), 0), 7)
+        digits = max(1 - math.floor(math.log10(size)), 0)
+        if digits > MOST_DIGITS:
+            more = max(math.floor(math.log10(abs(scaled) or size)) + digits, 0)
+            return f"{scaled:{'+' if sign else ''}.{min(more, MOST_DIGITS)}e}".replace("-", "−")
         return f"{scaled:{'+' if sign else ''}.{digits}f}".replace("-", "−")
 
 
 def shown(unit: str, values: Iterable[float]) -> Shown:
     """The friendly unit for numbers of this SI unit and size."""
     key = unit.replace("(", "").replace(")", "").replace(" ", "")
+    if (asked := _asked(key)) is not None:
+        return Shown((unit if asked[0] == key else asked[0]).replace("s^2", "s²"), asked[1])
     largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
     for name, factor, limit in _UNITS.get(key, ()):
         if largest * factor <= limit:

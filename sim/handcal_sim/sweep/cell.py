@@ -259,7 +259,7 @@ def _start(cell: Cell, world: Simulated) -> Start:
         position_sigma=cell.position_m, velocity_sigma=cell.velocity_m_s,
         tilt_sigma=max(cell.start_tilt_deg * DEG, KNOWN_RAD),
         yaw_sigma=min(max(heading, KNOWN_RAD), UNKNOWN_RAD),
-        gyro_bias_sigma=cell.gyro_prior_deg_s * DEG, accel_bias_sigma=cell.accel_prior,
+        bias_sigma=np.repeat([cell.gyro_prior_deg_s * DEG, cell.accel_prior], 3),
     )  # fmt: skip
 
 

@@ -26,6 +26,8 @@ Effects = tuple[tuple[str, tuple[float, ...]], ...]
 NO_HEADING_RAD = 100.0
 AUTO, MATCHED, NONE, UNKNOWN = "auto", "matched", "none", "unknown"
 SCALES = ("gyro_scale", "accel_scale")
+FILTER = ("start_heading_deg", "start_tilt_deg", "draw_start", "settle", "position_m",
+          "velocity_m_s", "gyro_prior_deg_s", "accel_prior")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -92,6 +94,28 @@ class Cell:
         """The same for the same numbers, whatever the grid: names what was computed."""
         told = asdict(replace(self, group="", printed=None, figures=None))
         return _digest(told)
+
+
+def told(cell: Cell) -> dict[str, Any]:
+    """What the filter is told besides R_h and its states, ready for JSON."""
+    out = {k: v for k, v in asdict(cell).items() if k in FILTER}
+    heading = cell.start_heading_deg
+    return out | {"start_heading_deg": heading if math.isfinite(heading) else UNKNOWN}
+
+
+def inherited(cells: Sequence[Mapping[str, Any]]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Of a sweep's cells (as in its document): what is the same in all of them, as in paper 002 and
+    otherwise."""
+    usual = asdict(World()) | told(Cell())
+    each = [{**cell["world"], **cell.get("filter", {})} for cell in cells]
+    same = {k: v for k, v in each[0].items() if all(e.get(k) == v for e in each)} if each else {}
+    as_paper = {k: v for k, v in same.items() if _plain(v) == _plain(usual[k])}
+    return as_paper, {k: v for k, v in same.items() if k not in as_paper}
+
+
+def _plain(value: Any) -> Any:
+    """With lists where there were tuples, as JSON has it."""
+    return [_plain(v) for v in value] if isinstance(value, list | tuple) else value
 
 
 def noise_key(world: World) -> int:

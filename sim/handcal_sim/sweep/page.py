@@ -18,7 +18,9 @@ from handcal_sim.sweep.show import (
     SENSORS,
     TITLES,
     ends_shown,
+    enough,
     number,
+    numbered,
     printed_beside,
     r_h,
     sentences,
@@ -48,11 +50,13 @@ def figures(sweep: Document) -> dict[str, list[Drawn]]:
     if not cells:
         return out
     out["overview"] = [_errors(sweep), _against_heading(sweep)]
-    for cell in cells:
+    for k, cell in enumerate(cells, 1):
         section = "paper" if cell["figures"] else "others"
         for effect, place in (("accel_bias", 0), ("gyro_bias", 1)):
             label = f"Figure {cell['figures'][place]}: " if cell["figures"] else ""
-            out[section].append(_over_time(cell, effect, label))
+            if numbered(sweep):
+                label = f"Cell {k}: "
+            out[section].append(_over_time(cell, effect, label, enough(sweep)))
     return out
 
 
@@ -64,7 +68,8 @@ def context(sweep: Document) -> dict[str, Any]:
     return {
         "title": "Paper 002, run again" if sweep["grid"] == "paper" else f"Sweep {sweep['grid']}",
         "seeds": sweep["seeds"], "sentences": sentences(sweep), "printed": bool(sweep["printed"]),
-        "counts": [(TITLES[k].partition(",")[0], v) for k, v in sweep["printed"].items()],
+        "counts": [(TITLES[k].partition(",")[0], v) for k, v in sweep["printed"].items()
+                   if enough(sweep)],
         "quantities": [TITLES[q][0].upper() + TITLES[q][1:] for q in QUANTITIES],
         "ends": [e.capitalize() for e in ends_shown(sweep)],
         "tables": [{"title": titles.get(e, e), "cells": _rows(sweep, e)} for e in effects],
@@ -77,13 +82,16 @@ def context(sweep: Document) -> dict[str, Any]:
              "bound": number(row["bound"])}
             for row in sweep["evidence"]
         ],
+        "enough": enough(sweep),
+        "key": [(k, cell["group"], r_h(cell)) for k, cell in enumerate(sweep["cells"], 1)]
+        if numbered(sweep) else [],
         "motions": _motions(sweep["side_by_side"]),
     }  # fmt: skip
 
 
 def _rows(sweep: Document, effect: str) -> list[dict[str, Any]]:
     out = []
-    for cell in sweep["cells"]:
+    for k, cell in enumerate(sweep["cells"], 1):
         rows = []
         for row in (row for row in cell["parameters"] if row["effect"] == effect):
             own, end = row["settled_error"], end_of(row)
@@ -91,16 +99,24 @@ def _rows(sweep: Document, effect: str) -> list[dict[str, Any]]:
                 "name": row["name"],
                 "values": [
                     {"median": number(row[q]["median"]),
-                     "range": f"{number(row[q]['low'])} to {number(row[q]['high'])}",
-                     "printed": printed_beside(row[q])[:-2], "inside": row[q]["inside"]}
+                     "range": _range(row[q]) if enough(sweep) else "",
+                     "printed": printed_beside(row[q])[:-2],
+                     "inside": row[q]["inside"] if enough(sweep) else None}
                     for q in QUANTITIES
                 ],
                 "ends": [number(e["rms"]) for e in (row["final_error"], own) if e],
                 "bound": number(end["bound"]),
                 "ratio": f"{end['over_bound']:.2f}",
             })  # fmt: skip
-        out.append({"group": cell["group"], "r_h": r_h(cell), "rows": rows})
+        label = f"{k}. {cell['group']}" if numbered(sweep) else cell["group"]
+        out.append({"group": label, "r_h": r_h(cell), "rows": rows})
     return out
+
+
+def _range(spread: Document) -> str:
+    if spread["low"] is None or spread["high"] is None:
+        return ""
+    return f"{number(spread['low'])} to {number(spread['high'])}"
 
 
 def _motions(rows: Sequence[Document]) -> dict[str, Any] | None:
@@ -122,8 +138,8 @@ def _canvas(rows: int, height: float, width: float = WIDTH) -> tuple[Figure, lis
     return figure, list(axes)
 
 
-def _over_time(cell: Document, effect: str, label: str) -> Drawn:
-    """Estimates over time: median and band over seeds, truth, median time of convergence."""
+def _over_time(cell: Document, effect: str, label: str, banded: bool) -> Drawn:
+    """Estimates over time: median, truth, median time of convergence; banded: with 95 %."""
     rows = [(k, row) for k, row in enumerate(cell["parameters"]) if row["effect"] == effect]
     scale, unit = (1e-3, "mg") if effect == "accel_bias" else (1.0, "deg/h")
     t = np.array(cell["t"])
@@ -131,6 +147,8 @@ def _over_time(cell: Document, effect: str, label: str) -> Drawn:
     for n, (ax, (k, row)) in enumerate(zip(axes, rows, strict=True)):
         low, median, high = (scale * np.array(cell["bands"][b][k])
                              for b in ("low", "median", "high"))  # fmt: skip
+        if not banded:
+            low = high = median
         ax.fill_between(t, low, high, color=XYZ[n], alpha=0.2, lw=0)
         ax.plot(t, median, color=XYZ[n])
         ax.axhline(scale * row["truth"], color=INK, lw=0.9, ls=(0, (4, 3)))
@@ -146,10 +164,10 @@ def _over_time(cell: Document, effect: str, label: str) -> Drawn:
     axes[-1].set_xlabel("time, s")
     figure.align_ylabels(axes)
     what = "Accelerometer" if effect == "accel_bias" else "Gyro"
-    by = "R_h by evidence" if cell["chosen_r_h_rad"] else f"R_h {cell['r_h']}"
-    title = f"{label}{what}, {cell['group']}" + ("" if cell["without_heading"] else f", {by}")
-    caption = ("Bias estimate: median and central 95\u202f% over seeds; dashed: truth; dotted: "
-               "median time of convergence.")  # fmt: skip
+    by = "R_h by evidence" if cell["chosen_r_h_rad"] else f"R_h {r_h(cell)}"
+    title = f"{label}{what}, {cell['group']}" + ("" if cell["group"] == "no heading" else f", {by}")
+    shown = "median and central 95\u202f% over seeds" if banded else "median over seeds"
+    caption = f"Bias estimate: {shown}; dashed: truth; dotted: median time of convergence."
     return Drawn(title, caption, figure)
 
 
@@ -169,7 +187,8 @@ def _errors(sweep: Document) -> Drawn:
                 for k in ("median", "low", "high", "printed")
             )
             at = x + 0.25 * (n - 1)
-            ax.vlines(at, low, high, color=XYZ[n], lw=7, alpha=0.3)
+            if enough(sweep):
+                ax.vlines(at, low, high, color=XYZ[n], lw=7, alpha=0.3)
             ax.plot(at, median, "_", color=XYZ[n], ms=11, mew=2, label="xyz"[n])
             if np.isfinite(said).any():
                 printed = True
@@ -177,13 +196,13 @@ def _errors(sweep: Document) -> Drawn:
                         label="printed" if n == 2 else None)  # fmt: skip
         ax.set(yscale="log", ylabel=f"{'gyro' if effect == 'gyro_bias' else 'accel.'}, {unit}")
     axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4)
-    few = len(labels) <= 20
+    few = not numbered(sweep)
     axes[-1].set_xticks(x, labels if few else [str(k + 1) for k in x])
     caption = (
         "RMS error about the truth from convergence to the end, what the paper calls STD: median "
-        "(bar) and central 95\u202f% over seeds"
+        + ("(bar) and central 95\u202f% over seeds" if enough(sweep) else "(bar) over seeds")
         + (", and the paper's single draws (crosses)." if printed else ".")
-        + (" Below: heading sigma and R_h in rad." if few else " Cells in the order of the tables.")
+        + (" Below: heading sigma and R_h in rad." if few else " Below: numbers of the cells.")
         + (" * by evidence." if any("*" in label for label in labels) and few else "")
     )
     title = "Figure 6: error of every bias" if sweep["grid"] == "paper" else "Error of every bias"

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from handcal_sim.errors import SimulationError
-from handcal_sim.sweep.grid import Cell
+from handcal_sim.sweep.grid import Cell, told
 from handcal_sim.sweep.printed import QUANTITIES
 from handcal_sim.sweep.score import Chunk, bands, beside, chunks, final, spread
 
@@ -263,7 +263,7 @@ def summary(plan: Plan, cell: Cell, pieces: Sequence[Chunk]) -> Document:
     return {
         "schema": SCHEMA, "key": plan.key(cell), "group": cell.group, "r_h": cell.r_h,
         "r_h_rad": cell.r_h_rad, "chosen_r_h_rad": spread(r_h) if cell.r_h_rad is None else None,
-        "world": asdict(cell.world), "estimate": list(cell.estimate),
+        "world": asdict(cell.world), "estimate": list(cell.estimate), "filter": told(cell),
         "without_heading": cell.without_heading,
         "figures": list(cell.figures) if cell.figures else None, "parameters": parameters,
         "t": [round(float(t), 4) for t in one.t], "bands": bands(series),

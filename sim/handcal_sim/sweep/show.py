@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import csv
+import math
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 from handcal_sim.sweep.compare import end_of
+from handcal_sim.sweep.grid import MATCHED, NONE, inherited
 from handcal_sim.sweep.printed import QUANTITIES
 
 Document = Mapping[str, Any]
@@ -26,6 +28,11 @@ SENSORS = (
 
 
 NARROW, FILE_WIDTH = 118, 140
+# Below so many seeds one in twenty is none, and a central 95 % says nothing.
+ENOUGH_SEEDS = 20
+# Grids whose values the paper says, or the documentation.
+PAPERS = ("paper", "turns")
+MOST_NAMED = 20  # cells whose names find room below a figure
 
 
 def console() -> Console:
@@ -54,7 +61,7 @@ def show(sweep: Document, console: Console) -> None:
 def sentences(sweep: Document) -> list[str]:
     """What the tables come to."""
     lines = []
-    if sweep["printed"]:
+    if sweep["printed"] and enough(sweep):
         said = ", ".join(
             f"{TITLES[name].partition(',')[0]} {count['inside']} of {count['n']}"
             for name, count in sweep["printed"].items()
@@ -66,9 +73,45 @@ def sentences(sweep: Document) -> list[str]:
             f"Values are medians over {sweep['seeds']} seeds (seed {sweep['seed']}), final errors "
             f"root mean squares; convergence threshold {limits}."
         )
+        if not enough(sweep):
+            lines.append(
+                f"{sweep['seeds']} seeds are too few for a central 95 % ({ENOUGH_SEEDS} would do), "
+                "so no range is shown."
+            )
+        if sweep["grid"] not in PAPERS:
+            lines += _all_cells(sweep["cells"])
         if any(cell["chosen_r_h_rad"] for cell in sweep["cells"]):
             lines.append("* R_h chosen by evidence from the innovations, anew in every run.")
     return lines
+
+
+def enough(sweep: Document) -> bool:
+    """Whether there are seeds enough to say where 95 % of them lie."""
+    return bool(sweep["seeds"] >= ENOUGH_SEEDS)
+
+
+def numbered(sweep: Document) -> bool:
+    """Whether cells are told apart by their numbers: those of one's own grid, or very many."""
+    return sweep["grid"] not in PAPERS or len(sweep["cells"]) > MOST_NAMED
+
+
+def _all_cells(cells: Sequence[Document]) -> list[str]:
+    """What is the same in all cells of a grid of one's own, and where it is from."""
+    as_paper, otherwise = inherited(cells)
+    lines = []
+    for values, where in ((otherwise, "In all cells"), (as_paper, "As in paper 002, not varied")):
+        if values:
+            lines.append(f"{where}: {', '.join(f'{k} {_word(v)}' for k, v in values.items())}.")
+    return lines
+
+
+def _word(value: Any) -> str:
+    """A value of a grid, in brief."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, list | tuple):
+        return f"({' '.join(_word(v) for v in value)})"
+    return f"{value:g}" if isinstance(value, float | int) else str(value)
 
 
 def number(value: float | None) -> str:
@@ -128,9 +171,15 @@ def ends_shown(sweep: Document) -> list[str]:
 
 
 def r_h(cell: Document) -> str:
-    """The R_h of a cell, rad; where evidence chose it, the median and an asterisk."""
+    """The R_h of a cell, rad; where evidence chose it, the median and an asterisk; a word where the
+    grid has one."""
     if cell["chosen_r_h_rad"]:
         return f"{cell['chosen_r_h_rad']['median']:.3g}*"
+    if cell["without_heading"]:
+        return NONE
+    true = math.radians(cell["world"]["heading_sigma_deg"])
+    if cell["r_h_rad"] == true:
+        return f"{MATCHED} ({true:.3g})"
     return f"{cell['r_h_rad']:g}"
 
 

@@ -7,6 +7,7 @@ input; 130 interrupted.
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -15,7 +16,7 @@ from handcal.commands._registry import Commands, run
 from handcal.compiled import memory
 
 app = typer.Typer(
-    cls=Commands, add_completion=False, pretty_exceptions_enable=False,
+    cls=Commands, pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )  # fmt: skip
 
@@ -30,11 +31,23 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def _root(
-    version: Annotated[
+    context: typer.Context,
+    version: Annotated[  # noqa: ARG001 (its callback does it)
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Say which version.")
     ] = False,
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="HANDCAL.toml",
+            help="Options by command ([calibrate] and so on); the command line wins.",
+        ),
+    ] = None,
 ) -> None:
     """Calibrate cheap inertial sensors while they are simply turned in the hand."""
+    if config is not None:
+        from handcal.commands._config import defaults
+
+        context.default_map = defaults(config, context)
 
 
 def main() -> None:

@@ -48,6 +48,15 @@ Units = Annotated[
         metavar="NAME=UNIT,...", help="Units in the file where they are not SI: accel=g,gyro=deg/s."
     ),
 ]
+UnitsToo = Annotated[
+    str | None,
+    typer.Option(
+        metavar="si|UNIT,...|NAME=UNIT,...",
+        help="Show numbers in these (si, or of deg, deg/h, mrad, rad, mg, g, m/s^2, percent, ppm, "
+        "mm, ms; JSON is always SI); and NAME=UNIT: what is in the file where it is not SI "
+        "(accel=g).",
+    ),
+]
 Effects = Annotated[
     str,
     typer.Option(
@@ -134,6 +143,22 @@ def with_own_effects(command: Callable[..., None]) -> Callable[..., None]:
     return run_with
 
 
+def in_units(command: Callable[..., None]) -> Callable[..., None]:
+    """The command, showing its numbers in the units that --units asks for; what it says of the
+    file (NAME=UNIT) is left to the command."""
+
+    @wraps(command)
+    def run_in(*arguments: Any, units: str | None = None, **options: Any) -> None:
+        from handcal.units import showing
+
+        items = [u.strip() for u in (units or "").split(",") if u.strip()]
+        of_file = [u for u in items if "=" in u]
+        with showing([u for u in items if "=" not in u]):
+            command(*arguments, units=",".join(of_file) or None, **options)
+
+    return run_in
+
+
 def _pairs(items: list[str], option: str) -> dict[str, str]:
     """NAME=VALUE strings as a dictionary. Errors: InputError."""
     from handcal.types import InputError
@@ -178,11 +203,13 @@ def calibrated(
         settings[name] = radians(settings[name])
     settings |= {"assume": str(settings["assume"]), "engine": str(settings["engine"])}
     settings["ignore"] = tuple(settings["ignore"] or ())
+    before = settings.pop("before", None)
     ids = tuple(e.strip() for e in effects.split(",") if e.strip())
     names = ", ".join(Path(r.path).name for r in recordings)
     if learnt_from is None:
         with progress(f"calibrating {names}") as report:
-            return calibrate_together(recordings, ids, progress=report, **settings)
+            known = {} if before is None else {"before": before}
+            return calibrate_together(recordings, ids, progress=report, **settings, **known)
     from handcal.explain.model_file import read
 
     usual = {"assume": "auto", "engine": "compiled", "height": 0.0, "ignore": (),
@@ -193,4 +220,4 @@ def calibrated(
         raise InputError(f"--from holds the model with its options; leave out {said}.")
     chosen = read(learnt_from)
     with progress(f"calibrating {names}") as report:
-        return recalibrate(recordings, chosen, report)
+        return recalibrate(recordings, chosen, report, before)

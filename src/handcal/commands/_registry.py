@@ -25,6 +25,8 @@ from typing import Any, NoReturn
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from handcal.commands._config import first
+
 FIRST = ("demo", "calibrate", "explain", "replay", "import", "simulate")
 INTERRUPTED = 130
 GROUP = "handcal.commands"
@@ -163,7 +165,7 @@ def say(text: str) -> None:
 
 def run(app: typer.Typer) -> NoReturn:
     """Run the command line and leave by SystemExit; wrong use is one line, not a page."""
-    arguments = sys.argv[1:] or ["--help"]
+    arguments = first(sys.argv[1:]) or ["--help"]
     _show_what_can_be_shown()
     try:
         try:

@@ -8,10 +8,11 @@ from typing import Annotated
 
 import typer
 
-from handcal.commands._options import Json, Report, Topics, Units, load
+from handcal.commands._options import Json, Report, Topics, UnitsToo, in_units, load
 from handcal.commands._progress import progress
 
 
+@in_units
 def allan(
     file: Annotated[
         Path, typer.Argument(metavar="FILE", help="A recording with a long rest: hours are best.")
@@ -21,7 +22,7 @@ def allan(
         typer.Option(metavar="FROM,TO", help="Stretch to analyse, s; else the longest rest."),
     ] = None,
     topic: Topics = None,
-    units: Units = None,
+    units: UnitsToo = None,
     json: Json = None,
     report: Report = None,
 ) -> None:

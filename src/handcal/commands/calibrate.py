@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from handcal.commands._device import DeviceFile, known_before
 from handcal.commands._options import (
     Assume,
     Assumption,
@@ -23,8 +24,9 @@ from handcal.commands._options import (
     Report,
     Rrd,
     Topics,
-    Units,
+    UnitsToo,
     calibrated,
+    in_units,
     load,
     with_own_effects,
 )
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
 
 
 @with_own_effects
+@in_units
 def calibrate(
     files: Annotated[
         list[Path], typer.Argument(metavar="FILE...", help="Recordings of one device.")
@@ -48,12 +51,13 @@ def calibrate(
             "of others, estimate the same effects.",
         ),
     ] = None,
+    device: DeviceFile = None,
     heading_sigma: HeadingSigma = None,
     assume: Assumption = Assume.auto,
     latitude: Latitude = None,
     height: Height = 0.0,
     topic: Topics = None,
-    units: Units = None,
+    units: UnitsToo = None,
     ignore: Ignore = None,
     reference_exact: ReferenceExact = False,
     noise_until: NoiseUntil = None,
@@ -66,20 +70,23 @@ def calibrate(
 
     Effects are those of the device, so several recordings tell them together; biases and noise
     are each recording's own. With --from, the fit of that result is repeated; of other
-    recordings, the same effects are estimated.
+    recordings, the same effects are estimated. With --device, what earlier sessions said of the
+    device is where the fit begins; how well a parameter is known is then known by all of them.
     """
     from handcal.output import beside, check_outputs
 
-    check_outputs((json, report, rrd), (*files, learnt_from))
+    check_outputs((json, report, rrd), (*files, learnt_from, device))
     recordings = [load(path, topic, units) for path in files]
     for several in (report, rrd):
         if several:
-            check_outputs(beside(several, recordings), (*files, learnt_from))
+            check_outputs(beside(several, recordings), (*files, learnt_from, device))
+    before = known_before(device, recordings)
     results = calibrated(
         recordings, effects, learnt_from, heading_sigma=heading_sigma, assume=assume,
         latitude=latitude, height=height, ignore=ignore, reference_exact=reference_exact,
-        noise_until=noise_until, engine=engine,
+        noise_until=noise_until, engine=engine, before=before,
     )  # fmt: skip
+    results = tuple(_with_surprises(r) for r in results)
     if report:
         from handcal.show.calibration.report import write_report
 
@@ -97,6 +104,18 @@ def calibrate(
     if str(json) != "-":  # last: whoever reads this may have had enough before its end
         for result in results:
             _show(result)
+
+
+def _with_surprises(result: Result) -> Result:
+    """The result, with warnings where it contradicts what was known of the device."""
+    if result.before is None:
+        return result
+    from dataclasses import replace
+
+    from handcal.show.device import surprise_sentences
+
+    said = surprise_sentences(result.before, result.parameters, result.covariance)
+    return replace(result, warnings=(*result.warnings, *said))
 
 
 def _show(result: Result) -> None:

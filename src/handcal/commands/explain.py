@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from handcal.commands._device import DeviceFile, known_before
 from handcal.commands._options import (
     Assume,
     Assumption,
@@ -19,7 +20,8 @@ from handcal.commands._options import (
     Report,
     Rrd,
     Topics,
-    Units,
+    UnitsToo,
+    in_units,
     load,
     radians,
     with_own_effects,
@@ -32,6 +34,7 @@ if TYPE_CHECKING:
 
 
 @with_own_effects
+@in_units
 def explain(
     files: Annotated[
         list[Path], typer.Argument(metavar="FILE...", help="Recordings of one device.")
@@ -66,12 +69,13 @@ def explain(
             "left untried.",
         ),
     ] = None,
+    device: DeviceFile = None,
     heading_sigma: HeadingSigma = None,
     assume: Assumption = Assume.auto,
     latitude: Latitude = None,
     height: Height = 0.0,
     topic: Topics = None,
-    units: Units = None,
+    units: UnitsToo = None,
     ignore: Ignore = None,
     reference_exact: ReferenceExact = False,
     json: Json = None,
@@ -80,12 +84,13 @@ def explain(
 ) -> None:
     """Say what a recording holds that the model does not: where, which physics, how certain.
 
-    The exit status is 0 with every verdict.
+    With --device, the biases begin with what earlier sessions said of the device, and the sizes of
+    what is found are told by all of them. The exit status is 0 with every verdict.
     """
     from handcal.explain import explain as explained
     from handcal.output import beside, check_outputs
 
-    read = (*files, *(held_out or ()))
+    read = (*files, *(held_out or ()), *([device] if device else []))
     check_outputs((json, report, rrd, twin, write_effect), read)
     if write_effect is not None:
         _check_new(write_effect)
@@ -104,8 +109,10 @@ def explain(
             ignore=tuple(ignore or ()),
             reference_exact=reference_exact,
             budget=budget,
+            before=known_before(device, recordings),
             progress=done,
         )
+    explanation = _with_surprises(explanation)
     if report:
         from handcal.show.explanation.report import write_explanation_report
 
@@ -154,6 +161,19 @@ def _typed(
     for name, values in (("--ignore", ignore), ("--topic", topic)):
         out += [word for value in values or () for word in (name, value)]
     return out + (["--reference-exact"] if reference_exact else [])
+
+
+def _with_surprises(explanation: Explanation) -> Explanation:
+    """The explanation, with warnings where it contradicts what was known of the device."""
+    before, covariance = explanation.device, explanation.covariance
+    if before is None or covariance is None:
+        return explanation
+    from dataclasses import replace
+
+    from handcal.show.device import surprise_sentences
+
+    said = surprise_sentences(before, explanation.parameters, covariance)
+    return replace(explanation, warnings=(*explanation.warnings, *said))
 
 
 def _check_new(path: Path) -> None:

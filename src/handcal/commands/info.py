@@ -7,15 +7,16 @@ from typing import Annotated
 
 import typer
 
-from handcal.commands._options import Json, Report, Topics, Units, load
+from handcal.commands._options import Json, Report, Topics, UnitsToo, in_units, load
 
 
+@in_units
 def info(
     file: Annotated[
         Path, typer.Argument(metavar="FILE", help="A recording, of any format, or its folder.")
     ],
     topic: Topics = None,
-    units: Units = None,
+    units: UnitsToo = None,
     json: Json = None,
     report: Report = None,
 ) -> None:

@@ -1,1 +1,1 @@
-"""What is done to readings once errors are known: correct them, conceal an effect, predict them."""
+"""What is done once errors are known: correct readings, conceal an effect, keep a device's file."""

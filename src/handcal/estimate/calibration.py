@@ -26,7 +26,7 @@ from handcal.estimate.observed import check_options
 from handcal.estimate.result import results
 from handcal.estimate.start import Start
 from handcal.observations import catalogue
-from handcal.types import InputError, Recording, Result
+from handcal.types import InputError, Prior, Recording, Result
 
 Progress = Callable[[float], None]
 
@@ -46,6 +46,7 @@ def calibrate(
     engine: str = "compiled",
     ignore: Sequence[str] = (),
     reference_exact: bool = False,
+    before: Prior | None = None,
     progress: Progress | None = None,
 ) -> Result:
     """Estimate biases, and the parameters of the effects asked for, from one recording.
@@ -56,6 +57,7 @@ def calibrate(
     gravity. noise: levels to keep fixed, SI, by name; all others are estimated, from the
     part before ``noise_until`` (s) if given. start: a prior of the first state instead of
     levelling. ignore: streams to leave out. reference_exact: a reference has no bias of its own.
+    before: what is known of the device (a device file's).
     progress: called with the fraction done.
 
     Raises InputError for unknown names or options, HandcalError where no result could be
@@ -64,7 +66,8 @@ def calibrate(
     (result,) = calibrate_together(
         [recording], effects, observations, assume=assume, heading_sigma=heading_sigma,
         latitude=latitude, height=height, noise=noise, noise_until=noise_until, start=start,
-        engine=engine, ignore=ignore, reference_exact=reference_exact, progress=progress,
+        engine=engine, ignore=ignore, reference_exact=reference_exact, before=before,
+        progress=progress,
     )  # fmt: skip
     return result
 
@@ -84,6 +87,7 @@ def calibrate_together(
     engine: str = "compiled",
     ignore: Sequence[str] = (),
     reference_exact: bool = False,
+    before: Prior | None = None,
     progress: Progress | None = None,
 ) -> tuple[Result, ...]:
     """``calibrate`` for recordings of one device: its effects are theirs together, biases and
@@ -100,11 +104,11 @@ def calibrate_together(
         check_options(recording, assume, heading_sigma, ignore)
         case = case_of(
             recording, assume, latitude, height, ignore, fixed, kinds=observations,
-            start=start, reference_exact=reference_exact,
+            start=start, reference_exact=reference_exact, before=before,
         )  # fmt: skip
         _check_effects(wanted, case.kinds)
         cases.append(replace(case, noise_until=noise_until))
-    options = Options(latitude, height, fixed, tuple(ignore), reference_exact)
+    options = Options(latitude, height, fixed, tuple(ignore), reference_exact, before)
     model, chosen = _fitted(cases, wanted, options, engine, report)
     far = [assume == "auto" and observations is None and travels(f) for f in model.parts]
     if any(far):
@@ -117,7 +121,10 @@ def calibrate_together(
 
 
 def recalibrate(
-    recordings: Sequence[Recording], chosen: Chosen, progress: Progress | None = None
+    recordings: Sequence[Recording],
+    chosen: Chosen,
+    progress: Progress | None = None,
+    before: Prior | None = None,
 ) -> tuple[Result, ...]:
     """A model that was written down (``explain`` and ``calibrate`` say theirs), fitted again.
 
@@ -125,10 +132,11 @@ def recalibrate(
     it was written down of. To others of the device: its effects, without what happened at one
     moment only, observations and hand chosen anew.
 
-    Errors as of ``calibrate``.
+    before: what is known of the device. Errors as of ``calibrate``.
     """
     report = progress or (lambda _: None)
-    options = chosen.options
+    options = replace(chosen.options, before=before)
+    chosen = replace(chosen, options=options)
     theirs = [v.samples for v in chosen.views]
     if [len(r.imu.t) for r in recordings] == theirs:
         cases = [seen(r, v, options) for r, v in zip(recordings, chosen.views, strict=True)]
@@ -138,7 +146,7 @@ def recalibrate(
             case_of(
                 r, "auto", options.latitude, options.height,
                 [s for s in options.ignore if s in r.streams], options.fixed,
-                reference_exact=options.reference_exact,
+                reference_exact=options.reference_exact, before=before,
             )
             for r in recordings
         ]  # fmt: skip

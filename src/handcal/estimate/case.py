@@ -14,10 +14,10 @@ from handcal.effects import ATTITUDE, PLACE, Effect, Signals, mag_hard_iron
 from handcal.estimate.assemble import build
 from handcal.estimate.observed import Choice, Observed, choose, observed_of
 from handcal.estimate.problem import Problem
-from handcal.estimate.start import Start
+from handcal.estimate.start import Start, with_known_biases
 from handcal.observations.fixed_position import CREEPING
 from handcal.recordings import segment
-from handcal.types import Array, Recording, Series
+from handcal.types import Array, Prior, Recording, Series
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,7 @@ class Case:
     of the IMU, of which ``recording`` may hold averages; read: the recording as it was read;
     noise_until: noise levels are found in what comes before, s; edits: what was made of the rows;
     iron: hard iron (3,) with which the first trajectory begins, and its sigmas (3,), tesla.
+    before: what is known of the device.
     """
 
     recording: Recording
@@ -59,6 +60,7 @@ class Case:
     noise_until: float | None = None
     edits: tuple[Edit, ...] = ()
     iron: tuple[Array, Array] | None = None
+    before: Prior | None = None
 
     @property
     def creeping(self) -> bool:
@@ -92,13 +94,14 @@ def case_of(
     kinds: Sequence[str] | None = None,
     start: Start | None = None,
     reference_exact: bool = False,
+    before: Prior | None = None,
 ) -> Case:
     """A recording with what is observed of it; ``auto`` begins with a held point, since errors of
     the sensors look like a travelling hand.
 
     kinds: of observation, instead of those that streams and ``assume`` suggest; fixed: noise
     levels that are known, SI; start: a prior of the first state instead of levelling;
-    reference_exact: a reference has no bias.
+    reference_exact: a reference has no bias; before: what is known of the device.
     """
     read = replace(
         recording, streams={k: v for k, v in recording.streams.items() if k not in ignore}
@@ -119,12 +122,13 @@ def case_of(
         tuple(observed),
         rests,
         earth,
-        begin,
+        with_known_biases(begin, before),
         (*recording.warnings, *choice.warnings),
         dict(fixed or {}),
         read_hz=read.rate_hz,
         read=read,
         iron=_iron(recording) if "magnetometer" in choice.kinds else None,
+        before=before,
     )
 
 
@@ -248,6 +252,7 @@ def other_irons(case: Case) -> list[Case]:
 
 def _with_iron(case: Case, iron: Array, sigma: Array) -> Case:
     observed, start = observed_of(case.recording, case.kinds, case.rests, case.earth, None, iron)
+    start = with_known_biases(start, case.before)
     out = replace(
         case, observed=tuple(observed), start=start, constant=0.0, edits=(), iron=(iron, sigma)
     )

@@ -18,11 +18,11 @@ from handcal.effects import Effect
 from handcal.estimate.baseline import started
 from handcal.estimate.beside import side_by_side
 from handcal.estimate.case import Case, Edit, case_of, creeping, edited
-from handcal.estimate.fit import TOLERANCE, fitted, with_usual_noise
+from handcal.estimate.fit import TOLERANCE, fitted, known_before, with_usual_noise
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.parameters import Moment
 from handcal.estimate.transfer import at_constants, moved_to
-from handcal.types import HandcalError, Recording
+from handcal.types import HandcalError, Prior, Recording
 
 
 @dataclass(frozen=True)
@@ -42,13 +42,14 @@ class View:
 @dataclass(frozen=True)
 class Options:
     """What the user said: latitude rad, height m, noise levels that are known (SI), streams to
-    leave out, whether a reference has no bias."""
+    leave out, whether a reference has no bias; and what is known of the device before."""
 
     latitude: float | None = None
     height: float = 0.0
     fixed: Mapping[str, float] = field(default_factory=dict)
     ignore: tuple[str, ...] = ()
     reference_exact: bool = False
+    before: Prior | None = None
 
 
 @dataclass(frozen=True)
@@ -94,7 +95,7 @@ def seen(recording: Recording, view: View, options: Options) -> Case:
     """The recording as the view has it."""
     case = case_of(
         recording, view.assume, options.latitude, options.height, options.ignore, options.fixed,
-        kinds=view.kinds, reference_exact=options.reference_exact,
+        kinds=view.kinds, reference_exact=options.reference_exact, before=options.before,
     )  # fmt: skip
     case = replace(case, assume=view.assume, warnings=(*case.warnings, *view.warnings))
     case = creeping(case) if view.creeps else case
@@ -113,23 +114,34 @@ def settled(base: Model, chosen: Chosen, engine: str = "compiled") -> Model:
     """
     if {e.id for e in chosen.effects} <= set(base.ids):
         return base
-    at = {k: v for k, v in chosen.starts.items() if k[0] not in base.ids}
+    before = known_before(chosen.effects, chosen.options.before)
+    at = _starts(chosen, base)
     parts = [at_constants(moved_to(f, chosen.effects), chosen.effects, at) for f in base.parts]
+    fit = partial(fitted, effects=chosen.effects, noise_rounds=2, known=before, tolerance=TOLERANCE)
     if chosen.levels:
         noisy = [
             replace(f, levels={k: levels.get(k, v) for k, v in f.levels.items()})
             for f, levels in zip(parts, chosen.levels, strict=True)
         ]
-        return fitted(noisy, chosen.effects, noise_rounds=2, tolerance=TOLERANCE)
+        return fit(noisy)
     starts = [[with_usual_noise(f) for f in parts]]
     # (online, effects may lead astray: then that is no start)
     with contextlib.suppress(HandcalError):
         starts.append([started(f.case, chosen.effects, engine) for f in base.parts])
-    fits = (partial(fitted, s, chosen.effects, noise_rounds=2, tolerance=TOLERANCE) for s in starts)
-    found = list(side_by_side(fits))
+    found = list(side_by_side(partial(fit, s) for s in starts))
     if max(m.log_evidence for m in found) < base.log_evidence:
-        found.append(fitted(parts, chosen.effects, noise_rounds=2, tolerance=TOLERANCE))
+        found.append(fit(parts))
     return max(found, key=lambda m: m.log_evidence)
+
+
+def _starts(chosen: Chosen, base: Model) -> dict[tuple[str, str], float]:
+    """Values (SI) from which constants start that are not zero: as the model says, else as they
+    are known to be."""
+    of_device = chosen.options.before
+    known = {} if of_device is None else dict(zip(of_device.names, of_device.mean, strict=True))
+    mine = {(e.id, p.name) for e in chosen.effects if e.process is None for p in e.parameters}
+    at = {k: float(v) for k, v in known.items() if k in mine} | dict(chosen.starts)
+    return {k: v for k, v in at.items() if k[0] not in base.ids}
 
 
 def as_seen(base: Sequence[Fitted], chosen: Chosen) -> bool:

@@ -109,15 +109,16 @@ class Work(NamedTuple):
 
 def initial_state(problem: Problem, start: Start, levels: dict[str, float]) -> State:
     """The state before the first node, from the prior."""
-    zero = np.zeros(3)
-    _, P15 = start.prior(start.p_n, start.v_n, start.C_nb, zero, zero)
+    bg, ba = start.bias_mean[:3].copy(), start.bias_mean[3:].copy()
+    C_nb = start.attitude(ba) if ba.any() else start.C_nb
+    _, P15 = start.prior(start.p_n, start.v_n, C_nb, bg, ba)
     return State(
         -1,
         start.p_n.copy(),
         start.v_n.copy(),
-        start.C_nb.copy(),
-        np.zeros(3),
-        np.zeros(3),
+        C_nb.copy(),
+        bg,
+        ba,
         np.r_[problem.prior_mean, np.zeros(problem.markov_size)],
         full_prior(problem, P15, levels),
     )

@@ -8,7 +8,7 @@ shared parameters, and moves each trajectory by what follows for it.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence, Set
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,12 +20,12 @@ from handcal.estimate.case import problem_with
 from handcal.estimate.columns import Ground, ground, widened
 from handcal.estimate.evidence import ReducedPass, backward, reduce, reduced_pass
 from handcal.estimate.linear import Linear
-from handcal.estimate.model import Fitted, Model
+from handcal.estimate.model import Fitted, Known, Model
 from handcal.estimate.quadratic import Local, Posterior, Quadratic, given, local, posterior, total
 from handcal.estimate.robust import excess
 from handcal.estimate.tails import tailed, usual
 from handcal.estimate.transfer import linearised, moved_to
-from handcal.types import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Array, IntArray
+from handcal.types import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Array, IntArray, Prior
 
 # Nats within which evidence rests: of a fit that is written down, of one that a search compares
 # with others, and before noise levels are found anew, which changes it by more.
@@ -46,16 +46,6 @@ MORE = 0.5
 FURTHEST = 25.0
 
 
-@dataclass(frozen=True)
-class Known:
-    """What other recordings said of the parameters ``names``: mean (k,) and a square root of
-    the covariance (k, k), in units of the priors."""
-
-    names: tuple[tuple[str, str], ...]
-    mean: Array
-    root: Array
-
-
 def known_of(model: Model, free: Set[str] = frozenset()) -> Known:
     """What a model says of its parameters, for the fit of other observations; of effects that are
     ``free`` no more than their priors do."""
@@ -64,6 +54,37 @@ def known_of(model: Model, free: Set[str] = frozenset()) -> Known:
     C = np.where(np.outer(own, own), model.covariance + 1e-12 * np.eye(len(names)), 0.0)
     C[~own, ~own] = 1.0
     return Known(names, np.where(own, model.u, 0.0), np.asarray(np.linalg.cholesky(C)))
+
+
+def known_before(effects: Sequence[Effect], before: Prior | None) -> Known | None:
+    """What is known of a device of these effects; the others as uncertain as is usual."""
+    listed = [(e.id, p) for e in effects if e.process is None for p in e.parameters]
+    names = tuple((i, p.name) for i, p in listed)
+    at = [] if before is None else [k for k, n in enumerate(before.names) if n in names]
+    if before is None or not at:
+        return None
+    mine = [names.index(before.names[k]) for k in at]
+    unit = np.array([listed[k][1].prior_sigma for k in mine])
+    count = len(names)
+    usual = prior_root(Quadratic(names, 0.0, np.zeros(count), np.zeros((count, count))), effects)
+    C = np.eye(count) if usual is None else usual @ usual.T
+    C[mine], C[:, mine] = 0.0, 0.0
+    C[np.ix_(mine, mine)] = before.covariance[np.ix_(at, at)] / np.outer(unit, unit)
+    mean = np.zeros(count)
+    mean[mine] = before.mean[at] / unit
+    root = np.asarray(np.linalg.cholesky(C + 1e-12 * np.eye(count)))
+    return Known(names, mean, root)
+
+
+def believed(model: Model, excess: Mapping[str, float]) -> Model:
+    """A fit to a device that was known before, the recordings' own say divided by how much their
+    scores scatter beyond it: what was known does not become less certain by that."""
+    q = model.quadratic
+    s = np.array([1.0 / math.sqrt(excess.get(i, 1.0)) for i, _ in q.names])
+    G = q.G * np.outer(s, s)
+    best = np.linalg.lstsq(q.G, q.b, rcond=None)[0]
+    found = _posterior(Quadratic(q.names, q.a, G @ best, G), model.effects, model.known)
+    return replace(model, u=found.mean, covariance=found.covariance)
 
 
 def own_levels(f: Fitted) -> dict[str, float]:
@@ -119,7 +140,7 @@ def fitted(
     constant = sum(f.case.constant for f in now.parts)
     return Model(
         tuple(effects), tuple(now.parts), whole, found.mean, found.covariance,
-        found.log_evidence + constant, now.settled,
+        found.log_evidence + constant, now.settled, known,
     )  # fmt: skip
 
 

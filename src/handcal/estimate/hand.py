@@ -21,7 +21,8 @@ def resting(held: Fitted, latitude: float | None, height: float) -> Case:
     """The recording with its rests alone taken to be still; held: as if its point were held."""
     wide = sway_of(held.linear.problem, held.levels)
     read = held.case.read or held.case.recording
-    case = case_of(read, "rest-only", latitude, height, (), held.case.fixed)
+    case = case_of(read, "rest-only", latitude, height, (), held.case.fixed,
+                   before=held.case.before)  # fmt: skip
     said = (
         f"The hand travels: as a held point it would sway by {wide:.2g} m. Only the rests are "
         "taken to be still (--assume fixed-point has it otherwise)."

@@ -24,11 +24,22 @@ class Fitted:
 
 
 @dataclass(frozen=True)
+class Known:
+    """What other recordings said of the parameters ``names``: mean (k,) and a square root of
+    the covariance (k, k), in units of the priors."""
+
+    names: tuple[tuple[str, str], ...]
+    mean: Array
+    root: Array
+
+
+@dataclass(frozen=True)
 class Model:
     """A settled fit of some effects to all recordings.
 
     u, covariance: the effects' parameters in units of their priors, in the order of
-    ``quadratic.names``; log_evidence: of all recordings together, noise prior not counted.
+    ``quadratic.names``; log_evidence: of all recordings together, noise prior not counted;
+    known: what was known of them before.
     """
 
     effects: tuple[Effect, ...]
@@ -38,6 +49,7 @@ class Model:
     covariance: Array
     log_evidence: float
     settled: bool
+    known: Known | None = None
 
     @property
     def ids(self) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ import numpy as np
 from handcal.effects import Effect, Param, catalogue, select
 from handcal.estimate.case import name_of
 from handcal.estimate.evidence import reduce, reduced_pass
+from handcal.estimate.fit import believed
 from handcal.estimate.model import Model
 from handcal.estimate.quadratic import given, local
 from handcal.types import Array, Parameter
@@ -49,6 +50,8 @@ def known(
     excess: by which the scores of each effect scatter beyond the information matrix; moments: of
     the effects that are held at one, by id.
     """
+    if model.known is not None:
+        model, excess = believed(model, excess), {}
     problem = model.parts[part].linear.problem
     whole, C, unit_of = _constants(model, part)
     parameters, column, widen = [], [], []

@@ -28,6 +28,7 @@ from handcal.types import (
     IntArray,
     NoiseLevel,
     Parameter,
+    Prior,
     Result,
 )
 
@@ -55,7 +56,7 @@ def results(model: Model, moments: Mapping[str, Moment]) -> tuple[Result, ...]:
 def _result(model: Model, k: int, found: Known) -> Result:
     f = model.parts[k]
     problem = f.linear.problem
-    dense = _dense(f)
+    dense = _known_before(_dense(f), f.case.before)
     rows = _shown(dense)
     forward = smoother.forward(dense, f.levels, rows=rows)
     history = _history(dense, rows, found, forward.x, forward.P)
@@ -81,6 +82,7 @@ def _result(model: Model, k: int, found: Known) -> Result:
         warnings=tuple(dict.fromkeys(_warnings(f, model.settled, innovations))),
         observed_heading=_observed_heading(dense),
         settled=model.settled,
+        before=f.case.before,
     )
 
 
@@ -131,6 +133,20 @@ def _dense(f: Fitted) -> Linear:
     out = linearise_about(linear.problem, linear.start, dense)
     x, _ = smoother.smoothed_mean(out, f.levels)
     return linearise_about(linear.problem, linear.start, smoother.moved(out, x))
+
+
+def _known_before(linear: Linear, before: Prior | None) -> Linear:
+    """The problem with what was known of each of its constants, for histories."""
+    if before is None:
+        return linear
+    at = {n: k for k, n in enumerate(before.names)}
+    slots = tuple(
+        replace(s, prior_mean=float(before.mean[k]), prior_sigma=math.sqrt(before.covariance[k, k]))
+        if (k := at.get((s.owner, s.name), -1)) >= 0
+        else s
+        for s in linear.problem.slots
+    )
+    return replace(linear, problem=replace(linear.problem, slots=slots))
 
 
 def _walked(

@@ -8,12 +8,20 @@ the start by 3.4 degrees).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from handcal.compiled import so3
-from handcal.types import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Array, Recording
+from handcal.types import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Array, Prior, Recording
+
+# In the order of the states.
+BIASES = tuple((sensor, axis) for sensor in ("gyro_bias", "accel_bias") for axis in "xyz")
+
+
+def usual_biases() -> Array:
+    """Prior sigmas (6,) of the biases of a device of which nothing is known, SI."""
+    return np.repeat([GYRO_BIAS_PRIOR, ACCEL_BIAS_PRIOR], 3)
 
 
 @dataclass(frozen=True)
@@ -23,7 +31,7 @@ class Start:
     p_n, v_n (3,), C_nb (3, 3): the state with zero biases. force (3,) m/s^2: mean
     accelerometer reading that levelled C_nb, or None where the attitude comes from
     elsewhere. Sigmas: position m, velocity m/s, tilt and yaw rad (tilt beyond what the
-    bias explains), biases rad/s and m/s^2.
+    bias explains). bias_mean, bias_sigma (6,): of gyro and accelerometer, rad/s and m/s^2.
     """
 
     p_n: Array
@@ -34,8 +42,8 @@ class Start:
     velocity_sigma: float = 0.1
     tilt_sigma: float = math.radians(1.0)
     yaw_sigma: float = math.radians(100.0)
-    gyro_bias_sigma: float = GYRO_BIAS_PRIOR
-    accel_bias_sigma: float = ACCEL_BIAS_PRIOR
+    bias_mean: Array = field(default_factory=lambda: np.zeros(6))
+    bias_sigma: Array = field(default_factory=usual_biases)
 
     def attitude(self, accel_bias: Array) -> Array:
         """C_nb (3, 3) re-levelled as if the accelerometer had this bias (3,)."""
@@ -47,27 +55,17 @@ class Start:
         """Mean (15,) and covariance (15, 15) of the error of a nominal start (true minus it)."""
         mean = np.zeros(15)
         mean[0:3], mean[3:6] = self.p_n - p, self.v_n - v
-        mean[9:12], mean[12:15] = -bg, -ba
+        mean[9:15] = self.bias_mean - np.r_[bg, ba]
         # (where the nominal heading has gone far from the first guess of it, which hardly counts,
         # a bias tilts the other axis of n)
         D = self.attitude(ba) @ C.T
         away = math.atan2(D[1, 0] - D[0, 1], D[0, 0] + D[1, 1])
         back = so3.matrix_exp(np.array([0.0, 0.0, -away]))
         A = back @ self._tilt_by_bias(ba)
-        mean[6:9] = so3.matrix_log(back @ D) - A @ ba
+        mean[6:9] = so3.matrix_log(back @ D) + A @ mean[12:15]
         mean[8] += away
-        P = np.diag(
-            np.repeat(
-                [
-                    self.position_sigma**2,
-                    self.velocity_sigma**2,
-                    self.tilt_sigma**2,
-                    self.gyro_bias_sigma**2,
-                    self.accel_bias_sigma**2,
-                ],
-                3,
-            )
-        )
+        own = np.repeat([self.position_sigma, self.velocity_sigma, self.tilt_sigma], 3)
+        P = np.diag(np.r_[own, self.bias_sigma] ** 2)
         P[8, 8] = self.yaw_sigma**2
         P_ba = P[12:15, 12:15]
         P[6:9, 6:9] += A @ P_ba @ A.T
@@ -85,6 +83,18 @@ class Start:
             more, less = (levelled(self.force - b, yaw) for b in (ba + e, ba - e))
             D[i] = more @ less.T
         return np.asarray(so3.matrix_log(D).T / (2 * step))
+
+
+def with_known_biases(start: Start, before: Prior | None) -> Start:
+    """The start with what is known of the biases before, each for itself."""
+    if before is None:
+        return start
+    mean, sigma = start.bias_mean.copy(), start.bias_sigma.copy()
+    for i, name in enumerate(BIASES):
+        if name in before.names:
+            at = before.names.index(name)
+            mean[i], sigma[i] = before.mean[at], math.sqrt(before.covariance[at, at])
+    return replace(start, bias_mean=mean, bias_sigma=sigma)
 
 
 def levelled(force: Array, yaw: float) -> Array:

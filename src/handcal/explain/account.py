@@ -17,6 +17,7 @@ from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.result import noise, results
 from handcal.estimate.robust import inflation
+from handcal.estimate.start import BIASES
 from handcal.explain import held_out as held
 from handcal.explain import importance, locate, outliers
 from handcal.explain.bias_limits import leaning
@@ -50,7 +51,7 @@ from handcal.explain.naming import (
 from handcal.explain.next_motion import next_motions
 from handcal.explain.search import Found
 from handcal.explain.untellable import untellable
-from handcal.types import Array, Parameter, Result
+from handcal.types import Array, Parameter, Prior, Result
 
 # Nats below which a recording does not promise to show an effect of the usual size.
 FAINT = 10.0
@@ -151,6 +152,7 @@ def explanation_of(
     hypotheses = hypotheses_of(found, told, wrong, named.alone)
     # what all recordings share, and the biases where there is but one
     own = explained[0].parameters if len(explained) == 1 else ()
+    final = (*own, *(p for known in learnt.values() for p in known))
     return Explanation(
         named.verdict,
         tuple(mismatch),
@@ -161,7 +163,7 @@ def explanation_of(
         _fit(model, model.parts),
         scores,
         next_motions(found, named.missing, hypotheses, named.verdict),
-        (*own, *(p for known in learnt.values() for p in known)),
+        final,
         noise(model.parts[0]),
         tuple(explained),
         (
@@ -173,6 +175,27 @@ def explanation_of(
         untellable(found, fits[0].parameters),
         hand_of(model.parts[0], end.surely),
         untried,
+        _covariance(fits[0], final),
+        _before(model),
+    )
+
+
+def _covariance(fit: Result, parameters: Sequence[Parameter]) -> Array:
+    """Of these parameters of a fit."""
+    at = {(p.effect, p.name): i for i, p in enumerate(fit.parameters)}
+    rows = [at[p.effect, p.name] for p in parameters]
+    return fit.covariance[np.ix_(rows, rows)]
+
+
+def _before(model: Model) -> Prior | None:
+    """What the final fit was told of the device: its effects only where they were fitted so."""
+    before = model.parts[0].case.before
+    if before is None or model.known is not None:
+        return before
+    at = [i for i, n in enumerate(before.names) if n in BIASES]
+    names = tuple(before.names[i] for i in at)
+    return replace(
+        before, names=names, mean=before.mean[at], covariance=before.covariance[np.ix_(at, at)]
     )
 
 

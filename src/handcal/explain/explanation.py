@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from handcal.estimate.chosen import Chosen
-from handcal.types import Array, Brief, NoiseLevel, Parameter, Recording
+from handcal.types import Array, Brief, NoiseLevel, Parameter, Prior, Recording
 
 VERDICTS = ("nothing_missing", "explained", "unexplained", "cannot_tell")
 
@@ -218,7 +218,8 @@ class Explanation(Brief):
     parameters, noise: of the final model (noise of the first recording); missing is ordered by
     share; hypotheses by ``alone``; model: the final model, whose fit ``calibrate`` repeats;
     untellable: what the recordings cannot show, with the sigma that they would leave of it;
-    untried: what the search left out because it had only so much time, in words.
+    untried: what the search left out because it had only so much time, in words; covariance: of
+    ``parameters``; device: what was known of the device.
     """
 
     verdict: str
@@ -238,3 +239,5 @@ class Explanation(Brief):
     untellable: tuple[Parameter, ...] = ()
     hand: Hand = Hand("", 1.0)
     untried: tuple[str, ...] = ()
+    covariance: Array | None = None
+    device: Prior | None = None

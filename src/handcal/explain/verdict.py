@@ -29,7 +29,7 @@ from handcal.explain.moving import begun, moving
 from handcal.explain.score import PRIOR, TERM_PRIOR
 from handcal.explain.search import Found, advantage, search
 from handcal.explain.space import gains, space
-from handcal.types import InputError, Recording
+from handcal.types import InputError, Prior, Recording
 
 # Called with the share that is done, and what is being done.
 Progress = Callable[[float, str], None]
@@ -49,14 +49,16 @@ def explain(
     ignore: Sequence[str] = (),
     reference_exact: bool = False,
     budget: float | None = None,
+    before: Prior | None = None,
     progress: Progress | None = None,
 ) -> Explanation:
     """Say which physics the baseline lacks to explain these recordings of one device.
 
     held_out: other recordings of the same device, for scoring alone; without any, later
     blocks are predicted from earlier ones. budget: seconds after which nothing further is tried
-    (s; None: until all has been). Other options as in ``calibrate``. Raises
-    InputError for wrong use, HandcalError where no result could be made.
+    (s; None: until all has been). before: what is known of the device: its biases in the search,
+    its effects in the final fit. Other options as in ``calibrate``. Raises InputError for wrong
+    use, HandcalError where no result could be made.
     """
     began = time.monotonic()
     report = progress or (lambda _, __: None)
@@ -65,7 +67,7 @@ def explain(
     for recording in recordings:
         check_options(recording, assume, heading_sigma, ignore)
     fixed = {} if heading_sigma is None else {"heading_noise": heading_sigma}
-    options = Options(latitude, height, fixed, tuple(ignore), reference_exact)
+    options = Options(latitude, height, fixed, tuple(ignore), reference_exact, before)
     cases = [_case(r, assume, options) for r in recordings]
     report(0.03, "fitting the baseline")
     base = begun(cases)
@@ -113,7 +115,7 @@ def _case(recording: Recording, assume: str, options: Options) -> Case:
     o = options
     return case_of(
         recording, assume, o.latitude, o.height, o.ignore, o.fixed,
-        reference_exact=o.reference_exact,
+        reference_exact=o.reference_exact, before=o.before,
     )  # fmt: skip
 
 

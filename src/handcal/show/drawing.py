@@ -32,6 +32,7 @@ PALETTE = {INK: "--ink", MUTED: "--muted", GRID: "--grid", SHADE: "--shade",
 AXES = ("x", "y", "z")
 WIDTH = 6.6  # inches of 72 SVG units
 WIDE = 13.6  # of a figure as wide as the page
+GAP_S = 1.0  # nothing read for so long: whatever happened then is not known
 POINTS = 420  # per line; a page of ten figures stays far below 1.5 MB
 DEG = 180.0 / np.pi
 
@@ -75,6 +76,21 @@ def envelope(t: Array, y: Array, points: int = 2 * POINTS) -> tuple[Array, Array
     start = np.arange(0, rows, width)
     keep = np.sort(np.concatenate([start + block.argmin(1), start + block.argmax(1), [n - 1]]))
     return t[keep], y[keep]
+
+
+def gaps_of(t: Array) -> Array:
+    """Gaps (g, 2), from and to, s, in which a sensor that reads at times t (n,) read nothing."""
+    at = np.flatnonzero(np.diff(t) > GAP_S)
+    return np.column_stack([t[at], t[at + 1]])
+
+
+def broken(t: Array, gaps: Array, *values: Array) -> tuple[Array, ...]:
+    """t (n,) and each of values (n, ...), with a NaN in each gap (g, 2), so that neither lines nor
+    bands go on where nothing was read."""
+    middle = gaps.mean(axis=1)
+    middle = middle[(middle > t[0]) & (middle < t[-1])] if len(t) else middle[:0]
+    at = np.searchsorted(t, middle)
+    return np.insert(t, at, middle), *(np.insert(v, at, np.nan, axis=0) for v in values)
 
 
 def canvas(

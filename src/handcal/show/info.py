@@ -156,6 +156,8 @@ def _table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Any:
     return table
 
 
+# What a stamp can tell, s; jitter below it is rounding.
+STAMP_S = 1e-9
 STREAM_COLUMNS = ("stream", "readings", "rate", "jitter", "gaps", "longest gap")
 TURN_COLUMNS = ("turned about", "forward", "back", "fastest", "largest force")
 SEEN_COLUMNS = ("could teach", "shown", "sigma", "usual")
@@ -181,7 +183,7 @@ def stream_row(s: Stamps) -> tuple[str, ...]:
         STREAMS[s.stream].title,
         str(s.readings),
         f"{s.rate_hz:.4g} Hz",
-        f"{jitter.value(s.jitter_s)} {jitter.unit}",
+        "none" if s.jitter_s < STAMP_S else f"{jitter.value(s.jitter_s)} {jitter.unit}",
         str(s.gaps or "–"),
         longest,
     )

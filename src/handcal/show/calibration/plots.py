@@ -18,8 +18,10 @@ from handcal.show.drawing import (
     SHADE,
     XYZ,
     Plot,
+    broken,
     canvas,
     envelope,
+    gaps_of,
     legend,
     shade,
     svg,
@@ -38,8 +40,9 @@ def _turning(result: Result) -> Plot:
     w, x, y, z = h.q_nb[k].T
     up = np.column_stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
     figure, (ax,) = canvas(1, 3.6)
+    t, up = broken(h.t[k], gaps_of(result.recording.imu.t), up)
     for i in range(3):
-        ax.plot(h.t[k], DEG * np.arcsin(np.clip(up[:, i], -1, 1)), color=XYZ[i], label=AXES[i])
+        ax.plot(t, DEG * np.arcsin(np.clip(up[:, i], -1, 1)), color=XYZ[i], label=AXES[i])
     ax.set(ylabel="elevation, deg", ylim=(-95, 95), yticks=[-90, -45, 0, 45, 90])
     shade([ax], result.rests)
     legend(ax)
@@ -62,7 +65,8 @@ def _heading(result: Result) -> Plot:
             seen[k, 0], DEG * seen[k, 1], ".", markersize=4.5, zorder=3, label="measured", **dots
         )
     k = thin(h.t.size)
-    ax.plot(*summary.gapped(h.t[k], DEG * h.yaw[k]), color=XYZ[2], lw=1.8, label="estimated")
+    curve = broken(h.t[k], gaps_of(result.recording.imu.t), DEG * h.yaw[k])
+    ax.plot(*summary.gapped(*curve), color=XYZ[2], lw=1.8, label="estimated")
     ax.set(ylabel="heading, deg", ylim=(-190, 190), yticks=[-180, -90, 0, 90, 180])
     legend(ax)
     caption = "Heading of the device's x axis, counter-clockwise from east."
@@ -76,11 +80,12 @@ def _held_point(result: Result) -> Plot:
     k = thin(h.t.size)
     figure, axes = canvas(2, 3.9)
     pairs = ((h.p_n, h.nav_sigma[:, :3], "position"), (h.v_n, h.nav_sigma[:, 3:6], "velocity"))
+    gaps = gaps_of(result.recording.imu.t)
     for ax, (value, sigma, name) in zip(axes, pairs, strict=True):
         for i in range(3):
-            centre, band = 100 * value[k, i], 300 * sigma[k, i]
-            ax.plot(h.t[k], centre, color=XYZ[i], label=("east", "north", "up")[i])
-            ax.fill_between(h.t[k], centre - band, centre + band, color=XYZ[i], alpha=0.09, lw=0)
+            t, centre, band = broken(h.t[k], gaps, 100 * value[k, i], 300 * sigma[k, i])
+            ax.plot(t, centre, color=XYZ[i], label=("east", "north", "up")[i])
+            ax.fill_between(t, centre - band, centre + band, color=XYZ[i], alpha=0.09, lw=0)
         ax.set_ylabel(f"{name}, {'cm' if name == 'position' else 'cm/s'}")
         _zoom(ax, 100 * value, 300 * sigma, h.t)
     legend(axes[0])
@@ -103,13 +108,13 @@ def _parameters(result: Result, effect: str, columns: Sequence[int]) -> Plot:
     h, group = result.history, [result.parameters[c] for c in columns]
     unit, k = words.shown_group(group), thin(result.history.t.size)
     figure, axes = canvas(len(group), max(1.0 + 1.05 * len(group), 2.8))
+    gaps = gaps_of(result.recording.imu.t)
     for ax, p, c in zip(axes, group, columns, strict=True):
         value, band = unit.factor * h.parameters[:, c], 3 * unit.factor * h.parameter_sigma[:, c]
         colour = XYZ[AXES.index(p.name[0])] if p.name[0] in AXES else XYZ[2]
-        ax.fill_between(
-            h.t[k], (value - band)[k], (value + band)[k], color=colour, alpha=0.16, lw=0
-        )
-        ax.plot(h.t[k], value[k], color=colour)
+        t, middle, half = broken(h.t[k], gaps, value[k], band[k])
+        ax.fill_between(t, middle - half, middle + half, color=colour, alpha=0.16, lw=0)
+        ax.plot(t, middle, color=colour)
         ax.set_ylabel(f"{p.name}, {unit.unit}" if len(group) > 1 else unit.unit)
         _zoom(ax, value, band, h.t)
         ax.locator_params(axis="y", nbins=4)
@@ -184,7 +189,8 @@ def _raw(result: Result) -> Plot:
     for ax, (value, label) in zip(axes, pairs, strict=True):
         for i in range(3):
             line: dict[str, Any] = {"color": XYZ[i], "label": AXES[i], "linewidth": 0.9}
-            ax.plot(*envelope(imu.t, value[:, i]), **line)
+            t, y = envelope(imu.t, value[:, i])
+            ax.plot(*broken(t, gaps_of(imu.t), y), **line)
         ax.set_ylabel(label)
     figure.align_ylabels(axes)
     shade(axes, result.rests)

@@ -6,6 +6,7 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +15,15 @@ import numpy as np
 import handcal
 from handcal import output
 from handcal.show import words
-from handcal.types import CALIBRATION_SCHEMA, Array, Innovations, Parameter, Recording, Result
+from handcal.types import (
+    CALIBRATION_SCHEMA,
+    Array,
+    Innovations,
+    Parameter,
+    Prior,
+    Recording,
+    Result,
+)
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -107,11 +116,29 @@ def recording_json(recording: Recording, assume: str) -> dict[str, Any]:
         "imu_rate_hz": finite(recording.rate_hz),
         "streams": {name: {"samples": int(t.size)} for name, t in streams.items()},
         "assume": assume,
-        "sha256": _digest(Path(recording.path)),
+        "sha256": digest(Path(recording.path)),
+        **_day(recording),
     }
 
 
-def _digest(path: Path) -> str | None:
+def _day(recording: Recording) -> dict[str, Any]:
+    """When it was recorded, and how warm it was, where the recording says so."""
+    out: dict[str, Any] = {}
+    if recording.start_ns:
+        begun = datetime.fromtimestamp(recording.start_ns // 10**9, UTC)
+        out["recorded"] = begun.isoformat().replace("+00:00", "Z")
+    if (degrees := mean_temperature(recording)) is not None:
+        out["temperature_degC"] = degrees
+    return out
+
+
+def mean_temperature(recording: Recording) -> float | None:
+    """degC, None where the recording has none."""
+    series = recording.streams.get("temperature")
+    return None if series is None or not len(series.t) else finite(float(series.value.mean()))
+
+
+def digest(path: Path) -> str | None:
     """Of a recording's file; None where it is a folder, or was never a file."""
     if not path.is_file():
         return None
@@ -143,19 +170,50 @@ def calibration_json(result: Result | Sequence[Result]) -> dict[str, Any]:
             "whiteness": {words.kind_name(kind): whiteness(i) for kind, i in kinds.items()},
         },
         "untellable": untellable_json([p for p in result.parameters if not p.observable]),
+        "covariance": matrix_json(result.covariance),
         "model": dict(result.model),
         "warnings": list(all_warnings(result)),
+        **device_json(result.before),
     }
+
+
+def matrix_json(matrix: Array) -> list[list[float | None]]:
+    """Rows of a matrix."""
+    return [[finite(v) for v in row] for row in matrix]
+
+
+def covariance_json(
+    covariance: Array, of: Sequence[Parameter], wanted: Sequence[Parameter]
+) -> dict[str, Any]:
+    """``covariance`` of the parameters wanted, from that of others; nothing where one lacks."""
+    at = {(p.effect, p.name): i for i, p in enumerate(of)}
+    rows = [at.get((p.effect, p.name), -1) for p in wanted]
+    return {} if -1 in rows else {"covariance": matrix_json(covariance[np.ix_(rows, rows)])}
+
+
+def device_json(before: Prior | None) -> dict[str, Any]:
+    """``device``: which file said what is known of the device before, and what; or nothing."""
+    if before is None:
+        return {}
+    known = {
+        "parameters": [list(n) for n in before.names],
+        "mean": before.mean.tolist(),
+        "covariance": before.covariance.tolist(),
+    }
+    return {"device": {**before.source, "prior": known}}
 
 
 def _together_json(results: Sequence[Result]) -> dict[str, Any]:
     """Several results of one fit."""
     each = [calibration_json(r) for r in results]
     shared = [p for p in results[0].parameters if p.effect not in OWN]
+    apart = [i for i, p in enumerate(results[0].parameters) if p.effect in OWN]
+    joint = [i for i in range(len(results[0].parameters)) if i not in apart]
     own = [
         one | {"parameters": [p for p in one["parameters"] if p["effect"] in OWN],
-               "untellable": [p for p in one["untellable"] if p["effect"] in OWN]}
-        for one in each
+               "untellable": [p for p in one["untellable"] if p["effect"] in OWN],
+               "covariance": matrix_json(r.covariance[np.ix_(apart, apart)])}
+        for one, r in zip(each, results, strict=True)
     ]  # fmt: skip
     return {
         "schema": CALIBRATION_SCHEMA,
@@ -164,9 +222,13 @@ def _together_json(results: Sequence[Result]) -> dict[str, Any]:
         "fit": {"log_evidence": finite(results[0].log_evidence),
                 "observations": sum(r.observations for r in results)},
         "untellable": untellable_json([p for p in shared if not p.observable]),
+        "covariance": matrix_json(results[0].covariance[np.ix_(joint, joint)]),
         "model": dict(results[0].model),
-        "recordings": [{k: v for k, v in one.items() if k != "model"} for one in own],
+        "recordings": [
+            {k: v for k, v in one.items() if k not in ("model", "device")} for one in own
+        ],
         "warnings": [],
+        **device_json(results[0].before),
     }  # fmt: skip
 
 

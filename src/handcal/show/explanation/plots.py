@@ -29,8 +29,10 @@ from handcal.show.drawing import (
     WIDTH,
     XYZ,
     Plot,
+    broken,
     canvas,
     envelope,
+    gaps_of,
     legend,
     shade,
     svg,
@@ -75,7 +77,9 @@ def trace_plot(explanation: Explanation, recording: int, trace: Trace, wide: boo
     points = 900 if wide else 420
     k = thin(trace.t.size, points)
     one = say.one_model(explanation)
-    recorded = (trace.recorded, {"color": INK, "lw": 3.6, "alpha": 0.3, "label": "recorded"})
+    r = explanation.recordings[recording]
+    gaps, source = gaps_of(r.recording.imu.t), say.source(trace.channel, r)
+    recorded = (trace.recorded, {"color": INK, "lw": 3.6, "alpha": 0.3, "label": source})
     lines: tuple[tuple[Array, dict[str, Any]], ...] = (
         recorded,
         (trace.before, {"color": BEFORE, "lw": 1.2, "label": "baseline"}),
@@ -87,18 +91,19 @@ def trace_plot(explanation: Explanation, recording: int, trace: Trace, wide: boo
         at, y = trace.t[k], unit.factor * value[k]
         if trace.unit == "rad":
             at, y = summary.gapped(at, y)
-        top.plot(at, y, **style)
+        top.plot(*broken(at, gaps, y), **style)
     band = unit.factor * trace.sigma
     low.axhspan(-band, band, color=MUTED, alpha=0.22, lw=0, zorder=1)
     differences = [unit.factor * missed(trace, m) for m in (trace.before, trace.after)]
     shown_lines = list(zip(differences, (BEFORE, AFTER), strict=True))
     for difference, colour in shown_lines[one:]:
-        low.plot(*envelope(trace.t, difference, points), color=colour, lw=1.1)
+        at, y = envelope(trace.t, difference, points)
+        low.plot(*broken(at, gaps, y), color=colour, lw=1.1)
     size = max(float(np.quantile(np.abs(d), 0.995)) for d in differences)
     limit = 1.15 * max(size, 1.5 * band) or 1.0
     low.set_ylim(-limit, limit)
     top.set_ylabel(unit.unit)
-    low.set_ylabel("recorded − model")
+    low.set_ylabel(f"{source.split()[-1].strip('()')} − model")
     for ax in (top, low):
         ax.locator_params(axis="y", nbins=5)
     figure.align_ylabels([top, low])

@@ -36,6 +36,7 @@ SEEN = 3.0  # nats, odds of twenty to one: what an effect must promise to be loo
 MANY = 5  # names in a row
 MATTERS = 0.05  # share of the mismatch from which a cause is one that matters
 OVERSURE = 1.6  # mean NIS above which errors are clearly larger than the model allows
+SURE = 0.999  # from which a probability is said to be more than that
 SHARED = 3  # named effects from which a probability that all share is said once
 
 
@@ -69,6 +70,19 @@ def _all_present(explanation: Explanation) -> str:
         return listed([_present(m, explanation) for m in missing])
     return (
         f"{listed([_named(m, explanation) for m in missing])} (each with probability {min(likely)})"
+    )
+
+
+def _largest(explanation: Explanation) -> str:
+    """The named effects, of many the three that hold most of the mismatch."""
+    missing = explanation.missing
+    if len(missing) <= SHARED:
+        return f": {_all_present(explanation)}"
+    first = sorted(missing, key=lambda m: -m.share)[:SHARED]
+    least = min(m.probability for m in missing)
+    return (
+        f", above all {listed([_named(m, explanation) for m in first])} (all present with "
+        f"probability {percent(least)}{'' if least > SURE else ' or more'})"
     )
 
 
@@ -154,7 +168,7 @@ def _explained(e: Explanation) -> tuple[str, str, list[str]]:
         )
         return "good", headline, []
     headline = (
-        f"{counted_word(len(e.missing)).capitalize()} things are missing: {_all_present(e)}. "
+        f"{counted_word(len(e.missing)).capitalize()} things are missing{_largest(e)}. "
         f"Adding them makes {_what(e)} {nats(gain(e))} more probable."
     )
     return "good", headline, []
@@ -163,7 +177,10 @@ def _explained(e: Explanation) -> tuple[str, str, list[str]]:
 def _unexplained(e: Explanation) -> tuple[str, str, list[str]]:
     besides = ""
     if e.missing:
-        besides = f", besides {listed([_present(m, e) for m in e.missing])}"
+        named = [_present(m, e) for m in e.missing[:SHARED]]
+        if more := len(e.missing) - SHARED if len(e.missing) > SHARED else 0:
+            named.append(f"{counted_word(more)} other{'s' * (more > 1)}")
+        besides = f", besides {listed(named)}"
     headline = f"Something is missing that no known effect accounts for{besides}."
     if not e.unnamed:
         return "poor", headline, ["No simple term in the measured signals accounts for it either."]

@@ -67,6 +67,9 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
         "model": {} if e.model is None else document_of(e.model),
         "warnings": all_warnings(e),
     }  # fmt: skip
+    if e.covariance is not None:
+        document |= summary.covariance_json(e.covariance, e.parameters, final_parameters(e))
+    document |= summary.device_json(e.device)
     if e.untried:
         document["untried"] = list(e.untried)
     if several:

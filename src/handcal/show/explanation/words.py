@@ -112,6 +112,15 @@ def channel_title(channel: str) -> str:
     return f"{_SENSORS.get(sensor, sensor.replace('_', ' '))} {axis}".rstrip()
 
 
+def source(channel: str, of: Explained) -> str:
+    """Where the readings of a channel are from: without a pose, places are assumed."""
+    if channel.startswith("position") and "pose" not in of.recording.streams:
+        return "held point (assumed)"
+    if channel.startswith("velocity"):
+        return "standstill (assumed)"
+    return "recorded"
+
+
 def channel_shown(channel: str, values: Sequence[float], small: bool = False) -> Shown:
     """The friendly unit of a channel's readings; small: of its residuals."""
     sensor = channel.rpartition("_")[0] if channel[-2:-1] == "_" else channel

@@ -1,0 +1,51 @@
+"""The option --device: what a device file says before a recording, and what to say after it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from handcal.commands._registry import say
+
+if TYPE_CHECKING:
+    from handcal.types import Prior, Recording
+
+DeviceFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--device",
+        metavar="PHONE.toml",
+        help="Begin with what earlier sessions said of this device (`handcal device add`).",
+    ),
+]
+
+
+def known_before(file: Path | None, recordings: Sequence[Recording]) -> Prior | None:
+    """What the file says before these recordings, which do not count twice. Errors: InputError."""
+    if file is None:
+        return None
+    from dataclasses import replace
+    from datetime import UTC, datetime
+
+    from handcal.device import file as device_file
+    from handcal.device.history import disagreements, prior
+    from handcal.show.calibration.summary import digest, mean_temperature
+    from handcal.show.device import difference_sentence
+    from handcal.types import InputError
+
+    device = device_file.read(file)
+    own = {digest(Path(r.path)) for r in recordings}
+    others = tuple(s for s in device.sessions if not own & set(s.sha256))
+    if len(others) < len(device.sessions):
+        say(f"{file} knows these very readings; what they said does not count twice")
+        device = replace(device, sessions=others)
+    if not others:
+        raise InputError(f"{file} holds no session of another recording of the device.")
+    for d in disagreements(device):
+        say(difference_sentence(d, device))
+    begun = min((r.start_ns for r in recordings if r.start_ns), default=0)
+    when = datetime.fromtimestamp(begun / 1e9, UTC) if begun else datetime.now(UTC)
+    return prior(device, when, mean_temperature(recordings[0]), str(file))
