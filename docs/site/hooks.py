@@ -84,9 +84,9 @@ def shown(output: dict[str, Any], picture: str, made: dict[str, str | bytes]) ->
     if "image/png" in data:
         made[picture] = base64.b64decode("".join(data["image/png"]))
         return f"![What the cell draws]({picture})"
-    if "text/html" in data:
-        html = re.sub(r"(?s)<style.*?</style>", "", "".join(data["text/html"]))
+    if "<pre" not in (html := "".join(data.get("text/html", ""))) and html:
+        html = re.sub(r"(?s)<style.*?</style>| border=\"1\"| class=\"dataframe\"", "", html)
         lines = [line.strip() for line in html.splitlines() if line.strip()]
         return "\n".join(('<div class="out">', *lines, "</div>"))
-    text = "".join(output.get("text") or data.get("text/plain", ""))
+    text = re.sub(r"\x1b\[[0-9;]*m", "", "".join(output.get("text") or data.get("text/plain", "")))
     return f"```{{ .text .out }}\n{text.rstrip()}\n```"
