@@ -2,7 +2,7 @@
 # PYTHON=/path/to/python chooses the interpreter .venv is made from.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo docs site stories test lint format prove fuzz soak trial bench clean clean-cache
+.PHONY: help setup demo docs site gallery stories test lint format prove fuzz soak trial bench clean clean-cache
 
 BIN := .venv/bin
 # Of `make trial`: which suites, how many explanations at a time; SEED=N repeats a trial.
@@ -36,6 +36,9 @@ docs: .venv/.installed-dev ## write the catalogue and draw the figures of docs/ 
 site: .venv/.installed-docs ## the documentation, to be read from the disk: site/index.html
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 	@echo "Ready: site/index.html"
+
+gallery: .venv/.installed ## explain the real recordings beside the checkout, write docs/gallery/: an hour
+	$(BIN)/python docs/make_gallery.py
 
 stories: .venv/.installed-dev ## tell docs/stories.md anew: ten minutes
 	cd docs && ../$(BIN)/python make_stories.py
@@ -75,7 +78,7 @@ format: .venv/.installed-dev ## put the code into the project's format
 
 clean: ## remove .venv, caches, builds, the demo's output and scores of trials
 	rm -rf .venv .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
-	rm -rf build dist site demo-out trial-out bench-out fuzz-out
+	rm -rf build dist site demo-out trial-out bench-out fuzz-out gallery-out
 	find src sim tests -name __pycache__ -prune -exec rm -rf {} +
 
 clean-cache: ## remove compiled kernels (do so after editing what is compiled into others)
