@@ -32,6 +32,7 @@ FOLDER = ROOT / "docs" / "gallery"
 KEPT = ROOT / "gallery-out"
 RECORDINGS = Path(os.environ.get("HANDCAL_RECORDINGS", ROOT.parent / "shared" / "recordings"))
 SMALL = 45_000  # bytes of a picture
+COLUMN = 600.0  # SVG units: a wider drawing has letters too small to read here
 CHANNELS = 5  # in the table of residuals
 FIGURE = re.compile(
     r'(?s)<figure class="plot[^"]*">\s*<figcaption><h3>(.*?)</h3><p>(.*?)</p></figcaption>\s*(<svg.*?</svg>)'
@@ -140,14 +141,14 @@ def unseen(report: str) -> str:
 
 
 def pictures(entry: Document, report: str) -> list[str]:
-    """The worst channel and the evidence, as files beside the page, and how the page shows them."""
+    """A channel that differs and the evidence, as files beside the page, and how the page shows them."""
     figures = FIGURE.findall(report)
     traces = [f for f in figures if " (rms) off" in f[1]]
     evidence = [f for f in figures if f[0] == "Evidence for each effect"]
-    small = [f for f in traces if len(f[2]) < SMALL]
+    small = [f for f in traces if len(f[2]) < SMALL and width(f[2]) < COLUMN]
     out = []
     for kind, (title, caption, drawing) in zip(
-        ("worst", "evidence"), (*small[:1], *evidence), strict=False
+        ("trace", "evidence"), (*small[:1], *evidence), strict=False
     ):
         name = f"{entry['name']}-{kind}.svg"
         (FOLDER / name).write_text(standing_alone(drawing), encoding="utf-8")
@@ -156,9 +157,15 @@ def pictures(entry: Document, report: str) -> list[str]:
         )
     if small and small[0] is not traces[0]:
         out[0] += (
-            f" (The worst channel, {plain(traces[0][0])}, is in the report alone: its picture is too large.)"
+            f" (The worst channel, {plain(traces[0][0])}, is drawn in the report alone, wider than this page.)"
         )
     return out
+
+
+def width(drawing: str) -> float:
+    """In SVG units."""
+    found = re.search(r'viewBox="0 0 ([0-9.]+)', drawing)
+    return float(found.group(1)) if found else math.inf
 
 
 def standing_alone(drawing: str) -> str:
