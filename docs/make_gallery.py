@@ -315,7 +315,7 @@ def overview(kept: dict[str, Document], left_out: list[str]) -> str:
         )
     out = INTRODUCTION + "\n".join(lines) + "\n"
     if left_out:
-        out += f"\nLeft out, for explaining them takes long: {words.listed(left_out)}.\n"
+        out += f"\nLeft out, for explaining them takes long: {'; '.join(left_out)}.\n"
     return out + CLOSING
 
 
