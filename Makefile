@@ -2,7 +2,7 @@
 # PYTHON=/path/to/python chooses the interpreter .venv is made from.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo docs stories test lint format prove fuzz soak trial bench bench-check dist audit clean clean-cache
+.PHONY: help setup demo docs site gallery stories test lint format prove fuzz soak trial bench bench-check dist audit clean clean-cache
 
 BIN := .venv/bin
 # Of `make trial`: which suites, how many explanations at a time; SEED=N repeats a trial.
@@ -36,13 +36,20 @@ docs: .venv/.installed-dev ## write the catalogue and draw the figures of docs/ 
 	$(BIN)/handcal design poses --n 12 --seed 0 --picture docs/images/poses.png
 	$(BIN)/python docs/make_paper_tables.py
 
+site: .venv/.installed-docs ## the documentation, to be read from the disk: site/index.html
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+	@echo "Ready: site/index.html"
+
+gallery: .venv/.installed ## explain the real recordings beside the checkout, write docs/gallery/: an hour
+	$(BIN)/python docs/make_gallery.py
+
 stories: .venv/.installed-dev ## tell docs/stories.md anew: ten minutes
 	cd docs && ../$(BIN)/python make_stories.py
 
 test: lint ## all quick checks and tests
 	$(BIN)/python -m pytest -n auto --dist loadfile -m "not prove"
 
-prove: .venv/.installed-dev ## the slow statistics, with their tables
+prove: .venv/.installed-dev .venv/.installed-docs ## the slow statistics, with their tables
 	$(BIN)/python -m pytest -m prove -s
 
 fuzz: .venv/.installed-dev ## mutated files of every format: N=100000 SEED=0; failures go to fuzz-out/
@@ -87,7 +94,7 @@ format: .venv/.installed-dev ## put the code into the project's format
 
 clean: ## remove .venv, caches, builds, the demo's output and scores of trials
 	rm -rf .venv .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
-	rm -rf build dist demo-out trial-out bench-out fuzz-out
+	rm -rf build dist site demo-out trial-out bench-out fuzz-out gallery-out
 	find src sim tests -name __pycache__ -prune -exec rm -rf {} +
 
 clean-cache: ## remove compiled kernels (do so after editing what is compiled into others)
@@ -115,6 +122,11 @@ clean-cache: ## remove compiled kernels (do so after editing what is compiled in
 .venv/.installed-dev: .venv/.installed
 	@echo "Installing the tools for the tests into .venv."
 	@$(PIP) -e ".[dev]"
+	@touch $@
+
+.venv/.installed-docs: .venv/.installed
+	@echo "Installing the tools for the documentation site into .venv."
+	@$(PIP) -e ".[docs]"
 	@touch $@
 
 .venv/.installed-bench: .venv/.installed

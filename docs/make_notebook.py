@@ -1,20 +1,21 @@
-"""Runs docs/python.ipynb and keeps what it shows; `make docs` runs it."""
+"""Runs the notebooks of docs/ and keeps what they show; `make docs` runs it."""
 
 from __future__ import annotations
 
 import os
+import sys
 import tempfile
 from pathlib import Path
 
 import nbformat
 from nbclient import NotebookClient
 
-PAGE = Path(__file__).with_name("python.ipynb")
+PAGES = tuple(sorted(Path(__file__).parent.glob("*.ipynb")))
 
 
-def executed() -> nbformat.NotebookNode:
+def executed(path: Path) -> nbformat.NotebookNode:
     """The notebook as it comes out in an empty folder. Errors: nbclient's, where a cell fails."""
-    page = nbformat.read(PAGE, as_version=4)
+    page = nbformat.read(path, as_version=4)
     with tempfile.TemporaryDirectory() as folder:
         client = NotebookClient(page, timeout=300, resources={"metadata": {"path": folder}})
         client.execute()
@@ -26,4 +27,6 @@ def executed() -> nbformat.NotebookNode:
 
 if __name__ == "__main__":
     os.environ.setdefault("JUPYTER_PLATFORM_DIRS", "1")
-    nbformat.write(executed(), PAGE)
+    for name in sys.argv[1:] or [p.name for p in PAGES]:
+        target = Path(__file__).with_name(name)
+        nbformat.write(executed(target), target)

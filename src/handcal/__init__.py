@@ -20,7 +20,7 @@ Conventions, decided once (everything else in the package relies on them):
 - Book letters: P covariance, Q process noise, R observation noise, H observation
   matrix, Phi transition.
 
-From Python::
+From Python:
 
     import handcal as hc
 
