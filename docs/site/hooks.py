@@ -1,5 +1,5 @@
 """What the site (mkdocs.yml) takes from outside docs/: README, changelog and contributing become
-pages, and each notebook one, with the outputs that it was kept with."""
+pages, and each notebook one, with the outputs that it was kept with; the schemas come along."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from mkdocs.structure.pages import Page
 ROOT = Path(__file__).resolve().parents[2]
 OF_THE_ROOT = {"README.md": "readme.md", "CHANGELOG.md": "changelog.md",
                "CONTRIBUTING.md": "contributing.md"}  # fmt: skip
+SCHEMAS = ("src/handcal/schemas", "sim/handcal_sim/schemas")
 LINK = re.compile(r"(\]\(|src=\"|href=\")([^)\"\s]+)")
 
 
@@ -27,6 +28,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for path in sorted(Path(config.docs_dir).glob("*.ipynb")):
         for uri, content in notebook(path).items():
             files.append(File.generated(config, uri, content=content))
+    for path in (p for folder in SCHEMAS for p in sorted((ROOT / folder).glob("*.json"))):
+        content = path.read_text(encoding="utf-8")
+        files.append(File.generated(config, f"schemas/{path.name}", content=content))
     return files
 
 
@@ -34,6 +38,9 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     """Links to what became a page lead to the page."""
     for source, uri in OF_THE_ROOT.items():
         markdown = re.sub(rf"\]\((?:\.\./)+{source}\b", f"]({'../' * depth(page)}{uri}", markdown)
+    for folder in SCHEMAS:
+        markdown = markdown.replace(f"](../{folder}/", "](schemas/")
+        markdown = re.sub(rf"\[([^\]]*)\]\(\.\./{folder}\)", r"\1", markdown)
     return markdown
 
 
