@@ -112,3 +112,18 @@ def test_a_fast_imu_is_not_called_slow(capsys: pytest.CaptureFixture[str]) -> No
     world = simulate("z-turn", seed=0, duration_s=12.0, phone=lambda r: with_rate(slow(r), 400.0))
     print_explanation(explain([recording_of(world, "heading")]), Console())
     assert "400 Hz (averaged to 100)" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(k, marks=pytest.mark.prove) for k in range(1, 4))]
+)
+def test_a_lag_that_nobody_can_place_is_not_taken_off_the_gyro(seed: int) -> None:
+    """A late accelerometer and a slow gyro are nearly the same in slow turns; where the evidence
+    was for the gyro by a few nats, correcting it left three times its error."""
+    delay = {"accel_delay": [-0.028], "lever_arm": [-0.11, -0.08, -0.1]}
+    world = simulate("three-turns", seed=seed, duration_s=80.0, effects=delay)
+    found = explain([recording_of(world, "heading")])
+    late = found.missing[0]
+    assert late.effect == "accel_delay"
+    assert set(late.indistinguishable_from) <= {"gyro_bandwidth"}
+    assert abs(late.parameters[0].value + 0.028) < 4.0 * late.parameters[0].sigma

@@ -134,7 +134,8 @@ class Effect:
     parameters are those of ``together @ parameters``; always so where there is a gauge but no such
     effect. last: with ``imu_inverse``, whether it is
     done to what the other effects made of the truth (a filter behind a scale error), or to the
-    truth alone, beside them. akin: ids of effects that are the same to the first order.
+    truth alone, beside them. akin: ids of effects of other sensors that
+    are the same to the first order, and named where a recording does not tell them apart.
     made: of a law or a course found in a recording, its kind and its numbers.
     cost: nats of its prior odds that were spent on choosing its form among many.
     imitated: nats that a hand which turns the device about no single point can lend to this one,

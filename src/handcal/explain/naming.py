@@ -13,9 +13,9 @@ from handcal.estimate.case import Case, name_of
 from handcal.estimate.model import Model
 from handcal.estimate.process import process_parameters
 from handcal.explain import importance, outliers
-from handcal.explain.climb.exchange import akin
+from handcal.explain.climb.exchange import ALIKE, akin
 from handcal.explain.explanation import Curve, Hypothesis, Missing, Unnamed, is_curve
-from handcal.explain.score import CERTAIN, PRIOR, probability
+from handcal.explain.score import CERTAIN, NAMED, PRIOR, probability
 from handcal.explain.search import Found
 from handcal.explain.space import expected_gain, gains, probabilities, rivals
 from handcal.explain.unnamed import with_motion
@@ -23,10 +23,8 @@ from handcal.explain.unnamed.curve import channel_of, drawn, drivers_of
 from handcal.explain.unnamed.laws import law_of
 from handcal.types import Parameter, Result
 
-# What is missing is likelier than not; a name is clear when it has that share of its set, and a
-# rival is listed when it has that.
+# What is missing is likelier than not; a rival is listed when it has that share of its set.
 LIKELY = 0.5
-NAMED = 0.9
 RIVAL = 0.05
 # What is known of an effect with a name is so much of the power that it adds to a channel: a term
 # without one that adds less than the rest, a twentieth in size, may be what the formula leaves.
@@ -35,9 +33,6 @@ LEFT = 0.0025
 # drift or move on were rivals and lost: 12 to 35 in two of 28 simulated people without any error,
 # both in a lift, which lent 93 and 551 to others.
 LENT = 40.0
-# Between two that are the same to the first order, evidence swings by as much as eleven nats
-# with the hand's sway, whichever of them is there; it counts that much less.
-ALIKE = 4.0
 
 
 def entries_of(

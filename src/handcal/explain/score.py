@@ -23,6 +23,8 @@ TERM_PRIOR = PRIOR - math.log(LAWS)
 WITH_MOTION = 30
 # Moments of a step that are on trial.
 MOMENTS = 16
+# A name is clear when it has that share of the set that could stand in its place.
+NAMED = 0.9
 # Nothing is surer than that.
 CERTAIN = 0.999999
 

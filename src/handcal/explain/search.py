@@ -9,6 +9,8 @@ from functools import partial
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.explain.budget import Budget
+from handcal.explain.climb.exchange import lateness
+from handcal.explain.climb.on_trial import scanned
 from handcal.explain.climb.state import Climb
 from handcal.explain.climb.turns import climbed
 from handcal.explain.delays import with_delays
@@ -122,4 +124,7 @@ def _end(
     c.kept = frozenset(base.ids)
     if not climbed(c, report):
         return None
+    if (late := lateness(c)) is not None:
+        c.model = late
+        c.where = scanned(c)
     return Found(c.model, c.where, c.alone, c.noise, c.swaps)

@@ -3,6 +3,7 @@ side of the others."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
@@ -12,14 +13,17 @@ from handcal.estimate.beside import side_by_side
 from handcal.estimate.case import name_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
-from handcal.explain.climb.state import WEAK, Climb, likelier
-from handcal.explain.score import PRIOR, better
+from handcal.explain.climb.state import WEAK, Climb, likelier, sensible
+from handcal.explain.score import NAMED, PRIOR, better
 from handcal.explain.space import gains, rivals
 
 # A rival that would do so much of what an effect does is fitted in its place.
 NEARLY = 0.4
 # Exchanges tried in a climb at the most, each counted both ways.
 MOST_SWAPS = 6
+# Between two that are the same to the first order, evidence swings by as much as eleven nats
+# with the hand's sway, whichever of them is there; it counts that much less.
+ALIKE = 4.0
 
 
 def exchange(c: Climb) -> Model | None:
@@ -82,6 +86,23 @@ def _rivalries(c: Climb, gained: Mapping[str, float]) -> list[tuple[Effect, str]
             pairs.append((e, rival))
             tried |= {(e.id, rival), (rival, e.id)}
     return pairs
+
+
+def lateness(c: Climb) -> Model | None:
+    """The model with a delay of another sensor in the place of a slow gyro, where neither has a
+    clear share: by the conventions it is the gyro's stamps that define time, and whoever takes off
+    a lag that the gyro does not have, makes it worse."""
+    sure = math.log(NAMED / (1.0 - NAMED))
+    for e in c.model.effects:
+        near = {r: worse for (i, r), worse in c.swaps.items() if i == e.id and r in e.akin}
+        rival = min(near, key=lambda r: near[r], default=None)
+        if rival is None or near[rival] > ALIKE * sure or rival in c.model.ids:
+            continue
+        others = [x for x in c.model.effects if x is not e]
+        tried = fitted(c.model.parts, [*others, catalogue()[rival]])
+        if sensible(tried):
+            return tried
+    return None
 
 
 def akin(a: str, b: str) -> bool:
