@@ -251,7 +251,7 @@ def test_the_command_writes_json_and_a_twin(file: Path, two: list[World], tmp_pa
     document = json.loads((tmp_path / "x.json").read_text())
     assert set(document) == {
         "schema", "version", "verdict", "mismatch", "missing", "unnamed", "hypotheses", "fit",
-        "held_out", "recording",
+        "held_out", "recording", "covariance",
         "next_motion", "parameters", "noise", "untellable", "model", "warnings", "hand",
     }  # fmt: skip
     assert (document["schema"], document["verdict"]) == ("handcal/explanation/1", "explained")

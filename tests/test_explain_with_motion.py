@@ -150,13 +150,13 @@ def test_a_name_may_stand_out_on_one_axis(
 
 
 @pytest.mark.parametrize(
-    ("channel", "named", "counts"), [("gyro_x", 7.0, True), ("gyro_x", 7.2, False),
+    ("channel", "named", "counts"), [("gyro_x", 19.9, True), ("gyro_x", 20.1, False),
                                      ("attitude_x", 1e6, True)],
 )  # fmt: skip
 def test_what_has_no_name_counts_beside_what_is_named_on_the_same_channel(
     monkeypatch: pytest.MonkeyPatch, channel: str, named: float, counts: bool
 ) -> None:
-    """A fiftieth of the power, which is a seventh of the size; a late tracker, worth as many nats
+    """From a twentieth of the size on; a late tracker, worth as many nats
     as one likes, adds to no gyro."""
     law = replace(catalogue()["gyro_quadratic"], id="gyro_x += k * |omega|")
     other = catalogue()["gyro_scale"]

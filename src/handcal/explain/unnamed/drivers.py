@@ -25,6 +25,8 @@ AXES = "xyz"
 FINE, COARSE, LINE = 9, 5, 0
 # Times of memory, s: from the settling of a filter to that of warm glue.
 MEMORIES = (0.4, 1.0, 2.5, 6.0, 15.0)
+# And of what overshoots, and comes back to what is there: shorter than most turns.
+OVERSHOOTS = (0.4, 1.0, 2.5)
 # Half widths of play, rad/s and m/s^2: wider than the noise, narrower than the motion.
 PLAYS = ((0.03, 0.06, 0.12, 0.25), (0.1, 0.2, 0.4, 0.8))
 # Shares by which a time or a half width on trial is changed, in turn, to find the best.
@@ -191,6 +193,8 @@ def _table() -> list[Driver]:
     own = [(f"|{name}|", unit, _size(of)) for name, unit, of in (signals[0], signals[3])]
     for row in (signals[0], signals[3], sizes[0], *own):
         out += [_memory_driver(row, tau) for tau in MEMORIES]
+    for row in (signals[0], signals[3]):
+        out += [_lag_driver(row, tau) for tau in OVERSHOOTS]
     for sensor, widths in enumerate(PLAYS):
         out += [_play_driver(signals[3 * sensor], sensor, half) for half in widths]
     out.append(Driver("(time since a turn)", "s", _settling, COARSE, signed=False))
