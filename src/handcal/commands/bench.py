@@ -150,10 +150,9 @@ def _measured(groups: list[str], rounds: int, peers: Path) -> Found:
 
 def _measurements(folder: Path, rounds: int, peers: Path) -> dict[str, Callable[[Tick], Found]]:
     """How each group is measured."""
-    from functools import cache
+    from functools import cache, partial
 
     from handcal.bench import filter, program
-    from handcal.bench.timing import Missing
     from handcal.recordings.inputs import load
 
     @cache
@@ -164,10 +163,7 @@ def _measurements(folder: Path, rounds: int, peers: Path) -> dict[str, Callable[
         filter.write_readings(made, folder / "readings.npz")
         return made
 
-    def script(name: str, *arguments: str | Path) -> list[str | Path]:
-        if not (peers / name).is_file():
-            raise Missing(filter.no_peers(peers))
-        return [sys.executable, peers / name, *arguments]
+    script = partial(_script, peers)
 
     def readings() -> Path:
         case()
@@ -196,6 +192,16 @@ def _measurements(folder: Path, rounds: int, peers: Path) -> dict[str, Callable[
         "memory": lambda tick: p.memory(folder, tick),
         "sweep": lambda tick: p.sweeping(rounds, tick),
     }
+
+
+def _script(peers: Path, name: str, *arguments: str | Path) -> list[str | Path]:
+    """The command that runs a peer. Raises Missing."""
+    from handcal.bench.filter import no_peers
+    from handcal.bench.timing import Missing
+
+    if not (peers / name).is_file():
+        raise Missing(no_peers(peers))
+    return [sys.executable, peers / name, *arguments]
 
 
 @contextmanager

@@ -30,6 +30,8 @@ from handcal.commands._progress import progress
 from handcal.commands._registry import say
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
     from handcal.explain import Explanation
 
 
@@ -113,6 +115,25 @@ def explain(
             progress=done,
         )
     explanation = _with_surprises(explanation)
+    _pictured(explanation, report, rrd, beside(twin, recordings) if twin else ())
+    if json:
+        from handcal.show.calibration.summary import write_json
+        from handcal.show.explanation.summary import explanation_json
+
+        write_json(explanation_json(explanation), json)
+    if str(json) != "-":
+        typed = _typed(
+            assume, heading_sigma, latitude, height, ignore, reference_exact, topic, units
+        )
+        _printed(explanation, files, typed, json)
+    if write_effect:
+        _write(explanation, write_effect)
+
+
+def _pictured(
+    explanation: Explanation, report: Path | None, rrd: Path | None, twins: Iterable[Path]
+) -> None:
+    """Write what was asked for besides numbers: page, Rerun file, a twin of each recording."""
     if report:
         from handcal.show.explanation.report import write_explanation_report
 
@@ -121,32 +142,26 @@ def explain(
         from handcal.show.dashboard import save_explanation_rrd
 
         save_explanation_rrd(explanation, rrd)
-    if twin:
+    for one, path in zip(explanation.recordings, twins, strict=False):
         from handcal.recordings.export import write_twin
 
-        for one, path in zip(explanation.recordings, beside(twin, recordings), strict=True):
-            if one.twins is not None:
-                write_twin(one.recording, *one.twins, path)
-    from handcal.show.explanation.summary import explanation_json, print_explanation
+        if one.twins is not None:
+            write_twin(one.recording, *one.twins, path)
 
-    if json:
-        from handcal.show.calibration.summary import write_json
 
-        write_json(explanation_json(explanation), json)
-    if str(json) != "-":
-        from rich.console import Console
+def _printed(
+    explanation: Explanation, files: Sequence[Path], typed: Sequence[str], json: Path | None
+) -> None:
+    """The explanation in the terminal, with the command that comes next."""
+    from rich.console import Console
 
-        from handcal.show.explanation.following import commands
+    from handcal.show.explanation.following import commands
+    from handcal.show.explanation.summary import print_explanation
 
-        typed = _typed(
-            assume, heading_sigma, latitude, height, ignore, reference_exact, topic, units
-        )
-        following = commands(explanation, [str(f) for f in files], typed, str(json or ""))
-        if json is None:
-            following = following[:1]  # (there is nothing that could be applied)
-        print_explanation(explanation, Console(), following)
-    if write_effect:
-        _write(explanation, write_effect)
+    following = commands(explanation, [str(f) for f in files], typed, str(json or ""))
+    if json is None:
+        following = following[:1]  # (there is nothing that could be applied)
+    print_explanation(explanation, Console(), following)
 
 
 def _typed(

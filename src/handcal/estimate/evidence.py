@@ -85,7 +85,7 @@ def reduce(linear: Linear, folds: bool = True) -> Reduction:
     folded, t = fold(linear) if folds else None, linear.t
     linear = linear if folded is None else folded.linear
     problem, nominal = linear.problem, linear.trajectory
-    n, c, e = problem.size, problem.constants, problem.markov_size
+    c, e = problem.constants, problem.markov_size
     mean15, P15 = linear.start.prior(
         nominal.p[0], nominal.v[0], nominal.C[0], nominal.bg, nominal.ba
     )
@@ -100,13 +100,7 @@ def reduce(linear: Linear, folds: bool = True) -> Reduction:
     D = np.zeros((len(linear.t), 9, 1 + 6 + c))
     D[:, :, 0] = linear.d
     np.multiply(linear.Phi[:, :, 9:], scale[: width - 9], out=D[:, :, 1 : width - 8])
-    dim = problem.tables.dim[linear.kind] * linear.used
-    row, channel = np.nonzero(np.arange(linear.H.shape[1]) < dim[:, None])
-    H = linear.H[row, channel]
-    h = np.hstack([H[:, :9], H[:, n - e :]])
-    g = np.empty((len(row), 1 + len(scale)))
-    g[:, 0] = linear.r[row, channel]
-    np.multiply(H[:, 9 : n - e], -scale, out=g[:, 1:])
+    row, channel, g, h = _scalars(linear, scale)
     return Reduction(
         linear,
         scale,
@@ -123,6 +117,21 @@ def reduce(linear: Linear, folds: bool = True) -> Reduction:
         folded,
         t,
     )
+
+
+def _scalars(linear: Linear, scale: Array) -> tuple[IntArray, IntArray, Array, Array]:
+    """Row and channel (s,) of each scalar that is read, its residual and slope by the constants
+    (s, 1 + c), its slope by what moves (s, m)."""
+    problem = linear.problem
+    n, e = problem.size, problem.markov_size
+    dim = problem.tables.dim[linear.kind] * linear.used
+    row, channel = np.nonzero(np.arange(linear.H.shape[1]) < dim[:, None])
+    H = linear.H[row, channel]
+    h = np.hstack([H[:, :9], H[:, n - e :]])
+    g = np.empty((len(row), 1 + len(scale)))
+    g[:, 0] = linear.r[row, channel]
+    np.multiply(H[:, 9 : n - e], -scale, out=g[:, 1:])
+    return row, channel, g, h
 
 
 class Likelihood(Protocol):

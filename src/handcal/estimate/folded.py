@@ -66,7 +66,6 @@ def fold(linear: Linear) -> Folded | None:
     Phi, d, Q = np.zeros((count, 9, nav)), np.zeros((count, 9)), np.zeros((3, count, 9, 9))
     _carried(linear.Phi, linear.d, (linear.Q_gyro, linear.Q_accel, linear.Q_extra), start,
              (T, D, Phi, d, Q))  # fmt: skip
-    q = len(linear.kind)
     at = np.repeat(np.arange(k), np.diff(linear.first))
     r, H = linear.r.copy(), linear.H.copy()
     away = np.flatnonzero(linear.used & (at != start[of[at]]))
@@ -76,16 +75,14 @@ def fold(linear: Linear) -> Folded | None:
     for state, column in linear.problem.walks:
         own = slice(e0 + state, e0 + state + 3)
         H[away, :, own] = H[away, :, 9 + column : 12 + column]
-    share = np.zeros((q, 2))
-    row, count_of = np.full(q, -1, dtype=np.int64), np.zeros(q, dtype=np.int64)
+    share, row = np.zeros((len(at), 2)), np.full(len(at), -1, dtype=np.int64)
+    count_of = np.zeros(len(at), dtype=np.int64)
     first, rows = _grouped(of[at], linear.kind, linear.used, folds, count, row, count_of)
     _shares(linear.t[at], row, count_of, share)
     r_out, H_out = np.zeros((rows, H.shape[1])), np.zeros((rows, *H.shape[1:]))
     kind, scatter = np.zeros(rows, dtype=np.int64), np.zeros((len(kinds), MAX_DIM))
     _summed(r, H, linear.kind, dim, (row, count_of, share), (r_out, H_out, kind, scatter))
-    readings = np.bincount(linear.kind[row >= 0], minlength=len(kinds))
-    extra = (readings - np.bincount(kind, minlength=len(kinds))).astype(np.float64)
-    extra = np.where(np.arange(MAX_DIM) < dim[:, None], extra[:, None], 0.0).ravel()
+    extra = _more(linear.kind[row >= 0], kind, dim)
     nominal = linear.trajectory
     trajectory = replace(
         nominal, node=nominal.node[start], p=nominal.p[start], v=nominal.v[start],
@@ -98,6 +95,14 @@ def fold(linear: Linear) -> Folded | None:
     )  # fmt: skip
     markov = nominal.markov[:k]
     return Folded(folded, start, of, T, D, extra, scatter.ravel(), markov, row, share)
+
+
+def _more(read: IntArray, summed: IntArray, dim: IntArray) -> Array:
+    """How many more readings (kinds * MAX_DIM,) of each kind and channel there were, of kinds
+    ``read``, than sums of them, of kinds ``summed``."""
+    count = len(dim)
+    more = np.bincount(read, minlength=count) - np.bincount(summed, minlength=count)
+    return np.where(np.arange(MAX_DIM) < dim[:, None], more[:, None].astype(float), 0.0).ravel()
 
 
 def unfolded(f: Folded, t: Array, x: Array) -> Array:

@@ -66,39 +66,7 @@ def explanation_blueprint(explanation: Explanation) -> rrb.Blueprint:
         origin="/hypotheses", name="Each effect alone (1: 10 nats, 2: 100, 3: 1,000)",
         plot_legend=rrb.PlotLegend("LeftTop"),
     )  # fmt: skip
-    pages: list[Any] = []
-    for i, r in enumerate(e.recordings):
-        home, span = f"/recording_{i + 1}", _span(r)
-        traces = frames.ranked_traces(e, i)
-        views = [_channel(home, span, t) for t in traces]
-        shown: list[Any] = [v for pair in views[:2] for v in pair]
-        if len(views) > 2:
-            others = [
-                rrb.Vertical(*pair, name=say.channel_title(t.channel))
-                for pair, t in zip(views[2:], traces[2:], strict=True)
-            ]
-            shown.append(rrb.Tabs(*others, active_tab=0))
-        shares = [1] * (len(shown) - 1) + [2] if len(views) > 2 else None
-        right = [
-            plot(
-                span,
-                f"{home}/shortfall",
-                "Nats lost by the baseline: worst channels",
-                only=list(frames.lost(r))[:5],
-            ),
-            plot(
-                span,
-                f"{home}/evidence",
-                "Nats gained by what was found, added up",
-                corner="LeftTop",
-            ),
-        ]
-        pages.append(
-            rrb.Horizontal(
-                *([rrb.Vertical(*shown, row_shares=shares)] if shown else []),
-                rrb.Vertical(*right), name=names[i],
-            )
-        )  # fmt: skip
+    pages: list[Any] = [_page(e, i, names[i]) for i in range(len(e.recordings))]
     if e.recordings and (drawn := laws.views(e, _span(e.recordings[0]))):
         pages.append(rrb.Vertical(*drawn, name="What has no name"))
     left = rrb.Vertical(text, bars, row_shares=[3, 2])
@@ -107,6 +75,40 @@ def explanation_blueprint(explanation: Explanation) -> rrb.Blueprint:
     body = [left, rrb.Tabs(*pages, active_tab=0)] if pages else [left]
     shares = [2, 5] if pages else None
     return rrb.Blueprint(rrb.Horizontal(*body, column_shares=shares), *panels, time_panel)
+
+
+def _page(e: Explanation, i: int, name: str) -> rrb.Horizontal:
+    """A recording's channels, the worst first, and its evidence."""
+    r = e.recordings[i]
+    home, span = f"/recording_{i + 1}", _span(r)
+    traces = frames.ranked_traces(e, i)
+    views = [_channel(home, span, t) for t in traces]
+    shown: list[Any] = [v for pair in views[:2] for v in pair]
+    if len(views) > 2:
+        others = [
+            rrb.Vertical(*pair, name=say.channel_title(t.channel))
+            for pair, t in zip(views[2:], traces[2:], strict=True)
+        ]
+        shown.append(rrb.Tabs(*others, active_tab=0))
+    shares = [1] * (len(shown) - 1) + [2] if len(views) > 2 else None
+    right = [
+        plot(
+            span,
+            f"{home}/shortfall",
+            "Nats lost by the baseline: worst channels",
+            only=list(frames.lost(r))[:5],
+        ),
+        plot(
+            span,
+            f"{home}/evidence",
+            "Nats gained by what was found, added up",
+            corner="LeftTop",
+        ),
+    ]
+    return rrb.Horizontal(
+        *([rrb.Vertical(*shown, row_shares=shares)] if shown else []),
+        rrb.Vertical(*right), name=name,
+    )  # fmt: skip
 
 
 def _channel(home: str, span: tuple[float, float], trace: Trace) -> tuple[Any, Any]:

@@ -7,7 +7,7 @@ one; what was found has a colour of its own in every figure, what was not is gre
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -79,15 +79,7 @@ def trace_plot(explanation: Explanation, recording: int, trace: Trace, wide: boo
     one = say.one_model(explanation)
     r = explanation.recordings[recording]
     gaps, source = gaps_of(r.recording.imu.t), say.source(trace.channel, r)
-    recorded = (trace.recorded, {"color": INK, "lw": 3.6, "alpha": 0.3, "label": source})
-    lines: tuple[tuple[Array, dict[str, Any]], ...] = (
-        recorded,
-        (trace.before, {"color": BEFORE, "lw": 1.2, "label": "baseline"}),
-        (trace.after, {"color": AFTER, "lw": 1.2, "ls": (0, (3, 2)), "label": "final model"}),
-    )
-    if one:
-        lines = (recorded, (trace.after, {"color": AFTER, "lw": 1.2, "label": "model"}))
-    for value, style in lines:
+    for value, style in _courses(trace, source, one):
         at, y = trace.t[k], unit.factor * value[k]
         if trace.unit == "rad":
             at, y = summary.gapped(at, y)
@@ -111,9 +103,22 @@ def trace_plot(explanation: Explanation, recording: int, trace: Trace, wide: boo
     caption = _trace_caption(trace, differences, unit, one)
     if where:
         caption += " Shaded: where the baseline does not fit."
-    title = say.channel_title(trace.channel)
     name = f"trace-{recording}-{trace.channel}-{wide}"
-    return Plot(title[:1].upper() + title[1:], caption, svg(figure, name))
+    return Plot(_capital(say.channel_title(trace.channel)), caption, svg(figure, name))
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _courses(trace: Trace, source: str, one: bool) -> Iterator[tuple[Array, dict[str, Any]]]:
+    """What is drawn of a channel, with its style: the readings and what each model makes of it."""
+    yield trace.recorded, {"color": INK, "lw": 3.6, "alpha": 0.3, "label": source}
+    if one:
+        yield trace.after, {"color": AFTER, "lw": 1.2, "label": "model"}
+        return
+    yield trace.before, {"color": BEFORE, "lw": 1.2, "label": "baseline"}
+    yield trace.after, {"color": AFTER, "lw": 1.2, "ls": (0, (3, 2)), "label": "final model"}
 
 
 def heat_plot(explanation: Explanation, recording: int) -> Plot | None:
@@ -147,8 +152,7 @@ def heat_plot(explanation: Explanation, recording: int) -> Plot | None:
     ax.set(xlim=(bins[0], bins[-1]), ylim=(len(rows) - 0.4, -0.6))
     ax.set_yticks(range(len(rows)), [say.channel_title(c) for c in rows])
     ax.grid(visible=False, axis="y")
-    scale = [v for v in (3.0, 10.0, 30.0, 100.0, 300.0, 1000.0, 3000.0) if v <= 1.01 * largest]
-    scale = scale if len(scale) <= 4 else scale[-5::2]
+    scale = _swatched(largest)
     swatches = [Patch(color=BEFORE, alpha=round(float(strength(v)), 2), lw=0) for v in scale]
     ax.legend(swatches, [f"{v:,.0f} nats" for v in scale], loc="lower right", ncols=4,
               bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, handlelength=1.3)  # fmt: skip
@@ -160,6 +164,12 @@ def heat_plot(explanation: Explanation, recording: int) -> Plot | None:
         caption += " Framed: what is listed above."
     title = f"Misfit{say.of_recording(recording, explanation) or ' by channel'}"
     return Plot(title, caption, svg(figure, f"heat-{recording}"))
+
+
+def _swatched(largest: float) -> list[float]:
+    """Nats of which the legend shows how strong they are drawn."""
+    scale = [v for v in (3.0, 10.0, 30.0, 100.0, 300.0, 1000.0, 3000.0) if v <= 1.01 * largest]
+    return scale if len(scale) <= 4 else scale[-5::2]
 
 
 def law_plot(u: Unnamed, number: int) -> Plot | None:

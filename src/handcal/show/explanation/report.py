@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import handcal
 from handcal import output
-from handcal.explain.explanation import Explanation, Hypothesis, Missing
+from handcal.explain.explanation import Explanation, Hypothesis, Mismatch, Missing
 from handcal.show import words
 from handcal.show.calibration.report import how_to_apply
 from handcal.show.drawing import PALETTE
@@ -40,12 +41,7 @@ def _context(e: Explanation) -> dict[str, Any]:
         "assumed": sentences.assumptions(e),
         "verdict": sentences.verdict(e),
         "facts": _facts(e),
-        "mismatch": [
-            {"channel": say.channel_title(m.channel), "time": say.interval(m), "when": m.when,
-             "share": say.whole_percent(m.share), "width": _width(m.share),
-             "recording": names[m.recording] if len(names) > 1 else ""}
-            for m in e.mismatch
-        ],
+        "mismatch": [_where(m, names) for m in e.mismatch],
         "missing": [_card(m, e, styles) for m in e.missing],
         "unnamed": [
             {"formula": u.formula, "amount": say.sized(u), "gain": say.nats(u.log_evidence_gain),
@@ -71,6 +67,15 @@ def _context(e: Explanation) -> dict[str, Any]:
         "apply": how_to_apply(applicable(e)),
         "biases_of": biases_of(e),
         "following": commands(e),
+    }  # fmt: skip
+
+
+def _where(m: Mismatch, names: Sequence[str]) -> dict[str, Any]:
+    """A place where the baseline does not fit."""
+    return {
+        "channel": say.channel_title(m.channel), "time": say.interval(m), "when": m.when,
+        "share": say.whole_percent(m.share), "width": _width(m.share),
+        "recording": names[m.recording] if len(names) > 1 else "",
     }  # fmt: skip
 
 

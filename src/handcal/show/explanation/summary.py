@@ -9,7 +9,16 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from handcal.estimate.chosen import document_of
-from handcal.explain.explanation import Explained, Explanation, Fit, HeldOut, Missing, Unnamed
+from handcal.explain.explanation import (
+    Explained,
+    Explanation,
+    Fit,
+    HeldOut,
+    Hypothesis,
+    Mismatch,
+    Missing,
+    Unnamed,
+)
 from handcal.show import words
 from handcal.show.calibration import summary
 from handcal.show.explanation import sentences
@@ -39,21 +48,11 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
     document: dict[str, Any] = {
         "schema": EXPLANATION_SCHEMA,
         "verdict": e.verdict,
-        "mismatch": [
-            {"channel": m.channel, "from_s": summary.finite(m.from_s),
-             "to_s": summary.finite(m.to_s), "share": summary.finite(m.share), "when": m.when}
-            | ({"recording": m.recording} if several else {})
-            for m in e.mismatch
-        ],
+        "mismatch": [_mismatch_json(m, several) for m in e.mismatch],
         "missing": [_missing_json(m) for m in e.missing],
         "hand": {"id": e.hand.id, "probability": summary.finite(e.hand.probability)},
         "unnamed": [_unnamed_json(u) for u in e.unnamed],
-        "hypotheses": [
-            {"effect": h.effect, "alone": summary.finite(h.alone),
-             "final": summary.finite(h.final), "expected_gain": summary.finite(h.expected),
-             "probability": summary.finite(h.probability)}
-            for h in e.hypotheses
-        ],
+        "hypotheses": [_hypothesis_json(h) for h in e.hypotheses],
         "fit": {"before": _fit_json(e.before), "after": _fit_json(e.after)},
         "held_out": _held_out_json(e.held_out),
         "next_motion": [
@@ -78,6 +77,22 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
         only = e.recordings[0]
         document["recording"] = summary.recording_json(only.recording, only.assume)
     return document
+
+
+def _mismatch_json(m: Mismatch, several: bool) -> dict[str, Any]:
+    out = {
+        "channel": m.channel, "from_s": summary.finite(m.from_s), "to_s": summary.finite(m.to_s),
+        "share": summary.finite(m.share), "when": m.when,
+    }  # fmt: skip
+    return out | ({"recording": m.recording} if several else {})
+
+
+def _hypothesis_json(h: Hypothesis) -> dict[str, Any]:
+    return {
+        "effect": h.effect, "alone": summary.finite(h.alone), "final": summary.finite(h.final),
+        "expected_gain": summary.finite(h.expected),
+        "probability": summary.finite(h.probability),
+    }  # fmt: skip
 
 
 def final_parameters(explanation: Explanation) -> list[Parameter]:
