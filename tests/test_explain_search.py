@@ -18,6 +18,8 @@ from handcal.estimate.case import case_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.quadratic import Quadratic
 from handcal.estimate.tails import LOG_SHARES, SCALES
+from handcal.explain.budget import Budget
+from handcal.explain.climb import turns
 from handcal.explain.climb.exchange import akin
 from handcal.explain.climb.on_trial import scanned
 from handcal.explain.climb.state import Climb
@@ -294,3 +296,16 @@ def test_a_hand_that_turns_about_no_single_point_is_no_size_effect() -> None:
         odds[stream] = scanned(c).prior["size_effect"]
     assert odds["pose"] == PRIOR
     assert odds["heading"] == PRIOR - catalogue()["size_effect"].imitated < PRIOR - 10.0
+
+
+def test_a_climb_goes_on_while_its_steps_lead_higher(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two laws behind errors with the motion take more than twenty steps, the last of which puts
+    the right one in its place."""
+    steps = iter([*range(25), None])
+    climb = Climb.__new__(Climb)
+    climb.budget, climb.needed = Budget(), []
+    monkeypatch.setattr(turns, "scanned", lambda _: None)
+    monkeypatch.setattr(turns, "gains", lambda *_: {})
+    monkeypatch.setattr(turns, "_STEPS", {lambda _: next(steps): "anything"})
+    assert turns.climbed(climb, lambda _: None)
+    assert climb.model == 24

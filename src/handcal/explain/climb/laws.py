@@ -36,11 +36,11 @@ def name_term(c: Climb) -> Model | None:
         return c.model
     key = frozenset(c.model.ids)
     quiet = [e for e in c.model.effects if e.process is None]
-    if len(quiet) == len(c.model.effects) or key in c.thinned:
+    if len(quiet) == len(c.model.effects) or key in c.bared:
         return None
     if {e.id for e in quiet} == c.kept:
         return None  # (from the baseline alone a climb begins with a law anyway)
-    c.thinned.add(key)
+    c.bared.add(key)
     bare = fitted(c.model.parts, quiet)
     term = best_term(bare, refused=c.dropped)
     if term is None:

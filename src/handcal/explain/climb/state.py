@@ -47,6 +47,7 @@ class Climb:
     shaped: set[str] = field(default_factory=set)
     suspects: set[str] = field(default_factory=set)
     thinned: set[frozenset[str]] = field(default_factory=set)
+    bared: set[frozenset[str]] = field(default_factory=set)
     whole: set[str] = field(default_factory=set)
     noises: set[tuple[str, frozenset[str]]] = field(default_factory=set)
 
