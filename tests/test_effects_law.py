@@ -1035,3 +1035,12 @@ def test_an_error_nearly_as_steep_as_what_is_measured_is_taken_off(slope: float)
     error = bent(np.array([slope]), truth)
     found = substituted([law], np.array([slope]), replace(truth, gyro=rate + error[:, :3]))
     np.testing.assert_allclose(found, error, atol=1e-5)
+
+
+def test_numbers_that_run_away_are_no_warning() -> None:
+    """A fit on its way may ask for what no sensor has; that it leads nowhere is seen later."""
+    t = np.linspace(0.0, 1.0, 11)
+    read = Signals(t, np.full((11, 3), 30.0), np.zeros((11, 3)))
+    assert not np.isfinite(
+        substituted([catalogue()["gyro_quadratic"]], np.full(3, 1e60), read)
+    ).all()
