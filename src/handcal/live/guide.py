@@ -9,7 +9,8 @@ import numpy as np
 from handcal.types import Recording
 
 REST_S, STILL_RAD_S = 3.0, np.radians(4.0)
-TURN_RAD, TURNING_RAD_S = 4 * np.pi, np.radians(10.0)
+# (there and back, less what slow ends and hasty hands leave out)
+TURN_RAD, TURNING_RAD_S = 3.6 * np.pi, np.radians(10.0)
 REST = "Lay it down on its back, screen up, and leave it there."
 TURNS = (
     "Hold it where it is and turn it once about its x axis (to the right) and back, slowly.",

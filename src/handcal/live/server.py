@@ -65,7 +65,7 @@ def application(served: Served) -> web.Application:
     guard: Any = web.middleware(guarded)
     app = web.Application(middlewares=[guard], client_max_size=LARGEST)
     app.router.add_get("/{token}/{name:(page.js|page.css)?}", _page)
-    app.router.add_get("/{token}/state", lambda r: _state(r, served))
+    app.router.add_get("/{token}/state", _asked(served))
     for name, act in (("hello", _hello), ("batch", _batch), ("stop", _stop)):
         app.router.add_post(f"/{{token}}/{name}", _posted(act, served))
     return app
@@ -100,10 +100,13 @@ async def _page(request: web.Request) -> web.Response:
     return web.Response(text=text, content_type=TYPES[name], charset="utf-8")
 
 
-async def _state(_request: web.Request, served: Served) -> web.Response:
-    if served.session.state in ("done", "failed"):
-        served.seen.set()
-    return _answer(served)
+def _asked(served: Served) -> Handler:
+    async def handler(_request: web.Request) -> web.Response:
+        if served.session.state in ("done", "failed"):
+            served.seen.set()
+        return _answer(served)
+
+    return handler
 
 
 def _posted(act: Callable[[bytes, Served], None], served: Served) -> Handler:
