@@ -1,7 +1,7 @@
 // Sends what the phone's sensors read, in numbered batches; keeps each until it is acknowledged.
 "use strict";
 
-const EVERY_MS = 250, LONGEST = 600, PATIENCE_MS = 8000, POLL_MS = 700;
+const EVERY_MS = 250, LONGEST = 600, PATIENCE_MS = 8000, POLL_MS = 700, QUIET_MS = 1500;
 const $ = (id) => document.getElementById(id);
 const client = own();
 const agent = /iPhone|iPad|iPod/.test(navigator.userAgent) ? "ios"
@@ -10,7 +10,7 @@ const agent = /iPhone|iPad|iPod/.test(navigator.userAgent) ? "ios"
 let next = 0;          // number of the next batch
 let batch = empty();   // being filled
 let unsent = [];       // filled, not acknowledged
-let sending = false, stopping = false, last = -Infinity;
+let sending = false, stopping = false, last = -Infinity, heard = 0;
 
 function own() {
   const kept = sessionStorage.getItem("client");
@@ -56,6 +56,7 @@ function close() {
 
 async function send() {
   if (sending) return;
+  if (!unsent.length && performance.now() - heard > QUIET_MS) return ask();
   sending = true;
   try {
     while (unsent.length) {
@@ -72,7 +73,15 @@ async function send() {
   finally { sending = false; $("waiting").textContent = unsent.length; }
 }
 
+async function ask() {  // nothing to send: what is new there, and that this page still is
+  sending = true;
+  try { const [status, said] = await post("hello", { client }); if (status === 200) show(said); }
+  catch { complain("No connection; what is read is kept and sent later."); }
+  finally { sending = false; }
+}
+
 function show(said) {
+  heard = performance.now();
   $("seconds").textContent = `${said.seconds.toFixed(0)} s`;
   $("rate").textContent = said.rate_hz ? `${said.rate_hz.toFixed(0)} Hz` : "–";
   if (said.turn) { $("say").textContent = said.turn.say; $("done").value = said.turn.done; $("turn").hidden = stopping; }
