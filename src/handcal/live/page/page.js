@@ -75,7 +75,7 @@ async function send() {
 
 async function ask() {  // nothing to send: what is new there, and that this page still is
   sending = true;
-  try { const [status, said] = await post("hello", { client }); if (status === 200) show(said); }
+  try { const [status, said] = await post("hello", { client }); if (status === 200) { complain(""); show(said); } }
   catch { complain("No connection; what is read is kept and sent later."); }
   finally { sending = false; }
 }
@@ -154,6 +154,7 @@ async function stop() {
 async function poll() {
   try {
     const said = await (await fetch("state")).json();
+    complain("");
     show(said);
     if (said.verdict) return;
   } catch { complain("No connection to the computer; its terminal says what became of it."); }
