@@ -76,8 +76,14 @@ def _streams(recording: Recording) -> Iterator[tuple[str, IntArray, ByteArray]]:
     yield "imu", ns, _encoded(ns, "imu", _body(STREAMS["imu"], value, imu.valid))
     for stream, series in recording.streams.items():
         ns = recording.start_ns + nanoseconds(series.t)
-        valid = np.ones(len(ns), dtype=np.bool_)
-        yield stream, ns, _encoded(ns, stream, _body(STREAMS[stream], series.value, valid))
+        yield stream, ns, messages(stream, ns, series.value)
+
+
+def messages(stream: str, ns: IntArray, value: Array) -> ByteArray:
+    """Encoded messages (n, length) of a stream: stamps (n,) ns, values (n, d) as in types.Series,
+    of the IMU (n, 6) rates and forces; all of them valid. Errors: HandcalError beyond 2038."""
+    valid = np.ones(len(ns), dtype=np.bool_)
+    return _encoded(ns, stream, _body(STREAMS[stream], value, valid))
 
 
 def _body(row: Stream, value: Array, valid: BoolArray) -> Array:

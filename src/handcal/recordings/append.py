@@ -1,0 +1,194 @@
+"""An MCAP recording that grows: each piece is one chunk, whole or not there at all.
+
+A piece is handed to the system before ``append`` returns, so what was appended survives the
+process. The file has no end until the recording is written anew (``export.write_mcap``); readers
+take what it holds. Beside the samples, each chunk holds a note (JSON) that is not older or newer
+than they are.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+import zlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+import zstandard
+from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.exceptions import EndOfFile
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, Header, Message, Schema
+
+from handcal.recordings.export import messages
+from handcal.recordings.inputs._messages import decode_cdr
+from handcal.recordings.streams import STREAMS
+from handcal.types import Array, InputError, IntArray
+
+MAGIC = b"\x89MCAP0\r\n"
+LARGEST = 4 * 2**20  # no piece of ours unpacks to more
+IDS = {"imu": 1, "heading": 2}
+NOTE_ID, NOTE_TOPIC, NOTE_SCHEMA = 3, "/live/batch", "handcal/live/batch"
+_DAMAGED = (struct.error, EndOfFile, UnicodeDecodeError, OverflowError, ValueError)
+
+Pieces = Mapping[str, tuple[IntArray, Array]]
+
+
+@dataclass
+class Growing:
+    """A file that is open for appending, and which channels it already knows."""
+
+    file: BinaryIO
+    known: set[int] = field(default_factory=set)
+
+
+@dataclass(frozen=True)
+class Held:
+    """What a file holds: by stream, stamps (n,) ns and values (n, d); the last note; where the
+    last whole chunk ends; whether somebody has written its end."""
+
+    streams: Mapping[str, tuple[IntArray, Array]]
+    note: Mapping[str, Any]
+    end: int
+    complete: bool
+
+
+def begin(path: Path) -> Growing:
+    """A new file. Errors: OSError; it must not be there yet."""
+    file = path.open("xb")
+    out = RecordBuilder()
+    Header("ros2", "handcal").write(out)
+    file.write(MAGIC + _bytes(out))
+    file.flush()
+    return Growing(file)
+
+
+def go_on(path: Path, held: Held) -> Growing:
+    """The file cut behind its last whole chunk, open for more."""
+    file = path.open("r+b")
+    file.truncate(held.end)
+    file.seek(held.end)
+    return Growing(file)
+
+
+def append(growing: Growing, pieces: Pieces, note: Mapping[str, Any]) -> None:
+    """One chunk: of each stream stamps (n,) ns and values (n, d), and the note.
+
+    Errors: OSError where the disk takes it no more; HandcalError beyond 2038.
+    """
+    out, first, last = RecordBuilder(), 2**63, 0
+    for stream, (ns, value) in pieces.items():
+        _register(growing, out, stream)
+        block = messages(stream, ns, value)
+        for time, data in zip(ns.tolist(), block, strict=True):
+            _message(out, IDS[stream], time, data.tobytes())
+        if len(ns):
+            first, last = min(first, int(ns[0])), max(last, int(ns[-1]))
+    _register_note(growing, out)
+    _message(out, NOTE_ID, last, json.dumps(note).encode())
+    data = _bytes(out)
+    packed = zstandard.ZstdCompressor().compress(data)
+    Chunk("zstd", packed, last, min(first, last), zlib.crc32(data), len(data)).write(out)
+    growing.file.write(_bytes(out))
+    growing.file.flush()
+
+
+def _message(out: RecordBuilder, id: int, time: int, data: bytes) -> None:
+    Message(channel_id=id, data=data, log_time=time, publish_time=time, sequence=0).write(out)
+
+
+def _bytes(out: RecordBuilder) -> bytes:
+    """What was built since the last time."""
+    data: bytes = out.end()  # type: ignore[no-untyped-call]
+    return data
+
+
+def _register(growing: Growing, out: RecordBuilder, stream: str) -> None:
+    id, row = IDS[stream], STREAMS[stream]
+    if id not in growing.known:
+        growing.known.add(id)
+        Schema(
+            data=row.message.definition.encode(), encoding="ros2msg", id=id, name=row.message.schema
+        ).write(out)
+        Channel(
+            id=id, topic=row.topic, message_encoding="cdr", metadata={}, schema_id=id
+        ).write(out)  # fmt: skip
+
+
+def _register_note(growing: Growing, out: RecordBuilder) -> None:
+    if NOTE_ID not in growing.known:
+        growing.known.add(NOTE_ID)
+        Schema(data=b"{}", encoding="jsonschema", id=NOTE_ID, name=NOTE_SCHEMA).write(out)
+        Channel(
+            id=NOTE_ID, topic=NOTE_TOPIC, message_encoding="json", metadata={}, schema_id=NOTE_ID
+        ).write(out)
+
+
+def held(path: Path) -> Held:
+    """What such a file holds, as far as it goes. Errors: InputError for a file of another kind."""
+    blocks: dict[int, list[bytes]] = {}
+    end, complete = 0, False
+    with path.open("rb") as file:
+        if file.read(8) != MAGIC:
+            raise InputError(f"{path} is no recording of handcal live; name another folder.")
+        for opcode, content, after in _records(file):
+            complete = complete or opcode in (Opcode.DATA_END, Opcode.FOOTER)
+            if opcode == Opcode.CHUNK:
+                try:
+                    _take(_unpacked(content), blocks)
+                except _DAMAGED:
+                    break
+            end = after
+    streams = {name: _decoded(name, blocks[id]) for name, id in IDS.items() if id in blocks}
+    notes = blocks.get(NOTE_ID)
+    return Held(streams, json.loads(notes[-1]) if notes else {}, end, complete)
+
+
+def _records(file: BinaryIO) -> Iterator[tuple[int, bytes, int]]:
+    """Whole records with where they end."""
+    size = file.seek(0, 2)
+    at = file.seek(8)
+    while at + 9 <= size:
+        opcode, length = struct.unpack("<BQ", file.read(9))
+        at += 9 + length
+        if at > size:
+            return
+        yield opcode, file.read(length), at
+
+
+def _unpacked(content: bytes) -> bytes:
+    chunk = Chunk.read(ReadDataStream(BytesIO(content)))
+    if chunk.uncompressed_size > LARGEST or chunk.compression != "zstd":
+        raise ValueError
+    try:
+        data = zstandard.ZstdDecompressor().decompress(
+            chunk.data, max_output_size=chunk.uncompressed_size
+        )
+    except zstandard.ZstdError:
+        raise ValueError from None
+    if zlib.crc32(data) != chunk.uncompressed_crc:
+        raise ValueError
+    return data
+
+
+def _take(data: bytes, blocks: dict[int, list[bytes]]) -> None:
+    """The messages of a chunk, by channel."""
+    at = 0
+    while at + 9 <= len(data):
+        opcode, length = struct.unpack_from("<BQ", data, at)
+        if opcode == Opcode.MESSAGE:
+            (id,) = struct.unpack_from("<H", data, at + 9)
+            blocks.setdefault(id, []).append(data[at + 31 : at + 9 + length])
+        at += 9 + length
+
+
+def _decoded(stream: str, parts: list[bytes]) -> tuple[IntArray, Array]:
+    row = STREAMS[stream]
+    block = np.frombuffer(b"".join(parts), dtype=np.uint8).reshape(len(parts), -1)
+    ((_, decoded),) = decode_cdr(block, row.message, row.topic)
+    value = decoded.value if row.decode is None else row.decode(decoded.value)
+    return decoded.stamp, value

@@ -1,0 +1,230 @@
+"""A live session records what is sent to it, once, and nothing that it should not."""
+
+from __future__ import annotations
+
+import stat
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handcal.live.estimates import with_convention
+from handcal.live.guide import ENOUGH, LAY_DOWN, REST, TURNS, next_turn
+from handcal.live.link import NAME
+from handcal.live.recorder import opened
+from handcal.live.session import Refused, Session
+from handcal.live.sources import browser, file
+from handcal.live.sources.browser import OLD_ORDER, Convention
+from handcal.motions import MOTIONS, recording_of
+from handcal.recordings import append
+from handcal.recordings.inputs import load
+from handcal.types import InputError, Recording
+
+pytest.importorskip("aiohttp")
+
+from live_page import Page, rows_of, served
+from sample_recording import sample
+
+
+@pytest.fixture(scope="module")
+def fed() -> Recording:
+    return sample(n=500, streams=False)
+
+
+@pytest.fixture(scope="module")
+def rows(fed: Recording) -> list[dict[str, Any]]:
+    return rows_of(fed)
+
+
+def equals(path: Path, rows: list[dict[str, Any]]) -> None:
+    """That a file holds these rows, each once, to the last bit."""
+    ns, value = append.held(path).streams["imu"]
+    sent = np.concatenate([r["t"] for r in rows])
+    assert np.array_equal(ns, np.rint(sent * 1e6).astype(np.int64))
+    assert np.array_equal(value[:, :3], np.radians(np.vstack([r["gyro"] for r in rows])))
+    assert np.array_equal(value[:, 3:], np.vstack([r["accel"] for r in rows]))
+
+
+def test_what_is_recorded_is_what_was_sent(tmp_path, rows):
+    """Also where acknowledgements were lost and batches were sent again."""
+    with served(tmp_path) as (session, link):
+        page = Page(link)
+        assert page.post("hello", {"client": "one"})[1]["next"] == 0
+        for seq, some in enumerate(rows):
+            for _ in range(3 if seq % 4 == 1 else 1):
+                status, said = page.post("batch", page.batch(seq, some))
+                assert (status, said["next"]) == (200, seq + 1)
+        assert said["samples"] == 500
+        assert said["rate_hz"] == pytest.approx(100, rel=0.05)
+        assert page.post("batch", page.batch(len(rows) + 1, rows[0]))[0] == 409  # (too early)
+        equals(session.recorder.path, rows)
+        recording = load(session.recorder.path)  # (readable without an end)
+        assert len(recording.imu.t) == 500
+
+
+def test_what_is_refused_leaves_the_session_going(tmp_path, rows):
+    with served(tmp_path) as (session, link):
+        page, other = Page(link), Page(link, "two")
+        assert page.post("batch", page.batch(0, rows[0]))[0] == 200
+        bad = rows[1]
+        refused = [
+            (400, b"["),
+            (400, b"[" * 100_000),
+            (400, page.batch(1, bad | {"gyro": [[float("nan")] * 3] * 25})),
+            (400, page.batch(1, bad | {"accel": [[10**400, 0, 0]] * 25})),
+            (400, page.batch(1, bad | {"accel": [["1", 0, 0]] * 25})),
+            (400, page.batch(1, bad | {"accel": bad["accel"][:-1]})),
+            (400, page.batch(1, bad | {"t": [t + 1e8 for t in bad["t"]]})),
+            (400, page.batch(1, bad | {"t": [-1.0] * 25})),
+            (400, page.batch(True, bad)),
+            (413, b" " * (256 * 1024 + 1)),
+        ]
+        for status, body in refused:
+            assert page.post("batch", body)[0] == status, body
+        assert other.post("batch", other.batch(1, bad))[0] == 409
+        assert page.ask("GET", "/wrong/state")[0] == 403
+        assert page.ask("GET", f"/{link.token[:-1]}/state")[0] == 403
+        assert page.ask("GET", f"/{link.token}/../../etc/passwd")[0] in (403, 404)
+        assert page.post("state", b"", Host="elsewhere.example")[0] == 403
+        status, said = page.post("batch", b"{}", **{"Content-Length": str(10**9)})
+        assert status == 413
+        status, said = page.post("batch", page.batch(0, bad))  # (an old number with new readings)
+        assert (status, said["next"], said["samples"]) == (200, 1, 25)
+        assert page.post("batch", page.batch(1, rows[1]))[0] == 200
+        equals(session.recorder.path, rows[:2])
+
+
+def test_a_silent_page_gives_way_and_a_flood_is_slowed(tmp_path, rows):
+    now = [0.0]
+    with served(tmp_path, lambda: now[0]) as (_, link):
+        page, other = Page(link), Page(link, "two")
+        page.post("batch", page.batch(0, rows[0]))
+        assert other.post("hello", {"client": "two"})[0] == 409
+        now[0] = 11.0
+        assert other.post("hello", {"client": "two"})[1]["next"] == 1
+        assert 429 in {page.ask("GET", f"/{link.token}/state")[0] for _ in range(200)}
+
+
+def test_a_page_may_reach_nothing_else_and_the_link_is_kept_for_its_owner(tmp_path):
+    import urllib.request
+
+    with served(tmp_path) as (_, link):
+        with urllib.request.urlopen(link.url) as answer:
+            policy = answer.headers["Content-Security-Policy"]
+            text = answer.read().decode()
+        assert "default-src 'none'" in policy
+        assert "unsafe" not in policy
+        assert "://" not in text
+        assert stat.S_IMODE((tmp_path / NAME).stat().st_mode) == 0o600
+    with served(tmp_path) as (_, again):
+        assert again == link
+
+
+@pytest.mark.parametrize("torn", [1, 40, 2000])
+def test_a_file_that_was_torn_off_goes_on_behind_its_last_whole_batch(tmp_path, rows, torn):
+    path = tmp_path / "recording.mcap"
+    session = Session(opened(path))
+    for seq, some in enumerate(rows[:10]):
+        session.take(browser.parse(_json(seq, some)))
+    session.recorder.close()
+    path.write_bytes(path.read_bytes()[:-torn])
+    again = Session(opened(path))
+    assert 10 - again.next == (1 if torn < 2000 else 2)
+    for seq in range(again.next, len(rows)):
+        again.take(browser.parse(_json(seq, rows[seq])))
+    again.recorder.close()
+    equals(path, rows)
+
+
+def _json(seq: int, some: dict[str, Any]) -> bytes:
+    import json
+
+    return json.dumps({"client": "one", "seq": seq, **some}).encode()
+
+
+def test_a_recording_that_has_ended_is_not_gone_on_with(tmp_path, fed):
+    from handcal.recordings.export import write_mcap
+
+    write_mcap(fed, tmp_path / "recording.mcap")
+    before = (tmp_path / "recording.mcap").read_bytes()
+    with pytest.raises(InputError, match="ended"):
+        opened(tmp_path / "recording.mcap")
+    assert (tmp_path / "recording.mcap").read_bytes() == before
+
+
+def test_a_recording_is_fed_at_its_own_pace_and_comes_out_the_same(tmp_path):
+    recording = sample(n=500)
+    slept: list[float] = []
+    session = Session(opened(tmp_path / "recording.mcap"), clock=lambda: 0.0)
+    file.feed(recording, session, 20.0, slept.append)
+    assert slept[-1] == pytest.approx(5.0 / 20.0, abs=0.25 / 20.0)
+    out = session.recording()
+    assert out is not None
+    assert out.start_ns == recording.start_ns
+    assert np.array_equal(out.imu.t, recording.imu.t)
+    assert np.array_equal(out.imu.gyro, recording.imu.gyro)
+    assert np.array_equal(out.imu.accel, recording.imu.accel)
+    yaw, heading = out.streams["heading"].value, recording.streams["heading"]
+    assert np.array_equal(yaw, heading.value[heading.t < 5.0][: len(yaw)])
+    session.state = "working"
+    session.state = "working"
+    with pytest.raises(Refused):
+        session.take(next(file.batches(recording))[1])
+    session.recorder.close()
+
+
+@pytest.fixture(scope="module")
+def turned() -> Recording:
+    """Once about each axis and back, from a rest on the back."""
+    return recording_of(MOTIONS[3], sample(streams=False), np.array([0.0, 0.0, -9.80665]))
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("order", [(0, 1, 2), OLD_ORDER])
+def test_turns_tell_the_axes_and_the_first_rest_the_sign(turned, order, sign):
+    """However a browser mixes them up, what is made of it is the truth."""
+    mixed = np.empty_like(turned.imu.gyro)
+    mixed[:, list(order)] = turned.imu.gyro
+    rng = np.random.default_rng(0)
+    mixed += rng.normal(0.0, 0.01, mixed.shape)
+    accel = sign * turned.imu.accel + rng.normal(0.0, 0.05, mixed.shape)
+    found = browser.told(turned.imu.t, mixed, accel)
+    assert found is not None
+    assert (found.order, found.sign) == (order, sign)
+    imu = replace(turned.imu, gyro=mixed, accel=accel)
+    mended = with_convention(replace(turned, imu=imu), found).imu
+    assert np.abs(mended.gyro - turned.imu.gyro).max() < 0.1
+    assert np.abs(mended.accel - turned.imu.accel).max() < 0.5
+    n = round(3.0 / float(np.diff(turned.imu.t[:2])[0]))
+    assert browser.told(turned.imu.t[:n], mixed[:n], accel[:n]) is None  # (too little turned)
+
+
+def test_the_page_is_led_from_rest_through_the_turns_to_rest(turned):
+    """A rest, then each axis in the order asked for, then a rest: no sentence before its time."""
+    axes = [recording_of(MOTIONS[k], sample(streams=False), np.array([0.0, 0.0, -9.80665]))
+            for k in (1, 2, 0)]  # fmt: skip
+    t, gyro, offset = [], [], 0.0
+    for one in axes:
+        t.append(one.imu.t + offset)
+        gyro.append(one.imu.gyro)
+        offset = t[-1][-1] + 0.02
+    whole = np.concatenate(t)
+    imu = replace(turned.imu, t=whole, gyro=np.vstack(gyro), accel=np.zeros((len(whole), 3)),
+                  valid=np.ones(len(whole), dtype=np.bool_))  # fmt: skip
+    said = []
+    for end in range(1, int(whole[-1]) + 1):
+        n = int(np.searchsorted(whole, end))
+        cut = replace(imu, t=whole[:n], gyro=imu.gyro[:n], accel=imu.accel[:n], valid=imu.valid[:n])
+        said.append(next_turn(replace(turned, imu=cut))["say"])
+    order = list(dict.fromkeys(said))
+    assert order[:4] == [REST, *TURNS]
+    assert set(order[4:]) <= {LAY_DOWN, ENOUGH}
+    assert next_turn(None)["say"] == REST
+
+
+def test_no_change_is_no_change(turned):
+    same = with_convention(turned, Convention())
+    assert np.array_equal(same.imu.gyro, turned.imu.gyro)
+    assert np.array_equal(same.imu.accel, turned.imu.accel)
