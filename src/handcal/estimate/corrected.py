@@ -52,6 +52,9 @@ def corrected_readings(
     return Corrected(replace(problem, ref=ref, nodes=nodes, error=error), read, raw, error)
 
 
+@np.errstate(
+    over="ignore", invalid="ignore"
+)  # (numbers that run away are no fit, as is seen later)
 def substituted(
     acting: Sequence[Effect],
     ref: Array,
@@ -83,20 +86,6 @@ def substituted(
         errors = [e.imu_error(at, truth) for e, at in present if e.imu_error is not None]
         for error in errors:
             total += error
-    # (numbers that run away are no fit, which is seen later)
-    with np.errstate(over="ignore", invalid="ignore"):
-        return _followed(raw, readings, present, errors, total, enough * scale)
-
-
-def _followed(
-    raw: Array,
-    readings: Signals,
-    present: Sequence[tuple[Effect, Array]],
-    errors: list[Array],
-    total: Array,
-    enough: float,
-) -> Array:
-    """The rounds of ``substituted``, from what each effect adds (``errors``) on; enough: SI."""
     step, moved = np.empty_like(raw), math.inf
     for done in range(SUBSTITUTIONS if present else 0):
         before, moved = moved, 0.0
@@ -113,6 +102,6 @@ def _followed(
         # (each round moves by as much less as this one did)
         following = moved * min(1.0, moved / before) if done else moved
         # (some are so large that going on would lead away)
-        if following < enough or (done > 1 and not moved < SHRINKS * before):
+        if following < enough * scale or (done > 1 and not moved < SHRINKS * before):
             break
     return total
