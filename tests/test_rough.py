@@ -61,7 +61,7 @@ def test_a_command_that_is_ended_leaves_the_old_files(
 ) -> None:
     write(simulate("three-turns", seed=5, duration_s=20.0), folder / "x.mcap")
     rng = np.random.default_rng([list(LONG).index(name), ended])
-    for wait in rng.uniform(3.0, 8.0, 3)  # (after the imports of a busy machine):
+    for wait in rng.uniform(3.0, 8.0, 3):  # (after the imports of a busy machine)
         pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
         child = subprocess.Popen([*HANDCAL, *LONG[name]], cwd=folder, text=True, **pipes)
         time.sleep(wait)
