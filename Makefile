@@ -2,7 +2,7 @@
 # PYTHON=/path/to/python chooses the interpreter .venv is made from.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo docs site gallery stories test lint format prove fuzz soak trial bench bench-check dist audit clean clean-cache
+.PHONY: help setup demo docs site gallery stories test lint format prove fuzz soak rough trial bench bench-check dist audit clean clean-cache
 
 BIN := .venv/bin
 # Of `make trial`: which suites, how many explanations at a time; SEED=N repeats a trial.
@@ -57,6 +57,9 @@ fuzz: .venv/.installed-dev ## mutated files of every format: N=100000 SEED=0; fa
 
 soak: .venv/.installed-dev ## two hours at 200 Hz, a million violent steps, files cut at every 16th byte
 	$(BIN)/python -m pytest -m prove -s tests/test_soak.py tests/test_fuzz.py
+
+rough: .venv/.installed-dev ## commands ended at random moments, eight processes that compile at once
+	$(BIN)/python -m pytest -m prove -s tests/test_rough.py tests/test_kept.py
 
 trial: setup ## blind trials of explain at full size: hours; scores in trial-out/
 	@mkdir -p trial-out

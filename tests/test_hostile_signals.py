@@ -79,7 +79,12 @@ DOUBTFUL: dict[str, Attack] = {
     "gyro saturated": lambda t, g, a: (t, np.clip(g, -0.3, 0.3), a),
     "accel saturated": lambda t, g, a: (t, g, np.clip(a, -5, 5)),
 }
-SAID = ("10 % NaN", "10 % infinite", "repeated stamps", "1 s gap", "60 s gap", "accel saturated")
+SAID = {
+    "10 % NaN": "NaN", "10 % infinite": "infinite", "repeated stamps": "repeated",
+    "1 s gap": "", "60 s gap": "", "accel saturated": "when stillest",
+    "gyro of one axis dead": "gyroscope's x never moves", "gyro stuck": "gyroscope reads one value",
+    "accel stuck": "accelerometer reads one value",
+}  # fmt: skip
 
 
 def recorded(attack: Attack, readings: Readings) -> Recording:
@@ -98,13 +103,18 @@ def test_what_is_doubtful_gives_no_confident_number(name: str, readings: Reading
     """The true gyro scale error is zero: what comes out as surely something else is a lie."""
     recording = recorded(DOUBTFUL[name], readings)
     if name in SAID:
+        assert SAID[name] in " ".join(recording.warnings)
         assert recording.warnings
     for further in (allan.analyse, scalar.scalar):  # (rests of seconds: too little for either)
         with pytest.raises(HandcalError):
             further(recording)
+    refused = ""
     try:
         result = handcal.calibrate(recording, ["gyro_scale"])
-    except HandcalError:
+    except HandcalError as error:
+        refused = str(error)
+    if refused:
+        assert SAID.get(name, "") in refused
         return
     for p in result.parameters:
         if p.effect == "gyro_scale":

@@ -15,10 +15,11 @@ from sample_recording import sample
 import handcal
 from handcal.earth import local_earth
 from handcal.effects import select
-from handcal.estimate.filter import ENGINES, empty_track
+from handcal.estimate.filter import ENGINES, State, empty_track
+from handcal.estimate.live import check_covariance
 from handcal.estimate.observed import first_state, problem_of
 from handcal.estimate.problem import noise_arrays
-from handcal.types import Array, Imu, Recording, Result
+from handcal.types import Array, HandcalError, Imu, Recording, Result
 
 LEVELS = {"gyro_noise": 1e-3, "accel_noise": 1e-2, "sway": 0.004, "sway_per_rate": 0.004,
           "sway_time": 0.5, "position_noise": 3e-4}  # fmt: skip
@@ -80,7 +81,7 @@ def seen(result: Result, recording: Recording, every: int) -> Seen:
     for stop in stops:
         state = run(problem, noise, state, track, stop=stop)
         used = np.flatnonzero(np.diag(state.P) != 0)
-        assert np.all(np.diag(state.P)[used] > 0), "a negative variance"
+        check_covariance(state, float(problem.nodes.t[state.node]))
         P = state.P[np.ix_(used, used)]
         scale = np.sqrt(np.diag(P))
         P = P / scale / scale[:, None]
@@ -90,6 +91,15 @@ def seen(result: Result, recording: Recording, every: int) -> Seen:
         before = rss if before is None else before
     end = np.r_[state.p, state.bg, state.ba, state.extras]
     return Seen(asymmetry, least, rss / before - 1, len(problem.nodes.t), end)
+
+
+def first_state_of(result: Result) -> State:
+    """Before the first reading."""
+    recording, kinds = violent(300, 0), tuple(result.innovations)
+    problem, start = problem_of(
+        recording, select(list(EFFECTS)), kinds, np.zeros((0, 2)), local_earth(None, 0.0), None
+    )
+    return first_state(problem, start, LEVELS)
 
 
 def check(found: Seen) -> None:
@@ -114,14 +124,27 @@ def test_minutes_need_no_memory_and_ends_as_at_one_go(result: Result) -> None:
 
 
 @pytest.mark.prove
-@pytest.mark.xfail(
-    strict=True,
-    reason="a variance of velocity 1e28 times the bias's is beyond float64: of seed 5 the gyro "
-    "bias's variance is -4e-11 after 95,140 steps, and nothing says so",
-)
 def test_a_million_violent_steps(result: Result) -> None:
+    """A variance of velocity 1e28 times the bias's is beyond float64: where P is lost, it is said
+    (of seed 5 after 95,140 steps)."""
+    said = 0
     for seed in range(10):
-        check(seen(result, violent(100_000, seed), 1000))
+        try:
+            check(seen(result, violent(100_000, seed), 1000))
+        except HandcalError as error:
+            print(f"\nseed {seed}: {error}")
+            said += 1
+    assert said < 5
+
+
+def test_a_covariance_that_is_lost_is_said(result: Result) -> None:
+    state = first_state_of(result)
+    check_covariance(state, 1.0)
+    for wrong in (-4e-11, np.nan):
+        P = state.P.copy()
+        P[9, 9] = wrong
+        with pytest.raises(HandcalError, match="lost its covariance"):
+            check_covariance(replace(state, P=P), 1.0)
 
 
 @pytest.mark.prove
@@ -134,5 +157,5 @@ def test_two_hours_at_200_hz(result: Result) -> None:
 def test_what_is_checked_can_fail(result: Result) -> None:
     recording = violent(300, 0)
     broken = replace(recording, imu=replace(recording.imu, gyro=recording.imu.gyro * np.nan))
-    with pytest.raises((AssertionError, np.linalg.LinAlgError)):
+    with pytest.raises((HandcalError, AssertionError, np.linalg.LinAlgError)):
         check(seen(result, broken, 100))

@@ -66,12 +66,14 @@ def _proved(
     from rich.console import Console
 
     from handcal.commands._registry import say
+    from handcal.output import check_outputs, write_text
     from handcal.types import InputError
     from handcal_sim.prove.score import score
     from handcal_sim.prove.show import show
     from handcal_sim.prove.suites import SUITES
     from handcal_sim.prove.workers import Workers
 
+    check_outputs((json_file,))
     if suite not in (ALL, *SUITES):
         raise InputError(f"--suite {suite}: there are {', '.join((*SUITES, ALL))}.")
     if seed is None:
@@ -91,7 +93,7 @@ def _proved(
         say(f"interrupted: what follows is of {len(trials)} recordings")
     proof = score(trials, seed)
     if json_file is not None:
-        json_file.write_text(json.dumps(proof, indent=1) + "\n", encoding="utf-8")
+        write_text(json_file, json.dumps(proof, indent=1) + "\n")
     show(proof, Console(highlight=False))
 
 

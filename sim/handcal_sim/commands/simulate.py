@@ -112,6 +112,7 @@ def simulate(
     ] = None,
 ) -> None:
     """Write a recording of a simulated device in a simulated hand, and what was true."""
+    from handcal.output import whole
     from handcal_sim.effects import parted
     from handcal_sim.errors import SimulationError
     from handcal_sim.request import Request, simulated
@@ -132,9 +133,12 @@ def simulate(
         from handcal_sim import foreign
         from handcal_sim.mcap_writer import write
 
-        count = (
-            foreign.write(world, out, others, used, effects_from) if others else write(world, out)
-        )
+        with whole(out) as place:
+            count = (
+                foreign.write(world, place, others, used, effects_from)
+                if others
+                else write(world, place)
+            )
     except SimulationError as problem:
         _wrong(str(problem))
     except OSError as problem:

@@ -64,11 +64,14 @@ def sweep(
     ] = None,
 ) -> None:  # fmt: skip
     """Monte Carlo over heading noise and R_h: paper 002, or a grid of your own."""
+    from handcal.output import check_outputs, write_text
+    from handcal.output import whole as whole_file
     from handcal_sim.errors import SimulationError
     from handcal_sim.sweep.compare import document
     from handcal_sim.sweep.run import Plan, WorkersDied
     from handcal_sim.sweep.show import console, show, write_csv
 
+    check_outputs((out, json_file, csv_file, report), (Path(grid),))
     try:
         plan = Plan(_cells(grid, choose_r_h, settle), seeds, seed, _thresholds(threshold))
         results = _run(plan, executor, jobs or os.cpu_count() or 1, out)
@@ -81,9 +84,10 @@ def sweep(
     finished = [result for result in results if result is not None]
     whole = document(grid, seeds, seed, plan.thresholds, finished)
     if json_file is not None:
-        json_file.write_text(json.dumps(whole, indent=1) + "\n", encoding="utf-8")
+        write_text(json_file, json.dumps(whole, indent=1) + "\n")
     if csv_file is not None:
-        write_csv(whole, csv_file)
+        with whole_file(csv_file) as place:
+            write_csv(whole, place)
     if report is not None:
         from handcal_sim.sweep.cell import write_page
 

@@ -16,6 +16,7 @@ import importlib.util
 import io
 import os
 import pkgutil
+import signal
 import sys
 from functools import cached_property
 from importlib.metadata import EntryPoint, entry_points
@@ -28,7 +29,7 @@ from typer.core import TyperCommand, TyperGroup
 from handcal.commands._config import first
 
 FIRST = ("demo", "calibrate", "explain", "replay", "import", "simulate")
-INTERRUPTED = 130
+INTERRUPTED, TERMINATED = 130, 143
 GROUP = "handcal.commands"
 
 
@@ -163,10 +164,16 @@ def say(text: str) -> None:
     print(f"handcal: {line}", file=sys.stderr)
 
 
+def _terminated(_signal: int, _frame: object) -> NoReturn:
+    """Leave as after an exception, so that what is half written is taken away."""
+    sys.exit(TERMINATED)
+
+
 def run(app: typer.Typer) -> NoReturn:
     """Run the command line and leave by SystemExit; wrong use is one line, not a page."""
     arguments = first(sys.argv[1:]) or ["--help"]
     _show_what_can_be_shown()
+    signal.signal(signal.SIGTERM, _terminated)
     try:
         try:
             command = typer.main.get_command(app)
@@ -176,6 +183,9 @@ def run(app: typer.Typer) -> NoReturn:
     except BrokenPipeError:  # whoever read the output has had enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         status = 1
+    except (KeyboardInterrupt, typer.Abort):  # before or after the command itself
+        say("interrupted")
+        status = INTERRUPTED
     except Exception as error:
         if not hasattr(error, "format_message"):  # of every usage error, whichever click it is
             raise

@@ -12,9 +12,11 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils as _cgutils
+from numba.core.ccallback import CFunc
 from numba.extending import intrinsic as _intrinsic
 from numba.extending import typeof_impl
 
+from handcal.compiled.kept import kept
 from handcal.types import Array, IntArray
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -34,9 +36,11 @@ _SIGNATURE = types.int64(_POINTER, _POINTER, _POINTER, _POINTER)
 def _compiled(function: F, **more: Any) -> F:
     # nothing calls these by address, so numba need not make a C entry for each of them
     options: dict[str, Any] = {
-        "cache": True, "error_model": "numpy", "no_cfunc_wrapper": True, "nogil": True,
+        "error_model": "numpy", "no_cfunc_wrapper": True, "nogil": True,
     }  # fmt: skip
-    return cast(F, numba.njit(**options, **more)(function))
+    dispatcher: Any = numba.njit(**options, **more)(function)
+    dispatcher._cache = kept(function)
+    return cast(F, dispatcher)
 
 
 def njit(function: F) -> F:
@@ -105,8 +109,12 @@ class _Address:
 
     def __index__(self) -> int:
         if self._compiled is None:
-            decorator = numba.cfunc(_SIGNATURE, cache=self._kept, error_model="numpy")
-            self._compiled = decorator(self._function)
+            signature = _SIGNATURE.args, _SIGNATURE.return_type
+            made: Any = CFunc(self._function, signature, {}, {"error_model": "numpy"})
+            if self._kept:
+                made._cache = kept(self._function)
+            made.compile()
+            self._compiled = made
         return int(cast(int, self._compiled.address))
 
     __int__ = __index__

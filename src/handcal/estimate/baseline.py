@@ -12,7 +12,7 @@ from handcal.effects import Effect, catalogue
 from handcal.estimate import noise as noise_levels
 from handcal.estimate import smoother
 from handcal.estimate.beside import side_by_side
-from handcal.estimate.case import Case, other_irons, problem_with
+from handcal.estimate.case import Case, no_fit, other_irons, problem_with
 from handcal.estimate.derivatives import relinearised
 from handcal.estimate.filter import ENGINES, empty_track
 from handcal.estimate.fit import fitted
@@ -75,8 +75,5 @@ def started(case: Case, effects: Sequence[Effect] = (), engine: str = "compiled"
     nominal = trajectory_of(problem, track, state.bg, state.ba, state.extras)
     linear, _, _ = smoother.relinearise(linearise_about(problem, case.start, nominal), levels)
     if not np.isfinite(linear.d).all():
-        raise HandcalError(
-            "The filter diverged on this recording; check its units and axes, and whether the "
-            "device was really held or laid as assumed."
-        )
+        raise no_fit([case.recording])
     return Fitted(case, linear, levels)

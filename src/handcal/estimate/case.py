@@ -17,7 +17,7 @@ from handcal.estimate.problem import Problem
 from handcal.estimate.start import Start, with_known_biases
 from handcal.observations.fixed_position import CREEPING
 from handcal.recordings import segment
-from handcal.types import Array, Prior, Recording, Series
+from handcal.types import Array, HandcalError, Prior, Recording, Series
 
 
 @dataclass(frozen=True)
@@ -319,3 +319,13 @@ def frozen_at(effect: Effect, moment: Array) -> Effect:
 def name_of(effect_id: str) -> str:
     """The catalogue's id of an effect that may be held at a moment."""
     return effect_id.split("@")[0]
+
+
+def no_fit(recordings: Sequence[Recording]) -> HandcalError:
+    """Why there is no result, with what was odd about the recordings themselves: that may be it."""
+    said = dict.fromkeys(w for r in recordings for w in r.warnings)
+    also = f" Of the readings: {' '.join(said)}" if said else ""
+    return HandcalError(
+        "The filter diverged on this recording; check its units and axes, and whether the "
+        f"device was really held or laid as assumed.{also}"
+    )

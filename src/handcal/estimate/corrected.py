@@ -52,9 +52,8 @@ def corrected_readings(
     return Corrected(replace(problem, ref=ref, nodes=nodes, error=error), read, raw, error)
 
 
-@np.errstate(
-    over="ignore", invalid="ignore"
-)  # (numbers that run away are no fit, as is seen later)
+# (numbers that run away are no fit, which is seen later)
+@np.errstate(over="ignore", invalid="ignore")
 def substituted(
     acting: Sequence[Effect],
     ref: Array,

@@ -18,7 +18,7 @@ from handcal.estimate.filter import ENGINES, State, Track, empty_track
 from handcal.estimate.observed import first_state, problem_of
 from handcal.estimate.problem import Problem, constants_of, noise_arrays
 from handcal.observations import NAV, magnetometer
-from handcal.types import Array, IntArray, Result
+from handcal.types import Array, HandcalError, IntArray, Result
 
 
 @dataclass(frozen=True)
@@ -64,6 +64,7 @@ def live_frames(
 
     The result gives noise levels, effects and kinds of observation; the filter begins
     level, knowing no more than the prior. latitude (rad) and height (m) as for ``calibrate``.
+    Errors: HandcalError where the readings fit no motion so badly that a variance is lost.
     """
     biases = ("gyro_bias", "accel_bias")
     problem, start = problem_of(
@@ -82,8 +83,19 @@ def live_frames(
     for node in np.flatnonzero(np.diff(tick, prepend=-1.0) > 0):
         first = problem.nodes.first[state.node + 1]
         state = run(problem, noise, state, track, stop=int(node) + 1)
+        check_covariance(state, float(problem.nodes.t[state.node]))
         rows = np.arange(first, problem.nodes.first[node + 1])
         yield _frame(problem, state, track, rows[~np.isnan(track.nis[rows])])
+
+
+def check_covariance(state: State, t: float) -> None:
+    """Errors: HandcalError where a variance is negative or none at t (s): float64 has 16 digits,
+    and beside a velocity unknown by 1e8 m/s what is known of a bias is round-off."""
+    if not np.all(np.diag(state.P) >= 0.0):
+        raise HandcalError(
+            f"The filter lost its covariance at {t:.1f} s: the readings fit no motion so far that "
+            "the numbers no longer hold what is known; check units, axes and stamps."
+        )
 
 
 def _frame(problem: Problem, state: State, track: Track, rows: IntArray) -> Frame:

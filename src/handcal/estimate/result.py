@@ -12,6 +12,7 @@ from handcal.compiled import so3
 from handcal.compiled.kernel import BASE
 from handcal.estimate import noise as noise_levels
 from handcal.estimate import smoother
+from handcal.estimate.case import no_fit
 from handcal.estimate.linear import Linear, linearise_about
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.parameters import Known, Moment, known
@@ -22,7 +23,6 @@ from handcal.estimate.transfer import interpolated
 from handcal.observations import magnetometer
 from handcal.types import (
     Array,
-    HandcalError,
     History,
     Innovations,
     IntArray,
@@ -43,10 +43,7 @@ def results(model: Model, moments: Mapping[str, Moment]) -> tuple[Result, ...]:
     moments: of effects that are held at one, by id. Raises HandcalError for a fit that diverged.
     """
     if not math.isfinite(model.log_evidence):
-        raise HandcalError(
-            "The filter diverged on this recording; check its units and axes, and whether the "
-            "device was really held or laid as assumed."
-        )
+        raise no_fit([part.case.recording for part in model.parts])
     excess = inflation(model)
     return tuple(
         _result(model, k, known(model, k, excess, moments)) for k in range(len(model.parts))

@@ -12,6 +12,8 @@ from handcal.types import Array, BoolArray, InputError
 
 IntArray = NDArray[np.int64]
 
+# A bit of a coarse sensor may stand still in a rest, but not for all three axes as long as this.
+LONGEST_STUCK_S = 1.0
 FASTEST_GYRO = 40.0  # rad/s; beyond the full scale of nearly every consumer gyro
 
 
@@ -63,7 +65,35 @@ def check_alive(gyro: Array, accel: Array) -> list[str]:
         if dead:
             reads = "the same value" if np.any(value) else "zero"
             raise InputError(f"The {name} reads {reads} throughout: it was not recording.")
-    return []
+    return _dead_axes(gyro, "gyroscope") + _dead_axes(accel, "accelerometer")
+
+
+def _dead_axes(value: Array, name: str) -> list[str]:
+    """A warning where an axis of (n, 3) never moves by one bit while another does."""
+    axes = [axis for axis, column in zip("xyz", value.T, strict=True) if np.ptp(column) == 0]
+    if not axes:
+        return []
+    return [
+        f"The {name}'s {' and '.join(axes)} never moves by one bit while its other axes do: "
+        "dead, unless the device is an ideal one."
+    ]
+
+
+def stuck(t: Array, gyro: Array, accel: Array) -> list[str]:
+    """Warnings where one sensor stays at one value for longer than a rest of one bit could last,
+    while the other moves. t (n,) s; (n, 3) each, on these stamps."""
+    said = []
+    for name, value, other in (("gyroscope", gyro, accel), ("accelerometer", accel, gyro)):
+        ends = np.flatnonzero(np.any(np.diff(value, axis=0) != 0, axis=1)) + 1
+        ends = np.concatenate([[0], ends, [len(t)]])
+        k = int(np.argmax(np.diff(ends)))
+        first, last = int(ends[k]), int(ends[k + 1]) - 1
+        if t[last] - t[first] > LONGEST_STUCK_S and np.all(np.ptp(other[first : last + 1], axis=0)):
+            said.append(
+                f"The {name} reads one value from {t[first]:.1f} to {t[last]:.1f} s while the "
+                "other sensor moves: it was stuck, or its steps are coarser than a rest."
+            )
+    return said
 
 
 def rest_magnitude(accel: Array, rate_hz: float) -> float:

@@ -17,6 +17,7 @@ from handcal.recordings.inputs._checks import (
     check_gyro_unit,
     rest_magnitude,
     saturated,
+    stuck,
 )
 from handcal.recordings.streams import STREAMS
 from handcal.types import Array, BoolArray, Imu, InputError, IntArray, Recording, Series
@@ -90,7 +91,7 @@ def assemble(
             f"at least {FEWEST} over {SHORTEST_S:.0f} s are needed."
         )
     _check_clock(path, t)
-    said += check_alive(rates, force)
+    said += check_alive(rates, force) + stuck(t, rates, force)
     rate_hz = 1 / float(np.median(np.diff(t)))
     said += check_accel_unit(force, rate_hz) + check_gyro_unit(t, rates, force)
     said += _gap_warning(t)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from handcal import output
 from handcal.estimate.live import Frame
 from handcal.show import words
 from handcal.show.calibration import summary
@@ -267,7 +269,14 @@ def replay(
     Returns when the person closes the viewer, which ends the stream too; the web viewer
     ends by Ctrl-C.
     """
-    files = [file_sink(rrd)] if rrd else []
+    with output.whole(rrd) if rrd else nullcontext() as place:
+        _replay(frames, layout, speed, [file_sink(place)] if place else [], show, web, port, say)
+
+
+def _replay(
+    frames: Iterable[Frame], layout: Layout, speed: float, files: Sequence[Any], show: bool,
+    web: bool, port: int | None, say: Callable[[str], None],
+) -> None:  # fmt: skip
     if not show:
         stream(frames, layout, files, speed)
         return

@@ -1,0 +1,112 @@
+"""Compiled functions on disk: two processes, a damaged, full or missing folder cost time alone."""
+
+from __future__ import annotations
+
+import errno
+import importlib.util
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numba
+import pytest
+
+from handcal.compiled.jit import njit, residual_function
+from handcal.compiled.kept import _Files
+
+SOURCE = "def twice(x):\n    return x + x\n\n\ndef status(nav, theta, z, out):\n    return 7\n"
+
+
+@pytest.fixture
+def anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], Any]:
+    """A function as a new process finds it, compiled or not."""
+    monkeypatch.setattr(numba.config, "CACHE_DIR", "")
+    (tmp_path / "one.py").write_text(SOURCE)
+
+    def module() -> Any:
+        spec = importlib.util.spec_from_file_location("one", tmp_path / "one.py")
+        made = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(made)
+        return made
+
+    return lambda: njit(module().twice)
+
+
+def test_two_that_compile_at_once_take_different_files(
+    anew: Callable[[], Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    first, second = anew(), anew()
+    with monkeypatch.context() as patched:
+        # neither sees in the index what the other is about to write
+        patched.setattr(_Files, "_load_index", lambda _: {})
+        assert first(2) == 4
+        assert second(2.5) == 5.0
+    assert len(list(tmp_path.rglob("*.nbc"))) == 2
+    third = anew()
+    assert third(2.5) == 5.0
+    assert third.stats.cache_hits
+    assert third(2) == 4
+
+
+@pytest.mark.parametrize("ending", ["nbi", "nbc"])
+@pytest.mark.parametrize("left", [0.0, 0.5, 0.99])
+def test_a_damaged_file_is_compiled_again(
+    anew: Callable[[], Any], tmp_path: Path, ending: str, left: float
+) -> None:
+    assert anew()(2) == 4
+    (path,) = tmp_path.rglob(f"*.{ending}")
+    content = path.read_bytes()
+    path.write_bytes(content[: int(left * len(content))])
+    assert anew()(2) == 4
+    again = anew()
+    assert again(2) == 4
+    assert again.stats.cache_hits
+
+
+def test_a_full_disk_costs_time_alone(
+    anew: Callable[[], Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: Any) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(_Files, "_open_for_write", full)
+    assert anew()(2) == 4
+
+
+def test_no_folder_to_write_to_costs_time_alone(
+    anew: Callable[[], Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # (of numba's places one for modules in zip files alone: there is none for this function)
+    monkeypatch.setattr(numba.config, "CACHE_LOCATOR_CLASSES", "ZipCacheLocator")
+    assert anew()(2) == 4
+    assert int(residual_function(anew().py_func.__globals__["status"]))
+
+
+USE = """
+import sys
+
+import handcal
+
+r = handcal.calibrate(handcal.load(sys.argv[1]), ["gyro_scale"])
+print([repr(p.value) for p in r.parameters])
+"""
+
+
+@pytest.mark.prove
+def test_eight_processes_fill_one_empty_folder(tmp_path: Path) -> None:
+    from handcal_sim import simulate, write
+
+    recording = tmp_path / "x.mcap"
+    write(simulate("three-turns", seed=5, duration_s=20.0), recording)
+    for round_ in range(2):
+        env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / f"cache{round_}")}
+        command = [sys.executable, "-c", USE, str(recording)]
+        running = [subprocess.Popen(command, env=env, stdout=subprocess.PIPE, text=True)
+                   for _ in range(8)]  # fmt: skip
+        said = [child.communicate()[0] for child in running]
+        after = subprocess.run(command, env=env, capture_output=True, text=True, check=True)
+        assert [child.returncode for child in running] == [0] * 8
+        assert {*said, after.stdout} == {after.stdout}

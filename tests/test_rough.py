@@ -1,0 +1,78 @@
+"""Commands that are ended, or cannot write: a status, one sentence, old outputs whole."""
+
+from __future__ import annotations
+
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handcal_sim import simulate, write
+
+HANDCAL = (sys.executable, "-m", "handcal")
+OLD = b"what was there before"
+SIMULATE = ("simulate", "three-turns", "--seed", "5", "--duration", "20", "-o", "out.mcap")
+LONG = {
+    "simulate": (*SIMULATE,),
+    "calibrate": ("calibrate", "x.mcap", "--effects", "gyro_scale", "--json", "out.json"),
+    "explain": ("explain", "x.mcap", "--json", "out.json"),
+    "conceal": ("conceal", "x.mcap", "--effect", "gyro_scale=0.01,0,0", "-o", "out.mcap"),
+    "replay": ("replay", "x.mcap", "--no-viewer", "--speed", "1", "--rrd", "out.rrd"),
+    "sweep": ("sweep", "--seeds", "5", "--jobs", "1", "--json", "out.json"),
+    "prove": ("prove", "--n", "1", "--seed", "0", "--json", "out.json"),
+}
+
+
+def small_files() -> None:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for ending in ("mcap", "json", "rrd"):
+        (tmp_path / f"out.{ending}").write_bytes(OLD)
+    return tmp_path
+
+
+def whole(folder: Path) -> None:
+    assert [p.name for p in folder.iterdir() if p.name.endswith(".part")] == []
+    assert {p.read_bytes() for p in folder.glob("out.*")} == {OLD}
+
+
+def test_a_file_that_grows_too_large_leaves_the_old_one(folder: Path) -> None:
+    done = subprocess.run([*HANDCAL, *SIMULATE], cwd=folder, preexec_fn=small_files,
+                          capture_output=True, text=True, check=False)  # fmt: skip
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1
+    assert "File too large" in done.stderr
+    whole(folder)
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("name", LONG)
+@pytest.mark.parametrize("ended", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_command_that_is_ended_leaves_the_old_files(
+    folder: Path, name: str, ended: signal.Signals
+) -> None:
+    write(simulate("three-turns", seed=5, duration_s=20.0), folder / "x.mcap")
+    rng = np.random.default_rng([list(LONG).index(name), ended])
+    for wait in rng.uniform(3.0, 8.0, 3):  # (after the imports of a busy machine)
+        pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
+        child = subprocess.Popen([*HANDCAL, *LONG[name]], cwd=folder, text=True, **pipes)
+        time.sleep(wait)
+        child.send_signal(ended)
+        said = child.communicate(timeout=120)[1]
+        assert "Traceback" not in said, said
+        if child.returncode == 0:  # it was faster
+            for ending in ("mcap", "json", "rrd"):
+                (folder / f"out.{ending}").write_bytes(OLD)
+            continue
+        assert child.returncode == (-9 if ended == signal.SIGKILL else 128 + ended)
+        assert {p.read_bytes() for p in folder.glob("out.*")} == {OLD}
+        if ended != signal.SIGKILL:
+            whole(folder)
