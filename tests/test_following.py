@@ -2,6 +2,7 @@
 
 import re
 import shlex
+from collections import defaultdict
 from dataclasses import replace
 from html import unescape
 from io import StringIO
@@ -13,9 +14,16 @@ from rich.console import Console
 
 from handcal.commands import _registry
 from handcal.commands.explain import Assume, _typed
+from handcal.show.explanation import plots
 from handcal.show.explanation.following import applicable, commands
 from handcal.show.explanation.report import render_explanation
 from handcal.show.explanation.summary import explanation_json, print_explanation
+
+
+@pytest.fixture(autouse=True)
+def _no_figures(monkeypatch):
+    """Nothing here is about them, and they take most of a page's time."""
+    monkeypatch.setattr(plots, "draw", lambda _: defaultdict(list))
 
 
 def understood(line):
