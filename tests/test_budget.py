@@ -32,7 +32,7 @@ def recording() -> Recording:
     world = simulate(
         "free-hand",
         seed=0,
-        duration_s=40.0,
+        duration_s=20.0,
         phone=slow,
         effects={"gyro_scale": [0.02, -0.02, 0.02]},
     )
