@@ -104,8 +104,9 @@ def calibrated(seed: int, rests: bool, exact: bool) -> tuple[Device, Result]:
     return made, calibrate(made.recording, effects, reference_exact=exact)
 
 
-@pytest.mark.parametrize("exact", [pytest.param(False, marks=pytest.mark.prove), True])
-@pytest.mark.parametrize("rests", [True, pytest.param(False, marks=pytest.mark.prove)])
+@pytest.mark.prove
+@pytest.mark.parametrize("exact", [False, True])
+@pytest.mark.parametrize("rests", [True, False])
 def test_the_biases_are_the_imus_own(rests: bool, exact: bool) -> None:
     """Over all seeds: squared errors in units of the covariance are chi-square, and no more lie
     beyond three sigma than may."""
@@ -125,7 +126,7 @@ def test_the_biases_are_the_imus_own(rests: bool, exact: bool) -> None:
 
 
 @pytest.mark.parametrize(
-    "seed", [0, 1, *(pytest.param(k, marks=pytest.mark.prove) for k in SEEDS[2:])]
+    "seed", [0, *(pytest.param(k, marks=pytest.mark.prove) for k in SEEDS[1:])]
 )
 def test_a_bias_is_as_uncertain_as_the_reference_leaves_it(seed: int) -> None:
     """Without rests the difference is known and how it is shared is not: the prior over the
@@ -356,7 +357,7 @@ def test_where_the_reference_rested_its_bias_is_offered() -> None:
 @pytest.mark.parametrize("exact", [False, True])
 def test_explain_has_the_same_biases(exact: bool) -> None:
     """And nothing is missing but what each sensor may have."""
-    made = device(0, True, biased=not exact, crooked=False)
+    made = device(0, not exact, biased=not exact, crooked=False)
     found = explain([made.recording], reference_exact=exact)
     assert found.verdict == "nothing_missing"
     biases = [p for p in found.parameters if p.effect in ("gyro_bias", "accel_bias")]
