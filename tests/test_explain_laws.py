@@ -273,6 +273,7 @@ def test_the_size_of_the_rate_on_all_axes_is_told_and_nothing_else() -> None:
     np.testing.assert_allclose(law.curve.y, law.value * law.curve.x, rtol=0.01)
 
 
+@pytest.mark.prove
 def test_friction_at_zero_rate_is_told_by_its_own_axis() -> None:
     found = explain([strange("gyro", friction)])
     assert found.verdict == "unexplained"
