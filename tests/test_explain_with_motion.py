@@ -74,7 +74,7 @@ def ringing(t: Array, omega: Array) -> Array:
 
 def rings(seed: int, size: float) -> Recording:
     recording = recording_of(
-        simulate("free-hand", seed=seed, duration_s=40.0, phone=at_fifty_hertz), "heading"
+        simulate("free-hand", seed=seed, duration_s=25.0, phone=at_fifty_hertz), "heading"
     )
     imu = recording.imu
     added = size * ringing(imu.t, imu.gyro) * np.array([1.0, 0.0, 0.0])
