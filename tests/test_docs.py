@@ -112,7 +112,7 @@ NOTEBOOKS = {
     "heading": ("Gyro bias, deg/h", "bound, deg/h", "image/png"),
     "own-effect": ("rectifies the turning about x", "image/png"),
 }
-SLOW = ("conceal", "heading")
+SLOW = ("python", "conceal", "heading")
 
 
 def test_every_notebook_is_run():
