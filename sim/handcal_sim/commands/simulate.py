@@ -128,6 +128,8 @@ def simulate(
         start_heading_deg=start_heading, start_tilt_deg=start_tilt, clockwise=clockwise,
         table_errors=table_errors, spin_deg_s=spin,
     )  # fmt: skip
+    if not out.absolute().parent.is_dir():
+        _wrong(f"cannot write {out}: there is no folder {out.parent}")
     try:
         world, used = simulated(request)
         from handcal_sim import foreign
