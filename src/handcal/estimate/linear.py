@@ -57,6 +57,8 @@ class Linear:
     used: BoolArray
 
 
+# (numbers that run away are no fit, which is seen later)
+@np.errstate(over="ignore", invalid="ignore")
 def linearise_about(problem: Problem, start: Start, nominal: Trajectory) -> Linear:
     """Integrate between the epochs and linearise everything about the nominal trajectory."""
     problem, Phi, d, Q = _integrated(problem, nominal)
