@@ -20,7 +20,7 @@ from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.fit import EXCESS, fitted, scan
 from handcal.estimate.model import Model
 from handcal.estimate.quadratic import posterior
-from handcal.estimate.transfer import moved_to
+from handcal.estimate.transfer import at_constants, moved_to
 from handcal.explain import Explanation, account, explain, outliers, verdict
 from handcal.explain.climb import choose, turns
 from handcal.explain.climb.state import Climb
@@ -283,6 +283,20 @@ def test_a_fit_that_diverges_is_no_fit(grown: float) -> None:
     assert (parts, settled) == ([broken], False)
     assert math.isnan(evidence)
     assert fit.diverged(parts, ()).log_evidence == -math.inf
+
+
+def test_scales_do_not_run_away_with_gravity() -> None:
+    """Readings at half their size beside half of gravity leave half of every residual: fits of an
+    incomplete model went on to scales of 90 % and gained a thousand nats by that."""
+    (base,) = base_of(world_of({}, 0, 20.0)).parts
+    effects = select(["accel_scale", "gravity"])
+    all_scales = {("accel_scale", axis): 0.55 for axis in "xyz"}
+    away = at_constants(
+        moved_to(base, effects), effects, {**all_scales, ("gravity", "delta"): -3.4}
+    )
+    assert math.isnan(fit.relinearised_parts([away], effects)[2])
+    near = at_constants(moved_to(base, effects), effects, dict.fromkeys(all_scales, 0.2))
+    assert math.isfinite(fit.relinearised_parts([near], effects)[2])
 
 
 def test_no_noise_is_looked_for_about_no_fit(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -101,7 +101,15 @@ def test_of_an_effect_any_parameter_may_be_zero(truth: list[float], seed: int) -
     assert tailed(q, axes).log_evidence == pytest.approx(mean, abs=0.3)
 
 
+def test_gravity_has_no_tails() -> None:
+    """Thirty times what is usual is nothing that the tails forgive."""
+    q = Quadratic((("gravity", "delta"),), 0.0, np.array([12000.0]), np.array([[400.0]]))
+    assert tailed(q, np.arange(1)).log_evidence == pytest.approx(
+        posterior(q, np.arange(1)).log_evidence, abs=1e-9
+    )
+
+
 def test_what_has_one_parameter_is_there_or_not() -> None:
-    q = Quadratic((("gravity", "delta"),), 0.0, np.array([2.0]), np.array([[400.0]]))
+    q = Quadratic((("pose_scale", "scale"),), 0.0, np.array([2.0]), np.array([[400.0]]))
     plain = posterior(q, np.arange(1)).log_evidence + LOG_SHARES[0]
     assert log_evidence(q, np.arange(1)) == pytest.approx(plain, abs=1e-9)

@@ -27,4 +27,5 @@ EFFECT = Effect(
     imu_error=imu_error,
     needs=(ATTITUDE,),
     world=True,
+    tails=False,
 )

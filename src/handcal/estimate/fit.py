@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from handcal.effects import Effect
+from handcal.effects import Effect, catalogue
 from handcal.estimate import noise as noise_levels
 from handcal.estimate import smoother
 from handcal.estimate.case import problem_with
@@ -23,7 +23,7 @@ from handcal.estimate.linear import Linear
 from handcal.estimate.model import Fitted, Known, Model
 from handcal.estimate.quadratic import Local, Posterior, Quadratic, given, local, posterior, total
 from handcal.estimate.robust import excess
-from handcal.estimate.tails import tailed, usual
+from handcal.estimate.tails import SCALES, tailed, usual
 from handcal.estimate.transfer import linearised, moved_to
 from handcal.types import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Array, IntArray, Prior
 
@@ -44,6 +44,9 @@ BEYOND = 1e3
 MORE = 0.5
 # No device's bias is so many times what is usual: a fit that says so is of something else.
 FURTHEST = 25.0
+# Nor is any error, in standard deviations of its prior: two of the widest scale. (What two effects
+# share, all scales together and gravity, may otherwise run away with both.)
+LARGEST = 2.0 * float(SCALES[-1])
 
 
 def known_of(model: Model, free: Set[str] = frozenset()) -> Known:
@@ -251,7 +254,11 @@ def _sane(linear: Linear) -> bool:
         float(np.abs(nominal.bg).max()) / GYRO_BIAS_PRIOR,
         float(np.abs(nominal.ba).max()) / ACCEL_BIAS_PRIOR,
     )
-    return bool(steps < BEYOND and off < FURTHEST and np.isfinite(rest))
+    known = [s.owner in catalogue() for s in linear.problem.slots]
+    unit = np.array([s.prior_sigma for s in linear.problem.slots])[known]
+    largest = float(np.abs(nominal.constants[known] / unit).max(initial=0.0))
+    fits = steps < BEYOND and off < FURTHEST and largest < LARGEST
+    return bool(fits and np.isfinite(rest))
 
 
 def _towards(old: Fitted, new: Fitted, share: float) -> Fitted:
