@@ -19,10 +19,12 @@ from handcal.estimate.chosen import Options, chosen_of, document_of, settled
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.explain import explain, naming
-from handcal.explain.climb.laws import instead, narrow
+from handcal.explain.climb.laws import instead, narrow, with_term
+from handcal.explain.climb.noise import add_noise
 from handcal.explain.climb.on_trial import scanned
 from handcal.explain.climb.state import Climb
 from handcal.explain.model_file import chosen_from
+from handcal.explain.noises import all_noise
 from handcal.explain.unnamed import best, drivers, grammar, law_file, laws
 from handcal.explain.unnamed.drivers import DRIVERS
 from handcal.explain.unnamed.grammar import Range
@@ -289,6 +291,11 @@ def test_friction_at_zero_rate_is_told_by_its_own_axis() -> None:
     assert np.median(y[x > 0.3]) - np.median(y[x < -0.3]) == pytest.approx(0.04, rel=0.1)
 
 
+def drifting(omega: Array, f: Array) -> Array:  # noqa: ARG001
+    gain = np.linspace(-0.01, 0.03, len(omega))
+    return omega * gain[:, None] * np.array([0.0, 1.0, 0.0])
+
+
 @pytest.fixture(scope="module")
 def size_alone() -> tuple[Model, best.Term]:
     base = baseline([case_of(strange("gyro", size_of_the_rate))])
@@ -312,6 +319,29 @@ def test_many_that_stand_in_are_exchanged_for_one(size_alone) -> None:
 def replace_model(c: Climb, model: Model) -> Climb:
     c.model = model
     return c
+
+
+def test_a_law_comes_with_the_name_that_it_needs() -> None:
+    """A gain that drifts is a product with the time and a scale error. Noise that goes with the
+    motion holds both, and no half of it alone is worth as much."""
+    base = baseline([case_of(strange("gyro", drifting))])
+    effect = laws.effect_of(law_over("omega_{i} * t", formula("line"), (1,)))
+    whole = with_term(base, best.Term(effect, 100.0), 1.0, frozenset())
+    assert set(whole.ids) - set(base.ids) == {"gyro_scale", "gyro_y += k * omega_y * t"}
+    noise = next(e for e in all_noise() if e.id == "gyro_xyz += e(t) * |omega|")
+    assert whole.log_evidence > fitted(base.parts, [*base.effects, noise]).log_evidence
+
+
+@pytest.mark.prove
+def test_what_was_named_before_noise_took_it_over_is_remembered() -> None:
+    base = baseline([case_of(strange("gyro", drifting))])
+    c = Climb(fitted(base.parts, [*base.effects, *select(("gyro_scale",))]), (), ())
+    c.kept = frozenset(base.ids)
+    c.where = scanned(c)
+    before, after = c.model, add_noise(c)
+    assert after is not None
+    assert c.quiet is not None
+    assert c.quiet.ids == before.ids
 
 
 def test_a_law_keeps_to_the_axes_on_which_it_is() -> None:

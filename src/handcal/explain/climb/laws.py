@@ -13,10 +13,11 @@ from handcal.effects import Effect
 from handcal.estimate.beside import side_by_side
 from handcal.estimate.fit import fitted, scan
 from handcal.estimate.model import Model
-from handcal.explain.climb.state import Climb, forget, likelier
-from handcal.explain.score import prior, score
-from handcal.explain.space import space
-from handcal.explain.unnamed.best import best_term, reshaped
+from handcal.explain.climb.on_trial import scanned_about
+from handcal.explain.climb.state import Climb, forget, likelier, sensible
+from handcal.explain.score import better, prior, score
+from handcal.explain.space import best_set, space
+from handcal.explain.unnamed.best import Term, best_term, reshaped
 from handcal.explain.unnamed.laws import effect_of, law_of
 
 # Terms without a name at the most.
@@ -38,20 +39,37 @@ def name_term(c: Climb) -> Model | None:
     quiet = [e for e in c.model.effects if e.process is None]
     if len(quiet) == len(c.model.effects) or key in c.bared:
         return None
-    if {e.id for e in quiet} == c.kept:
+    if c.quiet is None and {e.id for e in quiet} == c.kept:
         return None  # (from the baseline alone a climb begins with a law anyway)
     c.bared.add(key)
     bare = fitted(c.model.parts, quiet)
+    if c.quiet is not None and better(c.quiet, bare, c.worth) > 0.0:
+        bare = c.quiet  # (names may have gone since that a law needs beside it)
     term = best_term(bare, refused=c.dropped)
     if term is None:
         return None
-    calls = (partial(fitted, m.parts, (*m.effects, term.effect)) for m in (bare, c.model))
+    calls = (partial(with_term, m, term, c.worth, c.beyond) for m in (bare, c.model))
     tried = max(side_by_side(calls), key=lambda m: score(m, c.worth))
     if not likelier(c, tried):
         return None
     c.unnamed.append(term)
     forget(c, tried)
     return tried
+
+
+def with_term(model: Model, term: Term, worth: float, refused: Set[str]) -> Model:
+    """The model with a term, and with what a scan about that would have besides: of what noise
+    held, part may have a name (a gain that drifts is a scale error too). refused: names."""
+    alone = fitted(model.parts, (*model.effects, term.effect))
+    if not sensible(alone):
+        return alone
+    where = scanned_about(alone, [term], refused)
+    chosen = best_set(where, alone.chosen)
+    if chosen == alone.chosen:
+        return alone
+    noise = [e for e in alone.effects if e.process is not None]
+    more = fitted(alone.parts, [*(where.effects[i] for i in sorted(chosen)), *noise])
+    return more if sensible(more) and better(more, alone, worth) > 0.0 else alone
 
 
 def reshape(c: Climb) -> Model | None:

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 
 import numpy as np
 
 from handcal.effects import Effect, catalogue
 from handcal.estimate.case import applicable, frozen_at, name_of
 from handcal.estimate.fit import scan
-from handcal.estimate.model import Fitted
+from handcal.estimate.model import Fitted, Model
 from handcal.explain.climb.state import Climb
 from handcal.explain.jumps import sudden
 from handcal.explain.score import MOMENTS, prior
 from handcal.explain.space import Space, space
+from handcal.explain.unnamed.best import Term
 from handcal.types import Array
 
 # Log odds of what was fitted without and not missed.
@@ -73,13 +74,18 @@ def _on(grid: Array, at: float) -> bool:
 
 def scanned(c: Climb) -> Space:
     """What every effect on trial, and every term so far, would gain about the model there is."""
-    own = {e.id: e for e in c.model.effects}
-    cases = [f.case for f in c.model.parts]
-    terms = [t.effect for t in c.unnamed]
-    options = [own.get(e.id, e) for e in (*candidates(c.model.parts, c.model.effects), *terms)]
+    return scanned_about(c.model, c.unnamed, c.dropped | c.beyond)
+
+
+def scanned_about(model: Model, terms: Sequence[Term], refused: Set[str]) -> Space:
+    """The same about any model, with these terms, but for names that are refused."""
+    own = {e.id: e for e in model.effects}
+    cases = [f.case for f in model.parts]
+    options = [own.get(e.id, e) for e in candidates(model.parts, model.effects)]
+    options += [own.get(t.effect.id, t.effect) for t in terms]
     have = {e.id for e in options}
-    options += [e for e in c.model.effects if e.id not in have and e.process is None]
+    options += [e for e in model.effects if e.id not in have and e.process is None]
     odds = {e.id: prior(e, cases) for e in options}
-    odds |= {e.id: REFUSED for e in options if name_of(e.id) in c.dropped | c.beyond}
+    odds |= {e.id: REFUSED for e in options if name_of(e.id) in refused}
     odds |= {e.id: -REFUSED for e in options if e.always}
-    return space(scan(c.model, options), options, odds)
+    return space(scan(model, options), options, odds)
