@@ -179,6 +179,16 @@ def test_an_effect_that_is_not_there_costs_its_parameters_at_most(seed: int) -> 
 
 
 @pytest.mark.prove
+@pytest.mark.parametrize("seed", range(3))
+def test_so_beside_a_law_that_nobody_wrote_down(seed: int) -> None:
+    """A gyro that errs with the size of the rate, by 1 %."""
+    clean = made({}, seed, 30.0)
+    error = 0.01 * np.linalg.norm(clean.imu.gyro, axis=1)[:, None]
+    strange = replace(clean, imu=replace(clean.imu, gyro=clean.imu.gyro + error))
+    assert max(drops(strange).values()) < 0.0
+
+
+@pytest.mark.prove
 @pytest.mark.parametrize("name", ["broad_01_slow_rotation", *REAL])
 def test_so_on_real_devices(name: str, real_recordings: Path) -> None:
     found = drops(handcal.load(real_recordings / f"{name}.mcap"))
