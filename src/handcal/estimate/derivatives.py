@@ -138,8 +138,18 @@ def _turn_back(
     for s, (_, k, _) in enumerate(parts):
         if k in swinging:
             places.setdefault(k, []).append(s)
-    for own in places.values():
-        columns[:, own] = np.einsum("nij,ni->nj", C_nb, columns[:, own])
+    if places:
+        _by_transpose(C_nb, np.array(list(places.values()), dtype=np.int64), columns)
+
+
+@njit
+def _by_transpose(C: Array, places: IntArray, x: Array) -> None:
+    """Multiply three columns of x (n, s) at a time, at ``places`` (k, 3), by C^T (n, 3, 3)."""
+    for i in range(len(x)):
+        for own in places:
+            a, b, c = x[i, own[0]], x[i, own[1]], x[i, own[2]]
+            for j in range(3):
+                x[i, own[j]] = C[i, 0, j] * a + C[i, 1, j] * b + C[i, 2, j] * c
 
 
 def _place(part: tuple[int, int, Array]) -> tuple[int, int]:
