@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from handcal.documents import read_json
 from handcal.effects import Effect, catalogue
 from handcal.estimate.case import HELD, Edit, frozen_at, name_of
 from handcal.estimate.chosen import Chosen, Options, View
@@ -21,12 +21,7 @@ from handcal.types import InputError
 
 def read(path: Path) -> Chosen:
     """The model in a result. Errors: InputError."""
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror or error}.") from error
-    except (ValueError, RecursionError):
-        raise InputError(f"{path} is not JSON.") from None
+    document = read_json(path)
     model = document.get("model") if isinstance(document, dict) else None
     if not isinstance(model, dict):
         raise InputError(
