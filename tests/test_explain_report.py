@@ -20,8 +20,9 @@ from handcal.explain.explanation import VERDICTS, Curve, Unnamed
 from handcal.show import dashboard, drawing
 from handcal.show.calibration import summary
 from handcal.show.explanation import frames, plots, sentences, words
-from handcal.show.explanation import summary as explain_summary
+from handcal.show.explanation.document import explanation_json
 from handcal.show.explanation.report import render_explanation, write_explanation_report
+from handcal.show.explanation.terminal import print_explanation
 from handcal.types import HandcalError
 
 CONTRACT = {
@@ -91,7 +92,7 @@ def nothing_in_it():
 
 def printed(explanation, width=80):
     out = io.StringIO()
-    explain_summary.print_explanation(explanation, Console(file=out, width=width))
+    print_explanation(explanation, Console(file=out, width=width))
     return out.getvalue()
 
 
@@ -109,7 +110,7 @@ def test_there_is_a_made_up_explanation_of_every_verdict():
 
 
 def test_the_json_has_the_contracts_keys_and_types(verdict):
-    document = explain_summary.explanation_json(fake_explanation(verdict, recordings=1))
+    document = explanation_json(fake_explanation(verdict, recordings=1))
     schemas.check(document)
     assert set(document) == CONTRACT | {"recording"}
     assert document["schema"] == "handcal/explanation/1"
@@ -134,7 +135,7 @@ def test_the_json_has_the_contracts_keys_and_types(verdict):
 
 def test_of_several_recordings_each_keeps_its_own(tmp_path):
     e = fake_explanation("explained", recordings=2)
-    document = explain_summary.explanation_json(e)
+    document = explanation_json(e)
     assert set(document) == CONTRACT | {"recordings"}
     assert [m["recording"] for m in document["mismatch"]] == [0, 0, 1]
     assert {p["effect"] for p in document["parameters"]} == {"gyro_scale", "lever_arm"}
@@ -149,7 +150,7 @@ def test_json_leaves_out_what_is_not_a_number():
     rms = dict(e.before.residual_rms) | {"heading": math.nan}
     m = replace(e.missing[0], log_evidence_gain=math.inf)
     before = replace(e.before, residual_rms=rms, log_evidence=math.nan)
-    document = explain_summary.explanation_json(replace(e, before=before, missing=(m,)))
+    document = explanation_json(replace(e, before=before, missing=(m,)))
     assert "heading" not in document["fit"]["before"]["residual_rms"]
     assert document["fit"]["before"]["log_evidence"] is None
     assert document["missing"][0]["log_evidence_gain"] is None
@@ -358,7 +359,7 @@ def test_an_explanation_with_next_to_nothing_in_it_still_shows(tmp_path):
     assert "Nothing is missing" in render_explanation(e)
     assert "Nothing is missing" in printed(e)
     dashboard.save_explanation_rrd(e, tmp_path / "x.rrd")
-    assert explain_summary.explanation_json(e)["held_out"] == {}
+    assert explanation_json(e)["held_out"] == {}
 
 
 def test_many_bins_are_added_up_and_none_is_lost():

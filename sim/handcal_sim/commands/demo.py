@@ -40,8 +40,8 @@ def demo(
     from handcal.show.calibration.report import write_report
     from handcal.show.calibration.summary import calibration_json, write_json
     from handcal.show.dashboard import save_explanation_rrd, save_rrd
+    from handcal.show.explanation.document import explanation_json
     from handcal.show.explanation.report import write_explanation_report
-    from handcal.show.explanation.summary import explanation_json
     from handcal_sim.mcap_writer import write
 
     out.mkdir(parents=True, exist_ok=True)

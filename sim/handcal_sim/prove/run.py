@@ -103,7 +103,7 @@ def explained(path: str) -> Mapping[str, Any]:
     """What `handcal explain --json` says of one recording."""
     import handcal
     from handcal.explain import explain
-    from handcal.show.explanation.summary import explanation_json
+    from handcal.show.explanation.document import explanation_json
 
     return explanation_json(explain([handcal.load(path)]))
 

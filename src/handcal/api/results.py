@@ -189,7 +189,7 @@ class Explanation(ExplanationData):
     def document(self) -> Mapping[str, Any]:
         """What ``handcal explain --json`` writes."""
         from handcal.show.calibration.summary import stamped
-        from handcal.show.explanation.summary import explanation_json
+        from handcal.show.explanation.document import explanation_json
 
         return stamped(explanation_json(self))
 

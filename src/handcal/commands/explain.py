@@ -118,7 +118,7 @@ def explain(
     _pictured(explanation, report, rrd, beside(twin, recordings) if twin else ())
     if json:
         from handcal.show.calibration.summary import write_json
-        from handcal.show.explanation.summary import explanation_json
+        from handcal.show.explanation.document import explanation_json
 
         write_json(explanation_json(explanation), json)
     if str(json) != "-":
@@ -156,7 +156,7 @@ def _printed(
     from rich.console import Console
 
     from handcal.show.explanation.following import commands
-    from handcal.show.explanation.summary import print_explanation
+    from handcal.show.explanation.terminal import print_explanation
 
     following = commands(explanation, [str(f) for f in files], typed, str(json or ""))
     if json is None:

@@ -112,8 +112,8 @@ def _explained(
     from handcal.explain import explain
     from handcal.show.calibration.summary import calibration_json, write_json
     from handcal.show.explanation import sentences
+    from handcal.show.explanation.document import explanation_json
     from handcal.show.explanation.report import write_explanation_report
-    from handcal.show.explanation.summary import explanation_json
 
     def report(fraction: float | None = None, stage: str = "") -> None:
         if fraction is not None:

@@ -12,10 +12,12 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from handcal.explain.explanation import Explained, Explanation, Hypothesis, Trace
+from handcal.show import words
 from handcal.show.dashboard import laws
 from handcal.show.dashboard.common import GREY, TIMELINE, XYZ, columns, lines, plot, save
-from handcal.show.explanation import frames, summary
+from handcal.show.explanation import frames, sentences
 from handcal.show.explanation import words as say
+from handcal.show.explanation.document import all_warnings
 from handcal.units import Shown
 
 RECORDED = (150, 156, 166)
@@ -124,10 +126,33 @@ def _channel(home: str, span: tuple[float, float], trace: Trace) -> tuple[Any, A
     )  # fmt: skip
 
 
+def _markdown(explanation: Explanation) -> str:
+    """The verdict with its numbers, for the text panel."""
+    e, judged = explanation, sentences.verdict(explanation)
+    lines = [f"## {judged.headline}", "", *(f"{s}\n" for s in judged.sentences)]
+    for m in e.missing:
+        lines += [f"### {' or '.join(say.members(m, e))}", "", m.story, "", sentences.weight(m), "",
+                  "| | value | ± 1 sigma | |", "|---|---:|---:|---|"]  # fmt: skip
+        for p, unit in say.in_units(m.parameters):
+            value, sigma = unit.value(p.value, p.sigma, sign=True), unit.value(p.sigma, p.sigma)
+            lines.append(f"| {words.parameter_title(p)} | {value} | {sigma} | {unit.unit} |")
+        lines.append("")
+    for u in e.unnamed:
+        gained = say.nats(u.log_evidence_gain)
+        lines += ["### Outside the catalogue", "", f"`{u.formula}`", "",
+                  f"{say.sized(u)}, gains {gained}", ""]  # fmt: skip
+        lines += [u.story, ""] if u.story else []
+    told = sentences.untold(e)
+    told += [f"Next: {sentences.motion_phrase(n.motion)}." for n in e.next_motion]
+    lines += ["### What could not be told", "", *(f"- {s}" for s in told), ""] if told else []
+    lines += [f"- {w}" for w in all_warnings(e)]
+    return "\n".join(lines)
+
+
 def log_explanation(rec: rr.RecordingStream, explanation: Explanation) -> None:
     """Send a whole explanation, by columns."""
     e = explanation
-    text = rr.TextDocument(summary.explanation_markdown(e), media_type="text/markdown")
+    text = rr.TextDocument(_markdown(e), media_type="text/markdown")
     rec.log("/verdict", text, static=True)
     _log_hypotheses(rec, e)
     if e.recordings:

@@ -13,7 +13,7 @@ from handcal.explain.explanation import Explanation, Hypothesis, Mismatch, Missi
 from handcal.show import words
 from handcal.show.calibration.report import how_to_apply
 from handcal.show.drawing import PALETTE
-from handcal.show.explanation import frames, plots, sentences, summary
+from handcal.show.explanation import document, frames, plots, sentences
 from handcal.show.explanation import words as say
 from handcal.show.explanation.following import applicable, biases_of, commands
 from handcal.show.html_page import page
@@ -63,7 +63,7 @@ def _context(e: Explanation) -> dict[str, Any]:
             for n in e.next_motion
         ],
         "noise": [words.noise_line(n) for n in e.noise],
-        "warnings": summary.all_warnings(e),
+        "warnings": document.all_warnings(e),
         "apply": how_to_apply(applicable(e)),
         "biases_of": biases_of(e),
         "following": commands(e),
