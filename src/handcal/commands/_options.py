@@ -16,7 +16,7 @@ from handcal.commands._progress import progress
 from handcal.commands._registry import say
 
 if TYPE_CHECKING:
-    from handcal.types import Recording, Result
+    from handcal.types import Prior, Recording, Result
 
 
 class Assume(StrEnum):
@@ -189,8 +189,9 @@ def radians(degrees: float | None) -> float | None:
 
 
 def calibrated(
-    recordings: list[Recording], effects: str, learnt_from: Path | None = None, **settings: Any
-) -> tuple[Result, ...]:
+    recordings: list[Recording], effects: str, learnt_from: Path | None = None,
+    before: Prior | None = None, **settings: Any,
+) -> tuple[Result, ...]:  # fmt: skip
     """Run the filter with the options as typed: angles in degrees, enums, None for unset."""
     from handcal.estimate.calibration import calibrate_together, recalibrate
     from handcal.types import InputError
@@ -203,13 +204,11 @@ def calibrated(
         settings[name] = radians(settings[name])
     settings |= {"assume": str(settings["assume"]), "engine": str(settings["engine"])}
     settings["ignore"] = tuple(settings["ignore"] or ())
-    before = settings.pop("before", None)
     ids = tuple(e.strip() for e in effects.split(",") if e.strip())
     names = ", ".join(Path(r.path).name for r in recordings)
     if learnt_from is None:
         with progress(f"calibrating {names}") as report:
-            known = {} if before is None else {"before": before}
-            return calibrate_together(recordings, ids, progress=report, **settings, **known)
+            return calibrate_together(recordings, ids, progress=report, before=before, **settings)
     from handcal.explain.model_file import read
 
     usual = {"assume": "auto", "engine": "compiled", "height": 0.0, "ignore": (),

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from handcal.commands._device import DeviceFile, known_before
+from handcal.commands._device import DeviceFile, contradictions, known_before
 from handcal.commands._options import (
     Assume,
     Assumption,
@@ -114,7 +115,8 @@ def explain(
             before=known_before(device, recordings),
             progress=done,
         )
-    explanation = _with_surprises(explanation)
+    said = contradictions(explanation.device, explanation.parameters, explanation.covariance)
+    explanation = replace(explanation, warnings=(*explanation.warnings, *said))
     _pictured(explanation, report, rrd, beside(twin, recordings) if twin else ())
     if json:
         from handcal.show.calibration.summary import write_json
@@ -176,19 +178,6 @@ def _typed(
     for name, values in (("--ignore", ignore), ("--topic", topic)):
         out += [word for value in values or () for word in (name, value)]
     return out + (["--reference-exact"] if reference_exact else [])
-
-
-def _with_surprises(explanation: Explanation) -> Explanation:
-    """The explanation, with warnings where it contradicts what was known of the device."""
-    before, covariance = explanation.device, explanation.covariance
-    if before is None or covariance is None:
-        return explanation
-    from dataclasses import replace
-
-    from handcal.show.device import surprise_sentences
-
-    said = surprise_sentences(before, explanation.parameters, covariance)
-    return replace(explanation, warnings=(*explanation.warnings, *said))
 
 
 def _check_new(path: Path) -> None:
