@@ -10,7 +10,6 @@ latitude = 48.1
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -93,8 +92,7 @@ def _value(path: Path, name: str, option: Any, value: Any) -> Any:
 
 
 def _unknown(path: Path, problem: str, key: str, known: Iterable[str]) -> Exception:
+    from handcal.suggest import did_you_mean
     from handcal.types import InputError
 
-    near = difflib.get_close_matches(key.replace("_", "-"), list(known), n=2)
-    meant = f" Did you mean {' or '.join(near)}?" if near else ""
-    return InputError(f"{path}: {problem}.{meant}")
+    return InputError(f"{path}: {problem}.{did_you_mean(key.replace('_', '-'), known)}")
