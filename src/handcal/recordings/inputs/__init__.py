@@ -24,7 +24,7 @@ from handcal.documents import reading
 from handcal.recordings.inputs._nearest import of_no_format
 from handcal.recordings.inputs._options import Options, checked_options
 from handcal.recordings.inputs._repair import Columns, assemble, columns, nanoseconds
-from handcal.recordings.inputs._zip import check_crowd
+from handcal.recordings.inputs._zip import check_crowd, listed_once
 from handcal.types import Array, InputError, Recording
 
 __all__ = ["Options", "format_of", "formats", "load", "of_arrays"]
@@ -45,11 +45,11 @@ def format_of(path: str | Path) -> ModuleType:
     if path.is_file() and path.stat().st_size == 0:
         raise InputError(f"{path} is empty: it holds not a single byte.")
     known = formats()
-    with reading(path):
+    with reading(path), listed_once():
         check_crowd(path)
         found = next((module for module in known if module.can_read(path)), None)
-    if found is None:
-        raise InputError(of_no_format(path, known))
+        if found is None:
+            raise InputError(of_no_format(path, known))
     return found
 
 
