@@ -137,7 +137,8 @@ def _refuse_spins(tests: bench.Bench, spun: Array) -> None:
     A = bench.design(tests, EFFECTS, np.zeros(len(usual)), tests.truth)[:, 3:]
     worth = np.maximum(np.sqrt(tests.variance[:, 3:]), LEAST_SIGMA)
     rows = (A / worth[:, :, None]).reshape(-1, len(usual))
-    sigma = np.sqrt(np.diag(np.linalg.inv(rows.T @ rows + np.diag(usual**-2.0))))
+    R = np.linalg.qr(np.vstack([rows * usual, np.eye(len(usual))]), mode="r")
+    sigma = np.linalg.norm(np.linalg.solve(R, np.eye(len(usual))), axis=1) * usual
     lost = [u.param.name for u, s, p in zip(unknowns, sigma, usual, strict=True)
             if u.effect == ARMS[0].id and s > TELLING * p]  # fmt: skip
     if lost:
