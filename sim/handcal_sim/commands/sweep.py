@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from handcal.commands._registry import say
+from handcal_sim.commands._progress import progress
 from handcal_sim.commands._wrong_use import wrong_use
 
 if TYPE_CHECKING:
@@ -126,13 +127,15 @@ def _thresholds(text: str) -> dict[str, float]:
 
 def _run(plan: Plan, executor: str, jobs: int, out: Path | None) -> list[Any]:
     from handcal_sim.sweep.run import Kept, opened, run
-    from handcal_sim.sweep.show import progress
 
     kept = Kept(out)
     before = sum(kept[plan.key(cell)] is not None for cell in plan.cells)
     if before:
         say(f"{before} of {len(plan.cells)} cells were finished before")
-    with opened(executor, jobs) as workers, progress(len(plan.cells) * plan.seeds, say) as told:
+    with (
+        opened(executor, jobs) as workers,
+        progress(len(plan.cells) * plan.seeds, "runs", "runs") as told,
+    ):
         from handcal_sim.sweep.cell import run_chunk
 
         return list(run(plan, workers, run_chunk, kept, told))

@@ -15,11 +15,13 @@ from handcal.commands._options import (
     Report,
     Topics,
     Units,
+    listed,
     load,
     with_own_effects,
 )
 from handcal.commands._progress import progress
 from handcal.commands.lab._gravity import Gravity, gravity_of
+from handcal.commands.lab._results import write_results
 
 if TYPE_CHECKING:
     from handcal.lab.bench import Bench
@@ -90,9 +92,7 @@ def known_input(
     from handcal.lab import bench, bench_csv
     from handcal.lab.known_input import known_input
     from handcal.output import check_outputs
-    from handcal.show.calibration.summary import write_json
     from handcal.show.lab.known_input import known_input_json, known_input_sheet
-    from handcal.show.lab.sheet import print_sheet, write_sheet
     from handcal.types import InputError
 
     g = gravity_of(gravity, latitude, height)
@@ -111,14 +111,12 @@ def known_input(
         errors = None
         if poses is not None and (angle_sigma or tilt_sigma):
             errors = _table_errors(result, poses, angle_sigma, tilt_sigma)
-    if report:
-        write_sheet(known_input_sheet(result, file.name, errors, pictures=True), report)
-    if json:
-        write_json(known_input_json(result, file, recording, errors), json)
-    if str(json) != "-":
-        from rich.console import Console
-
-        print_sheet(known_input_sheet(result, file.name, errors, pictures=False), Console())
+    write_results(
+        lambda pictures: known_input_sheet(result, file.name, errors, pictures),
+        lambda: known_input_json(result, file, recording, errors),
+        report,
+        json,
+    )
 
 
 def _effects(typed: str | None, tests: Bench) -> tuple[str, ...]:
@@ -128,7 +126,7 @@ def _effects(typed: str | None, tests: Bench) -> tuple[str, ...]:
     from handcal.lab.known_input import DEFAULT
 
     if typed is not None:
-        return tuple(e.strip() for e in typed.split(",") if e.strip())
+        return listed(typed)
     fastest = float(np.abs(tests.mean(tests.truth.gyro)).max())
     known = {"gyro": tests.used[0] and fastest > LEAST_RATE, "accel": bool(tests.used[3])}
     return tuple(e for e in DEFAULT if known[e.split("_")[0]])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +12,7 @@ import handcal
 from handcal import output, units
 from handcal.design.motion import Plan, Prospect
 from handcal.show import words
-from handcal.show.design.picture import check_ending
+from handcal.show.design.picture import write_figure
 from handcal.show.drawing import INK, MUTED, RC, WIDE, XYZ, Plot, legend, svg
 from handcal.show.html_page import page
 from handcal.types import Array
@@ -48,13 +47,7 @@ def write_motion_report(plan: Plan, path: str | Path) -> None:
 
 def save_motion_picture(plan: Plan, path: Path) -> None:
     """Write the drawing. Errors: InputError where the ending is none of a picture."""
-    import matplotlib as mpl
-
-    check_ending(path)
-    out = io.BytesIO()
-    with mpl.rc_context(RC):
-        _figure(plan).savefig(out, format=path.suffix[1:].lower(), dpi=110, facecolor="white")
-    output.write_bytes(path, out.getvalue())
+    write_figure(lambda: _figure(plan), path)
 
 
 def motion_json(plan: Plan) -> dict[str, Any]:
