@@ -134,21 +134,15 @@ def _show(
 
 
 def _table(truth: Mapping[Key, float], result: Result) -> Table:
-    from rich import box
-    from rich.table import Table
-
     from handcal.show import words
+    from handcal.show.terminal import table
 
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("")
-    for column in ("truth", "estimate", "± 1 sigma", ""):
-        table.add_column(column, justify="left" if not column else "right")
-    table.add_column("off by", justify="right")
+    rows = table("*", ">*truth", ">*estimate", ">*± 1 sigma", "*", ">*off by")
     for group in words.by_effect(result.parameters).values():
         unit = words.shown_group(group)
         for p in group:
             true = unit.value(truth.get((p.effect, p.name), 0.0), p.sigma, sign=True)
             row = (unit.value(p.value, p.sigma, sign=True), unit.value(p.sigma, p.sigma))
             size = f"{abs(off_by(p, truth)):.1f} sigma"
-            table.add_row(words.parameter_title(p), true, *row, unit.unit, size)
-    return table
+            rows.add_row(words.parameter_title(p), true, *row, unit.unit, size)
+    return rows

@@ -29,6 +29,7 @@ from handcal.estimate.start import BIASES
 from handcal.show import words
 from handcal.show.drawing import AXES, RC, XYZ, Plot, canvas, svg
 from handcal.show.html_page import page
+from handcal.show.terminal import table
 from handcal.types import Array, Parameter, Prior
 from handcal.units import Shown, shown
 
@@ -133,20 +134,16 @@ def device_json(device: Device, when: datetime) -> dict[str, Any]:
 
 def print_device(device: Device, when: datetime, console: Console) -> None:
     """Sessions, what is known, and where sessions disagree."""
-    from rich import box
     from rich.markup import escape
-    from rich.table import Table
 
     count = words.counted(len(device.sessions), "session")
     console.print(f"[bold]{escape(device.name)}[/]  {count}; what is known on {when:{DAY}}")
     for title, columns, rows in _tables(device, when):
         console.print(f"[bold]{title}[/]")
-        table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-        for k, column in enumerate(columns):
-            table.add_column(column, justify="right" if k else "left", no_wrap=k == 0)
+        shown_rows = table(columns[0], *(f">*{column}" for column in columns[1:]))
         for row in rows:
-            table.add_row(*(escape(c) for c in row))
-        console.print(table)
+            shown_rows.add_row(*(escape(c) for c in row))
+        console.print(shown_rows)
     for d in disagreements(device):
         console.print(f"[yellow]{escape(difference_sentence(d, device))}[/]")
     console.print(forgetting(), style="dim")

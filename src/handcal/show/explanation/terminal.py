@@ -13,6 +13,7 @@ from handcal.show import words
 from handcal.show.explanation import sentences
 from handcal.show.explanation import words as say
 from handcal.show.explanation.document import all_warnings
+from handcal.show.terminal import table
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -123,38 +124,26 @@ def _print_judged(e: Explanation, console: Console) -> None:
             line(warning, bullet="• ")
 
 
-def _table(*columns: str) -> Any:
-    """A table whose columns are right-justified where their name begins with ">"."""
-    from rich import box
-    from rich.table import Table
-
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for name in columns:
-        justify: Any = "right" if name.startswith(">") else "left"
-        table.add_column(name.lstrip(">*"), justify=justify, no_wrap=not name.startswith("*"))
-    return table
-
-
 def _mismatch_table(e: Explanation) -> Any:
     from rich.markup import escape
 
     several = len(e.recordings) > 1
-    table = _table("channel", ">time", ">share", "*when", *(["*recording"] if several else []))
+    rows = table("channel", ">time", ">share", "*when", *(["*recording"] if several else []))
     names = say.recording_names(e)
     for m in e.mismatch:
         row = [say.channel_title(m.channel), say.interval(m), say.whole_percent(m.share), m.when]
-        table.add_row(*map(escape, row + ([names[m.recording]] if several else [])))
-    return table
+        rows.add_row(*map(escape, row + ([names[m.recording]] if several else [])))
+    return rows
 
 
 def _missing_table(m: Missing) -> Any:
-    table = _table("", ">value", ">± 1 sigma", "unit", "observable")
+    rows = table("", ">value", ">± 1 sigma", "unit", "observable")
     for p, unit in say.in_units(m.parameters):
         value = unit.value(p.value, p.sigma, sign=True)
         seen = "[green]yes[/]" if p.observable else "[yellow]no[/]"
         name = words.parameter_title(p)
-        table.add_row(f"  {name}", value, unit.value(p.sigma, p.sigma), unit.unit, seen)
-    return table
+        rows.add_row(f"  {name}", value, unit.value(p.sigma, p.sigma), unit.unit, seen)
+    return rows
 
 
 def _top(e: Explanation, count: int) -> list[Any]:
@@ -168,14 +157,14 @@ def _top(e: Explanation, count: int) -> list[Any]:
 def _hypothesis_table(e: Explanation, count: int) -> Any:
     from rich.markup import escape
 
-    table = _table("", "effect", ">alone", ">final", ">promised", ">probability")
+    rows = table("", "effect", ">alone", ">final", ">promised", ">probability")
     styles = {"named": "bold green", "set": "yellow"}
     for h in _top(e, count):
         mark = {"named": "●", "set": "◐"}.get(h.verdict, "")
         row = (escape(h.title), say.number(h.alone), say.number(h.final), say.promised(h),
                say.percent(h.probability))  # fmt: skip
-        table.add_row(mark, *row, style=styles.get(h.verdict, ""))
-    return table
+        rows.add_row(mark, *row, style=styles.get(h.verdict, ""))
+    return rows
 
 
 def fit_rows(e: Explanation) -> list[tuple[str, ...]]:
@@ -207,11 +196,11 @@ def _signed(value: float) -> str:
 
 def _fit_table(e: Explanation) -> Any:
     if say.one_model(e):
-        table = _table("", ">value", "unit")
+        rows = table("", ">value", "unit")
         for what, _, value, unit, _ in fit_rows(e):
-            table.add_row(what[:1].upper() + what[1:], value, unit)
-        return table
-    table = _table("", ">before", ">after", "unit", ">change")
+            rows.add_row(what[:1].upper() + what[1:], value, unit)
+        return rows
+    rows = table("", ">before", ">after", "unit", ">change")
     for what, *row in fit_rows(e):
-        table.add_row(what[:1].upper() + what[1:], *row)
-    return table
+        rows.add_row(what[:1].upper() + what[1:], *row)
+    return rows
