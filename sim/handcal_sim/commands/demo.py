@@ -102,7 +102,7 @@ def _show(
     from rich.console import Console
 
     from handcal.show import words
-    from handcal.show.explanation import sentences
+    from handcal.show.explanation import verdict_text
 
     console = Console(highlight=False)
 
@@ -112,7 +112,7 @@ def _show(
     line("A simulated phone was held and turned once about each axis. Its gyro secretly misreads "
          "every turn by up to 1.2 %. Handcal is given the recording alone.")  # fmt: skip
     line(f"\n[bold]Biases alone:[/] {words.verdict(plain).headline}")
-    line(f"[bold]Explained:[/] {sentences.verdict(explanation).headline}")
+    line(f"[bold]Explained:[/] {verdict_text.verdict(explanation).headline}")
     console.print(_table(truth, result))
     off = [abs(off_by(p, truth)) for p in result.parameters]
     line(f"{sum(o < 2.0 for o in off)} of {len(off)} estimates lie within two sigma of the truth; "

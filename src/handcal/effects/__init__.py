@@ -19,7 +19,7 @@ whole (a delay) brings ``imu_inverse(parameters, readings) -> (n, 6)``, the trut
 Effects come from this folder, from installed packages (entry points of the group
 ``handcal.effects``, each of them an ``Effect``), and, for as long as somebody asks for it, from
 elsewhere: inside ``with_effects`` the catalogue is larger. Threads begun there have to be handed
-the context (``contextvars.copy_context``, as ``estimate.beside`` does), processes the files.
+the context (``contextvars.copy_context``, as ``estimate.parallel`` does), processes the files.
 """
 
 from __future__ import annotations

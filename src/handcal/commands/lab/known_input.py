@@ -24,8 +24,8 @@ from handcal.commands.lab._gravity import Gravity, gravity_of
 from handcal.commands.lab._results import write_results
 
 if TYPE_CHECKING:
-    from handcal.lab.bench import Bench
     from handcal.lab.known_input import KnownInput
+    from handcal.lab.steady_tests import Bench
     from handcal.lab.table import Table
     from handcal.show.lab.known_input import TableErrors
 
@@ -89,7 +89,7 @@ def known_input(
     Rests and steady turns are found in the recording, or stand in the rows of a table. What the
     tests cannot tell apart is said before anything is estimated.
     """
-    from handcal.lab import bench, bench_csv
+    from handcal.lab import steady_tests, steady_tests_csv
     from handcal.lab.known_input import known_input
     from handcal.output import check_outputs
     from handcal.show.lab.known_input import known_input_json, known_input_sheet
@@ -99,14 +99,14 @@ def known_input(
     check_outputs((json, report), (file,))
     recording, poses = None, None
     if file.suffix.lower() in (".csv", ".tsv"):
-        tests, poses = bench_csv.read(file, sequence, g)
+        tests, poses = steady_tests_csv.read(file, sequence, g)
     else:
         recording = load(file, topic, units)
     if (angle_sigma or tilt_sigma) and poses is None:
         raise InputError("--angle-sigma and --tilt-sigma need the angles of the table (CSV).")
     with progress(f"calibrating {file.name}"):
         if recording is not None:
-            tests = bench.of_recording(recording)
+            tests = steady_tests.of_recording(recording)
         result = known_input(tests, _effects(effects, tests), axes.value)
         errors = None
         if poses is not None and (angle_sigma or tilt_sigma):

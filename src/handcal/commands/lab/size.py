@@ -36,8 +36,8 @@ def size(
     six attitudes in which a diagonal of a face points up. Without one: shake it with fast turns
     about all axes, a second IMU on the same body recording beside it (/reference).
     """
-    from handcal.lab import bench_csv
     from handcal.lab import size as method
+    from handcal.lab import steady_tests_csv
     from handcal.output import check_outputs
     from handcal.show.lab.size import size_json, size_sheet
 
@@ -47,7 +47,7 @@ def size(
     recording = None if table else load(file, topic, units)
     with progress(f"calibrating {file.name}"):
         if recording is None:
-            result = method.of_tests(bench_csv.read(file, "ZXZ", g)[0])
+            result = method.of_tests(steady_tests_csv.read(file, "ZXZ", g)[0])
         else:
             result = method.size(recording, g)
     write_results(

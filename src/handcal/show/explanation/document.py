@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from handcal.estimate.chosen import document_of
+from handcal.estimate.specification import document_of
 from handcal.explain.explanation import (
     Explained,
     Explanation,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from handcal.explain.explanation import Explanation, Missing
 from handcal.show import words
-from handcal.show.explanation import sentences
+from handcal.show.explanation import verdict_text
 from handcal.show.explanation import words as say
 from handcal.show.explanation.document import all_warnings
 from handcal.show.terminal import table
@@ -61,14 +61,14 @@ def _heading(console: Console, text: str) -> None:
 def _print_verdict(e: Explanation, console: Console) -> None:
     from rich.markup import escape
 
-    line, judged = partial(_line, console), sentences.verdict(e)
+    line, judged = partial(_line, console), verdict_text.verdict(e)
     colour = {"good": "green", "partly": "yellow", "poor": "red"}[judged.level]
     for r in e.recordings:
         console.print(
             f"[bold]{escape(r.recording.path)}[/]  {r.recording.duration_s:.1f} s at "
             f"{say.rate(r)}; {words.counted(len(r.rests), 'rest')}"
         )
-    for assumed in sentences.assumptions(e):
+    for assumed in verdict_text.assumptions(e):
         line(assumed, 0, "dim")
     console.print()
     line(judged.headline, 0, f"bold {colour}")
@@ -85,7 +85,7 @@ def _print_found(e: Explanation, console: Console) -> None:
     for m in e.missing:
         heading(f"Missing: {' or '.join(say.members(m, e))}")
         line(m.story)
-        line(sentences.weight(m), style="dim")
+        line(verdict_text.weight(m), style="dim")
         console.print(_missing_table(m))
     if e.unnamed:
         heading("Found outside the catalogue")
@@ -109,14 +109,14 @@ def _print_judged(e: Explanation, console: Console) -> None:
         line(KEY, style="dim")
     heading("How well the model fits" if say.one_model(e) else "Before and after")
     console.print(_fit_table(e))
-    if untold := sentences.untold(e):
+    if untold := verdict_text.untold(e):
         heading("What this motion could not tell")
         for sentence in untold:
             line(sentence, bullet="• ")
     if e.next_motion:
         heading("What motion would tell")
         for n in e.next_motion:
-            promise = f"{sentences.promise(n, e)} ({say.nats(n.expected_gain)} expected)"
+            promise = f"{verdict_text.promise(n, e)} ({say.nats(n.expected_gain)} expected)"
             line(f"{n.motion.rstrip('.')}: {promise}.", bullet="• ")
     if warnings := all_warnings(e):
         heading("Warnings")
@@ -175,7 +175,9 @@ def fit_rows(e: Explanation) -> list[tuple[str, ...]]:
              "nats", _signed(say.gain(e)))]  # fmt: skip
     if (h := e.held_out) is not None and not say.one_model(e):
         scores = say.number(h.log_score_before), say.number(h.log_score_after)
-        rows.append(("score on unseen data", *scores, "nats", _signed(sentences.held_out_gain(e))))
+        rows.append(
+            ("score on unseen data", *scores, "nats", _signed(verdict_text.held_out_gain(e)))
+        )
     for channel in say.channels(before.residual_rms, after.residual_rms):
         pair = [f.residual_rms.get(channel, math.nan) for f in (before, after)]
         unit = say.channel_shown(channel, pair, small=True)

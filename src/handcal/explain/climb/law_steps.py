@@ -10,14 +10,14 @@ from functools import partial
 import numpy as np
 
 from handcal.effects import Effect
-from handcal.estimate.beside import side_by_side
 from handcal.estimate.fit import fitted, scan
 from handcal.estimate.model import Model
+from handcal.estimate.parallel import in_parallel
 from handcal.explain.climb.state import Climb, forget, likelier
 from handcal.explain.score import prior, score
 from handcal.explain.space import space
 from handcal.explain.unnamed.best import best_term, reshaped
-from handcal.explain.unnamed.laws import effect_of, law_of
+from handcal.explain.unnamed.law_effect import effect_of, law_of
 
 # Terms without a name at the most.
 MAX_TERMS = 3
@@ -46,7 +46,7 @@ def name_term(c: Climb) -> Model | None:
     if term is None:
         return None
     calls = (partial(fitted, m.parts, (*m.effects, term.effect)) for m in (bare, c.model))
-    tried = max(side_by_side(calls), key=lambda m: score(m, c.worth))
+    tried = max(in_parallel(calls), key=lambda m: score(m, c.worth))
     if not likelier(c, tried):
         return None
     c.unnamed.append(term)

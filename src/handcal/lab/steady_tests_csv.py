@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from handcal.documents import reading
-from handcal.lab.bench import Bench, of_arrays
+from handcal.lab.steady_tests import Bench, of_arrays
 from handcal.lab.stretches import PERFECT
 from handcal.lab.table import Table, table
 from handcal.recordings.inputs._options import parse_unit, quantities
