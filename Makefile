@@ -59,7 +59,7 @@ soak: .venv/.installed-dev ## two hours at 200 Hz, a million violent steps, file
 	$(BIN)/python -m pytest -m prove -s tests/test_soak.py tests/test_fuzz.py
 
 rough: .venv/.installed-dev ## commands ended at random moments, eight processes that compile at once
-	$(BIN)/python -m pytest -m prove -s tests/test_rough.py tests/test_kept.py
+	$(BIN)/python -m pytest -m prove -s tests/test_rough.py tests/test_disk_cache.py
 
 trial: setup ## blind trials of explain at full size: hours; scores in trial-out/
 	@mkdir -p trial-out

@@ -12,7 +12,7 @@ import numpy as np
 
 import handcal
 from handcal.estimate import driven, linear, observed
-from handcal.estimate.noise import white_levels
+from handcal.estimate.noise_levels import white_levels
 from handcal.observations import catalogue
 from handcal.show import words
 from handcal.types import Recording, Result

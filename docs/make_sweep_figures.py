@@ -79,7 +79,7 @@ def r_h(sweep: Sweep) -> None:
 
 def motions(sweep: Sweep) -> None:
     """Final error of gyro z with 21 states, by motion."""
-    rows = sweep["side_by_side"]
+    rows = sweep["in_parallel"]
     sigmas = [row["heading_sigma_deg"] for row in rows]
     headings = ["none" if sigma is None else f"{sigma:g}°" for sigma in sigmas]
     labels = [f"{h}\n{row['r_h'].removesuffix(' rad')}"

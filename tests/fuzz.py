@@ -37,7 +37,7 @@ from sample_recording import IMU, imu_json, imu_messages, sample, write_channels
 import handcal
 from handcal.device import apply
 from handcal.explain import model_file
-from handcal.lab import bench_csv
+from handcal.lab import steady_tests_csv
 from handcal.recordings import inputs
 from handcal.show.calibration.summary import calibration_json
 from handcal.types import HandcalError
@@ -95,7 +95,7 @@ def seeds(rng: np.random.Generator) -> list[Seed]:
     table = rng.normal(size=(12, 6)).round(4).tolist()
     rows = "\n".join(",".join(map(str, row)) for row in table)
     bench = f"ax,ay,az,fx,fy,fz\n{rows}\n".encode()
-    read = partial(bench_csv.read, sequence="zyx", gravity=9.80665)
+    read = partial(steady_tests_csv.read, sequence="zyx", gravity=9.80665)
     return [*out, Seed("bench table", ".csv", bench, read)]
 
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from handcal.estimate import noise, smoother
+from handcal.estimate import noise_levels, smoother
 from handcal.estimate.filter import empty_track, run_compiled
 from handcal.estimate.linear import Linear, linearise_about
 from handcal.estimate.observed import first_state
@@ -26,7 +26,7 @@ class Solution:
 
 def solve(problem: Problem, start: Start, fixed: Mapping[str, float]) -> Solution:
     """The fit with noise levels that are not ``fixed`` found anew."""
-    levels = noise.initial_levels(problem)
+    levels = noise_levels.initial_levels(problem)
     levels |= {k: v for k, v in fixed.items() if k in levels}
     free = tuple(lv.name for lv in problem.levels if lv.name not in fixed)
     track = empty_track(problem, epochs(problem))
@@ -36,7 +36,7 @@ def solve(problem: Problem, start: Start, fixed: Mapping[str, float]) -> Solutio
     nominal = trajectory_of(problem, track, state.bg, state.ba, state.extras)
     linear, _, _ = smoother.relinearise(linearise_about(problem, start, nominal), levels)
     for _ in range(2 if free else 0):
-        new, _ = noise.estimate(linear, levels, free)
+        new, _ = noise_levels.estimate(linear, levels, free)
         change = max(abs(math.log(new[n] / levels[n])) for n in free)
         levels = new
         linear, _, _ = smoother.relinearise(linear, levels)

@@ -18,7 +18,7 @@ from handcal.compiled import so3
 from handcal.device import apply as taken
 from handcal.recordings.export import write_mcap
 from handcal.show.calibration.summary import calibration_json, write_json
-from handcal.show.explanation.summary import explanation_json
+from handcal.show.explanation.document import explanation_json
 from handcal.types import HandcalError, InputError, Series
 
 # What stays of an error's rms; where none is named, what rounds of substitution leave.

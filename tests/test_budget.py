@@ -14,8 +14,8 @@ from worlds import recording_of
 
 from handcal.explain import explain
 from handcal.explain.budget import AFTERWARDS, Budget, after
-from handcal.show.explanation.sentences import verdict
-from handcal.show.explanation.summary import explanation_json
+from handcal.show.explanation.document import explanation_json
+from handcal.show.explanation.verdict_text import verdict
 from handcal.types import Recording
 from handcal_sim import simulate
 from handcal_sim.phone import Clocking, Phone, consumer_phone, with_rate

@@ -153,7 +153,7 @@ def test_options_reach_the_filter_in_si(main):
         "effects": ("gyro_scale", "lever_arm"), "heading_sigma": pytest.approx(3.14159265),
         "latitude": pytest.approx(1.57079633), "height": 0.0, "assume": "rest-only",
         "ignore": ("mag", "pose"), "noise_until": 10.0, "engine": "filterpy",
-        "reference_exact": True,
+        "reference_exact": True, "before": None,
     }  # fmt: skip
 
 

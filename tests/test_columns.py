@@ -17,7 +17,7 @@ from handcal.estimate.model import Model
 from handcal.estimate.quadratic import Quadratic, local
 from handcal.estimate.robust import excess
 from handcal.estimate.transfer import moved_to
-from handcal.explain.climb.on_trial import candidates
+from handcal.explain.climb.candidates import candidates
 from handcal.explain.unnamed import best, over_drivers
 from handcal_sim import simulate
 from handcal_sim.phone import (

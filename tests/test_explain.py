@@ -23,7 +23,7 @@ from handcal.commands import _app
 from handcal.effects import catalogue
 from handcal.explain import Explanation, explain
 from handcal.explain.explanation import VERDICTS, Missing
-from handcal.show.explanation.summary import explanation_json
+from handcal.show.explanation.document import explanation_json
 from handcal.types import Parameter, Recording, Series
 from handcal_sim import simulate, write
 from handcal_sim.phone import Clocking, Phone, consumer_phone, with_rate

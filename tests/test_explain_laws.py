@@ -15,20 +15,20 @@ from handcal import user_effects
 from handcal.effects import Signals, imu_jacobian, select
 from handcal.estimate.baseline import baseline
 from handcal.estimate.case import case_of
-from handcal.estimate.chosen import Options, chosen_of, document_of, settled
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
+from handcal.estimate.specification import Options, chosen_of, document_of, settled
 from handcal.explain import explain, naming
-from handcal.explain.climb.laws import instead, narrow, with_term
-from handcal.explain.climb.noise import add_noise
-from handcal.explain.climb.on_trial import scanned
+from handcal.explain.climb.candidates import scanned
+from handcal.explain.climb.law_steps import instead, narrow, with_term
+from handcal.explain.climb.noise_steps import add_noise
 from handcal.explain.climb.state import Climb
 from handcal.explain.model_file import chosen_from
-from handcal.explain.noises import all_noise
-from handcal.explain.unnamed import best, drivers, grammar, law_file, laws
+from handcal.explain.noise_scan import all_noise
+from handcal.explain.unnamed import best, drivers, grammar, law_effect, law_file
 from handcal.explain.unnamed.drivers import DRIVERS
 from handcal.explain.unnamed.grammar import Range
-from handcal.explain.unnamed.laws import Law
+from handcal.explain.unnamed.law_effect import Law
 from handcal.signals import probe
 from handcal.types import Array, Parameter, Recording
 from handcal_sim import simulate
@@ -164,7 +164,7 @@ def test_play_lags_and_does_not_lead() -> None:
     assert len(plays) == sum(len(widths) for widths in drivers.PLAYS)
     for driver in plays:
         law = law_over(driver.name, formula("line"), sensor=driver.only or 0)
-        assert laws.effect_of(law).parameters[0].positive
+        assert law_effect.effect_of(law).parameters[0].positive
 
 
 # --- laws as effects ---------------------------------------------------------------------------
@@ -174,7 +174,7 @@ def test_play_lags_and_does_not_lead() -> None:
 @pytest.mark.parametrize("form", [formula("cube"), grammar.curve(RANGES[0], 9, 1.0, 1.0)])
 def test_the_columns_of_a_law_are_the_derivatives_of_its_error(form, each: bool) -> None:
     law = replace(law_over("omega_{i}", form, (0, 1, 2), 1), each=each)
-    effect, s = laws.effect_of(law), probe()
+    effect, s = law_effect.effect_of(law), probe()
     k = np.random.default_rng(0).normal(size=len(effect.parameters))
     J = imu_jacobian(effect, np.zeros(len(k)), s)
     by_difference = imu_jacobian(replace(effect, features=None), np.zeros(len(k)), s)
@@ -192,10 +192,10 @@ def test_a_law_is_made_again_from_what_is_written_of_it() -> None:
         (formula("line", "cube"), grammar.curve(RANGES[0], 9, 1.0, 4.0), grammar.circle(2.5, 0.3)),
     ):
         law = law_over(driver, form, (0, 1, 2))
-        effect = laws.effect_of(law)
-        again = laws.law_of(effect)
+        effect = law_effect.effect_of(law)
+        again = law_effect.law_of(effect)
         assert again is not None
-        other = laws.effect_of(again)
+        other = law_effect.effect_of(again)
         assert (other.id, other.parameters, other.made) == (effect.id, law.parameters, effect.made)
         k = np.linspace(-1.0, 1.0, len(law.parameters))
         assert effect.imu_error is not None
@@ -220,7 +220,7 @@ def test_a_law_is_made_again_from_what_is_written_of_it() -> None:
 def test_what_the_catalogue_adds_up_to_is_no_law_without_a_name(
     driver: str, form: str, sensor: int, axes: tuple[int, ...], named: bool
 ) -> None:
-    assert laws.named(law_over(driver, formula(form), axes, sensor)) is named
+    assert law_effect.named(law_over(driver, formula(form), axes, sensor)) is named
 
 
 def test_formulas_are_told_in_the_names_of_their_axes() -> None:
@@ -299,7 +299,7 @@ def drifting(omega: Array, f: Array) -> Array:  # noqa: ARG001
 @pytest.fixture(scope="module")
 def size_alone() -> tuple[Model, best.Term]:
     base = baseline([case_of(strange("gyro", size_of_the_rate))])
-    effect = laws.effect_of(law_over("|omega|", formula("line"), (0, 1, 2)))
+    effect = law_effect.effect_of(law_over("|omega|", formula("line"), (0, 1, 2)))
     return base, best.Term(effect, 100.0)
 
 
@@ -325,7 +325,7 @@ def test_a_law_comes_with_the_name_that_it_needs() -> None:
     """A gain that drifts is a product with the time and a scale error. Noise that goes with the
     motion holds both, and no half of it alone is worth as much."""
     base = baseline([case_of(strange("gyro", drifting))])
-    effect = laws.effect_of(law_over("omega_{i} * t", formula("line"), (1,)))
+    effect = law_effect.effect_of(law_over("omega_{i} * t", formula("line"), (1,)))
     whole = with_term(base, best.Term(effect, 100.0), 1.0, frozenset())
     assert set(whole.ids) - set(base.ids) == {"gyro_scale", "gyro_y += k * omega_y * t"}
     noise = next(e for e in all_noise() if e.id == "gyro_xyz += e(t) * |omega|")
@@ -349,14 +349,14 @@ def test_a_law_keeps_to_the_axes_on_which_it_is() -> None:
     base = baseline([case_of(strange("gyro", friction))])
     form = grammar.formula([("sign", (0.02,))])
     wide = replace(law_over("omega_{i}", form, (0, 1, 2)), each=True)
-    term = best.Term(laws.effect_of(wide), 100.0)
+    term = best.Term(law_effect.effect_of(wide), 100.0)
     c = Climb(fitted(base.parts, [*base.effects, term.effect]), [term], ())
     c.where = scanned(c)
     for axes in ((0, 2), (1, 2)), ((2,),):
         narrower = narrow(c)
         assert narrower is not None
         c.model = narrower
-        law = laws.law_of(c.unnamed[0].effect)
+        law = law_effect.law_of(c.unnamed[0].effect)
         assert law is not None
         assert law.axes in axes
         assert c.unnamed[0].effect.id in narrower.ids
@@ -366,7 +366,7 @@ def test_a_law_keeps_to_the_axes_on_which_it_is() -> None:
 def test_a_fit_with_a_law_is_repeated_to_the_last_bit(size_alone) -> None:
     base, term = size_alone
     over = Range(0.0, 4.0, 4.0)
-    smooth = laws.effect_of(law_over("|omega|", grammar.curve(over, 5, 1.0, 1.0), (0, 1, 2)))
+    smooth = law_effect.effect_of(law_over("|omega|", grammar.curve(over, 5, 1.0, 1.0), (0, 1, 2)))
     for effect in (term.effect, smooth):
         model = fitted(base.parts, [*base.effects, effect])
         chosen = chosen_of(model, Options(), {})
@@ -380,7 +380,7 @@ def test_a_curve_that_was_found_is_written_out_with_what_was_found(size_alone, t
     base, _ = size_alone
     over = Range(0.0, 4.0, 4.0)
     law = law_over("|omega|", grammar.curve(over, 5, 1.0, 1.0), (0, 1, 2))
-    effect = laws.effect_of(law)
+    effect = law_effect.effect_of(law)
     model = fitted(base.parts, [*base.effects, effect])
     at = [i for i, name in enumerate(model.quadratic.names) if name[0] == effect.id]
     values = model.u[at] * effect.prior_sigma

@@ -14,15 +14,15 @@ from worlds import recording_of
 from handcal import observations
 from handcal.compiled import so3
 from handcal.effects import Signals, accel_delay, catalogue, select
-from handcal.estimate import case, fit, noise, observed
+from handcal.estimate import case, fit, noise_levels, observed
 from handcal.estimate.baseline import started
 from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.fit import EXCESS, fitted, scan
 from handcal.estimate.model import Model
 from handcal.estimate.quadratic import posterior
 from handcal.estimate.transfer import at_constants, moved_to
-from handcal.explain import Explanation, account, explain, outliers, verdict
-from handcal.explain.climb import choose, turns
+from handcal.explain import Explanation, conclusions, explain, outliers, pipeline
+from handcal.explain.climb import subset_steps, turns
 from handcal.explain.climb.state import Climb
 from handcal.explain.space import Space, gains
 from handcal.types import InputError, Recording, Series
@@ -103,8 +103,8 @@ def test_a_gyros_noise_is_no_alibi_for_its_scale(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(observed, "PSEUDO_RATE", 10.0)
     world = world_of(GYRO, 1, 60.0)
     (part,) = base_of(world).parts
-    seen = noise.initial_levels(part.linear.problem)
-    for sensor in noise.SENSORS:
+    seen = noise_levels.initial_levels(part.linear.problem)
+    for sensor in noise_levels.SENSORS:
         assert part.levels[sensor] <= EXCESS * seen[sensor] * (1.0 + 1e-9)
     found = explain([recording_of(world, "heading")])
     # (the shape of the hand's sway within a third of a second, which is seen then, has no name)
@@ -354,7 +354,7 @@ def test_what_no_fit_holds_with_is_left_out(monkeypatch: pytest.MonkeyPatch) -> 
     """A scan promised a term, the fit with it lost half a million nats, and the search went on
     from there: about such a fit, anything may be named."""
     world = world_of({"gyro_scale": [0.01, -0.008, 0.012]}, seed=0, seconds=40.0)
-    real = choose._fit
+    real = subset_steps._fit
 
     def astray(c: Climb, chosen: frozenset[str]) -> Model:
         fit = real(c, chosen)
@@ -368,7 +368,7 @@ def test_what_no_fit_holds_with_is_left_out(monkeypatch: pytest.MonkeyPatch) -> 
             return where
         return replace(where, prior={**where.prior, "lever_arm": 1e4}, scores={})
 
-    monkeypatch.setattr(choose, "_fit", astray)
+    monkeypatch.setattr(subset_steps, "_fit", astray)
     monkeypatch.setattr(turns, "scanned", scanned)
     found = explain([recording_of(world, "heading")])
     assert (found.verdict, names(found)) == ("explained", ["gyro_scale"])
@@ -431,14 +431,14 @@ def test_what_no_device_has_is_no_end_of_a_search(monkeypatch: pytest.MonkeyPatc
     def large(model: Model) -> set[str]:
         return {"lever_arm"} & set(model.ids)
 
-    for module in (verdict, account):
+    for module in (pipeline, conclusions):
         monkeypatch.setattr(module, "too_large", large)
-    monkeypatch.setattr(verdict, "sensible", lambda model: not large(model))
+    monkeypatch.setattr(pipeline, "sensible", lambda model: not large(model))
     found = explain([recording])
     assert "lever_arm" not in names(found)
     assert found.model is not None
     assert "lever_arm" not in {e.id for e in found.model.effects}
-    monkeypatch.setattr(verdict, "sensible", lambda _: False)
+    monkeypatch.setattr(pipeline, "sensible", lambda _: False)
     assert any("No device has as much" in w for w in explain([recording]).warnings)
 
 

@@ -19,9 +19,10 @@ from rich.console import Console
 from handcal.explain.explanation import VERDICTS, Curve, Unnamed
 from handcal.show import dashboard, drawing
 from handcal.show.calibration import summary
-from handcal.show.explanation import frames, plots, sentences, words
-from handcal.show.explanation import summary as explain_summary
+from handcal.show.explanation import frames, plots, verdict_text, words
+from handcal.show.explanation.document import explanation_json
 from handcal.show.explanation.report import render_explanation, write_explanation_report
+from handcal.show.explanation.terminal import print_explanation
 from handcal.types import HandcalError
 
 CONTRACT = {
@@ -91,7 +92,7 @@ def nothing_in_it():
 
 def printed(explanation, width=80):
     out = io.StringIO()
-    explain_summary.print_explanation(explanation, Console(file=out, width=width))
+    print_explanation(explanation, Console(file=out, width=width))
     return out.getvalue()
 
 
@@ -109,7 +110,7 @@ def test_there_is_a_made_up_explanation_of_every_verdict():
 
 
 def test_the_json_has_the_contracts_keys_and_types(verdict):
-    document = explain_summary.explanation_json(fake_explanation(verdict, recordings=1))
+    document = explanation_json(fake_explanation(verdict, recordings=1))
     schemas.check(document)
     assert set(document) == CONTRACT | {"recording"}
     assert document["schema"] == "handcal/explanation/1"
@@ -134,7 +135,7 @@ def test_the_json_has_the_contracts_keys_and_types(verdict):
 
 def test_of_several_recordings_each_keeps_its_own(tmp_path):
     e = fake_explanation("explained", recordings=2)
-    document = explain_summary.explanation_json(e)
+    document = explanation_json(e)
     assert set(document) == CONTRACT | {"recordings"}
     assert [m["recording"] for m in document["mismatch"]] == [0, 0, 1]
     assert {p["effect"] for p in document["parameters"]} == {"gyro_scale", "lever_arm"}
@@ -149,7 +150,7 @@ def test_json_leaves_out_what_is_not_a_number():
     rms = dict(e.before.residual_rms) | {"heading": math.nan}
     m = replace(e.missing[0], log_evidence_gain=math.inf)
     before = replace(e.before, residual_rms=rms, log_evidence=math.nan)
-    document = explain_summary.explanation_json(replace(e, before=before, missing=(m,)))
+    document = explanation_json(replace(e, before=before, missing=(m,)))
     assert "heading" not in document["fit"]["before"]["residual_rms"]
     assert document["fit"]["before"]["log_evidence"] is None
     assert document["missing"][0]["log_evidence_gain"] is None
@@ -169,7 +170,7 @@ def test_json_leaves_out_what_is_not_a_number():
     ],
 )  # fmt: skip
 def test_the_headline_says_it_plainly(verdict, headline, level):
-    judged = sentences.verdict(fake_explanation(verdict))
+    judged = verdict_text.verdict(fake_explanation(verdict))
     assert judged.headline.replace("\u00a0", " ") == headline
     assert judged.level == level
 
@@ -177,7 +178,7 @@ def test_the_headline_says_it_plainly(verdict, headline, level):
 def test_one_missing_effect_is_one_sentence():
     e = fake_explanation("explained", recordings=1)
     gained = replace(e.before, log_evidence=e.before.log_evidence + 863.0)
-    judged = sentences.verdict(replace(e, missing=e.missing[:1], after=gained))
+    judged = verdict_text.verdict(replace(e, missing=e.missing[:1], after=gained))
     assert judged.headline.replace("\u00a0", " ") == (
         "Something is missing: the gyro scale error (probability over 99.9 %), and adding it "
         "makes the recording 863 nats more probable."
@@ -187,32 +188,32 @@ def test_one_missing_effect_is_one_sentence():
 def test_what_speaks_against_a_model_is_said():
     e = fake_explanation("explained", recordings=1)
     worse = replace(e.held_out, log_score_after=e.held_out.log_score_before - 12.0)
-    judged = sentences.verdict(replace(e, held_out=worse))
+    judged = verdict_text.verdict(replace(e, held_out=worse))
     assert judged.level == "partly"
     assert any("does worse" in s for s in judged.sentences)
     rough = replace(e.after, nis=dict(e.after.nis) | {"heading": 4.0})
-    judged = sentences.verdict(replace(e, after=rough))
+    judged = verdict_text.verdict(replace(e, after=rough))
     assert judged.level == "partly"
     assert any("heading scatters 2.0 times as far" in s for s in judged.sentences)
 
 
 def test_what_cannot_be_told_is_said():
     e = fake_explanation("cannot_tell")
-    look, hidden = sentences.untold(e)
+    look, hidden = verdict_text.untold(e)
     assert look.startswith("Gravity, the accelerometer scale error and the accelerometer asymm")
     assert "gyro temperature slope" in hidden
-    unlearnt = sentences.untold(fake_explanation("explained"))[-1]
+    unlearnt = verdict_text.untold(fake_explanation("explained"))[-1]
     assert unlearnt.startswith("Lever arm z")
 
 
 def test_what_a_motion_would_do_is_said():
     e = fake_explanation("cannot_tell")
-    apart = sentences.promise(e.next_motion[1], e)
+    apart = verdict_text.promise(e.next_motion[1], e)
     assert apart == "sets apart the accelerometer scale error and the accelerometer asymmetry"
     hidden = replace(e.next_motion[0], separates=("gyro_scale", "lever_arm"))
-    assert sentences.promise(hidden, e) == "would show the gyro scale error and the lever arm"
+    assert verdict_text.promise(hidden, e) == "would show the gyro scale error and the lever arm"
     many = replace(hidden, separates=tuple(h.effect for h in e.hypotheses[:9]))
-    assert sentences.promise(many, e).endswith(" and five more")
+    assert verdict_text.promise(many, e).endswith(" and five more")
 
 
 def test_a_less_probable_rival_of_a_named_effect_is_said():
@@ -220,9 +221,9 @@ def test_a_less_probable_rival_of_a_named_effect_is_said():
     m = replace(e.missing[0], indistinguishable_from=("gyro_quadratic",))
     e = replace(e, missing=(m,))
     assert "the gyro scale error or, less probably, the gyro quadratic error (probability" in (
-        sentences.verdict(e).headline
+        verdict_text.verdict(e).headline
     )
-    assert "most probably the gyro scale error" in sentences.untold(e)[0]
+    assert "most probably the gyro scale error" in verdict_text.untold(e)[0]
 
 
 def test_where_nothing_was_added_there_is_one_model(monkeypatch):
@@ -299,7 +300,7 @@ def test_the_terminal_cuts_nothing_and_breaks_no_number(explanation, width):
     assert "…" not in text
     assert not re.search(r"\b(nan|None|inf)\b", text)
     assert not any(line.strip().startswith("%") for line in lines)
-    headline = sentences.verdict(explanation).headline
+    headline = verdict_text.verdict(explanation).headline
     assert " ".join(text.split()).replace("\u00a0", " ").find(" ".join(headline.split())) >= 0
     for m in explanation.missing:
         assert f"Missing: {m.title}" in text
@@ -332,7 +333,7 @@ def test_the_page_is_whole_and_says_what_the_explanation_says(explanation, page)
     assert not re.search(r"\b(nan|None|inf|undefined)\b", words_only, re.I)
     for colour in drawing.PALETTE:
         assert colour not in body
-    assert sentences.verdict(explanation).headline in text
+    assert verdict_text.verdict(explanation).headline in text
     for m in explanation.missing:
         assert m.story in words_only
     for r in explanation.recordings:
@@ -358,7 +359,7 @@ def test_an_explanation_with_next_to_nothing_in_it_still_shows(tmp_path):
     assert "Nothing is missing" in render_explanation(e)
     assert "Nothing is missing" in printed(e)
     dashboard.save_explanation_rrd(e, tmp_path / "x.rrd")
-    assert explain_summary.explanation_json(e)["held_out"] == {}
+    assert explanation_json(e)["held_out"] == {}
 
 
 def test_many_bins_are_added_up_and_none_is_lost():
@@ -452,20 +453,20 @@ def test_of_many_causes_those_that_matter_come_first():
     e = fake_explanation("explained")
     shares = (0.6, 0.3, 0.02, 0.01)
     four = tuple(replace(e.missing[k % 2], share=x) for k, x in enumerate(shares))
-    said = sentences.matters(replace(e, missing=four))
+    said = verdict_text.matters(replace(e, missing=four))
     assert said is not None
     assert "two matter" in said
     assert "60" in said
     assert "30" in said
     assert "The two others" in said
-    assert sentences.matters(e) is None
+    assert verdict_text.matters(e) is None
 
 
 def test_of_many_the_headline_names_the_largest_three_and_says_how_many():
     e = fake_explanation("explained")
     first, second = e.missing
     many = [replace(first, share=0.01 * k, title=f"Effect {k}") for k in range(1, 5)]
-    said = sentences.verdict(replace(e, missing=(second, *many))).headline
+    said = verdict_text.verdict(replace(e, missing=(second, *many))).headline
     assert said.startswith("Five things are missing, above all the lever arm, the effect 4 and the")
     assert "effect 2" not in said
     assert "99.4" in said  # (the least of all probabilities)
@@ -483,11 +484,11 @@ def test_a_place_that_nobody_measured_is_not_called_recorded():
 
 def test_what_an_effect_does_to_the_readings_is_said_in_their_unit():
     m = fake_explanation("explained").missing[0]
-    said = sentences.weight(m).replace("\N{NO-BREAK SPACE}", " ")
+    said = verdict_text.weight(m).replace("\N{NO-BREAK SPACE}", " ")
     assert "0.69 deg/s in gyro z" in said  # 0.012 rad/s, the largest of the three
     assert "unseen data agree" in said
-    assert "do not agree" in sentences.weight(replace(m, held_out_gain=-4.0))
-    assert "unseen" not in sentences.weight(replace(m, held_out_gain=None))
+    assert "do not agree" in verdict_text.weight(replace(m, held_out_gain=-4.0))
+    assert "unseen" not in verdict_text.weight(replace(m, held_out_gain=None))
 
 
 def test_a_law_is_drawn_on_the_page_and_in_one_line() -> None:
@@ -525,8 +526,8 @@ def test_what_has_no_name_is_drawn_in_the_viewer_and_said_for_what_it_is(tmp_pat
     found = rows(tmp_path / "x.rrd")
     assert {"/laws/1/law", "/laws/1/read", "/laws/1/scale"} <= set(found)
     assert found["/laws/2"] == len(course.x)
-    assert "lead, not yet a cause" in sentences.lead(law)
-    assert sentences.lead(rest) == ""
+    assert "lead, not yet a cause" in verdict_text.lead(law)
+    assert verdict_text.lead(rest) == ""
     assert words.over_what(rest) == "t"
     assert words.sized(rest).startswith("a size of")
     assert "over time" in plots.law_plot(rest, 1).caption

@@ -18,10 +18,10 @@ from handcal.estimate import case, process
 from handcal.estimate.baseline import started
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
-from handcal.estimate.noise import Curvature
+from handcal.estimate.noise_levels import Curvature
 from handcal.explain import explain
 from handcal.explain.bias_limits import leaning
-from handcal.show.explanation.summary import print_explanation
+from handcal.show.explanation.terminal import print_explanation
 from handcal.types import Array
 from handcal_sim import simulate
 from handcal_sim.phone import Clocking, Phone, consumer_phone, with_rate

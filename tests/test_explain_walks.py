@@ -13,8 +13,8 @@ from handcal.estimate.baseline import baseline
 from handcal.estimate.case import case_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
-from handcal.explain.climb.noise import noise_instead
-from handcal.explain.climb.on_trial import scanned
+from handcal.explain.climb.candidates import scanned
+from handcal.explain.climb.noise_steps import noise_instead
 from handcal.explain.climb.state import Climb
 from handcal.explain.score import better
 from handcal_sim import simulate

@@ -19,7 +19,7 @@ from handcal.explain import explain, naming
 from handcal.explain.explanation import Explanation, Unnamed
 from handcal.explain.model_file import chosen_from
 from handcal.explain.unnamed import with_motion
-from handcal.show.explanation.summary import explanation_json
+from handcal.show.explanation.document import explanation_json
 from handcal.types import Array, Recording
 from handcal_sim import simulate
 

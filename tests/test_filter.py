@@ -17,7 +17,7 @@ from handcal.estimate.filter import (
     run_compiled,
     run_filterpy,
 )
-from handcal.estimate.noise import initial_levels
+from handcal.estimate.noise_levels import initial_levels
 from handcal.estimate.problem import noise_arrays
 from handcal.estimate.trajectory import epochs
 from handcal.recordings import segment

@@ -15,9 +15,10 @@ from rich.console import Console
 from handcal.commands import _registry
 from handcal.commands.explain import Assume, _typed
 from handcal.show.explanation import plots
+from handcal.show.explanation.document import explanation_json
 from handcal.show.explanation.following import applicable, commands
 from handcal.show.explanation.report import render_explanation
-from handcal.show.explanation.summary import explanation_json, print_explanation
+from handcal.show.explanation.terminal import print_explanation
 
 
 @pytest.fixture(autouse=True)

@@ -71,13 +71,13 @@ def test_what_has_no_name_is_drawn_over_what_drives_it(known) -> None:
     """k omega_y^3: a curve of the cube, in the units of what is measured, with its band."""
     from handcal.estimate.baseline import baseline
     from handcal.estimate.case import case_of
-    from handcal.explain.unnamed import drivers, grammar, laws, terms
+    from handcal.explain.unnamed import drivers, grammar, law_effect, terms
     from handcal.explain.unnamed.curve import channel_of, drawn, drivers_of
 
     def effect_of(sensor: int, axis: int, driver: str, form: str):
         shape = grammar.formula([(form, ())])
-        law = laws.Law(sensor, (axis,), False, drivers.driver_of(driver), shape, (0.01,))
-        return laws.effect_of(law)
+        law = law_effect.Law(sensor, (axis,), False, drivers.driver_of(driver), shape, (0.01,))
+        return law_effect.effect_of(law)
 
     world, _ = known
     f = baseline([case_of(recording_of(world, "heading"))]).parts[0]

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from handcal.recordings.inputs import load
+from handcal.recordings.inputs import _zip, load
 from handcal.types import InputError
 
 HEADER = "time,seconds_elapsed,z,y,x\n"
@@ -83,3 +83,21 @@ def test_the_nearest_format_is_named_with_what_it_lacks(tmp_path: Path) -> None:
     (folder / "photo.jpg").write_bytes(b"\xff\xd8\xff")
     with pytest.raises(InputError, match=r"holds photo\.jpg, which are no files of any"):
         load(folder)
+
+
+def test_a_folder_is_listed_once_for_all_formats(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    listed: list[Path] = []
+
+    def listing(path: Path) -> list[str] | None:
+        listed.append(path)
+        return list_it(path)
+
+    list_it = _zip._listing
+    monkeypatch.setattr(_zip, "_listing", listing)
+    (tmp_path / "photo.jpg").touch()
+    for count in (1, 2):  # (and anew for the next recording: something may have come)
+        with pytest.raises(InputError, match="It holds photo"):
+            load(tmp_path)
+        assert listed == [tmp_path] * count

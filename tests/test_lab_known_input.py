@@ -12,7 +12,7 @@ from lab_world import command, off, recording
 from handcal.compiled.so3 import matrix_exp
 from handcal.effects import select
 from handcal.estimate import regression
-from handcal.lab import bench
+from handcal.lab import steady_tests
 from handcal.lab.known_input import BAD_CONDITION, DEFAULT, known_input
 from handcal.lab.papers import paper_000, paper_004
 from handcal.lab.papers.paper import computed, markdown, numbers
@@ -158,8 +158,8 @@ def test_the_formula_takes_the_estimate_where_it_is():
         body = f @ R.T
         return body @ M.T + [0.3, 0.1, -0.2] + paper_000.products(body) @ L.T
 
-    result = known_input(bench.of_arrays(None, poses.force(), None, read(poses.force())), effects,
-                         "imu", EXACT)  # fmt: skip
+    tests = steady_tests.of_arrays(None, poses.force(), None, read(poses.force()))
+    result = known_input(tests, effects, "imu", EXACT)
     formula = np.sqrt(np.diag(error_covariance(result, poses, 20 * ARCSEC, ARCMIN)))
     rng = np.random.default_rng(0)
     force = poses.force(20 * ARCSEC * rng.standard_normal((2000, 41, 3)),
@@ -212,7 +212,7 @@ def unseen_of(sample):
     """What the regression says the rows of a sample do not show."""
     effects = (regression.BIASES[0], *select(sample.effects))
     of = regression.unknowns(effects)
-    A = bench.design(sample.bench, effects, np.zeros(len(of)), sample.bench.truth)
+    A = steady_tests.design(sample.bench, effects, np.zeros(len(of)), sample.bench.truth)
     A = A[:, :3].reshape(-1, len(of))
     found = regression.unseen(A, regression.priors(of))
     for c in found:
@@ -230,17 +230,17 @@ def unseen_of(sample):
     ],
 )
 def test_poses_that_do_not_do_are_refused(force, names):
-    said = refusal(bench.of_arrays(None, force, None, force), ACCEL)
+    said = refusal(steady_tests.of_arrays(None, force, None, force), ACCEL)
     for name in names:
         assert name in said
 
 
 def test_too_few_tests_and_numbers_that_are_none():
     force = 9.8 * np.eye(3)
-    assert "too few" in refusal(bench.of_arrays(None, force, None, force), ACCEL)
+    assert "too few" in refusal(steady_tests.of_arrays(None, force, None, force), ACCEL)
     nan = np.vstack([9.8 * np.eye(3), -9.8 * np.eye(3), [[np.nan, 0, 0]]])
     with pytest.raises(InputError, match="not finite"):
-        known_input(bench.of_arrays(None, nan, None, nan), ACCEL)
+        known_input(steady_tests.of_arrays(None, nan, None, nan), ACCEL)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -266,7 +266,7 @@ def test_unseen_are_all_and_only_what_the_rows_do_not_show(seed):
 )
 def test_a_recording_without_noise_gives_back_what_was_injected(setup, effects):
     """At the reference's own 100 Hz, so that nothing is interpolated."""
-    b = bench.of_recording(recording(setup, perfect=True))
+    b = steady_tests.of_recording(recording(setup, perfect=True))
     result = known_input(b, effects)
     assert len(off(result.parameters)["accel"]) == 9
     missed = off(result.parameters)
@@ -283,13 +283,13 @@ def test_arms_show_in_steady_turns():
     """An effect of rates of change: nothing wrong comes in where two tests meet."""
     arms = [0.03, -0.05, 0.02, 0.01, 0.0, -0.02, 0.04, 0.03, -0.01]
     r = recording("steady-spins", perfect=True, effects={"size_effect": arms})
-    result = known_input(bench.of_recording(r), (*DEFAULT, "size_effect"))
+    result = known_input(steady_tests.of_recording(r), (*DEFAULT, "size_effect"))
     found = [p.value for p in result.parameters if p.effect == "size_effect"]
     np.testing.assert_allclose(found, arms, atol=1e-9)
 
 
 def test_noise_and_mounting_are_within_the_sigmas():
-    result = known_input(bench.of_recording(recording("steady-spins", seed=1)))
+    result = known_input(steady_tests.of_recording(recording("steady-spins", seed=1)))
     for z in off(result.parameters, sigmas=True).values():
         assert 0.3 < np.sqrt((z**2).mean()) < 2.0
         assert np.abs(z).max() < 4.5
@@ -299,8 +299,8 @@ def test_noise_and_mounting_are_within_the_sigmas():
 
 def test_position_errors_of_the_table_show_in_the_sigmas():
     """20 arcmin in every axis and pose: 58 mm/s^2, far above the noise."""
-    exact = known_input(bench.of_recording(recording("table-poses", seed=2)), ACCEL)
-    loose = known_input(bench.of_recording(
+    exact = known_input(steady_tests.of_recording(recording("table-poses", seed=2)), ACCEL)
+    loose = known_input(steady_tests.of_recording(
         recording("table-poses", seed=2, angle=20 * ARCMIN)), ACCEL)  # fmt: skip
     assert loose.extra["accel"] == pytest.approx(20 * ARCMIN * 9.8, rel=0.5)
     assert exact.extra["accel"] < 0.1 * loose.extra["accel"]
@@ -312,21 +312,21 @@ def test_a_table_that_never_stops_and_one_without_reference():
     r = recording("steady-spins", seed=3)
     swing = np.sin(2.0 * r.imu.t)[:, None] * [1.0, 0.5, 0.3]
     with pytest.raises(HandcalError, match="No rest and no steady turn"):
-        bench.of_recording(replace(r, imu=replace(r.imu, gyro=r.imu.gyro + 3.0 * swing)))
+        steady_tests.of_recording(replace(r, imu=replace(r.imu, gyro=r.imu.gyro + 3.0 * swing)))
     with pytest.raises(InputError, match="known input"):
-        bench.of_recording(replace(r, streams={}))
+        steady_tests.of_recording(replace(r, streams={}))
 
 
 def test_tests_in_which_something_is_missing_are_left_out():
     r = recording("steady-spins", seed=3)
-    whole = bench.of_recording(r)
+    whole = steady_tests.of_recording(r)
     ref = r.streams["reference"]
     lost = (ref.t > whole.span[2, 0]) & (ref.t < whole.span[2, 1])
     gap = replace(r, streams={"reference": Series(ref.t[~lost], ref.value[~lost])})
-    assert len(bench.of_recording(gap)) == len(whole) - 1
+    assert len(steady_tests.of_recording(gap)) == len(whole) - 1
     valid = r.imu.valid & ~((r.imu.t > whole.span[2, 0]) & (r.imu.t < whole.span[2, 1]))
     clipped = replace(r, imu=replace(r.imu, valid=valid))
-    assert len(bench.of_recording(clipped)) == len(whole) - 1
+    assert len(steady_tests.of_recording(clipped)) == len(whole) - 1
 
 
 def test_steady_turns_are_found_where_they_are():
@@ -370,8 +370,8 @@ def test_a_commanded_rate_is_not_taken_for_saturation():
 def test_sigmas_of_simulated_set_ups(setup):
     """20 devices each; the noise levels are estimated too: 0.8 to 1.25."""
     effects = DEFAULT if setup in ("steady-spins", "dividing-head") else ACCEL
-    z = [off(known_input(bench.of_recording(recording(setup, seed=s)), effects).parameters, True)
-         for s in range(20)]  # fmt: skip
+    tests = [steady_tests.of_recording(recording(setup, seed=s)) for s in range(20)]
+    z = [off(known_input(t, effects).parameters, True) for t in tests]
     rms = np.sqrt(np.mean([np.mean(one["accel"] ** 2) for one in z]))
     print(f"\n{setup}: rms of errors of the accelerometer in sigmas {rms:.3f}, 20 devices")
     assert 0.8 < rms < 1.25
@@ -380,7 +380,7 @@ def test_sigmas_of_simulated_set_ups(setup):
 def test_real_imus_of_one_board_against_each_other(real_recordings):
     import handcal
 
-    b = bench.of_recording(handcal.load(real_recordings / "array_1_imu5.mcap"))
+    b = steady_tests.of_recording(handcal.load(real_recordings / "array_1_imu5.mcap"))
     result = known_input(b, ACCEL)
     left = np.sqrt((result.residual[:, 3:] ** 2).mean(axis=(0, 1)))
     assert left[0] > 0.1

@@ -16,8 +16,8 @@ from handcal.effects import Z_DIM, catalogue, observed_error
 from handcal.effects._field import GRADIENT
 from handcal.estimate.baseline import baseline
 from handcal.estimate.case import Case, applicable, case_of, frozen_at
-from handcal.estimate.chosen import document_of
 from handcal.estimate.fit import fitted
+from handcal.estimate.specification import document_of
 from handcal.explain import explain
 from handcal.explain.explanation import Explanation
 from handcal.explain.jumps import sudden

@@ -12,11 +12,11 @@ from worlds import recording_of
 
 from handcal.estimate.baseline import baseline
 from handcal.estimate.case import Case, case_of, creeping
-from handcal.estimate.chosen import Chosen, Options, document_of, seen, view_of
 from handcal.estimate.fit import diverged
 from handcal.estimate.model import Model
+from handcal.estimate.specification import Options, Specification, document_of, seen, view_of
 from handcal.estimate.sway import sway_of
-from handcal.explain import model_file, moving
+from handcal.explain import drifting_point, model_file
 from handcal.observations.fixed_position import CREEP, SWAY, Part, Sway
 from handcal.show import words
 from handcal_sim import simulate
@@ -61,8 +61,8 @@ def test_fast_is_what_stands_out_and_is_short() -> None:
     speed[(t > 10.0) & (t < 10.75)] = 0.3
     speed[(t > 11.0) & (t < 11.5)] = 0.1  # (the same move goes on)
     speed[(t > 30.0) & (t < 40.0)] = 0.5  # (a walk)
-    assert moving._fast(t, speed) == [pytest.approx((9.85, 11.65), abs=0.01)]
-    assert moving._fast(t, np.full(len(t), 0.01)) == []
+    assert drifting_point._fast(t, speed) == [pytest.approx((9.85, 11.65), abs=0.01)]
+    assert drifting_point._fast(t, np.full(len(t), 0.01)) == []
 
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.prove) for k in (1, 2))])
@@ -70,7 +70,7 @@ def test_another_hand_is_another_place(seed: int) -> None:
     """A third of a metre within a second: as a held point it swayed by centimetres all along."""
     world = simulate(people(free_hand, [changes_hands]), seed=seed, duration_s=50.0)
     base = baseline([case_of(recording_of(world, "heading"), "fixed-point")])
-    (moved,) = moving._hands(base)[1]
+    (moved,) = drifting_point._hands(base)[1]
     other = baseline([moved])
     assert other.log_evidence > base.log_evidence
     held, new = (sway_of(m.parts[0].linear.problem, m.parts[0].levels) for m in (base, other))
@@ -83,8 +83,8 @@ def test_a_move_is_written_and_read_to_the_last_bit() -> None:
     world = simulate(people(free_hand, [changes_hands]), seed=0, duration_s=30.0)
     recording = recording_of(world, "heading")
     case = case_of(recording, "fixed-point")
-    case = moving._moved(case, [(9.9, 11.1, 0.31), (20.0, 20.7, 0.05)], 12.0)
-    chosen = Chosen((), (view_of(case),), Options())
+    case = drifting_point._moved(case, [(9.9, 11.1, 0.31), (20.0, 20.7, 0.05)], 12.0)
+    chosen = Specification((), (view_of(case),), Options())
     (view,) = model_file.chosen_from(document_of(chosen)).views
     again = seen(recording, view, Options())
     assert again.constant == case.constant
@@ -99,9 +99,9 @@ def test_a_move_is_written_and_read_to_the_last_bit() -> None:
 def test_where_it_moves_the_point_is_not_looked_at() -> None:
     world = simulate("free-hand", seed=0, duration_s=30.0)
     case = case_of(recording_of(world, "heading"), "fixed-point")
-    k = case.kinds.index(moving.OBSERVED)
+    k = case.kinds.index(drifting_point.OBSERVED)
     before = case.observed[k][1]
-    moved = moving._moved(case, [(9.95, 11.05, 0.3), (20.05, 20.95, 0.1)])
+    moved = drifting_point._moved(case, [(9.95, 11.05, 0.3), (20.05, 20.95, 0.1)])
     after = moved.observed[k][1]
     looked = ~((before.t >= 9.95) & (before.t <= 11.05) | (before.t >= 20.05) & (before.t <= 20.95))
     assert np.array_equal(after.t, before.t[looked])
@@ -114,7 +114,7 @@ def test_where_it_moves_the_point_is_not_looked_at() -> None:
 
 def test_the_page_says_what_the_held_point_does() -> None:
     case = case_of(recording_of(simulate("free-hand", seed=0, duration_s=30.0), "heading"))
-    moved = moving._moved(case, [(9.95, 11.05, 0.3)])
+    moved = drifting_point._moved(case, [(9.95, 11.05, 0.3)])
     said = {
         words.assume_sentence("fixed-point", drifts=c.creeping, moves=c.moves)
         for c in (case, creeping(case), moved, creeping(moved))
@@ -135,7 +135,7 @@ def test_where_no_trajectory_holds_the_point_the_hand_drifts(
     def astray(cases: list[Case]) -> Model:
         return baseline(cases) if cases[0].creeping else diverged((), ())
 
-    monkeypatch.setattr(moving, "baseline", astray)
-    found = moving.begun([case])
+    monkeypatch.setattr(drifting_point, "baseline", astray)
+    found = drifting_point.begun([case])
     assert math.isfinite(found.log_evidence)
     assert found.parts[0].case.creeping

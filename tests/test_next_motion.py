@@ -21,8 +21,8 @@ from handcal.estimate.quadratic import Quadratic, log_evidence
 from handcal.estimate.transfer import moved_to
 from handcal.explain import next_motion
 from handcal.explain.explanation import Hypothesis, Missing
+from handcal.explain.multistart import Found
 from handcal.explain.next_motion import ENOUGH, _believed, _informations, next_motions
-from handcal.explain.search import Found
 from handcal.explain.space import Space, expected_gain, rivals, space
 from handcal.motions import MOTIONS, Motion, attitude, recording_of
 from handcal.recordings import segment

@@ -10,14 +10,14 @@ import pytest
 from worlds import recording_of
 
 from handcal.effects import select
-from handcal.estimate import beside
+from handcal.estimate import parallel
 from handcal.estimate.baseline import started
 from handcal.estimate.case import case_of
 from handcal.estimate.evidence import reduced_pass
 from handcal.estimate.model import Fitted
-from handcal.estimate.noise import Score
+from handcal.estimate.noise_levels import Score
 from handcal.estimate.transfer import moved_to
-from handcal.explain.noises import looks_of
+from handcal.explain.noise_scan import looks_of
 from handcal.explain.unnamed import with_motion
 from handcal_sim import simulate
 from handcal_sim.phone import Phone, capture_pose, consumer_phone
@@ -100,7 +100,7 @@ def test_looks_are_the_same_on_one_core(monkeypatch: pytest.MonkeyPatch) -> None
     noise = select(("gyro_bias_walk", "accel_bias_walk", "heading_correlated_noise"))
     looks = []
     for cores in (1, 2):
-        monkeypatch.setattr(beside.os, "cpu_count", lambda cores=cores: cores)
+        monkeypatch.setattr(parallel.os, "cpu_count", lambda cores=cores: cores)
         looks.append(looks_of([f], chosen, noise))
     assert [(k.effects[-1].id, k.gain) for k in looks[0]] == [
         (k.effects[-1].id, k.gain) for k in looks[1]

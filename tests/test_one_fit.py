@@ -19,7 +19,7 @@ from handcal.estimate.calibration import calibrate_together, recalibrate
 from handcal.explain import Explanation, explain
 from handcal.explain.model_file import chosen_from, read
 from handcal.show.calibration.summary import OWN, calibration_json
-from handcal.show.explanation.summary import explanation_json
+from handcal.show.explanation.document import explanation_json
 from handcal.types import InputError, Recording
 from handcal_sim import simulate
 from handcal_sim.phone import Clocking, Phone, consumer_phone, with_rate

@@ -14,7 +14,7 @@ from handcal.effects import Signals, catalogue
 from handcal.explain.unnamed import grammar
 from handcal.explain.unnamed.curve import drivers_of
 from handcal.explain.unnamed.drivers import DRIVERS
-from handcal.explain.unnamed.laws import Law
+from handcal.explain.unnamed.law_effect import Law
 from handcal_sim.effects import EFFECTS
 from handcal_sim.prove import draw, draw_strange, score, score_strange
 from handcal_sim.prove.further import worked_out

@@ -21,7 +21,7 @@ from handcal.effects import Effect, Param, catalogue, with_effects
 from handcal.explain import Explanation, explain
 from handcal.explain.explanation import Unnamed
 from handcal.explain.unnamed import law_file
-from handcal.show.explanation.summary import explanation_json
+from handcal.show.explanation.document import explanation_json
 from handcal.types import Parameter
 from handcal_sim import strangers
 

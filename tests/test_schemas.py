@@ -14,7 +14,7 @@ from jsonschema import Draft202012Validator
 
 from handcal.commands._app import app
 from handcal.show.calibration.summary import calibration_json
-from handcal.show.explanation.summary import explanation_json
+from handcal.show.explanation.document import explanation_json
 
 # What is promised to people who read results, whatever else they hold.
 PROMISED = {

@@ -24,7 +24,7 @@ from handcal.device import apply as taken
 from handcal.explain import explain
 from handcal.recordings import segment
 from handcal.show.calibration.summary import write_json
-from handcal.show.explanation.summary import explanation_json
+from handcal.show.explanation.document import explanation_json
 from handcal.types import Array, Imu, Recording
 
 pytestmark = pytest.mark.prove

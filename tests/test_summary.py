@@ -13,7 +13,7 @@ from rich.console import Console
 
 import handcal
 from handcal import units
-from handcal.estimate.noise import white_levels
+from handcal.estimate.noise_levels import white_levels
 from handcal.show import words
 from handcal.show.calibration import summary
 from handcal.types import HandcalError, Innovations, NoiseLevel

@@ -15,11 +15,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import schemas
-import typer
 from typer.testing import CliRunner
 
+from handcal.commands._app import app
 from handcal.estimate.consistency import chi2_bounds
-from handcal_sim.commands.sweep import sweep as command
 from handcal_sim.errors import SimulationError
 from handcal_sim.sweep import cell as sweep
 from handcal_sim.sweep import compare
@@ -218,12 +217,8 @@ def test_a_grid_from_a_file(tmp_path):
     assert cells[-1].start_heading_deg == math.inf
 
 
-app = typer.Typer()
-app.command()(command)
-
-
 def invoked(*arguments):
-    return CliRunner().invoke(app, [str(a) for a in arguments])
+    return CliRunner().invoke(app, ["sweep", *map(str, arguments)])
 
 
 @pytest.mark.parametrize(
@@ -433,7 +428,7 @@ def test_the_document_compares(whole):
         "convergence_s": 18, "rms_error": 18, "rms": 18,
     }  # fmt: skip
     assert [row["group"] for row in whole["evidence"]] == ["heading 5°"]
-    assert [set(row["scenarios"]) for row in whole["side_by_side"]] == [
+    assert [set(row["scenarios"]) for row in whole["in_parallel"]] == [
         {"z-turn", "three-turns"}
     ] * 2
     assert whole == json.loads(json.dumps(whole))
@@ -526,7 +521,9 @@ def test_what_cannot_be_estimated_is_refused(tmp_path, monkeypatch, name):
     grid = tmp_path / "grid.toml"
     grid.write_text(f"[common]\nduration_s = 6\nestimate = ['{name}']\n")
     result = invoked("--grid", grid, "--seeds", 1)
-    assert type(result.exception).__name__ == "InputError"
+    assert result.exit_code == 2
+    assert name in result.stderr
+    assert result.stderr.count("\n") == 1
 
 
 # ---- slow statistics --------------------------------------------------------------------

@@ -15,13 +15,13 @@ from handcal import effects, user_effects
 from handcal.commands import _app
 from handcal.compiled import so3
 from handcal.effects import TIME, Z_DIM, Param, catalogue, observed_error, with_effects
-from handcal.estimate.beside import side_by_side
+from handcal.estimate.parallel import in_parallel
 from handcal.explain.explanation import Unnamed
-from handcal.explain.unnamed import courses, grammar, law_file, laws, shapes, terms
+from handcal.explain.unnamed import courses, grammar, law_effect, law_file, shapes, terms
 from handcal.explain.unnamed.curve import channel_of, drivers_of
 from handcal.explain.unnamed.drivers import DRIVERS, LINE
 from handcal.explain.unnamed.grammar import range_of
-from handcal.explain.unnamed.laws import Law
+from handcal.explain.unnamed.law_effect import Law
 from handcal.signals import probe
 from handcal.types import HandcalError, InputError, Parameter
 from handcal_sim import simulate
@@ -80,7 +80,7 @@ def test_a_folder_joins_the_catalogue_and_leaves_it_again(tmp_path):
         assert set(catalogue()) - set(before) == {"own_law"}
         assert effects.select(["own_law"])[0].title == "Own law"
         # threads have the catalogue of whoever began them
-        seen = side_by_side((lambda: catalogue()) for _ in range(3))
+        seen = in_parallel((lambda: catalogue()) for _ in range(3))
         assert all("own_law" in known for known in seen)
     assert catalogue() is before
     with pytest.raises(InputError, match="come with --effects-from"):
@@ -101,12 +101,12 @@ def test_what_the_catalogue_covers_is_that_of_the_context(tmp_path):
     for k, text in enumerate((cube, square)):
         with user_effects.effects_from(folder_with(tmp_path, a=text)):
             # (all axes together are one law: of one alone there is still more to know)
-            assert not any(laws.named(law) for law in alone)
-            assert [laws.named(law) for law in whole] == [k == 0, k == 1]
+            assert not any(law_effect.named(law) for law in alone)
+            assert [law_effect.named(law) for law in whole] == [k == 0, k == 1]
         one = text.replace("p[0] * np", "p[0] * np.eye(6)[1] * np")
         with user_effects.effects_from(folder_with(tmp_path, a=one)):
-            assert [laws.named(law) for law in alone] == [k == 0, k == 1]
-    assert not any(laws.named(law) for law in (*alone, *whole))
+            assert [law_effect.named(law) for law in alone] == [k == 0, k == 1]
+    assert not any(law_effect.named(law) for law in (*alone, *whole))
 
 
 @pytest.mark.parametrize("text", WRONG)
@@ -218,7 +218,7 @@ def unnamed(effect, values=None):
     """As an explanation has it, with these constants."""
     if values is None:
         values = 0.0123456 * np.arange(1, len(effect.parameters) + 1)
-    law, smooth = laws.law_of(effect), effect.together is not None
+    law, smooth = law_effect.law_of(effect), effect.together is not None
     channels = (channel_of(effect.id),) if law is None else law.channels
     own = tuple(Parameter(effect.id, p.name, v, v / 50, p.unit, p.prior_sigma, None)
                 for p, v in zip(effect.parameters, values, strict=True))  # fmt: skip
@@ -277,7 +277,7 @@ def test_every_law_written_out_is_the_law(tmp_path):
     for n, driver in enumerate((*DRIVERS.values(), *changed)):
         sensor = n % 2 if driver.only is None else driver.only
         for law in laws_over(driver, sensor, s):
-            effect = laws.effect_of(law)
+            effect = law_effect.effect_of(law)
             values = 0.01 * np.cos(1.0 + np.arange(len(effect.parameters)))
             own = again(effect, tmp_path, values)
             # (of a curve the file has what was found, k times)
@@ -387,7 +387,7 @@ def test_every_course_that_there_is_has_a_writer_and_nothing_else_has():
     assert families == set(law_file.COURSES) == set(NUMBERS)
     known = unnamed(terms.again(HEADINGS[0], 1.0))
     curved = unnamed(terms.curve("tilt", 1.0, 1.0))
-    over = laws.effect_of(Law(0, (0,), False, DRIVERS["omega_{i}"], CUBE, (1.0,)))
+    over = law_effect.effect_of(Law(0, (0,), False, DRIVERS["omega_{i}"], CUBE, (1.0,)))
     for odd in (
         dataclasses.replace(known, made=("something else", ())),
         dataclasses.replace(known, formula="heading += k * omega_x"),
@@ -400,7 +400,7 @@ def test_every_course_that_there_is_has_a_writer_and_nothing_else_has():
 
 def test_several_laws_are_several_files_and_none_is_overwritten(tmp_path):
     both = [
-        unnamed(laws.effect_of(Law(sensor, (0,), False, DRIVERS[name], CUBE, (1.0,))))
+        unnamed(law_effect.effect_of(Law(sensor, (0,), False, DRIVERS[name], CUBE, (1.0,))))
         for sensor, name in enumerate(("omega_{i}", "f_{i}"))
     ]
     (tmp_path / "odd_2.py").write_text("mine")

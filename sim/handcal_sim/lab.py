@@ -15,7 +15,7 @@ import numpy as np
 
 from handcal_sim import profiles
 from handcal_sim.errors import SimulationError
-from handcal_sim.motion import Motion, Start, euler_matrix
+from handcal_sim.motion import DAY_S, Motion, Start, euler_matrix
 from handcal_sim.profiles import Array, Profile
 
 ARCSEC, ARCMIN = math.radians(1.0 / 3600.0), math.radians(1.0 / 60.0)
@@ -120,7 +120,7 @@ def build(
     setup = SETUPS[name]()
     usual = setup.usual_s
     duration = usual if duration_s is None else duration_s
-    if not 0.2 * usual <= duration <= 86400.0:
+    if not 0.2 * usual <= duration <= DAY_S:
         raise SimulationError(
             f"{name} takes {usual:g} s; a duration of {duration:g} s is too short or too long"
         )

@@ -142,6 +142,7 @@ def random_start(rng: np.random.Generator) -> Start:
     return Start(float(heading), float(pitch), float(roll), int(rng.choice([-1, 1])))
 
 
+DAY_S = 86400.0
 STILL = profiles.constant([0.0, 0.0, 0.0])
 ONE = profiles.constant([1.0])
 NONE = profiles.constant([0.0])
@@ -273,6 +274,6 @@ def build(name: str, duration_s: float | None, start: Start, rng: np.random.Gene
         raise SimulationError(f"no scenario {name!r}; there are {', '.join(SCENARIOS)}")
     make, usual = SCENARIOS[name]
     duration = usual if duration_s is None else duration_s
-    if not (math.isfinite(duration) and 1.0 <= duration <= 86400.0):
+    if not (math.isfinite(duration) and 1.0 <= duration <= DAY_S):
         raise SimulationError(f"a duration of {duration:g} s is not between 1 s and a day")
     return make(duration, start, rng)

@@ -6,7 +6,6 @@ Inside ``showing`` numbers are shown in the units that somebody asked for; other
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -14,6 +13,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 
 from handcal.earth import STANDARD_GRAVITY
+from handcal.suggest import did_you_mean
 from handcal.types import InputError
 
 # What takes rad to degrees, and m/s^2 to thousandths of standard gravity.
@@ -75,8 +75,7 @@ def showing(words: Sequence[str]) -> Iterator[None]:
     """
     for word in words:
         if word != SI and word not in WORDS:
-            near = difflib.get_close_matches(word, [SI, *WORDS], n=2)
-            meant = f" Did you mean {' or '.join(near)}?" if near else ""
+            meant = did_you_mean(word, [SI, *WORDS])
             raise InputError(
                 f"--units {word}: expected a unit to show numbers in (si, or of "
                 f"{', '.join(WORDS)}), or NAME=UNIT of what is in the file (accel=g).{meant}"

@@ -40,8 +40,8 @@ def demo(
     from handcal.show.calibration.report import write_report
     from handcal.show.calibration.summary import calibration_json, write_json
     from handcal.show.dashboard import save_explanation_rrd, save_rrd
+    from handcal.show.explanation.document import explanation_json
     from handcal.show.explanation.report import write_explanation_report
-    from handcal.show.explanation.summary import explanation_json
     from handcal_sim.mcap_writer import write
 
     out.mkdir(parents=True, exist_ok=True)
@@ -102,7 +102,7 @@ def _show(
     from rich.console import Console
 
     from handcal.show import words
-    from handcal.show.explanation import sentences
+    from handcal.show.explanation import verdict_text
 
     console = Console(highlight=False)
 
@@ -112,7 +112,7 @@ def _show(
     line("A simulated phone was held and turned once about each axis. Its gyro secretly misreads "
          "every turn by up to 1.2 %. Handcal is given the recording alone.")  # fmt: skip
     line(f"\n[bold]Biases alone:[/] {words.verdict(plain).headline}")
-    line(f"[bold]Explained:[/] {sentences.verdict(explanation).headline}")
+    line(f"[bold]Explained:[/] {verdict_text.verdict(explanation).headline}")
     console.print(_table(truth, result))
     off = [abs(off_by(p, truth)) for p in result.parameters]
     line(f"{sum(o < 2.0 for o in off)} of {len(off)} estimates lie within two sigma of the truth; "
@@ -134,21 +134,15 @@ def _show(
 
 
 def _table(truth: Mapping[Key, float], result: Result) -> Table:
-    from rich import box
-    from rich.table import Table
-
     from handcal.show import words
+    from handcal.show.terminal import table
 
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("")
-    for column in ("truth", "estimate", "± 1 sigma", ""):
-        table.add_column(column, justify="left" if not column else "right")
-    table.add_column("off by", justify="right")
+    rows = table("*", ">*truth", ">*estimate", ">*± 1 sigma", "*", ">*off by")
     for group in words.by_effect(result.parameters).values():
         unit = words.shown_group(group)
         for p in group:
             true = unit.value(truth.get((p.effect, p.name), 0.0), p.sigma, sign=True)
             row = (unit.value(p.value, p.sigma, sign=True), unit.value(p.sigma, p.sigma))
             size = f"{abs(off_by(p, truth)):.1f} sigma"
-            table.add_row(words.parameter_title(p), true, *row, unit.unit, size)
-    return table
+            rows.add_row(words.parameter_title(p), true, *row, unit.unit, size)
+    return rows

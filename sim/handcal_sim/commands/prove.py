@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 import sys
 import tempfile
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from handcal_sim.commands._progress import progress
 from handcal_sim.prove.run import ALL, plan, run, with_limits, write_answers
 
 
@@ -80,11 +80,11 @@ def _proved(
         seed = int(SeedSequence().generate_state(1)[0])
     cases = plan(suite, n, seed)
     say(f"{len(cases)} recordings, seed {seed}")
-    with _folder(out) as folder, _progress(len(cases)) as advance:
+    with _folder(out) as folder, progress(len(cases), "explaining", "explained") as advance:
         own = [] if effects_from is None else [str(effects_from.absolute())]
         workers = Workers([sys.executable, "-m", "handcal_sim.prove", *own], jobs)
         try:
-            trials = run(cases, seed, folder, workers, jobs, advance)
+            trials = run(cases, seed, folder, workers, jobs, lambda: advance(1))
         finally:
             workers.stop()
         write_answers(trials, seed, folder / "answers.json")
@@ -110,35 +110,3 @@ def _folder(out: Path | None) -> Iterator[Path]:
         raise InputError(f"{out} holds a trial already: name another folder.")
     out.mkdir(parents=True, exist_ok=True)
     yield out
-
-
-@contextmanager
-def _progress(total: int) -> Iterator[Callable[[], None]]:
-    """How far it is and the time left, on stderr: a bar, or a line now and then in a log."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
-    from rich.progress import TimeElapsedColumn as Elapsed
-    from rich.progress import TimeRemainingColumn as Remaining
-
-    from handcal.commands._registry import say
-
-    started = said = time.monotonic()
-    done = 0
-    columns = (TextColumn("explaining"), BarColumn(), MofNCompleteColumn(), Elapsed(),
-               TextColumn("left"), Remaining())  # fmt: skip
-    terminal = sys.stderr.isatty()
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not terminal) as bar:
-        task = bar.add_task("", total=total)
-
-        def advance() -> None:
-            nonlocal done, said
-            done += 1
-            bar.advance(task)
-            now = time.monotonic()
-            if not terminal and now - said > 30.0:
-                left = (now - started) / done * (total - done)
-                say(f"{done} of {total} explained; about {left / 60:.0f} min left")
-                said = now
-
-        yield advance

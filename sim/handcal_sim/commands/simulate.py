@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated
 
 import typer
+
+from handcal_sim.commands._wrong_use import wrong_use
 
 
 def simulate(
@@ -112,9 +114,8 @@ def simulate(
     ] = None,
 ) -> None:
     """Write a recording of a simulated device in a simulated hand, and what was true."""
-    from handcal.output import whole
+    from handcal.output import check_outputs, whole
     from handcal_sim.effects import parted
-    from handcal_sim.errors import SimulationError
     from handcal_sim.request import Request, simulated
 
     own, others = parted(effect or ())
@@ -128,9 +129,8 @@ def simulate(
         start_heading_deg=start_heading, start_tilt_deg=start_tilt, clockwise=clockwise,
         table_errors=table_errors, spin_deg_s=spin,
     )  # fmt: skip
-    if not out.absolute().parent.is_dir():
-        _wrong(f"cannot write {out}: there is no folder {out.parent}")
-    try:
+    check_outputs((out,))
+    with wrong_use():
         world, used = simulated(request)
         from handcal_sim import foreign
         from handcal_sim.mcap_writer import write
@@ -141,18 +141,8 @@ def simulate(
                 if others
                 else write(world, place)
             )
-    except SimulationError as problem:
-        _wrong(str(problem))
-    except OSError as problem:
-        _wrong(f"cannot write {out}: {problem.strerror or problem}")
     if seed is None:
         print(f"seed {used}", file=sys.stderr)
     streams = ", ".join(f"/{name}" for name in ("imu", *world.streams))
     length = world.parameters["duration_s"]
     print(f"{out}: {scenario}, {length:g} s, {streams}; {count} messages, seed {used}")
-
-
-def _wrong(sentence: str) -> NoReturn:
-    """Wrong use: one line, exit status 2."""
-    print(f"simulate: {sentence}", file=sys.stderr)
-    raise typer.Exit(2)

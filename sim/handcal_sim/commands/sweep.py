@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+from handcal.commands._registry import say
+from handcal_sim.commands._progress import progress
+from handcal_sim.commands._wrong_use import wrong_use
 
 if TYPE_CHECKING:
     from handcal_sim.sweep.grid import Cell
@@ -66,21 +69,14 @@ def sweep(
     """Monte Carlo over heading noise and R_h: paper 002, or a grid of your own."""
     from handcal.output import check_outputs, write_text
     from handcal.output import whole as whole_file
-    from handcal_sim.errors import SimulationError
     from handcal_sim.sweep.compare import document
-    from handcal_sim.sweep.run import Plan, WorkersDied
+    from handcal_sim.sweep.run import Plan
     from handcal_sim.sweep.show import console, show, write_csv
 
     check_outputs((out, json_file, csv_file, report), (Path(grid),))
-    try:
+    with wrong_use():
         plan = Plan(_cells(grid, choose_r_h, settle), seeds, seed, _thresholds(threshold))
         results = _run(plan, executor, jobs or os.cpu_count() or 1, out)
-    except SimulationError as problem:
-        _say(str(problem))
-        raise typer.Exit(2) from None
-    except WorkersDied as problem:
-        _say(str(problem))
-        raise typer.Exit(1) from None
     finished = [result for result in results if result is not None]
     whole = document(grid, seeds, seed, plan.thresholds, finished)
     if json_file is not None:
@@ -96,21 +92,20 @@ def sweep(
     if len(finished) < len(results):
         kept = f"kept in {out}; the same command goes on from them" if out else \
             "lost but for what is shown (--out FILE keeps them)"  # fmt: skip
-        _say(f"interrupted: {len(finished)} of {len(results)} cells are finished, {kept}")
+        say(f"interrupted: {len(finished)} of {len(results)} cells are finished, {kept}")
         raise typer.Exit(INTERRUPTED)
 
 
 def _cells(grid: str, choose_r_h: bool, settle: bool) -> list[Cell]:
+    from handcal.documents import reading
     from handcal_sim.errors import SimulationError
     from handcal_sim.sweep import grid as sweep_grid
 
     if grid in (PAPER, TURNS):
         cells = sweep_grid.paper() if grid == PAPER else sweep_grid.turns()
     elif grid.endswith(".toml"):
-        try:
+        with reading(Path(grid)):
             cells = sweep_grid.read_grid(Path(grid))
-        except OSError as problem:
-            raise SimulationError(f"cannot read {grid}: {problem.strerror}") from None
     else:
         raise SimulationError(f"--grid {grid}: there are {PAPER}, {TURNS} and FILE.toml")
     if settle or choose_r_h:
@@ -132,17 +127,15 @@ def _thresholds(text: str) -> dict[str, float]:
 
 def _run(plan: Plan, executor: str, jobs: int, out: Path | None) -> list[Any]:
     from handcal_sim.sweep.run import Kept, opened, run
-    from handcal_sim.sweep.show import progress
 
     kept = Kept(out)
     before = sum(kept[plan.key(cell)] is not None for cell in plan.cells)
     if before:
-        _say(f"{before} of {len(plan.cells)} cells were finished before")
-    with opened(executor, jobs) as workers, progress(len(plan.cells) * plan.seeds, _say) as told:
+        say(f"{before} of {len(plan.cells)} cells were finished before")
+    with (
+        opened(executor, jobs) as workers,
+        progress(len(plan.cells) * plan.seeds, "runs", "runs") as told,
+    ):
         from handcal_sim.sweep.cell import run_chunk
 
         return list(run(plan, workers, run_chunk, kept, told))
-
-
-def _say(text: str) -> None:
-    print(f"handcal: {' '.join(text.split())}", file=sys.stderr)

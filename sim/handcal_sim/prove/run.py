@@ -103,19 +103,19 @@ def explained(path: str) -> Mapping[str, Any]:
     """What `handcal explain --json` says of one recording."""
     import handcal
     from handcal.explain import explain
-    from handcal.show.explanation.summary import explanation_json
+    from handcal.show.explanation.document import explanation_json
 
     return explanation_json(explain([handcal.load(path)]))
 
 
-# ---- HOOK: handcal.explain.promised.expected_gain(recording, effect_id, values) -> nats --------
+# ---- HOOK: handcal.explain.expected_gain.expected_gain(recording, effect_id, values) -> nats ----
 def expected_gain(file: Path, effect: str, values: Sequence[float]) -> float:
     """Nats that an effect of this size promises in a recording, from its information matrix."""
     import handcal
     from handcal.types import HandcalError
 
     try:
-        hook = import_module("handcal.explain.promised").expected_gain
+        hook = import_module("handcal.explain.expected_gain").expected_gain
     except (ImportError, AttributeError):
         raise HandcalError("explain does not yet say what an effect promises.") from None
     return float(hook(handcal.load(file), effect, list(values)))

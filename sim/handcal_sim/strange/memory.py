@@ -27,6 +27,15 @@ def followed(u: Array, half: float) -> Array:
     return follow
 
 
+def stuck(u: Array, loose: float) -> Array:
+    """What stays where it is until u (n,) has moved on so far, then jumps to it."""
+    out, at = np.empty(len(u)), float(u[0])
+    for n, x in enumerate(u.tolist()):
+        at = x if abs(x - at) > loose else at
+        out[n] = at
+    return out
+
+
 def _step(t: Array) -> float:
     return float(t[-1] - t[0]) / (len(t) - 1)
 
@@ -76,14 +85,7 @@ def stiction(rng: Rng) -> Made:
     """The reading sticks until the driver has moved on so far, then jumps to it."""
     loose = rng.uniform(0.3, 0.7)
 
-    def respond(_t: Array, u: Array) -> Array:
-        stuck, at = np.empty(len(u)), float(u[0])
-        for n, x in enumerate(u.tolist()):
-            at = x if abs(x - at) > loose else at
-            stuck[n] = at
-        return stuck - u
-
-    return respond, f"stick(u, {loose:.3f}) - u"
+    return lambda _, u: stuck(u, loose) - u, f"stick(u, {loose:.3f}) - u"
 
 
 def hysteresis(rng: Rng) -> Made:
@@ -240,11 +242,7 @@ def sticking_needle(rng: Rng) -> Made:
 
     def respond(_t: Array, u: Array) -> Array:
         on = np.unwrap(u)
-        stuck, at = np.empty(len(on)), float(on[0])
-        for n, x in enumerate(on.tolist()):
-            at = x if abs(x - at) > loose else at
-            stuck[n] = at
-        return stuck - on
+        return stuck(on, loose) - on
 
     return respond, f"stick(u, {loose:.3f}) - u"
 

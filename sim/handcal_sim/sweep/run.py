@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from handcal.types import HandcalError
 from handcal_sim.errors import SimulationError
 from handcal_sim.sweep.grid import Cell, told
 from handcal_sim.sweep.printed import QUANTITIES
@@ -29,7 +30,7 @@ from handcal_sim.sweep.score import Chunk, bands, beside, chunks, final, spread
 SCHEMA = "handcal-sim/sweep-cell/1"
 
 
-class WorkersDied(Exception):
+class WorkersDied(HandcalError):
     """A sentence for the user: processes died again and again."""
 
 
@@ -156,7 +157,7 @@ def _computed(
                     waiting.appendleft(task)
                     if deaths >= PATIENCE:
                         raise WorkersDied(
-                            f"processes died {deaths + 1} times in a row: {death}"
+                            f"processes died {deaths + 1} times in a row: {death}."
                         ) from None
                 else:
                     deaths = 0

@@ -5,9 +5,7 @@ from __future__ import annotations
 import csv
 import math
 import sys
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -52,8 +50,8 @@ def show(sweep: Document, console: Console) -> None:
             )
     if sweep["evidence"]:
         console.print(_evidence(sweep["evidence"]))
-    if sweep["side_by_side"]:
-        console.print(_side_by_side(sweep["side_by_side"]))
+    if sweep["in_parallel"]:
+        console.print(_side_by_side(sweep["in_parallel"]))
     for line in sentences(sweep):
         console.print(line, soft_wrap=True)
 
@@ -233,32 +231,3 @@ def _flat(cell: Document, row: Document) -> dict[str, Any]:
     out |= {f"final_{k}": v for k, v in row["final_error"].items()}
     own = row["settled_error"] or dict.fromkeys(row["final_error"], "")
     return out | {f"settled_{k}": v for k, v in own.items()}
-
-
-@contextmanager
-def progress(total: int, say: Callable[[str], None]) -> Iterator[Callable[[int], None]]:
-    """How far it is and the time left, on stderr: a bar, or a line now and then in a log."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
-    from rich.progress import TimeElapsedColumn as Elapsed
-    from rich.progress import TimeRemainingColumn as Remaining
-
-    started = said = time.monotonic()
-    done = 0
-    columns = (TextColumn("runs"), BarColumn(), MofNCompleteColumn(), Elapsed(),
-               TextColumn("left"), Remaining())  # fmt: skip
-    terminal = sys.stderr.isatty()
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not terminal) as bar:
-        task = bar.add_task("", total=total)
-
-        def advance(count: int) -> None:
-            nonlocal done, said
-            done += count
-            bar.advance(task, count)
-            now = time.monotonic()
-            if not terminal and now - said > 30.0:
-                left = (now - started) / done * (total - done)
-                say(f"{done} of {total} runs; about {left / 60:.0f} min left")
-                said = now
-
-        yield advance

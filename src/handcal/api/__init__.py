@@ -14,7 +14,7 @@ import numpy as np
 
 from handcal.api.recording import Recording
 from handcal.api.results import Calibration, Corrected, Explanation, Parameters
-from handcal.explain import verdict
+from handcal.explain import pipeline
 from handcal.explain.explanation import Explanation as ExplanationData
 from handcal.recordings import inputs
 from handcal.types import InputError, Result
@@ -95,7 +95,7 @@ def explain(
     tried. Errors: InputError, HandcalError.
     """
     others = _recordings(held_out, "explain") if held_out else []
-    return Explanation.of(verdict.explain(_recordings(recording, "explain"), others, **options))
+    return Explanation.of(pipeline.explain(_recordings(recording, "explain"), others, **options))
 
 
 def conceal(recording: Source, effects: Mapping[str, Sequence[float]], seed: int = 0) -> Recording:

@@ -189,7 +189,7 @@ class Explanation(ExplanationData):
     def document(self) -> Mapping[str, Any]:
         """What ``handcal explain --json`` writes."""
         from handcal.show.calibration.summary import stamped
-        from handcal.show.explanation.summary import explanation_json
+        from handcal.show.explanation.document import explanation_json
 
         return stamped(explanation_json(self))
 
@@ -205,16 +205,16 @@ class Explanation(ExplanationData):
         return [*out, *((u.formula, "", words.nats(u.log_evidence_gain)) for u in self.unnamed)]
 
     def __repr__(self) -> str:
-        from handcal.show.explanation import sentences
+        from handcal.show.explanation import verdict_text
 
-        lines = [f"Explanation ({self.verdict}): {sentences.verdict(self).headline}"]
+        lines = [f"Explanation ({self.verdict}): {verdict_text.verdict(self).headline}"]
         lines += [f"  {a}  {c}" + (f", {b}" if b else "") for a, b, c in self._found()]
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
-        from handcal.show.explanation import sentences
+        from handcal.show.explanation import verdict_text
 
-        said = f"<p>{html.escape(sentences.verdict(self).headline)}</p>"
+        said = f"<p>{html.escape(verdict_text.verdict(self).headline)}</p>"
         found = self._found()
         table = _html(("missing", "probability", "gain"), found) if found else ""
         return said + table + self.parameters._repr_html_()

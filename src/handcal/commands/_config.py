@@ -10,8 +10,6 @@ latitude = 48.1
 
 from __future__ import annotations
 
-import difflib
-import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -33,15 +31,9 @@ def first(arguments: list[str]) -> list[str]:
 
 def defaults(path: Path, context: Any) -> dict[str, Any]:
     """Values of options by command, as the program takes them. Errors: InputError."""
-    from handcal.types import InputError
+    from handcal.documents import read_toml
 
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror or error}.") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path} is not TOML ({str(error)[:80]}).") from None
-    return _of_group(path, context.command, context, document, "")
+    return _of_group(path, context.command, context, read_toml(path), "")
 
 
 def _of_group(
@@ -100,8 +92,7 @@ def _value(path: Path, name: str, option: Any, value: Any) -> Any:
 
 
 def _unknown(path: Path, problem: str, key: str, known: Iterable[str]) -> Exception:
+    from handcal.suggest import did_you_mean
     from handcal.types import InputError
 
-    near = difflib.get_close_matches(key.replace("_", "-"), list(known), n=2)
-    meant = f" Did you mean {' or '.join(near)}?" if near else ""
-    return InputError(f"{path}: {problem}.{meant}")
+    return InputError(f"{path}: {problem}.{did_you_mean(key.replace('_', '-'), known)}")

@@ -11,7 +11,7 @@ import typer
 from handcal.commands._registry import say
 
 if TYPE_CHECKING:
-    from handcal.types import Prior, Recording
+    from handcal.types import Array, Parameter, Prior, Recording
 
 DeviceFile = Annotated[
     Path | None,
@@ -49,3 +49,14 @@ def known_before(file: Path | None, recordings: Sequence[Recording]) -> Prior | 
     begun = min((r.start_ns for r in recordings if r.start_ns), default=0)
     when = datetime.fromtimestamp(begun / 1e9, UTC) if begun else datetime.now(UTC)
     return prior(device, when, mean_temperature(recordings[0]), str(file))
+
+
+def contradictions(
+    before: Prior | None, parameters: Sequence[Parameter], covariance: Array | None
+) -> tuple[str, ...]:
+    """Warnings where a result contradicts what was known of the device; none without --device."""
+    if before is None or covariance is None:
+        return ()
+    from handcal.show.device import surprise_sentences
+
+    return surprise_sentences(before, parameters, covariance)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from enum import StrEnum
 from functools import wraps
 from inspect import Parameter, signature
@@ -16,7 +16,7 @@ from handcal.commands._progress import progress
 from handcal.commands._registry import say
 
 if TYPE_CHECKING:
-    from handcal.types import Recording, Result
+    from handcal.types import Prior, Recording, Result
 
 
 class Assume(StrEnum):
@@ -151,7 +151,7 @@ def in_units(command: Callable[..., None]) -> Callable[..., None]:
     def run_in(*arguments: Any, units: str | None = None, **options: Any) -> None:
         from handcal.units import showing
 
-        items = [u.strip() for u in (units or "").split(",") if u.strip()]
+        items = listed(units or "")
         of_file = [u for u in items if "=" in u]
         with showing([u for u in items if "=" not in u]):
             command(*arguments, units=",".join(of_file) or None, **options)
@@ -159,7 +159,12 @@ def in_units(command: Callable[..., None]) -> Callable[..., None]:
     return run_in
 
 
-def _pairs(items: list[str], option: str) -> dict[str, str]:
+def listed(text: str) -> tuple[str, ...]:
+    """Words with commas between them."""
+    return tuple(word.strip() for word in text.split(",") if word.strip())
+
+
+def _pairs(items: Sequence[str], option: str) -> dict[str, str]:
     """NAME=VALUE strings as a dictionary. Errors: InputError."""
     from handcal.types import InputError
 
@@ -177,7 +182,7 @@ def load(path: Path, topics: list[str] | None, units: str | None) -> Recording:
     import handcal
 
     chosen = _pairs(topics or [], "--topic")
-    said = _pairs([u for u in (units or "").split(",") if u.strip()], "--units")
+    said = _pairs(listed(units or ""), "--units")
     with progress(f"reading {path.name}") as report:
         recording: Recording = handcal.load(path, topics=chosen, units=said, progress=report)
     return recording
@@ -189,8 +194,9 @@ def radians(degrees: float | None) -> float | None:
 
 
 def calibrated(
-    recordings: list[Recording], effects: str, learnt_from: Path | None = None, **settings: Any
-) -> tuple[Result, ...]:
+    recordings: list[Recording], effects: str, learnt_from: Path | None = None,
+    before: Prior | None = None, **settings: Any,
+) -> tuple[Result, ...]:  # fmt: skip
     """Run the filter with the options as typed: angles in degrees, enums, None for unset."""
     from handcal.estimate.calibration import calibrate_together, recalibrate
     from handcal.types import InputError
@@ -203,13 +209,11 @@ def calibrated(
         settings[name] = radians(settings[name])
     settings |= {"assume": str(settings["assume"]), "engine": str(settings["engine"])}
     settings["ignore"] = tuple(settings["ignore"] or ())
-    before = settings.pop("before", None)
-    ids = tuple(e.strip() for e in effects.split(",") if e.strip())
+    ids = listed(effects)
     names = ", ".join(Path(r.path).name for r in recordings)
     if learnt_from is None:
         with progress(f"calibrating {names}") as report:
-            known = {} if before is None else {"before": before}
-            return calibrate_together(recordings, ids, progress=report, **settings, **known)
+            return calibrate_together(recordings, ids, progress=report, before=before, **settings)
     from handcal.explain.model_file import read
 
     usual = {"assume": "auto", "engine": "compiled", "height": 0.0, "ignore": (),

@@ -87,6 +87,20 @@ class Commands(TyperGroup):
             raise typer.Exit(2 if isinstance(error, InputError) else 1) from None
 
 
+def group(package: str) -> typer.Typer:
+    """The command whose commands are the modules of a package."""
+
+    class Group(Commands):
+        @cached_property
+        def plugins(self) -> dict[str, EntryPoint]:
+            return folder(package)
+
+    return typer.Typer(
+        cls=Group, add_completion=False, pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )  # fmt: skip
+
+
 def folder(package: str) -> dict[str, EntryPoint]:
     """The commands of a package, by name; none of them is imported."""
     found: dict[str, EntryPoint] = {}

@@ -67,7 +67,7 @@ def bench(
     from handcal.types import InputError
 
     check_outputs((json,), (against,))
-    kept = _kept(against) if against else None
+    earlier = _earlier(against) if against else None
     for name in only or ():
         if name not in GROUPS:
             raise InputError(f"--only {name}: there are {', '.join(GROUPS)}.")
@@ -83,31 +83,31 @@ def bench(
         write_json(_document(found, rounds, load), json)
     if str(json) != "-":
         _show(found, rounds, load)
-    if kept is not None:
-        _check(found, kept)
+    if earlier is not None:
+        _check(found, earlier)
 
 
-def _kept(path: Path) -> list[dict[str, Any]]:
+def _earlier(path: Path) -> list[dict[str, Any]]:
     """The figures of an earlier run. Raises InputError."""
-    import json
-
+    from handcal.documents import read_json
     from handcal.types import InputError
 
+    document = read_json(path)
     try:
-        figures = json.loads(path.read_text(encoding="utf-8"))["figures"]
+        figures = document["figures"]
         return [{"title": str(f["title"]), "median": float(f["median"])} for f in figures]
-    except (OSError, ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError):
         raise InputError(f"{path} is not what `handcal bench --json` writes.") from None
 
 
-def _check(found: Found, kept: list[dict[str, Any]]) -> None:
+def _check(found: Found, earlier: list[dict[str, Any]]) -> None:
     """Say which ratios are worse than they were; exit with 1 if one is, or none was compared."""
     from rich.console import Console
 
     from handcal.bench.check import SLOWER, compared
 
     console = Console(highlight=False, soft_wrap=True)
-    ratios = list(compared(found, kept))
+    ratios = list(compared(found, earlier))
     for one in ratios:
         word = "as before" if one.passed else f"[red]more than {SLOWER:g} times worse[/]"
         console.print(f"{one.title}: {_number(one.then)} then, {_number(one.now)} now: {word}")

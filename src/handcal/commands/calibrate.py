@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from handcal.commands._device import DeviceFile, known_before
+from handcal.commands._device import DeviceFile, contradictions, known_before
 from handcal.commands._options import (
     Assume,
     Assumption,
@@ -86,7 +87,10 @@ def calibrate(
         latitude=latitude, height=height, ignore=ignore, reference_exact=reference_exact,
         noise_until=noise_until, engine=engine, before=before,
     )  # fmt: skip
-    results = tuple(_with_surprises(r) for r in results)
+    results = tuple(
+        replace(r, warnings=(*r.warnings, *contradictions(r.before, r.parameters, r.covariance)))
+        for r in results
+    )
     if report:
         from handcal.show.calibration.report import write_report
 
@@ -104,18 +108,6 @@ def calibrate(
     if str(json) != "-":  # last: whoever reads this may have had enough before its end
         for result in results:
             _show(result)
-
-
-def _with_surprises(result: Result) -> Result:
-    """The result, with warnings where it contradicts what was known of the device."""
-    if result.before is None:
-        return result
-    from dataclasses import replace
-
-    from handcal.show.device import surprise_sentences
-
-    said = surprise_sentences(result.before, result.parameters, result.covariance)
-    return replace(result, warnings=(*result.warnings, *said))
 
 
 def _show(result: Result) -> None:

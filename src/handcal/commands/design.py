@@ -23,6 +23,7 @@ from handcal.commands._options import (
     Rrd,
     Topics,
     Units,
+    listed,
     load,
     radians,
     with_own_effects,
@@ -111,7 +112,7 @@ def poses(
     check_outputs((json, report, rrd, picture))
     if picture:
         check_ending(picture)
-    ids = [e.strip() for e in effects.split(",") if e.strip()]
+    ids = listed(effects)
     asked = experiment(ids, str(known), math.radians(rate))
     seed = secrets.randbelow(2**31) if seed is None else seed
     with progress(f"searching {n} poses") as bar:
@@ -179,9 +180,7 @@ def motion(
     check_outputs((json, report, picture), (after,))
     if picture:
         check_ending(picture)
-    wanted, others = (
-        [e.strip() for e in text.split(",") if e.strip()] for text in (reduce, beside)
-    )
+    wanted, others = listed(reduce), listed(beside)
     recording = None if after is None else load(after, topic, units)
     with progress("asking each motion") as bar:
         found = plan(

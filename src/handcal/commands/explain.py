@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from handcal.commands._device import DeviceFile, known_before
+from handcal.commands._device import DeviceFile, contradictions, known_before
 from handcal.commands._options import (
     Assume,
     Assumption,
@@ -114,11 +115,12 @@ def explain(
             before=known_before(device, recordings),
             progress=done,
         )
-    explanation = _with_surprises(explanation)
+    said = contradictions(explanation.device, explanation.parameters, explanation.covariance)
+    explanation = replace(explanation, warnings=(*explanation.warnings, *said))
     _pictured(explanation, report, rrd, beside(twin, recordings) if twin else ())
     if json:
         from handcal.show.calibration.summary import write_json
-        from handcal.show.explanation.summary import explanation_json
+        from handcal.show.explanation.document import explanation_json
 
         write_json(explanation_json(explanation), json)
     if str(json) != "-":
@@ -156,7 +158,7 @@ def _printed(
     from rich.console import Console
 
     from handcal.show.explanation.following import commands
-    from handcal.show.explanation.summary import print_explanation
+    from handcal.show.explanation.terminal import print_explanation
 
     following = commands(explanation, [str(f) for f in files], typed, str(json or ""))
     if json is None:
@@ -176,19 +178,6 @@ def _typed(
     for name, values in (("--ignore", ignore), ("--topic", topic)):
         out += [word for value in values or () for word in (name, value)]
     return out + (["--reference-exact"] if reference_exact else [])
-
-
-def _with_surprises(explanation: Explanation) -> Explanation:
-    """The explanation, with warnings where it contradicts what was known of the device."""
-    before, covariance = explanation.device, explanation.covariance
-    if before is None or covariance is None:
-        return explanation
-    from dataclasses import replace
-
-    from handcal.show.device import surprise_sentences
-
-    said = surprise_sentences(before, explanation.parameters, covariance)
-    return replace(explanation, warnings=(*explanation.warnings, *said))
 
 
 def _check_new(path: Path) -> None:

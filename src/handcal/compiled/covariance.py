@@ -182,7 +182,7 @@ def update_linear(
 
 @inner
 def symmetrise(P: Array) -> None:
-    """P = (P + P') / 2 in place."""
+    """P = (P + P') / 2 in place; P (m, p), of which the first m columns count."""
     for i in range(len(P)):
         for j in range(i):
             s = 0.5 * (P[i, j] + P[j, i])

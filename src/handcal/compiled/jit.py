@@ -16,7 +16,7 @@ from numba.core.ccallback import CFunc
 from numba.extending import intrinsic as _intrinsic
 from numba.extending import typeof_impl
 
-from handcal.compiled.kept import kept
+from handcal.compiled.disk_cache import kept
 from handcal.types import Array, IntArray
 
 F = TypeVar("F", bound=Callable[..., Any])

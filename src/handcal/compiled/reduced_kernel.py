@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from handcal.compiled.covariance import Propagation, propagate, times_transition
+from handcal.compiled.covariance import Propagation, propagate, symmetrise, times_transition
 from handcal.compiled.jit import copy2, inner, lean, zero1, zero2
 from handcal.compiled.rows import add_outer, add_product, add_row, product, set_row
 from handcal.types import Array, IntArray
@@ -76,16 +76,6 @@ def reduced_update(
     return S
 
 
-@inner
-def _symmetric(P: Array) -> None:
-    """Round-off taken off a symmetric matrix (m, p), p >= m."""
-    for i in range(len(P)):
-        for j in range(i):
-            s = 0.5 * (P[i, j] + P[j, i])
-            P[i, j] = s
-            P[j, i] = s
-
-
 @lean
 def reduced_forward(
     a: Reduced,
@@ -139,7 +129,7 @@ def reduced_forward(
             if waiting == len(some[1]):
                 add_product(some[0], some[1], waiting, gram)
                 waiting = 0
-        _symmetric(P)
+        symmetrise(P)
         if keep[j] >= 0:
             _copied(X, states[0][keep[j]])
             copy2(P, states[1][keep[j]])

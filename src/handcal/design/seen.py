@@ -88,8 +88,8 @@ def _told(effects: Sequence[Effect], rows: Array) -> Iterator[Seen]:
     prior = np.array([u.param.prior_sigma for u in of])
     more = rows.shape[1] - len(of)
     scaled = rows * np.r_[prior, np.ones(more)]
-    P = np.linalg.inv(scaled.T @ scaled + np.eye(len(prior) + more))
-    sigma = np.sqrt(np.diag(P))[: len(prior)] * prior
+    R = np.linalg.qr(np.vstack([scaled, np.eye(scaled.shape[1])]), mode="r")
+    sigma = np.linalg.norm(np.linalg.solve(R, np.eye(len(R))), axis=1)[: len(prior)] * prior
     for e in effects:
         own = [i for i, u in enumerate(of) if u.effect == e.id]
         yield Seen(e, tuple(

@@ -7,7 +7,6 @@ Where the sensor sits, how strong gravity is and how large the noise is stay as 
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
@@ -18,6 +17,7 @@ import numpy as np
 
 from handcal.compiled.so3 import wrap
 from handcal.device.conceal import Truth, streams_of
+from handcal.documents import read_json
 from handcal.effects import ATTITUDE, TIME, Z_DIM, Effect, catalogue, observed_error
 from handcal.effects._stamps import shifted
 from handcal.estimate.corrected import substituted
@@ -223,13 +223,7 @@ def _bias_of(recording: Recording, learnt: Learnt) -> tuple[str, Array]:
 
 def read(path: Path) -> Learnt:
     """What ``explain --json`` or ``calibrate --json`` wrote. Errors: InputError."""
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror or error}.") from error
-    except (ValueError, RecursionError):
-        raise InputError(f"{path} is not JSON.") from None
-    return of_document(str(path), document)
+    return of_document(str(path), read_json(path))
 
 
 def of_document(name: str, document: Any) -> Learnt:

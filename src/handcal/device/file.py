@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -19,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from handcal import output
+from handcal.documents import read_json, reading, toml_of
 from handcal.effects import Effect, catalogue
 from handcal.estimate.start import BIASES
 from handcal.types import CALIBRATION_SCHEMA, EXPLANATION_SCHEMA, Array, InputError
@@ -86,15 +86,11 @@ def usual_of(names: Sequence[Name]) -> Array:
 
 def read(path: Path) -> Device:
     """The device of a file. Errors: InputError."""
-    try:
+    with reading(path):
         data = path.read_bytes()
-        if len(data) > MOST_BYTES:
-            raise InputError(f"{path} is no device file: it is too large.")
-        document = tomllib.loads(data.decode("utf-8"))
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror or error}.") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path} is not TOML ({str(error)[:80]}).") from None
+    if len(data) > MOST_BYTES:
+        raise InputError(f"{path} is no device file: it is too large.")
+    document = toml_of(path, data)
     if document.get("schema") != SCHEMA:
         raise InputError(
             f"{path} is no device file; `handcal device add {path} RESULT.json` makes one."
@@ -217,12 +213,7 @@ def session_of(
 ) -> Session:
     """What the JSON of ``calibrate`` or ``explain`` says of the device of this name; date and
     temperature (degC) where it does not say them. Errors: InputError."""
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror or error}.") from error
-    except (ValueError, RecursionError):
-        raise InputError(f"{path} is not JSON.") from None
+    document = read_json(path)
     known = (CALIBRATION_SCHEMA, EXPLANATION_SCHEMA)
     if not isinstance(document, dict) or document.get("schema") not in known:
         raise InputError(

@@ -93,8 +93,12 @@ def alone(session: Session, names: Sequence[Name]) -> tuple[Array, Array]:
 
 
 def _inverse(C: Array) -> Array:
-    out = np.linalg.inv(C + 1e-14 * np.trace(C) / len(C) * np.eye(len(C)))
-    return np.asarray(0.5 * (out + out.T))
+    """Of a covariance (k, k) its information, and the other way round; no direction is known
+    better than rounding lets it be."""
+    size = np.sqrt(np.diag(C))
+    d, V = np.linalg.eigh(C / np.outer(size, size))
+    half = V / np.sqrt(np.maximum(d, 1e-14)) / size[:, None]
+    return np.asarray(half @ half.T)
 
 
 def remembered(names: Sequence[Name], seconds: float, kelvin: float | None) -> Array:
@@ -128,9 +132,9 @@ def courses(device: Device, when: datetime, temperature: float | None = None) ->
         if k:
             m, P = _later(m, P, _between(names, device.sessions[k - 1], s.recorded, s.temperature))
         L, h = alone(s, names)
-        before = _inverse(P)
-        P = _inverse(before + L)
-        m = P @ (before @ m + h)
+        after = np.linalg.solve(np.eye(len(names)) + P @ L, P)
+        P = np.asarray(0.5 * (after + after.T))
+        m = m + P @ (h - L @ m)
         out.append(State(names, m * usual, P * np.outer(usual, usual)))
     if device.sessions:
         m, P = _later(m, P, _between(names, device.sessions[-1], when, temperature))

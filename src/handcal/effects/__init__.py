@@ -19,12 +19,11 @@ whole (a delay) brings ``imu_inverse(parameters, readings) -> (n, 6)``, the trut
 Effects come from this folder, from installed packages (entry points of the group
 ``handcal.effects``, each of them an ``Effect``), and, for as long as somebody asks for it, from
 elsewhere: inside ``with_effects`` the catalogue is larger. Threads begun there have to be handed
-the context (``contextvars.copy_context``, as ``estimate.beside`` does), processes the files.
+the context (``contextvars.copy_context``, as ``estimate.parallel`` does), processes the files.
 """
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import math
 import pkgutil
@@ -39,6 +38,7 @@ from typing import Protocol
 import numpy as np
 
 from handcal.compiled.jit import call_residuals
+from handcal.suggest import did_you_mean
 from handcal.types import Array, BoolArray, InputError, Level, Markov, Recording, Result
 
 # What an effect may need besides streams.
@@ -347,8 +347,7 @@ def known_effect(effect_id: str) -> Effect:
     """The effect of this id. Raises InputError with a list of those that there are."""
     known = catalogue()
     if effect_id not in known:
-        near = difflib.get_close_matches(effect_id, known, n=3)
-        meant = f" Did you mean {' or '.join(near)}?" if near else ""
+        meant = did_you_mean(effect_id, known, most=3)
         raise InputError(
             f"Unknown effect '{effect_id}'.{meant} Known: {', '.join(sorted(known))}; files of "
             "your own come with --effects-from."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -31,19 +32,20 @@ def _magnetometer(nav: Any, S: Any, z: Any, r: Any) -> int:
 
 
 def _conceal(parameters: Array, recording: Recording, known: Known) -> Recording:  # noqa: ARG001
-    return _times(recording, np.eye(3) + matrix(parameters))
+    A = np.eye(3) + matrix(parameters)
+    return _changed(recording, lambda field: field @ A.T)
 
 
 def _undo(parameters: Array, recording: Recording) -> Recording:
-    inverse = np.linalg.inv(np.eye(3) + matrix(parameters))
-    return _times(recording, np.asarray(inverse, dtype=np.float64))
+    A = np.eye(3) + matrix(parameters)
+    return _changed(recording, lambda field: np.linalg.solve(A, field.T).T.astype(np.float64))
 
 
-def _times(recording: Recording, A: Array) -> Recording:
-    """The recording with its field multiplied, but not its hard iron, which is no field that the
-    device stands in."""
+def _changed(recording: Recording, change: Callable[[Array], Array]) -> Recording:
+    """The recording with its field (n, 3) changed, but not its hard iron, which is no field that
+    the device stands in."""
     iron, mag = hard.guess(recording), recording.streams["mag"]
-    streams = {**recording.streams, "mag": replace(mag, value=(mag.value - iron) @ A.T + iron)}
+    streams = {**recording.streams, "mag": replace(mag, value=change(mag.value - iron) + iron)}
     return replace(recording, streams=streams)
 
 

@@ -9,9 +9,7 @@ from functools import partial
 import numpy as np
 
 from handcal.effects import Effect, catalogue
-from handcal.estimate import noise as noise_levels
-from handcal.estimate import smoother
-from handcal.estimate.beside import side_by_side
+from handcal.estimate import noise_levels, smoother
 from handcal.estimate.case import Case, no_fit, other_irons, problem_with
 from handcal.estimate.derivatives import relinearised
 from handcal.estimate.filter import ENGINES, empty_track
@@ -19,6 +17,7 @@ from handcal.estimate.fit import fitted
 from handcal.estimate.linear import linearise_about
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.observed import first_state
+from handcal.estimate.parallel import in_parallel
 from handcal.estimate.problem import noise_arrays
 from handcal.estimate.trajectory import epochs, trajectory_of
 from handcal.types import HandcalError
@@ -46,7 +45,7 @@ def baseline(cases: Sequence[Case], engine: str = "compiled") -> Model:
     if len(ways) == 1:
         return begun(cases)
     fits = []
-    for k, tried in enumerate(side_by_side(partial(_attempt, begun, way) for way in ways)):
+    for k, tried in enumerate(in_parallel(partial(_attempt, begun, way) for way in ways)):
         if isinstance(tried, Model):
             fits.append(tried)
         elif k == len(ways) - 1 and not fits:

@@ -3,7 +3,7 @@
 1. segment the recording, choose observations and the assumption about the hand (``estimate.case``),
 2. filter once as a live filter would, smooth, relinearise, and find the noise levels by evidence:
    the baseline (``estimate.fit``),
-3. the same with the effects asked for, from there (``estimate.chosen``),
+3. the same with the effects asked for, from there (``estimate.specification``),
 4. filter once more about the settled trajectory: that pass is what is shown (``estimate.result``).
 
 ``explain`` ends in the same fit of the model that it chose.
@@ -18,12 +18,19 @@ from handcal.effects import PLACE, Effect, select
 from handcal.effects import catalogue as known
 from handcal.estimate.baseline import baseline
 from handcal.estimate.case import Case, case_of
-from handcal.estimate.chosen import Chosen, Options, document_of, seen, settled, view_of
 from handcal.estimate.filter import ENGINES
-from handcal.estimate.hand import resting, travels
 from handcal.estimate.model import Model
 from handcal.estimate.observed import check_options
+from handcal.estimate.rest_only import resting, travels
 from handcal.estimate.result import results
+from handcal.estimate.specification import (
+    Options,
+    Specification,
+    document_of,
+    seen,
+    settled,
+    view_of,
+)
 from handcal.estimate.start import Start
 from handcal.observations import catalogue
 from handcal.types import InputError, Prior, Recording, Result
@@ -122,7 +129,7 @@ def calibrate_together(
 
 def recalibrate(
     recordings: Sequence[Recording],
-    chosen: Chosen,
+    chosen: Specification,
     progress: Progress | None = None,
     before: Prior | None = None,
 ) -> tuple[Result, ...]:
@@ -167,11 +174,11 @@ def _fitted(
     options: Options,
     engine: str,
     report: Progress,
-) -> tuple[Model, Chosen]:
+) -> tuple[Model, Specification]:
     base = baseline(cases, engine)
     report(0.5)
     effects = _with_those_of_all(effects, base)
-    chosen = Chosen(effects, tuple(view_of(c) for c in cases), options)
+    chosen = Specification(effects, tuple(view_of(c) for c in cases), options)
     return settled(base, chosen, engine), chosen
 
 
@@ -181,7 +188,7 @@ def _with_those_of_all(effects: Sequence[Effect], base: Model) -> tuple[Effect, 
     return (*(e for e in base.effects if e.id not in have), *effects)
 
 
-def _told(model: Model, chosen: Chosen, report: Progress) -> tuple[Result, ...]:
+def _told(model: Model, chosen: Specification, report: Progress) -> tuple[Result, ...]:
     report(0.95)
     document = document_of(chosen)
     out = tuple(replace(r, model=document) for r in results(model, chosen.moments))

@@ -14,8 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from handcal.effects import Effect, catalogue
-from handcal.estimate import noise as noise_levels
-from handcal.estimate import smoother
+from handcal.estimate import noise_levels, smoother
 from handcal.estimate.case import problem_with
 from handcal.estimate.columns import Ground, ground, widened
 from handcal.estimate.evidence import ReducedPass, backward, reduce, reduced_pass

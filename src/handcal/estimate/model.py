@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from handcal.effects import Effect
-from handcal.estimate import noise
+from handcal.estimate import noise_levels
 from handcal.estimate.case import Case
 from handcal.estimate.linear import Linear
 from handcal.estimate.quadratic import Quadratic
@@ -20,7 +20,7 @@ class Fitted:
     case: Case
     linear: Linear
     levels: Mapping[str, float]
-    curvature: noise.Curvature = noise.NO_CURVATURE
+    curvature: noise_levels.Curvature = noise_levels.NO_CURVATURE
 
 
 @dataclass(frozen=True)

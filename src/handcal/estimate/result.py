@@ -10,8 +10,7 @@ import numpy as np
 
 from handcal.compiled import so3
 from handcal.compiled.kernel import BASE
-from handcal.estimate import noise as noise_levels
-from handcal.estimate import smoother
+from handcal.estimate import noise_levels, smoother
 from handcal.estimate.case import no_fit
 from handcal.estimate.linear import Linear, linearise_about
 from handcal.estimate.model import Fitted, Model

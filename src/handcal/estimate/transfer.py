@@ -10,7 +10,7 @@ import numpy as np
 
 from handcal.compiled import so3
 from handcal.effects import Effect
-from handcal.estimate import noise as noise_levels
+from handcal.estimate import noise_levels
 from handcal.estimate.case import problem_with
 from handcal.estimate.linear import linearise_about
 from handcal.estimate.model import Fitted

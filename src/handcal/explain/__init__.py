@@ -1,9 +1,10 @@
 """Locate the mismatch, name the missing physics, model it, prove it.
 
 Reading order: ``score`` (by which models are compared), ``space`` (the evidence of every subset of
-effects from one pass), ``climb`` (the steps from a model to a better one), ``search`` (where climbs
-begin, and which end counts), ``unnamed`` (laws without a name), ``naming``, ``locate``, ``held``,
-and ``verdict``, which puts an Explanation together.
+effects from one pass), ``climb`` (the steps from a model to a better one), ``multistart`` (where
+climbs begin, and which end counts), ``unnamed`` (laws without a name), ``naming``, ``locate``,
+``held_out``, ``conclusions``, which puts an Explanation together, and ``pipeline``, all of it from
+end to end. The sentences that people read are in ``handcal.show.explanation``.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import sys
 
 from handcal import AlsoAFunction
 from handcal.explain.explanation import Explanation
-from handcal.explain.verdict import explain
+from handcal.explain.pipeline import explain
 
 __all__ = ["Explanation", "explain"]
 

@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
-from handcal.earth import STANDARD_GRAVITY
 from handcal.effects import Effect, catalogue
 from handcal.estimate.case import applicable
 from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.model import Fitted
 from handcal.estimate.transfer import moved_to
 from handcal.types import Array
+from handcal.units import DEG, MG
 
 # A bias leans on the absence of an effect that would make it so many times less certain.
 MUCH = 3.0
 # Names, and rad/s and m/s^2 as people read them.
-GYRO = ("gyro", 180.0 / math.pi, "deg/s")
-ACCEL = ("accelerometer", 1e3 / STANDARD_GRAVITY, "mg")
+GYRO = ("gyro", DEG, "deg/s")
+ACCEL = ("accelerometer", MG, "mg")
 
 
 def leaning(f: Fitted, effects: Sequence[Effect], hardly_shown: Collection[str]) -> list[str]:

@@ -8,11 +8,11 @@ from functools import partial
 import numpy as np
 
 from handcal.effects import Effect, catalogue
-from handcal.estimate.beside import side_by_side
 from handcal.estimate.case import applicable
 from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Fitted, Model
+from handcal.estimate.parallel import in_parallel
 from handcal.estimate.transfer import delayed, moved_to
 
 # A scan does not see what a delay does when the device turns further than this within it, rad.
@@ -74,7 +74,7 @@ def _begun(model: Model, wanted: Sequence[Effect], effect: Effect) -> list[Fitte
         return there, _evidence(there)
 
     steps = (partial(late_by, k * step) for k in (*early, *range(1, count + 1)))
-    for there, value in side_by_side(steps):
+    for there, value in in_parallel(steps):
         if value > least:
             best, least = there, value
     return best

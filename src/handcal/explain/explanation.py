@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from handcal.estimate.chosen import Chosen
+from handcal.estimate.specification import Specification
 from handcal.types import Array, Brief, NoiseLevel, Parameter, Prior, Recording
 
 VERDICTS = ("nothing_missing", "explained", "unexplained", "cannot_tell")
@@ -235,7 +235,7 @@ class Explanation(Brief):
     noise: tuple[NoiseLevel, ...]
     recordings: tuple[Explained, ...]
     warnings: tuple[str, ...]
-    model: Chosen | None = None
+    model: Specification | None = None
     untellable: tuple[Parameter, ...] = ()
     hand: Hand = Hand("", 1.0)
     untried: tuple[str, ...] = ()

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from handcal.estimate import noise as noise_levels
+from handcal.estimate import noise_levels
 from handcal.estimate.baseline import always, started
 from handcal.estimate.case import Case
 from handcal.estimate.evidence import reduce, reduced_pass

@@ -19,7 +19,7 @@ from handcal.estimate.problem import Problem
 from handcal.estimate.quadratic import Quadratic, local, total
 from handcal.explain.explanation import Missing
 from handcal.explain.held_out import early_part
-from handcal.explain.search import Found
+from handcal.explain.multistart import Found
 from handcal.explain.space import Space, expected_gain, space
 from handcal.recordings.streams import observed_by
 from handcal.signals import reading

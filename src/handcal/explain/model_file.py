@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -10,23 +9,19 @@ from typing import Any
 
 import numpy as np
 
+from handcal.documents import read_json
 from handcal.effects import Effect, catalogue
 from handcal.estimate.case import HELD, Edit, frozen_at, name_of
-from handcal.estimate.chosen import Chosen, Options, View
 from handcal.estimate.parameters import Moment
-from handcal.explain.unnamed import laws, shapes, terms, with_motion
+from handcal.estimate.specification import Options, Specification, View
+from handcal.explain.unnamed import law_effect, shapes, terms, with_motion
 from handcal.observations import catalogue as observations
 from handcal.types import InputError
 
 
-def read(path: Path) -> Chosen:
+def read(path: Path) -> Specification:
     """The model in a result. Errors: InputError."""
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror or error}.") from error
-    except (ValueError, RecursionError):
-        raise InputError(f"{path} is not JSON.") from None
+    document = read_json(path)
     model = document.get("model") if isinstance(document, dict) else None
     if not isinstance(model, dict):
         raise InputError(
@@ -41,9 +36,9 @@ def read(path: Path) -> Chosen:
         raise InputError(f"The model in {path} is damaged or unknown here ({error}).") from None
 
 
-def chosen_from(model: Mapping[str, Any]) -> Chosen:
-    """The model as ``estimate.chosen.document_of`` wrote it. Raises KeyError and the like where
-    it is not one, InputError where it has an effect that is not in the catalogue."""
+def chosen_from(model: Mapping[str, Any]) -> Specification:
+    """The model as ``estimate.specification.document_of`` wrote it. Raises KeyError and the like
+    where it is not one, InputError where it has an effect that is not in the catalogue."""
     effects, starts, moments = [], {}, {}
     for entry in model["effects"]:
         effect = _effect(entry)
@@ -66,7 +61,7 @@ def chosen_from(model: Mapping[str, Any]) -> Chosen:
     )
     views = tuple(_view(v) for v in model["recordings"])
     levels = tuple({str(k): float(v) for k, v in part.items()} for part in model["levels"])
-    return Chosen(tuple(effects), views, options, starts, moments, levels)
+    return Specification(tuple(effects), views, options, starts, moments, levels)
 
 
 def _effect(entry: Mapping[str, Any]) -> Effect:
@@ -77,8 +72,8 @@ def _effect(entry: Mapping[str, Any]) -> Effect:
             effect = frozen_at(_known(name_of(name)), np.array(numbers))
         elif kind.startswith(terms.CURVE):
             effect = terms.curve(kind.removeprefix(terms.CURVE), *numbers)
-        elif laws.is_law(kind):
-            effect = laws.effect_of(laws.again(kind, tuple(numbers)))
+        elif law_effect.is_law(kind):
+            effect = law_effect.effect_of(law_effect.again(kind, tuple(numbers)))
         else:
             effect = shapes.again(name.split(" += ")[0], (kind, tuple(numbers)))
     elif "+=" in name:

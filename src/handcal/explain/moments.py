@@ -8,7 +8,7 @@ import numpy as np
 
 from handcal.estimate.case import name_of
 from handcal.estimate.parameters import Moment
-from handcal.explain.search import Found
+from handcal.explain.multistart import Found
 from handcal.explain.space import rivals
 
 # How well a moment is known, s, where only one was on trial.

@@ -27,7 +27,7 @@ from handcal.estimate.problem import Problem
 from handcal.estimate.quadratic import Posterior, Quadratic, local, posterior
 from handcal.estimate.trajectory import Trajectory, epochs
 from handcal.explain.explanation import Hypothesis, Missing, NextMotion
-from handcal.explain.search import Found
+from handcal.explain.multistart import Found
 from handcal.explain.space import Space, expected_gain
 from handcal.motions import EARTH_FIELD, MOTIONS, Motion, attitude, rate_of, recording_of
 from handcal.observations.magnetometer import HORIZONTAL, UPWARD

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -14,6 +13,7 @@ import numpy as np
 import handcal
 from handcal.device import apply as device
 from handcal.device.apply import BIASES, Learnt
+from handcal.documents import read_json
 from handcal.effects import catalogue
 from handcal.exports import Contents, Format, Noise
 from handcal.exports import _correction as correction
@@ -53,8 +53,8 @@ class Known:
 
 def known(path: Path, recording: Recording | None) -> Known:
     """What a result file says. Errors: InputError; HandcalError where matrices would be wrong."""
-    learnt = device.read(path)
-    document = json.loads(path.read_text(encoding="utf-8"))
+    document = read_json(path)
+    learnt = device.of_document(str(path), document)
     said = ", ".join(Path(str(r["path"])).name for r in _recordings(document))
     bias, words, hidden = _bias(learnt, recording, said)
     matrices: dict[str, tuple[Array, Array]] = {}
@@ -165,12 +165,7 @@ def _noise(document: Mapping[str, Any]) -> Noise:
 
 def _of_allan(path: Path) -> Noise:
     """Errors: InputError."""
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror or error}.") from error
-    except ValueError:
-        raise InputError(f"{path} is not JSON.") from None
+    document = read_json(path)
     if not isinstance(document, dict) or document.get("schema") != "handcal/allan/1":
         raise InputError(f"{path} is not what `handcal allan --json` writes.")
     noise = _levels(document.get("suggested", []), {name: name for name in ALLAN})

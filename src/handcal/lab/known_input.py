@@ -19,8 +19,8 @@ from handcal.compiled.so3 import matrix_exp, matrix_log, skew
 from handcal.effects import Effect, Param, Signals
 from handcal.estimate import regression
 from handcal.estimate.regression import BIASES, Unknown
-from handcal.lab.bench import Bench, design, expected
 from handcal.lab.choice import chosen
+from handcal.lab.steady_tests import Bench, design, expected
 from handcal.lab.stretches import extra_variance
 from handcal.lab.telling import refuse_unseen
 from handcal.observations.known_input import axes_between

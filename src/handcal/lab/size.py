@@ -26,7 +26,7 @@ from handcal.earth import STANDARD_GRAVITY
 from handcal.effects import Effect, select
 from handcal.estimate import regression
 from handcal.estimate.regression import BIASES
-from handcal.lab import bench
+from handcal.lab import steady_tests
 from handcal.lab.known_input import known_input
 from handcal.lab.spins import LEAST_SIGMA, SPINNING, of_spins
 from handcal.lab.telling import refuse_unseen
@@ -106,14 +106,14 @@ def size(recording: Recording, gravity: float = STANDARD_GRAVITY) -> Sized:
     fast = np.linalg.norm(imu.gyro, axis=1) > SPINNING
     steady = _inside(imu.t, segment.steady(recording))
     if (fast & steady).sum() > STEADY * fast.sum():
-        return of_tests(bench.of_recording(recording), recording)
+        return of_tests(steady_tests.of_recording(recording), recording)
     return of_reference(recording)
 
 
 # --- spins --------------------------------------------------------------------------------------
 
 
-def of_tests(tests: bench.Bench, recording: Recording | None = None) -> Sized:
+def of_tests(tests: steady_tests.Bench, recording: Recording | None = None) -> Sized:
     """From tests of known rate and force: rests and steady spins. Errors: HandcalError."""
     truth = tests.mean(np.hstack([tests.truth.gyro, tests.truth.accel]))
     rate = np.linalg.norm(truth[:, :3], axis=1)
@@ -130,14 +130,15 @@ def of_tests(tests: bench.Bench, recording: Recording | None = None) -> Sized:
     )  # fmt: skip
 
 
-def _refuse_spins(tests: bench.Bench, spun: Array) -> None:
+def _refuse_spins(tests: steady_tests.Bench, spun: Array) -> None:
     """Refused where arms or other parameters stay hidden at what readings are really worth."""
     unknowns = regression.unknowns(EFFECTS)
     usual = regression.priors(unknowns)
-    A = bench.design(tests, EFFECTS, np.zeros(len(usual)), tests.truth)[:, 3:]
+    A = steady_tests.design(tests, EFFECTS, np.zeros(len(usual)), tests.truth)[:, 3:]
     worth = np.maximum(np.sqrt(tests.variance[:, 3:]), LEAST_SIGMA)
     rows = (A / worth[:, :, None]).reshape(-1, len(usual))
-    sigma = np.sqrt(np.diag(np.linalg.inv(rows.T @ rows + np.diag(usual**-2.0))))
+    R = np.linalg.qr(np.vstack([rows * usual, np.eye(len(usual))]), mode="r")
+    sigma = np.linalg.norm(np.linalg.solve(R, np.eye(len(usual))), axis=1) * usual
     lost = [u.param.name for u, s, p in zip(unknowns, sigma, usual, strict=True)
             if u.effect == ARMS[0].id and s > TELLING * p]  # fmt: skip
     if lost:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from handcal.earth import STANDARD_GRAVITY
-from handcal.lab.bench import Bench, of_arrays
+from handcal.lab.steady_tests import Bench, of_arrays
 from handcal.lab.stretches import PERFECT, noise_power
 from handcal.recordings import segment
 from handcal.types import Array, BoolArray, HandcalError, Recording

@@ -8,8 +8,8 @@ import numpy as np
 
 from handcal.effects import Effect
 from handcal.estimate import regression
-from handcal.lab.bench import design, of_arrays
 from handcal.lab.known_input import KnownInput
+from handcal.lab.steady_tests import design, of_arrays
 from handcal.types import Array, IntArray
 
 STARTS = 20

@@ -111,9 +111,9 @@ def _explained(
     from handcal.estimate.calibration import calibrate
     from handcal.explain import explain
     from handcal.show.calibration.summary import calibration_json, write_json
-    from handcal.show.explanation import sentences
+    from handcal.show.explanation import verdict_text
+    from handcal.show.explanation.document import explanation_json
     from handcal.show.explanation.report import write_explanation_report
-    from handcal.show.explanation.summary import explanation_json
 
     def report(fraction: float | None = None, stage: str = "") -> None:
         if fraction is not None:
@@ -125,5 +125,5 @@ def _explained(
     progress(0.9, "calibrating with what was found")
     result = calibrate(recording, [m.effect for m in explanation.missing])
     write_json(calibration_json(result), out / FILES[1])
-    verdict = sentences.verdict(explanation)
+    verdict = verdict_text.verdict(explanation)
     return verdict.headline, tuple(verdict.sentences)

@@ -11,6 +11,7 @@ from handcal.allan.analysis import CHANNELS, UNITS, Allan, Channel
 from handcal.allan.terms import LAWS
 from handcal.show.drawing import INK, MUTED, PURPLE, RC, RED, XYZ, Plot, canvas, legend, svg
 from handcal.show.html_page import page
+from handcal.show.terminal import print_section, table
 from handcal.types import Array
 from handcal.units import shown
 
@@ -63,31 +64,20 @@ def allan_json(result: Allan) -> dict[str, Any]:
 
 def print_allan(result: Allan, console: Console) -> None:
     """Coefficients, suggestions, and what the record is too short to see."""
-    from rich import box
     from rich.markup import escape
-    from rich.padding import Padding
-    from rich.table import Table
 
     console.print(f"[bold]{escape(result.recording.path)}[/]  {_used(result)}")
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("channel", no_wrap=True)
-    for column in ("noise", "unit"):
-        table.add_column(column)
-    for column in ("value", "± 1 sigma"):
-        table.add_column(column, justify="right", no_wrap=True)
+    rows = table("channel", "*noise", "*unit", ">value", ">± 1 sigma")
     for c in result.channels:
         for t in c.terms:
             unit = shown(t.unit, [t.value])
-            table.add_row(c.name, f"{t.name} {TITLES[t.name]}", unit.unit, unit.value(t.value),
-                          _percent(t.sigma / t.value))  # fmt: skip
-    console.print(table)
+            rows.add_row(c.name, f"{t.name} {TITLES[t.name]}", unit.unit, unit.value(t.value),
+                         _percent(t.sigma / t.value))  # fmt: skip
+    console.print(rows)
     lines = [f"{s.name} = {s.value:.3g} {s.unit}" for s in result.suggested]
     for heading, sentences in (("For the filter", lines), ("Not seen", too_short(result)),
                                ("Warnings", _warnings(result))):  # fmt: skip
-        if sentences:
-            console.print(f"[bold]{heading}[/]")
-            for sentence in sentences:
-                console.print(Padding(escape(f"• {sentence}"), (0, 0, 0, 2)), highlight=False)
+        print_section(console, heading, sentences)
 
 
 def too_short(result: Allan) -> list[str]:

@@ -15,6 +15,7 @@ from handcal import output
 from handcal.device.file import Device, Name, unit_of, usual_of
 from handcal.device.history import (
     ALARM,
+    DAY_S,
     MEMORY_S,
     Differs,
     State,
@@ -28,6 +29,7 @@ from handcal.estimate.start import BIASES
 from handcal.show import words
 from handcal.show.drawing import AXES, RC, XYZ, Plot, canvas, svg
 from handcal.show.html_page import page
+from handcal.show.terminal import table
 from handcal.types import Array, Parameter, Prior
 from handcal.units import Shown, shown
 
@@ -82,12 +84,12 @@ def forgetting() -> str:
     rates = []
     for effect in ("gyro_bias", "accel_bias"):
         p = catalogue()[effect].parameters[0]
-        day = p.prior_sigma * np.sqrt(2.0 * 86400.0 / MEMORY_S)
+        day = p.prior_sigma * np.sqrt(2.0 * DAY_S / MEMORY_S)
         unit = shown(p.unit, [1.0])
         rates.append(f"{unit.factor * day:.2g} {unit.unit}")
     return (
         f"Biases wander between sessions, by {rates[0]} and {rates[1]} in a day, and within their "
-        f"usual range: after {MEMORY_S / 86400.0:.0f} days a third is remembered, after a year "
+        f"usual range: after {MEMORY_S / DAY_S:.0f} days a third is remembered, after a year "
         "nothing. What else is kept is taken to stay."
     )
 
@@ -132,20 +134,16 @@ def device_json(device: Device, when: datetime) -> dict[str, Any]:
 
 def print_device(device: Device, when: datetime, console: Console) -> None:
     """Sessions, what is known, and where sessions disagree."""
-    from rich import box
     from rich.markup import escape
-    from rich.table import Table
 
     count = words.counted(len(device.sessions), "session")
     console.print(f"[bold]{escape(device.name)}[/]  {count}; what is known on {when:{DAY}}")
     for title, columns, rows in _tables(device, when):
         console.print(f"[bold]{title}[/]")
-        table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-        for k, column in enumerate(columns):
-            table.add_column(column, justify="right" if k else "left", no_wrap=k == 0)
+        shown_rows = table(columns[0], *(f">*{column}" for column in columns[1:]))
         for row in rows:
-            table.add_row(*(escape(c) for c in row))
-        console.print(table)
+            shown_rows.add_row(*(escape(c) for c in row))
+        console.print(shown_rows)
     for d in disagreements(device):
         console.print(f"[yellow]{escape(difference_sentence(d, device))}[/]")
     console.print(forgetting(), style="dim")
@@ -226,8 +224,8 @@ def _days(device: Device, when: datetime) -> tuple[Array, Array]:
     """Days of the sessions since the first, and those at which the picture has points: just before
     each session and after it, and between."""
     first = device.sessions[0].recorded
-    days = np.array([(s.recorded - first).total_seconds() / 86400.0 for s in device.sessions])
-    now = (when - first).total_seconds() / 86400.0
+    days = np.array([(s.recorded - first).total_seconds() / DAY_S for s in device.sessions])
+    now = (when - first).total_seconds() / DAY_S
     end = max(days[-1] * (1.0 + MARGIN), min(now, days[-1] + ALONE_DAYS), 0.01)
     between = np.linspace(0.0, end, STEPS)
     return days, np.unique(np.r_[days, days - 1e-4 * end, between].clip(min=0.0))

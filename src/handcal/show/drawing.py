@@ -34,7 +34,6 @@ WIDTH = 6.6  # inches of 72 SVG units
 WIDE = 13.6  # of a figure as wide as the page
 GAP_S = 1.0  # nothing read for so long: whatever happened then is not known
 POINTS = 420  # per line; a page of ten figures stays far below 1.5 MB
-DEG = 180.0 / np.pi
 
 RC: Any = {
     "font.size": 11.0, "axes.labelsize": 11.0, "axes.titlesize": 11.0, "legend.fontsize": 10.5,

@@ -18,6 +18,7 @@ from handcal.recordings.streams import STREAMS
 from handcal.show import words
 from handcal.show.drawing import AXES, MISS, RC, XYZ, Plot, canvas, envelope, legend, shade, svg
 from handcal.show.html_page import page
+from handcal.show.terminal import print_section, table
 from handcal.units import DEG, shown
 
 if TYPE_CHECKING:
@@ -121,7 +122,6 @@ def teach_sentences(info: Info) -> list[str]:
 def print_info(info: Info, console: Console) -> None:
     """Streams, motion, units, what it could teach."""
     from rich.markup import escape
-    from rich.padding import Padding
 
     o = info.overview
     name = escape(Path(o.recording.path).name)
@@ -138,22 +138,14 @@ def print_info(info: Info, console: Console) -> None:
         ("Warnings", list(o.recording.warnings)),
     )
     for heading, sentences in sections:
-        if sentences:
-            console.print(f"[bold]{heading}[/]")
-        for sentence in sentences:
-            console.print(Padding(escape(f"• {sentence}"), (0, 0, 0, 2)), highlight=False)
+        print_section(console, heading, sentences)
 
 
 def _table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Any:
-    from rich import box
-    from rich.table import Table
-
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for i, column in enumerate(columns):
-        table.add_column(column, justify="right" if i else "left", no_wrap=True)
+    out = table(columns[0], *(f">{c}" for c in columns[1:]))
     for row in rows:
-        table.add_row(*row)
-    return table
+        out.add_row(*row)
+    return out
 
 
 # What a stamp can tell, s; jitter below it is rounding.

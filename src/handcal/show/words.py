@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from handcal.effects import catalogue
-from handcal.estimate.noise import white_levels
+from handcal.estimate.noise_levels import white_levels
 from handcal.recordings.streams import STREAMS
 from handcal.types import Innovations, NoiseLevel, Parameter, Result
 from handcal.units import DEG, Shown, shown

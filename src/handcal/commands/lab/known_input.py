@@ -15,15 +15,17 @@ from handcal.commands._options import (
     Report,
     Topics,
     Units,
+    listed,
     load,
     with_own_effects,
 )
 from handcal.commands._progress import progress
 from handcal.commands.lab._gravity import Gravity, gravity_of
+from handcal.commands.lab._results import write_results
 
 if TYPE_CHECKING:
-    from handcal.lab.bench import Bench
     from handcal.lab.known_input import KnownInput
+    from handcal.lab.steady_tests import Bench
     from handcal.lab.table import Table
     from handcal.show.lab.known_input import TableErrors
 
@@ -87,38 +89,34 @@ def known_input(
     Rests and steady turns are found in the recording, or stand in the rows of a table. What the
     tests cannot tell apart is said before anything is estimated.
     """
-    from handcal.lab import bench, bench_csv
+    from handcal.lab import steady_tests, steady_tests_csv
     from handcal.lab.known_input import known_input
     from handcal.output import check_outputs
-    from handcal.show.calibration.summary import write_json
     from handcal.show.lab.known_input import known_input_json, known_input_sheet
-    from handcal.show.lab.sheet import print_sheet, write_sheet
     from handcal.types import InputError
 
     g = gravity_of(gravity, latitude, height)
     check_outputs((json, report), (file,))
     recording, poses = None, None
     if file.suffix.lower() in (".csv", ".tsv"):
-        tests, poses = bench_csv.read(file, sequence, g)
+        tests, poses = steady_tests_csv.read(file, sequence, g)
     else:
         recording = load(file, topic, units)
     if (angle_sigma or tilt_sigma) and poses is None:
         raise InputError("--angle-sigma and --tilt-sigma need the angles of the table (CSV).")
     with progress(f"calibrating {file.name}"):
         if recording is not None:
-            tests = bench.of_recording(recording)
+            tests = steady_tests.of_recording(recording)
         result = known_input(tests, _effects(effects, tests), axes.value)
         errors = None
         if poses is not None and (angle_sigma or tilt_sigma):
             errors = _table_errors(result, poses, angle_sigma, tilt_sigma)
-    if report:
-        write_sheet(known_input_sheet(result, file.name, errors, pictures=True), report)
-    if json:
-        write_json(known_input_json(result, file, recording, errors), json)
-    if str(json) != "-":
-        from rich.console import Console
-
-        print_sheet(known_input_sheet(result, file.name, errors, pictures=False), Console())
+    write_results(
+        lambda pictures: known_input_sheet(result, file.name, errors, pictures),
+        lambda: known_input_json(result, file, recording, errors),
+        report,
+        json,
+    )
 
 
 def _effects(typed: str | None, tests: Bench) -> tuple[str, ...]:
@@ -128,7 +126,7 @@ def _effects(typed: str | None, tests: Bench) -> tuple[str, ...]:
     from handcal.lab.known_input import DEFAULT
 
     if typed is not None:
-        return tuple(e.strip() for e in typed.split(",") if e.strip())
+        return listed(typed)
     fastest = float(np.abs(tests.mean(tests.truth.gyro)).max())
     known = {"gyro": tests.used[0] and fastest > LEAST_RATE, "accel": bool(tests.used[3])}
     return tuple(e for e in DEFAULT if known[e.split("_")[0]])

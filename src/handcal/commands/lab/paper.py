@@ -8,6 +8,7 @@ import typer
 
 from handcal.commands._options import Json, Report
 from handcal.commands._progress import progress
+from handcal.commands.lab._results import write_results
 
 
 def paper(
@@ -18,18 +19,9 @@ def paper(
     """Compute a paper's figures again and say which of them hold (its page is in docs/)."""
     from handcal.lab.papers.paper import computed
     from handcal.output import check_outputs
-    from handcal.show.calibration.summary import write_json
     from handcal.show.lab.paper import paper_json, paper_sheet
-    from handcal.show.lab.sheet import print_sheet, write_sheet
 
     check_outputs((json, report))
     with progress(f"computing paper {number}") as bar:
         result = computed(number, bar)
-    if report:
-        write_sheet(paper_sheet(result), report)
-    if json:
-        write_json(paper_json(result), json)
-    if str(json) != "-":
-        from rich.console import Console
-
-        print_sheet(paper_sheet(result), Console())
+    write_results(lambda _: paper_sheet(result), lambda: paper_json(result), report, json)

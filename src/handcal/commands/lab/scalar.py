@@ -14,11 +14,13 @@ from handcal.commands._options import (
     Report,
     Topics,
     Units,
+    listed,
     load,
     with_own_effects,
 )
 from handcal.commands._progress import progress
 from handcal.commands.lab._gravity import Gravity, gravity_of
+from handcal.commands.lab._results import write_results
 
 
 @with_own_effects
@@ -45,22 +47,18 @@ def scalar(
     """
     from handcal.lab.scalar import halves_or_none, scalar
     from handcal.output import check_outputs
-    from handcal.show.calibration.summary import write_json
     from handcal.show.lab.scalar import scalar_json, scalar_sheet
-    from handcal.show.lab.sheet import print_sheet, write_sheet
 
     g = gravity_of(gravity, latitude, height)
     check_outputs((json, report), (file,))
     recording = load(file, topic, units)
-    ids = tuple(e.strip() for e in effects.split(",") if e.strip())
+    ids = listed(effects)
     with progress(f"calibrating {file.name}"):
         result = scalar(recording, ids, g)
         halves = halves_or_none(result)
-    if report:
-        write_sheet(scalar_sheet(result, halves, pictures=True), report)
-    if json:
-        write_json(scalar_json(result, halves), json)
-    if str(json) != "-":
-        from rich.console import Console
-
-        print_sheet(scalar_sheet(result, halves, pictures=False), Console())
+    write_results(
+        lambda pictures: scalar_sheet(result, halves, pictures),
+        lambda: scalar_json(result, halves),
+        report,
+        json,
+    )

@@ -10,6 +10,7 @@ import typer
 from handcal.commands._options import Height, Json, Latitude, Report, Topics, Units, load
 from handcal.commands._progress import progress
 from handcal.commands.lab._gravity import Gravity, gravity_of
+from handcal.commands.lab._results import write_results
 
 
 def size(
@@ -35,11 +36,9 @@ def size(
     six attitudes in which a diagonal of a face points up. Without one: shake it with fast turns
     about all axes, a second IMU on the same body recording beside it (/reference).
     """
-    from handcal.lab import bench_csv
     from handcal.lab import size as method
+    from handcal.lab import steady_tests_csv
     from handcal.output import check_outputs
-    from handcal.show.calibration.summary import write_json
-    from handcal.show.lab.sheet import print_sheet, write_sheet
     from handcal.show.lab.size import size_json, size_sheet
 
     g = gravity_of(gravity, latitude, height)
@@ -48,14 +47,12 @@ def size(
     recording = None if table else load(file, topic, units)
     with progress(f"calibrating {file.name}"):
         if recording is None:
-            result = method.of_tests(bench_csv.read(file, "ZXZ", g)[0])
+            result = method.of_tests(steady_tests_csv.read(file, "ZXZ", g)[0])
         else:
             result = method.size(recording, g)
-    if report:
-        write_sheet(size_sheet(result, file.name, pictures=True), report)
-    if json:
-        write_json(size_json(result, file), json)
-    if str(json) != "-":
-        from rich.console import Console
-
-        print_sheet(size_sheet(result, file.name, pictures=False), Console())
+    write_results(
+        lambda pictures: size_sheet(result, file.name, pictures),
+        lambda: size_json(result, file),
+        report,
+        json,
+    )

@@ -10,6 +10,7 @@ import typer
 from handcal.commands._options import Height, Json, Latitude, Report, Topics, Units, load
 from handcal.commands._progress import progress
 from handcal.commands.lab._gravity import Gravity, gravity_of
+from handcal.commands.lab._results import write_results
 
 
 def thermal(
@@ -35,8 +36,6 @@ def thermal(
     """
     from handcal.lab.thermal import curves as method
     from handcal.output import check_outputs
-    from handcal.show.calibration.summary import write_json
-    from handcal.show.lab.sheet import print_sheet, write_sheet
     from handcal.show.lab.thermal import files_title, thermal_json, thermal_sheet
 
     g = gravity_of(gravity, latitude, height)
@@ -45,11 +44,9 @@ def thermal(
     with progress("fitting curves") as bar:
         result = method.thermal(recordings, g, bar)
     name = files_title(files)
-    if report:
-        write_sheet(thermal_sheet(result, name, pictures=True), report)
-    if json:
-        write_json(thermal_json(result), json)
-    if str(json) != "-":
-        from rich.console import Console
-
-        print_sheet(thermal_sheet(result, name, pictures=False), Console())
+    write_results(
+        lambda pictures: thermal_sheet(result, name, pictures),
+        lambda: thermal_json(result),
+        report,
+        json,
+    )

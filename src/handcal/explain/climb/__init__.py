@@ -3,7 +3,7 @@
 One step, one function: it returns the model to go on from, or None where there is nothing to
 do, and the first that does something ends the turn. The climb ends where none does.
 
-``turns`` has the steps in their order. They are in ``choose`` (sets of effects), ``exchange`` (one
-effect for another), ``noise`` (noise effects) and ``laws`` (laws without a name); ``on_trial`` is
-what a turn scans, ``state`` what the steps hand on.
+``turns`` has the steps in their order. They are in ``subset_steps`` (sets of effects),
+``exchange_steps`` (one effect for another), ``noise_steps`` (noise effects) and ``law_steps`` (laws
+without a name); ``candidates`` is what a turn scans, ``state`` what the steps hand on.
 """

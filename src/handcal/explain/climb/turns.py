@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from handcal.estimate.model import Model
-from handcal.explain.climb.choose import choose, delay, favourite, thin
-from handcal.explain.climb.exchange import exchange, reorder
-from handcal.explain.climb.laws import MAX_TERMS, instead, name_term, narrow, reshape
-from handcal.explain.climb.noise import add_noise, exchange_noise, free, noise_instead
-from handcal.explain.climb.on_trial import scanned
+from handcal.explain.climb.candidates import scanned
+from handcal.explain.climb.exchange_steps import exchange, reorder
+from handcal.explain.climb.law_steps import MAX_TERMS, instead, name_term, narrow, reshape
+from handcal.explain.climb.noise_steps import add_noise, exchange_noise, free, noise_instead
 from handcal.explain.climb.state import Climb
+from handcal.explain.climb.subset_steps import choose, delay, favourite, thin
 from handcal.explain.space import gains
 
 # Turns of a climb at the most, beside two for each term that may be named. (Every step raises the

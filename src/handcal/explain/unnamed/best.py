@@ -11,14 +11,14 @@ from functools import partial
 import numpy as np
 
 from handcal.effects import Effect, Signals
-from handcal.estimate.beside import side_by_side
 from handcal.estimate.fit import fitted, grounds, scan
 from handcal.estimate.model import Fitted, Model
+from handcal.estimate.parallel import in_parallel
 from handcal.estimate.quadratic import Quadratic
 from handcal.estimate.trajectory import path
 from handcal.explain.score import TERM_PRIOR, better, score
 from handcal.explain.unnamed import shapes, terms
-from handcal.explain.unnamed.laws import Law, effect_of, law_of
+from handcal.explain.unnamed.law_effect import Law, effect_of, law_of
 from handcal.explain.unnamed.over_drivers import (
     About,
     Block,
@@ -61,7 +61,7 @@ def best_term(model: Model, *, refused: Collection[str] = (), without: str = "")
     known = [e for e in model.effects if e.process is None and e.id != without]
     looks = list(_looks(f, signals, known))
     base = grounds(model)
-    scans = list(side_by_side(partial(scan, model, look.effects, base) for look in looks))
+    scans = list(in_parallel(partial(scan, model, look.effects, base) for look in looks))
     # (what is absent scatters differently from scan to scan: one worth for all)
     worth = float(np.median([q.worth for q in scans]))
     enough = -TERM_PRIOR + math.log(2.0)
@@ -187,7 +187,7 @@ def reshaped(model: Model, worth: float, unnamed: list[Term], shaped: set[str]) 
             continue
         options = [e for e in (new.effect, *new.others) if e.id not in shaped | set(model.ids)]
         calls = (partial(_with, model, old, e) for e in options)
-        pairs = zip(side_by_side(calls), options, strict=True)
+        pairs = zip(in_parallel(calls), options, strict=True)
         held = [
             (m, e)
             for m, e in pairs

@@ -16,7 +16,7 @@ from handcal.estimate.model import Fitted
 from handcal.estimate.trajectory import path
 from handcal.explain.explanation import Curve, is_curve
 from handcal.explain.unnamed.best import signals_of
-from handcal.explain.unnamed.laws import CHANNELS, UNITS, Law, law_of
+from handcal.explain.unnamed.law_effect import CHANNELS, UNITS, Law, law_of
 from handcal.types import Array
 
 # Points of a curve, at the most.

@@ -15,7 +15,7 @@ import numpy as np
 from handcal.effects import ATTITUDE, Z_DIM, Effect, Param, observed_error
 from handcal.explain.unnamed.drivers import ROOM, TURNING
 from handcal.explain.unnamed.grammar import Form, text_of
-from handcal.explain.unnamed.laws import SENSORS, UNITS, Law
+from handcal.explain.unnamed.law_effect import SENSORS, UNITS, Law
 from handcal.explain.unnamed.terms import FASTEST, SLOW
 from handcal.types import Array
 

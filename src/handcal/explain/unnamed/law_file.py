@@ -24,7 +24,7 @@ import numpy as np
 from handcal import output
 from handcal.effects import Param
 from handcal.explain.explanation import Unnamed
-from handcal.explain.unnamed import grammar, laws, terms
+from handcal.explain.unnamed import grammar, law_effect, terms
 from handcal.explain.unnamed.drivers import AXES, DRIVERS
 from handcal.explain.unnamed.law_code import (
     WIDE,
@@ -68,7 +68,7 @@ def law_of(u: Unnamed) -> Law:
     """What a file has to hold of an unnamed law. Raises HandcalError for a kind that none can."""
     kind = u.made[0] if u.made is not None else ""
     try:
-        if laws.is_law(kind):
+        if law_effect.is_law(kind):
             return _over_driver(u)
         if kind.startswith(terms.CURVE):
             return _curve_of_heading(u)
@@ -80,7 +80,7 @@ def law_of(u: Unnamed) -> Law:
 def _over_driver(u: Unnamed) -> Law:
     """A law over a driver, on one axis or on three."""
     assert u.made is not None
-    law = laws.again(*u.made)
+    law = law_effect.again(*u.made)
     if law.form.smooth:
         _complete(u, len(law.parameters))
         parameters = _scales(AXES if law.each else "")
@@ -133,9 +133,11 @@ def _course(
     return law
 
 
-def _over_time(channel: str) -> laws.Law:
-    sensor, axis = divmod(laws.CHANNELS.index(channel), 3)
-    return laws.Law(sensor, (axis,), False, DRIVERS["t"], grammar.formula([("line", ())]), (1.0,))
+def _over_time(channel: str) -> law_effect.Law:
+    sensor, axis = divmod(law_effect.CHANNELS.index(channel), 3)
+    return law_effect.Law(
+        sensor, (axis,), False, DRIVERS["t"], grammar.formula([("line", ())]), (1.0,)
+    )
 
 
 # Code, names and units of the numbers of each course.

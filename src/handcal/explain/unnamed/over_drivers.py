@@ -24,7 +24,7 @@ from handcal.explain.unnamed.grammar import (
     parts_for,
     range_of,
 )
-from handcal.explain.unnamed.laws import SIZE, Law, effect_of, named
+from handcal.explain.unnamed.law_effect import SIZE, Law, effect_of, named
 from handcal.explain.unnamed.weighing import Beside, beside, gains, weighed
 from handcal.types import Array
 

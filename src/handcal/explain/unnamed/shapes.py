@@ -23,7 +23,7 @@ from handcal.effects import TIME, Effect, Param, Signals
 from handcal.estimate.quadratic import Quadratic
 from handcal.explain.unnamed.courses import MOST, OVER_TIME, OVER_YAW, Family
 from handcal.explain.unnamed.grammar import FREEDOM
-from handcal.explain.unnamed.laws import CHANNELS, SIZE, UNITS
+from handcal.explain.unnamed.law_effect import CHANNELS, SIZE, UNITS
 from handcal.explain.unnamed.terms import CURVES, DIRECTIONS, HEADING_SIZE, cubic, term
 from handcal.types import Array, IntArray
 

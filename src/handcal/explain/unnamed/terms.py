@@ -17,7 +17,7 @@ from handcal.compiled import so3
 from handcal.compiled.jit import inner, residual_function
 from handcal.effects import TIME, Z_DIM, Catalogue, Effect, Param, catalogue, observed_error
 from handcal.explain.unnamed.grammar import SIZES, WIDTHS, process_root
-from handcal.explain.unnamed.laws import PROBED, basis, spanned
+from handcal.explain.unnamed.law_effect import PROBED, basis, spanned
 from handcal.signals import probe
 from handcal.types import Array, Recording
 

@@ -13,10 +13,10 @@ import numpy as np
 
 from handcal.effects import select
 from handcal.estimate.regression import BIASES
-from handcal.lab.bench import Bench, of_arrays
 from handcal.lab.known_input import KnownInput, known_input
 from handcal.lab.papers.paper import CORRECTED, FAILS, HOLDS, Claim, Paper, Progress, below
 from handcal.lab.papers.table import Table as Shown
+from handcal.lab.steady_tests import Bench, of_arrays
 from handcal.lab.table import ARCMIN, ARCSEC, Table, error_covariance, table
 from handcal.lab.ten_tests import best_rates, magnification
 from handcal.types import Array, HandcalError

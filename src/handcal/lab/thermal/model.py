@@ -14,8 +14,8 @@ import numpy as np
 from handcal.design.poses import MOUNTING
 from handcal.effects import Effect, catalogue, select
 from handcal.estimate.regression import BIASES
-from handcal.lab.bench import design, of_arrays
 from handcal.lab.norm_rows import across, unit
+from handcal.lab.steady_tests import design, of_arrays
 from handcal.lab.thermal.basis import Basis
 from handcal.lab.thermal.fit import Rows, best_extra, fitted
 from handcal.lab.thermal.pieces import Pieces

@@ -20,10 +20,11 @@ from types import ModuleType
 
 import numpy as np
 
+from handcal.documents import reading
 from handcal.recordings.inputs._nearest import of_no_format
 from handcal.recordings.inputs._options import Options, checked_options
 from handcal.recordings.inputs._repair import Columns, assemble, columns, nanoseconds
-from handcal.recordings.inputs._zip import check_crowd
+from handcal.recordings.inputs._zip import check_crowd, listed_once
 from handcal.types import Array, InputError, Recording
 
 __all__ = ["Options", "format_of", "formats", "load", "of_arrays"]
@@ -44,13 +45,11 @@ def format_of(path: str | Path) -> ModuleType:
     if path.is_file() and path.stat().st_size == 0:
         raise InputError(f"{path} is empty: it holds not a single byte.")
     known = formats()
-    try:
+    with reading(path), listed_once():
         check_crowd(path)
         found = next((module for module in known if module.can_read(path)), None)
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror or error}.") from error
-    if found is None:
-        raise InputError(of_no_format(path, known))
+        if found is None:
+            raise InputError(of_no_format(path, known))
     return found
 
 
@@ -72,13 +71,10 @@ def load(
     path = Path(path)
     options = checked_options(topics, units, progress)
     module = format_of(path)
-    try:
-        # Absurd numbers become infinite or NaN in conversion, and are dropped and told.
-        with np.errstate(over="ignore", invalid="ignore"):
-            recording: Recording = module.read(path, options)
-            return recording
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror or error}.") from error
+    # Absurd numbers become infinite or NaN in conversion, and are dropped and told.
+    with reading(path), np.errstate(over="ignore", invalid="ignore"):
+        recording: Recording = module.read(path, options)
+        return recording
 
 
 def of_arrays(

@@ -8,6 +8,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from urllib.parse import quote
 
+from handcal.recordings.inputs._magic import begins_with
 from handcal.types import InputError
 
 MAGIC = b"SQLite format 3\0"
@@ -17,10 +18,7 @@ MOST_STEPS = 4_000  # of a hundred thousand instructions each
 
 def is_database(path: Path) -> bool:
     """By the first bytes."""
-    if not path.is_file():
-        return False
-    with path.open("rb") as file:
-        return file.read(16) == MAGIC
+    return begins_with(path, MAGIC)
 
 
 def tables(path: Path) -> set[str]:

@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import zipfile
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path, PurePosixPath
 
 from handcal.recordings.inputs._options import Options
@@ -22,6 +24,8 @@ LARGEST_RATIO, RATIO_FROM = 200, 4 * 2**20
 MOST_MEMBERS = 20_000
 DEEPEST = 2
 MOST_BEGUN = 100  # (to know a format by)
+# What was listed within ``listed_once``, by path; None outside.
+_LISTED: ContextVar[dict[Path, list[str] | None] | None] = ContextVar("listed", default=None)
 _DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, ValueError, RuntimeError)
 
 
@@ -32,8 +36,27 @@ def names_within(path: Path) -> set[str] | None:
     return None if listed is None else {PurePosixPath(n).name.lower() for n in listed}
 
 
+@contextmanager
+def listed_once() -> Iterator[None]:
+    """Inside, each folder or zip is listed once, however many formats ask what it holds."""
+    token = _LISTED.set({})
+    try:
+        yield
+    finally:
+        _LISTED.reset(token)
+
+
 def listing(path: Path) -> list[str] | None:
     """Paths inside a folder (two levels deep) or zip; None for anything else, damaged too."""
+    listed = _LISTED.get()
+    if listed is None:
+        return _listing(path)
+    if path not in listed:
+        listed[path] = _listing(path)
+    return listed[path]
+
+
+def _listing(path: Path) -> list[str] | None:
     if path.is_dir():
         found = [f for depth in range(1, DEEPEST + 1) for f in path.glob("/".join("*" * depth))]
         return [f.relative_to(path).as_posix() for f in sorted(found) if f.is_file()]

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from handcal.recordings.inputs._magic import begins_with
 from handcal.recordings.inputs._options import Options
 from handcal.recordings.inputs._zip import LARGEST, LARGEST_RATIO, RATIO_FROM
 from handcal.recordings.inputs.plain_csv import of_named
@@ -48,10 +49,7 @@ _TYPES = {
 
 def can_read(path: Path) -> bool:
     """By its first bytes."""
-    if not path.is_file():
-        return False
-    with path.open("rb") as file:
-        return file.read(7) == b"MATLAB "
+    return begins_with(path, b"MATLAB ")
 
 
 def read(path: Path, options: Options) -> Recording:

@@ -23,6 +23,7 @@ from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, DataEnd, Schema, Statistics
 
+from handcal.recordings.inputs._magic import begins_with
 from handcal.recordings.inputs._messages import ByteArray, schema_key
 from handcal.recordings.inputs._options import Options
 from handcal.recordings.inputs._topics import Part, Topic, parts_of, readable, recording_from_topics
@@ -57,10 +58,8 @@ class _Walk:
 
 def can_read(path: Path) -> bool:
     """By its first bytes, or by its name, so that a damaged one gets a fitting message."""
-    if not path.is_file():
-        return False
-    with path.open("rb") as file:
-        return file.read(8) == MAGIC or path.suffix.lower() == ".mcap"
+    named = path.is_file() and path.suffix.lower() == ".mcap"
+    return named or begins_with(path, MAGIC)
 
 
 def read(path: Path, options: Options) -> Recording:

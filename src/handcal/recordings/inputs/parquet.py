@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from handcal.recordings.inputs._magic import begins_with
 from handcal.recordings.inputs._options import Options
 from handcal.recordings.inputs._zip import LARGEST
 from handcal.recordings.inputs.plain_csv import of_named
@@ -28,10 +29,7 @@ MOST_COLUMNS = 1000
 
 def can_read(path: Path) -> bool:
     """By its first bytes."""
-    if not path.is_file():
-        return False
-    with path.open("rb") as file:
-        return file.read(4) == b"PAR1"
+    return begins_with(path, b"PAR1")
 
 
 def read(path: Path, options: Options) -> Recording:

@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from handcal.earth import STANDARD_GRAVITY
+from handcal.recordings.inputs._magic import begins_with
 from handcal.recordings.inputs._options import Options
 from handcal.recordings.inputs._repair import Columns, assemble, columns, nanoseconds
 from handcal.recordings.inputs._rows import numbers, rows_of, unit_in
@@ -78,8 +79,7 @@ def can_read(path: Path) -> bool:
     if listing(path) is not None:
         found = beginnings(path, lambda name: name.lower().endswith(".csv"))
         return any(_sensors("", _header(text)) for text in found.values())
-    with path.open("rb") as file:
-        return file.read(8) == _WORKBOOK
+    return begins_with(path, _WORKBOOK)
 
 
 def _header(text: bytes) -> tuple[str, ...]:

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from handcal.recordings.inputs._magic import begins_with
 from handcal.recordings.inputs._options import Options
 from handcal.recordings.inputs._repair import Columns, assemble, columns
 from handcal.recordings.inputs._zip import LARGEST, stated
@@ -48,10 +49,7 @@ _Fields = Mapping[str, Array]
 
 def can_read(path: Path) -> bool:
     """By its first bytes."""
-    if not path.is_file():
-        return False
-    with path.open("rb") as file:
-        return file.read(len(MAGIC)) == MAGIC
+    return begins_with(path, MAGIC)
 
 
 def read(path: Path, options: Options) -> Recording:

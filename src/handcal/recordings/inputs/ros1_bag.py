@@ -18,6 +18,7 @@ from typing import BinaryIO
 import lz4.frame
 import numpy as np
 
+from handcal.recordings.inputs._magic import begins_with
 from handcal.recordings.inputs._messages import schema_key
 from handcal.recordings.inputs._options import Options
 from handcal.recordings.inputs._topics import Part, Topic, parts_of, readable, recording_from_topics
@@ -50,10 +51,7 @@ class _Walk:
 
 def can_read(path: Path) -> bool:
     """By its first line."""
-    if not path.is_file():
-        return False
-    with path.open("rb") as file:
-        return file.read(len(MAGIC)) == MAGIC
+    return begins_with(path, MAGIC)
 
 
 def read(path: Path, options: Options) -> Recording:

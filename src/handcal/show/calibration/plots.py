@@ -11,7 +11,6 @@ from handcal.show import words
 from handcal.show.calibration import summary
 from handcal.show.drawing import (
     AXES,
-    DEG,
     INK,
     MUTED,
     RC,
@@ -28,6 +27,7 @@ from handcal.show.drawing import (
     thin,
 )
 from handcal.types import Array, Innovations, Parameter, Result
+from handcal.units import DEG
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -15,6 +15,7 @@ import numpy as np
 import handcal
 from handcal import output
 from handcal.show import words
+from handcal.show.terminal import print_section, table
 from handcal.types import (
     CALIBRATION_SCHEMA,
     Array,
@@ -272,22 +273,12 @@ def print_summary(result: Result, console: Console) -> None:
         ("What this motion could not show", words.not_shown(result)),
         ("Warnings", all_warnings(result)),
     ):
-        if sentences:
-            console.print(f"[bold]{heading}[/]")
-            for sentence in sentences:
-                console.print(Padding(escape(f"• {sentence}"), (0, 0, 0, 2)))
+        print_section(console, heading, sentences)
 
 
 def _parameter_table(result: Result, prior: bool) -> Any:
-    from rich import box
-    from rich.table import Table
-
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("parameter", no_wrap=True)
-    for column in ("value", "± 1 sigma", *(["prior ±"] if prior else [])):
-        table.add_column(column, justify="right", no_wrap=True)
-    for column in ("unit", "observable", "settled"):
-        table.add_column(column)
+    columns = (">value", ">± 1 sigma", *([">prior ±"] if prior else []))
+    rows = table("parameter", *columns, "*unit", "*observable", "*settled")
     for group in words.by_effect(result.parameters).values():
         unit = words.shown_group(group)
         for p in group:
@@ -295,20 +286,13 @@ def _parameter_table(result: Result, prior: bool) -> Any:
             seen = "[green]yes[/]" if p.observable else "[yellow]no[/]"
             row = (unit.value(p.value, p.sigma, sign=True), unit.value(p.sigma, p.sigma))
             before = [unit.value(p.prior_sigma)] if prior else []
-            table.add_row(words.parameter_title(p), *row, *before, unit.unit, seen, at)
-    return table
+            rows.add_row(words.parameter_title(p), *row, *before, unit.unit, seen, at)
+    return rows
 
 
 def _kind_table(result: Result) -> Any:
-    from rich import box
-    from rich.table import Table
-
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("observation")
-    table.add_column("updates", justify="right")
-    table.add_column("NIS / dof", justify="right")
-    table.add_column("the filter is")
+    rows = table("*observation", ">*updates", ">*NIS / dof", "*the filter is")
     for kind, i in result.innovations.items():
         nis = "–" if i.mean_nis is None else f"{i.mean_nis:.2f}"
-        table.add_row(words.kind_title(kind), str(i.t.size), nis, words.nis_word(i))
-    return table
+        rows.add_row(words.kind_title(kind), str(i.t.size), nis, words.nis_word(i))
+    return rows

@@ -12,10 +12,12 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from handcal.explain.explanation import Explained, Explanation, Hypothesis, Trace
-from handcal.show.dashboard import laws
+from handcal.show import words
+from handcal.show.dashboard import unnamed_laws
 from handcal.show.dashboard.common import GREY, TIMELINE, XYZ, columns, lines, plot, save
-from handcal.show.explanation import frames, summary
+from handcal.show.explanation import frames, verdict_text
 from handcal.show.explanation import words as say
+from handcal.show.explanation.document import all_warnings
 from handcal.units import Shown
 
 RECORDED = (150, 156, 166)
@@ -67,7 +69,7 @@ def explanation_blueprint(explanation: Explanation) -> rrb.Blueprint:
         plot_legend=rrb.PlotLegend("LeftTop"),
     )  # fmt: skip
     pages: list[Any] = [_page(e, i, names[i]) for i in range(len(e.recordings))]
-    if e.recordings and (drawn := laws.views(e, _span(e.recordings[0]))):
+    if e.recordings and (drawn := unnamed_laws.views(e, _span(e.recordings[0]))):
         pages.append(rrb.Vertical(*drawn, name="What has no name"))
     left = rrb.Vertical(text, bars, row_shares=[3, 2])
     panels = (rrb.BlueprintPanel(state="hidden"), rrb.SelectionPanel(state="hidden"))
@@ -124,14 +126,38 @@ def _channel(home: str, span: tuple[float, float], trace: Trace) -> tuple[Any, A
     )  # fmt: skip
 
 
+def _markdown(explanation: Explanation) -> str:
+    """The verdict with its numbers, for the text panel."""
+    e, judged = explanation, verdict_text.verdict(explanation)
+    lines = [f"## {judged.headline}", "", *(f"{s}\n" for s in judged.sentences)]
+    for m in e.missing:
+        lines += [f"### {' or '.join(say.members(m, e))}", "", m.story, "",
+                  verdict_text.weight(m), "",
+                  "| | value | ± 1 sigma | |", "|---|---:|---:|---|"]  # fmt: skip
+        for p, unit in say.in_units(m.parameters):
+            value, sigma = unit.value(p.value, p.sigma, sign=True), unit.value(p.sigma, p.sigma)
+            lines.append(f"| {words.parameter_title(p)} | {value} | {sigma} | {unit.unit} |")
+        lines.append("")
+    for u in e.unnamed:
+        gained = say.nats(u.log_evidence_gain)
+        lines += ["### Outside the catalogue", "", f"`{u.formula}`", "",
+                  f"{say.sized(u)}, gains {gained}", ""]  # fmt: skip
+        lines += [u.story, ""] if u.story else []
+    told = verdict_text.untold(e)
+    told += [f"Next: {verdict_text.motion_phrase(n.motion)}." for n in e.next_motion]
+    lines += ["### What could not be told", "", *(f"- {s}" for s in told), ""] if told else []
+    lines += [f"- {w}" for w in all_warnings(e)]
+    return "\n".join(lines)
+
+
 def log_explanation(rec: rr.RecordingStream, explanation: Explanation) -> None:
     """Send a whole explanation, by columns."""
     e = explanation
-    text = rr.TextDocument(summary.explanation_markdown(e), media_type="text/markdown")
+    text = rr.TextDocument(_markdown(e), media_type="text/markdown")
     rec.log("/verdict", text, static=True)
     _log_hypotheses(rec, e)
     if e.recordings:
-        laws.log(rec, e)
+        unnamed_laws.log(rec, e)
     colours, found = _colours(e), frames.found_effects(e)
     formulas = {u.formula for u in e.unnamed}
     for i, r in enumerate(e.recordings):

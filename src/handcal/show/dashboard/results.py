@@ -32,10 +32,10 @@ from handcal.show.dashboard.common import (
 from handcal.show.frames import Group, Kind, Layout, layout_of
 from handcal.show.viewer import viewer
 from handcal.types import Array, HandcalError, Result
+from handcal.units import DEG
 
 NIS_WINDOW = 20  # updates
 YAW = "/yaw"  # beside the kinds of observation, none of which has a slash
-DEG = 180.0 / np.pi
 
 
 def _key(names: Sequence[str]) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,9 +12,10 @@ import handcal
 from handcal import output, units
 from handcal.design.motion import Plan, Prospect
 from handcal.show import words
-from handcal.show.design.picture import check_ending
+from handcal.show.design.picture import write_figure
 from handcal.show.drawing import INK, MUTED, RC, WIDE, XYZ, Plot, legend, svg
 from handcal.show.html_page import page
+from handcal.show.terminal import print_bullets, table
 from handcal.types import Array
 
 if TYPE_CHECKING:
@@ -48,13 +48,7 @@ def write_motion_report(plan: Plan, path: str | Path) -> None:
 
 def save_motion_picture(plan: Plan, path: Path) -> None:
     """Write the drawing. Errors: InputError where the ending is none of a picture."""
-    import matplotlib as mpl
-
-    check_ending(path)
-    out = io.BytesIO()
-    with mpl.rc_context(RC):
-        _figure(plan).savefig(out, format=path.suffix[1:].lower(), dpi=110, facecolor="white")
-    output.write_bytes(path, out.getvalue())
+    write_figure(lambda: _figure(plan), path)
 
 
 def motion_json(plan: Plan) -> dict[str, Any]:
@@ -78,25 +72,19 @@ def motion_json(plan: Plan) -> dict[str, Any]:
 
 def print_motions(plan: Plan, console: Console) -> None:
     """What to do, and what each motion would bring."""
-    from rich import box
     from rich.markup import escape
     from rich.padding import Padding
-    from rich.table import Table
 
     console.print(f"[bold]What to do next[/] {escape(_asked(plan))}", highlight=False)
-    for sentence in sentences(plan):
-        console.print(Padding(escape(f"• {sentence}"), (0, 0, 0, 2)), highlight=False)
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for i, column in enumerate(["", *_columns(plan)[1:]]):
-        table.add_column(column, justify="left" if i == 0 else "right")
+    print_bullets(console, sentences(plan))
+    rows = table("*", *(f">*{column}" for column in _columns(plan)[1:]))
     for n, row in enumerate(_rows(plan)):
-        table.add_row(f"{n}" if n else "now", *row[1:])
-    console.print(table)
+        rows.add_row(f"{n}" if n else "now", *row[1:])
+    console.print(rows)
     for n, prospect in enumerate(plan.prospects):
         said = escape(f"{n + 1}: {prospect.motion.sentence}")
         console.print(Padding(said, (0, 0, 0, 2)), highlight=False)
-    for warning in plan.warnings:
-        console.print(Padding(escape(f"• {warning}"), (0, 0, 0, 2)), highlight=False)
+    print_bullets(console, plan.warnings)
 
 
 def sentences(plan: Plan) -> list[str]:

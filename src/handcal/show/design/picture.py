@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import math
 import textwrap
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -38,9 +39,17 @@ def poses_plot(design: Design) -> Plot:
 
 def save_picture(design: Design, path: Path) -> None:
     """Write the drawing. Errors: InputError where the ending is not one of ``ENDINGS``."""
+    write_figure(lambda: _figure(design), path)
+
+
+def write_figure(figure: Callable[[], Figure], path: Path) -> None:
+    """Draw and write. Errors: InputError as ``save_picture``."""
+    import matplotlib as mpl
+
     check_ending(path)
     out = io.BytesIO()
-    _figure(design).savefig(out, format=path.suffix[1:].lower(), dpi=110, facecolor="white")
+    with mpl.rc_context(RC):
+        figure().savefig(out, format=path.suffix[1:].lower(), dpi=110, facecolor="white")
     write_bytes(path, out.getvalue())
 
 

@@ -13,6 +13,7 @@ from handcal.show import words
 from handcal.show.design.picture import poses_plot
 from handcal.show.design.words import elevations, instruction
 from handcal.show.html_page import page
+from handcal.show.terminal import print_bullets, table
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -64,27 +65,14 @@ def design_json(design: Design) -> dict[str, Any]:
 
 def print_design(design: Design, console: Console) -> None:
     """The poses, how good they are, and how well they tell the parameters."""
-    from rich import box
-    from rich.markup import escape
-    from rich.padding import Padding
-    from rich.table import Table
-
     console.print(f"[bold]{_title(design)}[/] {_asked(design)}")
     console.print(READ[design.experiment.known])
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("", justify="right")
-    table.add_column("how to lay it")
-    for axis in "xyz":
-        table.add_column(f"{axis} up by", justify="right", no_wrap=True)
+    poses = table(">*", "*how to lay it", *(f">{axis} up by" for axis in "xyz"))
     for row in _rows(design):
-        table.add_row(*row)
-    console.print(table)
-    for sentence in _sentences(design):
-        console.print(Padding(escape(f"• {sentence}"), (0, 0, 0, 2)), highlight=False)
-    sigmas = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    sigmas.add_column(f"with readings good to {_noise(design)}")
-    sigmas.add_column("± 1 sigma", justify="right")
-    sigmas.add_column("unit")
+        poses.add_row(*row)
+    console.print(poses)
+    print_bullets(console, _sentences(design))
+    sigmas = table(f"*with readings good to {_noise(design)}", ">*± 1 sigma", "*unit")
     for line in _sigmas(design):
         sigmas.add_row(*line)
     console.print(sigmas)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from handcal.effects import catalogue, installed
 from handcal.explain.explanation import Explanation
-from handcal.show.explanation.summary import final_parameters
+from handcal.show.explanation.document import final_parameters
 from handcal.types import Parameter
 
 # What stands for a file that the explanation was not written to.

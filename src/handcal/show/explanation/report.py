@@ -13,7 +13,7 @@ from handcal.explain.explanation import Explanation, Hypothesis, Mismatch, Missi
 from handcal.show import words
 from handcal.show.calibration.report import how_to_apply
 from handcal.show.drawing import PALETTE
-from handcal.show.explanation import frames, plots, sentences, summary
+from handcal.show.explanation import document, frames, plots, verdict_text
 from handcal.show.explanation import words as say
 from handcal.show.explanation.following import applicable, biases_of, commands
 from handcal.show.html_page import page
@@ -38,14 +38,14 @@ def _context(e: Explanation) -> dict[str, Any]:
     return {
         "names": words.listed(names) if names else "nothing",
         "version": handcal.__version__,
-        "assumed": sentences.assumptions(e),
-        "verdict": sentences.verdict(e),
+        "assumed": verdict_text.assumptions(e),
+        "verdict": verdict_text.verdict(e),
         "facts": _facts(e),
         "mismatch": [_where(m, names) for m in e.mismatch],
         "missing": [_card(m, e, styles) for m in e.missing],
         "unnamed": [
             {"formula": u.formula, "amount": say.sized(u), "gain": say.nats(u.log_evidence_gain),
-             "story": u.story, "lead": sentences.lead(u)}
+             "story": u.story, "lead": verdict_text.lead(u)}
             for u in e.unnamed
         ],
         "plots": plots.draw(e),
@@ -56,14 +56,14 @@ def _context(e: Explanation) -> dict[str, Any]:
         "groups": _groups(e),
         "one_model": say.one_model(e),
         "more_apart": max(gains, default=0.0) > say.gain(e),
-        "untold": sentences.untold(e),
+        "untold": verdict_text.untold(e),
         "next_motion": [
             {"motion": n.motion.rstrip("."), "gain": say.nats(n.expected_gain),
-             "promise": sentences.promise(n, e)}
+             "promise": verdict_text.promise(n, e)}
             for n in e.next_motion
         ],
         "noise": [words.noise_line(n) for n in e.noise],
-        "warnings": summary.all_warnings(e),
+        "warnings": document.all_warnings(e),
         "apply": how_to_apply(applicable(e)),
         "biases_of": biases_of(e),
         "following": commands(e),
@@ -89,7 +89,7 @@ def _facts(e: Explanation) -> list[tuple[str, str]]:
         best = max((h.alone for h in e.hypotheses), default=0.0)
         return [*facts, (say.nats(best), "gained by the best of them")]
     for value, label in ((say.gain(e), "gained by the final model"),
-                         (sentences.held_out_gain(e), "gained on unseen data")):  # fmt: skip
+                         (verdict_text.held_out_gain(e), "gained on unseen data")):  # fmt: skip
         if label != "gained on unseen data" or e.held_out is not None:
             facts.append((say.nats(value), label))
     return facts
@@ -120,7 +120,7 @@ def _card(m: Missing, e: Explanation, styles: dict[str, tuple[str, Any]]) -> dic
         "colour": PALETTE[styles.get(m.effect, (plots.AFTER, ""))[0]],
         "probability": say.percent(m.probability),
         "gain": say.nats(m.log_evidence_gain),
-        "weight": sentences.weight(m),
+        "weight": verdict_text.weight(m),
         "story": m.story,
         "motion": m.motion,
         "rows": [_row(p, unit) for p, unit in say.in_units(m.parameters)],
@@ -164,7 +164,7 @@ def _held_out(e: Explanation) -> dict[str, Any] | None:
     if (h := e.held_out) is None:
         return None
     return {
-        "sentence": sentences.held_out_sentence(e) or "",
+        "sentence": verdict_text.held_out_sentence(e) or "",
         "score": _scores(h.log_score_before, h.log_score_after),
     }
 

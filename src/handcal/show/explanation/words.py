@@ -25,12 +25,12 @@ from handcal.explain.explanation import (
 from handcal.show import words
 from handcal.show.words import NBSP, effect_title, listed
 from handcal.types import Parameter
-from handcal.units import Shown, shown
+from handcal.units import DEG, Shown, shown
 
 _SENSORS = {"accel": "accelerometer", "mag": "magnetometer"}
 _UNITS = {
-    "gyro": Shown("deg/s", 180.0 / math.pi), "accel": Shown("m/s²", 1.0),
-    "heading": Shown("deg", 180.0 / math.pi), "attitude": Shown("deg", 180.0 / math.pi),
+    "gyro": Shown("deg/s", DEG), "accel": Shown("m/s²", 1.0),
+    "heading": Shown("deg", DEG), "attitude": Shown("deg", DEG),
     "mag": Shown("µT", 1e6),
 }  # fmt: skip
 _SMALL = {"accel": "m/s^2", "position": "m", "velocity": "m/s"}

@@ -12,10 +12,10 @@ from handcal.lab.norm_rows import KINDS
 from handcal.lab.scalar import Scalar
 from handcal.show import words
 from handcal.show.calibration import summary
-from handcal.show.drawing import DEG, INK, MUTED, RC, XYZ, Plot, canvas, legend, svg
+from handcal.show.drawing import INK, MUTED, RC, XYZ, Plot, canvas, legend, svg
 from handcal.show.lab.sheet import Sheet, Table
 from handcal.types import CALIBRATION_SCHEMA, Array
-from handcal.units import shown
+from handcal.units import DEG, shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -13,6 +13,8 @@ from handcal.lab.papers.table import Table as Table
 from handcal.show import words
 from handcal.show.drawing import Plot
 from handcal.show.html_page import page
+from handcal.show.terminal import print_bullets, print_section
+from handcal.show.terminal import table as terminal_table
 from handcal.types import Parameter
 
 if TYPE_CHECKING:
@@ -45,8 +47,7 @@ def print_sheet(sheet: Sheet, console: Console) -> None:
     from rich.padding import Padding
 
     console.print(f"[bold]{escape(sheet.title)}[/]  {escape(sheet.sub)}", highlight=False)
-    for sentence in sheet.sentences:
-        console.print(Padding(escape(f"• {sentence}"), (0, 0, 0, 2)), highlight=False)
+    print_bullets(console, sheet.sentences)
     if sheet.parameters:
         columns = ("parameter", "value", "± 1 sigma", "unit")
         rows = [(f"{g['title']} {r['name']}".rstrip(), r["value"], r["sigma"], g["unit"])
@@ -58,23 +59,16 @@ def print_sheet(sheet: Sheet, console: Console) -> None:
         console.print(_table(table.columns, table.rows, numbers))
         if table.note:
             console.print(Padding(escape(table.note), (0, 0, 1, 0)), highlight=False)
-    if sheet.warnings:
-        console.print("[bold]Warnings[/]")
-        for sentence in sheet.warnings:
-            console.print(Padding(escape(f"• {sentence}"), (0, 0, 0, 2)), highlight=False)
+    print_section(console, "Warnings", sheet.warnings)
 
 
 def _table(columns: Sequence[str], rows: Sequence[Sequence[str]], numbers: Sequence[int]) -> Any:
-    from rich import box
     from rich.markup import escape
-    from rich.table import Table as Rich
 
-    table = Rich(box=box.SIMPLE_HEAD, pad_edge=False)
-    for i, column in enumerate(columns):
-        table.add_column(column, justify="right" if i in numbers else "left", no_wrap=i in numbers)
+    out = terminal_table(*(f">{c}" if i in numbers else f"*{c}" for i, c in enumerate(columns)))
     for row in rows:
-        table.add_row(*(escape(cell) for cell in row))
-    return table
+        out.add_row(*(escape(cell) for cell in row))
+    return out
 
 
 def _groups(parameters: Sequence[Parameter]) -> list[dict[str, Any]]:

@@ -13,10 +13,10 @@ from handcal.lab.size import ARMS, Sized, force_of
 from handcal.lab.spins import SPINNING
 from handcal.show import words
 from handcal.show.calibration import summary
-from handcal.show.drawing import DEG, MUTED, RC, XYZ, Plot, canvas, legend, svg
+from handcal.show.drawing import MUTED, RC, XYZ, Plot, canvas, legend, svg
 from handcal.show.lab.sheet import Sheet, Table
 from handcal.types import CALIBRATION_SCHEMA, Array, BoolArray
-from handcal.units import Shown
+from handcal.units import DEG, Shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,10 +9,10 @@ from dataclasses import replace
 from functools import partial
 
 from handcal.effects import Effect, catalogue
-from handcal.estimate.beside import side_by_side
 from handcal.estimate.case import name_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
+from handcal.estimate.parallel import in_parallel
 from handcal.explain.climb.state import WEAK, Climb, likelier, sensible
 from handcal.explain.score import NAMED, PRIOR, better
 from handcal.explain.space import gains, rivals
@@ -41,7 +41,7 @@ def exchange(c: Climb) -> Model | None:
         begin = next((m.parts for m in c.far if rival in m.ids), model.parts)
         return fitted(begin, [*(x for x in model.effects if x is not e), catalogue()[rival]])
 
-    fits = side_by_side(partial(exchanged, *pair) for pair in pairs)
+    fits = in_parallel(partial(exchanged, *pair) for pair in pairs)
     for (e, rival), tried in zip(pairs, fits, strict=True):
         worse = better(model, tried, c.worth)
         c.swaps[e.id, rival], c.swaps[rival, e.id] = worse, -worse

@@ -16,10 +16,10 @@ import numpy as np
 
 from handcal.effects import Effect
 from handcal.estimate.baseline import started
-from handcal.estimate.beside import side_by_side
 from handcal.estimate.case import Case, Edit, case_of, creeping, edited
 from handcal.estimate.fit import TOLERANCE, fitted, known_before, with_usual_noise
 from handcal.estimate.model import Fitted, Model
+from handcal.estimate.parallel import in_parallel
 from handcal.estimate.parameters import Moment
 from handcal.estimate.transfer import at_constants, moved_to
 from handcal.types import HandcalError, Prior, Recording
@@ -53,7 +53,7 @@ class Options:
 
 
 @dataclass(frozen=True)
-class Chosen:
+class Specification:
     """A model: effects (noise among them), values (SI) from which their constants start where that
     is not zero, moments of those that are held at one, and a view of each recording; levels: noise
     levels (SI) to start from instead of the usual ones, of each recording."""
@@ -68,7 +68,7 @@ class Chosen:
 
 def chosen_of(
     model: Model, options: Options, moments: Mapping[str, Moment], exact: bool = False
-) -> Chosen:
+) -> Specification:
     """A model that was fitted, written down. Effects start where their size is of the order of
     their prior or more, in whole priors: what is small starts at zero, and the fit does not
     depend on the way there. exact: they start where they are, and so do the noise levels."""
@@ -81,7 +81,7 @@ def chosen_of(
                 starts[e.id, p.name] = size * p.prior_sigma
     views = tuple(view_of(f.case) for f in model.parts)
     levels = tuple(dict(f.levels) for f in model.parts) if exact else ()
-    return Chosen(model.effects, views, options, starts, moments, levels)
+    return Specification(model.effects, views, options, starts, moments, levels)
 
 
 def view_of(case: Case) -> View:
@@ -104,7 +104,7 @@ def seen(recording: Recording, view: View, options: Options) -> Case:
     return case
 
 
-def settled(base: Model, chosen: Chosen, engine: str = "compiled") -> Model:
+def settled(base: Model, chosen: Specification, engine: str = "compiled") -> Model:
     """The fit of the chosen effects, from the baseline of the same cases.
 
     What the baseline lacks, its trajectory and noise levels hold. So the fit is begun more than
@@ -128,13 +128,13 @@ def settled(base: Model, chosen: Chosen, engine: str = "compiled") -> Model:
     # (online, effects may lead astray: then that is no start)
     with contextlib.suppress(HandcalError):
         starts.append([started(f.case, chosen.effects, engine) for f in base.parts])
-    found = list(side_by_side(partial(fit, s) for s in starts))
+    found = list(in_parallel(partial(fit, s) for s in starts))
     if max(m.log_evidence for m in found) < base.log_evidence:
         found.append(fit(parts))
     return max(found, key=lambda m: m.log_evidence)
 
 
-def _starts(chosen: Chosen, base: Model) -> dict[tuple[str, str], float]:
+def _starts(chosen: Specification, base: Model) -> dict[tuple[str, str], float]:
     """Values (SI) from which constants start that are not zero: as the model says, else as they
     are known to be."""
     of_device = chosen.options.before
@@ -144,12 +144,12 @@ def _starts(chosen: Chosen, base: Model) -> dict[tuple[str, str], float]:
     return {k: v for k, v in at.items() if k[0] not in base.ids}
 
 
-def as_seen(base: Sequence[Fitted], chosen: Chosen) -> bool:
+def as_seen(base: Sequence[Fitted], chosen: Specification) -> bool:
     """Whether fits look at their recordings as the model does."""
     return tuple(view_of(f.case) for f in base) == chosen.views
 
 
-def document_of(chosen: Chosen) -> dict[str, Any]:
+def document_of(chosen: Specification) -> dict[str, Any]:
     """The model as JSON can hold it (contract: ``model``)."""
     o = chosen.options
     return {
@@ -167,7 +167,7 @@ def document_of(chosen: Chosen) -> dict[str, Any]:
     }
 
 
-def _effect_document(chosen: Chosen, e: Effect) -> dict[str, Any]:
+def _effect_document(chosen: Specification, e: Effect) -> dict[str, Any]:
     out: dict[str, Any] = {"id": e.id}
     start = {p.name: chosen.starts[e.id, p.name] for p in e.parameters
              if (e.id, p.name) in chosen.starts}  # fmt: skip

@@ -14,8 +14,8 @@ from typing import Any
 import numba
 import pytest
 
+from handcal.compiled.disk_cache import _Files
 from handcal.compiled.jit import njit, residual_function
-from handcal.compiled.kept import _Files
 
 SOURCE = "def twice(x):\n    return x + x\n\n\ndef status(nav, theta, z, out):\n    return 7\n"
 

@@ -9,11 +9,11 @@ from functools import partial
 from itertools import product
 
 from handcal.effects import Effect, catalogue
-from handcal.estimate.beside import side_by_side
 from handcal.estimate.case import applicable
 from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Fitted, Model
+from handcal.estimate.parallel import in_parallel
 from handcal.estimate.transfer import moved_to
 from handcal.explain.score import better
 from handcal.explain.unnamed import with_motion
@@ -51,7 +51,7 @@ def looks_of(
         return Look((*effects, e), tuple(f for f, _ in wide), there - here)
 
     shown = [e for e in noise if any(applicable(f.case, e) for f in parts)]
-    out = side_by_side(partial(look, e) for e in shown)
+    out = in_parallel(partial(look, e) for e in shown)
     return sorted(out, key=lambda look: -look.gain)
 
 
@@ -71,7 +71,7 @@ def _at_best(f: Fitted, e: Effect) -> tuple[Fitted, float]:
 def of_looks(looks: Sequence[Look]) -> list[tuple[Model, Effect]]:
     """Fits of those that were worth it at a look, with their noise effects."""
     some = [look for look in looks if look.gain > LOOK]
-    fits = side_by_side(partial(fitted, look.parts, look.effects) for look in some)
+    fits = in_parallel(partial(fitted, look.parts, look.effects) for look in some)
     return [(m, look.effects[-1]) for m, look in zip(fits, some, strict=True)]
 
 

@@ -12,7 +12,7 @@ from handcal.estimate import case
 from handcal.estimate.baseline import baseline
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
-from handcal.explain.stand_ins import without_stand_in
+from handcal.explain.confounding import without_confounding
 from handcal_sim import simulate
 from handcal_sim.phone import Clocking, Phone, consumer_magnetometer, consumer_phone, with_rate
 
@@ -39,7 +39,7 @@ def wide(model: Model) -> Model:
 def test_a_wide_disturbance_is_taken_back_for_what_it_hid(seed: int) -> None:
     model = wide(base_of({"mag_soft_iron": [0.1, -0.15, 0.05, 0.1, -0.05, 0.1]}, seed))
     tried = set[str]()
-    found = without_stand_in(model, 1.0, tried)
+    found = without_confounding(model, 1.0, tried)
     assert found is not None
     assert found.ids == ("mag_hard_iron", "mag_soft_iron")
     assert found.log_evidence > model.log_evidence + 100.0
@@ -50,20 +50,20 @@ def test_a_wide_disturbance_is_taken_back_for_what_it_hid(seed: int) -> None:
 
 def test_a_usual_disturbance_is_not_suspected() -> None:
     tried = set[str]()
-    assert without_stand_in(base_of({}, 0), 1.0, tried) is None
+    assert without_confounding(base_of({}, 0), 1.0, tried) is None
     assert not tried
 
 
 def test_nothing_is_tried_twice() -> None:
     model = wide(base_of({"mag_soft_iron": [0.1, -0.15, 0.05, 0.1, -0.05, 0.1]}, 0))
     tried = set[str]()
-    first = without_stand_in(model, 1.0, tried)
+    first = without_confounding(model, 1.0, tried)
     assert first is not None
-    assert without_stand_in(model, 1.0, tried) is None
+    assert without_confounding(model, 1.0, tried) is None
 
 
 def test_a_level_that_was_given_is_left_alone() -> None:
     model = wide(base_of({"mag_soft_iron": [0.1, -0.15, 0.05, 0.1, -0.05, 0.1]}, 0))
     given = {"mag_disturbance": 3e-5, "mag_noise": 2e-7}
     parts = tuple(replace(f, case=replace(f.case, fixed=given)) for f in model.parts)
-    assert without_stand_in(replace(model, parts=parts), 1.0, set()) is None
+    assert without_confounding(replace(model, parts=parts), 1.0, set()) is None

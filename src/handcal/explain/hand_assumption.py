@@ -17,8 +17,8 @@ from handcal.estimate.model import Fitted, Model
 from handcal.estimate.sway import TRAVEL_NATS, beyond_a_hand
 from handcal.estimate.transfer import at_constants, moved_to
 from handcal.explain.explanation import Hand
+from handcal.explain.multistart import Found
 from handcal.explain.score import CERTAIN, log_prior, score
-from handcal.explain.search import Found
 
 
 def foretold(held: Model, base: Model, laid: Found) -> float:

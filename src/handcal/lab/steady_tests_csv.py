@@ -18,7 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from handcal.lab.bench import Bench, of_arrays
+from handcal.documents import reading
+from handcal.lab.steady_tests import Bench, of_arrays
 from handcal.lab.stretches import PERFECT
 from handcal.lab.table import Table, table
 from handcal.recordings.inputs._options import parse_unit, quantities
@@ -70,13 +71,11 @@ def read(path: Path, sequence: str, gravity: float) -> tuple[Bench, Table | None
 def _columns(path: Path) -> dict[str, Array]:
     """Values (n, d) in SI by group."""
     try:
-        with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
+        with reading(path), path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
             header = file.readline()
             separator = max(",;\t", key=header.count)
             names = next(csv.reader([header], delimiter=separator), [])
             lines = [row for row in csv.reader(file, delimiter=separator) if any(row)]
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror or error}.") from error
     except csv.Error as error:
         raise InputError(f"{path} is no table: {error}.") from error
     if not 0 < len(lines) <= MOST_ROWS:

@@ -15,7 +15,7 @@ T = TypeVar("T")
 AT_ONCE = 2
 
 
-def side_by_side(calls: Iterable[Callable[[], T]]) -> Iterator[T]:
+def in_parallel(calls: Iterable[Callable[[], T]]) -> Iterator[T]:
     """What the calls return, in their order; one or two run at a time.
 
     Threads, since compiled code lets others go on; in the context of the caller, who may have a

@@ -1,5 +1,5 @@
-"""Disturbances that hold what an effect does: an observation's own correlated noise, grown far
-beyond what is usual, is an alibi for whatever bends the observation."""
+"""Confounding: disturbances that hold what an effect does. An observation's own correlated noise,
+grown far beyond what is usual, is an alibi for whatever bends the observation."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from dataclasses import replace
 from functools import partial
 
 from handcal.effects import Effect, catalogue
-from handcal.estimate.beside import side_by_side
 from handcal.estimate.case import applicable
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Fitted, Model
+from handcal.estimate.parallel import in_parallel
 from handcal.estimate.sway import HAND_SWAY, sway_of
 from handcal.explain.score import better
 
@@ -20,7 +20,7 @@ from handcal.explain.score import better
 FAR = 2.0
 
 
-def without_stand_in(model: Model, worth: float, tried: set[str]) -> Model | None:
+def without_confounding(model: Model, worth: float, tried: set[str]) -> Model | None:
     """The model with the effect that explains what a disturbance was taken for, if one does.
 
     While the disturbance is wide a scan sees no effect beside it. So each effect that acts on
@@ -37,7 +37,7 @@ def without_stand_in(model: Model, worth: float, tried: set[str]) -> Model | Non
     ]
     tried |= {e.id for e in wanted}
     fits = (partial(fitted, begun, (*model.effects, e), noise_rounds=2) for e in wanted)
-    held = [fit for fit in side_by_side(fits) if better(fit, model, worth) > 0.0]
+    held = [fit for fit in in_parallel(fits) if better(fit, model, worth) > 0.0]
     return max(held, key=lambda fit: fit.log_evidence, default=None)
 
 

@@ -20,8 +20,8 @@ from handcal.estimate.quadratic import Quadratic
 from handcal.estimate.tails import LOG_SHARES, SCALES
 from handcal.explain.budget import Budget
 from handcal.explain.climb import turns
-from handcal.explain.climb.exchange import akin
-from handcal.explain.climb.on_trial import scanned
+from handcal.explain.climb.candidates import scanned
+from handcal.explain.climb.exchange_steps import akin
 from handcal.explain.climb.state import Climb
 from handcal.explain.score import PRIOR
 from handcal.explain.space import (

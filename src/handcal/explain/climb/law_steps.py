@@ -10,15 +10,15 @@ from functools import partial
 import numpy as np
 
 from handcal.effects import Effect
-from handcal.estimate.beside import side_by_side
 from handcal.estimate.fit import fitted, scan
 from handcal.estimate.model import Model
-from handcal.explain.climb.on_trial import scanned_about
+from handcal.estimate.parallel import in_parallel
+from handcal.explain.climb.candidates import scanned_about
 from handcal.explain.climb.state import Climb, forget, likelier, sensible
 from handcal.explain.score import better, prior, score
 from handcal.explain.space import best_set, space
 from handcal.explain.unnamed.best import Term, best_term, reshaped
-from handcal.explain.unnamed.laws import effect_of, law_of
+from handcal.explain.unnamed.law_effect import effect_of, law_of
 
 # Terms without a name at the most.
 MAX_TERMS = 3
@@ -49,7 +49,7 @@ def name_term(c: Climb) -> Model | None:
     if term is None:
         return None
     calls = (partial(with_term, m, term, c.worth, c.beyond) for m in (bare, c.model))
-    tried = max(side_by_side(calls), key=lambda m: score(m, c.worth))
+    tried = max(in_parallel(calls), key=lambda m: score(m, c.worth))
     if not likelier(c, tried):
         return None
     c.unnamed.append(term)

@@ -7,10 +7,10 @@ from handcal.estimate.case import name_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.explain.climb.state import FEW, WEAK, Climb, likelier, sensible
-from handcal.explain.noises import LOOK, all_noise, looks_of, of_looks, on_fewer_axes
+from handcal.explain.confounding import without_confounding
+from handcal.explain.noise_scan import LOOK, all_noise, looks_of, of_looks, on_fewer_axes
 from handcal.explain.score import PRIOR, better, score
 from handcal.explain.space import gains
-from handcal.explain.stand_ins import without_stand_in
 
 
 def add_noise(c: Climb) -> Model | None:
@@ -92,7 +92,7 @@ def noise_instead(c: Climb) -> Model | None:
 
 def free(c: Climb) -> Model | None:
     """What noise stands in for, in its place."""
-    other = without_stand_in(c.model, c.worth, c.suspects)
+    other = without_confounding(c.model, c.worth, c.suspects)
     if other is None or not sensible(other):
         return None
     c.dropped -= {name_of(i) for i in other.ids}

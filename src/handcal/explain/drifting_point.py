@@ -15,12 +15,12 @@ import numpy as np
 from handcal.compiled.kernel import MAX_DIM
 from handcal.effects import Effect
 from handcal.estimate.baseline import baseline, started
-from handcal.estimate.beside import side_by_side
 from handcal.estimate.case import Case, Edit, edited
 from handcal.estimate.case import creeping as creeping_case
 from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.fit import diverged, fitted
 from handcal.estimate.model import Fitted, Model
+from handcal.estimate.parallel import in_parallel
 from handcal.estimate.sway import beyond_a_hand
 from handcal.explain.climb.state import WEAK
 from handcal.explain.score import PRIOR, better
@@ -64,7 +64,7 @@ def moving(base: Model, model: Model, gained: Mapping[str, float]) -> tuple[Mode
     ways = [named] if len(strong) in (len(named), len(model.effects)) else [named, strong]
     hands = _hands(fitted(model.parts, named))
     tried = [(hand, way) for hand in hands for way in ways]
-    fits = side_by_side(partial(_fit, hand, way) for hand, way in tried)
+    fits = in_parallel(partial(_fit, hand, way) for hand, way in tried)
     # (every arm tires a little, so that costs nothing; what is spared does)
     nats, best = max(
         ((better(m, model, 1.0), hand) for m, (hand, _) in zip(fits, tried, strict=True)),

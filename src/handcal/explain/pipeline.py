@@ -9,25 +9,25 @@ from dataclasses import replace
 
 from handcal.estimate.baseline import baseline, started
 from handcal.estimate.case import Case, case_of
-from handcal.estimate.chosen import Chosen, Options, as_seen, chosen_of, seen, settled
 from handcal.estimate.fit import fitted, scan
-from handcal.estimate.hand import resting, travels
 from handcal.estimate.model import Model
 from handcal.estimate.observed import check_options
+from handcal.estimate.rest_only import resting, travels
+from handcal.estimate.specification import Options, Specification, as_seen, chosen_of, seen, settled
 from handcal.explain import held_out as held
 from handcal.explain import importance, outliers
-from handcal.explain.account import End, explanation_of
 from handcal.explain.budget import Budget, after
 from handcal.explain.climb.state import sensible, too_large
+from handcal.explain.conclusions import End, explanation_of
+from handcal.explain.drifting_point import begun, moving
 from handcal.explain.explanation import (
     Explanation,
     HeldOut,
 )
-from handcal.explain.hands import foretold
+from handcal.explain.hand_assumption import foretold
 from handcal.explain.moments import moments
-from handcal.explain.moving import begun, moving
+from handcal.explain.multistart import Found, advantage, search
 from handcal.explain.score import PRIOR, TERM_PRIOR
-from handcal.explain.search import Found, advantage, search
 from handcal.explain.space import gains, space
 from handcal.types import InputError, Prior, Recording
 
@@ -88,7 +88,7 @@ def explain(
 
 def _finished(
     end: End, options: Options, budget: Budget, report: Progress
-) -> tuple[End, Chosen | None]:
+) -> tuple[End, Specification | None]:
     """The end with the final fit of its model, and as that is written down; the search once more
     where the fit comes to what no device has."""
     found, chosen = _refitted(end, end.found, options)
@@ -145,7 +145,7 @@ def _by_the_rests(
     return replace(other, surely=-surely, rests=True)
 
 
-def _refitted(end: End, found: Found, options: Options) -> tuple[Found, Chosen | None]:
+def _refitted(end: End, found: Found, options: Options) -> tuple[Found, Specification | None]:
     """The model that a search ended with, fitted from where any other would be, as
     ``calibrate`` does; and as it is written down: None where no fit from there is any good."""
     searched, base = found.model, end.base

@@ -9,14 +9,14 @@ from functools import partial
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.explain.budget import Budget
-from handcal.explain.climb.exchange import lateness
-from handcal.explain.climb.on_trial import scanned
+from handcal.explain.climb.candidates import scanned
+from handcal.explain.climb.exchange_steps import lateness
 from handcal.explain.climb.state import Climb
 from handcal.explain.climb.turns import climbed
+from handcal.explain.confounding import steadied, sways_far
 from handcal.explain.delays import with_delays
 from handcal.explain.score import better
 from handcal.explain.space import Space
-from handcal.explain.stand_ins import steadied, sways_far
 from handcal.explain.unnamed.best import Term, best_term
 
 # What a single term has to gain, of all that was found, for a second climb to begin with it.

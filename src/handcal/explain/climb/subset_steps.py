@@ -7,12 +7,12 @@ from dataclasses import replace
 from functools import partial
 
 from handcal.effects import Effect
-from handcal.estimate.beside import side_by_side
 from handcal.estimate.case import name_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
+from handcal.estimate.parallel import in_parallel
 from handcal.estimate.robust import inflation
-from handcal.explain.climb.on_trial import REFUSED
+from handcal.explain.climb.candidates import REFUSED
 from handcal.explain.climb.state import FEW, Climb, likelier, too_large
 from handcal.explain.score import PRIOR, better
 from handcal.explain.space import Space, best_set, gains
@@ -116,7 +116,7 @@ def thin(c: Climb) -> Model | None:
                 tried.append(e)
         elif last.get(e.id, 0.0) <= 10.0 * CLOSE:
             tried.append(e)
-    fits = side_by_side(partial(fitted, model.parts, rest(e)) for e in tried)
+    fits = in_parallel(partial(fitted, model.parts, rest(e)) for e in tried)
     for e, without in zip(tried, fits, strict=True):
         gain = better(model, without, c.worth)
         if e.process is not None:

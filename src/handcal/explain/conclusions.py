@@ -1,5 +1,5 @@
-"""The account of where a search ended: what has a name and what has none, the verdict, and every
-number that goes with it."""
+"""The conclusions of a search, where it ended: what has a name and what has none, the verdict, and
+every number that goes with it."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from handcal.compiled.kernel import MAX_DIM
 from handcal.device.twin import twin
 from handcal.effects import catalogue
 from handcal.estimate.case import name_of
-from handcal.estimate.chosen import Chosen
 from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.result import noise, results
 from handcal.estimate.robust import inflation
+from handcal.estimate.specification import Specification
 from handcal.estimate.start import BIASES
 from handcal.explain import held_out as held
 from handcal.explain import importance, locate, outliers
@@ -33,8 +33,9 @@ from handcal.explain.explanation import (
     Unnamed,
 )
 from handcal.explain.gauge import plainly
-from handcal.explain.hands import hand_of
+from handcal.explain.hand_assumption import hand_of
 from handcal.explain.moments import moments
+from handcal.explain.multistart import Found
 from handcal.explain.naming import (
     burst,
     by_the_hand,
@@ -49,7 +50,6 @@ from handcal.explain.naming import (
     unnamed_of,
 )
 from handcal.explain.next_motion import next_motions
-from handcal.explain.search import Found
 from handcal.explain.untellable import untellable
 from handcal.types import Array, Parameter, Prior, Result
 
@@ -134,7 +134,7 @@ def _compared(
 def explanation_of(
     end: End,
     scores: HeldOut,
-    written: Chosen | None,
+    written: Specification | None,
     judged: importance.Judged | None,
     untried: tuple[str, ...] = (),
 ) -> Explanation:
@@ -286,7 +286,7 @@ def _fit(model: Model, parts: Sequence[Fitted]) -> Fit:
 
 
 def _warnings(
-    base: Model, model: Model, hardly_shown: Set[str], written: Chosen | None
+    base: Model, model: Model, hardly_shown: Set[str], written: Specification | None
 ) -> tuple[str, ...]:
     out = [w for f in base.parts for w in f.case.warnings]
     for f in model.parts:

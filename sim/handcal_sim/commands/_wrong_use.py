@@ -1,0 +1,18 @@
+"""What the simulator refuses, said as every command of the program says it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+@contextmanager
+def wrong_use() -> Iterator[None]:
+    """Inside, a SimulationError becomes an InputError: one sentence, exit status 2."""
+    from handcal.types import InputError
+    from handcal_sim.errors import SimulationError
+
+    try:
+        yield
+    except SimulationError as problem:
+        raise InputError(f"{str(problem).rstrip('.')}.") from None

@@ -1,0 +1,208 @@
+"""An explanation as text in the terminal."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from handcal.explain.explanation import Explanation, Missing
+from handcal.show import words
+from handcal.show.explanation import verdict_text
+from handcal.show.explanation import words as say
+from handcal.show.explanation.document import all_warnings
+from handcal.show.terminal import table
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+KEY = (
+    "● present, ◐ one of a set that this motion cannot tell apart. Alone: over the baseline, "
+    "which may call noise what it lacks; final: beside everything found, at the noise found with "
+    "it; promised: what an effect of the usual size would gain."
+)
+TOP = 8  # hypotheses in the terminal; those found are shown in any case
+
+
+def print_explanation(
+    explanation: Explanation, console: Console, following: Sequence[str] = ()
+) -> None:
+    """Verdict first, then what stands behind it; fits 80 columns, but for the commands that follow,
+    which are to be copied."""
+    _print_verdict(explanation, console)
+    _print_found(explanation, console)
+    _print_judged(explanation, console)
+    if following:
+        from rich.markup import escape
+
+        _heading(console, "Next")
+        for command in following:
+            console.print(escape(command), soft_wrap=True, highlight=False)
+
+
+def _line(console: Console, text: str, indent: int = 2, style: str = "", bullet: str = "") -> None:
+    """Wrapped here: rich would break lines at no-break spaces."""
+    from rich.markup import escape
+
+    first, hang = " " * indent + bullet, " " * (indent + len(bullet))
+    wrapped = textwrap.fill(text, console.width - 1, initial_indent=first,
+                            subsequent_indent=hang, break_on_hyphens=False)  # fmt: skip
+    console.print(escape(wrapped), style=style, highlight=False)
+
+
+def _heading(console: Console, text: str) -> None:
+    from rich.markup import escape
+
+    console.print(f"\n[bold]{escape(text)}[/]")
+
+
+def _print_verdict(e: Explanation, console: Console) -> None:
+    from rich.markup import escape
+
+    line, judged = partial(_line, console), verdict_text.verdict(e)
+    colour = {"good": "green", "partly": "yellow", "poor": "red"}[judged.level]
+    for r in e.recordings:
+        console.print(
+            f"[bold]{escape(r.recording.path)}[/]  {r.recording.duration_s:.1f} s at "
+            f"{say.rate(r)}; {words.counted(len(r.rests), 'rest')}"
+        )
+    for assumed in verdict_text.assumptions(e):
+        line(assumed, 0, "dim")
+    console.print()
+    line(judged.headline, 0, f"bold {colour}")
+    for sentence in judged.sentences:
+        line(sentence)
+
+
+def _print_found(e: Explanation, console: Console) -> None:
+    """Where the baseline does not fit, and what was found."""
+    line, heading = partial(_line, console), partial(_heading, console)
+    if e.mismatch:
+        heading("Where the baseline does not fit")
+        console.print(_mismatch_table(e))
+    for m in e.missing:
+        heading(f"Missing: {' or '.join(say.members(m, e))}")
+        line(m.story)
+        line(verdict_text.weight(m), style="dim")
+        console.print(_missing_table(m))
+    if e.unnamed:
+        heading("Found outside the catalogue")
+    for u in e.unnamed:
+        line(u.formula, style="bold")
+        line(f"{say.sized(u)}, gains {say.nats(u.log_evidence_gain)}")
+        if drawn := say.sparkline(u):
+            line(drawn)
+        if u.story:
+            line(u.story)
+
+
+def _print_judged(e: Explanation, console: Console) -> None:
+    """The evidence for it, and what is still open."""
+    line, heading = partial(_line, console), partial(_heading, console)
+    if e.hypotheses:
+        heading("Evidence for each effect, nats")
+        console.print(_hypothesis_table(e, TOP))
+        if (rest := len(e.hypotheses) - len(_top(e, TOP))) > 0:
+            line(f"and {rest} more that gained less alone", style="dim")
+        line(KEY, style="dim")
+    heading("How well the model fits" if say.one_model(e) else "Before and after")
+    console.print(_fit_table(e))
+    if untold := verdict_text.untold(e):
+        heading("What this motion could not tell")
+        for sentence in untold:
+            line(sentence, bullet="• ")
+    if e.next_motion:
+        heading("What motion would tell")
+        for n in e.next_motion:
+            promise = f"{verdict_text.promise(n, e)} ({say.nats(n.expected_gain)} expected)"
+            line(f"{n.motion.rstrip('.')}: {promise}.", bullet="• ")
+    if warnings := all_warnings(e):
+        heading("Warnings")
+        for warning in warnings:
+            line(warning, bullet="• ")
+
+
+def _mismatch_table(e: Explanation) -> Any:
+    from rich.markup import escape
+
+    several = len(e.recordings) > 1
+    rows = table("channel", ">time", ">share", "*when", *(["*recording"] if several else []))
+    names = say.recording_names(e)
+    for m in e.mismatch:
+        row = [say.channel_title(m.channel), say.interval(m), say.whole_percent(m.share), m.when]
+        rows.add_row(*map(escape, row + ([names[m.recording]] if several else [])))
+    return rows
+
+
+def _missing_table(m: Missing) -> Any:
+    rows = table("", ">value", ">± 1 sigma", "unit", "observable")
+    for p, unit in say.in_units(m.parameters):
+        value = unit.value(p.value, p.sigma, sign=True)
+        seen = "[green]yes[/]" if p.observable else "[yellow]no[/]"
+        name = words.parameter_title(p)
+        rows.add_row(f"  {name}", value, unit.value(p.sigma, p.sigma), unit.unit, seen)
+    return rows
+
+
+def _top(e: Explanation, count: int) -> list[Any]:
+    """Those found, and the best of the others."""
+    ranked = sorted(e.hypotheses, key=lambda h: -h.alone)
+    others = [h.effect for h in ranked if not h.verdict]
+    kept = set(others[: max(count - (len(ranked) - len(others)), 3)])
+    return [h for h in ranked if h.verdict or h.effect in kept]
+
+
+def _hypothesis_table(e: Explanation, count: int) -> Any:
+    from rich.markup import escape
+
+    rows = table("", "effect", ">alone", ">final", ">promised", ">probability")
+    styles = {"named": "bold green", "set": "yellow"}
+    for h in _top(e, count):
+        mark = {"named": "●", "set": "◐"}.get(h.verdict, "")
+        row = (escape(h.title), say.number(h.alone), say.number(h.final), say.promised(h),
+               say.percent(h.probability))  # fmt: skip
+        rows.add_row(mark, *row, style=styles.get(h.verdict, ""))
+    return rows
+
+
+def fit_rows(e: Explanation) -> list[tuple[str, ...]]:
+    """(what, before, after, unit, change) of evidence, held-out score and residuals."""
+    before, after = e.before, e.after
+    rows: list[tuple[str, ...]]
+    rows = [("log evidence", say.number(before.log_evidence), say.number(after.log_evidence),
+             "nats", _signed(say.gain(e)))]  # fmt: skip
+    if (h := e.held_out) is not None and not say.one_model(e):
+        scores = say.number(h.log_score_before), say.number(h.log_score_after)
+        rows.append(
+            ("score on unseen data", *scores, "nats", _signed(verdict_text.held_out_gain(e)))
+        )
+    for channel in say.channels(before.residual_rms, after.residual_rms):
+        pair = [f.residual_rms.get(channel, math.nan) for f in (before, after)]
+        unit = say.channel_shown(channel, pair, small=True)
+        digits = 0.1 * max(v for v in (*pair, 0.0) if math.isfinite(v))
+        shown = [unit.value(v, digits) for v in pair]
+        change = say.change(*pair)
+        rows.append((f"residual of {say.channel_title(channel)}", *shown, unit.unit, change))
+    for kind in dict.fromkeys((*before.nis, *after.nis)):
+        pair = [f.nis.get(kind, math.nan) for f in (before, after)]
+        shown = [f"{v:.2f}" if math.isfinite(v) else "–" for v in pair]
+        rows.append((f"NIS of {words.kind_title(kind)} (1 is right)", *shown, "", ""))
+    return rows
+
+
+def _signed(value: float) -> str:
+    return ("+" if value > 0 else "") + say.number(value)
+
+
+def _fit_table(e: Explanation) -> Any:
+    if say.one_model(e):
+        rows = table("", ">value", "unit")
+        for what, _, value, unit, _ in fit_rows(e):
+            rows.add_row(what[:1].upper() + what[1:], value, unit)
+        return rows
+    rows = table("", ">before", ">after", "unit", ">change")
+    for what, *row in fit_rows(e):
+        rows.add_row(what[:1].upper() + what[1:], *row)
+    return rows
