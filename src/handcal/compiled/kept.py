@@ -17,6 +17,8 @@ from typing import Any
 
 from numba.core import caching
 
+from handcal.compiled.inside import rebuilt
+
 # What reading a damaged pickle ends in.
 _DAMAGED = (OSError, EOFError, pickle.UnpicklingError, ValueError, TypeError, AttributeError,
             ImportError, IndexError, KeyError)  # fmt: skip
@@ -45,7 +47,21 @@ class _Files(caching.IndexDataCacheFile):
         return f"{self._index_name.removesuffix('.nbi')}.{digest}.nbc"
 
 
+class _Results(caching.CompileResultCacheImpl):
+    def rebuild(self, target_context: Any, payload: Any) -> Any:
+        """The result of what was kept."""
+        return rebuilt(target_context, payload)
+
+
+class _Parts(_Results):
+    def get_filename_base(self, fullname: str, abiflags: str) -> str:
+        """A name of its own: the function itself may be kept as well."""
+        return f"part-{super().get_filename_base(fullname, abiflags)}"
+
+
 class _Cache(caching.FunctionCache):
+    _impl_class = _Results
+
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
         files = self._cache_file
@@ -58,10 +74,16 @@ class _Cache(caching.FunctionCache):
             super().save_overload(sig, data)
 
 
-def kept(function: Callable[..., Any]) -> Any:
+class _PartCache(_Cache):
+    _impl_class = _Parts
+
+
+def kept(function: Callable[..., Any], part: bool = False) -> Any:
     """Where machine code of a function is kept: beside its source, in the user's own cache or
-    where NUMBA_CACHE_DIR says; nowhere, if nothing can be written to any of them."""
+    where NUMBA_CACHE_DIR says; nowhere, if nothing can be written to any of them.
+
+    part: as it is linked into others, in files of its own."""
     try:
-        return _Cache(function)
+        return _PartCache(function) if part else _Cache(function)
     except RuntimeError:  # (numba's word for it)
         return caching.NullCache()
