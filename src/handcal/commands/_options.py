@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from handcal.commands._ahead import compiled_ahead
 from handcal.commands._progress import progress
 from handcal.commands._registry import say
 
@@ -207,7 +208,7 @@ def calibrated(
     ids = tuple(e.strip() for e in effects.split(",") if e.strip())
     names = ", ".join(Path(r.path).name for r in recordings)
     if learnt_from is None:
-        with progress(f"calibrating {names}") as report:
+        with progress(f"calibrating {names}") as report, compiled_ahead():
             known = {} if before is None else {"before": before}
             return calibrate_together(recordings, ids, progress=report, **settings, **known)
     from handcal.explain.model_file import read
@@ -219,5 +220,5 @@ def calibrated(
         said = ", ".join(f"--{n.replace('_', '-')}" for n in (["effects"] if ids else []) + own)
         raise InputError(f"--from holds the model with its options; leave out {said}.")
     chosen = read(learnt_from)
-    with progress(f"calibrating {names}") as report:
+    with progress(f"calibrating {names}") as report, compiled_ahead():
         return recalibrate(recordings, chosen, report, before)
