@@ -29,6 +29,7 @@ def anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], Any]:
     def module() -> Any:
         spec = importlib.util.spec_from_file_location("one", tmp_path / "one.py")
         made = importlib.util.module_from_spec(spec)
+        monkeypatch.setitem(sys.modules, "one", made)  # (what is kept knows its module by name)
         spec.loader.exec_module(made)
         return made
 
@@ -83,6 +84,35 @@ def test_no_folder_to_write_to_costs_time_alone(
     monkeypatch.setattr(numba.config, "CACHE_LOCATOR_CLASSES", "ZipCacheLocator")
     assert anew()(2) == 4
     assert int(residual_function(anew().py_func.__globals__["status"]))
+
+
+CALLS = """
+import sys
+
+sys.path.insert(0, sys.argv[1])
+import one
+from handcal.compiled.jit import njit
+
+one.twice = njit(one.twice)
+outer = njit(one.outer)
+print(outer(2), outer.stats.cache_hits, one.twice(3))
+"""
+
+
+def test_a_function_that_others_call_is_also_called_from_python(tmp_path: Path) -> None:
+    (tmp_path / "one.py").write_text(SOURCE + "\n\ndef outer(x):\n    return twice(x) + 1\n")
+    env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    said = [
+        subprocess.run([sys.executable, "-c", CALLS, str(tmp_path)], env=env,
+                       capture_output=True, text=True, check=True).stdout.split()
+        for _ in range(2)
+    ]  # fmt: skip
+    assert said[0] == ["5", "Counter()", "6"]
+    assert said[1][0] == "5"
+    assert said[1][-1] == "6"
+    assert "1})" in said[1]
+    names = sorted(path.name.split("-")[0] for path in tmp_path.rglob("*.nbc"))
+    assert names == ["one.outer", "one.twice", "part"]
 
 
 USE = """

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from handcal.commands._ahead import compiled_ahead
 from handcal.commands._progress import progress
 from handcal.commands._registry import say
 
@@ -212,7 +213,7 @@ def calibrated(
     ids = listed(effects)
     names = ", ".join(Path(r.path).name for r in recordings)
     if learnt_from is None:
-        with progress(f"calibrating {names}") as report:
+        with progress(f"calibrating {names}") as report, compiled_ahead():
             return calibrate_together(recordings, ids, progress=report, before=before, **settings)
     from handcal.explain.model_file import read
 
@@ -223,5 +224,5 @@ def calibrated(
         said = ", ".join(f"--{n.replace('_', '-')}" for n in (["effects"] if ids else []) + own)
         raise InputError(f"--from holds the model with its options; leave out {said}.")
     chosen = read(learnt_from)
-    with progress(f"calibrating {names}") as report:
+    with progress(f"calibrating {names}") as report, compiled_ahead():
         return recalibrate(recordings, chosen, report, before)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from handcal.commands._ahead import compiled_ahead
 from handcal.commands._device import DeviceFile, contradictions, known_before
 from handcal.commands._options import (
     Assume,
@@ -101,7 +102,8 @@ def explain(
     if twin:
         check_outputs(beside(twin, recordings), read)
     others = [load(path, topic, units) for path in held_out or ()]
-    with progress(f"explaining {', '.join(path.name for path in files)}") as done:
+    names = ", ".join(path.name for path in files)
+    with progress(f"explaining {names}") as done, compiled_ahead():
         explanation = explained(
             recordings,
             others,

@@ -4,6 +4,9 @@ Numba numbers its data files after a look at an index that another process may b
 that compile at once can take one number for two signatures, and a third then runs the wrong one.
 Here a data file has the name of what is in it, and is whole before the index knows of it. A disk
 that is full, read-only or damaged costs time, not the command.
+
+Of processes that need one function at once, one compiles it and the others wait for it, where the
+system has locks on files that end with their process (not Windows).
 """
 # mypy: disallow-untyped-calls=False
 
@@ -11,15 +14,28 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import os
 import pickle
+import time
 from collections.abc import Callable
 from typing import Any
 
-from numba.core import caching
+from numba.core import caching, event
+
+from handcal.compiled.inside import rebuilt
+
+fcntl: Any
+try:
+    import fcntl
+except ImportError:  # (Windows)
+    fcntl = None
 
 # What reading a damaged pickle ends in.
 _DAMAGED = (OSError, EOFError, pickle.UnpicklingError, ValueError, TypeError, AttributeError,
             ImportError, IndexError, KeyError)  # fmt: skip
+
+# Longer than this no function takes; then whoever waits compiles it himself.
+LONGEST_S, LOOK_S = 60.0, 0.02
 
 
 class _Files(caching.IndexDataCacheFile):
@@ -45,11 +61,25 @@ class _Files(caching.IndexDataCacheFile):
         return f"{self._index_name.removesuffix('.nbi')}.{digest}.nbc"
 
 
+class _Results(caching.CompileResultCacheImpl):
+    def rebuild(self, target_context: Any, payload: Any) -> Any:
+        """The result of what was kept."""
+        return rebuilt(target_context, payload)
+
+
+class _Parts(_Results):
+    def get_filename_base(self, fullname: str, abiflags: str) -> str:
+        """A name of its own: the function itself may be kept as well."""
+        return f"part-{super().get_filename_base(fullname, abiflags)}"
+
+
 class _Cache(caching.FunctionCache):
+    _impl_class = _Results
+
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
         files = self._cache_file
-        self._cache_file = _Files.__new__(_Files)
+        self._cache_file: _Files = _Files.__new__(_Files)
         self._cache_file.__dict__.update(files.__dict__)
 
     def save_overload(self, sig: Any, data: Any) -> None:
@@ -57,11 +87,91 @@ class _Cache(caching.FunctionCache):
         with contextlib.suppress(OSError):
             super().save_overload(sig, data)
 
+    @property
+    def empty(self) -> bool:
+        """Whether nothing is kept of the function as its source is now."""
+        try:
+            return not self._cache_file._load_index()
+        except _DAMAGED:
+            return True
 
-def kept(function: Callable[..., Any]) -> Any:
-    """Where machine code of a function is kept: beside its source, in the user's own cache or
-    where NUMBA_CACHE_DIR says; nowhere, if nothing can be written to any of them."""
+
+class _WholeCache(_Cache):
+    """Compiled by one process at a time: numba loads, and if there is nothing compiles and saves,
+    all under one lock of its own, so there is never more than one turn to a process."""
+
+    _turn: tuple[str, int] | None = None
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """As numba's; waits for whoever compiles the same, else it is this process's turn."""
+        found = super().load_overload(sig, target_context)
+        if found is not None or fcntl is None:
+            return found
+        self._end_turn()
+        key = self._index_key(sig, target_context.codegen())
+        path = os.path.join(self._cache_path, f"{self._cache_file._name(key)}.busy")
+        try:
+            self._impl.locator.ensure_cache_path()
+            file = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
+        except OSError:
+            return None
+        self._turn = path, file
+        if _locked(file):
+            return None
+        with event.trigger_event("numba:compile", data={"dispatcher": self, "args": sig}):
+            end = time.monotonic() + LONGEST_S
+            while not _locked(file) and time.monotonic() < end:
+                time.sleep(LOOK_S)
+        found = super().load_overload(sig, target_context)
+        if found is not None:
+            self._end_turn()
+        return found
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """As numba's, and the next may look."""
+        try:
+            super().save_overload(sig, data)
+        finally:
+            self._end_turn()
+
+    def _end_turn(self) -> None:
+        if self._turn is not None:
+            (path, file), self._turn = self._turn, None
+            with contextlib.suppress(OSError):
+                os.unlink(path)
+            # (a process that was forked meanwhile has the file open, too)
+            with contextlib.suppress(OSError):
+                fcntl.flock(file, fcntl.LOCK_UN)
+            os.close(file)
+
+
+def _locked(file: int) -> bool:
+    """Whether a lock on the file is had, or cannot be had on this system at all."""
     try:
-        return _Cache(function)
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True
+    return True
+
+
+class _PartCache(_Cache):
+    _impl_class = _Parts
+
+
+def kept(function: Callable[..., Any], part: bool = False) -> Any:
+    """Where machine code of a function is kept: beside its source, in the user's own cache or
+    where NUMBA_CACHE_DIR says; nowhere, if nothing can be written to any of them.
+
+    part: as it is linked into others, in files of its own."""
+    try:
+        return _PartCache(function) if part else _WholeCache(function)
     except RuntimeError:  # (numba's word for it)
         return caching.NullCache()
+
+
+def nothing_kept(function: Callable[..., Any]) -> bool:
+    """Whether a compiled function has a place on disk that others wait at, and nothing there."""
+    cache = getattr(function, "_cache", None)
+    return fcntl is not None and isinstance(cache, _WholeCache) and cache.empty

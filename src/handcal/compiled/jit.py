@@ -17,6 +17,7 @@ from numba.extending import intrinsic as _intrinsic
 from numba.extending import typeof_impl
 
 from handcal.compiled.disk_cache import kept
+from handcal.compiled.inside import Inside, Outside
 from handcal.types import Array, IntArray
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -28,18 +29,28 @@ if "NUMBA_OPT" not in os.environ:
 
 # (numba's own are partly typed, and not for this)
 intrinsic: Any = _intrinsic
+_njit: Any = numba.njit
 cgutils: Any = _cgutils
 _POINTER: Any = types.CPointer(types.float64)  # type: ignore[no-untyped-call]
 _SIGNATURE = types.int64(_POINTER, _POINTER, _POINTER, _POINTER)
 
 
-def _compiled(function: F, **more: Any) -> F:
+def _compiled(function: F, python: bool = True, **more: Any) -> F:
     # nothing calls these by address, so numba need not make a C entry for each of them
     options: dict[str, Any] = {
-        "error_model": "numpy", "no_cfunc_wrapper": True, "nogil": True,
+        "error_model": "numpy", "no_cfunc_wrapper": True, "nogil": True, **more,
     }  # fmt: skip
-    dispatcher: Any = numba.njit(**options, **more)(function)
+    part: Any = _njit(pipeline_class=Inside, no_cpython_wrapper=True, **options)(function)
+    part._cache = kept(function, part=True)
+    if not python:
+        return cast(F, part)
+    dispatcher: Any = _njit(pipeline_class=Outside, **options)(function)
     dispatcher._cache = kept(function)
+    # what numba asks for when another function calls this one
+    dispatcher.get_call_template, dispatcher.get_overload = (
+        part.get_call_template,
+        part.get_overload,
+    )
     return cast(F, dispatcher)
 
 
@@ -60,7 +71,7 @@ def lean(function: F) -> F:
 
 def inner(function: F) -> F:
     """As ``lean``, for what only compiled functions call: without an entry from Python."""
-    return _compiled(function, _nrt=False, no_cpython_wrapper=True)
+    return _compiled(function, python=False, _nrt=False)
 
 
 def inlined(function: F) -> F:
@@ -110,7 +121,9 @@ class _Address:
     def __index__(self) -> int:
         if self._compiled is None:
             signature = _SIGNATURE.args, _SIGNATURE.return_type
-            made: Any = CFunc(self._function, signature, {}, {"error_model": "numpy"})
+            made: Any = CFunc(
+                self._function, signature, {}, {"error_model": "numpy"}, pipeline_class=Outside
+            )
             if self._kept:
                 made._cache = kept(self._function)
             made.compile()

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from handcal.compiled.jit import copy2, inner, njit, zero2
+from handcal.compiled.jit import copy1, copy2, inner, njit, zero1, zero2
 from handcal.compiled.kernel import BASE, MAX_DIM
 from handcal.estimate.linear import Linear
 from handcal.types import Array, BoolArray, IntArray
@@ -162,7 +162,9 @@ def _carried(
     width = Phi.shape[2]
     off, moved = np.zeros(9), np.zeros(9)
     noise, half = np.zeros((3, 9, 9)), np.zeros((9, 9))
-    sources = 3 if Q[2].any() else 2  # (most recordings have no gap)
+    # (most recordings have no gap; what numba makes of `any`, and of arrays put into arrays, takes
+    # it seconds to compile)
+    sources = 3 if _any(Q[2]) else 2
     w = 0
     for j in range(len(Phi)):
         # (written where it belongs at once: T is the largest thing here)
@@ -178,20 +180,34 @@ def _carried(
                         moved[a] += f * off[b]
                         for c in range(width):
                             new[a, c] += f * T[j - 1, b, c]
-            off[:] = moved
+            copy1(moved, off)
             for s in range(sources):
                 _propagated(Phi[j], noise[s], half, Q[s][j])
         if w < len(start) and j == start[w]:
             if w > 0:
-                Phi_out[w], d_out[w] = new, off
-                Q_out[0, w], Q_out[1, w], Q_out[2, w] = noise[0], noise[1], noise[2]
-            new[:, :] = 0.0
-            off[:] = 0.0
-            noise[:, :, :] = 0.0
+                copy2(new, Phi_out[w])
+                copy1(off, d_out[w])
+                for s in range(3):
+                    copy2(noise[s], Q_out[s, w])
+            zero2(new)
+            zero1(off)
+            for s in range(3):
+                zero2(noise[s])
             for a in range(9):
                 new[a, a] = 1.0
             w += 1
-        D[j] = off
+        copy1(off, D[j])
+
+
+@inner
+def _any(Q: Array) -> bool:
+    """Whether any number of Q (k, 9, 9) is not zero."""
+    for j in range(len(Q)):
+        for a in range(9):
+            for b in range(9):
+                if Q[j, a, b] != 0.0:
+                    return True
+    return False
 
 
 @inner
@@ -323,7 +339,8 @@ def _summed(
                 for c in range(H.shape[2]):
                     H_out[to, i, c] += s * H[q, i, c]
         if count_of[q] > 1:
-            folded[row[q] : row[q] + 2] = True
+            folded[row[q]] = True
+            folded[row[q] + 1] = True
             for i in range(H.shape[1]):
                 scatter[kind[q], i] += r[q, i] ** 2
     for to in range(len(kind_out)):

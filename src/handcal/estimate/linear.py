@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from handcal.compiled import so3
-from handcal.compiled.jit import njit
+from handcal.compiled.jit import copy1, njit
 from handcal.compiled.kernel import BASE, Nodes, Tables, fill_nav, linearise
 from handcal.compiled.preintegration import (
     preintegrate,
@@ -325,7 +325,8 @@ def _linearise_rows(
     out: tuple[Array, Array, BoolArray],
 ) -> None:
     bg, ba, constant = constants
-    extras = np.concatenate((constant, nominal[3][0]))
+    extras = np.empty(len(constant) + nominal[3].shape[1])
+    copy1(constant, extras[: len(constant)])
     nav, w, f = np.empty(NAV), np.empty(3), np.empty(3)
     for j in range(len(epoch)):
         i = epoch[j]

@@ -1,0 +1,131 @@
+"""The process beside a first run compiles just what that needs, in its types, and never lasts."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from handcal.commands import _ahead
+from handcal.compiled import kept
+from handcal_sim import simulate, write
+
+# Says what is asked of the folder of compiled functions, and in which types.
+ASKED = """
+import json
+import sys
+
+asked = []
+
+
+def load(cache, sig, target):
+    asked.append([cache._name.split()[1], str(sig)])
+    return found(cache, sig, target)
+
+
+from handcal.compiled import kept
+
+found = kept._WholeCache.load_overload
+kept._WholeCache.load_overload = load
+{}
+json.dump(asked, sys.stdout)
+"""
+AHEAD = "from handcal.estimate.ahead import compile_ahead\ncompile_ahead()"
+FIT = "import handcal\nhandcal.calibrate(handcal.load(sys.argv[1]))"
+# What the process that fits compiles itself.
+OWN = {"_run", "_linearise_rows", "preintegrate", "turn_noise", "_turned"}
+
+
+def _asked(code: str, *arguments: Path) -> dict[str, set[str]]:
+    command = [sys.executable, "-c", ASKED.format(code), *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    out: dict[str, set[str]] = {}
+    for name, signature in json.loads(done.stdout):
+        out.setdefault(name, set()).add(signature)
+    return out
+
+
+def test_what_is_compiled_ahead_is_what_a_fit_needs(tmp_path: Path) -> None:
+    path = tmp_path / "turns.mcap"
+    write(simulate("three-turns", seed=0, duration_s=12.0), path)
+    ahead, fit = _asked(AHEAD), _asked(FIT, path)
+    assert set(fit) >= OWN
+    assert not OWN & set(ahead)
+    missed = {name: types for name, types in fit.items() if not types <= ahead.get(name, set())}
+    assert set(missed) == OWN
+
+
+HOLDS = """
+import sys
+import time
+from pathlib import Path
+
+sys.path.insert(0, sys.argv[1])
+import one
+from handcal.compiled import kept
+from handcal.compiled.jit import njit
+
+
+def slow(cache, sig, data):
+    print("compiled", flush=True)
+    time.sleep(float(sys.argv[2]))
+    return save(cache, sig, data)
+
+
+save = kept._Cache.save_overload
+kept._Cache.save_overload = slow
+print(njit(one.twice)(2), flush=True)
+"""
+
+
+@pytest.mark.skipif(kept.fcntl is None, reason="no locks that end with a process")
+@pytest.mark.parametrize("killed", [False, True])
+def test_one_compiles_and_the_other_waits_while_it_lives(tmp_path: Path, killed: bool) -> None:
+    (tmp_path / "one.py").write_text("def twice(x):\n    return x + x\n")
+    env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+
+    def begun(seconds: float) -> subprocess.Popen[str]:
+        command = [sys.executable, "-c", HOLDS, str(tmp_path), str(seconds)]
+        return subprocess.Popen(command, env=env, stdout=subprocess.PIPE, text=True)
+
+    with begun(30.0 if killed else 2.0) as first:
+        assert first.stdout is not None
+        assert first.stdout.readline() == "compiled\n"
+        with begun(0.0) as second:
+            time.sleep(0.5)
+            if killed:
+                first.kill()
+            said, _ = second.communicate(timeout=25.0)
+    assert said == ("compiled\n4\n" if killed else "4\n")
+    assert not list(tmp_path.rglob("*.busy"))
+
+
+@pytest.mark.parametrize(("cores", "first"), [(1, True), (2, False)])
+def test_none_with_one_core_or_where_it_has_been_done(
+    monkeypatch: pytest.MonkeyPatch, cores: int, first: bool
+) -> None:
+    monkeypatch.setattr(_ahead, "_cores", lambda: cores)
+    monkeypatch.setattr(_ahead, "_first_run", lambda: first)
+    monkeypatch.setattr(_ahead, "_begun", lambda: pytest.fail("a process was begun"))
+    with _ahead.compiled_ahead():
+        pass
+
+
+def test_it_ends_with_the_block(monkeypatch: pytest.MonkeyPatch) -> None:
+    begun = []
+
+    def sleeps() -> subprocess.Popen[bytes]:
+        begun.append(subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"]))
+        return begun[0]
+
+    monkeypatch.setattr(_ahead, "_cores", lambda: 2)
+    monkeypatch.setattr(_ahead, "_first_run", lambda: True)
+    monkeypatch.setattr(_ahead, "_begun", sleeps)
+    with pytest.raises(KeyboardInterrupt), _ahead.compiled_ahead():
+        raise KeyboardInterrupt
+    assert begun[0].returncode is not None
