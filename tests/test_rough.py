@@ -53,6 +53,69 @@ def test_a_file_that_grows_too_large_leaves_the_old_one(folder: Path) -> None:
     whole(folder)
 
 
+# ends the program while it imports what reads its command line
+EARLY = """
+import os, sys
+
+class Ends:
+    def find_spec(self, name, *_):
+        if name == "handcal.commands._app":
+            os.kill(os.getpid(), int(sys.argv[1]))
+
+sys.meta_path.insert(0, Ends())
+from handcal.__main__ import main
+main()
+"""
+
+
+@pytest.mark.parametrize("ended", [signal.SIGINT, signal.SIGTERM])
+def test_what_ends_the_program_is_heard_before_it_imports(ended: signal.Signals) -> None:
+    command = [sys.executable, "-c", EARLY, str(int(ended))]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 128 + ended
+    assert done.stderr in ("", "handcal: interrupted\n")
+
+
+# a compiler's callback swallows what the signal raises, and something else comes of it
+SWALLOWED = """
+import os, sys
+
+from handcal.commands import _registry
+
+class Swallows:
+    def __del__(self):
+        os.kill(os.getpid(), int(sys.argv[1]))
+
+def hurt(*_, **__):
+    Swallows()
+    raise RuntimeError("no compiled object yet")
+
+_registry.typer.main.get_command = hurt
+_registry.run(None)
+"""
+# Python notes a plain KeyboardInterrupt in an exec() and ends by the signal, whatever is asked for
+IN_EXEC = """
+import os, sys
+
+from handcal.commands import _registry
+
+def import_like(*_, **__):
+    exec("os.kill(os.getpid(), int(sys.argv[1]))")
+
+_registry.typer.main.get_command = import_like
+_registry.run(None)
+"""
+
+
+@pytest.mark.parametrize("program", [SWALLOWED, IN_EXEC], ids=["swallowed", "in exec"])
+@pytest.mark.parametrize("ended", [signal.SIGINT, signal.SIGTERM])
+def test_what_ends_the_program_is_its_status(program: str, ended: signal.Signals) -> None:
+    command = [sys.executable, "-c", program, str(int(ended))]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 128 + ended
+    assert done.stderr in ("", "handcal: interrupted\n")
+
+
 @pytest.mark.prove
 @pytest.mark.parametrize("name", LONG)
 @pytest.mark.parametrize("ended", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])

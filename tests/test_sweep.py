@@ -515,8 +515,10 @@ def test_the_command_from_end_to_end(tmp_path, monkeypatch):
     monkeypatch.setattr("handcal_sim.sweep.cell.run_chunk", interrupted)
     monkeypatch.setattr(Here, "submit", interrupted)
     files["jsonl"].write_text(files["jsonl"].read_text().splitlines()[0] + "\n")
+    before = files["json"].read_text()
     result = invoked(*arguments)
     assert result.exit_code == 130
+    assert files["json"].read_text() == before, "half a sweep has replaced a whole one"
     assert "1 of 2 cells are finished" in result.stderr
 
 

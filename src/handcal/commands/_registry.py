@@ -16,7 +16,6 @@ import importlib.util
 import io
 import os
 import pkgutil
-import signal
 import sys
 from functools import cached_property
 from importlib.metadata import EntryPoint, entry_points
@@ -27,9 +26,9 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from handcal.commands._config import first
+from handcal.commands._ending import INTERRUPTED, Ended, listen
 
 FIRST = ("demo", "calibrate", "explain", "replay", "import", "simulate")
-INTERRUPTED, TERMINATED = 130, 143
 GROUP = "handcal.commands"
 
 
@@ -164,18 +163,14 @@ def say(text: str) -> None:
     print(f"handcal: {line}", file=sys.stderr)
 
 
-def _terminated(_signal: int, _frame: object) -> NoReturn:
-    """Leave as after an exception, so that what is half written is taken away."""
-    sys.exit(TERMINATED)
-
-
 def run(app: typer.Typer) -> NoReturn:
     """Run the command line and leave by SystemExit; wrong use is one line, not a page."""
     arguments = first(sys.argv[1:]) or ["--help"]
     _show_what_can_be_shown()
-    signal.signal(signal.SIGTERM, _terminated)
+    ended = Ended()
     try:
         try:
+            listen(ended)
             command = typer.main.get_command(app)
             status = command.main(arguments, prog_name="handcal", standalone_mode=False)
         finally:
@@ -187,6 +182,8 @@ def run(app: typer.Typer) -> NoReturn:
         say("interrupted")
         status = INTERRUPTED
     except Exception as error:
+        if ended.status is not None:  # (and this is what came of an exception that was swallowed)
+            sys.exit(ended.status)
         if not hasattr(error, "format_message"):  # of every usage error, whichever click it is
             raise
         context = getattr(error, "ctx", None)
