@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import resource
 import signal
 import subprocess
@@ -50,6 +51,38 @@ def test_a_file_that_grows_too_large_leaves_the_old_one(folder: Path) -> None:
     assert done.returncode == 1
     assert done.stderr.count("\n") == 1
     assert "File too large" in done.stderr
+    whole(folder)
+
+
+FULL = """
+import resource
+
+from fake_result import fake_frames, fake_result
+from handcal.show import dashboard, frames
+from handcal.types import HandcalError
+
+resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+result = fake_result()
+layout = frames.layout_of(result, live=True)
+for write in (
+    lambda: dashboard.save_rrd(result, "out.rrd"),
+    lambda: dashboard.replay(fake_frames(result), layout, speed=0.0, rrd="out.rrd", show=False),
+):
+    try:
+        write()
+    except HandcalError as error:
+        print(error)
+"""
+
+
+def test_a_full_disk_is_the_reason_for_a_missing_rrd(folder: Path) -> None:
+    """Rerun's own writer waited for ever, or ended early without the reason."""
+    path = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
+    env, command = {**os.environ, "PYTHONPATH": path}, [sys.executable, "-c", FULL]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True, env=env,
+                          timeout=60)  # fmt: skip
+    assert done.stdout.splitlines() == ["out.rrd could not be written: File too large."] * 2
+    assert done.stderr == ""
     whole(folder)
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -269,8 +268,11 @@ def replay(
     Returns when the person closes the viewer, which ends the stream too; the web viewer
     ends by Ctrl-C.
     """
-    with output.whole(rrd) if rrd else nullcontext() as place:
-        _replay(frames, layout, speed, [file_sink(place)] if place else [], show, web, port, say)
+    if rrd is None:
+        _replay(frames, layout, speed, [], show, web, port, say)
+        return
+    with output.whole(rrd) as place, file_sink(place) as sink:
+        _replay(frames, layout, speed, [sink], show, web, port, say)
 
 
 def _replay(
