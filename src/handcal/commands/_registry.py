@@ -74,6 +74,9 @@ class Commands(TyperGroup):
             raise typer.Exit(INTERRUPTED) from None
         except BrokenPipeError:
             raise
+        except MemoryError as error:
+            say(f"Not enough memory: {error or 'no more is to be had'}.")
+            raise typer.Exit(1) from None
         except OSError as error:
             say(f"{error.filename or 'Files'}: {error.strerror or error}.")
             raise typer.Exit(1) from None

@@ -14,7 +14,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from handcal import output
-from handcal.types import Array
+from handcal.types import Array, HandcalError
 
 APPLICATION = "handcal"
 TIMELINE = "time"
@@ -74,12 +74,15 @@ def columns(rec: rr.RecordingStream, entity: str, t: Array, values: Array) -> No
 
 def save(path: str | Path, plan: rrb.Blueprint, log: Callable[[rr.RecordingStream], None]) -> None:
     """Write what ``log`` sends as a file that ``rerun FILE.rrd`` opens, blueprint included."""
-    rec = rr.RecordingStream(APPLICATION)
-    with output.whole(path) as place, file_sink(place) as sink:
-        rec.set_sinks(sink, default_blueprint=plan)
-        log(rec)
-        rec.flush()
-        rec.disconnect()
+    try:
+        rec = rr.RecordingStream(APPLICATION)
+        with output.whole(path) as place, file_sink(place) as sink:
+            rec.set_sinks(sink, default_blueprint=plan)
+            log(rec)
+            rec.flush()
+            rec.disconnect()
+    except RuntimeError as error:  # rerun's word where memory or threads are short
+        raise HandcalError(f"{path} could not be written: {error}.") from error
 
 
 @contextlib.contextmanager

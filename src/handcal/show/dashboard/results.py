@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
@@ -268,11 +269,13 @@ def replay(
     Returns when the person closes the viewer, which ends the stream too; the web viewer
     ends by Ctrl-C.
     """
-    if rrd is None:
-        _replay(frames, layout, speed, [], show, web, port, say)
-        return
-    with output.whole(rrd) as place, file_sink(place) as sink:
-        _replay(frames, layout, speed, [sink], show, web, port, say)
+    try:
+        with contextlib.ExitStack() as stack:
+            files = [stack.enter_context(output.whole(rrd))] if rrd else []
+            sinks = [stack.enter_context(file_sink(place)) for place in files]
+            _replay(frames, layout, speed, sinks, show, web, port, say)
+    except RuntimeError as error:  # rerun's word where memory or threads are short
+        raise HandcalError(f"Nothing more could be written or shown: {error}.") from error
 
 
 def _replay(
