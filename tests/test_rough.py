@@ -149,6 +149,16 @@ def test_what_ends_the_program_is_its_status(program: str, ended: signal.Signals
     assert done.stderr in ("", "handcal: interrupted\n")
 
 
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
+def test_a_closed_standard_output_is_no_traceback(folder: Path, closed: str) -> None:
+    for arguments, status in (("--version", 0), ("calibrate", 2)):
+        program = f'"{sys.executable}" -m handcal {arguments} {closed}'
+        done = subprocess.run(program, shell=True, cwd=folder, capture_output=True, text=True,
+                              check=False)  # fmt: skip
+        assert done.returncode == status
+        assert "Traceback" not in done.stderr
+
+
 @pytest.mark.prove
 @pytest.mark.parametrize("name", LONG)
 @pytest.mark.parametrize("ended", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
