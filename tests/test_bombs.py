@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import shutil
 import struct
 import time
 import tracemalloc
@@ -105,6 +106,32 @@ def test_a_hostile_name_in_a_report_is_text(tmp_path: Path) -> None:
     page = (tmp_path / "r.html").read_text()
     assert "<script>alert" not in page
     assert "&lt;script&gt;alert" in page
+
+
+RUNS = ("<script>document.title='ran'</script>", "<img src=x onerror=\"document.title='ran'\">",
+        "'\"><svg onload=document.title='ran'>", "</style></title><script>document.title='ran'//",
+        "{{ 7 * 7 }}")  # fmt: skip
+
+
+@pytest.mark.prove
+def test_hostile_names_run_no_script_in_a_browser(tmp_path: Path) -> None:
+    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    browsers = [b for b in map(shutil.which, ("chromium", "google-chrome")) if b]
+    if not browsers:
+        pytest.skip("no chromium on this machine")
+    name, result = " ".join((*RUNS, *HOSTILE, "$x^{$")), fake_result()
+    named = replace(result.recording, path=name, warnings=(name,))
+    parameters = tuple(replace(p, unit=" ".join(RUNS)) for p in result.parameters)
+    write_report(replace(result, recording=named, parameters=parameters, warnings=(name,)),
+                 tmp_path / "r.html")  # fmt: skip
+    with api.sync_playwright() as p:
+        browser = p.chromium.launch(executable_path=browsers[0], args=["--no-sandbox"])
+        tab = browser.new_context(offline=True).new_page()
+        tab.goto((tmp_path / "r.html").as_uri())
+        assert tab.title() != "ran"
+        assert "{{ 7 * 7 }}" in tab.inner_text("body")
+        assert tab.evaluate("document.querySelectorAll('img[onerror], svg[onload]').length") == 0
+        browser.close()
 
 
 @pytest.mark.parametrize("effect", ["__import__('os').system('touch made')", *HOSTILE])

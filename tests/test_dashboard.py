@@ -46,8 +46,8 @@ def test_streaming_fills_the_same_entities_as_saving(tmp_path):
     result = fake_result(extra=False)
     dashboard.save_rrd(result, tmp_path / "saved.rrd")
     plan = frames.layout_of(result)
-    sinks = [dashboard.file_sink(tmp_path / "streamed.rrd")]
-    count = dashboard.stream(fake_frames(result, rate_hz=5), plan, sinks, speed=0)
+    with dashboard.file_sink(tmp_path / "streamed.rrd") as sink:
+        count = dashboard.stream(fake_frames(result, rate_hz=5), plan, [sink], speed=0)
     streamed = entities(tmp_path / "streamed.rrd")
     assert set(streamed) == set(entities(tmp_path / "saved.rrd"))
     assert streamed["/device"] == count
@@ -57,8 +57,8 @@ def test_streaming_keeps_time(tmp_path):
     result = fake_result(extra=False)
     steps = [s for s in fake_frames(result) if s.t < 4.0]
     started = time.monotonic()
-    sinks = [dashboard.file_sink(tmp_path / "x.rrd")]
-    dashboard.stream(steps, frames.layout_of(result), sinks, speed=8)
+    with dashboard.file_sink(tmp_path / "x.rrd") as sink:
+        dashboard.stream(steps, frames.layout_of(result), [sink], speed=8)
     assert time.monotonic() - started >= steps[-1].t / 8
 
 

@@ -11,7 +11,7 @@ from fuzz import read_grid
 import handcal
 from handcal.allan import analysis as allan
 from handcal.lab import scalar
-from handcal.recordings.inputs import of_arrays
+from handcal.recordings.inputs import _checks, of_arrays
 from handcal.types import Array, HandcalError, InputError, Recording
 from handcal_sim import simulate, write
 from handcal_sim.errors import SimulationError
@@ -119,6 +119,30 @@ def test_what_is_doubtful_gives_no_confident_number(name: str, readings: Reading
     for p in result.parameters:
         if p.effect == "gyro_scale":
             assert abs(p.value) < 4 * p.sigma, p
+
+
+@pytest.mark.parametrize("hz", [25.0, 100.0])
+@pytest.mark.parametrize("tremor", [0.0, 0.05])
+def test_a_coarse_sensor_at_rest_is_not_stuck(hz: float, tremor: float) -> None:
+    """Ten seconds on a table, or in a hand, between turns: whole seconds in which one value is
+    read, with steps of 0.1 to 1 deg/s and of 0.02 to 0.3 m/s^2."""
+    t = np.arange(round(30 * hz)) / hz
+    turning = (t % 15.0) > 10.0
+    rng = np.random.default_rng(0)
+    angle = np.cumsum(np.where(turning, np.sin(2 * np.pi * (t % 5.0) / 5.0), 0.0)) / hz
+    gyro = 0.004 + 1e-4 * rng.normal(size=(len(t), 3))
+    gyro[:, 0] += np.gradient(angle, t) + tremor * 0.05 * np.sin(9.0 * t)
+    accel = 9.80665 * np.c_[np.zeros(len(t)), np.sin(angle), np.cos(angle)]
+    accel += 0.01 * rng.normal(size=accel.shape) + tremor * np.sin(7.0 * t)[:, None]
+    for q_gyro in np.radians([0.1, 0.3, 1.0]):
+        for q_accel in (1e-6, 0.02, 0.3):
+            coarse = [q * np.round(x / q) for x, q in ((gyro, q_gyro), (accel, q_accel))]
+            assert _checks.stuck(t, *coarse) == [], (q_gyro, q_accel)
+    held = slice(round(11.5 * hz), round(13.5 * hz))  # (in mid-turn)
+    for k, name in enumerate(("gyroscope", "accelerometer")):
+        both = [gyro.copy(), accel.copy()]
+        both[k][held] = both[k][held.start]
+        assert name in " ".join(_checks.stuck(t, *both))
 
 
 def test_a_number_too_long_to_be_one_is_a_sentence(tmp_path) -> None:

@@ -311,3 +311,13 @@ def test_between_rests_the_trajectory_follows_the_readings() -> None:
 def _apart(A: Array, B: Array) -> float:
     """The largest angle between attitudes (n, 3, 3), rad."""
     return float(np.linalg.norm(so3.matrix_log(A @ B.transpose(0, 2, 1)), axis=1).max())
+
+
+def test_a_rest_that_nobody_read_to_its_end_is_none_and_no_warning():
+    """(A mean of nothing was one of numpy's warnings.)"""
+    t = np.arange(1000) / 100.0
+    imu = Imu(t, np.zeros((1000, 3)), np.tile([0.0, 0.0, 9.81], (1000, 1)), t < 8.0)
+    recording = Recording("x", imu, {}, 0)
+    whole, cut = (segment._rest(recording, 1.0, end) for end in (7.0, 9.9))
+    assert segment._stays(recording, whole, np.zeros(3))
+    assert not segment._stays(recording, cut, np.zeros(3))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import resource
 import signal
 import subprocess
@@ -51,6 +52,111 @@ def test_a_file_that_grows_too_large_leaves_the_old_one(folder: Path) -> None:
     assert done.stderr.count("\n") == 1
     assert "File too large" in done.stderr
     whole(folder)
+
+
+FULL = """
+import resource
+
+from fake_result import fake_frames, fake_result
+from handcal.show import dashboard, frames
+from handcal.types import HandcalError
+
+resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+result = fake_result()
+layout = frames.layout_of(result, live=True)
+for write in (
+    lambda: dashboard.save_rrd(result, "out.rrd"),
+    lambda: dashboard.replay(fake_frames(result), layout, speed=0.0, rrd="out.rrd", show=False),
+):
+    try:
+        write()
+    except HandcalError as error:
+        print(error)
+"""
+
+
+def test_a_full_disk_is_the_reason_for_a_missing_rrd(folder: Path) -> None:
+    """Rerun's own writer waited for ever, or ended early without the reason."""
+    path = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
+    env, command = {**os.environ, "PYTHONPATH": path}, [sys.executable, "-c", FULL]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True, env=env,
+                          timeout=60)  # fmt: skip
+    assert done.stdout.splitlines() == ["out.rrd could not be written: File too large."] * 2
+    assert done.stderr == ""
+    whole(folder)
+
+
+# ends the program while it imports what reads its command line
+EARLY = """
+import os, sys
+
+class Ends:
+    def find_spec(self, name, *_):
+        if name == "handcal.commands._app":
+            os.kill(os.getpid(), int(sys.argv[1]))
+
+sys.meta_path.insert(0, Ends())
+from handcal.__main__ import main
+main()
+"""
+
+
+@pytest.mark.parametrize("ended", [signal.SIGINT, signal.SIGTERM])
+def test_what_ends_the_program_is_heard_before_it_imports(ended: signal.Signals) -> None:
+    command = [sys.executable, "-c", EARLY, str(int(ended))]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 128 + ended
+    assert done.stderr in ("", "handcal: interrupted\n")
+
+
+# a compiler's callback swallows what the signal raises, and something else comes of it
+SWALLOWED = """
+import os, sys
+
+from handcal.commands import _registry
+
+class Swallows:
+    def __del__(self):
+        os.kill(os.getpid(), int(sys.argv[1]))
+
+def hurt(*_, **__):
+    Swallows()
+    raise RuntimeError("no compiled object yet")
+
+_registry.typer.main.get_command = hurt
+_registry.run(None)
+"""
+# Python notes a plain KeyboardInterrupt in an exec() and ends by the signal, whatever is asked for
+IN_EXEC = """
+import os, sys
+
+from handcal.commands import _registry
+
+def import_like(*_, **__):
+    exec("os.kill(os.getpid(), int(sys.argv[1]))")
+
+_registry.typer.main.get_command = import_like
+_registry.run(None)
+"""
+
+
+@pytest.mark.parametrize("program", [SWALLOWED, IN_EXEC], ids=["swallowed", "in exec"])
+@pytest.mark.parametrize("ended", [signal.SIGINT, signal.SIGTERM])
+def test_what_ends_the_program_is_its_status(program: str, ended: signal.Signals) -> None:
+    command = [sys.executable, "-c", program, str(int(ended))]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 128 + ended
+    assert done.stderr in ("", "handcal: interrupted\n")
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
+def test_a_closed_standard_output_is_no_traceback(folder: Path, closed: str) -> None:
+    for arguments, status in (("--version", 0), ("calibrate", 2)):
+        program = f'"{sys.executable}" -m handcal {arguments} {closed}'
+        done = subprocess.run(program, shell=True, cwd=folder, capture_output=True, text=True,
+                              check=False)  # fmt: skip
+        assert done.returncode == status
+        assert "Traceback" not in done.stderr
 
 
 @pytest.mark.prove

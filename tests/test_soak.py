@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import resource
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,10 +16,11 @@ from sample_recording import sample
 import handcal
 from handcal.earth import local_earth
 from handcal.effects import select
+from handcal.estimate import smoother
 from handcal.estimate.filter import ENGINES, State, empty_track
-from handcal.estimate.live import check_covariance
 from handcal.estimate.observed import first_state, problem_of
 from handcal.estimate.problem import noise_arrays
+from handcal.estimate.result import check_covariance
 from handcal.types import Array, HandcalError, Imu, Recording, Result
 
 LEVELS = {"gyro_noise": 1e-3, "accel_noise": 1e-2, "sway": 0.004, "sway_per_rate": 0.004,
@@ -81,7 +83,7 @@ def seen(result: Result, recording: Recording, every: int) -> Seen:
     for stop in stops:
         state = run(problem, noise, state, track, stop=stop)
         used = np.flatnonzero(np.diag(state.P) != 0)
-        check_covariance(state, float(problem.nodes.t[state.node]))
+        check_covariance(state.P, float(problem.nodes.t[state.node]))
         P = state.P[np.ix_(used, used)]
         scale = np.sqrt(np.diag(P))
         P = P / scale / scale[:, None]
@@ -137,14 +139,25 @@ def test_a_million_violent_steps(result: Result) -> None:
     assert said < 5
 
 
-def test_a_covariance_that_is_lost_is_said(result: Result) -> None:
-    state = first_state_of(result)
-    check_covariance(state, 1.0)
-    for wrong in (-4e-11, np.nan):
-        P = state.P.copy()
-        P[9, 9] = wrong
-        with pytest.raises(HandcalError, match="lost its covariance"):
-            check_covariance(replace(state, P=P), 1.0)
+@pytest.mark.parametrize("wrong", [-4e-11, np.nan])
+def test_a_covariance_that_is_lost_is_said(
+    result: Result, wrong: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    P = first_state_of(result).P
+    check_covariance(P, 1.0)
+    P[9, 9] = wrong
+    with pytest.raises(HandcalError, match="lost its covariance"):
+        check_covariance(P, 1.0)
+    forward = smoother.forward
+
+    def lost(*arguments: Any, **options: Any) -> smoother.Pass:
+        passed = forward(*arguments, **options)
+        passed.P[len(passed.P) // 2, 9, 9] = wrong
+        return passed
+
+    monkeypatch.setattr(smoother, "forward", lost)
+    with pytest.raises(HandcalError, match="lost its covariance"):
+        handcal.calibrate(result.recording, EFFECTS, assume="fixed-point", noise=LEVELS)
 
 
 @pytest.mark.prove

@@ -11,6 +11,7 @@ import signal
 from concurrent.futures import Executor, Future
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -475,6 +476,20 @@ def test_a_browser_without_network_draws_the_page_without_complaint(page, width,
         browser.close()
 
 
+@pytest.mark.parametrize("left", [1, 20, 500])
+def test_a_disk_that_was_full_in_the_first_cell_can_be_gone_on_from(tmp_path, left):
+    whole, cut = Kept(tmp_path / "whole"), tmp_path / "cut"
+    whole.add({"schema": sweep_run.SCHEMA, "key": {"seed": 0}, "t": list(range(500))})
+    cut.write_bytes(whole.file.read_bytes()[:left])
+    kept = Kept(cut)
+    assert kept.found == []
+    kept.add(whole.found[0])
+    assert Kept(cut)[{"seed": 0}] == whole.found[0]
+    kept.file = Path("/dev/full")
+    with pytest.raises(OSError, match="dev/full"):
+        kept.add(whole.found[0])
+
+
 def test_the_command_from_end_to_end(tmp_path, monkeypatch):
     monkeypatch.setattr("handcal_sim.sweep.run._processes", lambda _jobs: Here())
     grid = tmp_path / "grid.toml"
@@ -510,8 +525,10 @@ def test_the_command_from_end_to_end(tmp_path, monkeypatch):
     monkeypatch.setattr("handcal_sim.sweep.cell.run_chunk", interrupted)
     monkeypatch.setattr(Here, "submit", interrupted)
     files["jsonl"].write_text(files["jsonl"].read_text().splitlines()[0] + "\n")
+    before = files["json"].read_text()
     result = invoked(*arguments)
     assert result.exit_code == 130
+    assert files["json"].read_text() == before, "half a sweep has replaced a whole one"
     assert "1 of 2 cells are finished" in result.stderr
 
 

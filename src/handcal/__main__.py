@@ -1,5 +1,18 @@
-"""``python -m handcal`` is the ``handcal`` command."""
+"""The ``handcal`` command, also ``python -m handcal``: what ends it is heard before it imports."""
 
-from handcal.commands._app import main
+from handcal.commands import _ending
 
-main()
+
+def main() -> None:
+    """The ``handcal`` command. Leaves by SystemExit."""
+    _ending.listen(_ending.at_once)
+    from handcal.commands import _app
+
+    try:
+        _app.main()  # (which listens for itself, as files may be half written)
+    finally:
+        _ending.listen(_ending.at_once)
+
+
+if __name__ == "__main__":
+    main()

@@ -67,18 +67,38 @@ def sweep(
     ] = None,
 ) -> None:  # fmt: skip
     """Monte Carlo over heading noise and R_h: paper 002, or a grid of your own."""
-    from handcal.output import check_outputs, write_text
-    from handcal.output import whole as whole_file
+    from handcal.output import check_outputs
     from handcal_sim.sweep.compare import document
-    from handcal_sim.sweep.run import Plan
-    from handcal_sim.sweep.show import console, show, write_csv
+    from handcal_sim.sweep.run import Plan, WorkersDied
+    from handcal_sim.sweep.show import console, show
 
     check_outputs((out, json_file, csv_file, report), (Path(grid),))
-    with wrong_use():
-        plan = Plan(_cells(grid, choose_r_h, settle), seeds, seed, _thresholds(threshold))
-        results = _run(plan, executor, jobs or os.cpu_count() or 1, out)
+    try:
+        with wrong_use():
+            plan = Plan(_cells(grid, choose_r_h, settle), seeds, seed, _thresholds(threshold))
+            results = _run(plan, executor, jobs or os.cpu_count() or 1, out)
+    except WorkersDied as problem:
+        say(str(problem))
+        raise typer.Exit(1) from None
     finished = [result for result in results if result is not None]
     whole = document(grid, seeds, seed, plan.thresholds, finished)
+    if len(finished) == len(results):  # (half a sweep takes no whole one's place)
+        _write(whole, json_file, csv_file, report)
+    show(whole, console())
+    if len(finished) < len(results):
+        kept = f"kept in {out}; the same command goes on from them" if out else \
+            "lost but for what is shown (--out FILE keeps them)"  # fmt: skip
+        say(f"interrupted: {len(finished)} of {len(results)} cells are finished, {kept}")
+        raise typer.Exit(INTERRUPTED)
+
+
+def _write(
+    whole: dict[str, Any], json_file: Path | None, csv_file: Path | None, report: Path | None
+) -> None:
+    from handcal.output import whole as whole_file
+    from handcal.output import write_text
+    from handcal_sim.sweep.show import write_csv
+
     if json_file is not None:
         write_text(json_file, json.dumps(whole, indent=1) + "\n")
     if csv_file is not None:
@@ -88,12 +108,6 @@ def sweep(
         from handcal_sim.sweep.cell import write_page
 
         write_page(whole, report)
-    show(whole, console())
-    if len(finished) < len(results):
-        kept = f"kept in {out}; the same command goes on from them" if out else \
-            "lost but for what is shown (--out FILE keeps them)"  # fmt: skip
-        say(f"interrupted: {len(finished)} of {len(results)} cells are finished, {kept}")
-        raise typer.Exit(INTERRUPTED)
 
 
 def _cells(grid: str, choose_r_h: bool, settle: bool) -> list[Cell]:

@@ -39,6 +39,7 @@ CHUNK = 5
 PATIENCE = 5
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 Document = dict[str, Any]
+_BEGINNING = f'{{"schema": "{SCHEMA}"'
 Task = tuple[int, Sequence[int]]
 
 
@@ -82,7 +83,8 @@ class Kept:
                 continue
             if isinstance(document, dict) and document.get("schema") == SCHEMA:
                 self.found.append(document)
-        if text.strip() and not self.found:
+        cut_off = text.startswith(_BEGINNING) or _BEGINNING.startswith(text)
+        if text.strip() and not self.found and not cut_off:
             raise SimulationError(f"{file} holds no cells of a sweep; --out will not overwrite it")
         if text and not text.endswith("\n"):
             with file.open("a", encoding="utf-8") as stream:
@@ -96,8 +98,11 @@ class Kept:
         """Keep a finished cell, at once."""
         self.found.append(document)
         if self.file is not None:
-            with self.file.open("a", encoding="utf-8") as stream:
-                stream.write(json.dumps(document) + "\n")
+            try:
+                with self.file.open("a", encoding="utf-8") as stream:
+                    stream.write(json.dumps(document) + "\n")
+            except OSError as problem:
+                raise OSError(problem.errno, problem.strerror, str(self.file)) from None
 
 
 def run(

@@ -16,7 +16,6 @@ import importlib.util
 import io
 import os
 import pkgutil
-import signal
 import sys
 from functools import cached_property
 from importlib.metadata import EntryPoint, entry_points
@@ -27,9 +26,9 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from handcal.commands._config import first
+from handcal.commands._ending import INTERRUPTED, Ended, listen
 
 FIRST = ("demo", "calibrate", "explain", "replay", "import", "simulate")
-INTERRUPTED, TERMINATED = 130, 143
 GROUP = "handcal.commands"
 
 
@@ -75,6 +74,9 @@ class Commands(TyperGroup):
             raise typer.Exit(INTERRUPTED) from None
         except BrokenPipeError:
             raise
+        except MemoryError as error:
+            say(f"Not enough memory: {error or 'no more is to be had'}.")
+            raise typer.Exit(1) from None
         except OSError as error:
             say(f"{error.filename or 'Files'}: {error.strerror or error}.")
             raise typer.Exit(1) from None
@@ -166,6 +168,11 @@ def plain_signs(error: UnicodeError) -> tuple[str, int]:
 
 
 def _show_what_can_be_shown() -> None:
+    for name in ("stdin", "stdout", "stderr"):
+        if (
+            getattr(sys, name) is None
+        ):  # closed by whoever started this: nothing is to take its place
+            setattr(sys, name, open(os.devnull, "r+", encoding="utf-8"))  # noqa: SIM115
     codecs.register_error("handcal", plain_signs)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
@@ -178,18 +185,14 @@ def say(text: str) -> None:
     print(f"handcal: {line}", file=sys.stderr)
 
 
-def _terminated(_signal: int, _frame: object) -> NoReturn:
-    """Leave as after an exception, so that what is half written is taken away."""
-    sys.exit(TERMINATED)
-
-
 def run(app: typer.Typer) -> NoReturn:
     """Run the command line and leave by SystemExit; wrong use is one line, not a page."""
     arguments = first(sys.argv[1:]) or ["--help"]
     _show_what_can_be_shown()
-    signal.signal(signal.SIGTERM, _terminated)
+    ended = Ended()
     try:
         try:
+            listen(ended)
             command = typer.main.get_command(app)
             status = command.main(arguments, prog_name="handcal", standalone_mode=False)
         finally:
@@ -201,6 +204,8 @@ def run(app: typer.Typer) -> NoReturn:
         say("interrupted")
         status = INTERRUPTED
     except Exception as error:
+        if ended.status is not None:  # (and this is what came of an exception that was swallowed)
+            sys.exit(ended.status)
         if not hasattr(error, "format_message"):  # of every usage error, whichever click it is
             raise
         context = getattr(error, "ctx", None)

@@ -17,8 +17,9 @@ from handcal.effects import select
 from handcal.estimate.filter import ENGINES, State, Track, empty_track
 from handcal.estimate.observed import first_state, problem_of
 from handcal.estimate.problem import Problem, constants_of, noise_arrays
+from handcal.estimate.result import check_covariance
 from handcal.observations import NAV, magnetometer
-from handcal.types import Array, HandcalError, IntArray, Result
+from handcal.types import Array, IntArray, Result
 
 
 @dataclass(frozen=True)
@@ -83,19 +84,9 @@ def live_frames(
     for node in np.flatnonzero(np.diff(tick, prepend=-1.0) > 0):
         first = problem.nodes.first[state.node + 1]
         state = run(problem, noise, state, track, stop=int(node) + 1)
-        check_covariance(state, float(problem.nodes.t[state.node]))
+        check_covariance(state.P, float(problem.nodes.t[state.node]))
         rows = np.arange(first, problem.nodes.first[node + 1])
         yield _frame(problem, state, track, rows[~np.isnan(track.nis[rows])])
-
-
-def check_covariance(state: State, t: float) -> None:
-    """Errors: HandcalError where a variance is negative or none at t (s): float64 has 16 digits,
-    and beside a velocity unknown by 1e8 m/s what is known of a bias is round-off."""
-    if not np.all(np.diag(state.P) >= 0.0):
-        raise HandcalError(
-            f"The filter lost its covariance at {t:.1f} s: the readings fit no motion so far that "
-            "the numbers no longer hold what is known; check units, axes and stamps."
-        )
 
 
 def _frame(problem: Problem, state: State, track: Track, rows: IntArray) -> Frame:

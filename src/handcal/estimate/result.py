@@ -22,6 +22,7 @@ from handcal.estimate.transfer import interpolated
 from handcal.observations import magnetometer
 from handcal.types import (
     Array,
+    HandcalError,
     History,
     Innovations,
     IntArray,
@@ -55,6 +56,8 @@ def _result(model: Model, k: int, found: Known) -> Result:
     dense = _known_before(_dense(f), f.case.before)
     rows = _shown(dense)
     forward = smoother.forward(dense, f.levels, rows=rows)
+    for epoch, P in zip(rows, forward.P, strict=True):
+        check_covariance(P, float(dense.t[epoch]))
     history = _history(dense, rows, found, forward.x, forward.P)
     # (the covariances are the largest thing here: of the filter's, the last is left)
     forward = replace(forward, x=forward.x[-1:].copy(), P=forward.P[-1:].copy())
@@ -80,6 +83,16 @@ def _result(model: Model, k: int, found: Known) -> Result:
         settled=model.settled,
         before=f.case.before,
     )
+
+
+def check_covariance(P: Array, t: float) -> None:
+    """Errors: HandcalError where a variance of P (n, n) is negative or none at t (s): float64 has
+    16 digits, and beside a velocity unknown by 1e8 m/s what is known of a bias is round-off."""
+    if not np.all(np.diag(P) >= 0.0):
+        raise HandcalError(
+            f"The filter lost its covariance at {t:.1f} s: the readings fit no motion so far that "
+            "the numbers no longer hold what is known; check units, axes and stamps."
+        )
 
 
 def _warnings(f: Fitted, settled: bool, innovations: Mapping[str, Innovations]) -> Iterator[str]:

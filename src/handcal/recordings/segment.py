@@ -258,7 +258,10 @@ def _stays(recording: Recording, rest: Rest, offset: Array) -> bool:
     turned = float(np.linalg.norm(rest.rate - offset))
     part = min(WINDOW_S, 0.5 * rest.seconds)
     ends = [(rest.start, rest.start + part), (rest.end - part, rest.end)]
-    first, last = (_within(recording, a, b)[1].mean(axis=0) for a, b in ends)
+    first, last = (_within(recording, a, b)[1] for a, b in ends)
+    if not (len(first) and len(last)):  # (a hole in what was read: nobody knows)
+        return False
+    first, last = first.mean(axis=0), last.mean(axis=0)
     return turned < MAX_DRIFT + HOLD_ANGLE / rest.seconds and _same(first, last)
 
 

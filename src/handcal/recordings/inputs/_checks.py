@@ -12,8 +12,11 @@ from handcal.types import Array, BoolArray, InputError
 
 IntArray = NDArray[np.int64]
 
-# A bit of a coarse sensor may stand still in a rest, but not for all three axes as long as this.
-LONGEST_STUCK_S = 1.0
+# Sensors that stand still for longer are looked at, as many spans of each: a coarse one may do so
+# in every rest, if nothing moves.
+LONGEST_STUCK_S, SPANS = 1.0, 20
+# No gyro reads so much at rest, rad/s; no hand that rests lets gravity turn so far, rad.
+RESTING_RATE, TILTED = 0.2, 0.1
 FASTEST_GYRO = 40.0  # rad/s; beyond the full scale of nearly every consumer gyro
 
 
@@ -80,20 +83,67 @@ def _dead_axes(value: Array, name: str) -> list[str]:
 
 
 def stuck(t: Array, gyro: Array, accel: Array) -> list[str]:
-    """Warnings where one sensor stays at one value for longer than a rest of one bit could last,
-    while the other moves. t (n,) s; (n, 3) each, on these stamps."""
+    """Warnings where one sensor stays at one value for over a second while the other shows a
+    motion that it would have had to see. t (n,) s; (n, 3) each, on these stamps."""
     said = []
-    for name, value, other in (("gyroscope", gyro, accel), ("accelerometer", accel, gyro)):
+    for name, value, missed in (
+        ("gyroscope", gyro, _turned_by_accel),
+        ("accelerometer", accel, _tilted_by_gyro),
+    ):
+        step = _step(value)
         ends = np.flatnonzero(np.any(np.diff(value, axis=0) != 0, axis=1)) + 1
         ends = np.concatenate([[0], ends, [len(t)]])
-        k = int(np.argmax(np.diff(ends)))
-        first, last = int(ends[k]), int(ends[k + 1]) - 1
-        if t[last] - t[first] > LONGEST_STUCK_S and np.all(np.ptp(other[first : last + 1], axis=0)):
-            said.append(
-                f"The {name} reads one value from {t[first]:.1f} to {t[last]:.1f} s while the "
-                "other sensor moves: it was stuck, or its steps are coarser than a rest."
-            )
+        for k in np.argsort(-np.diff(ends), kind="stable")[:SPANS]:
+            at = slice(int(ends[k]), int(ends[k + 1]))
+            first, last = t[at.start], t[at.stop - 1]
+            if last - first > LONGEST_STUCK_S and missed(t[at], gyro[at], accel[at], step):
+                said.append(
+                    f"The {name} reads one value from {first:.1f} to {last:.1f} s while the "
+                    "other sensor moves: it was stuck, or its steps are coarser than that motion."
+                )
+                break
     return said
+
+
+def _step(value: Array) -> Array:
+    """The least by which each axis of (n, 3) ever changes, (3,); zero for one that never does."""
+    changes = np.abs(np.diff(value, axis=0))
+    least = np.where(changes > 0, changes, np.inf).min(axis=0, initial=np.inf)
+    return np.asarray(np.where(np.isfinite(least), least, 0.0))
+
+
+def _means(t: Array, value: Array) -> tuple[Array, Array]:
+    """Of quarters of a second: when, (k,), and their means, (k, d)."""
+    window = ((t - t[0]) / 0.25).astype(np.int64)
+    starts = np.flatnonzero(np.diff(window, prepend=-1))
+    count = np.diff(np.append(starts, len(t)))
+    when = np.add.reduceat(t, starts) / count
+    return when, np.add.reduceat(value, starts) / count[:, None]
+
+
+def _turned_by_accel(t: Array, gyro: Array, accel: Array, step: Array) -> bool:
+    """Whether gravity turns by more than a gyro hides that reads this one rate: what its step is
+    short of, and the turn about gravity itself; or the rate is none of a rest."""
+    if np.any(np.abs(gyro[0]) > RESTING_RATE + 2.0 * step):
+        return True
+    _, force = _means(t, accel)
+    up = force / np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-9)
+    turned = float(np.linalg.norm(up - up[0], axis=1).max())
+    hidden = float(np.linalg.norm(np.minimum(step, RESTING_RATE))) * (t[-1] - t[0])
+    return bool(turned > TILTED + hidden)
+
+
+def _tilted_by_gyro(t: Array, gyro: Array, accel: Array, step: Array) -> bool:
+    """Whether the gyro tilts gravity by more than an accelerometer hides that reads this one
+    value; a constant rate is the gyro's bias."""
+    value = accel[0]
+    up = value / max(float(np.linalg.norm(value)), 1e-9)
+    when, rate = _means(t, gyro)
+    across = rate - np.median(rate, axis=0)
+    across -= np.outer(across @ up, up)
+    tilt = np.cumsum(across * np.gradient(when)[:, None] if len(when) > 1 else 0 * across, axis=0)
+    hidden = 2.0 * float(np.linalg.norm(step)) / STANDARD_GRAVITY
+    return float(np.ptp(tilt, axis=0).max()) > TILTED + hidden
 
 
 def rest_magnitude(accel: Array, rate_hz: float) -> float:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+import contextlib
+import os
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import IO, Any, Literal
 
 import numpy as np
 import rerun as rr
@@ -71,22 +74,48 @@ def columns(rec: rr.RecordingStream, entity: str, t: Array, values: Array) -> No
 
 def save(path: str | Path, plan: rrb.Blueprint, log: Callable[[rr.RecordingStream], None]) -> None:
     """Write what ``log`` sends as a file that ``rerun FILE.rrd`` opens, blueprint included."""
-    rec = rr.RecordingStream(APPLICATION)
     try:
-        with output.whole(path) as place:
-            rec.set_sinks(file_sink(place), default_blueprint=plan)
+        rec = rr.RecordingStream(APPLICATION)
+        with output.whole(path) as place, file_sink(place) as sink:
+            rec.set_sinks(sink, default_blueprint=plan)
             log(rec)
             rec.flush()
             rec.disconnect()
-    except RuntimeError as error:  # rerun's word for a full disk
+    except RuntimeError as error:  # rerun's word where memory or threads are short
         raise HandcalError(f"{path} could not be written: {error}.") from error
 
 
-def file_sink(path: str | Path) -> Any:
-    """A sink that writes an .rrd file; a sentence if that is impossible."""
-    try:
-        with open(path, "wb"):
-            pass
-    except OSError as e:
-        raise HandcalError(f"{path} could not be written: {e.strerror or e}.") from e
-    return rr.FileSink(path)
+@contextlib.contextmanager
+def file_sink(path: str | Path) -> Iterator[Any]:
+    """A sink that writes an .rrd file; in the block the stream is to be disconnected again.
+
+    By way of a pipe: where a disk is full, rerun's own writer waits for ever, or ends early and
+    does not say why. Errors: OSError.
+    """
+    if not Path("/dev/fd").is_dir():
+        yield rr.FileSink(path)
+        return
+    with open(path, "wb") as file:
+        reading, writing = os.pipe()
+        problems: list[OSError] = []
+        copies = threading.Thread(target=_copy, args=(reading, file, problems), daemon=True)
+        copies.start()
+        try:
+            yield rr.FileSink(f"/dev/fd/{writing}")
+        finally:
+            os.close(writing)
+        copies.join()
+        if problems:
+            raise problems[0]
+
+
+def _copy(reading: int, file: IO[bytes], problems: list[OSError]) -> None:
+    """From the pipe to the file, to the end even where the disk takes no more."""
+    with open(reading, "rb", buffering=0) as pipe:
+        while piece := pipe.read(1 << 16):
+            try:
+                if not problems:
+                    file.write(piece)
+                    file.flush()
+            except OSError as problem:
+                problems.append(problem)

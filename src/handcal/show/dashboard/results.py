@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -269,8 +269,13 @@ def replay(
     Returns when the person closes the viewer, which ends the stream too; the web viewer
     ends by Ctrl-C.
     """
-    with output.whole(rrd) if rrd else nullcontext() as place:
-        _replay(frames, layout, speed, [file_sink(place)] if place else [], show, web, port, say)
+    try:
+        with contextlib.ExitStack() as stack:
+            files = [stack.enter_context(output.whole(rrd))] if rrd else []
+            sinks = [stack.enter_context(file_sink(place)) for place in files]
+            _replay(frames, layout, speed, sinks, show, web, port, say)
+    except RuntimeError as error:  # rerun's word where memory or threads are short
+        raise HandcalError(f"Nothing more could be written or shown: {error}.") from error
 
 
 def _replay(
