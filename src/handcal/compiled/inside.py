@@ -89,6 +89,11 @@ class _Whole(_Library):  # type: ignore[misc]
 _KINDS: dict[str, Any] = {"part": _Part, "whole": _Whole}
 
 
+def readable(payload: tuple[Any, ...]) -> bool:
+    """Whether ``rebuilt`` knows how to read this."""
+    return payload[0][1] in _KINDS
+
+
 def rebuilt(target: Any, payload: tuple[Any, ...]) -> Any:
     """The ``CompileResult`` of what was kept on disk, as numba rebuilds its own."""
     (name, kind, data), fndesc, env, signature, objectmode, lifted, note, init, envs = payload
