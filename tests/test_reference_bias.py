@@ -26,8 +26,7 @@ from handcal.estimate.observed import observed_of
 from handcal.estimate.trajectory import Trajectory, epochs
 from handcal.explain import explain
 from handcal.observations import _reference_bias
-from handcal.show import words
-from handcal.show.calibration import report
+from handcal.show.calibration import report, verdict_text
 from handcal.show.calibration.summary import calibration_json, write_json
 from handcal.types import Array, Imu, Recording, Result, Series
 
@@ -337,11 +336,11 @@ def test_a_report_offers_no_bias_that_is_not_known() -> None:
     exec(code, scope)
     assert not scope["gyro_bias"].any()
     assert "x, y and z not known" in code
-    said = [s for s in words.not_shown(result) if "bias" in s]
+    said = [s for s in verdict_text.not_shown(result) if "bias" in s]
     assert len(said) == 2
     assert all("--reference-exact" in s for s in said)
     assert any("--reference-exact" in w for w in result.warnings)
-    assert words.verdict(result).level != "poor"
+    assert verdict_text.verdict(result).level != "poor"
 
 
 def test_where_the_reference_rested_its_bias_is_offered() -> None:

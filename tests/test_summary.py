@@ -15,7 +15,8 @@ import handcal
 from handcal import units
 from handcal.estimate.noise_levels import white_levels
 from handcal.show import words
-from handcal.show.calibration import summary
+from handcal.show.calibration import summary, verdict_text
+from handcal.show.calibration.terminal import print_summary
 from handcal.types import HandcalError, Innovations, NoiseLevel
 
 
@@ -148,36 +149,36 @@ def test_digits_follow_sigma():
 )
 def test_nis_in_a_word(scale, word):
     i = innovations(scale)
-    assert words.nis_word(i) == word
-    assert (words.nis_sentence("position", i) is None) == (word == "consistent")
+    assert verdict_text.nis_word(i) == word
+    assert (verdict_text.nis_sentence("position", i) is None) == (word == "consistent")
 
 
 def test_the_verdict_says_what_was_learnt_and_what_was_not():
-    assert words.verdict(fake_result(extra=False)).level == "good"
-    partly = words.verdict(fake_result())
+    assert verdict_text.verdict(fake_result(extra=False)).level == "good"
+    partly = verdict_text.verdict(fake_result())
     assert (partly.level, partly.headline) == (
         "partly",
         "12 of 13 parameters were learnt from this motion.",
     )
-    doubtful = words.verdict(fake_result(extra=False, overconfident=True))
+    doubtful = verdict_text.verdict(fake_result(extra=False, overconfident=True))
     assert doubtful.level == "partly"
     assert any("3.1 times as far" in s for s in doubtful.sentences)
-    (sentence,) = words.not_shown(fake_result())
+    (sentence,) = verdict_text.not_shown(fake_result())
     assert "z" in sentence
     assert "turn" in sentence
 
 
 def test_an_estimate_that_strays_from_its_own_band_is_doubted():
     result = fake_result(extra=False)
-    assert words.strayed(result) == ()
+    assert verdict_text.strayed(result) == ()
     h = result.history
     ramp = np.where(h.t > 40, 20 * h.parameter_sigma[-1, 5] * (h.t[-1] - h.t) / h.t[-1], 0.0)
     moved = h.parameters.copy()
     moved[:, 5] += ramp
     result = replace(result, history=replace(h, parameters=moved))
-    (sentence,) = words.strayed(result)
+    (sentence,) = verdict_text.strayed(result)
     assert sentence.startswith("Accelerometer bias z moved by")
-    assert words.verdict(result).level == "partly"
+    assert verdict_text.verdict(result).level == "partly"
 
 
 def test_noise_far_above_what_the_readings_show_is_doubted():
@@ -185,22 +186,22 @@ def test_noise_far_above_what_the_readings_show_is_doubted():
     honest = white_levels(result.recording)["gyro_noise"]
     for ratio, said in ((2, 0), (40, 1)):
         level = NoiseLevel("gyro_noise", ratio * honest, "rad/s/sqrt(Hz)", True)
-        sentences = words.inflated(replace(result, noise=(level,)))
+        sentences = verdict_text.inflated(replace(result, noise=(level,)))
         assert len(sentences) == said
     assert "40 times as large" in sentences[0]
-    assert words.inflated(replace(result, noise=(replace(level, estimated=False),))) == ()
+    assert verdict_text.inflated(replace(result, noise=(replace(level, estimated=False),))) == ()
 
 
 @pytest.mark.parametrize(("width", "columns"), [(80, 6), (120, 7)])
 def test_a_narrow_terminal_cuts_no_number(width, columns):
     out = io.StringIO()
-    summary.print_summary(fake_result(), Console(file=out, width=width, color_system=None))
+    print_summary(fake_result(), Console(file=out, width=width, color_system=None))
     assert "…" not in out.getvalue()
     assert ("prior ±" in out.getvalue()) == (columns == 7)
 
 
 def test_without_a_heading_the_advice_is_a_second_axis_or_a_heading():
-    (sentence,) = words.not_shown(fake_result(heading=False, extra=False))
+    (sentence,) = verdict_text.not_shown(fake_result(heading=False, extra=False))
     assert sentence.startswith("Gyro bias z")
     assert "second axis" in sentence
     assert "heading" in sentence
@@ -209,7 +210,7 @@ def test_without_a_heading_the_advice_is_a_second_axis_or_a_heading():
 def test_the_terminal_table_shows_every_parameter():
     out = io.StringIO()
     result = fake_result()
-    summary.print_summary(result, Console(file=out, width=100, color_system=None))
+    print_summary(result, Console(file=out, width=100, color_system=None))
     text = out.getvalue()
     for p in result.parameters:
         assert words.parameter_title(p) in text

@@ -101,8 +101,8 @@ def _show(
     """Truth beside estimate in the terminal, and what to look at next."""
     from rich.console import Console
 
-    from handcal.show import words
-    from handcal.show.explanation import verdict_text
+    from handcal.show.calibration import verdict_text as calibrated
+    from handcal.show.explanation import verdict_text as explained
 
     console = Console(highlight=False)
 
@@ -111,8 +111,8 @@ def _show(
 
     line("A simulated phone was held and turned once about each axis. Its gyro secretly misreads "
          "every turn by up to 1.2 %. Handcal is given the recording alone.")  # fmt: skip
-    line(f"\n[bold]Biases alone:[/] {words.verdict(plain).headline}")
-    line(f"[bold]Explained:[/] {verdict_text.verdict(explanation).headline}")
+    line(f"\n[bold]Biases alone:[/] {calibrated.verdict(plain).headline}")
+    line(f"[bold]Explained:[/] {explained.verdict(explanation).headline}")
     console.print(_table(truth, result))
     off = [abs(off_by(p, truth)) for p in result.parameters]
     line(f"{sum(o < 2.0 for o in off)} of {len(off)} estimates lie within two sigma of the truth; "

@@ -137,16 +137,16 @@ class Calibration(Result):
         return stamped(calibration_json(self))
 
     def __repr__(self) -> str:
-        from handcal.show import words
+        from handcal.show.calibration import verdict_text
 
-        judged = words.verdict(self)
+        judged = verdict_text.verdict(self)
         name = Path(self.recording.path).name
         return f"Calibration of {name}: {judged.headline}\n{self.parameters!r}"
 
     def _repr_html_(self) -> str:
-        from handcal.show import words
+        from handcal.show.calibration import verdict_text
 
-        judged = words.verdict(self)
+        judged = verdict_text.verdict(self)
         said = "".join(f"<p>{html.escape(s)}</p>" for s in (judged.headline, *judged.sentences))
         return said + self.parameters._repr_html_()
 

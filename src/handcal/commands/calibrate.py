@@ -113,6 +113,6 @@ def calibrate(
 def _show(result: Result) -> None:
     from rich.console import Console
 
-    from handcal.show.calibration.summary import print_summary
+    from handcal.show.calibration.terminal import print_summary
 
     print_summary(result, Console())

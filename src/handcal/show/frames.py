@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from handcal.show import words
-from handcal.show.calibration import summary
+from handcal.show.calibration import summary, verdict_text
 from handcal.types import Array, Innovations, Parameter, Result
 from handcal.units import Shown
 
@@ -87,7 +87,7 @@ def _group(result: Result, effect: str, columns: tuple[int, ...]) -> Group:
 
 
 def _markdown(result: Result) -> str:
-    judged = words.verdict(result)
+    judged = verdict_text.verdict(result)
     lines = [f"## {judged.headline}", *judged.sentences, "", "| | value | ± 1 sigma | |",
              "|---|---:|---:|---|"]  # fmt: skip
     for group in words.by_effect(result.parameters).values():
@@ -97,5 +97,5 @@ def _markdown(result: Result) -> str:
             f"| {unit.value(p.sigma, p.sigma)} | {unit.unit} |"
             for p in group
         ]
-    lines += ["", *(f"- {s}" for s in words.not_shown(result))]
+    lines += ["", *(f"- {s}" for s in verdict_text.not_shown(result))]
     return "\n".join(lines)

@@ -11,7 +11,7 @@ import numpy as np
 import handcal
 from handcal import output
 from handcal.show import words
-from handcal.show.calibration import plots, summary
+from handcal.show.calibration import plots, summary, verdict_text
 from handcal.show.drawing import AXES
 from handcal.show.html_page import page
 from handcal.types import Array, Parameter, Result
@@ -46,10 +46,10 @@ def _context(result: Result) -> dict[str, Any]:
         "version": handcal.__version__,
         "streams": ", ".join(["IMU", *map(words.stream_title, recording.streams)]),
         "assumed": words.assume_sentence(result.assume, recording.streams),
-        "verdict": words.verdict(result),
+        "verdict": verdict_text.verdict(result),
         "facts": facts,
         "groups": _rows(result),
-        "not_shown": words.not_shown(result),
+        "not_shown": verdict_text.not_shown(result),
         "noise": [words.noise_line(n) for n in result.noise],
         "kinds": _kinds(result),
         "warnings": summary.all_warnings(result),
@@ -98,7 +98,7 @@ def _kinds(result: Result) -> list[dict[str, Any]]:
                 "updates": i.t.size,
                 "skipped": i.skipped,
                 "nis": "–" if i.mean_nis is None else f"{i.mean_nis:.2f}",
-                "word": words.nis_word(i),
+                "word": verdict_text.nis_word(i),
                 "rho": "–" if rho is None else f"{round(rho, 2) + 0.0:+.2f}".replace("-", "−"),
             }
         )

@@ -1,7 +1,7 @@
 """The words of an explanation, the same in terminal, report and dashboard: numbers, titles, units.
 
 Everything is a short phrase; units and digits come from ``handcal.show.words``. Whole sentences
-are in ``sentences``.
+are in ``verdict_text``.
 """
 
 from __future__ import annotations
