@@ -101,7 +101,7 @@ clean: ## remove .venv, caches, builds, the demo's output and scores of trials
 	find src sim tests -name __pycache__ -prune -exec rm -rf {} +
 
 clean-cache: ## remove compiled kernels (do so after editing what is compiled into others)
-	find src tests -name "*.nb[ci]" -delete
+	find src tests \( -name "*.nb[ci]" -o -name "*.busy" \) -delete
 
 # The stamps below are touched last, so that a step that broke off is done again.
 

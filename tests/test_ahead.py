@@ -6,7 +6,6 @@ import json
 import os
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -60,10 +59,9 @@ def test_what_is_compiled_ahead_is_what_a_fit_needs(tmp_path: Path) -> None:
     assert set(missed) == OWN
 
 
+# Says when it has compiled or has to wait; keeps what it compiled when it is told to.
 HOLDS = """
 import sys
-import time
-from pathlib import Path
 
 sys.path.insert(0, sys.argv[1])
 import one
@@ -73,12 +71,20 @@ from handcal.compiled.jit import njit
 
 def slow(cache, sig, data):
     print("compiled", flush=True)
-    time.sleep(float(sys.argv[2]))
+    sys.stdin.readline()
     return save(cache, sig, data)
 
 
-save = kept._Cache.save_overload
-kept._Cache.save_overload = slow
+def locked(file):
+    have = lock(file)
+    if not have and not said:
+        said.append(print("waits", flush=True))
+    return have
+
+
+said = []
+save, kept._Cache.save_overload = kept._Cache.save_overload, slow
+lock, kept._locked = kept._locked, locked
 print(njit(one.twice)(2), flush=True)
 """
 
@@ -89,18 +95,22 @@ def test_one_compiles_and_the_other_waits_while_it_lives(tmp_path: Path, killed:
     (tmp_path / "one.py").write_text("def twice(x):\n    return x + x\n")
     env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
 
-    def begun(seconds: float) -> subprocess.Popen[str]:
-        command = [sys.executable, "-c", HOLDS, str(tmp_path), str(seconds)]
-        return subprocess.Popen(command, env=env, stdout=subprocess.PIPE, text=True)
+    def begun() -> subprocess.Popen[str]:
+        command = [sys.executable, "-c", HOLDS, str(tmp_path)]
+        pipe = subprocess.PIPE
+        return subprocess.Popen(command, env=env, stdin=pipe, stdout=pipe, text=True)
 
-    with begun(30.0 if killed else 2.0) as first:
+    with begun() as first:
         assert first.stdout is not None
         assert first.stdout.readline() == "compiled\n"
-        with begun(0.0) as second:
-            time.sleep(0.5)
+        with begun() as second:
+            assert second.stdout is not None
+            assert second.stdout.readline() == "waits\n"
             if killed:
                 first.kill()
-            said, _ = second.communicate(timeout=25.0)
+            else:
+                first.communicate("\n")
+            said, _ = second.communicate("\n")
     assert said == ("compiled\n4\n" if killed else "4\n")
     assert not list(tmp_path.rglob("*.busy"))
 

@@ -34,6 +34,7 @@ def demo(
     calibration.json.
     """
     import handcal
+    from handcal.commands._ahead import compiled_ahead
     from handcal.commands._progress import progress
     from handcal.commands._registry import say
     from handcal.explain import explain
@@ -51,7 +52,7 @@ def demo(
     write(world, file)
     recording = handcal.load(file)
     say("calibrating: biases alone")
-    with progress("biases alone") as report:
+    with progress("biases alone") as report, compiled_ahead():
         plain = handcal.calibrate(recording, assume="fixed-point", progress=report)
     say("explaining: what do biases not account for?")
     with progress("explaining") as report:
