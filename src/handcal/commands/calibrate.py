@@ -119,8 +119,7 @@ def _with_surprises(result: Result) -> Result:
 
 
 def _show(result: Result) -> None:
-    from rich.console import Console
-
     from handcal.show.calibration.summary import print_summary
+    from handcal.show.terminal import Terminal
 
-    print_summary(result, Console())
+    print_summary(result, Terminal())

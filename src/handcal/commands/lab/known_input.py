@@ -116,9 +116,9 @@ def known_input(
     if json:
         write_json(known_input_json(result, file, recording, errors), json)
     if str(json) != "-":
-        from rich.console import Console
+        from handcal.show.terminal import Terminal
 
-        print_sheet(known_input_sheet(result, file.name, errors, pictures=False), Console())
+        print_sheet(known_input_sheet(result, file.name, errors, pictures=False), Terminal())
 
 
 def _effects(typed: str | None, tests: Bench) -> tuple[str, ...]:

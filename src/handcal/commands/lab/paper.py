@@ -30,6 +30,6 @@ def paper(
     if json:
         write_json(paper_json(result), json)
     if str(json) != "-":
-        from rich.console import Console
+        from handcal.show.terminal import Terminal
 
-        print_sheet(paper_sheet(result), Console())
+        print_sheet(paper_sheet(result), Terminal())

@@ -61,6 +61,6 @@ def scalar(
     if json:
         write_json(scalar_json(result, halves), json)
     if str(json) != "-":
-        from rich.console import Console
+        from handcal.show.terminal import Terminal
 
-        print_sheet(scalar_sheet(result, halves, pictures=False), Console())
+        print_sheet(scalar_sheet(result, halves, pictures=False), Terminal())

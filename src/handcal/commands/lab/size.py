@@ -56,6 +56,6 @@ def size(
     if json:
         write_json(size_json(result, file), json)
     if str(json) != "-":
-        from rich.console import Console
+        from handcal.show.terminal import Terminal
 
-        print_sheet(size_sheet(result, file.name, pictures=False), Console())
+        print_sheet(size_sheet(result, file.name, pictures=False), Terminal())

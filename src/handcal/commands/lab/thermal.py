@@ -50,6 +50,6 @@ def thermal(
     if json:
         write_json(thermal_json(result), json)
     if str(json) != "-":
-        from rich.console import Console
+        from handcal.show.terminal import Terminal
 
-        print_sheet(thermal_sheet(result, name, pictures=False), Console())
+        print_sheet(thermal_sheet(result, name, pictures=False), Terminal())
