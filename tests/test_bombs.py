@@ -18,11 +18,14 @@ from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, Header, Schema
 from sample_recording import IMU
 
+from handcal.commands._progress import Bar
 from handcal.commands._registry import say
 from handcal.device import apply
 from handcal.explain import model_file
 from handcal.recordings.inputs import load
 from handcal.show.calibration.report import write_report
+from handcal.show.calibration.summary import print_summary
+from handcal.show.console import Terminal
 from handcal.types import InputError
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -97,6 +100,23 @@ def test_a_hostile_name_in_a_message_is_one_plain_line(
     shown = capsys.readouterr().err
     assert shown.count("\n") == 1
     assert all(c.isprintable() for c in shown.rstrip("\n"))
+
+
+@pytest.mark.parametrize("text", [*HOSTILE, "[red]x[/red] [/bold]", "\u202egnp"])
+def test_a_hostile_name_does_not_command_the_terminal(
+    text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, result = io.StringIO(), fake_result()
+    named = replace(result.recording, path=text, warnings=(text,))
+    print_summary(replace(result, recording=named, warnings=(text,)), Terminal(file=out))
+    bar = Bar(text)
+    bar._show()
+    bar.describe(text)
+    assert bar.shown is not None
+    bar.shown.stop()
+    shown = out.getvalue() + capsys.readouterr().err
+    assert not set(shown) & set("\x1b\x07\u202e")
+    assert text[:3] not in ("[re", "xxx") or text[:12] in out.getvalue()
 
 
 def test_a_hostile_name_in_a_report_is_text(tmp_path: Path) -> None:

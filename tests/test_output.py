@@ -1,6 +1,8 @@
 """What is written: whole or not at all, and never over what was read."""
 
 import os
+import subprocess
+import sys
 import threading
 from dataclasses import replace
 from pathlib import Path
@@ -102,3 +104,23 @@ def test_a_pipe_is_written_to_as_it_is(tmp_path: Path) -> None:
 def test_what_cannot_be_written_is_a_sentence(tmp_path: Path) -> None:
     with pytest.raises(HandcalError, match="could not be written"):
         write_text(tmp_path, "x")
+
+
+WRITES = """
+import sys
+from handcal.output import write_text
+for _ in range(100):
+    write_text("out", sys.argv[1] * 200_000)
+"""
+
+
+def test_two_that_write_one_file_leave_a_whole_one(tmp_path: Path) -> None:
+    """A hundred times each, read all the while."""
+    write_text(tmp_path / "out", "a" * 200_000)
+    running = [subprocess.Popen([sys.executable, "-c", WRITES, c], cwd=tmp_path) for c in "ab"]
+    seen: set[str] = set()
+    while any(child.poll() is None for child in running):
+        seen.add((tmp_path / "out").read_text())
+    assert [child.returncode for child in running] == [0, 0]
+    assert seen == {"a" * 200_000, "b" * 200_000}
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]

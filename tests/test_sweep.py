@@ -429,7 +429,7 @@ def test_the_document_compares(whole):
         "convergence_s": 18, "rms_error": 18, "rms": 18,
     }  # fmt: skip
     assert [row["group"] for row in whole["evidence"]] == ["heading 5°"]
-    assert [set(row["scenarios"]) for row in whole["in_parallel"]] == [
+    assert [set(row["scenarios"]) for row in whole["side_by_side"]] == [
         {"z-turn", "three-turns"}
     ] * 2
     assert whole == json.loads(json.dumps(whole))

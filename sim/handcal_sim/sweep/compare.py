@@ -59,7 +59,7 @@ def chosen(cells: Sequence[Document]) -> list[dict[str, Any]]:
     return rows
 
 
-def in_parallel(cells: Sequence[Document]) -> list[dict[str, Any]]:
+def side_by_side(cells: Sequence[Document]) -> list[dict[str, Any]]:
     """Cells that differ in nothing but the motion: gyro z of each scenario."""
     rows: dict[Any, dict[str, Any]] = {}
     for cell in cells:
@@ -80,5 +80,5 @@ def document(
     return {
         "schema": SCHEMA, "grid": grid, "seeds": seeds, "seed": seed,
         "thresholds": dict(thresholds), "printed": printed(cells), "evidence": chosen(cells),
-        "in_parallel": in_parallel(cells), "cells": list(cells),
+        "side_by_side": side_by_side(cells), "cells": list(cells),
     }  # fmt: skip

@@ -85,7 +85,7 @@ def context(sweep: Document) -> dict[str, Any]:
         "enough": enough(sweep),
         "key": [(k, cell["group"], r_h(cell)) for k, cell in enumerate(sweep["cells"], 1)]
         if numbered(sweep) else [],
-        "motions": _motions(sweep["in_parallel"]),
+        "motions": _motions(sweep["side_by_side"]),
     }  # fmt: skip
 
 

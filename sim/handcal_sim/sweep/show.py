@@ -50,8 +50,8 @@ def show(sweep: Document, console: Console) -> None:
             )
     if sweep["evidence"]:
         console.print(_evidence(sweep["evidence"]))
-    if sweep["in_parallel"]:
-        console.print(_side_by_side(sweep["in_parallel"]))
+    if sweep["side_by_side"]:
+        console.print(_side_by_side(sweep["side_by_side"]))
     for line in sentences(sweep):
         console.print(line, soft_wrap=True)
 

@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from typing import TYPE_CHECKING, Any
 
+from handcal.commands._registry import say
+
 if TYPE_CHECKING:
     from rich.progress import Progress
 
@@ -41,14 +43,15 @@ class Bar:
             if self.shown is not None:
                 self.shown.update(self.shown.task_ids[0], description=f"{self.text}: {stage}")
         elif time.monotonic() - self.started > PATIENCE_S:
-            print(f"handcal: {self.text}: {stage}", file=sys.stderr, flush=True)
+            say(f"{self.text}: {stage}")
 
     def _show(self) -> None:
-        from rich.console import Console
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-        self.shown = Progress(*columns, console=Console(stderr=True), transient=True)
+        from handcal.show.console import Terminal
+
+        columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
+        self.shown = Progress(*columns, console=Terminal(stderr=True), transient=True)
         named = f"{self.text}: {self.stage}" if self.stage else self.text
         self.shown.add_task(named, total=None)
         self.shown.start()

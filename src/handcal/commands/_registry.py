@@ -78,7 +78,7 @@ class Commands(TyperGroup):
             say(f"Not enough memory: {error or 'no more is to be had'}.")
             raise typer.Exit(1) from None
         except OSError as error:
-            say(f"{error.filename or 'Files'}: {error.strerror or error}.")
+            say(f"{error.filename or 'Output'}: {error.strerror or error}.")
             raise typer.Exit(1) from None
         except Exception as error:
             from handcal.types import HandcalError, InputError
@@ -182,7 +182,7 @@ def _show_what_can_be_shown() -> None:
 def say(text: str) -> None:
     """One line on stderr, in which nothing (a file's name) commands the terminal."""
     line = "".join(c if c.isprintable() else "?" for c in " ".join(text.split()))
-    print(f"handcal: {line}", file=sys.stderr)
+    print(f"handcal: {line}", file=sys.stderr, flush=True)
 
 
 def run(app: typer.Typer) -> NoReturn:

@@ -42,9 +42,9 @@ def allan(
     if json:
         write_json(allan_json(result), json)
     if str(json) != "-":
-        from rich.console import Console
+        from handcal.show.console import Terminal
 
-        print_allan(result, Console())
+        print_allan(result, Terminal())
 
 
 def _span(text: str | None) -> tuple[float, float] | None:

@@ -111,8 +111,7 @@ def calibrate(
 
 
 def _show(result: Result) -> None:
-    from rich.console import Console
-
     from handcal.show.calibration.terminal import print_summary
+    from handcal.show.console import Terminal
 
-    print_summary(result, Console())
+    print_summary(result, Terminal())

@@ -130,9 +130,9 @@ def poses(
     if json:
         write_json(design_report.design_json(found) | {"seed": seed}, json)
     if str(json) != "-":
-        from rich.console import Console
+        from handcal.show.console import Terminal
 
-        design_report.print_design(found, Console())
+        design_report.print_design(found, Terminal())
         if not sequential:
             say(f"seed {seed}")
 
@@ -195,6 +195,6 @@ def motion(
     if json:
         write_json(motion_report.motion_json(found), json)
     if str(json) != "-":
-        from rich.console import Console
+        from handcal.show.console import Terminal
 
-        motion_report.print_motions(found, Console())
+        motion_report.print_motions(found, Terminal())

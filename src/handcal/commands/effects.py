@@ -27,9 +27,9 @@ def effects(
     if json:
         write_json(effects_json(chosen), json)
     if str(json) != "-":
-        from rich.console import Console
+        from handcal.show.console import Terminal
 
         if id is None:
-            print_catalogue(chosen, Console())
+            print_catalogue(chosen, Terminal())
         else:
-            print_effect(chosen[id], Console())
+            print_effect(chosen[id], Terminal())

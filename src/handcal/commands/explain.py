@@ -157,15 +157,14 @@ def _printed(
     explanation: Explanation, files: Sequence[Path], typed: Sequence[str], json: Path | None
 ) -> None:
     """The explanation in the terminal, with the command that comes next."""
-    from rich.console import Console
-
+    from handcal.show.console import Terminal
     from handcal.show.explanation.following import commands
     from handcal.show.explanation.terminal import print_explanation
 
     following = commands(explanation, [str(f) for f in files], typed, str(json or ""))
     if json is None:
         following = following[:1]  # (there is nothing that could be applied)
-    print_explanation(explanation, Console(), following)
+    print_explanation(explanation, Terminal(), following)
 
 
 def _typed(

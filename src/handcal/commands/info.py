@@ -40,6 +40,6 @@ def info(
     if json:
         write_json(info_json(result), json)
     if str(json) != "-":
-        from rich.console import Console
+        from handcal.show.console import Terminal
 
-        print_info(result, Console())
+        print_info(result, Terminal())

@@ -44,6 +44,6 @@ def show(
     if json:
         write_json(page.device_json(device, when), json)
     if str(json) != "-":
-        from rich.console import Console
+        from handcal.show.console import Terminal
 
-        page.print_device(device, when, Console())
+        page.print_device(device, when, Terminal())

@@ -25,6 +25,6 @@ def write_results(
     if json:
         write_json(document(), json)
     if str(json) != "-":
-        from rich.console import Console
+        from handcal.show.console import Terminal
 
-        print_sheet(sheet(False), Console())
+        print_sheet(sheet(False), Terminal())
