@@ -476,6 +476,17 @@ def test_a_browser_without_network_draws_the_page_without_complaint(page, width,
         browser.close()
 
 
+def test_a_scheduler_that_is_gone_is_not_waited_for(monkeypatch):
+    class Silent(Executor):
+        def submit(self, *_arguments, **_options):
+            return Future()
+
+    monkeypatch.setattr(sweep_run, "LOOK_S", 0.01)
+    workers = Workers(Silent, 1, there=lambda: False)
+    with pytest.raises(WorkersDied, match="scheduler is gone"):
+        run(small(), workers, sweep.run_chunk, Kept(None), ignored)
+
+
 @pytest.mark.parametrize("left", [1, 20, 500])
 def test_a_disk_that_was_full_in_the_first_cell_can_be_gone_on_from(tmp_path, left):
     whole, cut = Kept(tmp_path / "whole"), tmp_path / "cut"

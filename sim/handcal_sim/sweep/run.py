@@ -37,6 +37,7 @@ class WorkersDied(HandcalError):
 CHUNK = 5
 # Deaths in a row, without a result in between, until the fault must lie in the work itself.
 PATIENCE = 5
+LOOK_S = 5.0  # between looks at whether the scheduler is there
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 Document = dict[str, Any]
 _BEGINNING = f'{{"schema": "{SCHEMA}"'
@@ -60,11 +61,13 @@ class Plan:
 
 @dataclass(frozen=True)
 class Workers:
-    """Where chunks are computed: an executor, a way to a new one, and how many run at once."""
+    """Where chunks are computed: an executor, a way to a new one, and how many run at once; and
+    whether there is still anybody to wait for."""
 
     start: Callable[[], Executor]
     count: int
     died: tuple[type[BaseException], ...] = (BrokenExecutor,)
+    there: Callable[[], bool] = lambda: True
 
 
 class Kept:
@@ -150,7 +153,10 @@ def _computed(
                 future = _submitted(executor, work, plan.cells[i], plan.seed, numbers,
                                     dict(plan.thresholds))  # fmt: skip
                 running[future] = (i, numbers)
-            done, _ = wait(running, return_when=FIRST_COMPLETED)
+            done, _ = wait(running, timeout=LOOK_S, return_when=FIRST_COMPLETED)
+            if not (done or workers.there()):
+                running.clear()  # (nobody is there to be told)
+                raise WorkersDied("the scheduler is gone; with --out the same command goes on")
             broken = False
             # (in the order in which they were given out, so that cells are finished in turn)
             for future in [future for future in running if future in done]:
@@ -225,7 +231,8 @@ def opened(where: str, jobs: int) -> Iterator[Workers]:
         raise SimulationError(f"no Dask scheduler at {address}{said}") from None
     with client:
         threads = max(1, sum(client.nthreads().values()))
-        yield Workers(client.get_executor, threads, (distributed.KilledWorker, broken))
+        died = (distributed.KilledWorker, broken)
+        yield Workers(client.get_executor, threads, died, lambda: client.status == "running")
 
 
 def _processes(jobs: int) -> Executor:
