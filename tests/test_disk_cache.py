@@ -12,8 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import numba
+import numpy as np
 import pytest
 
+from handcal.compiled import so3
 from handcal.compiled.disk_cache import _Files
 from handcal.compiled.jit import njit, residual_function
 
@@ -140,3 +142,29 @@ def test_eight_processes_fill_one_empty_folder(tmp_path: Path) -> None:
         after = subprocess.run(command, env=env, capture_output=True, text=True, check=True)
         assert [child.returncode for child in running] == [0] * 8
         assert {*said, after.stdout} == {after.stdout}
+
+
+ANOTHER = """
+import numba
+numba.__version__ = "0.0"
+import numpy as np
+from handcal.compiled import inside, so3
+assert not inside.LINKED
+angles = np.array([0.1, -0.2, 0.3])
+print(*so3.matrix_exp(angles).ravel())
+"""
+
+
+def test_another_release_of_numba_compiles_as_it_does(tmp_path: Path) -> None:
+    """What is private to numba is asked of releases on which it was tried, and of no other."""
+    angles = np.array([0.1, -0.2, 0.3])
+    for _ in range(2):  # (once compiled, once kept)
+        done = subprocess.run(
+            [sys.executable, "-c", ANOTHER],
+            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        got = np.array([float(x) for x in done.stdout.split()]).reshape(3, 3)
+        np.testing.assert_allclose(got, so3.matrix_exp(angles), atol=1e-15)

@@ -22,7 +22,7 @@ from typing import Any
 
 from numba.core import caching, event
 
-from handcal.compiled.inside import readable, rebuilt
+from handcal.compiled.inside import LINKED, readable, rebuilt
 
 fcntl: Any
 try:
@@ -63,8 +63,12 @@ class _Files(caching.IndexDataCacheFile):
 
 class _Results(caching.CompileResultCacheImpl):
     def rebuild(self, target_context: Any, payload: Any) -> Any:
-        """The result of what was kept; None where an earlier version of handcal kept it."""
-        return rebuilt(target_context, payload) if readable(payload) else None
+        """The result of what was kept; None where another version of handcal or numba kept it."""
+        if readable(payload) != LINKED:
+            return None
+        return (
+            rebuilt(target_context, payload) if LINKED else super().rebuild(target_context, payload)
+        )
 
 
 class _Parts(_Results):

@@ -12,9 +12,15 @@ from __future__ import annotations
 import gc
 from typing import Any
 
+import numba
 from llvmlite import binding
 from numba.core import codegen, compiler
 from numba.core.environment import lookup_environment
+
+# What this builds on is private to numba: with releases on which it has not been tried, all is
+# compiled as numba does it, which makes a first run half as long again.
+TRIED = ("0.68.",)
+LINKED = numba.__version__.startswith(TRIED)
 
 # (numba's own are partly typed)
 _Library: Any = codegen.JITCodeLibrary

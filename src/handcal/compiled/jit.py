@@ -13,11 +13,12 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils as _cgutils
 from numba.core.ccallback import CFunc
+from numba.core.compiler import Compiler
 from numba.extending import intrinsic as _intrinsic
 from numba.extending import typeof_impl
 
 from handcal.compiled.disk_cache import kept
-from handcal.compiled.inside import Inside, Outside
+from handcal.compiled.inside import LINKED, Inside, Outside
 from handcal.types import Array, IntArray
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -40,6 +41,10 @@ def _compiled(function: F, python: bool = True, **more: Any) -> F:
     options: dict[str, Any] = {
         "error_model": "numpy", "no_cfunc_wrapper": True, "nogil": True, **more,
     }  # fmt: skip
+    if not LINKED:
+        plain: Any = _njit(**options)(function)
+        plain._cache = kept(function)
+        return cast(F, plain)
     part: Any = _njit(pipeline_class=Inside, no_cpython_wrapper=True, **options)(function)
     part._cache = kept(function, part=True)
     if not python:
@@ -122,7 +127,11 @@ class _Address:
         if self._compiled is None:
             signature = _SIGNATURE.args, _SIGNATURE.return_type
             made: Any = CFunc(
-                self._function, signature, {}, {"error_model": "numpy"}, pipeline_class=Outside
+                self._function,
+                signature,
+                {},
+                {"error_model": "numpy"},
+                pipeline_class=Outside if LINKED else Compiler,
             )
             if self._kept:
                 made._cache = kept(self._function)
