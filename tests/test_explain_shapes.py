@@ -7,13 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from test_explain_walks import warming
 from worlds import recording_of
 
 from handcal.compiled.jit import call_residual
 from handcal.effects import TIME, Z_DIM, Signals
+from handcal.estimate.baseline import baseline
+from handcal.estimate.case import case_of
 from handcal.estimate.quadratic import Quadratic
 from handcal.explain import explain
 from handcal.explain.unnamed import courses, shapes
+from handcal.explain.unnamed.best import best_term
 from handcal.types import Array
 from handcal_sim import simulate
 from handcal_sim.phone import Clocking, Phone, consumer_phone, with_rate
@@ -136,6 +140,23 @@ def test_what_passes_by_is_unexplained(sign: float) -> None:
     assert at == pytest.approx(24.0, abs=5.0 * 3.0 * bump.sigma / 0.5)
     assert width == pytest.approx(3.0, abs=5.0 * 3.0 * bump.sigma / 0.5)
     assert bump.value == pytest.approx(sign * 0.5, abs=4.0 * bump.sigma)
+
+
+@pytest.mark.parametrize("square", [False, True])
+def test_a_heading_that_errs_with_the_temperature_is_told(square: bool) -> None:
+    """A walk or an attitude error stood in for it while a heading saw no thermometer."""
+    world = simulate("free-hand", seed=0, duration_s=40.0, phone=warming, effects={})
+    recording = recording_of(world, "heading", "temperature")
+    heading, warmth = recording.streams["heading"], recording.streams["temperature"]
+    x = 4.0 * np.sin(warmth.t / 9.0) + 3.0 * np.sin(warmth.t / 4.3)
+    error = np.interp(heading.t, warmth.t, 0.03 * (0.2 * x**2 if square else x))
+    streams = {
+        "heading": replace(heading, value=heading.value + error[:, None]),
+        "temperature": replace(warmth, value=25.0 + x[:, None]),
+    }
+    term = best_term(baseline([case_of(replace(recording, streams=streams))]))
+    assert term is not None
+    assert term.effect.id == f"heading += k * (T - 25){'^2' * square}"
 
 
 @pytest.mark.parametrize("direction", [-2.0, 0.3, 1.1])

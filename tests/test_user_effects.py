@@ -14,7 +14,16 @@ from typer.testing import CliRunner
 from handcal import effects, user_effects
 from handcal.commands import _app
 from handcal.compiled import so3
-from handcal.effects import TIME, Z_DIM, Param, catalogue, observed_error, with_effects
+from handcal.effects import (
+    ROOM,
+    TIME,
+    WARMTH,
+    Z_DIM,
+    Param,
+    catalogue,
+    observed_error,
+    with_effects,
+)
 from handcal.estimate.parallel import in_parallel
 from handcal.explain.explanation import Unnamed
 from handcal.explain.unnamed import courses, grammar, law_effect, law_file, shapes, terms
@@ -316,10 +325,11 @@ def test_what_is_known_badly_may_be_as_large_as_that():
 
 
 def navigated(n=200):
-    """States (n, 21) of the probing motion, and the time."""
+    """States (n, 21) of the probing motion, the time and the temperature."""
     s = probe(n)
     nav, z = np.zeros((n, 21)), np.zeros((n, Z_DIM))
     nav[:, 6:15], nav[:, 15:18], z[:, TIME] = s.C_nb.reshape(n, 9), s.gyro, s.t
+    z[:, WARMTH] = s.temperature - ROOM
     assert so3.yaw_of(s.C_nb).std() > 0.5
     return nav, z
 

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from handcal.compiled import so3
-from handcal.effects import Effect, Signals
+from handcal.effects import ROOM, Effect, Signals
 from handcal.recordings.streams import STREAMS, Stream
 from handcal.types import Array, BoolArray, IntArray, Recording, Series
 
@@ -60,6 +60,14 @@ def temperature_of(recording: Recording) -> Array | None:
     return (
         None if series is None else at_times(STREAMS["temperature"], series, recording.imu.t)[:, 0]
     )
+
+
+def warmth_at(recording: Recording, t: Array) -> Array:
+    """Temperature less ``ROOM`` (n,), K, at times t (n,); zero without a thermometer."""
+    series = recording.streams.get("temperature")
+    if series is None:
+        return np.zeros(len(t))
+    return at_times(STREAMS["temperature"], series, t)[:, 0] - ROOM
 
 
 def of_arrays(t: Array, gyro: Array, accel: Array, temperature: Array | None = None) -> Signals:

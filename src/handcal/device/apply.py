@@ -18,13 +18,13 @@ import numpy as np
 from handcal.compiled.so3 import wrap
 from handcal.device.conceal import Truth, streams_of
 from handcal.documents import read_json
-from handcal.effects import ATTITUDE, TIME, Z_DIM, Effect, catalogue, observed_error
+from handcal.effects import ATTITUDE, TIME, WARMTH, Z_DIM, Effect, catalogue, observed_error
 from handcal.effects._stamps import shifted
 from handcal.estimate.corrected import substituted
 from handcal.observations import NAV
 from handcal.observations import catalogue as observations
 from handcal.recordings.streams import STREAMS, Stream, observed_by
-from handcal.signals import of_recording
+from handcal.signals import of_recording, warmth_at
 from handcal.types import (
     CALIBRATION_SCHEMA,
     EXPLANATION_SCHEMA,
@@ -177,7 +177,7 @@ def _heading(
     series, kind = recording.streams[row.name], observations()[row.observation]
     read, t = series.value[:, 0], series.t
     z = np.zeros((len(t), Z_DIM))
-    z[:, TIME] = t - recording.imu.t[0]
+    z[:, TIME], z[:, WARMTH] = t - recording.imu.t[0], warmth_at(recording, t)
 
     def error(yaw: Array, nav: Array) -> Array:
         # (the first of the body's axes, seen from n, points where the heading says)

@@ -21,6 +21,7 @@ from handcal.compiled import so3
 from handcal.effects import (
     ATTITUDE,
     TIME,
+    WARMTH,
     Z_DIM,
     Effect,
     Signals,
@@ -34,7 +35,7 @@ from handcal.estimate.calibration import calibrate
 from handcal.observations import Observation, magnetometer
 from handcal.observations import catalogue as observations
 from handcal.recordings.streams import STREAMS, Stream
-from handcal.signals import of_recording, probe, reading
+from handcal.signals import of_recording, probe, reading, warmth_at
 from handcal.types import Array, Imu, InputError, Recording, Result, Series
 
 Values = Mapping[str, Array]
@@ -347,6 +348,7 @@ def _shift(
     if row.observation == "magnetometer":
         z[:, [NORTH, UP]] = magnetometer.strengths(known.recording)
     z[:, TIME] = t + late - known.recording.imu.t[0]
+    z[:, WARMTH] = warmth_at(known.recording, t + late)
     out = np.zeros((len(t), kind.dim))
     rate = np.linalg.norm(nav[:, 15:18], axis=1)
     for e in effects:

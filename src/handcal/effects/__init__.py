@@ -6,8 +6,8 @@ enters in one of two ways:
 - ``imu_error(parameters, signals) -> (n, 6)``: what the gyro (columns 0-2, rad/s) and
   the accelerometer (columns 3-5, m/s^2) read in addition, over a whole recording;
 - ``observation_error``: for each kind of observation a compiled
-  ``f(nav, parameters, z, r) -> 0`` that corrects the residual ``r`` in place. The last
-  number of ``z`` (``z[TIME]``) is the time since the recording's start, s.
+  ``f(nav, parameters, z, r) -> 0`` that corrects the residual ``r`` in place. ``z[TIME]``
+  is the time since the recording's start, s, ``z[WARMTH]`` the temperature less ``ROOM``, K.
 
 An effect that is noise brings a ``process`` instead: Markov states that walk with a bias
 (``walks``) or that its ``observation_error`` takes for its parameters.
@@ -44,8 +44,10 @@ from handcal.types import Array, BoolArray, InputError, Level, Markov, Recording
 # What an effect may need besides streams.
 ATTITUDE, PLACE = "attitude", "place"
 # Places in an observation's z (Z_DIM numbers) that are the same for every kind.
-Z_DIM = 46
-DELAY, TIME = 44, 45
+Z_DIM = 47
+DELAY, TIME, WARMTH = 44, 45, 46
+# Temperature at which its effects are zero, degC.
+ROOM = 25.0
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from handcal.effects import Effect, Param, Signals
+from handcal.effects import ROOM, Effect, Param, Signals
 from handcal.types import Array
 
 
@@ -12,7 +12,7 @@ def imu_error(c: Array, signals: Signals) -> Array:
     """``c_i (T - 25 degC)`` on the accelerometer; c (3,) (m/s^2)/K, result (n, 6)."""
     out = np.zeros((len(signals.t), 6))
     if signals.temperature is not None:
-        out[:, 3:] = (signals.temperature - 25.0)[:, None] * c
+        out[:, 3:] = (signals.temperature - ROOM)[:, None] * c
     return out
 
 

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from handcal.compiled.kernel import MOST_HELD, Nodes, Tables
-from handcal.effects import DELAY, TIME, Z_DIM, Effect
+from handcal.effects import DELAY, TIME, WARMTH, Z_DIM, Effect
 from handcal.estimate.derivatives import relinearised
 from handcal.estimate.problem import Problem, Slot, slots_of
 from handcal.observations import Observation, Rows, nearest
+from handcal.signals import warmth_at
 from handcal.types import Array, Markov, Recording
 
 # Moments closer than this are one, s.
@@ -151,7 +152,7 @@ def _nodes(
         z[own, DELAY] = r.delay
         moved[own] = 0.0 if r.moved is None else r.moved
         i = own.stop
-    z[:, TIME] = ot - imu.t[0]
+    z[:, TIME], z[:, WARMTH] = ot - imu.t[0], warmth_at(recording, ot)
     keep = (ot >= imu.t[0]) & (ot <= imu.t[-1])
     ot, kind, z, moved = ot[keep], kind[keep].astype(np.int64), z[keep], moved[keep]
     near = nearest(imu.t, ot)

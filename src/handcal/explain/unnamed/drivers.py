@@ -16,7 +16,7 @@ import numpy as np
 
 from handcal.compiled import so3
 from handcal.compiled.jit import njit
-from handcal.effects import ATTITUDE, Signals
+from handcal.effects import ATTITUDE, ROOM, Signals
 from handcal.types import Array, BoolArray
 
 AXES = "xyz"
@@ -37,8 +37,6 @@ SIGN = {"rad/s": 0.1, "m/s^2": 0.5}
 TURNING = 0.2
 # What a sensor and its surroundings take to warm through, s.
 WARMING = (3.0, 10.0, 30.0, 60.0)
-# Degrees at which a temperature is none: as in the catalogue.
-ROOM = 25.0
 
 Of = Callable[[Signals, int], Array]
 _NUMBER = re.compile(r"\((memory|play)\(([^ ]+) ")

@@ -12,8 +12,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from handcal.effects import ATTITUDE, Z_DIM, Effect, Param, observed_error
-from handcal.explain.unnamed.drivers import ROOM, TURNING
+from handcal.effects import ATTITUDE, ROOM, Z_DIM, Effect, Param, observed_error
+from handcal.explain.unnamed.drivers import TURNING
 from handcal.explain.unnamed.grammar import Form, text_of
 from handcal.explain.unnamed.law_effect import SENSORS, UNITS, Law
 from handcal.explain.unnamed.terms import FASTEST, SLOW
@@ -30,6 +30,7 @@ _PYTHON = (
     (r"\bsin\(pitch of ([xy])\)", r"sin_pitch_\1"),
     (r"\bsin\(tilt\)\^2", "(1.0 - cos_tilt**2)"),
     (r"\byaw rate\b", "yaw_rate"),
+    (r"\(T - 25\)", "warmth"),
     (r"\|omega\|", "turning"),
     (r"\bround\(([^()]+)\)", r"np.floor(\1 + 0.5)"),
     (r"([\d.]+) deg\b", r"np.radians(\1)"),
@@ -282,6 +283,7 @@ _SEEN = {
     "yaw_rate": "nav[12] * nav[15] + nav[13] * nav[16] + nav[14] * nav[17]",
     "turning": "np.sqrt(nav[15] ** 2 + nav[16] ** 2 + nav[17] ** 2)",
     "t": "z[TIME]",
+    "warmth": "z[WARMTH]",
 }
 
 

@@ -92,9 +92,10 @@ def _over_driver(u: Unnamed) -> Law:
 
 def _formula_of_heading(u: Unnamed) -> Law:
     """A formula of the heading's attitude, rate or time."""
-    parameters = _found(u, terms.again(u.formula, 1.0).parameters)
+    again = terms.again(u.formula, 1.0)
+    parameters = _found(u, again.parameters)
     code = heading_function(python(u.formula.partition(" += ")[2]), u.formula, parameters)
-    return _law(u, parameters, code)
+    return replace(_law(u, parameters, code), needs=again.needs)
 
 
 def _curve_of_heading(u: Unnamed) -> Law:
@@ -245,7 +246,7 @@ def _imports(law: Law) -> str:
     numpy = "\nimport numpy as np\n" * ("np." in law.code)
     numpy += "from scipy.interpolate import CubicSpline\n" * ("CubicSpline(" in law.code)
     if law.of_heading:
-        time = "TIME, " * ("[TIME]" in law.code)
+        time = "".join(f"{name}, " for name in ("TIME", "WARMTH") if f"[{name}]" in law.code)
         own = "from handcal.compiled.jit import residual_function\n"
         own += f"from handcal.effects import {time}Effect, Param\n"
     else:

@@ -15,10 +15,20 @@ import numpy as np
 
 from handcal.compiled import so3
 from handcal.compiled.jit import inner, residual_function
-from handcal.effects import TIME, Z_DIM, Catalogue, Effect, Param, catalogue, observed_error
+from handcal.effects import (
+    ROOM,
+    TIME,
+    WARMTH,
+    Z_DIM,
+    Catalogue,
+    Effect,
+    Param,
+    catalogue,
+    observed_error,
+)
 from handcal.explain.unnamed.grammar import SIZES, WIDTHS, process_root
 from handcal.explain.unnamed.law_effect import PROBED, basis, spanned
-from handcal.signals import probe
+from handcal.signals import probe, warmth_at
 from handcal.types import Array, Recording
 
 # Root mean square of what a term adds, one prior sigma, rad.
@@ -26,6 +36,8 @@ HEADING_SIZE = 0.1
 # Harmonics beyond those of iron, and grids of whole parts of the circle, deg.
 HARMONICS = 4
 GRIDS = (1.0, 2.0, 5.0, 10.0, 15.0, 22.5, 30.0, 45.0)
+# As drivers of the sensors call it, and a change of it that is none, K.
+WARM, LEAST_WARMING = "(T - 25)", 0.3
 # Rate below which a compass may stick, rad/s; its inverse sinh's largest size, at 20 rad/s.
 SLOW = 0.1
 FASTEST = math.asinh(20.0 / SLOW)
@@ -113,6 +125,16 @@ def _time2(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
     return 0
 
 
+def _warmth(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+    r[0] -= k[0] * z[WARMTH]
+    return 0
+
+
+def _warmth2(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+    r[0] -= k[0] * z[WARMTH] * z[WARMTH]
+    return 0
+
+
 def _turn_size(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
     r[0] -= k[0] * abs(nav[12] * nav[15] + nav[13] * nav[16] + nav[14] * nav[17])
     return 0
@@ -147,6 +169,8 @@ def _table() -> Iterator[tuple[str, tuple[Residual, tuple[str, ...]]]]:
         yield text, (_tilted_iron(row), ("rad", "rad"))
     yield "k * sin(tilt)^2", (_tilt2, ("rad",))
     yield "k * t^2", (_time2, ("rad/s^2",))
+    yield f"k * {WARM}", (_warmth, ("rad/K",))
+    yield f"k * {WARM}^2", (_warmth2, ("rad/K^2",))
     yield "k * abs(yaw rate)", (_turn_size, ("s",))
     yield "k * |omega|", (_turning, ("s",))
     yield f"k * tanh(yaw rate / {SLOW:g})", (_turn_sign, ("rad",))
@@ -162,7 +186,8 @@ _HEADING: Mapping[str, tuple[int, tuple[str, ...]]] = {
 
 def _term_of(text: str, prior: float) -> Effect:
     address, units = _HEADING[text]
-    one = term(f"heading += {text}", units[0], prior, observation_error={"heading": address})
+    acts, needs = {"heading": address}, ("temperature",) * (WARM in text)
+    one = term(f"heading += {text}", units[0], prior, observation_error=acts, needs=needs)
     if len(units) == 1:
         return one
     several = tuple(Param(f"k{n + 1}", unit, prior) for n, unit in enumerate(units))
@@ -172,9 +197,19 @@ def _term_of(text: str, prior: float) -> Effect:
 def heading_terms(recording: Recording) -> list[Effect]:
     """Terms of a measured heading."""
     known, span = _named_headings(catalogue()), recording.duration_s
-    sizes = {"rad": HEADING_SIZE, "rad/s^2": 2.0 * HEADING_SIZE / span**2, "s": HEADING_SIZE,
-             "1": 1.0}  # fmt: skip
-    return [_term_of(text, sizes[u[0]]) for text, (_, u) in _HEADING.items() if text not in known]
+    size, warmth = HEADING_SIZE, warmth_at(recording, recording.imu.t)
+    sizes = {"rad": size, "rad/s^2": 2.0 * size / span**2, "s": size, "1": 1.0}
+    if np.ptp(warmth) > LEAST_WARMING:
+        sizes |= {"rad/K": size / _rms(warmth), "rad/K^2": size / _rms(warmth**2)}
+    return [
+        _term_of(text, sizes[u[0]])
+        for text, (_, u) in _HEADING.items()
+        if text not in known and u[0] in sizes
+    ]
+
+
+def _rms(x: Array) -> float:
+    return float(np.sqrt(np.mean(x**2)))
 
 
 @cache
@@ -182,11 +217,13 @@ def _named_headings(catalogued: Catalogue) -> frozenset[str]:
     """Formulas of the heading that effects of the catalogue add up to, on a probing motion."""
     s = probe(PROBED)
     assert s.C_nb is not None
+    assert s.temperature is not None
     n = len(s.t)
     place, speed = s.streams["pose"][:, :3], s.streams["mag"]
     nav = np.hstack([place, speed, s.C_nb.reshape(n, 9), s.gyro, s.accel])
     z = np.zeros((n, Z_DIM))
     z[:, 0], z[:, TIME] = so3.yaw_of(s.C_nb), s.t
+    z[:, WARMTH] = s.temperature - ROOM
 
     def columns(effect: Effect) -> Array:
         steps = np.diag(1e-3 * effect.prior_sigma)
