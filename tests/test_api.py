@@ -10,11 +10,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fake_explanation import fake_explanation
+from fake_result import fake_result
 from worlds import recording_of
 
 import handcal as hc
 from handcal import api, types
 from handcal.estimate.calibration import calibrate
+from handcal.show.calibration import verdict_text as of_calibration
+from handcal.show.explanation import verdict_text as of_explanation
 from handcal_sim import simulate
 
 SCREEN = 40 * 120
@@ -43,6 +47,39 @@ def test_arrays_and_files_are_the_same_recording(recording: types.Recording, wri
         assert np.array_equal(other.imu.accel, imu.accel)
         assert np.abs(other.imu.t - (imu.t - imu.t[0])).max() < 2e-9
         assert np.array_equal(other.streams["heading"].value, heading.value)
+
+
+def test_a_heading_in_degrees_is_refused(recording: types.Recording) -> None:
+    imu, heading = recording.imu, recording.streams["heading"]
+    yaw = np.degrees(heading.value[:, 0])
+    still = np.tile(imu.accel[:1], (len(imu.t), 1)) + 1e-3 * np.sin(imu.t)[:, None]
+    for gyro, accel, wrong in ((imu.gyro, imu.accel, yaw), (0 * still + still / 1e3, still, 90.0)):
+        angles = np.broadcast_to(wrong, heading.t.shape) + 0.01 * np.cos(heading.t)
+        with pytest.raises(hc.InputError, match="heading is in degrees"):
+            hc.Recording.from_arrays(imu.t, gyro, accel, heading=(heading.t, angles))
+
+
+def test_many_turns_of_an_unwrapped_heading_are_radians() -> None:
+    t = np.arange(0.0, 60.0, 0.01)
+    gyro, accel = np.tile([0.0, 0.0, 2.0], (len(t), 1)), np.tile([0.0, 0.0, 9.8], (len(t), 1))
+    gyro[:, 0] += 1e-3 * np.sin(t)
+    accel[:, 0] += 1e-3 * np.sin(t)
+    made = hc.Recording.from_arrays(t, gyro, accel, heading=(t[::10], 2.0 * t[::10]))
+    assert np.abs(made.streams["heading"].value).max() <= np.pi
+
+
+def test_a_heading_that_says_nothing_is_doubted() -> None:
+    chance = (types.NoiseLevel("heading_noise", 1.8, "rad", estimated=True),)
+    plain = fake_explanation("explained", 1)
+    deaf = replace(plain, recordings=tuple(replace(r, noise=chance) for r in plain.recordings))
+    for judge, sure, doubted in (
+        (of_calibration, fake_result(), replace(fake_result(), noise=chance)),
+        (of_explanation, plain, deaf),
+    ):
+        said = judge.verdict(doubted)
+        assert said.level == "partly"
+        assert any("heading says nothing" in s for s in said.sentences)
+        assert not any("heading says nothing" in s for s in judge.verdict(sure).sentences)
 
 
 def test_a_calibration_is_that_of_the_command_and_shows_itself(

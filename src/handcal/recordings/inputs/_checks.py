@@ -18,6 +18,9 @@ LONGEST_STUCK_S, SPANS = 1.0, 20
 # No gyro reads so much at rest, rad/s; no hand that rests lets gravity turn so far, rad.
 RESTING_RATE, TILTED = 0.2, 0.1
 FASTEST_GYRO = 40.0  # rad/s; beyond the full scale of nearly every consumer gyro
+# A heading that was unwrapped may be many turns, rad, but no faster than the gyro by this factor,
+# from one second to the next; degrees are 57 times as many.
+FEW_TURNS, HEADING_FASTER = 6.0 * np.pi, 5.0
 
 
 def saturated(value: Array, smallest: float) -> BoolArray:
@@ -275,3 +278,24 @@ def check_gyro_unit(t: Array, gyro: Array, accel: Array) -> list[str]:
             "check its unit (--units gyro=deg/s)."
         ]
     return []
+
+
+def check_heading_unit(t: Array, gyro: Array, when: Array, heading: Array) -> None:
+    """A heading must not turn faster than the device. t (n,) s, gyro (n, 3) rad/s; heading (m,)
+    as rad at when (m,) s, same clock. Errors: InputError where it seems to be in degrees."""
+    usable = (when >= t[0]) & (when <= t[-1]) & (np.abs(heading) < 1e7)
+    when, heading = when[usable], heading[usable]
+    most = float(np.quantile(np.abs(heading), 0.9)) if len(heading) else 0.0
+    if most <= FEW_TURNS:
+        return
+    rate = np.linalg.norm(gyro, axis=1)
+    turned = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(t))])
+    _, seconds = np.unique(np.floor(when), return_index=True)
+    own = float(np.abs(np.diff(heading[seconds])).sum())
+    device = float(np.diff(np.interp(when[seconds], t, turned)).sum())
+    if own > HEADING_FASTER * device or most > FEW_TURNS + 2.0 * float(turned[-1]):
+        raise InputError(
+            f"The heading is in degrees? It reads up to {np.abs(heading).max():.0f} rad and turns "
+            f"by {own:.0f} rad where the gyroscope turns by {device:.0f}; if so, give "
+            "--units heading=deg."
+        )

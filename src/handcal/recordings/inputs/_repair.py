@@ -15,6 +15,7 @@ from handcal.recordings.inputs._checks import (
     check_accel_unit,
     check_alive,
     check_gyro_unit,
+    check_heading_unit,
     rest_magnitude,
     saturated,
     stuck,
@@ -95,11 +96,12 @@ def assemble(
     rate_hz = 1 / float(np.median(np.diff(t)))
     said += check_accel_unit(force, rate_hz) + check_gyro_unit(t, rates, force)
     said += _gap_warning(t)
-    series = {}
     for name, stream in streams.items():
-        one = _series(name, stream, int(ns[0]), int(ns[-1]), said)
-        if one is not None:
-            series[name] = one
+        if STREAMS[name].circular:
+            check_heading_unit(t, rates, (stream.ns - ns[0]) / 1e9, stream.value[:, 0])
+    inside = int(ns[0]), int(ns[-1])
+    found = {name: _series(name, stream, *inside, said) for name, stream in streams.items()}
+    series = {name: one for name, one in found.items() if one is not None}
     imu = Imu(t, np.ascontiguousarray(rates), np.ascontiguousarray(force), valid)
     # Stamps before 1973 count from something else than 1970: boot, or the start.
     start_ns = int(ns[0]) if ns[0] > 10**17 else 0
