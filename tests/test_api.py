@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import subprocess
 import sys
@@ -16,7 +17,9 @@ from worlds import recording_of
 
 import handcal as hc
 from handcal import api, types
-from handcal.estimate.calibration import calibrate
+from handcal.device import apply
+from handcal.estimate.calibration import calibrate, calibrate_together
+from handcal.explain import pipeline
 from handcal.show.calibration import verdict_text as of_calibration
 from handcal.show.explanation import verdict_text as of_explanation
 from handcal_sim import simulate
@@ -111,6 +114,8 @@ def test_what_was_explained_is_taken_off_and_written(
     why = hc.explain(written)
     assert [m.effect for m in why.missing] == ["gyro_scale"]
     assert "gyro scale" in repr(why).lower()
+    assert f"removing it costs {why.missing[0].log_evidence_gain:,.0f}" in repr(why)
+    assert "removing it costs" in why._repr_html_()
     assert len(repr(why)) < SCREEN
     assert why._repr_html_().count("<table>") == 2
     assert len(why.plot().axes) == 1
@@ -143,14 +148,80 @@ def test_misuse_is_one_sentence(recording: types.Recording, written: Path) -> No
         lambda: hc.Recording.from_arrays(imu.t, imu.gyro, imu.accel[:, :2]),
         lambda: hc.Recording.from_arrays(imu.t, imu.gyro, imu.accel, head=(imu.t, imu.t)),
         lambda: hc.Recording.from_arrays(["a"], imu.gyro, imu.accel),
+        lambda: hc.Recording.from_arrays(imu.t, imu.gyro, 1j * imu.accel),
+        lambda: hc.Recording.from_arrays(imu.t, imu.gyro, imu.accel, heading=imu.t),
+        lambda: hc.Recording.from_arrays(imu.t, imu.gyro),
+        lambda: hc.read(imu.gyro),
+        lambda: hc.read(written, units={"accel": 3}),
+        lambda: hc.read(written, topics=["imu"]),
+        lambda: hc.calibrate(recording, [3]),
+        lambda: hc.calibrate(recording, 3),
+        lambda: hc.calibrate(recording, heading_sigma="5deg"),
+        lambda: hc.calibrate(recording, noise=[1e-4]),
+        lambda: hc.calibrate(recording, ignore=3),
+        lambda: hc.explain(recording, budget="1 h"),
+        lambda: hc.explain(recording, imu.gyro),
+        lambda: hc.conceal(recording, {"gyro_scale": 0.01}),
+        lambda: hc.conceal(recording, {"gyro_scale": "0.01"}),
+        lambda: hc.conceal(recording, {"gyro_scale": [0.01, "a", 0]}),
+        lambda: hc.conceal(recording, ["gyro_scale"]),
+        lambda: hc.conceal(recording, {"gyro_scale": [0.01, 0, 0]}, seed="a"),
+        lambda: hc.conceal([recording, recording], {"gyro_scale": [0.01, 0, 0]}),
+        lambda: hc.read(written).write("a.csv"),
+        lambda: hc.effects_from(3).__enter__(),
+        lambda: hc.effects_from("no-such-folder").__enter__(),
     ]
     for call in wrong:
         with pytest.raises(hc.InputError) as said:
             call()
         assert 20 < len(str(said.value)) < 900
+        assert "--" not in str(said.value)
         assert str(said.value).endswith((".", "?"))
+    for call, meant in (
+        (lambda: hc.calibrate(recording, headingsigma=3), "Did you mean heading_sigma"),
+        (lambda: hc.explain(recording, engine="compiled"), "explain has no option 'engine'"),
+        (lambda: hc.Recording.from_arrays("my.mcap"), "handcal.read"),
+    ):
+        with pytest.raises(hc.InputError, match=meant):
+            call()
     with pytest.raises(KeyError, match="gyro_bias"):
         hc.calibrate(recording).parameters["lever_arm"]
+
+
+def test_sentences_are_in_the_words_of_python(recording: types.Recording, tmp_path: Path) -> None:
+    imu = recording.imu
+    with pytest.raises(hc.InputError, match=r"multiply it by 9\.80665\."):
+        hc.Recording.from_arrays(imu.t, imu.gyro, imu.accel / 9.80665)
+    table = np.column_stack([imu.t, imu.gyro, imu.accel / 9.80665])
+    path = tmp_path / "a.csv"
+    np.savetxt(path, table, delimiter=",", header="t,gx,gy,gz,ax,ay,az", comments="")
+    with pytest.raises(hc.InputError, match=r'give units=\{"accel": "g"\}\.'):
+        hc.read(path)
+    assert hc.read(path, units={"accel": "g"}).duration_s > 0
+    with pytest.raises(hc.InputError, match=r"handcal\.effects_from\(folder\)"):
+        hc.calibrate(recording, "gyro_of_mine")
+    left = {apply.NOT_ASKED: ("gyro_bias",)}
+    shown = repr(api.Corrected(api.Recording.of(recording), (), left))
+    assert "biases=True" in shown
+    assert "--" not in shown
+    assert "--" not in api.Calibration.of(fake_result(overconfident=True))._repr_html_()
+
+
+def test_options_are_named_in_signatures() -> None:
+    for function, core in (
+        (hc.calibrate, calibrate_together),
+        (sys.modules["handcal.explain"], pipeline.explain),
+    ):
+        shown = inspect.signature(function).parameters
+        behind = inspect.signature(core).parameters
+        options = {
+            n: p for n, p in behind.items() if n not in ("recordings", "effects", "held_out")
+        }
+        assert {n: shown[n].default for n in options} == {n: p.default for n, p in options.items()}
+        assert not any(p.kind is p.VAR_KEYWORD for p in shown.values())
+    said = inspect.getdoc(sys.modules["handcal.explain"]) or ""
+    assert said.startswith("Which physics")
+    assert "budget" in said
 
 
 def test_without_pandas_a_table_is_a_sentence(
@@ -173,9 +244,13 @@ def test_a_package_may_be_called_by_its_name(recording: types.Recording) -> None
 
 def test_importing_is_quick_and_help_says_all() -> None:
     code = "import sys, handcal as hc; print('numpy' in sys.modules, *dir(hc)); help(hc)"
+    assert {"AlsoAFunction", "Any", "UNKNOWN", "TYPE_CHECKING"}.isdisjoint(dir(hc))
+    assert set(hc.__all__) < set(dir(hc))
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     first, _, rest = run.stdout.partition("\n")
     assert first.startswith("False")
+    for name in ("Calibration", "Explanation", "Corrected", "Parameters"):
+        assert f"``{name}``" in rest
     for name in ("read", "calibrate", "explain", "apply", "conceal", "Recording"):
         assert name in first.split()
         assert f"hc.{name}" in rest

@@ -13,6 +13,7 @@ import numpy as np
 
 from handcal import output
 from handcal.api.recording import Recording, values_of
+from handcal.api.words import in_python
 from handcal.explain.explanation import Explanation as ExplanationData
 from handcal.types import Array, HandcalError, Parameter, Result
 
@@ -147,7 +148,8 @@ class Calibration(Result):
         from handcal.show.calibration import verdict_text
 
         judged = verdict_text.verdict(self)
-        said = "".join(f"<p>{html.escape(s)}</p>" for s in (judged.headline, *judged.sentences))
+        sentences = map(in_python, (judged.headline, *judged.sentences))
+        said = "".join(f"<p>{html.escape(s)}</p>" for s in sentences)
         return said + self.parameters._repr_html_()
 
 
@@ -208,7 +210,10 @@ class Explanation(ExplanationData):
         from handcal.show.explanation import verdict_text
 
         lines = [f"Explanation ({self.verdict}): {verdict_text.verdict(self).headline}"]
-        lines += [f"  {a}  {c}" + (f", {b}" if b else "") for a, b, c in self._found()]
+        lines += [
+            f"  {a}{f', probability {b}' if b else ''} (removing it costs {c})"
+            for a, b, c in self._found()
+        ]
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
@@ -216,7 +221,7 @@ class Explanation(ExplanationData):
 
         said = f"<p>{html.escape(verdict_text.verdict(self).headline)}</p>"
         found = self._found()
-        table = _html(("missing", "probability", "gain"), found) if found else ""
+        table = _html(("missing", "probability", "removing it costs"), found) if found else ""
         return said + table + self.parameters._repr_html_()
 
 
@@ -234,7 +239,9 @@ class Corrected:
         self.recording.write(path)
 
     def __repr__(self) -> str:
-        left = "".join(f"; left: {', '.join(ids)} ({why})" for why, ids in self.left.items())
+        left = "".join(
+            f"; left: {', '.join(ids)} ({in_python(why)})" for why, ids in self.left.items()
+        )
         return f"Corrected({self.recording!r}, without {', '.join(self.taken) or 'anything'}{left})"
 
 
