@@ -207,6 +207,18 @@ def test_sentences_are_in_the_words_of_python(recording: types.Recording, tmp_pa
     assert "--" not in api.Calibration.of(fake_result(overconfident=True))._repr_html_()
 
 
+@pytest.mark.parametrize(("unit", "factor"), [("ms", 1e3), ("us", 1e6), ("ns", 1e8)])
+def test_stamps_that_are_no_seconds_are_said_to_be(
+    recording: types.Recording, unit: str, factor: float
+) -> None:
+    imu = recording.imu
+    with pytest.raises(hc.InputError, match=f"{unit}, not s; if so, multiply it by") as said:
+        hc.Recording.from_arrays(factor * imu.t, imu.gyro, imu.accel)
+    assert "deg/s" not in str(said.value)
+    rare = hc.Recording.from_arrays(imu.t[::30], imu.gyro[::30], imu.accel[::30])
+    assert rare.warnings == ()
+
+
 def test_options_are_named_in_signatures() -> None:
     for function, core in (
         (hc.calibrate, calibrate_together),

@@ -18,6 +18,9 @@ LONGEST_STUCK_S, SPANS = 1.0, 20
 # No gyro reads so much at rest, rad/s; no hand that rests lets gravity turn so far, rad.
 RESTING_RATE, TILTED = 0.2, 0.1
 FASTEST_GYRO = 40.0  # rad/s; beyond the full scale of nearly every consumer gyro
+# Hardly an IMU is read less often, s; and stamps that are further apart than a tenth of a second's
+# worth of ms, of us, are in the next smaller unit.
+SLOWEST_S, STEPS = 1.0, {"ms": 3e2, "us": 3e5}
 # A heading that was unwrapped may be many turns, rad, but no faster than the gyro by this factor,
 # from one second to the next; degrees are 57 times as many.
 FEW_TURNS, HEADING_FASTER = 6.0 * np.pi, 5.0
@@ -252,6 +255,18 @@ def turning_mismatch(
     return errors
 
 
+def slow_stamps(t: Array) -> str | None:
+    """A sentence where t (n,), s, has less than a reading a second: it may be in another unit."""
+    step = float(np.median(np.diff(t)))
+    if step <= SLOWEST_S:
+        return None
+    unit = next((u for u, longest in STEPS.items() if step < longest), "ns")
+    return (
+        f"The IMU's stamps are {step:.3g} s apart: they seem to be in {unit}, not s; if so, give "
+        f"--units time={unit}."
+    )
+
+
 def check_gyro_unit(t: Array, gyro: Array, accel: Array) -> list[str]:
     """The gyro must explain how the direction of gravity turns. accel in m/s^2.
 
@@ -260,6 +275,9 @@ def check_gyro_unit(t: Array, gyro: Array, accel: Array) -> list[str]:
     errors = turning_mismatch(t, gyro, accel)
     if errors:
         as_is, degrees, radians = errors
+        slow = slow_stamps(t)
+        if slow is not None and as_is > 0.5:
+            raise InputError(slow)
         # Turning 57 times too fast ends anywhere, about a right angle off.
         if as_is > 0.5 and degrees < 0.4 * as_is:
             raise InputError(
