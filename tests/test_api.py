@@ -236,12 +236,31 @@ def test_options_are_named_in_signatures() -> None:
     assert "budget" in said
 
 
+def test_noise_at_rest_is_that_of_the_command(tmp_path: Path) -> None:
+    rng, t = np.random.default_rng(0), np.arange(0.0, 80.0, 0.01)
+    noise = 1e-2 * rng.standard_normal((len(t), 6)) + [0, 0, 0, 0, 0, 9.8]
+    still = hc.Recording.from_arrays(t, noise[:, :3], noise[:, 3:], name="still")
+    found = hc.allan(still)
+    assert found.channels[0].term("N").value == pytest.approx(1e-3, rel=0.1)
+    assert found.document["channels"][0]["tau_s"] == found.channels[0].tau.tolist()
+    assert list(found.to_pandas().name[:1]) == ["N"]
+    assert "N white noise" in repr(found)
+    assert len(repr(found)) < SCREEN
+    assert found._repr_html_().count("<tr>") == 1 + sum(len(c.terms) for c in found.channels)
+    found.save(tmp_path / "a.json")
+    assert json.loads((tmp_path / "a.json").read_text())["schema"] == "handcal/allan/1"
+    assert hc.allan(still, (0.0, 70.0)).span[1] <= 70.0
+    for span in (3, ("a", "b"), (500.0, 600.0)):
+        with pytest.raises(hc.InputError, match="span"):
+            hc.allan(still, span)
+
+
 def test_without_pandas_a_table_is_a_sentence(
     recording: types.Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     parameters = hc.calibrate(recording).parameters
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(hc.HandcalError, match="pandas is not installed"):
+    with pytest.raises(hc.HandcalError, match=r"pip install pandas.*notebook"):
         parameters.to_pandas()
 
 
@@ -263,7 +282,7 @@ def test_importing_is_quick_and_help_says_all() -> None:
     assert first.startswith("False")
     for name in ("Calibration", "Explanation", "Corrected", "Parameters"):
         assert f"``{name}``" in rest
-    for name in ("read", "calibrate", "explain", "apply", "conceal", "Recording"):
+    for name in ("read", "calibrate", "explain", "allan", "apply", "conceal", "Recording"):
         assert name in first.split()
         assert f"hc.{name}" in rest
     assert "true minus estimated" in rest

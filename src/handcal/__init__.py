@@ -29,6 +29,7 @@ From Python:
     why = hc.explain(rec)                     # which physics is missing
     hc.conceal(rec, {"gyro_scale": [0.01, 0, 0]}).write("worse.mcap")
     hc.apply(rec, why).write("corrected.mcap")
+    hc.allan("still.mcap")                    # noise of a device at rest: N, B, K
     with hc.effects_from("my-effects"): ...   # inside, with effects of your own
 
 ``help(hc.explain)`` and so on say more of each. What they give back shows itself as a table:
@@ -37,6 +38,8 @@ From Python:
 - ``Calibration``: ``parameters``, ``noise``, ``innovations``; ``plot()``, ``report("page.html")``,
   ``save("numbers.json")``
 - ``Explanation``: ``verdict``, ``missing``, ``unnamed``, ``parameters``; the same three
+- ``Allan``: ``channels`` (``tau``, ``deviation``, ``terms``), ``suggested``; ``to_pandas()``,
+  ``report``, ``save``
 - ``Corrected``: ``recording``, ``taken``, ``left``; ``write("file.mcap")``
 - ``Parameters``: ``["gyro_scale", "x"]``, ``values``, ``sigmas``, ``to_pandas()``
 
@@ -52,6 +55,7 @@ from typing import TYPE_CHECKING, Any
 
 UNKNOWN = "0+unknown"  # of a copy that was not installed
 __all__ = [
+    "Allan",
     "Calibration",
     "Corrected",
     "Explanation",
@@ -59,6 +63,7 @@ __all__ = [
     "InputError",
     "Parameters",
     "Recording",
+    "allan",
     "apply",
     "calibrate",
     "conceal",
@@ -71,11 +76,13 @@ __all__ = [
 if TYPE_CHECKING:
     __version__: str
     from handcal.api import (
+        Allan,
         Calibration,
         Corrected,
         Explanation,
         Parameters,
         Recording,
+        allan,
         apply,
         calibrate,
         conceal,

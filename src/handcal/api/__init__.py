@@ -18,7 +18,9 @@ from typing import TYPE_CHECKING, Any, Unpack, overload
 import numpy as np
 
 from handcal import user_effects
+from handcal.allan import analysis
 from handcal.api import options
+from handcal.api.noise import Allan
 from handcal.api.options import CalibrateOptions, ExplainOptions
 from handcal.api.recording import Recording
 from handcal.api.results import Calibration, Corrected, Explanation, Parameters
@@ -34,11 +36,13 @@ if TYPE_CHECKING:
     from handcal.device import apply as device
 
 __all__ = [
+    "Allan",
     "Calibration",
     "Corrected",
     "Explanation",
     "Parameters",
     "Recording",
+    "allan",
     "apply",
     "calibrate",
     "conceal",
@@ -125,6 +129,22 @@ def explain(
     chosen = options.checked("explain", more, ExplainOptions)
     others = _recordings(held_out, "explain")
     return Explanation.of(pipeline.explain(_recordings(recording, "explain"), others, **chosen))
+
+
+@spoken()
+def allan(recording: Source, span: tuple[float, float] | None = None) -> Allan:
+    """Noise of a device at rest: Allan deviation of each channel, its terms (N, B, K, Q, R) with
+    sigmas, and levels for the filter.
+
+    span: start and end (s) of the stretch to analyse; without it, the longest rest. Errors:
+    InputError for a span outside, HandcalError where nothing is long enough.
+    """
+    if span is not None:
+        if not isinstance(span, Sequence) or isinstance(span, str) or len(span) != 2:
+            raise InputError(f"span takes two numbers (s), (start, end), not {span!r:.40}.")
+        for value in span:
+            options.number("span", value, " (s)")
+    return Allan.of(analysis.analyse(_one(recording, "allan"), span))
 
 
 @spoken()
@@ -222,3 +242,4 @@ def _speaks_for(package: str, function: Callable[..., Any]) -> None:
 
 
 _speaks_for("handcal.explain", explain)
+_speaks_for("handcal.allan", allan)
