@@ -200,6 +200,8 @@ def test_sentences_are_in_the_words_of_python(recording: types.Recording, tmp_pa
     assert hc.read(path, units={"accel": "g"}).duration_s > 0
     with pytest.raises(hc.InputError, match=r"handcal\.effects_from\(folder\)"):
         hc.calibrate(recording, "gyro_of_mine")
+    with pytest.raises(hc.InputError, match=r'topics=\{"foo": \.\.\.\}: the streams'):
+        hc.read(path, topics={"foo": "/x"})
     left = {apply.NOT_ASKED: ("gyro_bias",)}
     shown = repr(api.Corrected(api.Recording.of(recording), (), left))
     assert "biases=True" in shown
@@ -215,6 +217,8 @@ def test_stamps_that_are_no_seconds_are_said_to_be(
     with pytest.raises(hc.InputError, match=f"{unit}, not s; if so, multiply it by") as said:
         hc.Recording.from_arrays(factor * imu.t, imu.gyro, imu.accel)
     assert "deg/s" not in str(said.value)
+    with pytest.raises(hc.InputError, match=r"in ms, us or ns\?$"):
+        hc.Recording.from_arrays(1e10 * imu.t, imu.gyro, imu.accel)
     rare = hc.Recording.from_arrays(imu.t[::30], imu.gyro[::30], imu.accel[::30])
     assert rare.warnings == ()
 

@@ -14,6 +14,7 @@ _IN_PYTHON = (
     (r"--units (\w+)=\.\.\.", r'units={"\1": ...}'),
     (_UNIT, r'units={"\1": "\2"}'),
     (r"--units\b", "units"),
+    (r"--topic (\w+)=\.\.\.", r'topics={"\1": ...}'),
     (r"--topic (\w+)=([^\s;:]+?)(?=[.:]?(?:[\s;:]|$))", r'topics={"\1": "\2"}'),
     (r"--effects-from ([^\s:]+):", r'effects_from("\1"):'),
     (r"(?:say )?--effects-from with its folder",
@@ -23,6 +24,7 @@ _IN_PYTHON = (
     (r"--span ([^\s:]+),([^\s:]+):", r"span=(\1, \2):"),
     (r"--assume ([\w-]+)", r'assume="\1"'),
     (r"--(biases|reference-exact)\b", lambda m: m[1].replace("-", "_") + "=True"),
+    (r"that --effects did not", "that the list of effects did not"),
     (r"--(effects|budget)\b", r"\1"),
     (r": handcal explain tries", ": handcal.explain tries"),
 )  # fmt: skip

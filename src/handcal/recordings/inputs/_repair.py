@@ -56,8 +56,8 @@ def nanoseconds(seconds: Array, factor: float = 1e9) -> IntArray:
     """Stamps as whole ns. Errors: InputError beyond what 64 bits hold."""
     if not np.all(np.abs(seconds) < 9e18 / factor):
         raise InputError(
-            "A time stamp is not a number or further away than 280 years; stamps in ms, us or ns "
-            "have to say so (--units time=ns)."
+            "A time stamp is not a number or further away than 280 years: are the stamps in ms, us "
+            "or ns (--units time=ns)?"
         )
     return np.rint(seconds * factor).astype(np.int64)
 
