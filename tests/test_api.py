@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import subprocess
 import sys
@@ -10,11 +11,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fake_explanation import fake_explanation
+from fake_result import fake_result
 from worlds import recording_of
 
 import handcal as hc
 from handcal import api, types
-from handcal.estimate.calibration import calibrate
+from handcal.device import apply
+from handcal.estimate.calibration import calibrate, calibrate_together
+from handcal.explain import pipeline
+from handcal.show.calibration import verdict_text as of_calibration
+from handcal.show.explanation import verdict_text as of_explanation
 from handcal_sim import simulate
 
 SCREEN = 40 * 120
@@ -43,6 +50,39 @@ def test_arrays_and_files_are_the_same_recording(recording: types.Recording, wri
         assert np.array_equal(other.imu.accel, imu.accel)
         assert np.abs(other.imu.t - (imu.t - imu.t[0])).max() < 2e-9
         assert np.array_equal(other.streams["heading"].value, heading.value)
+
+
+def test_a_heading_in_degrees_is_refused(recording: types.Recording) -> None:
+    imu, heading = recording.imu, recording.streams["heading"]
+    yaw = np.degrees(heading.value[:, 0])
+    still = np.tile(imu.accel[:1], (len(imu.t), 1)) + 1e-3 * np.sin(imu.t)[:, None]
+    for gyro, accel, wrong in ((imu.gyro, imu.accel, yaw), (0 * still + still / 1e3, still, 90.0)):
+        angles = np.broadcast_to(wrong, heading.t.shape) + 0.01 * np.cos(heading.t)
+        with pytest.raises(hc.InputError, match="heading is in degrees"):
+            hc.Recording.from_arrays(imu.t, gyro, accel, heading=(heading.t, angles))
+
+
+def test_many_turns_of_an_unwrapped_heading_are_radians() -> None:
+    t = np.arange(0.0, 60.0, 0.01)
+    gyro, accel = np.tile([0.0, 0.0, 2.0], (len(t), 1)), np.tile([0.0, 0.0, 9.8], (len(t), 1))
+    gyro[:, 0] += 1e-3 * np.sin(t)
+    accel[:, 0] += 1e-3 * np.sin(t)
+    made = hc.Recording.from_arrays(t, gyro, accel, heading=(t[::10], 2.0 * t[::10]))
+    assert np.abs(made.streams["heading"].value).max() <= np.pi
+
+
+def test_a_heading_that_says_nothing_is_doubted() -> None:
+    chance = (types.NoiseLevel("heading_noise", 1.8, "rad", estimated=True),)
+    plain = fake_explanation("explained", 1)
+    deaf = replace(plain, recordings=tuple(replace(r, noise=chance) for r in plain.recordings))
+    for judge, sure, doubted in (
+        (of_calibration, fake_result(), replace(fake_result(), noise=chance)),
+        (of_explanation, plain, deaf),
+    ):
+        said = judge.verdict(doubted)
+        assert said.level == "partly"
+        assert any("heading says nothing" in s for s in said.sentences)
+        assert not any("heading says nothing" in s for s in judge.verdict(sure).sentences)
 
 
 def test_a_calibration_is_that_of_the_command_and_shows_itself(
@@ -74,6 +114,8 @@ def test_what_was_explained_is_taken_off_and_written(
     why = hc.explain(written)
     assert [m.effect for m in why.missing] == ["gyro_scale"]
     assert "gyro scale" in repr(why).lower()
+    assert f"removing it costs {why.missing[0].log_evidence_gain:,.0f}" in repr(why)
+    assert "removing it costs" in why._repr_html_()
     assert len(repr(why)) < SCREEN
     assert why._repr_html_().count("<table>") == 2
     assert len(why.plot().axes) == 1
@@ -106,14 +148,115 @@ def test_misuse_is_one_sentence(recording: types.Recording, written: Path) -> No
         lambda: hc.Recording.from_arrays(imu.t, imu.gyro, imu.accel[:, :2]),
         lambda: hc.Recording.from_arrays(imu.t, imu.gyro, imu.accel, head=(imu.t, imu.t)),
         lambda: hc.Recording.from_arrays(["a"], imu.gyro, imu.accel),
+        lambda: hc.Recording.from_arrays(imu.t, imu.gyro, 1j * imu.accel),
+        lambda: hc.Recording.from_arrays(imu.t, imu.gyro, imu.accel, heading=imu.t),
+        lambda: hc.Recording.from_arrays(imu.t, imu.gyro),
+        lambda: hc.read(imu.gyro),
+        lambda: hc.read(written, units={"accel": 3}),
+        lambda: hc.read(written, topics=["imu"]),
+        lambda: hc.calibrate(recording, [3]),
+        lambda: hc.calibrate(recording, 3),
+        lambda: hc.calibrate(recording, heading_sigma="5deg"),
+        lambda: hc.calibrate(recording, noise=[1e-4]),
+        lambda: hc.calibrate(recording, ignore=3),
+        lambda: hc.explain(recording, budget="1 h"),
+        lambda: hc.explain(recording, imu.gyro),
+        lambda: hc.conceal(recording, {"gyro_scale": 0.01}),
+        lambda: hc.conceal(recording, {"gyro_scale": "0.01"}),
+        lambda: hc.conceal(recording, {"gyro_scale": [0.01, "a", 0]}),
+        lambda: hc.conceal(recording, ["gyro_scale"]),
+        lambda: hc.conceal(recording, {"gyro_scale": [0.01, 0, 0]}, seed="a"),
+        lambda: hc.conceal([recording, recording], {"gyro_scale": [0.01, 0, 0]}),
+        lambda: hc.read(written).write("a.csv"),
+        lambda: hc.effects_from(3).__enter__(),
+        lambda: hc.effects_from("no-such-folder").__enter__(),
     ]
     for call in wrong:
         with pytest.raises(hc.InputError) as said:
             call()
         assert 20 < len(str(said.value)) < 900
+        assert "--" not in str(said.value)
         assert str(said.value).endswith((".", "?"))
+    for call, meant in (
+        (lambda: hc.calibrate(recording, headingsigma=3), "Did you mean heading_sigma"),
+        (lambda: hc.explain(recording, engine="compiled"), "explain has no option 'engine'"),
+        (lambda: hc.Recording.from_arrays("my.mcap"), "handcal.read"),
+    ):
+        with pytest.raises(hc.InputError, match=meant):
+            call()
     with pytest.raises(KeyError, match="gyro_bias"):
         hc.calibrate(recording).parameters["lever_arm"]
+
+
+def test_sentences_are_in_the_words_of_python(recording: types.Recording, tmp_path: Path) -> None:
+    imu = recording.imu
+    with pytest.raises(hc.InputError, match=r"multiply it by 9\.80665\."):
+        hc.Recording.from_arrays(imu.t, imu.gyro, imu.accel / 9.80665)
+    table = np.column_stack([imu.t, imu.gyro, imu.accel / 9.80665])
+    path = tmp_path / "a.csv"
+    np.savetxt(path, table, delimiter=",", header="t,gx,gy,gz,ax,ay,az", comments="")
+    with pytest.raises(hc.InputError, match=r'give units=\{"accel": "g"\}\.'):
+        hc.read(path)
+    assert hc.read(path, units={"accel": "g"}).duration_s > 0
+    with pytest.raises(hc.InputError, match=r"handcal\.effects_from\(folder\)"):
+        hc.calibrate(recording, "gyro_of_mine")
+    with pytest.raises(hc.InputError, match=r'topics=\{"foo": \.\.\.\}: the streams'):
+        hc.read(path, topics={"foo": "/x"})
+    left = {apply.NOT_ASKED: ("gyro_bias",)}
+    shown = repr(api.Corrected(api.Recording.of(recording), (), left))
+    assert "biases=True" in shown
+    assert "--" not in shown
+    assert "--" not in api.Calibration.of(fake_result(overconfident=True))._repr_html_()
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("ms", 1e3), ("us", 1e6), ("ns", 1e8)])
+def test_stamps_that_are_no_seconds_are_said_to_be(
+    recording: types.Recording, unit: str, factor: float
+) -> None:
+    imu = recording.imu
+    with pytest.raises(hc.InputError, match=f"{unit}, not s; if so, multiply it by") as said:
+        hc.Recording.from_arrays(factor * imu.t, imu.gyro, imu.accel)
+    assert "deg/s" not in str(said.value)
+    with pytest.raises(hc.InputError, match=r"in ms, us or ns\?$"):
+        hc.Recording.from_arrays(1e10 * imu.t, imu.gyro, imu.accel)
+    rare = hc.Recording.from_arrays(imu.t[::30], imu.gyro[::30], imu.accel[::30])
+    assert rare.warnings == ()
+
+
+def test_options_are_named_in_signatures() -> None:
+    for function, core in (
+        (hc.calibrate, calibrate_together),
+        (sys.modules["handcal.explain"], pipeline.explain),
+    ):
+        shown = inspect.signature(function).parameters
+        behind = inspect.signature(core).parameters
+        options = {
+            n: p for n, p in behind.items() if n not in ("recordings", "effects", "held_out")
+        }
+        assert {n: shown[n].default for n in options} == {n: p.default for n, p in options.items()}
+        assert not any(p.kind is p.VAR_KEYWORD for p in shown.values())
+    said = inspect.getdoc(sys.modules["handcal.explain"]) or ""
+    assert said.startswith("Which physics")
+    assert "budget" in said
+
+
+def test_noise_at_rest_is_that_of_the_command(tmp_path: Path) -> None:
+    rng, t = np.random.default_rng(0), np.arange(0.0, 80.0, 0.01)
+    noise = 1e-2 * rng.standard_normal((len(t), 6)) + [0, 0, 0, 0, 0, 9.8]
+    still = hc.Recording.from_arrays(t, noise[:, :3], noise[:, 3:], name="still")
+    found = hc.allan(still)
+    assert found.channels[0].term("N").value == pytest.approx(1e-3, rel=0.1)
+    assert found.document["channels"][0]["tau_s"] == found.channels[0].tau.tolist()
+    assert list(found.to_pandas().name[:1]) == ["N"]
+    assert "N white noise" in repr(found)
+    assert len(repr(found)) < SCREEN
+    assert found._repr_html_().count("<tr>") == 1 + sum(len(c.terms) for c in found.channels)
+    found.save(tmp_path / "a.json")
+    assert json.loads((tmp_path / "a.json").read_text())["schema"] == "handcal/allan/1"
+    assert hc.allan(still, (0.0, 70.0)).span[1] <= 70.0
+    for span in (3, ("a", "b"), (500.0, 600.0)):
+        with pytest.raises(hc.InputError, match="span"):
+            hc.allan(still, span)
 
 
 def test_without_pandas_a_table_is_a_sentence(
@@ -121,7 +264,7 @@ def test_without_pandas_a_table_is_a_sentence(
 ) -> None:
     parameters = hc.calibrate(recording).parameters
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(hc.HandcalError, match="pandas is not installed"):
+    with pytest.raises(hc.HandcalError, match=r"pip install pandas.*notebook"):
         parameters.to_pandas()
 
 
@@ -136,10 +279,14 @@ def test_a_package_may_be_called_by_its_name(recording: types.Recording) -> None
 
 def test_importing_is_quick_and_help_says_all() -> None:
     code = "import sys, handcal as hc; print('numpy' in sys.modules, *dir(hc)); help(hc)"
+    assert {"AlsoAFunction", "Any", "UNKNOWN", "TYPE_CHECKING"}.isdisjoint(dir(hc))
+    assert set(hc.__all__) < set(dir(hc))
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     first, _, rest = run.stdout.partition("\n")
     assert first.startswith("False")
-    for name in ("read", "calibrate", "explain", "apply", "conceal", "Recording"):
+    for name in ("Calibration", "Explanation", "Corrected", "Parameters"):
+        assert f"``{name}``" in rest
+    for name in ("read", "calibrate", "explain", "allan", "apply", "conceal", "Recording"):
         assert name in first.split()
         assert f"hc.{name}" in rest
     assert "true minus estimated" in rest

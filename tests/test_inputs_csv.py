@@ -40,6 +40,15 @@ def test_simple_names_are_si(tmp_path: Path) -> None:
     assert back.warnings == ()
 
 
+def test_a_heading_in_degrees_has_to_say_so(tmp_path: Path) -> None:
+    table = rows_of(sample())
+    table = np.column_stack([table, 90.0 + np.sin(table[:, 0])])
+    with pytest.raises(InputError, match="--units heading=deg"):
+        load(write_csv(tmp_path, HEADER + ",heading", table))
+    back = load(write_csv(tmp_path, HEADER + ",heading (deg)", table))
+    assert np.abs(back.streams["heading"].value - np.pi / 2).max() < 0.02
+
+
 SCALED = np.array([1e3, *[1 / DEG] * 3, *[1 / G] * 3])
 
 

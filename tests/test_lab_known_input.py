@@ -529,6 +529,10 @@ def test_papers_are_found_and_printed(monkeypatch, capsys, tmp_path):
     status, _, err = command(monkeypatch, capsys, "lab", "paper", "042")
     assert status == 2
     assert "There is no paper 042" in err
+    status, _, err = command(monkeypatch, capsys, "lab", "paper", "002")
+    assert status == 2
+    assert "handcal sweep" in err
+    assert "no paper 002" not in err
 
 
 @pytest.mark.prove

@@ -29,10 +29,22 @@ From Python:
     why = hc.explain(rec)                     # which physics is missing
     hc.conceal(rec, {"gyro_scale": [0.01, 0, 0]}).write("worse.mcap")
     hc.apply(rec, why).write("corrected.mcap")
+    hc.allan("still.mcap")                    # noise of a device at rest: N, B, K
+    with hc.effects_from("my-effects"): ...   # inside, with effects of your own
 
-A result shows itself as a table, and has ``parameters`` (``to_pandas``, ``values``, ``sigmas``),
-``plot()``, ``report("page.html")`` and ``save("numbers.json")``. What cannot be done is a
-``HandcalError`` of one sentence, an ``InputError`` where a file or an argument is wrong.
+``help(hc.explain)`` and so on say more of each. What they give back shows itself as a table:
+
+- ``Recording``: ``imu``, ``streams``, ``warnings``; ``write("file.mcap")``
+- ``Calibration``: ``parameters``, ``noise``, ``innovations``; ``plot()``, ``report("page.html")``,
+  ``save("numbers.json")``
+- ``Explanation``: ``verdict``, ``missing``, ``unnamed``, ``parameters``; the same three
+- ``Allan``: ``channels`` (``tau``, ``deviation``, ``terms``), ``suggested``; ``to_pandas()``,
+  ``report``, ``save``
+- ``Corrected``: ``recording``, ``taken``, ``left``; ``write("file.mcap")``
+- ``Parameters``: ``["gyro_scale", "x"]``, ``values``, ``sigmas``, ``to_pandas()``
+
+What cannot be done is a ``HandcalError`` of one sentence, an ``InputError`` where a file or an
+argument is wrong.
 """
 
 from __future__ import annotations
@@ -43,12 +55,19 @@ from typing import TYPE_CHECKING, Any
 
 UNKNOWN = "0+unknown"  # of a copy that was not installed
 __all__ = [
+    "Allan",
+    "Calibration",
+    "Corrected",
+    "Explanation",
     "HandcalError",
     "InputError",
+    "Parameters",
     "Recording",
+    "allan",
     "apply",
     "calibrate",
     "conceal",
+    "effects_from",
     "explain",
     "load",
     "read",
@@ -56,7 +75,21 @@ __all__ = [
 
 if TYPE_CHECKING:
     __version__: str
-    from handcal.api import Recording, apply, calibrate, conceal, explain, read
+    from handcal.api import (
+        Allan,
+        Calibration,
+        Corrected,
+        Explanation,
+        Parameters,
+        Recording,
+        allan,
+        apply,
+        calibrate,
+        conceal,
+        effects_from,
+        explain,
+        read,
+    )
     from handcal.recordings.inputs import load
     from handcal.types import HandcalError, InputError
 
@@ -87,7 +120,7 @@ def _version() -> str:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__, "__version__"})
+    return sorted({*__all__, "__all__", "__doc__", "__file__", "__name__", "__version__"})
 
 
 class AlsoAFunction(ModuleType):

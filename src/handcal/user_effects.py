@@ -33,7 +33,7 @@ def files(folder: Path) -> list[Path]:
 
 
 @contextmanager
-def effects_from(folder: Path | None) -> Iterator[None]:
+def effects_from(folder: Path | str | None) -> Iterator[None]:
     """Inside, the catalogue has the effects of a folder too; of none, it is as it was.
 
     Raises InputError, naming the file, where one cannot be run, defines no effect or one of which
@@ -42,7 +42,7 @@ def effects_from(folder: Path | None) -> Iterator[None]:
     if folder is None:
         yield
         return
-    with with_effects([(str(path), read(path)) for path in files(folder)]):
+    with with_effects([(str(path), read(path)) for path in files(Path(folder))]):
         yield
 
 

@@ -6,14 +6,26 @@ rest of the program works on, with a table that a notebook shows, ``plot`` and `
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import inspect
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from numbers import Real
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, Unpack, overload
 
 import numpy as np
 
+from handcal import user_effects
+from handcal.allan import analysis
+from handcal.api import options
+from handcal.api.noise import Allan
+from handcal.api.options import CalibrateOptions, ExplainOptions
 from handcal.api.recording import Recording
 from handcal.api.results import Calibration, Corrected, Explanation, Parameters
+from handcal.api.words import in_python, spoken
+from handcal.estimate.calibration import calibrate_together
 from handcal.explain import pipeline
 from handcal.explain.explanation import Explanation as ExplanationData
 from handcal.recordings import inputs
@@ -24,21 +36,26 @@ if TYPE_CHECKING:
     from handcal.device import apply as device
 
 __all__ = [
+    "Allan",
     "Calibration",
     "Corrected",
     "Explanation",
     "Parameters",
     "Recording",
+    "allan",
     "apply",
     "calibrate",
     "conceal",
+    "effects_from",
     "explain",
     "read",
 ]
 
 Source = RecordingData | str | Path
+_OF_ARRAYS = "of arrays make one by handcal.Recording.from_arrays(t, gyro, accel)."
 
 
+@spoken()
 def read(
     path: str | Path,
     *,
@@ -50,64 +67,109 @@ def read(
     topics: which MCAP topic is which stream ({"imu": "/phone/imu"}). units: where they are not as
     the format states ({"accel": "g"}). Errors: InputError.
     """
-    return Recording.of(inputs.load(path, topics=topics, units=units))
+    if not isinstance(path, str | Path):
+        raise InputError(f"read takes the path of a file, no {type(path).__name__}; {_OF_ARRAYS}")
+    for name, given, example in (
+        ("topics", topics, '{"imu": "/phone/imu"}'), ("units", units, '{"accel": "g"}'),
+    ):  # fmt: skip
+        for key, value in options.mapping(name, {} if given is None else given, example).items():
+            if not isinstance(value, str):
+                raise InputError(f"{name}: {key} takes a name, as {example}, no {value!r:.40}.")
+    read = inputs.load(path, topics=topics, units=units)
+    return Recording.of(replace(read, warnings=tuple(map(in_python, read.warnings))))
 
 
 @overload
-def calibrate(
-    recording: Source, effects: Sequence[str] | str = (), **options: Any
+def calibrate(  # type: ignore[overload-overlap]
+    recording: Source, effects: Sequence[str] | str = (), **more: Unpack[CalibrateOptions]
 ) -> Calibration: ...
 @overload
 def calibrate(
-    recording: Sequence[Source], effects: Sequence[str] | str = (), **options: Any
+    recording: Sequence[Source],
+    effects: Sequence[str] | str = (),
+    **more: Unpack[CalibrateOptions],
 ) -> tuple[Calibration, ...]: ...
+@spoken()
 def calibrate(
-    recording: Source | Sequence[Source], effects: Sequence[str] | str = (), **options: Any
+    recording: Source | Sequence[Source],
+    effects: Sequence[str] | str = (),
+    **more: Unpack[CalibrateOptions],
 ) -> Calibration | tuple[Calibration, ...]:
     """Sensor errors of a device from a recording, or from several together, and how well they are
     known.
 
-    effects: ids of the catalogue beyond constant biases ("gyro_scale"). options: assume ("auto",
-    "fixed-point", "rest-only"), heading_sigma (rad), latitude (rad), height (m), ignore (streams),
-    observations, noise, noise_until (s), engine, reference_exact, progress. Of several recordings
-    one result each: the effects are told by all of them together. Errors: InputError,
-    HandcalError.
+    effects: ids of the catalogue beyond constant biases ("gyro_scale"). assume: "auto",
+    "fixed-point" or "rest-only". heading_sigma (rad), if known; latitude (rad) and height (m) of
+    the place; ignore: streams to leave out; reference_exact: a reference has no bias; before: what
+    is known of the device. observations: kinds to use instead; noise: levels to keep fixed, SI, by
+    name; noise_until (s): where the part ends of which the others are found; start; engine;
+    progress: called with the share done. Of several recordings one result each: the effects are
+    told by all of them together. Errors: InputError, HandcalError.
     """
-    from handcal.estimate.calibration import calibrate_together
-
-    recordings = _recordings(recording, "calibrate")
-    wanted = [e.strip() for e in effects.split(",")] if isinstance(effects, str) else list(effects)
-    done = calibrate_together(recordings, [e for e in wanted if e], **options)
+    chosen = options.checked("calibrate", more, CalibrateOptions)
+    wanted = options.ids("effects", effects)
+    done = calibrate_together(_recordings(recording, "calibrate"), wanted, **chosen)
     results = tuple(Calibration.of(r) for r in done)
     return results[0] if isinstance(recording, RecordingData | str | Path) else results
 
 
+@spoken()
 def explain(
     recording: Source | Sequence[Source],
     held_out: Source | Sequence[Source] = (),
-    **options: Any,
+    **more: Unpack[ExplainOptions],
 ) -> Explanation:
     """Which physics a recording of a device, or several together, hold beyond constant biases:
     where, which, how certain.
 
-    held_out: other recordings of the device, for scoring alone. options: as of ``calibrate``,
-    without engine, observations and noise; and budget: seconds after which nothing further is
-    tried. Errors: InputError, HandcalError.
+    held_out: other recordings of the device, for scoring alone. budget: seconds after which
+    nothing further is tried. Others as of ``calibrate``; progress is called with the share done,
+    and what is being done. Errors: InputError, HandcalError.
     """
-    others = _recordings(held_out, "explain") if held_out else []
-    return Explanation.of(pipeline.explain(_recordings(recording, "explain"), others, **options))
+    chosen = options.checked("explain", more, ExplainOptions)
+    others = _recordings(held_out, "explain")
+    return Explanation.of(pipeline.explain(_recordings(recording, "explain"), others, **chosen))
 
 
-def conceal(recording: Source, effects: Mapping[str, Sequence[float]], seed: int = 0) -> Recording:
+@spoken()
+def allan(recording: Source, span: tuple[float, float] | None = None) -> Allan:
+    """Noise of a device at rest: Allan deviation of each channel, its terms (N, B, K, Q, R) with
+    sigmas, and levels for the filter.
+
+    span: start and end (s) of the stretch to analyse; without it, the longest rest. Errors:
+    InputError for a span outside, HandcalError where nothing is long enough.
+    """
+    if span is not None:
+        if not isinstance(span, Sequence) or isinstance(span, str) or len(span) != 2:
+            raise InputError(f"span takes two numbers (s), (start, end), not {span!r:.40}.")
+        for value in span:
+            options.number("span", value, " (s)")
+    return Allan.of(analysis.analyse(_one(recording, "allan"), span))
+
+
+@spoken()
+def conceal(
+    recording: Source, effects: Mapping[str, Sequence[float] | float], seed: int = 0
+) -> Recording:
     """The recording as a device with further errors would have made it: {"gyro_scale": [0.01, 0,
-    0]}, values in the order of the catalogue's parameters, SI. Errors: InputError, HandcalError."""
+    0]}, values in the order of the catalogue's parameters, SI; a number of an effect that has but
+    one. Errors: InputError, HandcalError."""
     from handcal.device import conceal as device
 
-    (one,) = _recordings(recording, "conceal")
-    rng = np.random.default_rng(seed)
-    return Recording.of(device.conceal(one, effects, rng))
+    values: dict[str, Any] = {}
+    for name, given in options.mapping("conceal", effects, '{"gyro_scale": [0.01, 0, 0]}').items():
+        values[name] = [given] if isinstance(given, Real) else given
+        if isinstance(given, str) or not isinstance(values[name], Iterable):
+            raise InputError(f"{name} takes numbers, no {type(given).__name__}.")
+        for value in values[name]:
+            options.number(name, value)
+    if not isinstance(seed, int | np.integer) or seed < 0:
+        raise InputError(f"conceal: the seed is a whole number from 0 on, not {seed!r:.40}.")
+    one = _one(recording, "conceal")
+    return Recording.of(device.conceal(one, values, np.random.default_rng(seed)))
 
 
+@spoken()
 def apply(
     recording: Source, learnt: Result | ExplanationData | str | Path, *, biases: bool = False
 ) -> Corrected:
@@ -118,9 +180,18 @@ def apply(
     """
     from handcal.device import apply as device
 
-    (one,) = _recordings(recording, "apply")
-    done = device.apply(one, _learnt(learnt), biases=biases)
+    done = device.apply(_one(recording, "apply"), _learnt(learnt), biases=biases)
     return Corrected(Recording.of(done.recording), done.taken, done.left)
+
+
+@contextmanager
+def effects_from(folder: str | Path) -> Iterator[None]:
+    """``with handcal.effects_from("my-effects"):`` inside, the catalogue has the effects of a
+    folder's files too, which are run: name none that you do not trust. Errors: InputError."""
+    if not isinstance(folder, str | Path):
+        raise InputError(f"effects_from takes a folder, no {type(folder).__name__}.")
+    with spoken(), user_effects.effects_from(Path(folder)):
+        yield
 
 
 def _learnt(learnt: Result | ExplanationData | str | Path) -> device.Learnt:
@@ -138,6 +209,14 @@ def _learnt(learnt: Result | ExplanationData | str | Path) -> device.Learnt:
     )
 
 
+def _one(given: Source, caller: str) -> RecordingData:
+    """The one recording that a function takes. Errors: InputError."""
+    found = _recordings(given, caller)
+    if len(found) != 1:
+        raise InputError(f"{caller} takes one recording, not {len(found)}.")
+    return found[0]
+
+
 def _recordings(given: Source | Sequence[Source], caller: str) -> list[RecordingData]:
     """One or several recordings or paths as recordings. Errors: InputError."""
     several = [given] if isinstance(given, RecordingData | str | Path) else given
@@ -146,6 +225,21 @@ def _recordings(given: Source | Sequence[Source], caller: str) -> list[Recording
             return [one if isinstance(one, RecordingData) else read(one) for one in several]
         given = next(x for x in several if not isinstance(x, RecordingData | str | Path))
     raise InputError(
-        f"{caller} takes recordings or paths of files, no {type(given).__name__}; of arrays make "
-        "one by handcal.Recording.from_arrays(t, gyro, accel)."
+        f"{caller} takes recordings or paths of files, no {type(given).__name__}; {_OF_ARRAYS}"
     )
+
+
+options.show(calibrate, CalibrateOptions, calibrate_together)
+options.show(explain, ExplainOptions, pipeline.explain)
+
+
+def _speaks_for(package: str, function: Callable[..., Any]) -> None:
+    """Let a package that may be called as a function be described as that."""
+    signature, module = inspect.signature(function), sys.modules[package]
+    first, _, rest = inspect.cleandoc(function.__doc__ or "").partition("\n\n")
+    module.__doc__ = f"{' '.join(first.split())}\n\n{function.__name__}{signature}\n\n{rest}"
+    module.__signature__ = signature  # type: ignore[attr-defined]
+
+
+_speaks_for("handcal.explain", explain)
+_speaks_for("handcal.allan", allan)

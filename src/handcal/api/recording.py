@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import html
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, Self
 
 from handcal import output
+from handcal.api.words import of_arrays, spoken
 from handcal.recordings import inputs
 from handcal.recordings.streams import STREAMS
+from handcal.suggest import did_you_mean
 from handcal.types import Array, InputError
 from handcal.types import Recording as RecordingData
 
@@ -22,31 +24,38 @@ class Recording(RecordingData):
     def from_arrays(
         cls,
         t: Array,
-        gyro: Array,
-        accel: Array,
+        gyro: Array | None = None,
+        accel: Array | None = None,
         *,
         name: str = "arrays",
         **streams: tuple[Array, Array],
     ) -> Self:
-        """Of arrays: t (n,) s, gyro (n, 3) rad/s, accel (n, 3) m/s^2, specific force.
+        """Of arrays, all three needed: t (n,) s, gyro (n, 3) rad/s, accel (n, 3) m/s^2, specific
+        force.
 
-        streams: of each a pair (t (m,) s on the same clock, values (m, d)): heading rad; mag
-        (m, 3) tesla; temperature degC; pose (m, 7) position in m and quaternion w x y z of the
-        marker's axes; reference (m, 6) rad/s and m/s^2. Repaired and checked as files are: what
-        was done is in ``warnings``. Errors: InputError.
+        name: what results and reports call it, in place of a file's name. streams: of each a pair
+        (t (m,) s on the same clock, values (m, d)): heading rad; mag (m, 3) tesla; temperature
+        degC; pose (m, 7) position in m and quaternion w x y z of the marker's axes; reference
+        (m, 6) rad/s and m/s^2. Repaired and checked as files are: what was done is in
+        ``warnings``. Errors: InputError.
         """
+        if isinstance(t, str | Path):
+            raise InputError(
+                f"from_arrays takes arrays; a file is read by handcal.read({str(t)!r})."
+            )
+        if gyro is None or accel is None:
+            raise InputError("from_arrays takes three arrays at least: t, gyro and accel.")
         for stream in streams:
             if stream not in STREAMS or stream == "imu":
-                known = ", ".join(s for s in STREAMS if s != "imu")
-                raise InputError(f"There is no stream '{stream}'; there are {known}.")
-        read = inputs.of_arrays(
-            name,
-            t,
-            gyro,
-            accel,
-            {s: (pair, len(STREAMS[s].columns)) for s, pair in streams.items()},
-        )
-        return cls.of(read)
+                known = [s for s in STREAMS if s != "imu"]
+                meant = did_you_mean(stream, known)
+                raise InputError(
+                    f"There is no stream '{stream}'.{meant} There are: {', '.join(known)}."
+                )
+        further = {s: (pair, len(STREAMS[s].columns)) for s, pair in streams.items()}
+        with spoken(arrays=True):
+            read = inputs.of_arrays(name, t, gyro, accel, further)
+        return cls.of(replace(read, warnings=tuple(map(of_arrays, read.warnings))))
 
     @classmethod
     def of(cls, recording: RecordingData) -> Self:
@@ -54,9 +63,15 @@ class Recording(RecordingData):
         return cls(**values_of(recording))
 
     def write(self, path: str | Path) -> None:
-        """Write it as MCAP. Errors: InputError where that is the file it was read from."""
+        """Write it as MCAP, *.mcap. Errors: InputError for another ending, and where that is the
+        file it was read from."""
         from handcal.recordings.export import write_mcap
 
+        if Path(path).suffix.lower() not in ("", ".mcap"):
+            raise InputError(
+                f"{path}: recordings are written as MCAP and in no other format; name it "
+                f"{Path(path).with_suffix('.mcap').name}."
+            )
         output.check_outputs((Path(path),), (Path(self.path),))
         write_mcap(self, path)
 

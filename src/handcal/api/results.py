@@ -3,8 +3,7 @@ draw themselves, and write themselves to files."""
 
 from __future__ import annotations
 
-import html
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, overload
@@ -12,15 +11,18 @@ from typing import TYPE_CHECKING, Any, Self, overload
 import numpy as np
 
 from handcal import output
+from handcal.api import tables
 from handcal.api.recording import Recording, values_of
+from handcal.api.words import in_python
 from handcal.explain.explanation import Explanation as ExplanationData
-from handcal.types import Array, HandcalError, Parameter, Result
+from handcal.types import Array, Parameter, Result
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
 COLUMNS = ("effect", "name", "value", "sigma", "unit", "observable")
+_SHOWN = ("parameter", "value", "± 1 sigma", "unit")
 
 
 class Parameters(tuple[Parameter, ...]):
@@ -62,14 +64,8 @@ class Parameters(tuple[Parameter, ...]):
 
     def to_pandas(self) -> Any:
         """A pandas.DataFrame, SI. Errors: HandcalError where pandas is not installed."""
-        try:
-            import pandas
-        except ImportError:
-            raise HandcalError(
-                "pandas is not installed: `pip install pandas`, or use .values and .sigmas."
-            ) from None
         rows = [[getattr(p, column) for column in COLUMNS] for p in self]
-        return pandas.DataFrame(rows, columns=list(COLUMNS))
+        return tables.frame(COLUMNS, rows, "use .values and .sigmas")
 
     def _rows(self) -> list[tuple[str, str, str, str]]:
         from handcal.show import words
@@ -85,16 +81,10 @@ class Parameters(tuple[Parameter, ...]):
         return rows
 
     def __repr__(self) -> str:
-        rows = [("parameter", "value", "± 1 sigma", "unit"), *self._rows()]
-        width = [max(len(row[k]) for row in rows) for k in range(4)]
-        lines = (
-            f"{a:<{width[0]}}  {b:>{width[1]}}  {c:>{width[2]}}  {d}".rstrip()
-            for a, b, c, d in rows
-        )
-        return "\n".join(lines)
+        return tables.text(_SHOWN, self._rows(), right=(1, 2))
 
     def _repr_html_(self) -> str:
-        return _html(("parameter", "value", "± 1 sigma", "unit"), self._rows())
+        return tables.html_table(_SHOWN, self._rows())
 
 
 class Calibration(Result):
@@ -147,7 +137,7 @@ class Calibration(Result):
         from handcal.show.calibration import verdict_text
 
         judged = verdict_text.verdict(self)
-        said = "".join(f"<p>{html.escape(s)}</p>" for s in (judged.headline, *judged.sentences))
+        said = tables.paragraphs(map(in_python, (judged.headline, *judged.sentences)))
         return said + self.parameters._repr_html_()
 
 
@@ -208,15 +198,22 @@ class Explanation(ExplanationData):
         from handcal.show.explanation import verdict_text
 
         lines = [f"Explanation ({self.verdict}): {verdict_text.verdict(self).headline}"]
-        lines += [f"  {a}  {c}" + (f", {b}" if b else "") for a, b, c in self._found()]
+        lines += [
+            f"  {a}{f', probability {b}' if b else ''} (removing it costs {c})"
+            for a, b, c in self._found()
+        ]
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
         from handcal.show.explanation import verdict_text
 
-        said = f"<p>{html.escape(verdict_text.verdict(self).headline)}</p>"
+        said = tables.paragraphs([verdict_text.verdict(self).headline])
         found = self._found()
-        table = _html(("missing", "probability", "gain"), found) if found else ""
+        table = (
+            tables.html_table(("missing", "probability", "removing it costs"), found)
+            if found
+            else ""
+        )
         return said + table + self.parameters._repr_html_()
 
 
@@ -234,13 +231,7 @@ class Corrected:
         self.recording.write(path)
 
     def __repr__(self) -> str:
-        left = "".join(f"; left: {', '.join(ids)} ({why})" for why, ids in self.left.items())
+        left = "".join(
+            f"; left: {', '.join(ids)} ({in_python(why)})" for why, ids in self.left.items()
+        )
         return f"Corrected({self.recording!r}, without {', '.join(self.taken) or 'anything'}{left})"
-
-
-def _html(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    head = "".join(f"<th>{html.escape(c)}</th>" for c in columns)
-    body = "".join(
-        "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows
-    )
-    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"

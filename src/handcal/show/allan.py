@@ -66,18 +66,28 @@ def print_allan(result: Allan, console: Console) -> None:
     """Coefficients, suggestions, and what the record is too short to see."""
     from rich.markup import escape
 
-    console.print(f"[bold]{escape(result.recording.path)}[/]  {_used(result)}")
+    console.print(f"[bold]{escape(result.recording.path)}[/]  {used(result)}")
     rows = table("channel", "*noise", "*unit", ">value", ">± 1 sigma")
-    for c in result.channels:
-        for t in c.terms:
-            unit = shown(t.unit, [t.value])
-            rows.add_row(c.name, f"{t.name} {TITLES[t.name]}", unit.unit, unit.value(t.value),
-                         _percent(t.sigma / t.value))  # fmt: skip
+    for channel, noise, value, sigma, unit in coefficients(result):
+        rows.add_row(channel, noise, unit, value, sigma)
     console.print(rows)
     lines = [f"{s.name} = {s.value:.3g} {s.unit}" for s in result.suggested]
     for heading, sentences in (("For the filter", lines), ("Not seen", too_short(result)),
                                ("Warnings", _warnings(result))):  # fmt: skip
         print_section(console, heading, sentences)
+
+
+def coefficients(result: Allan) -> list[tuple[str, str, str, str, str]]:
+    """Channel, noise, value, sigma in % of it and unit of each coefficient that was seen."""
+    out = []
+    for c in result.channels:
+        for t in c.terms:
+            unit = shown(t.unit, [t.value])
+            sigma = _percent(t.sigma / t.value)
+            out.append(
+                (c.name, f"{t.name} {TITLES[t.name]}", unit.value(t.value), sigma, unit.unit)
+            )
+    return out
 
 
 def too_short(result: Allan) -> list[str]:
@@ -120,7 +130,7 @@ def _context(result: Allan) -> dict[str, Any]:
     length = result.span[1] - result.span[0]
     return {
         "name": Path(result.recording.path).name, "version": handcal.__version__,
-        "used": _used(result),
+        "used": used(result),
         "facts": [(_time(length), "at rest"), (f"{result.rate_hz:.0f} Hz", "readings"),
                   (_time(result.longest_s), "longest averaging time"),
                   (f"{sum(len(c.terms) for c in result.channels)}", "coefficients seen")],
@@ -199,7 +209,8 @@ def _title(c: Channel) -> str:
     return f"{SENSORS[c.sensor]} {c.name[-1]}"
 
 
-def _used(result: Allan) -> str:
+def used(result: Allan) -> str:
+    """Which stretch of the recording, and how often it was read."""
     start, end = result.span
     return f"{start:.1f} to {end:.1f} s of the recording, {result.rate_hz:.0f} Hz"
 

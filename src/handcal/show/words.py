@@ -6,6 +6,7 @@ the numbers mean is said in ``calibration.verdict_text`` and ``explanation.verdi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -38,6 +39,8 @@ _NOISE = {
     "mag_disturbance": "Magnetic disturbance",
 }
 
+# rad; of directions that have nothing to do with the device's it is pi / sqrt(3), 1.8
+_NO_HEADING = 1.0
 _ASSUME = {
     "fixed-point": "the held point stayed in its place",
     "rest-only": "the device stood still in the detected rests alone",
@@ -119,6 +122,19 @@ def parameter_title(p: Parameter) -> str:
 def noise_title(name: str) -> str:
     """Of a noise level."""
     return _NOISE.get(name, name.replace("_", " ").capitalize())
+
+
+def deaf_heading(noise: Iterable[NoiseLevel]) -> str | None:
+    """A sentence where a heading was found to scatter as if it said nothing; None where it does."""
+    found = (n.value for n in noise if n.name == "heading_noise" and n.estimated)
+    sigma = max(found, default=0.0)
+    if sigma <= _NO_HEADING:
+        return None
+    return (
+        f"The heading says nothing: it scatters by {math.degrees(sigma):.0f} deg about the "
+        "gyro's, where mere chance gives 104; check its unit (rad), that it counts "
+        "counter-clockwise from east, and its clock."
+    )
 
 
 def noise_line(level: NoiseLevel) -> tuple[str, str, str]:

@@ -18,6 +18,7 @@ from handcal.types import InputError
 
 # What became of a claim.
 HOLDS, CORRECTED, FAILS, UNKNOWN = "holds", "holds, corrected", "does not hold", "not reproducible"
+SWEPT = "002"  # the paper that another command runs again
 Progress = Callable[[float], None]
 
 
@@ -70,7 +71,10 @@ def numbers() -> tuple[str, ...]:
 def computed(number: str, progress: Progress = lambda _: None) -> Paper:
     """A paper computed again, which takes some seconds. Errors: InputError if there is none."""
     if number not in numbers():
-        raise InputError(f"There is no paper {number}: {', '.join(numbers())}.")
+        there = f"there are {', '.join(numbers())}"
+        if number == SWEPT:
+            raise InputError(f"Paper {SWEPT} is run again by `handcal sweep`; here {there}.")
+        raise InputError(f"There is no paper {number}: {there}, and {SWEPT} by `handcal sweep`.")
     paper: Paper = importlib.import_module(f"{papers.__name__}.paper_{number}").paper(progress)
     return paper
 

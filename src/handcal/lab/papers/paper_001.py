@@ -201,7 +201,8 @@ def paper(progress: Progress) -> Paper:
          _both(alike[1])),
         ("the design alone, iterated, readings good to 0.1 mg", _both(noisy[0]), _both(noisy[1])),
     )  # fmt: skip
-    source = "Scalar calibration of an accelerometer module at optimal orientations"
+    # (the text at hand names neither authors nor year)
+    source = "Scalar calibration of an accelerometer module at optimal orientations, 2019 or later"
     return Paper("001", source, _claims(e, alike[0]), beyond, (_poses_table(own[9]),))
 
 

@@ -22,12 +22,12 @@ import numpy as np
 
 from handcal.documents import reading
 from handcal.recordings.inputs._nearest import of_no_format
-from handcal.recordings.inputs._options import Options, checked_options
+from handcal.recordings.inputs._options import Options, checked_options, quantities
 from handcal.recordings.inputs._repair import Columns, assemble, columns, nanoseconds
 from handcal.recordings.inputs._zip import check_crowd, listed_once
 from handcal.types import Array, InputError, Recording
 
-__all__ = ["Options", "format_of", "formats", "load", "of_arrays"]
+__all__ = ["Options", "format_of", "formats", "load", "of_arrays", "quantities"]
 
 
 def formats() -> list[ModuleType]:
@@ -90,12 +90,24 @@ def of_arrays(
     InputError, one sentence, where shapes do not fit or nothing can be made of the numbers.
     """
     imu = (_columns("gyro", t, gyro, 3), _columns("accel", t, accel, 3))
-    further = {n: _columns(n, *pair, width) for n, (pair, width) in streams.items()}
+    further = {n: _pair(n, pair, width) for n, (pair, width) in streams.items()}
     return assemble(Path(name), *imu, further)
+
+
+def _pair(name: str, pair: tuple[Array, Array], width: int) -> Columns:
+    """A stream's readings. Errors: InputError where they are not given with their times."""
+    if not isinstance(pair, tuple | list) or len(pair) != 2:
+        raise InputError(
+            f"{name} takes its times and its values, {name}=(t, values), no {type(pair).__name__}"
+            f"{f' of {len(pair)}' if isinstance(pair, tuple | list) else ' alone'}."
+        )
+    return _columns(name, *pair, width)
 
 
 def _columns(name: str, t: Array, value: Array, width: int) -> Columns:
     """Readings (n, width) at times t (n,), of anything that numpy can make an array of."""
+    if np.iscomplexobj(t) or np.iscomplexobj(value):
+        raise InputError(f"{name}: the numbers are complex; real ones are needed.")
     try:
         t, value = np.asarray(t, dtype=np.float64), np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):

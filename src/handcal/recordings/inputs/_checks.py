@@ -18,6 +18,12 @@ LONGEST_STUCK_S, SPANS = 1.0, 20
 # No gyro reads so much at rest, rad/s; no hand that rests lets gravity turn so far, rad.
 RESTING_RATE, TILTED = 0.2, 0.1
 FASTEST_GYRO = 40.0  # rad/s; beyond the full scale of nearly every consumer gyro
+# Hardly an IMU is read less often, s; and stamps that are further apart than a tenth of a second's
+# worth of ms, of us, are in the next smaller unit.
+SLOWEST_S, STEPS = 1.0, {"ms": 3e2, "us": 3e5}
+# A heading that was unwrapped may be many turns, rad, but no faster than the gyro by this factor,
+# from one second to the next; degrees are 57 times as many.
+FEW_TURNS, HEADING_FASTER = 6.0 * np.pi, 5.0
 
 
 def saturated(value: Array, smallest: float) -> BoolArray:
@@ -249,6 +255,18 @@ def turning_mismatch(
     return errors
 
 
+def slow_stamps(t: Array) -> str | None:
+    """A sentence where t (n,), s, has less than a reading a second: it may be in another unit."""
+    step = float(np.median(np.diff(t)))
+    if step <= SLOWEST_S:
+        return None
+    unit = next((u for u, longest in STEPS.items() if step < longest), "ns")
+    return (
+        f"The IMU's stamps are {step:.3g} s apart: they seem to be in {unit}, not s; if so, give "
+        f"--units time={unit}."
+    )
+
+
 def check_gyro_unit(t: Array, gyro: Array, accel: Array) -> list[str]:
     """The gyro must explain how the direction of gravity turns. accel in m/s^2.
 
@@ -257,6 +275,9 @@ def check_gyro_unit(t: Array, gyro: Array, accel: Array) -> list[str]:
     errors = turning_mismatch(t, gyro, accel)
     if errors:
         as_is, degrees, radians = errors
+        slow = slow_stamps(t)
+        if slow is not None and as_is > 0.5:
+            raise InputError(slow)
         # Turning 57 times too fast ends anywhere, about a right angle off.
         if as_is > 0.5 and degrees < 0.4 * as_is:
             raise InputError(
@@ -275,3 +296,24 @@ def check_gyro_unit(t: Array, gyro: Array, accel: Array) -> list[str]:
             "check its unit (--units gyro=deg/s)."
         ]
     return []
+
+
+def check_heading_unit(t: Array, gyro: Array, when: Array, heading: Array) -> None:
+    """A heading must not turn faster than the device. t (n,) s, gyro (n, 3) rad/s; heading (m,)
+    as rad at when (m,) s, same clock. Errors: InputError where it seems to be in degrees."""
+    usable = (when >= t[0]) & (when <= t[-1]) & (np.abs(heading) < 1e7)
+    when, heading = when[usable], heading[usable]
+    most = float(np.quantile(np.abs(heading), 0.9)) if len(heading) else 0.0
+    if most <= FEW_TURNS:
+        return
+    rate = np.linalg.norm(gyro, axis=1)
+    turned = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(t))])
+    _, seconds = np.unique(np.floor(when), return_index=True)
+    own = float(np.abs(np.diff(heading[seconds])).sum())
+    device = float(np.diff(np.interp(when[seconds], t, turned)).sum())
+    if own > HEADING_FASTER * device or most > FEW_TURNS + 2.0 * float(turned[-1]):
+        raise InputError(
+            f"The heading is in degrees? It reads up to {np.abs(heading).max():.0f} rad and turns "
+            f"by {own:.0f} rad where the gyroscope turns by {device:.0f}; if so, give "
+            "--units heading=deg."
+        )

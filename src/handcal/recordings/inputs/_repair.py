@@ -15,8 +15,10 @@ from handcal.recordings.inputs._checks import (
     check_accel_unit,
     check_alive,
     check_gyro_unit,
+    check_heading_unit,
     rest_magnitude,
     saturated,
+    slow_stamps,
     stuck,
 )
 from handcal.recordings.streams import STREAMS
@@ -53,7 +55,10 @@ def columns(ns: IntArray, value: Array, valid: BoolArray | None = None) -> Colum
 def nanoseconds(seconds: Array, factor: float = 1e9) -> IntArray:
     """Stamps as whole ns. Errors: InputError beyond what 64 bits hold."""
     if not np.all(np.abs(seconds) < 9e18 / factor):
-        raise InputError("A time stamp is not a number or further away than 280 years.")
+        raise InputError(
+            "A time stamp is not a number or further away than 280 years: are the stamps in ms, us "
+            "or ns (--units time=ns)?"
+        )
     return np.rint(seconds * factor).astype(np.int64)
 
 
@@ -90,20 +95,35 @@ def assemble(
             f"{path} holds {len(t)} IMU samples over {t[-1]:.1f} s; "
             f"at least {FEWEST} over {SHORTEST_S:.0f} s are needed."
         )
-    _check_clock(path, t)
-    said += check_alive(rates, force) + stuck(t, rates, force)
-    rate_hz = 1 / float(np.median(np.diff(t)))
-    said += check_accel_unit(force, rate_hz) + check_gyro_unit(t, rates, force)
-    said += _gap_warning(t)
-    series = {}
+    said += _doubts(path, t, rates, force)
     for name, stream in streams.items():
-        one = _series(name, stream, int(ns[0]), int(ns[-1]), said)
-        if one is not None:
-            series[name] = one
+        if STREAMS[name].circular:
+            check_heading_unit(t, rates, (stream.ns - ns[0]) / 1e9, stream.value[:, 0])
+    inside = int(ns[0]), int(ns[-1])
+    found = {name: _series(name, stream, *inside, said) for name, stream in streams.items()}
+    series = {name: one for name, one in found.items() if one is not None}
     imu = Imu(t, np.ascontiguousarray(rates), np.ascontiguousarray(force), valid)
     # Stamps before 1973 count from something else than 1970: boot, or the start.
     start_ns = int(ns[0]) if ns[0] > 10**17 else 0
     return Recording(str(path), imu, series, start_ns, tuple(said))
+
+
+def _doubts(path: Path, t: Array, gyro: Array, accel: Array) -> list[str]:
+    """Warnings of what is odd about the readings. Errors: InputError for what cannot be."""
+    slow = slow_stamps(t)
+    if slow is None:
+        _check_clock(path, t)
+    elif float(np.diff(t).max()) > LONGEST_GAP_S:
+        raise InputError(slow)
+    said = [slow] if slow else []
+    said += check_alive(gyro, accel) + stuck(t, gyro, accel)
+    rate_hz = 1 / float(np.median(np.diff(t)))
+    return [
+        *said,
+        *check_accel_unit(accel, rate_hz),
+        *check_gyro_unit(t, gyro, accel),
+        *_gap_warning(t),
+    ]
 
 
 def _check_clock(path: Path, t: Array) -> None:

@@ -11,6 +11,7 @@ from handcal.show.words import (
     NBSP,
     Verdict,
     by_effect,
+    deaf_heading,
     effect_motion,
     effect_title,
     kind_title,
@@ -121,6 +122,8 @@ def verdict(result: Result) -> Verdict:
     n, of = len(learnt), len(result.parameters)
     doubts = [s for k, i in result.innovations.items() if (s := nis_sentence(k, i))]
     lacking = [*strayed(result), *inflated(result)]
+    if (deaf := deaf_heading(result.noise)) is not None:
+        lacking.append(deaf)
     if not result.settled:
         lacking.append("The estimate had not come to rest when it was given up.")
     doubts += lacking

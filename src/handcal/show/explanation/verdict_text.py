@@ -134,6 +134,10 @@ def verdict(explanation: Explanation) -> Verdict:
     if proof is not None and not one_model(explanation):
         sentences.append(proof)
     doubts = left_over(explanation.after)
+    deaf = words.deaf_heading(n for r in explanation.recordings for n in r.noise)
+    if deaf is not None:
+        sentences.insert(0, deaf)
+        level = "partly" if level == "good" else level
     if held_out_gain(explanation) < 0 and explanation.verdict != "nothing_missing":
         level = "partly" if level == "good" else level
     if doubts and explanation.verdict != "unexplained":
