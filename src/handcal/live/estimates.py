@@ -113,6 +113,7 @@ def _explained(
     from handcal.show.calibration.summary import calibration_json, write_json
     from handcal.show.explanation import verdict_text
     from handcal.show.explanation.document import explanation_json
+    from handcal.show.explanation.following import commands
     from handcal.show.explanation.report import write_explanation_report
 
     def report(fraction: float | None = None, stage: str = "") -> None:
@@ -121,7 +122,8 @@ def _explained(
 
     explanation = explain([recording], budget=budget, progress=report)
     write_json(explanation_json(explanation), out / FILES[2])
-    write_explanation_report(explanation, out / FILES[3])
+    following = commands(explanation, [str(out / FILES[0])], json=str(out / FILES[2]))
+    write_explanation_report(explanation, out / FILES[3], following)
     progress(0.9, "calibrating with what was found")
     result = calibrate(recording, [m.effect for m in explanation.missing])
     write_json(calibration_json(result), out / FILES[1])
