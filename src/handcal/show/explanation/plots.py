@@ -203,9 +203,9 @@ def _trace_caption(trace: Trace, differences: Sequence[Array], unit: Shown, one:
     rms = [float(np.sqrt((d**2).mean())) for d in differences]
     shown = [unit.value(v / unit.factor, 0.1 * max(rms) / unit.factor) for v in rms]
     caption = f"The baseline is {shown[0]} {unit.unit} (rms) off, the final model {shown[1]}."
-    if shown[0] == shown[1]:
+    if one or shown[0] == shown[1]:
         who = "The model is" if one else "Both models are"
-        caption = f"{who} {shown[0]} {unit.unit} (rms) off."
+        caption = f"{who} {shown[1]} {unit.unit} (rms) off."
     if not trace.before.any():
         caption += f" Counted from what the {'model' if one else 'baseline'} expects."
     return caption

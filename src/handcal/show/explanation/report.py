@@ -58,7 +58,7 @@ def _context(e: Explanation, following: Sequence[str]) -> dict[str, Any]:
         "held_out": _held_out(e),
         "groups": _groups(e),
         "one_model": say.one_model(e),
-        "more_apart": max(gains, default=0.0) > say.gain(e),
+        "more_apart": not say.one_model(e) and max(gains, default=0.0) > say.gain(e),
         "untold": verdict_text.untold(e),
         "next_motion": [
             {"motion": n.motion.rstrip("."), "gain": say.nats(n.expected_gain),
