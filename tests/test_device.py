@@ -236,6 +236,30 @@ def test_the_command_line_keeps_devices_apart(first, told, tmp_path, run):
     assert sigma["gyro_scale", "x"] == pytest.approx(math.sqrt(block(told[2])[1][0, 0]), rel=0.05)
 
 
+def test_what_a_device_file_does_not_keep_is_said(first, tmp_path, run):
+    document = calibration_json(first)
+    row = document["parameters"][0]
+    others = (
+        "mag_hard_iron.x",
+        "heading_delay.delay",
+        "gravity.delta",
+        "gyro_bias_step.x",
+        "odd.k",
+    )
+    for name in others:
+        effect, _, of = name.partition(".")
+        document["parameters"].append({**row, "effect": effect, "name": of})
+    write_json(document, tmp_path / "a.json")
+    status, _, err = run("device", "add", "phone.toml", "a.json")
+    assert status == 0
+    said = err.partition("Not kept: ")[2]
+    assert said.startswith("mag_hard_iron, heading_delay (of a stream beside gyro")
+    assert "gravity (of the place" in said
+    assert "gyro_bias_step (of one day" in said
+    assert "odd (no effect of the catalogue)" in said
+    assert "gyro_scale" not in said
+
+
 def test_a_result_says_which_device_file_it_began_with(told):
     document = calibration_json(told[2])
     assert document["device"]["sha256"] == "f" * 64
