@@ -19,7 +19,7 @@ from handcal.estimate.robust import inflation
 from handcal.estimate.specification import Specification
 from handcal.estimate.start import BIASES
 from handcal.explain import held_out as held
-from handcal.explain import importance, locate, outliers
+from handcal.explain import importance, locate, outliers, stream_words
 from handcal.explain.bias_limits import leaning
 from handcal.explain.climb.state import too_large
 from handcal.explain.explanation import (
@@ -149,7 +149,11 @@ def explanation_of(
     excess = inflation(model)
     told = [plainly(model, importance.weighed(found, m, judged), excess) for m in named.missing]
     told.sort(key=lambda m: (-m.share, -m.log_evidence_gain))
-    hypotheses = hypotheses_of(found, told, wrong, named.alone)
+    cases = [f.case for f in model.parts]
+    told = [stream_words.of_missing(m, cases) for m in told]
+    hypotheses = tuple(
+        stream_words.of_hypothesis(h, cases) for h in hypotheses_of(found, told, wrong, named.alone)
+    )
     # what all recordings share, and the biases where there is but one
     own = explained[0].parameters if len(explained) == 1 else ()
     final = (*own, *(p for known in learnt.values() for p in known))

@@ -142,7 +142,7 @@ def _missing_table(m: Missing) -> Any:
     for p, unit in say.in_units(m.parameters):
         value = unit.value(p.value, p.sigma, sign=True)
         seen = "[green]yes[/]" if p.observable else "[yellow]no[/]"
-        name = words.parameter_title(p)
+        name = f"{m.title.removesuffix(' error')} {words.parameter_name(p)}".rstrip()
         rows.add_row(f"  {name}", value, unit.value(p.sigma, p.sigma), unit.unit, seen)
     return rows
 

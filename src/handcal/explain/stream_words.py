@@ -1,0 +1,36 @@
+"""Effects that act on a heading and on a magnetometer are called after the one that was recorded;
+their ids stay."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from handcal.effects import catalogue
+from handcal.estimate.case import Case
+from handcal.explain.explanation import Hypothesis, Missing
+
+HEADING, MAGNETOMETER = "heading", "magnetometer"
+
+
+def of_missing(m: Missing, cases: Sequence[Case]) -> Missing:
+    """With title and story for these recordings."""
+    if not _renamed(m.effect, cases):
+        return m
+    return replace(m, title=_said(m.title), story=_said(m.story))
+
+
+def of_hypothesis(h: Hypothesis, cases: Sequence[Case]) -> Hypothesis:
+    """With the title for these recordings."""
+    return replace(h, title=_said(h.title)) if _renamed(h.effect, cases) else h
+
+
+def _renamed(effect: str, cases: Sequence[Case]) -> bool:
+    known = catalogue().get(effect)
+    kinds = {kind for case in cases for kind in case.kinds}
+    both = known is not None and {HEADING, MAGNETOMETER} <= set(known.observation_error)
+    return both and MAGNETOMETER in kinds and HEADING not in kinds
+
+
+def _said(text: str) -> str:
+    return text.replace("Heading", "Magnetometer").replace(HEADING, MAGNETOMETER)
