@@ -381,7 +381,7 @@ def test_seeds_are_the_same_whatever_their_number_and_pieces(done, monkeypatch):
 
 def test_a_dask_cluster_gives_the_same_result(done):
     distributed = pytest.importorskip(
-        "distributed", reason="dask is not installed: pip install 'handcal[dask]'"
+        "distributed", reason="dask is not installed: pip install '.[dask]'"
     )
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=False, host="127.0.0.1",

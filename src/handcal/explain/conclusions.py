@@ -19,7 +19,7 @@ from handcal.estimate.robust import inflation
 from handcal.estimate.specification import Specification
 from handcal.estimate.start import BIASES
 from handcal.explain import held_out as held
-from handcal.explain import importance, locate, outliers, stream_words
+from handcal.explain import importance, locate, outliers
 from handcal.explain.bias_limits import leaning
 from handcal.explain.climb.state import too_large
 from handcal.explain.explanation import (
@@ -50,6 +50,7 @@ from handcal.explain.naming import (
     unnamed_of,
 )
 from handcal.explain.next_motion import next_motions
+from handcal.explain.stream_words import for_streams
 from handcal.explain.untellable import untellable
 from handcal.types import Array, Parameter, Prior, Result
 
@@ -149,18 +150,15 @@ def explanation_of(
     excess = inflation(model)
     told = [plainly(model, importance.weighed(found, m, judged), excess) for m in named.missing]
     told.sort(key=lambda m: (-m.share, -m.log_evidence_gain))
-    cases = [f.case for f in model.parts]
-    told = [stream_words.of_missing(m, cases) for m in told]
-    hypotheses = tuple(
-        stream_words.of_hypothesis(h, cases) for h in hypotheses_of(found, told, wrong, named.alone)
-    )
+    hypotheses = hypotheses_of(found, told, wrong, named.alone)
+    missing, hypotheses = for_streams(told, hypotheses, [f.case for f in model.parts])
     # what all recordings share, and the biases where there is but one
     own = explained[0].parameters if len(explained) == 1 else ()
     final = (*own, *(p for known in learnt.values() for p in known))
     return Explanation(
         named.verdict,
         tuple(mismatch),
-        tuple(told),
+        missing,
         tuple(named.unnamed),
         hypotheses,
         _fit(base, before),

@@ -3,14 +3,22 @@ their ids stay."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from handcal.effects import catalogue
 from handcal.estimate.case import Case
 from handcal.explain.explanation import Hypothesis, Missing
 
-HEADING, MAGNETOMETER = "heading", "magnetometer"
+
+def for_streams(
+    missing: Iterable[Missing], hypotheses: Iterable[Hypothesis], cases: Sequence[Case]
+) -> tuple[tuple[Missing, ...], tuple[Hypothesis, ...]]:
+    """With titles and stories for these recordings."""
+    return (
+        tuple(of_missing(m, cases) for m in missing),
+        tuple(of_hypothesis(h, cases) for h in hypotheses),
+    )
 
 
 def of_missing(m: Missing, cases: Sequence[Case]) -> Missing:
@@ -28,9 +36,9 @@ def of_hypothesis(h: Hypothesis, cases: Sequence[Case]) -> Hypothesis:
 def _renamed(effect: str, cases: Sequence[Case]) -> bool:
     known = catalogue().get(effect)
     kinds = {kind for case in cases for kind in case.kinds}
-    both = known is not None and {HEADING, MAGNETOMETER} <= set(known.observation_error)
-    return both and MAGNETOMETER in kinds and HEADING not in kinds
+    both = known is not None and {"heading", "magnetometer"} <= set(known.observation_error)
+    return both and "magnetometer" in kinds and "heading" not in kinds
 
 
 def _said(text: str) -> str:
-    return text.replace("Heading", "Magnetometer").replace(HEADING, MAGNETOMETER)
+    return text.replace("Heading", "Magnetometer").replace("heading", "magnetometer")
