@@ -221,6 +221,17 @@ def test_it_is_told_beside_what_is_missing():
 
 
 @pytest.mark.usefixtures("no_figures")
+def test_shares_that_do_not_add_up_are_said_to_need_not():
+    e = fake_explanation("explained", recordings=1)
+    one, other = e.missing
+    for shares, said in (((0.6, 0.4), False), ((0.62, 0.41), True)):
+        pair = zip((one, other), shares, strict=True)
+        told = replace(e, missing=tuple(replace(m, share=s) for m, s in pair))
+        for text in (printed(told, 200), render_explanation(told)):
+            assert ("need not add up" in text) == said
+
+
+@pytest.mark.usefixtures("no_figures")
 def test_a_search_cut_short_says_so_first():
     left = ("long delays", "further effects", "noise effects", "walks", "laws", "a hand that moves")
     for e in (fake_explanation("explained", recordings=1), with_hard_iron()):

@@ -46,6 +46,7 @@ def _context(e: Explanation, following: Sequence[str]) -> dict[str, Any]:
         "facts": _facts(e),
         "mismatch": [_where(m, names) for m in always.told_mismatch(e)],
         "missing": [_card(m, e, styles) for m in e.missing],
+        "shares_note": verdict_text.shares_note(e),
         "unnamed": [
             {"formula": u.formula, "amount": say.sized(u), "gain": say.nats(u.log_evidence_gain),
              "story": u.story, "lead": verdict_text.lead(u)}

@@ -88,6 +88,8 @@ def _print_found(e: Explanation, console: Console) -> None:
         line(m.story)
         line(verdict_text.weight(m), style="dim")
         console.print(_missing_table(m))
+    if note := verdict_text.shares_note(e):
+        line(note, style="dim")
     if e.unnamed:
         heading("Found outside the catalogue")
     for u in e.unnamed:

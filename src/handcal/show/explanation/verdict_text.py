@@ -128,6 +128,17 @@ def weight(m: Missing) -> str:
     return f"{told[:1].upper()}{told[1:]}."
 
 
+def shares_note(explanation: Explanation) -> str:
+    """Why shares do not add up; empty where they do, or where there is but one."""
+    shares = [m.share for m in explanation.missing if not is_always(m)]
+    if len(shares) < 2 or round(100 * sum(shares)) == 100:
+        return ""
+    return (
+        "A share is what would be lost without that effect alone; shares need not add up to "
+        f"100{NBSP}%."
+    )
+
+
 def verdict(explanation: Explanation) -> Verdict:
     """The headline and what stands behind it, of any of the four verdicts."""
     added, held = always.parted(explanation)
