@@ -21,6 +21,7 @@ from handcal.show.explanation.document import explanation_json
 from handcal.show.explanation.following import applicable, commands
 from handcal.show.explanation.report import render_explanation
 from handcal.show.explanation.terminal import print_explanation
+from handcal.types import Parameter
 
 
 @pytest.fixture(autouse=True)
@@ -46,7 +47,7 @@ def fitted():
 def test_what_was_written_is_repeated_and_taken_off():
     typed = _typed(Assume.rest_only, 3.0, 48.1, 520.0, ["mag"], True, ["imu=/a b"], "gyro=deg/s",
                    Path("d.json"), [Path("o.mcap")], 60.0)  # fmt: skip
-    first, second = commands(fitted(), ["my turns.mcap"], typed, "out/why.json")
+    first, second, third = commands(fitted(), ["my turns.mcap"], typed, "out/why.json")
     given = understood(first)
     # (--from holds the hand's assumption and the effects, and refuses to be told them)
     assert (str(given["learnt_from"]), given["effects"]) == ("out/why.json", "")
@@ -62,12 +63,21 @@ def test_what_was_written_is_repeated_and_taken_off():
     assert str(given["recording"]) == "my turns.mcap"
     assert str(given["learnt_from"]) == "out/why.json"
     assert (given["topic"], given["units"]) == (["imu=/a b"], "gyro=deg/s")
+    assert third == "handcal device add d.json out/why.json"
+
+
+def test_what_is_of_no_device_is_not_kept_in_its_file():
+    e = fitted()
+    assert commands(e, ["a.zip"], [], "a.json")[-1] == "handcal device add my-device.toml a.json"
+    iron = Parameter("mag_hard_iron", "x", 1e-5, 1e-6, "tesla", 1e-4, None)
+    e = replace(e, missing=(replace(e.missing[0], effect=iron.effect, parameters=(iron,)),))
+    assert commands(e, ["a.zip"], [], "a.json")[-1].startswith("handcal apply a.zip --from a.json")
 
 
 def test_what_was_not_written_is_written_first_as_it_was_found():
     typed = _typed(Assume.rest_only, 3.0, 48.1, 520.0, ["mag"], True, ["imu=/a b"], "gyro=deg/s",
                    Path("d.json"), [Path("o.mcap")], 60.0)  # fmt: skip
-    first, second, third = commands(fitted(), ["a.mcap"], typed)
+    first, second, third, _ = commands(fitted(), ["a.mcap"], typed)
     given = understood(first)
     assert first.startswith("handcal explain a.mcap ")
     assert (str(given["assume"]), given["heading_sigma"]) == ("rest-only", 3.0)
@@ -82,7 +92,7 @@ def test_what_was_not_written_is_written_first_as_it_was_found():
 
 def test_a_fit_that_cannot_be_repeated_is_made_again_of_its_effects():
     typed = _typed(Assume.rest_only, 3.0, None, 0.0, None, False, None, None, None, None, 60.0)
-    first, _ = commands(fake_explanation("explained", 1), ["a.mcap"], typed, "why.json")
+    first, *_ = commands(fake_explanation("explained", 1), ["a.mcap"], typed, "why.json")
     given = understood(first)
     assert (given["effects"], given["learnt_from"]) == ("gyro_scale,lever_arm", None)
     assert (str(given["assume"]), given["heading_sigma"]) == ("rest-only", 3.0)
@@ -109,7 +119,7 @@ def test_in_the_terminal_last_and_in_one_line():
     )
     out = StringIO()
     print_explanation(e, Console(file=out, width=80), lines)
-    assert out.getvalue().rstrip("\n").split("\n")[-3:] == ["Next", *lines]
+    assert out.getvalue().rstrip("\n").split("\n")[-len(lines) - 1 :] == ["Next", *lines]
 
 
 @pytest.mark.parametrize("verdict", ["explained", "nothing_missing", "unexplained", "cannot_tell"])

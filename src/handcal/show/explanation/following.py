@@ -6,6 +6,7 @@ import shlex
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
+from handcal.device.file import kept
 from handcal.effects import catalogue, installed
 from handcal.explain.explanation import Explanation
 from handcal.show.explanation.document import final_parameters
@@ -17,6 +18,10 @@ READS = ("--topic", "--units")
 REPEATS = (*READS, "--device")
 CALIBRATES = (*REPEATS, "--assume", "--heading-sigma", "--latitude", "--height", "--ignore",
               "--reference-exact")  # fmt: skip
+
+
+# What a device file is called that nobody has named.
+DEVICE = "my-device.toml"
 
 
 def named(e: Explanation) -> list[str]:
@@ -43,7 +48,8 @@ def biases_of(e: Explanation) -> str:
 def commands(
     e: Explanation, files: Sequence[str] = (), options: Sequence[str] = (), json: str = ""
 ) -> list[str]:
-    """Lines to copy into a terminal: repeat what was found, and take it off.
+    """Lines to copy into a terminal: repeat what was found, take it off, and keep it for the
+    device's next recording.
 
     files: the recordings as typed; options: of ``explain``, as typed; json: where the explanation
     was written. Where it was not, it is made again with ``--json`` first: only the file holds what
@@ -67,6 +73,9 @@ def commands(
         corrected = ["--from", json, *_known_to(options, READS), *own]
         corrected += ["-o", f"{first.stem}-corrected.mcap"]
         out.append(["handcal", "apply", str(first), *corrected])
+    if any(kept((p.effect, p.name)) for m in e.missing for p in m.parameters):
+        device = [*_known_to(options, ("--device",))[1:], DEVICE][0]
+        out.append(["handcal", "device", "add", device, json])
     return [shlex.join(words) for words in out]
 
 
