@@ -37,7 +37,8 @@ def render_explanation(explanation: Explanation, following: Sequence[str] = ()) 
 def _context(e: Explanation, following: Sequence[str]) -> dict[str, Any]:
     names = say.recording_names(e)
     styles = plots.effect_styles(e)
-    gains = [m.log_evidence_gain for m in e.missing] + [u.log_evidence_gain for u in e.unnamed]
+    gains = [m.log_evidence_gain for m in e.missing if not say.is_always(m)]
+    gains += [u.log_evidence_gain for u in e.unnamed]
     return {
         "names": words.listed(names) if names else "nothing",
         "version": handcal.__version__,
@@ -47,6 +48,9 @@ def _context(e: Explanation, following: Sequence[str]) -> dict[str, Any]:
         "mismatch": [_where(m, names) for m in always.told_mismatch(e)],
         "missing": [_card(m, e, styles) for m in e.missing],
         "shares_note": verdict_text.shares_note(e),
+        "found_title": "What every model has" if always.nothing_added(e)
+        else "What is missing, and what every model has" if any(map(say.is_always, e.missing))
+        else "What is missing",
         "unnamed": [
             {"formula": u.formula, "amount": say.sized(u), "gain": say.nats(u.log_evidence_gain),
              "story": u.story, "lead": verdict_text.lead(u)}
