@@ -102,7 +102,7 @@ def _columns(sweep: Document) -> list[str]:
         )
     return [
         *lines,
-        f"ratio: {ends[-1]} over the Cramér-Rao bound; the least that noise allows is 1.",
+        f"ratio: {ends[-1]} over the Cramér-Rao bound.",
     ]
 
 
