@@ -2,7 +2,7 @@
 # PYTHON=/path/to/python chooses the interpreter .venv is made from.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo docs site gallery stories test lint format prove fuzz soak rough trial bench bench-check dist audit clean clean-cache
+.PHONY: help setup demo live docs site gallery stories test lint format prove fuzz soak rough trial bench bench-check dist audit clean clean-cache
 
 BIN := .venv/bin
 # Of `make trial`: which suites, how many explanations at a time; SEED=N repeats a trial.
@@ -20,6 +20,8 @@ setup: .venv/.installed ## make .venv and .venv/bin/handcal
 
 demo: setup ## simulate a recording, calibrate and explain it, write reports and data
 	$(BIN)/handcal demo
+
+live: .venv/.installed-live ## install what serves the page of `handcal live` to a phone
 
 docs: .venv/.installed-dev ## write the catalogue and draw the figures of docs/ anew
 	$(BIN)/python docs/make_effects.py
@@ -131,6 +133,12 @@ clean-cache: ## remove compiled kernels (do so after editing what is compiled in
 	@echo "Installing the tools for the documentation site into .venv."
 	@$(PIP) -e ".[docs]"
 	@touch $@
+
+.venv/.installed-live: .venv/.installed
+	@echo "Installing the page's server into .venv."
+	@$(PIP) -e ".[live]"
+	@touch $@
+	@echo "Ready: .venv/bin/handcal live --lan"
 
 .venv/.installed-bench: .venv/.installed
 	@echo "Installing what handcal is measured against into .venv."

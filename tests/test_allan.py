@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 
 import allantools
 import numpy as np
@@ -202,6 +203,7 @@ def test_command_page_and_json(tmp_path, capsys, analysed):
     html = page.read_text()
     assert html.count("<svg") == 8
     assert "http" not in html.replace("http-equiv", "")
+    assert not re.search(r"[a-z]\.[A-Z]", " ".join(re.findall(r"<p.*?</p>", html, re.DOTALL)))
     assert said["span_s"][1] == pytest.approx(150.0, abs=0.1)
     assert json.dumps(allan_json(analysed[0]), allow_nan=False)
     assert {k: len(v) for k, v in draw(analysed[0]).items()} == {"sensors": 2, "channels": 6}

@@ -22,7 +22,7 @@ from handcal.device import history
 from handcal.device.file import Device, Session
 from handcal.recordings.overview import overview
 from handcal.show.calibration.summary import calibration_json, write_json
-from handcal.show.device import surprise_sentences, write_device_report
+from handcal.show.device import _tables, surprise_sentences, write_device_report
 from handcal.show.info import Info, write_info_report
 from handcal.types import GYRO_BIAS_PRIOR, InputError
 from handcal_sim import simulate
@@ -236,12 +236,46 @@ def test_the_command_line_keeps_devices_apart(first, told, tmp_path, run):
     assert sigma["gyro_scale", "x"] == pytest.approx(math.sqrt(block(told[2])[1][0, 0]), rel=0.05)
 
 
+def test_what_a_device_file_does_not_keep_is_said(first, tmp_path, run):
+    document = calibration_json(first)
+    row = document["parameters"][0]
+    others = (
+        "mag_hard_iron.x",
+        "heading_delay.delay",
+        "gravity.delta",
+        "gyro_bias_step.x",
+        "odd.k",
+    )
+    for name in others:
+        effect, _, of = name.partition(".")
+        document["parameters"].append({**row, "effect": effect, "name": of})
+    write_json(document, tmp_path / "a.json")
+    status, _, err = run("device", "add", "phone.toml", "a.json")
+    assert status == 0
+    said = err.partition("Not kept: ")[2]
+    assert said.startswith("mag_hard_iron, heading_delay (of a stream beside gyro")
+    assert "gravity (of the place" in said
+    assert "gyro_bias_step (of one day" in said
+    assert "odd (no effect of the catalogue)" in said
+    assert "gyro_scale" not in said
+
+
 def test_a_result_says_which_device_file_it_began_with(told):
     document = calibration_json(told[2])
     assert document["device"]["sha256"] == "f" * 64
     assert document["device"]["name"] == "phone"
     assert "device" not in calibration_json(told[1])
     json.dumps(document, allow_nan=False)
+
+
+def test_a_bias_of_last_year_is_forgotten():
+    bias = 0.3 * GYRO_BIAS_PRIOR
+    device = Device("phone", (made(0, gyro_bias_x=(bias, 1e-5), gyro_scale_x=(1e-7, 1e-4)),))
+    for days, gone in ((5, False), (365, True)):
+        rows = {r[0]: r for r in list(_tables(device, DAY + timedelta(days=days)))[1][2]}
+        assert (rows["Gyro bias x"][1] == "forgotten") == gone
+        assert "forgotten" not in rows["Gyro scale x"]
+        assert not set("+-−") & set(rows["Gyro scale x"][1]), "a zero has no sign"
 
 
 def test_the_page_draws_each_parameter(told, tmp_path):

@@ -78,6 +78,16 @@ def test_links_and_pictures_of_the_documents_exist(page):
     assert [t for t in here if not (page.parent / t).exists()] == []
 
 
+def test_nothing_says_to_install_from_an_index_that_does_not_have_it():
+    """Whoever takes the name there would be installed."""
+    code = [
+        p for folder in ("src", "sim", "tests", "scripts") for p in (ROOT / folder).rglob("*.py")
+    ]
+    said = re.compile(r"pip install [^`\n]*\bhandcal\b(?!/)|install `handcal\[")
+    found = [p for p in (*PAGES, *code) if said.search(p.read_text("utf-8"))]
+    assert [p for p in found if p != Path(__file__)] == []
+
+
 def test_pictures_are_small():
     for picture in (ROOT / "docs" / "images").iterdir():
         assert picture.stat().st_size < 200_000, picture.name

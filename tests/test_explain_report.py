@@ -16,14 +16,14 @@ from fake_explanation import CASES, fake_explanation
 from rerun.chunk import RrdReader
 from rich.console import Console
 
-from handcal.explain.explanation import VERDICTS, Curve, Unnamed
+from handcal.explain.explanation import VERDICTS, Curve, Hypothesis, Missing, Unnamed
 from handcal.show import dashboard, drawing
 from handcal.show.calibration import summary
 from handcal.show.explanation import frames, plots, verdict_text, words
 from handcal.show.explanation.document import explanation_json
 from handcal.show.explanation.report import render_explanation, write_explanation_report
 from handcal.show.explanation.terminal import print_explanation
-from handcal.types import HandcalError
+from handcal.types import HandcalError, Parameter
 
 CONTRACT = {
     "schema", "verdict", "mismatch", "missing", "unnamed", "hypotheses", "fit", "held_out",
@@ -183,6 +183,73 @@ def test_one_missing_effect_is_one_sentence():
         "Something is missing: the gyro scale error (probability over 99.9 %), and adding it "
         "makes the recording 863 nats more probable."
     )
+
+
+def with_hard_iron(verdict="explained", count=0):
+    """A made-up explanation of a magnetometer, whose hard iron is in the baseline too."""
+    e = fake_explanation(verdict, recordings=1)
+    rows = tuple(Parameter("mag_hard_iron", a, 2e-5, 1e-6, "tesla", 1e-4, 40.0) for a in "xyz")
+    iron = Missing("mag_hard_iron", "Magnetometer hard iron", 0.9999, 546.0, (), rows, "", "",
+                   {"mag_z": 1e-4}, 1.0, 263.0)  # fmt: skip
+    last = Hypothesis(iron.effect, iron.title, 546.0, 546.0, 9e3, 0.9999, "named")
+    tried = tuple(replace(h, verdict="") for h in e.hypotheses) if not count else e.hypotheses
+    e = replace(e, missing=(*e.missing[:count], iron), hypotheses=(last, *tried))
+    return e if count else replace(e, after=e.before)
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_what_every_model_has_is_not_missing():
+    e = with_hard_iron()
+    judged = verdict_text.verdict(e)
+    said = " ".join((judged.headline, *judged.sentences)).replace("\u00a0", " ")
+    assert judged.headline == "Nothing is missing that this motion would show."
+    assert (
+        "The magnetometer hard iron shows (probability over 99.9 %): it is in every model of a "
+        "magnetometer, and leaving it out would cost 546 nats."
+    ) in said
+    shown = (said + printed(e) + render_explanation(e)).replace("\u00a0", " ")
+    for wrong in ("adding it", "of the mismatch", "do equally well", "Before and after", "+0.0"):
+        assert wrong not in shown
+    assert "fits worst" not in said
+    assert plots.heat_plot(e, 0) is None
+
+
+def test_it_is_told_beside_what_is_missing():
+    judged = verdict_text.verdict(with_hard_iron(count=2))
+    assert judged.headline.startswith("Two things are missing: the gyro scale error")
+    assert any("it is in every model of a magnetometer" in s for s in judged.sentences)
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_shares_that_do_not_add_up_are_said_to_need_not():
+    e = fake_explanation("explained", recordings=1)
+    one, other = e.missing
+    for shares, said in (((0.6, 0.4), False), ((0.62, 0.41), True)):
+        pair = zip((one, other), shares, strict=True)
+        told = replace(e, missing=tuple(replace(m, share=s) for m, s in pair))
+        for text in (printed(told, 200), render_explanation(told)):
+            assert ("need not add up" in text) == said
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_a_search_cut_short_says_so_first():
+    left = ("long delays", "further effects", "noise effects", "walks", "laws", "a hand that moves")
+    for e in (fake_explanation("explained", recordings=1), with_hard_iron()):
+        e = replace(e, untried=left)
+        judged = verdict_text.verdict(e)
+        assert judged.level == "partly"
+        assert judged.headline == (
+            "Time ran out before all was tried. Not tried, or not to the end: long delays, "
+            "further effects, noise effects, walks and two more."
+        )
+        page, text = render_explanation(e), printed(e, 200)
+        assert 'class="verdict partly"' in page
+        rows = {h: r for h in e.hypotheses for r in text.splitlines() if r[5:].startswith(h.title)}
+        assert any(not h.verdict for h in rows)
+        for h, row in rows.items():
+            assert row.rstrip().endswith(words.percent(h.probability if h.verdict else math.nan))
+    told = verdict_text.verdict(replace(fake_explanation("explained"), untried=left)).sentences
+    assert told[0].startswith("Two things are missing")
 
 
 def test_what_speaks_against_a_model_is_said():

@@ -6,6 +6,7 @@ from collections import defaultdict
 from dataclasses import replace
 from html import unescape
 from io import StringIO
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,11 +15,13 @@ from rich.console import Console
 
 from handcal.commands import _registry
 from handcal.commands.explain import Assume, _typed
+from handcal.estimate.specification import Specification
 from handcal.show.explanation import plots
 from handcal.show.explanation.document import explanation_json
 from handcal.show.explanation.following import applicable, commands
 from handcal.show.explanation.report import render_explanation
 from handcal.show.explanation.terminal import print_explanation
+from handcal.types import Parameter
 
 
 @pytest.fixture(autouse=True)
@@ -34,27 +37,79 @@ def understood(line):
     return _registry._loaded(_registry._plugins()[name]).make_context(name, words).params
 
 
-def test_effects_options_and_files_are_in_it_and_are_understood():
-    e = fake_explanation("explained", recordings=1)
-    typed = _typed(Assume.rest_only, 3.0, 48.1, 520.0, ["mag"], True, ["imu=/a b"], "gyro=deg/s")
-    first, second = commands(e, ["my turns.mcap"], typed, "why.json")
+MODEL = Specification((), ())
+
+
+def fitted():
+    return replace(fake_explanation("explained", recordings=1), model=MODEL)
+
+
+def test_what_was_written_is_repeated_and_taken_off():
+    typed = _typed(Assume.rest_only, 3.0, 48.1, 520.0, ["mag"], True, ["imu=/a b"], "gyro=deg/s",
+                   Path("d.json"), [Path("o.mcap")], 60.0)  # fmt: skip
+    first, second, third = commands(fitted(), ["my turns.mcap"], typed, "out/why.json")
     given = understood(first)
-    assert given["effects"] == ",".join(m.effect for m in e.missing) == "gyro_scale,lever_arm"
+    # (--from holds the hand's assumption and the effects, and refuses to be told them)
+    assert (str(given["learnt_from"]), given["effects"]) == ("out/why.json", "")
+    assert (str(given["assume"]), given["heading_sigma"], not given["ignore"]) == (
+        "auto",
+        None,
+        True,
+    )
     assert [str(f) for f in given["files"]] == ["my turns.mcap"]
+    assert (given["topic"], given["units"]) == (["imu=/a b"], "gyro=deg/s")
+    assert str(given["device"]) == "d.json"
+    given = understood(second)
+    assert str(given["recording"]) == "my turns.mcap"
+    assert str(given["learnt_from"]) == "out/why.json"
+    assert (given["topic"], given["units"]) == (["imu=/a b"], "gyro=deg/s")
+    assert third == "handcal device add d.json out/why.json"
+
+
+def test_what_is_of_no_device_is_not_kept_in_its_file():
+    e = fitted()
+    assert commands(e, ["a.zip"], [], "a.json")[-1] == "handcal device add my-device.toml a.json"
+    iron = Parameter("mag_hard_iron", "x", 1e-5, 1e-6, "tesla", 1e-4, None)
+    e = replace(e, missing=(replace(e.missing[0], effect=iron.effect, parameters=(iron,)),))
+    assert commands(e, ["a.zip"], [], "a.json")[-1].startswith("handcal apply a.zip --from a.json")
+
+
+def test_what_was_not_written_is_written_first_as_it_was_found():
+    typed = _typed(Assume.rest_only, 3.0, 48.1, 520.0, ["mag"], True, ["imu=/a b"], "gyro=deg/s",
+                   Path("d.json"), [Path("o.mcap")], 60.0)  # fmt: skip
+    first, second, third, _ = commands(fitted(), ["a.mcap"], typed)
+    given = understood(first)
+    assert first.startswith("handcal explain a.mcap ")
     assert (str(given["assume"]), given["heading_sigma"]) == ("rest-only", 3.0)
     assert (given["latitude"], given["height"], given["ignore"]) == (48.1, 520.0, ["mag"])
     assert (given["reference_exact"], given["topic"], given["units"]) == (
         True, ["imu=/a b"], "gyro=deg/s"
     )  # fmt: skip
-    given = understood(second)
-    assert str(given["recording"]) == "my turns.mcap"
-    assert str(given["learnt_from"]) == "why.json"
+    assert (str(given["held_out"][0]), given["budget"]) == ("o.mcap", 60.0)
+    for line in (second, third):
+        assert understood(line)["learnt_from"] == given["json"]
+
+
+def test_a_fit_that_cannot_be_repeated_is_made_again_of_its_effects():
+    typed = _typed(Assume.rest_only, 3.0, None, 0.0, None, False, None, None, None, None, 60.0)
+    first, *_ = commands(fake_explanation("explained", 1), ["a.mcap"], typed, "why.json")
+    given = understood(first)
+    assert (given["effects"], given["learnt_from"]) == ("gyro_scale,lever_arm", None)
+    assert (str(given["assume"]), given["heading_sigma"]) == ("rest-only", 3.0)
 
 
 def test_nothing_typed_nothing_said():
     assert _typed(Assume.auto, None, None, 0.0, None, False, None, None) == []
-    (only,) = commands(fake_explanation("nothing_missing", recordings=1), ["a.mcap"])
+    (only,) = commands(fake_explanation("nothing_missing", recordings=1), ["a.mcap"], json="b.json")
     assert only == "handcal calibrate a.mcap --report a-calibration.html"
+
+
+@pytest.mark.parametrize("json", ["phone.json", ""])
+def test_the_page_has_the_terminals_commands(json):
+    following = commands(fitted(), ["a.mcap"], [], json)
+    page = unescape(render_explanation(fitted(), following))
+    assert "\n".join(following) in page
+    assert "explanation.json" not in page.replace("a-explanation.json", "")
 
 
 def test_in_the_terminal_last_and_in_one_line():
@@ -64,7 +119,7 @@ def test_in_the_terminal_last_and_in_one_line():
     )
     out = StringIO()
     print_explanation(e, Console(file=out, width=80), lines)
-    assert out.getvalue().rstrip("\n").split("\n")[-3:] == ["Next", *lines]
+    assert out.getvalue().rstrip("\n").split("\n")[-len(lines) - 1 :] == ["Next", *lines]
 
 
 @pytest.mark.parametrize("verdict", ["explained", "nothing_missing", "unexplained", "cannot_tell"])

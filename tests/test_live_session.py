@@ -10,16 +10,19 @@ from typing import Any
 import numpy as np
 import pytest
 
+from handcal.live import estimates
 from handcal.live.estimates import with_convention
 from handcal.live.guide import ENOUGH, LAY_DOWN, REST, TURNS, next_turn
 from handcal.live.link import NAME
 from handcal.live.recorder import opened
+from handcal.live.run import fed as fed_by
 from handcal.live.session import Refused, Session
 from handcal.live.sources import browser, file
 from handcal.live.sources.browser import OLD_ORDER, Convention
 from handcal.motions import MOTIONS, recording_of
 from handcal.recordings import append
 from handcal.recordings.inputs import load
+from handcal.recordings.streams import STREAMS
 from handcal.types import InputError, Recording
 
 pytest.importorskip("aiohttp")
@@ -173,6 +176,26 @@ def test_a_recording_is_fed_at_its_own_pace_and_comes_out_the_same(tmp_path):
     with pytest.raises(Refused):
         session.take(next(file.batches(recording))[1])
     session.recorder.close()
+
+
+def test_streams_that_a_session_does_not_take_are_said(tmp_path, monkeypatch):
+    recording = sample(n=500)
+    beside = {STREAMS[name].title for name in recording.streams} - {"heading"}
+    assert "magnetometer" in beside
+    explained: list[Recording] = []
+
+    def noted(given, *_):
+        explained.append(given)
+        return "", ()
+
+    monkeypatch.setattr(estimates, "_explained", noted)
+    said: list[str] = []
+    session = Session(opened(tmp_path / "recording.mcap"))
+    ended = fed_by(session, recording, 0.0, tmp_path, None, said.append)
+    for told in (said[0], explained[0].warnings[-1], ended.sentences[-1]):
+        assert told.startswith("Left out of this session: ")
+        assert all(title in told for title in beside)
+    assert file.left_out(replace(recording, streams={})) == ""
 
 
 @pytest.fixture(scope="module")

@@ -42,7 +42,7 @@ def test_every_page_and_notebook_is_in_the_navigation():
 def site(tmp_path_factory) -> Path:
     """The site, built of the files that git knows and nothing else."""
     if importlib.util.find_spec("mkdocs") is None:
-        pytest.skip("mkdocs is not installed: make site, or pip install 'handcal[docs]'")
+        pytest.skip("mkdocs is not installed: make site")
     if shutil.which("git") is None or not (ROOT / ".git").exists():
         pytest.skip("this is no checkout")
     folder = tmp_path_factory.mktemp("site")

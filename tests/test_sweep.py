@@ -24,10 +24,12 @@ from handcal_sim.errors import SimulationError
 from handcal_sim.sweep import cell as sweep
 from handcal_sim.sweep import compare
 from handcal_sim.sweep import run as sweep_run
+from handcal_sim.sweep.compare import end_of
 from handcal_sim.sweep.grid import Cell, World, paper, read_grid, turns, with_evidence
 from handcal_sim.sweep.printed import PRINTED
 from handcal_sim.sweep.run import Kept, Plan, Workers, WorkersDied, opened, run
 from handcal_sim.sweep.score import converged_at, scores, spread
+from handcal_sim.sweep.show import FAR_OFF, sentences
 from handcal_sim.sweep.world import angle_sigma
 
 THRESHOLDS = {"deg/h": 50.0, "ug": 500.0, "ppm": 500.0}
@@ -381,7 +383,7 @@ def test_seeds_are_the_same_whatever_their_number_and_pieces(done, monkeypatch):
 
 def test_a_dask_cluster_gives_the_same_result(done):
     distributed = pytest.importorskip(
-        "distributed", reason="dask is not installed: pip install 'handcal[dask]'"
+        "distributed", reason="dask is not installed: pip install '.[dask]'"
     )
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=False, host="127.0.0.1",
@@ -454,6 +456,19 @@ def test_the_page_is_whole(page, whole):
     ids = re.findall(r'\bid="([^"]*)"', text)
     assert len(ids) == len(set(ids))
     assert text.count("<svg") == 2 + 2 * len(whole["cells"])
+
+
+def test_columns_are_explained_and_a_far_ratio_has_its_cause(page, whole):
+    said = sentences(whole)
+    text = page.read_text(encoding="utf-8")
+    for column in ("RMS error: ", "RMS: ", "final: ", "ratio: "):
+        assert [line.startswith(column) for line in said].count(True) == 1
+        assert column in text
+    assert max(end_of(r)["over_bound"] for c in whole["cells"] for r in c["parameters"]) > FAR_OFF
+    (cause,) = (line for line in said if "is no noise" in line)
+    assert ": accel_scale is in these worlds" in cause
+    told = [{**c, "estimate": ["accel_scale"]} for c in whole["cells"]]
+    assert not any("is no noise" in line for line in sentences({**whole, "cells": told}))
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(1100, "light"), (375, "dark")])

@@ -119,7 +119,9 @@ class Shown:
         if digits > MOST_DIGITS:
             more = max(math.floor(math.log10(abs(scaled) or size)) + digits, 0)
             return f"{scaled:{'+' if sign else ''}.{min(more, MOST_DIGITS)}e}".replace("-", "−")
-        return f"{scaled:{'+' if sign else ''}.{digits}f}".replace("-", "−")
+        text = f"{scaled:{'+' if sign else ''}.{digits}f}"
+        # (what rounds to nothing has no sign)
+        return text.replace("-", "−") if text.strip("+-0.") else text.lstrip("+-")
 
 
 def shown(unit: str, values: Iterable[float]) -> Shown:

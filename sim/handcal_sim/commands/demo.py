@@ -42,6 +42,7 @@ def demo(
     from handcal.show.calibration.summary import calibration_json, write_json
     from handcal.show.dashboard import save_explanation_rrd, save_rrd
     from handcal.show.explanation.document import explanation_json
+    from handcal.show.explanation.following import commands
     from handcal.show.explanation.report import write_explanation_report
     from handcal_sim.mcap_writer import write
 
@@ -62,7 +63,8 @@ def demo(
     with progress("with what was found") as report:
         result = handcal.calibrate(recording, named, assume="fixed-point", progress=report)
     say("writing the results")
-    write_explanation_report(explanation, out / "explanation.html")
+    following = commands(explanation, [str(file)], json=str(out / "explanation.json"))
+    write_explanation_report(explanation, out / "explanation.html", following)
     save_explanation_rrd(explanation, out / "explanation.rrd")
     write_json(explanation_json(explanation), out / "explanation.json")
     write_report(result, out / "report.html")

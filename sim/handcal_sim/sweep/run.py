@@ -222,7 +222,8 @@ def opened(where: str, jobs: int) -> Iterator[Workers]:
         broken: Any = import_module("distributed.client").FutureCancelledError
     except ImportError:
         raise SimulationError(
-            "--executor dask:// needs Dask, which is not installed: pip install 'handcal[dask]'"
+            "--executor dask:// needs Dask, which is not installed: in a checkout, pip install "
+            "'.[dask]'"
         ) from None
     try:
         client = distributed.Client(f"tcp://{address}", timeout=10)

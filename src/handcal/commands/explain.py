@@ -119,29 +119,31 @@ def explain(
         )
     said = contradictions(explanation.device, explanation.parameters, explanation.covariance)
     explanation = replace(explanation, warnings=(*explanation.warnings, *said))
-    _pictured(explanation, report, rrd, beside(twin, recordings) if twin else ())
+    typed = _typed(assume, heading_sigma, latitude, height, ignore, reference_exact, topic, units,
+                   device, held_out, budget)  # fmt: skip
+    following = _following(explanation, files, typed, json)
+    twins = beside(twin, recordings) if twin else ()
+    _pictured(explanation, following, report, rrd, twins)
     if json:
         from handcal.show.calibration.summary import write_json
         from handcal.show.explanation.document import explanation_json
 
         write_json(explanation_json(explanation), json)
     if str(json) != "-":
-        typed = _typed(
-            assume, heading_sigma, latitude, height, ignore, reference_exact, topic, units
-        )
-        _printed(explanation, files, typed, json)
+        _printed(explanation, following)
     if write_effect:
         _write(explanation, write_effect)
 
 
 def _pictured(
-    explanation: Explanation, report: Path | None, rrd: Path | None, twins: Iterable[Path]
-) -> None:
+    explanation: Explanation, following: Sequence[str], report: Path | None, rrd: Path | None,
+    twins: Iterable[Path],
+) -> None:  # fmt: skip
     """Write what was asked for besides numbers: page, Rerun file, a twin of each recording."""
     if report:
         from handcal.show.explanation.report import write_explanation_report
 
-        write_explanation_report(explanation, report)
+        write_explanation_report(explanation, report, following)
     if rrd:
         from handcal.show.dashboard import save_explanation_rrd
 
@@ -153,31 +155,37 @@ def _pictured(
             write_twin(one.recording, *one.twins, path)
 
 
-def _printed(
+def _following(
     explanation: Explanation, files: Sequence[Path], typed: Sequence[str], json: Path | None
-) -> None:
-    """The explanation in the terminal, with the command that comes next."""
-    from handcal.show.console import Terminal
+) -> list[str]:
+    """The commands that come next, the same in the terminal and on the page."""
     from handcal.show.explanation.following import commands
+
+    written = "" if str(json) == "-" else str(json or "")
+    return commands(explanation, [str(f) for f in files], typed, written)
+
+
+def _printed(explanation: Explanation, following: Sequence[str]) -> None:
+    """The explanation in the terminal, with the commands that come next."""
+    from handcal.show.console import Terminal
     from handcal.show.explanation.terminal import print_explanation
 
-    following = commands(explanation, [str(f) for f in files], typed, str(json or ""))
-    if json is None:
-        following = following[:1]  # (there is nothing that could be applied)
     print_explanation(explanation, Terminal(), following)
 
 
 def _typed(
     assume: Assume, heading_sigma: float | None, latitude: float | None, height: float,
     ignore: list[str] | None, reference_exact: bool, topic: list[str] | None, units: str | None,
+    device: Path | None = None, held_out: list[Path] | None = None, budget: float | None = None,
 ) -> list[str]:  # fmt: skip
-    """The options that calibrate has too, as they were typed."""
+    """The options that say what is found, as they were typed."""
     out = [] if assume is Assume.auto else ["--assume", str(assume)]
     for name, value in (("--heading-sigma", heading_sigma), ("--latitude", latitude),
-                        ("--height", height or None), ("--units", units)):  # fmt: skip
+                        ("--height", height or None), ("--units", units), ("--device", device),
+                        ("--budget", budget)):  # fmt: skip
         out += [] if value is None else [name, str(value)]
-    for name, values in (("--ignore", ignore), ("--topic", topic)):
-        out += [word for value in values or () for word in (name, value)]
+    for name, values in (("--ignore", ignore), ("--topic", topic), ("--held-out", held_out)):
+        out += [word for value in values or () for word in (name, str(value))]
     return out + (["--reference-exact"] if reference_exact else [])
 
 

@@ -50,6 +50,7 @@ from handcal.explain.naming import (
     unnamed_of,
 )
 from handcal.explain.next_motion import next_motions
+from handcal.explain.stream_words import for_streams
 from handcal.explain.untellable import untellable
 from handcal.types import Array, Parameter, Prior, Result
 
@@ -150,13 +151,14 @@ def explanation_of(
     told = [plainly(model, importance.weighed(found, m, judged), excess) for m in named.missing]
     told.sort(key=lambda m: (-m.share, -m.log_evidence_gain))
     hypotheses = hypotheses_of(found, told, wrong, named.alone)
+    missing, hypotheses = for_streams(told, hypotheses, [f.case for f in model.parts])
     # what all recordings share, and the biases where there is but one
     own = explained[0].parameters if len(explained) == 1 else ()
     final = (*own, *(p for known in learnt.values() for p in known))
     return Explanation(
         named.verdict,
         tuple(mismatch),
-        tuple(told),
+        missing,
         tuple(named.unnamed),
         hypotheses,
         _fit(base, before),

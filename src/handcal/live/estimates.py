@@ -85,10 +85,11 @@ def _biases(recording: Recording) -> list[dict[str, Any]]:
 
 
 def finish(session: Session, out: Path, checked: bool, budget: float | None,
-           progress: Progress) -> Ended:  # fmt: skip
+           progress: Progress, warnings: tuple[str, ...] = ()) -> Ended:  # fmt: skip
     """Write the recording whole, explain it, calibrate with what was found, write it all.
 
     The explanation is made of the file as it was written, so `handcal explain` says the same.
+    warnings: what is to be said of the recording besides, in results and report.
     Errors: HandcalError where nothing can be made of it; the recording stays.
     """
     from handcal.recordings.export import write_mcap
@@ -101,8 +102,10 @@ def finish(session: Session, out: Path, checked: bool, budget: float | None,
         raise HandcalError("Nothing arrived, so nothing was recorded.")
     recording, said = settled(recording, checked)
     write_mcap(recording, out / FILES[0])
-    headline, sentences = _explained(load(out / FILES[0]), out, budget, progress)
-    return Ended(headline, (*said, *sentences), FILES)
+    written = load(out / FILES[0])
+    written = replace(written, warnings=(*written.warnings, *warnings))
+    headline, sentences = _explained(written, out, budget, progress)
+    return Ended(headline, (*said, *sentences, *warnings), FILES)
 
 
 def _explained(
@@ -113,6 +116,7 @@ def _explained(
     from handcal.show.calibration.summary import calibration_json, write_json
     from handcal.show.explanation import verdict_text
     from handcal.show.explanation.document import explanation_json
+    from handcal.show.explanation.following import commands
     from handcal.show.explanation.report import write_explanation_report
 
     def report(fraction: float | None = None, stage: str = "") -> None:
@@ -121,7 +125,8 @@ def _explained(
 
     explanation = explain([recording], budget=budget, progress=report)
     write_json(explanation_json(explanation), out / FILES[2])
-    write_explanation_report(explanation, out / FILES[3])
+    following = commands(explanation, [str(out / FILES[0])], json=str(out / FILES[2]))
+    write_explanation_report(explanation, out / FILES[3], following)
     progress(0.9, "calibrating with what was found")
     result = calibrate(recording, [m.effect for m in explanation.missing])
     write_json(calibration_json(result), out / FILES[1])

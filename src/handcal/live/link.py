@@ -13,7 +13,7 @@ from handcal.types import InputError
 
 LOOPBACK = "127.0.0.1"
 NAME = ".handcal-live.json"
-NEEDED = "handcal live needs aiohttp, trustme and segno: pip install 'handcal[live]'"
+NEEDED = "handcal live needs aiohttp, trustme and segno: in a checkout, `make live` installs them"
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,8 @@ Say = Callable[[str], None]
 def fed(session: Session, recording: Recording, speed: float, out: Path, budget: float | None,
         say: Say) -> Ended:  # fmt: skip
     """Feed a recording, and end. Errors: HandcalError."""
+    if left := file.left_out(recording):
+        say(left)
     try:
         file.feed(recording, session, speed)
     except KeyboardInterrupt:
@@ -29,7 +31,7 @@ def fed(session: Session, recording: Recording, speed: float, out: Path, budget:
         if stage:
             say(stage)
 
-    return finish(session, out, False, budget, progress)
+    return finish(session, out, False, budget, progress, (left,) if left else ())
 
 
 async def serve(session: Session, link: Link, out: Path, budget: float | None, say: Say,

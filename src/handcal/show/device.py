@@ -42,6 +42,8 @@ DAY = "%Y-%m-%d"
 # Before the first session and after the last, as a part of all time between them; days where there
 # is but one.
 MARGIN, ALONE_DAYS = 0.06, 10.0
+# A bias is forgotten when it is known to no less than so much of the usual, and about zero.
+FADED = 0.95
 # Points of a band, besides the sessions.
 STEPS = 60
 
@@ -178,14 +180,22 @@ def _tables(
                 f"{unit.value(last.mean[i], last.sigma[i], sign=True)} ± "
                 f"{unit.value(last.sigma[i], last.sigma[i])}"
             )  # fmt: skip
-            rows.append([title, unit.value(now.mean[i], now.sigma[i], sign=True),
-                         unit.value(now.sigma[i], now.sigma[i]), unit.unit, latest,
-                         unit.value(usual[i])])  # fmt: skip
+            known = "forgotten", unit.value(usual[i])
+            if not _forgotten(now, i, float(usual[i])):
+                known = (unit.value(now.mean[i], now.sigma[i], sign=True),
+                         unit.value(now.sigma[i], now.sigma[i]))  # fmt: skip
+            rows.append([title, *known, unit.unit, latest, unit.value(usual[i])])
     yield (
         "What is known",
         ("parameter", "value", "± 1 sigma", "unit", "last session alone", "usual ±"),
         rows,
     )
+
+
+def _forgotten(now: State, i: int, usual: float) -> bool:
+    """Whether of a bias nothing is known any more but what is usual."""
+    faded = now.sigma[i] > FADED * usual and abs(now.mean[i]) < (1.0 - FADED) * usual
+    return now.names[i] in BIASES and bool(faded)
 
 
 def write_device_report(device: Device, when: datetime, path: Path) -> None:

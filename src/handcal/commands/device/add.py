@@ -38,11 +38,13 @@ def add(
 ) -> None:
     """Add what results say of a device to its file, each as a session of its own.
 
-    A result that was made with --device counts for what its own recording said. Two devices are
-    not mixed, and the same recording counts once.
+    Kept are biases, errors of gyro and accelerometer, and the lever arm; what else is in a result
+    is said. A result that was made with --device counts for what its own recording said. Two
+    devices are not mixed, and the same recording counts once.
     """
     from handcal.device import file as device_file
     from handcal.device.history import disagreements
+    from handcal.device.not_kept import not_kept, sentence
     from handcal.output import check_outputs
     from handcal.show.device import difference_sentence
     from handcal.types import InputError
@@ -63,6 +65,8 @@ def add(
     for path in results:
         session = device_file.session_of(path, device.name, when, temperature)
         device = device_file.added(device, session)
+        if left := sentence(not_kept(path)):
+            say(left if len(results) == 1 else f"{path}: {left}")
     device_file.write(device, file)
     print(f"{file}: {len(device.sessions)} session{'s' * (len(device.sessions) != 1)}")
     for d in disagreements(device):

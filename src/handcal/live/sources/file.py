@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 from collections.abc import Callable, Iterator
 
 import numpy as np
 
 from handcal.live.session import Batch, Session
+from handcal.recordings.streams import STREAMS
 from handcal.types import Array, IntArray, Recording
 
 BATCH_S = 0.25
+# Streams that a batch holds besides the IMU.
+TAKEN = ("heading",)
 
 
 def batches(recording: Recording, first: int = 0) -> Iterator[tuple[float, Batch]]:
@@ -27,6 +31,20 @@ def batches(recording: Recording, first: int = 0) -> Iterator[tuple[float, Batch
             heading = (stamps(recording, series.t[own]), series.value[own])
         batch = Batch("file", seq, ns[rows], imu.gyro[rows], imu.accel[rows], heading)
         yield (seq + 1) * BATCH_S, batch
+
+
+def left_out(recording: Recording) -> str:
+    """A sentence on the streams that a session does not take; empty if there are none."""
+    names = [STREAMS[name].title for name in recording.streams if name not in TAKEN]
+    if not names:
+        return ""
+    first = ", ".join(names[:-1])
+    which = f"{first} and {names[-1]}" if first else names[-1]
+    return (
+        f"Left out of this session: {which}. The page on a phone sends gyro and accelerometer "
+        "alone, so this is what it could have told; `handcal explain "
+        f"{shlex.quote(recording.path)}` uses all that was recorded."
+    )
 
 
 def stamps(recording: Recording, t: Array) -> IntArray:

@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
+from handcal.device.file import kept
 from handcal.effects import catalogue, installed
 from handcal.explain.explanation import Explanation
 from handcal.show.explanation.document import final_parameters
 from handcal.types import Parameter
 
-# What stands for a file that the explanation was not written to.
-JSON = "explanation.json"
+# Options of ``explain`` that ``apply`` has too, that go with ``calibrate --from``, and that go with
+# ``calibrate --effects``.
+READS = ("--topic", "--units")
+REPEATS = (*READS, "--device")
+CALIBRATES = (*REPEATS, "--assume", "--heading-sigma", "--latitude", "--height", "--ignore",
+              "--reference-exact")  # fmt: skip
+
+
+# What a device file is called that nobody has named.
+DEVICE = "my-device.toml"
 
 
 def named(e: Explanation) -> list[str]:
@@ -39,19 +48,42 @@ def biases_of(e: Explanation) -> str:
 def commands(
     e: Explanation, files: Sequence[str] = (), options: Sequence[str] = (), json: str = ""
 ) -> list[str]:
-    """Lines to copy into a terminal: calibrate with what was found, and take it off.
+    """Lines to copy into a terminal: repeat what was found, take it off, and keep it for the
+    device's next recording.
 
-    files: the recordings as typed; options: of ``explain`` that ``calibrate`` shares, as typed;
-    json: where the explanation was written, if anywhere.
+    files: the recordings as typed; options: of ``explain``, as typed; json: where the explanation
+    was written. Where it was not, it is made again with ``--json`` first: only the file holds what
+    was assumed of the hand, and which readings were left out.
     """
     paths = list(files) or [r.recording.path for r in e.recordings]
-    ids = named(e)
-    own = ["--effects-from", "DIR"] if any(i not in installed() for i in ids) else []
-    asked = ["--effects", ",".join(ids)] if ids else []
     first = Path(paths[0])
-    calibrate = ["handcal", "calibrate", *paths, *asked, *options, *own]
-    out = [[*calibrate, "--report", f"{first.stem}-calibration.html"]]
-    if ids:
-        corrected = f"{first.stem}-corrected.mcap"
-        out.append(["handcal", "apply", str(first), "--from", json or JSON, *own, "-o", corrected])
+    own = ["--effects-from", "DIR"] if any(i not in installed() for i in named(e)) else []
+    out = []
+    if not json:
+        json = f"{first.stem}-explanation.json"
+        out = [["handcal", "explain", *paths, *options, *own, "--json", json]]
+    if e.model is None:
+        learnt = ["--effects", ",".join(named(e))] if named(e) else []
+        learnt += _known_to(options, CALIBRATES)
+    else:
+        learnt = ["--from", json, *_known_to(options, REPEATS)]
+    report = ["--report", f"{first.stem}-calibration.html"]
+    out.append(["handcal", "calibrate", *paths, *learnt, *own, *report])
+    if e.missing:
+        corrected = ["--from", json, *_known_to(options, READS), *own]
+        corrected += ["-o", f"{first.stem}-corrected.mcap"]
+        out.append(["handcal", "apply", str(first), *corrected])
+    if any(kept((p.effect, p.name)) for m in e.missing for p in m.parameters):
+        device = [*_known_to(options, ("--device",))[1:], DEVICE][0]
+        out.append(["handcal", "device", "add", device, json])
     return [shlex.join(words) for words in out]
+
+
+def _known_to(options: Sequence[str], names: Collection[str]) -> list[str]:
+    """Those of the options as typed that another command takes, each with its value."""
+    out: list[str] = []
+    taken = False
+    for word in options:
+        taken = word in names if word.startswith("--") else taken
+        out += [word] if taken else []
+    return out

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from handcal.explain.explanation import Explained, Explanation, Hypothesis, Mismatch, Trace
+from handcal.show.explanation.always import told_mismatch
 from handcal.types import Array
 
 CELLS = 120  # time bins of a heat strip
@@ -26,7 +27,7 @@ def by_gain(explanation: Explanation) -> list[Hypothesis]:
 def mismatches(explanation: Explanation, recording: int, channel: str = "") -> list[Mismatch]:
     """Those of one recording, and of one channel if it is named."""
     return [
-        m for m in explanation.mismatch
+        m for m in told_mismatch(explanation)
         if m.recording == recording and channel in ("", m.channel)
     ]  # fmt: skip
 

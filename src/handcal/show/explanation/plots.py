@@ -39,6 +39,7 @@ from handcal.show.drawing import (
     thin,
 )
 from handcal.show.explanation import words as say
+from handcal.show.explanation.always import nothing_added
 from handcal.show.explanation.frames import (
     by_gain,
     cells,
@@ -126,7 +127,7 @@ def heat_plot(explanation: Explanation, recording: int) -> Plot | None:
     from matplotlib.patches import Patch, Rectangle
 
     r = explanation.recordings[recording]
-    if r.bins.size < 2 or sum(lost(r).values()) < 1.0:
+    if nothing_added(explanation) or r.bins.size < 2 or sum(lost(r).values()) < 1.0:
         return None
     bins, loss = cells(r)
     rows = say.channels(dict.fromkeys(r.shortfall, 0.0))
@@ -202,9 +203,9 @@ def _trace_caption(trace: Trace, differences: Sequence[Array], unit: Shown, one:
     rms = [float(np.sqrt((d**2).mean())) for d in differences]
     shown = [unit.value(v / unit.factor, 0.1 * max(rms) / unit.factor) for v in rms]
     caption = f"The baseline is {shown[0]} {unit.unit} (rms) off, the final model {shown[1]}."
-    if shown[0] == shown[1]:
+    if one or shown[0] == shown[1]:
         who = "The model is" if one else "Both models are"
-        caption = f"{who} {shown[0]} {unit.unit} (rms) off."
+        caption = f"{who} {shown[1]} {unit.unit} (rms) off."
     if not trace.before.any():
         caption += f" Counted from what the {'model' if one else 'baseline'} expects."
     return caption
@@ -224,7 +225,7 @@ def hypothesis_plot(explanation: Explanation) -> Plot:
         ax.barh(row, h.alone, height=0.56, color=colour, alpha=0.85 if h.verdict else 0.35, lw=0)
         ax.plot(h.final, row, "o", color=INK, markerfacecolor=SHADE, **dot)
         ax.plot([h.expected] * 2, [row - 0.36, row + 0.36], color=INK, lw=1.6, zorder=3)
-        likely = say.percent(h.probability).replace("over ", "> ").replace("under ", "< ")
+        likely = say.probable(h, explanation).replace("over ", "> ").replace("under ", "< ")
         ax.text(1.015, row, likely, transform=ax.get_yaxis_transform(), va="center", fontsize=10,
                 color=INK if h.verdict else MUTED)  # fmt: skip
     values = [v for h in shown for v in (h.alone, h.final, h.expected)]
@@ -244,7 +245,8 @@ def hypothesis_plot(explanation: Explanation) -> Plot:
         "for something else. Tick: what an error of the usual size would gain in this motion."
     )
     if (rest := len(explanation.hypotheses) - len(shown)) > 0:
-        caption += f" {rest} more gained less."
+        which = "another effect" if rest == 1 else f"{rest} other effects"
+        caption += f" Not drawn: {which}, which gained less alone."
     return Plot("Evidence for each effect", caption, svg(figure, "hypotheses"))
 
 

@@ -13,7 +13,7 @@ from handcal.explain.explanation import Explanation, Hypothesis, Mismatch, Missi
 from handcal.show import words
 from handcal.show.calibration.report import how_to_apply
 from handcal.show.drawing import PALETTE
-from handcal.show.explanation import document, frames, plots, verdict_text
+from handcal.show.explanation import always, document, frames, plots, verdict_text
 from handcal.show.explanation import words as say
 from handcal.show.explanation.following import applicable, biases_of, commands
 from handcal.show.html_page import page
@@ -21,41 +21,49 @@ from handcal.types import Parameter
 from handcal.units import Shown
 
 
-def write_explanation_report(explanation: Explanation, path: str | Path) -> None:
-    """Write the report as one HTML file; nothing in it needs a network."""
-    output.write_text(path, render_explanation(explanation))
+def write_explanation_report(
+    explanation: Explanation, path: str | Path, following: Sequence[str] = ()
+) -> None:
+    """Write the report as one HTML file; nothing in it needs a network. following: the commands
+    that come next, as ``following.commands`` makes them of what was typed."""
+    output.write_text(path, render_explanation(explanation, following))
 
 
-def render_explanation(explanation: Explanation) -> str:
+def render_explanation(explanation: Explanation, following: Sequence[str] = ()) -> str:
     """The page as a string."""
-    return page("explain.html.j2", _context(explanation))
+    return page("explain.html.j2", _context(explanation, following or commands(explanation)))
 
 
-def _context(e: Explanation) -> dict[str, Any]:
+def _context(e: Explanation, following: Sequence[str]) -> dict[str, Any]:
     names = say.recording_names(e)
     styles = plots.effect_styles(e)
-    gains = [m.log_evidence_gain for m in e.missing] + [u.log_evidence_gain for u in e.unnamed]
+    gains = [m.log_evidence_gain for m in e.missing if not say.is_always(m)]
+    gains += [u.log_evidence_gain for u in e.unnamed]
     return {
         "names": words.listed(names) if names else "nothing",
         "version": handcal.__version__,
         "assumed": verdict_text.assumptions(e),
         "verdict": verdict_text.verdict(e),
         "facts": _facts(e),
-        "mismatch": [_where(m, names) for m in e.mismatch],
+        "mismatch": [_where(m, names) for m in always.told_mismatch(e)],
         "missing": [_card(m, e, styles) for m in e.missing],
+        "shares_note": verdict_text.shares_note(e),
+        "found_title": "What every model has" if always.nothing_added(e)
+        else "What is missing, and what every model has" if any(map(say.is_always, e.missing))
+        else "What is missing",
         "unnamed": [
             {"formula": u.formula, "amount": say.sized(u), "gain": say.nats(u.log_evidence_gain),
              "story": u.story, "lead": verdict_text.lead(u)}
             for u in e.unnamed
         ],
         "plots": plots.draw(e),
-        "hypotheses": [_hypothesis(h) for h in frames.by_gain(e)],
+        "hypotheses": [_hypothesis(h, e) for h in frames.by_gain(e)],
         "residuals": _residuals(e),
         "log": _scores(e.before.log_evidence, e.after.log_evidence),
         "held_out": _held_out(e),
         "groups": _groups(e),
         "one_model": say.one_model(e),
-        "more_apart": max(gains, default=0.0) > say.gain(e),
+        "more_apart": not say.one_model(e) and max(gains, default=0.0) > say.gain(e),
         "untold": verdict_text.untold(e),
         "next_motion": [
             {"motion": n.motion.rstrip("."), "gain": say.nats(n.expected_gain),
@@ -66,7 +74,7 @@ def _context(e: Explanation) -> dict[str, Any]:
         "warnings": document.all_warnings(e),
         "apply": how_to_apply(applicable(e)),
         "biases_of": biases_of(e),
-        "following": commands(e),
+        "following": following,
     }  # fmt: skip
 
 
@@ -83,8 +91,12 @@ def _facts(e: Explanation) -> list[tuple[str, str]]:
     seconds = sum(r.recording.duration_s for r in e.recordings)
     facts = [
         (f"{seconds:.0f} s", f"in {words.counted(len(e.recordings), 'recording')}"),
-        (f"{len(e.hypotheses)}", "effects tried"),
+        (f"{len(e.hypotheses)}", "effects tried, not to the end" if e.untried else "effects tried"),
     ]
+    held = [m for m in e.missing if say.is_always(m)]
+    if held and say.one_model(e):
+        cost = sum(m.log_evidence_gain for m in held)
+        return [*facts, (say.nats(cost), "what every model has would cost if left out")]
     if e.verdict == "nothing_missing":
         best = max((h.alone for h in e.hypotheses), default=0.0)
         return [*facts, (say.nats(best), "gained by the best of them")]
@@ -120,6 +132,7 @@ def _card(m: Missing, e: Explanation, styles: dict[str, tuple[str, Any]]) -> dic
         "colour": PALETTE[styles.get(m.effect, (plots.AFTER, ""))[0]],
         "probability": say.percent(m.probability),
         "gain": say.nats(m.log_evidence_gain),
+        "always": say.is_always(m),
         "weight": verdict_text.weight(m),
         "story": m.story,
         "motion": m.motion,
@@ -127,10 +140,10 @@ def _card(m: Missing, e: Explanation, styles: dict[str, tuple[str, Any]]) -> dic
     }
 
 
-def _hypothesis(h: Hypothesis) -> dict[str, str]:
+def _hypothesis(h: Hypothesis, e: Explanation) -> dict[str, str]:
     said = {"named": "present", "set": "one of a set"}.get(h.verdict, "")
     return {"title": h.title, "alone": say.number(h.alone), "final": say.number(h.final),
-            "expected": say.promised(h), "probability": say.percent(h.probability),
+            "expected": say.promised(h), "probability": say.probable(h, e),
             "verdict": said}  # fmt: skip
 
 

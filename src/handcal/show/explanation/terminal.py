@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from handcal.explain.explanation import Explanation, Missing
 from handcal.show import words
-from handcal.show.explanation import verdict_text
+from handcal.show.explanation import always, verdict_text
 from handcal.show.explanation import words as say
 from handcal.show.explanation.document import all_warnings
 from handcal.show.terminal import table
@@ -79,14 +79,17 @@ def _print_verdict(e: Explanation, console: Console) -> None:
 def _print_found(e: Explanation, console: Console) -> None:
     """Where the baseline does not fit, and what was found."""
     line, heading = partial(_line, console), partial(_heading, console)
-    if e.mismatch:
+    if always.told_mismatch(e):
         heading("Where the baseline does not fit")
         console.print(_mismatch_table(e))
     for m in e.missing:
-        heading(f"Missing: {' or '.join(say.members(m, e))}")
+        what = "In every model" if say.is_always(m) else "Missing"
+        heading(f"{what}: {' or '.join(say.members(m, e))}")
         line(m.story)
         line(verdict_text.weight(m), style="dim")
         console.print(_missing_table(m))
+    if note := verdict_text.shares_note(e):
+        line(note, style="dim")
     if e.unnamed:
         heading("Found outside the catalogue")
     for u in e.unnamed:
@@ -141,7 +144,7 @@ def _missing_table(m: Missing) -> Any:
     for p, unit in say.in_units(m.parameters):
         value = unit.value(p.value, p.sigma, sign=True)
         seen = "[green]yes[/]" if p.observable else "[yellow]no[/]"
-        name = words.parameter_title(p)
+        name = f"{m.title.removesuffix(' error')} {words.parameter_name(p)}".rstrip()
         rows.add_row(f"  {name}", value, unit.value(p.sigma, p.sigma), unit.unit, seen)
     return rows
 
@@ -162,7 +165,7 @@ def _hypothesis_table(e: Explanation, count: int) -> Any:
     for h in _top(e, count):
         mark = {"named": "●", "set": "◐"}.get(h.verdict, "")
         row = (escape(h.title), say.number(h.alone), say.number(h.final), say.promised(h),
-               say.percent(h.probability))  # fmt: skip
+               say.probable(h, e))  # fmt: skip
         rows.add_row(mark, *row, style=styles.get(h.verdict, ""))
     return rows
 

@@ -4,6 +4,8 @@ verdict, what stands behind it, and what the motion could not tell."""
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from functools import partial
 
 from handcal.explain.explanation import (
     Explanation,
@@ -14,12 +16,14 @@ from handcal.explain.explanation import (
     Unnamed,
 )
 from handcal.show import words
+from handcal.show.explanation import always
 from handcal.show.explanation.words import (
     channel_shown,
     channel_title,
     counted_word,
     either,
     gain,
+    is_always,
     lawless,
     members,
     nats,
@@ -105,6 +109,8 @@ def weight(m: Missing) -> str:
     """How much of the mismatch an effect holds, what it does to the readings, and whether unseen
     data agree."""
     parts = [f"{whole_percent(m.share)} of the mismatch"]
+    if is_always(m):
+        parts = [f"in {always.every_model(m)}"]
     largest: dict[str, tuple[str, float]] = {}
     for channel, rms in m.size.items():
         sensor = channel.rpartition("_")[0] or channel
@@ -118,20 +124,31 @@ def weight(m: Missing) -> str:
         agree = "agree" if m.held_out_gain > 0.0 else "do not agree"
         signed = f"{'+' if m.held_out_gain > 0 else ''}{nats(m.held_out_gain)}"
         parts.append(f"unseen data {agree} ({signed})")
-    return "; ".join(parts) + "."
+    told = "; ".join(parts)
+    return f"{told[:1].upper()}{told[1:]}."
+
+
+def shares_note(explanation: Explanation) -> str:
+    """Why shares do not add up; empty where they do, or where there is but one."""
+    shares = [m.share for m in explanation.missing if not is_always(m)]
+    if len(shares) < 2 or round(100 * sum(shares)) == 100:
+        return ""
+    return (
+        "A share is what would be lost without that effect alone; shares need not add up to "
+        f"100{NBSP}%."
+    )
 
 
 def verdict(explanation: Explanation) -> Verdict:
     """The headline and what stands behind it, of any of the four verdicts."""
-    head = {"nothing_missing": _nothing, "explained": _explained, "unexplained": _unexplained,
-            "cannot_tell": _cannot_tell}[explanation.verdict]  # fmt: skip
-    level, headline, sentences = head(explanation)
-    if (first := matters(explanation)) is not None:
+    added, held = always.parted(explanation)
+    level, headline, sentences = _head(added, held)
+    if (first := matters(added)) is not None:
         sentences.insert(0, first)
     if (worst := worst_mismatch(explanation)) is not None:
         sentences.append(worst)
     proof = held_out_sentence(explanation)
-    if proof is not None and not one_model(explanation):
+    if proof is not None and not one_model(added):
         sentences.append(proof)
     doubts = left_over(explanation.after)
     deaf = words.deaf_heading(n for r in explanation.recordings for n in r.noise)
@@ -146,14 +163,43 @@ def verdict(explanation: Explanation) -> Verdict:
     return Verdict(level, headline, tuple(sentences))
 
 
-def _nothing(e: Explanation) -> tuple[str, str, list[str]]:
+def _head(added: Explanation, held: Sequence[Missing]) -> tuple[str, str, list[str]]:
+    """Level, headline and first sentences; first of all that time ran out, if it did. added: what
+    is missing from the baseline; held: what is in it and shows."""
+    head = {"nothing_missing": _nothing, "explained": _explained, "unexplained": _unexplained,
+            "cannot_tell": _cannot_tell}[added.verdict]  # fmt: skip
+    if added.verdict == "explained" and not added.missing:
+        head = partial(_nothing, final=True)
+    level, headline, sentences = head(added)
+    sentences += [always.sentence(m, added) for m in held]
+    if not added.untried:
+        return level, headline, sentences
+    if one_model(added):
+        beside = " beside what every model has" if held else ""
+        headline = f"Nothing was found by then{beside}."
+    return "partly" if level == "good" else level, ran_out(added), [headline, *sentences]
+
+
+def ran_out(explanation: Explanation) -> str:
+    """That the search was cut short, and what it did not come to."""
+    untried = list(explanation.untried)
+    if len(untried) > MANY:
+        untried = [*untried[: MANY - 1], f"{counted_word(len(untried) - MANY + 1)} more"]
+    return f"Time ran out before all was tried. Not tried, or not to the end: {listed(untried)}."
+
+
+def _nothing(e: Explanation, final: bool = False) -> tuple[str, str, list[str]]:
+    """final: effects are told by what they gain beside what every model has."""
     headline = "Nothing is missing that this motion would show."
     sentences = []
-    if e.hypotheses:
-        best = max(e.hypotheses, key=lambda h: h.alone)
-        tried = words.counted(len(e.hypotheses), "effect")
-        change = f"gains {nats(best.alone)}" if best.alone > 0 else f"loses {nats(-best.alone)}"
-        enough = "no more than chance gives" if best.alone < SEEN else "too little to be sure"
+    open_ = [h for h in e.hypotheses if not h.verdict]
+    if open_ and not e.untried:
+        gained = {h.effect: h.final if final else h.alone for h in open_}
+        best = max(open_, key=lambda h: gained[h.effect])
+        by = gained[best.effect]
+        tried = words.counted(len(open_), "effect")
+        change = f"gains {nats(by)}" if by > 0 else f"loses {nats(-by)}"
+        enough = "no more than chance gives" if by < SEEN else "too little to be sure"
         sentences.append(f"Of {tried} tried, the best, {the(best.title)}, {change}: {enough}.")
         if hidden := unseen(e):
             sentences.append(
@@ -197,8 +243,6 @@ def _unexplained(e: Explanation) -> tuple[str, str, list[str]]:
 def _cannot_tell(e: Explanation) -> tuple[str, str, list[str]]:
     open_, clear = ([m for m in e.missing if bool(m.indistinguishable_from) is yes]
                     for yes in (True, False))  # fmt: skip
-    if not e.missing and e.untried:
-        return "partly", "Nothing was found in the time that was given, which was too short.", []
     if not open_:
         return "partly", "Something is missing, but this motion cannot tell what.", []
     sets = [either(members(m, e)) for m in open_]
@@ -227,9 +271,9 @@ def motion_phrase(motion: str) -> str:
 
 def worst_mismatch(explanation: Explanation) -> str | None:
     """Where and when the baseline fits worst."""
-    if not explanation.mismatch:
+    if not (mismatch := always.told_mismatch(explanation)):
         return None
-    m = max(explanation.mismatch, key=lambda m: m.share)
+    m = max(mismatch, key=lambda m: m.share)
     return (
         f"The baseline fits worst in {channel_title(m.channel)}"
         f"{', ' + m.when if m.when else ''} ({whole_percent(m.share)} of the whole misfit)."

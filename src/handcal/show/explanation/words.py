@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from handcal.effects import catalogue
 from handcal.explain.explanation import (
     Explained,
     Explanation,
@@ -159,9 +160,21 @@ def either(titles: Sequence[str]) -> str:
     return listed([the(t) for t in titles], "or")
 
 
+def probable(hypothesis: Hypothesis, explanation: Explanation) -> str:
+    """Its probability; a dash where time ran out before it was weighed."""
+    weighed = hypothesis.verdict or not explanation.untried
+    return percent(hypothesis.probability if weighed else math.nan)
+
+
 def one_model(explanation: Explanation) -> bool:
     """Whether nothing was added, so that plain and final model are the same."""
-    return not (explanation.missing or explanation.unnamed)
+    return not explanation.unnamed and all(map(is_always, explanation.missing))
+
+
+def is_always(m: Missing) -> bool:
+    """Whether the effect is in the baseline too."""
+    known = catalogue().get(m.effect)
+    return known is not None and known.always
 
 
 def gain(explanation: Explanation) -> float:
