@@ -55,4 +55,5 @@ FORMAT = Format(
     notes=("Signs: rate = reading - INS_GYROFFS; force = (reading - INS_ACCOFFS) * INS_ACCSCAL",
            "For a board with AHRS_ORIENTATION 0; INS_GYR_CAL 0 keeps the gyro's offsets"),
     needs_bias=True,
+    vehicle=True,
 )  # fmt: skip

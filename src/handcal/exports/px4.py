@@ -52,4 +52,5 @@ FORMAT = Format(
     notes=("Signs: rate = reading - CAL_GYRO0_OFF; force = (reading - CAL_ACC0_OFF) * SCALE",
            "For a board without SENS_BOARD_ROT whose CAL_GYRO0_ID and CAL_ACC0_ID are set"),
     needs_bias=True,
+    vehicle=True,
 )  # fmt: skip
