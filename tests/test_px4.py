@@ -57,3 +57,4 @@ def test_the_readings_are_turned_and_it_is_said(flown):
     read = handcal.read(path)
     np.testing.assert_allclose(read.imu.accel, recording_of(world).imu.accel, atol=1e-5)
     assert any("forward, left, up" in said for said in read.warnings)
+    assert read.topics == {"imu": "sensor_gyro, sensor_accel", "temperature": "sensor_accel"}

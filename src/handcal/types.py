@@ -94,8 +94,8 @@ class Recording(Brief):
 
     path: where it came from. streams: by name (rows of ``streams.STREAMS``),
     only those present. start_ns: absolute time of t = 0, ns since 1970 (0 if unknown).
-    warnings: what the reader repaired, in sentences. topics: of a bag, by stream, where it was
-    read.
+    warnings: what the reader repaired, in sentences. topics: of a bag or a log of PX4, by
+    stream, where it was read.
     """
 
     path: str

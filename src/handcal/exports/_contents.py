@@ -165,7 +165,7 @@ def _topic(document: Mapping[str, Any]) -> str:
     """Where the Imu messages of the first recording were read, if it was a bag."""
     for r in _recordings(document):
         topic = str(r.get("streams", {}).get("imu", {}).get("topic", ""))
-        if re.fullmatch(r"[\w/.~-]+", topic):  # (of a file, and on its way into YAML)
+        if re.fullmatch(r"/[\w/.~-]+", topic):  # (of a file, and on its way into YAML)
             return topic
     return "/imu"
 
@@ -335,7 +335,8 @@ def _header(
         lines += _left_lines(found, form, kept, recording)
     if any(line.endswith(UNKNOWN) for line in lines):
         lines.append(_command(path, found.document, form))
-    lines += [f"Warning: {said}" for said in warnings_of(found.document)]
+    warned = [said for said in warnings_of(found.document) if TURNED not in said]
+    lines += [f"Warning: {said}" for said in warned]
     return (*lines, *form.notes)
 
 

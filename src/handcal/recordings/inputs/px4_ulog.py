@@ -14,7 +14,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -83,7 +83,14 @@ def read(path: Path, options: Options) -> Recording:
         streams = _further(topics, raw)
     except KeyError as error:
         raise InputError(f"{path}: a topic of its IMU lacks the field {error}.") from error
-    return assemble(path, gyro, accel, streams, tuple(said))
+    names = {
+        "imu": "sensor_gyro, sensor_accel" if raw else "sensor_combined",
+        "mag": "sensor_mag" if raw else "vehicle_magnetometer",
+        "temperature": "sensor_accel",
+        "pose": "vehicle_mocap_odometry",
+    }
+    made = assemble(path, gyro, accel, streams, tuple(said))
+    return replace(made, topics={s: names[s] for s in ("imu", *made.streams)})
 
 
 def _topics(path: Path) -> tuple[dict[str, _Fields], list[str]]:
