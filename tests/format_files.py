@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 from sample_recording import START_NS, sample
+from scipy.spatial.transform import Rotation
 
 from handcal.types import Recording
 
@@ -329,18 +330,29 @@ def database(r: Recording) -> bytes:
 
 
 def ulog(r: Recording, raw: bool = True) -> bytes:
-    """A log of PX4: a header, formats, the topics subscribed to, their data."""
+    """A log of PX4: a header, formats, the topics subscribed to, their data, x forward, y right
+    and z down; raw also has a magnetometer (gauss) and a mocap's pose in a world with z down."""
+    stamps, turn = "uint64_t timestamp;uint64_t timestamp_sample;", np.array([1.0, -1.0, -1.0])
     if raw:
-        fields = "uint64_t timestamp;uint64_t timestamp_sample;uint32_t device_id;"
-        fields += "float x;float y;float z;float temperature;"
+        fields = stamps + "uint32_t device_id;float x;float y;float z;float temperature;"
         formats = {"sensor_gyro": fields, "sensor_accel": fields}
-        data = [[(us, us, 1, *v, 31.5) for us, v in zip(_us(r), value.tolist(), strict=True)]
-                for value in (r.imu.gyro, r.imu.accel)]  # fmt: skip
+        data = [[(us, us, 1, *v, 31.5) for us, v in zip(_us(r.imu.t), value.tolist(), strict=True)]
+                for value in (r.imu.gyro * turn, r.imu.accel * turn)]  # fmt: skip
         layouts = ["<QQI4f", "<QQI4f"]
+        if r.streams:
+            mag, pose = r.streams["mag"], r.streams["pose"]
+            formats["sensor_mag"] = stamps + "float x;float y;float z;"
+            formats["vehicle_mocap_odometry"] = stamps + "float[3] position;float[4] q;"
+            moved = np.hstack([pose.value[:, :3] * turn, _turned_alike(pose.value[:, 3:])])
+            for t, value in ((mag.t, mag.value * turn * 1e4), (pose.t, moved)):
+                table = zip(_us(t), value.tolist(), strict=True)
+                data.append([(us, us, *v) for us, v in table])
+            layouts += ["<QQ3f", "<QQ7f"]
     else:
         fields = "uint64_t timestamp;float[3] gyro_rad;int32_t accelerometer_timestamp_relative;"
         formats = {"sensor_combined": fields + "float[3] accelerometer_m_s2;"}
-        imu = zip(_us(r), r.imu.gyro.tolist(), r.imu.accel.tolist(), strict=True)
+        turned = ((value * turn).tolist() for value in (r.imu.gyro, r.imu.accel))
+        imu = zip(_us(r.imu.t), *turned, strict=True)
         data, layouts = [[(us, *g, 0, *f) for us, g, f in imu]], ["<Q3fi3f"]
 
     def message(kind: bytes, content: bytes) -> bytes:
@@ -356,6 +368,13 @@ def ulog(r: Recording, raw: bool = True) -> bytes:
         for row in table:
             out += message(b"D", struct.pack("<H", id) + struct.pack(layout, *row))
     return out
+
+
+def _turned_alike(q: np.ndarray) -> np.ndarray:
+    """Attitudes w x y z where the axes of both body and world are turned by 180 deg about x."""
+    turn = np.diag([1.0, -1.0, -1.0])
+    matrices = turn @ Rotation.from_quat(q, scalar_first=True).as_matrix() @ turn
+    return Rotation.from_matrix(matrices).as_quat(scalar_first=True)
 
 
 def mat(r: Recording, compress: bool = True, **more: Any) -> bytes:
@@ -381,8 +400,8 @@ def parquet(r: Recording, **more: Any) -> bytes:
     return bytes(out.getvalue())
 
 
-def _us(r: Recording) -> list[int]:
-    return [5_000_000 + round(t * 1e6) for t in r.imu.t.tolist()]
+def _us(times: np.ndarray) -> list[int]:
+    return [5_000_000 + round(t * 1e6) for t in times.tolist()]
 
 
 # Of each format by its file: ending, and a recording written in it; folders come as zips.

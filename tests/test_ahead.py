@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from handcal.commands import _ahead
-from handcal.compiled import kept
+from handcal.compiled import disk_cache
 from handcal_sim import simulate, write
 
 # Says what is asked of the folder of compiled functions, and in which types.
@@ -27,10 +27,10 @@ def load(cache, sig, target):
     return found(cache, sig, target)
 
 
-from handcal.compiled import kept
+from handcal.compiled import disk_cache
 
-found = kept._WholeCache.load_overload
-kept._WholeCache.load_overload = load
+found = disk_cache._WholeCache.load_overload
+disk_cache._WholeCache.load_overload = load
 {}
 json.dump(asked, sys.stdout)
 """
@@ -65,7 +65,7 @@ import sys
 
 sys.path.insert(0, sys.argv[1])
 import one
-from handcal.compiled import kept
+from handcal.compiled import disk_cache
 from handcal.compiled.jit import njit
 
 
@@ -83,13 +83,13 @@ def locked(file):
 
 
 said = []
-save, kept._Cache.save_overload = kept._Cache.save_overload, slow
-lock, kept._locked = kept._locked, locked
+save, disk_cache._Cache.save_overload = disk_cache._Cache.save_overload, slow
+lock, disk_cache._locked = disk_cache._locked, locked
 print(njit(one.twice)(2), flush=True)
 """
 
 
-@pytest.mark.skipif(kept.fcntl is None, reason="no locks that end with a process")
+@pytest.mark.skipif(disk_cache.fcntl is None, reason="no locks that end with a process")
 @pytest.mark.parametrize("killed", [False, True])
 def test_one_compiles_and_the_other_waits_while_it_lives(tmp_path: Path, killed: bool) -> None:
     (tmp_path / "one.py").write_text("def twice(x):\n    return x + x\n")

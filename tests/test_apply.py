@@ -300,6 +300,8 @@ def test_command_refuses(plain, tmp_path, main):
         ((source, "--from", nothing, "-o", out), 1, "has nothing that could be taken off a.mcap"),
         ((source, "--from", source, "-o", out), 2, "is not JSON"),
         ((source, "--from", found, "-o", source), 2, "is what is read"),
+        ((source, "--from", found, "-o", out.with_suffix(".db3")), 2, "ends in .mcap"),
+        ((source, "--from", found, "-o", out.with_suffix("")), 2, "ends in .mcap"),
         ((tmp_path / "none", "--from", found, "-o", out), 2, "none"),
         ((source, "--from", found, "-o", tmp_path / "no" / "b.mcap"), 2, "there is no folder"),
         ((source, "--from", found, "-o", out, "--biases"), 2, "has the biases of no recording"),

@@ -24,7 +24,7 @@ from handcal.device import apply
 from handcal.explain import model_file
 from handcal.recordings.inputs import load
 from handcal.show.calibration.report import write_report
-from handcal.show.calibration.summary import print_summary
+from handcal.show.calibration.terminal import print_summary
 from handcal.show.console import Terminal
 from handcal.types import InputError
 

@@ -549,3 +549,39 @@ def test_command(result, tmp_path, main):
     for wrong in (["--to", "pxr", "-o", out], ["--to", "px4"], ["--to", "px4", "-o", path]):
         status, _, said = main("export", path, *wrong)
         assert (status, said.count("\n")) == (2, 1)
+
+
+def test_what_a_result_warns_of_goes_with_it_and_the_rest_can_be_asked_for(result, tmp_path, main):
+    """In the header and on the way, once; with the command that tells how much is left."""
+    warned = "sensor_combined: PX4 has corrected it by a calibration of its own."
+    path, out = result(drawn(0, MATRICES), warnings=[warned, warned]), tmp_path / "out.txt"
+    status, _, said = main("export", path, "--to", "PX4", "-o", out)
+    assert status == 0
+    command = "handcal export result.json --to px4 --recording turns.mcap -o FILE"
+    for text in (out.read_text(), said):
+        assert text.count(f"Warning: {warned}") == 1
+        assert text.count(command) == 1
+    assert "How much" not in written(path, "px4", recording=recording())
+
+
+def test_axes_are_refused_where_they_mean_nothing(result, tmp_path, main):
+    path, out = result(drawn(0, DIAGONAL)), tmp_path / "out.txt"
+    status, _, said = main("export", path, "--to", "kalibr", "--axes", "frd", "-o", out)
+    assert (status, out.exists()) == (2, False)
+    assert "--axes is for ardupilot, px4" in said
+    turned = "PX4's axes (forward, right, down) were turned to forward, left, up."
+    path = result(drawn(0, DIAGONAL), warnings=[turned])
+    assert main("export", path, "--to", "px4", "--axes", "frd", "-o", out)[0] == 2
+    status, _, said = main("export", path, "--to", "px4", "-o", out)
+    assert (status, "Warning" in said) == (0, False)
+
+
+@pytest.mark.parametrize("name", ["kalibr", "openvins"])
+def test_the_topic_is_that_of_the_recording(result, name):
+    of = document({})["recording"]
+    imu = {"samples": 1000, "topic": "/camera/imu"}
+    path = result(drawn(0, NO_G), recording=of | {"streams": {"imu": imu}})
+    assert "rostopic: /camera/imu\n" in written(path, name)
+    assert "rostopic: /phone/imu\n" in written(path, name, topic="/phone/imu")
+    path = result(drawn(0, NO_G), recording=of | {"streams": {"imu": imu | {"topic": "/a: [b"}}})
+    assert "rostopic: /imu\n" in written(path, name)

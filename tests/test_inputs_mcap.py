@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,9 @@ from sample_recording import (
 
 from handcal.recordings.export import write_mcap
 from handcal.recordings.inputs import load
+from handcal.recordings.overview import overview
+from handcal.recordings.streams import STREAMS
+from handcal.show.info import Info, info_json, stream_row
 from handcal.types import InputError, Recording
 
 
@@ -126,6 +130,63 @@ def test_what_is_not_the_reference_is_the_imu(tmp_path: Path) -> None:
     back = load(two_imus(tmp_path, "/phone/reference", "/phone/data"))
     assert_imu(back, sample(1))
     assert set(back.streams) == {"reference"}
+
+
+def test_a_choice_among_topics_is_said_with_the_others(tmp_path: Path) -> None:
+    """The usual name first, else the raw one; who chose himself is told nothing."""
+    for name, why in (("/phone/imu", "its usual name"), ("/phone/data_raw", "the raw one")):
+        path = two_imus(tmp_path, "/camera/data", name)
+        back = load(path)
+        assert_imu(back, sample(1))
+        assert back.topics == {"imu": name}
+        assert back.warnings == (
+            f"IMU: of 2 topics {name} (400 messages) was taken, {why}; there is also /camera/data "
+            "(400 messages); choose with --topic imu=/camera/data.",
+        )
+        assert load(path, topics={"imu": name}).warnings == ()
+    found = info_json(Info("", "", overview(back), ()))
+    assert [s["topic"] for s in found["streams"]] == ["/phone/data_raw"]
+    assert "/phone/data_raw" in stream_row(overview(back).streams[0])
+
+
+def without(message: tuple[int, int, bytes], field: str) -> tuple[int, int, bytes]:
+    """The message of an IMU with -1 as the first covariance of a field."""
+    names, (channel, ns, body) = STREAMS["imu"].message.floats, message
+    at = len(body) - 8 * len(names) + 8 * names.index(f"{field}_covariance.0")
+    return channel, ns, body[:at] + struct.pack("<d", -1.0) + body[at + 8 :]
+
+
+def flagged(path: Path, rows: slice, field: str) -> Path:
+    """An IMU whose messages of these rows say that they hold nothing of this sensor."""
+    messages = imu_messages(sample())
+    for k in range(*rows.indices(len(messages))):
+        messages[k] = without(messages[k], field)
+    return write_channels(path / "f.mcap", [("/imu", IMU, "cdr")], messages)
+
+
+@pytest.mark.parametrize(
+    ("field", "kind"),
+    [("linear_acceleration", "acceleration"), ("angular_velocity", "angular velocity")],
+)
+def test_messages_that_hold_no_reading_of_a_sensor(tmp_path: Path, field: str, kind: str) -> None:
+    """All of them: refused; some: not trusted, and said."""
+    said = f"all 400 messages of /imu say that they hold no {kind} \\({field}_covariance"
+    with pytest.raises(InputError, match=said):
+        load(flagged(tmp_path, slice(None), field))
+    some = load(flagged(tmp_path, slice(100, 110), field))
+    assert (~some.imu.valid).sum() == 10
+    assert any(f"10 of 400 messages of /imu say that they hold no {kind}" in w
+               for w in some.warnings)  # fmt: skip
+
+
+def test_gyro_and_accelerometer_in_turn_are_both_read(tmp_path: Path) -> None:
+    whole = sample()
+    names = ("angular_velocity", "linear_acceleration")
+    messages = [without(one, names[k % 2]) for k, one in enumerate(imu_messages(whole))]
+    back = load(write_channels(tmp_path / "t.mcap", [("/imu", IMU, "cdr")], messages))
+    np.testing.assert_array_equal(back.imu.gyro, whole.imu.gyro[1:-1:2])
+    between = 0.5 * (whole.imu.accel[:-2:2] + whole.imu.accel[2::2])
+    assert np.abs(back.imu.accel[: len(between)] - between).max() < 0.5
 
 
 def test_ambiguous_topics_are_listed_with_the_option_that_chooses(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import pytest
 import schemas
 from fake_result import fake_result
 from rich.console import Console
+from worlds import recording_of
 
 import handcal
 from handcal import units
@@ -18,6 +19,7 @@ from handcal.show import words
 from handcal.show.calibration import summary, verdict_text
 from handcal.show.calibration.terminal import print_summary
 from handcal.types import HandcalError, Innovations, NoiseLevel
+from handcal_sim.scenario import simulate
 
 
 def innovations(nis_scale: float, updates: int = 400, seed: int = 3) -> Innovations:
@@ -166,6 +168,20 @@ def test_the_verdict_says_what_was_learnt_and_what_was_not():
     (sentence,) = verdict_text.not_shown(fake_result())
     assert "z" in sentence
     assert "turn" in sentence
+
+
+def test_rests_that_were_fallen_back_upon_are_no_good_verdict():
+    """Whether the hand moved or effects are missing, `calibrate` cannot tell."""
+    world = simulate("free-hand", seed=7, duration_s=30.0, effects={"gyro_scale": [0.1, -0.1, 0.1]})
+    found = handcal.calibrate(recording_of(world))
+    assert found.assume == "rest-only"
+    told = verdict_text.verdict(found)
+    assert told.level == "partly"
+    assert "may be far off" in told.headline
+    assert any("handcal explain" in s for s in told.sentences)
+    assert not any("throughout" in w for w in found.warnings)
+    asked = handcal.calibrate(recording_of(world), assume="rest-only")
+    assert "far off" not in verdict_text.verdict(asked).headline
 
 
 def test_an_estimate_that_strays_from_its_own_band_is_doubted():

@@ -94,7 +94,8 @@ class Recording(Brief):
 
     path: where it came from. streams: by name (rows of ``streams.STREAMS``),
     only those present. start_ns: absolute time of t = 0, ns since 1970 (0 if unknown).
-    warnings: what the reader repaired, in sentences.
+    warnings: what the reader repaired, in sentences. topics: of a bag or a log of PX4, by
+    stream, where it was read.
     """
 
     path: str
@@ -102,6 +103,7 @@ class Recording(Brief):
     streams: Mapping[str, Series] = field(default_factory=dict)
     start_ns: int = 0
     warnings: tuple[str, ...] = ()
+    topics: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def duration_s(self) -> float:

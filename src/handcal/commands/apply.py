@@ -46,10 +46,11 @@ def apply(
     from handcal.device.apply import apply as applied
     from handcal.device.apply import read
     from handcal.output import check_outputs
-    from handcal.recordings.export import write_mcap
+    from handcal.recordings.export import check_ending, write_mcap
     from handcal.types import HandcalError
 
     check_outputs((out,), (recording, learnt_from))
+    check_ending(out)
     learnt = read(learnt_from)
     given = load(recording, topic, units)
     corrected = applied(given, learnt, biases=biases)

@@ -49,10 +49,11 @@ def conceal(
 
     from handcal.device import conceal as hidden
     from handcal.output import check_outputs
-    from handcal.recordings.export import write_mcap
+    from handcal.recordings.export import check_ending, write_mcap
 
     values = dict(hidden.parse(text) for text in effect)
     check_outputs((out,), (file, learnt_from))
+    check_ending(out)
     seed = secrets.randbelow(2**31) if seed is None else seed
     recording = load(file, topic, units)
     truth = None

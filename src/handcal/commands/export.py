@@ -43,12 +43,12 @@ def export(
         typer.Option(metavar="ALLAN.json", help="Noise of the device at rest, by allan --json."),
     ] = None,
     axes: Annotated[
-        Axes,
+        Axes | None,
         typer.Option(
             help="px4, ardupilot: the recording's x, y, z are forward, left, up (flu) or forward, "
-            "right, down (frd)."
+            "right, down (frd). Default: flu."
         ),
-    ] = Axes.flu,
+    ] = None,
     topic: Topics = None,
     units: Units = None,
 ) -> None:
@@ -61,7 +61,7 @@ def export(
     from handcal.exports._contents import contents
     from handcal.types import InputError
 
-    if to == "list":
+    if to.casefold() == "list":
         width = max(map(len, formats()))
         for name, form in formats().items():
             print(f"{name:<{width}}  {form.line}")
@@ -72,13 +72,13 @@ def export(
     output.check_outputs((out,), (result, recording, noise))
     given = None if recording is None else load(recording, topic, units)
     named = dict(pair.partition("=")[::2] for pair in topic or [])
-    made = contents(result, form, given, noise, named.get("imu", "/imu"), str(axes))
+    made = contents(result, form, given, noise, named.get("imu"), axes and str(axes))
     text = form.write(made)
     if str(out) == output.STANDARD_OUTPUT:
         print(text, end="")
         return
     output.write_text(out, text)
     for line in made.header:
-        if line.startswith(("Not in this file", "All of that")):
+        if line.startswith(("Not in this file", "All of that", "How much", "Warning: ")):
             say(line)
     print(f"{out}: {form.line}")

@@ -26,9 +26,10 @@ def import_(
 ) -> None:
     """Turn a phone log or another format into an MCAP recording."""
     from handcal.output import check_outputs
-    from handcal.recordings.export import write_mcap
+    from handcal.recordings.export import check_ending, write_mcap
 
     check_outputs((out,), (source,))
+    check_ending(out)
     recording = load(source, topic, units)
     write_mcap(recording, out)
     for warning in recording.warnings:

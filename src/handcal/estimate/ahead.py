@@ -19,6 +19,7 @@ from handcal.estimate.tails import tailed
 from handcal.estimate.trajectory import Trajectory, epochs
 from handcal.types import Imu, Recording, Series
 
+# Of the still recording that everything is compiled on: any will do.
 RATE_HZ, SECONDS = 100.0, 3.0
 
 

@@ -8,6 +8,9 @@ from handcal.estimate.case import Case, case_of
 from handcal.estimate.model import Fitted
 from handcal.estimate.sway import TRAVEL_NATS, beyond_a_hand, sway_of
 
+# How the warning begins where nothing tells a hand that moves from effects that are missing.
+DOUBTED = "The hand travels, or effects are missing"
+
 
 def travels(f: Fitted) -> bool:
     """Whether a point that was taken to be held sways as no hand does, physics or not, and there
@@ -17,14 +20,18 @@ def travels(f: Fitted) -> bool:
     return held and beyond_a_hand(f.linear, f.levels) > TRAVEL_NATS
 
 
-def resting(held: Fitted, latitude: float | None, height: float) -> Case:
-    """The recording with its rests alone taken to be still; held: as if its point were held."""
+def resting(
+    held: Fitted, latitude: float | None, height: float, *, explained: bool = False
+) -> Case:
+    """The recording with its rests alone taken to be still; held: as if its point were held;
+    explained: no physics was found that would have it held."""
     wide = sway_of(held.linear.problem, held.levels)
     read = held.case.read or held.case.recording
     case = case_of(read, "rest-only", latitude, height, (), held.case.fixed,
                    before=held.case.before)  # fmt: skip
+    begins = "The hand travels" if explained else DOUBTED
     said = (
-        f"The hand travels: as a held point it would sway by {wide:.2g} m. Only the rests are "
+        f"{begins}: as a held point it would sway by {wide:.2g} m. Only the rests are "
         "taken to be still (--assume fixed-point has it otherwise)."
     )
     return replace(case, warnings=(*case.warnings, said), noise_until=held.case.noise_until)

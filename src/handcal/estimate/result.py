@@ -109,7 +109,7 @@ def _warnings(f: Fitted, settled: bool, innovations: Mapping[str, Innovations]) 
     for kind, i in innovations.items():
         if i.skipped:
             yield f"{i.skipped} observations of {kind} were skipped (body x near the vertical)."
-    yield from _gravity_stays(f.linear.trajectory.C)
+    yield from _gravity_stays(f.linear.trajectory.C, f.case.assume == "rest-only")
     yield from _contradicting_heading(problem, f.levels)
 
 
@@ -294,8 +294,9 @@ def _contradicting_heading(problem: Problem, levels: Mapping[str, float]) -> lis
     ]
 
 
-def _gravity_stays(C_nb: Array) -> list[str]:
-    """A warning where gravity never leaves one body axis: bias and scale are one there."""
+def _gravity_stays(C_nb: Array, rests: bool) -> list[str]:
+    """A warning where gravity never leaves one body axis: bias and scale are one there. rests:
+    they alone are looked at."""
     up = C_nb[:, 2]
     mean = up.mean(axis=0)
     mean /= np.linalg.norm(mean)
@@ -303,7 +304,7 @@ def _gravity_stays(C_nb: Array) -> list[str]:
     if np.min(up @ mean) < math.cos(STEADY_GRAVITY) or abs(mean[axis]) < 0.9:
         return []
     return [
-        f"Gravity stays along body {'xyz'[axis]} throughout: the accelerometer's bias on that axis "
-        "holds its scale error and any error of the local gravity too. Turn the device over to "
-        "tell them apart."
+        f"Gravity stays along body {'xyz'[axis]} {'in the rests' if rests else 'throughout'}: the "
+        "accelerometer's bias on that axis holds its scale error and any error of the local "
+        "gravity too. Turn the device over to tell them apart."
     ]

@@ -131,7 +131,7 @@ def _by_the_rests(
         return end
     laid = baseline(
         [
-            resting(f, options.latitude, options.height) if gone else case
+            resting(f, options.latitude, options.height, explained=True) if gone else case
             for case, f, gone in zip(cases, end.found.model.parts, far, strict=True)
         ]
     )

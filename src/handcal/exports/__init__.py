@@ -76,7 +76,8 @@ class Format:
     write(contents): the text. keep(correction): the part of a correction that the format can hold,
     None for a format that corrects nothing (a table). notes: lines for the header. needs_bias:
     writing zeros where there are no biases would be wrong. online: the program finds biases itself,
-    so it is no fault that the format has none.
+    so it is no fault that the format has none. vehicle: it has a vehicle's axes, which --axes
+    leads to.
     """
 
     program: str
@@ -86,6 +87,7 @@ class Format:
     notes: tuple[str, ...] = field(default=())
     needs_bias: bool = False
     online: bool = False
+    vehicle: bool = False
 
 
 @cache
@@ -107,7 +109,9 @@ def formats() -> Mapping[str, Format]:
 
 
 def format_of(name: str) -> Format:
-    """The format of this name. Raises InputError with a list of those that there are."""
-    if name not in formats():
+    """The format of this name, in any case. Raises InputError with a list of those there are."""
+    alike = {known.casefold(): known for known in formats()}
+    found = name if name in formats() else alike.get(name.casefold())
+    if found is None:
         raise InputError(f"Unknown format '{name}'. Known: {', '.join(sorted(formats()))}.")
-    return formats()[name]
+    return formats()[found]

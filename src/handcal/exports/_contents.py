@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,7 +17,7 @@ from handcal.device import apply as device
 from handcal.device.apply import BIASES, Learnt
 from handcal.documents import read_json
 from handcal.effects import catalogue
-from handcal.exports import Contents, Format, Noise
+from handcal.exports import Contents, Format, Noise, formats
 from handcal.exports import _correction as correction
 from handcal.exports._correction import NOTHING, Correction
 from handcal.types import Array, HandcalError, InputError, Recording
@@ -26,6 +28,9 @@ LEVELS = {"gyro_noise": "gyro_noise", "accel_noise": "accel_noise",
           "accel_bias_walk_density": "accel_bias_walk"}  # fmt: skip
 ALLAN = ("gyro_noise", "accel_noise", "gyro_bias_walk", "accel_bias_walk")
 UNITS = ("rad/s", "m/s^2")
+UNKNOWN = "how much is not known"
+# What the reader of a log in a vehicle's axes says.
+TURNED = "turned to forward, left, up"
 
 
 @dataclass(frozen=True)
@@ -107,14 +112,16 @@ def _bias(
 
 def contents(
     path: Path, form: Format, recording: Recording | None = None, allan: Path | None = None,
-    topic: str = "/imu", axes: str = "flu",
+    topic: str | None = None, axes: str | None = None,
 ) -> Contents:  # fmt: skip
     """A result as a format is given it.
 
     recording: where what is left is measured. allan: a JSON of ``handcal allan``, for the noise.
-    Errors: InputError, HandcalError.
+    topic: None for that of the recording. axes: "flu", "frd", or None for "flu". Errors:
+    InputError, HandcalError.
     """
     found = known(path, recording)
+    _check_axes(found.document, form, axes)
     full = correction.together(list(found.matrices.values()), found.bias)
     kept = full if form.keep is None else form.keep(full)
     has_bias = bool(found.learnt.biases)
@@ -126,8 +133,41 @@ def contents(
     header = _header(path, found, form, kept, recording)
     return Contents(
         path.name, header, kept, found.bias, found.hidden, has_bias, noise,
-        _rate(found.document), topic, axes, _parameters(found.document),
+        _rate(found.document), topic or _topic(found.document), axes or "flu",
+        _parameters(found.document),
     )  # fmt: skip
+
+
+def _check_axes(document: Mapping[str, Any], form: Format, axes: str | None) -> None:
+    """Errors: InputError where axes make no sense."""
+    if axes is None:
+        return
+    if not form.vehicle:
+        known = ", ".join(name for name, one in formats().items() if one.vehicle)
+        raise InputError(f"--axes is for {known}; {form.program} has the axes of the recording.")
+    if axes == "frd" and any(TURNED in said for said in warnings_of(document)):
+        raise InputError(
+            "--axes frd: this result is of a log whose axes were turned to forward, left, up when "
+            "it was read; leave --axes away."
+        )
+
+
+def warnings_of(document: Mapping[str, Any]) -> list[str]:
+    """What a result warns of, each once, on one line."""
+    found = [*document.get("warnings", [])]
+    for r in document.get("recordings", []):
+        found += r.get("warnings", [])
+    # (a backslash at its end would take a line of C into the comment)
+    return list(dict.fromkeys(" ".join(str(said).split()).rstrip("\\") for said in found))
+
+
+def _topic(document: Mapping[str, Any]) -> str:
+    """Where the Imu messages of the first recording were read, if it was a bag."""
+    for r in _recordings(document):
+        topic = str(r.get("streams", {}).get("imu", {}).get("topic", ""))
+        if re.fullmatch(r"/[\w/.~-]+", topic):  # (of a file, and on its way into YAML)
+            return topic
+    return "/imu"
 
 
 def _parameters(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:
@@ -197,7 +237,7 @@ def _rms(error: Array) -> tuple[float, float]:
 
 def _sized(rms: tuple[float, float] | None) -> str:
     if rms is None:
-        return "how much is not known; --recording FILE would tell"
+        return UNKNOWN
     parts = [f"{name} {value:.3g} {unit}" for name, value, unit
              in zip(("gyro", "accelerometer"), rms, UNITS, strict=True) if value > 0.0]  # fmt: skip
     return (", ".join(parts) + " RMS") if parts else "nothing in this recording"
@@ -293,7 +333,21 @@ def _header(
         lines.append(f"{i} {' '.join(axes)}: not observable in the recording, taken as zero")
     if form.keep is not None:
         lines += _left_lines(found, form, kept, recording)
+    if any(line.endswith(UNKNOWN) for line in lines):
+        lines.append(_command(path, found.document, form))
+    warned = [said for said in warnings_of(found.document) if TURNED not in said]
+    lines += [f"Warning: {said}" for said in warned]
     return (*lines, *form.notes)
+
+
+def _command(path: Path, document: Mapping[str, Any], form: Format) -> str:
+    """What would tell how much is left."""
+    name = next((n for n, one in formats().items() if one is form), "FORMAT")
+    files = [shlex.quote(Path(str(r["path"])).name) for r in _recordings(document)]
+    return (
+        f"How much: handcal export {shlex.quote(path.name)} --to {name} "
+        f"--recording {(files or ['FILE'])[0]} -o FILE"
+    )
 
 
 def _length(r: Mapping[str, Any]) -> str:

@@ -9,9 +9,16 @@ List", INS_*):
     force = (reading - (INS_ACCOFFS_X, ...)) * (INS_ACCSCAL_X, ...)
 
 rad/s and m/s^2; the gyro has no scale and nothing has misalignments. handcal's recordings have ROS
-axes (forward, left, up): y and z change sign; ``--axes frd`` if yours has ArduPilot's. The gyro's
-offsets are found anew at each start unless INS_GYR_CAL is 0. Scales outside 0.8 to 1.2 are refused
-by ArduPilot, and so are they here.
+axes (forward, left, up): y and z change sign; ``--axes frd`` is for a table of yours in ArduPilot's
+axes. The gyro's offsets are found anew at each start unless INS_GYR_CAL is 0. Scales outside 0.8 to
+1.2 are refused by ArduPilot, and so are they here.
+
+ArduPilot's own logs (.bin) are not read. The way round: its IMU messages as a table (pymavlink:
+``mavlogdump.py --format csv --types IMU``), of one instance I; columns ``t,gx,gy,gz,ax,ay,az`` from
+TimeUS (in s), Gyr and Acc, with the sign of y and z changed in both sensors (or as they are, and
+``--axes frd``). These are readings that ArduPilot has corrected and filtered already: with all
+INS_GYROFFS and INS_ACCOFFS zero and INS_ACCSCAL one they are raw but for the filter; otherwise what
+is found here is what those left, and the offsets add up.
 """
 
 from __future__ import annotations
@@ -48,4 +55,5 @@ FORMAT = Format(
     notes=("Signs: rate = reading - INS_GYROFFS; force = (reading - INS_ACCOFFS) * INS_ACCSCAL",
            "For a board with AHRS_ORIENTATION 0; INS_GYR_CAL 0 keeps the gyro's offsets"),
     needs_bias=True,
+    vehicle=True,
 )  # fmt: skip

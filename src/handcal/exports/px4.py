@@ -8,9 +8,15 @@ Gyroscope.hpp and Accelerometer.hpp; docs.px4.io, "Parameter Reference", CAL_*):
     force = rotation ((data - thermal_offset - (CAL_ACC0_XOFF, ...)) * (CAL_ACC0_XSCALE, ...))
 
 rad/s and m/s^2; the gyro has no scale and nothing has misalignments. handcal's recordings have ROS
-axes (forward, left, up): y and z change sign. If yours has PX4's own axes (a log), say
-``--axes frd``. The file holds for the first sensor of a board without SENS_BOARD_ROT; PX4 uses it
-only if CAL_GYRO0_ID and CAL_ACC0_ID name the device already, as they do after its own calibration.
+axes (forward, left, up), to which a log of PX4 (.ulg) is turned when it is read: y and z change
+sign. ``--axes frd`` is for a table of yours in PX4's axes. The file holds for the first sensor of a
+board without SENS_BOARD_ROT; PX4 uses it only if CAL_GYRO0_ID and CAL_ACC0_ID name the device
+already, as they do after its own calibration.
+
+Log the topics sensor_accel and sensor_gyro at full rate: lines ``sensor_accel 0 0`` and
+``sensor_gyro 0 0`` in etc/logging/logger_topics.txt on the card, and SDLOG_MODE 2 or ``logger on``
+(docs.px4.io, "Logging"). sensor_combined alone is what PX4 has corrected already by CAL_GYRO0_* and
+CAL_ACC0_*: what handcal then finds is what those left, and has to be added to them.
 """
 
 from __future__ import annotations
@@ -46,4 +52,5 @@ FORMAT = Format(
     notes=("Signs: rate = reading - CAL_GYRO0_OFF; force = (reading - CAL_ACC0_OFF) * SCALE",
            "For a board without SENS_BOARD_ROT whose CAL_GYRO0_ID and CAL_ACC0_ID are set"),
     needs_bias=True,
+    vehicle=True,
 )  # fmt: skip

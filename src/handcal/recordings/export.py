@@ -17,7 +17,7 @@ from handcal import output
 from handcal.recordings.inputs._messages import ByteArray, body_offset
 from handcal.recordings.inputs._repair import nanoseconds
 from handcal.recordings.streams import STREAMS, TWINS, Stream
-from handcal.types import Array, BoolArray, HandcalError, IntArray, Recording
+from handcal.types import Array, BoolArray, HandcalError, InputError, IntArray, Recording
 
 # Small chunks, so that a truncated file gives back nearly all it holds.
 CHUNK_SIZE = 64 * 1024
@@ -26,6 +26,12 @@ CHUNK_SIZE = 64 * 1024
 def write_mcap(recording: Recording, path: str | Path) -> None:
     """Write the recording. Errors: HandcalError if the file cannot be written."""
     _write({"": recording}, path)
+
+
+def check_ending(path: Path) -> None:
+    """Errors: InputError for a name of another format than is written."""
+    if path.suffix.lower() != ".mcap":
+        raise InputError(f"{path}: what is written is MCAP; give it a name that ends in .mcap.")
 
 
 def write_twin(recorded: Recording, before: Recording, after: Recording, path: str | Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,7 +25,7 @@ class Stamps:
 
     readings: how many; rate_hz: by the median step; jitter_s: standard deviation of the steps
     that are no gaps; gaps: steps of over five usual ones; longest_s, at_s: the longest of them,
-    and when it begins (0 without gaps); first_s, last_s: on the IMU's clock.
+    and when it begins (0 without gaps); first_s, last_s: on the IMU's clock. topic: of a bag.
     """
 
     stream: str
@@ -37,6 +37,7 @@ class Stamps:
     at_s: float
     first_s: float
     last_s: float
+    topic: str = ""
 
 
 @dataclass(frozen=True)
@@ -77,6 +78,7 @@ def overview(recording: Recording) -> Overview:
     found = tuple(each_rest(recording))
     streams = [_stamps("imu", imu.t)]
     streams += [_stamps(name, series.t) for name, series in recording.streams.items()]
+    streams = [replace(s, topic=recording.topics.get(s.stream, "")) for s in streams]
     return Overview(
         recording,
         tuple(streams),

@@ -52,9 +52,10 @@ def info_json(info: Info) -> dict[str, Any]:
         "units": {"stated": info.units, "evidence": unit_sentences(o),
                   "gravity_read": o.gravity, "turning_error_rad": list(o.turning)},
         "streams": [
-            {"stream": s.stream, "columns": list(STREAMS[s.stream].columns),
-             "unit": STREAMS[s.stream].unit, "readings": s.readings, "rate_hz": s.rate_hz,
-             "jitter_s": s.jitter_s, "first_s": s.first_s, "last_s": s.last_s,
+            {"stream": s.stream, **({"topic": s.topic} if s.topic else {}),
+             "columns": list(STREAMS[s.stream].columns), "unit": STREAMS[s.stream].unit,
+             "readings": s.readings, "rate_hz": s.rate_hz, "jitter_s": s.jitter_s,
+             "first_s": s.first_s, "last_s": s.last_s,
              "gaps": {"count": s.gaps, "longest_s": s.longest_s, "at_s": s.at_s}}
             for s in o.streams
         ],
@@ -142,15 +143,17 @@ def print_info(info: Info, console: Console) -> None:
 
 
 def _table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Any:
+    from rich.markup import escape
+
     out = table(columns[0], *(f">{c}" for c in columns[1:]))
     for row in rows:
-        out.add_row(*row)
+        out.add_row(*map(escape, row))
     return out
 
 
 # What a stamp can tell, s; jitter below it is rounding.
 STAMP_S = 1e-9
-STREAM_COLUMNS = ("stream", "readings", "rate", "jitter", "gaps", "longest gap")
+STREAM_COLUMNS = ("stream", "topic", "readings", "rate", "jitter", "gaps", "longest gap")
 TURN_COLUMNS = ("turned about", "forward", "back", "fastest", "largest force")
 SEEN_COLUMNS = ("could teach", "shown", "sigma", "usual")
 
@@ -173,6 +176,7 @@ def stream_row(s: Stamps) -> tuple[str, ...]:
     longest = f"{s.longest_s:.3g} s at {s.at_s:.1f} s" if s.gaps else "–"
     return (
         STREAMS[s.stream].title,
+        s.topic or "–",
         str(s.readings),
         f"{s.rate_hz:.4g} Hz",
         "none" if s.jitter_s < STAMP_S else f"{jitter.value(s.jitter_s)} {jitter.unit}",

@@ -29,11 +29,12 @@ POSE_LIKE = {
 
 @dataclass(frozen=True)
 class Decoded:
-    """stamp (n,) ns of the header; value (n, d) the needed fields; valid (n,)."""
+    """stamp (n,) ns of the header; value (n, d) the needed fields; lacking (n, k): of each field
+    of ``absent``, whether it says that there is no reading."""
 
     stamp: IntArray
     value: Array
-    valid: BoolArray
+    lacking: BoolArray
 
 
 def schema_key(name: str) -> str:
@@ -108,8 +109,8 @@ def _decode_same(block: ByteArray, order: str, start: int, layout: Message, topi
     body = np.ascontiguousarray(block[:, start:end]).view(f"{order}f8").astype(np.float64)
     seconds = _u32(block, 4, order).astype(np.int32).astype(np.int64)
     stamp = seconds * 1_000_000_000 + _u32(block, 8, order)
-    valid = np.all(body[:, layout.index(layout.absent)] != -1, axis=1)
-    return Decoded(stamp, body[:, layout.index(layout.needed)], valid)
+    lacking = body[:, layout.index(layout.absent)] == -1
+    return Decoded(stamp, body[:, layout.index(layout.needed)], lacking)
 
 
 def _u32(block: ByteArray, at: int, order: str) -> IntArray:
@@ -121,7 +122,7 @@ def joined(parts: list[Decoded]) -> Decoded:
     return Decoded(
         np.concatenate([p.stamp for p in parts]),
         np.concatenate([p.value for p in parts]),
-        np.concatenate([p.valid for p in parts]),
+        np.concatenate([p.lacking for p in parts]),
     )
 
 
@@ -142,10 +143,8 @@ def decode_json(message: bytes, layout: Message, topic: str, nested: bool = Fals
     if abs(ns) > 9e18:
         raise InputError(f"A time stamp on {topic} is further away than 280 years.")
     value = [_number(_at(tree, name), name, topic) for name in layout.needed]
-    valid = all(_at(tree, name) != -1 for name in layout.absent)
-    return Decoded(
-        np.array([ns], dtype=np.int64), np.array([value]), np.array([valid], dtype=np.bool_)
-    )
+    lacking = np.array([[_at(tree, name) == -1 for name in layout.absent]], dtype=np.bool_)
+    return Decoded(np.array([ns], dtype=np.int64), np.array([value]), lacking)
 
 
 def _at(tree: object, path: str) -> object:

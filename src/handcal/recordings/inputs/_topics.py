@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +23,12 @@ from handcal.recordings.inputs._messages import (
 from handcal.recordings.inputs._options import Options
 from handcal.recordings.inputs._repair import Columns, assemble, columns
 from handcal.recordings.streams import STREAMS, TWINS, Stream, message_of
-from handcal.types import Array, InputError, IntArray, Recording
+from handcal.types import Array, BoolArray, InputError, IntArray, Recording
+
+# What Imu.msg calls the two sensors, in the order of ``absent`` of its row.
+_SENSORS = (("angular velocity", "angular_velocity"), ("acceleration", "linear_acceleration"))
+# Of a name that says so: before a driver took anything off.
+_RAW = re.compile(r"(^|[/_.-])raw($|[/_.-])")
 
 
 @dataclass(frozen=True)
@@ -85,15 +92,16 @@ def recording_from_topics(
     path: Path, topics: Sequence[Topic], options: Options, warnings: tuple[str, ...]
 ) -> Recording:
     """Assign the topics to streams and assemble them. Errors: InputError."""
-    chosen = _chosen(path, topics, options)
-    named = {
-        stream: _columns([topic for topic in topics if topic.name == name and topic.parts])
+    chosen, said = _chosen(path, topics, options)
+    held = {
+        stream: [topic for topic in topics if topic.name == name and topic.parts]
         for stream, name in chosen.items()
     }
+    named = {stream: _columns(channels) for stream, channels in held.items()}
     imu = named.pop("imu")
     value = imu.value * _factors(STREAMS["imu"], options)
-    gyro = columns(imu.ns, value[:, :3], imu.valid)
-    accel = columns(imu.ns, value[:, 3:], imu.valid)
+    lacking = _column(held["imu"], "lacking")
+    gyro, accel, flagged = both_sensors(path, chosen["imu"], imu.ns, value, lacking)
     streams = {}
     for stream, raw in named.items():
         row = STREAMS[stream]
@@ -101,7 +109,36 @@ def recording_from_topics(
         if row.quantities:
             value = value * _factors(row, options)
         streams[stream] = columns(raw.ns, value, raw.valid)
-    return assemble(path, gyro, accel, streams, warnings)
+    made = assemble(path, gyro, accel, streams, (*warnings, *said, *flagged))
+    return replace(made, topics={n: chosen[n] for n in ("imu", *streams) if n in chosen})
+
+
+def both_sensors(
+    path: Path, topic: str, ns: IntArray, value: Array, lacking: BoolArray
+) -> tuple[Columns, Columns, tuple[str, ...]]:
+    """Gyro and accelerometer of messages (n, 6), and warnings. lacking (n, 2): the message says
+    that it holds no reading of that sensor. Errors: InputError where all say so of one."""
+    for k, (kind, field) in enumerate(_SENSORS):
+        if len(ns) and lacking[:, k].all():
+            raise InputError(
+                f"{path}: all {len(ns)} messages of {topic} say that they hold no {kind} "
+                f"({field}_covariance[0] is -1)."
+            )
+    if len(ns) and lacking.any(axis=1).all():  # (they take turns)
+        rate, force = ~lacking.T
+        gyro, accel = columns(ns[rate], value[rate, :3]), columns(ns[force], value[force, 3:])
+        return gyro, accel, ()
+    valid = np.logical_not(lacking.any(axis=1))
+    parts = [(none, kind) for none, (kind, _) in zip(lacking.T, _SENSORS, strict=True)]
+    if np.array_equal(*lacking.T):
+        parts = [(lacking[:, 0], "reading")]
+    said = tuple(
+        f"{int(none.sum())} of {len(ns)} messages of {topic} say that they hold no {kind} "
+        "(covariance -1) and are not trusted."
+        for none, kind in parts
+        if none.any()
+    )
+    return columns(ns, value[:, :3], valid), columns(ns, value[:, 3:], valid), said
 
 
 def _factors(row: Stream, options: Options) -> Array:
@@ -112,17 +149,28 @@ def _factors(row: Stream, options: Options) -> Array:
 
 def _columns(channels: Sequence[Topic]) -> Columns:
     """The messages of one topic in the order of the file, stamped. Header time, else log time."""
+    stamp = _column(channels, "stamp")
+    if not stamp.any():
+        parts = [part for channel in channels for part in channel.parts]
+        order = np.argsort(np.concatenate([p.order for p in parts]), kind="stable")
+        stamp = np.concatenate([p.log_ns for p in parts])[order]
+    valid = np.logical_not(_column(channels, "lacking").any(axis=1))
+    return columns(stamp, _column(channels, "value"), valid)
+
+
+def _column(channels: Sequence[Topic], name: str) -> np.ndarray[Any, np.dtype[Any]]:
+    """A field of all messages of one topic, in the order of the file."""
     parts = [part for channel in channels for part in channel.parts]
     order = np.argsort(np.concatenate([p.order for p in parts]), kind="stable")
-    stamp = np.concatenate([p.decoded.stamp for p in parts])[order]
-    if not stamp.any():
-        stamp = np.concatenate([p.log_ns for p in parts])[order]
-    value = np.concatenate([p.decoded.value for p in parts])[order]
-    return columns(stamp, value, np.concatenate([p.decoded.valid for p in parts])[order])
+    return np.concatenate([getattr(p.decoded, name) for p in parts])[order]
 
 
-def _chosen(path: Path, topics: Sequence[Topic], options: Options) -> Mapping[str, str]:
-    """Topic by stream. Errors: InputError if there is no IMU, or several that fit."""
+def _chosen(
+    path: Path, topics: Sequence[Topic], options: Options
+) -> tuple[Mapping[str, str], list[str]]:
+    """Topic by stream, and where there was a choice, what was taken. Errors: InputError if there
+    is no IMU, or several that fit."""
+    said: list[str] = []
     chosen = {s: name for s, name in options.topics.items() if name}
     by_schema: dict[str, list[str]] = {}
     exact = {topic.schema for topic in topics if topic.parts}
@@ -152,24 +200,44 @@ def _chosen(path: Path, topics: Sequence[Topic], options: Options) -> Mapping[st
         fitting = _fitting(free, row, path)
         if fitting is not None:
             chosen[row.name] = fitting
+            said += _choice(row, fitting, free, topics)
     if "imu" not in chosen:
         raise InputError(
             f"{path} has no IMU: no messages of sensor_msgs/msg/Imu in cdr or json; "
             f"{_listing(topics)}."
         )
-    return chosen
+    return chosen, said
+
+
+def _choice(row: Stream, taken: str, free: list[str], topics: Sequence[Topic]) -> list[str]:
+    """Which of several topics was taken for a stream, and why."""
+    if row.named or len(free) < 2:
+        return []
+
+    def sized(name: str) -> str:
+        parts = [part for topic in topics if topic.name == name for part in topic.parts]
+        return f"{name} ({sum(len(part.order) for part in parts)} messages)"
+
+    why = "its usual name" if taken.endswith(row.topic) else "the raw one"
+    others = sorted(name for name in free if name != taken)
+    return [
+        f"{row.title}: of {len(free)} topics {sized(taken)} was taken, {why}; there "
+        f"{'are' if len(others) > 1 else 'is'} also {', '.join(map(sized, others))}; choose with "
+        f"--topic {row.name}={others[0]}."
+    ]
 
 
 def _fitting(free: list[str], row: Stream, path: Path) -> str | None:
-    """The one topic for a stream; by its usual name where several have the schema."""
+    """The one topic for a stream; by its usual name where several have the schema, else raw."""
     usual, spare = row.topic, row.named and row.inertial  # (there must be one for the IMU)
     for named in ([n for n in free if n == usual], [n for n in free if n.endswith(usual)]):
         if len(named) == 1 and (len(free) > 1 or not spare):
             return named[0]
     if row.named or not free:
         return None
-    if len(free) == 1:
-        return free[0]
+    raw = [n for n in free if _RAW.search(n)]
+    if len(free) == 1 or len(raw) == 1:
+        return (raw or free)[0]
     raise InputError(
         f"{path} has several topics that could be {row.name}: {', '.join(sorted(free))}; "
         f"choose one with --topic {row.name}={sorted(free)[0]}."

@@ -1,11 +1,12 @@
 """Logs of PX4 (.ulg): ULog, as its specification has it.
 
 Rate in rad/s and specific force in m/s^2 in the autopilot's axes: x forward, y to the right, z
-down, so that a level vehicle at rest reads -9.81 on z, which is +g on the axis up. The raw
-sensor_gyro and sensor_accel, the first of each, are taken where they were logged as often as
-sensor_combined, which PX4 has corrected by a calibration of its own: that is said. The
-magnetometer, gauss, is sensor_mag beside the raw ones, else vehicle_magnetometer. A mocap's pose
-has a world with z down, which is turned about its x so that z is up. Stamps: us since boot.
+down, so that a level vehicle at rest reads -9.81 on z. All of it is turned about x to handcal's
+axes, forward, left, up, and that is said. The raw sensor_gyro and sensor_accel, the first of each,
+are taken where they were logged as often as sensor_combined, which PX4 has corrected by a
+calibration of its own: that is said. The magnetometer, gauss, is sensor_mag beside the raw ones,
+else vehicle_magnetometer. Of a mocap's pose body and world, whose z is down, are turned alike.
+Stamps: us since boot.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,10 @@ from handcal.recordings.inputs._zip import LARGEST, stated
 from handcal.types import Array, InputError, Recording
 
 UNDERSTOOD = "a log of PX4 (.ulg)"
-UNITS = "rad/s, m/s^2, gauss, m; axes forward, right, down: at rest -9.81 on z, +g on the axis up"
+UNITS = (
+    "rad/s, m/s^2, gauss, m; PX4's axes (forward, right, down: at rest -9.81 on z), read into "
+    "forward, left, up (REP 103)"
+)
 STREAMS_READ = "IMU, magnetometer, temperature, pose (vehicle_mocap_odometry)"
 TRIED = "logs written by ULog's specification, which pyulog reads alike"
 ENDINGS = (".ulg",)
@@ -40,6 +44,8 @@ _AT_ONCE = 50_000
 _KINDS = "BFIMPQARDLCSO"
 _DATA, _FLAGS, _FORMAT, _ADDED = (ord(kind) for kind in "DBFA")
 _FIELD = re.compile(r"(\w+?)(?:\[(\d{1,5})\])? (\w+)")
+TURNED = np.array([1.0, -1.0, -1.0])  # forward, right, down to forward, left, up
+_SAID = "PX4's axes (forward, right, down) were turned to forward, left, up."
 _TYPES = {
     **{f"{sign}int{8 * n}_t": f"<{sign or 'i'}{n}" for sign in ("", "u") for n in (1, 2, 4, 8)},
     "float": "<f4", "double": "<f8", "bool": "<u1", "char": "<u1",
@@ -56,7 +62,7 @@ def read(path: Path, options: Options) -> Recording:
     """Read the recording. Errors: InputError."""
     topics, said = _topics(path)
     options.progress(1.0)
-    said = [*stated("PX4", options), *said]
+    said = [*stated("PX4", options), *said, _SAID]
     whole = topics.get("sensor_combined", {})
     raw = all(name in topics for name in _TOPICS[:2]) and all(
         2 * len(topics[name]["timestamp"]) > len(whole.get("timestamp", ())) for name in _TOPICS[:2]
@@ -77,7 +83,14 @@ def read(path: Path, options: Options) -> Recording:
         streams = _further(topics, raw)
     except KeyError as error:
         raise InputError(f"{path}: a topic of its IMU lacks the field {error}.") from error
-    return assemble(path, gyro, accel, streams, tuple(said))
+    names = {
+        "imu": "sensor_gyro, sensor_accel" if raw else "sensor_combined",
+        "mag": "sensor_mag" if raw else "vehicle_magnetometer",
+        "temperature": "sensor_accel",
+        "pose": "vehicle_mocap_odometry",
+    }
+    made = assemble(path, gyro, accel, streams, tuple(said))
+    return replace(made, topics={s: names[s] for s in ("imu", *made.streams)})
 
 
 def _topics(path: Path) -> tuple[dict[str, _Fields], list[str]]:
@@ -190,17 +203,20 @@ def _further(topics: Mapping[str, _Fields], raw: bool) -> dict[str, Columns]:
         streams["temperature"] = columns(_stamps(fields), _floats(fields["temperature"])[:, None])
     if "vehicle_mocap_odometry" in topics:
         fields = topics["vehicle_mocap_odometry"]
-        place = [_floats(fields[f"position[{k}]"]) for k in range(3)]
-        w, x, y, z = (_floats(fields[f"q[{k}]"]) for k in range(4))
-        turned = np.column_stack([place[0], -place[1], -place[2], -x, w, -z, y])
+        place, q = (
+            np.column_stack([_floats(fields[f"{name}[{k}]"]) for k in range(n)])
+            for name, n in (("position", 3), ("q", 4))
+        )
+        turned = np.hstack([place * TURNED, q[:, :2], -q[:, 2:]])
         streams["pose"] = columns(_stamps(fields), turned)
     return streams
 
 
 def _vector(fields: _Fields, name: str, factor: float) -> Columns:
+    """A vector (n, 3) in forward, left, up."""
     names = [f"{name}[{k}]" for k in range(3)] if name else ["x", "y", "z"]
     value = np.column_stack([_floats(fields[n]) for n in names])
-    return columns(_stamps(fields), factor * value)
+    return columns(_stamps(fields), factor * TURNED * value)
 
 
 def _floats(field: Array) -> Array:

@@ -110,7 +110,11 @@ def recording_json(recording: Recording, assume: str) -> dict[str, Any]:
         "path": recording.path,
         "duration_s": finite(recording.duration_s),
         "imu_rate_hz": finite(recording.rate_hz),
-        "streams": {name: {"samples": int(t.size)} for name, t in streams.items()},
+        "streams": {
+            name: {"samples": int(t.size)}
+            | ({"topic": recording.topics[name]} if name in recording.topics else {})
+            for name, t in streams.items()
+        },
         "assume": assume,
         "sha256": digest(Path(recording.path)),
         **_day(recording),

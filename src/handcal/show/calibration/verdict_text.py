@@ -7,6 +7,7 @@ import math
 from collections.abc import Sequence
 
 from handcal.estimate.noise_levels import white_levels
+from handcal.estimate.rest_only import DOUBTED
 from handcal.show.words import (
     NBSP,
     Verdict,
@@ -130,9 +131,12 @@ def verdict(result: Result) -> Verdict:
     overconfident = bool(lacking) or any(
         nis_word(i) == "too confident" for i in result.innovations.values()
     )
+    fell_back = any(w.startswith(DOUBTED) for w in result.warnings)
     beside = bool(learnt) and "known_input" in result.innovations
     if not (beside or any(p.observable for p in biases)):
         level, headline = "poor", "This motion did not show the sensor's biases."
+    elif fell_back:
+        level, headline = "partly", "These numbers are of the rests alone, and may be far off."
     elif n == of and not overconfident:
         level, headline = "good", "Every parameter was learnt, and the numbers hold together."
     elif overconfident:
@@ -144,7 +148,13 @@ def verdict(result: Result) -> Verdict:
     if groups:
         known = listed([_known_to(g) for g in groups])
         sentences.append(f"If the model is complete, known to one sigma: {known}.")
-    if result.innovations and not doubts:
+    if fell_back:
+        sentences.append(
+            "As a held point the hand would have moved too far. Effects that the model lacks look "
+            "the same, and then they are in these biases, many times the ± values: handcal explain "
+            "tells the two apart."
+        )
+    elif result.innovations and not doubts:
         sentences.append("The residuals match the predicted uncertainty.")
     sentences += doubts
     if overconfident and not result.repeated:
