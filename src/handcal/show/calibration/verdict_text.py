@@ -143,6 +143,19 @@ def verdict(result: Result) -> Verdict:
         level, headline = "partly", "Something in this recording is not explained by the model."
     else:
         level, headline = "partly", f"{n} of {of} parameters were learnt from this motion."
+    more = _sentences(result, learnt, doubts, fell_back)
+    if overconfident and not result.repeated:
+        more.append(
+            "Usual causes: a held point that moved, or an effect that --effects did not include: "
+            "handcal explain tries them all."
+        )
+    return Verdict(level, headline, tuple(more))
+
+
+def _sentences(
+    result: Result, learnt: Sequence[Parameter], doubts: Sequence[str], fell_back: bool
+) -> list[str]:
+    """What is known, and what there is to doubt."""
     sentences: list[str] = []
     groups = [g for g in by_effect(learnt).values() if len(g) and g[0].unit]
     if groups:
@@ -156,13 +169,7 @@ def verdict(result: Result) -> Verdict:
         )
     elif result.innovations and not doubts:
         sentences.append("The residuals match the predicted uncertainty.")
-    sentences += doubts
-    if overconfident and not result.repeated:
-        sentences.append(
-            "Usual causes: a held point that moved, or an effect that --effects did not include: "
-            "handcal explain tries them all."
-        )
-    return Verdict(level, headline, tuple(sentences))
+    return [*sentences, *doubts]
 
 
 def not_shown(result: Result) -> tuple[str, ...]:
