@@ -5,13 +5,16 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 # Before numpy is imported: threads on matrices of twenty rows cost more than they bring.
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
 import pytest  # noqa: E402
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 
 @pytest.fixture(scope="session")
@@ -22,6 +25,14 @@ def real_recordings() -> Path:
     if not (folder / "xio_fusion.csv").is_file():
         pytest.skip(f"no real recordings in {folder} (set HANDCAL_RECORDINGS)")
     return folder
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    from browsers import chromium
+
+    with chromium() as started:
+        yield started
 
 
 @pytest.fixture(scope="session", autouse=True)

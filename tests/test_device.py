@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import shutil
 import sys
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -49,7 +48,7 @@ def recorded(seed, scale=SCALE, day=0.0):
 def session(result, tmp_path, name="x"):
     path = tmp_path / f"{name}.json"
     write_json(calibration_json(result), path)
-    return device_file.session_of(path, "phone")
+    return device_file.session_of(path, device_file.read_result(path), "phone")
 
 
 @pytest.fixture(scope="module")
@@ -286,25 +285,18 @@ def test_the_page_draws_each_parameter(told, tmp_path):
     assert ">nan" not in page
 
 
-def test_no_page_is_wider_than_a_telephone(tmp_path):
+def test_no_page_is_wider_than_a_telephone(browser, tmp_path):
     """However long the names are, and whatever is drawn."""
-    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    chromium = shutil.which("chromium") or shutil.which("google-chrome")
-    if chromium is None:
-        pytest.skip("no chromium on this machine")
     long = "a_telephone_that_was_turned_about_all_axes" * 3
     known = Device(long, (replace(made(0, gyro_bias_x=(0.01, 1e-3)), recordings=(long,)),))
     write_device_report(known, DAY, tmp_path / "device.html")
     fake = fake_result()
     recording = replace(fake.recording, path=f"{long}.mcap")
     write_info_report(Info("x", long, overview(recording), ()), tmp_path / "info.html")
-    with sync_api.sync_playwright() as p:
-        browser = p.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
-        tab = browser.new_page(viewport={"width": 390, "height": 800})
-        for page in ("device", "info"):
-            tab.goto((tmp_path / f"{page}.html").as_uri())
-            assert tab.evaluate("document.documentElement.scrollWidth") <= 390, page
-        browser.close()
+    tab = browser.new_page(viewport={"width": 390, "height": 800})
+    for page in ("device", "info"):
+        tab.goto((tmp_path / f"{page}.html").as_uri())
+        assert tab.evaluate("document.documentElement.scrollWidth") <= 390, page
 
 
 @pytest.mark.prove

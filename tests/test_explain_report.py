@@ -4,7 +4,6 @@ import io
 import json
 import math
 import re
-import shutil
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -476,18 +475,6 @@ def test_a_folder_that_does_not_exist_is_a_sentence(tmp_path):
     for write in (write_explanation_report, dashboard.save_explanation_rrd):
         with pytest.raises(HandcalError, match="could not be written"):
             write(e, tmp_path / "none" / "x")
-
-
-@pytest.fixture(scope="module")
-def browser():
-    path = shutil.which("chromium") or shutil.which("google-chrome")
-    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    if path is None:
-        pytest.skip("no chromium on this machine")
-    with api.sync_playwright() as p:
-        started = p.chromium.launch(executable_path=path, args=["--no-sandbox"])
-        yield started
-        started.close()
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(1180, "light"), (375, "dark")])

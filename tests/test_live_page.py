@@ -5,11 +5,9 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +17,7 @@ import pytest
 pytest.importorskip("aiohttp")
 
 from live_page import Page, rows_of, served
-from playwright.sync_api import Browser, expect, sync_playwright
+from playwright.sync_api import Browser, expect
 from playwright.sync_api import Page as Tab
 from sample_recording import sample
 
@@ -77,17 +75,6 @@ def test_a_killed_server_loses_nothing_that_it_acknowledged(tmp_path):
     ns = append.held(folder / "recording.mcap").streams["imu"][0]
     sent = np.concatenate([r["t"] for r in rows])
     assert np.array_equal(ns, np.rint(sent * 1e6).astype(np.int64))
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    path = shutil.which("chromium") or shutil.which("google-chrome")
-    if path is None:
-        pytest.skip("no chromium on this machine")
-    with sync_playwright() as p:
-        started = p.chromium.launch(executable_path=path, args=["--no-sandbox"])
-        yield started
-        started.close()
 
 
 def opened(browser: Browser, link: Link, scheme: Any = "light") -> tuple[Tab, list[str]]:

@@ -1,7 +1,6 @@
 """The HTML report: whole in one file, right in its numbers, and drawn by a browser."""
 
 import re
-import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -126,18 +125,6 @@ def test_thinning_keeps_the_peaks():
     assert len(thin_t) < 2 * drawing.POINTS + 4
     assert thin_y.max() == 9.0
     assert np.all(np.diff(thin_t) > 0)
-
-
-@pytest.fixture(scope="module")
-def browser():
-    path = shutil.which("chromium") or shutil.which("google-chrome")
-    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    if path is None:
-        pytest.skip("no chromium on this machine")
-    with api.sync_playwright() as p:
-        started = p.chromium.launch(executable_path=path, args=["--no-sandbox"])
-        yield started
-        started.close()
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(1100, "light"), (375, "dark")])

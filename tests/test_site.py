@@ -10,10 +10,14 @@ import subprocess
 import sys
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import TYPE_CHECKING
 from urllib.parse import unquote, urlsplit
 
 import pytest
 import yaml
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 ROOT = Path(__file__).resolve().parents[1]
 OF_THE_ROOT = {"readme.md", "changelog.md", "contributing.md"}
@@ -101,34 +105,26 @@ def test_links_lead_somewhere_and_nothing_comes_from_outside(site: Path) -> None
 
 
 @pytest.mark.prove
-def test_a_browser_reads_it_from_the_disk(site: Path) -> None:
+def test_a_browser_reads_it_from_the_disk(browser: Browser, site: Path) -> None:
     """On a phone and on a screen: nothing is asked for, no page is wider than the window, and the
     search finds."""
-    browser = shutil.which("chromium") or shutil.which("google-chrome")
-    if browser is None:
-        pytest.skip("no browser here")
-    from playwright.sync_api import sync_playwright
-
     wrong: list[str] = []
-    with sync_playwright() as p:
-        started = p.chromium.launch(executable_path=browser, args=["--no-sandbox"])
-        tab = started.new_context(offline=True).new_page()
-        tab.on("console", lambda m: wrong.append(m.text) if m.type == "error" else None)
-        tab.on("pageerror", lambda e: wrong.append(str(e)))
-        here = ("file:", "data:", "about:", "blob:")
-        tab.on("request", lambda r: None if r.url.startswith(here) else wrong.append(r.url))
-        for width in (390, 1280):
-            tab.set_viewport_size({"width": width, "height": 900})
-            for path in sorted(site.rglob("*.html")):
-                if path.name == "404.html":
-                    continue
-                tab.goto(path.as_uri())
-                wide = tab.evaluate("document.documentElement.scrollWidth")
-                if wide > width:
-                    wrong.append(f"{path.name} is {wide} wide at {width}")
-        tab.goto((site / "index.html").as_uri())
-        tab.click(".md-search__input")
-        tab.keyboard.type("lever arm")
-        tab.wait_for_selector(".md-search-result__article", timeout=10_000)
-        started.close()
+    tab = browser.new_context(offline=True).new_page()
+    tab.on("console", lambda m: wrong.append(m.text) if m.type == "error" else None)
+    tab.on("pageerror", lambda e: wrong.append(str(e)))
+    here = ("file:", "data:", "about:", "blob:")
+    tab.on("request", lambda r: None if r.url.startswith(here) else wrong.append(r.url))
+    for width in (390, 1280):
+        tab.set_viewport_size({"width": width, "height": 900})
+        for path in sorted(site.rglob("*.html")):
+            if path.name == "404.html":
+                continue
+            tab.goto(path.as_uri())
+            wide = tab.evaluate("document.documentElement.scrollWidth")
+            if wide > width:
+                wrong.append(f"{path.name} is {wide} wide at {width}")
+    tab.goto((site / "index.html").as_uri())
+    tab.click(".md-search__input")
+    tab.keyboard.type("lever arm")
+    tab.wait_for_selector(".md-search-result__article", timeout=10_000)
     assert wrong == []

@@ -6,7 +6,6 @@ import math
 import multiprocessing
 import os
 import re
-import shutil
 import signal
 from concurrent.futures import Executor, Future
 from concurrent.futures.process import BrokenProcessPool
@@ -472,23 +471,16 @@ def test_columns_are_explained_and_a_far_ratio_has_its_cause(page, whole):
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(1100, "light"), (375, "dark")])
-def test_a_browser_without_network_draws_the_page_without_complaint(page, width, scheme):
-    path = shutil.which("chromium") or shutil.which("google-chrome")
-    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    if path is None:
-        pytest.skip("no chromium on this machine")
-    with api.sync_playwright() as p:
-        browser = p.chromium.launch(executable_path=path, args=["--no-sandbox"])
-        context = browser.new_context(
-            offline=True, viewport={"width": width, "height": 800}, color_scheme=scheme
-        )
-        tab, said = context.new_page(), []
-        tab.on("console", lambda m: said.append(m.text))
-        tab.on("pageerror", lambda e: said.append(str(e)))
-        tab.goto(page.as_uri())
-        assert said == []
-        assert tab.evaluate("document.documentElement.scrollWidth") <= width
-        browser.close()
+def test_a_browser_without_network_draws_the_page_without_complaint(browser, page, width, scheme):
+    context = browser.new_context(
+        offline=True, viewport={"width": width, "height": 800}, color_scheme=scheme
+    )
+    tab, said = context.new_page(), []
+    tab.on("console", lambda m: said.append(m.text))
+    tab.on("pageerror", lambda e: said.append(str(e)))
+    tab.goto(page.as_uri())
+    assert said == []
+    assert tab.evaluate("document.documentElement.scrollWidth") <= width
 
 
 def test_a_scheduler_that_is_gone_is_not_waited_for(monkeypatch):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import http.client
-import shutil
 import socket
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,26 +10,20 @@ from urllib.parse import urlsplit
 
 import pytest
 import rerun as rr
+from browsers import chromium
 from fake_result import fake_frames, fake_result
-from playwright.sync_api import Browser, Error, sync_playwright
+from playwright.sync_api import Browser, Error
 
 from handcal.show import dashboard, frames
 from handcal.show.viewer import Viewer, viewer
 
-ALONE = ["--no-sandbox", "--disable-background-networking", "--disable-component-update"]
+ALONE = ["--disable-background-networking", "--disable-component-update"]
 
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    path = shutil.which("chromium") or shutil.which("google-chrome")
-    if path is None:
-        pytest.skip("no chromium on this machine")
-    with sync_playwright() as p:
-        started = p.chromium.launch(
-            executable_path=path, args=[*ALONE, "--use-gl=angle", "--use-angle=swiftshader"]
-        )
+    with chromium(*ALONE, "--use-gl=angle", "--use-angle=swiftshader") as started:
         yield started
-        started.close()
 
 
 @pytest.fixture
