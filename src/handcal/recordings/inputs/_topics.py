@@ -6,7 +6,6 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -97,18 +96,17 @@ def recording_from_topics(
         stream: [topic for topic in topics if topic.name == name and topic.parts]
         for stream, name in chosen.items()
     }
-    named = {stream: _columns(channels) for stream, channels in held.items()}
-    imu = named.pop("imu")
+    messages = {stream: _in_order(channels) for stream, channels in held.items()}
+    imu = messages.pop("imu")
     value = imu.value * _factors(STREAMS["imu"], options)
-    lacking = _column(held["imu"], "lacking")
-    gyro, accel, flagged = both_sensors(path, chosen["imu"], imu.ns, value, lacking)
+    gyro, accel, flagged = both_sensors(path, chosen["imu"], imu.stamp, value, imu.lacking)
     streams = {}
-    for stream, raw in named.items():
+    for stream, raw in messages.items():
         row = STREAMS[stream]
         value = raw.value if row.decode is None else row.decode(raw.value)
         if row.quantities:
             value = value * _factors(row, options)
-        streams[stream] = columns(raw.ns, value, raw.valid)
+        streams[stream] = columns(raw.stamp, value, np.logical_not(raw.lacking.any(axis=1)))
     made = assemble(path, gyro, accel, streams, (*warnings, *said, *flagged))
     return replace(made, topics={n: chosen[n] for n in ("imu", *streams) if n in chosen})
 
@@ -147,22 +145,13 @@ def _factors(row: Stream, options: Options) -> Array:
     return np.repeat(factors, len(row.columns) // len(factors))
 
 
-def _columns(channels: Sequence[Topic]) -> Columns:
-    """The messages of one topic in the order of the file, stamped. Header time, else log time."""
-    stamp = _column(channels, "stamp")
-    if not stamp.any():
-        parts = [part for channel in channels for part in channel.parts]
-        order = np.argsort(np.concatenate([p.order for p in parts]), kind="stable")
-        stamp = np.concatenate([p.log_ns for p in parts])[order]
-    valid = np.logical_not(_column(channels, "lacking").any(axis=1))
-    return columns(stamp, _column(channels, "value"), valid)
-
-
-def _column(channels: Sequence[Topic], name: str) -> np.ndarray[Any, np.dtype[Any]]:
-    """A field of all messages of one topic, in the order of the file."""
+def _in_order(channels: Sequence[Topic]) -> Decoded:
+    """The messages of one topic in the order of the file. Stamped by header time, else log time."""
     parts = [part for channel in channels for part in channel.parts]
     order = np.argsort(np.concatenate([p.order for p in parts]), kind="stable")
-    return np.concatenate([getattr(p.decoded, name) for p in parts])[order]
+    whole = joined([p.decoded for p in parts])
+    stamp = whole.stamp if whole.stamp.any() else np.concatenate([p.log_ns for p in parts])
+    return Decoded(stamp[order], whole.value[order], whole.lacking[order])
 
 
 def _chosen(
