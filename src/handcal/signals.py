@@ -56,18 +56,18 @@ def at_times(row: Stream, series: Series, t: Array) -> Array:
 
 def temperature_of(recording: Recording) -> Array | None:
     """Temperature (n,) degC at the IMU's samples, None without a thermometer."""
-    series = recording.streams.get("temperature")
-    return (
-        None if series is None else at_times(STREAMS["temperature"], series, recording.imu.t)[:, 0]
-    )
+    return _temperature_at(recording, recording.imu.t)
 
 
 def warmth_at(recording: Recording, t: Array) -> Array:
     """Temperature less ``ROOM`` (n,), K, at times t (n,); zero without a thermometer."""
+    temperature = _temperature_at(recording, t)
+    return np.zeros(len(t)) if temperature is None else temperature - ROOM
+
+
+def _temperature_at(recording: Recording, t: Array) -> Array | None:
     series = recording.streams.get("temperature")
-    if series is None:
-        return np.zeros(len(t))
-    return at_times(STREAMS["temperature"], series, t)[:, 0] - ROOM
+    return None if series is None else at_times(STREAMS["temperature"], series, t)[:, 0]
 
 
 def of_arrays(t: Array, gyro: Array, accel: Array, temperature: Array | None = None) -> Signals:

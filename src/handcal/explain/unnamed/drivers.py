@@ -37,6 +37,8 @@ SIGN = {"rad/s": 0.1, "m/s^2": 0.5}
 TURNING = 0.2
 # What a sensor and its surroundings take to warm through, s.
 WARMING = (3.0, 10.0, 30.0, 60.0)
+# How far from the room a device is, as formulas have it.
+WARM = "(T - 25)"
 
 Of = Callable[[Signals, int], Array]
 _NUMBER = re.compile(r"\((memory|play)\(([^ ]+) ")
@@ -120,6 +122,9 @@ def _warmth(s: Signals, _: int) -> Array:
     return np.zeros_like(s.t) if s.temperature is None else s.temperature - ROOM
 
 
+_WARMTH = (WARM, "K", _warmth)
+
+
 def _yaw(s: Signals, _: int) -> Array:
     return np.zeros_like(s.t) if s.C_nb is None else so3.yaw_of(s.C_nb)
 
@@ -198,9 +203,9 @@ def _table() -> list[Driver]:
     out.append(Driver("(time since a turn)", "s", _settling, COARSE, signed=False))
     out.append(Driver("yaw", "rad", _yaw, COARSE, signed=False, round=True, needs=(ATTITUDE,)))
     warm = {"knots": COARSE, "signed": False, "needs": ("temperature",)}
-    out.append(Driver("(T - 25)", "K", _warmth, **warm))  # type: ignore[arg-type]
-    row = "(T - 25)", "K", _warmth
-    out += [_memory_driver(row, WARMING[-1]), *(_lag_driver(row, tau) for tau in WARMING[:-1])]
+    out.append(Driver(*_WARMTH, **warm))  # type: ignore[arg-type]
+    *soon, latest = WARMING
+    out += [_memory_driver(_WARMTH, latest), *(_lag_driver(_WARMTH, tau) for tau in soon)]
     return out + _products(signals, sizes)
 
 
@@ -246,8 +251,7 @@ def _products(signals: list[tuple[str, str, Of]], sizes: list[tuple[str, str, Of
     pairs += [(a, _sign(*b)) for a, b in others]
     pairs += [(a, ("t", "s", _time)) for a in signals]
     out = [_product(a, b) for a, b in pairs]
-    warm = ("(T - 25)", "K", _warmth)
-    out += [_product(a, warm, ("temperature",)) for a in signals]
+    out += [_product(a, _WARMTH, ("temperature",)) for a in signals]
     out += [Driver("t", "s", _time, LINE), Driver("t^2", "s^2", _times(_time, _time), LINE)]
     return out
 

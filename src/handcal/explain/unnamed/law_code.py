@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from handcal.effects import ATTITUDE, ROOM, Z_DIM, Effect, Param, observed_error
-from handcal.explain.unnamed.drivers import TURNING
+from handcal.explain.unnamed.drivers import TURNING, WARM
 from handcal.explain.unnamed.grammar import Form, text_of
 from handcal.explain.unnamed.law_effect import SENSORS, UNITS, Law
 from handcal.explain.unnamed.terms import FASTEST, SLOW
@@ -30,7 +30,7 @@ _PYTHON = (
     (r"\bsin\(pitch of ([xy])\)", r"sin_pitch_\1"),
     (r"\bsin\(tilt\)\^2", "(1.0 - cos_tilt**2)"),
     (r"\byaw rate\b", "yaw_rate"),
-    (r"\(T - 25\)", "warmth"),
+    (re.escape(WARM), "warmth"),
     (r"\|omega\|", "turning"),
     (r"\bround\(([^()]+)\)", r"np.floor(\1 + 0.5)"),
     (r"([\d.]+) deg\b", r"np.radians(\1)"),
@@ -90,7 +90,7 @@ _PLAIN = {
     "|f|": "np.linalg.norm(signals.accel, axis=1)",
     "(time since a turn)": "since_a_turn(signals.t, signals.gyro)",
     "yaw": "np.arctan2(signals.C_nb[:, 1, 0], signals.C_nb[:, 0, 0])",
-    "(T - 25)": f"signals.temperature - {ROOM}",
+    WARM: f"signals.temperature - {ROOM}",
     "t": "signals.t - signals.t[0]",
     "t^2": "(signals.t - signals.t[0]) ** 2",
 }

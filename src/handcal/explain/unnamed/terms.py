@@ -26,6 +26,7 @@ from handcal.effects import (
     catalogue,
     observed_error,
 )
+from handcal.explain.unnamed.drivers import WARM
 from handcal.explain.unnamed.grammar import SIZES, WIDTHS, process_root
 from handcal.explain.unnamed.law_effect import PROBED, basis, spanned
 from handcal.signals import probe, warmth_at
@@ -36,8 +37,8 @@ HEADING_SIZE = 0.1
 # Harmonics beyond those of iron, and grids of whole parts of the circle, deg.
 HARMONICS = 4
 GRIDS = (1.0, 2.0, 5.0, 10.0, 15.0, 22.5, 30.0, 45.0)
-# As drivers of the sensors call it, and a change of it that is none, K.
-WARM, LEAST_WARMING = "(T - 25)", 0.3
+# A change of temperature that is none, K.
+LEAST_WARMING = 0.3
 # Rate below which a compass may stick, rad/s; its inverse sinh's largest size, at 20 rad/s.
 SLOW = 0.1
 FASTEST = math.asinh(20.0 / SLOW)
