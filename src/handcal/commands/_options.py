@@ -152,7 +152,7 @@ def in_units(command: Callable[..., None]) -> Callable[..., None]:
     def run_in(*arguments: Any, units: str | None = None, **options: Any) -> None:
         from handcal.units import showing
 
-        items = listed(units or "")
+        items = comma_separated(units or "")
         of_file = [u for u in items if "=" in u]
         with showing([u for u in items if "=" not in u]):
             command(*arguments, units=",".join(of_file) or None, **options)
@@ -160,7 +160,7 @@ def in_units(command: Callable[..., None]) -> Callable[..., None]:
     return run_in
 
 
-def listed(text: str) -> tuple[str, ...]:
+def comma_separated(text: str) -> tuple[str, ...]:
     """Words with commas between them."""
     return tuple(word.strip() for word in text.split(",") if word.strip())
 
@@ -183,7 +183,7 @@ def load(path: Path, topics: list[str] | None, units: str | None) -> Recording:
     import handcal
 
     chosen = _pairs(topics or [], "--topic")
-    said = _pairs(listed(units or ""), "--units")
+    said = _pairs(comma_separated(units or ""), "--units")
     with progress(f"reading {path.name}") as report:
         recording: Recording = handcal.load(path, topics=chosen, units=said, progress=report)
     return recording
@@ -210,7 +210,7 @@ def calibrated(
         settings[name] = radians(settings[name])
     settings |= {"assume": str(settings["assume"]), "engine": str(settings["engine"])}
     settings["ignore"] = tuple(settings["ignore"] or ())
-    ids = listed(effects)
+    ids = comma_separated(effects)
     names = ", ".join(Path(r.path).name for r in recordings)
     if learnt_from is None:
         with progress(f"calibrating {names}") as report, compiled_ahead():

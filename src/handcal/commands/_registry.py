@@ -169,9 +169,8 @@ def plain_signs(error: UnicodeError) -> tuple[str, int]:
 
 def _show_what_can_be_shown() -> None:
     for name in ("stdin", "stdout", "stderr"):
-        if (
-            getattr(sys, name) is None
-        ):  # closed by whoever started this: nothing is to take its place
+        # Closed by whoever started this: nothing is to take its place.
+        if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, "r+", encoding="utf-8"))  # noqa: SIM115
     codecs.register_error("handcal", plain_signs)
     for stream in (sys.stdout, sys.stderr):

@@ -23,7 +23,7 @@ from handcal.commands._options import (
     Rrd,
     Topics,
     Units,
-    listed,
+    comma_separated,
     load,
     radians,
     with_own_effects,
@@ -112,7 +112,7 @@ def poses(
     check_outputs((json, report, rrd, picture))
     if picture:
         check_ending(picture)
-    ids = listed(effects)
+    ids = comma_separated(effects)
     asked = experiment(ids, str(known), math.radians(rate))
     seed = secrets.randbelow(2**31) if seed is None else seed
     with progress(f"searching {n} poses") as bar:
@@ -180,7 +180,7 @@ def motion(
     check_outputs((json, report, picture), (after,))
     if picture:
         check_ending(picture)
-    wanted, others = listed(reduce), listed(beside)
+    wanted, others = comma_separated(reduce), comma_separated(beside)
     recording = None if after is None else load(after, topic, units)
     with progress("asking each motion") as bar:
         found = plan(

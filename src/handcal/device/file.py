@@ -208,17 +208,23 @@ def _square(name: str, matrix: Array) -> list[str]:
     return [f"{name} = [", *(f"  {_row(r)}," for r in matrix), "]"]
 
 
-def session_of(
-    path: Path, device: str, date: datetime | None = None, temperature: float | None = None
-) -> Session:
-    """What the JSON of ``calibrate`` or ``explain`` says of the device of this name; date and
-    temperature (degC) where it does not say them. Errors: InputError."""
+def read_result(path: Path) -> Mapping[str, Any]:
+    """The JSON of ``calibrate`` or ``explain``. Errors: InputError."""
     document = read_json(path)
     known = (CALIBRATION_SCHEMA, EXPLANATION_SCHEMA)
     if not isinstance(document, dict) or document.get("schema") not in known:
         raise InputError(
             f"{path} is no result of `handcal calibrate --json` or `handcal explain --json`."
         )
+    return document
+
+
+def session_of(
+    path: Path, document: Mapping[str, Any], device: str, date: datetime | None = None,
+    temperature: float | None = None,
+) -> Session:  # fmt: skip
+    """What a result (its file and what ``read_result`` read) says of the device of this name; date
+    and temperature (degC) where it does not say them. Errors: InputError."""
     try:
         return _learnt(path, document, device, date, temperature)
     except (KeyError, TypeError, ValueError, AttributeError, np.linalg.LinAlgError) as error:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
+from typing import Any
 
 from handcal.device.file import kept
-from handcal.documents import read_json
 from handcal.effects import Effect, catalogue
 
 UNKNOWN = "no effect of the catalogue"
@@ -19,10 +18,9 @@ STREAM = (
 )
 
 
-def not_kept(path: Path) -> Mapping[str, tuple[str, ...]]:
-    """Ids of the effects of a result, which ``file.session_of`` has read, that a device file does
-    not keep, by reason."""
-    document = read_json(path)
+def not_kept(document: Mapping[str, Any]) -> Mapping[str, tuple[str, ...]]:
+    """Ids of the effects of a result, of which ``file.session_of`` has made a session, that a
+    device file does not keep, by reason."""
     blocks = [document, *document.get("recordings", [])]
     ids = dict.fromkeys(
         (str(p["effect"]), str(p["name"])) for b in blocks for p in b.get("parameters", [])

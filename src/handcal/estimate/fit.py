@@ -253,7 +253,8 @@ def _sane(linear: Linear) -> bool:
         float(np.abs(nominal.bg).max()) / GYRO_BIAS_PRIOR,
         float(np.abs(nominal.ba).max()) / ACCEL_BIAS_PRIOR,
     )
-    known = [s.owner in catalogue() for s in linear.problem.slots]
+    effects = catalogue()
+    known = [s.owner in effects for s in linear.problem.slots]
     unit = np.array([s.prior_sigma for s in linear.problem.slots])[known]
     largest = float(np.abs(nominal.constants[known] / unit).max(initial=0.0))
     fits = steps < BEYOND and off < FURTHEST and largest < LARGEST

@@ -20,6 +20,7 @@ from handcal.effects import catalogue
 from handcal.exports import Contents, Format, Noise, formats
 from handcal.exports import _correction as correction
 from handcal.exports._correction import NOTHING, Correction
+from handcal.recordings.streams import TURNED_TO_FLU
 from handcal.types import Array, HandcalError, InputError, Recording
 
 # Names in a result's ``noise``, and in Allan's ``suggested``, of what ``Noise`` has.
@@ -29,8 +30,6 @@ LEVELS = {"gyro_noise": "gyro_noise", "accel_noise": "accel_noise",
 ALLAN = ("gyro_noise", "accel_noise", "gyro_bias_walk", "accel_bias_walk")
 UNITS = ("rad/s", "m/s^2")
 UNKNOWN = "how much is not known"
-# What the reader of a log in a vehicle's axes says.
-TURNED = "turned to forward, left, up"
 
 
 @dataclass(frozen=True)
@@ -145,7 +144,7 @@ def _check_axes(document: Mapping[str, Any], form: Format, axes: str | None) -> 
     if not form.vehicle:
         known = ", ".join(name for name, one in formats().items() if one.vehicle)
         raise InputError(f"--axes is for {known}; {form.program} has the axes of the recording.")
-    if axes == "frd" and any(TURNED in said for said in warnings_of(document)):
+    if axes == "frd" and any(TURNED_TO_FLU in said for said in warnings_of(document)):
         raise InputError(
             "--axes frd: this result is of a log whose axes were turned to forward, left, up when "
             "it was read; leave --axes away."
@@ -335,7 +334,7 @@ def _header(
         lines += _left_lines(found, form, kept, recording)
     if any(line.endswith(UNKNOWN) for line in lines):
         lines.append(_command(path, found.document, form))
-    warned = [said for said in warnings_of(found.document) if TURNED not in said]
+    warned = [said for said in warnings_of(found.document) if TURNED_TO_FLU not in said]
     lines += [f"Warning: {said}" for said in warned]
     return (*lines, *form.notes)
 

@@ -17,6 +17,8 @@ from handcal.types import Array
 DEGREE = np.pi / 180
 # Beginning of the topics that hold what a model before and one after `explain` says was read.
 TWINS = ("/before", "/after")
+# What a warning of a recording says whose axes were not those of ``handcal``.
+TURNED_TO_FLU = "turned to forward, left, up"
 
 # Definitions of the parts of messages, as ROS 2 has them.
 TYPES: Mapping[str, str] = {

@@ -63,9 +63,10 @@ def add(
         raise InputError("--date and --temperature are of one recording: add results one by one.")
     when = None if date is None else date.replace(tzinfo=UTC)
     for path in results:
-        session = device_file.session_of(path, device.name, when, temperature)
+        document = device_file.read_result(path)
+        session = device_file.session_of(path, document, device.name, when, temperature)
         device = device_file.added(device, session)
-        if left := sentence(not_kept(path)):
+        if left := sentence(not_kept(document)):
             say(left if len(results) == 1 else f"{path}: {left}")
     device_file.write(device, file)
     print(f"{file}: {len(device.sessions)} session{'s' * (len(device.sessions) != 1)}")

@@ -15,7 +15,7 @@ from handcal.commands._options import (
     Report,
     Topics,
     Units,
-    listed,
+    comma_separated,
     load,
     with_own_effects,
 )
@@ -126,7 +126,7 @@ def _effects(typed: str | None, tests: Bench) -> tuple[str, ...]:
     from handcal.lab.known_input import DEFAULT
 
     if typed is not None:
-        return listed(typed)
+        return comma_separated(typed)
     fastest = float(np.abs(tests.mean(tests.truth.gyro)).max())
     known = {"gyro": tests.used[0] and fastest > LEAST_RATE, "accel": bool(tests.used[3])}
     return tuple(e for e in DEFAULT if known[e.split("_")[0]])

@@ -14,7 +14,7 @@ from handcal.commands._options import (
     Report,
     Topics,
     Units,
-    listed,
+    comma_separated,
     load,
     with_own_effects,
 )
@@ -52,7 +52,7 @@ def scalar(
     g = gravity_of(gravity, latitude, height)
     check_outputs((json, report), (file,))
     recording = load(file, topic, units)
-    ids = listed(effects)
+    ids = comma_separated(effects)
     with progress(f"calibrating {file.name}"):
         result = scalar(recording, ids, g)
         halves = halves_or_none(result)

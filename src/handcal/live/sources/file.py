@@ -10,6 +10,7 @@ import numpy as np
 
 from handcal.live.session import Batch, Session
 from handcal.recordings.streams import STREAMS
+from handcal.show.words import listed
 from handcal.types import Array, IntArray, Recording
 
 BATCH_S = 0.25
@@ -38,11 +39,9 @@ def left_out(recording: Recording) -> str:
     names = [STREAMS[name].title for name in recording.streams if name not in TAKEN]
     if not names:
         return ""
-    first = ", ".join(names[:-1])
-    which = f"{first} and {names[-1]}" if first else names[-1]
     return (
-        f"Left out of this session: {which}. The page on a phone sends gyro and accelerometer "
-        "alone, so this is what it could have told; `handcal explain "
+        f"Left out of this session: {listed(names)}. The page on a phone sends gyro and "
+        "accelerometer alone, so this is what it could have told; `handcal explain "
         f"{shlex.quote(recording.path)}` uses all that was recorded."
     )
 

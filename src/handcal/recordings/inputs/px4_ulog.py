@@ -24,6 +24,7 @@ from handcal.recordings.inputs._magic import begins_with
 from handcal.recordings.inputs._options import Options
 from handcal.recordings.inputs._repair import Columns, assemble, columns
 from handcal.recordings.inputs._zip import LARGEST, stated
+from handcal.recordings.streams import TURNED_TO_FLU
 from handcal.types import Array, InputError, Recording
 
 UNDERSTOOD = "a log of PX4 (.ulg)"
@@ -45,7 +46,7 @@ _KINDS = "BFIMPQARDLCSO"
 _DATA, _FLAGS, _FORMAT, _ADDED = (ord(kind) for kind in "DBFA")
 _FIELD = re.compile(r"(\w+?)(?:\[(\d{1,5})\])? (\w+)")
 TURNED = np.array([1.0, -1.0, -1.0])  # forward, right, down to forward, left, up
-_SAID = "PX4's axes (forward, right, down) were turned to forward, left, up."
+_SAID = f"PX4's axes (forward, right, down) were {TURNED_TO_FLU}."
 _TYPES = {
     **{f"{sign}int{8 * n}_t": f"<{sign or 'i'}{n}" for sign in ("", "u") for n in (1, 2, 4, 8)},
     "float": "<f4", "double": "<f8", "bool": "<u1", "char": "<u1",
