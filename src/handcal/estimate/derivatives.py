@@ -231,19 +231,33 @@ def errors_by_bias(problem: Problem, bg: Array, ba: Array) -> Array | None:
         return None
     truth = raw - substituted(acting, problem.ref, read)
     truth = _averaged(truth, max(1, round(AVERAGE_S[0] * problem.recording.rate_hz)))
-    out, i = np.zeros((len(imu.t), 6, 6)), 0
-    for e in acting:
-        at = problem.ref[i : i + len(e.parameters)]
-        i += len(e.parameters)
-        if e.imu_error is None or e.imu_inverse is not None or not at.any():
-            continue
-        for k, size in enumerate(np.repeat([GYRO_BIAS_PRIOR, ACCEL_BIAS_PRIOR], 3)):
-            step = np.zeros(6)
-            step[k] = BIAS_STEP * size
-            up, down = (e.imu_error(at, reading(read, truth + s)) for s in (step, -step))
-            # (a larger bias means a smaller truth)
-            out[:, :, k] -= (up - down) / (2.0 * step[k])
+    first = np.cumsum([0, *(len(e.parameters) for e in acting)])
+    parts = [
+        (e, problem.ref[i : i + len(e.parameters)]) for e, i in zip(acting, first, strict=False)
+    ]
+    parts = [(e, at) for e, at in parts if e.imu_inverse is None and at.any()]
+    columns, out = np.asfortranarray(truth), np.zeros((len(imu.t), 6, 6))
+    for k, size in enumerate(np.repeat([GYRO_BIAS_PRIOR, ACCEL_BIAS_PRIOR], 3)):
+        step = np.zeros(6)
+        step[k] = BIAS_STEP * size
+        up, down = (reading(read, columns + s) for s in (step, -step))
+        # (a larger bias means a smaller truth)
+        for channel, change in (c for e, at in parts for c in _changes(e, at, down, up)):
+            out[:, channel, k] += change / (2.0 * step[k])
     return out
+
+
+def _changes(
+    effect: Effect, at: Array, before: Signals, after: Signals
+) -> Iterator[tuple[int, Array]]:
+    """Channels, and by how much (n,) an effect adds more to them before than after."""
+    if effect.features is not None:
+        for (channel, first, x), (_, _, y) in zip(
+            effect.features(before), effect.features(after), strict=True
+        ):
+            yield channel, (x - y) @ at[first : first + x.shape[1]]
+    elif effect.imu_error is not None:
+        yield from enumerate((effect.imu_error(at, before) - effect.imu_error(at, after)).T)
 
 
 def _calmed(J: Array, rate: float, quiet: BoolArray) -> Array:

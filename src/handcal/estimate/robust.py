@@ -8,10 +8,13 @@ sums over blocks of time instead of single observations.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from handcal.effects import Effect
 from handcal.estimate.evidence import Likelihood, reduce, reduced_pass
 from handcal.types import Array, IntArray
 
@@ -22,6 +25,8 @@ if TYPE_CHECKING:
 BLOCK_S = 4.0
 # As many blocks' worth of belief in the model itself.
 BELIEF = 6.0
+# Effects in one product of matrices: more would need more memory and bring no time.
+AT_ONCE = 8
 MOST = 25.0
 
 
@@ -77,24 +82,34 @@ def _scattered(
     t = np.repeat(linear.t, np.diff(done.reduction.first))
     block = ((t - t[0]) / BLOCK_S).astype(np.int64) if len(t) else np.zeros(0, dtype=np.int64)
     out = []
-    for e in linear.problem.effects:
-        mine = np.flatnonzero(owners == e.id)
-        if not len(mine):
-            continue
-        rest = np.setdiff1d(np.arange(n) if present is None else present, mine)
+    for ids, mine, rest in _apart(linear.problem.effects, owners, present, n):
         A = G[np.ix_(rest, rest)] + np.eye(len(rest))
-        combined = np.zeros((n, len(mine)))
-        combined[mine] = np.eye(len(mine))
-        combined[rest] = -np.linalg.solve(A, G[np.ix_(rest, mine)])
-        used = np.flatnonzero(combined.any(axis=1))
-        own = done.nu[:, 1 + used] @ combined[used]
+        told = np.linalg.solve(A, G[np.ix_(rest, mine)])
+        own = done.nu[:, 1 + mine] - done.nu[:, 1 + rest] @ told
         sums = _by_block(own * weight[:, None], block)
         information = np.einsum("sk,sk,s->k", own, own, 1.0 / done.S)
-        seen = information > 1e-9
-        if seen.any():
-            ratio = float(np.mean((sums[:, seen] ** 2).sum(axis=0) / information[seen]))
-            out.append((e.id, ratio, float(len(sums))))
+        scatter = (sums**2).sum(axis=0)
+        for e in ids:
+            seen = (owners[mine] == e) & (information > 1e-9)
+            if seen.any():
+                ratio = float(np.mean(scatter[seen] / information[seen]))
+                out.append((e, ratio, float(len(sums))))
     return out
+
+
+def _apart(
+    effects: Sequence[Effect], owners: NDArray[np.str_], present: IntArray | None, n: int
+) -> Iterator[tuple[list[str], IntArray, IntArray]]:
+    """Effects, their constants, and the constants that stay beside them; those that are absent go
+    some at a time, since what stays is the same."""
+    ids = [e.id for e in effects if e.id in owners]
+    stays = np.arange(n) if present is None else present
+    alone = [e for e in ids if np.isin(np.flatnonzero(owners == e), stays).any()]
+    absent = [e for e in ids if e not in alone]
+    some = [absent[k : k + AT_ONCE] for k in range(0, len(absent), AT_ONCE)]
+    for group in [*([e] for e in alone), *some]:
+        mine = np.flatnonzero(np.isin(owners, group))
+        yield group, mine, np.setdiff1d(stays, mine)
 
 
 def _by_block(x: Array, block: IntArray) -> Array:
