@@ -25,6 +25,7 @@ from handcal.explain import Explanation, conclusions, explain, outliers, pipelin
 from handcal.explain.climb import subset_steps, turns
 from handcal.explain.climb.state import Climb
 from handcal.explain.space import Space, gains
+from handcal.observations import pose
 from handcal.types import InputError, Recording, Series
 from handcal_sim import simulate
 from handcal_sim.motion import Start
@@ -157,7 +158,7 @@ def test_a_marker_that_cannot_be_aligned_is_left_out() -> None:
     def filmed(rng: np.random.Generator) -> Phone:
         return replace(slow(rng), pose=capture_pose(rng))
 
-    world = simulate("z-turn", seed=0, phone=filmed, start=Start())
+    world = simulate("z-turn", seed=0, phone=filmed, start=Start(), sway=0.0)
     recording = recording_of(world, "heading", "pose")
     with pytest.raises(InputError, match="too few axes"):
         observations.catalogue()["pose"].rows(recording, observations.Scene(np.zeros((0, 2)), True))
@@ -165,6 +166,25 @@ def test_a_marker_that_cannot_be_aligned_is_left_out() -> None:
     assert found.verdict == "nothing_missing"
     assert any(w.startswith("The pose was left out") for w in found.warnings)
     assert not [h.effect for h in found.hypotheses if h.effect.startswith("pose")]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_hand_that_wobbles_while_it_turns_shows_how_the_marker_sits(seed: int) -> None:
+    """By what little it turns about other axes, as surely as is said (sigma to the safe side)."""
+    markers = []
+
+    def filmed(rng: np.random.Generator) -> Phone:
+        mark = capture_pose(rng)
+        markers.append(mark.C_bm)
+        return replace(slow(rng), pose=mark)
+
+    recording = recording_of(simulate("z-turn", seed=seed, phone=filmed, start=Start()), "pose")
+    series = recording.streams["pose"]
+    marker, gyro = pose._turns(recording, series, so3.matrix_of(series.value[:, 3:]))
+    R = pose._rotation_between(marker, gyro)
+    sigma = pose._sigma(R, marker, gyro, pose._step(series))
+    error = float(np.linalg.norm(so3.matrix_log((R @ markers[0].T)[None])))
+    assert error < 3.0 * sigma < 1.0
 
 
 # --- a delay beyond the reach of a scan ---------------------------------------------------------

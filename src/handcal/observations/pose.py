@@ -21,6 +21,10 @@ from handcal.observations._turning import Turning
 from handcal.types import Array, InputError, Level, Recording, Series
 
 MAX_RATE = 25.0
+# Turns of gyro and marker are compared over so long, s; so few are none.
+TURN_S, LEAST_TURNS = 0.2, 10
+# How far the rough alignment may be wrong, rad: what is estimated of it begins with this sigma.
+ALIGNED = 0.1
 
 # Marker sets are seen from other sides, and by other cameras, as the device turns:
 # position (3,) m, attitude (3,) rad.
@@ -112,9 +116,14 @@ def _thin(series: Series) -> Series:
     return Series(series.t[::step], series.value[::step])
 
 
+def _step(pose: Series) -> int:
+    """Rows of the pose from the beginning to the end of a turn."""
+    return max(1, round(TURN_S / float(np.median(np.diff(pose.t)))))
+
+
 def _turns(recording: Recording, pose: Series, C_wm: Array) -> tuple[Array, Array]:
-    """Rotation vectors over about 0.2 s as the marker and the gyro saw them, each (k, 3)."""
-    step = max(1, round(0.2 / float(np.median(np.diff(pose.t)))))
+    """Rotation vectors over ``TURN_S`` as the marker and the gyro saw them, each (k, 3)."""
+    step = _step(pose)
     a, b = C_wm[:-step], C_wm[step:]
     marker = so3.matrix_log(a.transpose(0, 2, 1) @ b)
     imu = recording.imu
@@ -131,6 +140,17 @@ def _rotation_between(a: Array, b: Array) -> Array:
     a, b = a - a.mean(0), b - b.mean(0)
     U, _, Vt = np.linalg.svd(b.T @ a)
     return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt)
+
+
+def _sigma(R: Array, a: Array, b: Array, step: int) -> float:
+    """How far R may be wrong about the axis that rows of a and b (k, 3) tell least of, rad; each
+    row shares its time with ``step`` others."""
+    a, b = a - a.mean(0), b - b.mean(0)
+    variance = float(np.mean((b - a @ R.T) ** 2)) * step
+    both = R @ a.T @ b  # (of what both saw: the noise of one alone is no turn)
+    seen = np.eye(3) * np.trace(both) - 0.5 * (both + both.T)
+    least = float(np.linalg.eigvalsh(seen)[0])
+    return math.sqrt(variance / least) if least > 0.0 else math.inf
 
 
 def _level(up: Array) -> Array:
@@ -150,12 +170,11 @@ def aligned(recording: Recording, pose: Series) -> tuple[Array, Array]:
     """
     C_wm = so3.matrix_of(pose.value[:, 3:])
     marker, gyro = _turns(recording, pose, C_wm)
-    spread = np.linalg.svd(gyro - gyro.mean(0), compute_uv=False) if len(gyro) > 10 else np.zeros(3)
-    if spread[1] < 0.1 * math.sqrt(len(gyro)) * 0.2:
+    R_bm = _rotation_between(marker, gyro) if len(gyro) > LEAST_TURNS else np.eye(3)
+    if len(gyro) <= LEAST_TURNS or _sigma(R_bm, marker, gyro, _step(pose)) > ALIGNED:
         raise InputError(
             "The motion turns about too few axes to align the pose's marker with the IMU."
         )
-    R_bm = _rotation_between(marker, gyro)
     imu = recording.imu
     inside = (pose.t >= imu.t[0]) & (pose.t <= imu.t[-1])
     force = np.stack([np.interp(pose.t[inside], imu.t, imu.accel[:, i]) for i in range(3)], axis=1)
@@ -186,12 +205,12 @@ def _variance(levels: Mapping[str, float]) -> Array:
 def _constants(scene: Scene) -> tuple[Constant, ...]:
     yaw = 1.0 if scene.has_heading else 1e-6
     return (
-        Constant("world_x", "rad", 0.1),
-        Constant("world_y", "rad", 0.1),
+        Constant("world_x", "rad", ALIGNED),
+        Constant("world_y", "rad", ALIGNED),
         Constant("world_z", "rad", yaw),
-        Constant("marker_x", "rad", 0.1),
-        Constant("marker_y", "rad", 0.1),
-        Constant("marker_z", "rad", 0.1),
+        Constant("marker_x", "rad", ALIGNED),
+        Constant("marker_y", "rad", ALIGNED),
+        Constant("marker_z", "rad", ALIGNED),
     )
 
 
