@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.optimize import least_squares
 
 from handcal.compiled.jit import residual_function
 from handcal.effects import Effect, Param
@@ -94,6 +93,8 @@ def _starts(m: Array) -> list[Array]:
 
 def _sphere(m: Array, start: Array) -> Sphere:
     """The sphere of readings m (k, 3) that is nearest to a centre (3,)."""
+    from scipy.optimize import least_squares  # (slow to import, and few have a magnetometer)
+
     # (as many readings as have a disturbance of their own: a few a second at the most)
     share = 1.0 / math.sqrt(GUESS_RATE)
 
