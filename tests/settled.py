@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from handcal.estimate import noise_levels, smoother
+from handcal.estimate.evidence import reduce
 from handcal.estimate.filter import empty_track, run_compiled
 from handcal.estimate.linear import Linear, linearise_about
 from handcal.estimate.observed import first_state
@@ -36,7 +37,7 @@ def solve(problem: Problem, start: Start, fixed: Mapping[str, float]) -> Solutio
     nominal = trajectory_of(problem, track, state.bg, state.ba, state.extras)
     linear, _, _ = smoother.relinearise(linearise_about(problem, start, nominal), levels)
     for _ in range(2 if free else 0):
-        new, _ = noise_levels.estimate(linear, levels, free)
+        new, _ = noise_levels.estimate(reduce(linear), levels, free)
         change = max(abs(math.log(new[n] / levels[n])) for n in free)
         levels = new
         linear, _, _ = smoother.relinearise(linear, levels)

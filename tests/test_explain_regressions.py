@@ -299,10 +299,10 @@ def test_a_fit_that_diverges_is_no_fit(grown: float) -> None:
     grown to 1e137 m passed for a fit, its evidence 1e208 for the best, and explain broke off."""
     (part,) = base_of(world_of({}, 0, 20.0)).parts
     broken = replace(part, linear=replace(part.linear, d=part.linear.d * grown))
-    parts, settled, evidence = fit.relinearised_parts([broken], ())
-    assert (parts, settled) == ([broken], False)
-    assert math.isnan(evidence)
-    assert fit.diverged(parts, ()).log_evidence == -math.inf
+    found = fit.relinearised_parts([broken], ())
+    assert (found.parts, found.settled) == ([broken], False)
+    assert math.isnan(found.evidence)
+    assert fit.diverged(found.parts, ()).log_evidence == -math.inf
 
 
 def test_scales_do_not_run_away_with_gravity() -> None:
@@ -314,18 +314,20 @@ def test_scales_do_not_run_away_with_gravity() -> None:
     away = at_constants(
         moved_to(base, effects), effects, {**all_scales, ("gravity", "delta"): -3.4}
     )
-    assert math.isnan(fit.relinearised_parts([away], effects)[2])
+    assert math.isnan(fit.relinearised_parts([away], effects).evidence)
     near = at_constants(moved_to(base, effects), effects, dict.fromkeys(all_scales, 0.2))
-    assert math.isfinite(fit.relinearised_parts([near], effects)[2])
+    assert math.isfinite(fit.relinearised_parts([near], effects).evidence)
 
 
 def test_no_noise_is_looked_for_about_no_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     """The search for noise levels about numbers that had run away ended explain in an error."""
     base = base_of(world_of({}, 0, 20.0))
     monkeypatch.setattr(
-        fit, "relinearised_parts", lambda *_, **__: (list(base.parts), False, math.nan)
+        fit,
+        "relinearised_parts",
+        lambda *_, **__: fit.Rested(list(base.parts), False, math.nan, fit.ROUGH),
     )
-    monkeypatch.setattr(fit, "with_noise", lambda _: pytest.fail("noise of no fit"))
+    monkeypatch.setattr(fit, "with_noise", lambda *_: pytest.fail("noise of no fit"))
     assert fitted(base.parts, (), noise_rounds=1).log_evidence == -math.inf
 
 

@@ -13,7 +13,7 @@ from handcal.effects import select
 from handcal.estimate import parallel
 from handcal.estimate.baseline import started
 from handcal.estimate.case import case_of
-from handcal.estimate.evidence import reduced_pass
+from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.model import Fitted
 from handcal.estimate.noise_levels import Score
 from handcal.estimate.transfer import moved_to
@@ -52,7 +52,7 @@ def test_slope_of_the_evidence(name: str, seed: int) -> None:
     names = sorted({lv.name for lv in f.linear.problem.levels})
     for factor in (0.5, 1.0, 2.0):
         levels = {n: factor * v for n, v in f.levels.items()}
-        score = Score(f.linear, levels, names)
+        score = Score(reduce(f.linear), levels, names)
         value, slope = score(levels)
         assert value == pytest.approx(reduced_pass(score.reduction, levels).log_evidence)
         want = np.array([_difference(score, levels, n) for n in names])
@@ -71,7 +71,9 @@ def _difference(score: Score, levels: dict[str, float], name: str) -> float:
 def test_a_time_constant_is_among_them() -> None:
     """The cases hold levels that change transitions, or the test above would not see them."""
     f = _fit(*CASES["correlated"], 0)
-    assert Score(f.linear, f.levels, sorted(lv.name for lv in f.linear.problem.levels)).moving
+    assert Score(
+        reduce(f.linear), f.levels, sorted(lv.name for lv in f.linear.problem.levels)
+    ).moving
 
 
 @pytest.mark.parametrize("kind", ["heading", "pose"])
@@ -85,7 +87,7 @@ def test_slope_by_several_memories_at_once(kind: str) -> None:
             with_motion.effect("accel", (0, 2), "attitude"))  # fmt: skip
     f = moved_to(f, (*select(("gyro_scale",)), *errs))
     names = sorted({lv.name for lv in f.linear.problem.levels})
-    score = Score(f.linear, f.levels, names)
+    score = Score(reduce(f.linear), f.levels, names)
     slope = dict(zip(names, score(f.levels)[1], strict=True))
     for name in names:
         if name.endswith(("_memory", "sway_time")):

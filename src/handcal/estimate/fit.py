@@ -17,7 +17,7 @@ from handcal.effects import Effect, catalogue
 from handcal.estimate import noise_levels, smoother
 from handcal.estimate.case import problem_with
 from handcal.estimate.columns import Ground, ground, widened
-from handcal.estimate.evidence import ReducedPass, backward, reduce, reduced_pass
+from handcal.estimate.evidence import ReducedPass, Reduction, backward, reduce, reduced_pass
 from handcal.estimate.linear import Linear
 from handcal.estimate.model import Fitted, Known, Model
 from handcal.estimate.quadratic import Local, Posterior, Quadratic, given, local, posterior, total
@@ -96,9 +96,10 @@ def own_levels(f: Fitted) -> dict[str, float]:
 
 
 @dataclass(frozen=True)
-class _Rested:
+class Rested:
     """A fit on its way: its parts, whether they rest, their evidence, within how many nats; wide:
-    with all scales of the priors; whole: what all recordings say, where that is known already."""
+    with all scales of the priors. Where they rest: what all recordings say, and the parts' own
+    reductions (empty elsewhere), which other noise levels do not change."""
 
     parts: list[Fitted]
     settled: bool
@@ -106,6 +107,7 @@ class _Rested:
     rest: float
     wide: bool = False
     whole: Quadratic | None = None
+    reductions: Sequence[Reduction] = ()
 
 
 def fitted(
@@ -119,14 +121,15 @@ def fitted(
     until the evidence rests within ``tolerance`` nats."""
     parts = [moved_to(f, effects) for f in begin]
     rest = tolerance if noise_rounds == 0 else ROUGH
-    now = _Rested(*relinearised_parts(parts, effects, known, tolerance=rest), rest)
+    now = relinearised_parts(parts, effects, known, tolerance=rest)
     if not math.isfinite(now.evidence):
         return diverged(now.parts, effects)
     for left in range(noise_rounds, -1, -1):
         now = _widened(now, effects, known)
         if not left:
             break
-        new = [with_noise(f) for f in now.parts]
+        reduced = now.reductions or [reduce(f.linear) for f in now.parts]
+        new = [with_noise(f, r) for f, r in zip(now.parts, reduced, strict=True)]
         moved = _with_levels(now, new, effects, known, tolerance)
         if moved is None:
             break
@@ -135,8 +138,9 @@ def fitted(
         if change < 0.02:
             break
     if now.rest > tolerance:
-        again = relinearised_parts(now.parts, effects, known, wide=now.wide, tolerance=tolerance)
-        now = _Rested(*again, tolerance, now.wide)
+        now = relinearised_parts(
+            now.parts, effects, known, wide=now.wide, tolerance=tolerance, reductions=now.reductions
+        )
     whole = now.whole or _told(now.parts, effects)
     found = _posterior(whole, effects, known, now.wide)
     constant = sum(f.case.constant for f in now.parts)
@@ -146,28 +150,30 @@ def fitted(
     )  # fmt: skip
 
 
-def _widened(now: _Rested, effects: Sequence[Effect], known: Known | None) -> _Rested:
+def _widened(now: Rested, effects: Sequence[Effect], known: Known | None) -> Rested:
     """The fit with all scales of the priors, where some effect asks for more than the usual one.
 
     (First at the usual scales: seen from far off, anything may look large.)
     """
     if now.wide or known is not None:
-        return replace(now, whole=None)
-    whole = _told(now.parts, effects)
+        return now
+    whole = now.whole or _told(now.parts, effects)
     if _asks_for_more(whole, effects):
-        tried = relinearised_parts(now.parts, effects, known, now.evidence, True, now.rest)
-        if tried[2] > now.evidence:
-            return _Rested(*tried, now.rest, wide=True)
+        tried = relinearised_parts(
+            now.parts, effects, known, now.evidence, True, now.rest, now.reductions
+        )
+        if tried.evidence > now.evidence:
+            return tried
     return replace(now, whole=whole)
 
 
 def _with_levels(
-    now: _Rested,
+    now: Rested,
     new: Sequence[Fitted],
     effects: Sequence[Effect],
     known: Known | None,
     tolerance: float,
-) -> _Rested | None:
+) -> Rested | None:
     """The fit at these noise levels, or as far on the way to them as the trajectory can follow:
     about one trajectory, evidence may favour a noise so small that no other is as good. None where
     it cannot follow at all."""
@@ -176,9 +182,11 @@ def _with_levels(
     least = -math.inf if any(f.case.noise_until for f in parts) else now.evidence - ASTRAY
     for share in SHARES:
         towards = [_towards(o, n, share) for o, n in zip(parts, new, strict=True)]
-        tried = relinearised_parts(towards, effects, known, least, now.wide, tolerance)
-        if tried[2] > least:
-            return _Rested(*tried, tolerance, now.wide)
+        tried = relinearised_parts(
+            towards, effects, known, least, now.wide, tolerance, now.reductions
+        )
+        if tried.evidence > least:
+            return tried
     return None
 
 
@@ -274,33 +282,39 @@ def relinearised_parts(
     least: float = -math.inf,
     wide: bool = False,
     tolerance: float = TOLERANCE,
-) -> tuple[list[Fitted], bool, float]:
+    reductions: Sequence[Reduction] = (),
+) -> Rested:
     """Move and linearise again until the joint evidence rests; whether it does, and the evidence.
 
     least: where the evidence falls below that, there is no use in going on. wide: with all scales
-    of the priors instead of the usual one alone. tolerance: nats.
+    of the priors instead of the usual one alone. tolerance: nats. reductions: the parts', if known.
     """
     shared = frozenset(e.id for e in effects)
     parts, evidence, before = list(parts), -math.inf, -math.inf
     for _ in range(ROUNDS):
         if not all(_sane(f.linear) for f in parts):
-            return parts, False, math.nan
-        passes = [reduced_pass(reduce(f.linear), f.levels, keep=True) for f in parts]
+            return Rested(parts, False, math.nan, tolerance, wide)
+        reductions = reductions or [reduce(f.linear) for f in parts]
+        passes = [
+            reduced_pass(r, f.levels, keep=True) for f, r in zip(parts, reductions, strict=True)
+        ]
         locals_ = [local(p, shared) for p in passes]
         whole = total([x.quadratic for x in locals_])
         found = _posterior(whole, effects, known, wide)
-        if abs(found.log_evidence - evidence) < tolerance:
-            return parts, True, found.log_evidence
-        if abs(found.log_evidence - before) < tolerance and found.log_evidence > evidence:
-            # (to and fro between two trajectories: this is the better)
-            return parts, False, found.log_evidence
+        rests = abs(found.log_evidence - evidence) < tolerance
+        # (to and fro between two trajectories: this is the better)
+        swings = abs(found.log_evidence - before) < tolerance and found.log_evidence > evidence
+        if rests or swings:
+            now = found.log_evidence
+            return Rested(parts, rests, now, tolerance, wide, whole, reductions)
         before, evidence = evidence, found.log_evidence
         if not evidence > least:  # (nor where it is no number any more)
             break
         deviations = (x.deviations(given(whole, x.quadratic, found.mean)) for x in locals_)
         each = zip(parts, passes, deviations, strict=True)
-        parts = [_followed(f, done, w, effects) for f, done, w in each]
-    return parts, False, evidence if all(_sane(f.linear) for f in parts) else math.nan
+        parts, reductions = [_followed(f, done, w, effects) for f, done, w in each], ()
+    evidence = evidence if all(_sane(f.linear) for f in parts) else math.nan
+    return Rested(parts, False, evidence, tolerance, wide)
 
 
 def _followed(f: Fitted, done: ReducedPass, w: Array, effects: Sequence[Effect]) -> Fitted:
@@ -319,13 +333,14 @@ def with_usual_noise(f: Fitted) -> Fitted:
     return replace(f, levels=levels, curvature=noise_levels.NO_CURVATURE)
 
 
-def with_noise(f: Fitted) -> Fitted:
-    """The fit with its noise levels estimated anew, but for those that are known."""
+def with_noise(f: Fitted, reduction: Reduction) -> Fitted:
+    """The fit with its noise levels estimated anew, but for those that are known; reduction: of
+    its linearised problem."""
     names = tuple(lv.name for lv in f.linear.problem.levels if lv.name not in f.case.fixed)
     if not names:
         return f
     until = f.case.noise_until
-    part = f.linear if until is None else noise_levels.until(f.linear, until)
+    part = reduction if until is None else reduce(noise_levels.until(f.linear, until))
     levels, curvature = noise_levels.estimate(
         part, f.levels, names, excess=EXCESS, known=f.curvature
     )

@@ -16,7 +16,7 @@ import numpy as np
 
 from handcal.compiled import so3
 from handcal.compiled.kernel import MAX_DIM
-from handcal.estimate.evidence import Slopes, backward, reduce, reduced_pass
+from handcal.estimate.evidence import Reduction, Slopes, backward, reduced_pass
 from handcal.estimate.linear import Linear
 from handcal.estimate.problem import Problem, observation_variances
 from handcal.types import Array, Level, Markov, Recording
@@ -105,7 +105,7 @@ NO_CURVATURE = Curvature((), np.zeros((0, 0)))
 
 
 def estimate(
-    linear: Linear,
+    reduction: Reduction,
     levels: Mapping[str, float],
     names: Sequence[str],
     progress: Callable[[], None] | None = None,
@@ -121,12 +121,13 @@ def estimate(
     It ends where less than about ``tolerance`` nats are to be gained. excess: the sensors' own
     noise may not exceed its first guess by more than this factor.
     """
-    own = {lv.name: lv for lv in linear.problem.levels}
-    guess = initial_levels(linear.problem)
+    problem = reduction.linear.problem
+    own = {lv.name: lv for lv in problem.levels}
+    guess = initial_levels(problem)
     centre = np.array([math.log(guess[n]) for n in names])
     below, above = (np.array([getattr(own[n], side) for n in names]) for side in ("below", "above"))
     low, high = _range([own[n] for n in names], centre, excess)
-    score = Score(linear, levels, names)
+    score = Score(reduction, levels, names)
 
     def cost(x: Array) -> tuple[float, Array]:
         value, slope = score(dict(levels) | _levels(names, x))
@@ -163,10 +164,11 @@ class Score:
     Markov states there is; the chain rule does the rest.
     """
 
-    def __init__(self, linear: Linear, levels: Mapping[str, float], names: Sequence[str]) -> None:
-        self.names = names
-        self.reduction = reduce(linear)
-        self.linear = linear = self.reduction.linear
+    def __init__(
+        self, reduction: Reduction, levels: Mapping[str, float], names: Sequence[str]
+    ) -> None:
+        self.names, self.reduction = names, reduction
+        self.linear = linear = reduction.linear
         # a few intervals are enough to see what a level does
         few = np.unique(np.linspace(0, len(linear.t) - 1, 50).astype(int))
         dt, rate = np.diff(linear.t, prepend=linear.t[0])[few], 1.0 + linear.rate[few]

@@ -27,13 +27,13 @@ def later_blocks(base: Model, model: Model) -> HeldOut:
     for m in (base, model):
         score = 0.0
         for f in m.parts:
-            early = early_part(f.linear)
+            early = reduce(early_part(f.linear))
             names = [lv.name for lv in f.linear.problem.levels if lv.name not in f.case.fixed]
             levels, _ = noise_levels.estimate(
                 early, f.levels, names, excess=EXCESS, known=f.curvature
             )
             whole = reduced_pass(reduce(f.linear), levels).log_evidence
-            score += whole - reduced_pass(reduce(early), levels).log_evidence
+            score += whole - reduced_pass(early, levels).log_evidence
         scores.append(score + sum(f.case.constant for f in m.parts) * (1 - EARLY))
     before = _residuals(at_same_noise(base.parts, model.parts))
     return HeldOut("later blocks", scores[0], scores[1], before, _residuals(model.parts))
