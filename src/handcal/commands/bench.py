@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from handcal.bench.timing import Figure, Found, Tick
+    from handcal.types import Recording
 
 GROUPS = {
     "filter": "a sample of the filter, over dense C++",
@@ -169,6 +170,9 @@ def _measurements(folder: Path, rounds: int, peers: Path) -> dict[str, Callable[
         case()
         return folder / "readings.npz"
 
+    def hand() -> Recording:
+        return load(program.simulated("free-hand", folder / "hand.mcap", "--duration", "84"))
+
     f, p = filter, program
     return {
         "filter": lambda tick: f.against_dense(case(), peers, folder, rounds, tick),
@@ -179,13 +183,7 @@ def _measurements(folder: Path, rounds: int, peers: Path) -> dict[str, Callable[
         "gtsam": lambda tick: f.against_gtsam(
             case(), script("gtsam_smoother.py", readings(), "1"), rounds, tick
         ),
-        "epochs": lambda tick: f.epochs_against_dense(
-            load(p.simulated("free-hand", folder / "hand.mcap", "--duration", "84")),
-            peers,
-            folder,
-            rounds,
-            tick,
-        ),
+        "epochs": lambda tick: f.epochs_against_dense(hand(), peers, folder, rounds, tick),
         "linear": lambda tick: f.linear_cost(case().problem.recording, rounds, tick),
         "reading": lambda tick: p.reading(folder, script("mcap_messages.py"), rounds, tick),
         "start": lambda tick: p.starting(folder, rounds, tick),

@@ -117,8 +117,7 @@ def explain(
             before=known_before(device, recordings),
             progress=done,
         )
-    said = contradictions(explanation.device, explanation.parameters, explanation.covariance)
-    explanation = replace(explanation, warnings=(*explanation.warnings, *said))
+    explanation = _beside_the_device(explanation)
     typed = _typed(assume, heading_sigma, latitude, height, ignore, reference_exact, topic, units,
                    device, held_out, budget)  # fmt: skip
     following = _following(explanation, files, typed, json)
@@ -133,6 +132,12 @@ def explain(
         _printed(explanation, following)
     if write_effect:
         _write(explanation, write_effect)
+
+
+def _beside_the_device(explanation: Explanation) -> Explanation:
+    """With a warning for each contradiction to what was known of the device."""
+    said = contradictions(explanation.device, explanation.parameters, explanation.covariance)
+    return replace(explanation, warnings=(*explanation.warnings, *said))
 
 
 def _pictured(

@@ -18,6 +18,7 @@ import numpy as np
 from handcal.compiled.jit import copy1, copy2, inner, njit, zero1, zero2
 from handcal.compiled.kernel import BASE, MAX_DIM
 from handcal.estimate.linear import Linear
+from handcal.estimate.trajectory import Trajectory
 from handcal.types import Array, BoolArray, IntArray
 
 # As long (s), and as far turned (rad), is a window at the most.
@@ -83,18 +84,21 @@ def fold(linear: Linear) -> Folded | None:
     kind, scatter = np.zeros(rows, dtype=np.int64), np.zeros((len(kinds), MAX_DIM))
     _summed(r, H, linear.kind, dim, (row, count_of, share), (r_out, H_out, kind, scatter))
     extra = _more(linear.kind[row >= 0], kind, dim)
-    nominal = linear.trajectory
-    trajectory = replace(
-        nominal, node=nominal.node[start], p=nominal.p[start], v=nominal.v[start],
-        C=nominal.C[start], markov=nominal.markov[start],
-    )  # fmt: skip
     folded = replace(
-        linear, trajectory=trajectory, Phi=Phi, d=d, Q_gyro=Q[0], Q_accel=Q[1], Q_extra=Q[2],
-        t=linear.t[start], rate=linear.rate[start], first=first, kind=kind, r=r_out, H=H_out,
-        used=np.ones(rows, dtype=np.bool_),
+        linear, trajectory=_at(linear.trajectory, start), Phi=Phi, d=d, Q_gyro=Q[0], Q_accel=Q[1],
+        Q_extra=Q[2], t=linear.t[start], rate=linear.rate[start], first=first, kind=kind, r=r_out,
+        H=H_out, used=np.ones(rows, dtype=np.bool_),
     )  # fmt: skip
-    markov = nominal.markov[:k]
+    markov = linear.trajectory.markov[:k]
     return Folded(folded, start, of, T, D, extra, scatter.ravel(), markov, row, share)
+
+
+def _at(whole: Trajectory, some: IntArray) -> Trajectory:
+    """The trajectory at some of its epochs."""
+    return replace(
+        whole, node=whole.node[some], p=whole.p[some], v=whole.v[some], C=whole.C[some],
+        markov=whole.markov[some],
+    )  # fmt: skip
 
 
 def _more(read: IntArray, summed: IntArray, dim: IntArray) -> Array:

@@ -131,8 +131,7 @@ def heat_plot(explanation: Explanation, recording: int) -> Plot | None:
         return None
     bins, loss = cells(r)
     rows = say.channels(dict.fromkeys(r.shortfall, 0.0))
-    largest = max(10.0, *(float(c.max()) for e in explanation.recordings
-                          if e.bins.size > 1 for c in cells(e)[1].values()))  # fmt: skip
+    largest = _largest(explanation)
     total = sum(lost(e)[c] for e in explanation.recordings for c in lost(e)) or 1.0
 
     def strength(nats: Array | float) -> Any:
@@ -165,6 +164,13 @@ def heat_plot(explanation: Explanation, recording: int) -> Plot | None:
         caption += " Framed: what is listed above."
     title = f"Misfit{say.of_recording(recording, explanation) or ' by channel'}"
     return Plot(title, caption, svg(figure, f"heat-{recording}"))
+
+
+def _largest(explanation: Explanation) -> float:
+    """Nats of the strongest cell of all recordings' plots."""
+    worst = (float(c.max()) for e in explanation.recordings
+             if e.bins.size > 1 for c in cells(e)[1].values())  # fmt: skip
+    return max(10.0, *worst)
 
 
 def _swatched(largest: float) -> list[float]:

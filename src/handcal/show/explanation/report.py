@@ -9,7 +9,7 @@ from typing import Any
 
 import handcal
 from handcal import output
-from handcal.explain.explanation import Explanation, Hypothesis, Mismatch, Missing
+from handcal.explain.explanation import Explanation, Hypothesis, Mismatch, Missing, Unnamed
 from handcal.show import words
 from handcal.show.calibration.report import how_to_apply
 from handcal.show.drawing import PALETTE
@@ -48,14 +48,8 @@ def _context(e: Explanation, following: Sequence[str]) -> dict[str, Any]:
         "mismatch": [_where(m, names) for m in always.told_mismatch(e)],
         "missing": [_card(m, e, styles) for m in e.missing],
         "shares_note": verdict_text.shares_note(e),
-        "found_title": "What every model has" if always.nothing_added(e)
-        else "What is missing, and what every model has" if any(map(say.is_always, e.missing))
-        else "What is missing",
-        "unnamed": [
-            {"formula": u.formula, "amount": say.sized(u), "gain": say.nats(u.log_evidence_gain),
-             "story": u.story, "lead": verdict_text.lead(u)}
-            for u in e.unnamed
-        ],
+        "found_title": _found_title(e),
+        "unnamed": [_unnamed(u) for u in e.unnamed],
         "plots": plots.draw(e),
         "hypotheses": [_hypothesis(h, e) for h in frames.by_gain(e)],
         "residuals": _residuals(e),
@@ -75,6 +69,22 @@ def _context(e: Explanation, following: Sequence[str]) -> dict[str, Any]:
         "apply": how_to_apply(applicable(e)),
         "biases_of": biases_of(e),
         "following": following,
+    }  # fmt: skip
+
+
+def _found_title(e: Explanation) -> str:
+    """Over the list of what was found."""
+    if always.nothing_added(e):
+        return "What every model has"
+    also = ", and what every model has" if any(map(say.is_always, e.missing)) else ""
+    return f"What is missing{also}"
+
+
+def _unnamed(u: Unnamed) -> dict[str, Any]:
+    """Something without a name."""
+    return {
+        "formula": u.formula, "amount": say.sized(u), "gain": say.nats(u.log_evidence_gain),
+        "story": u.story, "lead": verdict_text.lead(u),
     }  # fmt: skip
 
 
