@@ -12,8 +12,10 @@ from scipy.spatial.transform import Rotation
 from worlds import recording_of
 
 from handcal import calibrate
-from handcal.effects import catalogue
+from handcal.effects import catalogue, select
 from handcal.estimate import case
+from handcal.estimate.baseline import baseline
+from handcal.estimate.fit import fitted
 from handcal.explain import explain
 from handcal.observations import Scene
 from handcal.observations.known_input import matched
@@ -28,6 +30,11 @@ def beside(rng: np.random.Generator) -> Phone:
     """A consumer's phone of 200 Hz with a trusted IMU of the same rate on its back."""
     phone = with_rate(consumer_phone(rng), 200.0)
     return replace(phone, heading=None, reference=trusted_reference(rng))
+
+
+def slower(rng: np.random.Generator) -> Phone:
+    """The same phone, read fifty times a second."""
+    return with_rate(beside(rng), 50.0)
 
 
 def read(t: Array, rate: Array, tremor: float) -> Array:
@@ -226,3 +233,18 @@ def test_accelerometers_apart_in_slow_turns_beside_a_reference(seed: int) -> Non
     assert [m.effect for m in found.missing] == ["size_effect"]
     for p, wanted in zip(found.missing[0].parameters, places, strict=True):
         assert abs(p.value - wanted) < 4.0 * p.sigma
+
+
+def test_evidence_is_not_for_what_makes_readings_smaller() -> None:
+    """Two gyros, one 5 % too large and one too small, with the same noise in what they read, are
+    understood as well: evidence was for the larger by 0.1 nats for each reading, since what is left
+    of it after the correction has so much less noise."""
+    log_evidence, readings = [], 0
+    for scale in (-0.05, 0.05):
+        effects = {"gyro_scale": [scale] * 3}
+        world = simulate("three-turns", seed=0, duration_s=40.0, phone=slower, effects=effects)
+        base = baseline([case.case_of(recording_of(world, "reference"), "auto")])
+        model = fitted(base.parts, [*base.effects, *select(["gyro_scale"])], noise_rounds=2)
+        log_evidence.append(model.log_evidence)
+        readings = 3 * len(model.parts[0].linear.kind)
+    assert abs(log_evidence[1] - log_evidence[0]) < 0.2 * (2 * 0.05 * readings)

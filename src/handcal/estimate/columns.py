@@ -157,10 +157,10 @@ def _driven(
     about: Ground, effects: Sequence[Effect], names: list[tuple[str, str]], seen: Problem | None
 ) -> tuple[Array, Array]:
     """D (K, 9, c) and g (s, c) of further effects' constants."""
-    done, c = about.done, len(names)
+    done, told, c = about.done, about.excited, len(names)
     D = np.zeros((len(done.arrays.A), 9, c))
     g = np.zeros((len(done.S), c))
-    slopes = slopes_of(about.excited, effects)
+    slopes = slopes_of(told, effects)
     kernel.responses(
         slopes.values, slopes.channel, slopes.column, about.windows, about.weights,
         about.scalars, (D, g),
@@ -178,6 +178,7 @@ def _driven(
         place = np.array([at[s.owner, s.name] for s in seen.slots if s.owner in own])
         tables = seen.tables
         mine = np.where(tables.start < len(place), tables.counts, 0)
+        looked = np.zeros_like(g)
         kernel.seen_by_readings(
             about.linear.problem.nodes,
             tables._replace(counts=mine),
@@ -186,6 +187,19 @@ def _driven(
             about.rows,
             place,
             about.linear.used,
-            g,
+            looked,
+        )
+        g += (
+            looked if told.measure is None else _measured(told.measure, about.rows[0][:, 0], looked)
         )
     return D, g
+
+
+def _measured(measure: Array, first: IntArray, g: Array) -> Array:
+    """g (s, c) of readings whose first scalars are ``first`` (q,), -1 for none, times what their
+    residuals (q, m, m) are multiplied by."""
+    used = np.flatnonzero(first >= 0)
+    at = first[used, None] + np.arange(measure.shape[1])
+    out = g.copy()
+    out[at] = measure[used] @ g[at]
+    return out

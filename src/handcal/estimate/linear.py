@@ -70,7 +70,11 @@ def linearise_about(problem: Problem, start: Start, nominal: Trajectory) -> Line
     r, H, used = _rows(problem, nominal)
     if problem.slopes is not None:
         _seen_by_constants(problem.slopes, nodes.first, H)
-    _seen_by_biases(problem, nominal, H)
+    by_bias = _by_biases(problem, nominal)
+    _seen_by_biases(problem, by_bias, H)
+    if by_bias is not None:
+        measure = _measure(problem, by_bias)
+        r, H = np.einsum("qij,qj->qi", measure, r), measure @ H
     for kind, observation in enumerate(problem.observations):
         if observation.isotropic:
             rows = (nodes.kind == kind) & ~nodes.z[:, :DELAY].any(axis=1)
@@ -158,7 +162,8 @@ class Excited:
     """What effects that a linearised problem does not have would act on: its corrected readings,
     and what of them counts as motion (noise, force: see ``differentiated``). C_nb (n, 3, 3), or
     None; W (n, 9, 6): what an error of the readings over each interval makes of the state at the
-    next epoch; by_reading (q, m, 6): of observations that look at rate and force themselves."""
+    next epoch; by_reading (q, m, 6): of observations that look at rate and force themselves;
+    measure (q, m, m): what their residuals are multiplied by, or None."""
 
     done: Corrected
     noise: Array | None
@@ -166,6 +171,7 @@ class Excited:
     C_nb: Array | None
     W: Array
     by_reading: Array
+    measure: Array | None
 
 
 def excited(linear: Linear, fresh: Problem) -> Excited:
@@ -177,9 +183,12 @@ def excited(linear: Linear, fresh: Problem) -> Excited:
     if problem.navigated:
         turn_errors(W, nominal.node, d)
     H = linear.H if problem.navigated else _rows(problem, nominal)[1]
+    by_bias = _by_biases(problem, nominal)
+    measure = None if by_bias is None else _measure(problem, by_bias)
+    H = H if measure is None else measure @ H
     by_reading = H[:, :, 9:BASE] if H[:, :, 9:BASE].any() else np.zeros((0, 0, 6))
     noise, force = _unexciting(problem, nominal, d, C_nb)
-    return Excited(done, noise, force, C_nb, W, np.ascontiguousarray(by_reading))
+    return Excited(done, noise, force, C_nb, W, np.ascontiguousarray(by_reading), measure)
 
 
 def slopes_of(told: Excited, effects: Sequence[Effect]) -> Slopes:
@@ -264,15 +273,43 @@ def _seen_by_constants(slopes: Slopes, first: IntArray, H: Array) -> None:
     _add_seen(rows, node, slopes.values, slopes.channel, slopes.column, H)
 
 
-def _seen_by_biases(problem: Problem, nominal: Trajectory, H: Array) -> None:
-    """Let the rows H see what effects that are not linear add with a bias, and the walks what the
-    biases do."""
+def _by_biases(problem: Problem, nominal: Trajectory) -> Array | None:
+    """What effects add with a bias (q, 6, 6), where readings are looked at themselves; None where
+    they are not, or nothing is added."""
     nodes = problem.nodes
     by_bias = None if problem.navigated else errors_by_bias(problem, nominal.bg, nominal.ba)
+    if by_bias is None:
+        return None
+    seen = np.searchsorted(nodes.first, np.arange(len(nodes.kind)), side="right") - 1
+    return by_bias[nearest(problem.recording.imu.t, nodes.t[seen])]
+
+
+def _measure(problem: Problem, by_bias: Array) -> Array:
+    """What residuals (q, 6) are multiplied by (q, 6, 6), to be in the measure of what was read, not
+    of what is left of it when effects are taken off.
+
+    Corrected for a scale error of 5 %, readings have 5 % less noise. If that counted, evidence
+    would be for whatever makes readings smaller (0.05 nats for each of them), without another word
+    of theirs. The reference's noise does not become smaller: residuals are as much larger as the
+    IMU's share of the noise has it.
+    """
+    nodes, imu = problem.nodes, problem.recording.imu
+    out = np.tile(np.eye(6), (len(by_bias), 1, 1))
+    for kind, observation in enumerate(problem.observations):
+        if observation.ours is None:
+            continue
+        mine = np.flatnonzero(nodes.kind == kind)
+        at = nearest(imu.t, nodes.t[np.searchsorted(nodes.first, mine, side="right") - 1])
+        share = observation.ours(nodes.z[mine], np.hstack([imu.gyro[at], imu.accel[at]]))
+        out[mine] -= share[:, None] * by_bias[mine]
+    return out
+
+
+def _seen_by_biases(problem: Problem, by_bias: Array | None, H: Array) -> None:
+    """Let the rows H see what effects that are not linear add with a bias, and the walks what the
+    biases do."""
     if by_bias is not None:
-        t = problem.recording.imu.t
-        seen = np.searchsorted(nodes.first, np.arange(len(nodes.kind)), side="right") - 1
-        H[:, :, 9:15] += H[:, :, 9:15] @ by_bias[nearest(t, nodes.t[seen])]
+        H[:, :, 9:15] += H[:, :, 9:15] @ by_bias
     e0 = BASE + problem.constants
     for state, column in problem.walks:
         H[:, :, e0 + state : e0 + state + 3] = H[:, :, 9 + column : 12 + column]

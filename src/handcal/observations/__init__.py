@@ -87,6 +87,8 @@ class Observation:
     device is.
     believed(z (k, Z_DIM), theta): z with what effects have to know of the observation's constants,
     at which everything is linearised.
+    ours(z (k, zdim), read (k, 6)): share (dim,) of the variance of its white noise that is the
+    IMU's, for an observation of the readings themselves.
     guess(z (k, zdim)): first guesses of levels that the observations themselves show.
     moved(recording, series, C_nb (m, 3, 3), shift (m, dim)): the stream as it would read if its
     residuals were larger by the shift.
@@ -107,6 +109,7 @@ class Observation:
     markov_residual: int = 0
     guess: Callable[[Array], Mapping[str, float]] | None = None
     believed: Callable[[Array, Array], Array] | None = None
+    ours: Callable[[Array, Array], Array] | None = None
     moved: Callable[[Recording, Series, Array, Array], Series] | None = None
     isotropic: bool = False
     wandering: int | None = None

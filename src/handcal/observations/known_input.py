@@ -279,13 +279,32 @@ def _guess(z: Array) -> Mapping[str, float]:
     """Levels that the reference itself shows: its white noise, and as much of the IMU."""
     out, read = {}, z[:, NOW:SLOPE]
     for name, x in (("reference_gyro_noise", read[:, :3]), ("reference_accel_noise", read[:, 3:])):
-        d4 = np.diff(x, n=4, axis=0)
-        power = (d4**2).mean(axis=1)
-        width = max(1, min(30, len(power)))
-        windows = power[: len(power) // width * width].reshape(-1, width).mean(axis=1)
         least, most = next((lv.lower, lv.upper) for lv in LEVELS if lv.name == name)
-        sigma = math.sqrt(2.0 * float(np.quantile(windows, 0.3)) / 70.0)
-        out[name] = min(max(sigma, 2.0 * least), 0.5 * most)
+        out[name] = min(max(math.sqrt(2.0 * _white(x)), 2.0 * least), 0.5 * most)
+    return out
+
+
+def _white(x: Array) -> float:
+    """Variance of the white noise of readings x (n, 3), where least else is quick."""
+    return float(np.quantile(_quick(x), 0.3))
+
+
+def _quick(x: Array) -> Array:
+    """Variance of what is quick in readings x (n, 3), noise and tremor, of each short while."""
+    power = (np.diff(x, n=4, axis=0) ** 2).mean(axis=1) / 70.0
+    width = max(1, min(30, len(power)))
+    return np.asarray(power[: len(power) // width * width].reshape(-1, width).mean(axis=1))
+
+
+def _ours(z: Array, read: Array) -> Array:
+    """Share (6,) of the noise that is not the reference's: a tremor is in both, and not in their
+    difference."""
+    known, out = z[:, NOW:SLOPE], np.zeros(6)
+    for s in (slice(0, 3), slice(3, 6)):
+        apart = _quick(read[:, s] - known[:, s])
+        own = 0.5 * (_quick(read[:, s]) - _quick(known[:, s]) + apart)
+        if np.median(apart) > 0.0:
+            out[s] = np.clip(np.median(own) / np.median(apart), 0.0, 1.0)
     return out
 
 
@@ -324,4 +343,5 @@ OBSERVATION = Observation(
     markov=InMotion(),
     markov_residual=residual_function(_in_motion),
     guess=_guess,
+    ours=_ours,
 )
