@@ -39,9 +39,10 @@ class Look:
 
 
 def looks_of(
-    parts: Sequence[Fitted], effects: Sequence[Effect], noise: Sequence[Effect]
+    parts: Sequence[Fitted], effects: Sequence[Effect], noise: Sequence[Effect], most: int
 ) -> list[Look]:
-    """The effects with one noise effect each that the recordings can show, the best first."""
+    """The effects with one noise effect each that the recordings can show, the best ones (``most``
+    at the most: each holds what was linearised for it), the best first."""
     plain = [moved_to(f, effects) for f in parts]
     here = sum(reduced_pass(reduce(f.linear), f.levels).log_evidence for f in plain)
 
@@ -51,8 +52,10 @@ def looks_of(
         return Look((*effects, e), tuple(f for f, _ in wide), there - here)
 
     shown = [e for e in noise if any(applicable(f.case, e) for f in parts)]
-    out = in_parallel(partial(look, e) for e in shown)
-    return sorted(out, key=lambda look: -look.gain)
+    best: list[Look] = []
+    for found in in_parallel(partial(look, e) for e in shown):
+        best = sorted([*best, found], key=lambda k: -k.gain)[:most]
+    return best
 
 
 def _at_best(f: Fitted, e: Effect) -> tuple[Fitted, float]:

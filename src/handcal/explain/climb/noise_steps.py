@@ -18,8 +18,8 @@ def add_noise(c: Climb) -> Model | None:
     that was what the noise effect gained by."""
     model, worth = c.model, c.worth
     have = {*model.ids, *c.dropped}
-    looks = looks_of(model.parts, model.effects, [e for e in all_noise() if e.id not in have])
-    tried = [(m, e) for m, e in of_looks(looks[:FEW]) if better(m, model, worth) > 0.0]
+    looks = looks_of(model.parts, model.effects, [e for e in all_noise() if e.id not in have], FEW)
+    tried = [(m, e) for m, e in of_looks(looks) if better(m, model, worth) > 0.0]
     if not tried:
         return None
     best, added = on_fewer_axes(*max(tried, key=lambda pair: score(pair[0], worth)), worth)
@@ -54,8 +54,8 @@ def exchange_noise(c: Climb) -> Model | None:
             and (e.id, key) not in c.noises
         ]
         c.noises |= {(e.id, key) for e in (old, *rivals)}
-        looks = looks_of(model.parts, rest, rivals)
-        tried = [(m, e) for m, e in of_looks(looks[:1]) if likelier(c, m)]
+        looks = looks_of(model.parts, rest, rivals, 1)
+        tried = [(m, e) for m, e in of_looks(looks) if likelier(c, m)]
         if tried:
             best, new = on_fewer_axes(*tried[0], c.worth)
             c.noise[new.id] = c.noise.pop(old.id, 0.0) + better(best, model, c.worth)
@@ -78,9 +78,9 @@ def noise_instead(c: Climb) -> Model | None:
         if not weak or old.id in c.kept or key in c.noises:
             continue
         c.noises.add(key)
-        looks = looks_of(model.parts, rest, rivals)
+        looks = looks_of(model.parts, rest, rivals, 1)
         # (a walk explains any slow thing a little: odds of 20 to 1 against what has a cause)
-        tried = [x for x in of_looks(looks[:1]) if better(x[0], model, c.worth) > LOOK]
+        tried = [x for x in of_looks(looks) if better(x[0], model, c.worth) > LOOK]
         if tried and sensible(tried[0][0]):
             best, new = tried[0]
             c.noise[new.id] = better(best, model, c.worth) + gained[old.id]
