@@ -16,6 +16,7 @@ from handcal.compiled import so3
 from handcal.effects import Signals, accel_delay, catalogue, select
 from handcal.estimate import case, fit, noise_levels, observed
 from handcal.estimate.baseline import started
+from handcal.estimate.calibration import calibrate
 from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.fit import EXCESS, fitted, scan
 from handcal.estimate.model import Model
@@ -206,6 +207,33 @@ def test_a_delay_of_more_than_a_radian(seed: int) -> None:
     delay = next(m for m in found.missing if m.effect == "heading_delay").parameters[0]
     assert abs(delay.value + 0.4) < 4 * delay.sigma
     assert delay.sigma < 0.1 * delay.prior_sigma
+
+
+# --- a filter whose lag delays hold -------------------------------------------------------------
+# A gyro that is as slow as the accelerometer is late: together they look like an early heading and
+# a late pose, about which a scan shows nothing of what the filter smooths; and of filters fitted
+# beside delays every third came out backwards in time.
+
+
+@pytest.fixture(scope="module", params=range(3))
+def smoothed(request: pytest.FixtureRequest) -> Recording:
+    def filmed(rng: np.random.Generator) -> Phone:
+        return replace(consumer_phone(rng), pose=capture_pose(rng))
+
+    late = {"gyro_bandwidth": [0.015], "accel_delay": [0.015], "pose_delay": [0.03]}
+    world = simulate("free-hand", seed=request.param, duration_s=30.0, phone=filmed, effects=late)
+    return recording_of(world, "heading", "pose")
+
+
+def test_a_filter_beside_delays_is_not_backwards_in_time(smoothed: Recording) -> None:
+    found = calibrate(smoothed, ["gyro_bandwidth", "accel_delay", "pose_delay"])
+    tau = next(p for p in found.parameters if p.name == "tau")
+    assert 0.012 < tau.value < 0.018
+    assert tau.sigma < 0.002
+
+
+def test_a_filter_is_found_behind_delays(smoothed: Recording) -> None:
+    assert sorted(names(explain([smoothed]))) == ["accel_delay", "gyro_bandwidth", "pose_delay"]
 
 
 # --- arms that nobody has ----------------------------------------------------------------------

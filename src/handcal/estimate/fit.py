@@ -23,7 +23,7 @@ from handcal.estimate.model import Fitted, Known, Model
 from handcal.estimate.quadratic import Local, Posterior, Quadratic, given, local, posterior, total
 from handcal.estimate.robust import excess
 from handcal.estimate.tails import SCALES, tailed, usual
-from handcal.estimate.transfer import linearised, moved_to
+from handcal.estimate.transfer import begun, linearised, moved_to
 from handcal.types import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Array, IntArray, Prior
 
 # Nats within which evidence rests: of a fit that is written down, of one that a search compares
@@ -119,7 +119,7 @@ def fitted(
 ) -> Model:
     """Fit these effects to all recordings, beginning from other fits' trajectories and noise,
     until the evidence rests within ``tolerance`` nats."""
-    parts = [moved_to(f, effects) for f in begin]
+    parts = [begun(f, effects) for f in begin]
     rest = tolerance if noise_rounds == 0 else ROUGH
     now = relinearised_parts(parts, effects, known, tolerance=rest)
     if not math.isfinite(now.evidence):

@@ -5,12 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from handcal.effects import Effect
 from handcal.estimate import noise_levels
 from handcal.estimate.case import Case
 from handcal.estimate.linear import Linear
 from handcal.estimate.quadratic import Quadratic
 from handcal.types import Array
+
+# Standard deviations below zero within which something that cannot be negative may come out.
+BELOW_ZERO = 3.0
 
 
 @dataclass(frozen=True)
@@ -59,3 +64,11 @@ class Model:
     def chosen(self) -> frozenset[str]:
         """Ids of the effects that a scan weighs: all but those that are noise."""
         return frozenset(e.id for e in self.effects if e.process is None)
+
+    @property
+    def one_sided(self) -> bool:
+        """Whether nothing came out clearly negative that cannot be."""
+        positive = {(e.id, p.name) for e in self.effects for p in e.parameters if p.positive}
+        mine = np.array([n in positive for n in self.quadratic.names], dtype=np.bool_)
+        sigma = np.sqrt(np.diag(self.covariance))
+        return bool(np.all(self.u[mine] > -BELOW_ZERO * sigma[mine]))

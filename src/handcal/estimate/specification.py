@@ -21,7 +21,7 @@ from handcal.estimate.fit import TOLERANCE, fitted, known_before, with_usual_noi
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.parallel import in_parallel
 from handcal.estimate.parameters import Moment
-from handcal.estimate.transfer import at_constants, moved_to
+from handcal.estimate.transfer import at_constants, begun
 from handcal.types import HandcalError, Prior, Recording
 
 
@@ -116,7 +116,7 @@ def settled(base: Model, chosen: Specification, engine: str = "compiled") -> Mod
         return base
     before = known_before(chosen.effects, chosen.options.before)
     at = _starts(chosen, base)
-    parts = [at_constants(moved_to(f, chosen.effects), chosen.effects, at) for f in base.parts]
+    parts = [at_constants(begun(f, chosen.effects), chosen.effects, at) for f in base.parts]
     fit = partial(fitted, effects=chosen.effects, noise_rounds=2, known=before, tolerance=TOLERANCE)
     if chosen.levels:
         noisy = [
@@ -131,7 +131,7 @@ def settled(base: Model, chosen: Specification, engine: str = "compiled") -> Mod
     found = list(in_parallel(partial(fit, s) for s in starts))
     if max(m.log_evidence for m in found) < base.log_evidence:
         found.append(fit(parts))
-    return max(found, key=lambda m: m.log_evidence)
+    return max(found, key=lambda m: (m.one_sided, m.log_evidence))
 
 
 def _starts(chosen: Specification, base: Model) -> dict[tuple[str, str], float]:

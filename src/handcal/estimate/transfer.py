@@ -61,6 +61,16 @@ def moved_to(f: Fitted, effects: Sequence[Effect]) -> Fitted:
     return Fitted(case, linear, levels, f.curvature)
 
 
+def begun(f: Fitted, effects: Sequence[Effect]) -> Fitted:
+    """``moved_to``, for a fit: what is one-sided begins at its usual size. (About zero a filter is
+    a delay, which others may hold already, and it would be chance on which side of it a fit ends.)
+    """
+    have = {s.owner for s in f.linear.problem.slots}
+    new = [e for e in effects if e.id not in have and e.imu_inverse is not None]
+    usual = {(e.id, p.name): p.prior_sigma for e in new for p in e.parameters if p.positive}
+    return at_constants(moved_to(f, effects), effects, usual)
+
+
 def delayed(f: Fitted, effects: Sequence[Effect], effect: Effect, seconds: float) -> Fitted:
     """The fit, of these effects already, with the delay of one of them set to so much and
     nothing else moved."""

@@ -9,13 +9,14 @@ from dataclasses import replace
 from functools import partial
 
 from handcal.effects import Effect, catalogue
-from handcal.estimate.case import name_of
+from handcal.estimate.case import applicable, name_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.parallel import in_parallel
+from handcal.explain.climb.candidates import scanned_about
 from handcal.explain.climb.state import WEAK, Climb, likelier, sensible
 from handcal.explain.score import NAMED, PRIOR, better
-from handcal.explain.space import gains, rivals
+from handcal.explain.space import best_set, gains, rivals
 
 # A rival that would do so much of what an effect does is fitted in its place.
 NEARLY = 0.4
@@ -126,3 +127,38 @@ def reorder(c: Climb) -> Model | None:
         if tried.log_evidence > model.log_evidence:
             return tried
     return None
+
+
+def hidden(c: Climb) -> Model | None:
+    """The model with a filter whose lag delays may hold as well: beside these a scan about zero
+    shows nothing of it, since what it smooths grows with its square. So it is fitted, from its
+    usual size on, with all the delays that may make up for its lag."""
+    model = c.model
+    have = {name_of(i) for i in model.ids} | c.dropped
+    cases = [f.case for f in model.parts]
+    for e in catalogue().values():
+        key = e.id, frozenset(model.ids)
+        if e.id in have or key in c.ordered or not _smooths(e):
+            continue
+        late = [catalogue()[i] for i in e.akin if i not in have]
+        wanted = [x for x in (e, *late) if any(applicable(case, x) for case in cases)]
+        held = any(x.delays or akin(e.id, x.id) for x in model.effects)
+        if not held or e not in wanted:
+            continue
+        c.ordered.add(key)
+        tried = fitted(model.parts, [*model.effects, *wanted])
+        # (about it a scan tells which of the delays it can do without)
+        where = scanned_about(tried, c.unnamed, c.dropped | c.beyond)
+        fewer = best_set(where, tried.chosen)
+        if fewer != tried.chosen:
+            noise = [x for x in model.effects if x.process is not None]
+            tried = fitted(tried.parts, [*(where.effects[i] for i in sorted(fewer)), *noise])
+        if tried.one_sided and likelier(c, tried):
+            c.swaps.clear()  # (they hold beside the same others only)
+            return tried
+    return None
+
+
+def _smooths(effect: Effect) -> bool:
+    """Whether it is a filter of the readings, which has one direction in time."""
+    return effect.imu_inverse is not None and any(p.positive for p in effect.parameters)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from handcal.estimate.model import Model
 from handcal.explain.climb.candidates import scanned
-from handcal.explain.climb.exchange_steps import exchange, reorder
+from handcal.explain.climb.exchange_steps import exchange, hidden, reorder
 from handcal.explain.climb.law_steps import MAX_TERMS, instead, name_term, narrow, reshape
 from handcal.explain.climb.noise_steps import add_noise, exchange_noise, free, noise_instead
 from handcal.explain.climb.state import Climb
@@ -52,6 +52,7 @@ _STEPS: dict[Callable[[Climb], Model | None], str] = {
     narrow: "laws on fewer axes",
     exchange: "similar effects in the place of those that were found",
     reorder: "filters in another order",
+    hidden: "filters beside delays",
     add_noise: "noise effects",
     exchange_noise: "noise that goes with the motion",
     thin: "the fit without its weakest effects",
