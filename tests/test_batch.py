@@ -177,8 +177,9 @@ def test_preintegrated_transition_is_the_derivative_of_navigation(short):
         def end(error, span=span, j=j):
             extras = nominal.constants[: problem.imu_constants] + error[15:] - problem.ref[:3]
             wrong = J[span] @ extras
-            gyro = nodes.gyro[span] - (nominal.bg + error[9:12]) - wrong[:, :3]
-            accel = nodes.accel[span] - (nominal.ba + error[12:15]) - wrong[:, 3:]
+            gyro, accel = np.hsplit(np.hstack([nodes.gyro, nodes.accel]) + nodes.bend, 2)
+            gyro = gyro[span] - (nominal.bg + error[9:12]) - wrong[:, :3]
+            accel = accel[span] - (nominal.ba + error[12:15]) - wrong[:, 3:]
             C = so3.matrix_exp(error[6:9]) @ nominal.C[j - 1]
             p, v, C = strapdown.integrate(
                 nodes.t[span], gyro, accel, nominal.p[j - 1] + error[:3],
@@ -243,7 +244,7 @@ def test_relinearisation_settles(half_minute):
     linear, levels, (settled, forward, done) = half_minute
     assert done
     x, P = smoother.smooth(settled, levels, forward)
-    again = linearise_about(settled.problem, settled.start, smoother.moved(settled, x))
+    again = linearise_about(settled.problem, settled.start, smoother.moved(settled.trajectory, x))
     second = smoother.forward(again, levels)
     assert abs(second.log_evidence - forward.log_evidence) < 0.05
     sigma = np.sqrt(np.diag(P[-1]))[9 : BASE + settled.problem.constants]

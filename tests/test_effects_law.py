@@ -865,7 +865,7 @@ def test_a_step_comes_back_from_the_best_of_its_moments(seed):
     # As long as there is no step nothing tells its moment, which would fall back to its prior:
     # first the step, the moment held.
     best = max(tried)[2]
-    there = smoother.moved(best, smoother.smoothed_mean(best, levels)[0])
+    there = smoother.moved(best.trajectory, smoother.smoothed_mean(best, levels)[0])
     there.constants[3] = best.trajectory.constants[3]
     linear, settled, _ = smoother.relinearise(linearise_about(problem, start, there), levels)
     assert settled

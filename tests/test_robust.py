@@ -24,10 +24,12 @@ def a_pass(rng: np.random.Generator, odd: int) -> Any:
     errs = rng.standard_normal((int(SECONDS / BLOCK_S) + 1, EACH))[(t / BLOCK_S).astype(int)]
     innovations = rng.standard_normal(len(t)) + SIZE * (own * errs).sum(axis=1)
     linear = SimpleNamespace(t=t, problem=problem)
+    # (of far more information than the priors have)
+    by_constants, S = 30.0 * seen, 1.0 + EACH * SIZE**2 / len(t)
     return SimpleNamespace(
-        nu=np.column_stack([innovations, seen]),
-        S=np.full(len(t), 1.0 + EACH * SIZE**2 / len(t)),
-        log_likelihood=(0.0, None, 1e3 * seen.T @ seen),
+        nu=np.column_stack([innovations, by_constants]),
+        S=np.full(len(t), S),
+        log_likelihood=(0.0, None, by_constants.T @ by_constants / S),
         reduction=SimpleNamespace(linear=linear, first=np.arange(len(t) + 1)),
     )
 

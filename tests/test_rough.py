@@ -101,10 +101,16 @@ main()
 """
 
 
+def _ended(program: str, by: signal.Signals) -> subprocess.CompletedProcess[str]:
+    """(What a shell begins in the background is deaf to SIGINT, and so is all that it begins.)"""
+    heard = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+    command = [sys.executable, "-c", heard + program, str(int(by))]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
 @pytest.mark.parametrize("ended", [signal.SIGINT, signal.SIGTERM])
 def test_what_ends_the_program_is_heard_before_it_imports(ended: signal.Signals) -> None:
-    command = [sys.executable, "-c", EARLY, str(int(ended))]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = _ended(EARLY, ended)
     assert done.returncode == 128 + ended
     assert done.stderr in ("", "handcal: interrupted\n")
 
@@ -143,8 +149,7 @@ _registry.run(None)
 @pytest.mark.parametrize("program", [SWALLOWED, IN_EXEC], ids=["swallowed", "in exec"])
 @pytest.mark.parametrize("ended", [signal.SIGINT, signal.SIGTERM])
 def test_what_ends_the_program_is_its_status(program: str, ended: signal.Signals) -> None:
-    command = [sys.executable, "-c", program, str(int(ended))]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = _ended(program, ended)
     assert done.returncode == 128 + ended
     assert done.stderr in ("", "handcal: interrupted\n")
 

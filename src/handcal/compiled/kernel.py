@@ -56,7 +56,8 @@ class Tables(NamedTuple):
 class Nodes(NamedTuple):
     """The recording on the union of IMU stamps and observation times, n nodes.
 
-    t (n,); gyro, accel (n, 3) with the effects at their reference removed;
+    t (n,); gyro, accel (n, 3) with the effects at their reference removed; bend (n, 6): what is
+    added to both where they are integrated, for the motion between the samples;
     J (n, 6, mi): derivative of the readings by the IMU constants; extra (n, 3): variance
     added to angle (rad^2), velocity and position over the interval that ends here (gaps, masks,
     and a held point that is moved);
@@ -66,6 +67,7 @@ class Nodes(NamedTuple):
     t: Array
     gyro: Array
     accel: Array
+    bend: Array
     J: Array
     extra: Array
     first: IntArray
@@ -136,6 +138,11 @@ def interval(
     corrected(nodes.gyro[i], nodes.J[i], 0, bg, extras, ref, w1)
     corrected(nodes.accel[i - 1], nodes.J[i - 1], 3, ba, extras, ref, f0)
     corrected(nodes.accel[i], nodes.J[i], 3, ba, extras, ref, f1)
+    for k in range(3):
+        w0[k] += nodes.bend[i - 1, k]
+        w1[k] += nodes.bend[i, k]
+        f0[k] += nodes.bend[i - 1, 3 + k]
+        f1[k] += nodes.bend[i, 3 + k]
     dt = nodes.t[i] - nodes.t[i - 1]
     increments(w0, w1, f0, f1, dt, inc)
     for k in range(3):

@@ -196,10 +196,10 @@ def integrate(
 
 @inner
 def _less(nodes: Nodes, i: int, bg: Array, ba: Array, w: Array, f: Array) -> None:
-    """Rate and force at a node without the biases."""
+    """Rate and force at a node without the biases, as they are integrated."""
     for k in range(3):
-        w[k] = nodes.gyro[i, k] - bg[k]
-        f[k] = nodes.accel[i, k] - ba[k]
+        w[k] = nodes.gyro[i, k] - bg[k] + nodes.bend[i, k]
+        f[k] = nodes.accel[i, k] - ba[k] + nodes.bend[i, 3 + k]
 
 
 @inner

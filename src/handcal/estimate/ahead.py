@@ -12,6 +12,7 @@ import numpy as np
 from handcal.estimate import smoother
 from handcal.estimate.case import case_of, problem_with
 from handcal.estimate.evidence import backward, reduce, reduced_pass
+from handcal.estimate.folded import unfolded
 from handcal.estimate.linear import Linear
 from handcal.estimate.noise_levels import initial_levels
 from handcal.estimate.quadratic import Quadratic
@@ -31,7 +32,9 @@ def compile_ahead() -> None:
     done = reduced_pass(reduce(linear, folds=False), levels, keep=True)
     k, m, columns = done.X.shape
     backward(done, True, np.empty((k, m, columns)), np.empty((k, m, m)))
-    reduce(linear)
+    folded = reduce(linear).folded
+    assert folded is not None
+    unfolded(folded, linear.t, np.zeros((len(folded.start), linear.problem.size)))
 
 
 def _still() -> tuple[Linear, dict[str, float]]:

@@ -11,6 +11,7 @@ from handcal.compiled.kernel import MOST_HELD, Nodes, Tables
 from handcal.effects import DELAY, TIME, WARMTH, Z_DIM, Effect
 from handcal.estimate.derivatives import relinearised
 from handcal.estimate.problem import Problem, Slot, slots_of
+from handcal.estimate.sampling import between_samples
 from handcal.observations import Observation, Rows, nearest
 from handcal.signals import warmth_at
 from handcal.types import Array, Markov, Recording
@@ -164,10 +165,12 @@ def _nodes(
     first = np.searchsorted(node, np.arange(len(t) + 1)).astype(np.int64)
     gyro = np.stack([np.interp(t, imu.t, imu.gyro[:, k]) for k in range(3)], axis=1)
     accel = np.stack([np.interp(t, imu.t, imu.accel[:, k]) for k in range(3)], axis=1)
+    bend = between_samples(imu, np.hstack([imu.gyro, imu.accel]), t)
     rate = _smoothed_rate(recording, t)
     extra = _extra(recording, t)
     np.add.at(extra[:, 2], node, moved**2)
-    nodes = Nodes(t, gyro, accel, np.zeros((len(t), 6, imu_constants)), extra, first, kind, z)
+    J = np.zeros((len(t), 6, imu_constants))
+    nodes = Nodes(t, gyro, accel, bend, J, extra, first, kind, z)
     return nodes, rate, int((~keep).sum())
 
 

@@ -14,7 +14,7 @@ from handcal.estimate.case import Case, no_fit, other_irons, problem_with
 from handcal.estimate.derivatives import relinearised
 from handcal.estimate.filter import ENGINES, empty_track
 from handcal.estimate.fit import fitted
-from handcal.estimate.linear import linearise_about
+from handcal.estimate.linear import known_linear, linearise_about
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.observed import first_state
 from handcal.estimate.parallel import in_parallel
@@ -75,4 +75,4 @@ def started(case: Case, effects: Sequence[Effect] = (), engine: str = "compiled"
     linear, _, _ = smoother.relinearise(linearise_about(problem, case.start, nominal), levels)
     if not np.isfinite(linear.d).all():
         raise no_fit([case.recording])
-    return Fitted(case, linear, levels)
+    return Fitted(case, known_linear(linear), levels)

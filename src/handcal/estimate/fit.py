@@ -8,7 +8,7 @@ shared parameters, and moves each trajectory by what follows for it.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,7 +23,7 @@ from handcal.estimate.model import Fitted, Known, Model
 from handcal.estimate.quadratic import Local, Posterior, Quadratic, given, local, posterior, total
 from handcal.estimate.robust import excess
 from handcal.estimate.tails import SCALES, tailed, usual
-from handcal.estimate.transfer import begun, linearised, moved_to
+from handcal.estimate.transfer import begun, linearised, moved_to, of_these
 from handcal.types import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Array, IntArray, Prior
 
 # Nats within which evidence rests: of a fit that is written down, of one that a search compares
@@ -91,7 +91,7 @@ def believed(model: Model, excess: Mapping[str, float]) -> Model:
 
 def own_levels(f: Fitted) -> dict[str, float]:
     """Levels that the effects of a fit bring along."""
-    own = {lv.name for e in f.linear.problem.effects for lv in e.levels}
+    own = {lv.name for e in f.problem.effects for lv in e.levels}
     return {k: v for k, v in f.levels.items() if k in own}
 
 
@@ -119,9 +119,8 @@ def fitted(
 ) -> Model:
     """Fit these effects to all recordings, beginning from other fits' trajectories and noise,
     until the evidence rests within ``tolerance`` nats."""
-    parts = [begun(f, effects) for f in begin]
     rest = tolerance if noise_rounds == 0 else ROUGH
-    now = relinearised_parts(parts, effects, known, tolerance=rest)
+    now = relinearised_parts([begun(f, effects) for f in begin], effects, known, tolerance=rest)
     if not math.isfinite(now.evidence):
         return diverged(now.parts, effects)
     for left in range(noise_rounds, -1, -1):
@@ -289,46 +288,73 @@ def relinearised_parts(
     least: where the evidence falls below that, there is no use in going on. wide: with all scales
     of the priors instead of the usual one alone. tolerance: nats. reductions: the parts', if known.
     """
-    shared = frozenset(e.id for e in effects)
     parts, evidence, before = list(parts), -math.inf, -math.inf
     for _ in range(ROUNDS):
-        if not all(_sane(f.linear) for f in parts):
-            return Rested(parts, False, math.nan, tolerance, wide)
-        reductions = reductions or [reduce(f.linear) for f in parts]
-        passes = [
-            reduced_pass(r, f.levels, keep=True) for f, r in zip(parts, reductions, strict=True)
-        ]
-        locals_ = [local(p, shared) for p in passes]
-        whole = total([x.quadratic for x in locals_])
-        found = _posterior(whole, effects, known, wide)
-        rests = abs(found.log_evidence - evidence) < tolerance
+        if not reductions:
+            if not all(_sane(f.linear) for f in parts):
+                return Rested(parts, False, math.nan, tolerance, wide)
+            reductions = [reduce(f.linear) for f in parts]
+        # (from here on they do without what they were linearised to, which is large)
+        parts = [f.bare for f in parts]
+        seen = _seen(parts, reductions, effects, known, wide)
+        rests = abs(seen.evidence - evidence) < tolerance
         # (to and fro between two trajectories: this is the better)
-        swings = abs(found.log_evidence - before) < tolerance and found.log_evidence > evidence
+        swings = abs(seen.evidence - before) < tolerance and seen.evidence > evidence
         if rests or swings:
-            now = found.log_evidence
-            return Rested(parts, rests, now, tolerance, wide, whole, reductions)
-        before, evidence = evidence, found.log_evidence
+            return Rested(parts, rests, seen.evidence, tolerance, wide, seen.whole, reductions)
+        before, evidence = evidence, seen.evidence
         if not evidence > least:  # (nor where it is no number any more)
             break
+        parts, reductions = seen.followed(), ()
+        del seen
+    evidence = evidence if all(_sane(f.linear) for f in parts) else math.nan
+    return Rested([f.bare for f in parts], False, evidence, tolerance, wide)
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """One pass over all parts: what they say of the effects together, and where that leads."""
+
+    evidence: float
+    whole: Quadratic
+    followed: Callable[[], list[Fitted]]
+
+
+def _seen(
+    parts: Sequence[Fitted],
+    reductions: Sequence[Reduction],
+    effects: Sequence[Effect],
+    known: Known | None,
+    wide: bool,
+) -> _Seen:
+    shared = frozenset(e.id for e in effects)
+    passes = [reduced_pass(r, f.levels, keep=True) for f, r in zip(parts, reductions, strict=True)]
+    locals_ = [local(p, shared) for p in passes]
+    whole = total([x.quadratic for x in locals_])
+    found = _posterior(whole, effects, known, wide)
+
+    def followed() -> list[Fitted]:
         deviations = (x.deviations(given(whole, x.quadratic, found.mean)) for x in locals_)
         each = zip(parts, passes, deviations, strict=True)
-        parts, reductions = [_followed(f, done, w, effects) for f, done, w in each], ()
-    evidence = evidence if all(_sane(f.linear) for f in parts) else math.nan
-    return Rested(parts, False, evidence, tolerance, wide)
+        return [_followed(f, done, w, effects) for f, done, w in each]
+
+    return _Seen(found.log_evidence, whole, followed)
 
 
 def _followed(f: Fitted, done: ReducedPass, w: Array, effects: Sequence[Effect]) -> Fitted:
-    """The fit linearised where its trajectory goes with these deviations w of its constants."""
+    """The fit where its trajectory goes with these deviations w of its constants."""
     done = replace(done, w=w)
     k, m = done.X.shape[:2]
     r = np.empty((k, m, 1))
     backward(done, False, r, np.empty((0, m, m)), spread=False)
-    return linearised(f, smoother.moved(f.linear, smoother.whole_mean(done, r)), effects)
+    problem = done.reduction.linear.problem
+    there = smoother.moved(f.trajectory, smoother.whole_mean(done, r))
+    return linearised(f, there, effects, problem)
 
 
 def with_usual_noise(f: Fitted) -> Fitted:
     """The fit with its noise levels as they are before anything was fitted, but for those known."""
-    levels = noise_levels.initial_levels(f.linear.problem)
+    levels = noise_levels.initial_levels(f.problem)
     levels |= {k: v for k, v in f.case.fixed.items() if k in levels}
     return replace(f, levels=levels, curvature=noise_levels.NO_CURVATURE)
 
@@ -336,7 +362,7 @@ def with_usual_noise(f: Fitted) -> Fitted:
 def with_noise(f: Fitted, reduction: Reduction) -> Fitted:
     """The fit with its noise levels estimated anew, but for those that are known; reduction: of
     its linearised problem."""
-    names = tuple(lv.name for lv in f.linear.problem.levels if lv.name not in f.case.fixed)
+    names = tuple(lv.name for lv in f.problem.levels if lv.name not in f.case.fixed)
     if not names:
         return f
     until = f.case.noise_until
@@ -351,7 +377,7 @@ def grounds(model: Model) -> list[Ground]:
     """Where all scans about a model begin: its parts, linearised and filtered once."""
     out = []
     for f in model.parts:
-        own = moved_to(f, model.effects)
+        own = f if of_these(f, model.effects) else moved_to(f, model.effects)
         out.append(ground(own.linear, problem_with(own.case, model.effects), own.levels))
     return out
 

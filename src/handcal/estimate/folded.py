@@ -31,19 +31,19 @@ WORTH = 0.7
 class Folded:
     """A linearised problem with K of its k epochs, and the way back to all of them.
 
-    start (K,): which epochs they are; of (k,): whose window each epoch is in; T (k, 9, 15 + mi)
-    and D (k, 9): from the state at the window's first epoch to that at each epoch. extra, scatter
-    (kinds * MAX_DIM,): by how many readings there are more than rows, and the sum of the squares
-    that the rows do not hold; markov (k, e): the trajectory's Markov states at all epochs. row
-    (q,), share (q, 2): the first row of those into which each reading went (-1: left out), and by
-    how much into that and the next.
+    start (K,): which epochs they are; of (k,): whose window each epoch is in; Phi (k, 9, 15 + mi)
+    and d (k, 9): from each epoch to the next, as they were. extra, scatter (kinds * MAX_DIM,): by
+    how many readings there are more than rows, and the sum of the squares that the rows do not
+    hold; markov (k, e): the trajectory's Markov states at all epochs. row (q,), share (q, 2): the
+    first row of those into which each reading went (-1: left out), and by how much into that and
+    the next.
     """
 
     linear: Linear
     start: IntArray
     of: IntArray
-    T: Array
-    D: Array
+    Phi: Array
+    d: Array
     extra: Array
     scatter: Array
     markov: Array
@@ -53,44 +53,42 @@ class Folded:
 
 def fold(linear: Linear) -> Folded | None:
     """The problem with fewer epochs; None where there would be hardly fewer."""
-    kinds = linear.problem.observations
+    kinds, problem = linear.problem.observations, linear.problem
     folds = np.array([o.folds for o in kinds], dtype=np.bool_)
-    if not folds.any() or not linear.problem.navigated:
+    if not folds.any() or not problem.navigated:
         return None
     start = _windows(linear.t, linear.rate, linear.first, folds[linear.kind])
     k, count = len(linear.t), len(start)
     if count > WORTH * k:
         return None
     of = np.searchsorted(start, np.arange(k), side="right") - 1
-    nav = linear.Phi.shape[2]
-    T, D = np.zeros((k, 9, nav)), np.zeros((k, 9))
-    Phi, d, Q = np.zeros((count, 9, nav)), np.zeros((count, 9)), np.zeros((3, count, 9, 9))
-    _carried(linear.Phi, linear.d, (linear.Q_gyro, linear.Q_accel, linear.Q_extra), start,
-             (T, D, Phi, d, Q))  # fmt: skip
     at = np.repeat(np.arange(k), np.diff(linear.first))
-    r, H = linear.r.copy(), linear.H.copy()
-    away = np.flatnonzero(linear.used & (at != start[of[at]]))
-    dim = linear.problem.tables.dim
-    _brought_back(away, at, dim[linear.kind], T, D, r, H)
-    e0 = BASE + linear.problem.constants
-    for state, column in linear.problem.walks:
-        own = slice(e0 + state, e0 + state + 3)
-        H[away, :, own] = H[away, :, 9 + column : 12 + column]
     share, row = np.zeros((len(at), 2)), np.full(len(at), -1, dtype=np.int64)
     count_of = np.zeros(len(at), dtype=np.int64)
     first, rows = _grouped(of[at], linear.kind, linear.used, folds, count, row, count_of)
     _shares(linear.t[at], row, count_of, share)
-    r_out, H_out = np.zeros((rows, H.shape[1])), np.zeros((rows, *H.shape[1:]))
+    Phi, d = np.zeros((count, *linear.Phi.shape[1:])), np.zeros((count, 9))
+    Q = np.zeros((3, count, 9, 9))
+    r, H = np.zeros((rows, linear.H.shape[1])), np.zeros((rows, *linear.H.shape[1:]))
     kind, scatter = np.zeros(rows, dtype=np.int64), np.zeros((len(kinds), MAX_DIM))
-    _summed(r, H, linear.kind, dim, (row, count_of, share), (r_out, H_out, kind, scatter))
-    extra = _more(linear.kind[row >= 0], kind, dim)
+    e0 = BASE + problem.constants
+    walks = np.array([(e0 + s, 9 + c) for s, c in problem.walks], dtype=np.int64).reshape(-1, 2)
+    _folded(
+        (linear.Phi, linear.d, (linear.Q_gyro, linear.Q_accel, linear.Q_extra)), start,
+        (linear.first, linear.kind, linear.r, linear.H), problem.tables.dim, walks,
+        (row, count_of, share), (Phi, d, Q), (r, H, kind, scatter),
+    )  # fmt: skip
+    _left(count_of, row, r, kind, scatter)
+    extra = _more(linear.kind[row >= 0], kind, problem.tables.dim)
     folded = replace(
         linear, trajectory=_at(linear.trajectory, start), Phi=Phi, d=d, Q_gyro=Q[0], Q_accel=Q[1],
-        Q_extra=Q[2], t=linear.t[start], rate=linear.rate[start], first=first, kind=kind, r=r_out,
-        H=H_out, used=np.ones(rows, dtype=np.bool_),
+        Q_extra=Q[2], t=linear.t[start], rate=linear.rate[start], first=first, kind=kind, r=r,
+        H=H, used=np.ones(rows, dtype=np.bool_),
     )  # fmt: skip
     markov = linear.trajectory.markov[:k]
-    return Folded(folded, start, of, T, D, extra, scatter.ravel(), markov, row, share)
+    return Folded(
+        folded, start, of, linear.Phi, linear.d, extra, scatter.ravel(), markov, row, share
+    )
 
 
 def _at(whole: Trajectory, some: IntArray) -> Trajectory:
@@ -114,13 +112,13 @@ def unfolded(f: Folded, t: Array, x: Array) -> Array:
 
     What one window adds to what follows from the one before, noise, came in on the way.
     """
-    linear, nav = f.linear, f.T.shape[2]
+    linear, nav = f.linear, f.Phi.shape[2]
     e0 = x.shape[1] - linear.problem.markov_size
     state = x[:, :nav].copy()
     for s, column in linear.problem.walks:
         state[:, 9 + column : 12 + column] += x[:, e0 + s : e0 + s + 3]
     out = x[f.of].copy()
-    out[:, :9] = np.einsum("kij,kj->ki", f.T, state[f.of]) + f.D
+    _followed(f.Phi, f.d, f.of, state, out)
     arrived = np.einsum("kij,kj->ki", linear.Phi[1:], state[:-1]) + linear.d[1:]
     noise = np.vstack([x[1:, :9] - arrived, np.zeros((1, 9))])
     after = np.r_[linear.t[1:], max(t[-1], linear.t[-1]) + 1.0]
@@ -154,53 +152,154 @@ def _windows(t: Array, rate: Array, first: IntArray, folds: BoolArray) -> IntArr
 
 
 @njit
-def _carried(
-    Phi: Array,
-    d: Array,
-    Q: tuple[Array, Array, Array],
+def _followed(Phi: Array, d: Array, of: IntArray, state: Array, out: Array) -> None:
+    """The first nine of the errors at all epochs, out (k, N), from ``state`` (K, 15 + mi) at the
+    windows' first."""
+    for j in range(len(of)):
+        w = of[j]
+        if j == 0 or w != of[j - 1]:
+            for a in range(9):
+                out[j, a] = state[w, a]
+            continue
+        for a in range(9):
+            x = d[j, a]
+            for b in range(9):
+                x += Phi[j, a, b] * out[j - 1, b]
+            for b in range(9, state.shape[1]):
+                x += Phi[j, a, b] * state[w, b]
+            out[j, a] = x
+
+
+@njit
+def _folded(
+    dynamics: tuple[Array, Array, tuple[Array, Array, Array]],
     start: IntArray,
-    out: tuple[Array, Array, Array, Array, Array],
+    rows: tuple[IntArray, IntArray, Array, Array],
+    dim: IntArray,
+    walks: IntArray,
+    go: tuple[IntArray, IntArray, Array],
+    carried: tuple[Array, Array, Array],
+    out: tuple[Array, Array, IntArray, Array],
 ) -> None:
-    """T, D of every epoch, and Phi, d, Q from window to window."""
-    T, D, Phi_out, d_out, Q_out = out
-    width = Phi.shape[2]
+    """Phi, d, Q from window to window, and the rows into which the readings go, their kinds and the
+    squares (kinds, MAX_DIM) of those that share a row."""
+    Phi, d, Q = dynamics
+    first, kind = rows[0], rows[1]
+    row = go[0]
+    # T, off: from the state at the window's first epoch to that at this one
+    T, new = np.zeros((9, Phi.shape[2])), np.zeros((9, Phi.shape[2]))
     off, moved = np.zeros(9), np.zeros(9)
     noise, half = np.zeros((3, 9, 9)), np.zeros((9, 9))
+    line = np.zeros(rows[3].shape[2])
     # (most recordings have no gap; what numba makes of `any`, and of arrays put into arrays, takes
     # it seconds to compile)
     sources = 3 if _any(Q[2]) else 2
     w = 0
     for j in range(len(Phi)):
-        # (written where it belongs at once: T is the largest thing here)
-        new = T[j]
         if j > 0:
-            for a in range(9):
-                moved[a] = d[j, a]
-                for c in range(9, width):
-                    new[a, c] = Phi[j, a, c]
-                for b in range(9):
-                    f = Phi[j, a, b]
-                    if f != 0.0:
-                        moved[a] += f * off[b]
-                        for c in range(width):
-                            new[a, c] += f * T[j - 1, b, c]
+            _stepped(Phi[j], d[j], T, off, new, moved)
+            T, new = new, T
             copy1(moved, off)
             for s in range(sources):
                 _propagated(Phi[j], noise[s], half, Q[s][j])
-        if w < len(start) and j == start[w]:
+        begins = w < len(start) and j == start[w]
+        if begins:
             if w > 0:
-                copy2(new, Phi_out[w])
-                copy1(off, d_out[w])
+                copy2(T, carried[0][w])
+                copy1(off, carried[1][w])
                 for s in range(3):
-                    copy2(noise[s], Q_out[s, w])
-            zero2(new)
+                    copy2(noise[s], carried[2][s, w])
+            zero2(T)
             zero1(off)
             for s in range(3):
                 zero2(noise[s])
             for a in range(9):
-                new[a, a] = 1.0
+                T[a, a] = 1.0
             w += 1
-        copy1(off, D[j])
+        for q in range(first[j], first[j + 1]):
+            if row[q] >= 0:
+                for i in range(dim[kind[q]]):
+                    residual = _brought_back(
+                        rows[2][q, i], rows[3][q, i], begins, T, off, walks, line
+                    )
+                    _added(q, i, kind[q], residual, line, go, out)
+
+
+@inner
+def _stepped(Phi: Array, d: Array, T: Array, off: Array, new: Array, moved: Array) -> None:
+    """``new`` and ``moved``: T (9, 15 + mi) and off (9,) one epoch later."""
+    width = Phi.shape[1]
+    for a in range(9):
+        moved[a] = d[a]
+        for c in range(9):
+            new[a, c] = 0.0
+        for c in range(9, width):
+            new[a, c] = Phi[a, c]
+        for b in range(9):
+            f = Phi[a, b]
+            if f != 0.0:
+                moved[a] += f * off[b]
+                for c in range(width):
+                    new[a, c] += f * T[b, c]
+
+
+@inner
+def _brought_back(
+    r: float, H: Array, begins: bool, T: Array, off: Array, walks: IntArray, line: Array
+) -> float:
+    """Residual and row ``line`` (N,) of a reading, seen from where its window begins."""
+    copy1(H, line)
+    if begins:
+        return r
+    for b in range(9):
+        line[b] = 0.0
+    for b in range(9):
+        h = H[b]
+        if h != 0.0:
+            r -= h * off[b]
+            for c in range(T.shape[1]):
+                line[c] += h * T[b, c]
+    for n in range(len(walks)):
+        for k in range(3):
+            line[walks[n, 0] + k] = line[walks[n, 1] + k]
+    return r
+
+
+@inner
+def _added(
+    q: int,
+    i: int,
+    kind: int,
+    residual: float,
+    line: Array,
+    go: tuple[IntArray, IntArray, Array],
+    out: tuple[Array, Array, IntArray, Array],
+) -> None:
+    """Put channel i of reading q into its rows."""
+    row, count_of, share = go
+    r, H, kinds, scatter = out
+    for part in range(2 if count_of[q] > 1 else 1):
+        to, s = row[q] + part, share[q, part]
+        kinds[to] = kind
+        r[to, i] += s * residual
+        for c in range(len(line)):
+            H[to, i, c] += s * line[c]
+    if count_of[q] > 1:
+        scatter[kind, i] += residual**2
+
+
+@njit
+def _left(count_of: IntArray, row: IntArray, r: Array, kind: IntArray, scatter: Array) -> None:
+    """Take off the squares (kinds, MAX_DIM) what the rows hold of them."""
+    folded = np.zeros(len(kind), dtype=np.bool_)
+    for q in range(len(row)):
+        if row[q] >= 0 and count_of[q] > 1:
+            folded[row[q]] = True
+            folded[row[q] + 1] = True
+    for to in range(len(kind)):
+        if folded[to]:
+            for i in range(r.shape[1]):
+                scatter[kind[to], i] = max(scatter[kind[to], i] - r[to, i] ** 2, 0.0)
 
 
 @inner
@@ -231,25 +330,6 @@ def _propagated(Phi: Array, P: Array, half: Array, Q: Array) -> None:
             if f != 0.0:
                 for a in range(9):
                     P[a, c] += half[a, b] * f
-
-
-@njit
-def _brought_back(
-    away: IntArray, at: IntArray, dim: IntArray, T: Array, D: Array, r: Array, H: Array
-) -> None:
-    """Residuals and rows of the readings ``away``, seen from where their windows begin."""
-    by_nav = np.empty(9)
-    for q in away:
-        for i in range(dim[q]):
-            for b in range(9):
-                by_nav[b] = H[q, i, b]
-                H[q, i, b] = 0.0
-            for b in range(9):
-                h = by_nav[b]
-                if h != 0.0:
-                    r[q, i] -= h * D[at[q], b]
-                    for c in range(T.shape[2]):
-                        H[q, i, c] += h * T[at[q], b, c]
 
 
 @njit
@@ -317,37 +397,3 @@ def _shares(t: Array, row: IntArray, count_of: IntArray, share: Array) -> None:
         for i in members:
             share[i, 0] = 1.0 / math.sqrt(n)
             share[i, 1] = (t[i] - mean) / math.sqrt(size) if size > 0.0 else 0.0
-
-
-@njit
-def _summed(
-    r: Array,
-    H: Array,
-    kind: IntArray,
-    dim: IntArray,
-    go: tuple[IntArray, IntArray, Array],
-    out: tuple[Array, Array, IntArray, Array],
-) -> None:
-    """The rows, their kinds, and the squares (kinds, MAX_DIM) that are left."""
-    row, count_of, share = go
-    r_out, H_out, kind_out, scatter = out
-    folded = np.zeros(len(kind_out), dtype=np.bool_)
-    for q in range(len(row)):
-        if row[q] < 0:
-            continue
-        for part in range(2 if count_of[q] > 1 else 1):
-            to, s = row[q] + part, share[q, part]
-            kind_out[to] = kind[q]
-            for i in range(dim[kind[q]]):
-                r_out[to, i] += s * r[q, i]
-                for c in range(H.shape[2]):
-                    H_out[to, i, c] += s * H[q, i, c]
-        if count_of[q] > 1:
-            folded[row[q]] = True
-            folded[row[q] + 1] = True
-            for i in range(H.shape[1]):
-                scatter[kind[q], i] += r[q, i] ** 2
-    for to in range(len(kind_out)):
-        if folded[to]:
-            for i in range(H.shape[1]):
-                scatter[kind_out[to], i] = max(scatter[kind_out[to], i] - r_out[to, i] ** 2, 0.0)

@@ -57,6 +57,48 @@ class Linear:
     used: BoolArray
 
 
+@dataclass(frozen=True)
+class About:
+    """A problem and the trajectory about which it is linearised, once that is asked for.
+
+    What is linearised is fifty times as large as what it is made of, and made in a moment: a fit
+    that is only kept, to be compared or begun from, does without (``bare``).
+    """
+
+    problem: Problem
+    start: Start
+    trajectory: Trajectory
+
+    @property
+    def linear(self) -> Linear:
+        # (no cached_property: its lock would let one thread wait for all others' linearisations)
+        held: Linear | None = self.__dict__.get("_linear")
+        if held is None:
+            held = linearise_about(self.problem, self.start, self.trajectory)
+            self.__dict__["_linear"] = held
+        return held
+
+    @property
+    def bare(self) -> About:
+        return replace(self)
+
+
+def known_linear(linear: Linear) -> About:
+    """Of what is linearised already, or was changed since."""
+    about = About(linear.problem, linear.start, linear.trajectory)
+    about.__dict__["_linear"] = linear
+    return about
+
+
+def beside(linear: Linear, problem: Problem, nominal: Trajectory) -> About:
+    """About the same trajectory the problem with further Markov states and no further constants:
+    what is between the epochs does not depend on them."""
+    have = linear.problem
+    problem = replace(problem, nodes=have.nodes, ref=have.ref, slopes=have.slopes, error=have.error)
+    between = linear.Phi, linear.d, (linear.Q_gyro, linear.Q_accel, linear.Q_extra)
+    return known_linear(_observed(problem, linear.start, nominal, between))
+
+
 # (numbers that run away are no fit, which is seen later)
 @np.errstate(over="ignore", invalid="ignore")
 def linearise_about(problem: Problem, start: Start, nominal: Trajectory) -> Linear:
@@ -66,6 +108,16 @@ def linearise_about(problem: Problem, start: Start, nominal: Trajectory) -> Line
         # (else d is no noise: it holds whatever moved the biases, and nothing pulls it back)
         turn_noise(Phi, d)
     problem = _believing(problem, nominal.constants)
+    return _observed(problem, start, nominal, (Phi, d, (Q[0], Q[1], Q[2])))
+
+
+def _observed(
+    problem: Problem,
+    start: Start,
+    nominal: Trajectory,
+    between: tuple[Array, Array, tuple[Array, Array, Array]],
+) -> Linear:
+    """What is observed, linearised, with what is between the epochs: Phi, d and the three Q."""
     nodes, node = problem.nodes, nominal.node
     r, H, used = _rows(problem, nominal)
     if problem.slopes is not None:
@@ -79,15 +131,14 @@ def linearise_about(problem: Problem, start: Start, nominal: Trajectory) -> Line
         if observation.isotropic:
             rows = (nodes.kind == kind) & ~nodes.z[:, :DELAY].any(axis=1)
             H[rows, :3, 6:9] -= so3.skew(r[rows, :3])
+    Phi, d, Q = between
     return Linear(
         problem,
         nominal,
         start,
         Phi,
         d,
-        Q[0],
-        Q[1],
-        Q[2],
+        *Q,
         nodes.t[node],
         _turning(problem, node),
         np.r_[nodes.first[node], nodes.first[-1]],

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from handcal.effects import Effect
 from handcal.estimate import noise_levels
 from handcal.estimate.case import Case
-from handcal.estimate.linear import Linear
+from handcal.estimate.linear import About, Linear
+from handcal.estimate.problem import Problem
 from handcal.estimate.quadratic import Quadratic
+from handcal.estimate.trajectory import Trajectory
 from handcal.types import Array
 
 # Standard deviations below zero within which something that cannot be negative may come out.
@@ -20,12 +22,37 @@ BELOW_ZERO = 3.0
 
 @dataclass(frozen=True)
 class Fitted:
-    """One recording, linearised about its trajectory under the model, at its noise levels."""
+    """One recording with its trajectory under the model and its noise levels; linearised about it
+    when that is asked for."""
 
     case: Case
-    linear: Linear
+    about: About
     levels: Mapping[str, float]
     curvature: noise_levels.Curvature = noise_levels.NO_CURVATURE
+
+    @property
+    def problem(self) -> Problem:
+        """The problem before it is linearised; afterwards (``linear.problem``) its readings are
+        corrected, while slots, kinds and levels are the same."""
+        return self.about.problem
+
+    @property
+    def trajectory(self) -> Trajectory:
+        return self.about.trajectory
+
+    @property
+    def t(self) -> Array:
+        """Times (k,) of the epochs, s."""
+        return self.problem.nodes.t[self.trajectory.node]
+
+    @property
+    def linear(self) -> Linear:
+        return self.about.linear
+
+    @property
+    def bare(self) -> Fitted:
+        """The same without what it was linearised to, which is made again if it is asked for."""
+        return replace(self, about=self.about.bare)
 
 
 @dataclass(frozen=True)

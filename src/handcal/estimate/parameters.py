@@ -52,7 +52,7 @@ def known(
     """
     if model.known is not None:
         model, excess = believed(model, excess), {}
-    problem = model.parts[part].linear.problem
+    problem = model.parts[part].problem
     whole, C, unit_of = _constants(model, part)
     parameters, column, widen = [], [], []
     for i, (bias, axis, unit, prior) in enumerate(BIASES):
@@ -87,7 +87,7 @@ def _constants(model: Model, part: int) -> tuple[Array, Array, Array]:
     """Values (nc,) of a recording's biases and constants, SI, their covariance (nc, nc) in units
     of their priors, and these units (nc,)."""
     f = model.parts[part]
-    nominal = f.linear.trajectory
+    nominal = f.trajectory
     done = reduced_pass(reduce(f.linear), f.levels)
     own = local(done, frozenset(e.id for e in model.effects))
     at = {n: i for i, n in enumerate(model.quadratic.names)}

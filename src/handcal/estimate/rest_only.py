@@ -25,7 +25,7 @@ def resting(
 ) -> Case:
     """The recording with its rests alone taken to be still; held: as if its point were held;
     explained: no physics was found that would have it held."""
-    wide = sway_of(held.linear.problem, held.levels)
+    wide = sway_of(held.problem, held.levels)
     read = held.case.read or held.case.recording
     case = case_of(read, "rest-only", latitude, height, (), held.case.fixed,
                    before=held.case.before)  # fmt: skip

@@ -109,7 +109,7 @@ def _warnings(f: Fitted, settled: bool, innovations: Mapping[str, Innovations]) 
     for kind, i in innovations.items():
         if i.skipped:
             yield f"{i.skipped} observations of {kind} were skipped (body x near the vertical)."
-    yield from _gravity_stays(f.linear.trajectory.C, f.case.assume == "rest-only")
+    yield from _gravity_stays(f.trajectory.C, f.case.assume == "rest-only")
     yield from _contradicting_heading(problem, f.levels)
 
 
@@ -117,7 +117,7 @@ def noise(f: Fitted) -> tuple[NoiseLevel, ...]:
     """The noise levels of one recording."""
     return tuple(
         NoiseLevel(lv.name, f.levels[lv.name], lv.unit, lv.name not in f.case.fixed)
-        for lv in f.linear.problem.levels
+        for lv in f.problem.levels
     )
 
 
@@ -141,7 +141,7 @@ def _dense(f: Fitted) -> Linear:
     )  # fmt: skip
     out = linearise_about(linear.problem, linear.start, dense)
     x, _ = smoother.smoothed_mean(out, f.levels)
-    return linearise_about(linear.problem, linear.start, smoother.moved(out, x))
+    return linearise_about(linear.problem, linear.start, smoother.moved(out.trajectory, x))
 
 
 def _known_before(linear: Linear, before: Prior | None) -> Linear:

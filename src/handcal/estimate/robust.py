@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 BLOCK_S = 4.0
 # As many blocks' worth of belief in the model itself.
 BELIEF = 6.0
-# Effects in one product of matrices: more would need more memory and bring no time.
-AT_ONCE = 8
+# Information beside other effects, as a part of that alone, below which it is rounding.
+EXACT = 1e-10
 MOST = 25.0
 
 
@@ -81,16 +81,16 @@ def _scattered(
     weight = (done.nu[:, 0] + done.nu[:, 1:] @ w) / done.S
     t = np.repeat(linear.t, np.diff(done.reduction.first))
     block = ((t - t[0]) / BLOCK_S).astype(np.int64) if len(t) else np.zeros(0, dtype=np.int64)
+    sums = _by_block(done.nu[:, 1:] * weight[:, None], block)
     out = []
     for ids, mine, rest in _apart(linear.problem.effects, owners, present, n):
-        A = G[np.ix_(rest, rest)] + np.eye(len(rest))
-        told = np.linalg.solve(A, G[np.ix_(rest, mine)])
-        own = done.nu[:, 1 + mine] - done.nu[:, 1 + rest] @ told
-        sums = _by_block(own * weight[:, None], block)
-        information = np.einsum("sk,sk,s->k", own, own, 1.0 / done.S)
-        scatter = (sums**2).sum(axis=0)
+        both, whole = G[np.ix_(rest, mine)], np.diag(G)[mine]
+        told = np.linalg.solve(G[np.ix_(rest, rest)] + np.eye(len(rest)), both)
+        left = 2.0 * both - G[np.ix_(rest, rest)] @ told
+        information = whole - np.einsum("rk,rk->k", told, left)
+        scatter = ((sums[:, mine] - sums[:, rest] @ told) ** 2).sum(axis=0)
         for e in ids:
-            seen = (owners[mine] == e) & (information > 1e-9)
+            seen = (owners[mine] == e) & (information > 1e-9 + EXACT * whole)
             if seen.any():
                 ratio = float(np.mean(scatter[seen] / information[seen]))
                 out.append((e, ratio, float(len(sums))))
@@ -100,14 +100,13 @@ def _scattered(
 def _apart(
     effects: Sequence[Effect], owners: NDArray[np.str_], present: IntArray | None, n: int
 ) -> Iterator[tuple[list[str], IntArray, IntArray]]:
-    """Effects, their constants, and the constants that stay beside them; those that are absent go
-    some at a time, since what stays is the same."""
+    """Effects, their constants, and the constants that stay beside them: those that are absent go
+    together, since what stays is the same."""
     ids = [e.id for e in effects if e.id in owners]
     stays = np.arange(n) if present is None else present
     alone = [e for e in ids if np.isin(np.flatnonzero(owners == e), stays).any()]
     absent = [e for e in ids if e not in alone]
-    some = [absent[k : k + AT_ONCE] for k in range(0, len(absent), AT_ONCE)]
-    for group in [*([e] for e in alone), *some]:
+    for group in [*([e] for e in alone), *([absent] if absent else [])]:
         mine = np.flatnonzero(np.isin(owners, group))
         yield group, mine, np.setdiff1d(stays, mine)
 

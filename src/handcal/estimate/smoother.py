@@ -217,9 +217,9 @@ def _turned(psi: Array, C: Array, out: Array) -> None:
         matmul(turn, C[j], out[j])
 
 
-def moved(linear: Linear, x: Array) -> Trajectory:
+def moved(nominal: Trajectory, x: Array) -> Trajectory:
     """The nominal trajectory moved by the estimated errors x (k, N)."""
-    nominal, c = linear.trajectory, linear.problem.constants
+    c = len(nominal.constants)
     last = x[-1]
     C = np.empty_like(nominal.C)
     _turned(np.ascontiguousarray(x[:, 6:9]), nominal.C, C)
@@ -245,7 +245,7 @@ def relinearise(
     x, evidence = smoothed_mean(linear, levels)
     settled = False
     for _ in range(rounds):
-        linear = linearise_about(linear.problem, linear.start, moved(linear, x))
+        linear = linearise_about(linear.problem, linear.start, moved(linear.trajectory, x))
         x, new = smoothed_mean(linear, levels)
         settled = abs(new - evidence) < tolerance
         evidence = new

@@ -12,7 +12,7 @@ from handcal.compiled import so3
 from handcal.effects import Effect
 from handcal.estimate import noise_levels
 from handcal.estimate.case import problem_with
-from handcal.estimate.linear import linearise_about
+from handcal.estimate.linear import About
 from handcal.estimate.model import Fitted
 from handcal.estimate.problem import Problem
 from handcal.estimate.trajectory import Trajectory, epochs, path
@@ -22,17 +22,20 @@ from handcal.types import Array
 DELAY_STEP = 0.002
 
 
-def linearised(f: Fitted, trajectory: Trajectory, effects: Sequence[Effect]) -> Fitted:
-    """Linearise about the trajectory; if a delay has moved, about the moment it points to."""
-    delays = _delays(f.linear.problem, trajectory, effects)
+def linearised(
+    f: Fitted, trajectory: Trajectory, effects: Sequence[Effect], corrected: Problem | None = None
+) -> Fitted:
+    """The fit about the trajectory; if a delay has moved, about the moment it points to. corrected:
+    the fit's problem as it became when it was linearised, if that is at hand."""
+    delays = _delays(f.problem, trajectory, effects)
     known = f.case.delays
     if any(abs(delays[k] - known.get(k, 0.0)) > DELAY_STEP for k in delays):
         case = replace(f.case, delays={**known, **delays})
         problem = problem_with(case, effects)
-        trajectory = transferred(trajectory, f.linear.problem, problem)
-        linear = linearise_about(problem, f.linear.start, trajectory)
-        return replace(f, case=case, linear=linear)
-    return replace(f, linear=linearise_about(f.linear.problem, f.linear.start, trajectory))
+        trajectory = transferred(trajectory, f.about, problem, corrected)
+        return replace(f, case=case, about=About(problem, f.about.start, trajectory))
+    problem = f.linear.problem if corrected is None else corrected
+    return replace(f, about=About(problem, f.about.start, trajectory))
 
 
 def _delays(
@@ -53,19 +56,25 @@ def moved_to(f: Fitted, effects: Sequence[Effect]) -> Fitted:
     kept = {k for e in effects for k in e.delays}
     case = replace(f.case, delays={k: v for k, v in f.case.delays.items() if k in kept})
     problem = problem_with(case, effects)
-    trajectory = transferred(f.linear.trajectory, f.linear.problem, problem)
+    trajectory = transferred(f.trajectory, f.about, problem)
     levels = noise_levels.initial_levels(problem) | dict(case.fixed)
     have = {lv.name for lv in problem.levels}
     levels |= {k: v for k, v in f.levels.items() if k in have}
-    linear = linearise_about(problem, f.linear.start, trajectory)
-    return Fitted(case, linear, levels, f.curvature)
+    return Fitted(case, About(problem, f.about.start, trajectory), levels, f.curvature)
+
+
+def of_these(f: Fitted, effects: Sequence[Effect]) -> bool:
+    """Whether it is a fit of these effects, and of no other delays than theirs."""
+    kept = {k for e in effects for k in e.delays}
+    own = {e.id for e in f.problem.effects} == {e.id for e in effects}
+    return own and set(f.case.delays) <= kept
 
 
 def begun(f: Fitted, effects: Sequence[Effect]) -> Fitted:
     """``moved_to``, for a fit: what is one-sided begins at its usual size. (About zero a filter is
     a delay, which others may hold already, and it would be chance on which side of it a fit ends.)
     """
-    have = {s.owner for s in f.linear.problem.slots}
+    have = {s.owner for s in f.problem.slots}
     new = [e for e in effects if e.id not in have and e.imu_inverse is not None]
     usual = {(e.id, p.name): p.prior_sigma for e in new for p in e.parameters if p.positive}
     return at_constants(moved_to(f, effects), effects, usual)
@@ -84,14 +93,18 @@ def at_constants(
     and nothing else moved."""
     if not values:
         return f
-    constants = f.linear.trajectory.constants.copy()
-    for i, s in enumerate(f.linear.problem.slots):
+    constants = f.trajectory.constants.copy()
+    for i, s in enumerate(f.problem.slots):
         constants[i] = values.get((s.owner, s.name), constants[i])
-    return linearised(f, replace(f.linear.trajectory, constants=constants), effects)
+    return linearised(f, replace(f.trajectory, constants=constants), effects)
 
 
-def transferred(nominal: Trajectory, old: Problem, new: Problem) -> Trajectory:
-    """A trajectory of one problem as one of another of the same recording."""
+def transferred(
+    nominal: Trajectory, about: About, new: Problem, corrected: Problem | None = None
+) -> Trajectory:
+    """A trajectory of one fit's problem as one of another of the same recording; corrected: see
+    ``linearised``."""
+    old = about.problem
     values = {(s.owner, s.name): v for s, v in zip(old.slots, nominal.constants, strict=True)}
     constants = np.array([values.get((s.owner, s.name), 0.0) for s in new.slots])
     node = epochs(new)
@@ -103,7 +116,7 @@ def transferred(nominal: Trajectory, old: Problem, new: Problem) -> Trajectory:
             markov[:, new.states_of(process)] = nominal.markov[:, have]
     if same:
         return replace(nominal, node=node, constants=constants, markov=markov)
-    way = path(old, nominal)
+    way = path(about.linear.problem if corrected is None else corrected, nominal)
     return Trajectory(
         node,
         interpolated(t, old.nodes.t, way.p),

@@ -39,7 +39,7 @@ def leaning(f: Fitted, effects: Sequence[Effect], hardly_shown: Collection[str])
         return []
     wide = moved_to(f, [*effects, *others])
     done = reduced_pass(reduce(wide.linear), wide.levels)
-    owner = [s.owner for s in wide.linear.problem.slots]
+    owner = [s.owner for s in wide.problem.slots]
     information = done.log_likelihood[2] + np.eye(6 + len(owner))
     absent = {e.id for e in others}
     kept = [*range(6), *(6 + i for i, o in enumerate(owner) if o not in absent)]

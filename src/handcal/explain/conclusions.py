@@ -239,9 +239,9 @@ def _evidence(f: Fitted, model: Model) -> Evidence:
     scalars = np.diff(done.reduction.first)
     at = np.repeat(done.reduction.linear.t, scalars)
     w = done.w
-    slots = f.linear.problem.slots
+    slots = f.problem.slots
     nu = done.innovations(w)
-    grid = np.linspace(f.linear.t[0], f.linear.t[-1], 400)
+    grid = np.linspace(f.t[0], f.t[-1], 400)
     gain = {}
     A = done.log_likelihood[2] + np.eye(len(w))
     for e in model.effects:
@@ -269,7 +269,7 @@ def _fit(model: Model, parts: Sequence[Fitted]) -> Fit:
         done = reduced_pass(reduce(f.linear), f.levels)
         nu = done.innovations(done.w) / np.sqrt(done.S)
         slot = done.reduction.slot
-        for k, observation in enumerate(f.linear.problem.observations):
+        for k, observation in enumerate(f.problem.observations):
             for i, channel in enumerate(observation.channels):
                 x = nu[slot == k * MAX_DIM + i]
                 if len(x) > 10:

@@ -43,7 +43,7 @@ def without_confounding(model: Model, worth: float, tried: set[str]) -> Model | 
 
 def sways_far(f: Fitted) -> bool:
     """Whether the noise levels are those of a hand that sways further than one does."""
-    return sway_of(f.linear.problem, f.levels) > HAND_SWAY
+    return sway_of(f.problem, f.levels) > HAND_SWAY
 
 
 def steadied(base: Model) -> Model:
@@ -66,7 +66,7 @@ def _grown(f: Fitted) -> list[str]:
     """Kinds of observation whose correlated noise lies far above its first guess."""
     return [
         o.kind
-        for o in f.linear.problem.observations
+        for o in f.problem.observations
         if o.markov is not None
         and any(
             math.log(f.levels[lv.name] / lv.initial) > FAR * lv.above
@@ -79,7 +79,7 @@ def _grown(f: Fitted) -> list[str]:
 def _usual(f: Fitted, kinds: Set[str]) -> Fitted:
     """The same with the noise of these observations as it is at first."""
     levels = dict(f.levels)
-    for o in f.linear.problem.observations:
+    for o in f.problem.observations:
         if o.kind in kinds:
             levels |= {lv.name: lv.initial for lv in o.levels if lv.name not in f.case.fixed}
     return replace(f, levels=levels)

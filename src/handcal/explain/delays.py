@@ -36,7 +36,7 @@ def with_delays(model: Model) -> list[Model]:
         cases = [f.case for f in model.parts]
         if not _moves_in_time(effect) or effect.id in model.ids:
             continue
-        if not effect.delays and not all(f.linear.problem.navigated for f in model.parts):
+        if not effect.delays and not all(f.problem.navigated for f in model.parts):
             # (beside a reference readings are compared at once, and nothing is integrated)
             continue
         if not any(applicable(c, effect) for c in cases):

@@ -92,7 +92,7 @@ def _hands(held: Model) -> list[list[Case]]:
 
 def _moves(f: Fitted) -> list[tuple[float, float, float]]:
     """From when to when (s) the hand was much faster than it is elsewhere, and how far it went."""
-    t, nominal = f.linear.t, f.linear.trajectory
+    t, nominal = f.t, f.trajectory
     if OBSERVED not in f.case.kinds:
         return []
     out = []

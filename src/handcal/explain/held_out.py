@@ -28,7 +28,7 @@ def later_blocks(base: Model, model: Model) -> HeldOut:
         score = 0.0
         for f in m.parts:
             early = reduce(early_part(f.linear))
-            names = [lv.name for lv in f.linear.problem.levels if lv.name not in f.case.fixed]
+            names = [lv.name for lv in f.problem.levels if lv.name not in f.case.fixed]
             levels, _ = noise_levels.estimate(
                 early, f.levels, names, excess=EXCESS, known=f.curvature
             )
@@ -48,7 +48,7 @@ def at_same_noise(before: Sequence[Fitted], after: Sequence[Fitted]) -> list[Fit
     """Fits of the baseline at the final model's noise levels: with its own, it would call what
     it lacks sway, and its residuals would look small."""
     return [
-        fitted([at_levels(b, a.levels)], b.linear.problem.effects, noise_rounds=0).parts[0]
+        fitted([at_levels(b, a.levels)], b.problem.effects, noise_rounds=0).parts[0]
         for b, a in zip(before, after, strict=True)
     ]
 

@@ -14,6 +14,7 @@ from handcal.effects import Effect, Signals
 from handcal.estimate.case import name_of
 from handcal.estimate.corrected import corrected_readings
 from handcal.estimate.evidence import reduce, reduced_pass
+from handcal.estimate.linear import known_linear
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.problem import Problem
 from handcal.estimate.quadratic import Quadratic, local, total
@@ -45,9 +46,8 @@ def by_later_blocks(found: Found) -> Judged | None:
     model = found.model
     if not model.effects:
         return None
-    early = replace(
-        model, parts=tuple(replace(f, linear=early_part(f.linear)) for f in model.parts)
-    )
+    parts = (replace(f, about=known_linear(early_part(f.linear))) for f in model.parts)
+    early = replace(model, parts=tuple(parts))
     noise: dict[str, float] = {}
     for e in (e for e in model.effects if e.process is not None):
         whole, seen = (sum(_missed(f, e) for f in m.parts) for m in (model, early))

@@ -8,13 +8,16 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 
+import numpy as np
+
 from handcal.effects import Effect, catalogue
 from handcal.estimate.case import applicable
 from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.fit import fitted
+from handcal.estimate.linear import beside
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.parallel import in_parallel
-from handcal.estimate.transfer import moved_to
+from handcal.estimate.transfer import moved_to, of_these
 from handcal.explain.score import better
 from handcal.explain.unnamed import with_motion
 
@@ -42,12 +45,12 @@ def looks_of(
     parts: Sequence[Fitted], effects: Sequence[Effect], noise: Sequence[Effect], most: int
 ) -> list[Look]:
     """The effects with one noise effect each that the recordings can show, the best ones (``most``
-    at the most: each holds what was linearised for it), the best first."""
-    plain = [moved_to(f, effects) for f in parts]
+    at the most), the best first."""
+    plain = [f if of_these(f, effects) else moved_to(f, effects) for f in parts]
     here = sum(reduced_pass(reduce(f.linear), f.levels).log_evidence for f in plain)
 
     def look(e: Effect) -> Look:
-        wide = [_at_best(moved_to(f, (*effects, e)), e) for f in parts]
+        wide = [_at_best(_with(f, moved_to(f, (*effects, e))), e) for f in plain]
         there = sum(value for _, value in wide)
         return Look((*effects, e), tuple(f for f, _ in wide), there - here)
 
@@ -58,16 +61,28 @@ def looks_of(
     return best
 
 
+def _with(f: Fitted, wide: Fitted) -> Fitted:
+    """The fit with a noise effect besides, which changes nothing of what is between the epochs."""
+    same = len(wide.problem.slots) == len(f.problem.slots) and np.array_equal(wide.t, f.t)
+    return replace(wide, about=beside(f.linear, wide.problem, wide.trajectory)) if same else wide
+
+
 def _at_best(f: Fitted, e: Effect) -> tuple[Fitted, float]:
     """With the levels of a noise effect at the best of a few times their first guesses."""
-    reduction, best = reduce(f.linear), (f, -math.inf)
-    for times in product(TIMES, *[TIMES[1:]] * (len(e.levels) - 1)):
-        levels = dict(f.levels)
-        for level, factor in zip(e.levels, times, strict=True):
-            levels[level.name] = min(max(factor * level.initial, level.lower), level.upper)
-        value = reduced_pass(reduction, levels).log_evidence
-        if value > best[1]:
-            best = replace(f, levels=levels), value
+    reduction, best = reduce(f.linear), (f.bare, -math.inf)
+    size, *others = e.levels
+    for times in product(*[TIMES[1:]] * len(others)):
+        before = -math.inf
+        for factor in TIMES:
+            levels = dict(f.levels)
+            for level, by in zip((size, *others), (factor, *times), strict=True):
+                levels[level.name] = min(max(by * level.initial, level.lower), level.upper)
+            value = reduced_pass(reduction, levels).log_evidence
+            if value > best[1]:
+                best = replace(f.bare, levels=levels), value
+            if value < before:  # (over a size, evidence has one summit)
+                break
+            before = value
     return best
 
 

@@ -204,7 +204,7 @@ def residual(f: Fitted, k: int) -> tuple[Array, Array]:
     """Times (m,) s and residuals (m, d) of the k-th kind, as they are used."""
     mine = (f.linear.kind == k) & f.linear.used
     t = np.repeat(f.linear.t, np.diff(f.linear.first))
-    return t[mine], f.linear.r[mine, : f.linear.problem.observations[k].dim]
+    return t[mine], f.linear.r[mine, : f.problem.observations[k].dim]
 
 
 def _suspicious(f: Fitted) -> bool:
@@ -250,10 +250,10 @@ def _off(f: Fitted, rows: Rows) -> Array:
     """How far each reading of a heading (m, 1), rad, or of a magnetic field (m, 3), tesla, is from
     what it would be at the attitude of its moment."""
     if rows.z.shape[1] == 1:
-        yaw = np.interp(rows.t, f.linear.t, np.unwrap(_yaw(f)))
+        yaw = np.interp(rows.t, f.t, np.unwrap(_yaw(f)))
         return np.asarray(so3.wrap(rows.z[:, 0] - yaw))[:, None]
-    problem, constants = f.linear.problem, f.linear.trajectory.constants
-    C_nb = so3.between(f.linear.t, f.linear.trajectory.C, rows.t)
+    problem, constants = f.problem, f.trajectory.constants
+    C_nb = so3.between(f.t, f.trajectory.C, rows.t)
     strengths = constants_of(problem, constants, "magnetometer") + rows.z[0, 3:5]
     iron = constants_of(problem, constants, "mag_hard_iron")
     return np.asarray(rows.z[:, :3] - C_nb[:, 1:].transpose(0, 2, 1) @ strengths - iron)
@@ -264,12 +264,12 @@ def _told(f: Fitted, rows: Rows) -> BoolArray:
     has one, the reading counts in one round and not in the next, so it is judged."""
     if rows.z.shape[1] != 1:
         return np.ones(len(rows.t), dtype=bool)
-    up = np.interp(rows.t, f.linear.t, f.linear.trajectory.C[:, 2, 0])
+    up = np.interp(rows.t, f.t, f.trajectory.C[:, 2, 0])
     return np.asarray(np.abs(up) < math.cos(STEEP))
 
 
 def _yaw(f: Fitted) -> Array:
-    C = f.linear.trajectory.C
+    C = f.trajectory.C
     return np.asarray(np.arctan2(C[:, 1, 0], C[:, 0, 0]))
 
 

@@ -103,7 +103,7 @@ class Look:
 def _looks(f: Fitted, signals: Signals, known: Sequence[Effect]) -> Iterator[Look]:
     """All scans: laws over drivers, courses over time, and those of a heading."""
     recording = f.case.recording
-    room = NUMBERS / (PER_EPOCH * len(f.linear.t))
+    room = NUMBERS / (PER_EPOCH * len(f.t))
     for chunk in _chunks(signals, int(min(max(room, LEAST_COLUMNS), MOST_COLUMNS))):
         yield Look([b.effect for b in chunk], partial(_laws, chunk))
     for first in range(0, 6, 2):
@@ -222,10 +222,10 @@ def _kind(effect: Effect) -> tuple[str, ...]:
 
 def signals_of(f: Fitted) -> Signals:
     """The best estimate of rate, force and attitude at the IMU's samples."""
-    imu, nominal = f.case.recording.imu, f.linear.trajectory
+    imu, nominal = f.case.recording.imu, f.trajectory
     read = np.hstack([imu.gyro - nominal.bg, imu.accel - nominal.ba])
     C_nb = None
-    if f.linear.problem.navigated:
+    if f.problem.navigated:
         problem = f.linear.problem
         C_nb = path(problem, nominal).C[np.searchsorted(problem.nodes.t, imu.t)]
     return of_recording(f.case.recording, read=read, C_nb=C_nb)
