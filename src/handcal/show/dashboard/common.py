@@ -75,14 +75,23 @@ def columns(rec: rr.RecordingStream, entity: str, t: Array, values: Array) -> No
 def save(path: str | Path, plan: rrb.Blueprint, log: Callable[[rr.RecordingStream], None]) -> None:
     """Write what ``log`` sends as a file that ``rerun FILE.rrd`` opens, blueprint included."""
     try:
-        rec = rr.RecordingStream(APPLICATION)
-        with output.whole(path) as place, file_sink(place) as sink:
+        with output.whole(path) as place, file_sink(place) as sink, begun() as rec:
             rec.set_sinks(sink, default_blueprint=plan)
             log(rec)
             rec.flush()
-            rec.disconnect()
     except RuntimeError as error:  # rerun's word where memory or threads are short
         raise HandcalError(f"{path} could not be written: {error}.") from error
+
+
+@contextlib.contextmanager
+def begun() -> Iterator[rr.RecordingStream]:
+    """A stream that is disconnected in the end, however that comes: left open, it would wait at
+    the program's end for whoever reads it."""
+    rec = rr.RecordingStream(APPLICATION)
+    try:
+        yield rec
+    finally:
+        rec.disconnect()
 
 
 @contextlib.contextmanager
@@ -95,23 +104,23 @@ def file_sink(path: str | Path) -> Iterator[Any]:
     if not Path("/dev/fd").is_dir():
         yield rr.FileSink(path)
         return
-    with open(path, "wb") as file:
-        reading, writing = os.pipe()
-        problems: list[OSError] = []
-        copies = threading.Thread(target=_copy, args=(reading, file, problems), daemon=True)
-        copies.start()
-        try:
-            yield rr.FileSink(f"/dev/fd/{writing}")
-        finally:
-            os.close(writing)
-        copies.join()
-        if problems:
-            raise problems[0]
+    file = open(path, "wb")  # noqa: SIM115 (closed by who writes it, who may be the last to go)
+    reading, writing = os.pipe()
+    problems: list[OSError] = []
+    copies = threading.Thread(target=_copy, args=(reading, file, problems), daemon=True)
+    copies.start()
+    try:
+        yield rr.FileSink(f"/dev/fd/{writing}")
+    finally:
+        os.close(writing)
+    copies.join()
+    if problems:
+        raise problems[0]
 
 
 def _copy(reading: int, file: IO[bytes], problems: list[OSError]) -> None:
-    """From the pipe to the file, to the end even where the disk takes no more."""
-    with open(reading, "rb", buffering=0) as pipe:
+    """From the pipe to the file, to the end even where the disk takes no more; closes both."""
+    with file, open(reading, "rb", buffering=0) as pipe:
         while piece := pipe.read(1 << 16):
             try:
                 if not problems:

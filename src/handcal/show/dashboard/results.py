@@ -18,10 +18,10 @@ from handcal.estimate.live import Frame
 from handcal.show import words
 from handcal.show.calibration import summary
 from handcal.show.dashboard.common import (
-    APPLICATION,
     GREY,
     TIMELINE,
     XYZ,
+    begun,
     columns,
     device,
     file_sink,
@@ -184,7 +184,18 @@ def stream(
     ``sinks`` are rerun's (GrpcSink, FileSink). Ends early when ``watched`` says no.
     Returns the number of frames.
     """
-    rec = rr.RecordingStream(APPLICATION)
+    with begun() as rec:
+        return _streamed(rec, frames, layout, sinks, speed, watched)
+
+
+def _streamed(
+    rec: rr.RecordingStream,
+    frames: Iterable[Frame],
+    layout: Layout,
+    sinks: Sequence[Any],
+    speed: float,
+    watched: Callable[[], bool],
+) -> int:
     plan = blueprint(layout)
     rec.set_sinks(*sinks, default_blueprint=plan)
     rec.send_blueprint(plan, make_active=True, make_default=True)
@@ -202,7 +213,6 @@ def stream(
         _log_frame(rec, layout, frame, recent)
         count += 1
     _flush(rec, watched)
-    rec.disconnect()
     return count
 
 
