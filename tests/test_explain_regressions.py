@@ -508,3 +508,11 @@ def test_an_error_of_one_axis_has_its_name(effect: dict[str, list[float]]) -> No
     found = explain([recording_of(world_of(effect, 0, 40.0), "heading")])
     assert names(found) == list(effect)
     assert found.unnamed == ()
+
+
+def test_a_walk_comes_back_when_what_it_gave_way_beside_is_gone() -> None:
+    """Beside a law that was none, an error that goes with the attitude did better than the bias
+    walk; the law went, the walk was not tried again, and the truth was told as unknown."""
+    world, _ = draw.draw("turn", 25, 10411)
+    found = explain([recording_of(world, "heading")])
+    assert (found.verdict, names(found)) == ("explained", ["gyro_bias_walk"])

@@ -53,7 +53,8 @@ def exchange_noise(c: Climb) -> Model | None:
             and e.id not in {*model.ids, *c.dropped}
             and (e.id, key) not in c.noises
         ]
-        c.noises |= {(e.id, key) for e in (old, *rivals)}
+        # (what another took the place of beside more effects may come back, once)
+        c.noises |= {(e.id, key) for e in rivals}
         looks = looks_of(model.parts, rest, rivals, 1)
         tried = [(m, e) for m, e in of_looks(looks) if likelier(c, m)]
         if tried:
