@@ -15,7 +15,7 @@ from handcal import observations
 from handcal.compiled import so3
 from handcal.effects import Signals, accel_delay, catalogue, select
 from handcal.estimate import case, fit, noise_levels, observed
-from handcal.estimate.baseline import started
+from handcal.estimate.baseline import baseline, started
 from handcal.estimate.calibration import calibrate
 from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.fit import EXCESS, fitted, scan
@@ -26,11 +26,13 @@ from handcal.estimate.transfer import at_constants, moved_to
 from handcal.explain import Explanation, conclusions, explain, outliers, pipeline
 from handcal.explain.climb import subset_steps, turns
 from handcal.explain.climb.state import Climb
+from handcal.explain.multistart import leading
 from handcal.explain.space import Space, gains
 from handcal.observations import pose
 from handcal.types import InputError, Recording, Series
 from handcal_sim import simulate
 from handcal_sim.motion import Start
+from handcal_sim.motion_wild import wild
 from handcal_sim.phone import (
     Clocking,
     Phone,
@@ -516,3 +518,16 @@ def test_a_walk_comes_back_when_what_it_gave_way_beside_is_gone() -> None:
     world, _ = draw.draw("turn", 25, 10411)
     found = explain([recording_of(world, "heading")])
     assert (found.verdict, names(found)) == ("explained", ["gyro_bias_walk"])
+
+
+def test_where_a_baseline_diverges_the_error_without_which_there_is_no_fit_leads() -> None:
+    """A gyro that errs by 5 % of its rate in a hand that shakes: about no trajectory at all, every
+    effect promised thousands of nats, and outliers of the heading were named (wild trial)."""
+    truth = {"gyro_quadratic": [0.0065, 0.0053, 0.0047]}
+    led = []
+    for seed in range(4):
+        world = simulate(wild(7.0), seed=seed, duration_s=40.0, phone=slow, effects=truth, sway=0.5)
+        base = baseline([case.case_of(recording_of(world, "heading"))])
+        led.append((bool(base.settled), leading(base)))
+    assert all((m is None) == settled for settled, m in led)
+    assert {m.ids for _, m in led if m is not None} == {("gyro_quadratic",)}

@@ -6,8 +6,12 @@ from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, field, replace
 from functools import partial
 
+from handcal.effects import Effect, catalogue
+from handcal.estimate.baseline import started
+from handcal.estimate.case import applicable
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
+from handcal.estimate.parallel import in_parallel
 from handcal.explain.budget import Budget
 from handcal.explain.climb.candidates import scanned
 from handcal.explain.climb.exchange_steps import lateness
@@ -18,6 +22,7 @@ from handcal.explain.delays import with_delays
 from handcal.explain.score import better
 from handcal.explain.space import Space
 from handcal.explain.unnamed.best import Term, best_term
+from handcal.types import HandcalError
 
 # What a single term has to gain, of all that was found, for a second climb to begin with it.
 HALF = 0.5
@@ -51,14 +56,20 @@ def search(
     report: Callable[[float], None] = lambda _: None,
     refused: Set[str] = frozenset(),
     budget: Budget | None = None,
+    led: Model | None = None,
 ) -> Found:
     """From the baseline to the model that explains the recordings best; refused: effects of which
-    no device has as much as a fit came to; budget: how long it may take.
+    no device has as much as a fit came to; budget: how long it may take; led: where it begins, if
+    the baseline is no fit (see ``leading``).
 
     Named effects may be stand-ins for one thing without a name: if a single law does half as
     well from the baseline, the search begins again with it, and the better of the two ends counts.
     """
     budget = budget or Budget()
+    if led is not None:
+        end = _end(base, (), _Common([], refused, budget), report, led)
+        assert end is not None
+        return end
     late = [] if budget.spent("long delays") else with_delays(base)
     common = _Common(late, refused, budget)
     starts = [base]
@@ -78,6 +89,31 @@ def search(
         if other is not None and advantage(other, found) > 0.0:
             found = replace(other, alone=found.alone)
     return found
+
+
+def leading(base: Model) -> Model | None:
+    """The fit with the one error of the readings without which there is none: where a baseline has
+    diverged, whatever is scanned about it is nonsense. Begun from the online filter with it."""
+    if base.settled:
+        return None
+    cases = [f.case for f in base.parts]
+    acting = [
+        e
+        for e in catalogue().values()
+        if e.imu_error is not None and e.process is None and not e.baseline and not e.held
+    ]
+    ways = [partial(_alone, base, e) for e in acting if any(applicable(c, e) for c in cases)]
+    fits = [m for m in in_parallel(ways) if m is not None and m.settled and m.one_sided]
+    best = max(fits, key=lambda m: m.log_evidence, default=base)
+    return None if best is base or not better(best, base, 1.0) > 0.0 else best
+
+
+def _alone(base: Model, effect: Effect) -> Model | None:
+    wanted = (*base.effects, effect)
+    try:
+        return fitted([started(f.case, wanted) for f in base.parts], wanted)
+    except HandcalError:  # (with this one the online filter diverges too)
+        return None
 
 
 def _begun(

@@ -26,7 +26,7 @@ from handcal.explain.explanation import (
 )
 from handcal.explain.hand_assumption import foretold
 from handcal.explain.moments import moments
-from handcal.explain.multistart import Found, advantage, search
+from handcal.explain.multistart import Found, advantage, leading, search
 from handcal.explain.score import PRIOR, TERM_PRIOR
 from handcal.explain.space import gains, space
 from handcal.types import InputError, Prior, Recording
@@ -173,9 +173,9 @@ def _with(found: Found, model: Model) -> Found:
 
 def _searched(base: Model, budget: Budget, report: Callable[[float], None]) -> End:
     """Where the search from this baseline ends."""
-    cleaned, wrong = outliers.cleaned(base)
-
-    found = search(cleaned, report, budget=budget)
+    led = leading(base)
+    cleaned, wrong = (base, None) if led is not None else outliers.cleaned(base)
+    found = search(cleaned, report, budget=budget, led=led)
     if wrong is not None and wrong.burst is None:
         whole = outliers.put_back(base, found.model)
         if found.model.log_evidence - whole.log_evidence + PRIOR < 0.0:
