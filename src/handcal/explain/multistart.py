@@ -26,6 +26,8 @@ from handcal.types import HandcalError
 
 # What a single term has to gain, of all that was found, for a second climb to begin with it.
 HALF = 0.5
+# A noise level beyond this share of the largest that there is stands at its end.
+END = 0.99
 
 
 @dataclass(frozen=True)
@@ -94,13 +96,14 @@ def search(
 def leading(base: Model) -> Model | None:
     """The fit with the one error of the readings without which there is none: where a baseline has
     diverged, whatever is scanned about it is nonsense. Begun from the online filter with it."""
-    if base.settled:
+    ends = any(f.levels[lv.name] > END * lv.upper for f in base.parts for lv in f.problem.levels)
+    if base.settled or not ends:
         return None
     cases = [f.case for f in base.parts]
     acting = [
         e
         for e in catalogue().values()
-        if e.imu_error is not None and e.process is None and not e.baseline and not e.held
+        if e.imu_error is not None and e.process is None and not e.baseline and e.moments is None
     ]
     ways = [partial(_alone, base, e) for e in acting if any(applicable(c, e) for c in cases)]
     fits = [m for m in in_parallel(ways) if m is not None and m.settled and m.one_sided]
