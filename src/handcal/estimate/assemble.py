@@ -11,7 +11,7 @@ from handcal.compiled.kernel import MOST_HELD, Nodes, Tables
 from handcal.effects import DELAY, TIME, WARMTH, Z_DIM, Effect
 from handcal.estimate.derivatives import relinearised
 from handcal.estimate.problem import Problem, Slot, slots_of
-from handcal.estimate.sampling import between_samples
+from handcal.estimate.sampling import at_nodes
 from handcal.observations import Observation, Rows, nearest
 from handcal.signals import warmth_at
 from handcal.types import Array, Markov, Recording
@@ -163,9 +163,7 @@ def _nodes(
     t = np.union1d(imu.t, ot)
     node = np.searchsorted(t, ot)
     first = np.searchsorted(node, np.arange(len(t) + 1)).astype(np.int64)
-    gyro = np.stack([np.interp(t, imu.t, imu.gyro[:, k]) for k in range(3)], axis=1)
-    accel = np.stack([np.interp(t, imu.t, imu.accel[:, k]) for k in range(3)], axis=1)
-    bend = between_samples(imu, np.hstack([imu.gyro, imu.accel]), t)
+    gyro, accel, bend = at_nodes(imu, np.hstack([imu.gyro, imu.accel]), t)
     rate = _smoothed_rate(recording, t)
     extra = _extra(recording, t)
     np.add.at(extra[:, 2], node, moved**2)

@@ -10,7 +10,7 @@ import numpy as np
 
 from handcal.effects import Effect, Signals
 from handcal.estimate.problem import Problem
-from handcal.estimate.sampling import between_samples
+from handcal.estimate.sampling import at_nodes
 from handcal.signals import of_recording, reading
 from handcal.types import Array
 
@@ -48,12 +48,8 @@ def corrected_readings(
     read = of_recording(problem.recording, acting, read=raw, C_nb=C_nb, alpha=problem.alpha)
     error = substituted(acting, ref, read, problem.error)
     clean = np.hstack([imu.gyro, imu.accel]) - error
-    at = [np.interp(nodes.t, imu.t, clean[:, k]) for k in range(6)]
-    nodes = nodes._replace(
-        gyro=np.stack(at[:3], axis=1),
-        accel=np.stack(at[3:], axis=1),
-        bend=between_samples(imu, clean, nodes.t),
-    )
+    gyro, accel, bend = at_nodes(imu, clean, nodes.t)
+    nodes = nodes._replace(gyro=gyro, accel=accel, bend=bend)
     return Corrected(replace(problem, ref=ref, nodes=nodes, error=error), read, raw, error)
 
 

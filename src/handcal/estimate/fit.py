@@ -8,7 +8,7 @@ shared parameters, and moves each trajectory by what follows for it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,7 +23,7 @@ from handcal.estimate.model import Fitted, Known, Model
 from handcal.estimate.quadratic import Local, Posterior, Quadratic, given, local, posterior, total
 from handcal.estimate.robust import excess
 from handcal.estimate.tails import SCALES, tailed, usual
-from handcal.estimate.transfer import begun, linearised, moved_to, of_these
+from handcal.estimate.transfer import begun, fit_of, linearised
 from handcal.types import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Array, IntArray, Prior
 
 # Nats within which evidence rests: of a fit that is written down, of one that a search compares
@@ -305,19 +305,21 @@ def relinearised_parts(
         before, evidence = evidence, seen.evidence
         if not evidence > least:  # (nor where it is no number any more)
             break
-        parts, reductions = seen.followed(), ()
-        del seen
+        parts, reductions = _followed(parts, seen, effects), ()
+        del seen  # (its passes are as large as what is linearised next)
     evidence = evidence if all(_sane(f.linear) for f in parts) else math.nan
     return Rested([f.bare for f in parts], False, evidence, tolerance, wide)
 
 
 @dataclass(frozen=True)
 class _Seen:
-    """One pass over all parts: what they say of the effects together, and where that leads."""
+    """One pass over all parts: what each says, and what they say of the effects together."""
 
-    evidence: float
+    passes: Sequence[ReducedPass]
+    locals: Sequence[Local]
     whole: Quadratic
-    followed: Callable[[], list[Fitted]]
+    mean: Array
+    evidence: float
 
 
 def _seen(
@@ -332,24 +334,20 @@ def _seen(
     locals_ = [local(p, shared) for p in passes]
     whole = total([x.quadratic for x in locals_])
     found = _posterior(whole, effects, known, wide)
-
-    def followed() -> list[Fitted]:
-        deviations = (x.deviations(given(whole, x.quadratic, found.mean)) for x in locals_)
-        each = zip(parts, passes, deviations, strict=True)
-        return [_followed(f, done, w, effects) for f, done, w in each]
-
-    return _Seen(found.log_evidence, whole, followed)
+    return _Seen(passes, locals_, whole, found.mean, found.log_evidence)
 
 
-def _followed(f: Fitted, done: ReducedPass, w: Array, effects: Sequence[Effect]) -> Fitted:
-    """The fit where its trajectory goes with these deviations w of its constants."""
-    done = replace(done, w=w)
-    k, m = done.X.shape[:2]
-    r = np.empty((k, m, 1))
-    backward(done, False, r, np.empty((0, m, m)), spread=False)
-    problem = done.reduction.linear.problem
-    there = smoother.moved(f.trajectory, smoother.whole_mean(done, r))
-    return linearised(f, there, effects, problem)
+def _followed(parts: Sequence[Fitted], seen: _Seen, effects: Sequence[Effect]) -> list[Fitted]:
+    """The fits where their trajectories go with what all parts say of the constants."""
+    out = []
+    for f, done, own in zip(parts, seen.passes, seen.locals, strict=True):
+        done = replace(done, w=own.deviations(given(seen.whole, own.quadratic, seen.mean)))
+        k, m = done.X.shape[:2]
+        r = np.empty((k, m, 1))
+        backward(done, False, r, np.empty((0, m, m)), spread=False)
+        there = smoother.moved(f.trajectory, smoother.whole_mean(done, r))
+        out.append(linearised(f, there, effects, done.reduction.linear.problem))
+    return out
 
 
 def with_usual_noise(f: Fitted) -> Fitted:
@@ -377,7 +375,7 @@ def grounds(model: Model) -> list[Ground]:
     """Where all scans about a model begin: its parts, linearised and filtered once."""
     out = []
     for f in model.parts:
-        own = f if of_these(f, model.effects) else moved_to(f, model.effects)
+        own = fit_of(f, model.effects)
         out.append(ground(own.linear, problem_with(own.case, model.effects), own.levels))
     return out
 

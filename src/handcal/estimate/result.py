@@ -17,8 +17,8 @@ from handcal.estimate.model import Fitted, Model
 from handcal.estimate.parameters import Known, Moment, known
 from handcal.estimate.problem import Problem, constants_of
 from handcal.estimate.robust import inflation
+from handcal.estimate.sampling import interpolated
 from handcal.estimate.trajectory import Trajectory, path
-from handcal.estimate.transfer import interpolated
 from handcal.observations import magnetometer
 from handcal.types import (
     Array,

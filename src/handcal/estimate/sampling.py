@@ -21,6 +21,24 @@ SMOOTH = 0.5
 UNEVEN = 0.25
 
 
+def at_nodes(imu: Imu, readings: Array, t: Array) -> tuple[Array, Array, Array]:
+    """Rate, force (m, 3) and what integration adds to both (m, 6), at times t (m,), of readings
+    (n, 6) at the IMU's samples."""
+    return (
+        interpolated(t, imu.t, readings[:, :3]),
+        interpolated(t, imu.t, readings[:, 3:]),
+        between_samples(imu, readings, t),
+    )
+
+
+def interpolated(t: Array, t_old: Array, x: Array) -> Array:
+    """Columns x (k, m) at times t_old (k,), on straight lines at times t (n,)."""
+    out = np.empty((len(t), x.shape[1]))
+    for i in range(x.shape[1]):
+        out[:, i] = np.interp(t, t_old, x[:, i])
+    return out
+
+
 def between_samples(imu: Imu, readings: Array, t: Array) -> Array:
     """What has to be added (m, k) at times t (m,) to readings (n, k) at the IMU's samples, so that
     straight lines have the integral."""
@@ -31,4 +49,4 @@ def between_samples(imu: Imu, readings: Array, t: Array) -> Array:
         even &= imu.valid[1:] & imu.valid[:-1]
         bends = readings[2:] - 2.0 * readings[1:-1] + readings[:-2]
         out[1:-1] = np.where((even[1:] & even[:-1])[:, None], -SMOOTH / 12.0 * bends, 0.0)
-    return np.stack([np.interp(t, imu.t, out[:, k]) for k in range(readings.shape[1])], axis=1)
+    return interpolated(t, imu.t, out)

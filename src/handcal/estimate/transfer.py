@@ -15,8 +15,8 @@ from handcal.estimate.case import problem_with
 from handcal.estimate.linear import About
 from handcal.estimate.model import Fitted
 from handcal.estimate.problem import Problem
+from handcal.estimate.sampling import interpolated
 from handcal.estimate.trajectory import Trajectory, epochs, path
-from handcal.types import Array
 
 # A delay is linearised about where it is known to this, s.
 DELAY_STEP = 0.002
@@ -63,11 +63,11 @@ def moved_to(f: Fitted, effects: Sequence[Effect]) -> Fitted:
     return Fitted(case, About(problem, f.about.start, trajectory), levels, f.curvature)
 
 
-def of_these(f: Fitted, effects: Sequence[Effect]) -> bool:
-    """Whether it is a fit of these effects, and of no other delays than theirs."""
+def fit_of(f: Fitted, effects: Sequence[Effect]) -> Fitted:
+    """``moved_to``, or the fit itself where it is of these effects and of no other delays."""
     kept = {k for e in effects for k in e.delays}
     own = {e.id for e in f.problem.effects} == {e.id for e in effects}
-    return own and set(f.case.delays) <= kept
+    return f if own and set(f.case.delays) <= kept else moved_to(f, effects)
 
 
 def begun(f: Fitted, effects: Sequence[Effect]) -> Fitted:
@@ -127,11 +127,3 @@ def transferred(
         constants,
         interpolated(t, t_old, markov),
     )
-
-
-def interpolated(t: Array, t_old: Array, x: Array) -> Array:
-    """Columns x (k, m) at times t_old (k,), on straight lines at times t (n,)."""
-    out = np.empty((len(t), x.shape[1]))
-    for i in range(x.shape[1]):
-        out[:, i] = np.interp(t, t_old, x[:, i])
-    return out

@@ -17,7 +17,7 @@ from handcal.estimate.fit import fitted
 from handcal.estimate.linear import beside
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.parallel import in_parallel
-from handcal.estimate.transfer import moved_to, of_these
+from handcal.estimate.transfer import fit_of, moved_to
 from handcal.explain.score import better
 from handcal.explain.unnamed import with_motion
 
@@ -46,7 +46,7 @@ def looks_of(
 ) -> list[Look]:
     """The effects with one noise effect each that the recordings can show, the best ones (``most``
     at the most), the best first."""
-    plain = [f if of_these(f, effects) else moved_to(f, effects) for f in parts]
+    plain = [fit_of(f, effects) for f in parts]
     here = sum(reduced_pass(reduce(f.linear), f.levels).log_evidence for f in plain)
 
     def look(e: Effect) -> Look:

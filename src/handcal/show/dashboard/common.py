@@ -120,11 +120,14 @@ def file_sink(path: str | Path) -> Iterator[Any]:
 
 def _copy(reading: int, file: IO[bytes], problems: list[OSError]) -> None:
     """From the pipe to the file, to the end even where the disk takes no more; closes both."""
-    with file, open(reading, "rb", buffering=0) as pipe:
-        while piece := pipe.read(1 << 16):
-            try:
-                if not problems:
-                    file.write(piece)
-                    file.flush()
-            except OSError as problem:
-                problems.append(problem)
+    try:
+        with file, open(reading, "rb", buffering=0) as pipe:
+            while piece := pipe.read(1 << 16):
+                try:
+                    if not problems:
+                        file.write(piece)
+                        file.flush()
+                except OSError as problem:
+                    problems.append(problem)
+    except OSError as problem:  # (what was still to be written when it is closed)
+        problems.append(problem)
