@@ -5,10 +5,12 @@
 .PHONY: help setup demo live docs site gallery stories test lint format prove fuzz soak rough trial bench bench-check dist audit clean clean-cache
 
 BIN := .venv/bin
-# Of `make trial`: which suites, how many explanations at a time; SEED=N repeats a trial.
+# Of `make trial`: which suites, how many explanations at a time; SEED=N repeats a trial, and
+# AGAINST=../older/.venv/bin/handcal has another version explain the same recordings.
 SUITES := nothing one mixed unknown turn faint reference large phone odometry people budget wild strange axis
 JOBS := 1
 SEED :=
+AGAINST :=
 PIP := $(BIN)/python -m pip install --disable-pip-version-check --quiet -c constraints.txt
 PYTHONS := $(PYTHON) python3 python3.13 python3.12 python3.11 python3.14 python
 
@@ -67,7 +69,7 @@ trial: setup ## blind trials of explain at full size: hours; scores in trial-out
 	@mkdir -p trial-out
 	@for s in $(SUITES); do \
 	  $(BIN)/handcal prove --suite $$s --jobs $(JOBS) $(if $(SEED),--seed $(SEED)) \
-	    --json trial-out/$$s.json || exit; \
+	    $(if $(AGAINST),--against $(AGAINST)) --json trial-out/$$s.json || exit; \
 	done
 
 bench: .venv/.installed-bench ## speed beside other programs, start-up, memory: ten minutes

@@ -606,10 +606,48 @@ def test_the_command_runs_and_refuses(tmp_path, monkeypatch):
     assert score["schema"] == "handcal-sim/proof/1"
     assert score["suites"][0]["outcomes"]["missed"] == 2
     assert (tmp_path / "kept" / "answers.json").exists()
+    assert "against" not in score
     again = CliRunner().invoke(app, arguments)
     assert isinstance(again.exception, InputError)
     odd = CliRunner().invoke(app, ["--suite", "odd"])
     assert isinstance(odd.exception, InputError)
+
+
+# Names what is not there, and breaks off at the third recording.
+OTHER = """#!{python}
+import json, pathlib, sys
+_, explain, recording, option, file = sys.argv
+assert (explain, option) == ("explain", "--json")
+if pathlib.Path(recording).stem == "r0003":
+    sys.exit("It is too hard.")
+pathlib.Path(file).write_text(json.dumps({document!r}))
+"""
+
+
+def test_another_program_explains_the_same_recordings(tmp_path, monkeypatch):
+    fake = "import handcal_sim.prove.workers as w; w.serve(lambda path: %r)"
+    monkeypatch.setattr(
+        prove_workers.Workers, "__init__", with_command(fake % (said("nothing_missing"),))
+    )
+    other = tmp_path / "other"
+    other.write_text(OTHER.format(python=sys.executable, document=said("gyro_scale")))
+    other.chmod(0o755)
+    arguments = ["--suite", "nothing", "--n", "3", "--seed", "3", "--against", str(other)]
+    kept = ["--json", str(tmp_path / "score.json"), "--out", str(tmp_path / "kept")]
+    result = CliRunner().invoke(app, [*arguments, *kept])
+    assert result.exit_code == 0, result.output
+    assert "other alone" in result.output
+    score = json.loads((tmp_path / "score.json").read_text())
+    schemas.check(score)
+    assert score["against"]["suites"][0]["outcomes"]["failed"] == 1
+    assert score["against"]["suites"][0]["outcomes"]["false"] == 2
+    assert "hard" in next(r["error"] for r in score["against"]["recordings"] if "error" in r)
+    assert score["paired"] == [
+        {"suite": "nothing", "both": 0, "this_alone": 3, "other_alone": 0, "neither": 0,
+         "chance": pytest.approx(0.25)},
+    ]  # fmt: skip
+    none = CliRunner().invoke(app, [*arguments[:-1], str(tmp_path / "none")])
+    assert isinstance(none.exception, InputError)
 
 
 def with_command(code):

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from handcal_sim.commands._progress import progress
-from handcal_sim.prove.run import ALL, plan, run, with_limits, write_answers
+from handcal_sim.prove.run import ALL, Case, plan, run, with_limits, write_answers
+
+if TYPE_CHECKING:
+    from handcal_sim.prove.trial import Trial
 
 
 def prove(
@@ -47,6 +51,14 @@ def prove(
             "their code: name no folder that you do not trust.",
         ),
     ] = None,
+    against: Annotated[
+        str | None,
+        typer.Option(
+            metavar="HANDCAL",
+            help="Another handcal program (an older version's .venv/bin/handcal): it explains the "
+            "same recordings, and what either gets right alone is counted.",
+        ),
+    ] = None,
 ) -> None:
     """Conceal random errors in random recordings, explain them blindly, and score that."""
     from handcal.commands._registry import say
@@ -55,12 +67,12 @@ def prove(
     if effects_from is not None:
         say(f"running the code of {effects_from}/*.py, as --effects-from asks")
     with also(effects_from):
-        _proved(n, seed, suite, out, json_file, jobs, effects_from)
+        _proved(n, seed, suite, out, json_file, jobs, effects_from, against)
 
 
 def _proved(
     n: int | None, seed: int | None, suite: str, out: Path | None, json_file: Path | None,
-    jobs: int, effects_from: Path | None,
+    jobs: int, effects_from: Path | None, against: str | None,
 ) -> None:  # fmt: skip
     from numpy.random import SeedSequence
     from rich.console import Console
@@ -68,12 +80,15 @@ def _proved(
     from handcal.commands._registry import say
     from handcal.output import check_outputs, write_text
     from handcal.types import InputError
+    from handcal_sim.prove.paired import compared
     from handcal_sim.prove.score import score
     from handcal_sim.prove.show import show
     from handcal_sim.prove.suites import SUITES
     from handcal_sim.prove.workers import Workers
 
     check_outputs((json_file,))
+    if against is not None and shutil.which(against) is None:
+        raise InputError(f"--against {against}: there is no such program.")
     if suite not in (ALL, *SUITES):
         raise InputError(f"--suite {suite}: there are {', '.join((*SUITES, ALL))}.")
     if seed is None:
@@ -89,12 +104,28 @@ def _proved(
             workers.stop()
         write_answers(trials, seed, folder / "answers.json")
         trials = [with_limits(trial, folder) for trial in trials]
+        others = _others(against, trials, cases, seed, folder, jobs)
     if len(trials) < len(cases):
         say(f"interrupted: what follows is of {len(trials)} recordings")
     proof = score(trials, seed)
+    if others:
+        proof |= {"against": score(others, seed), "paired": compared(trials, others)}
     if json_file is not None:
         write_text(json_file, json.dumps(proof, indent=1) + "\n")
     show(proof, Console(highlight=False))
+
+
+def _others(
+    against: str | None, trials: Sequence[Trial], cases: Sequence[Case], seed: int, folder: Path,
+    jobs: int,
+) -> list[Trial]:  # fmt: skip
+    """The same trials by another program; none if there is none."""
+    from handcal_sim.prove.paired import again, program
+
+    if against is None:
+        return []
+    with progress(len(trials), "explaining again", "explained again") as advance:
+        return again(trials, cases, seed, folder, program([against]), jobs, lambda: advance(1))
 
 
 @contextmanager

@@ -27,6 +27,19 @@ def show(proof: Row, console: Console) -> None:
             console.print(line, soft_wrap=True)
     for line in _lines(proof):
         console.print(line, soft_wrap=True)
+    if "paired" in proof:
+        console.print(_paired(proof["paired"]))
+
+
+def _paired(rows: list[Row]) -> Table:
+    table = _table(
+        "The same recordings by the other program, right", "suite", "both", "this alone",
+        "other alone", "neither", "chance",
+    )  # fmt: skip
+    for row in rows:
+        counts = (str(row[k]) for k in ("both", "this_alone", "other_alone", "neither"))
+        table.add_row(row["suite"], *counts, f"{row['chance']:.2f}")
+    return table
 
 
 def _table(title: str, *columns: str) -> Table:
