@@ -112,6 +112,23 @@ def test_where_it_moves_the_point_is_not_looked_at() -> None:
     assert replace(after, moved=None).delay == before.delay
 
 
+def test_of_a_fit_that_diverged_nobody_knows_how_fast_the_hand_was() -> None:
+    """One that did said that a look at the point is worth -7,000 nats, and explain broke off (wild
+    trial): e to the power of a third of that is no number."""
+    world = simulate(people(free_hand, [changes_hands]), seed=0, duration_s=30.0)
+    base = baseline([case_of(recording_of(world, "heading"), "fixed-point")])
+    assert len(drifting_point._hands(base)) == 3
+    ((creeps,),) = drifting_point._hands(diverged(base.parts, ()))
+    assert creeps.creeping
+    k = creeps.kinds.index(drifting_point.OBSERVED)
+    few, many = (
+        drifting_point._moved(base.parts[0].case, [(9.9, 11.1, 0.31)], w).constant
+        for w in (-7e3, -8e3)
+    )
+    looks = len(base.parts[0].case.observed[k][1].t)
+    assert 0.0 < few - many < 1e3 * looks
+
+
 def test_the_page_says_what_the_held_point_does() -> None:
     case = case_of(recording_of(simulate("free-hand", seed=0, duration_s=30.0), "heading"))
     moved = drifting_point._moved(case, [(9.95, 11.05, 0.3)])

@@ -7,7 +7,7 @@ import pytest
 from worlds import recording_of
 
 from handcal.estimate.calibration import calibrate
-from handcal.estimate.sampling import SMOOTH, between_samples
+from handcal.estimate.sampling import between_samples, smoothness
 from handcal.types import Imu
 from handcal_sim import simulate
 from handcal_sim.motion_wild import wild
@@ -25,19 +25,21 @@ def angles(t: np.ndarray, x: np.ndarray) -> np.ndarray:
     return np.cumsum(0.5 * (x[1:] + x[:-1]) * np.diff(t)[:, None], axis=0)
 
 
-def test_the_integral_loses_as_much_less_as_the_rule_is_cubic() -> None:
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+def test_the_integral_loses_as_much_less_as_the_rule_is_cubic(share: float) -> None:
     """Of a sine straight lines lose (omega dt)^2 / 12, to the first order."""
     t = np.arange(0.0, 10.0, 1.0 / RATE_HZ)
     imu = swinging(t)
     omega = 2.0 * np.pi * TURNS_HZ
     true = np.sin(omega * t[1:, None]) / omega
     left = []
-    for x in (imu.gyro, imu.gyro + between_samples(imu, imu.gyro, t)):
+    whole = np.full(3, share)
+    for x in (imu.gyro, imu.gyro + between_samples(imu, whole, imu.gyro, t)):
         off = angles(t, x)[:-1] - true[:-1]
         left.append(float(np.std(off[5:, 0])))
     lost = (omega / RATE_HZ) ** 2 / 12.0 * float(np.std(true[5:, 0]))
     assert left[0] == pytest.approx(lost, rel=0.02)
-    assert left[1] == pytest.approx((1.0 - SMOOTH) * lost, rel=0.1)
+    assert left[1] == pytest.approx((1.0 - share) * lost, rel=0.1, abs=0.02 * lost)
 
 
 def test_beside_a_gap_and_where_nothing_was_measured_readings_stay() -> None:
@@ -45,11 +47,54 @@ def test_beside_a_gap_and_where_nothing_was_measured_readings_stay() -> None:
     t[50:] += 0.3
     imu = swinging(t)
     imu.valid[20] = False
-    moved = np.flatnonzero(between_samples(imu, imu.gyro, t).any(axis=1))
-    assert not {0, 19, 20, 21, 49, 50, 99} & set(moved.tolist())
-    assert {1, 18, 22, 48, 51, 98} <= set(moved.tolist())
+    moved = np.flatnonzero(between_samples(imu, np.ones(3), imu.gyro, t).any(axis=1))
+    assert not {0, 1, 18, 19, 20, 21, 22, 48, 49, 50, 51, 98, 99} & set(moved.tolist())
+    assert {2, 17, 23, 47, 52, 97} <= set(moved.tolist())
     two = Imu(t[:2], np.ones((2, 3)), np.ones((2, 3)), imu.valid[:2])
-    assert not between_samples(two, two.gyro, t[:2]).any()
+    assert not between_samples(two, np.ones(3), two.gyro, t[:2]).any()
+    assert not smoothness(two).any()
+
+
+def of(gyro: np.ndarray, accel: np.ndarray) -> tuple[float, float]:
+    """What readings of so many samples say of both sensors."""
+    t = np.arange(len(gyro)) / RATE_HZ
+    found = smoothness(Imu(t, gyro, accel, np.ones(len(t), dtype=np.bool_)))
+    assert np.all(found[:3] == found[0])
+    assert np.all(found[3:] == found[3])
+    return float(found[0]), float(found[3])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_readings_say_whether_they_are_smooth_between_the_samples(seed: int) -> None:
+    """A sine of a few Hz is; white noise is not, nor is a random walk for the most part; of both
+    together that share of the second differences' square that is the sine's."""
+    rng = np.random.default_rng(seed)
+    n = 20_000
+    t = np.arange(n) / RATE_HZ
+    sine = np.cos(2.0 * np.pi * TURNS_HZ * t)[:, None] * np.ones(3)
+    white, walk = rng.standard_normal((n, 3)), rng.standard_normal((n, 3)).cumsum(axis=0)
+    assert of(sine, sine) == (1.0, 1.0)
+    noisy, rough = of(white, walk)
+    # (twice its own scatter of some 0.02)
+    assert noisy < 0.05
+    assert 0.1 < rough < 0.3
+    # what the rule asks for, x0 - x1 - x2 + x3, has four variances of white noise
+    sigma = 0.02
+    said = np.mean((sine[3:] + sine[:-3] - sine[1:-2] - sine[2:-1]) ** 2)
+    share = said / (said + 4.0 * sigma**2)
+    both, other = of(sine + sigma * white, np.sin(7.0 * t)[:, None] + 1e-6 * white)
+    assert both == pytest.approx(share, abs=0.1)
+    assert other == pytest.approx(1.0, abs=0.01)
+
+
+def test_each_sensor_is_judged_by_its_own_readings() -> None:
+    rng = np.random.default_rng(0)
+    t = np.arange(5_000) / RATE_HZ
+    sine = np.cos(2.0 * np.pi * TURNS_HZ * t)[:, None] * np.ones(3)
+    smooth, rough = of(sine, rng.standard_normal((5_000, 3)))
+    assert smooth == 1.0
+    assert rough < 0.1
+    assert of(np.zeros((50, 3)), sine[:50])[0] == 0.0
 
 
 @pytest.mark.parametrize("seed", range(3))

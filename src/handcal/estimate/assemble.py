@@ -11,7 +11,7 @@ from handcal.compiled.kernel import MOST_HELD, Nodes, Tables
 from handcal.effects import DELAY, TIME, WARMTH, Z_DIM, Effect
 from handcal.estimate.derivatives import relinearised
 from handcal.estimate.problem import Problem, Slot, slots_of
-from handcal.estimate.sampling import at_nodes
+from handcal.estimate.sampling import at_nodes, smoothness
 from handcal.observations import Observation, Rows, nearest
 from handcal.signals import warmth_at
 from handcal.types import Array, Markov, Recording
@@ -41,7 +41,8 @@ def build(
     kinds = tuple(o for o, _, _ in observed)
     added = _processes(kinds, effects)
     step = np.r_[[1e-3 * s.prior_sigma for s in slots], np.full(added.size, 1e-5)]
-    nodes, rate, dropped = _nodes(recording, [r for _, r, _ in observed], imu_constants)
+    smooth = smoothness(recording.imu)
+    nodes, rate, dropped = _nodes(recording, smooth, [r for _, r, _ in observed], imu_constants)
     tables = _tables(kinds, [len(c) for _, _, c in observed], effects, slots, added, step)
     problem = Problem(
         recording,
@@ -59,6 +60,7 @@ def build(
         omega_ie_n,
         rate,
         dropped,
+        smooth,
         next((r.alpha for _, r, _ in observed if r.alpha is not None), None),
     )
     zero = np.zeros(3)
@@ -137,7 +139,7 @@ def _tables(
 
 
 def _nodes(
-    recording: Recording, rows: Sequence[Rows], imu_constants: int
+    recording: Recording, smooth: Array, rows: Sequence[Rows], imu_constants: int
 ) -> tuple[Nodes, Array, int]:
     """Insert the observation times between the IMU's stamps, readings interpolated there."""
     imu = recording.imu
@@ -163,7 +165,7 @@ def _nodes(
     t = np.union1d(imu.t, ot)
     node = np.searchsorted(t, ot)
     first = np.searchsorted(node, np.arange(len(t) + 1)).astype(np.int64)
-    gyro, accel, bend = at_nodes(imu, np.hstack([imu.gyro, imu.accel]), t)
+    gyro, accel, bend = at_nodes(imu, smooth, np.hstack([imu.gyro, imu.accel]), t)
     rate = _smoothed_rate(recording, t)
     extra = _extra(recording, t)
     np.add.at(extra[:, 2], node, moved**2)

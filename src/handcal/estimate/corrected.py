@@ -48,7 +48,7 @@ def corrected_readings(
     read = of_recording(problem.recording, acting, read=raw, C_nb=C_nb, alpha=problem.alpha)
     error = substituted(acting, ref, read, problem.error)
     clean = np.hstack([imu.gyro, imu.accel]) - error
-    gyro, accel, bend = at_nodes(imu, clean, nodes.t)
+    gyro, accel, bend = at_nodes(imu, problem.smooth, clean, nodes.t)
     nodes = nodes._replace(gyro=gyro, accel=accel, bend=bend)
     return Corrected(replace(problem, ref=ref, nodes=nodes, error=error), read, raw, error)
 

@@ -63,15 +63,15 @@ class Slopes:
 class Problem:
     """A recording made ready for the filter.
 
-    ref (c,): values of the constants about which the effects were linearised; g_n,
-    omega_ie_n (3,); rate (n,): smoothed turning rate at the nodes, rad/s;
-    observations: the kinds in use, numbered as in ``nodes.kind``; dropped: rows outside
-    the recording. markovs: the processes whose states follow the constants, in their order;
-    walks: (first state of those, column of the readings) of each that adds to these, and
-    wandering: of each that is a bias; alpha: known angular acceleration (n, 3) at the IMU's
-    samples, rad/s^2. slopes: at ref, of what has been linearised about a trajectory; the online
-    filter reads ``nodes.J`` instead. error: (n, 6) at the IMU's samples, what the effects were
-    last found to add; where the next search for that begins.
+    ref (c,): values of the constants about which the effects were linearised; g_n, omega_ie_n
+    (3,); rate (n,): smoothed turning rate at the nodes, rad/s; observations: the kinds in use,
+    numbered as in ``nodes.kind``; dropped: rows outside the recording; smooth (6,): of each
+    channel, see ``smoothness``. markovs: the processes whose states follow the constants, in
+    their order; walks: (first state of those, column of the readings) of each that adds to
+    these, and wandering: of each that is a bias; alpha: known angular acceleration (n, 3) at
+    the IMU's samples, rad/s^2. slopes: at ref, of what has been linearised about a trajectory;
+    the online filter reads ``nodes.J`` instead. error: (n, 6) at the IMU's samples, what the
+    effects were last found to add; where the next search for that begins.
     """
 
     recording: Recording
@@ -89,6 +89,7 @@ class Problem:
     omega_ie_n: Array
     rate: Array
     dropped: int
+    smooth: Array
     alpha: Array | None = None
     slopes: Slopes | None = None
     error: Array | None = None

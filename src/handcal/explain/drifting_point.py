@@ -80,7 +80,8 @@ def _hands(held: Model) -> list[list[Case]]:
     both, given the fit of one that is held."""
     cases = [f.case for f in held.parts]
     out = [[creeping_case(c) for c in cases]]
-    moves = [_moves(f) for f in held.parts]
+    # (where that diverged, nothing is known of how fast the hand was)
+    moves = [_moves(f) for f in held.parts] if math.isfinite(held.log_evidence) else []
     if any(moves):
         first = _fit([_moved(*x) for x in zip(cases, moves, strict=True)], held.effects)
         # (what a look at the point is worth while it is held, a fit tells that knows of the moves)
@@ -108,12 +109,12 @@ def _moved(case: Case, moves: Sequence[tuple[float, float, float]], worth: float
     Meanwhile it is not looked at. That counts neither for nor against it, but for when it was and
     for the way that the hand took, which nobody foretells.
     """
-    near, t0 = math.exp(-worth / 3.0), case.recording.imu.t[0]
+    t0 = case.recording.imu.t[0]
     for first, last, far in moves:
         t = case.observed[case.kinds.index(OBSERVED)][1].t
         out = np.flatnonzero((t >= first) & (t <= last))
         turns = 3.0 * (1.0 + (last - first) / STROKE)
-        cost = 2.0 * math.log(len(t)) - PRIOR + turns * max(0.0, math.log(far / near))
+        cost = 2.0 * math.log(len(t)) - PRIOR + turns * max(0.0, math.log(far) + worth / 3.0)
         edit = Edit(OBSERVED, tuple(out.tolist()), (first, last, far), len(out) * worth - cost)
         case = edited(case, edit)
     if not moves:

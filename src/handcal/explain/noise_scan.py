@@ -18,7 +18,7 @@ from handcal.estimate.linear import beside
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.parallel import in_parallel
 from handcal.estimate.transfer import fit_of, moved_to
-from handcal.explain.score import better
+from handcal.explain.score import better, prior
 from handcal.explain.unnamed import with_motion
 
 # Nats that a noise effect must gain beyond its own levels' freedom, at a first look; and times the
@@ -44,8 +44,8 @@ class Look:
 def looks_of(
     parts: Sequence[Fitted], effects: Sequence[Effect], noise: Sequence[Effect], most: int
 ) -> list[Look]:
-    """The effects with one noise effect each that the recordings can show, the best ones (``most``
-    at the most), the best first."""
+    """The effects with one noise effect each that the recordings can show, those of the highest
+    score (``most`` at the most), the best first."""
     plain = [fit_of(f, effects) for f in parts]
     here = sum(reduced_pass(reduce(f.linear), f.levels).log_evidence for f in plain)
 
@@ -54,10 +54,13 @@ def looks_of(
         there = sum(value for _, value in wide)
         return Look((*effects, e), tuple(f for f, _ in wide), there - here)
 
+    def scored(found: Look) -> float:
+        return found.gain + prior(found.effects[-1], [f.case for f in parts])
+
     shown = [e for e in noise if any(applicable(f.case, e) for f in parts)]
     best: list[Look] = []
     for found in in_parallel(partial(look, e) for e in shown):
-        best = sorted([*best, found], key=lambda k: -k.gain)[:most]
+        best = sorted([*best, found], key=scored, reverse=True)[:most]
     return best
 
 
