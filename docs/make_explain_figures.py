@@ -20,8 +20,9 @@ from handcal.effects import select
 from handcal.estimate import fit
 from handcal.estimate.baseline import started
 from handcal.estimate.case import case_of
-from handcal.estimate.fit import fitted, scan
+from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
+from handcal.estimate.scan import scan
 from handcal.explain import explain
 from handcal.explain.space import Space, gains, space
 from handcal.show.explanation.report import write_explanation_report

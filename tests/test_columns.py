@@ -12,10 +12,11 @@ from handcal.effects import Effect, select
 from handcal.estimate.baseline import baseline
 from handcal.estimate.case import case_of
 from handcal.estimate.evidence import reduce, reduced_pass
-from handcal.estimate.fit import fitted, grounds, scan
+from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.quadratic import Quadratic, local
 from handcal.estimate.robust import excess
+from handcal.estimate.scan import grounds, scan
 from handcal.estimate.transfer import moved_to
 from handcal.explain.climb.candidates import candidates
 from handcal.explain.unnamed import best, over_drivers

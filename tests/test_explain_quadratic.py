@@ -14,7 +14,7 @@ from handcal.effects import select
 from handcal.estimate.baseline import started
 from handcal.estimate.case import case_of
 from handcal.estimate.evidence import ReducedPass, reduce, reduced_pass
-from handcal.estimate.fit import fitted, prior_root, scan
+from handcal.estimate.fit import fitted, prior_root
 from handcal.estimate.model import Model
 from handcal.estimate.quadratic import (
     Local,
@@ -25,7 +25,9 @@ from handcal.estimate.quadratic import (
     posterior,
     total,
 )
+from handcal.estimate.scan import scan
 from handcal.estimate.transfer import moved_to
+from handcal.explain.unnamed import weighing
 from handcal.types import Array, IntArray
 from handcal_sim import simulate
 from handcal_sim.phone import Clocking, Phone, consumer_phone, with_rate
@@ -269,3 +271,22 @@ def test_a_fit_with_both_keeps_the_prior(bases: list[Model]) -> None:
     mine = _places(model.quadratic, ["size_effect"])
     np.testing.assert_allclose(model.u[mine].reshape(3, 3).mean(axis=0), 0.0, atol=1e-12)
     assert np.abs(model.u[mine]).max() > 0.01
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_parameters_gain_is_their_evidence(seed: int) -> None:
+    """Of a Gaussian log-likelihood under a Gaussian prior; beside large numbers a matrix is
+    positive but for rounding, which broke the search off."""
+    rng = np.random.default_rng(seed)
+    J = rng.standard_normal((5, 4, 3))
+    G, b = J.transpose(0, 2, 1) @ J, rng.standard_normal((5, 3))
+    A = G + np.eye(3)
+    expected = [
+        0.5 * v @ np.linalg.solve(M, v) - 0.5 * np.linalg.slogdet(M)[1]
+        for v, M in zip(b, A, strict=True)
+    ]
+    assert weighing.gains(b, G) == pytest.approx(expected, rel=1e-12)
+    column = 1e9 * rng.standard_normal(3)
+    flat = np.outer(column, column)[None] - 5.0 * np.eye(3)
+    assert np.linalg.eigvalsh(flat[0])[0] < -1.0
+    assert np.isfinite(weighing.gains(b[:1], flat)).all()

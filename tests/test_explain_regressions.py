@@ -18,15 +18,16 @@ from handcal.estimate import case, fit, noise_levels, observed
 from handcal.estimate.baseline import baseline, started
 from handcal.estimate.calibration import calibrate
 from handcal.estimate.evidence import reduce, reduced_pass
-from handcal.estimate.fit import EXCESS, fitted, scan
+from handcal.estimate.fit import EXCESS, fitted
 from handcal.estimate.linear import known_linear
 from handcal.estimate.model import Model
 from handcal.estimate.quadratic import posterior
+from handcal.estimate.scan import scan
 from handcal.estimate.transfer import at_constants, moved_to
 from handcal.explain import Explanation, conclusions, explain, outliers, pipeline
 from handcal.explain.climb import subset_steps, turns
 from handcal.explain.climb.state import Climb
-from handcal.explain.multistart import leading
+from handcal.explain.multistart import astray, leading
 from handcal.explain.space import Space, gains
 from handcal.observations import pose
 from handcal.types import InputError, Recording, Series
@@ -528,6 +529,19 @@ def test_where_a_baseline_diverges_the_error_without_which_there_is_no_fit_leads
     for seed in range(4):
         world = simulate(wild(7.0), seed=seed, duration_s=40.0, phone=slow, effects=truth, sway=0.5)
         base = baseline([case.case_of(recording_of(world, "heading"))])
-        led.append((bool(base.settled), leading(base)))
-    assert all((m is None) == settled for settled, m in led)
-    assert {m.ids for _, m in led if m is not None} == {("gyro_quadratic",)}
+        led.append((bool(base.settled), astray(base), leading(base) if astray(base) else None))
+    assert all(no_fit != settled for settled, no_fit, _ in led)
+    assert all((m is not None) == no_fit for _, no_fit, m in led)
+    assert {m.ids for *_, m in led if m is not None} == {("gyro_quadratic",)}
+
+
+@pytest.mark.prove
+def test_about_no_fit_nothing_stands_out() -> None:
+    """A gyro of 5 % again: the noise levels were left in the middle of their ranges, half of the
+    innovations beyond six sigma. A million nats below a fit, effects by the dozen were taken, a
+    dead hand's moves were worth e to the power of thousands, and headings were called wrong."""
+    world, answer = draw.draw("wild", 49, 10411)
+    recording = recording_of(world, "heading")
+    assert astray(baseline([case.case_of(recording)]))
+    found = explain([recording])
+    assert (found.verdict, names(found)) == ("explained", [*answer.effects])

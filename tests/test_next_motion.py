@@ -15,9 +15,10 @@ from handcal.earth import local_earth
 from handcal.effects import Effect, Signals, select
 from handcal.estimate.baseline import started
 from handcal.estimate.case import case_of
-from handcal.estimate.fit import fitted, scan
+from handcal.estimate.fit import fitted
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.quadratic import Quadratic, log_evidence
+from handcal.estimate.scan import scan
 from handcal.estimate.transfer import moved_to
 from handcal.explain import next_motion
 from handcal.explain.explanation import Hypothesis, Missing

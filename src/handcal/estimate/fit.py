@@ -15,15 +15,12 @@ import numpy as np
 
 from handcal.effects import Effect, catalogue
 from handcal.estimate import noise_levels, smoother
-from handcal.estimate.case import problem_with
-from handcal.estimate.columns import Ground, ground, widened
 from handcal.estimate.evidence import ReducedPass, Reduction, backward, reduce, reduced_pass
 from handcal.estimate.linear import Linear
 from handcal.estimate.model import Fitted, Known, Model
 from handcal.estimate.quadratic import Local, Posterior, Quadratic, given, local, posterior, total
-from handcal.estimate.robust import excess
 from handcal.estimate.tails import SCALES, tailed, usual
-from handcal.estimate.transfer import begun, fit_of, linearised
+from handcal.estimate.transfer import begun, linearised
 from handcal.types import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Array, IntArray, Prior
 
 # Nats within which evidence rests: of a fit that is written down, of one that a search compares
@@ -369,34 +366,3 @@ def with_noise(f: Fitted, reduction: Reduction) -> Fitted:
         part, f.levels, names, excess=EXCESS, known=f.curvature
     )
     return replace(f, levels=levels, curvature=curvature)
-
-
-def grounds(model: Model) -> list[Ground]:
-    """Where all scans about a model begin: its parts, linearised and filtered once."""
-    out = []
-    for f in model.parts:
-        own = fit_of(f, model.effects)
-        out.append(ground(own.linear, problem_with(own.case, model.effects), own.levels))
-    return out
-
-
-def scan(
-    model: Model, candidates: Sequence[Effect], about: Sequence[Ground] | None = None
-) -> Quadratic:
-    """The quadratic of the model's effects and of all candidates, none of them noise, about the
-    model's fit; about: its ``grounds``, where there is more than one scan.
-
-    Where the innovations' scatter shows that the filter trusts them too much, their evidence
-    counts for that much less (a power of the likelihood; Holmes & Walker, Biometrika 104, 2017).
-    """
-    have = {e.id for e in model.effects}
-    new = [e for e in candidates if e.id not in have]
-    everything = frozenset(have | {e.id for e in new})
-    parts = []
-    for f, base in zip(model.parts, grounds(model) if about is None else about, strict=True):
-        seen = [e for e in new if set(f.case.kinds) & set(e.observation_error)]
-        done = widened(base, new, problem_with(f.case, seen) if seen else None)
-        q = local(done, everything).quadratic
-        worth = 1.0 / excess(done, frozenset(have))
-        parts.append(Quadratic(q.names, q.a, worth * q.b, worth * q.G, worth))
-    return total(parts)

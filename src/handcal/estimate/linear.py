@@ -22,11 +22,12 @@ from handcal.compiled.preintegration import (
 )
 from handcal.effects import ATTITUDE, DELAY, Effect
 from handcal.estimate.corrected import Corrected, corrected_readings
-from handcal.estimate.derivatives import differentiated, errors_by_bias
+from handcal.estimate.derivatives import differentiated
 from handcal.estimate.problem import Problem, Slopes, constants_of
+from handcal.estimate.seen import by_biases, measured, seen_by_biases, seen_by_constants
 from handcal.estimate.start import Start
 from handcal.estimate.trajectory import Trajectory, biases, intervals, path
-from handcal.observations import NAV, nearest
+from handcal.observations import NAV
 from handcal.signals import further
 from handcal.types import Array, BoolArray, IntArray
 
@@ -121,11 +122,11 @@ def _observed(
     nodes, node = problem.nodes, nominal.node
     r, H, used = _rows(problem, nominal)
     if problem.slopes is not None:
-        _seen_by_constants(problem.slopes, nodes.first, H)
-    by_bias = _by_biases(problem, nominal)
-    _seen_by_biases(problem, by_bias, H)
+        seen_by_constants(problem.slopes, nodes.first, H)
+    by_bias = by_biases(problem, nominal)
+    seen_by_biases(problem, by_bias, H)
     if by_bias is not None:
-        measure = _measure(problem, by_bias)
+        measure = measured(problem, by_bias)
         r, H = np.einsum("qij,qj->qi", measure, r), measure @ H
     for kind, observation in enumerate(problem.observations):
         if observation.isotropic:
@@ -234,8 +235,8 @@ def excited(linear: Linear, fresh: Problem) -> Excited:
     if problem.navigated:
         turn_errors(W, nominal.node, d)
     H = linear.H if problem.navigated else _rows(problem, nominal)[1]
-    by_bias = _by_biases(problem, nominal)
-    measure = None if by_bias is None else _measure(problem, by_bias)
+    by_bias = by_biases(problem, nominal)
+    measure = None if by_bias is None else measured(problem, by_bias)
     H = H if measure is None else measure @ H
     by_reading = H[:, :, 9:BASE] if H[:, :, 9:BASE].any() else np.zeros((0, 0, 6))
     noise, force = _unexciting(problem, nominal, d, C_nb)
@@ -313,67 +314,6 @@ def _steady_force(problem: Problem, nominal: Trajectory, C_nb: Array) -> Array:
     middle = 0.5 * (t[1:] + t[:-1])
     f_n = np.stack([np.interp(t_imu, middle, a[:, i]) for i in range(3)], axis=1) - problem.g_n
     return np.asarray(np.einsum("nji,nj->ni", C_nb, f_n))
-
-
-def _seen_by_constants(slopes: Slopes, first: IntArray, H: Array) -> None:
-    """Let observations that look at rate and force see the IMU constants, in their rows H."""
-    rows = np.flatnonzero(H[:, :, 9:BASE].any(axis=(1, 2)))
-    if not len(rows):
-        return
-    node = np.searchsorted(first, rows, side="right") - 1
-    _add_seen(rows, node, slopes.values, slopes.channel, slopes.column, H)
-
-
-def _by_biases(problem: Problem, nominal: Trajectory) -> Array | None:
-    """What effects add with a bias (q, 6, 6), where readings are looked at themselves; None where
-    they are not, or nothing is added."""
-    nodes = problem.nodes
-    by_bias = None if problem.navigated else errors_by_bias(problem, nominal.bg, nominal.ba)
-    if by_bias is None:
-        return None
-    seen = np.searchsorted(nodes.first, np.arange(len(nodes.kind)), side="right") - 1
-    return by_bias[nearest(problem.recording.imu.t, nodes.t[seen])]
-
-
-def _measure(problem: Problem, by_bias: Array) -> Array:
-    """What residuals (q, 6) are multiplied by (q, 6, 6), to be in the measure of what was read, not
-    of what is left of it when effects are taken off.
-
-    Corrected for a scale error of 5 %, readings have 5 % less noise. If that counted, evidence
-    would be for whatever makes readings smaller (0.05 nats for each of them), without another word
-    of theirs. The reference's noise does not become smaller: residuals are as much larger as the
-    IMU's share of the noise has it.
-    """
-    nodes, imu = problem.nodes, problem.recording.imu
-    out = np.tile(np.eye(6), (len(by_bias), 1, 1))
-    for kind, observation in enumerate(problem.observations):
-        if observation.ours is None:
-            continue
-        mine = np.flatnonzero(nodes.kind == kind)
-        at = nearest(imu.t, nodes.t[np.searchsorted(nodes.first, mine, side="right") - 1])
-        share = observation.ours(nodes.z[mine], np.hstack([imu.gyro[at], imu.accel[at]]))
-        out[mine] -= share[:, None] * by_bias[mine]
-    return out
-
-
-def _seen_by_biases(problem: Problem, by_bias: Array | None, H: Array) -> None:
-    """Let the rows H see what effects that are not linear add with a bias, and the walks what the
-    biases do."""
-    if by_bias is not None:
-        H[:, :, 9:15] += H[:, :, 9:15] @ by_bias
-    e0 = BASE + problem.constants
-    for state, column in problem.walks:
-        H[:, :, e0 + state : e0 + state + 3] = H[:, :, 9 + column : 12 + column]
-
-
-@njit
-def _add_seen(
-    rows: IntArray, node: IntArray, slopes: Array, channel: IntArray, column: IntArray, H: Array
-) -> None:
-    for q, at in zip(rows, node):  # noqa: B905 (numba's zip has no strict)
-        for i in range(H.shape[1]):
-            for s in range(len(channel)):
-                H[q, i, BASE + column[s]] += H[q, i, 9 + channel[s]] * slopes[at, s]
 
 
 def _bare(problem: Problem) -> Problem:

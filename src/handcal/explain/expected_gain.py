@@ -11,7 +11,8 @@ import numpy as np
 from handcal.effects import Effect, catalogue
 from handcal.estimate.baseline import always, started
 from handcal.estimate.case import Case, applicable, case_of, frozen_at
-from handcal.estimate.fit import fitted, scan
+from handcal.estimate.fit import fitted
+from handcal.estimate.scan import scan
 from handcal.estimate.transfer import moved_to
 from handcal.explain.score import OCCAM_LEVEL
 from handcal.explain.space import expected_gain as expected_nats

@@ -6,9 +6,12 @@ from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, field, replace
 from functools import partial
 
+import numpy as np
+
 from handcal.effects import Effect, catalogue
 from handcal.estimate.baseline import started
 from handcal.estimate.case import applicable
+from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.parallel import in_parallel
@@ -28,6 +31,9 @@ from handcal.types import HandcalError
 HALF = 0.5
 # A noise level beyond this share of the largest that there is stands at its end.
 END = 0.99
+# In a fit a third of the innovations lie beyond their own sigma. Where half of them do (their
+# median square, in variances), noise levels could not follow what is wrong.
+MISFIT = 1.0
 
 
 @dataclass(frozen=True)
@@ -58,16 +64,16 @@ def search(
     report: Callable[[float], None] = lambda _: None,
     refused: Set[str] = frozenset(),
     budget: Budget | None = None,
-    led: Model | None = None,
 ) -> Found:
     """From the baseline to the model that explains the recordings best; refused: effects of which
-    no device has as much as a fit came to; budget: how long it may take; led: where it begins, if
-    the baseline is no fit (see ``leading``).
+    no device has as much as a fit came to; budget: how long it may take.
 
+    Where the baseline is no fit the search begins with the one error without which there is none.
     Named effects may be stand-ins for one thing without a name: if a single law does half as
     well from the baseline, the search begins again with it, and the better of the two ends counts.
     """
     budget = budget or Budget()
+    led = leading(base, refused) if astray(base) else None
     if led is not None:
         end = _end(base, (), _Common([], refused, budget), report, led)
         assert end is not None
@@ -93,19 +99,28 @@ def search(
     return found
 
 
-def leading(base: Model) -> Model | None:
+def astray(base: Model) -> bool:
+    """Whether a baseline is no fit: it does not settle, and its noise does not hold what is left,
+    or only at its end."""
+    if base.settled:
+        return False
+    if any(f.levels[lv.name] > END * lv.upper for f in base.parts for lv in f.problem.levels):
+        return True
+    passes = [reduced_pass(reduce(f.linear), f.levels) for f in base.parts]
+    return any(float(np.median(p.innovations(p.w) ** 2 / p.S)) > MISFIT for p in passes)
+
+
+def leading(base: Model, refused: Set[str] = frozenset()) -> Model | None:
     """The fit with the one error of the readings without which there is none: where a baseline has
     diverged, whatever is scanned about it is nonsense. Begun from the online filter with it."""
-    ends = any(f.levels[lv.name] > END * lv.upper for f in base.parts for lv in f.problem.levels)
-    if base.settled or not ends:
-        return None
     cases = [f.case for f in base.parts]
     acting = [
         e
         for e in catalogue().values()
         if e.imu_error is not None and e.process is None and not e.baseline and e.moments is None
     ]
-    ways = [partial(_alone, base, e) for e in acting if any(applicable(c, e) for c in cases)]
+    tried = [e for e in acting if e.id not in refused and any(applicable(c, e) for c in cases)]
+    ways = [partial(_alone, base, e) for e in tried]
     fits = [m for m in in_parallel(ways) if m is not None and m.settled and m.one_sided]
     best = max(fits, key=lambda m: m.log_evidence, default=base)
     return None if best is base or not better(best, base, 1.0) > 0.0 else best

@@ -9,10 +9,11 @@ from dataclasses import replace
 
 from handcal.estimate.baseline import baseline, started
 from handcal.estimate.case import Case, case_of
-from handcal.estimate.fit import fitted, scan
+from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.observed import check_options
 from handcal.estimate.rest_only import resting, travels
+from handcal.estimate.scan import scan
 from handcal.estimate.specification import Options, Specification, as_seen, chosen_of, seen, settled
 from handcal.explain import held_out as held
 from handcal.explain import importance, outliers
@@ -26,7 +27,7 @@ from handcal.explain.explanation import (
 )
 from handcal.explain.hand_assumption import foretold
 from handcal.explain.moments import moments
-from handcal.explain.multistart import Found, advantage, leading, search
+from handcal.explain.multistart import Found, advantage, astray, search
 from handcal.explain.score import PRIOR, TERM_PRIOR
 from handcal.explain.space import gains, space
 from handcal.types import InputError, Prior, Recording
@@ -173,9 +174,10 @@ def _with(found: Found, model: Model) -> Found:
 
 def _searched(base: Model, budget: Budget, report: Callable[[float], None]) -> End:
     """Where the search from this baseline ends."""
-    led = leading(base)
-    cleaned, wrong = (base, None) if led is not None else outliers.cleaned(base)
-    found = search(cleaned, report, budget=budget, led=led)
+    # (about no fit at all any reading stands out)
+    told = not astray(base)
+    cleaned, wrong = outliers.cleaned(base) if told else (base, None)
+    found = search(cleaned, report, budget=budget)
     if wrong is not None and wrong.burst is None:
         whole = outliers.put_back(base, found.model)
         if found.model.log_evidence - whole.log_evidence + PRIOR < 0.0:
@@ -186,7 +188,7 @@ def _searched(base: Model, budget: Budget, report: Callable[[float], None]) -> E
         other = search(base, report, budget=budget)
         if advantage(other, found) > (TERM_PRIOR if wrong.burst else PRIOR):
             found, wrong = other, None
-    if wrong is None:
+    if wrong is None and told:
         found, wrong = _without_outliers(base, found, budget, report)
     still = wrong is not None or budget.spent("a hand that moves")
     other_hand = None if still else moving(base, found.model, _gained(found))

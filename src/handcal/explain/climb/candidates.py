@@ -9,8 +9,8 @@ import numpy as np
 
 from handcal.effects import Effect, catalogue
 from handcal.estimate.case import applicable, frozen_at, name_of
-from handcal.estimate.fit import scan
 from handcal.estimate.model import Fitted, Model
+from handcal.estimate.scan import scan
 from handcal.explain.climb.state import Climb
 from handcal.explain.jumps import sudden
 from handcal.explain.score import MOMENTS, prior

@@ -10,9 +10,10 @@ from functools import partial
 import numpy as np
 
 from handcal.effects import Effect
-from handcal.estimate.fit import fitted, scan
+from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.parallel import in_parallel
+from handcal.estimate.scan import scan
 from handcal.explain.climb.candidates import scanned_about
 from handcal.explain.climb.state import Climb, forget, likelier, sensible
 from handcal.explain.score import better, prior, score

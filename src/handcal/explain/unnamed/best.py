@@ -11,10 +11,11 @@ from functools import partial
 import numpy as np
 
 from handcal.effects import Effect, Signals
-from handcal.estimate.fit import fitted, grounds, scan
+from handcal.estimate.fit import fitted
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.parallel import in_parallel
 from handcal.estimate.quadratic import Quadratic
+from handcal.estimate.scan import grounds, scan
 from handcal.estimate.trajectory import path
 from handcal.explain.score import TERM_PRIOR, better, score
 from handcal.explain.unnamed import shapes, terms

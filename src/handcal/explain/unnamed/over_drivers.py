@@ -11,8 +11,8 @@ import numpy as np
 
 from handcal.effects import Effect, Signals
 from handcal.estimate.columns import Ground
-from handcal.estimate.fit import scan
 from handcal.estimate.model import Model
+from handcal.estimate.scan import scan
 from handcal.explain.unnamed.drivers import DRIVERS, LINE, NEARER, Driver, usable
 from handcal.explain.unnamed.grammar import (
     Form,

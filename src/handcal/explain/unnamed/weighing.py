@@ -34,10 +34,11 @@ def gains(b: Array, G: Array, root: Array | None = None) -> Array:
     if root is not None:
         back = root.transpose(0, 2, 1)
         b, G = np.einsum("fij,fj->fi", back, b), back @ G @ root
-    A = 0.5 * (G + G.transpose(0, 2, 1)) + np.eye(b.shape[1])
-    L = np.linalg.cholesky(A)
-    y = np.linalg.solve(L, b[:, :, None])[:, :, 0]
-    return np.asarray(0.5 * (y**2).sum(axis=1) - np.log(np.einsum("fii->fi", L)).sum(axis=1))
+    # (no Cholesky factor: what is left beside large numbers is positive but for rounding)
+    size, axes = np.linalg.eigh(0.5 * (G + G.transpose(0, 2, 1)))
+    wide = 1.0 + np.maximum(size, 0.0)
+    along = np.einsum("fij,fi->fj", axes, b)
+    return np.asarray(0.5 * (along**2 / wide).sum(axis=1) - 0.5 * np.log(wide).sum(axis=1))
 
 
 def beside(q: Quadratic, known: Sequence[Effect], absent: Sequence[Effect]) -> Beside:

@@ -1,0 +1,44 @@
+"""What effects would add to a fit, seen from the fit: one quadratic for all that are on trial."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from handcal.effects import Effect
+from handcal.estimate.case import problem_with
+from handcal.estimate.columns import Ground, ground, widened
+from handcal.estimate.model import Model
+from handcal.estimate.quadratic import Quadratic, local, total
+from handcal.estimate.robust import excess
+from handcal.estimate.transfer import fit_of
+
+
+def grounds(model: Model) -> list[Ground]:
+    """Where all scans about a model begin: its parts, linearised and filtered once."""
+    out = []
+    for f in model.parts:
+        own = fit_of(f, model.effects)
+        out.append(ground(own.linear, problem_with(own.case, model.effects), own.levels))
+    return out
+
+
+def scan(
+    model: Model, candidates: Sequence[Effect], about: Sequence[Ground] | None = None
+) -> Quadratic:
+    """The quadratic of the model's effects and of all candidates, none of them noise, about the
+    model's fit; about: its ``grounds``, where there is more than one scan.
+
+    Where the innovations' scatter shows that the filter trusts them too much, their evidence
+    counts for that much less (a power of the likelihood; Holmes & Walker, Biometrika 104, 2017).
+    """
+    have = {e.id for e in model.effects}
+    new = [e for e in candidates if e.id not in have]
+    everything = frozenset(have | {e.id for e in new})
+    parts = []
+    for f, base in zip(model.parts, grounds(model) if about is None else about, strict=True):
+        seen = [e for e in new if set(f.case.kinds) & set(e.observation_error)]
+        done = widened(base, new, problem_with(f.case, seen) if seen else None)
+        q = local(done, everything).quadratic
+        worth = 1.0 / excess(done, frozenset(have))
+        parts.append(Quadratic(q.names, q.a, worth * q.b, worth * q.G, worth))
+    return total(parts)

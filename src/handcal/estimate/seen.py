@@ -1,0 +1,74 @@
+"""What observations that look at rate and force themselves see of constants and biases."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from handcal.compiled.jit import njit
+from handcal.compiled.kernel import BASE
+from handcal.estimate.derivatives import errors_by_bias
+from handcal.estimate.problem import Problem, Slopes
+from handcal.estimate.trajectory import Trajectory
+from handcal.observations import nearest
+from handcal.types import Array, IntArray
+
+
+def seen_by_constants(slopes: Slopes, first: IntArray, H: Array) -> None:
+    """Let observations that look at rate and force see the IMU constants, in their rows H."""
+    rows = np.flatnonzero(H[:, :, 9:BASE].any(axis=(1, 2)))
+    if not len(rows):
+        return
+    node = np.searchsorted(first, rows, side="right") - 1
+    _add_seen(rows, node, slopes.values, slopes.channel, slopes.column, H)
+
+
+def by_biases(problem: Problem, nominal: Trajectory) -> Array | None:
+    """What effects add with a bias (q, 6, 6), where readings are looked at themselves; None where
+    they are not, or nothing is added."""
+    nodes = problem.nodes
+    by_bias = None if problem.navigated else errors_by_bias(problem, nominal.bg, nominal.ba)
+    if by_bias is None:
+        return None
+    seen = np.searchsorted(nodes.first, np.arange(len(nodes.kind)), side="right") - 1
+    return by_bias[nearest(problem.recording.imu.t, nodes.t[seen])]
+
+
+def measured(problem: Problem, by_bias: Array) -> Array:
+    """What residuals (q, 6) are multiplied by (q, 6, 6), to be in the measure of what was read, not
+    of what is left of it when effects are taken off.
+
+    Corrected for a scale error of 5 %, readings have 5 % less noise. If that counted, evidence
+    would be for whatever makes readings smaller (0.05 nats for each of them), without another word
+    of theirs. The reference's noise does not become smaller: residuals are as much larger as the
+    IMU's share of the noise has it.
+    """
+    nodes, imu = problem.nodes, problem.recording.imu
+    out = np.tile(np.eye(6), (len(by_bias), 1, 1))
+    for kind, observation in enumerate(problem.observations):
+        if observation.ours is None:
+            continue
+        mine = np.flatnonzero(nodes.kind == kind)
+        at = nearest(imu.t, nodes.t[np.searchsorted(nodes.first, mine, side="right") - 1])
+        share = observation.ours(nodes.z[mine], np.hstack([imu.gyro[at], imu.accel[at]]))
+        out[mine] -= share[:, None] * by_bias[mine]
+    return out
+
+
+def seen_by_biases(problem: Problem, by_bias: Array | None, H: Array) -> None:
+    """Let the rows H see what effects that are not linear add with a bias, and the walks what the
+    biases do."""
+    if by_bias is not None:
+        H[:, :, 9:15] += H[:, :, 9:15] @ by_bias
+    e0 = BASE + problem.constants
+    for state, column in problem.walks:
+        H[:, :, e0 + state : e0 + state + 3] = H[:, :, 9 + column : 12 + column]
+
+
+@njit
+def _add_seen(
+    rows: IntArray, node: IntArray, slopes: Array, channel: IntArray, column: IntArray, H: Array
+) -> None:
+    for q, at in zip(rows, node):  # noqa: B905 (numba's zip has no strict)
+        for i in range(H.shape[1]):
+            for s in range(len(channel)):
+                H[q, i, BASE + column[s]] += H[q, i, 9 + channel[s]] * slopes[at, s]
