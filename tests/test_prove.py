@@ -21,7 +21,7 @@ from handcal_sim.commands import prove as proving
 from handcal_sim.effects import EFFECTS
 from handcal_sim.errors import SimulationError
 from handcal_sim.mcap_writer import write
-from handcal_sim.prove import draw, run
+from handcal_sim.prove import draw, paired, run
 from handcal_sim.prove import score as prove_score
 from handcal_sim.prove import trial as prove_trial
 from handcal_sim.prove import workers as prove_workers
@@ -630,7 +630,7 @@ def test_another_program_explains_the_same_recordings(tmp_path, monkeypatch):
         prove_workers.Workers, "__init__", with_command(fake % (said("nothing_missing"),))
     )
     other = tmp_path / "other"
-    other.write_text(OTHER.format(python=sys.executable, document=said("gyro_scale")))
+    other.write_text(OTHER.format(python=sys.executable, document=said("explained", [A])))
     other.chmod(0o755)
     arguments = ["--suite", "nothing", "--n", "3", "--seed", "3", "--against", str(other)]
     kept = ["--json", str(tmp_path / "score.json"), "--out", str(tmp_path / "kept")]
@@ -648,6 +648,27 @@ def test_another_program_explains_the_same_recordings(tmp_path, monkeypatch):
     ]  # fmt: skip
     none = CliRunner().invoke(app, [*arguments[:-1], str(tmp_path / "none")])
     assert isinstance(none.exception, InputError)
+
+
+def test_an_interrupt_leaves_what_the_other_program_said_by_then(tmp_path):
+    (tmp_path / "recordings").mkdir()
+    cases = run.plan("nothing", 3, 3)
+    trials = [
+        prove_trial.Trial(name, Answer(suite, "", {}, {}, {}, {}), said("nothing_missing"), 1.0)
+        for name, suite, _ in cases
+    ]
+    asked = []
+
+    def explain(path):
+        asked.append(path.stem)
+        if len(asked) == 2:
+            raise KeyboardInterrupt
+        return said("explained", ["gyro_scale"]), 1.0
+
+    others = paired.again(trials, cases, 3, tmp_path, explain, 1, lambda: None)
+    assert [t.name for t in others] == [trials[0].name]
+    (row,) = paired.compared(trials, others)
+    assert (row["both"], row["this_alone"], row["other_alone"], row["neither"]) == (0, 1, 0, 0)
 
 
 def with_command(code):

@@ -108,6 +108,8 @@ def _proved(
     if len(trials) < len(cases):
         say(f"interrupted: what follows is of {len(trials)} recordings")
     proof = score(trials, seed)
+    if len(others) < (len(trials) if against is not None else 0):
+        say(f"interrupted: the other program explained {len(others)} of them")
     if others:
         proof |= {"against": score(others, seed), "paired": compared(trials, others)}
     if json_file is not None:

@@ -55,7 +55,8 @@ def again(
     trials: Sequence[Trial], cases: Sequence[Case], seed: int, folder: Path, explain: Explain,
     jobs: int, advance: Callable[[], None],
 ) -> list[Trial]:  # fmt: skip
-    """The same trials with what another program says of their recordings."""
+    """The same trials with what another program says of their recordings. After an interrupt:
+    those that it had explained by then."""
     from handcal_sim.prove.further import worked_out
 
     tickets = {name: Ticket(suite, number, seed) for name, suite, number in cases}
@@ -73,20 +74,27 @@ def again(
         return with_limits(other, folder)
 
     with ThreadPoolExecutor(jobs) as pool:
-        return list(pool.map(one, trials))
+        futures = [pool.submit(one, trial) for trial in trials]
+        try:
+            for future in futures:
+                future.result()
+        except KeyboardInterrupt:
+            pool.shutdown(wait=False, cancel_futures=True)
+    return [f.result() for f in futures if f.done() and not f.cancelled()]
 
 
 def compared(trials: Sequence[Trial], others: Sequence[Trial]) -> list[dict[str, Any]]:
     """By suite: how many both, one alone (this, the other) and neither got right, and how likely
     as uneven a division of those of one alone is if neither is better. What is too faint for
-    either is not judged."""
+    either is not judged, nor what the other did not come to."""
     from scipy.stats import binomtest
 
-    rows = []
+    rows, by_name = [], {other.name: other for other in others}
+    pairs = [(trial, by_name[trial.name]) for trial in trials if trial.name in by_name]
     for name in dict.fromkeys(trial.answer.suite for trial in trials):
         right = SUITES[name].right
         counts = {(a, b): 0 for a in (True, False) for b in (True, False)}
-        for trial, other in zip(trials, others, strict=True):
+        for trial, other in pairs:
             said = outcome(trial), outcome(other)
             if trial.answer.suite == name and "too_faint" not in said:
                 counts[said[0] in right, said[1] in right] += 1
