@@ -80,7 +80,8 @@ def again(
                 future.result()
         except KeyboardInterrupt:
             pool.shutdown(wait=False, cancel_futures=True)
-    return [f.result() for f in futures if f.done() and not f.cancelled()]
+    ended = [f for f in futures if f.done() and not f.cancelled()]
+    return [f.result() for f in ended if f.exception() is None]
 
 
 def compared(trials: Sequence[Trial], others: Sequence[Trial]) -> list[dict[str, Any]]:
