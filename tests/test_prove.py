@@ -661,7 +661,7 @@ def test_an_interrupt_leaves_what_the_other_program_said_by_then(tmp_path):
 
     def explain(path):
         asked.append(path.stem)
-        if len(asked) == 2:
+        if len(asked) > 1:
             raise KeyboardInterrupt
         return said("explained", ["gyro_scale"]), 1.0
 
