@@ -55,13 +55,11 @@ def between_samples(imu: Imu, smooth: Array, readings: Array, t: Array) -> Array
     Nothing within two samples of an end, a gap or a reading that was not taken.
     """
     out = np.zeros_like(readings)
-    most = len(BEND) - 1
-    count = len(imu.t) - most
-    if count > 0:
-        even = _even(imu)
-        whole = np.all([even[k : k + count] for k in range(most)], axis=0)
+    whole = _unbroken(imu, len(BEND))
+    count, before = len(whole), len(BEND) // 2
+    if count:
         bends = sum(share * readings[k : k + count] for k, share in enumerate(BEND))
-        out[most // 2 : most // 2 + count] = np.where(whole[:, None], -smooth / 12.0 * bends, 0.0)
+        out[before : before + count] = np.where(whole[:, None], -smooth / 12.0 * bends, 0.0)
     return interpolated(t, imu.t, out)
 
 
@@ -74,30 +72,33 @@ def smoothness(imu: Imu) -> Array:
     the square of what it says comes true, which grows with the sixth power of the spacing) and
     white noise, and tells how much of the second differences at the samples' own spacing is which.
     """
-    out = np.zeros(6)
-    even = _even(imu)
-    span = len(even) - 5
-    if span < 1:
-        return out
-    whole = np.all([even[k : k + span] for k in range(6)], axis=0)
-    for sensor, x in enumerate((imu.gyro, imu.accel)):
-        x0, x1, between, x2, x3 = (x[k : k + span + 1][:span][whole] for k in (0, 2, 3, 4, 6))
-        said = (x1 + x2 - x0 - x3) / 12.0
-        square = float((said**2).mean()) if len(said) else 0.0
-        product = float(((between - 0.5 * (x1 + x2)) * said).mean()) if len(said) else 0.0
-        # (two equations for the square of what smooth motion says, and for the noise)
-        noise = (FOUND * square - product) / (FOUND * NOISE_SQUARE - NOISE_PRODUCT)
-        motion = (square - NOISE_SQUARE * noise) / 64.0
-        if noise <= 0.0:
-            out[3 * sensor : 3 * sensor + 3] = 1.0 if square > 0.0 else 0.0
-        else:
-            share = motion / (motion + NOISE_SQUARE_FINE * noise)
-            out[3 * sensor : 3 * sensor + 3] = max(0.0, share)
-    return out
+    whole = _unbroken(imu, 7)
+    if not whole.any():
+        return np.zeros(6)
+    return np.repeat([_smooth(x, whole) for x in (imu.gyro, imu.accel)], 3)
 
 
-def _even(imu: Imu) -> BoolArray:
-    """Which intervals (n - 1,) are as long as usual, between readings that were taken."""
+def _smooth(x: Array, whole: BoolArray) -> float:
+    """``smoothness`` of one sensor's readings (n, 3); whole (n - 6,): where seven are unbroken."""
+    x0, x1, between, x2, x3 = (x[k : k + len(whole)][whole] for k in (0, 2, 3, 4, 6))
+    said = (x1 + x2 - x0 - x3) / 12.0
+    square = float((said**2).mean())
+    product = float(((between - 0.5 * (x1 + x2)) * said).mean())
+    # (two equations for the square of what smooth motion says, and for the noise)
+    noise = (FOUND * square - product) / (FOUND * NOISE_SQUARE - NOISE_PRODUCT)
+    if noise <= 0.0:
+        return 1.0 if square > 0.0 else 0.0
+    motion = (square - NOISE_SQUARE * noise) / 64.0
+    return max(0.0, motion / (motion + NOISE_SQUARE_FINE * noise))
+
+
+def _unbroken(imu: Imu, most: int) -> BoolArray:
+    """From which samples (n - most + 1,) on so many follow each other at intervals as long as
+    usual, all of them taken."""
     dt = np.diff(imu.t)
-    even = np.abs(dt - np.median(dt)) < UNEVEN * np.median(dt) if len(dt) else dt > 0.0
-    return np.asarray(even & imu.valid[1:] & imu.valid[:-1])
+    count = len(dt) - most + 2
+    if count < 1:
+        return np.zeros(0, dtype=np.bool_)
+    even = np.abs(dt - np.median(dt)) < UNEVEN * np.median(dt)
+    even &= imu.valid[1:] & imu.valid[:-1]
+    return np.asarray(np.all([even[k : k + count] for k in range(most - 1)], axis=0))
