@@ -305,8 +305,9 @@ def test_motions_tell_what_they_turn_about(nothing_yet: Plan) -> None:
     assert flat["gyro_scale", "z"] == pytest.approx(prior, rel=1e-3)
     headed = plan(["gyro_scale"], heading_sigma=math.radians(5.0))
     assert after(headed, "Hold it screen up")["gyro_scale", "z"] < 0.5 * prior
-    times = [p.times for p in nothing_yet.prospects]
-    assert times == pytest.approx(sorted(times, reverse=True), rel=1e-9)
+    # (equal but for rounding are those that differ in the last digits; of them the shorter first)
+    order = [(-round(p.times, 6), p.motion.duration_s) for p in nothing_yet.prospects]
+    assert order == sorted(order)
     assert all(s < 0.02 * prior for (e, _), s in after(nothing_yet, "Turn it once about its x axis"
                ).items() if e == "gyro_scale")  # fmt: skip
 
