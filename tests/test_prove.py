@@ -590,11 +590,21 @@ app = typer.Typer()
 app.command()(proving.prove)
 
 
-def test_the_command_runs_and_refuses(tmp_path, monkeypatch):
+@pytest.fixture
+def says_nothing(monkeypatch):
+    """The processes that explain find nothing missing; those of another program are its own."""
     fake = "import handcal_sim.prove.workers as w; w.serve(lambda path: %r)"
-    monkeypatch.setattr(
-        prove_workers.Workers, "__init__", with_command(fake % (said("nothing_missing"),))
-    )
+    original = prove_workers.Workers.__init__
+
+    def start(self, command, count):
+        code = [sys.executable, "-c", fake % (said("nothing_missing"),)]
+        original(self, command if "handcal_sim.prove.paired" in command else code, count)
+
+    monkeypatch.setattr(prove_workers.Workers, "__init__", start)
+
+
+@pytest.mark.usefixtures("says_nothing")
+def test_the_command_runs_and_refuses(tmp_path, monkeypatch):
     monkeypatch.setattr(proving, "with_limits", lambda trial, _folder: trial)
     arguments = ["--suite", "turn", "--n", "2", "--seed", "3", "--out", str(tmp_path / "kept")]
     result = CliRunner().invoke(app, [*arguments, "--json", str(tmp_path / "score.json")])
@@ -624,11 +634,8 @@ pathlib.Path(file).write_text(json.dumps({document!r}))
 """
 
 
-def test_another_program_explains_the_same_recordings(tmp_path, monkeypatch):
-    fake = "import handcal_sim.prove.workers as w; w.serve(lambda path: %r)"
-    monkeypatch.setattr(
-        prove_workers.Workers, "__init__", with_command(fake % (said("nothing_missing"),))
-    )
+@pytest.mark.usefixtures("says_nothing")
+def test_another_program_explains_the_same_recordings(tmp_path):
     other = tmp_path / "other"
     other.write_text(OTHER.format(python=sys.executable, document=said("explained", [A])))
     other.chmod(0o755)
@@ -662,19 +669,13 @@ def test_an_interrupt_leaves_what_the_other_program_said_by_then(tmp_path):
     def explain(path):
         asked.append(path.stem)
         if len(asked) > 1:
-            raise KeyboardInterrupt
+            raise prove_workers.Stopped
         return said("explained", ["gyro_scale"]), 1.0
 
-    others = paired.again(trials, cases, 3, tmp_path, explain, 1, lambda: None)
+    def advance():
+        raise KeyboardInterrupt
+
+    others = paired.again(trials, cases, 3, tmp_path, explain, 1, advance)
     assert [t.name for t in others] == [trials[0].name]
     (row,) = paired.compared(trials, others)
     assert (row["both"], row["this_alone"], row["other_alone"], row["neither"]) == (0, 1, 0, 0)
-
-
-def with_command(code):
-    original = prove_workers.Workers.__init__
-
-    def start(self, _command, count):
-        original(self, [sys.executable, "-c", code], count)
-
-    return start

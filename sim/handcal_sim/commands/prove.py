@@ -18,6 +18,7 @@ from handcal_sim.prove.run import ALL, Case, plan, run, with_limits, write_answe
 
 if TYPE_CHECKING:
     from handcal_sim.prove.trial import Trial
+    from handcal_sim.prove.workers import Workers
 
 
 def prove(
@@ -84,7 +85,6 @@ def _proved(
     from handcal_sim.prove.score import score
     from handcal_sim.prove.show import show
     from handcal_sim.prove.suites import SUITES
-    from handcal_sim.prove.workers import Workers
 
     check_outputs((json_file,))
     if against is not None and shutil.which(against) is None:
@@ -95,20 +95,20 @@ def _proved(
         seed = int(SeedSequence().generate_state(1)[0])
     cases = plan(suite, n, seed)
     say(f"{len(cases)} recordings, seed {seed}")
-    with _folder(out) as folder, progress(len(cases), "explaining", "explained") as advance:
+    with _folder(out) as folder:
         own = [] if effects_from is None else [str(effects_from.absolute())]
-        workers = Workers([sys.executable, "-m", "handcal_sim.prove", *own], jobs)
-        try:
+        with (
+            _workers(["handcal_sim.prove", *own], jobs) as workers,
+            progress(len(cases), "explaining", "explained") as advance,
+        ):
             trials = run(cases, seed, folder, workers, jobs, lambda: advance(1))
-        finally:
-            workers.stop()
         write_answers(trials, seed, folder / "answers.json")
         trials = [with_limits(trial, folder) for trial in trials]
-        others = _others(against, trials, cases, seed, folder, jobs)
+        others = [] if against is None else _others(against, trials, cases, seed, folder, jobs)
     if len(trials) < len(cases):
         say(f"interrupted: what follows is of {len(trials)} recordings")
     proof = score(trials, seed)
-    if len(others) < (len(trials) if against is not None else 0):
+    if against is not None and len(others) < len(trials):
         say(f"interrupted: the other program explained {len(others)} of them")
     if others:
         proof |= {"against": score(others, seed), "paired": compared(trials, others)}
@@ -118,16 +118,30 @@ def _proved(
 
 
 def _others(
-    against: str | None, trials: Sequence[Trial], cases: Sequence[Case], seed: int, folder: Path,
+    against: str, trials: Sequence[Trial], cases: Sequence[Case], seed: int, folder: Path,
     jobs: int,
 ) -> list[Trial]:  # fmt: skip
-    """The same trials by another program; none if there is none."""
-    from handcal_sim.prove.paired import again, program
+    """The same trials by another program."""
+    from handcal_sim.prove.paired import again
 
-    if against is None:
-        return []
-    with progress(len(trials), "explaining again", "explained again") as advance:
-        return again(trials, cases, seed, folder, program([against]), jobs, lambda: advance(1))
+    with (
+        _workers(["handcal_sim.prove.paired", against], jobs) as workers,
+        progress(len(trials), "explaining again", "explained again") as advance,
+    ):
+        others = again(trials, cases, seed, folder, workers, jobs, lambda: advance(1))
+    return [with_limits(other, folder) for other in others]
+
+
+@contextmanager
+def _workers(module: Sequence[str], jobs: int) -> Iterator[Workers]:
+    """Processes of a module and its arguments, which end with what is done with them."""
+    from handcal_sim.prove.workers import Workers
+
+    workers = Workers([sys.executable, "-m", *module], jobs)
+    try:
+        yield workers
+    finally:
+        workers.stop()
 
 
 @contextmanager

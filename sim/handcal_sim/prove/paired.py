@@ -10,45 +10,42 @@ import dataclasses
 import json
 import os
 import subprocess
-import tempfile
-import time
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+import sys
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from handcal_sim.prove.given import Ticket
-from handcal_sim.prove.run import Case, Explain, with_limits
+from handcal_sim.prove.run import Case, Explain, each
 from handcal_sim.prove.score import outcome
 from handcal_sim.prove.suites import SUITES
-from handcal_sim.prove.trial import Trial
+from handcal_sim.prove.trial import Document, Trial
+from handcal_sim.prove.workers import Stopped, serve
 
 # An explanation that takes longer than this is none, s.
 PATIENCE_S = 1800.0
 
 
-def program(command: Sequence[str]) -> Explain:
-    """``handcal explain`` of that program, as its user would call it."""
-
-    def explain(path: Path) -> tuple[Mapping[str, Any], float]:
-        # (what this version is found by is not for the other one)
-        environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
-        with tempfile.TemporaryDirectory(prefix="handcal-prove-") as name:
-            file = Path(name) / "explanation.json"
-            started = time.perf_counter()
-            try:
-                done = subprocess.run(
-                    [*command, "explain", str(path), "--json", str(file)], check=False,
-                    capture_output=True, text=True, timeout=PATIENCE_S, env=environment,
-                )  # fmt: skip
-            except subprocess.TimeoutExpired:
-                return {"error": f"no explanation within {PATIENCE_S:.0f} s"}, PATIENCE_S
-            taken = time.perf_counter() - started
-            if not file.exists():
-                return {"error": done.stderr.strip() or f"status {done.returncode}"}, taken
-            return json.loads(file.read_text(encoding="utf-8")), taken
-
-    return explain
+def explained_by(program: str, path: str) -> Document:
+    """What ``PROGRAM explain`` says of a recording of a trial, as its user would call it; kept in
+    the trial's folder."""
+    recording = Path(path)
+    file = recording.parents[1] / "against" / f"{recording.stem}.json"
+    file.parent.mkdir(exist_ok=True)
+    # (what this version is found by is not for the other one)
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
+    try:
+        done = subprocess.run(
+            [program, "explain", path, "--json", str(file)], stdin=subprocess.DEVNULL, check=False,
+            capture_output=True, text=True, timeout=PATIENCE_S, env=environment,
+        )  # fmt: skip
+    except subprocess.TimeoutExpired:
+        return {"error": f"no explanation within {PATIENCE_S:.0f} s"}
+    if not file.exists():
+        return {"error": done.stderr.strip() or f"status {done.returncode}"}
+    document: Document = json.loads(file.read_text(encoding="utf-8"))
+    return document
 
 
 def again(
@@ -60,28 +57,16 @@ def again(
     from handcal_sim.prove.further import worked_out
 
     tickets = {name: Ticket(suite, number, seed) for name, suite, number in cases}
-    kept = folder / "against"
-    kept.mkdir()
 
-    def one(trial: Trial) -> Trial:
-        document, taken = explain(folder / "recordings" / f"{trial.name}.mcap")
-        (kept / f"{trial.name}.json").write_text(json.dumps(document), encoding="utf-8")
-        further = {} if "error" in document else worked_out(tickets[trial.name], document)
-        advance()
-        other = dataclasses.replace(
-            trial, document=document, seconds=taken, further=further, expected={}
-        )
-        return with_limits(other, folder)
-
-    with ThreadPoolExecutor(jobs) as pool:
-        futures = [pool.submit(one, trial) for trial in trials]
+    def one(trial: Trial) -> Trial | None:
         try:
-            for future in futures:
-                future.result()
-        except KeyboardInterrupt:
-            pool.shutdown(wait=False, cancel_futures=True)
-    ended = [f for f in futures if f.done() and not f.cancelled()]
-    return [f.result() for f in ended if f.exception() is None]
+            document, taken = explain(folder / "recordings" / f"{trial.name}.mcap")
+        except Stopped:
+            return None
+        further = worked_out(tickets[trial.name], document)
+        return dataclasses.replace(trial, document=document, seconds=taken, further=further)
+
+    return each(one, trials, explain, jobs, advance)
 
 
 def compared(trials: Sequence[Trial], others: Sequence[Trial]) -> list[dict[str, Any]]:
@@ -106,3 +91,7 @@ def compared(trials: Sequence[Trial], others: Sequence[Trial]) -> list[dict[str,
             "neither": counts[False, False], "chance": chance,
         })  # fmt: skip
     return rows
+
+
+if __name__ == "__main__":
+    serve(partial(explained_by, sys.argv[1]))

@@ -15,7 +15,7 @@ from concurrent.futures import CancelledError, ThreadPoolExecutor, as_completed
 from contextvars import copy_context
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
     from handcal_sim.prove.trial import Trial
@@ -27,6 +27,7 @@ _FEW = 24
 _SHARES = {"nothing": 6, "one": 7, "mixed": 5, "unknown": 4, "turn": 2}
 Case = tuple[str, str, int]
 Explain = Callable[[Path], tuple[Mapping[str, Any], float]]
+Item = TypeVar("Item")
 
 
 def plan(suite: str, n: int | None, seed: int) -> list[Case]:
@@ -56,7 +57,7 @@ def run(
     from handcal_sim.prove.further import worked_out
     from handcal_sim.prove.given import Ticket
     from handcal_sim.prove.trial import Trial
-    from handcal_sim.prove.workers import Stopped, Workers
+    from handcal_sim.prove.workers import Stopped
 
     recordings, explanations = folder / "recordings", folder / "explanations"
     recordings.mkdir(parents=True)
@@ -76,8 +77,19 @@ def run(
         further = worked_out(Ticket(suite, number, seed), document)
         return Trial(name, answer, document, taken, further=further)
 
+    return each(one, cases, explain, jobs, advance)
+
+
+def each(
+    work: Callable[[Item], Trial | None], items: Sequence[Item], explain: Explain, jobs: int,
+    advance: Callable[[], None],
+) -> list[Trial]:  # fmt: skip
+    """What comes of each item, some at a time, with what explains them. After an interrupt: of
+    those that had ended by then."""
+    from handcal_sim.prove.workers import Workers
+
     with ThreadPoolExecutor(jobs) as pool:
-        futures = [pool.submit(copy_context().run, one, case) for case in cases]
+        futures = [pool.submit(copy_context().run, work, item) for item in items]
         try:
             for future in as_completed(futures):
                 future.result()
@@ -144,8 +156,8 @@ def with_limits(trial: Trial, folder: Path) -> Trial:
         expected = {
             name: expected_gain(file, name, list(values.values()))
             for name, values in trial.answer.effects.items()
-            if name not in seen
+            if name not in seen and name not in trial.expected
         }
     except Exception:  # the trial stands without it
         return trial
-    return dataclasses.replace(trial, expected=expected)
+    return dataclasses.replace(trial, expected={**trial.expected, **expected})

@@ -10,6 +10,7 @@ import contextlib
 import json
 import os
 import queue
+import signal
 import subprocess
 import sys
 import time
@@ -72,7 +73,9 @@ class Workers:
         """End them all."""
         self.stopped = True
         for process in list(self.running):
-            process.kill()
+            # (with what it has started: the session is its own)
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
             process.wait()
             self._end(process)
 
