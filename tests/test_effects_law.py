@@ -10,7 +10,6 @@ from settled import solve
 from worlds import injected, recording_of, true_levels
 
 from handcal import calibrate
-from handcal.compiled import so3
 from handcal.compiled.jit import call_residual
 from handcal.compiled.kernel import BASE, MAX_DIM
 from handcal.earth import local_earth
@@ -92,6 +91,7 @@ MOMENTARY = [i for i in IDS if catalogue()[i].moments is not None]
 NOISY = [i for i in IDS if catalogue()[i].process is not None]
 STRAYING = [i for i in IDS if catalogue()[i].outliers]
 OBSERVED = [(i, kind) for i in IDS for kind in catalogue()[i].observation_error]
+LATE = [(i, kind) for i in IDS for kind in catalogue()[i].lateness]
 
 
 def each(value, n):
@@ -132,12 +132,13 @@ def test_acts_somewhere(name):
     known = observations()
     assert set(effect.observation_error) <= set(known)
     assert set(effect.outliers) <= set(known)
-    assert set(effect.delays) <= set(effect.observation_error)
+    assert set(effect.delays) <= set(effect.lateness) <= set(known)
+    assert not set(effect.lateness) & set(effect.observation_error)
     if effect.process is not None:
         assert effect.walks in ("gyro", "accel") or effect.observation_error
         assert effect.imu_error is None
     else:
-        assert effect.imu_error is not None or effect.observation_error or effect.outliers
+        assert effect.imu_error is not None or effect.acts_on or effect.outliers
 
 
 def test_selection_keeps_order_drops_doubles_and_refuses_the_unknown():
@@ -476,19 +477,12 @@ OBSERVED_BY_HAND = {
     ("heading_soft_iron", "heading"): ([0.1, 0.2], [0.2]),
     # of a field of (20, 0, -40) uT in the body
     ("mag_soft_iron", "magnetometer"): ([0.1, 0.2, 0.3, 0.4, 0.5, 0.6], [1.8e-5, 1.6e-5, 2e-6]),
-    # After 40 s a clock that is 100 ppm fast is 4 ms ahead: the pose at that stamp is still
-    # to come, by 4 ms of velocity and of turning.
-    ("clock_rate", "pose"): ([100.0], [-0.004, -0.008, -0.012, 0.0, 0.0, -0.002]),
     # What the device shows is of 4 ms before: slopes (3, -1, 2, 10, 20, 30), and the third power
     # of the time along y of the force.
     ("clock_rate", "known_input"): (
         [100.0],
         [-0.012, 0.004, -0.008, -0.04, -0.08 - CUBE * 0.004**3, -0.12],
     ),
-    # The reading at t is the value at t - 0.2: 0.2 * 0.5 = 0.1 rad too small while turning left.
-    ("heading_delay", "heading"): ([0.2], [0.1]),
-    # the field of before: turned left by 0.1 rad, as the device has since been
-    ("heading_delay", "magnetometer"): ([0.2], [1e-7, -2e-6, 0.0]),
     # IMU at (0.1, 0.2, 0.3) of the body: in n at (-0.2, 0.1, 0.3) from the point held, whose
     # place is that of the IMU less this arm.
     ("lever_arm", "fixed_position"): ([0.1, 0.2, 0.3], [-0.2, 0.1, 0.3]),
@@ -505,7 +499,6 @@ OBSERVED_BY_HAND = {
     ("mag_step", "magnetometer"): ([1e-5, 2e-5, -3e-5, 39.0], [-1e-5, -2e-5, 3e-5]),
     # (the device is at the origin, see below)
     ("mag_gradient", "magnetometer"): ([0.1, 0.2, 0.3, 0.4, 0.5], [0.0] * 3),
-    ("pose_delay", "pose"): ([0.2], [0.2, 0.4, 0.6, 0.0, 0.0, 0.1]),
     # (the device is at the origin, see below)
     ("pose_scale", "pose"): ([0.1], [0.0] * 6),
     ("pose_drift", "pose"): ([1.0, 2.0, 3.0, 0.1, 0.2, 0.3], [-1.0, -2.0, -3.0, -0.1, -0.2, -0.3]),
@@ -551,45 +544,41 @@ def test_units_and_signs_of_the_residuals_by_hand(name, kind):
     got = corrected(name, kind, nav_of(VELOCITY, NORTH, SPIN), parameters, READINGS.get(kind, [0]))
     full = np.zeros(MAX_DIM)
     full[: len(expected)] = expected
-    # second order in the turn during the delay, (0.1 rad)^3 / 6
-    np.testing.assert_allclose(got, full, atol=1.7e-4 if "delay" in name else 1e-15)
+    np.testing.assert_allclose(got, full, atol=1e-15)
 
 
-DELAYED = [(i, kind) for i, kind in OBSERVED if kind in catalogue()[i].delays]
+# By how many seconds readings come late that were taken 40 s after the start.
+LATE_BY_HAND = {
+    # a clock that is 100 ppm fast is 4 ms ahead by then: the pose at that stamp is still to come
+    ("clock_rate", "pose"): (100.0, -0.004),
+    ("heading_delay", "heading"): (0.2, 0.2),
+    ("heading_delay", "magnetometer"): (0.2, 0.2),
+    ("pose_delay", "pose"): (0.2, 0.2),
+}
 
 
-@pytest.mark.parametrize(("name", "kind"), DELAYED)
+def lateness(name, kind, parameter, taken_off=0.0):
+    """Seconds that the effect adds, at 40 s; the first number of what it writes, and no other."""
+    out, z = np.zeros(MAX_DIM), np.zeros(Z_DIM)
+    z[DELAY], z[TIME] = taken_off, 40.0
+    nav = nav_of(VELOCITY, NORTH, SPIN)
+    address = catalogue()[name].lateness[kind]
+    assert call_residual(address, nav, np.array([parameter]), z, out) == 0
+    assert not out[1:].any()
+    return out[0]
+
+
+@pytest.mark.parametrize(("name", "kind"), LATE)
+def test_by_how_much_readings_are_late(name, kind):
+    parameter, expected = LATE_BY_HAND[name, kind]
+    assert lateness(name, kind, parameter) == pytest.approx(expected, rel=1e-12)
+    assert lateness(name, kind, 0.0) == 0.0
+
+
+@pytest.mark.parametrize(("name", "kind"), [x for x in LATE if x[1] in catalogue()[x[0]].delays])
 def test_a_delay_already_taken_off_counts_no_more(name, kind):
     """Observations moved to 0.3 s before their stamps: what is left of 0.32 s is 0.02 s."""
-    nav, z = nav_of(VELOCITY, NORTH, RATE), READINGS.get(kind, [0.0])
-    left = corrected(name, kind, nav, [0.32], z, taken_off=0.3)
-    np.testing.assert_allclose(left, corrected(name, kind, nav, [0.02], z), atol=1e-15)
-    assert np.all(corrected(name, kind, nav, [0.3], z, taken_off=0.3) == 0.0)
-
-
-@pytest.mark.parametrize("kind", ["heading", "magnetometer"])
-def test_heading_delay_is_of_second_order_at_any_tilt(kind):
-    """Against the exact attitude a delay earlier; the error falls with the turn cubed."""
-    delays, errors = np.array([0.1, 0.05, 0.025]), []
-    for delay in delays:
-        worst = 0.0
-        for seed in range(10):
-            rng = np.random.default_rng(seed)
-            C = Rotation.from_euler("ZYX", rng.uniform(-1, 1, 3)).as_matrix()
-            w = rng.normal(0, 1.5, 3)
-            before = C @ so3.matrix_exp(-w * delay)
-            if kind == "heading":
-                # the reading is that of the attitude before; with the effect nothing is left
-                left = so3.wrap(so3.yaw_of(before) - so3.yaw_of(C))
-                z = [0.0]
-            else:
-                # in units of the field
-                left = before.T @ [0.0, 0.5, -0.8] - C.T @ [0.0, 0.5, -0.8]
-                z = [*np.zeros(6), 0.5, -0.8]
-            got = corrected("heading_delay", kind, nav_of([0, 0, 0], C, w), [delay], z)
-            worst = max(worst, np.abs(left + got[: np.size(left)]).max())
-        errors.append(worst)
-    assert np.polyfit(np.log(delays), np.log(errors), 1)[0] == pytest.approx(3.0, abs=0.5)
+    assert lateness(name, kind, 0.32, taken_off=0.3) == pytest.approx(0.02, abs=1e-15)
 
 
 # --- effects that are noise -----------------------------------------------------------------------

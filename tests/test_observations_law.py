@@ -23,7 +23,16 @@ from handcal.types import Imu, Recording, Series
 SCENE = Scene(np.zeros((0, 2)), True)
 KINDS = sorted(catalogue())
 PAIRS = [(k, None) for k in KINDS] + [
-    (k, e.id) for k in KINDS for e in effects().values() if k in e.observation_error
+    (k, e.id) for k in KINDS for e in effects().values() if k in e.acts_on
+]
+# Readings that come late beside whatever else there may be.
+LATE = [
+    (k, late.id, e.id)
+    for k in KINDS
+    for late in effects().values()
+    if k in late.lateness
+    for e in effects().values()
+    if k in e.acts_on and e is not late
 ]
 
 
@@ -60,19 +69,19 @@ def random_case(kind, seed):
     return nav_of(p, v, C, w, f), out
 
 
-def setup(kind, effect=None):
-    """Tables of one observation alone, or with one effect; its extras one after another."""
+def setup(kind, *names):
+    """Tables of one observation alone, or with effects; its extras one after another."""
     o = catalogue()[kind]
-    parts = [(o.residual, len(o.constants(SCENE)))]
+    parts = [(o.residual, len(o.constants(SCENE)), False)]
     if o.markov is not None:
-        parts.append((o.markov_residual, o.markov.size))
-    if effect is not None:
-        e = effects()[effect]
+        parts.append((o.markov_residual, o.markov.size, False))
+    for e in (effects()[name] for name in names if name is not None):
         size = len(e.parameters) if e.process is None else e.process.size
-        parts.append((e.observation_error[kind], size))
-    counts = np.array([[c for _, c in parts] + [0]])
+        late = kind in e.lateness
+        parts.append(((e.lateness if late else e.observation_error)[kind], size, late))
+    counts = np.array([[c for _, c, _ in parts] + [0]])
     start = np.concatenate([[0], np.cumsum(counts[0])[:-1]])[None]
-    function = np.array([[a for a, _ in parts] + [0]], dtype=np.int64)
+    function = np.array([[a for a, _, _ in parts] + [0]], dtype=np.int64)
     tables = Tables(
         np.array([o.dim]),
         np.array([o.jacobian]),
@@ -82,17 +91,27 @@ def setup(kind, effect=None):
         np.full(64, 1e-5),
         np.zeros_like(counts),
         np.full((*counts.shape, MOST_HELD), np.nan),
+        np.array([[late for _, _, late in parts] + [False]], dtype=np.int64),
     )
     return o, tables, int(counts.sum())
 
 
 def residual(o, tables, nav, extras, z):
-    """The residual by calling every part, without the kernel."""
-    r = np.zeros(MAX_DIM)
+    """The residual by calling every part, without the kernel; those of late readings with the
+    state of that much before."""
+    r, seconds = np.zeros(MAX_DIM), np.zeros(MAX_DIM)
     extras = np.r_[extras, 0.0]
-    for address, a in zip(tables.function[0], tables.start[0], strict=True):
-        if address:
-            assert call_residual(address, nav, np.ascontiguousarray(extras[a:]), z, r) == 0
+    parts = list(zip(tables.function[0], tables.start[0], tables.late[0], strict=True))
+    for address, a, late in parts:
+        if address and late:
+            assert call_residual(address, nav, np.ascontiguousarray(extras[a:]), z, seconds) == 0
+    then = nav.copy()
+    then[:3] -= seconds[0] * nav[3:6]
+    turned = Rotation.from_rotvec(-seconds[0] * nav[15:18]).as_matrix()
+    then[6:15] = (nav[6:15].reshape(3, 3) @ turned).ravel()
+    for address, a, late in parts:
+        if address and not late:
+            assert call_residual(address, then, np.ascontiguousarray(extras[a:]), z, r) == 0
     return r[: o.dim]
 
 
@@ -136,10 +155,11 @@ def difference(o, tables, nav, extras, z, J, step):
 
 
 @pytest.mark.parametrize("step", [1e-3, 2e-4])
-@pytest.mark.parametrize(("kind", "effect"), PAIRS)
-def test_observation_matrix_is_the_derivative_of_the_residual(kind, effect, step):
-    """All columns, with IMU constants in front, at random attitudes and non-zero extras."""
-    o, tables, count = setup(kind, effect)
+@pytest.mark.parametrize(("kind", "effect", "beside"), [*((*p, None) for p in PAIRS), *LATE])
+def test_observation_matrix_is_the_derivative_of_the_residual(kind, effect, beside, step):
+    """All columns, with IMU constants in front, at random attitudes and non-zero extras. (A marker
+    that sits beside the IMU moves with another velocity: how late it is tells of its own.)"""
+    o, tables, count = setup(kind, effect, beside)
     for seed in range(8):
         nav, z = random_case(kind, seed)
         rng = np.random.default_rng(100 + seed)

@@ -6,7 +6,16 @@ import numpy as np
 
 from handcal.compiled.covariance import times_transition
 from handcal.compiled.jit import copy2, inner, lean, local_matrix, njit, zero2
-from handcal.compiled.kernel import BASE, MAX_DIM, NAV, Nodes, Tables, extras_columns, fill_nav
+from handcal.compiled.kernel import (
+    BASE,
+    MAX_DIM,
+    NAV,
+    Nodes,
+    Tables,
+    back_in_time,
+    extras_columns,
+    fill_nav,
+)
 from handcal.compiled.reduced_kernel import Reduced
 from handcal.types import Array, BoolArray, IntArray
 
@@ -171,16 +180,20 @@ def seen_by_readings(
     rows: tuple[IntArray, Array],
     place: IntArray,
     used: BoolArray,
+    by_state: Array,
+    own: tuple[Tables, Array],
     g: Array,
 ) -> None:
     """Take from g (s, c) what constants (size,), all zero, add to the readings themselves.
 
     nominal: nodes (k,) of the epochs, p, v, C there, and the biases of both sensors; place (c',):
-    column of g of each constant. rows: as in ``seen_at_once``.
+    column of g of each constant. rows: as in ``seen_at_once``; by_state (q, m, N), N >= 9: rows of
+    the readings by the errors of position, velocity and attitude; own: the functions of what the
+    model has already, which tell how late readings are, and its constants.
     """
     extras, nav, w, f = np.zeros(size), np.empty(NAV), np.empty(3), np.empty(3)
     H = np.zeros((MAX_DIM, BASE + size))
-    plus, minus = np.empty(MAX_DIM), np.empty(MAX_DIM)
+    plus, minus, then = np.empty(MAX_DIM), np.empty(MAX_DIM), np.empty(NAV)
     for j in range(len(nominal[0])):
         i = nominal[0][j]
         if nodes.first[i] == nodes.first[i + 1]:
@@ -194,7 +207,11 @@ def seen_by_readings(
             if not used[q] or rows[0][q, 0] < 0:
                 continue
             zero2(H)
-            extras_columns(nodes.kind[q], tables, nav, extras, nodes.z[q], d, plus, minus, H)
+            for a in range(d):
+                for c in range(9):
+                    H[a, c] = by_state[q, a, c]
+            back_in_time(nodes.kind[q], own[0], nav, own[1], nodes.z[q], plus, then)
+            extras_columns(nodes.kind[q], tables, then, extras, nodes.z[q], d, plus, minus, H)
             for part in range(2):
                 first = rows[0][q, part]
                 if first >= 0:

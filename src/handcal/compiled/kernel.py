@@ -20,7 +20,7 @@ from handcal.compiled.jit import (
     local_vector,
     zero1,
 )
-from handcal.compiled.so3 import exp, matmul
+from handcal.compiled.so3 import exp, left_jacobian, matmul
 from handcal.compiled.strapdown import advance, error_transition, increments
 from handcal.types import Array, IntArray
 
@@ -40,7 +40,8 @@ class Tables(NamedTuple):
     observation's own, 0 ends the list; start, counts (K, F): its slice of the extras;
     step: of the central difference by each of the extras. whole (K, F): of a function some of
     whose parameters are held, how many it has, else 0; held (K, F, MOST_HELD): those, nan where
-    the extras tell.
+    the extras tell. late (K, F): 1 where a function tells by how many seconds readings of this kind
+    come late, instead of adding to their residual.
     """
 
     dim: IntArray
@@ -51,6 +52,7 @@ class Tables(NamedTuple):
     step: Array
     whole: IntArray
     held: Array
+    late: IntArray
 
 
 class Nodes(NamedTuple):
@@ -177,12 +179,14 @@ def linearise(
     """
     d = tables.dim[kind]
     mi = J.shape[1]
-    status = _total(kind, tables, nav, extras, z, 0, r)
+    plus, minus = local_vector(MAX_DIM), local_vector(MAX_DIM)
+    then, moved, moved_then = local_vector(NAV), local_vector(NAV), local_vector(NAV)
+    late = back_in_time(kind, tables, nav, extras, z, plus, then)
+    status = _total(kind, tables, then, extras, z, 0, r)
     if status != 0:
         return 1
     # (by the fifteen errors, one row after the other)
-    Hn, moved = local_vector(_SLOPES), local_vector(NAV)
-    plus, minus = local_vector(MAX_DIM), local_vector(MAX_DIM)
+    Hn = local_vector(_SLOPES)
     for j in range(BASE * d):
         Hn[j] = 0.0
     first = 0
@@ -190,14 +194,18 @@ def linearise(
         first = 1
         a = tables.start[kind, 0]
         own = extras[a : a + max(1, tables.counts[kind, 0])]
-        call_residual(tables.jacobian[kind], nav, own, z, Hn)
+        call_residual(tables.jacobian[kind], then, own, z, Hn)
+        if late != 0.0:
+            _as_of_now(nav, late, d, Hn)
     if tables.function.shape[1] > first and tables.function[kind, first] != 0:
         step = 1e-5
         for i in range(BASE):
             _perturb_nav(nav, i, step, moved)
-            _total(kind, tables, moved, extras, z, first, plus)
+            back_in_time(kind, tables, moved, extras, z, plus, moved_then)
+            _total(kind, tables, moved_then, extras, z, first, plus)
             _perturb_nav(nav, i, -step, moved)
-            _total(kind, tables, moved, extras, z, first, minus)
+            back_in_time(kind, tables, moved, extras, z, minus, moved_then)
+            _total(kind, tables, moved_then, extras, z, first, minus)
             for j in range(d):
                 # r is observed minus predicted, so it falls as the prediction rises
                 Hn[BASE * j + i] -= (plus[j] - minus[j]) / (2 * step)
@@ -213,21 +221,73 @@ def linearise(
                 H[j, 9 + i] -= h
                 for c in range(mi):
                     H[j, BASE + c] -= h * J[i, c]
-    extras_columns(kind, tables, nav, extras, z, d, plus, minus, H)
+    extras_columns(kind, tables, then, extras, z, d, plus, minus, H)
     return 0
+
+
+@inner
+def back_in_time(
+    kind: int, tables: Tables, nav: Array, extras: Array, z: Array, work: Array, then: Array
+) -> float:
+    """Write to ``then`` (NAV,) the state of the moment that readings of this kind tell of, which
+    come late by what is returned, s: position with the velocity, attitude with the rate."""
+    copy1(nav, then)
+    late = 0.0
+    for k in range(tables.function.shape[1]):
+        if tables.function[kind, k] == 0:
+            break
+        if tables.late[kind, k] != 0:
+            zero1(work)
+            _called(kind, k, tables, nav, extras, z, work)
+            late += work[0]
+    if late != 0.0:
+        phi = local_vector(3)
+        C, turn, new = local_matrix(3, 3), local_matrix(3, 3), local_matrix(3, 3)
+        for i in range(3):
+            then[i] -= late * nav[3 + i]
+            phi[i] = -late * nav[15 + i]
+        for k in range(9):
+            C[k // 3, k % 3] = nav[6 + k]
+        exp(phi, turn)
+        matmul(C, turn, new)
+        for k in range(9):
+            then[6 + k] = new[k // 3, k % 3]
+    return late
+
+
+@inner
+def _as_of_now(nav: Array, late: float, d: int, Hn: Array) -> None:
+    """Rows by the errors of the state ``late`` s ago, turned into those by the errors of now."""
+    phi, by_rate = local_vector(3), local_vector(3)
+    J = local_matrix(3, 3)
+    for i in range(3):
+        phi[i] = -late * nav[15 + i]
+    left_jacobian(phi, J)
+    for j in range(d):
+        row = BASE * j
+        for i in range(3):
+            Hn[row + 3 + i] -= late * Hn[row + i]
+            by_rate[i] = 0.0
+            for k in range(3):
+                by_rate[i] += Hn[row + 6 + k] * nav[6 + 3 * k + i]
+        for i in range(3):
+            for k in range(3):
+                Hn[row + 9 + i] -= late * by_rate[k] * J[k, i]
 
 
 @inner
 def _total(
     kind: int, tables: Tables, nav: Array, extras: Array, z: Array, only: int, r: Array
 ) -> int:
-    """Residual of all functions of a kind (from number ``only`` on); 1 if it is to be skipped."""
+    """Residual of all functions of a kind (from number ``only`` on), of the state at the moment
+    that was read; 1 if it is to be skipped."""
     zero1(r)
     status = 0
     for k in range(only, tables.function.shape[1]):
         if tables.function[kind, k] == 0:
             break
-        status |= _called(kind, k, tables, nav, extras, z, r)
+        if tables.late[kind, k] == 0:
+            status |= _called(kind, k, tables, nav, extras, z, r)
     return status
 
 
@@ -284,7 +344,9 @@ def extras_columns(
 ) -> None:
     """Columns of H for the constants and Markov states that the functions of a kind read.
 
-    Functions only add to a residual, so each is differenced alone.
+    Functions only add to a residual, so each is differenced alone. Where one tells how late
+    readings are, they are of another state, of which the first nine columns of H know. nav: of the
+    moment that was read.
     """
     for k in range(tables.function.shape[1]):
         if tables.function[kind, k] == 0:
@@ -300,4 +362,18 @@ def extras_columns(
             _called(kind, k, tables, nav, extras, z, minus)
             extras[c] = keep
             for j in range(d):
-                H[j, BASE + c] -= (plus[j] - minus[j]) / (2 * step)
+                change = plus[j] - minus[j]
+                if tables.late[kind, k] != 0:
+                    change = (plus[0] - minus[0]) * _in_a_second(nav, H[j])
+                H[j, BASE + c] -= change / (2 * step)
+
+
+@inner
+def _in_a_second(nav: Array, h: Array) -> float:
+    """By how much what is predicted, of slopes h by the state's errors, grows in a second."""
+    s = 0.0
+    for i in range(3):
+        s += h[i] * nav[3 + i]
+        for k in range(3):
+            s += h[6 + i] * nav[6 + 3 * i + k] * nav[15 + k]
+    return s

@@ -38,6 +38,22 @@ def exp(phi: Array, out: Array) -> None:
 
 
 @lean
+def left_jacobian(phi: Array, out: Array) -> None:
+    """J (3, 3) of exp(phi + d) = exp(J d) exp(phi), to the first order in d, into out."""
+    a2 = phi[0] * phi[0] + phi[1] * phi[1] + phi[2] * phi[2]
+    if a2 < 1e-4:
+        c, s = 0.5 - a2 / 24.0, 1.0 / 6.0 - a2 / 120.0
+    else:
+        a = np.sqrt(a2)
+        c, s = (1.0 - np.cos(a)) / a2, (1.0 - np.sin(a) / a) / a2
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        out[i, i] = 1.0 - s * (phi[j] * phi[j] + phi[k] * phi[k])
+        out[i, j] = s * phi[i] * phi[j] - c * phi[k]
+        out[i, k] = s * phi[i] * phi[k] + c * phi[j]
+
+
+@lean
 def matrix_into(w: float, x: float, y: float, z: float, out: Array) -> None:
     """Rotation matrix of a unit quaternion, into out (3, 3)."""
     out[0, 0] = 1 - 2 * (y * y + z * z)

@@ -144,7 +144,7 @@ def _delayed(effect: Effect, recording: Recording) -> str:
 def _read_off(effect: Effect, row: Stream) -> bool:
     """Whether the stream itself tells what the effect added to it: it reads what is observed."""
     kind = row.observation
-    return row.circular and kind in effect.observation_error and kind not in effect.delays
+    return row.circular and kind in effect.acts_on and kind not in effect.delays
 
 
 # --- the readings -------------------------------------------------------------------------------

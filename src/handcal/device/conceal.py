@@ -118,7 +118,7 @@ def _checked(name: str, values: Sequence[float]) -> Array:
 
 def streams_of(effect: Effect) -> tuple[str, ...]:
     """The streams on which an effect acts, by the observations of them."""
-    kinds = {*effect.observation_error, *effect.outliers}
+    kinds = {*effect.acts_on, *effect.outliers}
     return tuple(s.name for s in STREAMS.values() if s.observation in kinds)
 
 
@@ -306,10 +306,10 @@ def observed(
         if not row.observation or row.name not in recording.streams:
             continue
         kind = observations()[row.observation]
-        mine = [e for e in effects if kind.kind in (*e.observation_error, *e.outliers)]
+        mine = [e for e in effects if kind.kind in (*e.acts_on, *e.outliers)]
         mine = [e for e in mine if e.conceal is None]
         if kind.kind == "magnetometer" and "heading" in recording.streams:
-            mine = [e for e in mine if "heading" not in (*e.observation_error, *e.outliers)]
+            mine = [e for e in mine if "heading" not in (*e.acts_on, *e.outliers)]
         if mine:
             out.append((kind.kind, row, mine))
     return out

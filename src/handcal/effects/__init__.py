@@ -1,13 +1,15 @@
 """The catalogue of physics: one file an effect, and the folder listing is the catalogue.
 
 A file defines ``EFFECT = Effect(...)`` and nothing else needs to know of it. Physics
-enters in one of two ways:
+enters in one of three ways:
 
 - ``imu_error(parameters, signals) -> (n, 6)``: what the gyro (columns 0-2, rad/s) and
   the accelerometer (columns 3-5, m/s^2) read in addition, over a whole recording;
 - ``observation_error``: for each kind of observation a compiled
   ``f(nav, parameters, z, r) -> 0`` that corrects the residual ``r`` in place. ``z[TIME]``
-  is the time since the recording's start, s, ``z[WARMTH]`` the temperature less ``ROOM``, K.
+  is the time since the recording's start, s, ``z[WARMTH]`` the temperature less ``ROOM``, K;
+- ``lateness``: for each kind of observation a compiled ``f(nav, parameters, z, out) -> 0`` that
+  adds to ``out[0]`` by how many seconds its readings come late, beyond ``z[DELAY]``.
 
 An effect that is noise brings a ``process`` instead: Markov states that walk with a bias
 (``walks``) or that its ``observation_error`` takes for its parameters.
@@ -170,6 +172,7 @@ class Effect:
     validated: str
     imu_error: Callable[[Array, Signals], Array] | None = None
     observation_error: Mapping[str, int] = field(default_factory=dict)
+    lateness: Mapping[str, int] = field(default_factory=dict)
     imu_inverse: Callable[[Array, Signals], Array] | None = None
     needs: tuple[str, ...] = ()
     delays: tuple[str, ...] = ()
@@ -204,6 +207,11 @@ class Effect:
     def prior_sigma(self) -> Array:
         """Prior standard deviations (k,) in the order of the parameters."""
         return np.array([p.prior_sigma for p in self.parameters])
+
+    @property
+    def acts_on(self) -> frozenset[str]:
+        """Kinds of observation whose readings it changes."""
+        return frozenset(self.observation_error) | frozenset(self.lateness)
 
 
 def imu_jacobian(effect: Effect, at: Array, signals: Signals) -> Array:

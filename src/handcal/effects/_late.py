@@ -1,17 +1,17 @@
-"""A pose that is of an earlier moment (no effect of its own: a delay and a clock need it)."""
+"""Readings that come late (no effect of its own: delays of several streams need it)."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from handcal.compiled.jit import njit
+from handcal.compiled.jit import residual_function
+from handcal.effects import DELAY
 
 
-@njit
-def add_lateness(nav: Any, delay: float, out: Any) -> None:
-    """Take from a pose's residual (6,) that it comes ``delay`` seconds late, to first order."""
-    for i in range(3):
-        out[i] += nav[3 + i] * delay
-        out[3 + i] += delay * (
-            nav[6 + 3 * i] * nav[15] + nav[7 + 3 * i] * nav[16] + nav[8 + 3 * i] * nav[17]
-        )
+def _late(nav: Any, delay: Any, z: Any, out: Any) -> int:  # noqa: ARG001
+    # nav is of the moment z[DELAY] before the reading's stamp
+    out[0] += delay[0] - z[DELAY]
+    return 0
+
+
+LATE = residual_function(_late)

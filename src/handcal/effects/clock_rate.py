@@ -9,7 +9,6 @@ import numpy as np
 from handcal.compiled.jit import residual_function
 from handcal.earth import STANDARD_GRAVITY
 from handcal.effects import ATTITUDE, TIME, Effect, Param, Signals
-from handcal.effects._late import add_lateness
 from handcal.effects._reference import (
     AFTER,
     BEFORE,
@@ -40,10 +39,10 @@ def imu_error(ppm: Array, signals: Signals) -> Array:
     return out
 
 
-def _pose(nav: Any, ppm: Any, z: Any, out: Any) -> int:
+def _pose(nav: Any, ppm: Any, z: Any, out: Any) -> int:  # noqa: ARG001
     # The pose's stamp is true time, by which the device's clock already shows more: the
     # pose is taken for one of an earlier moment, a delay that is negative and grows.
-    add_lateness(nav, -1e-6 * ppm[0] * z[TIME], out)
+    out[0] -= 1e-6 * ppm[0] * z[TIME]
     return 0
 
 
@@ -75,10 +74,8 @@ EFFECT = Effect(
     "reference.",
     validated="the simulator's injection",
     imu_error=imu_error,
-    observation_error={
-        "known_input": residual_function(_reference),
-        "pose": residual_function(_pose),
-    },
+    observation_error={"known_input": residual_function(_reference)},
+    lateness={"pose": residual_function(_pose)},
     needs=(ATTITUDE,),
     conceal=lambda ppm, recording, _: stretched(recording, 1.0 + 1e-6 * float(ppm[0])),
     undo=lambda ppm, recording: stretched(recording, 1.0 / (1.0 + 1e-6 * float(ppm[0]))),

@@ -115,27 +115,33 @@ def _tables(
     at = {s.owner: i for i, s in reversed(list(enumerate(slots)))}
     markov_at = {owner: len(slots) + first for owner, first in added.first.items()}
     shape = len(kinds), 2 + len(effects)
-    function, start, count, whole = (np.zeros(shape, dtype=np.int64) for _ in range(4))
+    function, start, count, whole, late = (np.zeros(shape, dtype=np.int64) for _ in range(5))
     held = np.full((*shape, MOST_HELD), np.nan)
     for k, kind in enumerate(kinds):
         parts = [(kind.residual, at.get(kind.kind, 0), constants[k])]
         if kind.markov is not None:
             parts.append((kind.markov_residual, markov_at[kind.kind], kind.markov.size))
-        acting = [e for e in effects if kind.kind in e.observation_error]
+        acting = [e for e in effects if kind.kind in e.acts_on]
         for j, e in enumerate(acting, len(parts)):
             whole[k, j] = len(e.held)
             held[k, j, : len(e.held)] = e.held
+            late[k, j] = kind.kind in e.lateness
         parts += [
-            (e.observation_error[kind.kind], at[e.id], len(e.parameters))
-            if e.process is None
-            else (e.observation_error[kind.kind], markov_at[e.id], e.process.size)
+            (
+                (e.lateness.get(kind.kind) or e.observation_error[kind.kind]),
+                *(
+                    (at[e.id], len(e.parameters))
+                    if e.process is None
+                    else (markov_at[e.id], e.process.size)
+                ),
+            )
             for e in acting
         ]
         for j, part in enumerate(parts):
             function[k, j], start[k, j], count[k, j] = part
     dim = np.array([k.dim for k in kinds], dtype=np.int64)
     jacobian = np.array([k.jacobian for k in kinds], dtype=np.int64)
-    return Tables(dim, jacobian, function, start, count, step, whole, held)
+    return Tables(dim, jacobian, function, start, count, step, whole, held, late)
 
 
 def _nodes(

@@ -26,7 +26,7 @@ from handcal.types import HandcalError
 def always(cases: Sequence[Case]) -> tuple[Effect, ...]:
     """The effects that every model of these recordings has."""
     kinds = {k for c in cases for k in c.kinds}
-    return tuple(e for e in catalogue().values() if e.always and kinds & set(e.observation_error))
+    return tuple(e for e in catalogue().values() if e.always and kinds & e.acts_on)
 
 
 def baseline(cases: Sequence[Case], engine: str = "compiled") -> Model:

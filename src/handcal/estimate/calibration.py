@@ -215,10 +215,10 @@ def _check_calibrates(effects: Sequence[Effect]) -> None:
 
 def _check_effects(effects: Sequence[Effect], kinds: Sequence[str]) -> None:
     for e in effects:
-        acts = e.imu_error is not None or e.walks or set(e.observation_error) & set(kinds)
+        acts = e.imu_error is not None or e.walks or e.acts_on & set(kinds)
         if not acts:
             raise InputError(
-                f"The effect '{e.id}' acts on {' or '.join(sorted(e.observation_error))}, and "
+                f"The effect '{e.id}' acts on {' or '.join(sorted(e.acts_on))}, and "
                 "nothing like that is observed here: leave it out."
             )
         if PLACE in e.needs and not any(catalogue()[k].places for k in kinds):

@@ -281,13 +281,13 @@ def applicable(case: Case, effect: Effect) -> bool:
         return False
     if ATTITUDE in effect.needs and not any(o.navigates for o, _, _ in case.observed):
         # beside a reference nothing is integrated: what changes the world, both sensors feel
-        return bool(set(case.kinds) & set(effect.observation_error))
+        return bool(set(case.kinds) & effect.acts_on)
     if effect.id == "earth_rate" and bool(np.any(case.earth[1])):
         return False
     kinds = set(case.kinds)
     if effect.imu_error is not None or effect.walks:
         return True
-    return bool(kinds & (set(effect.observation_error) | set(effect.outliers)))
+    return bool(kinds & (effect.acts_on | set(effect.outliers)))
 
 
 def frozen_at(effect: Effect, moment: Array) -> Effect:
@@ -311,7 +311,7 @@ def frozen_at(effect: Effect, moment: Array) -> Effect:
         parameters=tuple(effect.parameters[i] for i in free),
         imu_error=None if error is None else held,
         moments=None,
-        held=tuple(numbers) if effect.observation_error else (),
+        held=tuple(numbers) if effect.acts_on else (),
         made=(HELD, tuple(float(x) for x in moment)),
     )
 

@@ -187,6 +187,8 @@ def _driven(
             about.rows,
             place,
             about.linear.used,
+            about.linear.H,
+            (about.linear.problem.tables, np.r_[nominal.constants, nominal.markov[0]]),
             looked,
         )
         g += (

@@ -208,8 +208,7 @@ def _stilled(truth: Array, t: Array, quiet: BoolArray) -> Array:
     """Rate and force (n, 6) with the mean rate of each quiet while throughout it: what the rate
     does there is the sensor's noise, which would teach a device that never turns its scale."""
     out = truth.copy()
-    edges = np.flatnonzero(np.diff(np.r_[0, quiet.astype(np.int8), 0])).reshape(-1, 2)
-    for a, b in edges:
+    for a, b in _whiles(quiet):
         if t[b - 1] - t[a] > AVERAGE_S[1]:
             out[a:b, :3] = truth[a:b, :3].mean(axis=0)
     return out
@@ -261,13 +260,19 @@ def _changes(
 
 
 def _calmed(J: Array, rate: float, quiet: BoolArray) -> Array:
-    """J (n, k) averaged over a short time, and over a longer one where the device rests."""
+    """J (n, k) averaged over a short time, and over a longer one within each quiet while."""
     moving, resting = (max(1, round(s * rate)) for s in AVERAGE_S)
     out = np.empty_like(J)
     _running_mean(J, moving, ~quiet, out)
-    if quiet.any():
-        _running_mean(J, resting, quiet, out)
+    for a, b in _whiles(quiet):
+        _mean_within(J[a:b], resting, out[a:b])
     return out
+
+
+def _whiles(wanted: BoolArray) -> IntArray:
+    """First row and the one after the last (k, 2) of each run of what is wanted."""
+    edges = np.flatnonzero(np.diff(np.r_[0, wanted.astype(np.int8), 0]))
+    return edges.reshape(-1, 2).astype(np.int64)
 
 
 def _averaged(J: Array, width: int) -> Array:
@@ -298,3 +303,24 @@ def _running_mean(x: Array, width: int, wanted: BoolArray, out: Array) -> None:
         old, new = max(i - width // 2, 0), min(i + width - width // 2, n - 1)
         for c in range(k):
             total[c] += x[new, c] - x[old, c]
+
+
+@njit
+def _mean_within(x: Array, width: int, out: Array) -> None:
+    """Means over ``width`` rows of x (n, k) about each, over fewer near its ends, as many before as
+    after: what follows a rest is motion, and a rest that knew of it would count as a part of it."""
+    n, k = x.shape
+    total = np.zeros(k)
+    lo, hi = 0, 0
+    for i in range(n):
+        reach = min(width // 2, i, n - 1 - i)
+        while hi < i + reach + 1:
+            for c in range(k):
+                total[c] += x[hi, c]
+            hi += 1
+        while lo < i - reach:
+            for c in range(k):
+                total[c] -= x[lo, c]
+            lo += 1
+        for c in range(k):
+            out[i, c] = total[c] / (hi - lo)

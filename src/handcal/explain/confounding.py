@@ -59,7 +59,7 @@ def steadied(base: Model) -> Model:
 
 def _acts(effect: Effect, kinds: Set[str]) -> bool:
     named = effect.process is None and not effect.outliers and effect.moments is None
-    return named and bool(kinds & {*effect.observation_error, *effect.delays})
+    return named and bool(kinds & effect.acts_on)
 
 
 def _grown(f: Fitted) -> list[str]:

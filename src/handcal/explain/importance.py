@@ -161,7 +161,7 @@ def _added(f: Fitted, effect: Effect) -> dict[str, Array]:
         walk = linear.trajectory.markov[:, states]
         walk = walk - walk.mean(axis=0)
         return {c: walk[:, k] for k, c in enumerate(IMU_CHANNELS[first : first + 3])}
-    seen = [o for o in problem.observations if o.kind in effect.observation_error]
+    seen = [o for o in problem.observations if o.kind in effect.acts_on]
     if effect.conceal is not None and seen and not any(observed_by(o.kind) for o in seen):
         return _swung(f, effect, value)
     at = np.repeat(np.arange(len(linear.t)), np.diff(linear.first))

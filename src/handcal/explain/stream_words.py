@@ -36,7 +36,7 @@ def of_hypothesis(h: Hypothesis, cases: Sequence[Case]) -> Hypothesis:
 def _renamed(effect: str, cases: Sequence[Case]) -> bool:
     known = catalogue().get(effect)
     kinds = {kind for case in cases for kind in case.kinds}
-    both = known is not None and {"heading", "magnetometer"} <= set(known.observation_error)
+    both = known is not None and {"heading", "magnetometer"} <= known.acts_on
     return both and "magnetometer" in kinds and "heading" not in kinds
 
 

@@ -30,7 +30,8 @@ def name_term(c: Climb) -> Model | None:
     of its noise effects, which hide whatever has no name, or beside them."""
     if len(c.unnamed) >= MAX_TERMS:
         return None
-    term = best_term(c.model, refused=c.dropped)
+    refused = c.dropped | set(c.model.ids)
+    term = best_term(c.model, refused=refused)
     if term is not None:
         c.unnamed.append(term)
         c.visited.clear()
@@ -46,7 +47,7 @@ def name_term(c: Climb) -> Model | None:
     bare = fitted(c.model.parts, quiet)
     if c.quiet is not None and better(c.quiet, bare, c.worth) > 0.0:
         bare = c.quiet  # (names may have gone since that a law needs beside it)
-    term = best_term(bare, refused=c.dropped)
+    term = best_term(bare, refused=refused)
     if term is None:
         return None
     calls = (partial(with_term, m, term, c.worth, c.beyond) for m in (bare, c.model))

@@ -49,7 +49,7 @@ def exchange_noise(c: Climb) -> Model | None:
         rivals = [
             e
             for e in all_noise()
-            if (e.walks, [*e.observation_error]) == (old.walks, [*old.observation_error])
+            if (e.walks, e.acts_on) == (old.walks, old.acts_on)
             and e.id not in {*model.ids, *c.dropped}
             and (e.id, key) not in c.noises
         ]

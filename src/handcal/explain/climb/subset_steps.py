@@ -6,14 +6,13 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 
-from handcal.effects import Effect
 from handcal.estimate.case import name_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.parallel import in_parallel
 from handcal.estimate.robust import inflation
-from handcal.explain.climb.candidates import REFUSED
-from handcal.explain.climb.state import FEW, Climb, likelier, too_large
+from handcal.explain.climb.candidates import REFUSED, candidates, scanned_about
+from handcal.explain.climb.state import FEW, Climb, forget, likelier, too_large
 from handcal.explain.score import PRIOR, better
 from handcal.explain.space import Space, best_set, gains
 
@@ -50,6 +49,31 @@ def choose(c: Climb) -> Model | None:
         odds = {i: REFUSED if name_of(i) in c.beyond else p for i, p in c.where.prior.items()}
         c.where = replace(c.where, prior=odds, scores={})
     return None
+
+
+def everything(c: Climb) -> Model | None:
+    """The best set of effects about a fit of all that the recordings could show, where more than
+    one step of ``choose`` is needed.
+
+    About a model that lacks much, noise levels hold what is missing and each effect is judged by
+    what others left; about one that lacks nothing, each is judged for what it is. What is not there
+    costs a fit little: priors keep it near zero.
+    """
+    if c.everything or not c.model.chosen - c.kept or favourite(c) == c.model.chosen:
+        return None
+    c.everything = True
+    own = {e.id for e in c.model.effects}
+    names = {name_of(i) for i in own} | c.dropped | c.beyond
+    others = [e for e in candidates(c.model.parts, c.model.effects) if name_of(e.id) not in names]
+    whole = fitted(c.model.parts, [*c.model.effects, *(e for e in others if "@" not in e.id)])
+    where = scanned_about(whole, c.unnamed, c.dropped | c.beyond)
+    noise = [e for e in c.model.effects if e.process is not None]
+    best = best_set(where, whole.chosen)
+    tried = fitted(whole.parts, [*(where.effects[i] for i in sorted(best)), *noise])
+    if not likelier(c, tried):
+        return None
+    forget(c, tried)
+    return tried
 
 
 def favourite(c: Climb) -> frozenset[str]:
@@ -95,33 +119,33 @@ def _singles(where: Space, now: frozenset[str], chosen: frozenset[str]) -> list[
 
 
 def thin(c: Climb) -> Model | None:
-    """The model without an effect that it does not miss when all else is fitted again."""
+    """The model without an effect that it does not miss when all else is fitted again.
+
+    What an effect gains counts for less where its own scores scatter more than the evidence as a
+    whole is discounted for.
+    """
     model, where = c.model, c.where
     gained = gains(where, model.chosen)
-    excess = inflation(model)
     last = {i: 0.0 if i in c.stale else v for i, v in c.noise.items()}
-    weakest = sorted(model.effects, key=lambda e: gained.get(e.id, last.get(e.id, 0.0)))
-
-    def rest(e: Effect) -> list[Effect]:
-        return [x for x in model.effects if x is not e]
-
-    tried: list[Effect] = []
-    for e in [e for e in weakest if not e.always][:FEW]:
-        if e.process is None:
-            more = max(1.0, excess[e.id] * c.worth)
-            if gained[e.id] / more + where.prior[e.id] < 0.0:
-                c.dropped.add(name_of(e.id))
-                return fitted(model.parts, rest(e))
-            if gained[e.id] <= CLOSE:
-                tried.append(e)
-        elif last.get(e.id, 0.0) <= 10.0 * CLOSE:
-            tried.append(e)
-    fits = in_parallel(partial(fitted, model.parts, rest(e)) for e in tried)
+    least = gained | last
+    weakest = sorted(model.effects, key=lambda e: least.get(e.id, 0.0))
+    tried = [
+        e
+        for e in [e for e in weakest if not e.always][:FEW]
+        if least.get(e.id, 0.0) <= (CLOSE if e.process is None else 10.0 * CLOSE)
+    ]
+    fits = in_parallel(
+        partial(fitted, model.parts, [x for x in model.effects if x is not e]) for e in tried
+    )
+    more = inflation(model) if tried else {}
     for e, without in zip(tried, fits, strict=True):
         gain = better(model, without, c.worth)
         if e.process is not None:
             c.noise[e.id] = gain - PRIOR
             c.stale.discard(e.id)
+        else:
+            odds = where.prior[e.id]
+            gain = (gain - odds) / max(1.0, more[e.id] * c.worth) + odds
         if gain < 0.0:
             c.noise.pop(e.id, None)
             c.dropped.add(name_of(e.id))

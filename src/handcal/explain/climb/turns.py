@@ -10,7 +10,7 @@ from handcal.explain.climb.exchange_steps import exchange, hidden, reorder
 from handcal.explain.climb.law_steps import MAX_TERMS, instead, name_term, narrow, reshape
 from handcal.explain.climb.noise_steps import add_noise, exchange_noise, free, noise_instead
 from handcal.explain.climb.state import Climb
-from handcal.explain.climb.subset_steps import choose, delay, favourite, thin
+from handcal.explain.climb.subset_steps import choose, delay, everything, favourite, thin
 from handcal.explain.space import gains
 
 # Turns of a climb at the most, beside two for each term that may be named. (Every step raises the
@@ -46,6 +46,7 @@ def _taken(c: Climb, step: Callable[[Climb], Model | None]) -> Model | None:
 # Each with what is left untried where there is no time for it.
 _STEPS: dict[Callable[[Climb], Model | None], str] = {
     delay: "long delays",
+    everything: "the fit of all effects at once",
     choose: "further effects",
     instead: "one law in the place of several names",
     reshape: "other forms of a law",

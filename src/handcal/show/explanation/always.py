@@ -37,7 +37,7 @@ def told_mismatch(e: Explanation) -> tuple[Mismatch, ...]:
 
 def every_model(m: Missing) -> str:
     """ "every model of a magnetometer"."""
-    kinds = [words.kind_title(k) for k in catalogue()[m.effect].observation_error]
+    kinds = [words.kind_title(k) for k in sorted(catalogue()[m.effect].acts_on)]
     return f"every model of a {kinds[0]}" if kinds else "every model"
 
 

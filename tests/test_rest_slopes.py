@@ -1,0 +1,76 @@
+"""What a rest says of a constant is made of the rest alone, whatever motion follows it; and lags
+that are the same to the first order come out of a fit from wherever it begins."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from worlds import injected, problem_of, recording_of
+
+from handcal.effects import select
+from handcal.estimate.baseline import baseline
+from handcal.estimate.case import case_of
+from handcal.estimate.corrected import corrected_readings
+from handcal.estimate.derivatives import QUIET_RATE, differentiated
+from handcal.estimate.fit import fitted
+from handcal.estimate.model import Model
+from handcal.estimate.transfer import at_constants
+from handcal.types import Imu, Recording
+from handcal_sim import simulate
+from handcal_sim.phone import Phone, capture_pose, consumer_phone
+
+RATE_HZ, STARTS_S, SECONDS = 100.0, 5.0, 10.0
+LAGS = {"gyro_bandwidth": [0.012], "accel_delay": [0.008], "pose_delay": [0.015]}
+BESIDE = {"lever_arm": [0.04, -0.06, 0.03]}
+
+
+@pytest.mark.parametrize("effect", ["gyro_scale", "gyro_bandwidth"])
+def test_a_rest_knows_nothing_of_the_turn_after_it(effect: str) -> None:
+    """At rest there is nothing to scale and nothing to filter. (Averaged over two seconds, the last
+    second of a rest had a tenth of a turn of one radian a second in it.)"""
+    t = np.arange(0.0, SECONDS, 1.0 / RATE_HZ)
+    gyro = np.zeros((len(t), 3))
+    gyro[:, 2] = np.where(t < STARTS_S, 0.0, np.sin(2.0 * (t - STARTS_S)))
+    accel = np.tile([0.0, 0.0, 9.80665], (len(t), 1))
+    recording = Recording("rest", Imu(t, gyro, accel, np.ones(len(t), dtype=np.bool_)))
+    problem, _ = problem_of(recording, [effect], ("fixed_position",))
+    zero = np.zeros(3)
+    done = corrected_readings(problem, np.zeros(problem.constants), zero, zero)
+    slopes = differentiated(done, np.zeros((len(t), 6))).slopes
+    assert slopes is not None
+    rest = problem.nodes.t < STARTS_S - 0.2
+    assert problem.rate[rest].max() < QUIET_RATE
+    assert np.abs(slopes.values[rest]).max() == 0.0
+    assert np.abs(slopes.values[~rest]).max() > 0.5
+
+
+def tracked(rng: np.random.Generator) -> Phone:
+    return replace(consumer_phone(rng), pose=capture_pose(rng))
+
+
+def test_three_lags_are_the_same_from_wherever_a_fit_begins() -> None:
+    """Gyro, accelerometer and pose all late by as much more look the same but for what is of second
+    order: the marker's own velocity, beside the IMU's, tells of the pose, and if a fit takes it for
+    the IMU's it stays where it began, tens of sigma apart."""
+    world = simulate("free-hand", seed=0, duration_s=60.0, phone=tracked, effects=LAGS | BESIDE)
+    case, effects = case_of(recording_of(world, "heading", "pose")), select([*LAGS, *BESIDE])
+    first = fitted(baseline([case]).parts, effects)
+    found, sigma = lags_of(first)
+    truth = np.concatenate([injected(world, e) for e in LAGS])
+    assert (np.abs(found - truth) / sigma).max() < 4.0
+    assert sigma.max() < 0.002
+    for later in (-0.008, 0.008):
+        names = ((e.id, e.parameters[0].name) for e in effects if e.id in LAGS)
+        moved = dict(zip(names, found + later, strict=True))
+        again = fitted([at_constants(f, effects, moved) for f in first.parts], effects)
+        assert np.abs(lags_of(again)[0] - found).max() < 2.0 * sigma.min()
+
+
+def lags_of(m: Model) -> tuple[np.ndarray, np.ndarray]:
+    """Values and sigmas of the lags, s."""
+    sizes = {e.id: e.parameters[0].prior_sigma for e in m.effects if e.id in LAGS}
+    at = [next(i for i, n in enumerate(m.quadratic.names) if n[0] == e) for e in LAGS]
+    scale = np.array([sizes[e] for e in LAGS])
+    return m.u[at] * scale, np.sqrt(np.diag(m.covariance)[at]) * scale
