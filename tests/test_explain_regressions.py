@@ -113,12 +113,9 @@ def test_a_gyros_noise_is_no_alibi_for_its_scale(monkeypatch: pytest.MonkeyPatch
     for sensor in noise_levels.SENSORS:
         assert part.levels[sensor] <= EXCESS * seen[sensor] * (1.0 + 1e-9)
     found = explain([recording_of(world, "heading")])
-    # (the shape of the hand's sway within a third of a second, which is seen then, has no name, and
-    # weak ones are found for it)
+    # (the shape of the hand's sway within a third of a second, which is seen then, has no name)
     assert found.verdict in ("explained", "unexplained")
-    gains = {m.effect: m.log_evidence_gain for m in found.missing}
-    assert max(gains, key=lambda i: gains[i]) == "gyro_scale"
-    assert gains.pop("gyro_scale") > 100.0 > max(gains.values(), default=0.0)
+    assert names(found) == ["gyro_scale"]
 
 
 # --- a burst of wrong headings -----------------------------------------------------------------

@@ -15,7 +15,7 @@ from worlds import recording_of
 
 from handcal.commands import explain as explain_command
 from handcal.effects import catalogue
-from handcal.explain import explain, naming, score
+from handcal.explain import explain, naming
 from handcal.explain.explanation import Explanation, Unnamed
 from handcal.explain.model_file import chosen_from
 from handcal.explain.unnamed import with_motion
@@ -166,15 +166,17 @@ def test_what_has_no_name_counts_beside_what_is_named_on_the_same_channel(
     assert naming.next_to_nothing(Stub(law, other), u) != counts
 
 
-@pytest.mark.parametrize("sensor", ["accel", "gyro"])
-def test_what_a_hand_may_lend_is_no_physics(sensor) -> None:
-    """An accelerometer's error without a name, noise or law, has to gain more where only the held
-    point tells where the device is; a gyro's, or one beside a pose, has not."""
+def test_what_a_hand_may_lend_is_no_physics() -> None:
     held, posed = (SimpleNamespace(kinds=k) for k in (("fixed_position", "heading"), ("pose",)))
-    law = replace(catalogue()["accel_scale"], id=f"{sensor}_x += k * f_x^2")
-    for e in (law, with_motion.again(f"{sensor}_xy += e(t) * |omega|")):
-        more = score.prior(e, [posed]) - score.prior(e, [held])
-        assert more == (score.LENT if sensor == "accel" else 0.0)
+    u = Unnamed(
+        "accel_xy += e(t) * |omega|", 0.1, 0.01, "m/s^2", 0.9 * naming.LENT,
+        channels=("accel_x", "accel_y"),
+    )  # fmt: skip
+    assert naming.by_the_hand(u, [held])
+    assert not naming.by_the_hand(u, [posed])
+    assert not naming.by_the_hand(replace(u, log_evidence_gain=1.1 * naming.LENT), [held])
+    assert not naming.by_the_hand(replace(u, formula="accel_x += k * f_x^2"), [held])
+    assert not naming.by_the_hand(replace(u, channels=("gyro_x",)), [held])
 
 
 def test_nothing_is_written_of_what_is_no_law(

@@ -34,10 +34,15 @@ class Corrected:
 
 
 def corrected_readings(
-    problem: Problem, ref: Array, bg: Array, ba: Array, C_nb: Array | None = None
+    problem: Problem,
+    ref: Array,
+    bg: Array,
+    ba: Array,
+    C_nb: Array | None = None,
+    sway: Array | None = None,
 ) -> Corrected:
     """The problem with the effects at constants ``ref`` (c,) taken off the readings; C_nb
-    (n, 3, 3).
+    (n, 3, 3); sway: see ``substituted``.
 
     What an effect adds depends on the true rate and force, which are the readings less
     all errors, found by substitution.
@@ -46,7 +51,7 @@ def corrected_readings(
     raw = np.hstack([imu.gyro - bg, imu.accel - ba])
     acting = [e for e in problem.effects if e.imu_error is not None]
     read = of_recording(problem.recording, acting, read=raw, C_nb=C_nb, alpha=problem.alpha)
-    error = substituted(acting, ref, read, problem.error)
+    error = substituted(acting, ref, read, problem.error, sway=sway)
     clean = np.hstack([imu.gyro, imu.accel]) - error
     gyro, accel, bend = at_nodes(imu, problem.smooth, clean, nodes.t)
     nodes = nodes._replace(gyro=gyro, accel=accel, bend=bend)
@@ -61,14 +66,21 @@ def substituted(
     readings: Signals,
     begin: Array | None = None,
     enough: float = SUBSTITUTED,
+    sway: Array | None = None,
 ) -> Array:
     """What all effects add to these readings, (n, 6), by rounds of substitution: first what is
     done to the whole reading is undone, then the others follow from the truth.
 
     begin (n, 6): about what they add, if that is known; enough: the change in a round, as a part
-    of the largest reading, after which there is no other. Effects whose parameters are zero add
-    nothing and are left out.
+    of the largest reading, after which there is no other; sway (n, 3): what of the force only
+    those effects feel that move the whole reading. Effects whose parameters are zero add nothing
+    and are left out.
     """
+
+    def felt(own: Array) -> Signals:
+        truth = reading(readings, own)
+        return truth if sway is None else replace(truth, accel=truth.accel - sway)
+
     raw = np.hstack([readings.gyro, readings.accel])
     scale = float(np.abs(raw).max(initial=0.0))
     present, i = [], 0
@@ -82,7 +94,7 @@ def substituted(
             present.append((e, at))
     errors = [np.zeros_like(raw) for _ in present]
     if begin is not None and all(e.imu_inverse is None for e, _ in present):
-        truth = reading(readings, raw - begin)
+        truth = felt(raw - begin)
         errors = [e.imu_error(at, truth) for e, at in present if e.imu_error is not None]
         for error in errors:
             total += error
@@ -95,7 +107,7 @@ def substituted(
                 own += old
                 errors[k] = own - e.imu_inverse(at, reading(readings, own))
             elif e.imu_error is not None:
-                errors[k] = e.imu_error(at, reading(readings, own))
+                errors[k] = e.imu_error(at, felt(own))
             np.subtract(errors[k], old, out=step)
             total += step
             moved = max(moved, float(step.max()), -float(step.min()))

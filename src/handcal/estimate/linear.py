@@ -157,7 +157,7 @@ def _integrated(problem: Problem, nominal: Trajectory) -> tuple[Problem, Array, 
     done, C_nb = None, None
     if problem.imu_constants:
         C_nb = _attitude(problem, nominal) if turning or _held(problem) else None
-        done = corrected_readings(problem, nominal.constants, nominal.bg, nominal.ba, C_nb)
+        done = _corrected(problem, nominal, C_nb)
         problem = done.problem
     problem = _bare(replace(problem, ref=nominal.constants))
     Phi, d, Q, W = _transitions(problem, nominal)
@@ -230,7 +230,7 @@ def excited(linear: Linear, fresh: Problem) -> Excited:
     """What further effects would act on; fresh: the linearised problem as it was built."""
     problem, nominal = linear.problem, linear.trajectory
     C_nb = _attitude(fresh, nominal) if problem.navigated else None
-    done = corrected_readings(fresh, nominal.constants, nominal.bg, nominal.ba, C_nb)
+    done = _corrected(fresh, nominal, C_nb)
     _, d, _, W = _transitions(problem, nominal)
     if problem.navigated:
         turn_errors(W, nominal.node, d)
@@ -295,25 +295,48 @@ def _turning(problem: Problem, node: IntArray) -> Array:
     return np.asarray(rates[np.searchsorted(look, np.arange(len(node)))])
 
 
+def _corrected(problem: Problem, nominal: Trajectory, C_nb: Array | None) -> Corrected:
+    """The problem with readings that are corrected at the nominal constants."""
+    sway = _sway(problem, nominal, C_nb) if _held(problem) and C_nb is not None else None
+    constants = nominal.constants
+    return corrected_readings(problem, constants, nominal.bg, nominal.ba, C_nb, sway)
+
+
 def _steady_force(problem: Problem, nominal: Trajectory, C_nb: Array) -> Array:
     """Specific force (n, 3) at the IMU's samples without what a point that wanders feels.
 
     The hand's sway is random, and how large it is nobody knows. An effect that makes it a
     little smaller would be favoured for that alone (looked at ten times a second, a scale error
-    of the accelerometer by 8 nats in 84 s), so sway may not excite effects.
+    of the accelerometer by 8 nats in 84 s; at the usual rate, a law of small changes of the force
+    alone, which is nearly all sway, by 40 nats in 30 s), so sway may not excite effects.
     """
-    v, at = nominal.v.copy(), 0
+    f_n = _accelerated(problem, nominal, nominal.v - _wandering(problem, nominal)) - problem.g_n
+    return np.asarray(np.einsum("nji,nj->ni", C_nb, f_n))
+
+
+def _sway(problem: Problem, nominal: Trajectory, C_nb: Array) -> Array:
+    """Force (n, 3) that a point that wanders adds at the IMU's samples."""
+    a_n = _accelerated(problem, nominal, _wandering(problem, nominal))
+    return np.asarray(np.einsum("nji,nj->ni", C_nb, a_n))
+
+
+def _wandering(problem: Problem, nominal: Trajectory) -> Array:
+    """Velocity (k, 3) at which the held point wanders at the epochs."""
+    out, at = np.zeros_like(nominal.v), 0
     for observation in problem.observations:
         if observation.wandering is not None:
             first = at + observation.wandering
-            v = v - nominal.markov[:, first : first + 3]
+            out += nominal.markov[:, first : first + 3]
         at += observation.markov.size if observation.markov is not None else 0
+    return out
+
+
+def _accelerated(problem: Problem, nominal: Trajectory, v: Array) -> Array:
+    """Acceleration (n, 3) at the IMU's samples of velocities v (k, 3) at the epochs."""
     t = problem.nodes.t[nominal.node]
     a = np.diff(v, axis=0) / np.maximum(np.diff(t), 1e-6)[:, None]
-    t_imu = problem.recording.imu.t
-    middle = 0.5 * (t[1:] + t[:-1])
-    f_n = np.stack([np.interp(t_imu, middle, a[:, i]) for i in range(3)], axis=1) - problem.g_n
-    return np.asarray(np.einsum("nji,nj->ni", C_nb, f_n))
+    t_imu, middle = problem.recording.imu.t, 0.5 * (t[1:] + t[:-1])
+    return np.stack([np.interp(t_imu, middle, a[:, i]) for i in range(3)], axis=1)
 
 
 def _bare(problem: Problem) -> Problem:

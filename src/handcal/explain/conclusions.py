@@ -38,7 +38,9 @@ from handcal.explain.moments import moments
 from handcal.explain.multistart import Found
 from handcal.explain.naming import (
     burst,
+    by_the_hand,
     entries_of,
+    hand_remark,
     hypotheses_of,
     likely,
     next_to_nothing,
@@ -91,19 +93,24 @@ def _named(
 ) -> _Named:
     found, burst_of = end.found, None if end.wrong is None else end.wrong.burst
     entries, unsure = entries_of(found, found.model.chosen, learnt, wrong)
-    unnamed = unnamed_of(found, found.model.chosen, learnt)
+    cases = [f.case for f in found.model.parts]
+    unnamed: list[Unnamed] = []
+    lent: list[Unnamed] = []
+    for u in unnamed_of(found, found.model.chosen, learnt):
+        (lent if by_the_hand(u, cases) else unnamed).append(u)
     counts = any(not next_to_nothing(found.model, u) for u in unnamed)
     if end.wrong is not None and burst_of is not None:
         unnamed.append(burst(end.base, end.wrong, burst_of))
         counts = True
     alone = standing_out(found.model)
+    missing, remarks = likely(entries, alone), [hand_remark(u) for u in lent]
     if counts:
-        return _Named("unexplained", likely(entries, alone), unnamed, alone, [])
+        return _Named("unexplained", missing, unnamed, alone, remarks)
     missing = likely(entries, {})
     # (that nothing is missing only a search says that was not broken off)
     none = "nothing_missing" if whole else "cannot_tell"
     verdict = "cannot_tell" if unsure else "explained" if missing else none
-    return _Named(verdict, missing, [], {}, [remark(u) for u in unnamed])
+    return _Named(verdict, missing, [], {}, [*remarks, *(remark(u) for u in unnamed)])
 
 
 def _compared(

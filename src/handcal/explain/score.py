@@ -21,11 +21,6 @@ TERM_PRIOR = PRIOR - math.log(LAWS)
 # Errors that go with the motion that are on trial: two ways, on seven sets of axes of two sensors
 # and on the heading.
 WITH_MOTION = 30
-# Nats that a hand may lend to an accelerometer's error without a name, where only the held point
-# tells where the device is, and hands that drift or move on are rivals too: 12 to 35 in two of 28
-# simulated people without any error, both in a lift, which lent 93 and 551 to others; 40 in a turn
-# of 30 s.
-LENT = 40.0
 # Moments of a step that are on trial.
 MOMENTS = 16
 # A name is clear when it has that share of the set that could stand in its place.
@@ -50,22 +45,16 @@ def prior(effect: Effect, cases: Sequence[Case]) -> float:
     """
     if effect.always:
         return 0.0
-    if "+=" in effect.id and not effect.passing:
-        return TERM_PRIOR - effect.cost - lent(effect, cases)
+    if effect.process is not None and effect.passing:
+        return PRIOR - math.log(WITH_MOTION) - OCCAM_LEVEL * len(effect.levels)
+    if "+=" in effect.id:
+        return TERM_PRIOR - effect.cost
     odds = PRIOR - OCCAM_LEVEL * len(effect.levels)
-    if effect.passing:
-        odds -= math.log(WITH_MOTION)
     if "@" in effect.id:
         odds -= math.log(_moments(effect, cases))
-    return odds - lent(effect, cases)
-
-
-def lent(effect: Effect, cases: Sequence[Case]) -> float:
-    """Nats of what an effect gains that a hand may have lent it."""
-    if not any("fixed_position" in case.kinds for case in cases):
-        return 0.0
-    nameless = "+=" in effect.id and effect.id.startswith("accel")
-    return LENT if nameless else effect.imitated
+    if any("fixed_position" in case.kinds for case in cases):
+        odds -= effect.imitated
+    return odds
 
 
 def _moments(effect: Effect, cases: Sequence[Case]) -> int:

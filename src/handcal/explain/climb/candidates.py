@@ -13,7 +13,7 @@ from handcal.estimate.model import Fitted, Model
 from handcal.estimate.scan import scan
 from handcal.explain.climb.state import Climb
 from handcal.explain.jumps import sudden
-from handcal.explain.score import MOMENTS, lent, prior
+from handcal.explain.score import MOMENTS, prior
 from handcal.explain.space import Space, space
 from handcal.explain.unnamed.best import Term
 from handcal.types import Array
@@ -86,10 +86,6 @@ def scanned_about(model: Model, terms: Sequence[Term], refused: Set[str]) -> Spa
     have = {e.id for e in options}
     options += [e for e in model.effects if e.id not in have and e.process is None]
     odds = {e.id: prior(e, cases) for e in options}
-    # (about a model that lacks a law a scan promises too little of it to outweigh what a hand may
-    # lend: a fit decides)
-    on_trial = [e for e in options if "+=" in e.id and e.id not in own]
-    odds |= {e.id: odds[e.id] + lent(e, cases) for e in on_trial}
     odds |= {e.id: REFUSED for e in options if name_of(e.id) in refused}
     odds |= {e.id: -REFUSED for e in options if e.always}
     return space(scan(model, options), options, odds)

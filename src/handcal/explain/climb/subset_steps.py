@@ -59,7 +59,9 @@ def everything(c: Climb) -> Model | None:
     what others left; about one that lacks nothing, each is judged for what it is. What is not there
     costs a fit little: priors keep it near zero.
     """
-    if c.everything or not c.model.chosen - c.kept or favourite(c) == c.model.chosen:
+    now = {name_of(i) for i in c.model.chosen}
+    more = {name_of(i) for i in favourite(c)} - now
+    if c.everything or not more or not c.model.chosen - c.kept:
         return None
     c.everything = True
     own = {e.id for e in c.model.effects}

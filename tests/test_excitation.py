@@ -1,5 +1,5 @@
-"""What a rest says of a constant is made of the rest alone, whatever motion follows it; and lags
-that are the same to the first order come out of a fit from wherever it begins."""
+"""What excites a constant: not the motion that follows a rest, nor a hand's sway; and lags that are
+the same to the first order come out of a fit from wherever it begins."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import uniform_filter1d
 from worlds import injected, problem_of, recording_of
 
-from handcal.effects import select
+from handcal.effects import Param, Signals, select
 from handcal.estimate.baseline import baseline
 from handcal.estimate.case import case_of
 from handcal.estimate.corrected import corrected_readings
@@ -17,7 +18,7 @@ from handcal.estimate.derivatives import QUIET_RATE, differentiated
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.transfer import at_constants
-from handcal.types import Imu, Recording
+from handcal.types import Array, Imu, Recording
 from handcal_sim import simulate
 from handcal_sim.phone import Phone, capture_pose, consumer_phone
 
@@ -74,3 +75,22 @@ def lags_of(m: Model) -> tuple[np.ndarray, np.ndarray]:
     at = [next(i for i, n in enumerate(m.quadratic.names) if n[0] == e) for e in LAGS]
     scale = np.array([sizes[e] for e in LAGS])
     return m.u[at] * scale, np.sqrt(np.diag(m.covariance)[at]) * scale
+
+
+def small_changes(k: Array, s: Signals) -> Array:
+    """Of the force what differs from its mean over a second: in a turn about the vertical that is
+    the hand's sway, or nearly."""
+    width = round(1.0 / float(np.median(np.diff(s.t))))
+    mean = uniform_filter1d(s.accel, width, axis=0)
+    return np.hstack([np.zeros_like(s.gyro), k * (s.accel - mean)])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_makes_a_hands_sway_smaller_is_not_favoured_for_that(seed: int) -> None:
+    """An accelerometer that felt small changes too little would make the sway of every hand larger
+    than it is: nothing says so, for or against."""
+    world = simulate("z-turn", seed=seed, duration_s=30.0)
+    base = baseline([case_of(recording_of(world, "heading"))])
+    felt = replace(select(["accel_scale"])[0], id="small", imu_error=small_changes, features=None,
+                   parameters=(Param("k", "1", 0.1),))  # fmt: skip
+    assert fitted(base.parts, [felt]).log_evidence < base.log_evidence + 1.0
