@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from test_explain import slow
@@ -9,7 +11,7 @@ from worlds import recording_of
 
 from handcal.explain import explain
 from handcal.explain.explanation import Explanation
-from handcal.types import Array
+from handcal.types import Array, Series
 from handcal_sim import simulate
 from handcal_sim.scenario import World
 
@@ -101,6 +103,28 @@ def test_what_has_no_name_is_drawn_over_what_drives_it(known) -> None:
         assert shown.sigma.max() == pytest.approx(0.2 * np.abs(shown.y).max(), rel=0.02)
         assert (np.diff(shown.x) >= 0.0).all()
         assert (shown.x_unit, shown.y_unit) == (x_unit, y_unit)
+
+
+def test_every_term_of_the_heading_can_be_drawn(known) -> None:
+    """Whatever drives it; a heading that errs with the temperature broke off where it was found."""
+    from handcal.estimate.baseline import baseline
+    from handcal.estimate.case import case_of
+    from handcal.explain.unnamed import terms
+    from handcal.explain.unnamed.curve import drawn
+
+    world, _ = known
+    recording = recording_of(world, "heading")
+    t = recording.imu.t[::100]
+    warm = Series(t, np.linspace(20.0, 40.0, len(t))[:, None])
+    recording = replace(recording, streams={**recording.streams, "temperature": warm})
+    f = baseline([case_of(recording)]).parts[0]
+    effects = terms.heading_terms(recording) + [some[0] for some in terms.heading_curves()]
+    assert {"heading += k * (T - 25)", "heading += g(tilt)"} <= {e.id for e in effects}
+    for effect in effects:
+        k = np.full(len(effect.parameters), 0.02)
+        shown = drawn(f, effect, k, 1e-6 * np.eye(len(k)))
+        assert np.isfinite(shown.curve.y).all()
+        assert shown.size > 0.0
 
 
 def test_iron_that_every_model_has_is_a_share_of_all_and_the_rest_of_what_lies_beyond() -> None:

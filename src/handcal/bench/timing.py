@@ -180,10 +180,17 @@ def _ask(child: subprocess.Popen[str]) -> Spent:
     return Spent(cpu / steps, wall / steps)
 
 
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
 def one_thread(more: Mapping[str, str] | None = None) -> dict[str, str]:
     """The environment for a program whose CPU time is to be that of one thread."""
-    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-    return {**os.environ, **dict.fromkeys(names, "1"), **(more or {})}
+    return {**os.environ, **dict.fromkeys(THREADS, "1"), **(more or {})}
+
+
+def any_threads(more: Mapping[str, str] | None = None) -> dict[str, str]:
+    """The environment of a program as a person runs it, who asks for no number of threads."""
+    return {k: v for k, v in os.environ.items() if k not in THREADS} | dict(more or {})
 
 
 class Ran(NamedTuple):
@@ -194,12 +201,13 @@ class Ran(NamedTuple):
     memory: float
 
 
-def run_handcal(*arguments: str | Path, cache: Path | None = None) -> Ran:
+def run_handcal(*arguments: str | Path, cache: Path | None = None, whole: bool = False) -> Ran:
     """Run a command of handcal's in a process of its own. Raises HandcalError if that fails.
 
-    cache: the folder for compiled functions.
+    cache: the folder for compiled functions; whole: with all the threads that it may have.
     """
-    environment = one_thread({"NUMBA_CACHE_DIR": str(cache)} if cache else None)
+    own = {"NUMBA_CACHE_DIR": str(cache)} if cache else {}
+    environment = any_threads(own) if whole else one_thread(own)
     shown = f"handcal {' '.join(map(str, arguments))}"
     return _run([sys.executable, "-m", "handcal", *map(str, arguments)], shown, environment)
 

@@ -32,9 +32,11 @@ GROUPS = {
     "start": "help and calibrate, from the start",
     "memory": "memory of calibrate for one hour",
     "sweep": "the whole grid of paper 002, on one core and on two",
+    "explain": "explain of simulated recordings, and its memory",
+    "devices": "explain of every recording in a folder, and its memory",
 }
 # These take minutes; --all includes them.
-LONG = ("memory", "sweep")
+LONG = ("memory", "sweep", "explain", "devices")
 SCHEMA = "handcal/bench/1"
 
 
@@ -45,12 +47,16 @@ def bench(
         typer.Option(metavar="GROUP", help=f"Of {', '.join(GROUPS)} (repeatable)."),
     ] = None,
     everything: Annotated[
-        bool, typer.Option("--all", help=f"With {' and '.join(LONG)} too, which take minutes.")
+        bool, typer.Option("--all", help=f"With {', '.join(LONG)} too, which take minutes.")
     ] = False,
     peers: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="Scripts of the peers (benchmarks/peers of the sources)."),
     ] = None,
+    recordings: Annotated[
+        Path,
+        typer.Option(metavar="DIR", help="Recordings of real devices, for the group 'devices'."),
+    ] = Path("../shared/recordings"),
     against: Annotated[
         Path | None,
         typer.Option(
@@ -77,7 +83,7 @@ def bench(
     ]
     os.environ["OMP_NUM_THREADS"] = "1"
     load = _load()
-    found = _measured(chosen, rounds, peers or _beside_the_sources())
+    found = _measured(chosen, rounds, peers or _beside_the_sources(), recordings)
     if json:
         from handcal.show.calibration.summary import write_json
 
@@ -129,12 +135,12 @@ def _load() -> float | None:
     return os.getloadavg()[0] / (os.cpu_count() or 1)
 
 
-def _measured(groups: list[str], rounds: int, peers: Path) -> Found:
+def _measured(groups: list[str], rounds: int, peers: Path, recordings: Path) -> Found:
     from handcal.bench.timing import Missing, Skipped
 
     found: Found = []
     with TemporaryDirectory(prefix="handcal-bench-") as name, _progress(groups) as told:
-        measure = _measurements(Path(name), rounds, peers)
+        measure = _measurements(Path(name), rounds, peers, recordings)
         for group in groups:
             told(group)
             try:
@@ -149,11 +155,13 @@ def _measured(groups: list[str], rounds: int, peers: Path) -> Found:
     return found
 
 
-def _measurements(folder: Path, rounds: int, peers: Path) -> dict[str, Callable[[Tick], Found]]:
+def _measurements(
+    folder: Path, rounds: int, peers: Path, recordings: Path
+) -> dict[str, Callable[[Tick], Found]]:
     """How each group is measured."""
     from functools import cache, partial
 
-    from handcal.bench import filter, program
+    from handcal.bench import explaining, filter, program
     from handcal.recordings.inputs import load
 
     @cache
@@ -189,6 +197,8 @@ def _measurements(folder: Path, rounds: int, peers: Path) -> dict[str, Callable[
         "start": lambda tick: p.starting(folder, rounds, tick),
         "memory": lambda tick: p.memory(folder, tick),
         "sweep": lambda tick: p.sweeping(rounds, tick),
+        "explain": lambda tick: explaining.explaining(folder, rounds, tick),
+        "devices": lambda tick: explaining.devices(recordings, tick),
     }
 
 

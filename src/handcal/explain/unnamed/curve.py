@@ -11,7 +11,7 @@ import numpy as np
 
 from handcal.compiled import so3
 from handcal.device.twin import sensor_residuals
-from handcal.effects import TIME, Z_DIM, Effect, Signals, observed_error
+from handcal.effects import ROOM, TIME, WARMTH, Z_DIM, Effect, Signals, observed_error
 from handcal.estimate.model import Fitted
 from handcal.estimate.trajectory import path
 from handcal.explain.explanation import Curve, is_curve
@@ -128,6 +128,8 @@ def _added(effect: Effect, channel: str, k: Array, signals: Signals, C: Array) -
     nav, z = np.zeros((n, 21)), np.zeros((n, Z_DIM))
     nav[:, 6:15], nav[:, 15:18], nav[:, 18:] = C.reshape(n, 9), signals.gyro, signals.accel
     z[:, TIME] = signals.t - signals.t[0]
+    if signals.temperature is not None:
+        z[:, WARMTH] = signals.temperature - ROOM
     return observed_error(effect, "heading", k, nav, z, 1)[:, 0]
 
 
@@ -141,6 +143,8 @@ def _driver(name: str, signals: Signals, C: Array) -> tuple[Array, str]:
         return np.arccos(np.clip(C[:, 2, 2], -1.0, 1.0)), "rad"
     if name == "t":
         return signals.t - signals.t[0], "s"
+    if name == "T" and signals.temperature is not None:
+        return signals.temperature, "degC"
     if name == "|omega|":
         return np.linalg.norm(signals.gyro, axis=1), "rad/s"
     assert name == "yaw rate", name
