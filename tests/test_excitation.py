@@ -18,6 +18,7 @@ from handcal.estimate.derivatives import QUIET_RATE, differentiated
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.transfer import at_constants
+from handcal.explain.pipeline import explain
 from handcal.types import Array, Imu, Recording
 from handcal_sim import simulate
 from handcal_sim.phone import Phone, capture_pose, consumer_phone
@@ -94,3 +95,14 @@ def test_what_makes_a_hands_sway_smaller_is_not_favoured_for_that(seed: int) -> 
     felt = replace(select(["accel_scale"])[0], id="small", imu_error=small_changes, features=None,
                    parameters=(Param("k", "1", 0.1),))  # fmt: skip
     assert fitted(base.parts, [felt]).log_evidence < base.log_evidence + 1.0
+
+
+def test_a_filter_that_runs_backwards_is_no_rival_of_a_late_accelerometer() -> None:
+    """To the first order it is the same, and fits as well; but there is none."""
+    errors = {"gyro_scale": [0.01, 0.0, -0.008], "accel_delay": [0.012]}
+    world = simulate("free-hand", seed=2, duration_s=20.0, effects=errors)
+    told = explain([recording_of(world, "heading")])
+    assert told.verdict == "explained"
+    assert [(m.effect, m.indistinguishable_from) for m in told.missing] == [
+        ("gyro_scale", ()), ("accel_delay", ())
+    ]  # fmt: skip

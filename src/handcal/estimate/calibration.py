@@ -158,7 +158,7 @@ def recalibrate(
             for r in recordings
         ]  # fmt: skip
         views = tuple(view_of(c) for c in cases)
-        chosen = replace(chosen, effects=effects, views=views, moments={}, levels=())
+        chosen = replace(chosen, effects=effects, views=views, moments={}, levels=(), begin="")
         for case in cases:
             _check_effects(effects, case.kinds)
     base = baseline(cases)

@@ -6,8 +6,7 @@ where the model says that they start.
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -56,7 +55,8 @@ class Options:
 class Specification:
     """A model: effects (noise among them), values (SI) from which their constants start where that
     is not zero, moments of those that are held at one, and a view of each recording; levels: noise
-    levels (SI) to start from instead of the usual ones, of each recording."""
+    levels (SI) to start from instead of the usual ones, of each recording; begin: the trajectory to
+    start from, BASELINE's or ONLINE, where it is known which is the better ("": both)."""
 
     effects: tuple[Effect, ...]
     views: tuple[View, ...]
@@ -64,6 +64,10 @@ class Specification:
     starts: Mapping[tuple[str, str], float] = field(default_factory=dict)
     moments: Mapping[str, Moment] = field(default_factory=dict)
     levels: tuple[Mapping[str, float], ...] = ()
+    begin: str = ""
+
+
+BASELINE, ONLINE = "baseline", "online"
 
 
 def chosen_of(
@@ -109,8 +113,8 @@ def settled(base: Model, chosen: Specification, engine: str = "compiled") -> Mod
 
     What the baseline lacks, its trajectory and noise levels hold. So the fit is begun more than
     once, from the baseline with the noise that is usual and from the online filter with the
-    effects in it, and the best counts; from the baseline as it is where neither does better than
-    no effect at all.
+    effects in it, and the best counts (of an explanation that of these is written down which was
+    the better); from the baseline as it is where neither does better than no effect at all.
     """
     if {e.id for e in chosen.effects} <= set(base.ids):
         return base
@@ -124,14 +128,25 @@ def settled(base: Model, chosen: Specification, engine: str = "compiled") -> Mod
             for f, levels in zip(parts, chosen.levels, strict=True)
         ]
         return fit(noisy)
-    starts = [[with_usual_noise(f) for f in parts]]
-    # (online, effects may lead astray: then that is no start)
-    with contextlib.suppress(HandcalError):
-        starts.append([started(f.case, chosen.effects, engine) for f in base.parts])
-    found = list(in_parallel(partial(fit, s) for s in starts))
-    if max(m.log_evidence for m in found) < base.log_evidence:
+    ways: list[Callable[[], Model | None]] = []
+    if chosen.begin != ONLINE:
+        ways.append(partial(fit, [with_usual_noise(f) for f in parts]))
+    if chosen.begin != BASELINE:
+        ways.append(partial(_online, base, chosen.effects, engine, fit))
+    found = [m for m in in_parallel(ways) if m is not None]
+    if not found or (not chosen.begin and max(m.log_evidence for m in found) < base.log_evidence):
         found.append(fit(parts))
     return max(found, key=lambda m: (m.one_sided, m.log_evidence))
+
+
+def _online(
+    base: Model, effects: Sequence[Effect], engine: str, fit: Callable[[Sequence[Fitted]], Model]
+) -> Model | None:
+    """The fit from the online filter with the effects in it; None where they lead that astray."""
+    try:
+        return fit([started(f.case, effects, engine) for f in base.parts])
+    except HandcalError:
+        return None
 
 
 def _starts(chosen: Specification, base: Model) -> dict[tuple[str, str], float]:
@@ -164,7 +179,7 @@ def document_of(chosen: Specification) -> dict[str, Any]:
         }
         | ({} if o.latitude is None else {"latitude": o.latitude}),
         "levels": [dict(levels) for levels in chosen.levels],
-    }
+    } | ({"begin": chosen.begin} if chosen.begin else {})
 
 
 def _effect_document(chosen: Specification, e: Effect) -> dict[str, Any]:

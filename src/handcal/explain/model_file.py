@@ -13,7 +13,7 @@ from handcal.documents import read_json
 from handcal.effects import Effect, catalogue
 from handcal.estimate.case import HELD, Edit, frozen_at, name_of
 from handcal.estimate.parameters import Moment
-from handcal.estimate.specification import Options, Specification, View
+from handcal.estimate.specification import BASELINE, ONLINE, Options, Specification, View
 from handcal.explain.unnamed import law_effect, shapes, terms, with_motion
 from handcal.observations import catalogue as observations
 from handcal.types import InputError
@@ -61,7 +61,10 @@ def chosen_from(model: Mapping[str, Any]) -> Specification:
     )
     views = tuple(_view(v) for v in model["recordings"])
     levels = tuple({str(k): float(v) for k, v in part.items()} for part in model["levels"])
-    return Specification(tuple(effects), views, options, starts, moments, levels)
+    begin = str(model.get("begin", ""))
+    if begin not in ("", BASELINE, ONLINE):
+        raise ValueError(f"begin: {begin}")
+    return Specification(tuple(effects), views, options, starts, moments, levels, begin)
 
 
 def _effect(entry: Mapping[str, Any]) -> Effect:

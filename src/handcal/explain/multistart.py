@@ -18,12 +18,12 @@ from handcal.estimate.parallel import in_parallel
 from handcal.explain.budget import Budget
 from handcal.explain.climb.candidates import scanned
 from handcal.explain.climb.exchange_steps import lateness
-from handcal.explain.climb.state import Climb
+from handcal.explain.climb.state import WEAK, Climb
 from handcal.explain.climb.turns import climbed
 from handcal.explain.confounding import steadied, sways_far
 from handcal.explain.delays import with_delays
 from handcal.explain.score import better
-from handcal.explain.space import Space
+from handcal.explain.space import Space, gains
 from handcal.explain.unnamed.best import Term, best_term
 from handcal.types import HandcalError
 
@@ -85,8 +85,9 @@ def search(
         # (the usual sway first: in a wide one little of the physics shows)
         starts.insert(0, steadied(base))
     found = _begun(starts, common, lambda f: report(0.7 * f))
-    others = [e for e in found.model.effects if e.process or not ("+=" in e.id or e.always)]
-    term = best_term(base) if others and not budget.spent("a search from a law on") else None
+    term = None
+    if _may_stand_in(found) and not budget.spent("a search from a law on"):
+        term = best_term(base)
     if term is None:
         return found
     # (by fits: about the baseline, whose noise holds what is missing, a scan promises too little)
@@ -97,6 +98,20 @@ def search(
         if other is not None and advantage(other, found) > 0.0:
             found = replace(other, alone=found.alone)
     return found
+
+
+def _may_stand_in(found: Found) -> bool:
+    """Whether something in a model may be there in the place of a law: noise, or what is weak.
+
+    (Of strong names alone, a law in whose place they stood would have left something besides.)
+    """
+    names = [e for e in found.model.effects if not ("+=" in e.id or e.always)]
+    gained = gains(found.space, found.model.chosen)
+    return bool(names) and any(
+        e.process is not None or "+=" in e.id or gained[e.id] < WEAK
+        for e in found.model.effects
+        if not e.always
+    )
 
 
 def astray(base: Model) -> bool:

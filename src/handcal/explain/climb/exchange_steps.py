@@ -20,6 +20,9 @@ from handcal.explain.space import best_set, gains, rivals
 
 # A rival that would do so much of what an effect does is fitted in its place.
 NEARLY = 0.4
+# Nats less, by a scan, with which no fit of a rival is the better one, but of what is the same to
+# the first order: of 76 that promised to lose 60 or more, none lost less than 36.
+HOPELESS = 100.0
 # Exchanges tried in a climb at the most, each counted both ways.
 MOST_SWAPS = 6
 # Between two that are the same to the first order, evidence swings by as much as eleven nats
@@ -44,7 +47,8 @@ def exchange(c: Climb) -> Model | None:
 
     fits = in_parallel(partial(exchanged, *pair) for pair in pairs)
     for (e, rival), tried in zip(pairs, fits, strict=True):
-        worse = better(model, tried, c.worth)
+        # (what comes out on the side where it cannot be is no rival, however well it fits)
+        worse = better(model, tried, c.worth) if tried.one_sided else math.inf
         c.swaps[e.id, rival], c.swaps[rival, e.id] = worse, -worse
         if worse < 0.0:
             return tried
@@ -75,8 +79,9 @@ def _rivalries(c: Climb, gained: Mapping[str, float]) -> list[tuple[Effect, str]
         if gained[e.id] < -PRIOR:
             continue
         # what a rival would do of all that the effect does
-        near = {i: 1.0 + v / gained[e.id] for i, v in rivals(c.where, now, e.id).items()}
-        near = {i: v for i, v in near.items() if i in catalogue() and i != e.id}
+        lost = {i: -v for i, v in rivals(c.where, now, e.id).items() if i in catalogue()}
+        lost = {i: v for i, v in lost.items() if i != e.id and (v < HOPELESS or akin(e.id, i))}
+        near = {i: 1.0 - v / gained[e.id] for i, v in lost.items()}
         near = {i: v for i, v in near.items() if v > NEARLY or akin(e.id, i)}
         near = {i: v for i, v in near.items() if i not in have | c.dropped}
         # (what holds this effect and more is not in its place, but beside it)
@@ -150,6 +155,8 @@ def hidden(c: Climb) -> Model | None:
         # (about it a scan tells which of the delays it can do without)
         where = scanned_about(tried, c.unnamed, c.dropped | c.beyond)
         fewer = best_set(where, tried.chosen)
+        if fewer == model.chosen:
+            continue
         if fewer != tried.chosen:
             noise = [x for x in model.effects if x.process is not None]
             tried = fitted(tried.parts, [*(where.effects[i] for i in sorted(fewer)), *noise])
