@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import weakref
 from dataclasses import replace
 from typing import Any
 
@@ -17,16 +18,16 @@ from handcal.effects import Signals, accel_delay, catalogue, select
 from handcal.estimate import case, fit, noise_levels, observed
 from handcal.estimate.baseline import baseline, started
 from handcal.estimate.calibration import calibrate
-from handcal.estimate.evidence import reduce, reduced_pass
+from handcal.estimate.evidence import Reduction, reduce, reduced_pass
 from handcal.estimate.fit import EXCESS, fitted
-from handcal.estimate.linear import known_linear
+from handcal.estimate.linear import Linear, known_linear
 from handcal.estimate.model import Model
 from handcal.estimate.quadratic import posterior
 from handcal.estimate.scan import scan
 from handcal.estimate.transfer import at_constants, moved_to
 from handcal.explain import Explanation, conclusions, explain, outliers, pipeline
 from handcal.explain.climb import subset_steps, turns
-from handcal.explain.climb.state import Climb
+from handcal.explain.climb.state import Climb, likelier
 from handcal.explain.multistart import astray, leading
 from handcal.explain.space import Space, gains
 from handcal.observations import pose
@@ -392,6 +393,35 @@ def test_a_climb_out_of_turns_ends_with_a_scan_of_its_model(
     assert turns.climbed(c, lambda _: None)
     assert c.model.chosen <= set(c.where.effects)
     assert gains(c.where, c.model.chosen)[next(iter(c.model.chosen))] > 0.0
+
+
+def test_what_does_not_settle_is_not_likelier() -> None:
+    """On a real recording a low pass and a law of the angular acceleration, which are the same,
+    swung by hundreds of nats from round to round, and the last of them counted."""
+    base = base_of(world_of(GYRO, 0, 20.0))
+    c = Climb(fitted(base.parts, ()), (), ())
+    c.where = turns.scanned(c)
+    better = replace(fitted(base.parts, select(["gyro_scale"])), settled=False)
+    assert likelier(c, replace(better, settled=True))
+    assert not likelier(c, better)
+    c.model = replace(c.model, settled=False)
+    assert likelier(c, better)
+
+
+def test_a_fit_keeps_one_reduction_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A round's is of no use to the next, and as large as what that makes."""
+    base = base_of(world_of(GYRO, 0, 20.0))
+    made: list[weakref.ref[Reduction]] = []
+
+    def watched(linear: Linear) -> Reduction:
+        assert [r for r in made if r() is not None] == []
+        out = reduce(linear)
+        made.append(weakref.ref(out))
+        return out
+
+    monkeypatch.setattr(fit, "reduce", watched)
+    fitted(base.parts, select(["gyro_scale", "accel_scale"]))
+    assert len(made) > 2
 
 
 @pytest.mark.prove

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence, Set
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -96,7 +96,8 @@ def own_levels(f: Fitted) -> dict[str, float]:
 class Rested:
     """A fit on its way: its parts, whether they rest, their evidence, within how many nats; wide:
     with all scales of the priors. Where they rest: what all recordings say, and the parts' own
-    reductions (empty elsewhere), which other noise levels do not change."""
+    reductions (empty elsewhere), which other noise levels do not change: whoever goes on from them
+    empties the list, since they are large."""
 
     parts: list[Fitted]
     settled: bool
@@ -104,7 +105,7 @@ class Rested:
     rest: float
     wide: bool = False
     whole: Quadratic | None = None
-    reductions: Sequence[Reduction] = ()
+    reductions: list[Reduction] = field(default_factory=list)
 
 
 def fitted(
@@ -126,7 +127,8 @@ def fitted(
             break
         reduced = now.reductions or [reduce(f.linear) for f in now.parts]
         new = [with_noise(f, r) for f, r in zip(now.parts, reduced, strict=True)]
-        moved = _with_levels(now, new, effects, known, tolerance)
+        moved = _with_levels(now, reduced, new, effects, known, tolerance)
+        del reduced
         if moved is None:
             break
         change = _change(now.parts, new)
@@ -165,6 +167,7 @@ def _widened(now: Rested, effects: Sequence[Effect], known: Known | None) -> Res
 
 def _with_levels(
     now: Rested,
+    reduced: list[Reduction],
     new: Sequence[Fitted],
     effects: Sequence[Effect],
     known: Known | None,
@@ -178,9 +181,7 @@ def _with_levels(
     least = -math.inf if any(f.case.noise_until for f in parts) else now.evidence - ASTRAY
     for share in SHARES:
         towards = [_towards(o, n, share) for o, n in zip(parts, new, strict=True)]
-        tried = relinearised_parts(
-            towards, effects, known, least, now.wide, tolerance, now.reductions
-        )
+        tried = relinearised_parts(towards, effects, known, least, now.wide, tolerance, reduced)
         if tried.evidence > least:
             return tried
     return None
@@ -278,19 +279,21 @@ def relinearised_parts(
     least: float = -math.inf,
     wide: bool = False,
     tolerance: float = TOLERANCE,
-    reductions: Sequence[Reduction] = (),
+    reductions: list[Reduction] | None = None,
 ) -> Rested:
     """Move and linearise again until the joint evidence rests; whether it does, and the evidence.
 
     least: where the evidence falls below that, there is no use in going on. wide: with all scales
-    of the priors instead of the usual one alone. tolerance: nats. reductions: the parts', if known.
+    of the priors instead of the usual one alone. tolerance: nats. reductions: the parts', if known;
+    emptied, so that nobody keeps them beside those of the next round.
     """
     parts, evidence, before = list(parts), -math.inf, -math.inf
+    reductions = [] if reductions is None else reductions
     for _ in range(ROUNDS):
         if not reductions:
             if not all(_sane(f.linear) for f in parts):
                 return Rested(parts, False, math.nan, tolerance, wide)
-            reductions = [reduce(f.linear) for f in parts]
+            reductions += [reduce(f.linear) for f in parts]
         # (from here on they do without what they were linearised to, which is large)
         parts = [f.bare for f in parts]
         seen = _seen(parts, reductions, effects, known, wide)
@@ -298,11 +301,12 @@ def relinearised_parts(
         # (to and fro between two trajectories: this is the better)
         swings = abs(seen.evidence - before) < tolerance and seen.evidence > evidence
         if rests or swings:
-            return Rested(parts, rests, seen.evidence, tolerance, wide, seen.whole, reductions)
+            return Rested(parts, rests, seen.evidence, tolerance, wide, seen.whole, [*reductions])
         before, evidence = evidence, seen.evidence
         if not evidence > least:  # (nor where it is no number any more)
             break
-        parts, reductions = _followed(parts, seen, effects), ()
+        parts = _followed(parts, seen, effects)
+        reductions.clear()
         del seen  # (its passes are as large as what is linearised next)
     evidence = evidence if all(_sane(f.linear) for f in parts) else math.nan
     return Rested([f.bare for f in parts], False, evidence, tolerance, wide)

@@ -84,6 +84,11 @@ class Model:
     known: Known | None = None
 
     @property
+    def bare(self) -> Model:
+        """The same without what its parts were linearised to."""
+        return replace(self, parts=tuple(f.bare for f in self.parts))
+
+    @property
     def ids(self) -> tuple[str, ...]:
         return tuple(e.id for e in self.effects)
 

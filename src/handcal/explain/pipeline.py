@@ -158,7 +158,8 @@ def _by_the_rests(
 def _refitted(end: End, found: Found, options: Options) -> tuple[Found, Specification | None]:
     """The model that a search ended with, fitted from where any other would be, as
     ``calibrate`` does; and as it is written down: None where no fit from there is any good."""
-    searched, base = found.model, end.base
+    searched, base = found.model.bare, end.base
+    found = replace(found, model=searched)
     chosen = chosen_of(searched, options, moments(found))
     if end.moves or not as_seen(base.parts, chosen):
         parts = zip(searched.parts, chosen.views, strict=True)
@@ -167,12 +168,12 @@ def _refitted(end: End, found: Found, options: Options) -> tuple[Found, Specific
     # (the second start takes as long as the first, and is seldom the better one)
     for begin in (BASELINE, ONLINE):
         written = replace(chosen, begin=begin)
-        ends.append((settled(base, written), written))
+        ends.append((settled(base, written).bare, written))
         if _as_good(ends[-1][0], searched):
             break
     else:
         written = chosen_of(searched, options, moments(found), exact=True)
-        ends.append((settled(base, written), written))
+        ends.append((settled(base, written).bare, written))
     model, chosen = max(ends, key=lambda end: (sensible(end[0]), end[0].log_evidence))
     if model.log_evidence < searched.log_evidence - LOST:
         return found, None

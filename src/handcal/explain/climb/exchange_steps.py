@@ -14,15 +14,12 @@ from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.parallel import in_parallel
 from handcal.explain.climb.candidates import scanned_about
-from handcal.explain.climb.state import WEAK, Climb, likelier, sensible
+from handcal.explain.climb.state import HOPELESS, WEAK, Climb, likelier, sensible
 from handcal.explain.score import NAMED, PRIOR, better
 from handcal.explain.space import best_set, gains, rivals
 
 # A rival that would do so much of what an effect does is fitted in its place.
 NEARLY = 0.4
-# Nats less, by a scan, with which no fit of a rival is the better one, but of what is the same to
-# the first order: of 76 that promised to lose 60 or more, none lost less than 36.
-HOPELESS = 100.0
 # Exchanges tried in a climb at the most, each counted both ways.
 MOST_SWAPS = 6
 # Between two that are the same to the first order, evidence swings by as much as eleven nats

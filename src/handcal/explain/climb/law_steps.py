@@ -15,7 +15,7 @@ from handcal.estimate.model import Model
 from handcal.estimate.parallel import in_parallel
 from handcal.estimate.scan import scan
 from handcal.explain.climb.candidates import scanned_about
-from handcal.explain.climb.state import Climb, forget, likelier, sensible
+from handcal.explain.climb.state import HOPELESS, Climb, forget, likelier, sensible
 from handcal.explain.score import better, prior, score
 from handcal.explain.space import best_set, space
 from handcal.explain.unnamed.best import Term, best_term, reshaped
@@ -110,8 +110,7 @@ def instead(c: Climb) -> Model | None:
     quiet = [e for e in model.effects if e.process is None]
     bare = model if len(quiet) == len(model.effects) else fitted(model.parts, quiet)
     kept = {e.id for e in laws} | {e.id for e in quiet if e.always}
-    wanted = _fewest(bare, kept)
-    for ids in dict.fromkeys((wanted, frozenset(kept))):
+    for ids in _fewest(bare, kept):
         if ids == key:
             continue
         tried = fitted(bare.parts, [e for e in quiet if e.id in ids])
@@ -128,9 +127,10 @@ def _is_law(e: Effect) -> bool:
     return "+=" in e.id and e.process is None
 
 
-def _fewest(model: Model, kept: Set[str]) -> frozenset[str]:
+def _fewest(model: Model, kept: Set[str]) -> list[frozenset[str]]:
     """The best of the sets that are left when one effect after another, the least missed each
-    time, is taken out of the model, down to those that are kept."""
+    time, is taken out of the model; and the last, of those that are kept alone, if a fit may make
+    it a good one."""
     own = [e for e in model.effects if e.process is None]
     cases = [f.case for f in model.parts]
     where = space(scan(model, own), own, {e.id: prior(e, cases) for e in own})
@@ -139,4 +139,7 @@ def _fewest(model: Model, kept: Set[str]) -> frozenset[str]:
     while now - kept:
         now = max((now - {i} for i in sorted(now - kept)), key=where.score)
         sets.append(now)
-    return max(sets, key=where.score)
+    best = max(sets, key=where.score)
+    lost = where.score(best) - where.score(now)
+    hopeless = lost > HOPELESS * len(best - now)
+    return [best] if hopeless or best == now else [best, now]
