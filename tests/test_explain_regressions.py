@@ -395,17 +395,17 @@ def test_a_climb_out_of_turns_ends_with_a_scan_of_its_model(
     assert gains(c.where, c.model.chosen)[next(iter(c.model.chosen))] > 0.0
 
 
-def test_what_does_not_settle_is_not_likelier() -> None:
+def test_what_swings_by_more_than_it_gains_is_not_likelier() -> None:
     """On a real recording a low pass and a law of the angular acceleration, which are the same,
     swung by hundreds of nats from round to round, and the last of them counted."""
     base = base_of(world_of(GYRO, 0, 20.0))
     c = Climb(fitted(base.parts, ()), (), ())
     c.where = turns.scanned(c)
-    better = replace(fitted(base.parts, select(["gyro_scale"])), settled=False)
-    assert likelier(c, replace(better, settled=True))
-    assert not likelier(c, better)
-    c.model = replace(c.model, settled=False)
+    better = fitted(base.parts, select(["gyro_scale"]))
+    gain = better.log_evidence - c.model.log_evidence
     assert likelier(c, better)
+    assert likelier(c, replace(better, swing=0.1 * gain))
+    assert not likelier(c, replace(better, swing=2.0 * gain))
 
 
 def test_a_fit_keeps_one_reduction_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,6 +8,7 @@ shared parameters, and moves each trajectory by what follows for it.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 
@@ -95,7 +96,8 @@ def own_levels(f: Fitted) -> dict[str, float]:
 @dataclass(frozen=True)
 class Rested:
     """A fit on its way: its parts, whether they rest, their evidence, within how many nats; wide:
-    with all scales of the priors. Where they rest: what all recordings say, and the parts' own
+    with all scales of the priors; swing: nats between the best and the worst of its last rounds,
+    where it does not rest. Where they rest: what all recordings say, and the parts' own
     reductions (empty elsewhere), which other noise levels do not change: whoever goes on from them
     empties the list, since they are large."""
 
@@ -106,6 +108,7 @@ class Rested:
     wide: bool = False
     whole: Quadratic | None = None
     reductions: list[Reduction] = field(default_factory=list)
+    swing: float = 0.0
 
 
 def fitted(
@@ -144,7 +147,7 @@ def fitted(
     constant = sum(f.case.constant for f in now.parts)
     return Model(
         tuple(effects), tuple(now.parts), whole, found.mean, found.covariance,
-        found.log_evidence + constant, now.settled, known,
+        found.log_evidence + constant, now.settled, known, now.swing,
     )  # fmt: skip
 
 
@@ -287,8 +290,8 @@ def relinearised_parts(
     of the priors instead of the usual one alone. tolerance: nats. reductions: the parts', if known;
     emptied, so that nobody keeps them beside those of the next round.
     """
-    parts, evidence, before = list(parts), -math.inf, -math.inf
-    reductions = [] if reductions is None else reductions
+    parts, reductions = list(parts), [] if reductions is None else reductions
+    before, evidence, last = -math.inf, -math.inf, deque[float](maxlen=ROUNDS // 2)
     for _ in range(ROUNDS):
         if not reductions:
             if not all(_sane(f.linear) for f in parts):
@@ -303,13 +306,15 @@ def relinearised_parts(
         if rests or swings:
             return Rested(parts, rests, seen.evidence, tolerance, wide, seen.whole, [*reductions])
         before, evidence = evidence, seen.evidence
+        last.append(float(evidence))
         if not evidence > least:  # (nor where it is no number any more)
             break
         parts = _followed(parts, seen, effects)
         reductions.clear()
         del seen  # (its passes are as large as what is linearised next)
     evidence = evidence if all(_sane(f.linear) for f in parts) else math.nan
-    return Rested([f.bare for f in parts], False, evidence, tolerance, wide)
+    swing = max(last) - min(last)
+    return Rested([f.bare for f in parts], False, evidence, tolerance, wide, swing=swing)
 
 
 @dataclass(frozen=True)

@@ -71,7 +71,8 @@ class Model:
 
     u, covariance: the effects' parameters in units of their priors, in the order of
     ``quadratic.names``; log_evidence: of all recordings together, noise prior not counted;
-    known: what was known of them before.
+    known: what was known of them before; swing: nats between the best and the worst of its last
+    rounds, where it does not settle.
     """
 
     effects: tuple[Effect, ...]
@@ -82,6 +83,7 @@ class Model:
     log_evidence: float
     settled: bool
     known: Known | None = None
+    swing: float = 0.0
 
     @property
     def bare(self) -> Model:

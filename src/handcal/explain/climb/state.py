@@ -69,10 +69,10 @@ class Climb:
 
 
 def likelier(c: Climb, tried: Model) -> bool:
-    """Whether a model's score is above that of the one there is; what no device has is no fit,
-    nor is what does not settle (its evidence swings by hundreds of nats, to the top by chance)."""
-    rests = tried.settled or not c.model.settled
-    return rests and sensible(tried) and better(tried, c.model, c.worth) > 0.0
+    """Whether a model's score is above that of the one there is; what no device has is no fit. (Of
+    a fit that does not settle, evidence may be that of the best of its rounds by chance.)"""
+    gain = better(tried, c.model, c.worth)
+    return sensible(tried) and gain > c.worth * tried.swing
 
 
 def sensible(model: Model) -> bool:
