@@ -93,13 +93,19 @@ def range_of(x: Array, signed: bool) -> Range:
 
 def curve(over: Range, knots: int, width: float, size: float) -> Form:
     """A smooth curve: cubic splines through knots that are denser near zero, and a line; the prior
-    of its coefficients is a Gaussian process of this width (in knots) and size."""
+    of its coefficients is a Gaussian process of this width (in knots) and size. It is zero
+    where the driver is, or is nearest to it: what a sensor reads too much there is its bias."""
     apart = np.arange(1.0 * knots)[:, None] - np.arange(knots)
     root = np.eye(knots + 1)
     root[:knots, :knots] = process_root(apart, width)
 
-    def values(x: Array) -> Array:
+    def splined(x: Array) -> Array:
         return _splined(np.ascontiguousarray(x), over.low, over.high, over.near, knots)
+
+    at_zero = splined(np.array([min(max(0.0, over.low), over.high)]))
+
+    def values(x: Array) -> Array:
+        return splined(x) - at_zero
 
     numbers = (over.low, over.high, over.near, float(knots), width, size)
     powers = (0,) * (knots + 1)
