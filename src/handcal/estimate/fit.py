@@ -30,6 +30,8 @@ TOLERANCE, COMPARED, ROUGH = 0.05, 0.2, 2.0
 ROUNDS = 10
 # Nats below what other noise levels gave at which a trajectory is given up.
 ASTRAY = 20.0
+# Of the way to where a linearised fit points, at the least, where the way there and back is no end.
+SHORTEST = 0.2
 # Of the way to other noise levels, as far as the trajectory can follow.
 SHARES = (1.0, 0.3, 0.1)
 # White noise of a sensor beyond what its readings show would be an alibi for whatever physics
@@ -290,7 +292,7 @@ def relinearised_parts(
     of the priors instead of the usual one alone. tolerance: nats. reductions: the parts', if known;
     emptied, so that nobody keeps them beside those of the next round.
     """
-    parts, reductions = list(parts), [] if reductions is None else reductions
+    parts, reductions, step = list(parts), [] if reductions is None else reductions, 1.0
     before, evidence, last = -math.inf, -math.inf, deque[float](maxlen=ROUNDS // 2)
     for _ in range(ROUNDS):
         if not reductions:
@@ -300,16 +302,18 @@ def relinearised_parts(
         # (from here on they do without what they were linearised to, which is large)
         parts = [f.bare for f in parts]
         seen = _seen(parts, reductions, effects, known, wide)
-        rests = abs(seen.evidence - evidence) < tolerance
+        rests = abs(seen.evidence - evidence) < tolerance * step
         # (to and fro between two trajectories: this is the better)
         swings = abs(seen.evidence - before) < tolerance and seen.evidence > evidence
         if rests or swings:
             return Rested(parts, rests, seen.evidence, tolerance, wide, seen.whole, [*reductions])
+        back = seen.evidence < evidence - tolerance
+        step = max(0.5 * step, SHORTEST) if back else min(1.5 * step, 1.0)
         before, evidence = evidence, seen.evidence
         last.append(float(evidence))
         if not evidence > least:  # (nor where it is no number any more)
             break
-        parts = _followed(parts, seen, effects)
+        parts = _followed(parts, seen, effects, step)
         reductions.clear()
         del seen  # (its passes are as large as what is linearised next)
     evidence = evidence if all(_sane(f.linear) for f in parts) else math.nan
@@ -343,7 +347,9 @@ def _seen(
     return _Seen(passes, locals_, whole, found.mean, found.log_evidence)
 
 
-def _followed(parts: Sequence[Fitted], seen: _Seen, effects: Sequence[Effect]) -> list[Fitted]:
+def _followed(
+    parts: Sequence[Fitted], seen: _Seen, effects: Sequence[Effect], step: float
+) -> list[Fitted]:
     """The fits where their trajectories go with what all parts say of the constants."""
     out = []
     for f, done, own in zip(parts, seen.passes, seen.locals, strict=True):
@@ -351,7 +357,7 @@ def _followed(parts: Sequence[Fitted], seen: _Seen, effects: Sequence[Effect]) -
         k, m = done.X.shape[:2]
         r = np.empty((k, m, 1))
         backward(done, False, r, np.empty((0, m, m)), spread=False)
-        there = smoother.moved(f.trajectory, smoother.whole_mean(done, r))
+        there = smoother.moved(f.trajectory, step * smoother.whole_mean(done, r))
         out.append(linearised(f, there, effects, done.reduction.linear.problem))
     return out
 
