@@ -30,7 +30,7 @@ TOLERANCE, COMPARED, ROUGH = 0.05, 0.2, 2.0
 ROUNDS = 10
 # Nats below what other noise levels gave at which a trajectory is given up.
 ASTRAY = 20.0
-# Of the way to where a linearised fit points, at the least, where the way there and back is no end.
+# Shortest step of a fit whose evidence falls from round to round, of the way to where it points.
 SHORTEST = 0.2
 # Of the way to other noise levels, as far as the trajectory can follow.
 SHARES = (1.0, 0.3, 0.1)
