@@ -30,7 +30,7 @@ TOLERANCE, COMPARED, ROUGH = 0.05, 0.2, 2.0
 ROUNDS = 10
 # Nats below what other noise levels gave at which a trajectory is given up.
 ASTRAY = 20.0
-# Shortest step of a fit whose evidence falls from round to round, of the way to where it points.
+# Shortest step of a fit whose evidence goes up and down, of the way to where it points.
 SHORTEST = 0.2
 # Of the way to other noise levels, as far as the trajectory can follow.
 SHARES = (1.0, 0.3, 0.1)
@@ -307,8 +307,8 @@ def relinearised_parts(
         swings = abs(seen.evidence - before) < tolerance and seen.evidence > evidence
         if rests or swings:
             return Rested(parts, rests, seen.evidence, tolerance, wide, seen.whole, [*reductions])
-        back = seen.evidence < evidence - tolerance
-        step = max(0.5 * step, SHORTEST) if back else min(1.5 * step, 1.0)
+        turns = (seen.evidence - evidence) * (evidence - before) < 0.0
+        step = max(0.5 * step, SHORTEST) if turns else min(1.5 * step, 1.0)
         before, evidence = evidence, seen.evidence
         last.append(float(evidence))
         if not evidence > least:  # (nor where it is no number any more)
