@@ -152,9 +152,11 @@ def explanation_of(
     told.sort(key=lambda m: (-m.share, -m.log_evidence_gain))
     hypotheses = hypotheses_of(found, told, wrong, named.alone)
     missing, hypotheses = for_streams(told, hypotheses, [f.case for f in model.parts])
-    # what all recordings share, and the biases where there is but one
+    # what all recordings share, and the biases where there is but one; in the order of calibrate
     own = explained[0].parameters if len(explained) == 1 else ()
-    final = (*own, *(p for known in learnt.values() for p in known))
+    at = {(p.effect, p.name): k for k, p in enumerate(fits[0].parameters)}
+    shared = (p for known in learnt.values() for p in known)
+    final = tuple(sorted((*own, *shared), key=lambda p: at[p.effect, p.name]))
     return Explanation(
         named.verdict,
         tuple(mismatch),
