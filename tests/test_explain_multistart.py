@@ -13,16 +13,18 @@ from scipy.special import logsumexp
 from worlds import recording_of
 
 from handcal.effects import Effect, Param, catalogue, select
-from handcal.estimate.baseline import started
+from handcal.estimate.baseline import baseline, started
 from handcal.estimate.case import case_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.quadratic import Quadratic
 from handcal.estimate.tails import LOG_SHARES, SCALES
+from handcal.explain import multistart
 from handcal.explain.budget import Budget
 from handcal.explain.climb import turns
 from handcal.explain.climb.candidates import scanned
 from handcal.explain.climb.exchange_steps import akin
 from handcal.explain.climb.state import Climb
+from handcal.explain.noise_scan import all_noise
 from handcal.explain.score import PRIOR
 from handcal.explain.space import (
     Space,
@@ -309,3 +311,20 @@ def test_a_climb_goes_on_while_its_steps_lead_higher(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(turns, "_STEPS", {lambda _: next(steps): "anything"})
     assert turns.climbed(climb, lambda _: None)
     assert climb.model == 24
+
+
+def test_noise_without_a_name_may_stand_for_a_law_and_strong_names_may_not() -> None:
+    """What goes with the motion has no name either, and was not asked when it stood alone."""
+    scale = {"gyro_scale": [0.03, -0.02, 0.03]}
+    world = simulate("free-hand", seed=0, duration_s=20.0, effects=scale)
+    base = baseline([case_of(recording_of(world, "heading"))])
+    nameless = next(e for e in all_noise() if "+=" in e.id)
+
+    def may(*effects: Effect) -> bool:
+        c = Climb(fitted(base.parts, effects), (), ())
+        return multistart._may_stand_in(multistart.Found(c.model, scanned(c), {}, {}))
+
+    assert may(nameless)
+    assert not may(*select(["gyro_scale"]))
+    assert may(*select(["gyro_scale"]), nameless)
+    assert not may()

@@ -105,13 +105,11 @@ def _may_stand_in(found: Found) -> bool:
 
     (Of strong names alone, a law in whose place they stood would have left something besides.)
     """
-    names = [e for e in found.model.effects if not ("+=" in e.id or e.always)]
+    effects = found.model.effects
+    others = [e for e in effects if e.process or not ("+=" in e.id or e.always)]
+    beside = any("+=" in e.id for e in effects)
     gained = gains(found.space, found.model.chosen)
-    return bool(names) and any(
-        e.process is not None or "+=" in e.id or gained[e.id] < WEAK
-        for e in found.model.effects
-        if not e.always
-    )
+    return any(beside or e.process or gained[e.id] < WEAK for e in others)
 
 
 def astray(base: Model) -> bool:
