@@ -164,16 +164,13 @@ def _refitted(end: End, found: Found, options: Options) -> tuple[Found, Specific
     if end.moves or not as_seen(base.parts, chosen):
         parts = zip(searched.parts, chosen.views, strict=True)
         base = baseline([seen(f.case.read or f.case.recording, v, options) for f, v in parts])
+    exact = chosen_of(searched, options, moments(found), exact=True)
     ends = []
-    # (the second start takes as long as the first, and is seldom the better one)
-    for begin in (BASELINE, ONLINE):
-        written = replace(chosen, begin=begin)
+    # (each start takes as long as the first, and is seldom the better one)
+    for written in (replace(chosen, begin=BASELINE), replace(chosen, begin=ONLINE), exact):
         ends.append((settled(base, written).bare, written))
         if _as_good(ends[-1][0], searched):
             break
-    else:
-        written = chosen_of(searched, options, moments(found), exact=True)
-        ends.append((settled(base, written).bare, written))
     model, chosen = max(ends, key=lambda end: (sensible(end[0]), end[0].log_evidence))
     if model.log_evidence < searched.log_evidence - LOST:
         return found, None
