@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -26,6 +26,8 @@ from handcal.types import Array, IntArray
 
 # Innovations whose squares are added up at once: their rows stay in the processor's own memory.
 TOGETHER = 64
+# Rows that are split up at once, so that there is no second copy of all.
+AT_ONCE = 2048
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,8 @@ class Reduction:
     alone, once for all values w (nc,) of the constants' errors in units of their prior
     sigma ``scale``; w0 is their prior mean. X0 (m, 1 + nc), P15 (15, 15): the prior;
     slot (s,): kind and channel of each scalar, numbered through. folded: how the problem was
-    folded, if it was; ``linear`` is what it became; t (k,): the epochs before that, s.
+    folded, if it was; ``linear`` is what it became, without its H, which went into g and h; t (k,):
+    the epochs before that, s.
     """
 
     linear: Linear
@@ -101,6 +104,8 @@ def reduce(linear: Linear, folds: bool = True) -> Reduction:
     D[:, :, 0] = linear.d
     np.multiply(linear.Phi[:, :, 9:], scale[: width - 9], out=D[:, :, 1 : width - 8])
     row, channel, g, h = _scalars(linear, scale)
+    linear = replace(linear, H=np.zeros((0, *linear.H.shape[1:])))
+    folded = None if folded is None else replace(folded, linear=linear)
     return Reduction(
         linear,
         scale,
@@ -126,11 +131,12 @@ def _scalars(linear: Linear, scale: Array) -> tuple[IntArray, IntArray, Array, A
     n, e = problem.size, problem.markov_size
     dim = problem.tables.dim[linear.kind] * linear.used
     row, channel = np.nonzero(np.arange(linear.H.shape[1]) < dim[:, None])
-    H = linear.H[row, channel]
-    h = np.hstack([H[:, :9], H[:, n - e :]])
-    g = np.empty((len(row), 1 + len(scale)))
+    h, g = np.empty((len(row), 9 + e)), np.empty((len(row), 1 + len(scale)))
     g[:, 0] = linear.r[row, channel]
-    np.multiply(H[:, 9 : n - e], -scale, out=g[:, 1:])
+    for some in (slice(i, i + AT_ONCE) for i in range(0, len(row), AT_ONCE)):
+        H = linear.H[row[some], channel[some]]
+        h[some, :9], h[some, 9:] = H[:, :9], H[:, n - e :]
+        np.multiply(H[:, 9 : n - e], -scale, out=g[some, 1:])
     return row, channel, g, h
 
 

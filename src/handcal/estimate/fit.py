@@ -298,8 +298,8 @@ def relinearised_parts(
         if not reductions:
             if not all(_sane(f.linear) for f in parts):
                 return Rested(parts, False, math.nan, tolerance, wide)
-            reductions += [reduce(f.linear) for f in parts]
-        # (from here on they do without what they were linearised to, which is large)
+            # (from here on they do without what they were linearised to, which is large)
+            reductions += [reduce(f.about.released()) for f in parts]
         parts = [f.bare for f in parts]
         seen = _seen(parts, reductions, effects, known, wide)
         rests = abs(seen.evidence - evidence) < tolerance * step

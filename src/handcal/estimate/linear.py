@@ -79,6 +79,18 @@ class About:
             self.__dict__["_linear"] = held
         return held
 
+    def released(self) -> Linear:
+        """What it was linearised to, not kept here: whoever asks may make it something smaller."""
+        linear = self.linear
+        self.__dict__.pop("_linear", None)
+        return linear
+
+    @property
+    def corrected(self) -> Problem:
+        """The problem with readings that are corrected at its trajectory's constants."""
+        held: Linear | None = self.__dict__.get("_linear")
+        return _prepared(self.problem, self.trajectory)[0] if held is None else held.problem
+
     @property
     def bare(self) -> About:
         return replace(self)
@@ -153,13 +165,7 @@ def _observed(
 def _integrated(problem: Problem, nominal: Trajectory) -> tuple[Problem, Array, Array, Array]:
     """The problem with readings that are corrected at the nominal constants, and Phi, d and the
     three Q (see ``_transitions``) between the epochs, those of the constants with them."""
-    turning = problem.navigated and any(ATTITUDE in e.needs for e in problem.effects)
-    done, C_nb = None, None
-    if problem.imu_constants:
-        C_nb = _attitude(problem, nominal) if turning or _held(problem) else None
-        done = _corrected(problem, nominal, C_nb)
-        problem = done.problem
-    problem = _bare(replace(problem, ref=nominal.constants))
+    problem, done, C_nb = _prepared(problem, nominal)
     Phi, d, Q, W = _transitions(problem, nominal)
     if done is not None:
         # What an effect does depends on the true rate and force: take off the noise that
@@ -169,6 +175,20 @@ def _integrated(problem: Problem, nominal: Trajectory) -> tuple[Problem, Array, 
         assert slopes is not None
         responses(W, slopes.values, slopes.channel, slopes.column, nominal.node, Phi[:, :, BASE:])
     return problem, Phi, d, Q
+
+
+def _prepared(
+    problem: Problem, nominal: Trajectory
+) -> tuple[Problem, Corrected | None, Array | None]:
+    """The problem with readings that are corrected at the nominal constants for good, how that was
+    done (None: there was nothing to do), and C_nb (n, 3, 3) where that was asked for."""
+    turning = problem.navigated and any(ATTITUDE in e.needs for e in problem.effects)
+    done, C_nb = None, None
+    if problem.imu_constants:
+        C_nb = _attitude(problem, nominal) if turning or _held(problem) else None
+        done = _corrected(problem, nominal, C_nb)
+        problem = done.problem
+    return _bare(replace(problem, ref=nominal.constants)), done, C_nb
 
 
 def _rows(problem: Problem, nominal: Trajectory) -> tuple[Array, Array, BoolArray]:

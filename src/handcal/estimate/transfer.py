@@ -116,7 +116,10 @@ def transferred(
             markov[:, new.states_of(process)] = nominal.markov[:, have]
     if same:
         return replace(nominal, node=node, constants=constants, markov=markov)
-    way = path(about.linear.problem if corrected is None else corrected, nominal)
+    if corrected is None:
+        # (the slopes are needed only to where the constants were moved)
+        corrected = about.corrected if nominal is about.trajectory else about.linear.problem
+    way = path(corrected, nominal)
     return Trajectory(
         node,
         interpolated(t, old.nodes.t, way.p),

@@ -129,7 +129,7 @@ def _compared(
             mismatch += locate.mismatches(b, bins, short, k)
         explained.append(_explained(b, a, bins, short, model, fits[k]))
     mismatch = [replace(m, share=m.share / len(model.parts)) for m in mismatch]
-    return before, explained, sorted(mismatch, key=lambda m: -m.share)
+    return [f.bare for f in before], explained, sorted(mismatch, key=lambda m: -m.share)
 
 
 def explanation_of(
@@ -267,7 +267,7 @@ def _fit(model: Model, parts: Sequence[Fitted]) -> Fit:
     nis: dict[str, list[float]] = {}
     white: dict[str, list[float]] = {}
     rms: dict[str, list[float]] = {}
-    for f in parts:
+    for f in (f.bare for f in parts):
         done = reduced_pass(reduce(f.linear), f.levels)
         nu = done.innovations(done.w) / np.sqrt(done.S)
         slot = done.reduction.slot

@@ -79,6 +79,7 @@ def search(
         assert end is not None
         return end
     late = [] if budget.spent("long delays") else with_delays(base)
+    base = base.bare
     common = _Common(late, refused, budget)
     starts = [base]
     if any(sways_far(f) for f in base.parts):
@@ -187,11 +188,11 @@ def _end(
     """The end of a climb from the baseline, or from one with the terms that are needed; None if it
     would begin without these."""
     start = base if begun is None else begun
-    c = Climb(start, needed, common.late, common.budget, dropped=set(common.refused))
+    c = Climb(start.bare, needed, common.late, common.budget, dropped=set(common.refused))
     c.kept = frozenset(base.ids)
     if not climbed(c, report):
         return None
     if (late := lateness(c)) is not None:
         c.model = late
         c.where = scanned(c)
-    return Found(c.model, c.where, c.alone, c.noise, c.swaps)
+    return Found(c.model.bare, c.where, c.alone, c.noise, c.swaps)

@@ -80,9 +80,8 @@ def explain(
     options = Options(latitude, height, fixed, tuple(ignore), reference_exact, before)
     cases = [_case(r, assume, options) for r in recordings]
     report(0.03, "fitting the baseline")
-    base = begun(cases)
-    time_left = after(began, budget)
-    end = _searched(base, time_left, lambda f: report(0.1 + 0.6 * f, "searching what is missing"))
+    time_left, stage = after(began, budget), "searching what is missing"
+    end = _searched(begun(cases), time_left, lambda f: report(0.1 + 0.6 * f, stage))
     if assume == "auto":
         end = _by_the_rests(cases, end, options, time_left, report)
     report(0.75, "fitting the model that was found")
@@ -116,7 +115,7 @@ def _predicted(end: End, others: Sequence[Case]) -> tuple[HeldOut, importance.Ju
     """How well what was not seen is predicted: other recordings, or else later blocks."""
     found = end.found
     if not others:
-        return held.later_blocks(end.base, found.model), importance.by_later_blocks(found)
+        return held.later_blocks(end.base.bare, found.model), importance.by_later_blocks(found)
     scores, after = held.other_files(others, found.model)
     return scores, importance.by_other_files(found, after)
 
@@ -195,6 +194,7 @@ def _searched(base: Model, budget: Budget, report: Callable[[float], None]) -> E
     # (about no fit at all any reading stands out)
     told = not astray(base)
     cleaned, wrong = outliers.cleaned(base) if told else (base, None)
+    base, cleaned = base.bare, cleaned.bare
     found = search(cleaned, report, budget=budget)
     if wrong is not None and wrong.burst is None:
         whole = outliers.put_back(base, found.model)

@@ -150,7 +150,7 @@ def hidden(c: Climb) -> Model | None:
         c.ordered.add(key)
         tried = fitted(model.parts, [*model.effects, *wanted])
         # (about it a scan tells which of the delays it can do without)
-        where = scanned_about(tried, c.unnamed, c.dropped | c.beyond)
+        where = scanned_about(tried.bare, c.unnamed, c.dropped | c.beyond)
         fewer = best_set(where, tried.chosen)
         if fewer == model.chosen:
             continue

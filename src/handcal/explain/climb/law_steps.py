@@ -44,13 +44,13 @@ def name_term(c: Climb) -> Model | None:
     if c.quiet is None and {e.id for e in quiet} == c.kept:
         return None  # (from the baseline alone a climb begins with a law anyway)
     c.bared.add(key)
-    bare = fitted(c.model.parts, quiet)
-    if c.quiet is not None and better(c.quiet, bare, c.worth) > 0.0:
-        bare = c.quiet  # (names may have gone since that a law needs beside it)
-    term = best_term(bare, refused=refused)
+    without = fitted(c.model.parts, quiet)
+    if c.quiet is not None and better(c.quiet, without, c.worth) > 0.0:
+        without = c.quiet  # (names may have gone since that a law needs beside it)
+    term = best_term(without.bare, refused=refused)
     if term is None:
         return None
-    calls = (partial(with_term, m, term, c.worth, c.beyond) for m in (bare, c.model))
+    calls = (partial(with_term, m, term, c.worth, c.beyond) for m in (without, c.model))
     tried = max(in_parallel(calls), key=lambda m: score(m, c.worth))
     if not likelier(c, tried):
         return None
@@ -65,7 +65,7 @@ def with_term(model: Model, term: Term, worth: float, refused: Set[str]) -> Mode
     alone = fitted(model.parts, (*model.effects, term.effect))
     if not sensible(alone):
         return alone
-    where = scanned_about(alone, [term], refused)
+    where = scanned_about(alone.bare, [term], refused)
     chosen = best_set(where, alone.chosen)
     if chosen == alone.chosen:
         return alone

@@ -67,8 +67,10 @@ def everything(c: Climb) -> Model | None:
     own = {e.id for e in c.model.effects}
     names = {name_of(i) for i in own} | c.dropped | c.beyond
     others = [e for e in candidates(c.model.parts, c.model.effects) if name_of(e.id) not in names]
+    # (no two problems of this size beside each other, linearised)
+    c.model = c.model.bare
     whole = fitted(c.model.parts, [*c.model.effects, *(e for e in others if "@" not in e.id)])
-    where = scanned_about(whole, c.unnamed, c.dropped | c.beyond)
+    where = scanned_about(whole.bare, c.unnamed, c.dropped | c.beyond)
     noise = [e for e in c.model.effects if e.process is not None]
     best = best_set(where, whole.chosen)
     tried = fitted(whole.parts, [*(where.effects[i] for i in sorted(best)), *noise])

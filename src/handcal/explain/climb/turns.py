@@ -27,14 +27,20 @@ def climbed(c: Climb, report: Callable[[float], None]) -> bool:
             c.alone = gains(c.where, frozenset())
             if any(t.effect.id not in favourite(c) for t in c.needed):
                 return False
-        model = next((m for step in _STEPS if (m := _taken(c, step)) is not None), None)
-        if model is None:
+        if not _moved(c):
             break
-        c.model = model
     else:
         # (out of turns: what is said of the model is said by a scan about it)
         c.where = scanned(c)
     return True
+
+
+def _moved(c: Climb) -> bool:
+    """Take the first step that leads anywhere; False where none does."""
+    model = next((m for step in _STEPS if (m := _taken(c, step)) is not None), None)
+    if model is not None:
+        c.model = model
+    return model is not None
 
 
 def _taken(c: Climb, step: Callable[[Climb], Model | None]) -> Model | None:
