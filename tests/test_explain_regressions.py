@@ -353,6 +353,21 @@ def test_scales_do_not_run_away_with_gravity() -> None:
     assert math.isfinite(fit.relinearised_parts([near], effects).evidence)
 
 
+def test_a_fit_leaves_nothing_of_its_own_in_what_it_was_handed() -> None:
+    """What a trial's last round saw stayed in the list that the next trial began with: it stepped
+    from another trajectory, and explain broke off where a delay had moved the epochs."""
+    (base,) = base_of(world_of({}, 0, 20.0)).parts
+    effects = select(["gyro_scale"])
+    begin = moved_to(base, effects)
+    handed_on = [reduce(begin.linear)]
+    broken_off = fit.relinearised_parts([begin], effects, least=math.inf, reductions=handed_on)
+    assert (broken_off.settled, handed_on) == (False, [])
+    handed_on = [reduce(begin.linear)]
+    given = fit.relinearised_parts([begin], effects, reductions=handed_on)
+    alone = fit.relinearised_parts([begin], effects)
+    assert (given.evidence, handed_on) == (alone.evidence, [])
+
+
 def test_no_noise_is_looked_for_about_no_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     """The search for noise levels about numbers that had run away ended explain in an error."""
     base = base_of(world_of({}, 0, 20.0))

@@ -260,12 +260,17 @@ def _changes(
 
 
 def _calmed(J: Array, rate: float, quiet: BoolArray) -> Array:
-    """J (n, k) averaged over a short time, and over a longer one within each quiet while."""
+    """J (n, k) averaged over a short time, and over a longer one within each quiet while.
+
+    Neither reaches beyond its while, and each row weighs as much as any other: what is averaged
+    adds up to what it did before. A delay's derivative is noise that adds up to nothing; where rows
+    at the end of a rest weighed more, it told of velocities that nobody had.
+    """
     moving, resting = (max(1, round(s * rate)) for s in AVERAGE_S)
     out = np.empty_like(J)
-    _running_mean(J, moving, ~quiet, out)
-    for a, b in _whiles(quiet):
-        _mean_within(J[a:b], resting, out[a:b])
+    for width, whiles in ((moving, _whiles(~quiet)), (resting, _whiles(quiet))):
+        for a, b in whiles:
+            _mean_within(J[a:b], width, out[a:b])
     return out
 
 
@@ -307,20 +312,23 @@ def _running_mean(x: Array, width: int, wanted: BoolArray, out: Array) -> None:
 
 @njit
 def _mean_within(x: Array, width: int, out: Array) -> None:
-    """Means over ``width`` rows of x (n, k) about each, over fewer near its ends, as many before as
-    after: what follows a rest is motion, and a rest that knew of it would count as a part of it."""
+    """Means over ``width`` rows of x (n, k) about each, the rows mirrored at both ends: the matrix
+    of that is symmetric, so that columns add up to what they did."""
     n, k = x.shape
+    reach = min(width // 2, n - 1)
     total = np.zeros(k)
-    lo, hi = 0, 0
-    for i in range(n):
-        reach = min(width // 2, i, n - 1 - i)
-        while hi < i + reach + 1:
-            for c in range(k):
-                total[c] += x[hi, c]
-            hi += 1
-        while lo < i - reach:
-            for c in range(k):
-                total[c] -= x[lo, c]
-            lo += 1
+    for j in range(-reach, reach + 1):
         for c in range(k):
-            out[i, c] = total[c] / (hi - lo)
+            total[c] += x[_mirrored(j, n), c]
+    for i in range(n):
+        for c in range(k):
+            out[i, c] = total[c] / (2 * reach + 1)
+        old, new = _mirrored(i - reach, n), _mirrored(i + reach + 1, n)
+        for c in range(k):
+            total[c] += x[new, c] - x[old, c]
+
+
+@njit
+def _mirrored(i: int, n: int) -> int:
+    """Row i of n rows that are mirrored at both ends, not further away than they are long."""
+    return -1 - i if i < 0 else 2 * n - 1 - i if i >= n else i

@@ -292,7 +292,10 @@ def relinearised_parts(
     of the priors instead of the usual one alone. tolerance: nats. reductions: the parts', if known;
     emptied, so that nobody keeps them beside those of the next round.
     """
-    parts, reductions, step = list(parts), [] if reductions is None else reductions, 1.0
+    parts, step, handed_on = list(parts), 1.0, reductions or []
+    # (a list of its own: what the last round leaves is of these parts, not of the caller's)
+    reductions = [*handed_on]
+    handed_on.clear()
     before, evidence, last = -math.inf, -math.inf, deque[float](maxlen=ROUNDS // 2)
     for _ in range(ROUNDS):
         if not reductions:

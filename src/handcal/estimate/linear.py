@@ -31,6 +31,9 @@ from handcal.observations import NAV
 from handcal.signals import further
 from handcal.types import Array, BoolArray, IntArray
 
+# Velocities that change within less, s, are a hand's tremor.
+STEADY_S = 0.15
+
 
 @dataclass(frozen=True)
 class Linear:
@@ -328,9 +331,11 @@ def _steady_force(problem: Problem, nominal: Trajectory, C_nb: Array) -> Array:
     The hand's sway is random, and how large it is nobody knows. An effect that makes it a
     little smaller would be favoured for that alone (looked at ten times a second, a scale error
     of the accelerometer by 8 nats in 84 s; at the usual rate, a law of small changes of the force
-    alone, which is nearly all sway, by 40 nats in 30 s), so sway may not excite effects.
+    alone, which is nearly all sway, by 40 nats in 30 s), so sway may not excite effects. Nor may
+    what a hand does within less than ``STEADY_S``: its tremor is left in this velocity, and in
+    slow turns the slope of its force was nine tenths of an accelerometer delay's information.
     """
-    f_n = _accelerated(problem, nominal, nominal.v - _wandering(problem, nominal)) - problem.g_n
+    f_n = _changing(problem, nominal, nominal.v - _wandering(problem, nominal)) - problem.g_n
     return np.asarray(np.einsum("nji,nj->ni", C_nb, f_n))
 
 
@@ -357,6 +362,14 @@ def _accelerated(problem: Problem, nominal: Trajectory, v: Array) -> Array:
     a = np.diff(v, axis=0) / np.maximum(np.diff(t), 1e-6)[:, None]
     t_imu, middle = problem.recording.imu.t, 0.5 * (t[1:] + t[:-1])
     return np.stack([np.interp(t_imu, middle, a[:, i]) for i in range(3)], axis=1)
+
+
+def _changing(problem: Problem, nominal: Trajectory, v: Array) -> Array:
+    """The same over ``STEADY_S`` about each sample."""
+    t, t_imu = problem.nodes.t[nominal.node], problem.recording.imu.t
+    ends = [np.clip(t_imu + s, t[0], t[-1]) for s in (-0.5 * STEADY_S, 0.5 * STEADY_S)]
+    before, after = (np.stack([np.interp(x, t, v[:, i]) for i in range(3)], axis=1) for x in ends)
+    return np.asarray((after - before) / np.maximum(ends[1] - ends[0], 1e-6)[:, None])
 
 
 def _bare(problem: Problem) -> Problem:
