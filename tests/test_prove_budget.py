@@ -10,14 +10,17 @@ from rich.console import Console
 
 from handcal_sim import leftover
 from handcal_sim.effects import EFFECTS
+from handcal_sim.mcap_writer import write
 from handcal_sim.motion import build, random_start
 from handcal_sim.phone import Gyro, Phone
 from handcal_sim.prove import draw, score
 from handcal_sim.prove.draw_budget import ALWAYS, AT_TIMES, left, planned
 from handcal_sim.prove.further import worked_out
 from handcal_sim.prove.given import Ticket, generator
+from handcal_sim.prove.score_budget import MEDIAN
 from handcal_sim.prove.show import show
 from handcal_sim.prove.suites import NEEDS
+from handcal_sim.prove.told import told
 
 
 def test_eight_to_twelve_effects_as_the_streams_allow():
@@ -67,6 +70,16 @@ def test_nothing_is_left_of_what_is_known_and_everything_of_what_is_not():
     assert worked_out(Ticket("phone", 3, 5), said()) == {}
 
 
+def test_what_the_names_alone_leave_is_asked_where_it_matters(tmp_path):
+    ticket = Ticket("budget", 2, 5)
+    world, answer = draw.draw("budget", 2, 5)
+    file = tmp_path / "x.mcap"
+    write(world, file, truth=False)
+    assert told(ticket, answer, file, MEDIAN) == {}
+    assert told(ticket, answer, file, None) == {}
+    assert 0.0 < told(ticket, answer, file, 1.0)["told"] < 1.0
+
+
 def test_a_scale_error_leaves_its_share_of_the_rate():
     rng = np.random.default_rng(1)
     motion = build("free-hand", 12.0, random_start(rng), rng)
@@ -83,9 +96,9 @@ def test_a_scale_error_leaves_its_share_of_the_rate():
 
 
 def test_the_score_asks_for_median_and_worst():
-    def of(share, *names):
+    def of(share, *names, **more):
         truth = {"gyro_scale": {"x": 0.01}, "lever_arm": {"x": 0.1}}
-        return trial("budget", truth, said(*names), further={"share_left": share})
+        return trial("budget", truth, said(*names), further={"share_left": share, **more})
 
     fine = [of(0.01, "gyro_scale", "lever_arm"), of(0.04, "gyro_scale"), of(0.19)]
     proof = score.score(fine, 1)
@@ -98,6 +111,12 @@ def test_the_score_asks_for_median_and_worst():
     for worse in ([*fine, of(0.21)], [of(0.06)], [*fine, failed]):
         again = score.score(worse, 1)
         assert again["further"]["budget"]["left"]["met"] is False
+    for share, beyond in ((0.32, 0), (0.34, 1)):
+        again = score.score([*fine[:2], of(0.02), of(share, told=0.3)], 1)["further"]["budget"][
+            "left"
+        ]
+        assert (again["beyond"], again["met"]) == (beyond, beyond == 0)
+        assert again["told"] == {"median": pytest.approx(0.03), "worst": 0.3}
     text = io.StringIO()
     show(proof, Console(file=text, width=200))
     assert "median 4.0 %, worst 19.0 %" in text.getvalue()

@@ -56,6 +56,7 @@ def run(
     from handcal_sim.prove.draw import draw
     from handcal_sim.prove.further import worked_out
     from handcal_sim.prove.given import Ticket
+    from handcal_sim.prove.told import told
     from handcal_sim.prove.trial import Trial
     from handcal_sim.prove.workers import Stopped
 
@@ -74,7 +75,9 @@ def run(
         except Stopped:
             return None
         (explanations / f"{name}.json").write_text(json.dumps(document), encoding="utf-8")
-        further = worked_out(Ticket(suite, number, seed), document)
+        ticket = Ticket(suite, number, seed)
+        further = worked_out(ticket, document)
+        further |= told(ticket, answer, file, further.get("share_left"))
         return Trial(name, answer, document, taken, further=further)
 
     return each(one, cases, explain, jobs, advance)

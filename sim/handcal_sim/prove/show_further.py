@@ -74,10 +74,15 @@ def _budget(figures: Row) -> list[RenderableType]:
     shares = "-"
     if left["n"]:
         shares = f"median {100.0 * left['median']:.1f} %, worst {100.0 * left['worst']:.1f} %"
+        least = left["told"]
+        shares += (
+            f" (told all names: {100.0 * least['median']:.1f} and {100.0 * least['worst']:.1f} %)"
+        )
     asked = left["asked"]
     return [
         f"budget: of the gyro's error in another recording there is left: {shares} of {left['n']}; "
-        f"{100.0 * asked['median']:g} and {100.0 * asked['worst']:g} % asked"
+        f"{100.0 * asked['median']:g} and {100.0 * asked['worst']:g} % asked, or "
+        f"{asked['beside_told']:g} times what is left if told"
         f"{_judged(left['met'])}.",
         f"budget: {percent(names)} of {names['n']} effects are named.",
         "budget: " + _coverage(figures["parameters"]),
