@@ -8,10 +8,13 @@ import schemas
 from prove_help import parameter, said, trial
 from rich.console import Console
 
+from handcal_sim.mcap_writer import write
 from handcal_sim.motion import Motion, evaluate, random_start
 from handcal_sim.motion_phone import figure_of_eight, routine, swings
 from handcal_sim.prove import draw, draw_phone, score
 from handcal_sim.prove.draw_phone import HABITS
+from handcal_sim.prove.given import Ticket
+from handcal_sim.prove.run import explained
 from handcal_sim.prove.show import show
 
 HARD, SOFT = "mag_hard_iron", "mag_soft_iron"
@@ -111,3 +114,38 @@ def test_the_score_counts_parameters_and_impossible_claims():
     fine = score.score(trials[:1], 1)["further"]["phone"]
     assert fine["asked"]["met"] is True
     assert fine["impossible"]["count"] == 0
+
+
+PAIRS = 10
+OF_THE_PHONE = {
+    "mag_hard_iron", "mag_soft_iron", "heading_delay", "gyro_scale", "gyro_misalignment",
+    "gyro_g_sensitivity", "accel_scale", "accel_misalignment",
+}  # fmt: skip
+
+
+@pytest.mark.prove
+def test_two_recordings_of_one_phone_agree(tmp_path):
+    """Another habit, hand and room each: of all parameters of the phone that both explanations
+    tell, 95 % differ by less than three sigma."""
+    differences = []
+    for number in range(PAIRS):
+        ticket = Ticket("phone", number, 0)
+        world, answer = draw.draw("phone", number, 0)
+        worlds = world, draw_phone.again(ticket, answer, np.random.default_rng([0, number, 1]))
+        told = []
+        for k, one in enumerate(worlds):
+            write(one, tmp_path / f"{k}.mcap", truth=False)
+            said = explained(str(tmp_path / f"{k}.mcap"))
+            hidden = {(u["effect"], u["name"]) for u in said["untellable"]}
+            rows = {(p["effect"], p["name"]): p for p in said["parameters"]}
+            told.append({n: p for n, p in rows.items() if n not in hidden})
+        for name in sorted(told[0].keys() & told[1].keys()):
+            if name[0] in OF_THE_PHONE:
+                a, b = told[0][name], told[1][name]
+                differences.append((a["value"] - b["value"]) / np.hypot(a["sigma"], b["sigma"]))
+                if abs(differences[-1]) > 3.0:
+                    print(number, *name, a["value"], a["sigma"], b["value"], b["sigma"])
+    agree = int(np.sum(np.abs(differences) < 3.0))
+    print(f"{agree} of {len(differences)} compared parameters agree within three sigma")
+    assert len(differences) >= 60
+    assert agree >= 0.95 * len(differences)

@@ -27,6 +27,10 @@ class Fact:
     within: float
 
 
+# What the phone itself takes its iron to be.
+_XIAOMI = Fact("mag_hard_iron", "x y z", (4.6e-6, 14.6e-6, 150.3e-6), 8e-6)
+# A hand that turns about no single point, iron that is nearby: all of it may be untellable.
+PHONES = {"android_fullyaw", "android_fullpitch", "phone_oscillations1", "phone_oscillations3"}
 FACTS = {
     "xsens_poses": (
         Fact("accel_scale", "x y z", (-0.0013, -0.0070, -0.0011), 0.003),
@@ -61,6 +65,17 @@ FACTS = {
         Fact("lever_arm", "z", (0.009,), 0.004),
         Fact("pose_delay", "delay", (-0.004,), 0.0015),
     ),
+    "android_fullyaw": (_XIAOMI, Fact("heading_delay", "delay", (0.040,), 0.015)),
+    "android_fullpitch": (_XIAOMI, Fact("heading_delay", "delay", (0.040,), 0.015)),
+    "phone_oscillations1": (Fact("lever_arm", "x y", (0.027, 0.063), 0.012),),
+    "phone_oscillations3": (
+        Fact("lever_arm", "x y", (0.020, 0.029), 0.012),
+        Fact("heading_delay", "delay", (0.040,), 0.015),
+    ),
+    "iphone_arkit": (
+        Fact("mag_hard_iron", "x y z", (538.7e-6, -129.2e-6, -108.3e-6), 8e-6),
+        Fact("gyro_bias", "x y z", (-0.0084, -0.0016, 0.0165), 0.002),
+    ),
 }  # fmt: skip
 
 
@@ -78,7 +93,8 @@ def _arm(parameters: Sequence[Parameter]) -> dict[tuple[str, str], Parameter]:
 
 @pytest.mark.parametrize("name", list(FACTS))
 def test_what_is_known_of_a_device_is_found(name: str, real_recordings: Path) -> None:
-    """Within the tolerance, sigma below it; at most one in five may be untellable instead."""
+    """Within the tolerance, sigma below it; at most one in five may be untellable instead (any, of
+    a phone in a hand)."""
     begun = time.monotonic()
     found = explain([handcal.load(real_recordings / "devices" / f"{name}.mcap")])
     got = _arm(found.parameters) | {(p.effect, p.name): p for p in found.parameters}
@@ -98,4 +114,4 @@ def test_what_is_known_of_a_device_is_found(name: str, real_recordings: Path) ->
                 missed.append((*key, value, f"{p.value:.4g} +- {p.sigma:.2g}"))
     print(f"  {count} facts, {untold} untellable, missed: {missed}")
     assert not missed
-    assert untold <= count / 5
+    assert untold <= count / 5 or name in PHONES

@@ -55,16 +55,33 @@ def drawn(ticket: Ticket, rng: np.random.Generator) -> tuple[World, Answer]:
     effects = _iron(rng) | _of_the_imu(habit, rng)
     if varies[1]:
         effects["mag_gradient"] = varies[0][[0, 1, 0, 0, 1], [0, 1, 1, 2, 2]].tolist()
+    said = answer(ticket.suite, "", given, effects)
+    return simulated(given, effects, motion, _reads_mag(mag_hz)), replace(
+        said, circumstances={**said.circumstances, "mag_hz": mag_hz}
+    )
+
+
+def again(ticket: Ticket, answer: Answer, rng: np.random.Generator) -> World:
+    """Another recording of the same phone: the next habit, another hand, another room."""
+    habit = HABITS[(ticket.number + 1) % len(HABITS)]
+    given = _circumstances(habit, rng)
+    motion = habit.motion(rng)
+    effects = {name: list(values.values()) for name, values in answer.effects.items()}
+    effects.pop("mag_gradient", None)
+    if habit.reach_m[1] > 0.0:
+        effects["lever_arm"] = list(motion_phone.joint_to_phone(rng.uniform(*habit.reach_m), rng))
+    return simulated(given, effects, motion, _reads_mag(answer.circumstances["mag_hz"]))
+
+
+def _reads_mag(mag_hz: float) -> Callable[[Phone], Phone]:
+    """The phone with a magnetometer of that rate."""
 
     def refit(phone: Phone) -> Phone:
         assert phone.mag is not None
         clocking = Clocking(mag_hz, phone.mag.clocking.phase_s)
         return replace(phone, mag=replace(phone.mag, clocking=clocking))
 
-    said = answer(ticket.suite, "", given, effects)
-    return simulated(given, effects, motion, refit), replace(
-        said, circumstances={**said.circumstances, "mag_hz": mag_hz}
-    )
+    return refit
 
 
 def _circumstances(habit: Habit, rng: np.random.Generator) -> Circumstances:
