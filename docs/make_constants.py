@@ -10,8 +10,8 @@ from pathlib import Path
 FILE = Path(__file__).with_name("explain.md")
 SOURCE = Path(__file__).parent.parent / "src" / "handcal"
 # Where a decision about a recording may hang on a number.
-FOLDERS = ("explain", "estimate")
-FILES = ("recordings/segment.py",)
+FOLDERS = ("explain", "search", "laws", "estimate")
+FILES = ("score.py", "recordings/segment.py")
 BEGIN, END = "<!-- constants: written by make docs -->\n", "<!-- end of constants -->\n"
 
 

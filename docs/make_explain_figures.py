@@ -24,7 +24,7 @@ from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.scan import scan
 from handcal.explain import explain
-from handcal.explain.space import Space, gains, space
+from handcal.search.space import Space, gains, space
 from handcal.show.explanation.report import write_explanation_report
 from handcal.types import Recording
 from handcal_sim import simulate, write

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from fake_result import BASELINE, GRAVITY, _imu, _parameters
 
-from handcal.explain.explanation import (
+from handcal.explanation import (
     Evidence,
     Explained,
     Explanation,

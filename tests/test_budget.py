@@ -13,7 +13,7 @@ import schemas
 from worlds import recording_of
 
 from handcal.explain import explain
-from handcal.explain.budget import AFTERWARDS, Budget, after
+from handcal.search.budget import AFTERWARDS, Budget, after
 from handcal.show.explanation.document import explanation_json
 from handcal.show.explanation.verdict_text import verdict
 from handcal.types import Recording

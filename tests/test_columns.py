@@ -18,8 +18,8 @@ from handcal.estimate.quadratic import Quadratic, local
 from handcal.estimate.robust import excess
 from handcal.estimate.scan import grounds, scan
 from handcal.estimate.transfer import moved_to
-from handcal.explain.climb.candidates import candidates
-from handcal.explain.unnamed import best, over_drivers
+from handcal.laws import best, over_drivers
+from handcal.search.climb.candidates import candidates
 from handcal_sim import simulate
 from handcal_sim.phone import (
     Phone,

@@ -22,7 +22,7 @@ import handcal.types
 from handcal.commands import _app
 from handcal.effects import catalogue
 from handcal.explain import Explanation, explain
-from handcal.explain.explanation import VERDICTS, Missing
+from handcal.explanation import VERDICTS, Missing
 from handcal.show.explanation.document import explanation_json
 from handcal.types import Parameter, Recording, Series
 from handcal_sim import simulate, write

@@ -12,7 +12,7 @@ from handcal.estimate import case
 from handcal.estimate.baseline import baseline
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
-from handcal.explain.confounding import without_confounding
+from handcal.search.confounding import without_confounding
 from handcal_sim import simulate
 from handcal_sim.phone import Clocking, Phone, consumer_magnetometer, consumer_phone, with_rate
 

@@ -11,7 +11,7 @@ from handcal.effects import catalogue, select
 from handcal.estimate.model import Model
 from handcal.estimate.quadratic import Quadratic
 from handcal.explain import gauge
-from handcal.explain.explanation import Missing
+from handcal.explanation import Missing
 
 SIZE = 0.02
 SIGMA = 0.0006

@@ -19,16 +19,16 @@ from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.specification import Options, chosen_of, document_of, settled
 from handcal.explain import explain, naming
-from handcal.explain.climb.candidates import scanned
-from handcal.explain.climb.law_steps import instead, narrow, with_term
-from handcal.explain.climb.noise_steps import add_noise
-from handcal.explain.climb.state import Climb
 from handcal.explain.model_file import chosen_from
-from handcal.explain.noise_scan import all_noise
-from handcal.explain.unnamed import best, drivers, grammar, law_effect, law_file
-from handcal.explain.unnamed.drivers import DRIVERS
-from handcal.explain.unnamed.grammar import Range
-from handcal.explain.unnamed.law_effect import Law
+from handcal.laws import best, drivers, grammar, law_effect, law_file
+from handcal.laws.drivers import DRIVERS
+from handcal.laws.grammar import Range
+from handcal.laws.law_effect import Law
+from handcal.search.climb.candidates import scanned
+from handcal.search.climb.law_steps import instead, narrow, with_term
+from handcal.search.climb.noise_steps import add_noise
+from handcal.search.climb.state import Climb
+from handcal.search.noise_scan import all_noise
 from handcal.signals import probe
 from handcal.types import Array, Parameter, Recording
 from handcal_sim import simulate

@@ -18,15 +18,15 @@ from handcal.estimate.case import case_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.quadratic import Quadratic
 from handcal.estimate.tails import LOG_SHARES, SCALES
-from handcal.explain import multistart
-from handcal.explain.budget import Budget
-from handcal.explain.climb import turns
-from handcal.explain.climb.candidates import scanned
-from handcal.explain.climb.exchange_steps import akin
-from handcal.explain.climb.state import Climb
-from handcal.explain.noise_scan import all_noise
-from handcal.explain.score import PRIOR
-from handcal.explain.space import (
+from handcal.score import PRIOR
+from handcal.search import multistart
+from handcal.search.budget import Budget
+from handcal.search.climb import turns
+from handcal.search.climb.candidates import scanned
+from handcal.search.climb.exchange_steps import akin
+from handcal.search.climb.state import Climb
+from handcal.search.noise_scan import all_noise
+from handcal.search.space import (
     Space,
     best_set,
     expected_gain,

@@ -27,7 +27,7 @@ from handcal.estimate.quadratic import (
 )
 from handcal.estimate.scan import scan
 from handcal.estimate.transfer import moved_to
-from handcal.explain.unnamed import weighing
+from handcal.laws import weighing
 from handcal.types import Array, IntArray
 from handcal_sim import simulate
 from handcal_sim.phone import Clocking, Phone, consumer_phone, with_rate

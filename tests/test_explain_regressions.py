@@ -25,12 +25,13 @@ from handcal.estimate.model import Model
 from handcal.estimate.quadratic import posterior
 from handcal.estimate.scan import scan
 from handcal.estimate.transfer import at_constants, moved_to
-from handcal.explain import Explanation, conclusions, explain, outliers, pipeline
-from handcal.explain.climb import subset_steps, turns
-from handcal.explain.climb.state import Climb, likelier
-from handcal.explain.multistart import astray, leading
-from handcal.explain.space import Space, gains
+from handcal.explain import Explanation, conclusions, explain, pipeline
 from handcal.observations import pose
+from handcal.search import outliers
+from handcal.search.climb import subset_steps, turns
+from handcal.search.climb.state import Climb, likelier
+from handcal.search.multistart import astray, leading
+from handcal.search.space import Space, gains
 from handcal.types import InputError, Recording, Series
 from handcal_sim import simulate
 from handcal_sim.motion import Start

@@ -15,7 +15,7 @@ from fake_explanation import CASES, fake_explanation
 from rerun.chunk import RrdReader
 from rich.console import Console
 
-from handcal.explain.explanation import VERDICTS, Curve, Hypothesis, Missing, Unnamed
+from handcal.explanation import VERDICTS, Curve, Hypothesis, Missing, Unnamed
 from handcal.show import dashboard, drawing
 from handcal.show.calibration import summary
 from handcal.show.explanation import frames, plots, verdict_text, words

@@ -16,8 +16,8 @@ from handcal.estimate.baseline import baseline
 from handcal.estimate.case import case_of
 from handcal.estimate.quadratic import Quadratic
 from handcal.explain import explain
-from handcal.explain.unnamed import courses, shapes
-from handcal.explain.unnamed.best import best_term
+from handcal.laws import courses, shapes
+from handcal.laws.best import best_term
 from handcal.types import Array
 from handcal_sim import simulate
 from handcal_sim.phone import Clocking, Phone, consumer_phone, with_rate

@@ -13,10 +13,10 @@ from handcal.estimate.baseline import baseline
 from handcal.estimate.case import case_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
-from handcal.explain.climb.candidates import scanned
-from handcal.explain.climb.noise_steps import noise_instead
-from handcal.explain.climb.state import Climb
-from handcal.explain.score import better
+from handcal.score import better
+from handcal.search.climb.candidates import scanned
+from handcal.search.climb.noise_steps import noise_instead
+from handcal.search.climb.state import Climb
 from handcal_sim import simulate
 from handcal_sim.phone import Clocking, Phone, Thermometer, consumer_phone, with_rate
 

@@ -16,9 +16,9 @@ from worlds import recording_of
 from handcal.commands import explain as explain_command
 from handcal.effects import catalogue
 from handcal.explain import explain, naming
-from handcal.explain.explanation import Explanation, Unnamed
 from handcal.explain.model_file import chosen_from
-from handcal.explain.unnamed import with_motion
+from handcal.explanation import Explanation, Unnamed
+from handcal.laws import with_motion
 from handcal.show.explanation.document import explanation_json
 from handcal.types import Array, Recording
 from handcal_sim import simulate

@@ -10,7 +10,7 @@ from test_explain import slow
 from worlds import recording_of
 
 from handcal.explain import explain
-from handcal.explain.explanation import Explanation
+from handcal.explanation import Explanation
 from handcal.types import Array, Series
 from handcal_sim import simulate
 from handcal_sim.scenario import World
@@ -73,8 +73,8 @@ def test_what_has_no_name_is_drawn_over_what_drives_it(known) -> None:
     """k omega_y^3: a curve of the cube, in the units of what is measured, with its band."""
     from handcal.estimate.baseline import baseline
     from handcal.estimate.case import case_of
-    from handcal.explain.unnamed import drivers, grammar, law_effect, terms
-    from handcal.explain.unnamed.curve import channel_of, drawn, drivers_of
+    from handcal.laws import drivers, grammar, law_effect, terms
+    from handcal.laws.curve import channel_of, drawn, drivers_of
 
     def effect_of(sensor: int, axis: int, driver: str, form: str):
         shape = grammar.formula([(form, ())])
@@ -109,8 +109,8 @@ def test_every_term_of_the_heading_can_be_drawn(known) -> None:
     """Whatever drives it; a heading that errs with the temperature broke off where it was found."""
     from handcal.estimate.baseline import baseline
     from handcal.estimate.case import case_of
-    from handcal.explain.unnamed import terms
-    from handcal.explain.unnamed.curve import drawn
+    from handcal.laws import terms
+    from handcal.laws.curve import drawn
 
     world, _ = known
     recording = recording_of(world, "heading")

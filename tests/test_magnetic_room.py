@@ -19,10 +19,10 @@ from handcal.estimate.case import Case, applicable, case_of, frozen_at
 from handcal.estimate.fit import fitted
 from handcal.estimate.specification import document_of
 from handcal.explain import explain
-from handcal.explain.explanation import Explanation
-from handcal.explain.jumps import sudden
 from handcal.explain.model_file import chosen_from
-from handcal.explain.score import MOMENTS, PRIOR, prior
+from handcal.explanation import Explanation
+from handcal.score import MOMENTS, PRIOR, prior
+from handcal.search.jumps import sudden
 from handcal.types import InputError, Recording
 from handcal_sim import simulate
 from handcal_sim.phone import (

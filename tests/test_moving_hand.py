@@ -16,8 +16,9 @@ from handcal.estimate.fit import diverged
 from handcal.estimate.model import Model
 from handcal.estimate.specification import Options, Specification, document_of, seen, view_of
 from handcal.estimate.sway import sway_of
-from handcal.explain import drifting_point, model_file
+from handcal.explain import model_file
 from handcal.observations.fixed_position import CREEP, SWAY, Part, Sway
+from handcal.search import drifting_point
 from handcal.show import words
 from handcal_sim import simulate
 from handcal_sim.motion import free_hand

@@ -25,7 +25,7 @@ from handcal.estimate.assemble import build
 from handcal.estimate.corrected import SUBSTITUTED
 from handcal.estimate.observed import observed_of
 from handcal.explain import explain
-from handcal.explain.unnamed import drivers, grammar, law_effect, terms
+from handcal.laws import drivers, grammar, law_effect, terms
 from handcal.recordings import segment
 from handcal.recordings.export import write_mcap
 from handcal.recordings.streams import STREAMS, Message, Stream

@@ -21,13 +21,13 @@ from handcal.estimate.quadratic import Quadratic, log_evidence
 from handcal.estimate.scan import scan
 from handcal.estimate.transfer import moved_to
 from handcal.explain import next_motion
-from handcal.explain.explanation import Hypothesis, Missing
-from handcal.explain.multistart import Found
 from handcal.explain.next_motion import ENOUGH, _believed, _informations, next_motions
-from handcal.explain.space import Space, expected_gain, rivals, space
+from handcal.explanation import Hypothesis, Missing
 from handcal.motions import MOTIONS, Motion, attitude, recording_of
 from handcal.recordings import segment
 from handcal.recordings.streams import STREAMS
+from handcal.search.multistart import Found
+from handcal.search.space import Space, expected_gain, rivals, space
 from handcal.types import Array, Recording, Series
 from handcal_sim import simulate
 from handcal_sim.motion import Start

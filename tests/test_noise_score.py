@@ -17,8 +17,8 @@ from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.model import Fitted
 from handcal.estimate.noise_levels import Score
 from handcal.estimate.transfer import moved_to
-from handcal.explain.noise_scan import looks_of
-from handcal.explain.unnamed import with_motion
+from handcal.laws import with_motion
+from handcal.search.noise_scan import looks_of
 from handcal_sim import simulate
 from handcal_sim.phone import Phone, capture_pose, consumer_phone
 

@@ -11,10 +11,10 @@ from prove_help import parameter, said
 from rich.console import Console
 
 from handcal.effects import Signals, catalogue
-from handcal.explain.unnamed import grammar
-from handcal.explain.unnamed.curve import drivers_of
-from handcal.explain.unnamed.drivers import DRIVERS
-from handcal.explain.unnamed.law_effect import Law
+from handcal.laws import grammar
+from handcal.laws.curve import drivers_of
+from handcal.laws.drivers import DRIVERS
+from handcal.laws.law_effect import Law
 from handcal_sim.effects import EFFECTS
 from handcal_sim.prove import draw, draw_strange, score, score_strange
 from handcal_sim.prove.further import worked_out

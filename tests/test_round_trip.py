@@ -19,8 +19,8 @@ from handcal.compiled import so3
 from handcal.device.apply import apply, read
 from handcal.effects import Effect, Param, catalogue, with_effects
 from handcal.explain import Explanation, explain
-from handcal.explain.explanation import Unnamed
-from handcal.explain.unnamed import law_file
+from handcal.explanation import Unnamed
+from handcal.laws import law_file
 from handcal.show.explanation.document import explanation_json
 from handcal.types import Parameter
 from handcal_sim import strangers

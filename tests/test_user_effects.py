@@ -25,12 +25,12 @@ from handcal.effects import (
     with_effects,
 )
 from handcal.estimate.parallel import in_parallel
-from handcal.explain.explanation import Unnamed
-from handcal.explain.unnamed import courses, grammar, law_effect, law_file, shapes, terms
-from handcal.explain.unnamed.curve import channel_of, drivers_of
-from handcal.explain.unnamed.drivers import DRIVERS, LINE
-from handcal.explain.unnamed.grammar import range_of
-from handcal.explain.unnamed.law_effect import Law
+from handcal.explanation import Unnamed
+from handcal.laws import courses, grammar, law_effect, law_file, shapes, terms
+from handcal.laws.curve import channel_of, drivers_of
+from handcal.laws.drivers import DRIVERS, LINE
+from handcal.laws.grammar import range_of
+from handcal.laws.law_effect import Law
 from handcal.signals import probe
 from handcal.types import HandcalError, InputError, Parameter
 from handcal_sim import simulate

@@ -27,7 +27,7 @@ from handcal.api.results import Calibration, Corrected, Explanation, Parameters
 from handcal.api.words import in_python, spoken
 from handcal.estimate.calibration import calibrate_together
 from handcal.explain import pipeline
-from handcal.explain.explanation import Explanation as ExplanationData
+from handcal.explanation import Explanation as ExplanationData
 from handcal.recordings import inputs
 from handcal.types import InputError, Result
 from handcal.types import Recording as RecordingData

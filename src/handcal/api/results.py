@@ -14,7 +14,7 @@ from handcal import output
 from handcal.api import tables
 from handcal.api.recording import Recording, values_of
 from handcal.api.words import in_python
-from handcal.explain.explanation import Explanation as ExplanationData
+from handcal.explanation import Explanation as ExplanationData
 from handcal.types import Array, Parameter, Result
 
 if TYPE_CHECKING:

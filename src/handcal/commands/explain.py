@@ -212,7 +212,7 @@ def _check_new(path: Path) -> None:
 
 def _write(explanation: Explanation, path: Path) -> None:
     from handcal.effects import catalogue
-    from handcal.explain.unnamed import law_file
+    from handcal.laws import law_file
     from handcal.show.explanation.words import lawless
 
     found = [u for u in explanation.unnamed if not lawless(u)]

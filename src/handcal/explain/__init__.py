@@ -1,10 +1,10 @@
 """Locate the mismatch, name the missing physics, model it, prove it.
 
-Reading order: ``score`` (by which models are compared), ``space`` (the evidence of every subset of
-effects from one pass), ``climb`` (the steps from a model to a better one), ``multistart`` (where
-climbs begin, and which end counts), ``unnamed`` (laws without a name), ``naming``, ``locate``,
-``held_out``, ``conclusions``, which puts an Explanation together, and ``pipeline``, all of it from
-end to end. The sentences that people read are in ``handcal.show.explanation``.
+Reading order: ``pipeline``, all of it from end to end (``handcal.search`` finds the model);
+``naming`` (what has a name), ``locate`` (where the baseline falls short), ``importance`` and
+``held_out`` (what matters, and what unseen data say), ``next_motion``, ``untellable``, and
+``conclusions``, which puts an Explanation together. The sentences that people read are in
+``handcal.show.explanation``.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from __future__ import annotations
 import sys
 
 from handcal import AlsoAFunction
-from handcal.explain.explanation import Explanation
 from handcal.explain.pipeline import explain
+from handcal.explanation import Explanation
 
 __all__ = ["Explanation", "explain"]
 

@@ -3,7 +3,7 @@ every number that goes with it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,23 +19,10 @@ from handcal.estimate.robust import inflation
 from handcal.estimate.specification import Specification
 from handcal.estimate.start import BIASES
 from handcal.explain import held_out as held
-from handcal.explain import importance, locate, outliers
+from handcal.explain import importance, locate
 from handcal.explain.bias_limits import leaning
-from handcal.explain.climb.state import too_large
-from handcal.explain.explanation import (
-    Evidence,
-    Explained,
-    Explanation,
-    Fit,
-    HeldOut,
-    Mismatch,
-    Missing,
-    Unnamed,
-)
 from handcal.explain.gauge import plainly
-from handcal.explain.hand_assumption import hand_of
 from handcal.explain.moments import moments
-from handcal.explain.multistart import Found
 from handcal.explain.naming import (
     burst,
     by_the_hand,
@@ -52,6 +39,21 @@ from handcal.explain.naming import (
 from handcal.explain.next_motion import next_motions
 from handcal.explain.stream_words import for_streams
 from handcal.explain.untellable import untellable
+from handcal.explanation import (
+    Evidence,
+    Explained,
+    Explanation,
+    Fit,
+    HeldOut,
+    Hypothesis,
+    Mismatch,
+    Missing,
+    Unnamed,
+)
+from handcal.search import outliers
+from handcal.search.climb.state import too_large
+from handcal.search.hand_assumption import hand_of
+from handcal.search.multistart import Found
 from handcal.types import Array, Parameter, Prior, Result
 
 # Nats below which a recording does not promise to show an effect of the usual size.
@@ -142,21 +144,15 @@ def explanation_of(
     """All that is said of the end of a search; written: its model as ``calibrate --from`` repeats
     it, judged: by unseen data; untried: what there was no time for."""
     found, base, model = end.found, end.base, end.found.model
-    wrong = end.wrong if end.wrong is not None and end.wrong.burst is None else None
+    wrong = None if end.wrong is None or end.wrong.burst is not None else end.wrong
     fits = results(model, moments(found) if written is None else written.moments)
     learnt = {e.id: parameters_of(fits[0], e) for e in model.effects if e.process is None}
     named = _named(end, learnt, wrong, not untried)
     before, explained, mismatch = _compared(end, named.verdict, fits)
-    excess = inflation(model)
-    told = [plainly(model, importance.weighed(found, m, judged), excess) for m in named.missing]
-    told.sort(key=lambda m: (-m.share, -m.log_evidence_gain))
+    told = _weighed(end, named, judged)
     hypotheses = hypotheses_of(found, told, wrong, named.alone)
     missing, hypotheses = for_streams(told, hypotheses, [f.case for f in model.parts])
-    # what all recordings share, and the biases where there is but one; in the order of calibrate
-    own = explained[0].parameters if len(explained) == 1 else ()
-    at = {(p.effect, p.name): k for k, p in enumerate(fits[0].parameters)}
-    shared = (p for known in learnt.values() for p in known)
-    final = tuple(sorted((*own, *shared), key=lambda p: at[p.effect, p.name]))
+    final = _in_order(explained, learnt, fits[0])
     return Explanation(
         named.verdict,
         tuple(mismatch),
@@ -170,11 +166,7 @@ def explanation_of(
         final,
         noise(model.parts[0]),
         tuple(explained),
-        (
-            *_warnings(base, model, {h.effect for h in hypotheses if h.expected < FAINT}, written),
-            *named.remarks,
-            *([_broken_off(untried)] if untried else []),
-        ),
+        (*_warnings(base, model, hypotheses, written), *named.remarks, *_broken_off(untried)),
         written,
         untellable(found, fits[0].parameters),
         hand_of(model.parts[0], end.surely),
@@ -182,6 +174,26 @@ def explanation_of(
         _covariance(fits[0], final),
         _before(model),
     )
+
+
+def _weighed(end: End, named: _Named, judged: importance.Judged | None) -> list[Missing]:
+    """What is named, the largest first, each with what it matters."""
+    found, excess = end.found, inflation(end.found.model)
+    told = [
+        plainly(found.model, importance.weighed(found, m, judged), excess) for m in named.missing
+    ]
+    return sorted(told, key=lambda m: (-m.share, -m.log_evidence_gain))
+
+
+def _in_order(
+    explained: Sequence[Explained], learnt: Mapping[str, tuple[Parameter, ...]], fit: Result
+) -> tuple[Parameter, ...]:
+    """What all recordings share, and the biases where there is but one; in the order of
+    ``calibrate``."""
+    own = explained[0].parameters if len(explained) == 1 else ()
+    at = {(p.effect, p.name): k for k, p in enumerate(fit.parameters)}
+    shared = (p for known in learnt.values() for p in known)
+    return tuple(sorted((*own, *shared), key=lambda p: at[p.effect, p.name]))
 
 
 def _covariance(fit: Result, parameters: Sequence[Parameter]) -> Array:
@@ -203,10 +215,12 @@ def _before(model: Model) -> Prior | None:
     )
 
 
-def _broken_off(untried: Sequence[str]) -> str:
+def _broken_off(untried: Sequence[str]) -> tuple[str, ...]:
+    if not untried:
+        return ()
     return (
         f"The time that was given was over before all had been tried: {', '.join(untried)}. A "
-        "longer --budget, or none, tells whether they change anything."
+        "longer --budget, or none, tells whether they change anything.",
     )
 
 
@@ -290,8 +304,9 @@ def _fit(model: Model, parts: Sequence[Fitted]) -> Fit:
 
 
 def _warnings(
-    base: Model, model: Model, hardly_shown: Set[str], written: Specification | None
+    base: Model, model: Model, hypotheses: Sequence[Hypothesis], written: Specification | None
 ) -> tuple[str, ...]:
+    hardly_shown = {h.effect for h in hypotheses if h.expected < FAINT}
     out = [w for f in base.parts for w in f.case.warnings]
     for f in model.parts:
         out += leaning(f, model.effects, hardly_shown)

@@ -14,10 +14,10 @@ from handcal.estimate.case import Case, applicable, case_of, frozen_at
 from handcal.estimate.fit import fitted
 from handcal.estimate.scan import scan
 from handcal.estimate.transfer import moved_to
-from handcal.explain.score import OCCAM_LEVEL
-from handcal.explain.space import expected_gain as expected_nats
-from handcal.explain.space import space
-from handcal.explain.unnamed import shapes
+from handcal.laws import shapes
+from handcal.score import OCCAM_LEVEL
+from handcal.search.space import expected_gain as expected_nats
+from handcal.search.space import space
 from handcal.types import Array, HandcalError, InputError, Recording
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from handcal.effects import catalogue
 from handcal.estimate.model import Model
-from handcal.explain.explanation import Missing
+from handcal.explanation import Missing
 from handcal.types import Array, Parameter
 
 # Chance at which what an effect has beyond the simpler one is taken for noise.

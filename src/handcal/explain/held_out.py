@@ -14,8 +14,8 @@ from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.fit import EXCESS, fitted, known_of, own_levels
 from handcal.estimate.linear import Linear
 from handcal.estimate.model import Fitted, Model
-from handcal.explain.explanation import HeldOut
 from handcal.explain.locate import at_levels, residual_rms
+from handcal.explanation import HeldOut
 
 # Share of a recording that is seen before the rest is predicted.
 EARLY = 0.6

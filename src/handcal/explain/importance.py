@@ -18,11 +18,11 @@ from handcal.estimate.linear import known_linear
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.problem import Problem
 from handcal.estimate.quadratic import Quadratic, local, total
-from handcal.explain.explanation import Missing
 from handcal.explain.held_out import early_part
-from handcal.explain.multistart import Found
-from handcal.explain.space import Space, expected_gain, space
+from handcal.explanation import Missing
 from handcal.recordings.streams import observed_by
+from handcal.search.multistart import Found
+from handcal.search.space import Space, expected_gain, space
 from handcal.signals import reading
 from handcal.types import Array, IntArray, Recording, Result
 

@@ -12,7 +12,7 @@ from handcal.device.twin import sensor_residuals
 from handcal.estimate.driven import driven
 from handcal.estimate.model import Fitted
 from handcal.estimate.problem import observation_variances
-from handcal.explain.explanation import Mismatch, Trace
+from handcal.explanation import Mismatch, Trace
 from handcal.types import Array, BoolArray
 
 # Time bins of a recording at the most; share of the shortfall from which a channel is named.

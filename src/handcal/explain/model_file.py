@@ -14,7 +14,7 @@ from handcal.effects import Effect, catalogue
 from handcal.estimate.case import HELD, Edit, frozen_at, name_of
 from handcal.estimate.parameters import Moment
 from handcal.estimate.specification import BASELINE, ONLINE, Options, Specification, View
-from handcal.explain.unnamed import law_effect, shapes, terms, with_motion
+from handcal.laws import law_effect, shapes, terms, with_motion
 from handcal.observations import catalogue as observations
 from handcal.types import InputError
 

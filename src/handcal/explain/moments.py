@@ -8,8 +8,8 @@ import numpy as np
 
 from handcal.estimate.case import name_of
 from handcal.estimate.parameters import Moment
-from handcal.explain.multistart import Found
-from handcal.explain.space import rivals
+from handcal.search.multistart import Found
+from handcal.search.space import rivals
 
 # How well a moment is known, s, where only one was on trial.
 MOMENT = 0.1

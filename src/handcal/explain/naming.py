@@ -12,15 +12,16 @@ from handcal.effects import Effect, catalogue
 from handcal.estimate.case import Case, name_of
 from handcal.estimate.model import Model
 from handcal.estimate.process import process_parameters
-from handcal.explain import importance, outliers
-from handcal.explain.climb.exchange_steps import ALIKE, akin
-from handcal.explain.explanation import Curve, Hypothesis, Missing, Unnamed, is_curve
-from handcal.explain.multistart import Found
-from handcal.explain.score import CERTAIN, NAMED, PRIOR, probability
-from handcal.explain.space import expected_gain, gains, probabilities, rivals
-from handcal.explain.unnamed import with_motion
-from handcal.explain.unnamed.curve import channel_of, drawn, drivers_of
-from handcal.explain.unnamed.law_effect import law_of
+from handcal.explain import importance
+from handcal.explanation import Curve, Hypothesis, Missing, Unnamed, is_curve
+from handcal.laws import with_motion
+from handcal.laws.curve import channel_of, drawn, drivers_of
+from handcal.laws.law_effect import law_of
+from handcal.score import CERTAIN, NAMED, PRIOR, probability
+from handcal.search import outliers
+from handcal.search.climb.exchange_steps import ALIKE, akin
+from handcal.search.multistart import Found
+from handcal.search.space import expected_gain, gains, probabilities, rivals
 from handcal.types import Parameter, Result
 
 # What is missing is likelier than not; a rival is listed when it has that share of its set.

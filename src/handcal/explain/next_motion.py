@@ -26,13 +26,13 @@ from handcal.estimate.observed import observed_of
 from handcal.estimate.problem import Problem
 from handcal.estimate.quadratic import Posterior, Quadratic, local, posterior
 from handcal.estimate.trajectory import Trajectory, epochs
-from handcal.explain.explanation import Hypothesis, Missing, NextMotion
-from handcal.explain.multistart import Found
-from handcal.explain.space import Space, expected_gain
+from handcal.explanation import Hypothesis, Missing, NextMotion
 from handcal.motions import EARTH_FIELD, MOTIONS, Motion, attitude, rate_of, recording_of
 from handcal.observations.magnetometer import HORIZONTAL, UPWARD
 from handcal.recordings import segment
 from handcal.recordings.streams import STREAMS
+from handcal.search.multistart import Found
+from handcal.search.space import Space, expected_gain
 from handcal.types import Array, HandcalError, IntArray
 
 # Motions that are proposed, at the most.

@@ -25,20 +25,21 @@ from handcal.estimate.specification import (
     settled,
 )
 from handcal.explain import held_out as held
-from handcal.explain import importance, outliers
-from handcal.explain.budget import Budget, after
-from handcal.explain.climb.state import sensible, too_large
+from handcal.explain import importance
 from handcal.explain.conclusions import End, explanation_of
-from handcal.explain.drifting_point import begun, moving
-from handcal.explain.explanation import (
+from handcal.explain.moments import moments
+from handcal.explanation import (
     Explanation,
     HeldOut,
 )
-from handcal.explain.hand_assumption import foretold
-from handcal.explain.moments import moments
-from handcal.explain.multistart import Found, advantage, astray, search
-from handcal.explain.score import PRIOR, TERM_PRIOR
-from handcal.explain.space import gains, space
+from handcal.score import PRIOR, TERM_PRIOR
+from handcal.search import outliers
+from handcal.search.budget import Budget, after
+from handcal.search.climb.state import sensible, too_large
+from handcal.search.drifting_point import begun, moving
+from handcal.search.hand_assumption import foretold
+from handcal.search.multistart import Found, advantage, astray, search
+from handcal.search.space import gains, space
 from handcal.types import InputError, Prior, Recording
 
 # Called with the share that is done, and what is being done.
@@ -46,6 +47,8 @@ Progress = Callable[[float, str], None]
 # Nats by which a fit from the start may do worse than that at the end of a search: as good, and
 # no fit of the same model at all.
 SAME, LOST = 1.0, 100.0
+
+SEARCHING = "searching what is missing"
 
 
 def explain(
@@ -70,18 +73,13 @@ def explain(
     its effects in the final fit. Other options as in ``calibrate``. Raises InputError for wrong
     use, HandcalError where no result could be made.
     """
-    began = time.monotonic()
-    report = progress or (lambda _, __: None)
-    if not recordings:
-        raise InputError("There is no recording to explain.")
-    for recording in recordings:
-        check_options(recording, assume, heading_sigma, ignore)
+    time_left, report = after(time.monotonic(), budget), progress or (lambda _, __: None)
+    _check(recordings, assume, heading_sigma, ignore)
     fixed = {} if heading_sigma is None else {"heading_noise": heading_sigma}
     options = Options(latitude, height, fixed, tuple(ignore), reference_exact, before)
     cases = [_case(r, assume, options) for r in recordings]
     report(0.03, "fitting the baseline")
-    time_left, stage = after(began, budget), "searching what is missing"
-    end = _searched(begun(cases), time_left, lambda f: report(0.1 + 0.6 * f, stage))
+    end = _searched(begun(cases), time_left, lambda f: report(0.1 + 0.6 * f, SEARCHING))
     if assume == "auto":
         end = _by_the_rests(cases, end, options, time_left, report)
     report(0.75, "fitting the model that was found")
@@ -93,6 +91,18 @@ def explain(
     out = explanation_of(end, scores, chosen, judged, tuple(time_left.untried))
     report(1.0, "")
     return out
+
+
+def _check(
+    recordings: Sequence[Recording],
+    assume: str,
+    heading_sigma: float | None,
+    ignore: Sequence[str],
+) -> None:
+    if not recordings:
+        raise InputError("There is no recording to explain.")
+    for recording in recordings:
+        check_options(recording, assume, heading_sigma, ignore)
 
 
 def _finished(

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from handcal.effects import catalogue
 from handcal.estimate.case import Case
-from handcal.explain.explanation import Hypothesis, Missing
+from handcal.explanation import Hypothesis, Missing
 
 
 def for_streams(

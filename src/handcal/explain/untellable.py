@@ -9,7 +9,7 @@ import numpy as np
 
 from handcal.estimate.fit import prior_root
 from handcal.estimate.quadratic import posterior
-from handcal.explain.multistart import Found
+from handcal.search.multistart import Found
 from handcal.types import Parameter
 
 

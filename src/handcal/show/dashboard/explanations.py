@@ -11,7 +11,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from handcal.explain.explanation import Explained, Explanation, Hypothesis, Trace
+from handcal.explanation import Explained, Explanation, Hypothesis, Trace
 from handcal.show import words
 from handcal.show.dashboard import unnamed_laws
 from handcal.show.dashboard.common import GREY, TIMELINE, XYZ, columns, lines, plot, save

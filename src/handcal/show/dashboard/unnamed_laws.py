@@ -9,7 +9,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from handcal import units
-from handcal.explain.explanation import Explanation, Unnamed
+from handcal.explanation import Explanation, Unnamed
 from handcal.show.dashboard.common import GREY, columns, lines, plot
 from handcal.show.explanation import words as say
 from handcal.types import Array

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from handcal.effects import catalogue
-from handcal.explain.explanation import Explanation, Mismatch, Missing
+from handcal.explanation import Explanation, Mismatch, Missing
 from handcal.show import words
 from handcal.show.explanation.words import (
     is_always,

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from handcal.estimate.specification import document_of
-from handcal.explain.explanation import (
+from handcal.explanation import (
     Explained,
     Explanation,
     Fit,

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from handcal.device.file import kept
 from handcal.effects import catalogue, installed
-from handcal.explain.explanation import Explanation
+from handcal.explanation import Explanation
 from handcal.show.explanation.document import final_parameters
 from handcal.types import Parameter
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from handcal.explain.explanation import Explained, Explanation, Hypothesis, Mismatch, Trace
+from handcal.explanation import Explained, Explanation, Hypothesis, Mismatch, Trace
 from handcal.show.explanation.always import told_mismatch
 from handcal.types import Array
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from handcal.explain.explanation import Explanation, Trace, Unnamed
+from handcal.explanation import Explanation, Trace, Unnamed
 from handcal.show import words
 from handcal.show.calibration import summary
 from handcal.show.calibration.plots import sizes

@@ -9,7 +9,7 @@ from typing import Any
 
 import handcal
 from handcal import output
-from handcal.explain.explanation import Explanation, Hypothesis, Mismatch, Missing, Unnamed
+from handcal.explanation import Explanation, Hypothesis, Mismatch, Missing, Unnamed
 from handcal.show import words
 from handcal.show.calibration.report import how_to_apply
 from handcal.show.drawing import PALETTE

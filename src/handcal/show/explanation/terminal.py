@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from handcal.explain.explanation import Explanation, Missing
+from handcal.explanation import Explanation, Missing
 from handcal.show import words
 from handcal.show.explanation import always, verdict_text
 from handcal.show.explanation import words as say

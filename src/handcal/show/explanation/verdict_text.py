@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 from functools import partial
 
-from handcal.explain.explanation import (
+from handcal.explanation import (
     Explanation,
     Fit,
     Hypothesis,

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from handcal.effects import catalogue
-from handcal.explain.explanation import (
+from handcal.explanation import (
     Explained,
     Explanation,
     Hypothesis,

@@ -26,9 +26,9 @@ from handcal.effects import (
     catalogue,
     observed_error,
 )
-from handcal.explain.unnamed.drivers import WARM
-from handcal.explain.unnamed.grammar import SIZES, WIDTHS, process_root
-from handcal.explain.unnamed.law_effect import PROBED, basis, spanned
+from handcal.laws.drivers import WARM
+from handcal.laws.grammar import SIZES, WIDTHS, process_root
+from handcal.laws.law_effect import PROBED, basis, spanned
 from handcal.signals import probe, warmth_at
 from handcal.types import Array, Recording
 

@@ -21,10 +21,10 @@ from scipy.optimize import minimize
 from handcal.compiled.jit import njit, residual_function
 from handcal.effects import TIME, Effect, Param, Signals
 from handcal.estimate.quadratic import Quadratic
-from handcal.explain.unnamed.courses import MOST, OVER_TIME, OVER_YAW, Family
-from handcal.explain.unnamed.grammar import FREEDOM
-from handcal.explain.unnamed.law_effect import CHANNELS, SIZE, UNITS
-from handcal.explain.unnamed.terms import CURVES, DIRECTIONS, HEADING_SIZE, cubic, term
+from handcal.laws.courses import MOST, OVER_TIME, OVER_YAW, Family
+from handcal.laws.grammar import FREEDOM
+from handcal.laws.law_effect import CHANNELS, SIZE, UNITS
+from handcal.laws.terms import CURVES, DIRECTIONS, HEADING_SIZE, cubic, term
 from handcal.types import Array, IntArray
 
 # A course that is short stands out further than one that lasts, of the same mean square.

@@ -22,9 +22,9 @@ from handcal.estimate.fit import diverged, fitted
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.parallel import in_parallel
 from handcal.estimate.sway import beyond_a_hand
-from handcal.explain.climb.state import WEAK
-from handcal.explain.score import PRIOR, better
 from handcal.observations.fixed_position import CREEPING
+from handcal.score import PRIOR, better
+from handcal.search.climb.state import WEAK
 from handcal.types import Array, HandcalError
 
 OBSERVED = CREEPING.kind

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 
 from handcal.estimate.case import name_of
 from handcal.estimate.model import Model
-from handcal.explain.budget import Budget
-from handcal.explain.score import better
-from handcal.explain.space import Space
-from handcal.explain.unnamed.best import Term
+from handcal.laws.best import Term
+from handcal.score import better
+from handcal.search.budget import Budget
+from handcal.search.space import Space
 
 # Nats below which an effect may be there for the sake of another's wrong name only.
 WEAK = 100.0

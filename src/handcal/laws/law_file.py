@@ -23,10 +23,10 @@ import numpy as np
 
 from handcal import output
 from handcal.effects import Param
-from handcal.explain.explanation import Unnamed
-from handcal.explain.unnamed import grammar, law_effect, terms
-from handcal.explain.unnamed.drivers import AXES, DRIVERS
-from handcal.explain.unnamed.law_code import (
+from handcal.explanation import Unnamed
+from handcal.laws import grammar, law_effect, terms
+from handcal.laws.drivers import AXES, DRIVERS
+from handcal.laws.law_code import (
     WIDE,
     heading_curve,
     heading_function,

@@ -13,10 +13,10 @@ from handcal.estimate.case import applicable, name_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.parallel import in_parallel
-from handcal.explain.climb.candidates import scanned_about
-from handcal.explain.climb.state import HOPELESS, WEAK, Climb, likelier, sensible
-from handcal.explain.score import NAMED, PRIOR, better
-from handcal.explain.space import best_set, gains, rivals
+from handcal.score import NAMED, PRIOR, better
+from handcal.search.climb.candidates import scanned_about
+from handcal.search.climb.state import HOPELESS, WEAK, Climb, likelier, sensible
+from handcal.search.space import best_set, gains, rivals
 
 # A rival that would do so much of what an effect does is fitted in its place.
 NEARLY = 0.4

@@ -6,11 +6,11 @@ from __future__ import annotations
 from handcal.estimate.case import name_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
-from handcal.explain.climb.state import FEW, WEAK, Climb, likelier, sensible
-from handcal.explain.confounding import without_confounding
-from handcal.explain.noise_scan import LOOK, all_noise, looks_of, of_looks, on_fewer_axes
-from handcal.explain.score import PRIOR, better, score
-from handcal.explain.space import gains
+from handcal.score import PRIOR, better, score
+from handcal.search.climb.state import FEW, WEAK, Climb, likelier, sensible
+from handcal.search.confounding import without_confounding
+from handcal.search.noise_scan import LOOK, all_noise, looks_of, of_looks, on_fewer_axes
+from handcal.search.space import gains
 
 
 def add_noise(c: Climb) -> Model | None:

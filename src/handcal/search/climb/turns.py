@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from handcal.estimate.model import Model
-from handcal.explain.climb.candidates import scanned
-from handcal.explain.climb.exchange_steps import exchange, hidden, reorder
-from handcal.explain.climb.law_steps import MAX_TERMS, instead, name_term, narrow, reshape
-from handcal.explain.climb.noise_steps import add_noise, exchange_noise, free, noise_instead
-from handcal.explain.climb.state import Climb
-from handcal.explain.climb.subset_steps import choose, delay, everything, favourite, thin
-from handcal.explain.space import gains
+from handcal.search.climb.candidates import scanned
+from handcal.search.climb.exchange_steps import exchange, hidden, reorder
+from handcal.search.climb.law_steps import MAX_TERMS, instead, name_term, narrow, reshape
+from handcal.search.climb.noise_steps import add_noise, exchange_noise, free, noise_instead
+from handcal.search.climb.state import Climb
+from handcal.search.climb.subset_steps import choose, delay, everything, favourite, thin
+from handcal.search.space import gains
 
 # Turns of a climb at the most, beside two for each term that may be named. (Every step raises the
 # score, so a climb ends by itself; where it was cut off after 14, what stood in for a law stayed.)

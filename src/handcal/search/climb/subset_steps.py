@@ -11,10 +11,10 @@ from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.parallel import in_parallel
 from handcal.estimate.robust import inflation
-from handcal.explain.climb.candidates import REFUSED, candidates, scanned_about
-from handcal.explain.climb.state import FEW, Climb, forget, likelier, too_large
-from handcal.explain.score import PRIOR, better
-from handcal.explain.space import Space, best_set, gains
+from handcal.score import PRIOR, better
+from handcal.search.climb.candidates import REFUSED, candidates, scanned_about
+from handcal.search.climb.state import FEW, Climb, forget, likelier, too_large
+from handcal.search.space import Space, best_set, gains
 
 # An effect whose gain is less than this is fitted without, to be sure.
 CLOSE = 20.0

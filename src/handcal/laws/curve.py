@@ -14,9 +14,9 @@ from handcal.device.twin import sensor_residuals
 from handcal.effects import ROOM, TIME, WARMTH, Z_DIM, Effect, Signals, observed_error
 from handcal.estimate.model import Fitted
 from handcal.estimate.trajectory import path
-from handcal.explain.explanation import Curve, is_curve
-from handcal.explain.unnamed.best import signals_of
-from handcal.explain.unnamed.law_effect import CHANNELS, UNITS, Law, law_of
+from handcal.explanation import Curve, is_curve
+from handcal.laws.best import signals_of
+from handcal.laws.law_effect import CHANNELS, UNITS, Law, law_of
 from handcal.types import Array
 
 # Points of a curve, at the most.

@@ -13,10 +13,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from handcal.effects import ATTITUDE, ROOM, Z_DIM, Effect, Param, observed_error
-from handcal.explain.unnamed.drivers import TURNING, WARM
-from handcal.explain.unnamed.grammar import Form, text_of
-from handcal.explain.unnamed.law_effect import SENSORS, UNITS, Law
-from handcal.explain.unnamed.terms import FASTEST, SLOW
+from handcal.laws.drivers import TURNING, WARM
+from handcal.laws.grammar import Form, text_of
+from handcal.laws.law_effect import SENSORS, UNITS, Law
+from handcal.laws.terms import FASTEST, SLOW
 from handcal.types import Array
 
 # Columns of a line in a file that is to be read.

@@ -13,8 +13,8 @@ from handcal.effects import Effect, Signals
 from handcal.estimate.columns import Ground
 from handcal.estimate.model import Model
 from handcal.estimate.scan import scan
-from handcal.explain.unnamed.drivers import DRIVERS, LINE, NEARER, Driver, usable
-from handcal.explain.unnamed.grammar import (
+from handcal.laws.drivers import DRIVERS, LINE, NEARER, Driver, usable
+from handcal.laws.grammar import (
     Form,
     Part,
     about,
@@ -24,8 +24,8 @@ from handcal.explain.unnamed.grammar import (
     parts_for,
     range_of,
 )
-from handcal.explain.unnamed.law_effect import SIZE, Law, effect_of, named
-from handcal.explain.unnamed.weighing import Beside, beside, gains, weighed
+from handcal.laws.law_effect import SIZE, Law, effect_of, named
+from handcal.laws.weighing import Beside, beside, gains, weighed
 from handcal.types import Array
 
 # Shares of the way to a formula's next numbers on trial at which it is tried once more, in turn.

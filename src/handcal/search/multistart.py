@@ -15,16 +15,16 @@ from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.parallel import in_parallel
-from handcal.explain.budget import Budget
-from handcal.explain.climb.candidates import scanned
-from handcal.explain.climb.exchange_steps import lateness
-from handcal.explain.climb.state import WEAK, Climb
-from handcal.explain.climb.turns import climbed
-from handcal.explain.confounding import steadied, sways_far
-from handcal.explain.delays import with_delays
-from handcal.explain.score import better
-from handcal.explain.space import Space, gains
-from handcal.explain.unnamed.best import Term, best_term
+from handcal.laws.best import Term, best_term
+from handcal.score import better
+from handcal.search.budget import Budget
+from handcal.search.climb.candidates import scanned
+from handcal.search.climb.exchange_steps import lateness
+from handcal.search.climb.state import WEAK, Climb
+from handcal.search.climb.turns import climbed
+from handcal.search.confounding import steadied, sways_far
+from handcal.search.delays import with_delays
+from handcal.search.space import Space, gains
 from handcal.types import HandcalError
 
 # What a single term has to gain, of all that was found, for a second climb to begin with it.

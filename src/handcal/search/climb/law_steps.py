@@ -14,12 +14,12 @@ from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.parallel import in_parallel
 from handcal.estimate.scan import scan
-from handcal.explain.climb.candidates import scanned_about
-from handcal.explain.climb.state import HOPELESS, Climb, forget, likelier, sensible
-from handcal.explain.score import better, prior, score
-from handcal.explain.space import best_set, space
-from handcal.explain.unnamed.best import Term, best_term, reshaped
-from handcal.explain.unnamed.law_effect import effect_of, law_of
+from handcal.laws.best import Term, best_term, reshaped
+from handcal.laws.law_effect import effect_of, law_of
+from handcal.score import better, prior, score
+from handcal.search.climb.candidates import scanned_about
+from handcal.search.climb.state import HOPELESS, Climb, forget, likelier, sensible
+from handcal.search.space import best_set, space
 
 # Terms without a name at the most.
 MAX_TERMS = 3

@@ -16,9 +16,9 @@ from handcal.estimate.fit import fitted, known_of, own_levels
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.sway import TRAVEL_NATS, beyond_a_hand
 from handcal.estimate.transfer import at_constants, moved_to
-from handcal.explain.explanation import Hand
-from handcal.explain.multistart import Found
-from handcal.explain.score import CERTAIN, log_prior, score
+from handcal.explanation import Hand
+from handcal.score import CERTAIN, log_prior, score
+from handcal.search.multistart import Found
 
 
 def foretold(held: Model, base: Model, laid: Found) -> float:

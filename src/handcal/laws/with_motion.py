@@ -18,7 +18,7 @@ from handcal.compiled.kernel import BASE
 from handcal.effects import Effect, Param, catalogue
 from handcal.estimate import smoother
 from handcal.estimate.model import Fitted
-from handcal.explain.explanation import Curve
+from handcal.explanation import Curve
 from handcal.types import Array, Level
 
 # How the size of the error goes with the motion: as the rate, with a memory in time; or not at

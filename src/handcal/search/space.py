@@ -14,7 +14,7 @@ from handcal.estimate.case import name_of
 from handcal.estimate.fit import prior_root
 from handcal.estimate.quadratic import Quadratic
 from handcal.estimate.tails import Owners, log_evidence, owners_of
-from handcal.explain.score import PRIOR
+from handcal.score import PRIOR
 from handcal.types import Array, BoolArray, IntArray
 
 

@@ -17,10 +17,9 @@ from handcal.estimate.parallel import in_parallel
 from handcal.estimate.quadratic import Quadratic
 from handcal.estimate.scan import grounds, scan
 from handcal.estimate.trajectory import path
-from handcal.explain.score import TERM_PRIOR, better, score
-from handcal.explain.unnamed import shapes, terms
-from handcal.explain.unnamed.law_effect import Law, effect_of, law_of
-from handcal.explain.unnamed.over_drivers import (
+from handcal.laws import shapes, terms
+from handcal.laws.law_effect import Law, effect_of, law_of
+from handcal.laws.over_drivers import (
     About,
     Block,
     best_of_block,
@@ -28,7 +27,8 @@ from handcal.explain.unnamed.over_drivers import (
     tuned,
     written_out,
 )
-from handcal.explain.unnamed.weighing import beside, gains, weighed, wide_root
+from handcal.laws.weighing import beside, gains, weighed, wide_root
+from handcal.score import TERM_PRIOR, better, score
 from handcal.signals import of_recording
 from handcal.types import IntArray
 

@@ -10,9 +10,9 @@ import numpy as np
 
 from handcal.effects import Catalogue, Effect, Param, Signals, catalogue, imu_jacobian
 from handcal.effects._linear import added
-from handcal.explain.unnamed import grammar
-from handcal.explain.unnamed.drivers import AXES, Driver, driver_of
-from handcal.explain.unnamed.grammar import Form
+from handcal.laws import grammar
+from handcal.laws.drivers import AXES, Driver, driver_of
+from handcal.laws.grammar import Form
 from handcal.signals import probe
 from handcal.types import Array, BoolArray
 

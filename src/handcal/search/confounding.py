@@ -14,7 +14,7 @@ from handcal.estimate.fit import fitted
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.parallel import in_parallel
 from handcal.estimate.sway import HAND_SWAY, sway_of
-from handcal.explain.score import better
+from handcal.score import better
 
 # Sigmas of its prior by which a level lies above its first guess before it is suspected.
 FAR = 2.0

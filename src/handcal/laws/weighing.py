@@ -10,7 +10,7 @@ import numpy as np
 from handcal.effects import Effect
 from handcal.estimate.fit import prior_root
 from handcal.estimate.quadratic import Quadratic
-from handcal.explain.unnamed import shapes
+from handcal.laws import shapes
 from handcal.types import Array, IntArray
 
 

@@ -11,11 +11,11 @@ from handcal.effects import Effect, catalogue
 from handcal.estimate.case import applicable, frozen_at, name_of
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.scan import scan
-from handcal.explain.climb.state import Climb
-from handcal.explain.jumps import sudden
-from handcal.explain.score import MOMENTS, prior
-from handcal.explain.space import Space, space
-from handcal.explain.unnamed.best import Term
+from handcal.laws.best import Term
+from handcal.score import MOMENTS, prior
+from handcal.search.climb.state import Climb
+from handcal.search.jumps import sudden
+from handcal.search.space import Space, space
 from handcal.types import Array
 
 # Log odds of what was fitted without and not missed.

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from handcal.effects import TIME
-from handcal.explain.unnamed.terms import DIRECTIONS
+from handcal.laws.terms import DIRECTIONS
 from handcal.types import Array
 
 # Knots over a recording: as many at most, a power of two of seconds apart.
