@@ -223,6 +223,18 @@ def test_probabilities_of_two_are_those_of_bayes(seed: int) -> None:
             assert 0.0 <= p <= 1.0
 
 
+def test_what_a_fit_did_not_keep_speaks_for_nobody() -> None:
+    """A scan promised 19 nats for a law beside an effect that gains 9.7, and a fit refused it; the
+    effect was said to be there at 99.9999 % for the sake of that promise."""
+    where = _space(4.4 * UNIT[0] + 9.0 * UNIT[1], {"a": 9.0 * UNIT[0], "law": 9.0 * UNIT[1]})
+    chosen = frozenset("a")
+    odds = where.score(chosen) - where.score(())
+    assert 0.0 < odds < 6.0
+    assert where.score(["a", "law"]) > where.score(chosen) + 10.0
+    probable = probabilities(where, chosen, most=where.score(chosen))
+    assert probable == {"a": pytest.approx(1.0 / (1.0 + math.exp(-odds))), "law": 0.0}
+
+
 def test_of_those_said_to_be_probable_as_many_are_there() -> None:
     """3000 draws from the prior, six bins of what is said; of each bin's N a share of the mean
     said is there, within 4 sigma of the binomial."""

@@ -21,7 +21,7 @@ from handcal.score import CERTAIN, NAMED, PRIOR, probability
 from handcal.search import outliers
 from handcal.search.climb.exchange_steps import ALIKE, akin
 from handcal.search.multistart import Found
-from handcal.search.space import expected_gain, gains, probabilities, rivals
+from handcal.search.space import Space, expected_gain, gains, probabilities, rivals
 from handcal.types import Parameter, Result
 
 # What is missing is likelier than not; a rival is listed when it has that share of its set.
@@ -44,7 +44,7 @@ def entries_of(
 ) -> tuple[list[Missing], bool]:
     """The model's effects as they would be named; whether for one of them a rival is as good."""
     where, model = found.space, found.model
-    probable, gained = probabilities(where, chosen), gains(where, chosen)
+    probable, gained = _probable(where, chosen), gains(where, chosen)
     out, unsure = [], False
     for effect in model.effects:
         if "+=" in effect.id:
@@ -72,6 +72,11 @@ def entries_of(
                    (wrong.parameter,))
         )  # fmt: skip
     return out, unsure
+
+
+def _probable(where: Space, chosen: frozenset[str]) -> dict[str, float]:
+    """Of each effect, where a search ended with those that are chosen."""
+    return probabilities(where, chosen, most=where.score(chosen))
 
 
 def likely(entries: Sequence[Missing], alone: Mapping[str, float]) -> list[Missing]:
@@ -229,7 +234,7 @@ def hypotheses_of(
     """Every effect that was on trial, best alone first; alone: as of ``standing_out``."""
     where = found.space
     chosen = found.model.chosen
-    probable, final = probabilities(where, chosen), gains(where, chosen)
+    probable, final = _probable(where, chosen), gains(where, chosen)
     named = {m.effect: m for m in missing}
     rival = {i for m in missing for i in m.indistinguishable_from}
     out: dict[str, Hypothesis] = {}

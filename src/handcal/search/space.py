@@ -139,10 +139,15 @@ def _pair(where: Space, chosen: frozenset[str], value: float) -> frozenset[str] 
     return found
 
 
-def probabilities(where: Space, chosen: frozenset[str]) -> dict[str, float]:
-    """Posterior probability of each effect, over the sets near the best."""
+def probabilities(where: Space, chosen: frozenset[str], most: float = math.inf) -> dict[str, float]:
+    """Posterior probability of each effect, over the sets near the best.
+
+    most: the score beyond which a set is left out. (A search ends where no fit is better: what a
+    scan promises beyond that was fitted and did not keep it, and speaks for none of its members.)
+    """
     # (in an order that is the same in every run)
     scores = {s: where.score(s) for s in (chosen, *_neighbours(where, chosen))}
+    scores = {s: v for s, v in scores.items() if v <= most}
     top = max(scores.values())
     weight = {s: math.exp(v - top) for s, v in scores.items()}
     norm = sum(weight.values())
