@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import itertools
 import json
+import re
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -30,7 +32,7 @@ from handcal.search.climb.noise_steps import add_noise
 from handcal.search.climb.state import Climb
 from handcal.search.noise_scan import all_noise
 from handcal.signals import probe
-from handcal.types import Array, Parameter, Recording
+from handcal.types import Array, Imu, Parameter, Recording
 from handcal_sim import simulate
 
 RANGES = (Range(-3.0, 3.0, 0.2), Range(0.5, 4.0, 3.5))
@@ -279,6 +281,52 @@ def test_the_size_of_the_rate_on_all_axes_is_told_and_nothing_else() -> None:
     assert law.value == pytest.approx(0.01, abs=5.0 * law.sigma)
     assert law.curve is not None
     np.testing.assert_allclose(law.curve.y, law.value * law.curve.x, rtol=0.01)
+
+
+def held(seed: int, seconds: float, error: Callable[[Imu], Array]) -> Recording:
+    """A device in a hand that reads so much too much (n, 6)."""
+    recording = recording_of(simulate("free-hand", seed=seed, duration_s=seconds), "heading")
+    imu, more = recording.imu, error(recording.imu)
+    read = replace(imu, gyro=imu.gyro + more[:, :3], accel=imu.accel + more[:, 3:])
+    return replace(recording, imu=read)
+
+
+@pytest.mark.parametrize(
+    ("seed", "seconds"),
+    [(0, 24.0), *(pytest.param(k, 40.0, marks=pytest.mark.prove) for k in range(3))],
+)
+def test_a_law_of_two_axes_is_not_told_of_the_third(seed: int, seconds: float) -> None:
+    """Found as a law of all three, each with a constant of its own; without the step that puts it
+    on fewer axes it stays that."""
+
+    def two(imu: Imu) -> Array:
+        size = np.linalg.norm(imu.gyro, axis=1)
+        return np.outer(size, [0.006, -0.004, 0.0, 0.0, 0.0, 0.0])
+
+    found = explain([held(seed, seconds, two)])
+    assert (found.verdict, found.missing) == ("unexplained", ())
+    (law,) = found.unnamed
+    assert law.formula == "gyro_xy += k_i * |omega|"
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("seed", range(2))
+def test_a_course_is_chosen_again_beside_what_came_after_it(seed: int) -> None:
+    """A swing of the accelerometer is found first, about a gyro that errs by a bump; its phase was
+    off by a tenth of a radian unless it is chosen again afterwards."""
+
+    def both(imu: Imu) -> Array:
+        swing = 0.08 * np.sin(2.0 * np.pi * imu.t / 9.85 + 0.19)
+        bump = 0.01 * np.exp(-0.5 * ((imu.t - 14.0) / 2.0) ** 2)
+        none = np.zeros_like(swing)
+        return np.stack([bump, none, none, none, none, swing], axis=1)
+
+    found = explain([held(seed, 40.0, both)])
+    law = next(u for u in found.unnamed if u.channels == ("accel_z",))
+    period, phase = (float(x) for x in re.findall(r"[\d.]+", law.formula.split("sin")[1])[1:])
+    t = np.linspace(0.0, 40.0, 400)
+    true, told = (np.sin(2.0 * np.pi * t / T + p) for T, p in ((9.85, 0.19), (period, phase)))
+    assert np.sqrt(np.mean((told - true) ** 2) / np.mean(true**2)) < 0.06
 
 
 @pytest.mark.prove
