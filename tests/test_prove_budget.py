@@ -70,6 +70,7 @@ def test_nothing_is_left_of_what_is_known_and_everything_of_what_is_not():
     assert worked_out(Ticket("phone", 3, 5), said()) == {}
 
 
+@pytest.mark.prove
 def test_what_the_names_alone_leave_is_asked_where_it_matters(tmp_path):
     ticket = Ticket("budget", 2, 5)
     world, answer = draw.draw("budget", 2, 5)
