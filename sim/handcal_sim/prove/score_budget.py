@@ -27,6 +27,7 @@ def score(trials: Sequence[Trial]) -> dict[str, Any]:
     ]
     found = sum(len(matched(t.answer.effects, named(t.document))) for t in told)
     there = sum(len(t.answer.effects) for t in told)
+    beyond = sum(not _near(x, y, WORST) for x, y in zip(left, least, strict=True))
     whole = len(left) == len(trials) > 0
     return {
         "left": {
@@ -37,11 +38,11 @@ def score(trials: Sequence[Trial]) -> dict[str, Any]:
                 "median": float(np.median(least)) if least else None,
                 "worst": max(least, default=None),
             },
-            "beyond": sum(not _near(x, y, WORST) for x, y in zip(left, least, strict=True)),
+            "beyond": beyond,
             "asked": {"median": MEDIAN, "worst": WORST, "beside_told": BESIDE_TOLD},
             "met": whole
-            and _near(float(np.median(left)), float(np.median(least)), MEDIAN)
-            and all(_near(x, y, WORST) for x, y in zip(left, least, strict=True)),
+            and beyond == 0
+            and _near(float(np.median(left)), float(np.median(least)), MEDIAN),
         },
         "names": share(found, there),
         "parameters": together(trials, REPORTED),

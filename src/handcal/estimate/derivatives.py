@@ -288,23 +288,21 @@ def _averaged(J: Array, width: int) -> Array:
     errors). What an effect adds is still computed from the readings as they are.
     """
     out = np.empty_like(J)
-    _running_mean(J, width, np.ones(len(J), dtype=np.bool_), out)
+    _running_mean(J, width, out)
     return out
 
 
 @njit
-def _running_mean(x: Array, width: int, wanted: BoolArray, out: Array) -> None:
-    """Means over ``width`` rows of x (n, k), the first and the last repeated beyond the ends, into
-    the wanted rows of ``out``."""
+def _running_mean(x: Array, width: int, out: Array) -> None:
+    """Means over ``width`` rows of x (n, k), the first and the last repeated beyond the ends."""
     n, k = x.shape
     total = np.zeros(k)
     for j in range(-(width // 2), width - width // 2):
         for c in range(k):
             total[c] += x[min(max(j, 0), n - 1), c]
     for i in range(n):
-        if wanted[i]:
-            for c in range(k):
-                out[i, c] = total[c] / width
+        for c in range(k):
+            out[i, c] = total[c] / width
         old, new = max(i - width // 2, 0), min(i + width - width // 2, n - 1)
         for c in range(k):
             total[c] += x[new, c] - x[old, c]
