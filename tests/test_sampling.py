@@ -7,7 +7,7 @@ import pytest
 from worlds import recording_of
 
 from handcal.estimate.calibration import calibrate
-from handcal.estimate.sampling import between_samples, smoothness
+from handcal.estimate.sampling import between_samples, knocked, smoothness
 from handcal.types import Imu
 from handcal_sim import simulate
 from handcal_sim.motion_wild import wild
@@ -110,3 +110,42 @@ def test_a_hand_that_shakes_is_no_slow_gyro(seed: int) -> None:
     lags = ["gyro_bandwidth", "heading_delay", "accel_delay"]
     plain, slow = (calibrate(recording, e).log_evidence for e in ([], lags))
     assert slow < plain
+
+
+def knock(at: float, width: float, seed: int) -> Imu:
+    """Readings of a device that turns slowly, and is knocked once: there and back within four
+    widths (s)."""
+    t = np.arange(0.0, 10.0, 1.0 / RATE_HZ)
+    x = 1e-3 * np.random.default_rng(seed).standard_normal((len(t), 3)) + np.sin(t)[:, None]
+    x[:, 1] += (at - t) / width * np.exp(-0.5 * ((t - at) / width) ** 2)
+    return Imu(t, x, 10.0 * x, np.ones(len(t), dtype=np.bool_))
+
+
+def test_what_a_knock_hides_is_no_more_than_is_said() -> None:
+    """Its integral is nothing; of what lies between the samples straight lines make an angle. Over
+    all phases: within what is said to be unknown, and not far within it where it is as short as
+    the samples are apart."""
+    said, off = [], []
+    for seed, at in enumerate(5.0 + np.arange(100) / 100.0 / RATE_HZ):
+        imu = knock(at, 0.6 / RATE_HZ, seed)
+        still = knock(-100.0, 1.0, seed)
+        for k, (x, y) in enumerate([(imu.gyro, still.gyro), (imu.accel, still.accel)]):
+            scale = (1.0, 10.0)[k]
+            said.append(float(np.sqrt((knocked(imu)[:, k] ** 2).sum())) / RATE_HZ / scale)
+            off.append(float((angles(imu.t, x)[-1] - angles(imu.t, y)[-1])[1]) / scale)
+    assert min(said) > 0.0
+    ratio = np.array(off) / np.array(said)
+    assert np.abs(ratio).max() < 3.0
+    assert np.sqrt(np.mean(ratio**2)) > 0.03
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_hand_that_turns_knocks_nothing(seed: int) -> None:
+    world = simulate("free-hand", seed=seed, duration_s=20.0)
+    assert not knocked(recording_of(world).imu).any()
+    assert not knocked(knock(-100.0, 1.0, seed)).any()
+
+
+def test_where_too_little_follows_each_other_nothing_is_said_of_knocks() -> None:
+    imu = swinging(np.array([0.0, 0.01]))
+    assert not knocked(imu).any()

@@ -11,7 +11,7 @@ from handcal.compiled.kernel import MOST_HELD, Nodes, Tables
 from handcal.effects import DELAY, TIME, WARMTH, Z_DIM, Effect
 from handcal.estimate.derivatives import relinearised
 from handcal.estimate.problem import Problem, Slot, slots_of
-from handcal.estimate.sampling import at_nodes, smoothness
+from handcal.estimate.sampling import at_nodes, knocked, smoothness
 from handcal.observations import Observation, Rows, nearest
 from handcal.signals import warmth_at
 from handcal.types import Array, Markov, Recording
@@ -191,7 +191,7 @@ def _smoothed_rate(recording: Recording, t: Array) -> Array:
 
 def _extra(recording: Recording, t: Array) -> Array:
     """Variance (n, 3) added to angle, velocity and position: of the first two over intervals that
-    hold no measurement."""
+    hold no measurement, or a knock."""
     imu = recording.imu
     dt_imu = np.diff(imu.t)
     gap = dt_imu > 4.0 * np.median(dt_imu)
@@ -207,4 +207,6 @@ def _extra(recording: Recording, t: Array) -> Array:
     out[1:, 1] += (
         np.where(gap[at], shaking * dt, 0.0) ** 2 + np.where(masked[at], 30.0 * dt, 0.0) ** 2
     )
+    # (of what is missed about one sample, each part of its interval has its share)
+    out[1:, :2] += knocked(imu)[at + 1] ** 2 * (dt_imu[at] * dt)[:, None]
     return out

@@ -28,6 +28,9 @@ NOISE_PRODUCT, NOISE_SQUARE, NOISE_SQUARE_FINE = -1.0 / 12.0, 1.0 / 36.0, 1.0 / 
 # Of what it predicts a cubic rule at twice the spacing finds this much in a smooth motion: the
 # readings between are joined by straight lines as well.
 FOUND = 0.75
+# Where readings bend by so many times as much as nearly all of them do (of a hand that turns and
+# trembles none does) something knocked, and a knock is over before it is read.
+KNOCKED, NEARLY = 6.0, 0.95
 
 
 def at_nodes(imu: Imu, smooth: Array, readings: Array, t: Array) -> tuple[Array, Array, Array]:
@@ -61,6 +64,19 @@ def between_samples(imu: Imu, smooth: Array, readings: Array, t: Array) -> Array
         bends = sum(share * readings[k : k + count] for k, share in enumerate(BEND))
         out[before : before + count] = np.where(whole[:, None], -smooth / 12.0 * bends, 0.0)
     return interpolated(t, imu.t, out)
+
+
+def knocked(imu: Imu) -> Array:
+    """What is not known (n, 2) of rate and force at the IMU's samples where something knocked: as
+    much as straight lines may miss there."""
+    out = np.zeros((len(imu.t), 2))
+    whole = _unbroken(imu, 3)
+    for k, x in enumerate((imu.gyro, imu.accel) if whole.any() else ()):
+        # (of three samples: a parabola through five is as long as a knock)
+        bends = np.linalg.norm(np.diff(x, 2, axis=0), axis=1)
+        hard = whole & (bends > KNOCKED * np.quantile(bends[whole], NEARLY))
+        out[1:-1, k] = np.where(hard, bends / 12.0, 0.0)
+    return out
 
 
 def smoothness(imu: Imu) -> Array:

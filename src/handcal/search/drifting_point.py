@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -21,23 +21,37 @@ from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.fit import diverged, fitted
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.parallel import in_parallel
-from handcal.estimate.sway import beyond_a_hand
+from handcal.estimate.sway import HAND_SWAY, TRAVEL_NATS, beyond_a_hand
 from handcal.observations.fixed_position import CREEPING
 from handcal.score import PRIOR, better
 from handcal.search.climb.state import WEAK
 from handcal.types import Array, HandcalError
 
 OBSERVED = CREEPING.kind
-# A hand moves on where it is so many times as fast as in the median of a recording: a hand that
-# holds a point, real or simulated, is seldom more than three times as fast.
-FAST = 5.0
-# Such moves are so short, and between two there is so much time, s; further apart than any of them
-# lasts they are a walk, of which only the rests tell.
-LONGEST, APART = 5.0, 0.5
+# A hand moves on where it is so many times as fast as in the slowest quarter of a recording, and
+# goes further in a stroke than it sways. (One that holds a point, real or simulated, is seldom more
+# than three times as fast as in the median; where it goes on for metres, a fit of one that holds it
+# drifts for half of the recording.)
+FAST, SLOW = 5.0, 0.25
+# Such moves are so short, and between two there is so much time, s: some steps, some storeys in a
+# lift; whoever goes further walks, and of that only the rests tell. Within so much time before and
+# after, s, a hand comes to its speed and stops: where it is slowest there, it is held.
+LONGEST, APART, REACH = 15.0, 0.5, 1.0
 MOST_MOVES = 6
 # Nobody sees a point moved by less, m; and in so much time, s, an arm makes one stroke at the most
 # (to reach for something takes half a second to a second).
 LEAST, STROKE = 0.01, 0.5
+
+
+@dataclass(frozen=True)
+class Move:
+    """From when to when (s) the hand moves on, how far (m), and by how much each stroke (k, 3) takes
+    it elsewhere than the one before would have (m)."""
+
+    first: float
+    last: float
+    far: float
+    strokes: Array
 
 
 def begun(cases: Sequence[Case]) -> Model:
@@ -54,12 +68,16 @@ def moving(base: Model, model: Model, gained: Mapping[str, float]) -> tuple[Mode
     or with those of them that have a name, explains as much as all of them, and by how many nats;
     gained: nats by effect.
 
-    Where nothing weak and nothing without a name was found there is no need to ask.
+    Where nothing weak and nothing without a name was found, of a point that sways as one does in a
+    hand, there is no need to ask.
     """
     held = any(OBSERVED in f.case.kinds for f in base.parts)
-    strong = [e for e in model.effects if e.always or gained[e.id] > WEAK]
+    strong = [e for e in model.effects if e.always or _no_hand(e) or gained[e.id] > WEAK]
     named = [e for e in strong if "+=" not in e.id]
-    if not held or len(named) == len(model.effects):
+    if not held:
+        return None
+    far = [beyond_a_hand(f.linear, f.levels) for f in model.parts]
+    if len(named) == len(model.effects) and max(far) < TRAVEL_NATS:
         return None
     ways = [named] if len(strong) in (len(named), len(model.effects)) else [named, strong]
     hands = _hands(fitted(model.parts, named))
@@ -71,8 +89,13 @@ def moving(base: Model, model: Model, gained: Mapping[str, float]) -> tuple[Mode
         key=lambda pair: pair[0],
     )
     # (a point that sways further than a hand does was not held, whatever else there is)
-    nats += sum(beyond_a_hand(f.linear, f.levels) for f in model.parts)
+    nats += sum(far)
     return None if nats < 0.0 else (baseline(best), nats)
+
+
+def _no_hand(e: Effect) -> bool:
+    """Whether what an effect does is nothing that a hand's motion could look like."""
+    return e.imu_error is None and not e.walks
 
 
 def _hands(held: Model) -> list[list[Case]]:
@@ -81,9 +104,13 @@ def _hands(held: Model) -> list[list[Case]]:
     cases = [f.case for f in held.parts]
     out = [[creeping_case(c) for c in cases]]
     # (where that diverged, nothing is known of how fast the hand was)
-    moves = [_moves(f) for f in held.parts] if math.isfinite(held.log_evidence) else []
+    known = math.isfinite(held.log_evidence)
+    moves = [_moves(f) for f in held.parts] if known else []
     if any(moves):
         first = _fit([_moved(*x) for x in zip(cases, moves, strict=True)], held.effects)
+        # (a point that moves on leads a fit of one that is held astray, and hides other moves)
+        again = [_moves(f) for f in first.parts]
+        moves = again if any(again) else moves
         # (what a look at the point is worth while it is held, a fit tells that knows of the moves)
         worth = [_usual(f) for f in first.parts] or [_usual(f) for f in held.parts]
         moved = [_moved(*x) for x in zip(cases, moves, worth, strict=True)]
@@ -91,35 +118,41 @@ def _hands(held: Model) -> list[list[Case]]:
     return out
 
 
-def _moves(f: Fitted) -> list[tuple[float, float, float]]:
-    """From when to when (s) the hand was much faster than it is elsewhere, and how far it went."""
+def _moves(f: Fitted) -> list[Move]:
+    """Where the hand was much faster than it is elsewhere."""
     t, nominal = f.t, f.trajectory
     if OBSERVED not in f.case.kinds:
         return []
     out = []
     for first, last in _fast(t, np.linalg.norm(nominal.v, axis=1)):
         way = np.diff(nominal.p[(t >= first) & (t <= last)], axis=0)
-        out.append((first, last, max(LEAST, float(np.linalg.norm(way, axis=1).sum()))))
+        far = max(LEAST, float(np.linalg.norm(way, axis=1).sum()))
+        ends = np.linspace(first, last, 1 + max(1, round((last - first) / STROKE)))
+        v = np.stack([np.interp(ends, t, nominal.v[:, i]) for i in range(3)], axis=1)
+        out.append(Move(first, last, far, np.abs(np.diff(v, axis=0)) * STROKE))
     return out
 
 
-def _moved(case: Case, moves: Sequence[tuple[float, float, float]], worth: float = 0.0) -> Case:
+def _moved(case: Case, moves: Sequence[Move], worth: float = 0.0) -> Case:
     """The case with these moves; worth: nats of one look at the point that is held.
 
     Meanwhile it is not looked at. That counts neither for nor against it, but for when it was and
-    for the way that the hand took, which nobody foretells.
+    for the way that the hand took: each stroke leads elsewhere than the last one would have, of
+    which nobody foretells the size, and what is less than a look tells need not be told (in a lift,
+    or from step to step, nearly all of it).
     """
     t0 = case.recording.imu.t[0]
-    for first, last, far in moves:
+    for m in moves:
         t = case.observed[case.kinds.index(OBSERVED)][1].t
-        out = np.flatnonzero((t >= first) & (t <= last))
-        turns = 3.0 * (1.0 + (last - first) / STROKE)
-        cost = 2.0 * math.log(len(t)) - PRIOR + turns * max(0.0, math.log(far) + worth / 3.0)
-        edit = Edit(OBSERVED, tuple(out.tolist()), (first, last, far), len(out) * worth - cost)
+        out = np.flatnonzero((t >= m.first) & (t <= m.last))
+        way = float(np.log1p(m.strokes * math.exp(worth / 3.0)).sum())
+        cost = 2.0 * math.log(len(t)) - PRIOR + way
+        shifted = (m.first, m.last, m.far)
+        edit = Edit(OBSERVED, tuple(out.tolist()), shifted, len(out) * worth - cost)
         case = edited(case, edit)
     if not moves:
         return case
-    when = " and ".join(f"{first - t0:.1f} to {last - t0:.1f} s" for first, last, _ in moves)
+    when = " and ".join(f"{m.first - t0:.1f} to {m.last - t0:.1f} s" for m in moves)
     said = f"The held point moves to another place ({when}); it counts as held before and after."
     return replace(case, warnings=(*case.warnings, said))
 
@@ -137,7 +170,7 @@ def _usual(f: Fitted) -> float:
 
 def _fast(t: Array, speed: Array) -> list[tuple[float, float]]:
     """From when to when (s) the hand was fast, given its speed (n,) at times t; the fastest few."""
-    fast = speed > FAST * np.median(speed)
+    fast = speed > max(FAST * np.quantile(speed, SLOW), HAND_SWAY / STROKE)
     edges = np.flatnonzero(np.diff(np.r_[False, fast, False].astype(np.int8))).reshape(-1, 2)
     spans: list[list[float]] = []
     for a, b in edges:
@@ -147,7 +180,14 @@ def _fast(t: Array, speed: Array) -> list[tuple[float, float]]:
         else:
             spans.append([t[a], t[b - 1], float(speed[a:b].max())])
     short = sorted((s for s in spans if s[1] - s[0] < LONGEST), key=lambda s: -s[2])[:MOST_MOVES]
-    return [(float(a) - 0.5 * APART, float(b) + 0.5 * APART) for a, b, _ in sorted(short)]
+    return [(_slowest(t, speed, a - REACH, a), _slowest(t, speed, b, b + REACH))
+            for a, b, _ in sorted(short)]  # fmt: skip
+
+
+def _slowest(t: Array, speed: Array, first: float, last: float) -> float:
+    """When it was slowest from then to then, s."""
+    here = np.flatnonzero((t >= first) & (t <= last))
+    return float(t[here[np.argmin(speed[here])]])
 
 
 def _fit(cases: Sequence[Case], effects: Sequence[Effect]) -> Model:
