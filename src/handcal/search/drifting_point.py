@@ -45,8 +45,8 @@ LEAST, STROKE = 0.01, 0.5
 
 @dataclass(frozen=True)
 class Move:
-    """From when to when (s) the hand moves on, how far (m), and by how much each stroke (k, 3) takes
-    it elsewhere than the one before would have (m)."""
+    """From when to when (s) the hand moves on, how far (m), and by how much each stroke (k, 3)
+    takes it elsewhere than the one before would have (m)."""
 
     first: float
     last: float
