@@ -362,7 +362,7 @@ def test_many_that_stand_in_are_exchanged_for_one(size_alone) -> None:
     base, term = size_alone
     names = ("gyro_scale", "gyro_quadratic", "gyro_cross_products", "gyro_bias_walk")
     many = fitted(base.parts, [*base.effects, *select(names), term.effect])
-    c = Climb(many, [term], ())
+    c = Climb(many, [term])
     c.where = scanned(c)
     fewer = instead(c)
     assert fewer is not None
@@ -389,7 +389,7 @@ def test_a_law_comes_with_the_name_that_it_needs() -> None:
 @pytest.mark.prove
 def test_what_was_named_before_noise_took_it_over_is_remembered() -> None:
     base = baseline([case_of(strange("gyro", drifting))])
-    c = Climb(fitted(base.parts, [*base.effects, *select(("gyro_scale",))]), (), ())
+    c = Climb(fitted(base.parts, [*base.effects, *select(("gyro_scale",))]), ())
     c.kept = frozenset(base.ids)
     c.where = scanned(c)
     before, after = c.model, add_noise(c)
@@ -404,7 +404,7 @@ def test_a_law_keeps_to_the_axes_on_which_it_is() -> None:
     form = grammar.formula([("sign", (0.02,))])
     wide = replace(law_over("omega_{i}", form, (0, 1, 2)), each=True)
     term = best.Term(law_effect.effect_of(wide), 100.0)
-    c = Climb(fitted(base.parts, [*base.effects, term.effect]), [term], ())
+    c = Climb(fitted(base.parts, [*base.effects, term.effect]), [term])
     c.where = scanned(c)
     for axes in ((0, 2), (1, 2)), ((2,),):
         narrower = narrow(c)

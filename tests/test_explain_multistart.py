@@ -306,7 +306,7 @@ def test_a_hand_that_turns_about_no_single_point_is_no_size_effect() -> None:
     odds = {}
     for stream in ("heading", "pose"):
         case = case_of(recording_of(held, stream))
-        c = Climb(fitted([started(case)], ()), (), ())
+        c = Climb(fitted([started(case)], ()), ())
         odds[stream] = scanned(c).prior["size_effect"]
     assert odds["pose"] == PRIOR
     assert odds["heading"] == PRIOR - catalogue()["size_effect"].imitated < PRIOR - 10.0
@@ -333,7 +333,7 @@ def test_noise_without_a_name_may_stand_for_a_law_and_strong_names_may_not() -> 
     nameless = next(e for e in all_noise() if "+=" in e.id)
 
     def may(*effects: Effect) -> bool:
-        c = Climb(fitted(base.parts, effects), (), ())
+        c = Climb(fitted(base.parts, effects), ())
         return multistart._may_stand_in(multistart.Found(c.model, scanned(c), {}, {}))
 
     assert may(nameless)

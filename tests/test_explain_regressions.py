@@ -405,7 +405,7 @@ def test_a_climb_out_of_turns_ends_with_a_scan_of_its_model(
         return fit.fitted(c.model.parts, [scale])
 
     monkeypatch.setattr(turns, "_STEPS", {renamed: "anything"})
-    c = Climb(base, (), ())
+    c = Climb(base, ())
     assert turns.climbed(c, lambda _: None)
     assert c.model.chosen <= set(c.where.effects)
     assert gains(c.where, c.model.chosen)[next(iter(c.model.chosen))] > 0.0
@@ -415,7 +415,7 @@ def test_what_swings_by_more_than_it_gains_is_not_likelier() -> None:
     """On a real recording a low pass and a law of the angular acceleration, which are the same,
     swung by hundreds of nats from round to round, and the last of them counted."""
     base = base_of(world_of(GYRO, 0, 20.0))
-    c = Climb(fitted(base.parts, ()), (), ())
+    c = Climb(fitted(base.parts, ()), ())
     c.where = turns.scanned(c)
     better = fitted(base.parts, select(["gyro_scale"]))
     gain = better.log_evidence - c.model.log_evidence

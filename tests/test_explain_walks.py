@@ -38,7 +38,7 @@ def climb(effects: dict[str, list[float]], seed: int) -> tuple[Climb, Model]:
         "free-hand", seed=seed, duration_s=60.0, phone=warming, effects=effects, sway=0.3
     )
     base = baseline([case_of(recording_of(world, "heading", "temperature"), "fixed-point")])
-    c = Climb(fitted(base.parts, [*base.effects, catalogue()[TEMPERATURE]]), (), ())
+    c = Climb(fitted(base.parts, [*base.effects, catalogue()[TEMPERATURE]]), ())
     c.where, c.kept = scanned(c), frozenset(base.ids)
     return c, base
 

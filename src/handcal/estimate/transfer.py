@@ -80,12 +80,6 @@ def begun(f: Fitted, effects: Sequence[Effect]) -> Fitted:
     return at_constants(moved_to(f, effects), effects, usual)
 
 
-def delayed(f: Fitted, effects: Sequence[Effect], effect: Effect, seconds: float) -> Fitted:
-    """The fit, of these effects already, with the delay of one of them set to so much and
-    nothing else moved."""
-    return at_constants(f, effects, {(effect.id, effect.parameters[0].name): seconds})
-
-
 def at_constants(
     f: Fitted, effects: Sequence[Effect], values: Mapping[tuple[str, str], float]
 ) -> Fitted:

@@ -23,7 +23,6 @@ from handcal.search.climb.exchange_steps import lateness
 from handcal.search.climb.state import WEAK, Climb
 from handcal.search.climb.turns import climbed
 from handcal.search.confounding import steadied, sways_far
-from handcal.search.delays import with_delays
 from handcal.search.space import Space, gains
 from handcal.types import HandcalError
 
@@ -54,7 +53,6 @@ class Found:
 class _Common:
     """What all climbs of a search have in common: see ``Climb`` and ``search``."""
 
-    late: Sequence[Model]
     refused: Set[str]
     budget: Budget
 
@@ -75,12 +73,11 @@ def search(
     budget = budget or Budget()
     led = leading(base, refused) if astray(base) else None
     if led is not None:
-        end = _end(base, (), _Common([], refused, budget), report, led)
+        end = _end(base, (), _Common(refused, budget), report, led)
         assert end is not None
         return end
-    late = [] if budget.spent("long delays") else with_delays(base)
     base = base.bare
-    common = _Common(late, refused, budget)
+    common = _Common(refused, budget)
     starts = [base]
     if any(sways_far(f) for f in base.parts):
         # (the usual sway first: in a wide one little of the physics shows)
@@ -188,7 +185,7 @@ def _end(
     """The end of a climb from the baseline, or from one with the terms that are needed; None if it
     would begin without these."""
     start = base if begun is None else begun
-    c = Climb(start.bare, needed, common.late, common.budget, dropped=set(common.refused))
+    c = Climb(start.bare, needed, common.budget, dropped=set(common.refused))
     c.kept = frozenset(base.ids)
     if not climbed(c, report):
         return None

@@ -38,9 +38,7 @@ def exchange(c: Climb) -> Model | None:
     pairs = _rivalries(c, gained)
 
     def exchanged(e: Effect, rival: str) -> Model:
-        # (a delay may have to be begun where the grid found it)
-        begin = next((m.parts for m in c.far if rival in m.ids), model.parts)
-        return fitted(begin, [*(x for x in model.effects if x is not e), catalogue()[rival]])
+        return fitted(model.parts, [*(x for x in model.effects if x is not e), catalogue()[rival]])
 
     fits = in_parallel(partial(exchanged, *pair) for pair in pairs)
     for (e, rival), tried in zip(pairs, fits, strict=True):

@@ -25,18 +25,16 @@ FEW = 3
 class Climb:
     """A model on its way up, and what was tried.
 
-    needed: terms without which the climb is of no use; late: the baseline with delays that no
-    scan of it would find. where: the last scan; alone: what the catalogue's
-    effects gained in the first one; noise: log-evidence gained by each noise effect in the model,
-    and stale: those for which that is out of date; swaps: (effect, rival) to the nats by which
-    the rival, fitted in its place, does worse. dropped: names of what was not missed, or with
+    needed: terms without which the climb is of no use. where: the last scan; alone: what the
+    catalogue's effects gained in the first one; noise: log-evidence gained by each noise effect in
+    the model, and stale: those for which that is out of date; swaps: (effect, rival) to the nats by
+    which the rival, fitted in its place, does worse. dropped: names of what was not missed, or with
     which no fit holds; beyond: of what came out larger than makes sense beside the same others.
     quiet: the last model before its first noise effect; everything: all were fitted at once.
     """
 
     model: Model
     needed: Sequence[Term]
-    late: Sequence[Model]
     budget: Budget = field(default_factory=Budget)
     where: Space = field(init=False)
     alone: dict[str, float] = field(init=False)
@@ -59,7 +57,6 @@ class Climb:
 
     def __post_init__(self) -> None:
         self.kept = frozenset(self.model.ids)
-        self.far = tuple(self.late)
         self.unnamed = list(self.needed)
 
     @property

@@ -1,5 +1,5 @@
 """Steps of a climb that choose the set of effects: those that the scan likes best are fitted, one
-that is not missed is left out, a delay that no scan finds comes first."""
+that is not missed is left out."""
 
 from __future__ import annotations
 
@@ -20,13 +20,6 @@ from handcal.search.space import Space, best_set, gains
 CLOSE = 20.0
 # Nats below which a model that a scan promised to be better has come to nothing.
 LOST = 100.0
-
-
-def delay(c: Climb) -> Model | None:
-    """A delay that no scan finds, before anything else: it looks like many things."""
-    late, c.late = c.late, ()
-    best = max(late, key=lambda m: m.log_evidence, default=None)
-    return None if best is None or better(best, c.model, c.worth) <= 0.0 else best
 
 
 def choose(c: Climb) -> Model | None:

@@ -10,7 +10,7 @@ from handcal.search.climb.exchange_steps import exchange, hidden, reorder
 from handcal.search.climb.law_steps import MAX_TERMS, instead, name_term, narrow, reshape
 from handcal.search.climb.noise_steps import add_noise, exchange_noise, free, noise_instead
 from handcal.search.climb.state import Climb
-from handcal.search.climb.subset_steps import choose, delay, everything, favourite, thin
+from handcal.search.climb.subset_steps import choose, everything, favourite, thin
 from handcal.search.space import gains
 
 # Turns of a climb at the most, beside two for each term that may be named. (Every step raises the
@@ -51,7 +51,6 @@ def _taken(c: Climb, step: Callable[[Climb], Model | None]) -> Model | None:
 # The cheap ones first; nothing is taken away or left without a name before all else rests.
 # Each with what is left untried where there is no time for it.
 _STEPS: dict[Callable[[Climb], Model | None], str] = {
-    delay: "long delays",
     everything: "the fit of all effects at once",
     choose: "further effects",
     instead: "one law in the place of several names",
