@@ -61,31 +61,37 @@ def test_what_is_stationary_stays_so() -> None:
         assert np.linalg.eigvalsh(Q[k] / scale).min() > -1e-15
 
 
-def test_fast_is_what_stands_out_and_is_short() -> None:
+def _along(*speeds: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Times and velocities of somebody who goes so fast from then to then, else hardly."""
     t = np.arange(0.0, 60.0, 0.1)
-    speed = np.full(len(t), 0.01)
-    speed[(t > 10.0) & (t < 10.75)] = 0.3
-    speed[(t > 11.0) & (t < 11.5)] = 0.15  # (the same move goes on)
-    speed[(t > 30.0) & (t < 50.0)] = 0.5  # (a walk)
-    speed[[95, 118]] = 0.005  # (where it is slowest before and after, it is held)
-    assert drifting_point._fast(t, speed) == [pytest.approx((9.5, 11.8), abs=0.01)]
-    assert drifting_point._fast(t, np.full(len(t), 0.01)) == []
+    v = np.zeros((len(t), 3))
+    v[:, 0] = 0.01 * np.sin(40.0 * t)
+    for first, last, speed in speeds:
+        v[(t > first) & (t < last), 1] = speed
+    return t, v
+
+
+def test_fast_is_what_stands_out_and_is_short() -> None:
+    # (the same move goes on after a moment; what lasts for twenty seconds is a walk)
+    t, v = _along((10.0, 10.75, 0.3), (11.0, 11.5, 0.15), (30.0, 50.0, 0.5))
+    ((first, last),) = drifting_point._fast(t, v)
+    assert 9.0 <= first < 10.0
+    assert 11.5 < last <= 12.5
+    assert drifting_point._fast(*_along()) == []
 
 
 def test_where_half_of_a_recording_drifts_a_move_stands_out() -> None:
-    t = np.arange(0.0, 30.0, 0.1)
-    speed = np.where(t < 15.0, 0.1, 0.3)
-    speed[(t > 8.0) & (t < 15.0)] = 0.8
-    ((first, last),) = drifting_point._fast(t, speed)
-    assert first < 8.1
-    assert last > 14.9
+    t, v = _along((20.0, 28.0, 0.8))
+    v[t > 28.0, 1] = 0.3 * (60.0 - t[t > 28.0]) / 32.0
+    v[(t > 14.0) & (t < 19.5), 2] = 0.12
+    ((first, last),) = drifting_point._fast(t, v)
+    assert 19.0 < first < 20.1
+    assert 27.9 < last < 29.1
 
 
 def test_a_hand_that_sways_does_not_move_on() -> None:
     """However still it is elsewhere, what takes it less far in a stroke than it sways is sway."""
-    t = np.arange(0.0, 60.0, 0.1)
-    speed = np.where((t > 10.0) & (t < 12.0), 0.09, 0.001)
-    assert drifting_point._fast(t, speed) == []
+    assert drifting_point._fast(*_along((10.0, 12.0, 0.09))) == []
 
 
 def test_what_a_look_would_not_tell_of_the_way_costs_nothing() -> None:

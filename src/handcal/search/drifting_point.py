@@ -28,11 +28,11 @@ from handcal.search.climb.state import WEAK
 from handcal.types import Array, HandcalError
 
 OBSERVED = CREEPING.kind
-# A hand moves on where it is so many times as fast as in the slowest quarter of a recording, and
-# goes further in a stroke than it sways. (One that holds a point, real or simulated, is seldom more
-# than three times as fast as in the median; where it goes on for metres, a fit of one that holds it
-# drifts for half of the recording.)
-FAST, SLOW = 5.0, 0.25
+# A hand moves on where it is so many times as fast as in the median of a recording, and goes
+# further in a stroke than it sways: one that holds a point, real or simulated, is seldom more than
+# three times as fast. What is less than such a share of the peak beside it is drift. Its speed is
+# looked at in such steps, s.
+FAST, BESIDE, EACH = 5.0, 0.25, 0.1
 # Such moves are so short, and between two there is so much time, s: some steps, some storeys in a
 # lift; whoever goes further walks, and of that only the rests tell. Within so much time before and
 # after, s, a hand comes to its speed and stops: where it is slowest there, it is held.
@@ -124,7 +124,7 @@ def _moves(f: Fitted) -> list[Move]:
     if OBSERVED not in f.case.kinds:
         return []
     out = []
-    for first, last in _fast(t, np.linalg.norm(nominal.v, axis=1)):
+    for first, last in _fast(t, nominal.v):
         way = np.diff(nominal.p[(t >= first) & (t <= last)], axis=0)
         far = max(LEAST, float(np.linalg.norm(way, axis=1).sum()))
         ends = np.linspace(first, last, 1 + max(1, round((last - first) / STROKE)))
@@ -168,20 +168,33 @@ def _usual(f: Fitted) -> float:
     return -1.5 * float(np.median(each))
 
 
-def _fast(t: Array, speed: Array) -> list[tuple[float, float]]:
-    """From when to when (s) the hand was fast, given its speed (n,) at times t; the fastest few."""
-    fast = speed > max(FAST * np.quantile(speed, SLOW), HAND_SWAY / STROKE)
+def _fast(t: Array, v: Array) -> list[tuple[float, float]]:
+    """From when to when (s) the hand was fast, given its velocity (n, 3) at times t; the fastest
+    few. Where it moves on for metres a fit of one that holds its point drifts for half of the
+    recording: it is fast compared with half a minute around."""
+    from scipy.ndimage import median_filter
+
+    even = np.arange(t[0], t[-1], EACH)
+    if not len(even):
+        return []
+    v = np.stack([np.interp(even, t, v[:, i]) for i in range(3)], axis=1)
+    around = median_filter(v, (1 + 2 * round(LONGEST / EACH), 1), mode="nearest")
+    speed = np.linalg.norm(v - around, axis=1)
+    fast = speed > max(FAST * np.median(speed), HAND_SWAY / STROKE)
     edges = np.flatnonzero(np.diff(np.r_[False, fast, False].astype(np.int8))).reshape(-1, 2)
-    spans: list[list[float]] = []
-    for a, b in edges:
-        if spans and t[a] - spans[-1][1] < APART:
-            spans[-1][1] = t[b - 1]
-            spans[-1][2] = max(spans[-1][2], float(speed[a:b].max()))
-        else:
-            spans.append([t[a], t[b - 1], float(speed[a:b].max())])
+    spans: list[tuple[float, float, float]] = []
+    for i, j in edges:
+        most = float(speed[i:j].max())
+        a, b = even[i:j][speed[i:j] > BESIDE * most][[0, -1]]
+        a, b = _slowest(even, speed, a - REACH, a), _slowest(even, speed, b, b + REACH)
+        if spans and a - spans[-1][1] < APART:
+            first, end, before = spans.pop()
+            peak = max(before, most)
+            a = a if before < BESIDE * peak else first
+            b, most = (end if most < BESIDE * peak else b), peak
+        spans.append((a, b, most))
     short = sorted((s for s in spans if s[1] - s[0] < LONGEST), key=lambda s: -s[2])[:MOST_MOVES]
-    return [(_slowest(t, speed, a - REACH, a), _slowest(t, speed, b, b + REACH))
-            for a, b, _ in sorted(short)]  # fmt: skip
+    return [(a, b) for a, b, _ in sorted(short)]
 
 
 def _slowest(t: Array, speed: Array, first: float, last: float) -> float:
