@@ -22,8 +22,8 @@ from handcal.search.climb.candidates import scanned
 from handcal.search.climb.exchange_steps import lateness
 from handcal.search.climb.state import WEAK, Climb
 from handcal.search.climb.turns import climbed
-from handcal.search.confounding import steadied, sways_far
 from handcal.search.space import Space, gains
+from handcal.search.wide_sway import steadied, sways_far
 from handcal.types import HandcalError
 
 # What a single term has to gain, of all that was found, for a second climb to begin with it.

@@ -49,11 +49,9 @@ class Climb:
     refused: set[frozenset[str]] = field(default_factory=set)
     ordered: set[tuple[str, frozenset[str]]] = field(default_factory=set)
     shaped: set[str] = field(default_factory=set)
-    suspects: set[str] = field(default_factory=set)
     thinned: set[frozenset[str]] = field(default_factory=set)
     bared: set[frozenset[str]] = field(default_factory=set)
     whole: set[str] = field(default_factory=set)
-    noises: set[tuple[str, frozenset[str]]] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         self.kept = frozenset(self.model.ids)

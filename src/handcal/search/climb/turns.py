@@ -8,7 +8,7 @@ from handcal.estimate.model import Model
 from handcal.search.climb.candidates import scanned
 from handcal.search.climb.exchange_steps import exchange, hidden, reorder
 from handcal.search.climb.law_steps import MAX_TERMS, instead, name_term, narrow, reshape
-from handcal.search.climb.noise_steps import add_noise, exchange_noise, free, noise_instead
+from handcal.search.climb.noise_steps import add_noise
 from handcal.search.climb.state import Climb
 from handcal.search.climb.subset_steps import choose, everything, favourite, thin
 from handcal.search.space import gains
@@ -60,9 +60,6 @@ _STEPS: dict[Callable[[Climb], Model | None], str] = {
     reorder: "filters in another order",
     hidden: "filters beside delays",
     add_noise: "noise effects",
-    exchange_noise: "noise that goes with the motion",
     thin: "the fit without its weakest effects",
-    noise_instead: "walks in the place of weak effects",
-    free: "the fit without what noise may stand in for",
     name_term: "laws that have no name",
 }
