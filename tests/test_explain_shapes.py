@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_explain_walks import warming
 from worlds import recording_of
 
 from handcal.compiled.jit import call_residual
@@ -20,9 +19,18 @@ from handcal.laws import courses, shapes
 from handcal.laws.best import best_term
 from handcal.types import Array
 from handcal_sim import simulate
-from handcal_sim.phone import Clocking, Phone, consumer_phone, with_rate
+from handcal_sim.phone import Clocking, Phone, Thermometer, consumer_phone, with_rate
 
 SPAN = 80.0
+
+
+def warming(rng: np.random.Generator) -> Phone:
+    phone = with_rate(consumer_phone(rng), 50.0)
+    assert phone.heading is not None
+    heading = replace(phone.heading, clocking=Clocking(10.0))
+    return replace(phone, heading=heading, thermometer=Thermometer(reported=True))
+
+
 FAMILIES = (*courses.OVER_TIME, *courses.OVER_YAW)
 NUMBERS = (
     np.array([30.0, 6.0]),

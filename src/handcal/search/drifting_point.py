@@ -77,10 +77,14 @@ def moving(base: Model, model: Model, gained: Mapping[str, float]) -> tuple[Mode
     if not held:
         return None
     far = [beyond_a_hand(f.linear, f.levels) for f in model.parts]
-    if len(named) == len(model.effects) and max(far) < TRAVEL_NATS:
+    nothing = len(named) == len(model.effects)
+    if nothing and max(far) < TRAVEL_NATS:
         return None
     ways = [named] if len(strong) in (len(named), len(model.effects)) else [named, strong]
-    hands = _hands(fitted(model.parts, named))
+    # (one that travels all along drifts as well: of that the rests know better)
+    hands = _hands(fitted(model.parts, named))[1 if nothing else 0 :]
+    if not hands:
+        return None
     tried = [(hand, way) for hand in hands for way in ways]
     fits = in_parallel(partial(_fit, hand, way) for hand, way in tried)
     # (every arm tires a little, so that costs nothing; what is spared does)
