@@ -24,6 +24,7 @@ from handcal.effects import ATTITUDE, DELAY, Effect
 from handcal.estimate.corrected import Corrected, corrected_readings
 from handcal.estimate.derivatives import differentiated
 from handcal.estimate.problem import Problem, Slopes, constants_of
+from handcal.estimate.sampling import interpolated
 from handcal.estimate.seen import by_biases, measured, seen_by_biases, seen_by_constants
 from handcal.estimate.start import Start
 from handcal.estimate.trajectory import Trajectory, biases, intervals, path
@@ -361,14 +362,14 @@ def _accelerated(problem: Problem, nominal: Trajectory, v: Array) -> Array:
     t = problem.nodes.t[nominal.node]
     a = np.diff(v, axis=0) / np.maximum(np.diff(t), 1e-6)[:, None]
     t_imu, middle = problem.recording.imu.t, 0.5 * (t[1:] + t[:-1])
-    return np.stack([np.interp(t_imu, middle, a[:, i]) for i in range(3)], axis=1)
+    return interpolated(t_imu, middle, a)
 
 
 def _changing(problem: Problem, nominal: Trajectory, v: Array) -> Array:
     """The same over ``STEADY_S`` about each sample."""
     t, t_imu = problem.nodes.t[nominal.node], problem.recording.imu.t
     ends = [np.clip(t_imu + s, t[0], t[-1]) for s in (-0.5 * STEADY_S, 0.5 * STEADY_S)]
-    before, after = (np.stack([np.interp(x, t, v[:, i]) for i in range(3)], axis=1) for x in ends)
+    before, after = (interpolated(x, t, v) for x in ends)
     return np.asarray((after - before) / np.maximum(ends[1] - ends[0], 1e-6)[:, None])
 
 

@@ -21,10 +21,12 @@ from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.fit import diverged, fitted
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.parallel import in_parallel
+from handcal.estimate.sampling import interpolated
 from handcal.estimate.sway import HAND_SWAY, TRAVEL_NATS, beyond_a_hand
 from handcal.observations.fixed_position import CREEPING
 from handcal.score import PRIOR, better
 from handcal.search.climb.state import WEAK
+from handcal.search.wide_sway import sways_far
 from handcal.types import Array, HandcalError
 
 OBSERVED = CREEPING.kind
@@ -71,12 +73,11 @@ def moving(base: Model, model: Model, gained: Mapping[str, float]) -> tuple[Mode
     Where nothing weak and nothing without a name was found, of a point that sways as one does in a
     hand, there is no need to ask.
     """
-    held = any(OBSERVED in f.case.kinds for f in base.parts)
+    if not any(OBSERVED in f.case.kinds for f in base.parts):
+        return None
     strong = [e for e in model.effects if e.always or _no_hand(e) or gained[e.id] > WEAK]
     named = [e for e in strong if "+=" not in e.id]
-    if not held:
-        return None
-    far = [beyond_a_hand(f.linear, f.levels) for f in model.parts]
+    far = [beyond_a_hand(f.linear, f.levels) if sways_far(f) else 0.0 for f in model.parts]
     nothing = len(named) == len(model.effects)
     if nothing and max(far) < TRAVEL_NATS:
         return None
@@ -132,7 +133,7 @@ def _moves(f: Fitted) -> list[Move]:
         way = np.diff(nominal.p[(t >= first) & (t <= last)], axis=0)
         far = max(LEAST, float(np.linalg.norm(way, axis=1).sum()))
         ends = np.linspace(first, last, 1 + max(1, round((last - first) / STROKE)))
-        v = np.stack([np.interp(ends, t, nominal.v[:, i]) for i in range(3)], axis=1)
+        v = interpolated(ends, t, nominal.v)
         out.append(Move(first, last, far, np.abs(np.diff(v, axis=0)) * STROKE))
     return out
 
@@ -181,7 +182,7 @@ def _fast(t: Array, v: Array) -> list[tuple[float, float]]:
     even = np.arange(t[0], t[-1], EACH)
     if not len(even):
         return []
-    v = np.stack([np.interp(even, t, v[:, i]) for i in range(3)], axis=1)
+    v = interpolated(even, t, v)
     around = median_filter(v, (1 + 2 * round(LONGEST / EACH), 1), mode="nearest")
     speed = np.linalg.norm(v - around, axis=1)
     fast = speed > max(FAST * np.median(speed), HAND_SWAY / STROKE)
