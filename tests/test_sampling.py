@@ -146,6 +146,15 @@ def test_a_hand_that_turns_knocks_nothing(seed: int) -> None:
     assert not knocked(knock(-100.0, 1.0, seed)).any()
 
 
+def test_what_lasts_is_no_knock() -> None:
+    """A rate that steps up has as large a bend as a knock, and its integral is in the readings."""
+    imu = knock(-100.0, 1.0, 0)
+    stepped = imu.gyro + np.where(imu.t > 5.0, 10.0, 0.0)[:, None]
+    assert not knocked(Imu(imu.t, stepped, imu.accel, imu.valid)).any()
+    hit = imu.gyro + np.where(imu.t == imu.t[500], 10.0, 0.0)[:, None]
+    assert knocked(Imu(imu.t, hit, imu.accel, imu.valid))[:, 0].any()
+
+
 def test_where_too_little_follows_each_other_nothing_is_said_of_knocks() -> None:
     imu = swinging(np.array([0.0, 0.01]))
     assert not knocked(imu).any()

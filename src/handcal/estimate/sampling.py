@@ -29,8 +29,9 @@ NOISE_PRODUCT, NOISE_SQUARE, NOISE_SQUARE_FINE = -1.0 / 12.0, 1.0 / 36.0, 1.0 / 
 # readings between are joined by straight lines as well.
 FOUND = 0.75
 # Where readings bend by so many times as much as nearly all of them do (of a hand that turns and
-# trembles none does) something knocked, and a knock is over before it is read.
-KNOCKED, NEARLY = 6.0, 0.95
+# trembles none does) something knocked; a knock is over so many samples later, and what lasts is
+# a rate that the integral has.
+KNOCKED, NEARLY, OVER = 6.0, 0.95, 4
 
 
 def at_nodes(imu: Imu, smooth: Array, readings: Array, t: Array) -> tuple[Array, Array, Array]:
@@ -70,12 +71,13 @@ def knocked(imu: Imu) -> Array:
     """What is not known (n, 2) of rate and force at the IMU's samples where something knocked: as
     much as straight lines may miss there."""
     out = np.zeros((len(imu.t), 2))
-    whole = _unbroken(imu, 3)
+    whole = _unbroken(imu, 2 * OVER + 1)
     for k, x in enumerate((imu.gyro, imu.accel) if whole.any() else ()):
         # (of three samples: a parabola through five is as long as a knock)
-        bends = np.linalg.norm(np.diff(x, 2, axis=0), axis=1)
-        hard = whole & (bends > KNOCKED * np.quantile(bends[whole], NEARLY))
-        out[1:-1, k] = np.where(hard, bends / 12.0, 0.0)
+        bends = np.linalg.norm(np.diff(x, 2, axis=0), axis=1)[OVER - 1 : 1 - OVER]
+        lasting = np.linalg.norm(x[2 * OVER :] - x[: -2 * OVER], axis=1)
+        hard = whole & (bends - lasting > KNOCKED * np.quantile(bends[whole], NEARLY))
+        out[OVER:-OVER, k] = np.where(hard, bends / 12.0, 0.0)
     return out
 
 
