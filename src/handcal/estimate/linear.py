@@ -23,17 +23,14 @@ from handcal.compiled.preintegration import (
 from handcal.effects import ATTITUDE, DELAY, Effect
 from handcal.estimate.corrected import Corrected, corrected_readings
 from handcal.estimate.derivatives import differentiated
+from handcal.estimate.exciting import held, sway, unexciting
 from handcal.estimate.problem import Problem, Slopes, constants_of
-from handcal.estimate.sampling import interpolated
 from handcal.estimate.seen import by_biases, measured, seen_by_biases, seen_by_constants
 from handcal.estimate.start import Start
 from handcal.estimate.trajectory import Trajectory, biases, intervals, path
 from handcal.observations import NAV
 from handcal.signals import further
 from handcal.types import Array, BoolArray, IntArray
-
-# Velocities that change within less, s, are a hand's tremor.
-STEADY_S = 0.15
 
 
 @dataclass(frozen=True)
@@ -174,7 +171,7 @@ def _integrated(problem: Problem, nominal: Trajectory) -> tuple[Problem, Array, 
     if done is not None:
         # What an effect does depends on the true rate and force: take off the noise that
         # this trajectory implies, or each sample's noise would pose as motion that excites it.
-        problem = differentiated(done, *_unexciting(problem, nominal, d, C_nb))
+        problem = differentiated(done, *unexciting(problem, nominal, d, C_nb))
         slopes = problem.slopes
         assert slopes is not None
         responses(W, slopes.values, slopes.channel, slopes.column, nominal.node, Phi[:, :, BASE:])
@@ -189,7 +186,7 @@ def _prepared(
     turning = problem.navigated and any(ATTITUDE in e.needs for e in problem.effects)
     done, C_nb = None, None
     if problem.imu_constants:
-        C_nb = _attitude(problem, nominal) if turning or _held(problem) else None
+        C_nb = _attitude(problem, nominal) if turning or held(problem) else None
         done = _corrected(problem, nominal, C_nb)
         problem = done.problem
     return _bare(replace(problem, ref=nominal.constants)), done, C_nb
@@ -212,25 +209,9 @@ def _rows(problem: Problem, nominal: Trajectory) -> tuple[Array, Array, BoolArra
     return r, H, used
 
 
-def _held(problem: Problem) -> bool:
-    """Whether the device turns about a point that wanders."""
-    return any(o.wandering is not None for o in problem.observations)
-
-
 def _attitude(problem: Problem, nominal: Trajectory) -> Array:
     """C_nb (n, 3, 3) at the IMU's samples."""
     return path(problem, nominal).C[np.searchsorted(problem.nodes.t, problem.recording.imu.t)]
-
-
-def _unexciting(
-    problem: Problem, nominal: Trajectory, d: Array, C_nb: Array | None
-) -> tuple[Array | None, Array | None]:
-    """What may excite no effect: the readings' noise, and a force without a hand's sway (see
-    ``differentiated``)."""
-    noise = _implied_noise(problem, nominal, d) if problem.navigated else None
-    if C_nb is None or not _held(problem):
-        return noise, None
-    return noise, _steady_force(problem, nominal, C_nb)
 
 
 @dataclass(frozen=True)
@@ -263,7 +244,7 @@ def excited(linear: Linear, fresh: Problem) -> Excited:
     measure = None if by_bias is None else measured(problem, by_bias)
     H = H if measure is None else measure @ H
     by_reading = H[:, :, 9:BASE] if H[:, :, 9:BASE].any() else np.zeros((0, 0, 6))
-    noise, force = _unexciting(problem, nominal, d, C_nb)
+    noise, force = unexciting(problem, nominal, d, C_nb)
     return Excited(done, noise, force, C_nb, W, np.ascontiguousarray(by_reading), measure)
 
 
@@ -321,56 +302,9 @@ def _turning(problem: Problem, node: IntArray) -> Array:
 
 def _corrected(problem: Problem, nominal: Trajectory, C_nb: Array | None) -> Corrected:
     """The problem with readings that are corrected at the nominal constants."""
-    sway = _sway(problem, nominal, C_nb) if _held(problem) and C_nb is not None else None
+    swayed = sway(problem, nominal, C_nb) if held(problem) and C_nb is not None else None
     constants = nominal.constants
-    return corrected_readings(problem, constants, nominal.bg, nominal.ba, C_nb, sway)
-
-
-def _steady_force(problem: Problem, nominal: Trajectory, C_nb: Array) -> Array:
-    """Specific force (n, 3) at the IMU's samples without what a point that wanders feels.
-
-    The hand's sway is random, and how large it is nobody knows. An effect that makes it a
-    little smaller would be favoured for that alone (looked at ten times a second, a scale error
-    of the accelerometer by 8 nats in 84 s; at the usual rate, a law of small changes of the force
-    alone, which is nearly all sway, by 40 nats in 30 s), so sway may not excite effects. Nor may
-    what a hand does within less than ``STEADY_S``: its tremor is left in this velocity, and in
-    slow turns the slope of its force was nine tenths of an accelerometer delay's information.
-    """
-    f_n = _changing(problem, nominal, nominal.v - _wandering(problem, nominal)) - problem.g_n
-    return np.asarray(np.einsum("nji,nj->ni", C_nb, f_n))
-
-
-def _sway(problem: Problem, nominal: Trajectory, C_nb: Array) -> Array:
-    """Force (n, 3) that a point that wanders adds at the IMU's samples."""
-    a_n = _accelerated(problem, nominal, _wandering(problem, nominal))
-    return np.asarray(np.einsum("nji,nj->ni", C_nb, a_n))
-
-
-def _wandering(problem: Problem, nominal: Trajectory) -> Array:
-    """Velocity (k, 3) at which the held point wanders at the epochs."""
-    out, at = np.zeros_like(nominal.v), 0
-    for observation in problem.observations:
-        if observation.wandering is not None:
-            first = at + observation.wandering
-            out += nominal.markov[:, first : first + 3]
-        at += observation.markov.size if observation.markov is not None else 0
-    return out
-
-
-def _accelerated(problem: Problem, nominal: Trajectory, v: Array) -> Array:
-    """Acceleration (n, 3) at the IMU's samples of velocities v (k, 3) at the epochs."""
-    t = problem.nodes.t[nominal.node]
-    a = np.diff(v, axis=0) / np.maximum(np.diff(t), 1e-6)[:, None]
-    t_imu, middle = problem.recording.imu.t, 0.5 * (t[1:] + t[:-1])
-    return interpolated(t_imu, middle, a)
-
-
-def _changing(problem: Problem, nominal: Trajectory, v: Array) -> Array:
-    """The same over ``STEADY_S`` about each sample."""
-    t, t_imu = problem.nodes.t[nominal.node], problem.recording.imu.t
-    ends = [np.clip(t_imu + s, t[0], t[-1]) for s in (-0.5 * STEADY_S, 0.5 * STEADY_S)]
-    before, after = (interpolated(x, t, v) for x in ends)
-    return np.asarray((after - before) / np.maximum(ends[1] - ends[0], 1e-6)[:, None])
+    return corrected_readings(problem, constants, nominal.bg, nominal.ba, C_nb, swayed)
 
 
 def _bare(problem: Problem) -> Problem:
@@ -386,18 +320,6 @@ def _transitions(problem: Problem, nominal: Trajectory) -> tuple[Array, Array, A
     Q, W = np.zeros((3, k, 9, 9)), np.empty((len(problem.nodes.t), 9, 6))
     preintegrate(*intervals(problem, nominal), (Phi, d, Q[0], Q[1], Q[2]), W)
     return Phi, d, Q, W
-
-
-def _implied_noise(problem: Problem, nominal: Trajectory, d: Array) -> Array:
-    """Mean noise of gyro and accelerometer (n, 6) at the IMU's samples, interval by interval, of
-    a problem whose readings were corrected with the nominal constants; d as in ``Linear``."""
-    t = problem.nodes.t[nominal.node]
-    dt = np.maximum(np.diff(t), 1e-6)[:, None]
-    C_bn = nominal.C[1:].transpose(0, 2, 1)
-    gyro = np.einsum("kij,kj->ki", C_bn, d[1:, 6:9]) / dt
-    accel = np.einsum("kij,kj->ki", C_bn, d[1:, 3:6]) / dt
-    at = np.clip(np.searchsorted(t, problem.recording.imu.t, side="right") - 1, 0, len(t) - 2)
-    return np.hstack([gyro, accel])[at]
 
 
 @njit
