@@ -1,5 +1,5 @@
 """Steps of a climb about laws without a name: find one, choose its form again, put it on fewer
-axes, leave out what it makes needless."""
+axes."""
 
 from __future__ import annotations
 
@@ -9,17 +9,15 @@ from functools import partial
 
 import numpy as np
 
-from handcal.effects import Effect
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.parallel import in_parallel
-from handcal.estimate.scan import scan
 from handcal.laws.best import Term, best_term, reshaped
 from handcal.laws.law_effect import effect_of, law_of
-from handcal.score import better, prior, score
+from handcal.score import better, score
 from handcal.search.climb.candidates import scanned_about
-from handcal.search.climb.state import HOPELESS, Climb, forget, likelier, sensible
-from handcal.search.space import best_set, space
+from handcal.search.climb.state import Climb, forget, likelier, sensible
+from handcal.search.space import best_set
 
 # Terms without a name at the most.
 MAX_TERMS = 3
@@ -97,49 +95,3 @@ def narrow(c: Climb) -> Model | None:
             c.shaped.add(new.id)
             return tried
     return None
-
-
-def instead(c: Climb) -> Model | None:
-    """The model with its laws without a name in the place of many effects with one, noise
-    included, if that scores better: what is left out is told by the quadratic, and fitted."""
-    model, laws = c.model, [e for e in c.model.effects if _is_law(e)]
-    key = frozenset(model.ids)
-    if not laws or key in c.thinned or len(model.effects) == len(laws):
-        return None
-    c.thinned.add(key)
-    quiet = [e for e in model.effects if e.process is None]
-    bare = model if len(quiet) == len(model.effects) else fitted(model.parts, quiet)
-    kept = {e.id for e in laws} | {e.id for e in quiet if e.always}
-    for ids in _fewest(bare, kept):
-        if ids == key:
-            continue
-        tried = fitted(bare.parts, [e for e in quiet if e.id in ids])
-        if likelier(c, tried):
-            forget(c, tried)
-            return tried
-    if bare is not model and likelier(c, bare):
-        forget(c, bare)
-        return bare
-    return None
-
-
-def _is_law(e: Effect) -> bool:
-    return "+=" in e.id and e.process is None
-
-
-def _fewest(model: Model, kept: Set[str]) -> list[frozenset[str]]:
-    """The best of the sets that are left when one effect after another, the least missed each
-    time, is taken out of the model; and the last, of those that are kept alone, if a fit may make
-    it a good one."""
-    own = [e for e in model.effects if e.process is None]
-    cases = [f.case for f in model.parts]
-    where = space(scan(model, own), own, {e.id: prior(e, cases) for e in own})
-    now = frozenset(e.id for e in own)
-    sets = [now]
-    while now - kept:
-        now = max((now - {i} for i in sorted(now - kept)), key=where.score)
-        sets.append(now)
-    best = max(sets, key=where.score)
-    lost = where.score(best) - where.score(now)
-    hopeless = lost > HOPELESS * len(best - now)
-    return [best] if hopeless or best == now else [best, now]

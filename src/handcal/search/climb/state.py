@@ -49,7 +49,6 @@ class Climb:
     refused: set[frozenset[str]] = field(default_factory=set)
     ordered: set[tuple[str, frozenset[str]]] = field(default_factory=set)
     shaped: set[str] = field(default_factory=set)
-    thinned: set[frozenset[str]] = field(default_factory=set)
     bared: set[frozenset[str]] = field(default_factory=set)
     whole: set[str] = field(default_factory=set)
 

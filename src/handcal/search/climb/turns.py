@@ -7,7 +7,7 @@ from collections.abc import Callable
 from handcal.estimate.model import Model
 from handcal.search.climb.candidates import scanned
 from handcal.search.climb.exchange_steps import exchange, hidden, reorder
-from handcal.search.climb.law_steps import MAX_TERMS, instead, name_term, narrow, reshape
+from handcal.search.climb.law_steps import MAX_TERMS, name_term, narrow, reshape
 from handcal.search.climb.noise_steps import add_noise
 from handcal.search.climb.state import Climb
 from handcal.search.climb.subset_steps import choose, everything, favourite, thin
@@ -53,7 +53,6 @@ def _taken(c: Climb, step: Callable[[Climb], Model | None]) -> Model | None:
 _STEPS: dict[Callable[[Climb], Model | None], str] = {
     everything: "the fit of all effects at once",
     choose: "further effects",
-    instead: "one law in the place of several names",
     reshape: "other forms of a law",
     narrow: "laws on fewer axes",
     exchange: "similar effects in the place of those that were found",
