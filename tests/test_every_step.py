@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from strange_device import phone_of
 from worlds import recording_of
 
 from handcal.explain import explain
-from handcal_sim import simulate
+from handcal_sim import simulate, strangers
 from handcal_sim.phone import Phone, capture_pose, consumer_phone
 
 pytestmark = pytest.mark.prove
@@ -27,3 +28,19 @@ def test_add_noise_a_pose_that_drifts(seed: int) -> None:
     found = explain([recording_of(world, "pose")])
     assert [m.effect for m in found.missing] == ["pose_drift"]
     assert not found.unnamed
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_name_term_a_law_beside_a_name_that_does_more(seed: int) -> None:
+    """No climb begins with a law that is so much less than half of it; else noise holds it, or
+    another name."""
+    scale = {"gyro_scale": [0.03, -0.02, 0.02]}
+    world = simulate(
+        "free-hand", seed=seed, duration_s=60.0, phone=lambda _: phone_of(seed), effects=scale
+    )
+    [(bent, law)] = strangers.of_one_device("accel_quadratic", [world], seed)
+    found = explain([recording_of(bent, "heading")])
+    assert [m.effect for m in found.missing] == ["gyro_scale"]
+    (told,) = found.unnamed
+    axis = law.channel[-1]
+    assert told.formula == f"accel_{axis} += k * f_{axis}^2"
