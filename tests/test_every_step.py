@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from strange_device import phone_of
 from worlds import recording_of
 
+from handcal import load
 from handcal.explain import explain
 from handcal_sim import simulate, strangers
+from handcal_sim.mcap_writer import write
 from handcal_sim.phone import Phone, capture_pose, consumer_phone
+from handcal_sim.prove.draw import draw
 
 pytestmark = pytest.mark.prove
 
@@ -44,3 +48,13 @@ def test_name_term_a_law_beside_a_name_that_does_more(seed: int) -> None:
     (told,) = found.unnamed
     axis = law.channel[-1]
     assert told.formula == f"accel_{axis} += k * f_{axis}^2"
+
+
+@pytest.mark.parametrize("number", range(3))
+def test_everything_a_device_with_a_whole_budget(number: int, tmp_path: Path) -> None:
+    """Found one by one, what came first held the gyro's scale in one of three."""
+    world, answer = draw("budget", number, 0)
+    assert "gyro_scale" in answer.effects
+    write(world, tmp_path / "budget.mcap", truth=False)
+    found = explain([load(tmp_path / "budget.mcap")])
+    assert "gyro_scale" in [m.effect for m in found.missing]
