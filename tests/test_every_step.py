@@ -37,7 +37,7 @@ def test_add_noise_a_pose_that_drifts(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_name_term_a_law_beside_a_name_that_does_more(seed: int) -> None:
     """No climb begins with a law that is so much less than half of it; else noise holds it, or
-    another name."""
+    another name. (And without `thin` the noise that held it before stays beside it.)"""
     scale = {"gyro_scale": [0.03, -0.02, 0.02]}
     world = simulate(
         "free-hand", seed=seed, duration_s=60.0, phone=lambda _: phone_of(seed), effects=scale

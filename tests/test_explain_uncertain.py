@@ -1,9 +1,11 @@
-"""What explain says of how little it knows: noise from a few of its own lengths, and biases that
+"""What explain says of how little it knows: noise from a few of its own lengths, and numbers that
 lean on the absence of what the motion cannot show."""
 
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -13,14 +15,14 @@ import pytest
 from rich.console import Console
 from worlds import recording_of
 
-from handcal.effects import catalogue
+from handcal.effects import catalogue, select
 from handcal.estimate import case, process
 from handcal.estimate.baseline import started
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.noise_levels import Curvature
 from handcal.explain import explain
-from handcal.explain.bias_limits import leaning
+from handcal.explain.leaning import leaning
 from handcal.show.explanation.terminal import print_explanation
 from handcal.types import Array
 from handcal_sim import simulate
@@ -90,10 +92,13 @@ def test_correlated_noise_of_a_few_lengths() -> None:
     assert np.abs(z).max() < 3.5
 
 
-def sentences(motion: str, seconds: float, hardly: set[str]) -> list[str]:
+def sentences(
+    motion: str, seconds: float, hardly: set[str], named: Sequence[str] = ()
+) -> list[str]:
     world = simulate(motion, seed=0, duration_s=seconds, phone=slow)
-    (part,) = fitted([started(case.case_of(recording_of(world, "heading")))], ()).parts
-    return leaning(part, (), hardly)
+    effects = select(named)
+    (part,) = fitted([started(case.case_of(recording_of(world, "heading")))], effects).parts
+    return leaning(part, effects, hardly)
 
 
 def test_a_bias_that_holds_only_without_a_drift_says_so() -> None:
@@ -105,6 +110,18 @@ def test_a_bias_that_holds_only_without_a_drift_says_so() -> None:
     assert "heading drift" in said
     assert sentences("free-hand", 60.0, {"heading_drift"}) == []
     assert sentences("z-turn", 30.0, set()) == []
+
+
+def test_a_scale_that_holds_only_without_a_quadratic_error_says_so() -> None:
+    """Turning about one axis after another, each at one rate and one way, a scale error and a
+    quadratic one are the same number. (Of devices with ten errors, scales were off by ten sigmas
+    beside a quadratic error that nobody could see.)"""
+    said = sentences("three-turns", 80.0, {"gyro_quadratic"}, ["gyro_scale"])
+    (of_scale,) = [s for s in said if s.startswith("Gyro scale error")]
+    known, then = re.findall(r"([\d.]+), [\d.]+ %", of_scale)
+    assert float(then) > 3.0 * float(known)
+    assert "(gyro quadratic error)" in of_scale
+    assert sentences("free-hand", 60.0, {"gyro_quadratic"}, ["gyro_scale"]) == []
 
 
 def test_a_fast_imu_is_not_called_slow(capsys: pytest.CaptureFixture[str]) -> None:

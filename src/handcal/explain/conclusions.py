@@ -20,8 +20,8 @@ from handcal.estimate.specification import Specification
 from handcal.estimate.start import BIASES
 from handcal.explain import held_out as held
 from handcal.explain import importance, locate
-from handcal.explain.bias_limits import leaning
 from handcal.explain.gauge import plainly
+from handcal.explain.leaning import leaning
 from handcal.explain.moments import moments
 from handcal.explain.naming import (
     burst,
