@@ -77,7 +77,7 @@ def moving(base: Model, model: Model, gained: Mapping[str, float]) -> tuple[Mode
         return None
     strong = [e for e in model.effects if e.always or _no_hand(e) or gained[e.id] > WEAK]
     named = [e for e in strong if "+=" not in e.id]
-    far = [beyond_a_hand(f.linear, f.levels) if sways_far(f) else 0.0 for f in model.parts]
+    far = _far(model)
     nothing = len(named) == len(model.effects)
     if nothing and max(far) < TRAVEL_NATS:
         return None
@@ -90,12 +90,26 @@ def moving(base: Model, model: Model, gained: Mapping[str, float]) -> tuple[Mode
     fits = in_parallel(partial(_fit, hand, way) for hand, way in tried)
     # (every arm tires a little, so that costs nothing; what is spared does)
     nats, best = max(
-        ((better(m, model, 1.0), hand) for m, (hand, _) in zip(fits, tried, strict=True)),
+        (
+            (better(m, model, 1.0) + _cured(far, _far(m)), hand)
+            for m, (hand, _) in zip(fits, tried, strict=True)
+        ),
         key=lambda pair: pair[0],
     )
-    # (a point that sways further than a hand does was not held, whatever else there is)
-    nats += sum(far)
     return None if nats < 0.0 else (baseline(best), nats)
+
+
+def _far(model: Model) -> list[float]:
+    """Nats, by recording, by which the point sways further than one that is held."""
+    return [beyond_a_hand(f.linear, f.levels) if sways_far(f) else 0.0 for f in model.parts]
+
+
+def _cured(far: Sequence[float], still: Sequence[float]) -> float:
+    """Nats that speak for another hand where the point swayed so ``far``: one that sways further
+    than a hand does was not held, whatever else there is, and that is as true of the other hand
+    where it is ``still`` so."""
+    pairs = zip(far, still, strict=True)
+    return sum(f for f, s in pairs if s < TRAVEL_NATS)
 
 
 def _no_hand(e: Effect) -> bool:
