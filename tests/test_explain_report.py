@@ -232,13 +232,20 @@ def test_shares_that_do_not_add_up_are_said_to_need_not():
 
 @pytest.mark.usefixtures("no_figures")
 def test_a_search_cut_short_says_so_first():
-    left = ("filters in another order", "further effects", "noise effects", "walks", "laws", "a hand that moves")
+    left = (
+        "laws on fewer axes",
+        "further effects",
+        "noise effects",
+        "walks",
+        "laws",
+        "a hand that moves",
+    )
     for e in (fake_explanation("explained", recordings=1), with_hard_iron()):
         e = replace(e, untried=left)
         judged = verdict_text.verdict(e)
         assert judged.level == "partly"
         assert judged.headline == (
-            "Time ran out before all was tried. Not tried, or not to the end: filters in another order, "
+            "Time ran out before all was tried. Not tried, or not to the end: laws on fewer axes, "
             "further effects, noise effects, walks and two more."
         )
         page, text = render_explanation(e), printed(e, 200)
