@@ -14,10 +14,14 @@ def _pose(nav: Any, scale: Any, z: Any, r: Any) -> int:  # noqa: ARG001
     return 0
 
 
+# A camera that has never felt gravity may take a metre for two thirds of one; where all positions
+# are said to be one (-1), no motion is seen that could contradict it.
+MOST = 0.5
+
 EFFECT = Effect(
     id="pose_scale",
     title="Pose scale",
-    parameters=(Param("scale", "1", 0.02),),
+    parameters=(Param("scale", "1", 0.02, most=MOST),),
     story="The positions come from something that does not know how long a metre is, as a phone's "
     "camera that learnt it from the phone's own accelerometer: all ways are too long or too short "
     "by the same share.",

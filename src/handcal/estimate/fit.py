@@ -239,8 +239,12 @@ def prior_root(
     """Square root of the prior covariance of a quadratic's parameters (``index`` of them), or
     None for the identity: effects that are exclusive of another keep what that one lacks, and
     those with a gauge do without it."""
+    return root_of(q.names if index is None else [q.names[i] for i in index], effects)
+
+
+def root_of(names: Sequence[tuple[str, str]], effects: Sequence[Effect]) -> Array | None:
+    """The same of parameters by their names."""
     ids = {e.id for e in effects}
-    names = q.names if index is None else [q.names[i] for i in index]
     root = None
     for e in effects:
         if e.together is not None and (not e.exclusive or ids & set(e.exclusive)):

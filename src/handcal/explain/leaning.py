@@ -10,6 +10,7 @@ import numpy as np
 from handcal.effects import Effect, catalogue
 from handcal.estimate.case import applicable
 from handcal.estimate.evidence import reduce, reduced_pass
+from handcal.estimate.fit import root_of
 from handcal.estimate.model import Fitted
 from handcal.estimate.transfer import moved_to
 from handcal.types import Array
@@ -49,15 +50,15 @@ def leaning(f: Fitted, effects: Sequence[Effect], hardly_shown: Collection[str])
     wide = moved_to(f, [*effects, *others])
     done = reduced_pass(reduce(wide.linear), wide.levels)
     owner = [s.owner for s in wide.problem.slots]
-    information = done.log_likelihood[2] + np.eye(6 + len(owner))
+    names = [*[("", axis) for axis in "xyzxyz"], *[(s.owner, s.name) for s in wide.problem.slots]]
     absent = {e.id for e in others}
     kept = [*range(6), *(6 + i for i, o in enumerate(owner) if o not in absent)]
-    scale = done.reduction.scale
-    alone = scale * _sigmas(information, kept)
+    scale, of = done.reduction.scale, done.log_likelihood[2]
+    alone = scale * _sigmas(of, root_of(names, effects), kept)
     worst, causes = alone.copy(), dict[int, list[str]]()
     for e in others:
         with_it = [*kept, *(6 + i for i, o in enumerate(owner) if o == e.id)]
-        sigma = scale * _sigmas(information, with_it)
+        sigma = scale * _sigmas(of, root_of(names, [*effects, e]), with_it)
         for k in np.intersect1d(kept, np.flatnonzero(sigma > MUCH * alone)):
             causes.setdefault(int(k), []).append(e.title.lower())
             worst[k] = max(worst[k], sigma[k])
@@ -99,10 +100,11 @@ def _sentence(n: _Numbers, alone: Array, worst: Array, causes: Mapping[int, Sequ
     )
 
 
-def _sigmas(information: Array, those: Sequence[int]) -> Array:
-    """Of all parameters, those of them alone in a model, in units of their priors; of the others,
-    infinity."""
+def _sigmas(information: Array, prior: Array | None, those: Sequence[int]) -> Array:
+    """Of all parameters, those of them alone in a model, in units of their priors, of which
+    ``prior`` is the square root of the covariance (None: the identity); of the others, infinity."""
+    own = np.eye(len(those)) if prior is None else prior[np.ix_(those, those)]
+    root = np.linalg.cholesky(own.T @ information[np.ix_(those, those)] @ own + np.eye(len(those)))
     out = np.full(len(information), np.inf)
-    root = np.linalg.cholesky(information[np.ix_(those, those)])
-    out[list(those)] = np.linalg.norm(np.linalg.solve(root, np.eye(len(those))), axis=0)
+    out[list(those)] = np.linalg.norm(np.linalg.solve(root, own.T), axis=0)
     return out
