@@ -591,3 +591,13 @@ def test_about_no_fit_nothing_stands_out() -> None:
     assert astray(baseline([case.case_of(recording)]))
     found = explain([recording])
     assert (found.verdict, names(found)) == ("explained", [*answer.effects])
+
+
+@pytest.mark.prove
+def test_no_metre_is_off_by_its_whole_length() -> None:
+    """Where all positions are one, no motion is seen that could contradict it: a device with
+    twelve errors was "explained" by a pose scale of -100.02 +- 0.10 %."""
+    world, answer = draw.draw("budget", 1, 161)
+    found = explain([recording_of(world, "heading", "pose", "temperature")])
+    assert {"accel_scale", "accel_misalignment", "lever_arm"} <= set(names(found))
+    assert set(names(found)) <= set(answer.effects)

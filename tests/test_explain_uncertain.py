@@ -21,8 +21,10 @@ from handcal.estimate.baseline import started
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.noise_levels import Curvature
-from handcal.explain import explain
+from handcal.estimate.specification import Options, chosen_of
+from handcal.explain import conclusions, explain
 from handcal.explain.leaning import leaning
+from handcal.explanation import Hypothesis
 from handcal.show.explanation.terminal import print_explanation
 from handcal.types import Array
 from handcal_sim import simulate
@@ -110,6 +112,18 @@ def test_a_bias_that_holds_only_without_a_drift_says_so() -> None:
     assert "heading drift" in said
     assert sentences("free-hand", 60.0, {"heading_drift"}) == []
     assert sentences("z-turn", 30.0, set()) == []
+
+
+def test_an_absence_that_nothing_speaks_for_is_assumed_too() -> None:
+    """A phone's gyro bias was off by fifty sigmas beside a g-sensitivity that gained five nats,
+    which of its usual size promised fifteen."""
+    world = simulate("z-turn", seed=0, duration_s=30.0, phone=slow)
+    model = fitted([started(case.case_of(recording_of(world, "heading")))], ())
+    written = chosen_of(model, Options(None, 0.0, {}, ()), {})
+    for gained, said in ((1.0, 1), (-1.0, 0)):
+        drift = Hypothesis("heading_drift", "Heading drift", 0.0, gained, 100.0, 0.1, "")
+        told = conclusions._warnings(model, model, [drift], written)
+        assert sum("gyro's bias" in x for x in told) == said
 
 
 def test_a_scale_that_holds_only_without_a_quadratic_error_says_so() -> None:

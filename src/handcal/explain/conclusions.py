@@ -306,7 +306,8 @@ def _fit(model: Model, parts: Sequence[Fitted]) -> Fit:
 def _warnings(
     base: Model, model: Model, hypotheses: Sequence[Hypothesis], written: Specification | None
 ) -> tuple[str, ...]:
-    hardly_shown = {h.effect for h in hypotheses if h.expected < FAINT}
+    # (nor does a recording tell an effect's absence that rather has it than not)
+    hardly_shown = {h.effect for h in hypotheses if h.expected < FAINT or h.final > 0.0}
     out = [w for f in base.parts for w in f.case.warnings]
     for f in model.parts:
         out += leaning(f, model.effects, hardly_shown)
