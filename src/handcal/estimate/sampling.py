@@ -71,12 +71,14 @@ def knocked(imu: Imu) -> Array:
     """What is not known (n, 2) of rate and force at the IMU's samples where something knocked: as
     much as straight lines may miss there."""
     out = np.zeros((len(imu.t), 2))
-    whole = _unbroken(imu, 2 * OVER + 1)
+    near, whole = _unbroken(imu, 3), _unbroken(imu, 2 * OVER + 1)
     for k, x in enumerate((imu.gyro, imu.accel) if whole.any() else ()):
         # (of three samples: a parabola through five is as long as a knock)
-        bends = np.linalg.norm(np.diff(x, 2, axis=0), axis=1)[OVER - 1 : 1 - OVER]
+        bends = np.linalg.norm(np.diff(x, 2, axis=0), axis=1)
+        usual = np.quantile(bends[near], NEARLY)
+        bends = bends[OVER - 1 : 1 - OVER]
         lasting = np.linalg.norm(x[2 * OVER :] - x[: -2 * OVER], axis=1)
-        hard = whole & (bends - lasting > KNOCKED * np.quantile(bends[whole], NEARLY))
+        hard = whole & (bends - lasting > KNOCKED * usual)
         out[OVER:-OVER, k] = np.where(hard, bends / 12.0, 0.0)
     return out
 
