@@ -17,7 +17,7 @@ def travels(f: Fitted) -> bool:
     are rests to go by instead."""
     at_rest = f.case.assume == "fixed-point" and len(f.case.rests) > 0
     held = at_rest and "fixed_position" in f.case.kinds
-    return held and beyond_a_hand(f.linear, f.levels) > TRAVEL_NATS
+    return held and beyond_a_hand(f.about, f.levels) > TRAVEL_NATS
 
 
 def resting(

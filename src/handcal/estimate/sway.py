@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from handcal.estimate.evidence import reduce, reduced_pass
-from handcal.estimate.linear import Linear
+from handcal.estimate.linear import About
 from handcal.estimate.problem import Problem
 
 # A hand that holds a point still does not wander further than this (root mean square, m); nats
@@ -23,14 +23,14 @@ def sway_of(problem: Problem, levels: Mapping[str, float]) -> float:
     return math.hypot(levels.get("sway", 0.0), levels.get("sway_per_rate", 0.0) * rate)
 
 
-def beyond_a_hand(linear: Linear, levels: Mapping[str, float]) -> float:
+def beyond_a_hand(about: About, levels: Mapping[str, float]) -> float:
     """Nats by which these levels do better than the widest sway that is still a hand's, 0 where
-    they are a hand's."""
-    wide = sway_of(linear.problem, levels) / HAND_SWAY
+    they are a hand's (then nothing is linearised)."""
+    wide = sway_of(about.problem, levels) / HAND_SWAY
     if wide <= 1.0:
         return 0.0
     # what is seen in a short while is sigma^2 / time^3; that alone stays
     held = dict(levels) | {n: levels[n] / wide for n in ("sway", "sway_per_rate")}
     held["sway_time"] = levels["sway_time"] / wide ** (2.0 / 3.0)
-    reduction = reduce(linear)
+    reduction = reduce(about.linear)
     return reduced_pass(reduction, levels).log_evidence - reduced_pass(reduction, held).log_evidence

@@ -26,7 +26,6 @@ from handcal.estimate.sway import HAND_SWAY, TRAVEL_NATS, beyond_a_hand
 from handcal.observations.fixed_position import CREEPING
 from handcal.score import PRIOR, better
 from handcal.search.climb.state import WEAK
-from handcal.search.wide_sway import sways_far
 from handcal.types import Array, HandcalError
 
 OBSERVED = CREEPING.kind
@@ -90,10 +89,7 @@ def moving(base: Model, model: Model, gained: Mapping[str, float]) -> tuple[Mode
     fits = in_parallel(partial(_fit, hand, way) for hand, way in tried)
     # (every arm tires a little, so that costs nothing; what is spared does)
     nats, best = max(
-        (
-            (better(m, model, 1.0) + _cured(far, _far(m)), hand)
-            for m, (hand, _) in zip(fits, tried, strict=True)
-        ),
+        ((_advantage(m, model, far), hand) for m, (hand, _) in zip(fits, tried, strict=True)),
         key=lambda pair: pair[0],
     )
     return None if nats < 0.0 else (baseline(best), nats)
@@ -101,15 +97,17 @@ def moving(base: Model, model: Model, gained: Mapping[str, float]) -> tuple[Mode
 
 def _far(model: Model) -> list[float]:
     """Nats, by recording, by which the point sways further than one that is held."""
-    return [beyond_a_hand(f.linear, f.levels) if sways_far(f) else 0.0 for f in model.parts]
+    return [beyond_a_hand(f.about, f.levels) for f in model.parts]
 
 
-def _cured(far: Sequence[float], still: Sequence[float]) -> float:
-    """Nats that speak for another hand where the point swayed so ``far``: one that sways further
-    than a hand does was not held, whatever else there is, and that is as true of the other hand
-    where it is ``still`` so."""
-    pairs = zip(far, still, strict=True)
-    return sum(f for f, s in pairs if s < TRAVEL_NATS)
+def _advantage(other: Model, model: Model, far: Sequence[float]) -> float:
+    """Nats by which another hand explains more than a model in which the point sways so ``far``:
+    one that sways further than a hand does was not held, whatever else there is, and that is as
+    true of the other hand where it still does."""
+    if not math.isfinite(other.log_evidence):
+        return -math.inf
+    held = (f for f, still in zip(far, _far(other), strict=True) if still < TRAVEL_NATS)
+    return better(other, model, 1.0) + sum(held)
 
 
 def _no_hand(e: Effect) -> bool:

@@ -50,7 +50,7 @@ def hand_of(f: Fitted, advantage: float) -> Hand:
     else:
         return Hand("", 1.0)
     if not math.isfinite(advantage):
-        advantage = max(0.0, TRAVEL_NATS - beyond_a_hand(f.linear, f.levels))
+        advantage = max(0.0, TRAVEL_NATS - beyond_a_hand(f.about, f.levels))
     return Hand(kind, min(CERTAIN, 1.0 / (1.0 + math.exp(-min(700.0, advantage)))))
 
 
