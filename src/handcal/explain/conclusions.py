@@ -306,11 +306,10 @@ def _fit(model: Model, parts: Sequence[Fitted]) -> Fit:
 def _warnings(
     base: Model, model: Model, hypotheses: Sequence[Hypothesis], written: Specification | None
 ) -> tuple[str, ...]:
-    # (nor does a recording tell an effect's absence that rather has it than not)
-    hardly_shown = {h.effect for h in hypotheses if h.expected < FAINT or h.final > 0.0}
+    not_seen = {h.effect for h in hypotheses if h.expected < FAINT or h.final > 0.0}
     out = [w for f in base.parts for w in f.case.warnings]
     for f in model.parts:
-        out += leaning(f, model.effects, hardly_shown)
+        out += leaning(f, model.effects, not_seen)
     if not model.settled:
         out.append(
             "The final fit still moved after ten rounds of relinearisation; trust its numbers less."

@@ -12,6 +12,7 @@ from handcal.estimate.case import applicable
 from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.fit import root_of
 from handcal.estimate.model import Fitted
+from handcal.estimate.problem import Slot
 from handcal.estimate.transfer import moved_to
 from handcal.types import Array
 from handcal.units import shown
@@ -26,75 +27,69 @@ class _Numbers:
 
     title: str
     unit: str
-    at: Sequence[int]
-    names: Sequence[str]
+    columns: Mapping[int, str]
 
 
-def leaning(f: Fitted, effects: Sequence[Effect], hardly_shown: Collection[str]) -> list[str]:
+def leaning(f: Fitted, effects: Sequence[Effect], not_seen: Collection[str]) -> list[str]:
     """A sentence for the biases of each sensor, and for each effect of the model, whose numbers
     would be far less certain with an effect that is not in it.
 
-    effects: of the model; hardly_shown: ids of effects of the catalogue that the recording could
-    not show if they had their usual size, so that their absence is assumed, not seen. From the
-    information matrix, each of them alone beside the model.
+    effects: of the model; not_seen: ids of effects of the catalogue whose absence is assumed, not
+    seen: of their usual size the recording could not show them, or it rather has them than not.
+    From the information matrix, each of them alone beside the model.
     """
     have = {e.id for e in effects}
     others = [
         e
         for i, e in catalogue().items()
-        if i in hardly_shown and i not in have and e.moments is None and applicable(f.case, e)
+        if i in not_seen and i not in have and e.moments is None and applicable(f.case, e)
     ]
     others = [e for e in others if e.process is None and not e.outliers]
     if not others:
         return []
     wide = moved_to(f, [*effects, *others])
     done = reduced_pass(reduce(wide.linear), wide.levels)
-    owner = [s.owner for s in wide.problem.slots]
-    names = [*[("", axis) for axis in "xyzxyz"], *[(s.owner, s.name) for s in wide.problem.slots]]
+    slots, information = wide.problem.slots, done.log_likelihood[2]
+    names = [*(("", axis) for axis in "xyzxyz"), *((s.owner, s.name) for s in slots)]
     absent = {e.id for e in others}
-    kept = [*range(6), *(6 + i for i, o in enumerate(owner) if o not in absent)]
-    scale, of = done.reduction.scale, done.log_likelihood[2]
-    alone = scale * _sigmas(of, root_of(names, effects), kept)
+    kept = [i for i, (owner, _) in enumerate(names) if owner not in absent]
+    scale = done.reduction.scale
+    alone = scale * _sigmas(information, root_of(names, effects), kept)
     worst, causes = alone.copy(), dict[int, list[str]]()
     for e in others:
-        with_it = [*kept, *(6 + i for i, o in enumerate(owner) if o == e.id)]
-        sigma = scale * _sigmas(of, root_of(names, [*effects, e]), with_it)
+        with_it = [i for i, (owner, _) in enumerate(names) if owner not in absent - {e.id}]
+        sigma = scale * _sigmas(information, root_of(names, [*effects, e]), with_it)
         for k in np.intersect1d(kept, np.flatnonzero(sigma > MUCH * alone)):
             causes.setdefault(int(k), []).append(e.title.lower())
             worst[k] = max(worst[k], sigma[k])
-    told = [_sentence(n, alone, worst, causes) for n in _numbers(f, effects, owner)]
+    told = [_sentence(n, alone, worst, causes) for n in _numbers(slots, effects)]
     return [sentence for sentence in told if sentence]
 
 
-def _numbers(f: Fitted, effects: Sequence[Effect], owner: Sequence[str]) -> list[_Numbers]:
-    """The biases of both sensors, and the constants of each effect."""
+def _numbers(slots: Sequence[Slot], effects: Sequence[Effect]) -> list[_Numbers]:
+    """The biases of both sensors, and the constants of each effect, those of one unit together."""
     out = [
-        _Numbers("The gyro's bias", "rad/s", range(3), "xyz"),
-        _Numbers("The accelerometer's bias", "m/s^2", range(3, 6), "xyz"),
+        _Numbers("The gyro's bias", "rad/s", dict(enumerate("xyz"))),
+        _Numbers("The accelerometer's bias", "m/s^2", dict(enumerate("xyz", start=3))),
     ]
-    slots = {(s.owner, s.name): s for s in f.problem.slots}
     for e in effects:
-        at = [6 + i for i, o in enumerate(owner) if o == e.id]
-        mine = [s for (o, _), s in slots.items() if o == e.id]
-        for unit in dict.fromkeys(s.unit for s in mine):
-            which = [k for k, s in enumerate(mine) if s.unit == unit]
-            names = [mine[k].name for k in which]
-            out.append(_Numbers(e.title, unit, [at[k] for k in which], names))
+        mine = [(k, s) for k, s in enumerate(slots, start=6) if s.owner == e.id]
+        for unit in dict.fromkeys(s.unit for _, s in mine):
+            out.append(_Numbers(e.title, unit, {k: s.name for k, s in mine if s.unit == unit}))
     return out
 
 
 def _sentence(n: _Numbers, alone: Array, worst: Array, causes: Mapping[int, Sequence[str]]) -> str:
     """How well these numbers are known, and how well with what may be there; "" where that is
     alike."""
-    mine = [(k, name) for k, name in zip(n.at, n.names, strict=True) if k in causes]
-    if not mine:
+    at = [k for k in n.columns if k in causes]
+    if not at:
         return ""
-    at = [k for k, _ in mine]
     unit = shown(n.unit, worst[at])
     known, then = (", ".join(f"{unit.factor * x[k]:.2g}" for k in at) for x in (alone, worst))
     titles = ", ".join(dict.fromkeys(title for k in at for title in causes[k]))
     return (
-        f"{n.title} ({', '.join(name for _, name in mine)}: {known} {unit.unit}) is known that "
+        f"{n.title} ({', '.join(n.columns[k] for k in at)}: {known} {unit.unit}) is known that "
         "well only if nothing is there that this motion could hardly show; with as much as is "
         f"usual of one of these: {then} {unit.unit} ({titles})."
     )
