@@ -22,7 +22,7 @@ from handcal.estimate.model import Model
 from handcal.estimate.specification import Options, chosen_of, document_of, settled
 from handcal.explain import explain, naming
 from handcal.explain.model_file import chosen_from
-from handcal.laws import best, drivers, grammar, law_effect, law_file
+from handcal.laws import best, drivers, grammar, law_effect, law_file, vocabulary
 from handcal.laws.drivers import DRIVERS
 from handcal.laws.grammar import Range
 from handcal.laws.law_effect import Law
@@ -43,7 +43,7 @@ FORMS = [
 
 
 def law_over(driver: str, form: grammar.Form, axes: tuple[int, ...] = (0,), sensor: int = 0) -> Law:
-    return Law(sensor, axes, False, drivers.driver_of(driver), form, (0.01,) * form.constants)
+    return Law(sensor, axes, False, vocabulary.driver_of(driver), form, (0.01,) * form.constants)
 
 
 def formula(*names: str) -> grammar.Form:
@@ -141,16 +141,16 @@ def test_memory_is_the_mean_of_the_past_weighed_by_its_age() -> None:
     t = np.linspace(0.0, 10.0, 1001)
     step = np.where(t > 0.0, 1.0, 0.0)
     s = Signals(t, np.stack([step, 0 * t, 0 * t], axis=1), np.zeros((1001, 3)))
-    x = drivers.driver_of("(memory(2.5 s) of omega_{i})").of(s, 0)
+    x = vocabulary.driver_of("(memory(2.5 s) of omega_{i})").of(s, 0)
     np.testing.assert_allclose(x, -np.expm1(-t / 2.5), atol=1e-3)
 
 
 def test_a_driver_is_found_by_its_name_whatever_its_number() -> None:
     for name in (*DRIVERS, "(memory(3.17 s) of |omega|)", "(play(0.29 m/s^2) of f_{i} - f_{i})"):
-        assert drivers.driver_of(name).name == name
+        assert vocabulary.driver_of(name).name == name
     for name in ("omega", "(memory(3 s) of nothing)", "(play(3 s) of f_{i} - f_{i})"):
         with pytest.raises(KeyError):
-            drivers.driver_of(name)
+            vocabulary.driver_of(name)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -160,7 +160,7 @@ def test_play_lags_by_its_half_width_once_it_has_been_taken_up(seed: int) -> Non
     rng = np.random.default_rng(seed)
     ends = np.cumsum(np.r_[9.8, np.array([1.0, -1.0, 1.0]) * rng.uniform(0.5, 3.0, 3)])
     f = np.concatenate([np.linspace(a, b, 50) for a, b in itertools.pairwise(ends)])
-    play = drivers.driver_of("(play(0.2 m/s^2) of f_{i} - f_{i})")
+    play = vocabulary.driver_of("(play(0.2 m/s^2) of f_{i} - f_{i})")
     signals = Signals(np.arange(150.0), np.zeros((150, 3)), np.tile(f[:, None], 3))
     np.testing.assert_allclose(play.of(signals, 1)[[49, 99, 149]], [-0.2, 0.2, -0.2], atol=1e-12)
     still = Signals(np.arange(150.0), np.zeros((150, 3)), 0.19 * np.sin(np.tile(f[:, None], 3)))

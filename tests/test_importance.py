@@ -73,12 +73,12 @@ def test_what_has_no_name_is_drawn_over_what_drives_it(known) -> None:
     """k omega_y^3: a curve of the cube, in the units of what is measured, with its band."""
     from handcal.estimate.baseline import baseline
     from handcal.estimate.case import case_of
-    from handcal.laws import drivers, grammar, law_effect, terms
+    from handcal.laws import grammar, law_effect, terms, vocabulary
     from handcal.laws.curve import channel_of, drawn, drivers_of
 
     def effect_of(sensor: int, axis: int, driver: str, form: str):
         shape = grammar.formula([(form, ())])
-        law = law_effect.Law(sensor, (axis,), False, drivers.driver_of(driver), shape, (0.01,))
+        law = law_effect.Law(sensor, (axis,), False, vocabulary.driver_of(driver), shape, (0.01,))
         return law_effect.effect_of(law)
 
     world, _ = known

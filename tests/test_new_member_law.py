@@ -25,7 +25,7 @@ from handcal.estimate.assemble import build
 from handcal.estimate.corrected import SUBSTITUTED
 from handcal.estimate.observed import observed_of
 from handcal.explain import explain
-from handcal.laws import drivers, grammar, law_effect, terms
+from handcal.laws import grammar, law_effect, terms, vocabulary
 from handcal.recordings import segment
 from handcal.recordings.export import write_mcap
 from handcal.recordings.streams import STREAMS, Message, Stream
@@ -249,7 +249,8 @@ def test_what_the_catalogue_has_is_no_unknown_physics(plain):
         cube = grammar.formula([("cube", ())])
         for sensor, driver, known in ((0, "omega_{i}", True), (1, "f_{i}", True),
                                       (1, "omega_{i}", False)):  # fmt: skip
-            law = law_effect.Law(sensor, (channel,), False, drivers.driver_of(driver), cube, (1.0,))
+            of = vocabulary.driver_of(driver)
+            law = law_effect.Law(sensor, (channel,), False, of, cube, (1.0,))
             assert law_effect.named(law) is known
     headings = {e.id for e in terms.heading_terms(plain)}
     assert "heading += k * sin(pitch of x)" not in headings

@@ -26,7 +26,16 @@ from handcal.effects import (
 )
 from handcal.estimate.parallel import in_parallel
 from handcal.explanation import Unnamed
-from handcal.laws import courses, grammar, law_effect, law_file, shapes, terms
+from handcal.laws import (
+    courses,
+    grammar,
+    law_effect,
+    law_file,
+    operators,
+    shapes,
+    terms,
+    vocabulary,
+)
 from handcal.laws.curve import channel_of, drivers_of
 from handcal.laws.drivers import DRIVERS, LINE
 from handcal.laws.grammar import range_of
@@ -299,6 +308,27 @@ def test_every_law_written_out_is_the_law(tmp_path):
             check_parameters(own, effect, values, law)
             said |= set(law.form.kind.split(" + "))
     assert said == {*grammar.ATOMS, *grammar.ROUND, "curve", "circle"}
+
+
+@pytest.mark.parametrize("sensor", [0, 1])
+def test_a_law_over_a_further_driver_written_out_is_the_law(tmp_path, sensor):
+    """Each kind of them, with one of its numbers: to a millionth of what it adds."""
+    s, kinds = moved(), {}
+    for driver in vocabulary.further(s, sensor):
+        kinds.setdefault(driver.kind, driver)
+    words = {o.text[1:].partition("(")[0] for o in operators.OPERATORS.values()}
+    assert words <= {kind.partition(" ")[0].lstrip("(") for kind in kinds}
+    for n, driver in enumerate(kinds.values()):
+        assert vocabulary.driver_of(driver.name).name == driver.name
+        laws = list(laws_over(driver, sensor, s))
+        for law in laws[n % len(laws) :: len(laws)]:
+            effect = law_effect.effect_of(law)
+            values = 0.01 * np.cos(1.0 + np.arange(len(effect.parameters)))
+            own = again(effect, tmp_path, values)
+            k = np.ones(3 if law.each else 1) if law.form.smooth else values
+            wanted, found = effect.imu_error(values, s), own.imu_error(k, s)
+            assert np.abs(found - wanted).max() <= 1e-6 * np.abs(wanted).max(), effect.id
+            assert np.abs(wanted).max() > 0.0, effect.id
 
 
 def check_parameters(own, effect, values, law):

@@ -23,6 +23,8 @@ SIZES = {"gyro": (1.5e-3, 0.02), "accel": (0.015, 0.15), "heading": (0.02, 0.2)}
 # The whole of it, what the catalogue could take included: a tenth of what a hand's turning makes
 # a sensor read (0.85 rad/s and 5.7 m/s^2 an axis), and of the half circle of a heading.
 MOST = {"gyro": 0.1, "accel": 0.6, "heading": 0.3}
+# Less than this (of a response of order one) is nothing.
+LEAST = 1e-3
 # Of an error that several axes share by one law.
 SHARED = 0.2
 
@@ -52,9 +54,17 @@ def given(law: Law, world: World, rng: np.random.Generator) -> list[Added]:
     axes = [(first + n) % 3 for n in range(3 if everywhere else 1)]
     low, high = SIZES[law.sensor]
     asked = math.exp(rng.uniform(math.log(low), math.log(high)))
-    scene, found = scene_of(world), [drawn(law, axis, seed) for axis in axes]
+    scene = scene_of(world)
+    found = [drawn(law, axis, seed) for axis in axes]
+    while not all(_acts(strange, scene) for strange in found):
+        seed += 1  # (with these numbers it errs by nothing but an offset in this motion)
+        found = [drawn(law, axis, seed) for axis in axes]
     k = sign * min(size(strange, scene, asked) for strange in found)
     return [Added(s, k, k * s.error_of(own_scene(scene, s.channel))) for s in found]
+
+
+def _acts(strange: Strange, scene: Scene) -> bool:
+    return rms(strange.error_of(own_scene(scene, strange.channel))) > LEAST
 
 
 def size(strange: Strange, scene: Scene, asked: float) -> float:

@@ -26,6 +26,11 @@ from handcal_sim.strangers import AXES, Scene, scene_of
 
 # Slower than this (rad/s) a device is not being turned, to whoever speaks of the last turn.
 TURNING = 0.2
+# Temperature above which drivers have it, degC.
+ROOM = 25.0
+# What else somebody may make of a signal's past, and a curve of how much of a signal is felt.
+_ELSE = re.compile(r"(?<![a-z])(?!memory|play|exp|sin|cos|tanh|abs|max|clip|round|g|e|g_i)[a-z_]+\("
+                   r"|(?:omega|f)_[ijkxyz] \* (?:g|g_i)\(|\)\^2")  # fmt: skip
 Values = Mapping[str, Mapping[str, float]]
 # What has no course that numbers of a document would tell, or no place on these channels.
 _WITHOUT = ("_walk", "_noise", "_outliers", "mag_", "pose_", "clock_rate", "earth_rate")
@@ -74,6 +79,8 @@ def _of_one_axis(entry: Mapping[str, Any]) -> bool:
 def _course(entry: Mapping[str, Any], channel: str, at: Scene) -> Array:
     """What the curve is drawn over (n,): the product of the drivers, or what is left of them."""
     x, formula = np.ones(len(at.t)), entry["formula"]
+    if _ELSE.search(formula):
+        raise KeyError(formula)
     if formula.partition(" += ")[2].startswith("e("):
         if len(entry["channels"]) > 1:
             raise KeyError(formula)
@@ -85,6 +92,8 @@ def _course(entry: Mapping[str, Any], channel: str, at: Scene) -> Array:
         x = x * _within(_driver(of_channel(name, channel), at), name, formula)
     if entry["curve"].get("x_unit") == "s^2":
         x = x * x
+    if entry["curve"].get("x_unit") == "degC":
+        x = x + ROOM
     if found := re.search(r"\bmemory\(([^ ]+) s\)", formula):
         past = lagged(at.t, x, float(found[1]))
         return past - x if re.search(r"\bmemory\([^ ]+ s\) of (.+) - \1\)", formula) else past

@@ -18,7 +18,7 @@ from handcal.estimate.quadratic import Quadratic
 from handcal.estimate.scan import grounds, scan
 from handcal.estimate.trajectory import path
 from handcal.laws import shapes, terms
-from handcal.laws.law_effect import Law, effect_of, law_of
+from handcal.laws.law_effect import SENSORS, Law, effect_of, law_of
 from handcal.laws.over_drivers import (
     About,
     Block,
@@ -43,7 +43,7 @@ CLOSER = 3
 OPEN = 1e-3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Term:
     """Something without a name, and the nats that it gains at the likelihood's full worth;
     others: the same law in other forms, which a scan likes less."""
@@ -53,14 +53,35 @@ class Term:
     others: tuple[Effect, ...] = ()
 
 
-def best_term(model: Model, *, refused: Collection[str] = (), without: str = "") -> Term | None:
-    """What gains most over the model, if it gains enough: a law over a driver, or a course over
-    time or direction. refused: formulas with which no fit holds; without: an effect of the model
-    in whose place it is looked for."""
+def best_term(
+    model: Model,
+    *,
+    refused: Collection[str] = (),
+    without: str = "",
+    beyond: Collection[str] = (),
+) -> Term | None:
+    """What gains most over the model, if it gains enough: the best of ``best_terms``."""
+    found = best_terms(model, refused=refused, without=without, beyond=beyond)
+    return max(found, key=lambda t: t.gain, default=None)
+
+
+def best_terms(
+    model: Model,
+    *,
+    refused: Collection[str] = (),
+    without: str = "",
+    beyond: Collection[str] = (),
+) -> list[Term]:
+    """What gains most over the model of all, and of each sensor in beyond, if it gains enough: a
+    law over a driver, or a course over time or direction.
+
+    refused: formulas with which no fit holds; without: an effect of the model in whose place it is
+    looked for; beyond: "gyro", "accel" or "heading", for which the whole vocabulary is looked
+    through."""
     f = model.parts[0]
     signals = signals_of(f)
     known = [e for e in model.effects if e.process is None and e.id != without]
-    looks = list(_looks(f, signals, known))
+    looks = list(_looks(f, signals, known, beyond))
     base = grounds(model)
     scans = list(in_parallel(partial(scan, model, look.effects, base) for look in looks))
     # (what is absent scatters differently from scan to scan: one worth for all)
@@ -74,9 +95,15 @@ def best_term(model: Model, *, refused: Collection[str] = (), without: str = "")
     ]
     about_ = About(model, base, known, signals, worth)
     found = [Term(e, gain / worth) for e, gain in ends if isinstance(e, Effect)]
-    found += [_as_told(about_, law, gain) for law, gain in _closer(ends)]
-    found = [t for t in found if t.effect.id not in refused]
-    return max(found, key=lambda t: t.gain, default=None)
+    found += [_as_told(about_, law, gain) for law, gain in _closer(ends, beyond)]
+    found = sorted((t for t in found if t.effect.id not in refused), key=lambda t: -t.gain)
+    best = dict.fromkeys(
+        [
+            *found[:1],
+            *(t for s in beyond for t in [u for u in found if u.effect.id.startswith(s)][:1]),
+        ]
+    )
+    return list(best)
 
 
 def _as_told(about_: About, law: Law, gain: float) -> Term:
@@ -101,11 +128,13 @@ class Look:
     best: Callable[[Quadratic, Sequence[Effect]], list[End]]
 
 
-def _looks(f: Fitted, signals: Signals, known: Sequence[Effect]) -> Iterator[Look]:
+def _looks(
+    f: Fitted, signals: Signals, known: Sequence[Effect], beyond: Collection[str]
+) -> Iterator[Look]:
     """All scans: laws over drivers, courses over time, and those of a heading."""
     recording = f.case.recording
     room = NUMBERS / (PER_EPOCH * len(f.t))
-    for chunk in _chunks(signals, int(min(max(room, LEAST_COLUMNS), MOST_COLUMNS))):
+    for chunk in _chunks(blocks(signals, beyond), int(min(max(room, LEAST_COLUMNS), MOST_COLUMNS))):
         yield Look([b.effect for b in chunk], partial(_laws, chunk))
     for first in range(0, 6, 2):
         spans = [shapes.imu_basis(first + n, recording.duration_s) for n in range(2)]
@@ -121,11 +150,11 @@ def _looks(f: Fitted, signals: Signals, known: Sequence[Effect]) -> Iterator[Loo
         yield Look([b.effect for b in bases], partial(_courses, bases))
 
 
-def _chunks(signals: Signals, most: int) -> Iterator[list[Block]]:
-    """All blocks, together in scans of so many columns at the most."""
+def _chunks(all_: Sequence[Block], most: int) -> Iterator[list[Block]]:
+    """All of these, together in scans of so many columns at the most."""
     chunk: list[Block] = []
     size = 0
-    for block in blocks(signals):
+    for block in all_:
         if chunk and size + len(block.effect.parameters) > most:
             yield chunk
             chunk, size = [], 0
@@ -140,13 +169,18 @@ def _laws(chunk: Sequence[Block], q: Quadratic, known: Sequence[Effect]) -> list
     return [end for b in chunk for end in best_of_block(b, seen)]
 
 
-def _closer(ends: Sequence[End]) -> list[tuple[Law, float]]:
-    """The best laws, each of another driver."""
+def _closer(ends: Sequence[End], beyond: Collection[str]) -> list[tuple[Law, float]]:
+    """The best laws, each of another driver; of all, and of each sensor in beyond."""
     best: dict[tuple[int, str], tuple[Law, float]] = {}
     for law, gain in sorted(ends, key=lambda e: -e[1]):
         if isinstance(law, Law):
-            best.setdefault((law.sensor, law.driver.name), (law, gain))
-    return list(best.values())[:CLOSER]
+            best.setdefault((law.sensor, law.driver.kind), (law, gain))
+    laws = list(best.values())
+    out = laws[:CLOSER]
+    for sensor in beyond:
+        own = [end for end in laws if SENSORS[end[0].sensor] == sensor]
+        out += [end for end in own[:CLOSER] if end not in out]
+    return out
 
 
 def _courses(bases: Sequence[shapes.Basis], q: Quadratic, known: Sequence[Effect]) -> list[End]:
@@ -183,7 +217,8 @@ def reshaped(model: Model, worth: float, unnamed: list[Term], shaped: set[str]) 
         if old.id not in model.ids or old.id in shaped:
             continue
         shaped.add(old.id)
-        new = best_term(model, without=old.id)
+        law = law_of(old)
+        new = best_term(model, without=old.id, beyond=() if law is None else (SENSORS[law.sensor],))
         if new is None:
             continue
         options = [e for e in (new.effect, *new.others) if e.id not in shaped | set(model.ids)]

@@ -21,9 +21,9 @@ from handcal.types import Array
 
 # Points of a curve, at the most.
 POINTS = 60
-_SIGNALS = (r"(?:omega|f|alpha|jerk)_[ijkxyz]", "pitch of [xy]", "tilt", "yaw rate", "yaw",
+_SIGNALS = (r"(?:omega|f|alpha|jerk|north)_[ijkxyz]", "pitch of [xy]", "tilt", "yaw rate", "yaw",
             "time since a turn", "t", "T")  # fmt: skip
-_DRIVERS = re.compile(rf"(\|omega\||\|f\||\b(?:{'|'.join(_SIGNALS)})\b)")
+_DRIVERS = re.compile(rf"(\|(?:omega|f|alpha|jerk)\||\b(?:{'|'.join(_SIGNALS)})\b)")
 _AXES = "xyz"
 
 
@@ -48,65 +48,72 @@ class Drawn:
 
 def drawn(f: Fitted, effect: Effect, values: Array, C: Array) -> Drawn:
     """What something without a name, of these constants (k,) and their covariance C (k, k), SI,
-    adds in a recording, over its driver; of axes with constants of their own, the one to which it
-    adds most. A curve's mean is left to the bias."""
+    adds in a recording, over its driver, or how much more of another signal is felt; of axes with
+    constants of their own, the one to which it adds most. A curve's mean is left to the bias."""
     signals = signals_of(f)
     law = law_of(effect)
     if law is None:
         pieces, x_unit, y_unit = _of_term(f, effect, signals)
     else:
-        pieces, x_unit, y_unit = _of_law(law, signals), law.driver.unit, UNITS[law.sensor]
+        pieces, x_unit, y_unit = _of_law(law, signals), law.driver.unit, law.unit
     rows, size, known = [], [], []
-    for x, B in pieces:
-        B = B - B.mean(axis=0) if is_curve(effect.id) else B
+    for x, B, scale in pieces:
+        gain = law is not None and law.driver.factor is not None
+        B = B - B.mean(axis=0) if is_curve(effect.id) and not gain else B
         spread = np.maximum(np.einsum("ni,ij,nj->n", B, C, B), 0.0)
-        rows.append((x, B @ values, np.sqrt(spread)))
-        size.append(float(np.mean((B @ values) ** 2)))
-        known.append(float(np.mean(spread)))
+        rows.append((x, B @ values, np.sqrt(spread), scale))
+        size.append(float(np.mean((scale * (B @ values)) ** 2)))
+        known.append(float(np.mean(scale**2 * spread)))
     one = int(np.argmax(size))
-    x, y, sigma = _binned(*rows[one])
+    x, y, sigma = _binned(*rows[one][:3])
     whole, within = (math.sqrt(float(np.mean(v))) for v in (size, known))
     channels = [channel_of(effect.id)]
     if law is not None:
         channels = list(law.channels[one : one + 1] if law.each else law.channels)
-    behind = _behind(f, signals.t, channels, *rows[one][:2])
+    behind = _behind(f, signals.t, channels, *rows[one][:2], rows[one][3])
     return Drawn(Curve(x, y, sigma, x_unit, y_unit, behind), whole, within)
 
 
-def _behind(f: Fitted, t: Array, channels: Sequence[str], x: Array, y: Array) -> Array:
-    """Means (m, 2) of a driver x, and of what was read beyond the fit without the term y; both at
-    the times t of the IMU, for one channel after the other."""
+def _behind(
+    f: Fitted, t: Array, channels: Sequence[str], x: Array, y: Array, scale: Array
+) -> Array:
+    """Means (m, 2) of a driver x, and of what was read beyond the fit without the term, y times
+    scale, for a scale of one; all at the times t of the IMU, for one channel after the other."""
     left = sensor_residuals(f.linear)
     parts = []
     for n, channel in enumerate(channels):
         own = slice(n * len(t), (n + 1) * len(t))
         at, residual = left.get(channel, (np.zeros(0), np.zeros(0)))
-        parts.append((np.interp(at, t, x[own]), np.interp(at, t, y[own]) + residual))
-    driver, error = (np.concatenate(rows) for rows in zip(*parts, strict=True))
-    if len(driver) < POINTS:
-        return np.stack([driver, error], axis=1)
-    return np.stack(_binned(driver, error, error)[:2], axis=1)
+        felt = np.interp(at, t, scale[own])
+        error = np.interp(at, t, y[own]) * felt + residual
+        parts.append((np.interp(at, t, x[own]), error * felt, felt**2))
+    driver, error, felt = (np.concatenate(rows) for rows in zip(*parts, strict=True))
+    if len(driver) >= POINTS:
+        driver, error, felt = _binned(driver, error, felt)
+    some = felt > 0.0
+    return np.stack([driver[some], error[some] / felt[some]], axis=1)
 
 
-def _of_law(law: Law, signals: Signals) -> list[tuple[Array, Array]]:
-    """A law's driver (n,), and what a unit of each of its constants adds (n, k): of each axis, or
-    of all together where they have the same constants."""
+def _of_law(law: Law, signals: Signals) -> list[tuple[Array, Array, Array]]:
+    """A law's driver (n,), what a unit of each of its constants adds (n, k), and by what that is
+    multiplied (n,): of each axis, or of all together where they have the same constants."""
     one = law.form.constants
     x = [law.driver.of(signals, axis) for axis in law.axes]
+    scale = [law.driver.scale(signals, axis) for axis in law.axes]
     if not law.each:
         together = np.concatenate(x)
-        return [(together, law.form.values(together))]
+        return [(together, law.form.values(together), np.concatenate(scale))]
     out = []
     for n, own in enumerate(x):
         B = np.zeros((len(own), one * len(x)))
         B[:, n * one : (n + 1) * one] = law.form.values(own)
-        out.append((own, B))
+        out.append((own, B, scale[n]))
     return out
 
 
 def _of_term(
     f: Fitted, effect: Effect, signals: Signals
-) -> tuple[list[tuple[Array, Array]], str, str]:
+) -> tuple[list[tuple[Array, Array, Array]], str, str]:
     """The same of a course, or of a term of the heading; and the units."""
     way = path(f.linear.problem, f.linear.trajectory)
     C_nb = way.C[np.searchsorted(f.linear.problem.nodes.t, signals.t)]
@@ -118,7 +125,7 @@ def _of_term(
         x, x_unit = _driver(drivers[0], signals, C_nb)
     else:
         x, x_unit = B[:, 0], effect.parameters[0].unit.partition("/(")[2].rstrip(")")
-    return [(x, B)], x_unit, y_unit
+    return [(x, B, np.ones(len(x)))], x_unit, y_unit
 
 
 def _added(effect: Effect, channel: str, k: Array, signals: Signals, C: Array) -> Array:

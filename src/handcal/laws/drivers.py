@@ -6,27 +6,23 @@ A driver is a signal for each axis of a sensor. In its name {i} is the sensor's 
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from functools import partial
-from itertools import product
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import combinations, product
 
 import numpy as np
 
 from handcal.compiled import so3
 from handcal.compiled.jit import njit
 from handcal.effects import ATTITUDE, ROOM, Signals
+from handcal.laws import operators
+from handcal.laws.operators import MEMORIES, OPERATORS, OVERSHOOTS
 from handcal.types import Array, BoolArray
 
 AXES = "xyz"
 # Knots of a curve over a driver: over an axis's own signal, where sensors stick, bend and give
 # way; over others'; a line over what is itself a law (memory, play, a product).
 FINE, COARSE, LINE = 9, 5, 0
-# Times of memory, s: from the settling of a filter to that of warm glue.
-MEMORIES = (0.4, 1.0, 2.5, 6.0, 15.0)
-# And of what overshoots, and comes back to what is there: shorter than most turns.
-OVERSHOOTS = (0.4, 1.0, 2.5)
 # Half widths of play, rad/s and m/s^2: wider than the noise, narrower than the motion.
 PLAYS = ((0.03, 0.06, 0.12, 0.25), (0.1, 0.2, 0.4, 0.8))
 # Shares by which a time or a half width on trial is changed, in turn, to find the best.
@@ -39,9 +35,10 @@ TURNING = 0.2
 WARMING = (3.0, 10.0, 30.0, 60.0)
 # How far from the room a device is, as formulas have it.
 WARM = "(T - 25)"
+# Between the name of a signal and that of a driver that changes how much of it is felt.
+BY = " by "
 
 Of = Callable[[Signals, int], Array]
-_NUMBER = re.compile(r"\((memory|play)\(([^ ]+) ")
 
 
 @dataclass(frozen=True)
@@ -50,7 +47,8 @@ class Driver:
     signed: whether it has a zero where a law may change; positive: a factor that can only be
     positive; number, at: its time or half width, and the same with another one; only: the sensor
     (0 gyro, 1 accelerometer) that alone could have it; round: an angle; needs: streams or ATTITUDE
-    without which it is none."""
+    without which it is none; factor: by which what it drives is multiplied, where it drives how
+    much another signal is felt."""
 
     name: str
     unit: str
@@ -63,6 +61,7 @@ class Driver:
     only: int | None = None
     round: bool = False
     needs: tuple[str, ...] = ()
+    factor: Driver | None = None
 
     @property
     def common(self) -> bool:
@@ -77,12 +76,18 @@ class Driver:
     @property
     def kind(self) -> str:
         """Its name, but for a number in it."""
-        return _NUMBER.sub(r"(\1 ", self.name)
+        return operators.without_numbers(self.name)
 
     def said(self, axis: int | None) -> str:
         """Its name for one axis; None: for each axis i."""
         letters = "ijk" if axis is None else [AXES[(axis + n) % 3] for n in range(3)]
-        return self.name.format(i=letters[0], j=letters[1], k=letters[2])
+        name = self.name.partition(BY)[2] if self.factor else self.name
+        return name.format(i=letters[0], j=letters[1], k=letters[2])
+
+    def scale(self, signals: Signals, axis: int) -> Array:
+        """What it drives is multiplied by, (n,)."""
+        one = np.ones_like(signals.t)
+        return one if self.factor is None else self.factor.of(signals, axis)
 
 
 def _rate(n: int) -> Of:
@@ -97,21 +102,8 @@ def _slope(of: Of) -> Of:
     return lambda s, axis: np.asarray(np.gradient(of(s, axis), s.t))
 
 
-def _size(of: Of) -> Of:
-    return lambda s, axis: np.abs(of(s, axis))
-
-
-def _sign(name: str, unit: str, of: Of) -> tuple[str, str, Of]:
-    near = SIGN[unit]
-    return f"tanh({name} / {near:g})", "", lambda s, axis: np.tanh(of(s, axis) / near)
-
-
 def _total(of: Of) -> Of:
     return lambda s, _: np.sqrt(sum(of(s, axis) ** 2 for axis in range(3)))
-
-
-def _times(a: Of, b: Of) -> Of:
-    return lambda s, axis: a(s, axis) * b(s, axis)
 
 
 def _time(s: Signals, _: int) -> Array:
@@ -122,47 +114,8 @@ def _warmth(s: Signals, _: int) -> Array:
     return np.zeros_like(s.t) if s.temperature is None else s.temperature - ROOM
 
 
-_WARMTH = (WARM, "K", _warmth)
-
-
 def _yaw(s: Signals, _: int) -> Array:
     return np.zeros_like(s.t) if s.C_nb is None else so3.yaw_of(s.C_nb)
-
-
-@njit
-def _remembered(t: Array, x: Array, tau: float) -> Array:
-    out = np.empty(len(x))
-    out[0] = x[0]
-    for i in range(1, len(x)):
-        share = -np.expm1(-(t[i] - t[i - 1]) / tau)
-        out[i] = out[i - 1] + share * (x[i] - out[i - 1])
-    return out
-
-
-def _memory(of: Of, tau: float) -> Of:
-    """The mean of the past, weighed by exp(-age / tau)."""
-    return lambda s, axis: _remembered(s.t, np.ascontiguousarray(of(s, axis)), tau)
-
-
-@njit
-def _follower(x: Array, half: float) -> Array:
-    out = np.empty(len(x))
-    follow = x[0]
-    for i in range(len(x)):
-        follow = min(max(follow, x[i] - half), x[i] + half)
-        out[i] = follow
-    return out
-
-
-def _play(of: Of, half: float) -> Of:
-    """By how much what follows a signal with play lags behind it (the operator of which
-    Prandtl and Ishlinskii built hysteresis)."""
-
-    def lag(s: Signals, axis: int) -> Array:
-        x = np.ascontiguousarray(of(s, axis))
-        return np.asarray(_follower(x, half) - x)
-
-    return lag
 
 
 @njit
@@ -180,80 +133,85 @@ def _settling(s: Signals, axis: int) -> Array:
     return _since(s.t, np.asarray(_total(_rate(0))(s, axis) > TURNING))
 
 
-def _table() -> list[Driver]:
-    rate, force = "omega_{%s}", "f_{%s}"
-    signals = [(rate % x, "rad/s", _rate(n)) for n, x in enumerate("ijk")]
-    signals += [(force % x, "m/s^2", _force(n)) for n, x in enumerate("ijk")]
-    sizes = [("|omega|", "rad/s", _total(_rate(0))), ("|f|", "m/s^2", _total(_force(0)))]
-    out = [Driver(*row, FINE if "{i}" in row[0] else COARSE) for row in signals]
-    out += [Driver(*row, signed=False) for row in sizes]
-    slopes = {"omega": ("alpha", "rad/s^2"), "f": ("jerk", "m/s^3")}
-    for name, _, of in signals:
-        kind, _, axis = name.partition("_")
-        called, unit = slopes[kind]
-        knots = COARSE if axis == "{i}" else LINE
-        out.append(Driver(f"{called}_{axis}", unit, _slope(of), knots))
-    own = [(f"|{name}|", unit, _size(of)) for name, unit, of in (signals[0], signals[3])]
-    for row in (signals[0], signals[3], sizes[0], *own):
-        out += [_memory_driver(row, tau) for tau in MEMORIES]
-    for row in (signals[0], signals[3]):
-        out += [_lag_driver(row, tau) for tau in OVERSHOOTS]
+RATES = tuple(Driver(f"omega_{{{x}}}", "rad/s", _rate(n)) for n, x in enumerate("ijk"))
+FORCES = tuple(Driver(f"f_{{{x}}}", "m/s^2", _force(n)) for n, x in enumerate("ijk"))
+TURNS = Driver("|omega|", "rad/s", _total(_rate(0)), signed=False)
+LOAD = Driver("|f|", "m/s^2", _total(_force(0)), signed=False)
+WARMTH = Driver(WARM, "K", _warmth, COARSE, signed=False, needs=("temperature",))
+YAW = Driver("yaw", "rad", _yaw, COARSE, signed=False, round=True, needs=(ATTITUDE,))
+TIME = Driver("t", "s", _time, LINE)
+_SLOPES = {"omega": ("alpha", "rad/s^2"), "f": ("jerk", "m/s^3")}
+
+
+def slope(of: Driver) -> Driver:
+    """How fast a rate or a force changes."""
+    kind, _, axis = of.name.partition("_")
+    called, unit = _SLOPES[kind]
+    return Driver(f"{called}_{axis}", unit, _slope(of.of), COARSE if of.own else LINE)
+
+
+def size(of: Driver) -> Driver:
+    """The size of a driver."""
+    return Driver(f"|{of.name}|", of.unit, lambda s, axis: np.abs(of.of(s, axis)), signed=False)
+
+
+def square(of: Driver) -> Driver:
+    """The square of a driver."""
+    return Driver(f"{of.name}^2", f"({of.unit})^2", lambda s, axis: of.of(s, axis) ** 2, LINE,
+                  signed=False)  # fmt: skip
+
+
+def _sign(of: Driver) -> Driver:
+    near = SIGN[of.unit]
+    return Driver(f"tanh({of.name} / {near:g})", "", lambda s, axis: np.tanh(of.of(s, axis) / near))
+
+
+def operated(operator: str, of: Driver, number: float, only: int | None = None) -> Driver:
+    """What an operator makes of a driver, with this number."""
+    op, number = OPERATORS[operator], float(f"{number:.3g}")
+
+    def values(s: Signals, axis: int) -> Array:
+        return op.values(s.t, of.of(s, axis), number)
+
+    return Driver(
+        operators.said(operator, of.name, of.unit, number), of.unit if op.power else "1", values,
+        LINE, positive=op.positive, number=number, at=lambda n: operated(operator, of, n, only),
+        only=only, needs=of.needs,
+    )  # fmt: skip
+
+
+def _table() -> Iterator[Driver]:
+    """The vocabulary: curves over signals, and what is a law already."""
+    yield from (RATES[0], *(replace(x, knots=COARSE) for x in RATES[1:]))
+    yield from (FORCES[0], *(replace(x, knots=COARSE) for x in FORCES[1:]))
+    yield from (TURNS, LOAD, *map(slope, (*RATES, *FORCES)))
+    own = RATES[0], FORCES[0]
+    for of in (*own, TURNS, *map(size, own)):
+        yield from (operated("memory", of, tau) for tau in MEMORIES)
+    for of in own:
+        yield from (operated("lag", of, tau) for tau in OVERSHOOTS)
     for sensor, widths in enumerate(PLAYS):
-        out += [_play_driver(signals[3 * sensor], sensor, half) for half in widths]
-    out.append(Driver("(time since a turn)", "s", _settling, COARSE, signed=False))
-    out.append(Driver("yaw", "rad", _yaw, COARSE, signed=False, round=True, needs=(ATTITUDE,)))
-    warm = {"knots": COARSE, "signed": False, "needs": ("temperature",)}
-    out.append(Driver(*_WARMTH, **warm))  # type: ignore[arg-type]
+        yield from (operated("play", own[sensor], half, sensor) for half in widths)
+    yield Driver("(time since a turn)", "s", _settling, COARSE, signed=False)
+    yield YAW
+    yield WARMTH
     *soon, latest = WARMING
-    out += [_memory_driver(_WARMTH, latest), *(_lag_driver(_WARMTH, tau) for tau in soon)]
-    return out + _products(signals, sizes)
+    yield operated("memory", WARMTH, latest)
+    yield from (operated("lag", WARMTH, tau) for tau in soon)
+    yield from _products()
+    yield TIME
+    yield replace(times(TIME, TIME), name="t^2", unit="s^2")
 
 
-def _memory_driver(row: tuple[str, str, Of], tau: float) -> Driver:
-    name, unit, of = row
-    tau = float(f"{tau:.3g}")
-    called = f"(memory({tau:g} s) of {name})"
-    at = partial(_memory_driver, row)
-    needs = ("temperature",) if of is _warmth else ()
-    return Driver(called, unit, _memory(of, tau), LINE, number=tau, at=at, needs=needs)
-
-
-def _lag_driver(row: tuple[str, str, Of], tau: float) -> Driver:
-    """By how much the memory of a signal lags behind it, which is how fast the signal changes."""
-    name, unit, of = row
-    memory = _memory_driver(row, tau)
-
-    def lag(s: Signals, axis: int) -> Array:
-        return np.asarray(memory.of(s, axis) - of(s, axis))
-
-    called = f"({memory.name[1:-1]} - {name})"
-    at = partial(_lag_driver, row)
-    return Driver(called, unit, lag, LINE, number=memory.number, at=at, needs=memory.needs)
-
-
-def _play_driver(row: tuple[str, str, Of], sensor: int, half: float) -> Driver:
-    name, unit, of = row
-    half = float(f"{half:.3g}")
-    called = f"(play({half:g} {unit}) of {name} - {name})"
-    at = partial(_play_driver, row, sensor)
-    return Driver(called, unit, _play(of, half), LINE, positive=True, number=half, at=at,
-                  only=sensor)  # fmt: skip
-
-
-def _products(signals: list[tuple[str, str, Of]], sizes: list[tuple[str, str, Of]]) -> list[Driver]:
+def _products() -> Iterator[Driver]:
     """A sensor's sensitivity to one signal that another one changes: lines over products."""
-    pairs = [(a, b) for n, a in enumerate(signals[:3]) for b in signals[n + 1 : 3]]
-    pairs += [(a, b) for n, a in enumerate(signals[3:]) for b in signals[3:][n + 1 :]]
-    pairs += list(product(signals[:3], signals[3:]))
-    pairs += list(product((signals[0], signals[3]), sizes))
+    signals = RATES + FORCES
+    pairs = [*combinations(RATES, 2), *combinations(FORCES, 2), *product(RATES, FORCES)]
+    pairs += list(product((RATES[0], FORCES[0]), (TURNS, LOAD)))
     others = [(a, b) for a in signals for b in signals if a is not b]
-    pairs += [(a, (f"|{name}|", unit, _size(of))) for a, (name, unit, of) in others]
-    pairs += [(a, _sign(*b)) for a, b in others]
-    pairs += [(a, ("t", "s", _time)) for a in signals]
-    out = [_product(a, b) for a, b in pairs]
-    out += [_product(a, _WARMTH, ("temperature",)) for a in signals]
-    out += [Driver("t", "s", _time, LINE), Driver("t^2", "s^2", _times(_time, _time), LINE)]
-    return out
+    pairs += [(a, size(b)) for a, b in others] + [(a, _sign(b)) for a, b in others]
+    pairs += [(a, b) for b in (TIME, WARMTH) for a in signals]
+    yield from (times(a, b) for a, b in pairs)
 
 
 _PRODUCTS = {
@@ -263,23 +221,27 @@ _PRODUCTS = {
 }  # fmt: skip
 
 
-def _product(a: tuple[str, str, Of], b: tuple[str, str, Of], needs: tuple[str, ...] = ()) -> Driver:
-    unit = _PRODUCTS.get((a[1], b[1])) or _PRODUCTS.get((b[1], a[1])) or a[1]
-    return Driver(f"{a[0]} * {b[0]}", unit, _times(a[2], b[2]), LINE, needs=needs)
+def times(a: Driver, b: Driver) -> Driver:
+    """The product of two drivers; its number is that of the second."""
+    unit = _PRODUCTS.get((a.unit, b.unit)) or _PRODUCTS.get((b.unit, a.unit))
+    if unit is None:
+        unit = a.unit if b.unit in ("", "1") else f"{a.unit}*{b.unit}"
+    again = b.at
+    return Driver(
+        f"{a.name} * {b.name}", unit, lambda s, axis: a.of(s, axis) * b.of(s, axis), LINE,
+        number=b.number, at=None if again is None else lambda n: times(a, again(n)),
+        needs=(*a.needs, *b.needs),
+    )  # fmt: skip
+
+
+def by(factor: Driver, x: Driver) -> Driver:
+    """A driver of how much another signal is felt."""
+    return replace(
+        x, name=f"{factor.name}{BY}{x.name}", factor=factor, needs=(*factor.needs, *x.needs)
+    )
 
 
 DRIVERS: Mapping[str, Driver] = {d.name: d for d in _table()}
-
-
-def driver_of(name: str) -> Driver:
-    """The driver of this name, with whatever time or half width. Raises KeyError."""
-    found = _NUMBER.match(name)
-    if name in DRIVERS or found is None:
-        return DRIVERS[name]
-    for driver in DRIVERS.values():
-        if driver.at is not None and (new := driver.at(float(found[2]))).name == name:
-            return new
-    raise KeyError(name)
 
 
 def usable(driver: Driver, signals: Signals) -> bool:

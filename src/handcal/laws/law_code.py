@@ -13,9 +13,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from handcal.effects import ATTITUDE, ROOM, Z_DIM, Effect, Param, observed_error
-from handcal.laws.drivers import TURNING, WARM
+from handcal.laws import operators
+from handcal.laws.drivers import AXES, BY, TURNING, WARM
 from handcal.laws.grammar import Form, text_of
-from handcal.laws.law_effect import SENSORS, UNITS, Law
+from handcal.laws.law_effect import SENSORS, Law
 from handcal.laws.terms import FASTEST, SLOW
 from handcal.types import Array
 
@@ -56,27 +57,6 @@ def number(value: float) -> str:
 
 # --- drivers -------------------------------------------------------------------------------------
 
-_REMEMBERED = '''
-def remembered(t: Array, x: Array, tau: float) -> Array:
-    """The mean (n,) of what x was, weighed by exp(-age / tau)."""
-    share = -np.expm1(-np.diff(t, prepend=t[0]) / tau)
-    out, mean = [], float(x[0])
-    for now, more in zip(x.tolist(), share.tolist(), strict=True):
-        mean += more * (now - mean)
-        out.append(mean)
-    return np.array(out)
-
-'''
-_FOLLOWING = '''
-def following(x: Array, half: float) -> Array:
-    """What follows x (n,) with so much play to either side."""
-    out, at = [], float(x[0])
-    for now in x.tolist():
-        at = min(max(at, now - half), now + half)
-        out.append(at)
-    return np.array(out)
-
-'''
 _SINCE_A_TURN = f'''
 def since_a_turn(t: Array, gyro: Array) -> Array:
     """Time (n,) since the device was last being turned, s."""
@@ -84,21 +64,25 @@ def since_a_turn(t: Array, gyro: Array) -> Array:
     return t - np.maximum.accumulate(np.where(turned, t, t[0]))
 
 '''
-_HELPERS = {"remembered": _REMEMBERED, "following": _FOLLOWING, "since_a_turn": _SINCE_A_TURN}
+# What a file needs to know of what its code calls.
+_HELPERS = {"since_a_turn": _SINCE_A_TURN} | {
+    name: f"\n{text}\n" for name, text in map(operators.source, operators.OPERATORS)
+}
 _PLAIN = {
     "|omega|": "np.linalg.norm(signals.gyro, axis=1)",
     "|f|": "np.linalg.norm(signals.accel, axis=1)",
     "(time since a turn)": "since_a_turn(signals.t, signals.gyro)",
     "yaw": "np.arctan2(signals.C_nb[:, 1, 0], signals.C_nb[:, 0, 0])",
     WARM: f"signals.temperature - {ROOM}",
+    "|alpha|": "np.linalg.norm(np.gradient(signals.gyro, signals.t, axis=0), axis=1)",
+    "|jerk|": "np.linalg.norm(np.gradient(signals.accel, signals.t, axis=0), axis=1)",
+    "(yaw rate)": 'np.einsum("ni,ni->n", signals.C_nb[:, 2], signals.gyro)',
+    "tilt": "np.arccos(np.clip(signals.C_nb[:, 2, 2], -1.0, 1.0))",
     "t": "signals.t - signals.t[0]",
     "t^2": "(signals.t - signals.t[0]) ** 2",
 }
 _STREAMS = {"omega": "gyro", "f": "accel", "alpha": "gyro", "jerk": "accel"}
-_PLAY = re.compile(r"\(play\(([^ ]+) [^)]+\) of (.+) - \2\)")
-_LAG = re.compile(r"\(memory\(([^ ]+) s\) of (.+) - \2\)")
 _SIGN = re.compile(r"tanh\((.+) / (.+)\)")
-_MEMORY = re.compile(r"\(memory\(([^ ]+) s\) of (.+)\)")
 
 
 def driver_code(name: str) -> str:
@@ -106,22 +90,35 @@ def driver_code(name: str) -> str:
     Raises KeyError for one that there is none of."""
     if name in _PLAIN:
         return _PLAIN[name]
-    if found := _PLAY.fullmatch(name):
-        x = driver_code(found[2])
-        return f"following({x}, {found[1]}) - {x}"
-    if found := _LAG.fullmatch(name):
-        x = driver_code(found[2])
-        return f"remembered(signals.t, {x}, {found[1]}) - ({x})"
-    if found := _MEMORY.fullmatch(name):
-        return f"remembered(signals.t, {driver_code(found[2])}, {found[1]})"
     if " * " in name:
         return " * ".join(_factor(driver_code(part)) for part in name.split(" * "))
+    if name.endswith("^2"):
+        return f"({driver_code(name[:-2])}) ** 2"
     if name.startswith("|") and name.endswith("|"):
         return f"np.abs({driver_code(name[1:-1])})"
     if found := _SIGN.fullmatch(name):
         return f"np.tanh({driver_code(found[1])} / {found[2]})"
+    return _signal(name)
+
+
+def _steps_to(x: str, name: str) -> list[str]:
+    """The same as assignments to x, one for each operator."""
+    if (found := operators.parsed(name)) is not None:
+        operator, number, signal = found
+        made = f"{operators.source(operator)[0]}(signals.t, {x}, {number:g})"
+        less = f" - {x}" * operators.OPERATORS[operator].less
+        return [*_steps_to(x, signal), f"{x} = {made}{less}"]
+    factors, _, last = name.rpartition(" * ")
+    if factors and operators.parsed(last) is not None:
+        return [*_steps_to(x, last), f"{x} = {_factor(driver_code(factors))} * {x}"]
+    return [f"{x} = {driver_code(name)}"]
+
+
+def _signal(name: str) -> str:
     kind, _, axis = name.partition("_")
     columns = {"x": "0", "y": "1", "z": "2", "{i}": "i"}
+    if kind == "north":
+        return f"signals.C_nb[:, 0, {columns[axis]}]"
     signal = f"signals.{_STREAMS[kind]}[:, {columns[axis]}]"
     return f"np.gradient({signal}, signals.t)" if kind in ("alpha", "jerk") else signal
 
@@ -138,14 +135,15 @@ _ABSENT = {"temperature": "signals.temperature", ATTITUDE: "signals.C_nb"}
 
 def law_code(law: Law, formula: str, coefficients: Sequence[float], p: Sequence[Param]) -> str:
     """Source of a law over a driver; coefficients: of a curve, which p scales."""
+    felt = "" if law.driver.factor is None else "felt * "
     if law.form.smooth:
         above = _curve_code(law, np.reshape(coefficients, (-1, law.form.constants)))
-        added = [f"k * curve(x{', i' * law.each})"]
+        added = [f"k * {felt}curve(x{', i' * law.each})"]
     else:
         above = ""
         names = _names(law.form)
         texts = [python(text_of(part, DIGITS).format(x="x")) for part in law.form.parts]
-        added = [f"{name} * {text}" for name, text in zip(names, texts, strict=True)]
+        added = [f"{name} * {felt}{text}" for name, text in zip(names, texts, strict=True)]
     return above + imu_function(law, "x", added, formula, p)
 
 
@@ -156,7 +154,7 @@ def imu_function(
     them) and of the constants, added to each of a law's axes."""
     names = ", ".join(_names(law.form)) + "," * (law.form.constants == 1 or law.form.smooth)
     lines = ["error = np.zeros((len(signals.t), 6))"]
-    for need in law.driver.needs:
+    for need in dict.fromkeys(law.driver.needs):
         lines += [f"if {_ABSENT[need]} is None:", "    return error"]
     here, place = [], "i"
     if law.axis is not None:
@@ -168,7 +166,9 @@ def imu_function(
     else:
         lines.append(f"{_left(names)} = p")
     here.append(f"# {law.driver.said(law.axis)}, {law.driver.unit}")
-    here.append(f"{x} = {driver_code(_template(law))}")
+    if law.driver.factor is not None:
+        here.append(f"felt = {driver_code(_template(law, law.driver.factor.name))}")
+    here += _steps_to(x, _template(law, law.driver.name.rpartition(BY)[2]))
     here += _sum(f"error[:, {place}]", added)
     if law.axis is None:
         here = ["for i in range(3):", *(f"    {line}" for line in here)]
@@ -184,9 +184,10 @@ def _left(names: str) -> str:
     return f"({names})" if names.endswith(",") else names
 
 
-def _template(law: Law) -> str:
-    """The driver's name, of its one axis or of i."""
-    return law.driver.name if law.axis is None else law.driver.said(law.axis)
+def _template(law: Law, name: str) -> str:
+    """A driver's name, of the law's one axis or of i."""
+    letters = "ijk" if law.axis is None else [AXES[(law.axis + n) % 3] for n in range(3)]
+    return name if law.axis is None else name.format(i=letters[0], j=letters[1], k=letters[2])
 
 
 def _names(form: Form) -> list[str]:
@@ -224,7 +225,7 @@ def curve(x: Array{more}) -> Array:
 def _curve_code(law: Law, coefficients: Array) -> str:
     """The table of a curve (or of each axis's own), and a function that reads it."""
     each = {"more": ", i: int" * law.each, "own": "[i]" * law.each}
-    unit, x = UNITS[law.sensor], law.driver.said(law.axis)
+    unit, x = law.unit, law.driver.said(law.axis)
     if law.form.kind == "circle":
         rows = [_rows(c.reshape(-1, 2)) for c in coefficients]
         says = f"# Of sin(n yaw) and cos(n yaw), n = 1, 2, ..., {unit}, as found"

@@ -11,8 +11,9 @@ import numpy as np
 from handcal.effects import Catalogue, Effect, Param, Signals, catalogue, imu_jacobian
 from handcal.effects._linear import added
 from handcal.laws import grammar
-from handcal.laws.drivers import AXES, Driver, driver_of
+from handcal.laws.drivers import AXES, Driver
 from handcal.laws.grammar import Form
+from handcal.laws.vocabulary import driver_of
 from handcal.signals import probe
 from handcal.types import Array, BoolArray
 
@@ -56,15 +57,24 @@ class Law:
         return self.axes[0] if len(self.axes) == 1 else None
 
     @property
+    def unit(self) -> str:
+        """Of its curve, or of what its formula says."""
+        own, factor = UNITS[self.sensor], self.driver.factor
+        if factor is None:
+            return own
+        return "1" if factor.unit == own else f"({own})/({factor.unit})"
+
+    @property
     def said(self) -> str:
         """The formula: ``gyro_x += k * omega_x^3``, ``accel_xyz += g(|omega|)``."""
         left = f"{SENSORS[self.sensor]}_{''.join(AXES[a] for a in self.axes)}"
         x, own = self.driver.said(self.axis), "_i" if self.each else ""
+        by = "" if self.driver.factor is None else f"{self.driver.factor.said(self.axis)} * "
         if self.form.smooth:
-            return f"{left} += g{own}({x})"
+            return f"{left} += {by}g{own}({x})"
         many = len(self.form.texts) > 1
         parts = [
-            f"k{n + 1 if many else ''}{own} * {text.format(x=x)}"
+            f"k{n + 1 if many else ''}{own} * {by}{text.format(x=x)}"
             for n, text in enumerate(self.form.texts)
         ]
         return f"{left} += {' + '.join(parts)}"
@@ -77,13 +87,14 @@ class Law:
         names = [f"{name}{n + 1}" if one > 1 else name for n in range(one)]
         if self.each:
             names = [f"{n}_{AXES[a]}" for a in self.axes for n in names]
-        units = [_unit(UNITS[self.sensor], self.driver.unit, p) for p in self.form.powers]
+        units = [_unit(self.unit, self.driver.unit, p) for p in self.form.powers]
         rows = zip(names, [*units] * 3, [*self.sigmas] * 3, strict=False)
         return tuple(Param(*row, self.driver.positive) for row in rows)
 
     def values(self, signals: Signals, axis: int) -> Array:
         """What a unit of each constant of the form adds on one axis, (n, k)."""
-        return self.form.values(self.driver.of(signals, axis))
+        scale = np.reshape(self.driver.scale(signals, axis), (-1, 1))
+        return np.asarray(self.form.values(self.driver.of(signals, axis)) * scale)
 
 
 def _unit(own: str, driver: str, power: int) -> str:

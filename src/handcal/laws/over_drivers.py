@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -24,7 +24,8 @@ from handcal.laws.grammar import (
     parts_for,
     range_of,
 )
-from handcal.laws.law_effect import SIZE, Law, effect_of, named
+from handcal.laws.law_effect import SENSORS, SIZE, Law, effect_of, named
+from handcal.laws.vocabulary import further
 from handcal.laws.weighing import Beside, beside, gains, weighed
 from handcal.types import Array
 
@@ -43,9 +44,14 @@ class Block:
     effect: Effect
 
 
-def blocks(signals: Signals) -> list[Block]:
-    """Every sensor with every driver of which this recording has a course."""
-    return [b for d in DRIVERS.values() if usable(d, signals) for b in _over(d, signals)]
+def blocks(signals: Signals, beyond: Collection[str] = ()) -> list[Block]:
+    """Every sensor with every driver of which this recording has a course; beyond: sensors for
+    which the further drivers are looked at too."""
+    found = [b for d in DRIVERS.values() if usable(d, signals) for b in _over(d, signals)]
+    for sensor in (n for n, name in enumerate(SENSORS) if name in beyond):
+        more = (b for d in further(signals, sensor) for b in _over(d, signals))
+        found += [b for b in more if b.sensor == sensor]
+    return found
 
 
 def _over(driver: Driver, signals: Signals) -> list[Block]:
@@ -58,7 +64,8 @@ def _over(driver: Driver, signals: Signals) -> list[Block]:
         forms = (formula([("line", ())]),)
         return [_block(n, driver, forms, SIZE[n] / rms) for n in sensors]
     smooth = tuple(curves(range_of(x, driver.signed), driver.knots, driver.round))
-    return [_block(n, driver, smooth, SIZE[n]) for n in sensors]
+    scale = float(np.sqrt(np.mean(np.square([driver.scale(signals, a) for a in range(3)]))))
+    return [_block(n, driver, smooth, SIZE[n] / scale) for n in sensors]
 
 
 def _block(sensor: int, driver: Driver, forms: tuple[Form, ...], sigma: float) -> Block:
@@ -188,5 +195,5 @@ def tuned(about_: About, law: Law, gain: float) -> tuple[Law, float]:
 
 
 def _rms(law: Law, form: Form, signals: Signals) -> float:
-    values = [form.values(law.driver.of(signals, axis)) for axis in law.axes]
+    values = [replace(law, form=form).values(signals, axis) for axis in law.axes]
     return float(np.sqrt(np.mean(np.square(values))))

@@ -12,29 +12,42 @@ import numpy as np
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.parallel import in_parallel
-from handcal.laws.best import Term, best_term, reshaped
+from handcal.laws.best import Term, best_term, best_terms, reshaped
 from handcal.laws.law_effect import effect_of, law_of
 from handcal.score import better, score
 from handcal.search.climb.candidates import scanned_about
 from handcal.search.climb.state import Climb, forget, likelier, sensible
 from handcal.search.space import best_set
 
-# Terms without a name at the most.
-MAX_TERMS = 3
+# Terms without a name at the most, and of those that were on trial.
+MAX_TERMS, MAX_TRIED = 3, 6
 
 
 def name_term(c: Climb) -> Model | None:
-    """The same, a term that nobody named on trial from now on; or the model with one in the place
-    of its noise effects, which hide whatever has no name, or beside them."""
-    if len(c.unnamed) >= MAX_TERMS:
+    """The model with a term that nobody named in the place of its noise effects, which hide
+    whatever has no name, or beside them; or the same, a further term on trial from now on."""
+    there = sum(t.effect.id in c.model.ids for t in c.unnamed)
+    if there >= MAX_TERMS or len(c.unnamed) >= MAX_TRIED:
         return None
-    refused = c.dropped | set(c.model.ids)
-    term = best_term(c.model, refused=refused)
-    if term is not None:
-        c.unnamed.append(term)
-        c.visited.clear()
-        c.stale |= set(c.noise)  # (what noise effects gained was weighed without the term)
-        return c.model
+    tried = _instead_of_noise(c)
+    if tried is not None:
+        return tried
+    term = best_term(c.model, refused=_refused(c))
+    if term is None:
+        return None
+    c.unnamed.append(term)
+    c.visited.clear()
+    c.stale |= set(c.noise)  # (what noise effects gained was weighed without the term)
+    return c.model
+
+
+def _refused(c: Climb) -> set[str]:
+    """Formulas that were on trial, or are."""
+    return c.dropped | set(c.model.ids) | {t.effect.id for t in c.unnamed}
+
+
+def _instead_of_noise(c: Climb) -> Model | None:
+    """The model with a term in the place of its noise effects, or beside them."""
     key = frozenset(c.model.ids)
     quiet = [e for e in c.model.effects if e.process is None]
     if len(quiet) == len(c.model.effects) or key in c.bared:
@@ -45,16 +58,24 @@ def name_term(c: Climb) -> Model | None:
     without = fitted(c.model.parts, quiet)
     if c.quiet is not None and better(c.quiet, without, c.worth) > 0.0:
         without = c.quiet  # (names may have gone since that a law needs beside it)
-    term = best_term(without.bare, refused=refused)
-    if term is None:
+    terms = best_terms(without.bare, refused=_refused(c), beyond=_hidden(c.model))
+    ways = [(m, term) for term in terms for m in (without, c.model)]
+    calls = (partial(with_term, m, term, c.worth, c.beyond) for m, term in ways)
+    ends = [(m, term) for m, (_, term) in zip(in_parallel(calls), ways, strict=True)]
+    if not ends:
         return None
-    calls = (partial(with_term, m, term, c.worth, c.beyond) for m in (without, c.model))
-    tried = max(in_parallel(calls), key=lambda m: score(m, c.worth))
+    tried, term = max(ends, key=lambda end: score(end[0], c.worth))
     if not likelier(c, tried):
         return None
     c.unnamed.append(term)
     forget(c, tried)
     return tried
+
+
+def _hidden(model: Model) -> tuple[str, ...]:
+    """Sensors of which the noise effects of a model may hide a law."""
+    noise = [e for e in model.effects if e.process is not None]
+    return tuple(dict.fromkeys(e.walks or next(iter(e.observation_error)) for e in noise))
 
 
 def with_term(model: Model, term: Term, worth: float, refused: Set[str]) -> Model:

@@ -1,0 +1,279 @@
+"""What a sensor may do with a signal besides following it: the operators of the vocabulary.
+
+Each makes of a signal x (n,) at times t (n,) another one, with one number (a time, a width, a
+frequency). Adding one is adding a row to ``OPERATORS``; the same source is what a law that is
+written out brings along.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from handcal.compiled.jit import njit
+from handcal.types import Array
+
+# Times of memory, s: from the settling of a filter to that of warm glue.
+MEMORIES = (0.4, 1.0, 2.5, 6.0, 15.0)
+# And of what overshoots, and comes back to what is there: shorter than most turns.
+OVERSHOOTS = (0.4, 1.0, 2.5)
+# Of what follows late on one way only, or comes back once.
+LATE = (0.3, 1.0, 3.0)
+# Frequencies of what swings, Hz: above, a hand does not excite it.
+SWINGS = (0.3, 0.6, 1.2, 2.4)
+# Widths, as shares of the largest size of a signal: wider than the noise, narrower than the motion.
+WIDTHS = (0.03, 0.06, 0.12, 0.25, 0.45)
+# How fast what is too slow may follow, of the root mean square slope.
+SLEWS = (0.3, 0.7, 1.5)
+
+
+@njit
+def remembered(t: Array, x: Array, tau: float) -> Array:
+    """The mean (n,) of what x was, weighed by exp(-age / tau)."""
+    out = np.empty(len(x))
+    out[0] = x[0]
+    for i in range(1, len(x)):
+        share = -np.expm1(-(t[i] - t[i - 1]) / tau)
+        out[i] = out[i - 1] + share * (x[i] - out[i - 1])
+    return out
+
+
+@njit
+def following(t: Array, x: Array, half: float) -> Array:  # noqa: ARG001
+    """What follows x with so much play to either side (the operator of which Prandtl and
+    Ishlinskii built hysteresis)."""
+    out = np.empty(len(x))
+    at = x[0]
+    for i in range(len(x)):
+        at = min(max(at, x[i] - half), x[i] + half)
+        out[i] = at
+    return out
+
+
+@njit
+def sticking(t: Array, x: Array, loose: float) -> Array:  # noqa: ARG001
+    """What stays where it is until x is so far away, and then jumps to it."""
+    out = np.empty(len(x))
+    at = x[0]
+    for i in range(len(x)):
+        if abs(x[i] - at) > loose:
+            at = x[i]
+        out[i] = at
+    return out
+
+
+@njit
+def yielding(t: Array, x: Array, width: float) -> Array:  # noqa: ARG001
+    """Dry friction that gives way by and by (Dahl): how far it is bent, from -1 to 1."""
+    out = np.empty(len(x))
+    bent = 0.0
+    out[0] = bent
+    for i in range(1, len(x)):
+        step = (x[i] - x[i - 1]) / width
+        sign = 1.0 if step > 0.0 else -1.0
+        bent = sign - (sign - bent) * np.exp(-abs(step))
+        out[i] = bent
+    return out
+
+
+@njit
+def sided(t: Array, x: Array, far: float) -> Array:  # noqa: ARG001
+    """The side, -1 or 1, on which x was last so far out; 0 before that."""
+    out = np.empty(len(x))
+    side = 0.0
+    for i in range(len(x)):
+        if abs(x[i]) > far:
+            side = 1.0 if x[i] > 0.0 else -1.0
+        out[i] = side
+    return out
+
+
+@njit
+def peaked(t: Array, x: Array, tau: float) -> Array:
+    """The largest size of x so far, forgotten in time."""
+    out = np.empty(len(x))
+    held = 0.0
+    for i in range(len(x)):
+        if i:
+            held *= np.exp(-(t[i] - t[i - 1]) / tau)
+        held = max(held, abs(x[i]))
+        out[i] = held
+    return out
+
+
+@njit
+def falling(t: Array, x: Array, tau: float) -> Array:
+    """What rises with x at once, and falls to it in time."""
+    out = np.empty(len(x))
+    at = x[0]
+    for i in range(len(x)):
+        if i and x[i] < at:
+            at += -np.expm1(-(t[i] - t[i - 1]) / tau) * (x[i] - at)
+        else:
+            at = x[i]
+        out[i] = at
+    return out
+
+
+@njit
+def rising(t: Array, x: Array, tau: float) -> Array:
+    """What falls with x at once, and rises to it in time."""
+    out = np.empty(len(x))
+    at = x[0]
+    for i in range(len(x)):
+        if i and x[i] > at:
+            at += -np.expm1(-(t[i] - t[i - 1]) / tau) * (x[i] - at)
+        else:
+            at = x[i]
+        out[i] = at
+    return out
+
+
+@njit
+def slewing(t: Array, x: Array, fast: float) -> Array:
+    """What follows x no faster than so much a second."""
+    out = np.empty(len(x))
+    at = x[0]
+    for i in range(len(x)):
+        if i:
+            most = fast * (t[i] - t[i - 1])
+            at += min(max(x[i] - at, -most), most)
+        out[i] = at
+    return out
+
+
+@njit
+def swinging(t: Array, x: Array, hz: float) -> Array:
+    """What hangs on a spring, hardly damped (a tenth), and is carried along by x."""
+    out = np.empty(len(x))
+    w = 2.0 * np.pi * hz
+    at, speed = x[0], 0.0
+    for i in range(len(x)):
+        if i:
+            dt = t[i] - t[i - 1]
+            speed += dt * (w * w * (x[i] - at) - 0.2 * w * speed)
+            at += dt * speed
+        out[i] = at
+    return out
+
+
+@njit
+def swaying(t: Array, x: Array, hz: float) -> Array:
+    """What hangs on a spring, damped (three tenths), and is carried along by x."""
+    out = np.empty(len(x))
+    w = 2.0 * np.pi * hz
+    at, speed = x[0], 0.0
+    for i in range(len(x)):
+        if i:
+            dt = t[i] - t[i - 1]
+            speed += dt * (w * w * (x[i] - at) - 0.6 * w * speed)
+            at += dt * speed
+        out[i] = at
+    return out
+
+
+@njit
+def earlier(t: Array, x: Array, late: float) -> Array:
+    """What x was so long ago."""
+    return np.interp(t - late, t, x)
+
+
+@njit
+def stepped(t: Array, x: Array, step: float) -> Array:  # noqa: ARG001
+    """x to the nearest whole number of steps."""
+    return step * np.floor(x / step + 0.5)
+
+
+@dataclass(frozen=True)
+class Operator:
+    """text: how a driver with it is called, of the signal {x}, its unit {u} and the number {n};
+    of(t, x, number): what it makes of a signal; less: what a driver has is that, less the signal;
+    numbers, share: to begin with, and of what (``Scale``): 1, or the signal's size or slope; power:
+    of the signal's unit that of the driver."""
+
+    text: str
+    of: Callable[[Array, Array, float], Array]
+    numbers: tuple[float, ...]
+    share: str = "1"
+    less: bool = True
+    power: int = 1
+    positive: bool = False
+
+    def values(self, t: Array, x: Array, number: float) -> Array:
+        """What a driver is (n,)."""
+        x = np.ascontiguousarray(x)
+        return self.of(t, x, number) - x if self.less else self.of(t, x, number)
+
+    def begun(self, t: Array, x: Array) -> list[float]:
+        """Numbers to begin with, for a signal (n, ...)."""
+        unit = 1.0
+        if self.share == "size":
+            unit = float(np.quantile(np.abs(x), 0.999))
+        if self.share == "slope":
+            unit = float(np.sqrt(np.mean(np.gradient(x, t, axis=0) ** 2)))
+        return [share * unit for share in self.numbers]
+
+
+def _less(word: str, unit: str) -> str:
+    return f"({word}({{n}} {unit}) of {{x}} - {{x}})"
+
+
+def _of(word: str, unit: str) -> str:
+    return f"({word}({{n}} {unit}) of {{x}})"
+
+
+OPERATORS: Mapping[str, Operator] = {
+    "memory": Operator(_of("memory", "s"), remembered, MEMORIES, less=False),
+    "lag": Operator(_less("memory", "s"), remembered, OVERSHOOTS),
+    "play": Operator(_less("play", "{u}"), following, WIDTHS, "size", positive=True),
+    "stick": Operator(_less("stick", "{u}"), sticking, WIDTHS, "size"),
+    "steps": Operator(_less("steps", "{u}"), stepped, WIDTHS, "size"),
+    "friction": Operator(_of("friction", "{u}"), yielding, WIDTHS, "size", less=False, power=0),
+    "side": Operator(_of("side", "{u}"), sided, WIDTHS, "size", less=False, power=0),
+    "peak": Operator(_of("peak", "s"), peaked, MEMORIES, less=False),
+    "fall": Operator(_less("fall", "s"), falling, LATE),
+    "rise": Operator(_less("rise", "s"), rising, LATE),
+    "slew": Operator(_less("slew", "{u}/s"), slewing, SLEWS, "slope"),
+    "swing": Operator(_less("swing", "Hz"), swinging, SWINGS),
+    "sway": Operator(_less("sway", "Hz"), swaying, SWINGS),
+    "echo": Operator(_less("echo", "s"), earlier, LATE),
+}
+_SAID = re.compile(r"\((\w+)\(([^ ]+) [^)]*\) of (.+?)( - \3)?\)")
+
+
+def said(operator: str, signal: str, unit: str, number: float) -> str:
+    """How a driver with an operator is called."""
+    return OPERATORS[operator].text.format(n=f"{number:.3g}", x=signal, u=unit)
+
+
+def parsed(name: str) -> tuple[str, float, str] | None:
+    """Operator, number and signal of a driver's name; None where it has none."""
+    found = _SAID.fullmatch(name)
+    if found is None:
+        return None
+    word, number, signal, less = found.groups()
+    operator = "lag" if (word, bool(less)) == ("memory", True) else word
+    known = operator in OPERATORS and OPERATORS[operator].less == bool(less)
+    return (operator, float(number), signal) if known else None
+
+
+def without_numbers(name: str) -> str:
+    """A driver's name, but for the numbers of its operators."""
+    return _NUMBER.sub(r"(\1 ", name)
+
+
+_WORDS = "|".join(sorted({o.text[1:].partition("(")[0] for o in OPERATORS.values()}))
+_NUMBER = re.compile(rf"\(({_WORDS})\([^ ]+ ")
+
+
+def source(operator: str) -> tuple[str, str]:
+    """Name and source, in plain numpy, of the function of an operator."""
+    function: Any = OPERATORS[operator].of
+    plain = inspect.unwrap(getattr(function, "py_func", function))
+    text = inspect.getsource(plain)
+    return plain.__name__, text[text.index("def ") :].replace("  # noqa: ARG001", "")

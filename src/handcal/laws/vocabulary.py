@@ -1,0 +1,136 @@
+"""The whole vocabulary of drivers: what is looked at for any recording, and what is looked at
+further where something errs with the motion, and no law over the first of them says how.
+
+It is made of parts: signals, their sizes and squares, what an operator makes of them, products.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from handcal.effects import ATTITUDE, Signals
+from handcal.laws import operators
+from handcal.laws.drivers import (
+    BY,
+    COARSE,
+    DRIVERS,
+    FORCES,
+    LOAD,
+    RATES,
+    TIME,
+    TURNS,
+    WARMTH,
+    YAW,
+    Driver,
+    Of,
+    by,
+    operated,
+    size,
+    slope,
+    square,
+    times,
+    usable,
+)
+from handcal.laws.operators import OPERATORS
+from handcal.types import Array
+
+
+def _north(n: int) -> Of:
+    def of(s: Signals, axis: int) -> Array:
+        return np.zeros_like(s.t) if s.C_nb is None else s.C_nb[:, 0, (axis + n) % 3]
+
+    return of
+
+
+def _yaw_rate(s: Signals, _: int) -> Array:
+    return np.zeros_like(s.t) if s.C_nb is None else np.einsum("ni,ni->n", s.C_nb[:, 2], s.gyro)
+
+
+def _tilt(s: Signals, _: int) -> Array:
+    return np.zeros_like(s.t) if s.C_nb is None else np.arccos(np.clip(s.C_nb[:, 2, 2], -1.0, 1.0))
+
+
+def _total(of: Driver) -> Of:
+    return lambda s, _: np.sqrt(sum(of.of(s, axis) ** 2 for axis in range(3)))
+
+
+_HERE = (ATTITUDE,)
+NORTH = tuple(
+    Driver(f"north_{{{x}}}", "1", _north(n), COARSE, needs=_HERE) for n, x in enumerate("ijk")
+)
+YAW_RATE = Driver("(yaw rate)", "rad/s", _yaw_rate, COARSE, needs=_HERE)
+TILT = Driver("tilt", "rad", _tilt, signed=False, needs=_HERE)
+SLOPES = tuple(map(slope, (*RATES, *FORCES)))
+SHAKEN = (
+    Driver("|alpha|", "rad/s^2", _total(SLOPES[0]), COARSE, signed=False),
+    Driver("|jerk|", "m/s^3", _total(SLOPES[3]), COARSE, signed=False),
+)
+# Knots of a gain over time: apart by less than half a swing, of which a recording has a few.
+FINEST = 17
+# Signals that are not among the first drivers, over which lie curves.
+FURTHER = (*map(size, SLOPES), *SHAKEN, *NORTH, YAW_RATE, TILT)
+_PLAIN: Mapping[str, Driver] = {d.name: d for d in FURTHER}
+
+
+def driver_of(name: str) -> Driver:
+    """The driver of this name, whatever the numbers in it. Raises KeyError."""
+    if name in DRIVERS or name in _PLAIN:
+        return DRIVERS[name] if name in DRIVERS else _PLAIN[name]
+    return _made(name)
+
+
+@cache
+def _made(name: str) -> Driver:
+    factor, _, x = name.partition(BY)
+    if x:
+        return by(driver_of(factor), driver_of(x))
+    if (found := operators.parsed(name)) is not None:
+        operator, number, signal = found
+        made = operated(operator, driver_of(signal), number)
+        if made.name != name:
+            raise KeyError(name)
+        return made
+    first, _, rest = name.partition(" * ")
+    if rest:
+        return times(driver_of(first), driver_of(rest))
+    if name.endswith("^2"):
+        return square(driver_of(name[:-2]))
+    if name[:1] == name[-1:] == "|":
+        return size(driver_of(name[1:-1]))
+    raise KeyError(name)
+
+
+def further(signals: Signals, sensor: int) -> Iterator[Driver]:
+    """What may drive a sensor besides ``DRIVERS``, in a recording that has it."""
+    own = (RATES, FORCES)[sensor][0]
+    yield from (d for d in FURTHER if usable(d, signals))
+    for of in (*RATES, *FORCES, *filter(lambda d: usable(d, signals), (*NORTH, WARMTH))):
+        yield from _operated(of, signals, tuple(OPERATORS))
+    sizes = [size(of) for of in (*RATES, *FORCES, *SLOPES)]
+    for of in (TURNS, LOAD, *sizes, *SHAKEN, square(own), square(TURNS)):
+        yield from _operated(of, signals, ("memory", "lag", "peak"))
+    for of in (TURNS, square(TURNS), LOAD, size(own), square(own)):
+        yield from (times(own, memory) for memory in _operated(of, signals, ("memory",)))
+    others = (TURNS, LOAD, *RATES[1:], *FORCES[1:], (FORCES, RATES)[sensor][0], YAW, WARMTH, TIME)
+    for x in filter(lambda d: usable(d, signals), others):
+        yield by(own, replace(x, knots=FINEST if x is TIME else COARSE))
+    for triple in (RATES, FORCES):
+        yield times(triple[0], times(*triple[1:]))
+    for a in SLOPES:
+        yield from (times(b, a) for b in (*RATES, *FORCES) if b.name[-3:] != a.name[-3:])
+    for a in filter(lambda d: usable(d, signals), NORTH):
+        yield times(own, a)
+
+
+def _operated(of: Driver, signals: Signals, names: tuple[str, ...]) -> Iterator[Driver]:
+    """What these operators make of a driver, with the numbers to begin with; but for what the
+    first vocabulary has."""
+    x = np.stack([of.of(signals, axis) for axis in range(3)], axis=1)
+    for name in names:
+        for number in OPERATORS[name].begun(signals.t, x):
+            if number > 0.0 and (made := operated(name, of, number)).name not in DRIVERS:
+                yield made
