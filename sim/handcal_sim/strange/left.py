@@ -7,7 +7,6 @@ less the curves of what has no name: at the true motion, without noise, each les
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -19,18 +18,11 @@ from handcal_sim.phone import HeadingErrors, Phone
 from handcal_sim.profiles import Array
 from handcal_sim.scenario import World
 from handcal_sim.strange.device import Added, off, own_scene
+from handcal_sim.strange.formulas import since_a_turn, value_of
 from handcal_sim.strange.law import signal
-from handcal_sim.strange.memory import followed, lagged
 from handcal_sim.strange.words import of_channel, said
 from handcal_sim.strangers import AXES, Scene, scene_of
 
-# Slower than this (rad/s) a device is not being turned, to whoever speaks of the last turn.
-TURNING = 0.2
-# Temperature above which drivers have it, degC.
-ROOM = 25.0
-# What else somebody may make of a signal's past, and a curve of how much of a signal is felt.
-_ELSE = re.compile(r"(?<![a-z])(?!memory|play|exp|sin|cos|tanh|abs|max|clip|round|g|e|g_i)[a-z_]+\("
-                   r"|(?:omega|f)_[ijkxyz] \* (?:g|g_i)\(|\)\^2")  # fmt: skip
 Values = Mapping[str, Mapping[str, float]]
 # What has no course that numbers of a document would tell, or no place on these channels.
 _WITHOUT = ("_walk", "_noise", "_outliers", "mag_", "pose_", "clock_rate", "earth_rate")
@@ -60,58 +52,36 @@ def curves(unnamed: Sequence[Mapping[str, Any]], channel: str, at: Scene) -> Arr
     for entry in unnamed:
         if channel not in entry["channels"]:
             continue
-        curve = entry.get("curve") or {}
-        if not curve.get("x") or not entry["drivers"] or _of_one_axis(entry):
-            return None
         try:
-            driver = _course(entry, channel, at)
-        except (AttributeError, KeyError):
+            total += (
+                value_of(entry, channel, at) if entry["constants"] else _drawn(entry, channel, at)
+            )
+        except (AttributeError, KeyError, NameError, SyntaxError, TypeError, ValueError):
             return None
-        total += np.interp(driver, curve["x"], curve["y"])
     return total
 
 
-def _of_one_axis(entry: Mapping[str, Any]) -> bool:
-    """Whether a curve is of one axis alone, where each has constants of its own."""
-    return len(entry["channels"]) > 1 and re.search(r"\b[gk]\d?_i\b", entry["formula"]) is not None
-
-
-def _course(entry: Mapping[str, Any], channel: str, at: Scene) -> Array:
-    """What the curve is drawn over (n,): the product of the drivers, or what is left of them."""
-    x, formula = np.ones(len(at.t)), entry["formula"]
-    if _ELSE.search(formula):
-        raise KeyError(formula)
-    if formula.partition(" += ")[2].startswith("e("):
-        if len(entry["channels"]) > 1:
-            raise KeyError(formula)
-        return np.asarray(at.t - at.t[0])
-    if "time since a turn" in entry["drivers"]:
-        turned = signal(at, "|omega|") > TURNING
-        return np.asarray(at.t - np.maximum.accumulate(np.where(turned, at.t, at.t[0])))
-    for name in entry["drivers"]:
-        x = x * _within(_driver(of_channel(name, channel), at), name, formula)
-    if entry["curve"].get("x_unit") == "s^2":
-        x = x * x
-    if entry["curve"].get("x_unit") == "degC":
-        x = x + ROOM
-    if found := re.search(r"\bmemory\(([^ ]+) s\)", formula):
-        past = lagged(at.t, x, float(found[1]))
-        return past - x if re.search(r"\bmemory\([^ ]+ s\) of (.+) - \1\)", formula) else past
-    if found := re.search(r"\bplay\(([^ ]+) ", formula):
-        return followed(x, float(found[1])) - x
-    return x
-
-
-def _within(x: Array, name: str, formula: str) -> Array:
-    """A driver as its formula has it: its size, or its smooth sign."""
-    if f"|{name}|" in formula:
-        return np.abs(x)
-    found = re.search(rf"tanh\({re.escape(name)} / ([^)]+)\)", formula)
-    return np.tanh(x / float(found[1])) if found and f"* {found[0]}" in formula else x
+def _drawn(entry: Mapping[str, Any], channel: str, at: Scene) -> Array:
+    """What a curve without a formula adds (n,): over its driver, times what it is a gain of."""
+    curve, text = entry["curve"], entry["formula"].partition(" += ")[2]
+    if len(entry["channels"]) > 1 and ("_i(" in text or text.startswith("e(")):
+        raise KeyError(text)  # (drawn is that of one axis alone)
+    if text.startswith("e("):
+        return np.asarray(np.interp(at.t - at.t[0], curve["x"], curve["y"]))
+    drivers = [_driver(of_channel(name, channel), at) for name in entry["drivers"]]
+    if "|" in text and text.partition("|")[2][:1] != "o" and len(drivers) == 1:
+        drivers = [np.abs(drivers[0])]
+    *felt, x = drivers
+    value = np.interp(x, curve["x"], curve["y"])
+    for factor in felt:
+        value = value * factor
+    return np.asarray(value)
 
 
 def _driver(name: str, at: Scene) -> Array:
     """In the units of a curve: K above 25 degC, and the angle of pitch."""
+    if name == "time since a turn":
+        return since_a_turn(at)
     values = signal(at, said(name))
     if name.startswith("pitch of "):
         return np.asarray(np.arcsin(np.clip(values, -1.0, 1.0)))

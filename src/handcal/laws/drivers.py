@@ -139,7 +139,7 @@ TURNS = Driver("|omega|", "rad/s", _total(_rate(0)), signed=False)
 LOAD = Driver("|f|", "m/s^2", _total(_force(0)), signed=False)
 WARMTH = Driver(WARM, "K", _warmth, COARSE, signed=False, needs=("temperature",))
 YAW = Driver("yaw", "rad", _yaw, COARSE, signed=False, round=True, needs=(ATTITUDE,))
-TIME = Driver("t", "s", _time, LINE)
+TIME = Driver("t", "s", _time, LINE, signed=False)
 _SLOPES = {"omega": ("alpha", "rad/s^2"), "f": ("jerk", "m/s^3")}
 
 

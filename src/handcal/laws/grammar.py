@@ -190,6 +190,8 @@ def _places(count: int, *widths: float) -> Callable[[Range], Iterator[tuple[floa
     return places
 
 
+# (as far apart as two waves have to be for one to be found from the other)
+_WAVES = _widths(*(1.0 / (math.pi * n) for n in range(1, 25)))
 _LIMITS = _widths(0.05, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8)
 ATOMS: Mapping[str, Atom] = {
     "line": Atom("{x}", 1, lambda x: x),
@@ -229,12 +231,8 @@ ATOMS: Mapping[str, Atom] = {
         "exp(-abs({x}) / {0})", 0, lambda x, s: np.exp(-np.abs(x) / s),
         _widths(0.01, 0.03, 0.1, 0.3, 1.0),
     ),
-    "sine": Atom(
-        "sin({x} / {0})", 0, lambda x, p: np.sin(x / p), _widths(0.04, 0.06, 0.1, 0.15, 0.2, 0.3)
-    ),
-    "cosine": Atom(
-        "cos({x} / {0})", 0, lambda x, p: np.cos(x / p), _widths(0.04, 0.06, 0.1, 0.15, 0.2, 0.3)
-    ),
+    "sine": Atom("sin({x} / {0})", 0, lambda x, p: np.sin(x / p), _WAVES),
+    "cosine": Atom("cos({x} / {0})", 0, lambda x, p: np.cos(x / p), _WAVES),
 }  # fmt: skip
 ROUND: Mapping[str, Atom] = {
     f"{name} {n}": Atom(

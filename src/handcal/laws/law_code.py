@@ -30,6 +30,7 @@ DIGITS = 8
 _PYTHON = (
     (r"\bsin\(pitch of ([xy])\)", r"sin_pitch_\1"),
     (r"\bsin\(tilt\)\^2", "(1.0 - cos_tilt**2)"),
+    (r"\bcos\(tilt\)", "cos_tilt"),
     (r"\byaw rate\b", "yaw_rate"),
     (re.escape(WARM), "warmth"),
     (r"\|omega\|", "turning"),
@@ -118,7 +119,7 @@ def _signal(name: str) -> str:
     kind, _, axis = name.partition("_")
     columns = {"x": "0", "y": "1", "z": "2", "{i}": "i"}
     if kind == "north":
-        return f"signals.C_nb[:, 0, {columns[axis]}]"
+        return f"signals.C_nb[:, 1, {columns[axis]}]"
     signal = f"signals.{_STREAMS[kind]}[:, {columns[axis]}]"
     return f"np.gradient({signal}, signals.t)" if kind in ("alpha", "jerk") else signal
 

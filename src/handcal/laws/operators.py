@@ -151,14 +151,15 @@ def slewing(t: Array, x: Array, fast: float) -> Array:
 def swinging(t: Array, x: Array, hz: float) -> Array:
     """What hangs on a spring, hardly damped (a tenth), and is carried along by x."""
     out = np.empty(len(x))
-    w = 2.0 * np.pi * hz
-    at, speed = x[0], 0.0
-    for i in range(len(x)):
-        if i:
-            dt = t[i] - t[i - 1]
-            speed += dt * (w * w * (x[i] - at) - 0.2 * w * speed)
-            at += dt * speed
-        out[i] = at
+    w, damping = 2.0 * np.pi * hz, 0.1
+    a, wd = damping * w, w * np.sqrt(1.0 - damping**2)
+    out[0], speed = x[0], 0.0
+    for i in range(1, len(x)):
+        dt, held = t[i] - t[i - 1], 0.5 * (x[i - 1] + x[i])
+        fade, c, s = np.exp(-a * dt), np.cos(wd * dt), np.sin(wd * dt) / wd
+        away = out[i - 1] - held
+        out[i] = held + fade * ((c + a * s) * away + s * speed)
+        speed = fade * ((c - a * s) * speed - w * w * s * away)
     return out
 
 
@@ -166,14 +167,15 @@ def swinging(t: Array, x: Array, hz: float) -> Array:
 def swaying(t: Array, x: Array, hz: float) -> Array:
     """What hangs on a spring, damped (three tenths), and is carried along by x."""
     out = np.empty(len(x))
-    w = 2.0 * np.pi * hz
-    at, speed = x[0], 0.0
-    for i in range(len(x)):
-        if i:
-            dt = t[i] - t[i - 1]
-            speed += dt * (w * w * (x[i] - at) - 0.6 * w * speed)
-            at += dt * speed
-        out[i] = at
+    w, damping = 2.0 * np.pi * hz, 0.3
+    a, wd = damping * w, w * np.sqrt(1.0 - damping**2)
+    out[0], speed = x[0], 0.0
+    for i in range(1, len(x)):
+        dt, held = t[i] - t[i - 1], 0.5 * (x[i - 1] + x[i])
+        fade, c, s = np.exp(-a * dt), np.cos(wd * dt), np.sin(wd * dt) / wd
+        away = out[i - 1] - held
+        out[i] = held + fade * ((c + a * s) * away + s * speed)
+        speed = fade * ((c - a * s) * speed - w * w * s * away)
     return out
 
 

@@ -116,6 +116,19 @@ def _tilted_iron(row: int) -> Residual:
     return heading
 
 
+def _both_tilted(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+    r[0] -= k[0] * nav[12] * nav[13]
+    return 0
+
+
+def _tilted_turn(row: int) -> Residual:
+    def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+        r[0] -= k[0] * (nav[12] * nav[15] + nav[13] * nav[16] + nav[14] * nav[17]) * nav[row]
+        return 0
+
+    return heading
+
+
 def _tilt2(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
     r[0] -= k[0] * (1.0 - nav[14] * nav[14])
     return 0
@@ -168,6 +181,10 @@ def _table() -> Iterator[tuple[str, tuple[Residual, tuple[str, ...]]]]:
         yield f"k * sin(pitch of {axis})", (_tilted(row), ("rad",))
         text = f"(k1 * sin(yaw) + k2 * cos(yaw)) * sin(pitch of {axis})"
         yield text, (_tilted_iron(row), ("rad", "rad"))
+        yield f"k * yaw rate * sin(pitch of {axis})", (_tilted_turn(row), ("s",))
+    yield "k * sin(pitch of x) * sin(pitch of y)", (_both_tilted, ("rad",))
+    yield "(k1 * sin(yaw) + k2 * cos(yaw)) * cos(tilt)", (_tilted_iron(14), ("rad", "rad"))
+    yield "k * yaw rate * cos(tilt)", (_tilted_turn(14), ("s",))
     yield "k * sin(tilt)^2", (_tilt2, ("rad",))
     yield "k * t^2", (_time2, ("rad/s^2",))
     yield f"k * {WARM}", (_warmth, ("rad/K",))

@@ -18,6 +18,7 @@ from handcal.laws.drivers import (
     BY,
     COARSE,
     DRIVERS,
+    FINE,
     FORCES,
     LOAD,
     RATES,
@@ -41,7 +42,7 @@ from handcal.types import Array
 
 def _north(n: int) -> Of:
     def of(s: Signals, axis: int) -> Array:
-        return np.zeros_like(s.t) if s.C_nb is None else s.C_nb[:, 0, (axis + n) % 3]
+        return np.zeros_like(s.t) if s.C_nb is None else s.C_nb[:, 1, (axis + n) % 3]
 
     return of
 
@@ -69,8 +70,8 @@ SHAKEN = (
     Driver("|alpha|", "rad/s^2", _total(SLOPES[0]), COARSE, signed=False),
     Driver("|jerk|", "m/s^3", _total(SLOPES[3]), COARSE, signed=False),
 )
-# Knots of a gain over time: apart by less than half a swing, of which a recording has a few.
-FINEST = 17
+# Knots of a gain over time: two to a swing of which a recording has a dozen.
+FINEST = 33
 # Signals that are not among the first drivers, over which lie curves.
 FURTHER = (*map(size, SLOPES), *SHAKEN, *NORTH, YAW_RATE, TILT)
 _PLAIN: Mapping[str, Driver] = {d.name: d for d in FURTHER}
@@ -118,6 +119,8 @@ def further(signals: Signals, sensor: int) -> Iterator[Driver]:
     others = (TURNS, LOAD, *RATES[1:], *FORCES[1:], (FORCES, RATES)[sensor][0], YAW, WARMTH, TIME)
     for x in filter(lambda d: usable(d, signals), others):
         yield by(own, replace(x, knots=FINEST if x is TIME else COARSE))
+    if usable(WARMTH, signals):
+        yield replace(WARMTH, knots=FINE)
     for triple in (RATES, FORCES):
         yield times(triple[0], times(*triple[1:]))
     for a in SLOPES:

@@ -1,5 +1,5 @@
-"""Steps of a climb about laws without a name: find one, choose its form again, put it on fewer
-axes."""
+"""Steps of a climb about laws without a name: find one, choose its form again, adjust its numbers,
+put it on fewer axes."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ import numpy as np
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.parallel import in_parallel
+from handcal.estimate.transfer import moved_to
 from handcal.laws.best import Term, best_term, best_terms, reshaped
 from handcal.laws.law_effect import effect_of, law_of
+from handcal.laws.numbers import adjusted
 from handcal.score import better, score
 from handcal.search.climb.candidates import scanned_about
 from handcal.search.climb.state import Climb, forget, likelier, sensible
@@ -55,10 +57,11 @@ def _instead_of_noise(c: Climb) -> Model | None:
     if c.quiet is None and {e.id for e in quiet} == c.kept:
         return None  # (from the baseline alone a climb begins with a law anyway)
     c.bared.add(key)
-    without = fitted(c.model.parts, quiet)
-    if c.quiet is not None and better(c.quiet, without, c.worth) > 0.0:
-        without = c.quiet  # (names may have gone since that a law needs beside it)
-    terms = best_terms(without.bare, refused=_refused(c), beyond=_hidden(c.model))
+    # (about the trajectory and the sensor noise that there are with the noise effects: fitted
+    # without them, what they held would be noise, in which no law shows)
+    parts = tuple(moved_to(f, quiet) for f in c.model.parts)
+    without = replace(c.model, effects=tuple(quiet), parts=parts)
+    terms = best_terms(without, refused=_refused(c), beyond=_hidden(c.model))
     ways = [(m, term) for term in terms for m in (without, c.model)]
     calls = (partial(with_term, m, term, c.worth, c.beyond) for m, term in ways)
     ends = [(m, term) for m, (_, term) in zip(in_parallel(calls), ways, strict=True)]
@@ -96,6 +99,25 @@ def with_term(model: Model, term: Term, worth: float, refused: Set[str]) -> Mode
 def reshape(c: Climb) -> Model | None:
     """A course over time or direction, chosen again."""
     return reshaped(c.model, c.worth, c.unnamed, c.shaped)
+
+
+def adjust(c: Climb) -> Model | None:
+    """The model with a law's numbers (a time, a width) as the recordings ask for them."""
+    for i, term in enumerate(c.unnamed):
+        old = term.effect
+        if old.id not in c.model.ids or old.id in c.adjusted:
+            continue
+        c.adjusted.add(old.id)
+        new = adjusted(c.model, old)
+        if new is None or new.id in c.model.ids:
+            continue
+        tried = fitted(c.model.parts, [new if e is old else e for e in c.model.effects])
+        if likelier(c, tried):
+            c.unnamed[i] = replace(term, effect=new)
+            c.shaped.add(new.id)
+            c.whole.add(new.id)
+            return tried
+    return None
 
 
 def narrow(c: Climb) -> Model | None:

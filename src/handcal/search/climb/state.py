@@ -51,6 +51,7 @@ class Climb:
     shaped: set[str] = field(default_factory=set)
     bared: set[frozenset[str]] = field(default_factory=set)
     whole: set[str] = field(default_factory=set)
+    adjusted: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         self.kept = frozenset(self.model.ids)

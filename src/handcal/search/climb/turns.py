@@ -7,7 +7,7 @@ from collections.abc import Callable
 from handcal.estimate.model import Model
 from handcal.search.climb.candidates import scanned
 from handcal.search.climb.exchange_steps import exchange, hidden, reorder
-from handcal.search.climb.law_steps import MAX_TERMS, name_term, narrow, reshape
+from handcal.search.climb.law_steps import MAX_TERMS, adjust, name_term, narrow, reshape
 from handcal.search.climb.noise_steps import add_noise
 from handcal.search.climb.state import Climb
 from handcal.search.climb.subset_steps import choose, everything, favourite, thin
@@ -55,6 +55,7 @@ _STEPS: dict[Callable[[Climb], Model | None], str] = {
     choose: "further effects",
     reshape: "other forms of a law",
     narrow: "laws on fewer axes",
+    adjust: "the numbers in a law",
     exchange: "similar effects in the place of those that were found",
     reorder: "filters in another order",
     hidden: "filters beside delays",
