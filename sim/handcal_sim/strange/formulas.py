@@ -90,8 +90,8 @@ def _driver(name: str, at: Scene) -> Array:
 
 
 def _functions(at: Scene) -> dict[str, Any]:
-    plain: dict[str, Any] = {name: getattr(np, name) for name in ("sin", "cos", "tanh", "exp",
-                             "abs", "clip", "arcsin", "radians", "round")}  # fmt: skip
+    names = "sin cos tanh exp abs sign sqrt clip arcsin radians round"
+    plain: dict[str, Any] = {name: getattr(np, name) for name in names.split()}
     past = {name: _of(f, at.t) for name, f in _PAST.items()}
     return plain | past | {"max": np.maximum, "pi": math.pi, "since": lambda: since_a_turn(at)}
 

@@ -71,11 +71,10 @@ def _drawn(entry: Mapping[str, Any], channel: str, at: Scene) -> Array:
     drivers = [_driver(of_channel(name, channel), at) for name in entry["drivers"]]
     if "|" in text and text.partition("|")[2][:1] != "o" and len(drivers) == 1:
         drivers = [np.abs(drivers[0])]
+    if text.startswith("g("):
+        return np.asarray(np.interp(np.prod(drivers, axis=0), curve["x"], curve["y"]))
     *felt, x = drivers
-    value = np.interp(x, curve["x"], curve["y"])
-    for factor in felt:
-        value = value * factor
-    return np.asarray(value)
+    return np.asarray(np.interp(x, curve["x"], curve["y"]) * np.prod(felt, axis=0))
 
 
 def _driver(name: str, at: Scene) -> Array:

@@ -26,7 +26,7 @@ FINE, COARSE, LINE = 9, 5, 0
 # Half widths of play, rad/s and m/s^2: wider than the noise, narrower than the motion.
 PLAYS = ((0.03, 0.06, 0.12, 0.25), (0.1, 0.2, 0.4, 0.8))
 # Shares by which a time or a half width on trial is changed, in turn, to find the best.
-NEARER = ((0.65, 0.8, 1.25, 1.5), (0.9, 1.1), (0.95, 1.05))
+NEARER = ((0.65, 0.8, 1.25, 1.5), (0.9, 1.1), (0.95, 1.05), (0.98, 1.02), (0.99, 1.01))
 # Within so much of zero a sign is not one yet: wider than the noise, narrower than the motion.
 SIGN = {"rad/s": 0.1, "m/s^2": 0.5}
 # Slower than this (rad/s) a device is not being turned.
@@ -48,7 +48,8 @@ class Driver:
     positive; number, at: its time or half width, and the same with another one; only: the sensor
     (0 gyro, 1 accelerometer) that alone could have it; round: an angle; needs: streams or ATTITUDE
     without which it is none; factor: by which what it drives is multiplied, where it drives how
-    much another signal is felt."""
+    much another signal is felt; free: a course over time, which is not each axis's own (three of
+    them would be a walk)."""
 
     name: str
     unit: str
@@ -62,6 +63,7 @@ class Driver:
     round: bool = False
     needs: tuple[str, ...] = ()
     factor: Driver | None = None
+    free: bool = False
 
     @property
     def common(self) -> bool:
@@ -139,7 +141,7 @@ TURNS = Driver("|omega|", "rad/s", _total(_rate(0)), signed=False)
 LOAD = Driver("|f|", "m/s^2", _total(_force(0)), signed=False)
 WARMTH = Driver(WARM, "K", _warmth, COARSE, signed=False, needs=("temperature",))
 YAW = Driver("yaw", "rad", _yaw, COARSE, signed=False, round=True, needs=(ATTITUDE,))
-TIME = Driver("t", "s", _time, LINE, signed=False)
+TIME = Driver("t", "s", _time, LINE, signed=False, free=True)
 _SLOPES = {"omega": ("alpha", "rad/s^2"), "f": ("jerk", "m/s^3")}
 
 

@@ -40,7 +40,7 @@ class Form:
     kind: str
     numbers: tuple[float, ...]
     constants: int
-    powers: tuple[int, ...]
+    powers: tuple[float, ...]
     values: Callable[[Array], Array]
     root: Array | None = None
     texts: tuple[str, ...] = ()
@@ -169,7 +169,7 @@ class Atom:
     driver has to have a sign for it to differ from another one."""
 
     text: str
-    power: int
+    power: float
     values: Callable[..., Array]
     shares: Callable[[Range], Iterator[tuple[float, ...]]] = lambda _: iter([()])
     sided: bool = False
@@ -200,6 +200,11 @@ ATOMS: Mapping[str, Atom] = {
     "size": Atom("abs({x})", 1, np.abs, sided=True),
     "signed square": Atom("{x} * abs({x})", 2, lambda x: x * np.abs(x), sided=True),
     "size cubed": Atom("abs({x})^3", 3, lambda x: np.abs(x) ** 3, sided=True),
+    "fifth power": Atom("{x}^5", 5, lambda x: x**5),
+    "root": Atom("sqrt(abs({x}))", 0.5, lambda x: np.sqrt(np.abs(x)), sided=True),
+    "signed root": Atom(
+        "sign({x}) * sqrt(abs({x}))", 0.5, lambda x: np.sign(x) * np.sqrt(np.abs(x)), sided=True
+    ),
     "sign": Atom(
         "tanh({x} / {0})", 0, lambda x, w: np.tanh(x / w),
         _widths(0.002, 0.006, 0.02, 0.05, 0.12, 0.3), sided=True,

@@ -37,7 +37,7 @@ _PYTHON = (
     (r"\bround\(([^()]+)\)", r"np.floor(\1 + 0.5)"),
     (r"([\d.]+) deg\b", r"np.radians(\1)"),
     (r"\b(\d) (x|yaw)\b", r"\1 * \2"),
-    (r"\b(abs|tanh|clip|exp|sin|cos)\(", r"np.\1("),
+    (r"\b(abs|tanh|clip|exp|sin|cos|sign|sqrt)\(", r"np.\1("),
     (r"\bmax\(", "np.maximum("),
     (r"- -", "+ "),
     (r"\^", "**"),

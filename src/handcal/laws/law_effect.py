@@ -97,10 +97,10 @@ class Law:
         return np.asarray(self.form.values(self.driver.of(signals, axis)) * scale)
 
 
-def _unit(own: str, driver: str, power: int) -> str:
+def _unit(own: str, driver: str, power: float) -> str:
     if power == 0:
         return own
-    return f"({own})/({driver})" + (f"^{power}" if power > 1 else "")
+    return f"({own})/({driver})" + (f"^{power:g}" if power != 1 else "")
 
 
 def effect_of(law: Law) -> Effect:

@@ -84,7 +84,8 @@ def _ways(block: Block, seen: Beside) -> Iterator[tuple[tuple[int, ...], bool, A
         yield (axis,), False, b[axis], G[axis, :, axis]
     if block.driver.own:
         yield (0, 1, 2), False, b.sum(axis=0), G.sum(axis=(0, 2))
-        yield (0, 1, 2), True, b.ravel(), G.reshape(b.size, b.size)
+        if not block.driver.free:
+            yield (0, 1, 2), True, b.ravel(), G.reshape(b.size, b.size)
 
 
 def best_of_block(block: Block, seen: Beside) -> Iterator[tuple[Law, float]]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import cache
+from itertools import combinations
 
 import numpy as np
 
@@ -121,6 +122,8 @@ def further(signals: Signals, sensor: int) -> Iterator[Driver]:
         yield by(own, replace(x, knots=FINEST if x is TIME else COARSE))
     if usable(WARMTH, signals):
         yield replace(WARMTH, knots=FINE)
+    pairs = (*combinations(RATES, 2), *combinations(FORCES, 2))
+    yield from (replace(times(a, b), knots=COARSE) for a, b in pairs)
     for triple in (RATES, FORCES):
         yield times(triple[0], times(*triple[1:]))
     for a in SLOPES:
