@@ -192,6 +192,7 @@ def _places(count: int, *widths: float) -> Callable[[Range], Iterator[tuple[floa
 
 # (as far apart as two waves have to be for one to be found from the other)
 _WAVES = _widths(*(1.0 / (math.pi * n) for n in range(1, 25)))
+_LEAKS = _widths(0.1, 0.15, 0.25, 0.4, 0.7)
 _LIMITS = _widths(0.05, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8)
 ATOMS: Mapping[str, Atom] = {
     "line": Atom("{x}", 1, lambda x: x),
@@ -200,6 +201,10 @@ ATOMS: Mapping[str, Atom] = {
     "size": Atom("abs({x})", 1, np.abs, sided=True),
     "signed square": Atom("{x} * abs({x})", 2, lambda x: x * np.abs(x), sided=True),
     "size cubed": Atom("abs({x})^3", 3, lambda x: np.abs(x) ** 3, sided=True),
+    "upper square": Atom("max({x}, 0)^2", 2, lambda x: np.maximum(x, 0.0) ** 2, sided=True),
+    "lower square": Atom("max(-{x}, 0)^2", 2, lambda x: np.maximum(-x, 0.0) ** 2, sided=True),
+    "growth": Atom("exp({x} / {0})", 0, lambda x, s: np.exp(x / s), _LEAKS, sided=True),
+    "decline": Atom("exp(-{x} / {0})", 0, lambda x, s: np.exp(-x / s), _LEAKS, sided=True),
     "fifth power": Atom("{x}^5", 5, lambda x: x**5),
     "root": Atom("sqrt(abs({x}))", 0.5, lambda x: np.sqrt(np.abs(x)), sided=True),
     "signed root": Atom(

@@ -78,7 +78,6 @@ _PLAIN = {
     "|alpha|": "np.linalg.norm(np.gradient(signals.gyro, signals.t, axis=0), axis=1)",
     "|jerk|": "np.linalg.norm(np.gradient(signals.accel, signals.t, axis=0), axis=1)",
     "(yaw rate)": 'np.einsum("ni,ni->n", signals.C_nb[:, 2], signals.gyro)',
-    "tilt": "np.arccos(np.clip(signals.C_nb[:, 2, 2], -1.0, 1.0))",
     "t": "signals.t - signals.t[0]",
     "t^2": "(signals.t - signals.t[0]) ** 2",
 }

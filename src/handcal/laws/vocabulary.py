@@ -52,10 +52,6 @@ def _yaw_rate(s: Signals, _: int) -> Array:
     return np.zeros_like(s.t) if s.C_nb is None else np.einsum("ni,ni->n", s.C_nb[:, 2], s.gyro)
 
 
-def _tilt(s: Signals, _: int) -> Array:
-    return np.zeros_like(s.t) if s.C_nb is None else np.arccos(np.clip(s.C_nb[:, 2, 2], -1.0, 1.0))
-
-
 def _total(of: Driver) -> Of:
     return lambda s, _: np.sqrt(sum(of.of(s, axis) ** 2 for axis in range(3)))
 
@@ -65,7 +61,6 @@ NORTH = tuple(
     Driver(f"north_{{{x}}}", "1", _north(n), COARSE, needs=_HERE) for n, x in enumerate("ijk")
 )
 YAW_RATE = Driver("(yaw rate)", "rad/s", _yaw_rate, COARSE, needs=_HERE)
-TILT = Driver("tilt", "rad", _tilt, signed=False, needs=_HERE)
 SLOPES = tuple(map(slope, (*RATES, *FORCES)))
 SHAKEN = (
     Driver("|alpha|", "rad/s^2", _total(SLOPES[0]), COARSE, signed=False),
@@ -74,7 +69,7 @@ SHAKEN = (
 # Knots of a gain over time: two to a swing of which a recording has a dozen.
 FINEST = 33
 # Signals that are not among the first drivers, over which lie curves.
-FURTHER = (*map(size, SLOPES), *SHAKEN, *NORTH, YAW_RATE, TILT)
+FURTHER = (*map(size, SLOPES), *SHAKEN, *NORTH, YAW_RATE)
 _PLAIN: Mapping[str, Driver] = {d.name: d for d in FURTHER}
 
 

@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 
+from handcal.effects import Effect
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.parallel import in_parallel
@@ -49,22 +50,15 @@ def _refused(c: Climb) -> set[str]:
 
 
 def _instead_of_noise(c: Climb) -> Model | None:
-    """The model with a term in the place of its noise effects, or beside them."""
+    """The model with a term in the place of a sensor's noise effects, or beside them."""
     key = frozenset(c.model.ids)
-    quiet = [e for e in c.model.effects if e.process is None]
+    quiet = {e.id for e in c.model.effects if e.process is None}
     if len(quiet) == len(c.model.effects) or key in c.bared:
         return None
-    if c.quiet is None and {e.id for e in quiet} == c.kept:
+    if c.quiet is None and quiet == c.kept:
         return None  # (from the baseline alone a climb begins with a law anyway)
     c.bared.add(key)
-    # (about the trajectory and the sensor noise that there are with the noise effects: fitted
-    # without them, what they held would be noise, in which no law shows)
-    parts = tuple(moved_to(f, quiet) for f in c.model.parts)
-    without = replace(c.model, effects=tuple(quiet), parts=parts)
-    terms = best_terms(without, refused=_refused(c), beyond=_hidden(c.model))
-    ways = [(m, term) for term in terms for m in (without, c.model)]
-    calls = (partial(with_term, m, term, c.worth, c.beyond) for m, term in ways)
-    ends = [(m, term) for m, (_, term) in zip(in_parallel(calls), ways, strict=True)]
+    ends = [end for sensor in _hidden(c.model) for end in _of_sensor(c, sensor)]
     if not ends:
         return None
     tried, term = max(ends, key=lambda end: score(end[0], c.worth))
@@ -75,10 +69,26 @@ def _instead_of_noise(c: Climb) -> Model | None:
     return tried
 
 
+def _of_sensor(c: Climb, sensor: str) -> list[tuple[Model, Term]]:
+    """Fits with a term that is looked for where a sensor's noise effects are."""
+    rest = [e for e in c.model.effects if e.process is None or _sensor_of(e) != sensor]
+    # (about the trajectory and the sensor noise that there are with the noise effects: fitted
+    # without them, what they held would be noise, in which no law shows)
+    parts = tuple(moved_to(f, rest) for f in c.model.parts)
+    without = replace(c.model, effects=tuple(rest), parts=parts)
+    terms = best_terms(without, refused=_refused(c), beyond=(sensor,))
+    ways = [(m, term) for term in terms for m in (without, c.model)]
+    fits = in_parallel(partial(with_term, m, term, c.worth, c.beyond) for m, term in ways)
+    return [(m, term) for m, (_, term) in zip(fits, ways, strict=True)]
+
+
 def _hidden(model: Model) -> tuple[str, ...]:
     """Sensors of which the noise effects of a model may hide a law."""
-    noise = [e for e in model.effects if e.process is not None]
-    return tuple(dict.fromkeys(e.walks or next(iter(e.observation_error)) for e in noise))
+    return tuple(dict.fromkeys(_sensor_of(e) for e in model.effects if e.process is not None))
+
+
+def _sensor_of(noise: Effect) -> str:
+    return noise.walks or next(iter(noise.observation_error))
 
 
 def with_term(model: Model, term: Term, worth: float, refused: Set[str]) -> Model:
