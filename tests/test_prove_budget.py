@@ -76,9 +76,9 @@ def test_what_the_names_alone_leave_is_asked_where_it_matters(tmp_path):
     world, answer = draw.draw("budget", 2, 5)
     file = tmp_path / "x.mcap"
     write(world, file, truth=False)
-    assert told(ticket, answer, file, MEDIAN) == {}
-    assert told(ticket, answer, file, None) == {}
-    assert 0.0 < told(ticket, answer, file, 1.0)["told"] < 1.0
+    assert told(ticket, answer, file, {"share_left": MEDIAN}) == {}
+    assert told(ticket, answer, file, {}) == {}
+    assert 0.0 < told(ticket, answer, file, {"share_left": 1.0})["told"] < 1.0
 
 
 def test_a_scale_error_leaves_its_share_of_the_rate():

@@ -17,11 +17,13 @@ from handcal.laws.drivers import DRIVERS, LINE
 from handcal.laws.law_effect import Law
 from handcal.laws.vocabulary import further
 from handcal_sim.effects import EFFECTS
+from handcal_sim.mcap_writer import write
 from handcal_sim.prove import draw, draw_strange, score, score_strange
 from handcal_sim.prove.further import worked_out
 from handcal_sim.prove.given import Circumstances, Ticket, simulated
 from handcal_sim.prove.show import show
 from handcal_sim.prove.suites import SUITES, Answer
+from handcal_sim.prove.told import told
 from handcal_sim.prove.trial import Trial
 from handcal_sim.strange import known, law
 from handcal_sim.strange.device import LAWS, MOST, SIZES, own_scene, with_laws
@@ -425,7 +427,7 @@ def test_a_trial_is_worked_out_scored_and_shown():
     assert all(0.5 < share < 3.0 for share in further.values())
     trials = [
         Trial("r0001", answer, right, 1.0, further={"left_1": 0.005}),
-        Trial("r0002", answer, said(), 1.0, further=further),
+        Trial("r0002", answer, said(), 1.0, further={**further, "told_1": 0.02}),
         Trial("r0003", answer, {"error": "Traceback\nValueError: odd"}, 1.0),
         Trial("r0004", answer, {**right, **said("mag_gradient"), "unnamed": []}, 1.0),
     ]
@@ -434,7 +436,8 @@ def test_a_trial_is_worked_out_scored_and_shown():
     figures = proof["further"]["strange"]
     counts = {k: v["count"] for k, v in figures.items() if k != "laws"}
     assert counts == {"told": 1, "driver": 1, "clean": 1, "false": 1, "little_left": 1,
-                      "nothing_left": 1}  # fmt: skip
+                      "nothing_left": 1, "nothing_left_if_told": 1}  # fmt: skip
+    assert figures["nothing_left_if_told"]["n"] == 2
     assert figures["told"]["n"] == 4
     assert figures["laws"][0]["channel"] is figures["laws"][0]["driver"] is True
     assert figures["laws"][-1]["false"] == ["mag_gradient"]
@@ -446,3 +449,26 @@ def test_a_trial_is_worked_out_scored_and_shown():
     assert score_strange.score([])["told"]["n"] == 0
     assert set(EFFECTS) >= set(answer.effects)
     assert world.streams["heading"].values.shape[1] == 1
+
+
+def test_told_the_law_itself_calibrate_leaves_what_the_noise_does(tmp_path):
+    """A small part, and not nothing: not more than everything, nor that of a wrong size."""
+    for number in range(len(LAWS)):
+        ticket = Ticket("strange", number, 0)
+        case = draw_strange.case_of(ticket)
+        if not case.effects and case.laws[0][0].strange.channel.startswith("gyro"):
+            break
+    world, answer = draw.draw("strange", ticket.number, ticket.seed)
+    file = tmp_path / "x.mcap"
+    write(world, file, truth=False)
+    names = [f"left_{n}" for n in range(1, len(case.laws) + 1)]
+    assert told(ticket, answer, file, dict.fromkeys(names, 0.01)) == {}
+    found = told(ticket, answer, file, {})
+    assert 1e-5 < found["told_1"] < 0.05
+    true = [
+        {"effect": effect, "name": p["name"], "value": p["value"]}
+        for effect, given in case.world.parameters["effects"].items()
+        for p in given
+    ]
+    wrong = draw_strange.left_of_sizes(ticket, true, [0.9] * len(case.laws))
+    assert wrong == {name: pytest.approx(0.1) for name in names}

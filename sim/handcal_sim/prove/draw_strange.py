@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from handcal_sim.phone import Phone
+from handcal_sim.profiles import Array
 from handcal_sim.prove.given import (
     Circumstances,
     Ticket,
@@ -24,8 +26,8 @@ from handcal_sim.prove.suites import Answer
 from handcal_sim.scenario import World
 from handcal_sim.strange.device import LAWS, Added, given, said_of, with_laws
 from handcal_sim.strange.law import Law
-from handcal_sim.strange.left import left_share
-from handcal_sim.strangers import scene_of
+from handcal_sim.strange.left import left_of, left_share
+from handcal_sim.strangers import Scene, scene_of
 
 Knot = tuple[float, float]
 
@@ -58,7 +60,25 @@ def left(ticket: Ticket, document: Mapping[str, Any]) -> dict[str, float]:
     if "error" in document:
         return {}
     case = case_of(ticket)
-    shares = [left_share(added, case.world, document) for added in case.laws]
+    return _by_law([left_share(added, case.world, document) for added in case.laws])
+
+
+def left_of_sizes(
+    ticket: Ticket, parameters: Sequence[Mapping[str, Any]], sizes: Sequence[float]
+) -> dict[str, float]:
+    """The same where the laws themselves were told, and found is of each by how much too large."""
+    case = case_of(ticket)
+    return _by_law([
+        left_of(added, case.world, parameters, partial(_scaled, size))
+        for added, size in zip(case.laws, sizes, strict=True)
+    ])  # fmt: skip
+
+
+def _scaled(size: float, law: Added, _: Scene) -> Array:
+    return np.asarray(size * law.error)
+
+
+def _by_law(shares: Sequence[float | None]) -> dict[str, float]:
     return {f"left_{n}": share for n, share in enumerate(shares, start=1) if share is not None}
 
 

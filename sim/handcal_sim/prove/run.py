@@ -77,7 +77,7 @@ def run(
         (explanations / f"{name}.json").write_text(json.dumps(document), encoding="utf-8")
         ticket = Ticket(suite, number, seed)
         further = worked_out(ticket, document)
-        further |= told(ticket, answer, file, further.get("share_left"))
+        further |= told(ticket, answer, file, further)
         return Trial(name, answer, document, taken, further=further)
 
     return each(one, cases, explain, jobs, advance)

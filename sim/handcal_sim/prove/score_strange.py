@@ -55,9 +55,12 @@ def outcome(trial: Trial) -> str:
 
 def score(trials: Sequence[Trial]) -> dict[str, Any]:
     """Each law, and over recordings: told, driver besides, called clean, with false names; over
-    laws: how many are left by a tenth at most, and by a hundredth. A failure is none of these."""
+    laws: how many are left by a tenth at most, and by a hundredth, and by that where `calibrate`
+    is told the law and has but its size to find. A failure is none of these."""
     laws = [row for trial in trials for row in _rows(trial)]
     left = [row["left"] for row in laws]
+    limits = [row["told"] if row["told"] is not None else row["left"]
+              for row in laws if row["told"] is not None or _reached(row)]  # fmt: skip
     by = [outcome(trial) for trial in trials]
     told = [_all(channels_told, trial) for trial in trials]
     driven = [_all(drivers_told, trial) for trial in trials]
@@ -69,7 +72,12 @@ def score(trials: Sequence[Trial]) -> dict[str, Any]:
         "false": share(sum(bool(_false(trial)) for trial in trials), len(trials)),
         "little_left": share(sum(x is not None and x <= LITTLE for x in left), len(left)),
         "nothing_left": share(sum(x is not None and x <= SAME for x in left), len(left)),
+        "nothing_left_if_told": share(sum(x <= SAME for x in limits), len(limits)),
     }
+
+
+def _reached(row: Mapping[str, Any]) -> bool:
+    return row["channels"] != ["heading"] and (row["left"] or 1.0) <= SAME
 
 
 def _all(told: Any, trial: Trial) -> bool:
@@ -96,6 +104,6 @@ def _rows(trial: Trial) -> list[dict[str, Any]]:
             "driver": not failed and drivers_told(law, document),
             "false": _false(trial),
             "found": [] if failed else [entry["formula"] for entry in document["unnamed"]],
-            "left": trial.further.get(f"left_{n}"),
+            "left": trial.further.get(f"left_{n}"), "told": trial.further.get(f"told_{n}"),
         })  # fmt: skip
     return rows

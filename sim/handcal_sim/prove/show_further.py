@@ -92,15 +92,27 @@ def _budget(figures: Row) -> list[RenderableType]:
 def _strange(figures: Row) -> list[RenderableType]:
     table = Table(title="Laws that nobody wrote down", title_justify="left", box=box.SIMPLE_HEAD,
                   pad_edge=False)  # fmt: skip
-    for column in ("recording", "law", "on", "verdict", "channel", "driver", "false", "left"):
+    for column in (
+        "recording",
+        "law",
+        "on",
+        "verdict",
+        "channel",
+        "driver",
+        "false",
+        "left",
+        "if told",
+    ):
         table.add_column(column)
     for row in figures["laws"]:
         told = ["yes" if row[key] else "" for key in ("channel", "driver")]
-        left = "-" if row["left"] is None else f"{100.0 * row['left']:.0f} %"
+        left, least = ("-" if row[key] is None else f"{100.0 * row[key]:.2g} %"
+                       for key in ("left", "told"))  # fmt: skip
         table.add_row(row["recording"], row["law"], " ".join(row["channels"]), row["verdict"],
-                      *told, " ".join(row["false"]), left)  # fmt: skip
+                      *told, " ".join(row["false"]), left, least)  # fmt: skip
     said = {key: percent(figures[key]) for key in
-            ("told", "driver", "clean", "false", "nothing_left", "little_left")}  # fmt: skip
+            ("told", "driver", "clean", "false", "nothing_left", "little_left",
+             "nothing_left_if_told")}  # fmt: skip
     return [
         table,
         f"strange: {said['told']} of recordings are told rightly: unexplained, on the right "
@@ -109,6 +121,8 @@ def _strange(figures: Row) -> list[RenderableType]:
         f"is not there: {said['false']} (5 % at most asked).",
         f"strange: of {figures['little_left']['n']} laws, names and curves leave at most a tenth "
         f"of {said['little_left']}, at most a hundredth of {said['nothing_left']} (60 % asked).",
+        f"strange: told the law and all names, calibrate leaves at most a hundredth of "
+        f"{said['nothing_left_if_told']} of {figures['nothing_left_if_told']['n']}.",
     ]
 
 

@@ -1,24 +1,96 @@
-"""What `calibrate` leaves of a gyro's error if it is told the names of all that is there: what no
+"""What `calibrate` leaves if it is told all that is there, the names or the very law: what no
 explanation has to beat."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from handcal_sim.prove.draw_budget import left
+import numpy as np
+
+from handcal_sim.prove import draw_budget, draw_strange
 from handcal_sim.prove.given import Ticket
 from handcal_sim.prove.score_budget import MEDIAN
+from handcal_sim.prove.score_strange import SAME
 from handcal_sim.prove.suites import Answer
+from handcal_sim.strange.device import Added
+from handcal_sim.strangers import AXES
+
+if TYPE_CHECKING:
+    from handcal.effects import Effect, Signals
+    from handcal.types import Array
 
 
-def told(ticket: Ticket, answer: Answer, file: Path, share_left: float | None) -> dict[str, float]:
-    """{"told": share of the gyro's error that is left} where an explanation leaves more than is
-    asked in the median; nothing elsewhere, and of other suites."""
-    if share_left is None or share_left <= MEDIAN or ticket.suite != "budget":
+def told(
+    ticket: Ticket, answer: Answer, file: Path, further: Mapping[str, float]
+) -> dict[str, float]:
+    """Shares left of what an explanation leaves more of than is asked: "told" of a gyro's error
+    (suite budget), "told_1" and so on of laws (suite strange)."""
+    work = _TOLD.get(ticket.suite)
+    return {} if work is None else work(ticket, answer, file, further)
+
+
+def _budget(
+    ticket: Ticket, answer: Answer, file: Path, further: Mapping[str, float]
+) -> dict[str, float]:
+    if further.get("share_left", 0.0) <= MEDIAN:
         return {}
     import handcal
     from handcal.show.calibration.summary import calibration_json
 
     names = list(answer.effects)
     result = handcal.calibrate(str(file), effects=names, assume="fixed-point")
-    return {"told": left(ticket, calibration_json(result))["share_left"]}
+    return {"told": draw_budget.left(ticket, calibration_json(result))["share_left"]}
+
+
+def _strange(
+    ticket: Ticket, answer: Answer, file: Path, further: Mapping[str, float]
+) -> dict[str, float]:
+    """Each law as an effect with its true course and one unknown, its size; not beside a step,
+    whose moment is not told, nor of a heading, whose courses are no effects."""
+    case = draw_strange.case_of(ticket)
+    laws = case.laws
+    reached = all(further.get(f"left_{n + 1}", 1.0) <= SAME for n in range(len(laws)))
+    heading = any(one.strange.channel == "heading" for law in laws for one in law)
+    if reached or heading or "gyro_bias_step" in answer.effects:
+        return {}
+    import handcal
+    from handcal.effects import with_effects
+    from handcal.show.calibration.summary import calibration_json
+
+    effects = [_course(f"law_{n}", case.world.t, law) for n, law in enumerate(laws, start=1)]
+    with with_effects((effect.id, effect) for effect in effects):
+        names = [*answer.effects, *(effect.id for effect in effects)]
+        result = handcal.calibrate(str(file), effects=names, assume="fixed-point")
+    found = calibration_json(result)["parameters"]
+    sizes = [p["value"] for effect in effects for p in found if p["effect"] == effect.id]
+    left = draw_strange.left_of_sizes(ticket, found, sizes)
+    return {name.replace("left", "told"): share for name, share in left.items()}
+
+
+def _course(name: str, t: Array, law: Sequence[Added]) -> Effect:
+    from handcal.effects import Effect, Param
+    from handcal.effects._linear import added
+
+    def features(signals: Signals) -> list[tuple[int, int, Array]]:
+        return [
+            (_column(one.strange.channel), 0,
+             np.interp(signals.t - signals.t[0], t - t[0], one.error)[:, None])
+            for one in law
+        ]  # fmt: skip
+
+    return Effect(
+        id=name, title="The law itself", parameters=(Param("size", "1", 10.0),), story="",
+        source="", motion="", validated="", imu_error=added(features), features=features,
+    )  # fmt: skip
+
+
+def _column(channel: str) -> int:
+    sensor, _, axis = channel.partition("_")
+    return AXES.index(axis) + (3 if sensor == "accel" else 0)
+
+
+_TOLD: Mapping[
+    str, Callable[[Ticket, Answer, Path, Mapping[str, float]], dict[str, float]]
+] = {"budget": _budget, "strange": _strange}  # fmt: skip

@@ -7,7 +7,7 @@ less the curves of what has no name: at the true motion, without noise, each les
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -31,18 +31,27 @@ _WITHOUT = ("_walk", "_noise", "_outliers", "mag_", "pose_", "clock_rate", "eart
 def left_share(added: Sequence[Added], world: World, document: Mapping[str, Any]) -> float | None:
     """Root mean square of what is left over that of the law, over its channels; None where a
     curve is over something that is not known here."""
+    unnamed = document["unnamed"]
+    return left_of(added, world, document["parameters"], lambda one, at: curves(
+        unnamed, one.strange.channel, at))  # fmt: skip
+
+
+def left_of(
+    added: Sequence[Added], world: World, parameters: Sequence[Mapping[str, Any]],
+    told: Callable[[Added, Scene], Array | None],
+) -> float | None:  # fmt: skip
+    """The same of these parameters of known effects, and what is told of a law on its channel."""
     scene = scene_of(world)
-    true = _values(world.parameters["effects"])
-    found = _listed(document["parameters"])
+    true, found = _values(world.parameters["effects"]), _listed(parameters)
     before = after = 0.0
     for one in added:
         channel, at = one.strange.channel, own_scene(scene, one.strange.channel)
-        told = curves(document["unnamed"], channel, at)
-        if told is None:
+        law = told(one, at)
+        if law is None:
             return None
         known = _known(true, channel, at) - _known(found, channel, at)
         before += float(np.mean(off(channel, one.error) ** 2))
-        after += float(np.mean(off(channel, one.error + known - told) ** 2))
+        after += float(np.mean(off(channel, one.error + known - law) ** 2))
     return math.sqrt(after / before)
 
 
