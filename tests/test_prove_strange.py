@@ -13,7 +13,7 @@ from rich.console import Console
 from handcal.effects import Signals, catalogue
 from handcal.laws import grammar
 from handcal.laws.curve import drivers_of
-from handcal.laws.drivers import DRIVERS, LINE
+from handcal.laws.drivers import DRIVERS, HEADING, LINE
 from handcal.laws.law_effect import Law
 from handcal.laws.vocabulary import further
 from handcal_sim.effects import EFFECTS
@@ -339,16 +339,18 @@ def test_a_true_curve_leaves_nothing_and_none_everything(scene):
     assert curves([], "gyro_x", scene).tolist() == [0.0] * len(scene.t)
 
 
-@pytest.mark.parametrize("channel", ["gyro_y", "accel_z"])
+@pytest.mark.parametrize("channel", ["gyro_y", "accel_z", "heading"])
 def test_what_a_formula_adds_is_known_here(world, scene, channel):
     """Of each driver, in the words of its formula: only the law itself is not the same."""
     signals = Signals(
         scene.t, scene.omega, scene.f, C_nb=world.truth.C_nb,
         streams={"temperature": scene.warm[:, None] + 25.0},
     )  # fmt: skip
-    sensor, axis = int(channel.startswith("accel")), "xyz".index(channel[-1])
+    sensor = ("gyro", "accel", "heading").index(channel.partition("_")[0])
+    axis = "xyz".index(channel[-1]) if sensor < HEADING else 0
     form = grammar.formula([("line", ())])
-    for driver in (*DRIVERS.values(), *further(signals, sensor)):
+    usual = DRIVERS.values() if sensor < HEADING else ()
+    for driver in (*usual, *further(signals, sensor)):
         told = Law(sensor, (axis,), False, driver, form, (1.0,))
         true = told.values(signals, axis)[:, 0]
         one = {**entry([channel], []), "formula": told.said,

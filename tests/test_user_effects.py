@@ -37,7 +37,7 @@ from handcal.laws import (
     vocabulary,
 )
 from handcal.laws.curve import channel_of, drivers_of
-from handcal.laws.drivers import DRIVERS, LINE
+from handcal.laws.drivers import DRIVERS, HEADING, LINE
 from handcal.laws.grammar import range_of
 from handcal.laws.law_effect import Law
 from handcal.signals import probe
@@ -329,6 +329,24 @@ def test_a_law_over_a_further_driver_written_out_is_the_law(tmp_path, sensor):
             wanted, found = effect.imu_error(values, s), own.imu_error(k, s)
             assert np.abs(found - wanted).max() <= 1e-6 * np.abs(wanted).max(), effect.id
             assert np.abs(wanted).max() > 0.0, effect.id
+
+
+def test_a_heading_that_depends_on_the_past_written_out_is_the_law(tmp_path):
+    s, kinds = moved(), {}
+    cold = dataclasses.replace(s, streams={}, C_nb=None)
+    for driver in vocabulary.further(s, HEADING):
+        kinds.setdefault(driver.kind, driver)
+    for driver in kinds.values():
+        assert vocabulary.driver_of(driver.name).name == driver.name
+        law = Law(HEADING, (0,), False, driver, grammar.formula([("line", ())]), (1.0,))
+        effect = law_effect.effect_of(law)
+        own = again(effect, tmp_path, np.array([0.1]))
+        wanted, found = effect.seen["heading"](s), own.seen["heading"](s)
+        assert wanted.shape == found.shape == (len(s.t), 1)
+        assert np.abs(found - wanted).max() <= 1e-9 * np.abs(wanted).max(), effect.id
+        assert np.ptp(wanted) > 0.0, effect.id
+        assert own.needs == driver.needs
+        assert not own.needs or not own.seen["heading"](cold).any()
 
 
 def check_parameters(own, effect, values, law):

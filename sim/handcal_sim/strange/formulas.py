@@ -23,9 +23,10 @@ TURNING = 0.2
 ROOM = 25.0
 
 # A formula's text, in turn, and the same in Python.
-_UNITS = r"(?:s|Hz|K|m/s\^[23]|rad/s(?:\^2)?|1)(?:/s)?"
+_UNITS = r"(?:s|Hz|K|m/s\^[23]|rad/s(?:\^2)?|rad|1)(?:/s)?"
 _PYTHON = (
     (r"\(t from ([^ ]+) s to ([^ ]+) s\)", r"((t >= \1) & (t <= \2))"),
+    (r"\bsin\(pitch of ([xy])\)", r"up_\1"),
     (r"\bpitch of ([xy])", r"arcsin(up_\1)"),
     (r"\byaw rate", "turn"),
     (r"\byaw\b", "heading"),
@@ -86,7 +87,8 @@ def _driver(name: str, at: Scene) -> Array:
         return np.asarray(at.t - at.t[0])
     if name.startswith("size_"):
         return signal(at, f"|{name.removeprefix('size_')}|")
-    return signal(at, name)
+    # (what has a memory does not jump where a heading begins again)
+    return np.unwrap(signal(at, name)) if name == "heading" else signal(at, name)
 
 
 def _functions(at: Scene) -> dict[str, Any]:

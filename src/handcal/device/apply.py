@@ -18,7 +18,16 @@ import numpy as np
 from handcal.compiled.so3 import wrap
 from handcal.device.conceal import Truth, streams_of
 from handcal.documents import read_json
-from handcal.effects import ATTITUDE, TIME, WARMTH, Z_DIM, Effect, catalogue, observed_error
+from handcal.effects import (
+    ATTITUDE,
+    TIME,
+    WARMTH,
+    Z_DIM,
+    Effect,
+    catalogue,
+    observed_error,
+    seen_columns,
+)
 from handcal.effects._stamps import shifted
 from handcal.estimate.corrected import substituted
 from handcal.observations import NAV
@@ -179,23 +188,28 @@ def _heading(
     z = np.zeros((len(t), Z_DIM))
     z[:, TIME], z[:, WARMTH] = t - recording.imu.t[0], warmth_at(recording, t)
 
+    known = Truth(recording, tuple(effects))
+    before = [seen_columns(e, kind.kind, known.unbiased, t) @ values[e.id]
+              for e in effects if kind.kind in e.seen]  # fmt: skip
+    effects = [e for e in effects if kind.kind in e.observation_error]
+
     def error(yaw: Array, nav: Array) -> Array:
         # (the first of the body's axes, seen from n, points where the heading says)
         across = nav[:, 12].copy()
         level = np.sqrt(1.0 - np.where(np.isnan(across), 0.0, across) ** 2)
         z[:, 0] = yaw
         nav[:, 6], nav[:, 9] = level * np.cos(yaw), level * np.sin(yaw)
-        errors = [observed_error(e, kind.kind, values[e.id], nav, z, 1) for e in effects]
-        return np.asarray(np.hstack(errors).sum(axis=1))
+        errors = [observed_error(e, kind.kind, values[e.id], nav, z, 1)[:, 0] for e in effects]
+        return np.asarray(sum([*before, *errors]))
 
     # (where the heading itself is all that matters, nothing else need be known)
     nav = np.full((len(t), NAV), np.nan)
     if np.isnan(error(read, nav)).any():
-        nav = Truth(recording, tuple(effects)).nav(t)
+        nav = known.nav(t)
     yaw = read
     for _ in range(ROUNDS):
-        before, yaw = yaw, read - error(yaw, nav)
-        if np.abs(yaw - before).max() < FOUND:
+        last, yaw = yaw, read - error(yaw, nav)
+        if np.abs(yaw - last).max() < FOUND:
             return Series(t, wrap(yaw)[:, None])
     raise HandcalError(
         "The irons turn the heading back on itself, so that no heading belongs to a reading."

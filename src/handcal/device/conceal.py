@@ -28,6 +28,7 @@ from handcal.effects import (
     catalogue,
     known_effect,
     observed_error,
+    seen_columns,
 )
 from handcal.effects._field import NORTH, UP
 from handcal.effects._stamps import shifted
@@ -357,6 +358,8 @@ def _shift(
             out += observed_error(e, kind.kind, states, nav, z, kind.dim)
         elif kind.kind in e.observation_error:
             out += observed_error(e, kind.kind, values[e.id], nav, z, kind.dim)
+        if kind.kind in e.seen:
+            out[:, 0] += seen_columns(e, kind.kind, known.unbiased, t) @ values[e.id]
     for e in effects:
         if kind.kind in e.outliers:
             stray = rng.random(len(t)) < values[e.id][0]

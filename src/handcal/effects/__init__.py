@@ -1,7 +1,7 @@
 """The catalogue of physics: one file an effect, and the folder listing is the catalogue.
 
 A file defines ``EFFECT = Effect(...)`` and nothing else needs to know of it. Physics
-enters in one of three ways:
+enters in one of four ways:
 
 - ``imu_error(parameters, signals) -> (n, 6)``: what the gyro (columns 0-2, rad/s) and
   the accelerometer (columns 3-5, m/s^2) read in addition, over a whole recording;
@@ -9,7 +9,9 @@ enters in one of three ways:
   ``f(nav, parameters, z, r) -> 0`` that corrects the residual ``r`` in place. ``z[TIME]``
   is the time since the recording's start, s, ``z[WARMTH]`` the temperature less ``ROOM``, K;
 - ``lateness``: for each kind of observation a compiled ``f(nav, parameters, z, out) -> 0`` that
-  adds to ``out[0]`` by how many seconds its readings come late, beyond ``z[DELAY]``.
+  adds to ``out[0]`` by how many seconds its readings come late, beyond ``z[DELAY]``;
+- ``seen``: for each kind of observation of one number ``columns(signals) -> (n, k)``, by what its
+  readings are too large for a unit of each parameter, where that depends on more than a moment.
 
 An effect that is noise brings a ``process`` instead: Markov states that walk with a bias
 (``walks``) or that its ``observation_error`` takes for its parameters.
@@ -173,6 +175,7 @@ class Effect:
     imu_error: Callable[[Array, Signals], Array] | None = None
     observation_error: Mapping[str, int] = field(default_factory=dict)
     lateness: Mapping[str, int] = field(default_factory=dict)
+    seen: Mapping[str, Callable[[Signals], Array]] = field(default_factory=dict)
     imu_inverse: Callable[[Array, Signals], Array] | None = None
     needs: tuple[str, ...] = ()
     delays: tuple[str, ...] = ()
@@ -211,6 +214,11 @@ class Effect:
     @property
     def acts_on(self) -> frozenset[str]:
         """Kinds of observation whose readings it changes."""
+        return self.acts_now_on | frozenset(self.seen)
+
+    @property
+    def acts_now_on(self) -> frozenset[str]:
+        """Kinds of observation whose readings it changes by what is at that moment."""
         return frozenset(self.observation_error) | frozenset(self.lateness)
 
 
@@ -275,6 +283,13 @@ def observed_error(
     out = np.zeros((len(nav), dim))
     call_residuals(address, np.ascontiguousarray(nav), theta, np.ascontiguousarray(z), out)
     return -out
+
+
+def seen_columns(effect: Effect, kind: str, signals: Signals, t: Array) -> Array:
+    """What a unit of each parameter of an effect makes an observation of a kind (``Effect.seen``)
+    read too much at times t (m,), (m, k)."""
+    columns = effect.seen[kind](signals).T
+    return np.stack([np.interp(t, signals.t, column) for column in columns], axis=1)
 
 
 class Catalogue(dict[str, Effect]):

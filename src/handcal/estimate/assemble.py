@@ -121,7 +121,7 @@ def _tables(
         parts = [(kind.residual, at.get(kind.kind, 0), constants[k])]
         if kind.markov is not None:
             parts.append((kind.markov_residual, markov_at[kind.kind], kind.markov.size))
-        acting = [e for e in effects if kind.kind in e.acts_on]
+        acting = [e for e in effects if kind.kind in e.acts_now_on]
         for j, e in enumerate(acting, len(parts)):
             whole[k, j] = len(e.held)
             held[k, j, : len(e.held)] = e.held

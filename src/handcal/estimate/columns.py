@@ -18,6 +18,7 @@ from handcal.effects import Effect
 from handcal.estimate.evidence import ReducedPass, Reduction, reduce, reduced_pass
 from handcal.estimate.linear import Excited, Linear, excited, slopes_of
 from handcal.estimate.problem import Problem, slots_of
+from handcal.estimate.seen import seen_over_time
 from handcal.estimate.trajectory import biases
 from handcal.types import Array, IntArray
 
@@ -172,6 +173,7 @@ def _driven(
         kernel.seen_at_once(
             slopes.values, slopes.channel, slopes.column, node, about.by_reading, about.rows, g
         )
+    _see_past(about, effects, names, g)
     if seen is not None:
         at = {name: i for i, name in enumerate(names)}
         own = {e.id for e in effects}
@@ -195,6 +197,19 @@ def _driven(
             looked if told.measure is None else _measured(told.measure, about.rows[0][:, 0], looked)
         )
     return D, g
+
+
+def _see_past(
+    about: Ground, effects: Sequence[Effect], names: list[tuple[str, str]], g: Array
+) -> None:
+    """Take from g (s, c) what effects with columns of their own (``Effect.seen``) add."""
+    linear, (first, share) = about.linear, about.rows
+    for e, mine, columns in seen_over_time(linear.problem, linear.trajectory, effects):
+        at = [i for i, (owner, _) in enumerate(names) if owner == e.id]
+        for part in range(2):
+            there = linear.used[mine] & (first[mine, part] >= 0)
+            rows = first[mine[there], part]
+            np.subtract.at(g, (rows[:, None], at), share[mine[there], part, None] * columns[there])
 
 
 def _measured(measure: Array, first: IntArray, g: Array) -> Array:

@@ -25,7 +25,13 @@ from handcal.estimate.corrected import Corrected, corrected_readings
 from handcal.estimate.derivatives import differentiated
 from handcal.estimate.exciting import held, sway, unexciting
 from handcal.estimate.problem import Problem, Slopes, constants_of
-from handcal.estimate.seen import by_biases, measured, seen_by_biases, seen_by_constants
+from handcal.estimate.seen import (
+    by_biases,
+    measured,
+    seen_by_biases,
+    seen_by_constants,
+    seen_by_past,
+)
 from handcal.estimate.start import Start
 from handcal.estimate.trajectory import Trajectory, biases, intervals, path
 from handcal.observations import NAV
@@ -136,6 +142,7 @@ def _observed(
     r, H, used = _rows(problem, nominal)
     if problem.slopes is not None:
         seen_by_constants(problem.slopes, nodes.first, H)
+    seen_by_past(problem, nominal, r, H)
     by_bias = by_biases(problem, nominal)
     seen_by_biases(problem, by_bias, H)
     if by_bias is not None:

@@ -36,7 +36,7 @@ def scan(
     everything = frozenset(have | {e.id for e in new})
     parts = []
     for f, base in zip(model.parts, grounds(model) if about is None else about, strict=True):
-        seen = [e for e in new if e.acts_on & set(f.case.kinds)]
+        seen = [e for e in new if e.acts_now_on & set(f.case.kinds)]
         done = widened(base, new, problem_with(f.case, seen) if seen else None)
         q = local(done, everything).quadratic
         worth = 1.0 / excess(done, frozenset(have))

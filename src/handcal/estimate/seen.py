@@ -1,15 +1,20 @@
-"""What observations that look at rate and force themselves see of constants and biases."""
+"""What observations see besides the state: those that look at rate and force themselves, constants
+and biases; and what has come before, where an effect depends on that."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from handcal.compiled.jit import njit
 from handcal.compiled.kernel import BASE
+from handcal.effects import Effect, Signals, seen_columns
 from handcal.estimate.derivatives import errors_by_bias
 from handcal.estimate.problem import Problem, Slopes
-from handcal.estimate.trajectory import Trajectory
+from handcal.estimate.trajectory import Trajectory, path
 from handcal.observations import nearest
+from handcal.signals import of_recording
 from handcal.types import Array, IntArray
 
 
@@ -20,6 +25,40 @@ def seen_by_constants(slopes: Slopes, first: IntArray, H: Array) -> None:
         return
     node = np.searchsorted(first, rows, side="right") - 1
     _add_seen(rows, node, slopes.values, slopes.channel, slopes.column, H)
+
+
+def truth(problem: Problem, nominal: Trajectory) -> Signals:
+    """The best estimate of rate, force and attitude at the IMU's samples; problem: with corrected
+    readings, where it is navigated."""
+    imu = problem.recording.imu
+    read = np.hstack([imu.gyro - nominal.bg, imu.accel - nominal.ba])
+    C_nb = None
+    if problem.navigated:
+        C_nb = path(problem, nominal).C[np.searchsorted(problem.nodes.t, imu.t)]
+    return of_recording(problem.recording, read=read, C_nb=C_nb)
+
+
+def seen_over_time(
+    problem: Problem, nominal: Trajectory, effects: Sequence[Effect]
+) -> Iterator[tuple[Effect, IntArray, Array]]:
+    """Of each effect with columns of its own (``Effect.seen``): readings (m,) that it changes, and
+    by what for a unit of each of its parameters (m, k)."""
+    signals, nodes = None, problem.nodes
+    for kind, observation in enumerate(problem.observations):
+        mine = np.flatnonzero(nodes.kind == kind)
+        for e in (e for e in effects if observation.kind in e.seen):
+            signals = truth(problem, nominal) if signals is None else signals
+            t = nodes.t[np.searchsorted(nodes.first, mine, side="right") - 1]
+            yield e, mine, seen_columns(e, observation.kind, signals, t)
+
+
+def seen_by_past(problem: Problem, nominal: Trajectory, r: Array, H: Array) -> None:
+    """Take from the residuals r (q, m) what such effects of the problem add, and let their rows of
+    H (q, m, N) see their constants."""
+    for e, mine, columns in seen_over_time(problem, nominal, problem.effects):
+        at = [i for i, s in enumerate(problem.slots) if s.owner == e.id]
+        r[mine, 0] -= columns @ nominal.constants[at]
+        H[mine[:, None], 0, BASE + np.array(at)] = columns
 
 
 def by_biases(problem: Problem, nominal: Trajectory) -> Array | None:

@@ -16,7 +16,7 @@ from handcal.estimate.model import Fitted, Model
 from handcal.estimate.parallel import in_parallel
 from handcal.estimate.quadratic import Quadratic
 from handcal.estimate.scan import grounds, scan
-from handcal.estimate.trajectory import path
+from handcal.estimate.seen import truth
 from handcal.laws import shapes, terms
 from handcal.laws.law_effect import SENSORS, Law, effect_of, law_of
 from handcal.laws.over_drivers import (
@@ -29,7 +29,6 @@ from handcal.laws.over_drivers import (
 )
 from handcal.laws.weighing import beside, gains, weighed, wide_root
 from handcal.score import TERM_PRIOR, better, score
-from handcal.signals import of_recording
 from handcal.types import IntArray
 
 # Columns that a scan looks at together at the most and at the least, and numbers that all of them
@@ -258,10 +257,4 @@ def _kind(effect: Effect) -> tuple[str, ...]:
 
 def signals_of(f: Fitted) -> Signals:
     """The best estimate of rate, force and attitude at the IMU's samples."""
-    imu, nominal = f.case.recording.imu, f.trajectory
-    read = np.hstack([imu.gyro - nominal.bg, imu.accel - nominal.ba])
-    C_nb = None
-    if f.problem.navigated:
-        problem = f.linear.problem
-        C_nb = path(problem, nominal).C[np.searchsorted(problem.nodes.t, imu.t)]
-    return of_recording(f.case.recording, read=read, C_nb=C_nb)
+    return truth(f.linear.problem if f.problem.navigated else f.problem, f.trajectory)

@@ -20,6 +20,8 @@ from handcal.laws.operators import MEMORIES, OPERATORS, OVERSHOOTS
 from handcal.types import Array, BoolArray
 
 AXES = "xyz"
+# The third of the sensors (0 gyro, 1 accelerometer) that laws are of.
+HEADING = 2
 # Knots of a curve over a driver: over an axis's own signal, where sensors stick, bend and give
 # way; over others'; a line over what is itself a law (memory, play, a product).
 FINE, COARSE, LINE = 9, 5, 0
@@ -173,7 +175,8 @@ def operated(operator: str, of: Driver, number: float, only: int | None = None) 
     op, number = OPERATORS[operator], float(f"{number:.3g}")
 
     def values(s: Signals, axis: int) -> Array:
-        return op.values(s.t, of.of(s, axis), number)
+        x = of.of(s, axis)
+        return op.values(s.t, np.unwrap(x) if of.round else x, number)
 
     return Driver(
         operators.said(operator, of.name, of.unit, number), of.unit if op.power else "1", values,

@@ -14,7 +14,7 @@ import numpy as np
 
 from handcal.effects import ATTITUDE, ROOM, Z_DIM, Effect, Param, observed_error
 from handcal.laws import operators
-from handcal.laws.drivers import AXES, BY, TURNING, WARM
+from handcal.laws.drivers import AXES, BY, HEADING, TURNING, WARM, YAW
 from handcal.laws.grammar import Form, text_of
 from handcal.laws.law_effect import SENSORS, Law
 from handcal.laws.terms import FASTEST, SLOW
@@ -77,6 +77,8 @@ _PLAIN = {
     WARM: f"signals.temperature - {ROOM}",
     "|alpha|": "np.linalg.norm(np.gradient(signals.gyro, signals.t, axis=0), axis=1)",
     "|jerk|": "np.linalg.norm(np.gradient(signals.accel, signals.t, axis=0), axis=1)",
+    "sin(pitch of x)": "signals.C_nb[:, 2, 0]",
+    "sin(pitch of y)": "signals.C_nb[:, 2, 1]",
     "(yaw rate)": 'np.einsum("ni,ni->n", signals.C_nb[:, 2], signals.gyro)',
     "t": "signals.t - signals.t[0]",
     "t^2": "(signals.t - signals.t[0]) ** 2",
@@ -107,7 +109,10 @@ def _steps_to(x: str, name: str) -> list[str]:
         operator, number, signal = found
         made = f"{operators.source(operator)[0]}(signals.t, {x}, {number:g})"
         less = f" - {x}" * operators.OPERATORS[operator].less
-        return [*_steps_to(x, signal), f"{x} = {made}{less}"]
+        begun = _steps_to(x, signal)
+        if signal == YAW.name:
+            begun += [f"{x} = np.unwrap({x})"]
+        return [*begun, f"{x} = {made}{less}"]
     factors, _, last = name.rpartition(" * ")
     if factors and operators.parsed(last) is not None:
         return [*_steps_to(x, last), f"{x} = {_factor(driver_code(factors))} * {x}"]
@@ -143,8 +148,22 @@ def law_code(law: Law, formula: str, coefficients: Sequence[float], p: Sequence[
         above = ""
         names = _names(law.form)
         texts = [python(text_of(part, DIGITS).format(x="x")) for part in law.form.parts]
+        if law.sensor == HEADING:
+            return _heading_columns(law, texts, formula)
         added = [f"{name} * {felt}{text}" for name, text in zip(names, texts, strict=True)]
     return above + imu_function(law, "x", added, formula, p)
+
+
+def _heading_columns(law: Law, texts: Sequence[str], formula: str) -> str:
+    """Source of ``heading``: what a unit of each constant makes a heading read too much."""
+    says = f'"""``{formula}``: what a unit of each constant adds, rad, (n, {len(texts)})."""'
+    lines = wrapped(says)
+    for need in dict.fromkeys(law.driver.needs):
+        lines += [f"if {_ABSENT[need]} is None:",
+                  f"    return np.zeros((len(signals.t), {len(texts)}))"]  # fmt: skip
+    lines += [f"# {law.driver.said(law.axis)}, {law.driver.unit}"]
+    lines += [*_steps_to("x", law.driver.name), f"return np.column_stack([{', '.join(texts)}])"]
+    return _with_helpers(_defined("heading(signals: Signals) -> Array:", lines))
 
 
 def imu_function(
@@ -175,7 +194,10 @@ def imu_function(
     units = ", ".join(dict.fromkeys(p.unit for p in parameters))
     says = f'"""``{formula}``; p ({len(parameters)},) {units}, result (n, 6)."""'
     lines = [*wrapped(says), *lines, *here, "return error"]
-    source = _defined("imu_error(p: Array, signals: Signals) -> Array:", lines)
+    return _with_helpers(_defined("imu_error(p: Array, signals: Signals) -> Array:", lines))
+
+
+def _with_helpers(source: str) -> str:
     helpers = [text for name, text in _HELPERS.items() if f"{name}(" in source]
     return "".join([*helpers, "\n", source])
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from typing import Any
@@ -11,17 +12,18 @@ import numpy as np
 from handcal.effects import Catalogue, Effect, Param, Signals, catalogue, imu_jacobian
 from handcal.effects._linear import added
 from handcal.laws import grammar
-from handcal.laws.drivers import AXES, Driver
+from handcal.laws.drivers import AXES, HEADING, Driver
 from handcal.laws.grammar import Form
 from handcal.laws.vocabulary import driver_of
 from handcal.signals import probe
 from handcal.types import Array, BoolArray
 
-SENSORS = ("gyro", "accel")
-CHANNELS = tuple(f"{sensor}_{axis}" for sensor in SENSORS for axis in AXES)
-UNITS = ("rad/s", "m/s^2")
-# Root mean square of what a law adds, one prior sigma: half a degree a second, 10 mg.
-SIZE = (0.01, 0.1)
+SENSORS = ("gyro", "accel", "heading")
+AXES_OF = ((0, 1, 2), (0, 1, 2), (0,))
+CHANNELS = tuple(f"{sensor}_{axis}" for sensor in SENSORS[:HEADING] for axis in AXES)
+UNITS = ("rad/s", "m/s^2", "rad")
+# Root mean square of what a law adds, one prior sigma: half a degree a second, 10 mg, 6 deg.
+SIZE = (0.01, 0.1, 0.1)
 # Samples of the motion on which the catalogue is tried, and the share (squared) of a law that may
 # be left for it to be named: a central difference leaves far less, another law far more. Of a
 # column of length one, so much must be new.
@@ -31,8 +33,9 @@ DEPENDENT = 1e-6
 
 @dataclass(frozen=True)
 class Law:
-    """sensor: 0 gyro, 1 accelerometer; axes: one or all three; each: whether each axis has its own
-    constants; driver, form: of what, and how; sigmas: prior of each constant of the form."""
+    """sensor: 0 gyro, 1 accelerometer, 2 heading; axes: one or all three; each: whether each axis
+    has its own constants; driver, form: of what, and how; sigmas: prior of each constant of the
+    form."""
 
     sensor: int
     axes: tuple[int, ...]
@@ -44,6 +47,8 @@ class Law:
     @property
     def channels(self) -> tuple[str, ...]:
         """To which it adds."""
+        if self.sensor == HEADING:
+            return (SENSORS[HEADING],)
         return tuple(CHANNELS[3 * self.sensor + axis] for axis in self.axes)
 
     @property
@@ -67,7 +72,9 @@ class Law:
     @property
     def said(self) -> str:
         """The formula: ``gyro_x += k * omega_x^3``, ``accel_xyz += g(|omega|)``."""
-        left = f"{SENSORS[self.sensor]}_{''.join(AXES[a] for a in self.axes)}"
+        left = SENSORS[self.sensor]
+        if self.sensor != HEADING:
+            left += f"_{''.join(AXES[a] for a in self.axes)}"
         x, own = self.driver.said(self.axis), "_i" if self.each else ""
         by = "" if self.driver.factor is None else f"{self.driver.factor.said(self.axis)} * "
         if self.form.smooth:
@@ -105,14 +112,7 @@ def _unit(own: str, driver: str, power: float) -> str:
 
 def effect_of(law: Law) -> Effect:
     """The law as an effect, linear in its constants."""
-    one, root = law.form.constants, law.form.root
-
-    def features(signals: Signals) -> list[tuple[int, int, Array]]:
-        return [
-            (3 * law.sensor + axis, n * one if law.each else 0, law.values(signals, axis))
-            for n, axis in enumerate(law.axes)
-        ]
-
+    root = law.form.root
     if root is not None and law.each:
         root = np.asarray(np.kron(np.eye(len(law.axes)), root))
     return Effect(
@@ -124,12 +124,26 @@ def effect_of(law: Law) -> Effect:
         motion="The motion in which it was found.",
         validated="held-out data alone",
         cost=law.cost,
-        imu_error=added(features),
-        features=features,
         together=root,
         needs=law.driver.needs,
         made=_made(law),
+        **adding(law, law.form.constants, lambda s, n: law.values(s, law.axes[n])),
     )
+
+
+def adding(law: Law, each: int, columns: Callable[[Signals, int], Array]) -> dict[str, Any]:
+    """The physics of an effect that adds columns(signals, n) (m, k) to the nth axis of a law, whose
+    first parameter is n times ``each`` where each axis has its own."""
+    if law.sensor == HEADING:
+        return {"seen": {SENSORS[HEADING]: lambda signals: columns(signals, 0)}}
+
+    def features(signals: Signals) -> list[tuple[int, int, Array]]:
+        return [
+            (3 * law.sensor + axis, n * each if law.each else 0, columns(signals, n))
+            for n, axis in enumerate(law.axes)
+        ]
+
+    return {"imu_error": added(features), "features": features}
 
 
 def _made(law: Law) -> tuple[str, tuple[float, ...]]:
@@ -168,7 +182,10 @@ def is_law(kind: str) -> bool:
 
 
 def named(law: Law) -> bool:
-    """Whether effects of the catalogue add up to the law, tried on a probing motion."""
+    """Whether effects of the catalogue add up to the law, tried on a probing motion. (None depends
+    on what a heading was before.)"""
+    if law.sensor == HEADING:
+        return False
     key = law.sensor, law.axes, law.each, law.driver.name, law.form.kind, law.form.numbers
     return _named(key, catalogue())
 

@@ -44,8 +44,9 @@ class Law:
     """What a file says of a law.
 
     title, story, motion: as of an ``Effect``; parameters: their priors are what was found. code:
-    source of its constants and functions, among them ``imu_error`` or ``_heading``, a residual
-    function; needs: streams or the attitude; of_one_day: another day it is another.
+    source of its constants and functions, among them ``imu_error``, ``_heading``, a residual
+    function, or ``heading`` (``Effect.seen``); needs: streams or the attitude; of_one_day:
+    another day it is another.
     """
 
     title: str
@@ -59,6 +60,11 @@ class Law:
     @property
     def of_heading(self) -> bool:
         return "def _heading(" in self.code
+
+    @property
+    def of_past(self) -> bool:
+        """Of a heading that depends on more than a moment."""
+        return "def heading(" in self.code
 
 
 # --- what a file holds ---------------------------------------------------------------------------
@@ -219,6 +225,8 @@ EFFECT = Effect(
 def text_of(law: Law, effect_id: str, found_in: str, gain: float) -> str:
     """The file; found_in: names of recordings; gain: nats that the law gains there."""
     acts = ["imu_error=imu_error,"]
+    if law.of_past:
+        acts = ['seen={"heading": heading},']
     if law.of_heading:
         acts = ['observation_error={"heading": residual_function(_heading, kept=False)},']
     if law.needs:

@@ -9,11 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from handcal.effects import Effect, Signals
-from handcal.effects._linear import added
 from handcal.estimate.model import Model
 from handcal.estimate.scan import scan
 from handcal.laws import grammar
-from handcal.laws.law_effect import Law, effect_of, law_of
+from handcal.laws.law_effect import Law, adding, effect_of, law_of
 from handcal.laws.weighing import beside
 from handcal.types import Array
 
@@ -65,21 +64,14 @@ def _changes(law: Law, values: Array) -> Effect:
     """What a change of each number adds, by a share of it of ``OPEN``."""
     numbers = numbers_of(law)
 
-    def features(truth: Signals) -> list[tuple[int, int, Array]]:
-        return [
-            (
-                3 * law.sensor + axis,
-                0,
-                _derivatives(law, numbers, _adds(law, values, n, axis, truth)),
-            )
-            for n, axis in enumerate(law.axes)
-        ]
+    def columns(truth: Signals, n: int) -> Array:
+        return _derivatives(law, numbers, _adds(law, values, n, law.axes[n], truth))
 
     plain = effect_of(law).parameters[0]
     parameters = tuple(replace(plain, name=f"n{i}", prior_sigma=OPEN) for i in range(len(numbers)))
     return replace(
         effect_of(law), id=f"numbers: {law.said}", parameters=parameters, together=None,
-        made=None, imu_error=added(features), features=features,
+        made=None, **adding(law, 0, columns),
     )  # fmt: skip
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -13,7 +13,7 @@ from handcal.effects import Effect, Signals
 from handcal.estimate.columns import Ground
 from handcal.estimate.model import Model
 from handcal.estimate.scan import scan
-from handcal.laws.drivers import DRIVERS, LINE, NEARER, Driver, usable
+from handcal.laws.drivers import DRIVERS, HEADING, LINE, NEARER, Driver, usable
 from handcal.laws.grammar import (
     Form,
     Part,
@@ -24,7 +24,7 @@ from handcal.laws.grammar import (
     parts_for,
     range_of,
 )
-from handcal.laws.law_effect import SENSORS, SIZE, Law, effect_of, named
+from handcal.laws.law_effect import AXES_OF, SENSORS, SIZE, Law, effect_of, named
 from handcal.laws.vocabulary import further
 from handcal.laws.weighing import Beside, beside, gains, weighed
 from handcal.types import Array
@@ -47,19 +47,19 @@ class Block:
 def blocks(signals: Signals, beyond: Collection[str] = ()) -> list[Block]:
     """Every sensor with every driver of which this recording has a course; beyond: sensors for
     which the further drivers are looked at too."""
-    found = [b for d in DRIVERS.values() if usable(d, signals) for b in _over(d, signals)]
+    usual = [d for d in DRIVERS.values() if usable(d, signals)]
+    found = [b for d in usual for b in _over(d, signals, range(HEADING))]
     for sensor in (n for n, name in enumerate(SENSORS) if name in beyond):
-        more = (b for d in further(signals, sensor) for b in _over(d, signals))
-        found += [b for b in more if b.sensor == sensor]
+        found += [b for d in further(signals, sensor) for b in _over(d, signals, (sensor,))]
     return found
 
 
-def _over(driver: Driver, signals: Signals) -> list[Block]:
+def _over(driver: Driver, signals: Signals, sensors: Iterable[int]) -> list[Block]:
     x = np.stack([driver.of(signals, axis) for axis in range(3)])
     rms = float(np.sqrt(np.mean(x**2)))
     if rms < 1e-9 or np.ptp(x) < 1e-6 * rms:
         return []
-    sensors = [n for n in range(len(SIZE)) if driver.only in (None, n)]
+    sensors = [n for n in sensors if driver.only in (None, n)]
     if driver.knots == LINE:
         forms = (formula([("line", ())]),)
         return [_block(n, driver, forms, SIZE[n] / rms) for n in sensors]
@@ -70,7 +70,7 @@ def _over(driver: Driver, signals: Signals) -> list[Block]:
 
 def _block(sensor: int, driver: Driver, forms: tuple[Form, ...], sigma: float) -> Block:
     sigmas = (sigma,) * forms[0].constants
-    law = Law(sensor, (0, 1, 2), True, driver, replace(forms[0], root=None), sigmas)
+    law = Law(sensor, AXES_OF[sensor], True, driver, replace(forms[0], root=None), sigmas)
     effect = replace(effect_of(law), id=f"basis: {sensor} {driver.name}")
     return Block(sensor, driver, forms, sigmas, effect)
 
@@ -78,11 +78,12 @@ def _block(sensor: int, driver: Driver, forms: tuple[Form, ...], sigma: float) -
 def _ways(block: Block, seen: Beside) -> Iterator[tuple[tuple[int, ...], bool, Array, Array]]:
     """Axes, whether each has its own constants, and the quadratic of these: each axis alone, and
     all by one law."""
-    at = seen.at[block.effect.id].reshape(3, -1)
+    axes = AXES_OF[block.sensor]
+    at = seen.at[block.effect.id].reshape(len(axes), -1)
     b, G = seen.b[at], seen.G[at[:, :, None, None], at[None, None]]
-    for axis in range(3):
+    for axis in axes:
         yield (axis,), False, b[axis], G[axis, :, axis]
-    if block.driver.own:
+    if block.driver.own and len(axes) > 1:
         yield (0, 1, 2), False, b.sum(axis=0), G.sum(axis=(0, 2))
         if not block.driver.free:
             yield (0, 1, 2), True, b.ravel(), G.reshape(b.size, b.size)
@@ -186,8 +187,7 @@ def tuned(about_: About, law: Law, gain: float) -> tuple[Law, float]:
         at, number = law.driver.at, law.driver.number
         if at is None:
             break
-        near = [b for s in shares for b in _over(at(s * number), about_.signals)]
-        near = [b for b in near if b.sensor == law.sensor]
+        near = [b for s in shares for b in _over(at(s * number), about_.signals, (law.sensor,))]
         seen = about_.seen([b.effect for b in near])
         for other, value in (end for block in near for end in best_of_block(block, seen)):
             if value > gain and (other.axes, other.each) == (law.axes, law.each):

@@ -230,7 +230,7 @@ def term_of(basis: Basis, family: Family, numbers: Array) -> Effect:
     """A course as an effect of one parameter, its height."""
     formula = f"{basis.channel} += k * {family.formula(numbers)}"
     story = family.words(numbers)
-    size = PEAK * (HEADING_SIZE if basis.channel == "heading" else SIZE[basis.unit == UNITS[1]])
+    size = PEAK * SIZE[UNITS.index(basis.unit)]
     made = family.name, tuple(float(n) for n in numbers)
     if basis.channel == "heading":
         address = residual_function(family.compiled(*made[1]), kept=False)

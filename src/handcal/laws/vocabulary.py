@@ -21,6 +21,7 @@ from handcal.laws.drivers import (
     DRIVERS,
     FINE,
     FORCES,
+    HEADING,
     LOAD,
     RATES,
     TIME,
@@ -52,6 +53,10 @@ def _yaw_rate(s: Signals, _: int) -> Array:
     return np.zeros_like(s.t) if s.C_nb is None else np.einsum("ni,ni->n", s.C_nb[:, 2], s.gyro)
 
 
+def _up(n: int) -> Of:
+    return lambda s, _: np.zeros_like(s.t) if s.C_nb is None else s.C_nb[:, 2, n]
+
+
 def _total(of: Driver) -> Of:
     return lambda s, _: np.sqrt(sum(of.of(s, axis) ** 2 for axis in range(3)))
 
@@ -59,6 +64,9 @@ def _total(of: Driver) -> Of:
 _HERE = (ATTITUDE,)
 NORTH = tuple(
     Driver(f"north_{{{x}}}", "1", _north(n), COARSE, needs=_HERE) for n, x in enumerate("ijk")
+)
+PITCHES = tuple(
+    Driver(f"sin(pitch of {x})", "1", _up(n), COARSE, needs=_HERE) for n, x in enumerate("xy")
 )
 YAW_RATE = Driver("(yaw rate)", "rad/s", _yaw_rate, COARSE, needs=_HERE)
 SLOPES = tuple(map(slope, (*RATES, *FORCES)))
@@ -70,7 +78,10 @@ SHAKEN = (
 FINEST = 33
 # Signals that are not among the first drivers, over which lie curves.
 FURTHER = (*map(size, SLOPES), *SHAKEN, *NORTH, YAW_RATE)
-_PLAIN: Mapping[str, Driver] = {d.name: d for d in FURTHER}
+_PLAIN: Mapping[str, Driver] = {d.name: d for d in (*FURTHER, *PITCHES)}
+# What a compass may do with the heading besides showing it: come late, stick, swing. (What is a
+# delay alone has a name.)
+NEEDLE = ("lag", "play", "stick", "slew", "swing", "sway")
 
 
 def driver_of(name: str) -> Driver:
@@ -102,7 +113,14 @@ def _made(name: str) -> Driver:
 
 
 def further(signals: Signals, sensor: int) -> Iterator[Driver]:
-    """What may drive a sensor besides ``DRIVERS``, in a recording that has it."""
+    """What may drive a sensor besides ``DRIVERS`` (a heading: besides what ``terms`` has), in a
+    recording that has it."""
+    if sensor == HEADING:
+        yield from _operated(YAW, signals, NEEDLE)
+        for of in filter(lambda d: usable(d, signals), (YAW_RATE, *PITCHES, WARMTH)):
+            yield from _operated(of, signals, tuple(OPERATORS))
+        yield from _operated(TURNS, signals, ("memory", "lag", "peak"))
+        return
     own = (RATES, FORCES)[sensor][0]
     yield from (d for d in FURTHER if usable(d, signals))
     for of in (*RATES, *FORCES, *filter(lambda d: usable(d, signals), (*NORTH, WARMTH))):
