@@ -339,6 +339,24 @@ def test_a_true_curve_leaves_nothing_and_none_everything(scene):
     assert curves([], "gyro_x", scene).tolist() == [0.0] * len(scene.t)
 
 
+def test_a_heading_is_counted_from_where_an_explanation_has_north():
+    """The law of a compass, told of headings that count from 0.3 rad off the true north."""
+    case = draw_strange.case_of(ticket_of("heading_rectified_wave_of_heading"))
+    (added, *_) = case.laws
+    north, x = 0.3, np.linspace(-np.pi, np.pi, 4000)
+    at = scene_of(case.world).at_heading
+    there = dataclasses.replace(at, t=x, heading=x - north)
+    curve = {"x": x.tolist(), "y": (added[0].k * added[0].strange.error_of(there) - north).tolist()}
+    true = [
+        parameter(effect, p["name"], p["value"])
+        for effect, given in case.world.parameters["effects"].items()
+        for p in given
+    ]
+    told = {**entry(["heading"], ["heading"], curve), "formula": "heading += g(yaw)"}
+    one = {**said(parameters=true), "unnamed": [told]}
+    assert left_share(added, case.world, one) < 0.02
+
+
 @pytest.mark.parametrize("channel", ["gyro_y", "accel_z", "heading"])
 def test_what_a_formula_adds_is_known_here(world, scene, channel):
     """Of each driver, in the words of its formula: only the law itself is not the same."""

@@ -8,22 +8,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from handcal_sim import sensors
+from handcal_sim.aiding import wrapped
 from handcal_sim.effects import EFFECTS, Setup, apply
 from handcal_sim.phone import HeadingErrors, Phone
 from handcal_sim.profiles import Array
 from handcal_sim.scenario import World
-from handcal_sim.strange.device import Added, off, own_scene
+from handcal_sim.strange.device import Added, middle, off, own_scene
 from handcal_sim.strange.formulas import since_a_turn, value_of
 from handcal_sim.strange.law import signal
 from handcal_sim.strange.words import of_channel, said
 from handcal_sim.strangers import AXES, Scene, scene_of
 
 Values = Mapping[str, Mapping[str, float]]
+# How well north is found, rad, and how often it is sought at the most.
+NORTH, ROUNDS = 1e-4, 50
 # What has no course that numbers of a document would tell, or no place on these channels.
 _WITHOUT = ("_walk", "_noise", "_outliers", "mag_", "pose_", "clock_rate", "earth_rate")
 
@@ -46,12 +50,20 @@ def left_of(
     before = after = 0.0
     for one in added:
         channel, at = one.strange.channel, own_scene(scene, one.strange.channel)
-        law = told(one, at)
-        if law is None:
-            return None
-        known = _known(true, channel, at) - _known(found, channel, at)
+        there = one.error + _known(true, channel, at)
+        north, last = 0.0, math.inf
+        # (an explanation takes the mean of what it leaves of a heading for where the device points)
+        for _ in range(ROUNDS):
+            if abs(north - last) < NORTH:
+                break
+            turned, last = replace(at, heading=wrapped(at.heading + north)), north
+            law = told(one, turned)
+            if law is None:
+                return None
+            rest = there - _known(found, channel, turned) - law
+            north = 0.9 * middle(rest) + 0.1 * north if channel == "heading" else last
         before += float(np.mean(off(channel, one.error) ** 2))
-        after += float(np.mean(off(channel, one.error + known - law) ** 2))
+        after += float(np.mean(off(channel, rest) ** 2))
     return math.sqrt(after / before)
 
 
