@@ -84,6 +84,7 @@ _PLAIN = {
     "t^2": "(signals.t - signals.t[0]) ** 2",
 }
 _STREAMS = {"omega": "gyro", "f": "accel", "alpha": "gyro", "jerk": "accel"}
+_DIRECTION = re.compile(r"\((omega_\S+) / max\(\|omega\|, ([\d.]+)\)\)")
 _SIGN = re.compile(r"tanh\((.+) / (.+)\)")
 
 
@@ -92,6 +93,8 @@ def driver_code(name: str) -> str:
     Raises KeyError for one that there is none of."""
     if name in _PLAIN:
         return _PLAIN[name]
+    if found := _DIRECTION.fullmatch(name):
+        return f"{_signal(found[1])} / np.maximum({_PLAIN['|omega|']}, {found[2]})"
     if " * " in name:
         return " * ".join(_factor(driver_code(part)) for part in name.split(" * "))
     if name.endswith("^2"):

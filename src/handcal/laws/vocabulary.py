@@ -22,10 +22,13 @@ from handcal.laws.drivers import (
     FINE,
     FORCES,
     HEADING,
+    LINE,
     LOAD,
     RATES,
     TIME,
+    TURNING,
     TURNS,
+    WARMING,
     WARMTH,
     YAW,
     Driver,
@@ -61,6 +64,19 @@ def _total(of: Driver) -> Of:
     return lambda s, _: np.sqrt(sum(of.of(s, axis) ** 2 for axis in range(3)))
 
 
+def _along(n: int) -> Of:
+    def of(s: Signals, axis: int) -> Array:
+        size = np.maximum(np.linalg.norm(s.gyro, axis=1), TURNING)
+        return np.asarray(s.gyro[:, (axis + n) % 3] / size)
+
+    return of
+
+
+# Of the axis about which the device turns, where it does.
+TURNED = tuple(
+    Driver(f"(omega_{{{x}}} / max(|omega|, {TURNING:g}))", "1", _along(n), LINE)
+    for n, x in enumerate("ijk")
+)
 _HERE = (ATTITUDE,)
 NORTH = tuple(
     Driver(f"north_{{{x}}}", "1", _north(n), COARSE, needs=_HERE) for n, x in enumerate("ijk")
@@ -77,7 +93,7 @@ SHAKEN = (
 # Knots of a gain over time: two to a swing of which a recording has a dozen.
 FINEST = 33
 # Signals that are not among the first drivers, over which lie curves.
-FURTHER = (*map(size, SLOPES), *SHAKEN, *NORTH, YAW_RATE)
+FURTHER = (*map(size, SLOPES), *SHAKEN, *TURNED, *NORTH, YAW_RATE)
 _PLAIN: Mapping[str, Driver] = {d.name: d for d in (*FURTHER, *PITCHES)}
 # What a compass may do with the heading besides showing it: come late, stick, swing. (What is a
 # delay alone has a name.)
@@ -135,6 +151,7 @@ def further(signals: Signals, sensor: int) -> Iterator[Driver]:
         yield by(own, replace(x, knots=FINEST if x is TIME else COARSE))
     if usable(WARMTH, signals):
         yield replace(WARMTH, knots=FINE)
+        yield from (times(own, operated("lag", WARMTH, tau)) for tau in WARMING)
     pairs = (*combinations(RATES, 2), *combinations(FORCES, 2))
     yield from (replace(times(a, b), knots=COARSE) for a, b in pairs)
     for triple in (RATES, FORCES):
