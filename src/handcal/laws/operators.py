@@ -28,6 +28,8 @@ LATE = (0.3, 1.0, 3.0)
 SWINGS = (0.3, 0.6, 1.2, 2.4)
 # Widths, as shares of the largest size of a signal: wider than the noise, narrower than the motion.
 WIDTHS = (0.03, 0.06, 0.12, 0.25, 0.45)
+# How far out a side is taken.
+FAR = (0.06, 0.12, 0.25, 0.45, 0.65)
 # And of steps, which have to be met to within a fraction of one over the whole range.
 STEPS = tuple(0.08 * 1.13**n for n in range(17))
 # How fast what is too slow may follow, of the root mean square slope.
@@ -238,7 +240,7 @@ OPERATORS: Mapping[str, Operator] = {
     "stick": Operator(_less("stick", "{u}"), sticking, WIDTHS, "size"),
     "steps": Operator(_less("steps", "{u}"), stepped, STEPS, "size"),
     "friction": Operator(_of("friction", "{u}"), yielding, WIDTHS, "size", less=False, power=0),
-    "side": Operator(_of("side", "{u}"), sided, WIDTHS, "size", less=False, power=0),
+    "side": Operator(_of("side", "{u}"), sided, FAR, "size", less=False, power=0),
     "peak": Operator(_of("peak", "s"), peaked, MEMORIES, less=False),
     "fall": Operator(_less("fall", "s"), falling, LATE),
     "rise": Operator(_less("rise", "s"), rising, LATE),
