@@ -99,13 +99,8 @@ def said_of(added: list[Added], scene: Scene) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def middle(angle: Array) -> float:
-    """The mean of an angle, round the circle."""
-    return math.atan2(float(np.mean(np.sin(angle))), float(np.mean(np.cos(angle))))
-
-
 def off(channel: str, error: Array) -> Array:
     """An error less its mean, and of a heading the short way round."""
     if channel == "heading":
-        error = wrapped(error - middle(error))
+        error = wrapped(error - math.atan2(np.mean(np.sin(error)), np.mean(np.cos(error))))
     return np.asarray(error - error.mean())

@@ -9,9 +9,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from handcal_sim import sensors
 from handcal_sim.aiding import wrapped
@@ -19,15 +21,15 @@ from handcal_sim.effects import EFFECTS, Setup, apply
 from handcal_sim.phone import HeadingErrors, Phone
 from handcal_sim.profiles import Array
 from handcal_sim.scenario import World
-from handcal_sim.strange.device import Added, middle, off, own_scene
+from handcal_sim.strange.device import Added, off, own_scene
 from handcal_sim.strange.formulas import since_a_turn, value_of
 from handcal_sim.strange.law import signal
 from handcal_sim.strange.words import of_channel, said
 from handcal_sim.strangers import AXES, Scene, scene_of
 
 Values = Mapping[str, Mapping[str, float]]
-# How well north is found, rad, and how often it is sought at the most.
-NORTH, ROUNDS = 1e-4, 50
+# Directions in which north is sought.
+NORTHS = 72
 # What has no course that numbers of a document would tell, or no place on these channels.
 _WITHOUT = ("_walk", "_noise", "_outliers", "mag_", "pose_", "clock_rate", "earth_rate")
 
@@ -51,20 +53,30 @@ def left_of(
     for one in added:
         channel, at = one.strange.channel, own_scene(scene, one.strange.channel)
         there = one.error + _known(true, channel, at)
-        north, last = 0.0, math.inf
-        # (an explanation takes the mean of what it leaves of a heading for where the device points)
-        for _ in range(ROUNDS):
-            if abs(north - last) < NORTH:
-                break
-            turned, last = replace(at, heading=wrapped(at.heading + north)), north
-            law = told(one, turned)
-            if law is None:
-                return None
-            rest = there - _known(found, channel, turned) - law
-            north = 0.9 * middle(rest) + 0.1 * north if channel == "heading" else last
+        if told(one, at) is None:
+            return None
+        rest = partial(_rest, there, one, at, found, told)
         before += float(np.mean(off(channel, one.error) ** 2))
-        after += float(np.mean(off(channel, rest) ** 2))
+        after += rest(0.0) if channel != "heading" else _least(rest)
     return math.sqrt(after / before)
+
+
+def _rest(
+    there: Array, one: Added, at: Scene, found: Values,
+    told: Callable[[Added, Scene], Array | None], north: float,
+) -> float:  # fmt: skip
+    """Mean square of what is left, where an explanation has north so far off."""
+    channel, turned = one.strange.channel, replace(at, heading=wrapped(at.heading + north))
+    law = told(one, turned)
+    assert law is not None
+    return float(np.mean(off(channel, there - _known(found, channel, turned) - law) ** 2))
+
+
+def _least(rest: Callable[[float], float]) -> float:
+    """The least over where an explanation has north: where a heading reads zero is convention."""
+    grid = np.linspace(-math.pi, math.pi, NORTHS, endpoint=False)
+    best, step = grid[np.argmin([rest(x) for x in grid])], grid[1] - grid[0]
+    return float(minimize_scalar(rest, bounds=(best - step, best + step), method="bounded").fun)
 
 
 def curves(unnamed: Sequence[Mapping[str, Any]], channel: str, at: Scene) -> Array | None:
