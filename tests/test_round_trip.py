@@ -29,10 +29,9 @@ DEVICE, MOTIONS, LENGTH_S = 0, (0, 1), 84.0
 # Of the suite `unknown`. Of those marked, what was found leaves more than the law itself would.
 KINDS = (
     "gyro_cubic", "gyro_rate_force", "gyro_acceleration", "gyro_rectification", "accel_rate",
-    "accel_warm_up", "heading_tilt",
+    "accel_warm_up", "heading_tilt", "gyro_compression",
     pytest.param("accel_hysteresis", marks=pytest.mark.xfail(reason="jerk stands for the play")),
     pytest.param("heading_direction", marks=pytest.mark.xfail(reason="a lobe's width is a guess")),
-    pytest.param("gyro_compression", marks=pytest.mark.xfail(reason="a cube beside the tanh")),
 )  # fmt: skip
 # Issue 18: beside the law as it is, this much less of the score, this much more of the error.
 AS_GOOD = 1.1

@@ -19,6 +19,7 @@ from handcal.signals import probe
 from handcal.types import Array, BoolArray
 
 SENSORS = ("gyro", "accel", "heading")
+# Of each sensor: a heading is one number.
 AXES_OF = ((0, 1, 2), (0, 1, 2), (0,))
 CHANNELS = tuple(f"{sensor}_{axis}" for sensor in SENSORS[:HEADING] for axis in AXES)
 UNITS = ("rad/s", "m/s^2", "rad")

@@ -95,24 +95,39 @@ def best_set(where: Space, start: Iterable[str] = (), tolerance: float = 0.0) ->
     chosen = frozenset(start)
     value = where.score(chosen)
     while True:
-        options = list(_neighbours(where, chosen))
-        scores = [where.score(o) for o in options]
-        k = int(np.argmax(scores)) if scores else -1
-        if k >= 0 and scores[k] > value + tolerance:
-            chosen, value = options[k], scores[k]
-            continue
-        option = _pair(where, chosen, value)
+        # (of many effects there are a hundred times as many exchanges as there is to add and drop)
+        option = _best(where, _more_or_less(where, chosen), value + tolerance)
+        if option is None:
+            option = _best(where, _exchanged(where, chosen), value + tolerance)
+        if option is None:
+            option = _pair(where, chosen, value)
         if option is None:
             return chosen
         chosen, value = option, where.score(option)
 
 
+def _best(where: Space, options: Iterable[frozenset[str]], above: float) -> frozenset[str] | None:
+    """The option of the highest score, if that is above this."""
+    best = max(options, key=where.score, default=None)
+    return best if best is not None and where.score(best) > above else None
+
+
 def _neighbours(where: Space, chosen: frozenset[str]) -> Iterable[frozenset[str]]:
-    others = [i for i in where.effects if i not in chosen]
-    for i in others:
-        yield chosen | {i}
+    yield from _more_or_less(where, chosen)
+    yield from _exchanged(where, chosen)
+
+
+def _more_or_less(where: Space, chosen: frozenset[str]) -> Iterable[frozenset[str]]:
+    for i in where.effects:
+        if i not in chosen:
+            yield chosen | {i}
     for j in sorted(chosen):
         yield chosen - {j}
+
+
+def _exchanged(where: Space, chosen: frozenset[str]) -> Iterable[frozenset[str]]:
+    others = [i for i in where.effects if i not in chosen]
+    for j in sorted(chosen):
         for i in others:
             yield (chosen - {j}) | {i}
 
