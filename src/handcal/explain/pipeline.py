@@ -216,8 +216,8 @@ def _searched(base: Model, budget: Budget, report: Callable[[float], None]) -> E
         other = search(base, report, budget=budget)
         if advantage(other, found) > (TERM_PRIOR if wrong.burst else PRIOR):
             found, wrong = other, None
-    if wrong is None and told:
-        found, wrong = _without_outliers(base, found, budget, report)
+    if wrong is None:
+        found, wrong = _without_outliers(base, base if told else found.model, found, budget, report)
     still = wrong is not None or budget.spent("a hand that moves")
     other_hand = None if still else moving(base, found.model, _gained(found))
     if other_hand is None:
@@ -232,11 +232,11 @@ def _gained(found: Found) -> dict[str, float]:
 
 
 def _without_outliers(
-    start: Model, found: Found, budget: Budget, report: Callable[[float], None]
+    start: Model, about: Model, found: Found, budget: Budget, report: Callable[[float], None]
 ) -> tuple[Found, outliers.Wrong | None]:
-    """The search once more without headings that stand out from their neighbours: about the
-    baseline, physics that is missing may have hidden that they are wrong."""
-    masks = outliers.standing_out(start)
+    """The search from the start once more without headings that stand out from their neighbours
+    about a model: physics that is missing may have hidden that they are wrong."""
+    masks = outliers.standing_out(about)
     if masks is None or budget.spent("single readings that are wrong"):
         return found, None
     # (from the start again: they may have led the first trajectory astray)
