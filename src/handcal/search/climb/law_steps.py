@@ -18,8 +18,9 @@ from handcal.laws.best import Term, best_term, best_terms, reshaped
 from handcal.laws.law_effect import effect_of, law_of
 from handcal.laws.numbers import adjusted
 from handcal.score import better, score
-from handcal.search.climb.candidates import scanned_about
+from handcal.search.climb.candidates import scanned, scanned_about
 from handcal.search.climb.state import Climb, forget, likelier, sensible
+from handcal.search.climb.subset_steps import choose
 from handcal.search.space import best_set
 
 # Terms without a name at the most, and of those that were on trial.
@@ -28,20 +29,25 @@ MAX_TERMS, MAX_TRIED = 3, 6
 
 def name_term(c: Climb) -> Model | None:
     """The model with a term that nobody named in the place of its noise effects, which hide
-    whatever has no name, or beside them; or the same, a further term on trial from now on."""
-    there = sum(t.effect.id in c.model.ids for t in c.unnamed)
-    if there >= MAX_TERMS or len(c.unnamed) >= MAX_TRIED:
+    whatever has no name, or beside them; or as it is chosen anew with a further term on trial."""
+    if not _room(c):
         return None
     tried = _instead_of_noise(c)
-    if tried is not None:
-        return tried
-    term = best_term(c.model, refused=_refused(c))
-    if term is None:
-        return None
-    c.unnamed.append(term)
-    c.visited.clear()
-    c.stale |= set(c.noise)  # (what noise effects gained was weighed without the term)
-    return c.model
+    while tried is None and _room(c):
+        term = best_term(c.model, refused=_refused(c))
+        if term is None:
+            break
+        c.unnamed.append(term)
+        c.visited.clear()
+        c.stale |= set(c.noise)  # (what noise effects gained was weighed without the term)
+        c.where = scanned(c)
+        tried = choose(c)
+    return tried
+
+
+def _room(c: Climb) -> bool:
+    there = sum(t.effect.id in c.model.ids for t in c.unnamed)
+    return there < MAX_TERMS and len(c.unnamed) < MAX_TRIED
 
 
 def _refused(c: Climb) -> set[str]:
