@@ -30,6 +30,8 @@ SIZE = (0.01, 0.1, 0.1)
 # column of length one, so much must be new.
 PROBED, SPANNED = 120, 1e-8
 DEPENDENT = 1e-6
+# Laws of which it is kept whether they have a name: more than one look has, with all its drivers.
+MOST_LAWS = 20000
 
 
 @dataclass(frozen=True)
@@ -191,7 +193,7 @@ def named(law: Law) -> bool:
     return _named(key, catalogue())
 
 
-@lru_cache(maxsize=4096)
+@lru_cache(maxsize=MOST_LAWS)
 def _named(key: tuple[Any, ...], known: Catalogue) -> bool:
     sensor, axes, each, driver, kind, numbers = key
     form = grammar.again(kind, numbers)

@@ -71,7 +71,8 @@ def _over(driver: Driver, signals: Signals, sensors: Iterable[int]) -> list[Bloc
 def _block(sensor: int, driver: Driver, forms: tuple[Form, ...], sigma: float) -> Block:
     sigmas = (sigma,) * forms[0].constants
     law = Law(sensor, AXES_OF[sensor], True, driver, replace(forms[0], root=None), sigmas)
-    effect = replace(effect_of(law), id=f"basis: {sensor} {driver.name}")
+    # (the same driver may be there with more knots)
+    effect = replace(effect_of(law), id=f"basis: {sensor} {driver.knots} {driver.name}")
     return Block(sensor, driver, forms, sigmas, effect)
 
 

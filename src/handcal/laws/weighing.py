@@ -33,11 +33,20 @@ def gains(b: Array, G: Array, root: Array | None = None) -> Array:
     (f, k, k): of their priors (None: the identity)."""
     if root is not None:
         back = root.transpose(0, 2, 1)
-        b, G = np.einsum("fij,fj->fi", back, b), back @ G @ root
-    # (no Cholesky factor: what is left beside large numbers is positive but for rounding)
-    size, axes = np.linalg.eigh(0.5 * (G + G.transpose(0, 2, 1)))
+        b, G = (back @ b[:, :, None])[:, :, 0], back @ G @ root
+    if b.shape[1] == 1:
+        wide = 1.0 + np.maximum(G[:, 0, 0], 0.0)
+        return np.asarray(0.5 * b[:, 0] ** 2 / wide - 0.5 * np.log(wide))
+    G = 0.5 * (G + G.transpose(0, 2, 1))
+    A = np.eye(b.shape[1]) + G
+    sign, volume = np.linalg.slogdet(A)
+    if (sign > 0.0).all():
+        along = np.linalg.solve(A, b[:, :, None])[:, :, 0]
+        return np.asarray(0.5 * (b * along).sum(axis=1) - 0.5 * volume)
+    # (what is left beside large numbers is positive but for rounding)
+    size, axes = np.linalg.eigh(G)
     wide = 1.0 + np.maximum(size, 0.0)
-    along = np.einsum("fij,fi->fj", axes, b)
+    along = (b[:, None] @ axes)[:, 0]
     return np.asarray(0.5 * (along**2 / wide).sum(axis=1) - 0.5 * np.log(wide).sum(axis=1))
 
 
