@@ -16,6 +16,8 @@ from handcal.types import Array
 
 # Knots over a recording: as many at most, a power of two of seconds apart.
 MOST = 48
+# Fewer whole swings than these a walk makes as well.
+SWINGS = 2.0
 Values = Callable[[Array, Array], Array]
 
 
@@ -81,7 +83,7 @@ def _swing(numbers: Array, x: Array) -> Array:
 
 
 def _swings(span: float) -> Iterator[tuple[float, ...]]:
-    for k in np.arange(1.0, MOST / 3.0, 0.5):
+    for k in np.arange(SWINGS, MOST / 3.0, 0.5):
         for phase in np.arange(8) * np.pi / 8.0:
             yield float(span / k), float(phase)
 
