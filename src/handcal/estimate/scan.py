@@ -23,10 +23,14 @@ def grounds(model: Model) -> list[Ground]:
 
 
 def scan(
-    model: Model, candidates: Sequence[Effect], about: Sequence[Ground] | None = None
+    model: Model,
+    candidates: Sequence[Effect],
+    about: Sequence[Ground] | None = None,
+    worth: float | None = None,
 ) -> Quadratic:
     """The quadratic of the model's effects and of all candidates, none of them noise, about the
-    model's fit; about: its ``grounds``, where there is more than one scan.
+    model's fit; about: its ``grounds``, where there is more than one scan; worth: what evidence
+    counts for, if that is known.
 
     Where the innovations' scatter shows that the filter trusts them too much, their evidence
     counts for that much less (a power of the likelihood; Holmes & Walker, Biometrika 104, 2017).
@@ -39,6 +43,6 @@ def scan(
         seen = [e for e in new if e.acts_now_on & set(f.case.kinds)]
         done = widened(base, new, problem_with(f.case, seen) if seen else None)
         q = local(done, everything).quadratic
-        worth = 1.0 / excess(done, frozenset(have))
-        parts.append(Quadratic(q.names, q.a, worth * q.b, worth * q.G, worth))
+        own = 1.0 / excess(done, frozenset(have)) if worth is None else worth
+        parts.append(Quadratic(q.names, q.a, own * q.b, own * q.G, own))
     return total(parts)

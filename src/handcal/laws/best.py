@@ -94,7 +94,7 @@ def best_terms(
     ]
     about_ = About(model, base, known, signals, worth)
     found = [Term(e, gain / worth) for e, gain in ends if isinstance(e, Effect)]
-    found += [_as_told(about_, law, gain) for law, gain in _closer(ends, beyond)]
+    found += in_parallel(partial(_as_told, about_, *end) for end in _closer(ends, beyond))
     found = sorted((t for t in found if t.effect.id not in refused), key=lambda t: -t.gain)
     best = dict.fromkeys(
         [

@@ -26,7 +26,7 @@ from handcal.laws.grammar import (
 )
 from handcal.laws.law_effect import AXES_OF, SENSORS, SIZE, Law, effect_of, named
 from handcal.laws.vocabulary import further
-from handcal.laws.weighing import Beside, beside, gains, weighed
+from handcal.laws.weighing import Beside, beside, gains
 from handcal.types import Array
 
 # Shares of the way to a formula's next numbers on trial at which it is tried once more, in turn.
@@ -122,8 +122,8 @@ class About:
 
     def seen(self, absent: Sequence[Effect]) -> Beside:
         """What a scan says of absent effects."""
-        q = scan(self.model, absent, self.grounds)
-        return beside(weighed(q, self.worth), self.known, absent)
+        q = scan(self.model, absent, self.grounds, self.worth)
+        return beside(q, self.known, absent)
 
 
 def written_out(about_: About, law: Law) -> list[tuple[Law, float]]:
