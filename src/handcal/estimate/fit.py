@@ -30,6 +30,8 @@ TOLERANCE, COMPARED, ROUGH = 0.05, 0.2, 2.0
 ROUNDS = 10
 # Nats below what other noise levels gave at which a trajectory is given up.
 ASTRAY = 20.0
+# Rounds in a row of which each is worse, to so many nats below the first: no fit comes of that.
+FALLS, FALLEN = 3, 1000.0
 # Shortest step of a fit whose evidence goes up and down, of the way to where it points.
 SHORTEST = 0.2
 # Of the way to other noise levels, as far as the trajectory can follow.
@@ -301,6 +303,7 @@ def relinearised_parts(
     reductions = [*handed_on]
     handed_on.clear()
     before, evidence, last = -math.inf, -math.inf, deque[float](maxlen=ROUNDS // 2)
+    first, falls = math.nan, 0
     for _ in range(ROUNDS):
         if not reductions:
             if not all(_sane(f.linear) for f in parts):
@@ -316,7 +319,11 @@ def relinearised_parts(
             return Rested(parts, rests, seen.evidence, tolerance, wide, seen.whole, [*reductions])
         turns = (seen.evidence - evidence) * (evidence - before) < 0.0
         step = max(0.5 * step, SHORTEST) if turns else min(1.5 * step, 1.0)
+        falls = falls + 1 if seen.evidence < evidence else 0
         before, evidence = evidence, seen.evidence
+        first = evidence if math.isnan(first) else first
+        if falls >= FALLS and evidence < first - FALLEN:
+            return Rested(parts, False, math.nan, tolerance, wide)
         last.append(float(evidence))
         if not evidence > least:  # (nor where it is no number any more)
             break
