@@ -22,6 +22,10 @@ if TYPE_CHECKING:
     from handcal.types import Array
 
 
+# A moment, and which readings are wrong.
+_UNTOLD = ("gyro_bias_step", "heading_outliers")
+
+
 def told(
     ticket: Ticket, answer: Answer, file: Path, further: Mapping[str, float]
 ) -> dict[str, float]:
@@ -47,13 +51,13 @@ def _budget(
 def _strange(
     ticket: Ticket, answer: Answer, file: Path, further: Mapping[str, float]
 ) -> dict[str, float]:
-    """Each law as an effect with its true course and one unknown, its size; not beside a step,
-    whose moment is not told, nor of a heading, whose courses are no effects."""
+    """Each law as an effect with its true course and one unknown, its size; not beside what
+    `calibrate` cannot be told, nor of a heading, whose courses are no effects."""
     case = draw_strange.case_of(ticket)
     laws = case.laws
     reached = all(further.get(f"left_{n + 1}", 1.0) <= SAME for n in range(len(laws)))
     heading = any(one.strange.channel == "heading" for law in laws for one in law)
-    if reached or heading or "gyro_bias_step" in answer.effects:
+    if reached or heading or set(_UNTOLD) & set(answer.effects):
         return {}
     import handcal
     from handcal.effects import with_effects

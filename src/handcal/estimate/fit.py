@@ -8,7 +8,6 @@ shared parameters, and moves each trajectory by what follows for it.
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 
@@ -20,6 +19,7 @@ from handcal.estimate.evidence import ReducedPass, Reduction, backward, reduce, 
 from handcal.estimate.linear import Linear
 from handcal.estimate.model import Fitted, Known, Model
 from handcal.estimate.quadratic import Local, Posterior, Quadratic, given, local, posterior, total
+from handcal.estimate.rounds import ROUNDS, Rounds
 from handcal.estimate.tails import SCALES, tailed, usual
 from handcal.estimate.transfer import begun, linearised
 from handcal.types import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Array, IntArray, Prior
@@ -27,13 +27,8 @@ from handcal.types import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Array, IntArray, Pr
 # Nats within which evidence rests: of a fit that is written down, of one that a search compares
 # with others, and before noise levels are found anew, which changes it by more.
 TOLERANCE, COMPARED, ROUGH = 0.05, 0.2, 2.0
-ROUNDS = 10
 # Nats below what other noise levels gave at which a trajectory is given up.
 ASTRAY = 20.0
-# Rounds in a row of which each is worse, to so many nats below the first: no fit comes of that.
-FALLS, FALLEN = 3, 1000.0
-# Shortest step of a fit whose evidence goes up and down, of the way to where it points.
-SHORTEST = 0.2
 # Of the way to other noise levels, as far as the trajectory can follow.
 SHARES = (1.0, 0.3, 0.1)
 # White noise of a sensor beyond what its readings show would be an alibi for whatever physics
@@ -298,12 +293,11 @@ def relinearised_parts(
     of the priors instead of the usual one alone. tolerance: nats. reductions: the parts', if known;
     emptied, so that nobody keeps them beside those of the next round.
     """
-    parts, step, handed_on = list(parts), 1.0, reductions or []
+    parts, handed_on = list(parts), reductions or []
     # (a list of its own: what the last round leaves is of these parts, not of the caller's)
     reductions = [*handed_on]
     handed_on.clear()
-    before, evidence, last = -math.inf, -math.inf, deque[float](maxlen=ROUNDS // 2)
-    first, falls = math.nan, 0
+    way = Rounds(tolerance)
     for _ in range(ROUNDS):
         if not reductions:
             if not all(_sane(f.linear) for f in parts):
@@ -312,27 +306,19 @@ def relinearised_parts(
             reductions += [reduce(f.about.released()) for f in parts]
         parts = [f.bare for f in parts]
         seen = _seen(parts, reductions, effects, known, wide)
-        rests = abs(seen.evidence - evidence) < tolerance * step
-        # (to and fro between two trajectories: this is the better)
-        swings = abs(seen.evidence - before) < tolerance and seen.evidence > evidence
-        if rests or swings:
-            return Rested(parts, rests, seen.evidence, tolerance, wide, seen.whole, [*reductions])
-        turns = (seen.evidence - evidence) * (evidence - before) < 0.0
-        step = max(0.5 * step, SHORTEST) if turns else min(1.5 * step, 1.0)
-        falls = falls + 1 if seen.evidence < evidence else 0
-        before, evidence = evidence, seen.evidence
-        first = evidence if math.isnan(first) else first
-        if falls >= FALLS and evidence < first - FALLEN:
+        now, rests = seen.evidence, way.rests(seen.evidence)
+        if rests or way.swings(now):
+            return Rested(parts, rests, now, tolerance, wide, seen.whole, [*reductions])
+        way.went_on(now)
+        if way.runs_away:
             return Rested(parts, False, math.nan, tolerance, wide)
-        last.append(float(evidence))
-        if not evidence > least:  # (nor where it is no number any more)
+        if not now > least:  # (nor where it is no number any more)
             break
-        parts = _followed(parts, seen, effects, step)
+        parts = _followed(parts, seen, effects, way.step)
         reductions.clear()
         del seen  # (its passes are as large as what is linearised next)
-    evidence = evidence if all(_sane(f.linear) for f in parts) else math.nan
-    swing = max(last) - min(last)
-    return Rested([f.bare for f in parts], False, evidence, tolerance, wide, swing=swing)
+    evidence = way.evidence if all(_sane(f.linear) for f in parts) else math.nan
+    return Rested([f.bare for f in parts], False, evidence, tolerance, wide, swing=way.swing)
 
 
 @dataclass(frozen=True)

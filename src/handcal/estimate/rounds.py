@@ -1,0 +1,55 @@
+"""How the evidence of a fit goes from round to round: whether it rests, swings or runs away."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+
+# At the most.
+ROUNDS = 10
+# Shortest step of a fit whose evidence goes up and down, of the way to where it points.
+SHORTEST = 0.2
+# Rounds in a row of which each is worse, to so many nats below the first: no fit comes of that.
+FALLS, FALLEN = 3, 1000.0
+
+
+@dataclass
+class Rounds:
+    """The evidence so far, and the share of the way that the next round goes to where it points;
+    tolerance: nats within which it rests."""
+
+    tolerance: float
+    step: float = 1.0
+    evidence: float = -math.inf
+    before: float = -math.inf
+    first: float = math.nan
+    falls: int = 0
+    last: deque[float] = field(default_factory=lambda: deque(maxlen=ROUNDS // 2))
+
+    def rests(self, now: float) -> bool:
+        """Whether another round changes nothing."""
+        return abs(now - self.evidence) < self.tolerance * self.step
+
+    def swings(self, now: float) -> bool:
+        """Whether it goes to and fro between two trajectories, and this is the better."""
+        return abs(now - self.before) < self.tolerance and now > self.evidence
+
+    def went_on(self, now: float) -> None:
+        """A round more, after which the evidence is this."""
+        turns = (now - self.evidence) * (self.evidence - self.before) < 0.0
+        self.step = max(0.5 * self.step, SHORTEST) if turns else min(1.5 * self.step, 1.0)
+        self.falls = self.falls + 1 if now < self.evidence else 0
+        self.before, self.evidence = self.evidence, now
+        self.first = now if math.isnan(self.first) else self.first
+        self.last.append(float(now))
+
+    @property
+    def runs_away(self) -> bool:
+        """Whether each of the last rounds was worse, and it is hopelessly far down."""
+        return self.falls >= FALLS and self.evidence < self.first - FALLEN
+
+    @property
+    def swing(self) -> float:
+        """Nats between the best and the worst of the last rounds."""
+        return max(self.last) - min(self.last)
