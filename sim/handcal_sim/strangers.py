@@ -97,10 +97,15 @@ def with_error(world: World, channel: str, error: Array) -> World:
         stream = world.streams["heading"]
         read = Stream(stream.stamps, wrapped(stream.values + error[:, None]))
         return dataclasses.replace(world, streams={**world.streams, "heading": read})
-    sensor, axis = channel.split("_")
     values = world.imu.values.copy()
-    values[:, AXES.index(axis) + (3 if sensor == "accel" else 0)] += error
+    values[:, column_of(channel)] += error
     return dataclasses.replace(world, imu=Stream(world.imu.stamps, values))
+
+
+def column_of(channel: str) -> int:
+    """The place of an IMU's channel such as accel_y among its readings."""
+    sensor, axis = channel.split("_")
+    return AXES.index(axis) + (3 if sensor == "accel" else 0)
 
 
 def scene_of(world: World) -> Scene:

@@ -92,17 +92,8 @@ def _budget(figures: Row) -> list[RenderableType]:
 def _strange(figures: Row) -> list[RenderableType]:
     table = Table(title="Laws that nobody wrote down", title_justify="left", box=box.SIMPLE_HEAD,
                   pad_edge=False)  # fmt: skip
-    for column in (
-        "recording",
-        "law",
-        "on",
-        "verdict",
-        "channel",
-        "driver",
-        "false",
-        "left",
-        "if told",
-    ):
+    columns = ("recording", "law", "on", "verdict", "channel", "driver", "false", "left", "if told")
+    for column in columns:
         table.add_column(column)
     for row in figures["laws"]:
         told = ["yes" if row[key] else "" for key in ("channel", "driver")]

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from handcal_sim.prove.score_budget import MEDIAN
 from handcal_sim.prove.score_strange import SAME
 from handcal_sim.prove.suites import Answer
 from handcal_sim.strange.device import Added
-from handcal_sim.strangers import AXES
+from handcal_sim.strangers import column_of
 
 if TYPE_CHECKING:
     from handcal.effects import Effect, Signals
@@ -40,12 +40,8 @@ def _budget(
 ) -> dict[str, float]:
     if further.get("share_left", 0.0) <= MEDIAN:
         return {}
-    import handcal
-    from handcal.show.calibration.summary import calibration_json
-
-    names = list(answer.effects)
-    result = handcal.calibrate(str(file), effects=names, assume="fixed-point")
-    return {"told": draw_budget.left(ticket, calibration_json(result))["share_left"]}
+    found = _calibrated(file, list(answer.effects))
+    return {"told": draw_budget.left(ticket, found)["share_left"]}
 
 
 def _strange(
@@ -59,18 +55,23 @@ def _strange(
     heading = any(one.strange.channel == "heading" for law in laws for one in law)
     if reached or heading or set(_UNTOLD) & set(answer.effects):
         return {}
-    import handcal
     from handcal.effects import with_effects
-    from handcal.show.calibration.summary import calibration_json
 
     effects = [_course(f"law_{n}", case.world.t, law) for n, law in enumerate(laws, start=1)]
     with with_effects((effect.id, effect) for effect in effects):
         names = [*answer.effects, *(effect.id for effect in effects)]
-        result = handcal.calibrate(str(file), effects=names, assume="fixed-point")
-    found = calibration_json(result)["parameters"]
+        found = _calibrated(file, names)["parameters"]
     sizes = [p["value"] for effect in effects for p in found if p["effect"] == effect.id]
     left = draw_strange.left_of_sizes(ticket, found, sizes)
     return {name.replace("left", "told"): share for name, share in left.items()}
+
+
+def _calibrated(file: Path, names: Sequence[str]) -> Mapping[str, Any]:
+    """What `handcal calibrate --json` says of a recording that is told these effects."""
+    import handcal
+    from handcal.show.calibration.summary import calibration_json
+
+    return calibration_json(handcal.calibrate(str(file), effects=names, assume="fixed-point"))
 
 
 def _course(name: str, t: Array, law: Sequence[Added]) -> Effect:
@@ -79,7 +80,7 @@ def _course(name: str, t: Array, law: Sequence[Added]) -> Effect:
 
     def features(signals: Signals) -> list[tuple[int, int, Array]]:
         return [
-            (_column(one.strange.channel), 0,
+            (column_of(one.strange.channel), 0,
              np.interp(signals.t - signals.t[0], t - t[0], one.error)[:, None])
             for one in law
         ]  # fmt: skip
@@ -88,11 +89,6 @@ def _course(name: str, t: Array, law: Sequence[Added]) -> Effect:
         id=name, title="The law itself", parameters=(Param("size", "1", 10.0),), story="",
         source="", motion="", validated="", imu_error=added(features), features=features,
     )  # fmt: skip
-
-
-def _column(channel: str) -> int:
-    sensor, _, axis = channel.partition("_")
-    return AXES.index(axis) + (3 if sensor == "accel" else 0)
 
 
 _TOLD: Mapping[

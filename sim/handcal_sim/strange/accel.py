@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from handcal_sim.strange import memory, over_time, still
-from handcal_sim.strange.law import Law, Response
+from handcal_sim.strange.law import stated
 
-
-def _law(response: Response, drivers: str, why: str) -> Law:
-    return Law("accel", response, tuple(drivers.split(", ")), why)
+_law = partial(stated, "accel")
 
 
 OWN = (

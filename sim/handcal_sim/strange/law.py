@@ -60,6 +60,11 @@ class Law:
         return self.sensor != "heading" and any(d.endswith("_i") for d in self.drivers)
 
 
+def stated(sensor: str, response: Response, drivers: str, why: str) -> Law:
+    """A law as the tables of them have it, its drivers in a row."""
+    return Law(sensor, response, tuple(drivers.split(", ")), why)
+
+
 @dataclass(frozen=True)
 class Strange:
     """A law as it was drawn, on one channel. drivers: with axes; formula: but for its size k;

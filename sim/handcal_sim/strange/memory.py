@@ -14,7 +14,7 @@ def lagged(t: Array, u: Array, tau: float) -> Array:
     """First-order low pass (n,), as if u had been what it first was for ever."""
     from scipy.signal import lfilter
 
-    keep = math.exp(-_step(t) / tau)
+    keep = math.exp(-interval(t) / tau)
     smooth, _ = lfilter([1.0 - keep], [1.0, -keep], u, zi=[keep * u[0]])
     return np.asarray(smooth)
 
@@ -36,7 +36,8 @@ def stuck(u: Array, loose: float) -> Array:
     return out
 
 
-def _step(t: Array) -> float:
+def interval(t: Array) -> float:
+    """Mean time between samples at t (n,)."""
     return float(t[-1] - t[0]) / (len(t) - 1)
 
 
@@ -121,7 +122,7 @@ def peak_hold(rng: Rng) -> Made:
     tau = rng.uniform(2.0, 8.0)
 
     def respond(t: Array, u: Array) -> Array:
-        keep, held, at = math.exp(-_step(t) / tau), np.empty(len(u)), 0.0
+        keep, held, at = math.exp(-interval(t) / tau), np.empty(len(u)), 0.0
         for n, x in enumerate(np.abs(u).tolist()):
             held[n] = at = max(x, keep * at)
         return held
@@ -145,7 +146,7 @@ def slow_fall(rng: Rng) -> Made:
     tau = rng.uniform(1.0, 3.0)
 
     def respond(t: Array, u: Array) -> Array:
-        share, read, at = 1.0 - math.exp(-_step(t) / tau), np.empty(len(u)), float(u[0])
+        share, read, at = 1.0 - math.exp(-interval(t) / tau), np.empty(len(u)), float(u[0])
         for n, x in enumerate(u.tolist()):
             read[n] = at = x if x > at else at + share * (x - at)
         return read - u
@@ -158,7 +159,7 @@ def slew_limit(rng: Rng) -> Made:
     fast = rng.uniform(0.6, 1.2)
 
     def respond(t: Array, u: Array) -> Array:
-        most, read, at = fast * _step(t), np.empty(len(u)), float(u[0])
+        most, read, at = fast * interval(t), np.empty(len(u)), float(u[0])
         for n, x in enumerate(u.tolist()):
             read[n] = at = at + min(max(x - at, -most), most)
         return read - u
@@ -180,7 +181,7 @@ def ringing(rng: Rng) -> Made:
         from scipy.signal import cont2discrete, lfilter
 
         w = 2.0 * math.pi * hz
-        top, below, _ = cont2discrete(([w * w], [1.0, 2.0 * damping * w, w * w]), _step(t))
+        top, below, _ = cont2discrete(([w * w], [1.0, 2.0 * damping * w, w * w]), interval(t))
         swung = lfilter(np.ravel(top), below, u - u[0])
         return np.asarray(swung - (u - u[0]))
 

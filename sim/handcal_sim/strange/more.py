@@ -2,25 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from handcal_sim.strange import memory, others, still
-from handcal_sim.strange.law import Law, Response
+from handcal_sim.strange.law import stated
 
-
-def _law(sensor: str, response: Response, drivers: str, why: str) -> Law:
-    return Law(sensor, response, tuple(drivers.split(", ")), why)
-
-
-def _gyro(response: Response, drivers: str, why: str) -> Law:
-    return _law("gyro", response, drivers, why)
-
-
-def _accel(response: Response, drivers: str, why: str) -> Law:
-    return _law("accel", response, drivers, why)
-
-
-def _heading(response: Response, drivers: str, why: str) -> Law:
-    return _law("heading", response, drivers, why)
-
+_gyro, _accel, _heading = (partial(stated, sensor) for sensor in ("gyro", "accel", "heading"))
 
 GYRO = (
     _gyro(others.interferometer, "omega_i", "An open optical loop reads the sine of its phase."),

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from handcal_sim.profiles import Array
-from handcal_sim.strange.memory import followed, lagged, stuck
+from handcal_sim.strange.memory import followed, interval, lagged, stuck
 from handcal_sim.strange.still import Made, Rng
 
 
@@ -23,10 +23,6 @@ def switched(u: Array, below: float, above: float, first: float = 0.0) -> Array:
 def since(t: Array, now: Array) -> Array:
     """Time (n,) since it last was so: infinite before it first was."""
     return np.asarray(t - np.maximum.accumulate(np.where(now, t, -np.inf)))
-
-
-def _step(t: Array) -> float:
-    return float(t[-1] - t[0]) / (len(t) - 1)
 
 
 # ---- as things are at that moment ----------------------------------------------------------
@@ -125,7 +121,7 @@ def median_window(rng: Rng) -> Made:
     window = rng.uniform(0.8, 1.6)
 
     def respond(t: Array, u: Array) -> Array:
-        many = max(round(window / _step(t)), 2)
+        many = max(round(window / interval(t)), 2)
         padded = np.concatenate([np.full(many - 1, u[0]), u])
         last = np.lib.stride_tricks.sliding_window_view(padded, many)
         return np.asarray(np.median(last, axis=1) - u)
@@ -144,7 +140,7 @@ def whole_angle(rng: Rng) -> Made:
     m, phase = rng.uniform(0.8, 1.8), rng.uniform(0.0, 2.0 * math.pi)
 
     def respond(t: Array, u: Array) -> Array:
-        return np.asarray(np.sin(m * np.cumsum(u) * _step(t) + phase))
+        return np.asarray(np.sin(m * np.cumsum(u) * interval(t) + phase))
 
     return respond, f"sin({m:.3f} integral(u) + {phase:.2f})"
 
@@ -177,7 +173,7 @@ def sliding(rng: Rng) -> Made:
     a, fast = rng.uniform(0.3, 0.6), rng.uniform(1.0, 3.0)
 
     def respond(t: Array, u: Array) -> Array:
-        moves = fast * _step(t) * np.sign(u) * np.maximum(np.abs(u) - a, 0.0)
+        moves = fast * interval(t) * np.sign(u) * np.maximum(np.abs(u) - a, 0.0)
         place, at = np.empty(len(u)), 0.0
         for n, move in enumerate(moves.tolist()):
             place[n] = at = min(max(at + move, -1.0), 1.0)
@@ -213,7 +209,7 @@ def bias_tracking(rng: Rng) -> Made:
     a, tau = rng.uniform(0.7, 1.1), rng.uniform(0.5, 1.5)
 
     def respond(t: Array, u: Array, v: Array) -> Array:
-        share, taken, at = 1.0 - math.exp(-_step(t) / tau), np.empty(len(u)), 0.0
+        share, taken, at = 1.0 - math.exp(-interval(t) / tau), np.empty(len(u)), 0.0
         for n, (x, calm) in enumerate(zip(u.tolist(), (v < a).tolist(), strict=True)):
             taken[n] = at = at + share * (x - at) if calm else at
         return -taken
@@ -274,7 +270,7 @@ def tick(rng: Rng) -> Made:
     def respond(t: Array, u: Array) -> Array:
         quarter = np.floor(followed(np.unwrap(u) / q, 0.05) - shift)
         passed = np.abs(np.diff(quarter, prepend=quarter[0]))
-        return np.asarray(lagged(t, passed, tau) * tau / _step(t))
+        return np.asarray(lagged(t, passed, tau) * tau / interval(t))
 
     return respond, f"sum of exp(-s / {tau:.2f}), s since u passed {q:.4f} (n + {shift:.3f})"
 
@@ -284,7 +280,7 @@ def eased_needle(rng: Rng) -> Made:
     tau, a = rng.uniform(1.0, 2.5), rng.uniform(0.2, 0.5)
 
     def respond(t: Array, u: Array) -> Array:
-        on, step = np.unwrap(u), _step(t) / tau
+        on, step = np.unwrap(u), interval(t) / tau
         away, at = np.empty(len(u)), float(on[0])
         for n, x in enumerate(on.tolist()):
             at += (x - at) * -math.expm1(-step * (1.0 + ((x - at) / a) ** 2))
@@ -314,7 +310,7 @@ def recentred(rng: Rng) -> Made:
     tau = rng.uniform(6.0, 15.0)
 
     def respond(t: Array, u: Array, v: Array) -> Array:
-        share, middle, low, high = _step(t) / tau, np.empty(len(u)), float(u[0]), float(u[0])
+        share, middle, low, high = interval(t) / tau, np.empty(len(u)), float(u[0]), float(u[0])
         for n, x in enumerate(u.tolist()):
             closer = share * (high - low)
             low, high = min(x, low + closer), max(x, high - closer)
@@ -340,7 +336,7 @@ def carried_card(rng: Rng) -> Made:
     c, slow, quick = rng.uniform(0.6, 1.0), rng.uniform(2.0, 4.0), rng.uniform(0.3, 0.7)
 
     def respond(t: Array, u: Array, v: Array) -> Array:
-        step, away, at = _step(t), np.empty(len(u)), 0.0
+        step, away, at = interval(t), np.empty(len(u)), 0.0
         for n, (x, held) in enumerate(zip(u.tolist(), (v > c).tolist(), strict=True)):
             at -= step * (x + at / slow) if held else step * at / quick
             away[n] = at
