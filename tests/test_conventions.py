@@ -30,6 +30,19 @@ def test_every_public_function_has_a_docstring():
     assert missing == []
 
 
+def test_no_function_is_longer_than_forty_lines():
+    """Signature and docstring aside: those are what makes an option or an array understood."""
+    long = []
+    for path in SOURCES:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                first = node.body[1 if ast.get_docstring(node) and len(node.body) > 1 else 0]
+                lines = node.end_lineno - first.lineno + 1
+                if lines > 40:
+                    long.append(f"{path.relative_to(ROOT)}:{node.lineno} {node.name}: {lines}")
+    assert long == []
+
+
 def test_no_committed_file_names_a_folder_of_this_machine():
     """A path that holds on one machine only is of no use in a repository."""
     if not (ROOT / ".git").exists():

@@ -1,4 +1,10 @@
-"""Products in blocks against numpy's, and the covariance's steps against the textbook's."""
+"""Products in blocks and in plain loops against numpy's, and the covariance's steps against the
+textbook's; without numba's private interface a calibration is the same."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
 
 import numba
 import numpy as np
@@ -6,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from handcal.compiled import generated, loops
 from handcal.compiled.covariance import (
     propagate,
     propagation_work,
@@ -13,23 +20,38 @@ from handcal.compiled.covariance import (
     update_linear,
     update_work,
 )
-from handcal.compiled.rows import BLOCK, add_product, add_row, blank, padded, product, set_row
+from handcal.compiled.rows import BLOCK, blank, padded
 
 # (no Phi of the filter is larger than nine rows; more, to meet every remainder)
 SIZES = st.integers(0, 19)
 
 
 # (not kept on disk: a kept one would hold the products of the day it was made)
-@numba.njit
-def products(A, X, count, out, added):
-    product(A, X, count, out)
-    add_product(A, X, count, added)
+def compiled(module):
+    """Products and rows as compiled code calls them."""
+    set_product, add_product = module.set_product, module.add_product
+    set_row, add_row, add_outer = module.set_row, module.add_row, module.add_outer
+
+    @numba.njit
+    def products(A, X, count, out, added):
+        set_product(A, X, count, out)
+        add_product(A, X, count, added)
+
+    @numba.njit
+    def rows(a, X, row, out, added, x, y, outer):
+        set_row(a, X, row, out)
+        add_row(a, X, row, added)
+        add_outer(x, y, y, x, outer)
+
+    @numba.njit
+    def in_place(a, x):
+        set_row(a, x, 0, x)
+
+    return products, rows, in_place
 
 
-@numba.njit
-def rows(a, X, row, out, added):
-    set_row(a, X, row, out)
-    add_row(a, X, row, added)
+WRITTEN = [compiled(generated), compiled(loops)]
+either = pytest.mark.parametrize("written", WRITTEN, ids=["generated", "loops"])
 
 
 @numba.njit
@@ -50,14 +72,15 @@ def spd(rng, n):
     return L @ L.T
 
 
+@either
 @settings(deadline=None, max_examples=60)
 @given(m=SIZES, k=SIZES, n=SIZES, seed=st.integers(0, 2**31))
-def test_products_of_any_size(m, k, n, seed):
+def test_products_of_any_size(written, m, k, n, seed):
     rng = np.random.default_rng(seed)
     A, X, before = (rng.standard_normal(s) for s in ((m, k), (k, n), (m, n)))
     count = int(rng.integers(0, k + 1))
     out, added = np.full((m, n), np.nan), before.copy()
-    products(A, X, count, out, added)
+    written[0](A, X, count, out, added)
     exact = A[:, :count] @ X[:count]
     # each of at most 19 products and sums rounds by half a unit
     bound = 40 * np.finfo(float).eps * (np.abs(A) @ np.abs(X) + np.abs(before) + 1)
@@ -65,15 +88,21 @@ def test_products_of_any_size(m, k, n, seed):
     assert np.all(np.abs(added - before - exact) <= bound)
 
 
+@either
 @settings(deadline=None, max_examples=40)
 @given(m=st.integers(1, 9), n=SIZES, a=st.floats(-1e3, 1e3), seed=st.integers(0, 2**31))
-def test_rows_of_any_length(m, n, a, seed):
+def test_rows_of_any_length(written, m, n, a, seed):
     rng = np.random.default_rng(seed)
     X, before = rng.standard_normal((m, n)), rng.standard_normal(n)
     row = int(rng.integers(0, m))
     out, added = np.full(n, np.nan), before.copy()
-    rows(a, X, row, out, added)
+    x, y, outer = rng.standard_normal(n), rng.standard_normal(n), rng.standard_normal((n, n))
+    twice = outer + (np.outer(x, y) + np.outer(y, x))
+    written[1](a, X, row, out, added, x, y, outer)
+    np.testing.assert_allclose(outer, twice, rtol=1e-15, atol=1e-14)
     np.testing.assert_array_equal(out, a * X[row])
+    written[2](a, out)
+    np.testing.assert_array_equal(out, a * (a * X[row]))
     np.testing.assert_allclose(added, before + a * X[row], rtol=1e-15, atol=1e-12)
 
 
@@ -146,3 +175,28 @@ def test_update_is_the_joint_one_of_the_textbook(seed):
     loglik = -0.5 * (nis + np.linalg.slogdet(2 * np.pi * S)[1])
     np.testing.assert_allclose(out[3], loglik, rtol=1e-7)
     assert not P[n:].any()
+
+
+RECORDING = Path(__file__).parents[1] / "recordings" / "sealed_01.mcap"
+CALIBRATION = """
+import sys
+import handcal as hc
+from handcal.compiled.inside import LINKED
+result = hc.calibrate(sys.argv[1], effects=["gyro_scale"])
+print(int(LINKED), *(x for p in result.parameters for x in (p.value, p.sigma)))
+"""
+
+
+@pytest.mark.prove  # (all is compiled once more: a minute)
+def test_a_calibration_in_plain_loops_is_the_same(tmp_path):
+    answers = []
+    for plain in ("", "1"):
+        env = os.environ | {"HANDCAL_PLAIN": plain, "NUMBA_CACHE_DIR": str(tmp_path / f"_{plain}")}
+        command = [sys.executable, "-c", CALIBRATION, str(RECORDING)]
+        run = subprocess.run(command, env=env, capture_output=True, text=True, check=True)
+        linked, *numbers = map(float, run.stdout.split())
+        assert bool(linked) == (not plain)
+        answers.append(numbers)
+    # (sums in another order, passed on through a few rounds of a fit)
+    one, other = (np.reshape(numbers, (-1, 2)) for numbers in answers)
+    assert np.all(np.abs(one - other) < 1e-6 * one[:, 1:])

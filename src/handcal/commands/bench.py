@@ -172,11 +172,13 @@ def _measurements(
         filter.write_readings(made, folder / "readings.npz")
         return made
 
-    script = partial(_script, peers)
-
     def readings() -> Path:
         case()
         return folder / "readings.npz"
+
+    script = partial(_script, peers)
+    pyins = partial(script, "pyins_filter.py")
+    gtsam = partial(script, "gtsam_smoother.py")
 
     def hand() -> Recording:
         return load(program.simulated("free-hand", folder / "hand.mcap", "--duration", "84"))
@@ -185,12 +187,8 @@ def _measurements(
     return {
         "filter": lambda tick: f.against_dense(case(), peers, folder, rounds, tick),
         "filterpy": lambda tick: f.against_filterpy(case(), rounds, tick),
-        "pyins": lambda tick: f.against_pyins(
-            case(), script("pyins_filter.py", readings()), rounds, tick
-        ),
-        "gtsam": lambda tick: f.against_gtsam(
-            case(), script("gtsam_smoother.py", readings(), "1"), rounds, tick
-        ),
+        "pyins": lambda tick: f.against_pyins(case(), pyins(readings()), rounds, tick),
+        "gtsam": lambda tick: f.against_gtsam(case(), gtsam(readings(), "1"), rounds, tick),
         "epochs": lambda tick: f.epochs_against_dense(hand(), peers, folder, rounds, tick),
         "linear": lambda tick: f.linear_cost(case().problem.recording, rounds, tick),
         "reading": lambda tick: p.reading(folder, script("mcap_messages.py"), rounds, tick),

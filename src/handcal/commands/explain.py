@@ -124,14 +124,19 @@ def explain(
     twins = beside(twin, recordings) if twin else ()
     _pictured(explanation, following, report, rrd, twins)
     if json:
-        from handcal.show.calibration.summary import write_json
-        from handcal.show.explanation.document import explanation_json
-
-        write_json(explanation_json(explanation), json)
+        _documented(explanation, json)
     if str(json) != "-":
         _printed(explanation, following)
     if write_effect:
         _write(explanation, write_effect)
+
+
+def _documented(explanation: Explanation, json: Path) -> None:
+    """Write the JSON."""
+    from handcal.show.calibration.summary import write_json
+    from handcal.show.explanation.document import explanation_json
+
+    write_json(explanation_json(explanation), json)
 
 
 def _beside_the_device(explanation: Explanation) -> Explanation:

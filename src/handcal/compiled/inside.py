@@ -10,6 +10,7 @@ another is here translated and no more; both are done once, for what Python call
 from __future__ import annotations
 
 import gc
+import os
 from typing import Any
 
 import numba
@@ -17,10 +18,11 @@ from llvmlite import binding
 from numba.core import codegen, compiler
 from numba.core.environment import lookup_environment
 
-# What this builds on is private to numba: with releases on which it has not been tried, all is
-# compiled as numba does it, which makes a first run half as long again.
+# What this and ``generated`` build on is private to numba: with releases on which it has not been
+# tried, or where HANDCAL_PLAIN is set, all is compiled as numba does it, and products are plain
+# loops. A first run takes half as long again then, and a later one a quarter.
 TRIED = ("0.68.",)
-LINKED = numba.__version__.startswith(TRIED)
+LINKED = numba.__version__.startswith(TRIED) and not os.environ.get("HANDCAL_PLAIN")
 
 # (numba's own are partly typed)
 _Library: Any = codegen.JITCodeLibrary

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import math
+import importlib
 import os
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
-from llvmlite import ir
 from numba import types
-from numba.core import cgutils as _cgutils
 from numba.core.ccallback import CFunc
 from numba.core.compiler import Compiler
-from numba.extending import intrinsic as _intrinsic
 from numba.extending import typeof_impl
 
+from handcal.compiled.by_address import POINTER, called
 from handcal.compiled.disk_cache import kept
 from handcal.compiled.inside import LINKED, Inside, Outside
 from handcal.types import Array, IntArray
@@ -28,12 +26,17 @@ F = TypeVar("F", bound=Callable[..., Any])
 if "NUMBA_OPT" not in os.environ:
     numba.config.OPT = type(numba.config.OPT)(2)  # type: ignore[attr-defined]
 
-# (numba's own are partly typed, and not for this)
-intrinsic: Any = _intrinsic
+# (numba's own is partly typed, and not for this)
 _njit: Any = numba.njit
-cgutils: Any = _cgutils
-_POINTER: Any = types.CPointer(types.float64)  # type: ignore[no-untyped-call]
-_SIGNATURE = types.int64(_POINTER, _POINTER, _POINTER, _POINTER)
+_SIGNATURE = types.int64(POINTER, POINTER, POINTER, POINTER)
+
+
+# What is written for the machine itself, or the same in plain loops.
+WRITTEN: Any = importlib.import_module(f"handcal.compiled.{'generated' if LINKED else 'loops'}")
+# Small work space of a compiled function, float64, its size known beforehand: on the stack, where
+# it costs nothing (np.empty asks the heap). It is not set to zero, and must not be returned.
+local_vector: Callable[[int], Array] = WRITTEN.local_vector
+local_matrix: Callable[[int, int], Array] = WRITTEN.local_matrix
 
 
 def _compiled(function: F, python: bool = True, **more: Any) -> F:
@@ -42,6 +45,9 @@ def _compiled(function: F, python: bool = True, **more: Any) -> F:
         "error_model": "numpy", "no_cfunc_wrapper": True, "nogil": True, **more,
     }  # fmt: skip
     if not LINKED:
+        # (plain loops ask for work space, which numba must be let count)
+        options.pop("_nrt", None)
+        options.pop("forceinline", None)
         plain: Any = _njit(**options)(function)
         plain._cache = kept(function)
         return cast(F, plain)
@@ -166,57 +172,10 @@ def residual_function(function: Callable[..., int], *, kept: bool = True) -> int
     return cast(int, _Address(function, kept))
 
 
-def _stack(typingctx: Any, *sizes: Any) -> Any:  # noqa: ARG001
-    lengths = [size.literal_value for size in sizes]
-    kind = types.Array(types.float64, len(lengths), "C")
-
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:  # noqa: ARG001
-        word = ir.IntType(64)
-        count = math.prod(lengths)
-        data = cgutils.alloca_once(builder, ir.DoubleType(), size=ir.Constant(word, count))
-        strides = [8 * math.prod(lengths[k + 1 :]) for k in range(len(lengths))]
-        array = context.make_array(kind)(context, builder)
-        context.populate_array(
-            array, data=data, itemsize=ir.Constant(word, 8), meminfo=None,
-            shape=[ir.Constant(word, n) for n in lengths],
-            strides=[ir.Constant(word, n) for n in strides],
-        )  # fmt: skip
-        return array._getvalue()
-
-    return kind(*sizes), codegen
-
-
-def _vector(typingctx: Any, n: Any) -> Any:
-    return _stack(typingctx, n)
-
-
-def _matrix(typingctx: Any, m: Any, n: Any) -> Any:
-    return _stack(typingctx, m, n)
-
-
-# Small work space of a compiled function, float64, its size known beforehand: on the stack, where
-# it costs nothing (np.empty asks the heap). It is not set to zero, and must not be returned.
-local_vector: Callable[[int], Array] = intrinsic(prefer_literal=True)(_vector)
-local_matrix: Callable[[int, int], Array] = intrinsic(prefer_literal=True)(_matrix)
-
-
-def _call(typingctx: Any, address: Any, nav: Any, theta: Any, z: Any, out: Any) -> Any:  # noqa: ARG001
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:  # noqa: ARG001
-        pointer = ir.DoubleType().as_pointer()
-        kind = ir.FunctionType(ir.IntType(64), [pointer] * 4)
-        # numba wraps a cfunc in the plain C calling convention, so a bare call is enough
-        return builder.call(builder.inttoptr(args[0], kind.as_pointer()), list(args[1:]))
-
-    return types.int64(types.intp, _POINTER, _POINTER, _POINTER, _POINTER), codegen
-
-
-_called: Any = intrinsic(_call)
-
-
 @lean
 def call_residual(address: int, nav: Any, theta: Any, z: Any, out: Any) -> int:
     """Call a ``residual_function`` by its address; all arrays float64, C-contiguous."""
-    status: int = _called(address, nav.ctypes, theta.ctypes, z.ctypes, out.ctypes)
+    status: int = called(address, nav.ctypes, theta.ctypes, z.ctypes, out.ctypes)
     return status
 
 

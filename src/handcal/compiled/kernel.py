@@ -160,6 +160,33 @@ def interval(
 
 
 @inlined
+def by_differences(
+    kind: int,
+    tables: Tables,
+    nav: Array,
+    extras: Array,
+    z: Array,
+    first: int,
+    work: tuple[Array, Array, Array, Array],
+    Hn: Array,
+) -> None:
+    """Add to Hn (BASE * dimension,) the derivatives by the fifteen errors of all that ``first``
+    and the later functions of an observation predict, as central differences."""
+    plus, minus, moved, moved_then = work
+    step = 1e-5
+    for i in range(BASE):
+        _perturb_nav(nav, i, step, moved)
+        back_in_time(kind, tables, moved, extras, z, plus, moved_then)
+        _total(kind, tables, moved_then, extras, z, first, plus)
+        _perturb_nav(nav, i, -step, moved)
+        back_in_time(kind, tables, moved, extras, z, minus, moved_then)
+        _total(kind, tables, moved_then, extras, z, first, minus)
+        for j in range(tables.dim[kind]):
+            # r is observed minus predicted, so it falls as the prediction rises
+            Hn[BASE * j + i] -= (plus[j] - minus[j]) / (2 * step)
+
+
+@inlined
 def linearise(
     kind: int,
     tables: Tables,
@@ -198,17 +225,7 @@ def linearise(
         if late != 0.0:
             _as_of_now(nav, late, d, Hn)
     if tables.function.shape[1] > first and tables.function[kind, first] != 0:
-        step = 1e-5
-        for i in range(BASE):
-            _perturb_nav(nav, i, step, moved)
-            back_in_time(kind, tables, moved, extras, z, plus, moved_then)
-            _total(kind, tables, moved_then, extras, z, first, plus)
-            _perturb_nav(nav, i, -step, moved)
-            back_in_time(kind, tables, moved, extras, z, minus, moved_then)
-            _total(kind, tables, moved_then, extras, z, first, minus)
-            for j in range(d):
-                # r is observed minus predicted, so it falls as the prediction rises
-                Hn[BASE * j + i] -= (plus[j] - minus[j]) / (2 * step)
+        by_differences(kind, tables, nav, extras, z, first, (plus, minus, moved, moved_then), Hn)
     for j in range(d):
         for i in range(9, H.shape[1]):
             H[j, i] = 0.0

@@ -3,31 +3,25 @@
 The compiler does not do this by itself: it cannot know that matrices do not overlap, and
 loops over 15 states are too short for the ones it makes. Rows whose length is a multiple of
 eight have no remainder; that is why the filter pads its covariance. All arrays are float64,
-C-contiguous, and an output is none of the inputs.
+C-contiguous; a row may be scaled in its own place, else an output is none of the inputs.
 
-They are written as LLVM IR, through numba's private interface (so are the work space on the stack
-and the calls by address in ``jit``, which leave numba no arrays to count). As plain loops under
-plain ``njit``, whole commands took this much more processor time: 5 % (calibrate, a turn of 30 s),
-47 % (calibrate, 42 s with poses), 24 % (explain, 84 s).
+They are written for the machine (``generated``), or as plain loops (``loops``), with which whole
+commands took this much more processor time: 5 % (calibrate, a turn of 30 s), 47 % (calibrate, 42 s
+with poses), 24 % (explain, 84 s).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
-from llvmlite import ir
-from numba import types
 
-from handcal.compiled.jit import cgutils, inner, intrinsic
+from handcal.compiled.jit import WRITTEN, inner
 from handcal.types import Array
 
-_DOUBLE, _WORD = ir.DoubleType(), ir.IntType(64)
+# How many numbers the processor is given at a time.
 BLOCK = 8
-# Sums that are kept in registers at once: three rows of eight.
-_ROWS, _COLUMNS = (3, 1), (BLOCK, 1)
 
 
 def padded(n: int) -> int:
@@ -44,130 +38,14 @@ def blank(*shape: int) -> Array:
     return room[skip : skip + count].reshape(shape)
 
 
-class _Matrix:
-    """A C-contiguous array inside generated code, read and written in blocks."""
-
-    def __init__(self, context: Any, builder: Any, kind: Any, value: Any) -> None:
-        if kind.layout != "C":
-            raise TypeError(f"{kind} is not C-contiguous")
-        array = context.make_array(kind)(context, builder, value)
-        self.builder, self.data = builder, array.data
-        self.shape = cgutils.unpack_tuple(builder, array.shape)
-
-    def _place(self, row: Any, column: Any, kind: Any) -> Any:
-        at = self.builder.add(self.builder.mul(row, self.shape[-1]), column)
-        return self.builder.bitcast(self.builder.gep(self.data, [at]), kind.as_pointer())
-
-    def load(self, row: Any, column: Any, kind: Any = _DOUBLE) -> Any:
-        return self.builder.load(self._place(row, column, kind), align=8)
-
-    def store(self, value: Any, row: Any, column: Any) -> None:
-        self.builder.store(value, self._place(row, column, value.type), align=8)
-
-
-def _blocks(builder: Any, n: Any, widths: tuple[int, ...]) -> Iterator[tuple[Any, int]]:
-    """Loops over n, in the widest blocks first: the first index of each, and its width."""
-    begin: Any = ir.Constant(_WORD, 0)
-    for width in widths:
-        step = ir.Constant(_WORD, width)
-        end = builder.add(begin, builder.mul(builder.udiv(builder.sub(n, begin), step), step))
-        with cgutils.for_range_slice(builder, begin, end, step, intp=_WORD) as (at, _):
-            yield at, width
-        begin = end
-
-
-def _vector(width: int) -> Any:
-    return _DOUBLE if width == 1 else ir.VectorType(_DOUBLE, width)
-
-
-def _spread(builder: Any, scalar: Any, kind: Any) -> Any:
-    """The scalar in all places of a block."""
-    if kind == _DOUBLE:
-        return scalar
-    vector = builder.insert_element(ir.Constant(kind, ir.Undefined), scalar, ir.Constant(_WORD, 0))
-    mask = ir.Constant(ir.VectorType(ir.IntType(32), kind.count), [0] * kind.count)
-    return builder.shuffle_vector(vector, vector, mask)
-
-
-def _plus_times(builder: Any, total: Any, a: Any, x: Any) -> Any:
-    """total + a x, in one rounding where the processor has an instruction for it."""
-    kind = x.type
-    name = "f64" if kind == _DOUBLE else f"v{kind.count}f64"
-    function = cgutils.get_or_insert_function(
-        builder.module, ir.FunctionType(kind, [kind] * 3), f"llvm.fmuladd.{name}"
-    )
-    return builder.call(function, [_spread(builder, a, kind), x, total])
-
-
-def _product(add: bool) -> Any:
-    def typed(typingctx: Any, A: Any, X: Any, count: Any, out: Any) -> Any:  # noqa: ARG001
-        def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            A, X, out = (_Matrix(context, builder, signature.args[k], args[k]) for k in (0, 1, 3))
-            for i, rows in _blocks(builder, A.shape[0], _ROWS):
-                here = [builder.add(i, ir.Constant(_WORD, r)) for r in range(rows)]
-                for j, columns in _blocks(builder, out.shape[1], _COLUMNS):
-                    kind = _vector(columns)
-                    totals = [cgutils.alloca_once(builder, kind) for _ in range(rows)]
-                    for row, total in zip(here, totals, strict=True):
-                        begin = out.load(row, j, kind) if add else ir.Constant(kind, None)
-                        builder.store(begin, total)
-                    with cgutils.for_range(builder, args[2], intp=_WORD) as loop:
-                        x = X.load(loop.index, j, kind)
-                        for row, total in zip(here, totals, strict=True):
-                            a = A.load(row, loop.index)
-                            builder.store(_plus_times(builder, builder.load(total), a, x), total)
-                    for row, total in zip(here, totals, strict=True):
-                        out.store(builder.load(total), row, j)
-            return context.get_dummy_value()
-
-        return types.void(A, X, types.int64, out), codegen
-
-    return typed
-
-
-def _row(add: bool) -> Any:
-    def typed(typingctx: Any, a: Any, X: Any, row: Any, out: Any) -> Any:  # noqa: ARG001
-        def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            X, out = (_Matrix(context, builder, signature.args[k], args[k]) for k in (1, 3))
-            zero = ir.Constant(_WORD, 0)
-            for j, columns in _blocks(builder, out.shape[0], _COLUMNS):
-                kind = _vector(columns)
-                term = builder.fmul(_spread(builder, args[0], kind), X.load(args[2], j, kind))
-                term = builder.fadd(out.load(zero, j, kind), term) if add else term
-                out.store(term, zero, j)
-            return context.get_dummy_value()
-
-        return types.void(types.float64, X, types.int64, out), codegen
-
-    return typed
-
-
-def _add_outer(typingctx: Any, a: Any, x: Any, b: Any, y: Any, out: Any) -> Any:  # noqa: ARG001
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        a, x, b, y, out = (_Matrix(context, builder, signature.args[k], args[k]) for k in range(5))
-        zero = ir.Constant(_WORD, 0)
-        for j, columns in _blocks(builder, out.shape[1], _COLUMNS):
-            kind = _vector(columns)
-            x_j, y_j = x.load(zero, j, kind), y.load(zero, j, kind)
-            with cgutils.for_range(builder, out.shape[0], intp=_WORD) as loop:
-                # (rounded twice each, as the same sum would be outside)
-                total = out.load(loop.index, j, kind)
-                for left, right in ((a, x_j), (b, y_j)):
-                    factor = _spread(builder, left.load(zero, loop.index), kind)
-                    total = builder.fadd(total, builder.fmul(factor, right))
-                out.store(total, loop.index, j)
-        return context.get_dummy_value()
-
-    return types.void(a, x, b, y, out), codegen
-
-
-_set_product: Callable[[Array, Array, int, Array], None] = intrinsic(_product(add=False))
-_add_product: Callable[[Array, Array, int, Array], None] = intrinsic(_product(add=True))
+_Product = Callable[[Array, Array, int, Array], None]
+_set_product: _Product = WRITTEN.set_product
+_add_product: _Product = WRITTEN.add_product
 # out (n,) = a X[row], or that added to out; a vector is a matrix of one row, number 0
-set_row: Callable[[float, Array, int, Array], None] = intrinsic(_row(add=False))
-add_row: Callable[[float, Array, int, Array], None] = intrinsic(_row(add=True))
+set_row: Callable[[float, Array, int, Array], None] = WRITTEN.set_row
+add_row: Callable[[float, Array, int, Array], None] = WRITTEN.add_row
 # out (m, n) += a x' + b y': add_outer(a, x, b, y, out)
-add_outer: Callable[[Array, Array, Array, Array, Array], None] = intrinsic(_add_outer)
+add_outer: Callable[[Array, Array, Array, Array, Array], None] = WRITTEN.add_outer
 
 
 @inner

@@ -60,6 +60,23 @@ def corrected_readings(
 
 # (numbers that run away are no fit, which is seen later)
 @np.errstate(over="ignore", invalid="ignore")
+def _undone(
+    acting: Sequence[Effect], ref: Array, readings: Signals, raw: Array
+) -> tuple[Array, list[tuple[Effect, Array]]]:
+    """What the effects add that come last of all and are undone at once (n, 6), and those that
+    are left, with their parameters."""
+    total = np.zeros_like(raw)
+    left, i = [], 0
+    for e in acting:
+        at = ref[i : i + len(e.parameters)]
+        i += len(e.parameters)
+        if at.any() and e.imu_inverse is not None and e.last:
+            total += raw - total - e.imu_inverse(at, reading(readings, raw - total))
+        elif at.any():
+            left.append((e, at))
+    return total, left
+
+
 def substituted(
     acting: Sequence[Effect],
     ref: Array,
@@ -83,15 +100,7 @@ def substituted(
 
     raw = np.hstack([readings.gyro, readings.accel])
     scale = float(np.abs(raw).max(initial=0.0))
-    present, i = [], 0
-    total = np.zeros_like(raw)
-    for e in acting:
-        at = ref[i : i + len(e.parameters)]
-        i += len(e.parameters)
-        if at.any() and e.imu_inverse is not None and e.last:
-            total += raw - total - e.imu_inverse(at, reading(readings, raw - total))
-        elif at.any():
-            present.append((e, at))
+    total, present = _undone(acting, ref, readings, raw)
     errors = [np.zeros_like(raw) for _ in present]
     if begin is not None and all(e.imu_inverse is None for e, _ in present):
         truth = felt(raw - begin)
