@@ -76,9 +76,7 @@ def opened(
         threads = max(1, sum(client.nthreads().values()))
         died = (distributed.KilledWorker, broken)
         page = str(getattr(client, "dashboard_link", "") or "")
-        yield Workers(
-            client.get_executor, threads, died, lambda: client.status == "running", page
-        )
+        yield Workers(client.get_executor, threads, died, lambda: client.status == "running", page)
 
 
 def done(
