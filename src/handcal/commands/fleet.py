@@ -82,7 +82,7 @@ def fleet(
     _announced(listed, left_out)
     prior_of = _prior_of(priors)
     members = _run(listed, store, options, executor, workers or os.cpu_count() or 1, prior_of)
-    _written(members, store, listed)
+    _written(members, store)
 
 
 def _listed(
@@ -167,10 +167,18 @@ class _Line:
             say(progress.line(now))
 
 
-def _written(members: Sequence[Member], store: Store, listed: Sequence[Source]) -> None:
+def _written(members: Sequence[Member], store: Store) -> None:
     """All that is told of the fleet."""
-    from handcal.fleet import dataset
-    from handcal.fleet.run import rows
+    from handcal.fleet.results import write_all
+    from handcal.population.fleet import FOUND
+    from handcal.show import words
 
-    dataset.write(store.folder, rows(members, store))
-    del listed
+    told = write_all(members, store)
+    print(f"{told.done} recordings explained, {told.failed} without a result: "
+          f"{store.folder / 'fleet.html'}")  # fmt: skip
+    for m in told.fleet.models:
+        learned = sum(c.told for c in m.common)
+        found = [words.effect_title(s.effect) for s in m.stacks if s.probability > FOUND]
+        names = ", ".join(found) or "nothing found"
+        print(f"{m.name}: {m.devices} devices; {learned} of {len(m.common)} spreads told, "
+              f"{len(m.odd)} odd ones; common to them: {names}")  # fmt: skip

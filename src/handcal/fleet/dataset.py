@@ -49,7 +49,7 @@ COLUMNS: Mapping[str, tuple[tuple[str, str, str], ...]] = {
         ("started", "string", "as in recordings"),
         ("effect", "string", "id in the catalogue"),
         ("name", "string", "of the parameter"),
-        ("value", "double", "what the recording alone says (SI), or with `named` what explain does"),
+        ("value", "double", "what the recording alone says, SI; of `named` what explain does"),
         ("sigma", "double", "of it, SI"),
         ("unit", "string", "SI"),
         ("prior_sigma", "double", "of the catalogue, SI; empty for `named`"),

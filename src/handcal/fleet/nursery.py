@@ -83,7 +83,8 @@ def _waited(
     """Until the process closes its pipe: why it was ended from here (None: it was not), what it
     sent, and its largest memory in bytes."""
     deadline, memory = float(request["deadline"]), int(request["memory"])
-    parts, peak = [], 0
+    parts: list[bytes] = []
+    peak = 0
     while True:
         ready, _, _ = select.select([result, asked], [], [], LOOK_S)
         peak = max(peak, resident(child))

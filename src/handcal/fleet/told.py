@@ -25,7 +25,7 @@ from handcal.estimate.rest_only import resting, travels
 from handcal.estimate.scan import scan
 from handcal.estimate.specification import Specification, settled, view_of
 from handcal.observations import catalogue as observations
-from handcal.types import Array, Recording
+from handcal.types import Recording
 
 # The model of an inertial sensor in every textbook, and the arm from the held point, which is
 # another in every hand: without it a hand's arm is taken for errors of the accelerometer.
@@ -105,7 +105,7 @@ def _marginals(q: Quadratic, index: Sequence[int], of: Sequence[int], together: 
     if not of:
         return []
     A = q.G[np.ix_(index, index)] + np.eye(len(index))
-    C: Array = np.linalg.inv(A)
+    C = np.linalg.inv(A)
     mean = C @ q.b[list(index)]
     out = []
     for i in of:
