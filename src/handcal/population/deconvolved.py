@@ -20,9 +20,9 @@ from handcal.types import Array, HandcalError, IntArray
 # Degrees of freedom on trial beside the normal density (infinite): one device in 40, 150 and 600
 # is beyond four spreads; of a normal population one in 16,000. Below 3 no variance would exist.
 TAILS = (math.inf, 10.0, 5.0, 3.0)
-# Nats by which a tail must be the better before a population has one: odds of 3, as between tails
-# nothing is known beforehand and the normal density says less.
-SURE = math.log(3.0)
+# Nats by which a tail must be the better before a population has one: of a normal population a
+# ratio of evidence is above 10 in at most one of 10 (Markov's inequality), and three are tried.
+SURE = math.log(30.0)
 # Nodes of Student's t as a mixture of normal densities: its log-density is right to 0.01 nats
 # within six spreads (measured against scipy's).
 NODES = 24

@@ -42,5 +42,5 @@ def devices(value: Array, sigma: Array, owner: IntArray, apart: float = 0.0) -> 
     off = w * (value - mean[owner]) ** 2
     # each recording's normal density, over that of the device's mean at its own place
     log = -0.5 * (off + np.log(2.0 * np.pi / w)).sum() + 0.5 * np.log(2.0 * np.pi / total).sum()
-    deviation, chi2 = np.asarray(total**-0.5), np.bincount(owner, off)
+    deviation, chi2 = np.asarray(total**-0.5), np.asarray(np.bincount(owner, off), dtype=np.float64)
     return Devices(np.asarray(mean), deviation, count, chi2, owner, float(log))

@@ -1,0 +1,170 @@
+"""Populations: the truth is in the interval as often as it says, faint effects add up, and odd
+devices are found."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from handcal.device import priors as priors_file
+from handcal.device.priors import Learned
+from handcal.population import odd
+from handcal.population.deconvolved import _nodes, chance, log_density, population
+from handcal.population.fleet import Reading, models
+from handcal.population.grouped import devices, owners
+from handcal.population.stacked import stack
+from handcal.types import HandcalError, InputError
+
+FLEETS, PARAMETERS = 20, 10
+
+
+def drawn(rng, n, mean=0.002, spread=0.01, noise=0.01):
+    sigma = noise * np.exp(rng.normal(0.0, 0.5, n))
+    return rng.normal(mean, spread, n) + rng.normal(0.0, sigma), sigma
+
+
+@pytest.mark.parametrize(("count", "noise"), [(12, 0.01), (30, 0.02)])
+def test_intervals_hold_the_truth_as_often_as_they_say(count, noise):
+    """200 populations: of 95 % the binomial law has 90 to 98.5 % within 3.2 sigma."""
+    held_spread = held_mean = 0
+    for seed in range(FLEETS):
+        rng = np.random.default_rng(seed)
+        for _ in range(PARAMETERS):
+            x, sigma = drawn(rng, count, noise=noise)
+            p = population(x, sigma, owners([""] * count))
+            held_spread += p.low <= 0.01 <= p.high
+            held_mean += abs(p.mean - 0.002) < 1.96 * p.mean_sigma
+    assert 0.90 <= held_spread / (FLEETS * PARAMETERS) <= 0.99
+    assert 0.90 <= held_mean / (FLEETS * PARAMETERS) <= 0.99
+
+
+def test_the_scatter_of_estimates_is_not_the_spread():
+    rng = np.random.default_rng(0)
+    x, sigma = drawn(rng, 200, noise=0.03)
+    p = population(x, sigma, owners([""] * 200))
+    assert np.std(x) > 0.03
+    assert p.low < 0.01 < p.high < 0.018
+
+
+def test_recordings_of_one_device_share_its_value():
+    rng = np.random.default_rng(0)
+    truth = rng.normal(0.0, 0.01, 20)
+    who = owners([f"d{i // 5}" for i in range(100)])
+    sigma = np.full(100, 0.02)
+    x = truth[who] + rng.normal(0.0, sigma)
+    assert population(x, sigma, who).count == 20
+    d = devices(x, sigma, who)
+    np.testing.assert_allclose(d.sigma, 0.02 / math.sqrt(5.0))
+    # what differs each time it is switched on is told from what differs between devices
+    turn_on = truth[who] + rng.normal(0.0, 0.03, 100) + rng.normal(0.0, 0.001, 100)
+    p = population(turn_on, np.full(100, 0.001), who, stays=False)
+    assert p.apart == pytest.approx(0.03, rel=0.35)  # 80 degrees of freedom: 8 %, grid 13 %
+    assert p.spread < 0.02
+    with pytest.raises(HandcalError, match="takes 3 devices"):
+        population(x[:2], sigma[:2], owners(["a", "b"]))
+
+
+def test_a_tail_is_told_where_there_is_one():
+    rng = np.random.default_rng(0)
+    sigma = np.full(200, 0.002)
+    t = 0.01 * rng.standard_t(3.0, 200) + rng.normal(0.0, sigma)
+    p = population(t, sigma, owners([""] * 200))
+    assert p.dof <= 5.0
+    assert p.low < 0.01 < p.high
+    # (of a normal population at most one of ten is told to have one: 5 of 20 are 2.2 sigma more)
+    told = 0
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        x = rng.normal(0.0, 0.01, 60) + rng.normal(0.0, sigma[:60])
+        told += not math.isinf(population(x, sigma[:60], owners([""] * 60)).dof)
+    assert told <= 5
+
+
+@pytest.mark.parametrize("dof", [3.0, 5.0, 10.0])
+def test_the_mixture_is_students_t(dof):
+    share, widen = _nodes(dof)
+    x = np.linspace(-6.0, 6.0, 25)
+    log = log_density(x[None], np.full(25, 1e-12), share, widen, np.ones((1, 1)))[0]
+    got = np.log(np.exp(log).sum(axis=1))
+    np.testing.assert_allclose(got, stats.t.logpdf(x, dof), atol=0.01)
+
+
+def test_three_nats_in_each_of_many_devices_add_up_and_one_device_is_not_smeared():
+    rng = np.random.default_rng(0)
+    n, usual = 40, np.array([0.005])
+    sigma = np.full(n, 0.003)
+    shared = rng.normal(0.004, 0.0005, n) + rng.normal(0.0, sigma)
+    found = stack("gyro_quadratic", [(shared, sigma)], usual, 100)
+    assert found.best_alone < 6.0
+    assert found.probability > 0.999
+    nothing = rng.normal(0.0, sigma)
+    assert stack("gyro_quadratic", [(nothing, sigma)], usual, 100).probability < 0.05
+    one = nothing.copy()
+    one[7] = 0.05
+    assert stack("gyro_quadratic", [(one, sigma)], usual, 100).probability < 0.05
+    # sigmas that are a third too small are no population
+    assert stack("gyro_quadratic", [(1.33 * nothing, sigma)], usual, 100).probability < 0.5
+
+
+def fleet(rng, count=30):
+    """Readings of devices with three scales, each recorded twice."""
+    truth = rng.normal(0.0, 0.004, (count, 3))
+    truth[4, 1], truth[11, 2] = 0.06, -2.0
+    out = []
+    for d in range(count):
+        for r in range(2):
+            whose = 20 if (d, r) == (21, 1) else d  # a recording with another's name on it
+            x = truth[whose] + rng.normal(0.0, 0.0004, 3)
+            values = {("gyro_scale", a): (float(v), 0.0004) for a, v in zip("xyz", x, strict=True)}
+            gravity = 1.0 if (d, r) == (2, 0) else 9.8
+            out.append(Reading(f"r{d}_{r}", "m", f"d{d}", values, frozenset(values), gravity))
+    return out
+
+
+def test_odd_devices_and_recordings_come_first_with_the_reason():
+    from handcal.show.fleet import reason
+
+    (m,) = models(fleet(np.random.default_rng(0)))
+    assert (m.devices, m.recordings) == (30, 60)
+    first = {o.who: reason(o, m) for o in m.odd[:6]}
+    assert {"d4", "d11", "r2_0", "r21_1"} <= set(first)
+    assert "sign is turned round" in first["d11"]
+    assert "another unit" in first["r2_0"]
+    assert "like d20" in first["r21_1"]
+    assert len(m.odd) <= 8
+    (c,) = [c for c in m.common if c.name == "x"]
+    assert c.population.low < 0.004 < c.population.high
+
+
+def test_the_chance_of_a_device_is_that_of_its_population():
+    rng = np.random.default_rng(0)
+    x, sigma = drawn(rng, 100)
+    p = population(x, sigma, owners([""] * 100))
+    (got,) = chance(p, np.array([p.mean + 3.0 * p.spread]), np.array([0.0]))
+    widened = math.hypot(p.spread, p.mean_sigma)
+    assert got == pytest.approx(2.0 * stats.norm.sf(3.0 * p.spread / widened), rel=1e-6)
+    assert odd.devices(["a"], {}) == []
+
+
+def test_priors_come_back_as_they_were_written(tmp_path):
+    path = tmp_path / "priors.toml"
+    one = Learned(0.003, 0.001, 0.005, 0.001, 3.0, 40)
+    two = Learned(0.0, 0.001, 0.002, 0.0005, math.inf, 40)
+    written = {"phone \"A\"": {("gyro_scale", "x"): one, ("gyro_bias", "z"): two}}
+    priors_file.write(path, written, {"phone \"A\"": {"recordings": 80, "devices": 40}})
+    read = priors_file.read(path)
+    assert read.models == written
+    prior = priors_file.prior(read, priors_file.chosen(read, None))
+    assert prior.names == (("gyro_scale", "x"), ("gyro_bias", "z"))
+    # of Student's t with three degrees of freedom the variance is three times the scale's
+    expected = math.sqrt(3.0 * (0.005**2 + 0.001**2) + 0.001**2)
+    assert math.sqrt(prior.covariance[0, 0]) == pytest.approx(expected)
+    assert prior.source["devices"] == 40
+    with pytest.raises(InputError, match="has no model 'B'"):
+        priors_file.chosen(read, "B")
+    path.write_text(path.read_text().replace('"gyro_scale"', '"gyro_moon"'))
+    with pytest.raises(InputError, match="damaged"):
+        priors_file.read(path)
