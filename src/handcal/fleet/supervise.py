@@ -100,6 +100,12 @@ class Nurseries:
                 with suppress(OSError):
                     os.killpg(nursery.process.pid, signal.SIGKILL)
 
+    def forget(self) -> None:
+        """Close what is left of those that were ended, when no thread asks any more."""
+        for nursery in self.by_thread.values():
+            nursery.end()
+        self.by_thread.clear()
+
 
 @cache
 def of_this_process() -> Nurseries:
@@ -138,7 +144,8 @@ class Local(Executor):
         return self.threads.submit(fn, *args, nurseries=self.nurseries, **kwargs)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """End at once what still runs (``wait`` is not heard)."""
-        del wait
+        """End at once what still runs (neither option is heard)."""
+        del wait, cancel_futures
         self.nurseries.end()
-        self.threads.shutdown(wait=True, cancel_futures=cancel_futures or True)
+        self.threads.shutdown(wait=True, cancel_futures=True)
+        self.nurseries.forget()

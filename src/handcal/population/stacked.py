@@ -1,7 +1,7 @@
 """Evidence for an effect, summed over the devices of a model under one population prior.
 
 Three accounts of the same values: no device has it; all have it, about a common mean with a common
-spread; some have it, each of a size of its own, and the others nothing. What each device's motion
+spread; some, half of them at the most, have it, each of a size of its own. What each device's motion
 tells of one parameter is its own; every parameter is as likely absent as not. Sigmas may be too
 small by a factor common to the fleet, in each account alike, so that what a model leaves unsaid in
 every recording is not taken for a spread.
@@ -22,8 +22,9 @@ from handcal.types import Array
 HONEST = np.array([1.0, 1.2, 1.45])
 # Spreads on trial, in usual sizes of the effect; their prior is flat from nothing to one.
 SPREADS = np.r_[0.0, np.geomspace(0.003, 1.0, 30)]
-# Shares of devices that have an effect of their own size.
-SHARES = (np.arange(20) + 0.5) / 20.0
+# Shares of devices that have an effect of their own size: half of them at the most, since where
+# nearly all have one it is common to them.
+SHARES = (np.arange(20) + 0.5) / 40.0
 
 
 @dataclass(frozen=True)
