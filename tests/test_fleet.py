@@ -19,7 +19,7 @@ from handcal.fleet.record import Options, Source, digest, key
 from handcal.fleet.results import write_all
 from handcal.fleet.run import run
 from handcal.fleet.sources import found, joined, listed
-from handcal.fleet.supervise import TRIES, Local
+from handcal.fleet.supervise import TRIES, Local, of_this_process
 from handcal.types import InputError
 from handcal.workers import opened
 
@@ -186,3 +186,27 @@ def test_a_folder_of_something_else_is_left_alone(tmp_path):
     with pytest.raises(InputError, match="something else"):
         store.opened(tmp_path)
     assert json.loads(json.dumps(dataset.COLUMNS))  # (documented, every column)
+
+
+def test_a_dask_cluster_keeps_the_same(tmp_path):
+    distributed = pytest.importorskip(
+        "distributed", reason="dask is not installed: pip install '.[dask]'"
+    )
+    sources = files(tmp_path / "in", a="fine 1", dead="die", refused="refuse")
+    here, _, _ = made(sources, tmp_path / "here")
+    place = store.opened(tmp_path / "there")
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=2, processes=False, host="127.0.0.1",
+        dashboard_address=None, protocol="tcp", silence_logs=50,
+    ) as cluster:  # fmt: skip
+        where = cluster.scheduler_address.replace("tcp://", "dask://")
+        with opened(where, 1, Local) as workers:
+            members = run(sources, place, workers, options(), lambda _: None, lambda _: None)
+        of_this_process().end()
+        of_this_process().forget()
+        of_this_process.cache_clear()
+    for m in members:
+        there = place.record(m.key)
+        assert [there[k] for k in ("status", "reason")] == [
+            here[m.source.path.stem][k] for k in ("status", "reason")
+        ]
