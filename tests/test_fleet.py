@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
+import schemas
 from typer.testing import CliRunner
 
 from handcal.commands._app import app
@@ -78,6 +79,7 @@ def test_whatever_becomes_of_a_recording_is_a_row_with_the_reason(tmp_path):
     about = parquet.read_schema(next((tmp_path / "out/data/recordings").rglob("*.parquet")))
     assert about.metadata[b"handcal.schema"] == b"handcal/fleet-data/1/recordings"
     assert "a bug of ours" in (tmp_path / "out/fleet.html").read_text()
+    schemas.check(json.loads((tmp_path / "out/fleet.json").read_text()))
 
 
 def test_what_is_kept_is_not_made_again_and_what_was_killed_is(tmp_path, monkeypatch):
