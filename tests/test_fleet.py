@@ -174,7 +174,7 @@ def test_a_manifest_has_to_know_every_recording(tmp_path):
     rows = listed(tmp_path / "m.txt")
     paths, others = found([str(tmp_path / "*.csv")])
     assert others == []
-    with pytest.raises(InputError, match="b.csv is not in the manifest"):
+    with pytest.raises(InputError, match=r"b\.csv is not in the manifest"):
         joined(paths, rows, "model")
     assert joined(paths[:1], rows, "site")[0].model == "here"
     with pytest.raises(InputError, match="no such column"):

@@ -11,7 +11,7 @@ from scipy import stats
 
 from handcal.device import priors as priors_file
 from handcal.device.priors import Learned
-from handcal.population import odd
+from handcal.population import joint, odd
 from handcal.population.deconvolved import _nodes, chance, log_density, population
 from handcal.population.fleet import Reading, models
 from handcal.population.grouped import devices, owners
@@ -153,8 +153,8 @@ def test_priors_come_back_as_they_were_written(tmp_path):
     path = tmp_path / "priors.toml"
     one = Learned(0.003, 0.001, 0.005, 0.001, 3.0, 40)
     two = Learned(0.0, 0.001, 0.002, 0.0005, math.inf, 40)
-    written = {"phone \"A\"": {("gyro_scale", "x"): one, ("gyro_bias", "z"): two}}
-    priors_file.write(path, written, {"phone \"A\"": {"recordings": 80, "devices": 40}})
+    written = {'phone "A"': {("gyro_scale", "x"): one, ("gyro_bias", "z"): two}}
+    priors_file.write(path, written, {'phone "A"': {"recordings": 80, "devices": 40}})
     read = priors_file.read(path)
     assert read.models == written
     prior = priors_file.prior(read, priors_file.chosen(read, None))
@@ -168,3 +168,73 @@ def test_priors_come_back_as_they_were_written(tmp_path):
     path.write_text(path.read_text().replace('"gyro_scale"', '"gyro_moon"'))
     with pytest.raises(InputError, match="damaged"):
         priors_file.read(path)
+
+
+# ---- all parameters at once ---------------------------------------------------------------------
+
+SCALE, QUADRATIC = ("gyro_scale", "x"), ("gyro_quadratic", "x")
+
+
+def turned_at_one_rate(rng, count, quadratic, rate=1.3):
+    """Recordings in which a scale error and a quadratic one (usual sizes 0.01 and 0.005) look the
+    same, the latter by the way round that the device was turned; truth in usual sizes."""
+    out = []
+    for _ in range(count):
+        h = np.array([0.01, 0.005 * rate * rng.choice([-1.0, 1.0])]) / 0.0003
+        truth = np.array([0.2 * rng.normal(), quadratic])
+        b = h * (h @ truth + rng.normal())
+        # (a little of another rate)
+        other = np.array([0.01, 0.0]) / 0.01
+        out.append(
+            joint.Information((SCALE, QUADRATIC), b + other * (other @ truth + rng.normal()),
+                              np.outer(h, h) + np.outer(other, other))
+        )  # fmt: skip
+    return joint.of_devices(out, np.arange(count), (SCALE, QUADRATIC), ())
+
+
+def test_evidence_is_that_of_the_marginal_density():
+    rng = np.random.default_rng(0)
+    L = rng.normal(size=(2, 2))
+    G, z = L @ L.T, rng.normal(size=2)
+    told = joint.Told((SCALE, QUADRATIC), (G @ z)[None], G[None])
+    mean, spread = np.array([0.3, -0.2]), np.array([0.5, 2.0])
+    log, _, _ = joint.evidence(told, mean, spread)
+    marginal = stats.multivariate_normal(mean, np.linalg.inv(G) + np.diag(spread**2))
+    at_best = stats.multivariate_normal(z, np.linalg.inv(G)).logpdf(z)
+    # (b and G are the log-likelihood up to its value at the best parameters)
+    expected = marginal.logpdf(z) - at_best + 0.5 * z @ G @ z
+    assert log[0] == pytest.approx(expected, rel=1e-9)
+
+
+def test_what_each_recording_takes_for_a_scale_is_found_by_the_devices_together():
+    told = turned_at_one_rate(np.random.default_rng(0), 20, 1.2)
+    found = joint.stack(told, [SCALE], "gyro_quadratic", 100)
+    assert found.probability > 0.99
+    assert found.best_alone < 3.0
+    mean, spread = joint.fit(told)
+    # the mean of 20 devices, each known to 0.3 of a usual size beside a scale of that spread
+    assert mean[1] == pytest.approx(1.2, abs=3 * 0.3 / math.sqrt(20))
+    assert spread[0] == pytest.approx(0.2, abs=3 * 0.2 / math.sqrt(40))
+
+
+def test_what_is_not_there_is_found_in_one_of_a_hundred_at_the_most():
+    """20 fleets; odds of one in a hundred trials, so that one found would be a chance of 1/5."""
+    found = [
+        joint.stack(turned_at_one_rate(np.random.default_rng(seed), 12, 0.0), [SCALE],
+                    "gyro_quadratic", 100).probability > 0.5
+        for seed in range(20)
+    ]  # fmt: skip
+    assert sum(found) <= 1
+
+
+def test_what_passes_is_integrated_out():
+    rng = np.random.default_rng(0)
+    L = rng.normal(size=(2, 3))
+    G, b = L.T @ L, rng.normal(size=3)
+    arm = ("lever_arm", "x")
+    one = joint.Information((arm, SCALE, QUADRATIC), b, G)
+    told = joint.of_devices([one], np.zeros(1, dtype=np.int64), (SCALE, QUADRATIC), (arm,))
+    _, m, C = joint.evidence(told, np.zeros(2), np.ones(2))
+    whole = np.linalg.inv(G + np.eye(3))
+    np.testing.assert_allclose(C[0], whole[1:, 1:], atol=1e-12)
+    np.testing.assert_allclose(m[0], (whole @ b)[1:], atol=1e-12)

@@ -1,4 +1,4 @@
-"""A process that has everything imported and begins one process for each recording:
+"""A process that has imported what is needed and begins one process for each recording:
 ``python -m handcal.fleet.nursery``.
 
 A request is a line of JSON on standard input, an answer a line on standard output. The recording's
@@ -20,6 +20,7 @@ import tempfile
 import time
 import traceback
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import IO, Any, NoReturn
 
 from handcal.fleet.record import CRASHED, DONE, FAILED, KILLED, OUT_OF_MEMORY, TIMED_OUT, Document
@@ -40,7 +41,6 @@ def main() -> None:
     null = os.open(os.devnull, os.O_RDWR)
     os.dup2(null, 0)
     os.dup2(null, 1)
-    importlib.import_module("handcal.fleet.work")
     waiting = b""
     while True:
         while b"\n" not in waiting:
@@ -49,7 +49,11 @@ def main() -> None:
                 return
             waiting += some
         line, _, waiting = waiting.partition(b"\n")
-        answer = _watched(json.loads(line), asked)
+        request = json.loads(line)
+        # (once, and not anew in each process; what cannot be imported, that process says)
+        with suppress(ImportError):
+            importlib.import_module(str(request["work"]).partition(":")[0])
+        answer = _watched(request, asked)
         _write_all(told, json.dumps(answer).encode() + b"\n")
 
 

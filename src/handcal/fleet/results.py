@@ -16,6 +16,7 @@ from handcal.fleet import dataset
 from handcal.fleet.record import DONE, Document, Source
 from handcal.fleet.run import Member, rows
 from handcal.fleet.store import Store
+from handcal.fleet.work import information_of
 from handcal.population.fleet import Common, Model, Reading, models
 from handcal.population.odd import Name
 from handcal.show.fleet import Fleet, fleet_json, write_page
@@ -62,7 +63,9 @@ def reading_of(source: Source, record: Document) -> Reading:
     together = frozenset((t["effect"], t["name"]) for t in told if t["together"])
     gravity = float(record.get("gravity", math.nan))
     model = source.model or dataset.UNKNOWN
-    return Reading(str(source.path), model, source.device, values, together, gravity)
+    kept = record.get("information")
+    information = None if kept is None else information_of(kept)
+    return Reading(str(source.path), model, source.device, values, together, gravity, information)
 
 
 def _write_priors(path: Path, known: Sequence[Model]) -> None:

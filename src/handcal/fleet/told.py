@@ -48,7 +48,16 @@ class Told:
     together: bool
 
 
-def told(recording: Recording) -> tuple[Told, ...]:
+@dataclass(frozen=True)
+class Telling:
+    """values: each parameter by itself; information: of all but the biases at once, in units of the
+    catalogue's priors (``Quadratic``)."""
+
+    values: tuple[Told, ...]
+    information: Quadratic
+
+
+def told(recording: Recording) -> Telling:
     """Biases, the effects of ``ALWAYS`` and every other that acts here. Errors: HandcalError where
     no fit could be made."""
     model = _fit(case_of(recording, "auto", None))
@@ -64,7 +73,7 @@ def told(recording: Recording) -> tuple[Told, ...]:
     for effect in others:
         mine = [i for i, n in enumerate(q.names) if n[0] == effect.id]
         out += _marginals(q, [*own, *mine], mine, False)
-    return tuple(out)
+    return Telling(tuple(out), q)
 
 
 def _fit(case: Case) -> Model:

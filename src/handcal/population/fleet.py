@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
 
 from handcal.device.file import persistent, unit_of, usual_of
 from handcal.effects import catalogue
-from handcal.population import odd
+from handcal.population import joint, odd
 from handcal.population.deconvolved import LEAST, Population, population
 from handcal.population.grouped import devices, owners
+from handcal.population.joint import Information
 from handcal.population.odd import Name, Odd
 from handcal.population.stacked import Stack, stack
 from handcal.types import Array, IntArray
@@ -20,6 +21,8 @@ from handcal.types import Array, IntArray
 OF_THE_HAND = ("lever_arm",)
 # Probability from which an effect is said to be there: contract, `missing`.
 FOUND = 0.5
+# Effects that are looked for one after the other in a model of device.
+MOST = 4
 # A spread is told where the ends of its interval are no further apart than this factor; else the
 # catalogue's usual size stays in place.
 TOLD = 4.0
@@ -28,7 +31,8 @@ TOLD = 4.0
 @dataclass(frozen=True)
 class Reading:
     """What one recording tells: its label, model and device ("" where nobody says); value and sigma
-    of each parameter, SI, and which of them were estimated together; gravity m/s^2."""
+    of each parameter, SI, and which of them were estimated together; gravity m/s^2; what it tells
+    of all parameters at once, where that is known."""
 
     label: str
     model: str
@@ -36,6 +40,7 @@ class Reading:
     values: Mapping[Name, tuple[float, float]]
     together: frozenset[Name]
     gravity: float
+    information: Information | None = None
 
 
 @dataclass(frozen=True)
@@ -105,12 +110,21 @@ def _model(
 ) -> Model:
     who = owners([r.device for r in readings])
     names = [r.device or r.label for r in readings]
-    stacks = _stacks(table, who, trials)
-    found = {s.effect for s in stacks if s.probability > FOUND}
     together = {n for r in readings for n in r.together}
-    common = [_common(n, table[n], names) for n in table if n in together or n[0] in found]
-    there = [c for c in common if c is not None]
+    at_once = [r.information for r in readings if r.information is not None]
+    sharper: dict[Name, tuple[Array, Array]] = {}
+    if len(at_once) == len(readings) and who.max() + 1 >= LEAST:
+        stacks, sharper = _at_once(at_once, who, together, trials)
+    else:
+        stacks = _stacks(table, who, trials)
+    found = {s.effect for s in stacks if s.probability > FOUND}
     every = tuple(dict.fromkeys(names))
+    common = [
+        _common(n, *((sharper[n], every) if n in sharper else (table[n], names)))
+        for n in table
+        if n in together or n[0] in found
+    ]
+    there = [c for c in common if c is not None]
     told = {
         (c.effect, c.name): (c.population, *_aligned(c, every))
         for c in there
@@ -166,6 +180,49 @@ def _stacks(
             values.append((d.value, d.sigma))
         out.append(stack(effect, values, usual_of(names), trials))
     return tuple(sorted(out, key=lambda s: (-s.probability, -s.gain)))
+
+
+def _at_once(
+    readings: Sequence[Information], who: IntArray, together: Set[Name], trials: int
+) -> tuple[tuple[Stack, ...], dict[Name, tuple[Array, Array]]]:
+    """Stacked effects, one found after the other, each beside those before it; and where any was
+    found that is not in every fit, devices' values (d,) and sigmas (d,) with it in the model."""
+    listed = tuple(dict.fromkeys(n for r in readings for n in r.names if n[0] in catalogue()))
+    always = [n for n in listed if n in together and stays(n[0])]
+    passing = [n for n in listed if n in together and not stays(n[0])]
+    left = dict.fromkeys(n[0] for n in listed if stays(n[0]))
+    found: dict[str, Stack] = {}
+    while True:
+        stacks = {}
+        for effect in left:
+            names = [*always, *(n for n in listed if n[0] == effect and n not in always)]
+            told = joint.of_devices(readings, who, names, passing)
+            stacks[effect] = joint.stack(told, always, effect, trials)
+        new = [s for s in stacks.values() if not {n for n in always if n[0] == s.effect}]
+        best = max(new, key=lambda s: s.probability, default=None)
+        if best is None or best.probability <= FOUND or len(found) == MOST:
+            break
+        found[best.effect] = best
+        del left[best.effect]
+        always += [n for n in listed if n[0] == best.effect]
+    every = sorted((*found.values(), *stacks.values()), key=lambda s: (-s.probability, -s.gain))
+    if not found:
+        return tuple(every), {}
+    return tuple(every), _sharper(joint.of_devices(readings, who, always, passing), set(found))
+
+
+def _sharper(told: joint.Told, found: Set[str]) -> dict[Name, tuple[Array, Array]]:
+    """Each parameter as the devices tell it, SI, with what was found in the model: of that the
+    others are drawn from its population, the rest have their usual sizes."""
+    mean, spread = joint.fit(told)
+    own = np.array([n[0] in found for n in told.names])
+    mean, spread = np.where(own, mean, 0.0), np.where(own, spread, 1.0)
+    usual = usual_of(told.names)
+    out = {}
+    for name, size in zip(told.names, usual, strict=True):
+        value, sigma = joint.marginals(told, mean, spread, name)
+        out[name] = (value * size, sigma * size)
+    return out
 
 
 def _renumbered(owner: IntArray) -> IntArray:

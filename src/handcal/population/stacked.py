@@ -1,10 +1,10 @@
 """Evidence for an effect, summed over the devices of a model under one population prior.
 
 Three accounts of the same values: no device has it; all have it, about a common mean with a common
-spread; some, half of them at the most, have it, each of a size of its own. What each device's motion
-tells of one parameter is its own; every parameter is as likely absent as not. Sigmas may be too
-small by a factor common to the fleet, in each account alike, so that what a model leaves unsaid in
-every recording is not taken for a spread.
+spread; some, half of them at the most, have it, each of a size of its own. What each device's
+motion tells of one parameter is its own; every parameter is as likely absent as not. Sigmas may be
+too small by a factor common to the fleet, in each account alike, so that what a model leaves unsaid
+in every recording is not taken for a spread.
 """
 
 from __future__ import annotations
