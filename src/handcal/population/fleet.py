@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 
@@ -61,9 +62,11 @@ class Common:
 
     @property
     def told(self) -> bool:
-        """Whether the recordings tell the spread, or at least that it is below the usual."""
+        """Whether the recordings tell the spread, or at least that a new device is better known by
+        them than by the usual size."""
         p = self.population
-        return p.high < self.usual or p.high < TOLD * p.low
+        new = math.hypot(p.deviation, 0.25 * (p.high - p.low), p.mean_sigma)
+        return new < self.usual or p.high < TOLD * p.low
 
 
 @dataclass(frozen=True)
@@ -113,8 +116,9 @@ def _model(
     together = {n for r in readings for n in r.together}
     at_once = [r.information for r in readings if r.information is not None]
     sharper: dict[Name, tuple[Array, Array]] = {}
+    each: dict[Name, tuple[Array, Array]] = {}
     if len(at_once) == len(readings) and who.max() + 1 >= LEAST:
-        stacks, sharper = _at_once(at_once, who, together, trials)
+        stacks, sharper, each = _at_once(at_once, who, together, trials)
     else:
         stacks = _stacks(table, who, trials)
     found = {s.effect for s in stacks if s.probability > FOUND}
@@ -130,7 +134,7 @@ def _model(
         for c in there
         if c.effect not in OF_THE_HAND
     }
-    lasting = {n: table[n] for n in table if n in together and stays(n[0])}
+    lasting = {n: each.get(n, table[n]) for n in table if n in together and stays(n[0])}
     labels = [r.label for r in readings]
     strange = (
         *odd.unlike_gravity(labels, [r.gravity for r in readings]),
@@ -184,9 +188,10 @@ def _stacks(
 
 def _at_once(
     readings: Sequence[Information], who: IntArray, together: Set[Name], trials: int
-) -> tuple[tuple[Stack, ...], dict[Name, tuple[Array, Array]]]:
+) -> tuple[tuple[Stack, ...], dict[Name, tuple[Array, Array]], dict[Name, tuple[Array, Array]]]:
     """Stacked effects, one found after the other, each beside those before it; and where any was
-    found that is not in every fit, devices' values (d,) and sigmas (d,) with it in the model."""
+    found that is not in every fit, values and sigmas of devices (d,) and of recordings (n,) with it
+    in the model."""
     listed = tuple(dict.fromkeys(n for r in readings for n in r.names if n[0] in catalogue()))
     always = [n for n in listed if n in together and stays(n[0])]
     passing = [n for n in listed if n in together and not stays(n[0])]
@@ -207,21 +212,28 @@ def _at_once(
         always += [n for n in listed if n[0] == best.effect]
     every = sorted((*found.values(), *stacks.values()), key=lambda s: (-s.probability, -s.gain))
     if not found:
-        return tuple(every), {}
-    return tuple(every), _sharper(joint.of_devices(readings, who, always, passing), set(found))
+        return tuple(every), {}, {}
+    told = joint.of_devices(readings, who, always, passing)
+    alone = joint.of_devices(readings, np.arange(len(readings)), always, passing)
+    population_of = joint.fit(told)
+    of_devices, of_recordings = (_sharper(t, set(found), *population_of) for t in (told, alone))
+    return tuple(every), of_devices, of_recordings
 
 
-def _sharper(told: joint.Told, found: Set[str]) -> dict[Name, tuple[Array, Array]]:
-    """Each parameter as the devices tell it, SI, with what was found in the model: of that the
-    others are drawn from its population, the rest have their usual sizes."""
-    mean, spread = joint.fit(told)
+def _sharper(
+    told: joint.Told, found: Set[str], mean: Array, spread: Array
+) -> dict[Name, tuple[Array, Array]]:
+    """Each parameter as devices or recordings tell it, SI (nan where they do not), with what was
+    found in the model: that is drawn from its population, of this mean (k,) and spread (k,) in
+    usual sizes, and the rest has its usual size."""
     own = np.array([n[0] in found for n in told.names])
     mean, spread = np.where(own, mean, 0.0), np.where(own, spread, 1.0)
     usual = usual_of(told.names)
     out = {}
     for name, size in zip(told.names, usual, strict=True):
         value, sigma = joint.marginals(told, mean, spread, name)
-        out[name] = (value * size, sigma * size)
+        there = np.isfinite(value) & np.isfinite(sigma)
+        out[name] = (np.where(there, value * size, np.nan), np.where(there, sigma * size, np.nan))
     return out
 
 
