@@ -170,8 +170,8 @@ def test_a_wrong_manifest_is_a_sentence_before_anything_runs(tmp_path, text, sai
 
 def test_a_manifest_has_to_know_every_recording(tmp_path):
     files(tmp_path, a="fine", b="fine")
-    (tmp_path / "m.txt").write_text("path,device,model,site\na.csv,d,x,here\n")
-    rows = listed(tmp_path / "m.txt")
+    (tmp_path / "m.list").write_text("path,device,model,site\na.csv,d,x,here\n")
+    rows = listed(tmp_path / "m.list")
     paths, others = found([str(tmp_path / "*.csv")])
     assert others == []
     with pytest.raises(InputError, match=r"b\.csv is not in the manifest"):
@@ -179,6 +179,13 @@ def test_a_manifest_has_to_know_every_recording(tmp_path):
     assert joined(paths[:1], rows, "site")[0].model == "here"
     with pytest.raises(InputError, match="no such column"):
         joined(paths[:1], rows, "moon")
+    # what a fleet wrote into a folder that it reads is no recording of the next run
+    inside = tmp_path / "fleet/data/recordings/model=x"
+    inside.mkdir(parents=True)
+    (inside / "part-0.parquet").write_text("rows")
+    paths, others = found([str(tmp_path)], tmp_path / "fleet")
+    assert [p.name for p in paths] == ["a.csv", "b.csv"]
+    assert [p.name for p in others] == ["m.list"]
     with pytest.raises(InputError, match="no such file"):
         found([str(tmp_path / "*.bag")])
 

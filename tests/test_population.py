@@ -4,18 +4,22 @@ devices are found."""
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy import stats
 
+from handcal.commands._device import before_of
 from handcal.device import priors as priors_file
+from handcal.device.file import session_of
 from handcal.device.priors import Learned
 from handcal.population import joint, odd
 from handcal.population.deconvolved import _nodes, chance, log_density, population
 from handcal.population.fleet import Reading, models
 from handcal.population.grouped import devices, owners
 from handcal.population.stacked import stack
+from handcal.show.calibration.summary import device_json
 from handcal.types import HandcalError, InputError
 
 FLEETS, PARAMETERS = 20, 10
@@ -238,3 +242,45 @@ def test_what_passes_is_integrated_out():
     whole = np.linalg.inv(G + np.eye(3))
     np.testing.assert_allclose(C[0], whole[1:, 1:], atol=1e-12)
     np.testing.assert_allclose(m[0], (whole @ b)[1:], atol=1e-12)
+
+
+# ---- priors that were learned -------------------------------------------------------------------
+
+
+def two_models(tmp_path):
+    path = tmp_path / "priors.toml"
+    one = Learned(0.003, 0.001, 0.005, 0.001, math.inf, 40)
+    models_of = {name: {("gyro_scale", "x"): one} for name in ("A", "B")}
+    priors_file.write(path, models_of, dict.fromkeys("AB", {"recordings": 80, "devices": 40}))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("device", "priors", "model", "said"),
+    [
+        (None, True, None, "holds priors of A, B: say which"),
+        (None, True, "C", "has no model 'C'"),
+        (None, False, "A", "--model says which model of --priors"),
+        ("phone.toml", True, "A", "name one of them"),
+    ],
+)
+def test_what_is_begun_with_has_to_be_clear(tmp_path, device, priors, model, said):
+    file = two_models(tmp_path) if priors else None
+    with pytest.raises(InputError, match=said):
+        before_of(device and Path(device), file, model, [])
+
+
+def test_a_result_says_with_which_priors_and_a_device_file_takes_them_out_again(tmp_path):
+    before = before_of(None, two_models(tmp_path), "A", [])
+    told = device_json(before)["priors"]
+    assert (told["model"], told["devices"], len(told["sha256"])) == ("A", 40, 64)
+    assert told["prior"]["mean"] == [0.003]
+    variance = told["prior"]["covariance"][0][0]
+    document = {
+        "schema": "handcal/calibration/1", "priors": told, "covariance": [[1e-8]],
+        "recording": {"path": "a.mcap", "recorded": "2026-05-01T10:00:00Z", "sha256": "0"},
+        "parameters": [{"effect": "gyro_scale", "name": "x", "value": 0.004, "sigma": 1e-4}],
+    }  # fmt: skip
+    session = session_of(tmp_path / "a.json", document, "phone")
+    assert session.prior_mean.tolist() == [0.003]
+    assert session.prior_covariance.tolist() == [[variance]]

@@ -76,7 +76,7 @@ def fleet(
 
     if out is None:
         raise InputError("Say where results go: --out DIR.")
-    listed, left_out = _listed(sources or [], manifest, group_by)
+    listed, left_out = _listed(sources or [], manifest, group_by, out)
     options = Options(deadline, int(memory * 1e6), budget)
     store = kept.opened(out)
     _announced(listed, left_out)
@@ -86,7 +86,7 @@ def fleet(
 
 
 def _listed(
-    sources: Sequence[str], manifest: Path | None, group_by: str
+    sources: Sequence[str], manifest: Path | None, group_by: str, own: Path
 ) -> tuple[list[Source], list[Path]]:
     from handcal.fleet.sources import found, joined
     from handcal.fleet.sources import listed as rows_of
@@ -95,7 +95,8 @@ def _listed(
     if not sources and manifest is None:
         raise InputError("Name recordings (files, folders, patterns) or a --manifest of them.")
     rows = rows_of(manifest) if manifest else []
-    paths, left_out = found(sources)
+    # (what an earlier run wrote into a folder that is read is no recording)
+    paths, left_out = found(sources, own)
     out = joined(paths, rows, group_by)
     if not out:
         raise InputError(f"There is no recording in {', '.join(sources)}.")

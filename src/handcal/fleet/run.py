@@ -76,9 +76,10 @@ def run(
     step. Errors: WorkersDied; KeyboardInterrupt passes, and what was finished is kept.
     """
     progress, members = Progress(len(sources)), list[Member]()
-    tasks = _to_do(sources, store, options, prior_of, members, progress, say)
+    version = handcal.__version__  # (each look at it reads the package's metadata)
+    tasks = _to_do(sources, store, options, version, prior_of, members, progress, say)
     for task, answer in done(workers, _submitted, tasks):
-        record = _record(task, answer, options)
+        record = _record(task, answer, options, version)
         store.keep(task.key, record, (answer.get("result") or {}).get("explanation"))
         progress.finished += 1
         progress.failed += record["status"] != DONE
@@ -91,7 +92,7 @@ def _submitted(executor: Executor, task: Task) -> Future[Document]:
 
 
 def _to_do(
-    sources: Sequence[Source], store: Store, options: Options,
+    sources: Sequence[Source], store: Store, options: Options, version: str,
     prior_of: Callable[[Source], Document | None], members: list[Member], progress: Progress,
     say: Callable[[Progress], None],
 ) -> Iterator[Task]:  # fmt: skip
@@ -108,7 +109,7 @@ def _to_do(
             continue
         # (where the file of priors lies does not change what it says)
         content = None if prior is None else {k: prior[k] for k in ("names", "mean", "sigma")}
-        name = key(sha256, handcal.__version__, options, content)
+        name = key(sha256, version, options, content)
         members.append(Member(source, name))
         record = store.record(name)
         if name in given_out or stands(record, options):
@@ -123,12 +124,12 @@ def _to_do(
         yield Task(name, source, sha256, request)
 
 
-def _record(task: Task, answer: Document, options: Options) -> Document:
+def _record(task: Task, answer: Document, options: Options, version: str) -> Document:
     """What is kept of a recording, whatever became of it."""
     result = dict(answer.get("result") or {})
     result.pop("explanation", None)
     about = {
-        "schema": RECORD_SCHEMA, "version": handcal.__version__, "key": task.key,
+        "schema": RECORD_SCHEMA, "version": version, "key": task.key,
         "path": str(task.source.path), "sha256": task.sha256, "status": answer["status"],
         "reason": answer["reason"], "tries": answer["tries"], "seconds": answer["seconds"],
         "peak": answer["peak"], "deadline": options.deadline, "memory": options.memory,

@@ -16,15 +16,19 @@ from handcal.types import InputError
 COLUMNS = ("path", "device", "model", "started")
 
 
-def found(sources: Sequence[str]) -> tuple[list[Path], list[Path]]:
+def found(sources: Sequence[str], own: Path | None = None) -> tuple[list[Path], list[Path]]:
     """Recordings in the order in which they were named, each once, and files of folders that are of
-    no kind that handcal reads, by their endings. Errors: InputError where there is nothing."""
+    no kind that handcal reads, by their endings. own: a folder that is passed over. Errors:
+    InputError where there is nothing."""
+    skipped = None if own is None else own.resolve()
     recordings: dict[Path, None] = {}
     others: list[Path] = []
     for source in sources:
         before = len(recordings)
         for path in _named(source):
             for one, known in _within(path, _endings()):
+                if skipped is not None and skipped in one.resolve().parents:
+                    continue
                 if known:
                     recordings.setdefault(one.resolve())
                 else:
