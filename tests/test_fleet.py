@@ -67,6 +67,8 @@ def test_whatever_becomes_of_a_recording_is_a_row_with_the_reason(tmp_path):
     assert "600 MB" in records["large"]["reason"]
     assert records["dead"]["tries"] == TRIES
     assert records["large"]["peak"] > 600_000_000
+    for record in records.values():
+        schemas.check(record)
     written = write_all(members, place)
     assert (written.done, written.failed) == (1, 6)
     from pyarrow import parquet

@@ -251,7 +251,7 @@ def two_models(tmp_path):
     path = tmp_path / "priors.toml"
     one = Learned(0.003, 0.001, 0.005, 0.001, math.inf, 40)
     models_of = {name: {("gyro_scale", "x"): one} for name in ("A", "B")}
-    priors_file.write(path, models_of, dict.fromkeys("AB", {"recordings": 80, "devices": 40}))
+    priors_file.write(path, models_of, {n: {"recordings": 80, "devices": 40} for n in "AB"})
     return path
 
 
