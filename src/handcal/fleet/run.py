@@ -139,7 +139,9 @@ def _record(task: Task, answer: Document, options: Options, version: str) -> Doc
 
 
 def _source_of(prior: Document | None) -> Document | None:
-    return None if prior is None else dict(prior["source"])
+    if prior is None:
+        return None
+    return {"path" if k == "priors" else k: v for k, v in prior["source"].items()}
 
 
 def rows(members: Sequence[Member], store: Store) -> Iterator[tuple[Source, Document]]:
