@@ -72,8 +72,10 @@ def fleet(
     """
     from handcal.fleet import store as kept
     from handcal.fleet.record import Options
-    from handcal.types import InputError
+    from handcal.types import HandcalError, InputError
 
+    if not hasattr(os, "fork"):
+        raise HandcalError("handcal fleet needs a system that can fork: Linux or macOS.")
     if out is None:
         raise InputError("Say where results go: --out DIR.")
     listed, left_out = _listed(sources or [], manifest, group_by, out)
