@@ -56,14 +56,14 @@ def made(sources, folder, chosen=None, jobs=2):
 def test_whatever_becomes_of_a_recording_is_a_row_with_the_reason(tmp_path):
     sources = files(tmp_path / "in", good="fine 0.01", refused="refuse", bug="bug", dead="die",
                     crash="segfault", hung="hang", large="eat")  # fmt: skip
-    records, members, place = made(sources, tmp_path / "out", options(4.0, 600_000_000))
+    records, members, place = made(sources, tmp_path / "out", options(2.0, 600_000_000))
     told = {name: r["status"] for name, r in records.items()}
     assert told == {"good": "done", "refused": "failed", "bug": "crashed", "dead": "killed",
                     "crash": "crashed", "hung": "timed_out", "large": "out_of_memory"}  # fmt: skip
     assert records["refused"]["reason"] == "refused.csv is not a recording."
     assert "a bug of ours" in records["bug"]["reason"]
     assert "SIGSEGV" in records["crash"]["reason"]
-    assert "after 4 s" in records["hung"]["reason"]
+    assert "after 2 s" in records["hung"]["reason"]
     assert "600 MB" in records["large"]["reason"]
     assert records["dead"]["tries"] == TRIES
     assert records["large"]["peak"] > 600_000_000

@@ -143,6 +143,12 @@ def test_odd_devices_and_recordings_come_first_with_the_reason():
     assert c.population.low < 0.004 < c.population.high
 
 
+def test_two_devices_are_no_population():
+    two = [r for r in fleet(np.random.default_rng(0)) if r.device in ("d0", "d1")]
+    (m,) = models(two)
+    assert (m.common, m.stacks) == ((), ())
+
+
 def test_the_chance_of_a_device_is_that_of_its_population():
     rng = np.random.default_rng(0)
     x, sigma = drawn(rng, 100)

@@ -117,7 +117,9 @@ def _model(
     at_once = [r.information for r in readings if r.information is not None]
     sharper: dict[Name, tuple[Array, Array]] = {}
     each: dict[Name, tuple[Array, Array]] = {}
-    if len(at_once) == len(readings) and who.max() + 1 >= LEAST:
+    if who.max() + 1 < LEAST:
+        stacks: tuple[Stack, ...] = ()  # (what two devices have in common is no population)
+    elif len(at_once) == len(readings):
         stacks, sharper, each = _at_once(at_once, who, together, trials)
     else:
         stacks = _stacks(table, who, trials)
