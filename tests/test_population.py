@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import schemas
 from scipy import stats
 
 from handcal.commands._device import before_of
@@ -20,6 +21,7 @@ from handcal.population.fleet import Reading, models
 from handcal.population.grouped import devices, owners
 from handcal.population.stacked import stack
 from handcal.show.calibration.summary import device_json
+from handcal.show.fleet import Fleet, fleet_json, reason
 from handcal.types import HandcalError, InputError
 
 FLEETS, PARAMETERS = 20, 10
@@ -129,11 +131,9 @@ def fleet(rng, count=30):
 
 
 def test_odd_devices_and_recordings_come_first_with_the_reason():
-    from handcal.show.fleet import reason
-
     (m,) = models(fleet(np.random.default_rng(0)))
     assert (m.devices, m.recordings) == (30, 60)
-    first = {o.who: reason(o, m) for o in m.odd[:6]}
+    first = {o.who: reason(o) for o in m.odd[:6]}
     assert {"d4", "d11", "r2_0", "r21_1"} <= set(first)
     assert "sign is turned round" in first["d11"]
     assert "another unit" in first["r2_0"]
@@ -144,9 +144,13 @@ def test_odd_devices_and_recordings_come_first_with_the_reason():
 
 
 def test_two_devices_are_no_population():
-    two = [r for r in fleet(np.random.default_rng(0)) if r.device in ("d0", "d1")]
+    two = [r for r in fleet(np.random.default_rng(0)) if r.device in ("d20", "d21")]
     (m,) = models(two)
     assert (m.common, m.stacks) == ((), ())
+    # (but which of two recordings is whose may be asked all the same)
+    told = fleet_json(Fleet((m,), (), {}, 4))
+    assert "r21_1" in {o["who"] for o in told["models"][0]["odd"]}
+    schemas.check(told | {"version": "1"})
 
 
 def test_the_chance_of_a_device_is_that_of_its_population():

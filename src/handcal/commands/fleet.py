@@ -82,7 +82,7 @@ def fleet(
     options = Options(deadline, int(memory * 1e6), budget)
     store = kept.opened(out)
     _announced(listed, left_out)
-    prior_of = _prior_of(priors)
+    prior_of = _prior_of(priors, listed)
     members = _run(listed, store, options, executor, workers or os.cpu_count() or 1, prior_of)
     _written(members, store)
 
@@ -118,13 +118,15 @@ def _announced(listed: Sequence[Source], left_out: Sequence[Path]) -> None:
         say("nobody says the model of some recordings: they are taken for one population, unknown")
 
 
-def _prior_of(priors: Path | None) -> Callable[[Source], Document | None]:
+def _prior_of(priors: Path | None, listed: Sequence[Source]) -> Callable[[Source], Document | None]:
     if priors is None:
         return lambda _: None
     from handcal.device.priors import prior, read
     from handcal.fleet.work import prior_json
 
     learned = read(priors)
+    for model in sorted({s.model for s in listed} - set(learned.models)):
+        say(f"{priors} knows nothing of {model or 'devices of no model'}: it begins as is usual")
     return lambda source: prior_json(prior(learned, source.model) if source.model in learned.models
                                      else None)  # fmt: skip
 

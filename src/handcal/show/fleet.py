@@ -12,6 +12,7 @@ import numpy as np
 
 import handcal
 from handcal import output
+from handcal.device.file import unit_of
 from handcal.population.fleet import FOUND, Common, Model
 from handcal.population.odd import Odd
 from handcal.population.stacked import Stack
@@ -64,7 +65,7 @@ def _model_json(m: Model) -> dict[str, Any]:
             {"who": o.who, "kind": o.kind, "by_chance": finite(o.by_chance), "effect": o.effect,
              "name": o.name, "value": finite(o.value), "sigma": finite(o.sigma),
              "mean": finite(o.mean), "deviation": finite(o.deviation), "like": o.like,
-             "reason": reason(o, m)}
+             "reason": reason(o)}
             for o in m.odd
         ],
     }  # fmt: skip
@@ -81,13 +82,12 @@ def _population_json(c: Common) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def reason(o: Odd, m: Model) -> str:
+def reason(o: Odd) -> str:
     """Why a device or a recording is odd, in a sentence."""
     if o.kind == "gravity":
         return (f"Its accelerometer reads {o.value:.3g} m/s² where gravity is 9.8: another unit, "
                 "or no specific force.")  # fmt: skip
-    c = next(c for c in m.common if (c.effect, c.name) == (o.effect, o.name))
-    unit = shown(c.unit, [o.value, o.mean, o.deviation])
+    unit = shown(unit_of((o.effect, o.name)), [o.value, o.mean, o.deviation])
     value = unit.value(o.value, o.sigma, sign=True)
     mean = unit.value(o.mean, o.deviation, sign=True)
     deviation = unit.value(o.deviation, o.deviation)
@@ -132,7 +132,7 @@ def _section(m: Model) -> dict[str, Any]:
         "populations": [_row(c) for c in m.common],
         "stacks": [_stack_row(s) for s in m.stacks[:MOST_STACKS]],
         "odd": [(o.who if o.kind == "device" else Path(o.who).name, _times(o.by_chance),
-                 reason(o, m)) for o in m.odd[:MOST_ROWS]],
+                 reason(o)) for o in m.odd[:MOST_ROWS]],
     }  # fmt: skip
 
 
