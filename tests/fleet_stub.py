@@ -37,7 +37,8 @@ def work(request):
             "unit": "1", "prior_sigma": 0.01, "together": True}  # fmt: skip
     return {
         "recording": {"path": str(path), "duration_s": 20.0, "imu_rate_hz": 100.0,
-                      "streams": ["imu"], "assume": "fixed-point", "sha256": "", "recorded": "2026-05-01T10:00:00Z"},
+                      "streams": ["imu"], "assume": "fixed-point", "sha256": "",
+                      "recorded": "2026-05-01T10:00:00Z"},
         "gravity": 9.8, "verdict": "explained", "named": [], "unnamed": [], "hypotheses": [],
         "told": [told], "held_out": {}, "warnings": [], "explanation": {"stub": True},
         "information": {"names": [], "b": "", "G": ""},
