@@ -19,6 +19,7 @@ from typer.testing import CliRunner
 
 from handcal.commands._app import app
 from handcal.estimate.consistency import chi2_bounds
+from handcal.workers import Workers, WorkersDied, opened
 from handcal_sim.errors import SimulationError
 from handcal_sim.sweep import cell as sweep
 from handcal_sim.sweep import compare
@@ -26,7 +27,7 @@ from handcal_sim.sweep import run as sweep_run
 from handcal_sim.sweep.compare import end_of
 from handcal_sim.sweep.grid import Cell, World, paper, read_grid, turns, with_evidence
 from handcal_sim.sweep.printed import PRINTED
-from handcal_sim.sweep.run import Kept, Plan, Workers, WorkersDied, opened, run
+from handcal_sim.sweep.run import Kept, Plan, run
 from handcal_sim.sweep.score import converged_at, scores, spread
 from handcal_sim.sweep.show import FAR_OFF, sentences
 from handcal_sim.sweep.world import angle_sigma
@@ -488,7 +489,7 @@ def test_a_scheduler_that_is_gone_is_not_waited_for(monkeypatch):
         def submit(self, *_arguments, **_options):
             return Future()
 
-    monkeypatch.setattr(sweep_run, "LOOK_S", 0.01)
+    monkeypatch.setattr("handcal.workers.LOOK_S", 0.01)
     workers = Workers(Silent, 1, there=lambda: False)
     with pytest.raises(WorkersDied, match="scheduler is gone"):
         run(small(), workers, sweep.run_chunk, Kept(None), ignored)
@@ -509,7 +510,7 @@ def test_a_disk_that_was_full_in_the_first_cell_can_be_gone_on_from(tmp_path, le
 
 
 def test_the_command_from_end_to_end(tmp_path, monkeypatch):
-    monkeypatch.setattr("handcal_sim.sweep.run._processes", lambda _jobs: Here())
+    monkeypatch.setattr("handcal.workers.processes", lambda _jobs: Here())
     grid = tmp_path / "grid.toml"
     grid.write_text("[common]\nduration_s = 6\nrate_hz = 20\n[grid]\nr_h_rad = [0.1, 'none']\n")
     files = {k: tmp_path / f"x.{k}" for k in ("json", "csv", "html", "jsonl")}
@@ -552,7 +553,7 @@ def test_the_command_from_end_to_end(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("name", ["heading_outliers", "nonsense"])
 def test_what_cannot_be_estimated_is_refused(tmp_path, monkeypatch, name):
-    monkeypatch.setattr("handcal_sim.sweep.run._processes", lambda _jobs: Here())
+    monkeypatch.setattr("handcal.workers.processes", lambda _jobs: Here())
     grid = tmp_path / "grid.toml"
     grid.write_text(f"[common]\nduration_s = 6\nestimate = ['{name}']\n")
     result = invoked("--grid", grid, "--seeds", 1)

@@ -68,8 +68,9 @@ def sweep(
 ) -> None:  # fmt: skip
     """Monte Carlo over heading noise and R_h: paper 002, or a grid of your own."""
     from handcal.output import check_outputs
+    from handcal.workers import WorkersDied
     from handcal_sim.sweep.compare import document
-    from handcal_sim.sweep.run import Plan, WorkersDied
+    from handcal_sim.sweep.run import Plan
     from handcal_sim.sweep.show import console, show
 
     check_outputs((out, json_file, csv_file, report), (Path(grid),))
@@ -140,7 +141,8 @@ def _thresholds(text: str) -> dict[str, float]:
 
 
 def _run(plan: Plan, executor: str, jobs: int, out: Path | None) -> list[Any]:
-    from handcal_sim.sweep.run import Kept, opened, run
+    from handcal.workers import opened
+    from handcal_sim.sweep.run import Kept, run
 
     kept = Kept(out)
     before = sum(kept[plan.key(cell)] is not None for cell in plan.cells)

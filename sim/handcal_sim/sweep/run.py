@@ -7,21 +7,15 @@ depend on seed and numbers alone, so neither the order nor the executor shows in
 from __future__ import annotations
 
 import json
-import os
-import signal
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
-from concurrent.futures import CancelledError as FutureCancelled
-from contextlib import contextmanager
+from concurrent.futures import Executor, Future
 from dataclasses import asdict, dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from handcal.types import HandcalError
+from handcal.workers import Workers, done
 from handcal_sim.errors import SimulationError
 from handcal_sim.sweep.grid import Cell, told
 from handcal_sim.sweep.printed import QUANTITIES
@@ -30,15 +24,7 @@ from handcal_sim.sweep.score import Chunk, bands, beside, chunks, final, spread
 SCHEMA = "handcal-sim/sweep-cell/1"
 
 
-class WorkersDied(HandcalError):
-    """A sentence for the user: processes died again and again."""
-
-
 CHUNK = 5
-# Deaths in a row, without a result in between, until the fault must lie in the work itself.
-PATIENCE = 5
-LOOK_S = 5.0  # between looks at whether the scheduler is there
-_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 Document = dict[str, Any]
 _BEGINNING = f'{{"schema": "{SCHEMA}"'
 Task = tuple[int, Sequence[int]]
@@ -57,17 +43,6 @@ class Plan:
         """What a cell's result depends on."""
         return {"cell": cell.key, "seeds": self.seeds, "seed": self.seed,
                 "thresholds": dict(self.thresholds)}  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Workers:
-    """Where chunks are computed: an executor, a way to a new one, and how many run at once; and
-    whether there is still anybody to wait for."""
-
-    start: Callable[[], Executor]
-    count: int
-    died: tuple[type[BaseException], ...] = (BrokenExecutor,)
-    there: Callable[[], bool] = lambda: True
 
 
 class Kept:
@@ -141,113 +116,18 @@ def _computed(
     plan: Plan, workers: Workers, work: Callable[..., Chunk], tasks: Sequence[Task]
 ) -> Iterator[tuple[Task, Chunk]]:
     """Chunks as they are done; those of a process that died are given out again."""
-    if not tasks:
-        return
-    waiting, running = deque(tasks), dict[Future[Any], Task]()
-    executor, deaths = workers.start(), 0
-    died: tuple[type[BaseException], ...] = (*workers.died, FutureCancelled)
-    try:
-        while waiting or running:
-            while waiting and len(running) < 4 * workers.count:
-                i, numbers = waiting.popleft()
-                future = _submitted(executor, work, plan.cells[i], plan.seed, numbers,
-                                    dict(plan.thresholds))  # fmt: skip
-                running[future] = (i, numbers)
-            done, _ = wait(running, timeout=LOOK_S, return_when=FIRST_COMPLETED)
-            if not (done or workers.there()):
-                running.clear()  # (nobody is there to be told)
-                raise WorkersDied("the scheduler is gone; with --out the same command goes on")
-            broken = False
-            # (in the order in which they were given out, so that cells are finished in turn)
-            for future in [future for future in running if future in done]:
-                task = running.pop(future)
-                try:
-                    chunk = future.result()
-                except died as death:
-                    broken = True
-                    waiting.appendleft(task)
-                    if deaths >= PATIENCE:
-                        raise WorkersDied(
-                            f"processes died {deaths + 1} times in a row: {death}."
-                        ) from None
-                else:
-                    deaths = 0
-                    yield task, chunk
-            if broken:
-                deaths += 1
-                waiting.extendleft(running.values())
-                _closed(executor, running)
-                executor = workers.start()
-    finally:
-        _closed(executor, running)
 
+    def submit(executor: Executor, task: Task) -> Future[Chunk]:
+        i, numbers = task
+        return executor.submit(work, plan.cells[i], plan.seed, numbers, dict(plan.thresholds))
 
-def _closed(executor: Executor, running: dict[Future[Any], Task]) -> None:
-    for future in running:
-        future.cancel()
-    running.clear()
-    executor.shutdown(wait=False)
-
-
-def _submitted(executor: Executor, work: Callable[..., Chunk], *arguments: Any) -> Future[Any]:
-    """The future of a chunk; one that failed if the executor has broken in the meantime."""
-    try:
-        return executor.submit(work, *arguments)
-    except BrokenExecutor as death:
-        future: Future[Any] = Future()
-        future.set_exception(death)
-        return future
+    return done(workers, submit, tasks)
 
 
 def _again(document: Document) -> Document:
     """As it will be read from the file."""
     again: Document = json.loads(json.dumps(document))
     return again
-
-
-# ---- where it runs ----------------------------------------------------------------------------
-
-
-@contextmanager
-def opened(where: str, jobs: int) -> Iterator[Workers]:
-    """`local`: that many processes of this machine. `dask://HOST:PORT`: a Dask cluster."""
-    if where == "local":
-        yield Workers(lambda: _processes(jobs), jobs)
-        return
-    scheme, _, address = where.partition("://")
-    if scheme != "dask" or ":" not in address:
-        raise SimulationError(f"--executor {where}: there are local and dask://HOST:PORT")
-    try:
-        distributed: Any = import_module("distributed")
-        broken: Any = import_module("distributed.client").FutureCancelledError
-    except ImportError:
-        raise SimulationError(
-            "--executor dask:// needs Dask, which is not installed: in a checkout, pip install "
-            "'.[dask]'"
-        ) from None
-    try:
-        client = distributed.Client(f"tcp://{address}", timeout=10)
-    except OSError as problem:
-        said = f": {problem}" if str(problem) else ""
-        raise SimulationError(f"no Dask scheduler at {address}{said}") from None
-    with client:
-        threads = max(1, sum(client.nthreads().values()))
-        died = (distributed.KilledWorker, broken)
-        yield Workers(client.get_executor, threads, died, lambda: client.status == "running")
-
-
-def _processes(jobs: int) -> Executor:
-    from concurrent.futures import ProcessPoolExecutor
-    from multiprocessing import get_context
-
-    # Each process is one thread: more would only be in each other's way.
-    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
-    return ProcessPoolExecutor(jobs, get_context("spawn"), _alone)
-
-
-def _alone() -> None:
-    """In a new process: an interrupt is for the parent to deal with."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 # ---- what comes of it -------------------------------------------------------------------------

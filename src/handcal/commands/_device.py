@@ -1,4 +1,5 @@
-"""The option --device: what a device file says before a recording, and what to say after it."""
+"""The options --device and --priors: what a file says before a recording, and what to say of it
+afterwards."""
 
 from __future__ import annotations
 
@@ -21,6 +22,37 @@ DeviceFile = Annotated[
         help="Begin with what earlier sessions said of this device (`handcal device add`).",
     ),
 ]
+PriorsFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--priors",
+        metavar="FILE.toml",
+        help="Begin with what `handcal fleet` learned of devices of this model.",
+    ),
+]
+ModelName = Annotated[
+    str | None,
+    typer.Option("--model", metavar="NAME", help="Which model of --priors, if it has several."),
+]
+
+
+def before_of(
+    device: Path | None, priors: Path | None, model: str | None, recordings: Sequence[Recording]
+) -> Prior | None:
+    """What a device file or a file of priors says before these recordings. Errors: InputError."""
+    if priors is None:
+        if model is not None:
+            from handcal.types import InputError
+
+            raise InputError("--model says which model of --priors FILE; there is none.")
+        return known_before(device, recordings)
+    from handcal.device.priors import chosen, prior, read
+    from handcal.types import InputError
+
+    if device is not None:
+        raise InputError("--device knows the device itself, --priors its model: name one of them.")
+    learned = read(priors)
+    return prior(learned, chosen(learned, model))
 
 
 def known_before(file: Path | None, recordings: Sequence[Recording]) -> Prior | None:
@@ -55,7 +87,7 @@ def contradictions(
     before: Prior | None, parameters: Sequence[Parameter], covariance: Array | None
 ) -> tuple[str, ...]:
     """Warnings where a result contradicts what was known of the device; none without --device."""
-    if before is None or covariance is None:
+    if before is None or covariance is None or "priors" in before.source:
         return ()
     from handcal.show.device import surprise_sentences
 

@@ -8,7 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from handcal.commands._device import DeviceFile, contradictions, known_before
+from handcal.commands._device import (
+    DeviceFile,
+    ModelName,
+    PriorsFile,
+    before_of,
+    contradictions,
+)
 from handcal.commands._options import (
     Assume,
     Assumption,
@@ -53,6 +59,8 @@ def calibrate(
         ),
     ] = None,
     device: DeviceFile = None,
+    priors: PriorsFile = None,
+    model: ModelName = None,
     heading_sigma: HeadingSigma = None,
     assume: Assumption = Assume.auto,
     latitude: Latitude = None,
@@ -76,12 +84,13 @@ def calibrate(
     """
     from handcal.output import beside, check_outputs
 
-    check_outputs((json, report, rrd), (*files, learnt_from, device))
+    read = (*files, learnt_from, device, priors)
+    check_outputs((json, report, rrd), read)
     recordings = [load(path, topic, units) for path in files]
     for several in (report, rrd):
         if several:
-            check_outputs(beside(several, recordings), (*files, learnt_from, device))
-    before = known_before(device, recordings)
+            check_outputs(beside(several, recordings), read)
+    before = before_of(device, priors, model, recordings)
     results = calibrated(
         recordings, effects, learnt_from, heading_sigma=heading_sigma, assume=assume,
         latitude=latitude, height=height, ignore=ignore, reference_exact=reference_exact,

@@ -9,7 +9,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from handcal.commands._ahead import compiled_ahead
-from handcal.commands._device import DeviceFile, contradictions, known_before
+from handcal.commands._device import (
+    DeviceFile,
+    ModelName,
+    PriorsFile,
+    before_of,
+    contradictions,
+)
 from handcal.commands._options import (
     Assume,
     Assumption,
@@ -74,6 +80,8 @@ def explain(
         ),
     ] = None,
     device: DeviceFile = None,
+    priors: PriorsFile = None,
+    model: ModelName = None,
     heading_sigma: HeadingSigma = None,
     assume: Assumption = Assume.auto,
     latitude: Latitude = None,
@@ -94,7 +102,7 @@ def explain(
     from handcal.explain import explain as explained
     from handcal.output import beside, check_outputs
 
-    read = (*files, *(held_out or ()), *([device] if device else []))
+    read = (*files, *(held_out or ()), device, priors)
     check_outputs((json, report, rrd, twin, write_effect), read)
     if write_effect is not None:
         _check_new(write_effect)
@@ -114,12 +122,12 @@ def explain(
             ignore=tuple(ignore or ()),
             reference_exact=reference_exact,
             budget=budget,
-            before=known_before(device, recordings),
+            before=before_of(device, priors, model, recordings),
             progress=done,
         )
     explanation = _beside_the_device(explanation)
     typed = _typed(assume, heading_sigma, latitude, height, ignore, reference_exact, topic, units,
-                   device, held_out, budget)  # fmt: skip
+                   device, held_out, budget, priors, model)  # fmt: skip
     following = _following(explanation, files, typed, json)
     twins = beside(twin, recordings) if twin else ()
     _pictured(explanation, following, report, rrd, twins)
@@ -187,12 +195,14 @@ def _typed(
     assume: Assume, heading_sigma: float | None, latitude: float | None, height: float,
     ignore: list[str] | None, reference_exact: bool, topic: list[str] | None, units: str | None,
     device: Path | None = None, held_out: list[Path] | None = None, budget: float | None = None,
+    priors: Path | None = None, model: str | None = None,
 ) -> list[str]:  # fmt: skip
     """The options that say what is found, as they were typed."""
     out = [] if assume is Assume.auto else ["--assume", str(assume)]
     for name, value in (("--heading-sigma", heading_sigma), ("--latitude", latitude),
                         ("--height", height or None), ("--units", units), ("--device", device),
-                        ("--budget", budget)):  # fmt: skip
+                        ("--budget", budget), ("--priors", priors),
+                        ("--model", model)):  # fmt: skip
         out += [] if value is None else [name, str(value)]
     for name, values in (("--ignore", ignore), ("--topic", topic), ("--held-out", held_out)):
         out += [word for value in values or () for word in (name, str(value))]

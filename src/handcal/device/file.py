@@ -249,6 +249,7 @@ def _learnt(
     degrees = [float(r["temperature_degC"]) for r in about if r.get("temperature_degC") is not None]
     names, mean, C = _posterior(document, parts[-1])
     prior_mean, K = np.zeros(len(names)), np.diag(usual_of(names) ** 2)
+    made_with = made_with or document.get("priors")
     if made_with is not None:
         prior = made_with["prior"]
         of = {(str(e), str(n)): i for i, (e, n) in enumerate(prior["parameters"])}

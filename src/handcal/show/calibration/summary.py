@@ -192,7 +192,8 @@ def covariance_json(
 
 
 def device_json(before: Prior | None) -> dict[str, Any]:
-    """``device``: which file said what is known of the device before, and what; or nothing."""
+    """``device``: which file said what is known of the device before, and what; or ``priors``,
+    where it is known of its model; or nothing."""
     if before is None:
         return {}
     known = {
@@ -200,6 +201,9 @@ def device_json(before: Prior | None) -> dict[str, Any]:
         "mean": before.mean.tolist(),
         "covariance": before.covariance.tolist(),
     }
+    if "priors" in before.source:
+        named = {"path" if k == "priors" else k: v for k, v in before.source.items()}
+        return {"priors": {**named, "prior": known}}
     return {"device": {**before.source, "prior": known}}
 
 
@@ -225,7 +229,7 @@ def _together_json(results: Sequence[Result]) -> dict[str, Any]:
         "covariance": matrix_json(results[0].covariance[np.ix_(joint, joint)]),
         "model": dict(results[0].model),
         "recordings": [
-            {k: v for k, v in one.items() if k not in ("model", "device")} for one in own
+            {k: v for k, v in one.items() if k not in ("model", "device", "priors")} for one in own
         ],
         "warnings": [],
         **device_json(results[0].before),

@@ -1,0 +1,189 @@
+"""The command ``fleet``. What is slow to import is imported where it is used."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from handcal.commands._ending import INTERRUPTED
+from handcal.commands._registry import say
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from handcal.fleet.record import Document, Options, Source
+    from handcal.fleet.run import Member, Progress
+    from handcal.fleet.store import Store
+
+# A recording of minutes is explained in one to seven minutes at the worst (docs/gallery).
+DEADLINE_S = 900.0
+# `explain` of ten minutes at 100 Hz needs about 1 GB.
+MEMORY_MB = 4000.0
+
+
+def fleet(
+    sources: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="SOURCE...", help="Recordings: files, folders, patterns; with --manifest none."
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Where results go, and go on from (needed)."),
+    ] = None,
+    executor: Annotated[
+        str, typer.Option(metavar="local|dask://HOST:PORT", help="Where it is computed.")
+    ] = "local",
+    priors: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.toml", help="What was learned of these models before."),
+    ] = None,
+    group_by: Annotated[
+        str,
+        typer.Option("--group-by", metavar="COLUMN", help="Of the manifest: what has a population"),
+    ] = "model",
+    manifest: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.csv", help="path, device, model, started of each recording."),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Recordings at a time, with local (all cores).")
+    ] = None,
+    deadline: Annotated[
+        float, typer.Option(min=0.1, metavar="SECONDS", help="For one recording.")
+    ] = DEADLINE_S,
+    memory: Annotated[
+        float, typer.Option(min=1.0, metavar="MB", help="For one recording.")
+    ] = MEMORY_MB,
+    budget: Annotated[
+        float | None,
+        typer.Option(min=0.0, metavar="SECONDS", help="As of `explain`, for each recording."),
+    ] = None,
+) -> None:
+    """Explain every recording of many devices, and say what the devices of a model have in common.
+
+    Results are kept as they come; the same command goes on where it was ended.
+    """
+    from handcal.fleet import store as kept
+    from handcal.fleet.record import Options
+    from handcal.types import HandcalError, InputError
+
+    if not hasattr(os, "fork"):
+        raise HandcalError("handcal fleet needs a system that can fork: Linux or macOS.")
+    if out is None:
+        raise InputError("Say where results go: --out DIR.")
+    listed, left_out = _listed(sources or [], manifest, group_by, out)
+    options = Options(deadline, int(memory * 1e6), budget)
+    store = kept.opened(out)
+    _announced(listed, left_out)
+    prior_of = _prior_of(priors, listed)
+    members = _run(listed, store, options, executor, workers or os.cpu_count() or 1, prior_of)
+    _written(members, store)
+
+
+def _listed(
+    sources: Sequence[str], manifest: Path | None, group_by: str, own: Path
+) -> tuple[list[Source], list[Path]]:
+    from handcal.fleet.sources import found, joined
+    from handcal.fleet.sources import listed as rows_of
+    from handcal.types import InputError
+
+    if not sources and manifest is None:
+        raise InputError("Name recordings (files, folders, patterns) or a --manifest of them.")
+    rows = rows_of(manifest) if manifest else []
+    # (what an earlier run wrote into a folder that is read is no recording)
+    paths, left_out = found(sources, own)
+    out = joined(paths, rows, group_by)
+    if not out:
+        raise InputError(f"There is no recording in {', '.join(sources)}.")
+    return out, left_out
+
+
+def _announced(listed: Sequence[Source], left_out: Sequence[Path]) -> None:
+    """What is not known of the recordings, before anything runs."""
+    if left_out:
+        names = ", ".join(p.name for p in left_out[:3])
+        say(f"{len(left_out)} files that are no recordings by their names are left out: {names}")
+    nameless = sum(not s.device for s in listed)
+    if nameless:
+        say(f"nobody says of which device {nameless} of {len(listed)} recordings are: each counts "
+            "as a device of its own (--manifest says it)")  # fmt: skip
+    if any(not s.model for s in listed):
+        say("nobody says the model of some recordings: they are taken for one population, unknown")
+
+
+def _prior_of(priors: Path | None, listed: Sequence[Source]) -> Callable[[Source], Document | None]:
+    if priors is None:
+        return lambda _: None
+    from handcal.device.priors import prior, read
+    from handcal.fleet.work import prior_json
+
+    learned = read(priors)
+    for model in sorted({s.model for s in listed} - set(learned.models)):
+        say(f"{priors} knows nothing of {model or 'devices of no model'}: it begins as is usual")
+    return lambda source: prior_json(prior(learned, source.model) if source.model in learned.models
+                                     else None)  # fmt: skip
+
+
+def _run(
+    listed: Sequence[Source], store: Store, options: Options, executor: str, workers: int,
+    prior_of: Callable[[Source], Document | None],
+) -> list[Member]:  # fmt: skip
+    from handcal.fleet.run import run
+    from handcal.fleet.supervise import Local
+    from handcal.workers import opened
+
+    try:
+        with opened(executor, workers, Local) as open_workers:
+            if open_workers.said:
+                say(f"Dask shows what it does at {open_workers.said}")
+            return run(listed, store, open_workers, options, prior_of, _Line())
+    except KeyboardInterrupt:
+        say(f"interrupted; what is finished is kept in {store.folder}, and the same command goes "
+            "on from there")  # fmt: skip
+        raise typer.Exit(INTERRUPTED) from None
+
+
+class _Line:
+    """Progress on stderr: one line that changes, in a log one now and then."""
+
+    def __init__(self) -> None:
+        self.said = 0.0
+        self.terminal = sys.stderr.isatty()
+
+    def __call__(self, progress: Progress) -> None:
+        from handcal.fleet.run import EVERY_S
+
+        now = time.monotonic()
+        last = progress.finished == progress.total
+        if now - self.said < (0.2 if self.terminal else EVERY_S) and not last:
+            return
+        self.said = now
+        if self.terminal:
+            end = "\n" if last else ""
+            print(f"\r\x1b[Khandcal: {progress.line(now)}", end=end, file=sys.stderr, flush=True)
+        else:
+            say(progress.line(now))
+
+
+def _written(members: Sequence[Member], store: Store) -> None:
+    """All that is told of the fleet."""
+    from handcal.fleet.results import write_all
+    from handcal.population.fleet import FOUND
+    from handcal.show import words
+
+    told = write_all(members, store)
+    print(f"{told.done} recordings explained, {told.failed} without a result: "
+          f"{store.folder / 'fleet.html'}")  # fmt: skip
+    for m in told.fleet.models:
+        learned = sum(c.told for c in m.common)
+        found = [words.effect_title(s.effect) for s in m.stacks if s.probability > FOUND]
+        names = ", ".join(found) or "nothing found"
+        print(f"{m.name}: {m.devices} devices; {learned} of {len(m.common)} spreads told, "
+              f"{len(m.odd)} odd ones; common to them: {names}")  # fmt: skip

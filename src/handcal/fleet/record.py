@@ -1,0 +1,66 @@
+"""What travels: one recording to be explained, with what options, and what came of it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+RECORD_SCHEMA = "handcal/fleet-recording/1"
+DONE, FAILED, TIMED_OUT, OUT_OF_MEMORY, KILLED, CRASHED = (
+    "done", "failed", "timed_out", "out_of_memory", "killed", "crashed",
+)  # fmt: skip
+# What another run may do better: it is tried again by the same command.
+PASSING = (TIMED_OUT, OUT_OF_MEMORY, KILLED)
+WORK = "handcal.fleet.work:explained"
+Document = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Source:
+    """One recording: path; model and device ("" where nobody says), started (ISO, or ""), and what
+    else the manifest says of it."""
+
+    path: Path
+    model: str = ""
+    device: str = ""
+    started: str = ""
+    others: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a result depends on, and its limits: budget s of explain (None: none), the sha256 of the
+    file of priors and the model taken of it, ("" without), and the work itself (``module:name``).
+    deadline s and memory bytes decide only whether there is a result."""
+
+    deadline: float
+    memory: int
+    budget: float | None = None
+    priors: str = ""
+    work: str = WORK
+
+
+def digest(path: Path) -> str:
+    """sha256 of a recording: of its bytes, of a folder of its files with their names. Errors:
+    OSError."""
+    if path.is_file():
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    whole = hashlib.sha256()
+    for one in sorted(p for p in path.rglob("*") if p.is_file()):
+        with one.open("rb") as file:
+            own = hashlib.file_digest(file, "sha256").hexdigest()
+        whole.update(f"{one.relative_to(path).as_posix()}\0{own}\n".encode())
+    return whole.hexdigest()
+
+
+def key(sha256: str, version: str, options: Options, prior: Mapping[str, Any] | None) -> str:
+    """Under which a result is kept: 32 hexadecimal digits of the recording's bytes, the program's
+    version, the options that change results, and the prior that it was made with."""
+    own = {k: v for k, v in asdict(options).items() if k in ("budget", "work")}
+    text = json.dumps([sha256, version, own, prior], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:32]

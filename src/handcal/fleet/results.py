@@ -1,0 +1,85 @@
+"""What a run ends with: the data set, what the fleet knows, its priors as a file."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import handcal
+from handcal import output
+from handcal.device.priors import Learned, write
+from handcal.fleet import dataset
+from handcal.fleet.record import DONE, Document, Source
+from handcal.fleet.run import Member, rows
+from handcal.fleet.store import Store
+from handcal.fleet.work import information_of
+from handcal.population.fleet import Common, Model, Reading, models
+from handcal.population.odd import Name
+from handcal.show.fleet import Fleet, fleet_json, write_page
+
+
+@dataclass(frozen=True)
+class Written:
+    """What was written: how many recordings have a result, how many have none."""
+
+    done: int
+    failed: int
+    fleet: Fleet
+
+
+def write_all(members: Sequence[Member], store: Store) -> Written:
+    """The data set, fleet.json, priors.toml and fleet.html of a folder, from what is kept in it.
+    Errors: HandcalError."""
+    readings, failures, verdicts = list[Reading](), list[tuple[str, str, str]](), Counter[str]()
+
+    def seen() -> Iterator[tuple[Source, Document]]:
+        for source, record in rows(members, store):
+            if record["status"] == DONE:
+                readings.append(reading_of(source, record))
+                verdicts[str(record.get("verdict"))] += 1
+            else:
+                failures.append((str(source.path), record["status"], record["reason"]))
+            yield source, record
+
+    dataset.write(store.folder, seen())
+    known = models(readings)
+    fleet = Fleet(known, tuple(failures), dict(verdicts), len(readings))
+    document = fleet_json(fleet) | {"version": handcal.__version__}
+    text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False)
+    output.write_text(store.folder / "fleet.json", text + "\n")
+    _write_priors(store.folder / "priors.toml", known)
+    write_page(fleet, store.folder / "fleet.html")
+    return Written(len(readings), len(failures), fleet)
+
+
+def reading_of(source: Source, record: Document) -> Reading:
+    """What a record tells, of which device."""
+    told = record.get("told", [])
+    values = {(t["effect"], t["name"]): (float(t["value"]), float(t["sigma"])) for t in told}
+    together = frozenset((t["effect"], t["name"]) for t in told if t["together"])
+    gravity = float(record.get("gravity", math.nan))
+    model = source.model or dataset.UNKNOWN
+    kept = record.get("information")
+    information = None if kept is None else information_of(kept)
+    return Reading(str(source.path), model, source.device, values, together, gravity, information)
+
+
+def _write_priors(path: Path, known: Sequence[Model]) -> None:
+    learned: dict[str, dict[Name, Learned]] = {
+        m.name: {(c.effect, c.name): learned_of(c) for c in m.common if c.told} for m in known
+    }
+    origin = {m.name: {"recordings": m.recordings, "devices": m.devices} for m in known}
+    write(path, learned, origin, [f"By handcal {handcal.__version__}."])
+
+
+def learned_of(c: Common) -> Learned:
+    """A population as a prior; of what differs from one switching on to the next, that too."""
+    p = c.population
+    apart = 0.0 if math.isnan(p.apart) else p.apart
+    spread = math.hypot(p.spread, apart)
+    # (the ends of the interval are about four of its sigmas apart)
+    return Learned(p.mean, p.mean_sigma, spread, 0.25 * (p.high - p.low), p.dof, p.count)

@@ -1,0 +1,153 @@
+"""Which recordings: files, folders, globs, and what a manifest says of them; checked beforehand."""
+
+from __future__ import annotations
+
+import csv
+import glob
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+
+from handcal.documents import reading
+from handcal.fleet.record import Source
+from handcal.types import InputError
+
+COLUMNS = ("path", "device", "model", "started")
+
+
+def found(sources: Sequence[str], own: Path | None = None) -> tuple[list[Path], list[Path]]:
+    """Recordings in the order in which they were named, each once, and files of folders that are of
+    no kind that handcal reads, by their endings. own: a folder that is passed over. Errors:
+    InputError where there is nothing."""
+    skipped = None if own is None else own.resolve()
+    recordings: dict[Path, None] = {}
+    others: list[Path] = []
+    for source in sources:
+        before = len(recordings)
+        for path in _named(source):
+            for one, known in _within(path, _endings()):
+                if skipped is not None and skipped in one.resolve().parents:
+                    continue
+                if known:
+                    recordings.setdefault(one.resolve())
+                else:
+                    others.append(one)
+        if len(recordings) == before and not any(_named(source)):
+            raise InputError(f"{source}: there is no such file, folder or pattern.")
+    return list(recordings), others
+
+
+def _named(source: str) -> list[Path]:
+    if "://" in source:
+        raise InputError(f"{source}: addresses are not read yet; name files, folders or patterns.")
+    if Path(source).exists():
+        return [Path(source)]
+    return [Path(p) for p in sorted(glob.glob(source, recursive=True))]
+
+
+def _endings() -> tuple[str, ...]:
+    """Of the names of files that some format reads."""
+    from handcal.recordings.inputs import formats
+
+    own = {e for f in formats() for e in getattr(f, "ENDINGS", ())}
+    return tuple(sorted(own | {".zip", ".csv"}))
+
+
+def _within(path: Path, endings: Sequence[str]) -> Iterator[tuple[Path, bool]]:
+    """A recording itself, or what lies in a folder, and whether it is to be read."""
+    if path.is_file():
+        yield path, True
+        return
+    if _is_recording(path):
+        yield path, True
+        return
+    for one in sorted(path.iterdir()):
+        if one.name.startswith("."):
+            continue
+        if one.is_dir():
+            yield from _within(one, endings)
+        else:
+            yield one, one.name.lower().endswith(tuple(endings))
+
+
+def _is_recording(folder: Path) -> bool:
+    """Whether a folder is one recording (of EuRoC, of an app) and not many."""
+    from handcal.recordings.inputs import format_of
+
+    try:
+        format_of(folder)
+    except InputError:
+        return False
+    return True
+
+
+def listed(manifest: Path) -> list[Source]:
+    """The rows of a manifest: a CSV with ``path`` (from its own folder), and where known
+    ``device``, ``model``, ``started`` (ISO 8601) and whatever else recordings may be grouped by.
+
+    Errors: InputError with the number of the line.
+    """
+    with reading(manifest):
+        try:
+            text = manifest.read_text("utf-8-sig")
+        except UnicodeDecodeError:
+            raise InputError(f"{manifest} is no CSV in UTF-8.") from None
+    rows = csv.DictReader(text.splitlines())
+    names = rows.fieldnames or ()
+    if "path" not in names:
+        raise InputError(f"{manifest}: expected a first line with path, device, model, started.")
+    out: dict[Path, Source] = {}
+    for number, row in enumerate(rows, 2):
+        source = _row(manifest, number, row)
+        if source.path in out:
+            raise InputError(f"{manifest}, line {number}: {row['path']} is listed twice.")
+        out[source.path] = source
+    if not out:
+        raise InputError(f"{manifest} lists no recording.")
+    models: dict[str, str] = {}
+    for s in out.values():
+        if s.device and models.setdefault(s.device, s.model) != s.model:
+            raise InputError(
+                f"{manifest}: device '{s.device}' is of model '{models[s.device]}' and of model "
+                f"'{s.model}'."
+            )
+    return list(out.values())
+
+
+def _row(manifest: Path, number: int, row: dict[str, str]) -> Source:
+    if None in row or None in row.values():
+        raise InputError(f"{manifest}, line {number}: another number of fields than of columns.")
+    path = (manifest.parent / row["path"].strip()).resolve()
+    if not path.exists():
+        raise InputError(f"{manifest}, line {number}: {row['path']} does not exist.")
+    started = row.get("started", "").strip()
+    try:
+        _ = started and datetime.fromisoformat(started)
+    except ValueError:
+        raise InputError(
+            f"{manifest}, line {number}: started is '{started}'; expected 2026-05-01T12:00:00Z."
+        ) from None
+    others = {k: v.strip() for k, v in row.items() if k not in COLUMNS}
+    text = {k: row.get(k, "").strip() for k in ("model", "device")}
+    return Source(path, text["model"], text["device"], started, others)
+
+
+def joined(paths: Sequence[Path], rows: Sequence[Source], group_by: str) -> list[Source]:
+    """Recordings with what the manifest says of each: all of it without any path. group_by: the
+    column that is taken for the model. Errors: InputError where it does not say all."""
+    by_path = {s.path: s for s in rows}
+    if rows and group_by not in ("model", "device", *rows[0].others):
+        raise InputError(f"--group-by {group_by}: the manifest has no such column.")
+    if not rows and group_by != "model":
+        raise InputError(f"--group-by {group_by} needs a --manifest with such a column.")
+    missing = [p for p in paths if rows and p not in by_path]
+    if missing:
+        raise InputError(
+            f"{missing[0]} is not in the manifest ({len(missing)} of {len(paths)} recordings)."
+        )
+    chosen = [by_path.get(p, Source(p)) for p in paths] if paths else list(rows)
+    if group_by == "model":
+        return chosen
+    return [replace(s, model=s.device if group_by == "device" else s.others[group_by])
+            for s in chosen]  # fmt: skip

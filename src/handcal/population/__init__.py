@@ -1,0 +1,7 @@
+"""What the devices of one kind have in common, from what each recording says with its own sigma.
+
+Plain statistics of values (n,), sigmas (n,) and whose they are; nothing here knows a recording.
+Reading order: ``grouped`` (recordings to devices), ``deconvolved`` (mean, spread and tail of the
+true errors), ``stacked`` (evidence summed over devices), ``odd`` (whom the population does not
+expect), and ``fleet``, which does all of it for every parameter.
+"""

@@ -1,0 +1,243 @@
+"""All that the recordings of a fleet tell of the devices of each model."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence, Set
+from dataclasses import dataclass
+
+import numpy as np
+
+from handcal.device.file import persistent, unit_of, usual_of
+from handcal.effects import catalogue
+from handcal.population import joint, odd
+from handcal.population.deconvolved import LEAST, Population, population
+from handcal.population.grouped import devices, owners
+from handcal.population.joint import Information
+from handcal.population.odd import Name, Odd
+from handcal.population.stacked import Stack, stack
+from handcal.types import Array, IntArray
+
+# What is another in every hand, though a device file keeps it for boards that are mounted.
+OF_THE_HAND = ("lever_arm",)
+# Probability from which an effect is said to be there: contract, `missing`.
+FOUND = 0.5
+# Effects that are looked for one after the other in a model of device.
+MOST = 4
+# A spread is told where the ends of its interval are no further apart than this factor; else the
+# catalogue's usual size stays in place.
+TOLD = 4.0
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What one recording tells: its label, model and device ("" where nobody says); value and sigma
+    of each parameter, SI, and which of them were estimated together; gravity m/s^2; what it tells
+    of all parameters at once, where that is known."""
+
+    label: str
+    model: str
+    device: str
+    values: Mapping[Name, tuple[float, float]]
+    together: frozenset[Name]
+    gravity: float
+    information: Information | None = None
+
+
+@dataclass(frozen=True)
+class Common:
+    """One parameter over the devices of a model: its population, the devices' names, values (d,)
+    and sigmas (d,), SI; usual: the catalogue's; stays: a device keeps it from one recording to the
+    next."""
+
+    effect: str
+    name: str
+    unit: str
+    usual: float
+    stays: bool
+    population: Population
+    who: tuple[str, ...]
+    value: Array
+    sigma: Array
+
+    @property
+    def told(self) -> bool:
+        """Whether the recordings tell the spread, or at least that a new device is better known by
+        them than by the usual size."""
+        p = self.population
+        new = math.hypot(p.deviation, 0.25 * (p.high - p.low), p.mean_sigma)
+        return new < self.usual or p.high < TOLD * p.low
+
+
+@dataclass(frozen=True)
+class Model:
+    """name; how many recordings and devices; its populations, stacked effects (most probable
+    first) and odd ones (oddest first)."""
+
+    name: str
+    recordings: int
+    devices: int
+    common: tuple[Common, ...]
+    stacks: tuple[Stack, ...]
+    odd: tuple[Odd, ...]
+
+
+def stays(effect: str) -> bool:
+    """Whether a device keeps an effect's parameters from one recording to the next."""
+    return persistent(catalogue()[effect]) and effect not in OF_THE_HAND
+
+
+def models(readings: Sequence[Reading]) -> tuple[Model, ...]:
+    """Of each model what its recordings tell, in the order of their names."""
+    by_model: dict[str, list[Reading]] = {}
+    for r in readings:
+        by_model.setdefault(r.model, []).append(r)
+    tables = {m: _table(rs) for m, rs in by_model.items()}
+    trials = sum(len({n[0] for n in t if stays(n[0])}) for t in tables.values())
+    return tuple(_model(m, by_model[m], tables[m], max(1, trials)) for m in sorted(by_model))
+
+
+def _table(readings: Sequence[Reading]) -> dict[Name, tuple[Array, Array]]:
+    """Values (n,) and sigmas (n,) of each parameter, nan where a recording does not tell it."""
+    names = dict.fromkeys(n for r in readings for n in r.values if n[0] in catalogue())
+    nothing = (float("nan"), float("nan"))
+    out = {}
+    for name in names:
+        rows = np.array([r.values.get(name, nothing) for r in readings])
+        out[name] = (rows[:, 0], rows[:, 1])
+    return out
+
+
+def _model(
+    name: str, readings: Sequence[Reading], table: Mapping[Name, tuple[Array, Array]], trials: int
+) -> Model:
+    who = owners([r.device for r in readings])
+    names = [r.device or r.label for r in readings]
+    together = {n for r in readings for n in r.together}
+    at_once = [r.information for r in readings if r.information is not None]
+    sharper: dict[Name, tuple[Array, Array]] = {}
+    each: dict[Name, tuple[Array, Array]] = {}
+    if who.max() + 1 < LEAST:
+        stacks: tuple[Stack, ...] = ()  # (what two devices have in common is no population)
+    elif len(at_once) == len(readings):
+        stacks, sharper, each = _at_once(at_once, who, together, trials)
+    else:
+        stacks = _stacks(table, who, trials)
+    found = {s.effect for s in stacks if s.probability > FOUND}
+    every = tuple(dict.fromkeys(names))
+    common = [
+        _common(n, *((sharper[n], every) if n in sharper else (table[n], names)))
+        for n in table
+        if n in together or n[0] in found
+    ]
+    there = [c for c in common if c is not None]
+    told = {
+        (c.effect, c.name): (c.population, *_aligned(c, every))
+        for c in there
+        if c.effect not in OF_THE_HAND
+    }
+    lasting = {n: each.get(n, table[n]) for n in table if n in together and stays(n[0])}
+    labels = [r.label for r in readings]
+    strange = (
+        *odd.unlike_gravity(labels, [r.gravity for r in readings]),
+        *sorted((*odd.devices(every, told), *odd.recordings(labels, names, lasting)),
+                key=lambda o: o.by_chance),
+    )  # fmt: skip
+    return Model(name, len(readings), len(every), tuple(there), stacks, strange)
+
+
+def _common(name: Name, values: tuple[Array, Array], names: Sequence[str]) -> Common | None:
+    """None where too few devices tell of it."""
+    at = np.flatnonzero(np.isfinite(values[0]) & np.isfinite(values[1])).tolist()
+    here = owners([names[i] for i in at])
+    if not at or here.max() + 1 < LEAST:
+        return None
+    lasting = stays(name[0])
+    value, sigma = values[0][at], values[1][at]
+    p = population(value, sigma, here, lasting)
+    d = devices(value, sigma, here, 0.0 if lasting or np.isnan(p.apart) else p.apart)
+    whose = tuple(dict.fromkeys(names[i] for i in at))
+    return Common(*name, unit_of(name), float(usual_of([name])[0]), lasting, p, whose,
+                  d.value, d.sigma)  # fmt: skip
+
+
+def _aligned(c: Common, every: Sequence[str]) -> tuple[Array, Array]:
+    """Values and sigmas of a parameter for every device of the model, nan where it has none."""
+    at = {n: i for i, n in enumerate(c.who)}
+    index = [at.get(n, -1) for n in every]
+    x, s = np.r_[c.value, np.nan], np.r_[c.sigma, np.nan]
+    return x[index], s[index]
+
+
+def _stacks(
+    table: Mapping[Name, tuple[Array, Array]], who: IntArray, trials: int
+) -> tuple[Stack, ...]:
+    by_effect: dict[str, list[Name]] = {}
+    for n in table:
+        if stays(n[0]):
+            by_effect.setdefault(n[0], []).append(n)
+    out = []
+    for effect, names in by_effect.items():
+        values = []
+        for n in names:
+            x, s = table[n]
+            at = np.flatnonzero(np.isfinite(x) & np.isfinite(s))
+            d = devices(x[at], s[at], _renumbered(who[at]))
+            values.append((d.value, d.sigma))
+        out.append(stack(effect, values, usual_of(names), trials))
+    return tuple(sorted(out, key=lambda s: (-s.probability, -s.gain)))
+
+
+def _at_once(
+    readings: Sequence[Information], who: IntArray, together: Set[Name], trials: int
+) -> tuple[tuple[Stack, ...], dict[Name, tuple[Array, Array]], dict[Name, tuple[Array, Array]]]:
+    """Stacked effects, one found after the other, each beside those before it; and where any was
+    found that is not in every fit, values and sigmas of devices (d,) and of recordings (n,) with it
+    in the model."""
+    listed = tuple(dict.fromkeys(n for r in readings for n in r.names if n[0] in catalogue()))
+    always = [n for n in listed if n in together and stays(n[0])]
+    passing = [n for n in listed if n in together and not stays(n[0])]
+    left = dict.fromkeys(n[0] for n in listed if stays(n[0]))
+    found: dict[str, Stack] = {}
+    while True:
+        stacks = {}
+        for effect in left:
+            names = [*always, *(n for n in listed if n[0] == effect and n not in always)]
+            told = joint.of_devices(readings, who, names, passing)
+            stacks[effect] = joint.stack(told, always, effect, trials)
+        new = [s for s in stacks.values() if not {n for n in always if n[0] == s.effect}]
+        best = max(new, key=lambda s: s.probability, default=None)
+        if best is None or best.probability <= FOUND or len(found) == MOST:
+            break
+        found[best.effect] = best
+        del left[best.effect]
+        always += [n for n in listed if n[0] == best.effect]
+    every = sorted((*found.values(), *stacks.values()), key=lambda s: (-s.probability, -s.gain))
+    if not found:
+        return tuple(every), {}, {}
+    told = joint.of_devices(readings, who, always, passing)
+    alone = joint.of_devices(readings, np.arange(len(readings)), always, passing)
+    population_of = joint.fit(told)
+    of_devices, of_recordings = (_sharper(t, set(found), *population_of) for t in (told, alone))
+    return tuple(every), of_devices, of_recordings
+
+
+def _sharper(
+    told: joint.Told, found: Set[str], mean: Array, spread: Array
+) -> dict[Name, tuple[Array, Array]]:
+    """Each parameter as devices or recordings tell it, SI (nan where they do not), with what was
+    found in the model: that is drawn from its population, of this mean (k,) and spread (k,) in
+    usual sizes, and the rest has its usual size."""
+    own = np.array([n[0] in found for n in told.names])
+    mean, spread = np.where(own, mean, 0.0), np.where(own, spread, 1.0)
+    usual = usual_of(told.names)
+    out = {}
+    for name, size in zip(told.names, usual, strict=True):
+        value, sigma = joint.marginals(told, mean, spread, name)
+        there = np.isfinite(value) & np.isfinite(sigma)
+        out[name] = (np.where(there, value * size, np.nan), np.where(there, sigma * size, np.nan))
+    return out
+
+
+def _renumbered(owner: IntArray) -> IntArray:
+    return np.asarray(np.unique(owner, return_inverse=True)[1].astype(np.int64))
