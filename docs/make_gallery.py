@@ -18,6 +18,7 @@ import resource
 import subprocess
 import sys
 import tomllib
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -237,7 +238,9 @@ def improved(document: Document) -> str:
 # ---- pages -------------------------------------------------------------------------------------
 
 
-def open_points(entry: Document, document: Document, rows: list[Document]) -> str:
+def open_points(
+    entry: Document, document: Document, rows: list[Document], kept: dict[str, Document]
+) -> str:
     """What nobody knows, what does not agree, and what the motion did not show."""
     facts = {r["effect"] for r in rows}
     alone = [
@@ -259,11 +262,42 @@ def open_points(entry: Document, document: Document, rows: list[Document]) -> st
         )
     if document["verdict"] == "unexplained":
         points.append("Something is left that no effect of the catalogue accounts for.")
+    points += repeated(entry, document, kept)
     points += [plain(html.escape(w)) for w in document["warnings"]]
     return "\n".join(f"- {p}" for p in points)
 
 
-def page(entry: Document, document: Document, report: str) -> str:
+def repeated(entry: Document, document: Document, kept: dict[str, Document]) -> list[str]:
+    """Of each law without a name whether another recording of the unit has it, too: on the same
+    sensor, of the same driver. One that has not is no law of the device."""
+    others = {
+        e["title"]: kept[e["name"]] for e in entries()
+        if e["name"] in kept and e["name"] != entry["name"] and e.get("unit") == entry.get("unit", e)
+    }  # fmt: skip
+    points = []
+    for u in document["unnamed"]:
+        law = f"<code>{html.escape(u['formula']).replace('|', '&#124;')}</code>"
+        again = [title for title, d in others.items() if any(map(partial(alike, u), d["unnamed"]))]
+        if again:
+            points.append(f"{law} was found again, of the same driver, in: {'; '.join(again)}.")
+        elif others:
+            points.append(
+                f"{law} was not found in {'; '.join(others)}, of the same unit: **as a law of the device it is withdrawn**, and describes this recording alone."
+            )
+        else:
+            points.append(
+                f"{law} could not be repeated: there is no second recording of this unit. It describes this recording, and nothing is claimed of the device."
+            )
+    return points
+
+
+def alike(law: Document, other: Document) -> bool:
+    """Whether two laws are of one sensor and of the same drivers."""
+    sensors = [{c.split("_")[0] for c in one["channels"]} for one in (law, other)]
+    return sensors[0] == sensors[1] and set(law["drivers"]) == set(other["drivers"])
+
+
+def page(entry: Document, document: Document, report: str, kept: dict[str, Document]) -> str:
     """One recording, from what was recorded to what stayed open."""
     rows = facts_of(entry, document)
     headline, *sentences = said(report)
@@ -279,7 +313,7 @@ def page(entry: Document, document: Document, report: str) -> str:
         "## How the fit improved", improved(document),
         "## On blocks that the fit has not seen", unseen(report),
         "## What is known from elsewhere", known,
-        "## What stayed open", open_points(entry, document, rows),
+        "## What stayed open", open_points(entry, document, rows, kept),
         "[All recordings](index.md)",
     ]  # fmt: skip
     return "\n\n".join(parts) + "\n"
@@ -327,10 +361,12 @@ def write_pages() -> None:
         if not path.exists():
             left_out.append(entry["title"])
             continue
-        kept[entry["name"]] = document = json.loads(path.read_text(encoding="utf-8"))
-        report = path.with_suffix(".html").read_text(encoding="utf-8")
-        text = page(entry, document, report)
-        (FOLDER / f"{entry['name']}.md").write_text(text, encoding="utf-8")
+        kept[entry["name"]] = json.loads(path.read_text(encoding="utf-8"))
+    for entry in entries():
+        if entry["name"] in kept:
+            report = (KEPT / f"{entry['name']}.html").read_text(encoding="utf-8")
+            text = page(entry, kept[entry["name"]], report, kept)
+            (FOLDER / f"{entry['name']}.md").write_text(text, encoding="utf-8")
     (FOLDER / "index.md").write_text(overview(kept, left_out), encoding="utf-8")
 
 

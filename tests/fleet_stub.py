@@ -36,9 +36,10 @@ def work(request):
     told = {"effect": "gyro_scale", "name": "x", "value": float(value or 0.0), "sigma": 0.001,
             "unit": "1", "prior_sigma": 0.01, "together": True}  # fmt: skip
     return {
-        "recording": {"path": str(path), "duration_s": 20.0, "imu_rate_hz": 100.0,
-                      "streams": ["imu"], "assume": "fixed-point", "sha256": "",
-                      "recorded": "2026-05-01T10:00:00Z"},
+        "recording": {
+            "path": str(path), "duration_s": 20.0, "imu_rate_hz": 100.0, "streams": ["imu"],
+            "assume": "fixed-point", "sha256": "", "recorded": "2026-05-01T10:00:00Z",
+        },
         "gravity": 9.8, "verdict": "explained", "named": [], "unnamed": [], "hypotheses": [],
         "told": [told], "held_out": {}, "warnings": [], "explanation": {"stub": True},
         "information": {"names": [], "b": "", "G": ""},

@@ -11,7 +11,7 @@ from handcal.effects import catalogue, select
 from handcal.estimate.model import Model
 from handcal.estimate.quadratic import Quadratic
 from handcal.explain import gauge
-from handcal.explanation import Missing
+from handcal.explanation import Hypothesis, Missing
 
 SIZE = 0.02
 SIGMA = 0.0006
@@ -81,3 +81,19 @@ def test_other_effects_keep_their_names() -> None:
     model = model_of(np.zeros(9), SIGMA**2 * np.eye(9), "gyro_scale")
     scale = Missing("gyro_scale", "", 0.999, 50.0, (), (), "", "")
     assert gauge.plainly(model, scale, EXCESS) == scale
+
+
+def test_evidence_is_told_of_the_name_that_is_told() -> None:
+    """Once found of the size effect and called a lever arm, the table of evidence says the same."""
+    model = model_of(np.tile([0.05, 0.02, 0.01], 3), np.eye(9) * SIGMA**2)
+    table = [
+        Hypothesis("gravity", "", 1.0, 0.0, 2.0, 0.01, ""),
+        Hypothesis("lever_arm", "", 1.0, -86.0, 2.0, 0.0, ""),
+        Hypothesis("size_effect", "", 1.0, 100.0, 2.0, 0.999, ""),
+    ]
+    told = gauge.plainly(model, entry(), EXCESS)
+    after = {h.effect: (h.final, h.probability) for h in gauge.renamed(model, [told], table)}
+    assert after == {
+        "gravity": (0.0, 0.01), "lever_arm": (100.0, 0.999), "size_effect": (-86.0, 0.0),
+    }  # fmt: skip
+    assert gauge.renamed(model, [entry()], table) == tuple(table)

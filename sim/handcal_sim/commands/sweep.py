@@ -29,7 +29,7 @@ def sweep(
         typer.Option(metavar="paper|turns|FILE.toml", help="What to run: paper 002; the same with "
                      "one turn about each axis beside it; or a grid of your own."),
     ] = PAPER,
-    seeds: Annotated[int, typer.Option(min=1, help="Runs of each cell.")] = 100,
+    seeds: Annotated[int, typer.Option(min=1, help="Monte Carlo runs per cell.")] = 100,
     seed: Annotated[int, typer.Option(min=0, help="Same seed, same result.")] = 0,
     choose_r_h: Annotated[
         bool,
@@ -37,13 +37,13 @@ def sweep(
     ] = False,
     settle: Annotated[
         bool,
-        typer.Option("--settle", help="Beside the online filter, handcal's own calibration; takes "
-                     "six times as long. --choose-r-h implies it."),
+        typer.Option("--settle", help="Also run the full calibration on each run, besides the "
+                     "online filter; six times as long. --choose-r-h implies it."),
     ] = False,
     threshold: Annotated[
         str,
         typer.Option(metavar="GYRO,ACCEL[,SCALE]",
-                     help="Of the convergence rule: 20 estimates vary by no more, deg/h, ug, ppm."),
+                     help="Converged when 20 successive estimates vary by less: deg/h, ug, ppm."),
     ] = "50,500,500",
     executor: Annotated[
         str, typer.Option(metavar="local|dask://HOST:PORT", help="Where it is computed.")

@@ -39,7 +39,7 @@ def _root(
         Path | None,
         typer.Option(
             metavar="HANDCAL.toml",
-            help="Options by command ([calibrate] and so on); the command line wins.",
+            help="Default options, a section for each command; the command line wins.",
         ),
     ] = None,
 ) -> None:

@@ -67,7 +67,7 @@ Effects = Annotated[
 HeadingSigma = Annotated[
     float | None,
     typer.Option(
-        metavar="DEG", min=0.0, help="Noise of the heading; found from the data if not given."
+        metavar="DEG", min=0.0, help="1 sigma of a heading; found from the data if not given."
     ),
 ]
 Assumption = Annotated[
@@ -94,7 +94,7 @@ ReferenceExact = Annotated[
     bool,
     typer.Option(
         "--reference-exact",
-        help="/reference has no bias (a turntable): what both differ by is the IMU's.",
+        help="/reference has no bias (a turntable): all differences are the IMU's.",
     ),
 ]
 NoiseUntil = Annotated[

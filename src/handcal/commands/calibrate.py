@@ -80,7 +80,7 @@ def calibrate(
     Effects are those of the device, so several recordings tell them together; biases and noise
     are each recording's own. With --from, the fit of that result is repeated; of other
     recordings, the same effects are estimated. With --device, what earlier sessions said of the
-    device is where the fit begins; how well a parameter is known is then known by all of them.
+    device is where the fit begins; values and sigmas then hold what all sessions say.
     """
     from handcal.output import beside, check_outputs
 

@@ -52,7 +52,7 @@ def explain(
     held_out: Annotated[
         list[Path] | None,
         typer.Option(
-            metavar="FILE", help="Another recording of it, for scoring only (repeatable)."
+            metavar="FILE", help="Another recording of the device, for scoring only (repeatable)."
         ),
     ] = None,
     twin: Annotated[
@@ -96,8 +96,8 @@ def explain(
 ) -> None:
     """Say what a recording holds that the model does not: where, which physics, how certain.
 
-    With --device, the biases begin with what earlier sessions said of the device, and the sizes of
-    what is found are told by all of them. The exit status is 0 with every verdict.
+    With --device, biases begin with what earlier sessions said of the device, and the values and
+    sigmas of what is found hold what all sessions say. The exit status is 0 with every verdict.
     """
     from handcal.explain import explain as explained
     from handcal.output import beside, check_outputs

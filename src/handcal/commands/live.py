@@ -36,7 +36,7 @@ def live(
     ] = 1.0,
     budget: Annotated[
         float | None,
-        typer.Option(min=0.0, metavar="SECONDS", help="As of explain: try nothing further then."),
+        typer.Option(min=0.0, metavar="SECONDS", help="Time limit of the search, as of explain."),
     ] = None,
 ) -> None:  # fmt: skip
     """Record a phone as it moves, through a page in its browser, and explain the recording.

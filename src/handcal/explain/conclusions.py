@@ -20,7 +20,7 @@ from handcal.estimate.specification import Specification
 from handcal.estimate.start import BIASES
 from handcal.explain import held_out as held
 from handcal.explain import importance, locate
-from handcal.explain.gauge import plainly
+from handcal.explain.gauge import plainly, renamed
 from handcal.explain.leaning import leaning
 from handcal.explain.moments import moments
 from handcal.explain.naming import (
@@ -150,7 +150,7 @@ def explanation_of(
     named = _named(end, learnt, wrong, not untried)
     before, explained, mismatch = _compared(end, named.verdict, fits)
     told = _weighed(end, named, judged)
-    hypotheses = hypotheses_of(found, told, wrong, named.alone)
+    hypotheses = renamed(model, told, hypotheses_of(found, told, wrong, named.alone))
     missing, hypotheses = for_streams(told, hypotheses, [f.case for f in model.parts])
     final = _in_order(explained, learnt, fits[0])
     return Explanation(

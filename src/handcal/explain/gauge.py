@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from handcal.effects import catalogue
 from handcal.estimate.model import Model
-from handcal.explanation import Missing
+from handcal.explanation import Hypothesis, Missing
 from handcal.types import Array, Parameter
 
 # Chance at which what an effect has beyond the simpler one is taken for noise.
@@ -49,6 +49,23 @@ def plainly(model: Model, missing: Missing, excess: Mapping[str, float]) -> Miss
         story=plain.story,
         motion=plain.motion,
     )
+
+
+def renamed(
+    model: Model, told: Sequence[Missing], hypotheses: Sequence[Hypothesis]
+) -> tuple[Hypothesis, ...]:
+    """Evidence and probability under the name that each effect of the model is told by
+    (``plainly``): what is said of the one was found of the other."""
+    names = {m.effect for m in told}
+    by_name = {h.effect: h for h in hypotheses}
+    out = dict(by_name)
+    for e in model.effects:
+        plain = e.exclusive[0] if e.exclusive else ""
+        if e.id not in names and plain in names and {e.id, plain} <= set(by_name):
+            one, other = by_name[e.id], by_name[plain]
+            out[plain] = replace(other, final=one.final, probability=one.probability)
+            out[e.id] = replace(one, final=other.final, probability=other.probability)
+    return tuple(out[h.effect] for h in hypotheses)
 
 
 def by_chance(x: Array, C: Array) -> bool:

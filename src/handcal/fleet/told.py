@@ -114,7 +114,7 @@ def _marginals(q: Quadratic, index: Sequence[int], of: Sequence[int], together: 
     if not of:
         return []
     A = q.G[np.ix_(index, index)] + np.eye(len(index))
-    C = np.linalg.inv(A)
+    C = np.linalg.solve(A, np.eye(len(index)))
     mean = C @ q.b[list(index)]
     out = []
     for i in of:

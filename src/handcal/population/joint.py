@@ -81,7 +81,7 @@ def evidence(told: Told, mean: Array, spread: Array) -> tuple[Array, Array, Arra
     S = np.maximum(spread, 1e-9)
     A = np.eye(len(S)) + told.G * np.outer(S, S)
     c = told.b - told.G @ mean
-    C = np.linalg.inv(A)
+    C = np.linalg.solve(A, np.broadcast_to(np.eye(len(S)), A.shape))
     y = (C @ (c * S)[..., None])[..., 0]
     shift = told.b @ mean - 0.5 * np.einsum("i,dij,j->d", mean, told.G, mean)
     log = shift + 0.5 * (y * c * S).sum(1) - 0.5 * np.linalg.slogdet(A)[1]

@@ -67,7 +67,7 @@ def blueprint(layout: Layout) -> rrb.Blueprint:
     other = [parameters(g, key=False) for g in layout.groups if g not in bias]
     right = [innovation(kind, k) for kind, k in layout.kinds.items()]
     if right:
-        right.append(plot(layout.span, "/nis", "NIS per degree of freedom (1 is right), 95 % band"))
+        right.append(plot(layout.span, "/nis", "NIS per degree of freedom (1 expected), 95 % band"))
     heading = plot(layout.span, "/heading", "Heading, deg", limits=(-190.0, 190.0))
     text = rrb.TextDocumentView(origin="/summary", name="Result")
     readings = [plot(layout.span, "/imu/gyro", "Gyro, deg/s"),

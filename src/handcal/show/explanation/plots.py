@@ -333,7 +333,7 @@ def balance_plot(explanation: Explanation) -> Plot | None:
     axes[0].minorticks_off()
     axes[0].grid(visible=True, axis="x")
     axes[0].axvline(1, color=INK, lw=1)
-    axes[0].set(xlim=(low, high), xlabel="NIS per degree of freedom (1 is right)")
+    axes[0].set(xlim=(low, high), xlabel="NIS per degree of freedom (1 expected)")
     axes[1].axvline(0, color=INK, lw=1)
     axes[1].set(xlim=(-1, 1), xlabel="lag-1 autocorrelation of innovations (0 expected)")
     caption = (

@@ -191,7 +191,7 @@ def fit_rows(e: Explanation) -> list[tuple[str, ...]]:
     for kind in dict.fromkeys((*before.nis, *after.nis)):
         pair = [f.nis.get(kind, math.nan) for f in (before, after)]
         shown = [f"{v:.2f}" if math.isfinite(v) else "–" for v in pair]
-        rows.append((f"NIS of {words.kind_title(kind)} (1 is right)", *shown, "", ""))
+        rows.append((f"NIS of {words.kind_title(kind)} (1 expected)", *shown, "", ""))
     return rows
 
 

@@ -100,7 +100,7 @@ def matters(explanation: Explanation) -> str | None:
     many = "one matters" if len(first) == 1 else f"{counted_word(len(first))} matter"
     others = "other holds" if rest == 1 else "others hold"
     return (
-        f"Of these {many}: {names}. The {counted_word(rest)} {others} less than "
+        f"Of what was found {many}: {names}. The {counted_word(rest)} {others} less than "
         f"{whole_percent(MATTERS)} each."
     )
 
@@ -144,7 +144,8 @@ def verdict(explanation: Explanation) -> Verdict:
     added, held = always.parted(explanation)
     level, headline, sentences = _head(added, held)
     if (first := matters(added)) is not None:
-        sentences.insert(0, first)
+        # (what cannot be told apart comes first: the headline is about that)
+        sentences.insert(2 if added.verdict == "cannot_tell" else 0, first)
     if (worst := worst_mismatch(explanation)) is not None:
         sentences.append(worst)
     proof = held_out_sentence(explanation)
@@ -235,7 +236,9 @@ def _unexplained(e: Explanation) -> tuple[str, str, list[str]]:
     if not e.unnamed:
         return "poor", headline, ["No simple term in the measured signals accounts for it either."]
     u = max(e.unnamed, key=lambda u: u.log_evidence_gain)
-    found = f"What was found instead: {u.formula} with {sized(u)}, which gains"
+    found = (
+        f"What was found instead (formula in SI units): {u.formula} with {sized(u)}, which gains"
+    )
     told = (f"{found} {nats(u.log_evidence_gain)}.", u.story, lead(u))
     return "poor", headline, [" ".join(part for part in told if part)]
 
@@ -352,7 +355,7 @@ def untold(explanation: Explanation) -> list[str]:
     if weak:
         names = listed([words.parameter_title(p) for p in weak])
         sentences.append(
-            f"{names} {'is' if len(weak) == 1 else 'are'} part of what is missing, but "
-            f"{'was' if len(weak) == 1 else 'were'} not learnt from this motion."
+            f"{names} {'is' if len(weak) == 1 else 'are'} part of what is missing, but hardly "
+            f"constrained by this motion: a sigma is more than half of what is usual."
         )
     return sentences
