@@ -1,17 +1,18 @@
 """What one recording says of every parameter, whether or not an effect was named.
 
 An explanation has values of what it named, so only of what happened to come out large: a mean over
-devices of such values is no mean of devices. Here the same effects are in the model of every
-recording (``ALWAYS``), and each other effect of the catalogue is looked at beside them, one at a
-time, in one linear pass about that fit. Value and sigma are of the likelihood alone: the prior that
-the fit needed is divided out again, so what a recording does not show has a sigma without bound.
+devices of such values is no mean of devices. Here the effects of ``ALWAYS`` are in the model of
+every recording, beside what the explanation found in it, and each other effect of the catalogue is
+looked at beside them, one at a time, in one linear pass about that fit. Value and sigma are of the
+likelihood alone: the prior that the fit needed is divided out again, so what a recording does not
+show has a sigma without bound.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from handcal.estimate.parameters import known
 from handcal.estimate.quadratic import Quadratic
 from handcal.estimate.rest_only import resting, travels
 from handcal.estimate.scan import scan
-from handcal.estimate.specification import Specification, settled, view_of
+from handcal.estimate.specification import Specification, seen, settled, view_of
 from handcal.observations import catalogue as observations
 from handcal.types import Recording
 
@@ -57,16 +58,14 @@ class Telling:
     information: Quadratic
 
 
-def told(recording: Recording) -> Telling:
-    """Biases, the effects of ``ALWAYS`` and every other that acts here. Errors: HandcalError where
-    no fit could be made."""
-    model = _fit(case_of(recording, "auto", None))
-    if travels(model.parts[0]):
-        model = _fit(resting(model.parts[0], None, 0.0))
+def told(recording: Recording, found: Specification | None = None) -> Telling:
+    """Biases, the effects of ``ALWAYS`` and every other that acts here; found: the explanation's
+    model, if it has one. Errors: HandcalError where no fit could be made."""
+    model = _model(recording, found)
     case = model.parts[0].case
     have = {e.id for e in model.effects}
     others = [e for e in catalogue().values() if e.id not in have and _acts(e, case)]
-    q = scan(model, others)
+    q = _of_catalogue(scan(model, others))
     out = _biases(model, q.worth)
     own = [i for i, n in enumerate(q.names) if n[0] in have]
     out += _marginals(q, own, own, True)
@@ -76,11 +75,40 @@ def told(recording: Recording) -> Telling:
     return Telling(tuple(out), q)
 
 
-def _fit(case: Case) -> Model:
+def _model(recording: Recording, found: Specification | None) -> Model:
+    """The fit about which a recording is asked."""
+    if found is not None and len(found.views) == 1:
+        # (what was known before would count once for each recording)
+        options = replace(found.options, before=None)
+        return _fit(seen(recording, found.views[0], options), replace(found, options=options))
+    model = _fit(case_of(recording, "auto", None))
+    return _fit(resting(model.parts[0], None, 0.0)) if travels(model.parts[0]) else model
+
+
+def _fit(case: Case, found: Specification | None = None) -> Model:
     base = baseline([case])
-    have = {e.id for e in base.effects}
-    new = tuple(e for e in select(ALWAYS) if e.id not in have and _acts(e, case))
-    return settled(base, Specification((*base.effects, *new), (view_of(case),)))
+    chosen = Specification((), (view_of(case),)) if found is None else found
+    effects = {e.id: e for e in (*base.effects, *chosen.effects)}
+    taken = {i for e in effects.values() for i in (e.id, *e.exclusive)}
+    new = {e.id: e for e in select(ALWAYS) if e.id not in taken and _acts(e, case)}
+    return settled(base, replace(chosen, effects=(*(effects | new).values(),)))
+
+
+def _of_catalogue(q: Quadratic) -> Quadratic:
+    """Without laws that have no name, which are this recording's alone: integrated out."""
+    keep = [i for i, n in enumerate(q.names) if n[0] in catalogue()]
+    gone = [i for i, n in enumerate(q.names) if n[0] not in catalogue()]
+    if not gone:
+        return q
+    A = q.G[np.ix_(gone, gone)] + np.eye(len(gone))
+    cross = q.G[np.ix_(keep, gone)]
+    X = np.linalg.solve(A, np.column_stack([q.b[gone], cross.T]))
+    return replace(
+        q,
+        names=tuple(q.names[i] for i in keep),
+        b=q.b[keep] - cross @ X[:, 0],
+        G=q.G[np.ix_(keep, keep)] - cross @ X[:, 1:],
+    )
 
 
 def _acts(e: Effect, case: Case) -> bool:

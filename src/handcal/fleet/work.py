@@ -33,7 +33,8 @@ def explained(request: Mapping[str, Any]) -> Document:
     before = prior_of(request["prior"])
     explanation = explain([recording], budget=request["budget"], before=before)
     document = stamped(explanation_json(explanation))
-    return summary(recording, explanation, document, told(recording)) | {"explanation": document}
+    telling = told(recording, explanation.model)
+    return summary(recording, explanation, document, telling) | {"explanation": document}
 
 
 def summary(
