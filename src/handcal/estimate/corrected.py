@@ -58,8 +58,6 @@ def corrected_readings(
     return Corrected(replace(problem, ref=ref, nodes=nodes, error=error), read, raw, error)
 
 
-# (numbers that run away are no fit, which is seen later)
-@np.errstate(over="ignore", invalid="ignore")
 def _undone(
     acting: Sequence[Effect], ref: Array, readings: Signals, raw: Array
 ) -> tuple[Array, list[tuple[Effect, Array]]]:
@@ -77,6 +75,8 @@ def _undone(
     return total, left
 
 
+# (numbers that run away are no fit, which is seen later)
+@np.errstate(over="ignore", invalid="ignore")
 def substituted(
     acting: Sequence[Effect],
     ref: Array,
