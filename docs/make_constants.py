@@ -11,7 +11,7 @@ FILE = Path(__file__).with_name("explain.md")
 SOURCE = Path(__file__).parent.parent / "src" / "handcal"
 # Where a decision about a recording may hang on a number.
 FOLDERS = ("explain", "search", "laws", "estimate")
-FILES = ("score.py", "recordings/segment.py")
+FILES = ("model_score.py", "recordings/segment.py")
 BEGIN, END = "<!-- constants: written by make docs -->\n", "<!-- end of constants -->\n"
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from handcal.commands import _ahead
+from handcal.commands import _precompile
 from handcal.compiled import disk_cache
 from handcal_sim import simulate, write
 
@@ -34,7 +34,7 @@ disk_cache._WholeCache.load_overload = load
 {}
 json.dump(asked, sys.stdout)
 """
-AHEAD = "from handcal.estimate.ahead import compile_ahead\ncompile_ahead()"
+AHEAD = "from handcal.estimate.precompile import compile_ahead\ncompile_ahead()"
 FIT = "import handcal\nhandcal.calibrate(handcal.load(sys.argv[1]))"
 # What the process that fits compiles itself.
 OWN = {"_run", "_linearise_rows", "preintegrate", "turn_noise", "_turned"}
@@ -119,10 +119,10 @@ def test_one_compiles_and_the_other_waits_while_it_lives(tmp_path: Path, killed:
 def test_none_with_one_core_or_where_it_has_been_done(
     monkeypatch: pytest.MonkeyPatch, cores: int, first: bool
 ) -> None:
-    monkeypatch.setattr(_ahead, "_cores", lambda: cores)
-    monkeypatch.setattr(_ahead, "_first_run", lambda: first)
-    monkeypatch.setattr(_ahead, "_begun", lambda: pytest.fail("a process was begun"))
-    with _ahead.compiled_ahead():
+    monkeypatch.setattr(_precompile, "_cores", lambda: cores)
+    monkeypatch.setattr(_precompile, "_first_run", lambda: first)
+    monkeypatch.setattr(_precompile, "_begun", lambda: pytest.fail("a process was begun"))
+    with _precompile.compiled_ahead():
         pass
 
 
@@ -133,9 +133,9 @@ def test_it_ends_with_the_block(monkeypatch: pytest.MonkeyPatch) -> None:
         begun.append(subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"]))
         return begun[0]
 
-    monkeypatch.setattr(_ahead, "_cores", lambda: 2)
-    monkeypatch.setattr(_ahead, "_first_run", lambda: True)
-    monkeypatch.setattr(_ahead, "_begun", sleeps)
-    with pytest.raises(KeyboardInterrupt), _ahead.compiled_ahead():
+    monkeypatch.setattr(_precompile, "_cores", lambda: 2)
+    monkeypatch.setattr(_precompile, "_first_run", lambda: True)
+    monkeypatch.setattr(_precompile, "_begun", sleeps)
+    with pytest.raises(KeyboardInterrupt), _precompile.compiled_ahead():
         raise KeyboardInterrupt
     assert begun[0].returncode is not None

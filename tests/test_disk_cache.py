@@ -148,8 +148,8 @@ ANOTHER = """
 import numba
 numba.__version__ = "0.0"
 import numpy as np
-from handcal.compiled import inside, so3
-assert not inside.LINKED
+from handcal.compiled import linking, so3
+assert not linking.LINKED
 angles = np.array([0.1, -0.2, 0.3])
 print(*so3.matrix_exp(angles).ravel())
 """

@@ -22,15 +22,15 @@ from handcal.estimate.model import Model
 from handcal.estimate.specification import Options, chosen_of, document_of, settled
 from handcal.explain import explain, naming
 from handcal.explain.model_file import chosen_from
-from handcal.laws import best, drivers, grammar, law_effect, law_file, vocabulary
+from handcal.laws import best_law, drivers, grammar, law_effect, law_file, vocabulary
 from handcal.laws.drivers import DRIVERS
 from handcal.laws.grammar import Range
 from handcal.laws.law_effect import Law
 from handcal.search.climb.candidates import scanned
 from handcal.search.climb.law_steps import narrow, with_term
 from handcal.search.climb.noise_steps import add_noise
+from handcal.search.climb.sequence import climbed
 from handcal.search.climb.state import Climb
-from handcal.search.climb.turns import climbed
 from handcal.search.noise_scan import all_noise
 from handcal.signals import probe
 from handcal.types import Array, Imu, Parameter, Recording
@@ -352,10 +352,10 @@ def drifting(omega: Array, f: Array) -> Array:  # noqa: ARG001
 
 
 @pytest.fixture(scope="module")
-def size_alone() -> tuple[Model, best.Term]:
+def size_alone() -> tuple[Model, best_law.Term]:
     base = baseline([case_of(strange("gyro", size_of_the_rate))])
     effect = law_effect.effect_of(law_over("|omega|", formula("line"), (0, 1, 2)))
-    return base, best.Term(effect, 100.0)
+    return base, best_law.Term(effect, 100.0)
 
 
 def test_many_that_stand_in_are_exchanged_for_one(size_alone) -> None:
@@ -374,7 +374,7 @@ def test_a_law_comes_with_the_name_that_it_needs() -> None:
     motion holds both, and no half of it alone is worth as much."""
     base = baseline([case_of(strange("gyro", drifting))])
     effect = law_effect.effect_of(law_over("omega_{i} * t", formula("line"), (1,)))
-    whole = with_term(base, best.Term(effect, 100.0), 1.0, frozenset())
+    whole = with_term(base, best_law.Term(effect, 100.0), 1.0, frozenset())
     assert set(whole.ids) - set(base.ids) == {"gyro_scale", "gyro_y += k * omega_y * t"}
     noise = next(e for e in all_noise() if e.id == "gyro_xyz += e(t) * |omega|")
     assert whole.log_evidence > fitted(base.parts, [*base.effects, noise]).log_evidence
@@ -397,7 +397,7 @@ def test_a_law_keeps_to_the_axes_on_which_it_is() -> None:
     base = baseline([case_of(strange("gyro", friction))])
     form = grammar.formula([("sign", (0.02,))])
     wide = replace(law_over("omega_{i}", form, (0, 1, 2)), each=True)
-    term = best.Term(law_effect.effect_of(wide), 100.0)
+    term = best_law.Term(law_effect.effect_of(wide), 100.0)
     c = Climb(fitted(base.parts, [*base.effects, term.effect]), [term])
     c.where = scanned(c)
     for axes in ((0, 2), (1, 2)), ((2,),):

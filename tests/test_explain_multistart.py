@@ -16,12 +16,12 @@ from handcal.effects import Effect, Param, catalogue, select
 from handcal.estimate.baseline import baseline, started
 from handcal.estimate.case import case_of
 from handcal.estimate.fit import fitted
+from handcal.estimate.heavy_tails import LOG_SHARES, SCALES
 from handcal.estimate.quadratic import Quadratic
-from handcal.estimate.tails import LOG_SHARES, SCALES
-from handcal.score import PRIOR
+from handcal.model_score import PRIOR
 from handcal.search import multistart
 from handcal.search.budget import Budget
-from handcal.search.climb import turns
+from handcal.search.climb import sequence
 from handcal.search.climb.candidates import scanned
 from handcal.search.climb.exchange_steps import akin
 from handcal.search.climb.state import Climb
@@ -318,10 +318,10 @@ def test_a_climb_goes_on_while_its_steps_lead_higher(monkeypatch: pytest.MonkeyP
     steps = iter([*range(25), None])
     climb = Climb.__new__(Climb)
     climb.budget, climb.needed = Budget(), []
-    monkeypatch.setattr(turns, "scanned", lambda _: None)
-    monkeypatch.setattr(turns, "gains", lambda *_: {})
-    monkeypatch.setattr(turns, "_STEPS", {lambda _: next(steps): "anything"})
-    assert turns.climbed(climb, lambda _: None)
+    monkeypatch.setattr(sequence, "scanned", lambda _: None)
+    monkeypatch.setattr(sequence, "gains", lambda *_: {})
+    monkeypatch.setattr(sequence, "_STEPS", {lambda _: next(steps): "anything"})
+    assert sequence.climbed(climb, lambda _: None)
     assert climb.model == 24
 
 

@@ -28,7 +28,7 @@ from handcal.estimate.transfer import at_constants, moved_to
 from handcal.explain import Explanation, conclusions, explain, pipeline
 from handcal.observations import pose
 from handcal.search import outliers
-from handcal.search.climb import subset_steps, turns
+from handcal.search.climb import sequence, subset_steps
 from handcal.search.climb.state import Climb, likelier
 from handcal.search.multistart import astray, leading
 from handcal.search.space import Space, gains
@@ -397,16 +397,16 @@ def test_a_climb_out_of_turns_ends_with_a_scan_of_its_model(
     """Where the last turn put a term in another's place, the last scan did not hold it, and
     explain ended in a KeyError."""
     base = base_of(world_of({"gyro_scale": [0.01, -0.008, 0.012]}, 0, 40.0))
-    monkeypatch.setattr(turns, "ROUNDS", 1)
-    monkeypatch.setattr(turns, "MAX_TERMS", 0)
+    monkeypatch.setattr(sequence, "ROUNDS", 1)
+    monkeypatch.setattr(sequence, "MAX_TERMS", 0)
 
     def renamed(c: Climb) -> Model:
         scale = replace(catalogue()["gyro_scale"], id="gyro_x += k * anything")
         return fit.fitted(c.model.parts, [scale])
 
-    monkeypatch.setattr(turns, "_STEPS", {renamed: "anything"})
+    monkeypatch.setattr(sequence, "_STEPS", {renamed: "anything"})
     c = Climb(base, ())
-    assert turns.climbed(c, lambda _: None)
+    assert sequence.climbed(c, lambda _: None)
     assert c.model.chosen <= set(c.where.effects)
     assert gains(c.where, c.model.chosen)[next(iter(c.model.chosen))] > 0.0
 
@@ -416,7 +416,7 @@ def test_what_swings_by_more_than_it_gains_is_not_likelier() -> None:
     swung by hundreds of nats from round to round, and the last of them counted."""
     base = base_of(world_of(GYRO, 0, 20.0))
     c = Climb(fitted(base.parts, ()), ())
-    c.where = turns.scanned(c)
+    c.where = sequence.scanned(c)
     better = fitted(base.parts, select(["gyro_scale"]))
     gain = better.log_evidence - c.model.log_evidence
     assert likelier(c, better)
@@ -461,7 +461,7 @@ def test_what_no_fit_holds_with_is_left_out(monkeypatch: pytest.MonkeyPatch) -> 
         fit = real(c, chosen)
         return replace(fit, log_evidence=-1e6) if "lever_arm" in chosen else fit
 
-    promised = turns.scanned
+    promised = sequence.scanned
 
     def scanned(c: Climb) -> Space:
         where = promised(c)
@@ -470,7 +470,7 @@ def test_what_no_fit_holds_with_is_left_out(monkeypatch: pytest.MonkeyPatch) -> 
         return replace(where, prior={**where.prior, "lever_arm": 1e4}, scores={})
 
     monkeypatch.setattr(subset_steps, "_fit", astray)
-    monkeypatch.setattr(turns, "scanned", scanned)
+    monkeypatch.setattr(sequence, "scanned", scanned)
     found = explain([recording_of(world, "heading")])
     assert (found.verdict, names(found)) == ("explained", ["gyro_scale"])
 

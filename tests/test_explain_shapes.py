@@ -16,7 +16,7 @@ from handcal.estimate.case import case_of
 from handcal.estimate.quadratic import Quadratic
 from handcal.explain import explain
 from handcal.laws import courses, shapes
-from handcal.laws.best import best_term
+from handcal.laws.best_law import best_term
 from handcal.types import Array
 from handcal_sim import simulate
 from handcal_sim.phone import Clocking, Phone, Thermometer, consumer_phone, with_rate

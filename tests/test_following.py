@@ -18,7 +18,7 @@ from handcal.commands.explain import Assume, _typed
 from handcal.estimate.specification import Specification
 from handcal.show.explanation import plots
 from handcal.show.explanation.document import explanation_json
-from handcal.show.explanation.following import applicable, commands
+from handcal.show.explanation.next_commands import applicable, commands
 from handcal.show.explanation.report import render_explanation
 from handcal.show.explanation.terminal import print_explanation
 from handcal.types import Parameter

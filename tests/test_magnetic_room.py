@@ -21,7 +21,7 @@ from handcal.estimate.specification import document_of
 from handcal.explain import explain
 from handcal.explain.model_file import chosen_from
 from handcal.explanation import Explanation
-from handcal.score import MOMENTS, PRIOR, prior
+from handcal.model_score import MOMENTS, PRIOR, prior
 from handcal.search.jumps import sudden
 from handcal.types import InputError, Recording
 from handcal_sim import simulate

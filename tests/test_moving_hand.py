@@ -14,9 +14,9 @@ from handcal.effects import select
 from handcal.estimate.baseline import baseline
 from handcal.estimate.case import Case, case_of, creeping
 from handcal.estimate.fit import diverged, fitted
+from handcal.estimate.hand_sway import sway_of
 from handcal.estimate.model import Model
 from handcal.estimate.specification import Options, Specification, document_of, seen, view_of
-from handcal.estimate.sway import sway_of
 from handcal.explain import explain, model_file
 from handcal.observations.fixed_position import CREEP, SWAY, Part, Sway
 from handcal.search import drifting_point

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from handcal.estimate.rounds import FALLEN, FALLS, SHORTEST, Rounds
+from handcal.estimate.convergence import FALLEN, FALLS, SHORTEST, Rounds
 
 
 def after(*evidence, tolerance=0.2):

@@ -181,7 +181,7 @@ RECORDING = Path(__file__).parents[1] / "recordings" / "sealed_01.mcap"
 CALIBRATION = """
 import sys
 import handcal as hc
-from handcal.compiled.inside import LINKED
+from handcal.compiled.linking import LINKED
 result = hc.calibrate(sys.argv[1], effects=["gyro_scale"])
 print(int(LINKED), *(x for p in result.parameters for x in (p.value, p.sigma)))
 """

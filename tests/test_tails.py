@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.special import logsumexp
 
+from handcal.estimate.heavy_tails import LOG_SHARES, SCALES, log_evidence, tailed
 from handcal.estimate.quadratic import Quadratic, posterior
-from handcal.estimate.tails import LOG_SHARES, SCALES, log_evidence, tailed
 
 
 def quadratic(truth: list[float], sigma: float, seed: int, mixed: float = 0.0) -> Quadratic:

@@ -12,8 +12,8 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 
+from handcal.did_you_mean import did_you_mean
 from handcal.earth import STANDARD_GRAVITY
-from handcal.suggest import did_you_mean
 from handcal.types import InputError
 
 # What takes rad to degrees, and m/s^2 to thousandths of standard gravity.

@@ -34,7 +34,7 @@ def demo(
     calibration.json.
     """
     import handcal
-    from handcal.commands._ahead import compiled_ahead
+    from handcal.commands._precompile import compiled_ahead
     from handcal.commands._progress import progress
     from handcal.commands._registry import say
     from handcal.explain import explain
@@ -42,7 +42,7 @@ def demo(
     from handcal.show.calibration.summary import calibration_json, write_json
     from handcal.show.dashboard import save_explanation_rrd, save_rrd
     from handcal.show.explanation.document import explanation_json
-    from handcal.show.explanation.following import commands
+    from handcal.show.explanation.next_commands import commands
     from handcal.show.explanation.report import write_explanation_report
     from handcal_sim.mcap_writer import write
 

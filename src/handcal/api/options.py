@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from numbers import Real
 from typing import Any, TypedDict
 
+from handcal.did_you_mean import did_you_mean
 from handcal.estimate.start import Start
-from handcal.suggest import did_you_mean
 from handcal.types import InputError, Prior
 
 

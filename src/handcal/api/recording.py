@@ -9,9 +9,9 @@ from typing import Any, Self
 
 from handcal import output
 from handcal.api.words import of_arrays, spoken
+from handcal.did_you_mean import did_you_mean
 from handcal.recordings import inputs
 from handcal.recordings.streams import STREAMS
-from handcal.suggest import did_you_mean
 from handcal.types import Array, InputError
 from handcal.types import Recording as RecordingData
 

@@ -92,7 +92,7 @@ def _value(path: Path, name: str, option: Any, value: Any) -> Any:
 
 
 def _unknown(path: Path, problem: str, key: str, known: Iterable[str]) -> Exception:
-    from handcal.suggest import did_you_mean
+    from handcal.did_you_mean import did_you_mean
     from handcal.types import InputError
 
     return InputError(f"{path}: {problem}.{did_you_mean(key.replace('_', '-'), known)}")

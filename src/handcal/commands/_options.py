@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from handcal.commands._ahead import compiled_ahead
+from handcal.commands._precompile import compiled_ahead
 from handcal.commands._progress import progress
 from handcal.commands._registry import say
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from handcal.commands._ahead import compiled_ahead
 from handcal.commands._device import (
     DeviceFile,
     ModelName,
@@ -34,6 +33,7 @@ from handcal.commands._options import (
     radians,
     with_own_effects,
 )
+from handcal.commands._precompile import compiled_ahead
 from handcal.commands._progress import progress
 from handcal.commands._registry import say
 
@@ -177,7 +177,7 @@ def _following(
     explanation: Explanation, files: Sequence[Path], typed: Sequence[str], json: Path | None
 ) -> list[str]:
     """The commands that come next, the same in the terminal and on the page."""
-    from handcal.show.explanation.following import commands
+    from handcal.show.explanation.next_commands import commands
 
     written = "" if str(json) == "-" else str(json or "")
     return commands(explanation, [str(f) for f in files], typed, written)

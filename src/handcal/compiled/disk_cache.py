@@ -22,7 +22,7 @@ from typing import Any
 
 from numba.core import caching, event
 
-from handcal.compiled.inside import LINKED, readable, rebuilt
+from handcal.compiled.linking import LINKED, readable, rebuilt
 
 fcntl: Any
 try:

@@ -16,7 +16,7 @@ from numba.extending import typeof_impl
 
 from handcal.compiled.by_address import POINTER, called
 from handcal.compiled.disk_cache import kept
-from handcal.compiled.inside import LINKED, Inside, Outside
+from handcal.compiled.linking import LINKED, Inside, Outside
 from handcal.types import Array, IntArray
 
 F = TypeVar("F", bound=Callable[..., Any])

@@ -20,9 +20,9 @@ import numpy as np
 
 from handcal import output
 from handcal.device.file import MOST_BYTES, Name
+from handcal.did_you_mean import did_you_mean
 from handcal.documents import reading, toml_of
 from handcal.effects import catalogue
-from handcal.suggest import did_you_mean
 from handcal.types import InputError, Prior
 
 SCHEMA = "handcal/priors/1"

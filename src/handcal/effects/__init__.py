@@ -42,7 +42,7 @@ from typing import Protocol
 import numpy as np
 
 from handcal.compiled.jit import call_residuals
-from handcal.suggest import did_you_mean
+from handcal.did_you_mean import did_you_mean
 from handcal.types import Array, BoolArray, InputError, Level, Markov, Recording, Result
 
 # What an effect may need besides streams.

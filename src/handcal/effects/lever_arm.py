@@ -6,7 +6,7 @@ from typing import Any
 
 from handcal.compiled.jit import residual_function
 from handcal.effects import Effect, Param
-from handcal.effects._place import placed
+from handcal.effects._position import placed
 
 # Where z of a reference has its angular acceleration (3,), rad/s^2.
 ALPHA = 6

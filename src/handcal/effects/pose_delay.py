@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from handcal.effects import Effect, Param
-from handcal.effects._late import LATE
+from handcal.effects._delay import LATE
 
 EFFECT = Effect(
     id="pose_delay",

@@ -15,12 +15,12 @@ import numpy as np
 
 from handcal.effects import Effect, catalogue
 from handcal.estimate import noise_levels, smoother
+from handcal.estimate.convergence import ROUNDS, Rounds
 from handcal.estimate.evidence import ReducedPass, Reduction, backward, reduce, reduced_pass
+from handcal.estimate.heavy_tails import SCALES, tailed, usual
 from handcal.estimate.linear import Linear
 from handcal.estimate.model import Fitted, Known, Model
 from handcal.estimate.quadratic import Local, Posterior, Quadratic, given, local, posterior, total
-from handcal.estimate.rounds import ROUNDS, Rounds
-from handcal.estimate.tails import SCALES, tailed, usual
 from handcal.estimate.transfer import begun, linearised
 from handcal.types import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Array, IntArray, Prior
 

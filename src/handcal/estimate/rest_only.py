@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from handcal.estimate.case import Case, case_of
+from handcal.estimate.hand_sway import TRAVEL_NATS, beyond_a_hand, sway_of
 from handcal.estimate.model import Fitted
-from handcal.estimate.sway import TRAVEL_NATS, beyond_a_hand, sway_of
 
 # How the warning begins where nothing tells a hand that moves from effects that are missing.
 DOUBTED = "The hand travels, or effects are missing"

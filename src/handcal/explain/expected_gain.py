@@ -15,7 +15,7 @@ from handcal.estimate.fit import fitted
 from handcal.estimate.scan import scan
 from handcal.estimate.transfer import moved_to
 from handcal.laws import shapes
-from handcal.score import OCCAM_LEVEL
+from handcal.model_score import OCCAM_LEVEL
 from handcal.search.space import expected_gain as expected_nats
 from handcal.search.space import space
 from handcal.types import Array, HandcalError, InputError, Recording

@@ -32,7 +32,7 @@ from handcal.explanation import (
     Explanation,
     HeldOut,
 )
-from handcal.score import PRIOR, TERM_PRIOR
+from handcal.model_score import PRIOR, TERM_PRIOR
 from handcal.search import outliers
 from handcal.search.budget import Budget, after
 from handcal.search.climb.state import sensible, too_large

@@ -116,7 +116,7 @@ def _explained(
     from handcal.show.calibration.summary import calibration_json, write_json
     from handcal.show.explanation import verdict_text
     from handcal.show.explanation.document import explanation_json
-    from handcal.show.explanation.following import commands
+    from handcal.show.explanation.next_commands import commands
     from handcal.show.explanation.report import write_explanation_report
 
     def report(fraction: float | None = None, stage: str = "") -> None:

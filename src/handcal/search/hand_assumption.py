@@ -13,11 +13,11 @@ import math
 from dataclasses import replace
 
 from handcal.estimate.fit import fitted, known_of, own_levels
+from handcal.estimate.hand_sway import TRAVEL_NATS, beyond_a_hand
 from handcal.estimate.model import Fitted, Model
-from handcal.estimate.sway import TRAVEL_NATS, beyond_a_hand
 from handcal.estimate.transfer import at_constants, moved_to
 from handcal.explanation import Hand
-from handcal.score import CERTAIN, log_prior, score
+from handcal.model_score import CERTAIN, log_prior, score
 from handcal.search.multistart import Found
 
 

@@ -15,13 +15,13 @@ from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.parallel import in_parallel
-from handcal.laws.best import Term, best_term
-from handcal.score import better
+from handcal.laws.best_law import Term, best_term
+from handcal.model_score import better
 from handcal.search.budget import Budget
 from handcal.search.climb.candidates import scanned
 from handcal.search.climb.exchange_steps import lateness
+from handcal.search.climb.sequence import climbed
 from handcal.search.climb.state import WEAK, Climb
-from handcal.search.climb.turns import climbed
 from handcal.search.space import Space, gains
 from handcal.search.wide_sway import steadied, sways_far
 from handcal.types import HandcalError

@@ -19,7 +19,7 @@ from handcal.estimate.model import Fitted, Model
 from handcal.estimate.parallel import in_parallel
 from handcal.estimate.transfer import fit_of, moved_to
 from handcal.laws import with_motion
-from handcal.score import better, prior
+from handcal.model_score import better, prior
 
 # Nats that a noise effect must gain beyond its own levels' freedom, at a first look; and times the
 # first guess of each level at which that is taken (a memory, not the smallest of them).

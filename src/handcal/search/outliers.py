@@ -16,8 +16,8 @@ from handcal.estimate.case import Case, Edit, edited
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.problem import constants_of
+from handcal.model_score import PRIOR, probability
 from handcal.observations import Rows
-from handcal.score import PRIOR, probability
 from handcal.types import Array, BoolArray, Parameter
 
 # In robust sigmas of the smoothed residual: worth a look, and held to be wrong.

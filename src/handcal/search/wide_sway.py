@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from handcal.estimate.fit import fitted
+from handcal.estimate.hand_sway import HAND_SWAY, sway_of
 from handcal.estimate.model import Fitted, Model
-from handcal.estimate.sway import HAND_SWAY, sway_of
 
 
 def sways_far(f: Fitted) -> bool:

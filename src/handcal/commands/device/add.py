@@ -44,7 +44,7 @@ def add(
     """
     from handcal.device import file as device_file
     from handcal.device.history import disagreements
-    from handcal.device.not_kept import not_kept, sentence
+    from handcal.device.left_out import not_kept, sentence
     from handcal.output import check_outputs
     from handcal.show.device import difference_sentence
     from handcal.types import InputError

@@ -11,8 +11,8 @@ from handcal.effects import Effect, catalogue
 from handcal.estimate.case import applicable, frozen_at, name_of
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.scan import scan
-from handcal.laws.best import Term
-from handcal.score import MOMENTS, prior
+from handcal.laws.best_law import Term
+from handcal.model_score import MOMENTS, prior
 from handcal.search.climb.state import Climb
 from handcal.search.jumps import sudden
 from handcal.search.space import Space, space

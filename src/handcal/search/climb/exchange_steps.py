@@ -13,7 +13,7 @@ from handcal.estimate.case import applicable, name_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.parallel import in_parallel
-from handcal.score import NAMED, PRIOR, better
+from handcal.model_score import NAMED, PRIOR, better
 from handcal.search.climb.candidates import scanned_about
 from handcal.search.climb.state import HOPELESS, WEAK, Climb, likelier, sensible
 from handcal.search.space import best_set, gains, rivals

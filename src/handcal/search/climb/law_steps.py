@@ -14,10 +14,10 @@ from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.parallel import in_parallel
 from handcal.estimate.transfer import moved_to
-from handcal.laws.best import Term, best_term, best_terms, reshaped
+from handcal.laws.best_law import Term, best_term, best_terms, reshaped
+from handcal.laws.law_constants import adjusted
 from handcal.laws.law_effect import effect_of, law_of
-from handcal.laws.numbers import adjusted
-from handcal.score import better, score
+from handcal.model_score import better, score
 from handcal.search.climb.candidates import scanned, scanned_about
 from handcal.search.climb.state import Climb, forget, likelier, sensible
 from handcal.search.climb.subset_steps import choose

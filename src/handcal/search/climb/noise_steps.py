@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
-from handcal.score import PRIOR, better, score
+from handcal.model_score import PRIOR, better, score
 from handcal.search.climb.state import FEW, Climb
 from handcal.search.noise_scan import all_noise, looks_of, of_looks, on_fewer_axes
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 from handcal.estimate.case import name_of
 from handcal.estimate.model import Model
-from handcal.laws.best import Term
-from handcal.score import better
+from handcal.laws.best_law import Term
+from handcal.model_score import better
 from handcal.search.budget import Budget
 from handcal.search.space import Space
 

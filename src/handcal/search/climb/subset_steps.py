@@ -11,7 +11,7 @@ from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.parallel import in_parallel
 from handcal.estimate.robust import inflation
-from handcal.score import PRIOR, better
+from handcal.model_score import PRIOR, better
 from handcal.search.climb.candidates import REFUSED, candidates, scanned_about
 from handcal.search.climb.state import FEW, Climb, forget, likelier, too_large
 from handcal.search.space import Space, best_set, gains

@@ -15,7 +15,7 @@ from handcal.show.calibration.report import how_to_apply
 from handcal.show.drawing import PALETTE
 from handcal.show.explanation import always, document, frames, plots, verdict_text
 from handcal.show.explanation import words as say
-from handcal.show.explanation.following import applicable, biases_of, commands
+from handcal.show.explanation.next_commands import applicable, biases_of, commands
 from handcal.show.html_page import page
 from handcal.types import Parameter
 from handcal.units import Shown

@@ -42,7 +42,7 @@ def _first_run() -> bool:
 
 def _begun() -> subprocess.Popen[bytes] | None:
     # -P: not what happens to lie where the command is run
-    command = [sys.executable, "-P", "-m", "handcal.estimate.ahead"]
+    command = [sys.executable, "-P", "-m", "handcal.estimate.precompile"]
     none = subprocess.DEVNULL
     try:
         return subprocess.Popen(command, stdin=none, stdout=none, stderr=none)

@@ -1,4 +1,4 @@
-"""What a fit needs last, compiled in a process of its own: ``python -m handcal.estimate.ahead``.
+"""What a fit needs last, compiled by ``python -m handcal.estimate.precompile``, another process.
 
 On a first run the process that fits compiles the online filter and the linearisation; meanwhile
 this one calls everything after these on a problem of zeros and keeps the machine code on disk,
@@ -13,10 +13,10 @@ from handcal.estimate import smoother
 from handcal.estimate.case import case_of, problem_with
 from handcal.estimate.evidence import backward, reduce, reduced_pass
 from handcal.estimate.folded import unfolded
+from handcal.estimate.heavy_tails import tailed
 from handcal.estimate.linear import Linear
 from handcal.estimate.noise_levels import initial_levels
 from handcal.estimate.quadratic import Quadratic
-from handcal.estimate.tails import tailed
 from handcal.estimate.trajectory import Trajectory, epochs
 from handcal.types import Imu, Recording, Series
 

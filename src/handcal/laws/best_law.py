@@ -28,7 +28,7 @@ from handcal.laws.over_drivers import (
     written_out,
 )
 from handcal.laws.weighing import beside, gains, weighed, wide_root
-from handcal.score import TERM_PRIOR, better, score
+from handcal.model_score import TERM_PRIOR, better, score
 from handcal.types import IntArray
 
 # Columns that a scan looks at together at the most and at the least, and numbers that all of them
