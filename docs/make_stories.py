@@ -155,7 +155,7 @@ Now its gyro has the same law, 0.02 |omega_x| on z, which is added to the readin
 
 {made}
 
-{told(after)} That is the law that was put in, on its channel, written out: {found}, where 0.02 was concealed. The tracker's delay is worth three thousand times as many nats, but adds nothing to a gyro; so it does not hide it. (Until lately `explain` said that something errs with the rate, and no more: `gyro_cross_products` came first, nine numbers of which all had to be paid for.) Whoever has the law in a catalogue gets its name:
+{told(after)} That is the law that was put in, on its channel, written out: {found}, where 0.02 was concealed. The tracker's delay is worth a hundred times as many nats and more, but adds nothing to a gyro; so it does not hide it. (Until lately `explain` said that something errs with the rate, and no more: `gyro_cross_products` came first, nine numbers of which all had to be paid for.) Whoever has the law in a catalogue gets its name and its size; what else may be told beside it, of some tens of nats, is not what was concealed:
 
 {named}
 
