@@ -25,7 +25,7 @@ from handcal.estimate.model import Model
 from handcal.estimate.quadratic import posterior
 from handcal.estimate.scan import scan
 from handcal.estimate.transfer import at_constants, moved_to
-from handcal.explain import Explanation, conclusions, explain, pipeline
+from handcal.explain import Explanation, assembled, explain, pipeline
 from handcal.observations import pose
 from handcal.search import outliers
 from handcal.search.climb import sequence, subset_steps
@@ -532,7 +532,7 @@ def test_what_no_device_has_is_no_end_of_a_search(monkeypatch: pytest.MonkeyPatc
     def large(model: Model) -> set[str]:
         return {"lever_arm"} & set(model.ids)
 
-    for module in (pipeline, conclusions):
+    for module in (pipeline, assembled):
         monkeypatch.setattr(module, "too_large", large)
     monkeypatch.setattr(pipeline, "sensible", lambda model: not large(model))
     found = explain([recording])

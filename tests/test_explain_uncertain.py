@@ -22,7 +22,7 @@ from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.noise_levels import Curvature
 from handcal.estimate.specification import Options, chosen_of
-from handcal.explain import conclusions, explain
+from handcal.explain import assembled, explain
 from handcal.explain.leaning import leaning
 from handcal.explanation import Hypothesis
 from handcal.show.explanation.terminal import print_explanation
@@ -122,7 +122,7 @@ def test_an_absence_that_nothing_speaks_for_is_assumed_too() -> None:
     written = chosen_of(model, Options(None, 0.0, {}, ()), {})
     for gained, said in ((1.0, 1), (-1.0, 0)):
         drift = Hypothesis("heading_drift", "Heading drift", 0.0, gained, 100.0, 0.1, "")
-        told = conclusions._warnings(model, model, [drift], written)
+        told = assembled._warnings(model, model, [drift], written)
         assert sum("gyro's bias" in x for x in told) == said
 
 

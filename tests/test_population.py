@@ -16,8 +16,8 @@ from handcal.device import priors as priors_file
 from handcal.device.file import session_of
 from handcal.device.priors import Learned
 from handcal.population import joint, odd
+from handcal.population.by_model import Reading, models
 from handcal.population.deconvolved import _nodes, chance, log_density, population
-from handcal.population.fleet import Reading, models
 from handcal.population.grouped import devices, owners
 from handcal.population.stacked import stack
 from handcal.show.calibration.summary import device_json

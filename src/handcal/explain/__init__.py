@@ -3,7 +3,7 @@
 Reading order: ``pipeline``, all of it from end to end (``handcal.search`` finds the model);
 ``naming`` (what has a name), ``locate`` (where the baseline falls short), ``importance`` and
 ``held_out`` (what matters, and what unseen data say), ``next_motion``, ``untellable``, and
-``conclusions``, which puts an Explanation together. The sentences that people read are in
+``assembled``, which puts an Explanation together. The sentences that people read are in
 ``handcal.show.explanation``.
 """
 

@@ -26,7 +26,7 @@ from handcal.estimate.specification import (
 )
 from handcal.explain import held_out as held
 from handcal.explain import importance
-from handcal.explain.conclusions import End, explanation_of
+from handcal.explain.assembled import End, explanation_of
 from handcal.explain.moments import moments
 from handcal.explanation import (
     Explanation,

@@ -17,7 +17,7 @@ from handcal.fleet.record import DONE, Document, Source
 from handcal.fleet.run import Member, rows
 from handcal.fleet.store import Store
 from handcal.fleet.work import information_of
-from handcal.population.fleet import Common, Model, Reading, models
+from handcal.population.by_model import Common, Model, Reading, models
 from handcal.population.odd import Name
 from handcal.show.fleet import Fleet, fleet_json, write_page
 

@@ -27,7 +27,7 @@ class Nursery:
     def __init__(self) -> None:
         # -P: not what happens to lie where the command is run. A session of its own: Ctrl-C is for
         # the one who asks, and the whole of it can be ended at once.
-        command = [sys.executable, "-P", "-m", "handcal.fleet.nursery"]
+        command = [sys.executable, "-P", "-m", "handcal.fleet.worker_process"]
         one = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
         self.process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True,

@@ -13,7 +13,7 @@ import numpy as np
 import handcal
 from handcal import output
 from handcal.device.file import unit_of
-from handcal.population.fleet import FOUND, Common, Model
+from handcal.population.by_model import FOUND, Common, Model
 from handcal.population.odd import Odd
 from handcal.population.stacked import Stack
 from handcal.show import words

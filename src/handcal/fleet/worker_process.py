@@ -1,5 +1,5 @@
 """A process that has imported what is needed and begins one process for each recording:
-``python -m handcal.fleet.nursery``.
+``python -m handcal.fleet.worker_process``.
 
 A request is a line of JSON on standard input, an answer a line on standard output. The recording's
 process is a copy of this one (fork), so it begins at once; it has a deadline and a limit of memory,
