@@ -116,7 +116,7 @@ def test_a_run_that_is_killed_loses_only_what_was_under_way(tmp_path):
         time.sleep(0.02)
     process.send_signal(signal.SIGKILL)
     process.wait()
-    time.sleep(0.5)  # (nobody goes on: the nurseries have seen that nobody asks any more)
+    time.sleep(0.5)  # (nobody goes on: the watchers have seen that nobody asks any more)
     kept = {p.name: p.stat().st_mtime_ns for p in out.glob("recordings/*.json")}
     assert 3 <= len(kept) < 12
     records, _, _ = made(sources, out)

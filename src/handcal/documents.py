@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import tomllib
 from collections.abc import Iterator
@@ -44,3 +45,18 @@ def toml_of(path: Path, data: bytes) -> dict[str, Any]:
         return tomllib.loads(data.decode("utf-8"))
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path} is not TOML ({str(error)[:80]}).") from None
+
+
+def own_toml(
+    path: Path, schema: str, what: str, made: str, most: int
+) -> tuple[dict[str, Any], str]:
+    """The tables of a TOML file that handcal wrote, and its sha256; what: the file's name among
+    people, made: how one is made, most: bytes. Errors: InputError."""
+    with reading(path):
+        data = path.read_bytes()
+    if len(data) > most:
+        raise InputError(f"{path} is no {what}: it is too large.")
+    document = toml_of(path, data)
+    if document.get("schema") != schema:
+        raise InputError(f"{path} is no {what}; {made} makes one.")
+    return document, hashlib.sha256(data).hexdigest()

@@ -27,7 +27,7 @@ PATIENCE = 5
 LOOK_S = 5.0  # between looks at whether the scheduler is there
 # Tasks that are given out for each that runs: a worker never waits, and the memory is bounded.
 AHEAD = 4
-_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class WorkersDied(HandcalError):
@@ -166,7 +166,7 @@ def processes(jobs: int) -> Executor:
     from multiprocessing import get_context
 
     # More threads would only be in each other's way.
-    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
+    os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
     return ProcessPoolExecutor(jobs, get_context("spawn"), _alone)
 
 

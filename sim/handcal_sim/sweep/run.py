@@ -22,8 +22,6 @@ from handcal_sim.sweep.printed import QUANTITIES
 from handcal_sim.sweep.score import Chunk, bands, beside, chunks, final, spread
 
 SCHEMA = "handcal-sim/sweep-cell/1"
-
-
 CHUNK = 5
 Document = dict[str, Any]
 _BEGINNING = f'{{"schema": "{SCHEMA}"'

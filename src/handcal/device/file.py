@@ -7,7 +7,6 @@ said can be told from what was known before it.
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from handcal import output
-from handcal.documents import read_json, reading, toml_of
+from handcal.documents import own_toml, read_json
 from handcal.effects import Effect, catalogue
 from handcal.estimate.start import BIASES
 from handcal.types import CALIBRATION_SCHEMA, EXPLANATION_SCHEMA, Array, InputError
@@ -86,21 +85,14 @@ def usual_of(names: Sequence[Name]) -> Array:
 
 def read(path: Path) -> Device:
     """The device of a file. Errors: InputError."""
-    with reading(path):
-        data = path.read_bytes()
-    if len(data) > MOST_BYTES:
-        raise InputError(f"{path} is no device file: it is too large.")
-    document = toml_of(path, data)
-    if document.get("schema") != SCHEMA:
-        raise InputError(
-            f"{path} is no device file; `handcal device add {path} RESULT.json` makes one."
-        )
+    made = f"`handcal device add {path} RESULT.json`"
+    document, sha256 = own_toml(path, SCHEMA, "device file", made, MOST_BYTES)
     try:
         sessions = [_session(s) for s in document.get("session", [])]
         name = str(document["name"])
     except (KeyError, TypeError, ValueError, AttributeError, np.linalg.LinAlgError) as error:
         raise InputError(f"{path} is damaged ({error}).") from None
-    return Device(name, _ordered(sessions), hashlib.sha256(data).hexdigest())
+    return Device(name, _ordered(sessions), sha256)
 
 
 def _session(entry: Mapping[str, Any]) -> Session:

@@ -8,7 +8,6 @@ more draw. A parameter that is not in the file is as uncertain as is usual.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -21,7 +20,7 @@ import numpy as np
 from handcal import output
 from handcal.device.file import MOST_BYTES, Name
 from handcal.did_you_mean import did_you_mean
-from handcal.documents import reading, toml_of
+from handcal.documents import own_toml
 from handcal.effects import catalogue
 from handcal.types import InputError, Prior
 
@@ -61,20 +60,14 @@ class Priors:
 
 def read(path: Path) -> Priors:
     """The priors of a file. Errors: InputError."""
-    with reading(path):
-        data = path.read_bytes()
-    if len(data) > MOST_BYTES:
-        raise InputError(f"{path} is no file of priors: it is too large.")
-    document = toml_of(path, data)
-    if document.get("schema") != SCHEMA:
-        raise InputError(f"{path} is no file of priors; `handcal fleet` makes one.")
+    document, sha256 = own_toml(path, SCHEMA, "file of priors", "`handcal fleet`", MOST_BYTES)
     try:
         models = {str(m["name"]): m for m in document.get("model", [])}
         learned = {n: dict(map(_entry, m.get("parameter", []))) for n, m in models.items()}
         origin = {n: {k: int(m[k]) for k in ("recordings", "devices")} for n, m in models.items()}
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"{path} is damaged ({str(error)[:80]}).") from None
-    return Priors(str(path), learned, origin, hashlib.sha256(data).hexdigest())
+    return Priors(str(path), learned, origin, sha256)
 
 
 def _entry(entry: Mapping[str, Any]) -> tuple[Name, Learned]:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import handcal
 from handcal import output
+from handcal.device.file import Name
 from handcal.device.priors import Learned, write
 from handcal.fleet import dataset
 from handcal.fleet.record import DONE, Document, Source
@@ -18,7 +19,6 @@ from handcal.fleet.run import Member, rows
 from handcal.fleet.store import Store
 from handcal.fleet.work import information_of
 from handcal.population.by_model import Common, Model, Reading, models
-from handcal.population.odd import Name
 from handcal.show.fleet import Fleet, fleet_json, write_page
 
 

@@ -1,4 +1,5 @@
-"""Who asks a nursery: one for each thread that works, begun when first needed, ended with it."""
+"""The processes that watch over recordings (``worker_process``), one for each thread that works:
+begun when first needed, ended with it."""
 
 from __future__ import annotations
 
@@ -15,27 +16,28 @@ from functools import cache
 from typing import Any
 
 from handcal.fleet.record import CRASHED, KILLED, Document
+from handcal.workers import ONE_THREAD
 
 # A recording whose process was killed from outside is begun again; with one worker of three killed
 # each minute and 20 s a recording, three in a row hit one recording in a thousand by chance.
 TRIES = 3
 
 
-class Nursery:
+class Watcher:
     """The process, and one question at a time."""
 
     def __init__(self) -> None:
         # -P: not what happens to lie where the command is run. A session of its own: Ctrl-C is for
         # the one who asks, and the whole of it can be ended at once.
         command = [sys.executable, "-P", "-m", "handcal.fleet.worker_process"]
-        one = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+        one = dict.fromkeys(ONE_THREAD, "1")
         self.process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True,
             env=os.environ | one, bufsize=0,
         )  # fmt: skip
 
     def ask(self, request: Mapping[str, Any]) -> Document | None:
-        """What became of a recording; None where the nursery itself is gone."""
+        """What became of a recording; None where the watcher itself is gone."""
         assert self.process.stdin is not None
         assert self.process.stdout is not None
         try:
@@ -67,22 +69,22 @@ def _line(stream: Any) -> bytes:
             return b"".join(parts)
 
 
-class Nurseries:
+class Watchers:
     """Those of this process, by thread."""
 
     def __init__(self) -> None:
         self.lock = threading.Lock()
-        self.by_thread: dict[int, Nursery] = {}
+        self.by_thread: dict[int, Watcher] = {}
         self.over = False
 
-    def mine(self) -> Nursery:
+    def mine(self) -> Watcher:
         """That of this thread, begun if there is none."""
         me = threading.get_ident()
         with self.lock:
             if self.over:
                 raise RuntimeError("the work is over")
             if me not in self.by_thread:
-                self.by_thread[me] = Nursery()
+                self.by_thread[me] = Watcher()
             return self.by_thread[me]
 
     def lost(self) -> None:
@@ -96,27 +98,27 @@ class Nurseries:
         """End them all, for good."""
         with self.lock:
             self.over = True
-            for nursery in self.by_thread.values():
+            for watcher in self.by_thread.values():
                 with suppress(OSError):
-                    os.killpg(nursery.process.pid, signal.SIGKILL)
+                    os.killpg(watcher.process.pid, signal.SIGKILL)
 
     def forget(self) -> None:
         """Close what is left of those that were ended, when no thread asks any more."""
-        for nursery in self.by_thread.values():
-            nursery.end()
+        for watcher in self.by_thread.values():
+            watcher.end()
         self.by_thread.clear()
 
 
 @cache
-def of_this_process() -> Nurseries:
-    """The nurseries of a process that others give work to (a worker of Dask's)."""
-    return Nurseries()
+def of_this_process() -> Watchers:
+    """The watchers of a process that others give work to (a worker of Dask's)."""
+    return Watchers()
 
 
-def supervised(request: Mapping[str, Any], nurseries: Nurseries | None = None) -> Document:
+def supervised(request: Mapping[str, Any], watchers: Watchers | None = None) -> Document:
     """What became of one recording, whatever it was: ``status``, ``reason``, ``result`` where there
     is one, ``seconds``, ``peak`` (bytes) and ``tries``."""
-    own = of_this_process() if nurseries is None else nurseries
+    own = of_this_process() if watchers is None else watchers
     answer: Document = {}
     for tries in range(1, TRIES + 1):
         told = own.mine().ask(request)
@@ -133,19 +135,19 @@ def supervised(request: Mapping[str, Any], nurseries: Nurseries | None = None) -
 
 
 class Local(Executor):
-    """Threads of this process, each of which watches a nursery of its own."""
+    """Threads of this process, each of which watches a watcher of its own."""
 
     def __init__(self, jobs: int) -> None:
-        self.nurseries = Nurseries()
+        self.watchers = Watchers()
         self.threads = ThreadPoolExecutor(jobs)
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Have ``fn`` done, which is told of this executor's nurseries."""
-        return self.threads.submit(fn, *args, nurseries=self.nurseries, **kwargs)
+        """Have ``fn`` done, which is told of this executor's watchers."""
+        return self.threads.submit(fn, *args, watchers=self.watchers, **kwargs)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """End at once what still runs (neither option is heard)."""
         del wait, cancel_futures
-        self.nurseries.end()
+        self.watchers.end()
         self.threads.shutdown(wait=True, cancel_futures=True)
-        self.nurseries.forget()
+        self.watchers.forget()

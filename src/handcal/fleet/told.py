@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from handcal.device.file import unit_of, usual_of
 from handcal.effects import ATTITUDE, PLACE, Effect, catalogue, select
 from handcal.estimate.baseline import baseline
 from handcal.estimate.case import Case, case_of
@@ -26,6 +27,7 @@ from handcal.estimate.rest_only import resting, travels
 from handcal.estimate.scan import scan
 from handcal.estimate.specification import Specification, seen, settled, view_of
 from handcal.observations import catalogue as observations
+from handcal.population.joint import kept
 from handcal.types import Recording
 
 # The model of an inertial sensor in every textbook, and the arm from the held point, which is
@@ -100,15 +102,8 @@ def _of_catalogue(q: Quadratic) -> Quadratic:
     gone = [i for i, n in enumerate(q.names) if n[0] not in catalogue()]
     if not gone:
         return q
-    A = q.G[np.ix_(gone, gone)] + np.eye(len(gone))
-    cross = q.G[np.ix_(keep, gone)]
-    X = np.linalg.solve(A, np.column_stack([q.b[gone], cross.T]))
-    return replace(
-        q,
-        names=tuple(q.names[i] for i in keep),
-        b=q.b[keep] - cross @ X[:, 0],
-        G=q.G[np.ix_(keep, keep)] - cross @ X[:, 1:],
-    )
+    b, G = kept(q.b, q.G, keep, gone)
+    return replace(q, names=tuple(q.names[i] for i in keep), b=b, G=G)
 
 
 def _acts(e: Effect, case: Case) -> bool:
@@ -148,9 +143,8 @@ def _marginals(q: Quadratic, index: Sequence[int], of: Sequence[int], together: 
     for i in of:
         k = list(index).index(i)
         effect, name = q.names[i]
-        p = next(p for p in catalogue()[effect].parameters if p.name == name)
-        out.append(_one((effect, name), p.unit, p.prior_sigma, float(mean[k]), float(C[k, k]),
-                        together, 1.0))  # fmt: skip
+        unit, usual = unit_of((effect, name)), float(usual_of([(effect, name)])[0])
+        out.append(_one((effect, name), unit, usual, float(mean[k]), float(C[k, k]), together, 1.0))
     return [t for t in out if t is not None]
 
 

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handcal.device.file import persistent, unit_of, usual_of
+from handcal.device.file import Name, persistent, unit_of, usual_of
 from handcal.effects import catalogue
 from handcal.population import joint, odd
 from handcal.population.deconvolved import LEAST, Population, population
 from handcal.population.grouped import devices, owners
 from handcal.population.joint import Information
-from handcal.population.odd import Name, Odd
+from handcal.population.odd import Odd
 from handcal.population.stacked import Stack, stack
 from handcal.types import Array, IntArray
 

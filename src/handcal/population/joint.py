@@ -16,10 +16,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handcal.population.stacked import HONEST, SHARES, Stack
+from handcal.device.file import Name
+from handcal.population.stacked import HONEST, SHARES, Stack, log_mean, weighed
 from handcal.types import Array, IntArray
 
-Name = tuple[str, str]
 # Spreads on trial of an effect that devices have in common, in usual sizes.
 SPREADS = (0.0, 0.03, 0.1, 0.3, 1.0)
 # Steps towards the population (expectation and maximisation), and its spread at the first, in usual
@@ -61,12 +61,19 @@ def of_devices(
         at = {n: i for i, n in enumerate(r.names)}
         here = [i for i, n in enumerate(names) if n in at]
         own, gone = [at[names[i]] for i in here], [at[n] for n in passing if n in at]
-        A = r.G[np.ix_(gone, gone)] + np.eye(len(gone))
-        X = np.linalg.solve(A, np.column_stack([r.b[gone], r.G[np.ix_(gone, own)]]))
-        cross = r.G[np.ix_(own, gone)]
-        b[d, here] += r.b[own] - cross @ X[:, 0]
-        G[np.ix_([d], here, here)] += (r.G[np.ix_(own, own)] - cross @ X[:, 1:])[None]
+        own_b, own_G = kept(r.b, r.G, own, gone)
+        b[d, here] += own_b
+        G[np.ix_([d], here, here)] += own_G[None]
     return Told(tuple(names), b, G)
+
+
+def kept(b: Array, G: Array, own: Sequence[int], gone: Sequence[int]) -> tuple[Array, Array]:
+    """b (k,) and G (k, k) of the parameters ``own``, those of ``gone`` integrated out with their
+    usual sizes; all others are zero."""
+    A = G[np.ix_(gone, gone)] + np.eye(len(gone))
+    X = np.linalg.solve(A, np.column_stack([b[gone], G[np.ix_(gone, own)]]))
+    cross = G[np.ix_(own, gone)]
+    return b[own] - cross @ X[:, 0], G[np.ix_(own, own)] - cross @ X[:, 1:]
 
 
 def part(told: Told, names: Sequence[Name]) -> Told:
@@ -144,17 +151,15 @@ def stack(told: Told, always: Sequence[Name], effect: str, trials: int) -> Stack
         logs = [
             _settled(whole, *fit(whole, np.r_[spread, pad + s], len(own), FURTHER)) for s in SPREADS
         ]
-        shared.append(_log_mean(np.array(logs)) + size)
+        shared.append(log_mean(np.array(logs)) + size)
         lack = evidence(without, mean, spread)[0]
         have = evidence(whole, np.r_[mean, pad], np.r_[spread, pad + 1.0])[0]
         each = np.logaddexp(np.log(SHARES)[:, None] + have, np.log1p(-SHARES)[:, None] + lack)
-        few.append(none[-1] + _log_mean(each.sum(1)) - float(lack.sum()))
+        few.append(none[-1] + log_mean(each.sum(1)) - float(lack.sum()))
         alone.append(float((have - lack).max()))
-    base_log = _log_mean(np.array(none))
-    common, some = _log_mean(np.array(shared)) - base_log, _log_mean(np.array(few)) - base_log
-    log_odds = common - math.log(trials) - float(np.logaddexp(0.0, some - math.log(trials)))
-    probability = 1.0 / (1.0 + math.exp(-max(-700.0, min(700.0, log_odds))))
-    return Stack(effect, common, common - some, probability, len(told.b), alone[0])
+    base_log = log_mean(np.array(none))
+    common, some = log_mean(np.array(shared)) - base_log, log_mean(np.array(few)) - base_log
+    return weighed(effect, (common, some), trials, len(told.b), alone[0])
 
 
 def _scatter(told: Told, c: float) -> float:
@@ -166,10 +171,6 @@ def _scatter(told: Told, c: float) -> float:
     )
     # (b and G leave out the residuals' own part: at the best fit it is the same for all)
     return -rank * math.log(c) - 0.5 * at_best
-
-
-def _log_mean(x: Array) -> float:
-    return float(x.max() + np.log(np.exp(x - x.max()).mean()))
 
 
 def marginals(told: Told, mean: Array, spread: Array, of: Name) -> tuple[Array, Array]:

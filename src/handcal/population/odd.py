@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from handcal.device.file import Name
 from handcal.population.deconvolved import Population, chance
 from handcal.types import Array
 
@@ -15,7 +16,6 @@ from handcal.types import Array
 RARE = 1.0
 # What an accelerometer reads at most and least where it stands or is turned by hand, m/s^2.
 GRAVITY = (7.0, 13.0)
-Name = tuple[str, str]
 
 
 @dataclass(frozen=True)

@@ -48,18 +48,24 @@ def stack(effect: str, values: Sequence[tuple[Array, Array]], usual: Array, tria
     alone: dict[int, float] = {}
     for (x, sigma), size in zip(values, usual, strict=True):
         log = np.array([_accounts(x, sigma * c, float(size)) for c in HONEST])
-        none, shared, few = (float(_log_mean(log[:, i])) for i in range(3))
+        none, shared, few = (float(log_mean(log[:, i])) for i in range(3))
         common += _half(shared - none)
         some += _half(few - none)
         for i, nats in enumerate(_alone(x, sigma, float(size))):
             alone[i] = alone.get(i, 0.0) + _half(float(nats))
+    count = max((len(x) for x, _ in values), default=0)
+    return weighed(effect, (common, some), trials, count, max(alone.values(), default=0.0))
+
+
+def weighed(
+    effect: str, gained: tuple[float, float], trials: int, devices: int, best_alone: float
+) -> Stack:
+    """gained: nats of all having the effect over none, and of some having it."""
+    common, some = gained
     # (odds of one in as many as there were trials, of either account)
     log_odds = common - math.log(trials) - float(np.logaddexp(0.0, some - math.log(trials)))
     probability = 1.0 / (1.0 + math.exp(-max(-700.0, min(700.0, log_odds))))
-    count = max((len(x) for x, _ in values), default=0)
-    return Stack(
-        effect, common, common - some, probability, count, max(alone.values(), default=0.0)
-    )
+    return Stack(effect, common, common - some, probability, devices, best_alone)
 
 
 def _half(nats: float) -> float:
@@ -67,7 +73,8 @@ def _half(nats: float) -> float:
     return max(nats, 0.0) + math.log1p(math.exp(-abs(nats))) - math.log(2.0)
 
 
-def _log_mean(x: Array) -> float:
+def log_mean(x: Array) -> float:
+    """Logarithm of the mean of what x (n,) are the logarithms of."""
     return float(x.max() + np.log(np.exp(x - x.max()).mean()))
 
 
@@ -94,4 +101,4 @@ def _accounts(x: Array, sigma: Array, usual: float) -> tuple[float, float, float
     shared = float(log.max()) + math.log(max(area, 1e-300))
     have, lack = _normal(x, v + usual**2), _normal(x, v)
     each = np.logaddexp(np.log(SHARES)[:, None] + have, np.log1p(-SHARES)[:, None] + lack)
-    return none, shared, _log_mean(each.sum(1))
+    return none, shared, log_mean(each.sum(1))
