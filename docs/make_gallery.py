@@ -181,7 +181,7 @@ def differed(document: Document) -> str:
     """Channels, times and shares of the mismatch."""
     if not document["mismatch"]:
         return "Nowhere by more than chance."
-    lines = ["| channel | from, to | when | share of the misfit |", "|---|---|---|---|"]
+    lines = ["| channel | from, to | when | share of the mismatch |", "|---|---|---|---|"]
     for m in sorted(document["mismatch"], key=lambda m: -m["share"]):
         span = f"{m['from_s']:.0f} to {m['to_s']:.0f} s"
         share = say.whole_percent(m["share"])

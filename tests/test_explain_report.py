@@ -379,6 +379,11 @@ def test_the_terminal_cuts_nothing_and_breaks_no_number(explanation, width):
         assert f"Missing: {m.title}" in text
     for u in explanation.unnamed:
         assert u.formula in text
+    biases = [p for r in explanation.recordings for p in r.parameters]
+    assert len(biases) >= 6 * len(explanation.recordings)
+    for title in ("Gyro bias z", "Accelerometer bias x"):
+        shown = [x for x in lines if re.match(rf"\s*{title}\s+[+−]?\d.* (deg/h|deg/s|mg)", x)]
+        assert len(shown) == len(explanation.recordings)
 
 
 def test_markup_in_names_is_text():

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -95,12 +95,16 @@ def test_correlated_noise_of_a_few_lengths() -> None:
 
 
 def sentences(
-    motion: str, seconds: float, hardly: set[str], named: Sequence[str] = ()
+    motion: str,
+    seconds: float,
+    hardly: set[str],
+    named: Sequence[str] = (),
+    excess: Mapping[str, float] | None = None,
 ) -> list[str]:
     world = simulate(motion, seed=0, duration_s=seconds, phone=slow)
     effects = select(named)
     (part,) = fitted([started(case.case_of(recording_of(world, "heading")))], effects).parts
-    return leaning(part, effects, hardly)
+    return leaning(part, effects, hardly, excess or {})
 
 
 def test_a_bias_that_holds_only_without_a_drift_says_so() -> None:
@@ -136,6 +140,18 @@ def test_a_scale_that_holds_only_without_a_quadratic_error_says_so() -> None:
     assert float(then) > 3.0 * float(known)
     assert "(gyro quadratic error)" in of_scale
     assert sentences("free-hand", 60.0, {"gyro_quadratic"}, ["gyro_scale"]) == []
+
+
+def test_a_warning_has_the_sigmas_of_the_table() -> None:
+    """Where an effect's scores scatter beyond the information matrix, its sigmas are wider by as
+    much in the table of parameters: so they are in the warning."""
+    plain, wider = (
+        float(re.findall(r"([\d.]+), [\d.]+ %", of_scale)[0])
+        for excess in ({}, {"gyro_scale": 4.0})
+        for of_scale in sentences("three-turns", 80.0, {"gyro_quadratic"}, ["gyro_scale"], excess)
+        if of_scale.startswith("Gyro scale error")
+    )
+    assert wider == pytest.approx(2.0 * plain, rel=0.05)  # (two digits)
 
 
 def test_a_fast_imu_is_not_called_slow(capsys: pytest.CaptureFixture[str]) -> None:

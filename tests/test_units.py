@@ -65,7 +65,7 @@ def test_units_are_those_asked_for_only_inside():
     with showing(["deg", "mg", "percent"]):
         assert (shown("rad", [1e-6]).unit, shown("1", [1e-6]).unit) == ("deg", "%")
         assert shown("rad/s/K", [1.0]).unit == "deg/s/K"
-    assert (shown("rad", [1e-6]).unit, shown("1", [1e-6]).unit) == ("mrad", "ppm")
+    assert (shown("rad", [1e-6]).unit, shown("1", [1e-6]).unit) == ("deg", "ppm")
     with pytest.raises(InputError), showing(["furlong"]):
         pass
 

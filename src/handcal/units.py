@@ -26,7 +26,7 @@ _UNITS: dict[str, tuple[tuple[str, float, float], ...]] = {
     "m/s^2": (("mg", MG, math.inf),),
     "1": (("ppm", 1e6, 1000.0), ("%", 100.0, math.inf)),
     "1e-6": (("ppm", 1.0, math.inf),),
-    "rad": (("mrad", 1000.0, 5.0), ("deg", DEG, math.inf)),
+    "rad": (("deg", DEG, math.inf),),
     "m": (("mm", 1000.0, 1000.0), ("m", 1.0, math.inf)),
     "s": (("ms", 1000.0, 1000.0), ("s", 1.0, math.inf)),
     "m/s": (("mm/s", 1000.0, 1000.0), ("m/s", 1.0, math.inf)),

@@ -308,8 +308,9 @@ def _warnings(
 ) -> tuple[str, ...]:
     not_seen = {h.effect for h in hypotheses if h.expected < FAINT or h.final > 0.0}
     out = [w for f in base.parts for w in f.case.warnings]
+    excess = inflation(model)
     for f in model.parts:
-        out += leaning(f, model.effects, not_seen)
+        out += leaning(f, model.effects, not_seen, excess)
     if not model.settled:
         out.append(
             "The final fit still moved after ten rounds of relinearisation; trust its numbers less."

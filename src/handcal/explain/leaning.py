@@ -30,12 +30,16 @@ class _Numbers:
     columns: Mapping[int, str]
 
 
-def leaning(f: Fitted, effects: Sequence[Effect], not_seen: Collection[str]) -> list[str]:
+def leaning(
+    f: Fitted, effects: Sequence[Effect], not_seen: Collection[str], excess: Mapping[str, float]
+) -> list[str]:
     """A sentence for the biases of each sensor, and for each effect of the model, whose numbers
     would be far less certain with an effect that is not in it.
 
     effects: of the model; not_seen: ids of effects of the catalogue whose absence is assumed, not
-    seen: of their usual size the recording could not show them, or it rather has them than not.
+    seen: of their usual size the recording could not show them, or it rather has them than not;
+    excess: by which the scores of each effect scatter beyond the information matrix, as in the
+    sigmas of ``parameters``.
     From the information matrix, each of them alone beside the model.
     """
     have = {e.id for e in effects}
@@ -53,7 +57,8 @@ def leaning(f: Fitted, effects: Sequence[Effect], not_seen: Collection[str]) -> 
     names = [*(("", axis) for axis in "xyzxyz"), *((s.owner, s.name) for s in slots)]
     absent = {e.id for e in others}
     kept = [i for i, (owner, _) in enumerate(names) if owner not in absent]
-    scale = done.reduction.scale
+    beyond = np.sqrt([1.0] * 6 + [excess.get(s.owner, 1.0) for s in slots])
+    scale = done.reduction.scale * beyond
     alone = scale * _sigmas(information, root_of(names, effects), kept)
     worst, causes = alone.copy(), dict[int, list[str]]()
     for e in others:

@@ -156,7 +156,8 @@ def kind_name(kind: str) -> str:
 
 def kind_title(kind: str) -> str:
     """The same in words."""
-    return kind_name(kind).replace("_", " ")
+    name = kind_name(kind).replace("_", " ")
+    return "magnetometer" + name.removeprefix("mag") if name.split()[:1] == ["mag"] else name
 
 
 def assume_sentence(

@@ -65,7 +65,7 @@ def explanation_blueprint(explanation: Explanation) -> rrb.Blueprint:
     names = say.recording_names(e)
     text = rrb.TextDocumentView(origin="/verdict", name="Verdict")
     bars = rrb.BarChartView(
-        origin="/hypotheses", name="Each effect alone (1: 10 nats, 2: 100, 3: 1,000)",
+        origin="/hypotheses", name="Each effect, added first (1: 10 nats, 2: 100, 3: 1,000)",
         plot_legend=rrb.PlotLegend("LeftTop"),
     )  # fmt: skip
     pages: list[Any] = [_page(e, i, names[i]) for i in range(len(e.recordings))]

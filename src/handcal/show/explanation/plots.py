@@ -162,7 +162,7 @@ def heat_plot(explanation: Explanation, recording: int) -> Plot | None:
     )
     if explanation.mismatch:
         caption += " Framed: what is listed above."
-    title = f"Misfit{say.of_recording(recording, explanation) or ' by channel'}"
+    title = f"Mismatch{say.of_recording(recording, explanation) or ' by channel'}"
     return Plot(title, caption, svg(figure, f"heat-{recording}"))
 
 
@@ -237,7 +237,7 @@ def hypothesis_plot(explanation: Explanation) -> Plot:
     values = [v for h in shown for v in (h.alone, h.final, h.expected)]
     _nats_axis(ax, [*values, *(u.log_evidence_gain for u in terms)])
     ax.set_ylim(rows - 0.4, -0.6)
-    names = [u.formula.replace(" += ", " +=\n") for u in terms]
+    names = [say.in_lines(u.formula) for u in terms]
     ax.set_yticks(range(rows), [*names, *(h.title for h in shown)])
     ax.tick_params(axis="y", labelcolor=INK)
     ax.grid(visible=False, axis="y")
@@ -246,13 +246,13 @@ def hypothesis_plot(explanation: Explanation) -> Plot:
         label.set_color(ink)
     ax.text(1.015, -0.95, "present?", transform=ax.get_yaxis_transform(), fontsize=10, color=MUTED)
     caption = (
-        "Bar: what it gains alone, coloured if it was found. Circle: what it gains beside "
-        "everything found, at the final noise; a long bar with its circle near zero only stands in "
+        "Bar: what it gains when added first, coloured if it was found. Circle: what it gains when "
+        "added last, beside all that was found; a long bar whose circle is near zero stands in "
         "for something else. Tick: what an error of the usual size would gain in this motion."
     )
     if (rest := len(explanation.hypotheses) - len(shown)) > 0:
         which = "another effect" if rest == 1 else f"{rest} other effects"
-        caption += f" Not drawn: {which}, which gained less alone."
+        caption += f" Not drawn: {which}, which gained less when added first."
     return Plot("Evidence for each effect", caption, svg(figure, "hypotheses"))
 
 

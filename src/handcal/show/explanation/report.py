@@ -153,7 +153,7 @@ def _card(m: Missing, e: Explanation, styles: dict[str, tuple[str, Any]]) -> dic
 def _hypothesis(h: Hypothesis, e: Explanation) -> dict[str, str]:
     said = {"named": "present", "set": "one of a set"}.get(h.verdict, "")
     return {"title": h.title, "alone": say.number(h.alone), "final": say.number(h.final),
-            "expected": say.promised(h), "probability": say.probable(h, e),
+            "expected": say.expected(h), "probability": say.probable(h, e),
             "verdict": said}  # fmt: skip
 
 

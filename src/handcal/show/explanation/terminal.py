@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 KEY = (
-    "● present, ◐ one of a set that this motion cannot tell apart. Alone: over the baseline, "
-    "which may call noise what it lacks; final: beside everything found, at the noise found with "
-    "it; promised: what an effect of the usual size would gain."
+    "● present, ◐ one of a set that this motion cannot tell apart. First: added to the baseline, "
+    "which may call noise what it lacks. Last: added beside all that was found, at the noise of "
+    "the final model. Expected: by an effect of the usual size, whether or not it is there."
 )
 TOP = 8  # hypotheses in the terminal; those found are shown in any case
 
@@ -105,11 +105,14 @@ def _print_judged(e: Explanation, console: Console) -> None:
     """The evidence for it, and what is still open."""
     line, heading = partial(_line, console), partial(_heading, console)
     if e.hypotheses:
-        heading("Evidence for each effect, nats")
+        heading("What each effect gains, nats")
         console.print(_hypothesis_table(e, TOP))
         if (rest := len(e.hypotheses) - len(_top(e, TOP))) > 0:
-            line(f"and {rest} more that gained less alone", style="dim")
+            line(f"and {rest} more that gained less when added first", style="dim")
         line(KEY, style="dim")
+    if any(r.parameters for r in e.recordings):
+        heading("Biases in the final model")
+        console.print(_bias_table(e))
     heading("How well the model fits" if say.one_model(e) else "Before and after")
     console.print(_fit_table(e))
     if untold := verdict_text.untold(e):
@@ -149,6 +152,19 @@ def _missing_table(m: Missing) -> Any:
     return rows
 
 
+def _bias_table(e: Explanation) -> Any:
+    from rich.markup import escape
+
+    several = len(e.recordings) > 1
+    rows = table("", ">value", ">± 1 sigma", "unit", *(["*recording"] if several else []))
+    for name, r in zip(say.recording_names(e), e.recordings, strict=True):
+        for p, unit in say.in_units(r.parameters):
+            row = (words.parameter_title(p), unit.value(p.value, p.sigma, sign=True),
+                   unit.value(p.sigma, p.sigma), unit.unit)  # fmt: skip
+            rows.add_row(*row, *([escape(name)] if several else []))
+    return rows
+
+
 def _top(e: Explanation, count: int) -> list[Any]:
     """Those found, and the best of the others."""
     ranked = sorted(e.hypotheses, key=lambda h: -h.alone)
@@ -160,11 +176,11 @@ def _top(e: Explanation, count: int) -> list[Any]:
 def _hypothesis_table(e: Explanation, count: int) -> Any:
     from rich.markup import escape
 
-    rows = table("", "effect", ">alone", ">final", ">promised", ">probability")
+    rows = table("", "effect", ">first", ">last", ">expected", ">probability")
     styles = {"named": "bold green", "set": "yellow"}
     for h in _top(e, count):
         mark = {"named": "●", "set": "◐"}.get(h.verdict, "")
-        row = (escape(h.title), say.number(h.alone), say.number(h.final), say.promised(h),
+        row = (escape(h.title), say.number(h.alone), say.number(h.final), say.expected(h),
                say.probable(h, e))  # fmt: skip
         rows.add_row(mark, *row, style=styles.get(h.verdict, ""))
     return rows

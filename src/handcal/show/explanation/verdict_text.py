@@ -279,7 +279,7 @@ def worst_mismatch(explanation: Explanation) -> str | None:
     m = max(mismatch, key=lambda m: m.share)
     return (
         f"The baseline fits worst in {channel_title(m.channel)}"
-        f"{', ' + m.when if m.when else ''} ({whole_percent(m.share)} of the whole misfit)."
+        f"{', ' + m.when if m.when else ''} ({whole_percent(m.share)} of the mismatch)."
     )
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -37,6 +38,7 @@ _UNITS = {
 _SMALL = {"accel": "m/s^2", "position": "m", "velocity": "m/s"}
 # A law in one line of the terminal: so many signs, of these heights.
 SPARKS, BLOCKS = 32, "▁▂▃▄▅▆▇█"
+LABEL = 36  # signs in a line of a label at the left of a drawing
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
 
@@ -72,7 +74,7 @@ def number(value: float) -> str:
     return text.replace("-", "−") if float(text.replace(",", "")) else text.replace("-", "")
 
 
-def promised(hypothesis: Hypothesis) -> str:
+def expected(hypothesis: Hypothesis) -> str:
     """What an effect of the usual size would gain; less than nothing is nothing."""
     return number(max(hypothesis.expected, 0.0))
 
@@ -196,6 +198,12 @@ def of_recording(index: int, explanation: Explanation) -> str:
 def lawless(u: Unnamed) -> bool:
     """Whether it is an error that goes with the motion, and no law."""
     return u.formula.partition(" += ")[2].startswith("e(")
+
+
+def in_lines(formula: str) -> str:
+    """A formula as a label at the left of a drawing."""
+    channel, _, law = formula.partition(" += ")
+    return "\n".join([f"{channel} +=", *textwrap.wrap(law, LABEL, break_on_hyphens=False)])
 
 
 def interval(m: Mismatch) -> str:
