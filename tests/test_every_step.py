@@ -50,6 +50,25 @@ def test_name_term_a_law_beside_a_name_that_does_more(seed: int) -> None:
     assert told.formula == f"accel_{axis} += k * f_{axis}^2"
 
 
+@pytest.mark.parametrize(
+    ("number", "channel", "driver"),
+    [(9, "gyro_y", "omega_y"), (29, "gyro_x", "omega_x"), (5, "gyro_x", "alpha_x")],
+)
+def test_name_term_a_law_in_the_place_of_noise_and_of_names(
+    number: int, channel: str, driver: str, tmp_path: Path
+) -> None:
+    """A diode that begins to conduct was a quadratic error, products, a scale error and a walk; a
+    gain that drifts, beside nothing but noise, was an error that goes with the motion; and a lag
+    that goes with the temperature had no driver."""
+    world, answer = draw("strange", number, 206)
+    write(world, tmp_path / "strange.mcap", truth=False)
+    found = explain([load(tmp_path / "strange.mcap")])
+    assert [m.effect for m in found.missing] == [*answer.effects]
+    (told,) = found.unnamed
+    assert told.channels == (channel,)
+    assert driver in told.formula
+
+
 @pytest.mark.parametrize("number", range(3))
 def test_everything_a_device_with_a_whole_budget(number: int, tmp_path: Path) -> None:
     """Found one by one, what came first held the gyro's scale in one of three."""

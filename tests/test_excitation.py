@@ -103,6 +103,7 @@ def tracked(rng: np.random.Generator) -> Phone:
     return replace(consumer_phone(rng), pose=capture_pose(rng))
 
 
+@pytest.mark.prove
 def test_three_lags_are_the_same_from_wherever_a_fit_begins() -> None:
     """Gyro, accelerometer and pose all late by as much more look the same but for what is of second
     order: the marker's own velocity, beside the IMU's, tells of the pose, and if a fit takes it for

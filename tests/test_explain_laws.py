@@ -28,7 +28,6 @@ from handcal.laws.grammar import Range
 from handcal.laws.law_effect import Law
 from handcal.search.climb.candidates import scanned
 from handcal.search.climb.law_steps import narrow, with_term
-from handcal.search.climb.noise_steps import add_noise
 from handcal.search.climb.sequence import climbed
 from handcal.search.climb.state import Climb
 from handcal.search.noise_scan import all_noise
@@ -270,6 +269,7 @@ def friction(omega: Array, f: Array) -> Array:  # noqa: ARG001
     return np.tanh(omega / 0.02) * np.array([0.0, 0.0, 0.02])
 
 
+@pytest.mark.prove
 def test_the_size_of_the_rate_on_all_axes_is_told_and_nothing_else() -> None:
     """Until there were drivers for all axes this was gyro_quadratic, at 99.9 %."""
     found = explain([strange("gyro", size_of_the_rate)])
@@ -378,18 +378,6 @@ def test_a_law_comes_with_the_name_that_it_needs() -> None:
     assert set(whole.ids) - set(base.ids) == {"gyro_scale", "gyro_y += k * omega_y * t"}
     noise = next(e for e in all_noise() if e.id == "gyro_xyz += e(t) * |omega|")
     assert whole.log_evidence > fitted(base.parts, [*base.effects, noise]).log_evidence
-
-
-@pytest.mark.prove
-def test_what_was_named_before_noise_took_it_over_is_remembered() -> None:
-    base = baseline([case_of(strange("gyro", drifting))])
-    c = Climb(fitted(base.parts, [*base.effects, *select(("gyro_scale",))]), ())
-    c.kept = frozenset(base.ids)
-    c.where = scanned(c)
-    before, after = c.model, add_noise(c)
-    assert after is not None
-    assert c.quiet is not None
-    assert c.quiet.ids == before.ids
 
 
 def test_a_law_keeps_to_the_axes_on_which_it_is() -> None:

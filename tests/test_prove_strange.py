@@ -3,6 +3,7 @@
 import dataclasses
 import io
 import itertools
+import math
 
 import numpy as np
 import pytest
@@ -445,9 +446,11 @@ def test_a_trial_is_worked_out_scored_and_shown():
     further = worked_out(ticket, said())
     assert set(further) == {f"left_{n}" for n in range(1, len(laws) + 1)}
     assert all(0.5 < share < 3.0 for share in further.values())
+    nothing = {**said(), "hand": {"id": "held"}, "fit": {"after": {"log_evidence": 100.0}}}
+    likelier = {"told_1": 0.02, "told_log_evidence": 110.0}
     trials = [
         Trial("r0001", answer, right, 1.0, further={"left_1": 0.005}),
-        Trial("r0002", answer, said(), 1.0, further={**further, "told_1": 0.02}),
+        Trial("r0002", answer, nothing, 1.0, further={**further, **likelier}),
         Trial("r0003", answer, {"error": "Traceback\nValueError: odd"}, 1.0),
         Trial("r0004", answer, {**right, **said("mag_gradient"), "unnamed": []}, 1.0),
     ]
@@ -456,7 +459,8 @@ def test_a_trial_is_worked_out_scored_and_shown():
     figures = proof["further"]["strange"]
     counts = {k: v["count"] for k, v in figures.items() if k != "laws"}
     assert counts == {"told": 1, "driver": 1, "clean": 1, "false": 1, "little_left": 1,
-                      "nothing_left": 1, "nothing_left_if_told": 1}  # fmt: skip
+                      "nothing_left": 1, "nothing_left_if_told": 1,
+                      "truth_is_likelier": 1}  # fmt: skip
     assert figures["nothing_left_if_told"]["n"] == 2
     assert figures["told"]["n"] == 4
     assert figures["laws"][0]["channel"] is figures["laws"][0]["driver"] is True
@@ -485,6 +489,7 @@ def test_told_the_law_itself_calibrate_leaves_what_the_noise_does(tmp_path):
     assert told(ticket, answer, file, dict.fromkeys(names, 0.01)) == {}
     found = told(ticket, answer, file, {})
     assert 1e-5 < found["told_1"] < 0.05
+    assert math.isfinite(found["told_log_evidence"])
     true = [
         {"effect": effect, "name": p["name"], "value": p["value"]}
         for effect, given in case.world.parameters["effects"].items()

@@ -16,6 +16,8 @@ from handcal_sim.strange.words import same
 
 # A formula is as good as the law where it leaves a hundredth of it; a curve, a tenth.
 SAME, LITTLE = 0.01, 0.1
+# Nats, odds of twenty to one, by which a truth must be likelier for the search to have missed it.
+SURE = 3.0
 Document = Mapping[str, Any]
 
 
@@ -56,12 +58,16 @@ def outcome(trial: Trial) -> str:
 def score(trials: Sequence[Trial]) -> dict[str, Any]:
     """Each law, and over recordings: told, driver besides, called clean, with false names; over
     laws: how many are left by a tenth at most, and by a hundredth, and by that where `calibrate`
-    is told the law and has but its size to find. A failure is none of these."""
+    is told the law and has but its size to find. A failure is none of these. Of recordings whose
+    drivers are not told: in how many the truth is likelier than the explanation (where it is not,
+    no search over probabilities could tell it)."""
     laws = [row for trial in trials for row in _rows(trial)]
     left = [row["left"] for row in laws]
     limits = [row["told"] if row["told"] is not None else row["left"]
               for row in laws if row["told"] is not None or _reached(row)]  # fmt: skip
     by = [outcome(trial) for trial in trials]
+    missed = [x for trial in trials if (x := _truth(trial)) is not None
+              and not _all(drivers_told, trial)]  # fmt: skip
     told = [_all(channels_told, trial) for trial in trials]
     driven = [_all(drivers_told, trial) for trial in trials]
     return {
@@ -73,7 +79,17 @@ def score(trials: Sequence[Trial]) -> dict[str, Any]:
         "little_left": share(sum(x is not None and x <= LITTLE for x in left), len(left)),
         "nothing_left": share(sum(x is not None and x <= SAME for x in left), len(left)),
         "nothing_left_if_told": share(sum(x <= SAME for x in limits), len(limits)),
+        "truth_is_likelier": share(sum(x > SURE for x in missed), len(missed)),
     }
+
+
+def _truth(trial: Trial) -> float | None:
+    """Nats by which the laws themselves and the true names make a recording more probable than the
+    explanation did; None where that was not asked, or cannot be compared."""
+    told = trial.further.get("told_log_evidence")
+    if told is None or trial.document["hand"]["id"] != "held":
+        return None
+    return told - float(trial.document["fit"]["after"]["log_evidence"])
 
 
 def _reached(row: Mapping[str, Any]) -> bool:
@@ -105,5 +121,6 @@ def _rows(trial: Trial) -> list[dict[str, Any]]:
             "false": _false(trial),
             "found": [] if failed else [entry["formula"] for entry in document["unnamed"]],
             "left": trial.further.get(f"left_{n}"), "told": trial.further.get(f"told_{n}"),
+            "truth": _truth(trial),
         })  # fmt: skip
     return rows

@@ -30,7 +30,8 @@ def told(
     ticket: Ticket, answer: Answer, file: Path, further: Mapping[str, float]
 ) -> dict[str, float]:
     """Shares left of what an explanation leaves more of than is asked: "told" of a gyro's error
-    (suite budget), "told_1" and so on of laws (suite strange)."""
+    (suite budget), "told_1" and so on of laws (suite strange), and how probable these make the
+    recording."""
     work = _TOLD.get(ticket.suite)
     return {} if work is None else work(ticket, answer, file, further)
 
@@ -60,10 +61,12 @@ def _strange(
     effects = [_course(f"law_{n}", case.world.t, law) for n, law in enumerate(laws, start=1)]
     with with_effects((effect.id, effect) for effect in effects):
         names = [*answer.effects, *(effect.id for effect in effects)]
-        found = _calibrated(file, names)["parameters"]
-    sizes = [p["value"] for effect in effects for p in found if p["effect"] == effect.id]
-    left = draw_strange.left_of_sizes(ticket, found, sizes)
-    return {name.replace("left", "told"): share for name, share in left.items()}
+        found = _calibrated(file, names)
+    listed = found["parameters"]
+    sizes = [p["value"] for effect in effects for p in listed if p["effect"] == effect.id]
+    left = draw_strange.left_of_sizes(ticket, listed, sizes)
+    shares = {name.replace("left", "told"): share for name, share in left.items()}
+    return {**shares, "told_log_evidence": float(found["fit"]["log_evidence"])}
 
 
 def _calibrated(file: Path, names: Sequence[str]) -> Mapping[str, Any]:

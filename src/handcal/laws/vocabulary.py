@@ -156,6 +156,8 @@ def further(signals: Signals, sensor: int) -> Iterator[Driver]:
     yield from (replace(times(a, b), knots=COARSE) for a, b in pairs)
     for triple in (RATES, FORCES):
         yield times(triple[0], times(*triple[1:]))
+    for a in SLOPES if usable(WARMTH, signals) else ():
+        yield times(WARMTH, a)
     for a in SLOPES:
         yield from (times(b, a) for b in (*RATES, *FORCES) if b.name[-3:] != a.name[-3:])
     for a in filter(lambda d: usable(d, signals), NORTH):

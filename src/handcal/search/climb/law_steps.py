@@ -3,13 +3,13 @@ put it on fewer axes."""
 
 from __future__ import annotations
 
-from collections.abc import Set
+from collections.abc import Sequence, Set
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
-from handcal.effects import Effect
+from handcal.effects import Effect, catalogue
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.parallel import in_parallel
@@ -19,9 +19,9 @@ from handcal.laws.law_constants import adjusted
 from handcal.laws.law_effect import effect_of, law_of
 from handcal.model_score import better, score
 from handcal.search.climb.candidates import scanned, scanned_about
-from handcal.search.climb.state import Climb, forget, likelier, sensible
+from handcal.search.climb.state import WEAK, Climb, forget, likelier, sensible
 from handcal.search.climb.subset_steps import choose
-from handcal.search.space import best_set
+from handcal.search.space import best_set, gains
 
 # Terms without a name at the most, and of those that were on trial.
 MAX_TERMS, MAX_TRIED = 3, 6
@@ -57,14 +57,11 @@ def _refused(c: Climb) -> set[str]:
 
 def _instead_of_noise(c: Climb) -> Model | None:
     """The model with a term in the place of a sensor's noise effects, or beside them."""
-    key = frozenset(c.model.ids)
-    quiet = {e.id for e in c.model.effects if e.process is None}
-    if len(quiet) == len(c.model.effects) or key in c.bared:
+    key, hidden = frozenset(c.model.ids), _hidden(c.model)
+    if not hidden or key in c.bared:
         return None
-    if c.quiet is None and quiet == c.kept:
-        return None  # (from the baseline alone a climb begins with a law anyway)
     c.bared.add(key)
-    ends = [end for sensor in _hidden(c.model) for end in _of_sensor(c, sensor)]
+    ends = [end for sensor in hidden for end in _of_sensor(c, sensor)]
     if not ends:
         return None
     tried, term = max(ends, key=lambda end: score(end[0], c.worth))
@@ -76,8 +73,18 @@ def _instead_of_noise(c: Climb) -> Model | None:
 
 
 def _of_sensor(c: Climb, sensor: str) -> list[tuple[Model, Term]]:
-    """Fits with a term that is looked for where a sensor's noise effects are."""
+    """Fits with a term that is looked for where a sensor's noise effects are; and where these and
+    several weak names are, which may stand in for one law together."""
     rest = [e for e in c.model.effects if e.process is None or _sensor_of(e) != sensor]
+    gained = gains(c.where, c.model.chosen)
+    names = {i for i in (c.model.chosen - c.kept) & set(catalogue()) if i.startswith(sensor)}
+    fewer = [e for e in rest if e.id not in names or gained[e.id] >= WEAK]
+    ends = _in_place(c, sensor, rest)
+    return ends + _in_place(c, sensor, fewer) if len(fewer) < len(rest) - 1 else ends
+
+
+def _in_place(c: Climb, sensor: str, rest: Sequence[Effect]) -> list[tuple[Model, Term]]:
+    """Fits with a term that is looked for beside the rest of a model's effects."""
     # (about the trajectory and the sensor noise that there are with the noise effects: fitted
     # without them, what they held would be noise, in which no law shows)
     parts = tuple(moved_to(f, rest) for f in c.model.parts)

@@ -25,8 +25,6 @@ def add_noise(c: Climb) -> Model | None:
     gain = better(best, without, worth)
     if gain > 0.0:
         c.noise[added.id] = gain - PRIOR
-        if c.kept < without.chosen == set(without.ids):
-            c.quiet = without
     elif without is model:
         return None
     else:

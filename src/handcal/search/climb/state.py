@@ -30,7 +30,7 @@ class Climb:
     the model, and stale: those for which that is out of date; swaps: (effect, rival) to the nats by
     which the rival, fitted in its place, does worse. dropped: names of what was not missed, or with
     which no fit holds; beyond: of what came out larger than makes sense beside the same others.
-    quiet: the last model before its first noise effect; everything: all were fitted at once.
+    everything: all were fitted at once.
     """
 
     model: Model
@@ -43,7 +43,6 @@ class Climb:
     swaps: dict[tuple[str, str], float] = field(default_factory=dict)
     dropped: set[str] = field(default_factory=set)
     beyond: set[str] = field(default_factory=set)
-    quiet: Model | None = None
     everything: bool = False
     visited: set[frozenset[str]] = field(default_factory=set)
     refused: set[frozenset[str]] = field(default_factory=set)
