@@ -10,7 +10,7 @@ from worlds import injected, problem_of, recording_of, true_levels
 from handcal import calibrate
 from handcal.compiled import so3, strapdown
 from handcal.compiled.kernel import BASE
-from handcal.estimate import smoother
+from handcal.estimate import linear, smoother
 from handcal.estimate.filter import empty_track, full_prior, initial_state, run_compiled
 from handcal.estimate.linear import linearise_about
 from handcal.estimate.problem import markov_transitions, noise_arrays, observation_variances
@@ -206,6 +206,17 @@ def test_preintegrated_transition_is_the_derivative_of_navigation(short):
         # third order in the interval: (3 rad/s)^2 10 m/s^2 dt^3 / 6
         third = 15.0 * (nodes.t[b] - nodes.t[a]) ** 3
         np.testing.assert_allclose(linear.Phi[j], expected, atol=5e-5 + third)
+
+
+def test_two_halves_are_integrated_as_the_whole_is(short, monkeypatch):
+    """To the last bit, and nothing is left out where they meet."""
+    whole, _ = short
+    monkeypatch.setattr(linear, "MANY", 2)
+    halves = linearise_about(whole.problem, whole.start, whole.trajectory)
+    monkeypatch.setattr(linear, "MANY", len(whole.t))
+    again = linearise_about(whole.problem, whole.start, whole.trajectory)
+    for name in ("Phi", "d", "Q_gyro", "Q_accel", "Q_extra"):
+        assert np.array_equal(getattr(halves, name), getattr(again, name)), name
 
 
 def test_preintegrated_noise_is_that_of_its_samples(short):

@@ -27,7 +27,7 @@ def preintegrate(
 ) -> None:
     """Phi (k, 9, 15), d and the three Q of every epoch but the first, into ``out`` (see
     ``Linear``), and what an error of the readings over each interval makes of the state at the
-    next epoch, into W (n, 9, 6).
+    next epoch, into W (n, 9, 6), or (0, 9, 6) where nobody asks.
 
     biases: of gyro and of accelerometer from each epoch on (k, 3). Within an epoch it goes
     backwards: noise and errors are carried to its end, which needs no covariance on the way.
@@ -59,8 +59,11 @@ def preintegrate(
                 for c in range(9):
                     later[r, c] = new[r, c]
                 for c in range(6):
-                    W[i, r, c] = new[r, 9 + c]
                     total[r, 9 + c] += new[r, 9 + c]
+            if len(W) > 0:
+                for r in range(9):
+                    for c in range(6):
+                        W[i, r, c] = new[r, 9 + c]
         for r in range(9):
             for c in range(9):
                 total[r, c] = later[r, c]

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import pairwise
 
 import numpy as np
 
@@ -24,6 +26,7 @@ from handcal.effects import ATTITUDE, DELAY, Effect
 from handcal.estimate.corrected import Corrected, corrected_readings
 from handcal.estimate.derivatives import differentiated
 from handcal.estimate.exciting import held, sway, unexciting
+from handcal.estimate.parallel import in_parallel
 from handcal.estimate.problem import Problem, Slopes, constants_of
 from handcal.estimate.seen import (
     by_biases,
@@ -37,6 +40,9 @@ from handcal.estimate.trajectory import Trajectory, biases, intervals, path
 from handcal.observations import NAV
 from handcal.signals import further
 from handcal.types import Array, BoolArray, IntArray
+
+# Epochs from which they are integrated in two halves, on two cores: a twentieth of a second.
+MANY = 10_000
 
 
 @dataclass(frozen=True)
@@ -174,7 +180,7 @@ def _integrated(problem: Problem, nominal: Trajectory) -> tuple[Problem, Array, 
     """The problem with readings that are corrected at the nominal constants, and Phi, d and the
     three Q (see ``_transitions``) between the epochs, those of the constants with them."""
     problem, done, C_nb = _prepared(problem, nominal)
-    Phi, d, Q, W = _transitions(problem, nominal)
+    Phi, d, Q, W = _transitions(problem, nominal, done is not None)
     if done is not None:
         # What an effect does depends on the true rate and force: take off the noise that
         # this trajectory implies, or each sample's noise would pose as motion that excites it.
@@ -243,7 +249,7 @@ def excited(linear: Linear, fresh: Problem) -> Excited:
     problem, nominal = linear.problem, linear.trajectory
     C_nb = _attitude(fresh, nominal) if problem.navigated else None
     done = _corrected(fresh, nominal, C_nb)
-    _, d, _, W = _transitions(problem, nominal)
+    _, d, _, W = _transitions(problem, nominal, True)
     if problem.navigated:
         turn_errors(W, nominal.node, d)
     H = linear.H if problem.navigated else _rows(problem, nominal)[1]
@@ -319,13 +325,26 @@ def _bare(problem: Problem) -> Problem:
     return replace(problem, nodes=problem.nodes._replace(J=np.zeros((len(problem.nodes.t), 6, 0))))
 
 
-def _transitions(problem: Problem, nominal: Trajectory) -> tuple[Array, Array, Array, Array]:
+def _transitions(
+    problem: Problem, nominal: Trajectory, by_reading: bool
+) -> tuple[Array, Array, Array, Array]:
     """Phi (k, 9, 15 + mi) but for the constants, d (k, 9) and the three Q (3, k, 9, 9) between the
-    epochs; W (n, 9, 6) (see ``preintegrate``)."""
+    epochs; W (n, 9, 6) (see ``preintegrate``), or (0, 9, 6) if that is not asked for."""
     k = len(nominal.node)
     Phi, d = np.zeros((k, 9, BASE + problem.imu_constants)), np.zeros((k, 9))
-    Q, W = np.zeros((3, k, 9, 9)), np.empty((len(problem.nodes.t), 9, 6))
-    preintegrate(*intervals(problem, nominal), (Phi, d, Q[0], Q[1], Q[2]), W)
+    Q, W = np.zeros((3, k, 9, 9)), np.empty((len(problem.nodes.t) if by_reading else 0, 9, 6))
+    nodes, epoch, (p, v, C), (bg, ba), g_n, turns = intervals(problem, nominal)
+
+    def integrated(a: int, b: int) -> None:
+        some = slice(a, b + 1)  # (what leads to an epoch begins at the one before)
+        preintegrate(
+            nodes, epoch[some], (p[some], v[some], C[some]), (bg[some], ba[some]), g_n, turns,
+            (Phi[some], d[some], Q[0, some], Q[1, some], Q[2, some]), W,
+        )  # fmt: skip
+
+    cuts = [0, k // 2, k - 1] if k > MANY else [0, k - 1]
+    for _ in in_parallel(partial(integrated, a, b) for a, b in pairwise(cuts)):
+        pass
     return Phi, d, Q, W
 
 

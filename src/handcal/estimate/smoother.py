@@ -245,7 +245,9 @@ def relinearise(
     x, evidence = smoothed_mean(linear, levels)
     settled = False
     for _ in range(rounds):
-        linear = linearise_about(linear.problem, linear.start, moved(linear.trajectory, x))
+        problem, start, there = linear.problem, linear.start, moved(linear.trajectory, x)
+        del linear  # (as large as all else together, and not needed beside the next)
+        linear = linearise_about(problem, start, there)
         x, new = smoothed_mean(linear, levels)
         settled = abs(new - evidence) < tolerance
         evidence = new
