@@ -33,7 +33,7 @@ def prove(
         str,
         typer.Option(
             help="nothing, one, mixed, unknown, turn, faint, reference, large, phone, odometry, "
-            "people, budget, wild, strange, axis, or all (of the first five)."
+            "people, budget, wild, strange, axis, walks, or all (of the first five)."
         ),
     ] = ALL,
     out: Annotated[

@@ -7,7 +7,7 @@ share of right answers it asks for, stands in `prove_suites`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -37,7 +37,16 @@ from handcal_sim.prove.given import (
     some,
     with_streams,
 )
-from handcal_sim.prove.suites import BESIDE, EARTH_GROUP, FAINT_NATS, IN_PART, LARGE, SIZES, Answer
+from handcal_sim.prove.suites import (
+    BESIDE,
+    EARTH_GROUP,
+    FAINT_NATS,
+    IN_PART,
+    LARGE,
+    SIZES,
+    WALKS,
+    Answer,
+)
 from handcal_sim.scenario import World
 
 Drawing = Callable[[Ticket, np.random.Generator], tuple[World, Answer]]
@@ -60,10 +69,14 @@ def _several(most: int) -> Drawing:
     return drawn
 
 
-def _each(ticket: Ticket, rng: np.random.Generator) -> tuple[World, Answer]:
-    """Every effect in turn."""
-    given = circumstances(ticket.suite, rng)
-    return _with([in_turn(list(SIZES), ticket)], ticket, given, rng)
+def _each(names: Sequence[str]) -> Drawing:
+    """Every one of these effects in turn."""
+
+    def drawn(ticket: Ticket, rng: np.random.Generator) -> tuple[World, Answer]:
+        given = circumstances(ticket.suite, rng)
+        return _with([in_turn(names, ticket)], ticket, given, rng)
+
+    return drawn
 
 
 def _in_part(ticket: Ticket, rng: np.random.Generator) -> tuple[World, Answer]:
@@ -193,10 +206,10 @@ def _scaled(
 
 _DRAWINGS: Mapping[str, Drawing] = {
     "nothing": _several(0),
-    "one": _each,
+    "one": _each(list(SIZES)),
     "mixed": _several(3),
     "unknown": _unknown,
-    "turn": _each,
+    "turn": _each(list(SIZES)),
     "faint": _faint,
     "reference": _several(2),
     "large": _large,
@@ -207,4 +220,5 @@ _DRAWINGS: Mapping[str, Drawing] = {
     "wild": draw_wild.drawn,
     "strange": draw_strange.drawn,
     "axis": _in_part,
+    "walks": _each(WALKS),
 }

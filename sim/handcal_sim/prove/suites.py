@@ -88,6 +88,8 @@ IN_PART = (
     "gyro_temperature",
     "accel_temperature",
 )
+# Noise that wanders: alone, a law that nobody wrote down could stand in for it.
+WALKS = ("gyro_bias_walk", "accel_bias_walk", "heading_correlated_noise")
 # What shows only beside another: the field changes with place where the device goes about an arm.
 BESIDE = {"mag_gradient": "lever_arm"}
 # Never drawn together: no motion tells the two apart, so that there is no right answer.
@@ -131,6 +133,7 @@ SUITES: dict[str, Suite] = {
     "axis": Suite(
         "one effect on one axis, 84 s about three", 4 * len(IN_PART), ("exact", "right_set"), 0.98
     ),
+    "walks": Suite("a walk or correlated noise alone, 84 s", 60, ("exact",), 0.95),
 }
 
 
