@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from worlds import recording_of
 
 from handcal.effects import select
-from handcal.estimate import parallel
+from handcal.estimate import noise_levels, parallel
 from handcal.estimate.baseline import started
 from handcal.estimate.case import case_of
-from handcal.estimate.evidence import reduce, reduced_pass
+from handcal.estimate.evidence import ReducedPass, Reduction, reduce, reduced_pass
 from handcal.estimate.model import Fitted
 from handcal.estimate.noise_levels import Score
 from handcal.estimate.transfer import moved_to
@@ -58,6 +59,32 @@ def test_slope_of_the_evidence(name: str, seed: int) -> None:
         want = np.array([_difference(score, levels, n) for n in names])
         assert np.abs(slope - want).max() < 1e-3 * max(1.0, np.abs(want).max())
         assert np.abs(slope - want)[np.abs(want) < 10.0].max(initial=0.0) < 0.02
+
+
+def test_levels_sought_in_a_part_first_are_those_of_the_whole(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Within what either search may leave, a hundredth of a nat, and in fewer passes of the whole
+    than without."""
+    f = _fit("heading", (), 0)
+    reduction, names = reduce(f.linear), sorted({lv.name for lv in f.linear.problem.levels})
+    counted = []
+
+    def passed(some: Reduction, *more: Any, **options: Any) -> ReducedPass:
+        counted.append(len(some.linear.t))
+        return reduced_pass(some, *more, **options)
+
+    monkeypatch.setattr(noise_levels, "reduced_pass", passed)
+    whole, _ = noise_levels.estimate(reduction, f.levels, names)
+    passes = len(counted)
+    counted.clear()
+    monkeypatch.setattr(noise_levels, "MANY", 100)
+    begun, _ = noise_levels.estimate(reduction, f.levels, names)
+    size = len(reduction.linear.t)
+    assert min(counted) == size // noise_levels.PART
+    assert counted.count(size) < passes
+    gained = [reduced_pass(reduction, x).log_evidence for x in (whole, begun)]
+    assert gained[0] == pytest.approx(gained[1], abs=0.1)  # (their priors take part in it)
 
 
 def _difference(score: Score, levels: dict[str, float], name: str) -> float:

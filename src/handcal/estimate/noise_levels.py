@@ -28,6 +28,9 @@ DIFFERENCE = 0.01
 LONGEST_STEP = 1.5
 FLATTEST = 0.25
 SENSORS = ("gyro_noise", "accel_noise")
+# Epochs (a quarter of an hour) from which levels are first sought in one part of so many, within so
+# many nats.
+MANY, PART, ROUGH = 10_000, 6, 1.0
 
 
 def white_levels(recording: Recording) -> dict[str, float]:
@@ -86,6 +89,17 @@ def until(linear: Linear, t: float) -> Linear:
     )
 
 
+def beginning(reduction: Reduction, k: int) -> Reduction:
+    """The first k epochs of a reduced problem, without what readings of one window scatter."""
+    linear, some = reduction.linear, slice(int(reduction.first[k]))
+    return replace(
+        reduction, linear=until(linear, float(linear.t[k - 1])), D=reduction.D[:k],
+        first=reduction.first[: k + 1], g=reduction.g[some], h=reduction.h[some],
+        at=reduction.at[some], count=reduction.count[some], slot=reduction.slot[some],
+        folded=None, t=linear.t[:k],
+    )  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Curvature:
     """How the evidence bends with the logarithms of the levels ``names``: matrix (k, k)."""
@@ -121,6 +135,11 @@ def estimate(
     It ends where less than about ``tolerance`` nats are to be gained. excess: the sensors' own
     noise may not exceed its first guess by more than this factor.
     """
+    if len(reduction.linear.t) > MANY and not known.names:
+        # (an hour asks for dozens of passes from far off, and for a few from near by)
+        first = beginning(reduction, len(reduction.linear.t) // PART)
+        levels, near = estimate(first, levels, names, progress, ROUGH, excess)
+        known = replace(near, matrix=PART * near.matrix)
     problem = reduction.linear.problem
     own = {lv.name: lv for lv in problem.levels}
     guess = initial_levels(problem)
