@@ -111,14 +111,20 @@ def _guess(o: Odd) -> str:
     return ""
 
 
+def _counted(n: int, noun: str, behind: str = "") -> tuple[str, str]:
+    """("1", "model"), ("2", "models")."""
+    number, _, told = words.counted(n, noun).partition(" ")
+    return number, told + behind
+
+
 def write_page(fleet: Fleet, path: Path) -> None:
     """Write the page as one HTML file; nothing in it needs a network."""
     context = {
         "version": handcal.__version__,
-        "facts": [(str(fleet.done), "recordings explained"),
+        "facts": [_counted(fleet.done, "recording", " explained"),
                   (str(len(fleet.failures)), "without a result"),
-                  (str(sum(m.devices for m in fleet.models)), "devices"),
-                  (str(len(fleet.models)), "models")],
+                  _counted(sum(m.devices for m in fleet.models), "device"),
+                  _counted(len(fleet.models), "model")],
         "models": [_section(m) for m in fleet.models],
         "failures": [(Path(p).name, s, r) for p, s, r in fleet.failures[:MOST_ROWS]],
         "more": max(0, len(fleet.failures) - MOST_ROWS),
