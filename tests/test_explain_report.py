@@ -22,6 +22,7 @@ from handcal.show.explanation import frames, plots, verdict_text, words
 from handcal.show.explanation.document import explanation_json
 from handcal.show.explanation.report import render_explanation, write_explanation_report
 from handcal.show.explanation.terminal import print_explanation
+from handcal.show.words import channel_title
 from handcal.types import HandcalError, Parameter
 
 CONTRACT = {
@@ -355,8 +356,8 @@ def test_amounts_of_unnamed_terms(value, sigma, unit, text):
 
 
 def test_channels_in_words_and_units():
-    assert words.channel_title("accel_y") == "accelerometer y"
-    assert words.channel_title("heading") == "heading"
+    assert channel_title("accel_y") == "accelerometer y"
+    assert channel_title("heading") == "heading"
     assert words.channel_shown("gyro_x", [1.0]).unit == "deg/s"
     assert words.channel_shown("accel_x", [1.0]).unit == "m/s²"
     assert words.channel_shown("accel_x", [0.1], small=True).unit == "mg"
@@ -429,7 +430,7 @@ def test_every_figure_is_there(explanation, figures):
     assert count["parameters"] == (1 if explanation.missing else 0)
     worst = explanation.mismatch[0].channel if explanation.mismatch else None
     if worst:
-        assert words.channel_title(worst) in figures["first"][0].title.lower()
+        assert channel_title(worst) in figures["first"][0].title.lower()
 
 
 def test_an_explanation_with_next_to_nothing_in_it_still_shows(tmp_path):

@@ -21,6 +21,7 @@ from handcal.estimate.baseline import started
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.noise_levels import Curvature
+from handcal.estimate.robust import inflation
 from handcal.estimate.specification import Options, chosen_of
 from handcal.explain import assembled, explain
 from handcal.explain.leaning import leaning
@@ -126,7 +127,7 @@ def test_an_absence_that_nothing_speaks_for_is_assumed_too() -> None:
     written = chosen_of(model, Options(None, 0.0, {}, ()), {})
     for gained, said in ((1.0, 1), (-1.0, 0)):
         drift = Hypothesis("heading_drift", "Heading drift", 0.0, gained, 100.0, 0.1, "")
-        told = assembled._warnings(model, model, [drift], written)
+        told = assembled._warnings(model, model, [drift], written, inflation(model))
         assert sum("gyro's bias" in x for x in told) == said
 
 

@@ -66,10 +66,10 @@ def score(trials: Sequence[Trial]) -> dict[str, Any]:
     limits = [row["told"] if row["told"] is not None else row["left"]
               for row in laws if row["told"] is not None or _reached(row)]  # fmt: skip
     by = [outcome(trial) for trial in trials]
-    missed = [x for trial in trials if (x := _truth(trial)) is not None
-              and not _all(drivers_told, trial)]  # fmt: skip
     told = [_all(channels_told, trial) for trial in trials]
     driven = [_all(drivers_told, trial) for trial in trials]
+    truths = [_truth(trial) for trial, right in zip(trials, driven, strict=True) if not right]
+    missed = [x for x in truths if x is not None]
     return {
         "laws": laws,
         "told": share(sum(told), len(trials)),

@@ -92,19 +92,8 @@ def _budget(figures: Row) -> list[RenderableType]:
 def _strange(figures: Row) -> list[RenderableType]:
     table = Table(title="Laws that nobody wrote down", title_justify="left", box=box.SIMPLE_HEAD,
                   pad_edge=False)  # fmt: skip
-    columns = (
-        "recording",
-        "law",
-        "on",
-        "verdict",
-        "channel",
-        "driver",
-        "false",
-        "left",
-        "if told",
-        "truth",
-    )
-    for column in columns:
+    for column in ("recording", "law", "on", "verdict", "channel", "driver", "false", "left",
+                   "if told", "truth"):  # fmt: skip
         table.add_column(column)
     for row in figures["laws"]:
         told = ["yes" if row[key] else "" for key in ("channel", "driver")]

@@ -69,8 +69,11 @@ def initial_levels(problem: Problem) -> dict[str, float]:
 def until(linear: Linear, t: float) -> Linear:
     """The part of a linearised problem up to time t, s."""
     k = max(2, int(np.searchsorted(linear.t, t, side="right")))
-    if k >= len(linear.t):
-        return linear
+    return linear if k >= len(linear.t) else _first(linear, k)
+
+
+def _first(linear: Linear, k: int) -> Linear:
+    """Its first k epochs."""
     q = linear.first[k]
     return replace(
         linear,
@@ -93,7 +96,7 @@ def beginning(reduction: Reduction, k: int) -> Reduction:
     """The first k epochs of a reduced problem, without what readings of one window scatter."""
     linear, some = reduction.linear, slice(int(reduction.first[k]))
     return replace(
-        reduction, linear=until(linear, float(linear.t[k - 1])), D=reduction.D[:k],
+        reduction, linear=_first(linear, k), D=reduction.D[:k],
         first=reduction.first[: k + 1], g=reduction.g[some], h=reduction.h[some],
         at=reduction.at[some], count=reduction.count[some], slot=reduction.slot[some],
         folded=None, t=linear.t[:k],

@@ -149,7 +149,8 @@ def explanation_of(
     learnt = {e.id: parameters_of(fits[0], e) for e in model.effects if e.process is None}
     named = _named(end, learnt, wrong, not untried)
     before, explained, mismatch = _compared(end, named.verdict, fits)
-    told = _weighed(end, named, judged)
+    excess = inflation(model)
+    told = _weighed(end, named, judged, excess)
     hypotheses = renamed(model, told, hypotheses_of(found, told, wrong, named.alone))
     missing, hypotheses = for_streams(told, hypotheses, [f.case for f in model.parts])
     final = _in_order(explained, learnt, fits[0])
@@ -166,7 +167,11 @@ def explanation_of(
         final,
         noise(model.parts[0]),
         tuple(explained),
-        (*_warnings(base, model, hypotheses, written), *named.remarks, *_broken_off(untried)),
+        (
+            *_warnings(base, model, hypotheses, written, excess),
+            *named.remarks,
+            *_broken_off(untried),
+        ),
         written,
         untellable(found, fits[0].parameters),
         hand_of(model.parts[0], end.surely),
@@ -176,9 +181,11 @@ def explanation_of(
     )
 
 
-def _weighed(end: End, named: _Named, judged: importance.Judged | None) -> list[Missing]:
+def _weighed(
+    end: End, named: _Named, judged: importance.Judged | None, excess: Mapping[str, float]
+) -> list[Missing]:
     """What is named, the largest first, each with what it matters."""
-    found, excess = end.found, inflation(end.found.model)
+    found = end.found
     told = [
         plainly(found.model, importance.weighed(found, m, judged), excess) for m in named.missing
     ]
@@ -304,11 +311,14 @@ def _fit(model: Model, parts: Sequence[Fitted]) -> Fit:
 
 
 def _warnings(
-    base: Model, model: Model, hypotheses: Sequence[Hypothesis], written: Specification | None
+    base: Model,
+    model: Model,
+    hypotheses: Sequence[Hypothesis],
+    written: Specification | None,
+    excess: Mapping[str, float],
 ) -> tuple[str, ...]:
     not_seen = {h.effect for h in hypotheses if h.expected < FAINT or h.final > 0.0}
     out = [w for f in base.parts for w in f.case.warnings]
-    excess = inflation(model)
     for f in model.parts:
         out += leaning(f, model.effects, not_seen, excess)
     if not model.settled:

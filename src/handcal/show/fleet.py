@@ -111,20 +111,15 @@ def _guess(o: Odd) -> str:
     return ""
 
 
-def _counted(n: int, noun: str, behind: str = "") -> tuple[str, str]:
-    """("1", "model"), ("2", "models")."""
-    number, _, told = words.counted(n, noun).partition(" ")
-    return number, told + behind
-
-
 def write_page(fleet: Fleet, path: Path) -> None:
     """Write the page as one HTML file; nothing in it needs a network."""
+    devices, models = sum(m.devices for m in fleet.models), len(fleet.models)
     context = {
         "version": handcal.__version__,
-        "facts": [_counted(fleet.done, "recording", " explained"),
+        "facts": [(str(fleet.done), f"{words.noun_of(fleet.done, 'recording')} explained"),
                   (str(len(fleet.failures)), "without a result"),
-                  _counted(sum(m.devices for m in fleet.models), "device"),
-                  _counted(len(fleet.models), "model")],
+                  (str(devices), words.noun_of(devices, "device")),
+                  (str(models), words.noun_of(models, "model"))],
         "models": [_section(m) for m in fleet.models],
         "failures": [(Path(p).name, s, r) for p, s, r in fleet.failures[:MOST_ROWS]],
         "more": max(0, len(fleet.failures) - MOST_ROWS),

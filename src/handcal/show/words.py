@@ -22,6 +22,7 @@ _BASELINE: dict[str, tuple[str, str]] = {
     "gyro_bias": ("Gyro bias", "rests, and turns about more than one axis"),
     "accel_bias": ("Accelerometer bias", "rests with {axis} pointing up, down and level"),
 }
+_SENSORS = {"accel": "accelerometer", "mag": "magnetometer"}
 _NOISE = {
     "gyro_noise": "Gyro noise",
     "accel_noise": "Accelerometer noise",
@@ -156,8 +157,13 @@ def kind_name(kind: str) -> str:
 
 def kind_title(kind: str) -> str:
     """The same in words."""
-    name = kind_name(kind).replace("_", " ")
-    return "magnetometer" + name.removeprefix("mag") if name.split()[:1] == ["mag"] else name
+    return channel_title(kind_name(kind))
+
+
+def channel_title(channel: str) -> str:
+    """ "accelerometer y", "heading"."""
+    sensor, _, axis = channel.rpartition("_") if channel[-2:-1] == "_" else (channel, "", "")
+    return f"{_SENSORS.get(sensor, sensor.replace('_', ' '))} {axis}".rstrip()
 
 
 def assume_sentence(
@@ -178,7 +184,12 @@ def assume_sentence(
 
 def counted(n: int, noun: str) -> str:
     """ "1 rest", "2 rests"."""
-    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
+    return f"{n} {noun_of(n, noun)}"
+
+
+def noun_of(n: int, noun: str) -> str:
+    """ "rest" of one, "rests" of two."""
+    return noun if n == 1 else f"{noun}s"
 
 
 def listed(items: Sequence[str], last: str = "and") -> str:

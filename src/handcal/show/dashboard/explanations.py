@@ -88,7 +88,7 @@ def _page(e: Explanation, i: int, name: str) -> rrb.Horizontal:
     shown: list[Any] = [v for pair in views[:2] for v in pair]
     if len(views) > 2:
         others = [
-            rrb.Vertical(*pair, name=say.channel_title(t.channel))
+            rrb.Vertical(*pair, name=words.channel_title(t.channel))
             for pair, t in zip(views[2:], traces[2:], strict=True)
         ]
         shown.append(rrb.Tabs(*others, active_tab=0))
@@ -115,7 +115,7 @@ def _page(e: Explanation, i: int, name: str) -> rrb.Horizontal:
 
 def _channel(home: str, span: tuple[float, float], trace: Trace) -> tuple[Any, Any]:
     """Two views: simulated against recorded, and the difference with what is allowed."""
-    title, limit = say.channel_title(trace.channel), _limit(trace)
+    title, limit = words.channel_title(trace.channel), _limit(trace)
     unit = _unit(trace).unit
     name = f"{title[:1].upper()}{title[1:]}, {unit}"
     key = "recorded − model"
@@ -168,7 +168,7 @@ def log_explanation(rec: rr.RecordingStream, explanation: Explanation) -> None:
             ])  # fmt: skip
         loss = frames.lost(r)
         for n, channel in enumerate(loss):
-            name, colour = say.channel_title(channel), CHANNELS[n % len(CHANNELS)]
+            name, colour = words.channel_title(channel), CHANNELS[n % len(CHANNELS)]
             style = lines([name], [colour], 2.0 if n < 3 else 1.0, interpolation_mode="StepAfter")
             rec.log(f"{home}/shortfall/{channel}", style, static=True)
             s = r.shortfall[channel]

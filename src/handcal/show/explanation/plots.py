@@ -105,7 +105,7 @@ def trace_plot(explanation: Explanation, recording: int, trace: Trace, wide: boo
     if where:
         caption += " Shaded: where the baseline does not fit."
     name = f"trace-{recording}-{trace.channel}-{wide}"
-    return Plot(_capital(say.channel_title(trace.channel)), caption, svg(figure, name))
+    return Plot(_capital(words.channel_title(trace.channel)), caption, svg(figure, name))
 
 
 def _capital(text: str) -> str:
@@ -150,7 +150,7 @@ def heat_plot(explanation: Explanation, recording: int) -> Plot | None:
         ax.text(1.008, row, say.whole_percent(share), transform=ax.get_yaxis_transform(),
                 va="center", fontsize=10, color=INK if share >= 0.1 else MUTED)  # fmt: skip
     ax.set(xlim=(bins[0], bins[-1]), ylim=(len(rows) - 0.4, -0.6))
-    ax.set_yticks(range(len(rows)), [say.channel_title(c) for c in rows])
+    ax.set_yticks(range(len(rows)), [words.channel_title(c) for c in rows])
     ax.grid(visible=False, axis="y")
     scale = _swatched(largest)
     swatches = [Patch(color=BEFORE, alpha=round(float(strength(v)), 2), lw=0) for v in scale]

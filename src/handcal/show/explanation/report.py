@@ -91,7 +91,7 @@ def _unnamed(u: Unnamed) -> dict[str, Any]:
 def _where(m: Mismatch, names: Sequence[str]) -> dict[str, Any]:
     """A place where the baseline does not fit."""
     return {
-        "channel": say.channel_title(m.channel), "time": say.interval(m), "when": m.when,
+        "channel": words.channel_title(m.channel), "time": say.interval(m), "when": m.when,
         "share": say.whole_percent(m.share), "width": _width(m.share),
         "recording": names[m.recording] if len(names) > 1 else "",
     }  # fmt: skip
@@ -174,7 +174,7 @@ def _residuals(e: Explanation) -> list[dict[str, str]]:
         shown = [unit.value(v, 0.1 * largest) for v in pair]
         widths = [_width(v / largest if largest > 0 else 0.0) for v in pair]
         rows.append({
-            "channel": say.channel_title(channel), "before": shown[0], "after": shown[1],
+            "channel": words.channel_title(channel), "before": shown[0], "after": shown[1],
             "unit": unit.unit, "change": say.change(*pair), "before_width": widths[0],
             "after_width": widths[1],
         })  # fmt: skip

@@ -137,7 +137,7 @@ def _mismatch_table(e: Explanation) -> Any:
     rows = table("channel", ">time", ">share", "*when", *(["*recording"] if several else []))
     names = say.recording_names(e)
     for m in e.mismatch:
-        row = [say.channel_title(m.channel), say.interval(m), say.whole_percent(m.share), m.when]
+        row = [words.channel_title(m.channel), say.interval(m), say.whole_percent(m.share), m.when]
         rows.add_row(*map(escape, row + ([names[m.recording]] if several else [])))
     return rows
 
@@ -203,7 +203,7 @@ def fit_rows(e: Explanation) -> list[tuple[str, ...]]:
         digits = 0.1 * max(v for v in (*pair, 0.0) if math.isfinite(v))
         shown = [unit.value(v, digits) for v in pair]
         change = say.change(*pair)
-        rows.append((f"residual of {say.channel_title(channel)}", *shown, unit.unit, change))
+        rows.append((f"residual of {words.channel_title(channel)}", *shown, unit.unit, change))
     for kind in dict.fromkeys((*before.nis, *after.nis)):
         pair = [f.nis.get(kind, math.nan) for f in (before, after)]
         shown = [f"{v:.2f}" if math.isfinite(v) else "–" for v in pair]

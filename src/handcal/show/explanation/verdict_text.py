@@ -19,7 +19,6 @@ from handcal.show import words
 from handcal.show.explanation import always
 from handcal.show.explanation.words import (
     channel_shown,
-    channel_title,
     counted_word,
     either,
     gain,
@@ -118,7 +117,7 @@ def weight(m: Missing) -> str:
             largest[sensor] = channel, rms
     if largest:
         units = [(c, v, channel_shown(c, [v], small=True)) for c, v in largest.values()]
-        each = [f"{u.value(v, v)}{NBSP}{u.unit} in {channel_title(c)}" for c, v, u in units]
+        each = [f"{u.value(v, v)}{NBSP}{u.unit} in {words.channel_title(c)}" for c, v, u in units]
         parts.append(f"adds {listed(each)} (root mean square)")
     if m.held_out_gain is not None:
         agree = "agree" if m.held_out_gain > 0.0 else "do not agree"
@@ -278,7 +277,7 @@ def worst_mismatch(explanation: Explanation) -> str | None:
         return None
     m = max(mismatch, key=lambda m: m.share)
     return (
-        f"The baseline fits worst in {channel_title(m.channel)}"
+        f"The baseline fits worst in {words.channel_title(m.channel)}"
         f"{', ' + m.when if m.when else ''} ({whole_percent(m.share)} of the mismatch)."
     )
 
@@ -322,7 +321,7 @@ def held_out_sentence(explanation: Explanation) -> str | None:
 def left_over(fit: Fit) -> list[str]:
     """A sentence where the final model still expects too little of itself."""
     return [
-        f"Even so, {channel_title(words.kind_name(kind))} scatters {math.sqrt(nis):.1f} times as "
+        f"Even so, {words.kind_title(kind)} scatters {math.sqrt(nis):.1f} times as "
         f"far as the final model expects: some of it is not accounted for."
         for kind, nis in fit.nis.items() if math.isfinite(nis) and nis > OVERSURE
     ]  # fmt: skip

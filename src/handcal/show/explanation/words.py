@@ -29,7 +29,6 @@ from handcal.show.words import NBSP, effect_title, listed
 from handcal.types import Parameter
 from handcal.units import DEG, Shown, shown
 
-_SENSORS = {"accel": "accelerometer", "mag": "magnetometer"}
 _UNITS = {
     "gyro": Shown("deg/s", DEG), "accel": Shown("m/s²", 1.0),
     "heading": Shown("deg", DEG), "attitude": Shown("deg", DEG),
@@ -107,12 +106,6 @@ def the(title: str) -> str:
         return "gravity"
     keep = first in ("Earth", "Coriolis") or first[1:] != first[1:].lower() or len(first) == 1
     return "the " + (title if keep else title[:1].lower() + title[1:])
-
-
-def channel_title(channel: str) -> str:
-    """ "accelerometer y", "heading"."""
-    sensor, _, axis = channel.rpartition("_") if channel[-2:-1] == "_" else (channel, "", "")
-    return f"{_SENSORS.get(sensor, sensor.replace('_', ' '))} {axis}".rstrip()
 
 
 def source(channel: str, of: Explained) -> str:
