@@ -70,13 +70,14 @@ def best_terms(
     refused: Collection[str] = (),
     without: str = "",
     beyond: Collection[str] = (),
+    worth: float | None = None,
 ) -> list[Term]:
     """What gains most over the model of all, and of each sensor in beyond, if it gains enough: a
     law over a driver, or a course over time or direction.
 
     refused: formulas with which no fit holds; without: an effect of the model in whose place it is
     looked for; beyond: "gyro", "accel" or "heading", for which the whole vocabulary is looked
-    through."""
+    through; worth: what evidence counts for (None: as the scans have it, about this model)."""
     f = model.parts[0]
     signals = signals_of(f)
     known = [e for e in model.effects if e.process is None and e.id != without]
@@ -84,7 +85,7 @@ def best_terms(
     base = grounds(model)
     scans = list(in_parallel(partial(scan, model, look.effects, base) for look in looks))
     # (what is absent scatters differently from scan to scan: one worth for all)
-    worth = float(np.median([q.worth for q in scans]))
+    worth = float(np.median([q.worth for q in scans])) if worth is None else worth
     enough = -TERM_PRIOR + math.log(2.0)
     ends = [
         end

@@ -12,12 +12,14 @@ import numpy as np
 
 from handcal.effects import TIME
 from handcal.laws.terms import DIRECTIONS
-from handcal.types import Array
+from handcal.types import Array, BoolArray
 
 # Knots over a recording: as many at most, a power of two of seconds apart.
 MOST = 48
 # Fewer whole swings than these a walk makes as well.
 SWINGS = 2.0
+# Shares of a period for which something is on that is switched on and off.
+ON = (0.15, 0.25, 0.35, 0.5, 0.65)
 Values = Callable[[Array, Array], Array]
 
 
@@ -25,7 +27,8 @@ Values = Callable[[Array, Array], Array]
 class Family:
     """Courses that differ by their numbers (p,): values(numbers, x) -> (m,) of height one,
     their formula, the same in words, where to begin, and the course of a heading's error as a
-    function to compile."""
+    function to compile. again: which of several beginnings (m, p) may come besides numbers (q,), as
+    high; moment: how many of the first numbers it then adds."""
 
     name: str
     values: Values
@@ -33,10 +36,23 @@ class Family:
     words: Callable[[Array], str]
     starts: Callable[[float], Iterator[tuple[float, ...]]]
     compiled: Callable[..., Callable[..., int]]
+    again: Callable[[Array, Array], BoolArray] | None = None
+    moment: int = 0
+
+
+def _moments(numbers: Array) -> Array:
+    """The moments of bumps of one width, which is the second number."""
+    return np.delete(numbers, 1)
 
 
 def _bump(numbers: Array, x: Array) -> Array:
-    return np.asarray(np.exp(-0.5 * ((x - numbers[0]) / numbers[1]) ** 2))
+    apart = (x[..., None] - _moments(numbers)) / numbers[1]
+    return np.asarray(np.exp(-0.5 * apart**2).sum(axis=-1))
+
+
+def _as_wide(numbers: Array, starts: Array) -> BoolArray:
+    near = np.abs(starts[:, :1] - _moments(numbers)).min(axis=1) < 2.0 * numbers[1]
+    return np.asarray((starts[:, 1] == numbers[1]) & ~near)
 
 
 def _bumps(span: float) -> Iterator[tuple[float, ...]]:
@@ -45,10 +61,13 @@ def _bumps(span: float) -> Iterator[tuple[float, ...]]:
             yield float(at), float(width)
 
 
-def _bump_at(at: float, width: float) -> Callable[..., int]:
+def _bump_at(at: float, width: float, *more: float) -> Callable[..., int]:
+    moments = (at, *more)
+
     def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
-        x = (z[TIME] - at) / width
-        r[0] -= k[0] * math.exp(-0.5 * x * x)
+        for moment in moments:
+            x = (z[TIME] - moment) / width
+            r[0] -= k[0] * math.exp(-0.5 * x * x)
         return 0
 
     return heading
@@ -57,8 +76,13 @@ def _bump_at(at: float, width: float) -> Callable[..., int]:
 def _while(numbers: Array, x: Array) -> Array:
     # (edges as wide as the grid is fine, so that they can be moved)
     edge = max(1e-3, float(x[1] - x[0]))
-    up, down = (x - numbers[0]) / edge + 0.5, (numbers[1] - x) / edge + 0.5
-    return np.asarray(np.clip(up, 0.0, 1.0) * np.clip(down, 0.0, 1.0))
+    up, down = (x[:, None] - numbers[::2]) / edge + 0.5, (numbers[1::2] - x[:, None]) / edge + 0.5
+    return np.asarray((np.clip(up, 0.0, 1.0) * np.clip(down, 0.0, 1.0)).max(axis=1))
+
+
+def _apart(numbers: Array, starts: Array) -> BoolArray:
+    before = starts[:, 1:] < numbers[::2]
+    return np.asarray((before | (starts[:, :1] > numbers[1::2])).all(axis=1))
 
 
 def _whiles(span: float) -> Iterator[tuple[float, ...]]:
@@ -69,10 +93,56 @@ def _whiles(span: float) -> Iterator[tuple[float, ...]]:
                 yield float(a), float(b)
 
 
-def _while_in(first: float, last: float) -> Callable[..., int]:
+def _while_in(*edges: float) -> Callable[..., int]:
+    spans = tuple(zip(edges[::2], edges[1::2], strict=True))
+
     def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
-        if first <= z[TIME] <= last:
+        for first, last in spans:
+            if first <= z[TIME] <= last:
+                r[0] -= k[0]
+                break
+        return 0
+
+    return heading
+
+
+def _switched(numbers: Array, x: Array) -> Array:
+    period, start, length = numbers
+    # (edges as wide as the grid is fine, so that they can be moved)
+    edge = max(1e-3, float(x[1] - x[0]))
+    since = np.mod(x - start + 0.5 * edge, period)
+    return np.asarray(np.clip(np.minimum(since, length + edge - since) / edge, 0.0, 1.0))
+
+
+def _switches(span: float) -> Iterator[tuple[float, ...]]:
+    for k in np.arange(SWINGS, MOST / 4.0, 0.5):
+        for start in np.arange(12) / 12.0:
+            for on in ON:
+                yield float(span / k), float(start * span / k), float(on * span / k)
+
+
+def _switched_on(period: float, start: float, length: float) -> Callable[..., int]:
+    def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+        if (z[TIME] - start) % period < length:
             r[0] -= k[0]
+        return 0
+
+    return heading
+
+
+def _saw(numbers: Array, x: Array) -> Array:
+    return np.asarray(np.mod((x - numbers[1]) / numbers[0], 1.0) - 0.5)
+
+
+def _saws(span: float) -> Iterator[tuple[float, ...]]:
+    for k in np.arange(SWINGS, MOST / 4.0, 0.25):
+        for start in np.arange(12) / 12.0:
+            yield float(span / k), float(start * span / k)
+
+
+def _saw_of(period: float, start: float) -> Callable[..., int]:
+    def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+        r[0] -= k[0] * (((z[TIME] - start) / period) % 1.0 - 0.5)
         return 0
 
     return heading
@@ -133,11 +203,22 @@ def _lobe_at(at: float, sharp: float) -> Callable[..., int]:
 
 
 def _bump_formula(n: Array) -> str:
-    return f"exp(-((t - {n[0]:.3g} s) / {n[1]:.2g} s)^2 / 2)"
+    if len(n) == 2:
+        return f"exp(-((t - {n[0]:.3g} s) / {n[1]:.2g} s)^2 / 2)"
+    at = ", ".join(f"{moment:.3g}" for moment in np.sort(_moments(n)))
+    return f"(sum of exp(-((t - t_n) / {n[1]:.2g} s)^2 / 2) for t_n = {at} s)"
 
 
 def _while_formula(n: Array) -> str:
-    return f"(t from {_edge(n, 0)} s to {_edge(n, 1)} s)"
+    return f"(t from {_spans(n)})"
+
+
+def _switched_formula(n: Array) -> str:
+    return f"((t - {n[1] % n[0]:.3g} s) mod {n[0]:.3g} s < {n[2]:.3g} s)"
+
+
+def _saw_formula(n: Array) -> str:
+    return f"((t - {n[1] % n[0]:.3g} s) / {n[0]:.3g} s mod 1 - 0.5)"
 
 
 def _swing_formula(n: Array) -> str:
@@ -153,11 +234,25 @@ def _lobe_formula(n: Array) -> str:
 
 
 def _bump_words(n: Array) -> str:
-    return f"Something came and went about {n[0]:.0f} s, within some {4.0 * n[1]:.2g} s."
+    at = " s, about ".join(f"{moment:.0f}" for moment in np.sort(_moments(n)))
+    return f"Something came and went about {at} s, within some {4.0 * n[1]:.2g} s."
 
 
 def _while_words(n: Array) -> str:
-    return f"It was there from {_edge(n, 0)} s to {_edge(n, 1)} s only."
+    return f"It was there from {_spans(n)} only."
+
+
+def _switched_words(n: Array) -> str:
+    return f"It is switched on every {n[0]:.3g} s, for {n[2]:.3g} s."
+
+
+def _saw_words(n: Array) -> str:
+    return f"It drifts, and is set back every {n[0]:.3g} s."
+
+
+def _spans(n: Array) -> str:
+    spans = n.reshape(-1, 2)[np.argsort(n[::2])]
+    return ", from ".join(f"{_edge(span, 0)} s to {_edge(span, 1)} s" for span in spans)
 
 
 def _edge(n: Array, k: int) -> str:
@@ -180,9 +275,11 @@ def _lobe_words(n: Array) -> str:
 
 
 OVER_TIME = (
-    Family("bump", _bump, _bump_formula, _bump_words, _bumps, _bump_at),
-    Family("while", _while, _while_formula, _while_words, _whiles, _while_in),
+    Family("bump", _bump, _bump_formula, _bump_words, _bumps, _bump_at, _as_wide, 1),
+    Family("while", _while, _while_formula, _while_words, _whiles, _while_in, _apart, 2),
     Family("swing", _swing, _swing_formula, _swing_words, _swings, _swing_of),
     Family("decay", _decay, _decay_formula, _decay_words, _decays, _decay_of),
+    Family("switched", _switched, _switched_formula, _switched_words, _switches, _switched_on),
+    Family("saw", _saw, _saw_formula, _saw_words, _saws, _saw_of),
 )
 OVER_YAW = (Family("lobe", _lobe, _lobe_formula, _lobe_words, _lobes, _lobe_at),)

@@ -165,6 +165,13 @@ def square(of: Driver) -> Driver:
                   signed=False)  # fmt: skip
 
 
+def side(of: Driver, sign: int) -> Driver:
+    """A driver where it is positive (or where it is negative, its size); else zero."""
+    text = f"max({'-' * (sign < 0)}{of.name}, 0)"
+    return Driver(text, of.unit, lambda s, axis: np.maximum(sign * of.of(s, axis), 0.0), LINE,
+                  signed=False, needs=of.needs)  # fmt: skip
+
+
 def _sign(of: Driver) -> Driver:
     near = SIGN[of.unit]
     return Driver(f"tanh({of.name} / {near:g})", "", lambda s, axis: np.tanh(of.of(s, axis) / near))

@@ -101,6 +101,8 @@ def driver_code(name: str) -> str:
         return f"({driver_code(name[:-2])}) ** 2"
     if name.startswith("|") and name.endswith("|"):
         return f"np.abs({driver_code(name[1:-1])})"
+    if found := operators.SIDE.fullmatch(name):
+        return f"np.maximum({found[1]}{driver_code(found[2])}, 0.0)"
     if found := _SIGN.fullmatch(name):
         return f"np.tanh({driver_code(found[1])} / {found[2]})"
     return _signal(name)
@@ -124,7 +126,7 @@ def _steps_to(x: str, name: str) -> list[str]:
 
 def _signal(name: str) -> str:
     kind, _, axis = name.partition("_")
-    columns = {"x": "0", "y": "1", "z": "2", "{i}": "i"}
+    columns = {"x": "0", "y": "1", "z": "2", "{i}": "i", "{j}": "(i + 1) % 3", "{k}": "i - 1"}
     if kind == "north":
         return f"signals.C_nb[:, 1, {columns[axis]}]"
     signal = f"signals.{_STREAMS[kind]}[:, {columns[axis]}]"

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import textwrap
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -120,21 +121,34 @@ def _complete(u: Unnamed, count: int) -> None:
 
 
 def _course(
-    code: str, numbers: Sequence[tuple[str, str]], of_one_day: bool = False
+    code: str,
+    numbers: Sequence[tuple[str, str]],
+    of_one_day: bool = False,
+    again: tuple[str, int] = ("", 0),
 ) -> Callable[[Unnamed], Law]:
-    """Courses over time or direction (``shapes``) whose numbers have these names and units."""
+    """Courses over time or direction (``shapes``) whose numbers have these names and units; again:
+    how those are joined that come more than once, and how many of the first numbers each has."""
 
     def law(u: Unnamed) -> Law:
         assert u.made is not None
         (channel,) = u.channels
-        named = zip(numbers, u.made[1], strict=True)
+        codes, all_numbers = [code], list(numbers)
+        for n in range(2, 2 + (len(u.made[1]) - len(numbers)) // max(1, again[1])):
+            own = [(f"{name}_{n}", unit) for name, unit in numbers[: again[1]]]
+            another = code
+            for (name, _), (new, _) in zip(numbers, own, strict=False):
+                another = re.sub(rf"\b{name}\b", new, another)
+            codes.append(another)
+            all_numbers += own
+        named = zip(all_numbers, u.made[1], strict=True)
         lines = [f"{name} = {number(value)}  # {unit}" for (name, unit), value in named]
         above = "# As found; what is estimated is the height.\n" + "\n".join(lines) + "\n\n"
         k = (Param("k", u.unit, _usual(u.value, u.sigma)),)
+        whole = codes[0] if len(codes) == 1 else f"({f' {again[0]} '.join(codes)})"
         if channel == "heading":
-            function = heading_function(f"k * {code}", u.formula, k)
+            function = heading_function(f"k * {whole}", u.formula, k)
         else:
-            function = imu_function(_over_time(channel), "t", [f"k * {code}"], u.formula, k)
+            function = imu_function(_over_time(channel), "t", [f"k * {whole}"], u.formula, k)
         return replace(_law(u, k, above + function), of_one_day=of_one_day)
 
     return law
@@ -150,14 +164,23 @@ def _over_time(channel: str) -> law_effect.Law:
 # Code, names and units of the numbers of each course.
 COURSES: Mapping[str, Callable[[Unnamed], Law]] = {
     "bump": _course(
-        "np.exp(-0.5 * ((t - AT) / WIDTH) ** 2)", (("AT", "s"), ("WIDTH", "s")), of_one_day=True
+        "np.exp(-0.5 * ((t - AT) / WIDTH) ** 2)", (("AT", "s"), ("WIDTH", "s")),
+        of_one_day=True, again=("+", 1),
     ),
     "while": _course(
-        "((t >= FIRST) & (t <= LAST))", (("FIRST", "s"), ("LAST", "s")), of_one_day=True
+        "((t >= FIRST) & (t <= LAST))", (("FIRST", "s"), ("LAST", "s")),
+        of_one_day=True, again=("|", 2),
     ),
     "swing": _course(
         "np.sin(2.0 * np.pi * t / PERIOD + PHASE)", (("PERIOD", "s"), ("PHASE", "rad")),
         of_one_day=True,
+    ),
+    "switched": _course(
+        "((t - START) % PERIOD < LENGTH)", (("PERIOD", "s"), ("START", "s"), ("LENGTH", "s")),
+        of_one_day=True,
+    ),
+    "saw": _course(
+        "(((t - START) / PERIOD) % 1.0 - 0.5)", (("PERIOD", "s"), ("START", "s")), of_one_day=True
     ),
     "decay": _course("np.exp(-t / TAU)", (("TAU", "s"),)),
     "lobe": _course(

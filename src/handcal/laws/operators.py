@@ -249,6 +249,8 @@ OPERATORS: Mapping[str, Operator] = {
     "sway": Operator(_less("sway", "Hz"), swaying, SWINGS),
     "echo": Operator(_less("echo", "s"), earlier, LATE),
 }
+# What is positive, or negative, of a signal.
+SIDE = re.compile(r"max\((-?)(.+), 0\)")
 _SAID = re.compile(r"\((\w+)\(([^ ]+) [^)]*\) of (.+?)( - \3)?\)")
 
 

@@ -84,9 +84,9 @@ def _ways(block: Block, seen: Beside) -> Iterator[tuple[tuple[int, ...], bool, A
     b, G = seen.b[at], seen.G[at[:, :, None, None], at[None, None]]
     for axis in axes:
         yield (axis,), False, b[axis], G[axis, :, axis]
-    if block.driver.own and len(axes) > 1:
+    if len(axes) > 1:
         yield (0, 1, 2), False, b.sum(axis=0), G.sum(axis=(0, 2))
-        if not block.driver.free:
+        if block.driver.own and not block.driver.free:
             yield (0, 1, 2), True, b.ravel(), G.reshape(b.size, b.size)
 
 

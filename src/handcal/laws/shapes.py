@@ -29,6 +29,11 @@ from handcal.types import Array, IntArray
 
 # A course that is short stands out further than one that lasts, of the same mean square.
 PEAK = 3.0
+# Times that what comes again is looked for at the most, beginnings of it, of the best; and families
+# looked at more closely.
+AGAIN, BEGINNINGS, CLOSER = 5, 12, 2
+# Numbers of a course that the odds of any law without a name pay for.
+NUMBERS = 2
 # What lies between two sizes on trial is that much larger or smaller than one of them.
 ABOUT = math.sqrt(2.0)
 
@@ -170,23 +175,66 @@ def best(
     mine = np.array([i for i, n in enumerate(wide.names) if n[0] == basis.effect.id])
     b, G = integrated(wide, mine, known, root)
     span = 2.0 * np.pi if basis.families is OVER_YAW else float(basis.grid[-1])
+    # (of values on the grid)
+    b, G = basis.through.T @ b, basis.through.T @ G @ basis.through
 
     def gain(values: Array) -> Array:
-        D = values @ basis.through.T
-        information = np.einsum("...i,ij,...j->...", D, G, D)
-        return np.asarray(0.5 * (D @ b) ** 2 / (1.0 + information) - 0.5 * np.log1p(information))
+        return _gained(values @ b, np.einsum("...i,ij,...j->...", values, G, values))
 
-    top, found = -math.inf, None
+    ends: list[tuple[float, Family, Array]] = []
     for family in basis.families:
         starts, values = _tried(family, span, tuple(basis.grid))
-        gained = gain(values)
-        k = int(np.argmax(gained))
-        if gained[k] > top:
-            top, found = float(gained[k]), (family, starts[k], starts)
-    assert found is not None
-    family, numbers, starts = found
-    numbers = _adjusted(partial(_lost, family, basis.grid, gain), numbers, starts)
-    return term_of(basis, family, numbers), -_lost(family, basis.grid, gain, numbers) - FREEDOM
+        begun = _repeated(family, starts, values @ b, values @ G, values)
+        ends.append((begun[1], family, begun[0]))
+    ends = sorted(ends, key=lambda end: -end[0])[:CLOSER]
+    found: list[tuple[float, Family, Array]] = []
+    for _, family, numbers in ends:
+        starts, _ = _tried(family, span, tuple(basis.grid))
+        lost = partial(_lost, family, basis.grid, gain)
+        at = _adjusted(lost, numbers, starts)
+        found.append((-lost(at) - FREEDOM - _cost(at), family, at))
+    value, family, numbers = max(found, key=lambda end: end[0])
+    return term_of(basis, family, numbers), value
+
+
+def _gained(linear: Array, information: Array) -> Array:
+    """Nats that courses of height one gain, each under its prior."""
+    return np.asarray(0.5 * linear**2 / (1.0 + information) - 0.5 * np.log1p(information))
+
+
+def _repeated(
+    family: Family, starts: Array, linear: Array, through: Array, values: Array
+) -> tuple[Array, float]:
+    """Numbers of the course of a family that gains most, come again as often as that gains more
+    than its moments cost, and that gain; linear (m,), through (m, n): of values (m, n) on
+    the grid by what a scan says."""
+    own = (through * values).sum(axis=1)
+    gained = _gained(linear, own)
+    k = int(np.argmax(gained))
+    if family.again is None:
+        return starts[k], float(gained[k])
+    ends = []
+    order = np.argsort(-gained)
+    alike = np.unique(starts[order][:, family.moment :], axis=0, return_index=True)[1]
+    for k in {*order[:BEGINNINGS].tolist(), *order[alike].tolist()}:
+        numbers, value, course = starts[k], float(gained[k]), values[k]
+        b, G = float(linear[k]), float(own[k])
+        for _ in range(AGAIN):
+            more = _gained(b + linear, G + own + 2.0 * through @ course)
+            more = np.where(family.again(numbers, starts), more, -math.inf)
+            j = int(np.argmax(more))
+            if more[j] < value + FREEDOM * family.moment:
+                break
+            b, G = b + float(linear[j]), float(G + own[j] + 2.0 * through[j] @ course)
+            numbers, course = np.append(numbers, starts[j, : family.moment]), course + values[j]
+            value = float(more[j])
+        ends.append((numbers, value - _cost(numbers)))
+    return max(ends, key=lambda end: end[1])
+
+
+def _cost(numbers: Array) -> float:
+    """Nats that the numbers cost of a course that has more than most."""
+    return FREEDOM * max(0, len(numbers) - NUMBERS)
 
 
 @lru_cache(maxsize=16)
@@ -207,7 +255,8 @@ def _adjusted(lost: Callable[[Array], float], numbers: Array, tried: Array) -> A
     that is wide enough is a sine, which has a name."""
     ends = zip(tried.min(axis=0), tried.max(axis=0), strict=True)
     bounds = [(a / ABOUT, b * ABOUT) if a > 0.0 else (None, None) for a, b in ends]
-    options = {"maxfev": 200, "xatol": 1e-3}
+    bounds += [(None, None)] * (len(numbers) - len(bounds))
+    options = {"maxfev": 100 * max(2, len(numbers)), "xatol": 1e-3}
     at = minimize(lost, numbers, method="Nelder-Mead", bounds=bounds, options=options)
     return np.asarray(at.x if at.fun < lost(numbers) else numbers)
 
@@ -232,10 +281,11 @@ def term_of(basis: Basis, family: Family, numbers: Array) -> Effect:
     story = family.words(numbers)
     size = PEAK * SIZE[UNITS.index(basis.unit)]
     made = family.name, tuple(float(n) for n in numbers)
+    cost = _cost(numbers)
     if basis.channel == "heading":
         address = residual_function(family.compiled(*made[1]), kept=False)
         acts = {"heading": address}
-        return term(formula, basis.unit, size, story, observation_error=acts, made=made)
+        return term(formula, basis.unit, size, story, observation_error=acts, made=made, cost=cost)
     column = CHANNELS.index(basis.channel)
 
     def error(k: Array, signals: Signals) -> Array:
@@ -243,7 +293,7 @@ def term_of(basis: Basis, family: Family, numbers: Array) -> Effect:
         out[:, column] = k[0] * family.values(numbers, signals.t - signals.t[0])
         return out
 
-    return term(formula, basis.unit, size, story, imu_error=error, made=made)
+    return term(formula, basis.unit, size, story, imu_error=error, made=made, cost=cost)
 
 
 def again(channel: str, made: tuple[str, tuple[float, ...]]) -> Effect:

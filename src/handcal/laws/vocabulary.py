@@ -35,6 +35,7 @@ from handcal.laws.drivers import (
     Of,
     by,
     operated,
+    side,
     size,
     slope,
     square,
@@ -123,6 +124,8 @@ def _made(name: str) -> Driver:
         return times(driver_of(first), driver_of(rest))
     if name.endswith("^2"):
         return square(driver_of(name[:-2]))
+    if (one := operators.SIDE.fullmatch(name)) is not None:
+        return side(driver_of(one[2]), -1 if one[1] else 1)
     if name[:1] == name[-1:] == "|":
         return size(driver_of(name[1:-1]))
     raise KeyError(name)
@@ -133,6 +136,7 @@ def further(signals: Signals, sensor: int) -> Iterator[Driver]:
     recording that has it."""
     if sensor == HEADING:
         yield from _operated(YAW, signals, NEEDLE)
+        yield from SLOPES
         for of in filter(lambda d: usable(d, signals), (YAW_RATE, *PITCHES, WARMTH)):
             yield from _operated(of, signals, tuple(OPERATORS))
         yield from _operated(TURNS, signals, ("memory", "lag", "peak"))
@@ -146,6 +150,10 @@ def further(signals: Signals, sensor: int) -> Iterator[Driver]:
         yield from _operated(of, signals, ("memory", "lag", "peak"))
     for of in (TURNS, square(TURNS), LOAD, size(own), square(own)):
         yield from (times(own, memory) for memory in _operated(of, signals, ("memory",)))
+    heats = list(_operated(square(TURNS), signals, ("memory",)))
+    yield from (times(x, heat) for x in (*RATES, *FORCES) if x is not own for heat in heats)
+    for of in (side(x, sign) for x in FORCES for sign in (1, -1)):
+        yield from _operated(of, signals, ("memory",))
     others = (TURNS, LOAD, *RATES[1:], *FORCES[1:], (FORCES, RATES)[sensor][0], YAW, WARMTH, TIME)
     for x in filter(lambda d: usable(d, signals), others):
         yield by(own, replace(x, knots=FINEST if x is TIME else COARSE))
@@ -159,6 +167,7 @@ def further(signals: Signals, sensor: int) -> Iterator[Driver]:
     for a in SLOPES if usable(WARMTH, signals) else ():
         yield times(WARMTH, a)
     for a in SLOPES:
+        yield from (times(a, whole) for whole in (TURNS, LOAD))
         yield from (times(b, a) for b in (*RATES, *FORCES) if b.name[-3:] != a.name[-3:])
     for a in filter(lambda d: usable(d, signals), NORTH):
         yield times(own, a)

@@ -3,20 +3,20 @@ put it on fewer axes."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence, Set
+from collections.abc import Set
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
-from handcal.effects import Effect, catalogue
+from handcal.estimate.case import name_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.parallel import in_parallel
 from handcal.estimate.transfer import moved_to
 from handcal.laws.best_law import Term, best_term, best_terms, reshaped
 from handcal.laws.law_constants import adjusted
-from handcal.laws.law_effect import effect_of, law_of
+from handcal.laws.law_effect import SENSORS, effect_of, law_of
 from handcal.model_score import better, score
 from handcal.search.climb.candidates import scanned, scanned_about
 from handcal.search.climb.state import WEAK, Climb, forget, likelier, sensible
@@ -56,12 +56,12 @@ def _refused(c: Climb) -> set[str]:
 
 
 def _instead_of_noise(c: Climb) -> Model | None:
-    """The model with a term in the place of a sensor's noise effects, or beside them."""
-    key, hidden = frozenset(c.model.ids), _hidden(c.model)
-    if not hidden or key in c.bared:
+    """The model with a term in the place of what may stand in for one on a sensor, or beside it."""
+    key, doubted = frozenset(c.model.ids), _doubted(c)
+    if not doubted or key in c.bared:
         return None
     c.bared.add(key)
-    ends = [end for sensor in hidden for end in _of_sensor(c, sensor)]
+    ends = [end for sensor, ids in doubted for end in _in_place(c, sensor, ids)]
     if not ends:
         return None
     tried, term = max(ends, key=lambda end: score(end[0], c.worth))
@@ -72,36 +72,34 @@ def _instead_of_noise(c: Climb) -> Model | None:
     return tried
 
 
-def _of_sensor(c: Climb, sensor: str) -> list[tuple[Model, Term]]:
-    """Fits with a term that is looked for where a sensor's noise effects are; and where these and
-    several weak names are, which may stand in for one law together."""
-    rest = [e for e in c.model.effects if e.process is None or _sensor_of(e) != sensor]
+def _doubted(c: Climb) -> list[tuple[str, frozenset[str]]]:
+    """Sensors, each with effects of the model that may stand in for one law together: noise, which
+    hides whatever has no name; the weak ones, with it; and steps, whose moment is free, with
+    both."""
     gained = gains(c.where, c.model.chosen)
-    names = {i for i in (c.model.chosen - c.kept) & set(catalogue()) if i.startswith(sensor)}
-    fewer = [e for e in rest if e.id not in names or gained[e.id] >= WEAK]
-    ends = _in_place(c, sensor, rest)
-    return ends + _in_place(c, sensor, fewer) if len(fewer) < len(rest) - 1 else ends
+    out: list[tuple[str, frozenset[str]]] = []
+    for sensor in SENSORS:
+        own = [e for e in c.model.effects if e.id.startswith(sensor) and e.id not in c.kept]
+        noise = frozenset(e.id for e in own if e.process is not None)
+        names = [e.id for e in own if e.process is None and not e.always]
+        weak = noise | {i for i in names if gained[i] < WEAK}
+        sets = noise, weak, weak | {i for i in names if name_of(i) != i}
+        out += [(sensor, ids) for ids in dict.fromkeys(sets) if ids]
+    return out
 
 
-def _in_place(c: Climb, sensor: str, rest: Sequence[Effect]) -> list[tuple[Model, Term]]:
-    """Fits with a term that is looked for beside the rest of a model's effects."""
-    # (about the trajectory and the sensor noise that there are with the noise effects: fitted
+def _in_place(c: Climb, sensor: str, ids: frozenset[str]) -> list[tuple[Model, Term]]:
+    """Fits with a term that is looked for beside the model's effects but for these."""
+    # (about the trajectory and the sensor noise that there are with all of them: fitted
     # without them, what they held would be noise, in which no law shows)
+    rest = tuple(e for e in c.model.effects if e.id not in ids)
     parts = tuple(moved_to(f, rest) for f in c.model.parts)
-    without = replace(c.model, effects=tuple(rest), parts=parts)
-    terms = best_terms(without, refused=_refused(c), beyond=(sensor,))
+    without = replace(c.model, effects=rest, parts=parts)
+    # (and for what evidence is worth with them: what a law has to do in their place is not misfit)
+    terms = best_terms(without, refused=_refused(c), beyond=(sensor,), worth=c.worth)
     ways = [(m, term) for term in terms for m in (without, c.model)]
     fits = in_parallel(partial(with_term, m, term, c.worth, c.beyond) for m, term in ways)
     return [(m, term) for m, (_, term) in zip(fits, ways, strict=True)]
-
-
-def _hidden(model: Model) -> tuple[str, ...]:
-    """Sensors of which the noise effects of a model may hide a law."""
-    return tuple(dict.fromkeys(_sensor_of(e) for e in model.effects if e.process is not None))
-
-
-def _sensor_of(noise: Effect) -> str:
-    return noise.walks or next(iter(noise.observation_error))
 
 
 def with_term(model: Model, term: Term, worth: float, refused: Set[str]) -> Model:
