@@ -37,11 +37,16 @@ NUMBERS = (
     np.array([20.0, 41.0]),
     np.array([25.0, 0.7]),
     np.array([12.0]),
+    np.array([23.0, 9.0, 11.0]),
+    np.array([21.0, 9.0]),
     np.array([0.4, 5.0]),
 )
-
-
 COURSES = tuple(zip(FAMILIES, NUMBERS, strict=True))
+# What comes again.
+AGAIN = (
+    (courses.OVER_TIME[0], np.array([13.0, 3.0, 38.0, 61.0])),
+    (courses.OVER_TIME[1], np.array([9.0, 17.0, 31.0, 42.0, 60.0, 66.0])),
+)
 
 
 def slow(rng: np.random.Generator) -> Phone:
@@ -58,7 +63,7 @@ def _heading_error(effect: shapes.Effect, k: Array, t: float, yaw: float) -> flo
     return -float(r[0])
 
 
-@pytest.mark.parametrize(("family", "numbers"), COURSES)
+@pytest.mark.parametrize(("family", "numbers"), [*COURSES, *AGAIN])
 def test_a_compiled_course_is_the_course(family: courses.Family, numbers: Array) -> None:
     over_yaw = family in courses.OVER_YAW
     basis = shapes.heading_bases(SPAN)[int(over_yaw)]
@@ -106,7 +111,7 @@ def test_an_imu_channels_spline_goes_through_a_bump() -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize(("family", "numbers"), COURSES)
+@pytest.mark.parametrize(("family", "numbers"), [*COURSES, *AGAIN])
 def test_the_planted_course_is_found(family: courses.Family, numbers: Array, seed: int) -> None:
     """What white readings say of a course ten times as large as their noise at each knot."""
     rng = np.random.default_rng(seed)
@@ -123,7 +128,8 @@ def test_the_planted_course_is_found(family: courses.Family, numbers: Array, see
     information = (100.0 - 900.0 / 101.0) * float(k @ k)
     # (the mean of the log of the likelihood ratio, less Occam's factor; its sigma, and what
     # adjusting two numbers gains)
-    expected = 0.5 * information - 0.5 * np.log1p(information) - shapes.FREEDOM
+    freedom = shapes.FREEDOM * max(1, len(numbers) - 1)
+    expected = 0.5 * information - 0.5 * np.log1p(information) - freedom
     assert abs(gain - expected) < 4.0 * np.sqrt(information) + 5.0
     assert family.formula(numbers).split("(")[0] == effect.id.split("k * ")[1].split("(")[0]
 

@@ -77,7 +77,7 @@ def _while(numbers: Array, x: Array) -> Array:
     # (edges as wide as the grid is fine, so that they can be moved)
     edge = max(1e-3, float(x[1] - x[0]))
     up, down = (x[:, None] - numbers[::2]) / edge + 0.5, (numbers[1::2] - x[:, None]) / edge + 0.5
-    return np.asarray((np.clip(up, 0.0, 1.0) * np.clip(down, 0.0, 1.0)).max(axis=1))
+    return np.asarray((np.clip(up, 0.0, 1.0) * np.clip(down, 0.0, 1.0)).sum(axis=1))
 
 
 def _apart(numbers: Array, starts: Array) -> BoolArray:
@@ -100,7 +100,6 @@ def _while_in(*edges: float) -> Callable[..., int]:
         for first, last in spans:
             if first <= z[TIME] <= last:
                 r[0] -= k[0]
-                break
         return 0
 
     return heading

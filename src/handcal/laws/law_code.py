@@ -167,7 +167,10 @@ def _heading_columns(law: Law, texts: Sequence[str], formula: str) -> str:
         lines += [f"if {_ABSENT[need]} is None:",
                   f"    return np.zeros((len(signals.t), {len(texts)}))"]  # fmt: skip
     lines += [f"# {law.driver.said(law.axis)}, {law.driver.unit}"]
-    lines += [*_steps_to("x", law.driver.name), f"return np.column_stack([{', '.join(texts)}])"]
+    lines += [
+        *_steps_to("x", _template(law, law.driver.name)),
+        f"return np.column_stack([{', '.join(texts)}])",
+    ]
     return _with_helpers(_defined("heading(signals: Signals) -> Array:", lines))
 
 
@@ -316,12 +319,12 @@ _SEEN = {
 
 
 def heading_function(code: str, formula: str, parameters: Sequence[Param], more: str = "") -> str:
-    """Source of ``_heading``, which takes an expression of constants and of what is seen off the
-    heading's residual; more: lines before, of which the expression may speak."""
+    """Source of ``_heading``, which takes expressions of constants and of what is seen, one a line,
+    off the heading's residual; more: lines before, of which they may speak."""
     seen = _used(_SEEN, code + more)
     lines = [f"{p.name} = p[{i}]" for i, p in enumerate(parameters)]
     lines += [f"{name} = {how}" for name, how in seen.items()]
-    lines += [*more.splitlines(), f"r[0] -= {code}", "return 0"]
+    lines += [*more.splitlines(), *(f"r[0] -= {added}" for added in code.splitlines()), "return 0"]
     says = f'"""``{formula}``, rad: the reading less what it errs by."""'
     head = "_heading(nav: Any, p: Any, z: Any, r: Any) -> int:  # noqa: ARG001"
     return "\n" + _defined(head, [*wrapped(says), *lines])

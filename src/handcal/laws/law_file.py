@@ -124,17 +124,17 @@ def _course(
     code: str,
     numbers: Sequence[tuple[str, str]],
     of_one_day: bool = False,
-    again: tuple[str, int] = ("", 0),
+    moment: int = 0,
 ) -> Callable[[Unnamed], Law]:
-    """Courses over time or direction (``shapes``) whose numbers have these names and units; again:
-    how those are joined that come more than once, and how many of the first numbers each has."""
+    """Courses over time or direction (``shapes``) whose numbers have these names and units; moment:
+    how many of the first ones each time has at which it comes again."""
 
     def law(u: Unnamed) -> Law:
         assert u.made is not None
         (channel,) = u.channels
         codes, all_numbers = [code], list(numbers)
-        for n in range(2, 2 + (len(u.made[1]) - len(numbers)) // max(1, again[1])):
-            own = [(f"{name}_{n}", unit) for name, unit in numbers[: again[1]]]
+        for n in range(2, 2 + (len(u.made[1]) - len(numbers)) // max(1, moment)):
+            own = [(f"{name}_{n}", unit) for name, unit in numbers[:moment]]
             another = code
             for (name, _), (new, _) in zip(numbers, own, strict=False):
                 another = re.sub(rf"\b{name}\b", new, another)
@@ -144,11 +144,11 @@ def _course(
         lines = [f"{name} = {number(value)}  # {unit}" for (name, unit), value in named]
         above = "# As found; what is estimated is the height.\n" + "\n".join(lines) + "\n\n"
         k = (Param("k", u.unit, _usual(u.value, u.sigma)),)
-        whole = codes[0] if len(codes) == 1 else f"({f' {again[0]} '.join(codes)})"
+        added = [f"k * {each}" for each in codes]
         if channel == "heading":
-            function = heading_function(f"k * {whole}", u.formula, k)
+            function = heading_function("\n".join(added), u.formula, k)
         else:
-            function = imu_function(_over_time(channel), "t", [f"k * {whole}"], u.formula, k)
+            function = imu_function(_over_time(channel), "t", added, u.formula, k)
         return replace(_law(u, k, above + function), of_one_day=of_one_day)
 
     return law
@@ -165,11 +165,11 @@ def _over_time(channel: str) -> law_effect.Law:
 COURSES: Mapping[str, Callable[[Unnamed], Law]] = {
     "bump": _course(
         "np.exp(-0.5 * ((t - AT) / WIDTH) ** 2)", (("AT", "s"), ("WIDTH", "s")),
-        of_one_day=True, again=("+", 1),
+        of_one_day=True, moment=1,
     ),
     "while": _course(
         "((t >= FIRST) & (t <= LAST))", (("FIRST", "s"), ("LAST", "s")),
-        of_one_day=True, again=("|", 2),
+        of_one_day=True, moment=2,
     ),
     "swing": _course(
         "np.sin(2.0 * np.pi * t / PERIOD + PHASE)", (("PERIOD", "s"), ("PHASE", "rad")),
