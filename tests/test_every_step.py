@@ -69,6 +69,29 @@ def test_name_term_a_law_in_the_place_of_noise_and_of_names(
     assert driver in told.formula
 
 
+@pytest.mark.parametrize(
+    ("number", "channels", "formula"),
+    [
+        (11, {"gyro_x", "gyro_y", "gyro_z"}, "tanh(omega_i * omega_j / "),
+        (3, {"heading"}, "(sum of exp(-((t - t_n) / "),
+        (24, {"heading"}, " mod "),
+    ],
+)
+def test_name_term_a_law_in_the_place_of_a_weak_name_or_of_noise_alone(
+    number: int, channels: set[str], formula: str, tmp_path: Path
+) -> None:
+    """A product that saturates was cross products of 82 nats, of which evidence was worth a tenth
+    without them; bumps that come again were correlated noise; what is switched on and off was a
+    swing of a heading."""
+    world, answer = draw("strange", number, 207)
+    write(world, tmp_path / "strange.mcap", truth=False)
+    found = explain([load(tmp_path / "strange.mcap")])
+    assert {m.effect for m in found.missing} <= {*answer.effects}
+    (told,) = found.unnamed
+    assert set(told.channels) == channels
+    assert formula in told.formula
+
+
 @pytest.mark.parametrize("number", range(3))
 def test_everything_a_device_with_a_whole_budget(number: int, tmp_path: Path) -> None:
     """Found one by one, what came first held the gyro's scale in one of three."""

@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 
+from handcal.effects import catalogue
 from handcal.estimate.case import name_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
@@ -81,7 +82,7 @@ def _doubted(c: Climb) -> list[tuple[str, frozenset[str]]]:
     for sensor in SENSORS:
         own = [e for e in c.model.effects if e.id.startswith(sensor) and e.id not in c.kept]
         noise = frozenset(e.id for e in own if e.process is not None)
-        names = [e.id for e in own if e.process is None and not e.always]
+        names = [e.id for e in own if e.process is None and name_of(e.id) in catalogue()]
         weak = noise | {i for i in names if gained[i] < WEAK}
         sets = noise, weak, weak | {i for i in names if name_of(i) != i}
         out += [(sensor, ids) for ids in dict.fromkeys(sets) if ids]
