@@ -133,13 +133,14 @@ def _missed(f: Fitted, effect: Effect) -> float:
     return here - there
 
 
-def sizes(model: Model, effect: Effect) -> dict[str, float]:
+def sizes(model: Model, effect: Effect, spread: bool = False) -> dict[str, float]:
     """Root mean square of what the effect adds to each channel's readings, SI, to first order;
-    channels on which it does not act are left out."""
+    channels on which it does not act are left out. spread: about its mean in a recording, which a
+    bias holds as well."""
     squares: dict[str, list[Array]] = {}
     for f in model.parts:
         for channel, x in _added(f, effect).items():
-            squares.setdefault(channel, []).append(x**2)
+            squares.setdefault(channel, []).append((x - spread * x.mean()) ** 2)
     rms = {c: float(np.sqrt(np.mean(np.concatenate(x)))) for c, x in squares.items()}
     return {c: v for c, v in rms.items() if v > 0.0}
 

@@ -119,8 +119,8 @@ def _own(model: Model, effect: Effect) -> float:
 def _squares(
     model: Model, effect: Effect, channels: Container[str] | None = None
 ) -> dict[str, float]:
-    """The mean square of what an effect adds to each channel; to some of them."""
-    sizes = importance.sizes(model, effect)
+    """The mean square of what an effect adds to each channel about its mean; to some of them."""
+    sizes = importance.sizes(model, effect, spread=True)
     return {c: v**2 for c, v in sizes.items() if channels is None or c in channels}
 
 
