@@ -203,6 +203,115 @@ def stray_scanner(r: Recording) -> Files:
     return files
 
 
+def _matrices(pose: np.ndarray) -> np.ndarray:
+    """Rotation and place (m, 3, 4) in a world with y up."""
+    place, q = _y_up(pose)
+    turns = Rotation.from_quat(q, scalar_first=True).as_matrix()
+    return np.concatenate([turns, place[:, :, None]], axis=2)
+
+
+def _boot_ns(t: np.ndarray) -> list[int]:
+    """Since the phone was switched on."""
+    return (9_000_000_000_000 + np.rint(t * 1e9).astype(np.int64)).tolist()
+
+
+def mars_csv(r: Recording, apple: bool = False) -> bytes:
+    """gyro_accel.csv of MARS logger; of an iPhone 9.80 to a g."""
+    head = "Timestamp[nanosec],gx[rad/s],gy[rad/s],gz[rad/s],ax[m/s^2],ay[m/s^2],az[m/s^2]"
+    value = [*r.imu.gyro.T.tolist(), *(r.imu.accel * (9.80 / G if apple else 1.0)).T.tolist()]
+    t = _boot_ns(r.imu.t)
+    if apple:
+        return rows(head.replace(",", ", "), t, *value, separator=", ")
+    return rows(f"{head},Unix time[nanosec]", t, *value, stamps(r))
+
+
+def mars_logger(r: Recording) -> Files:
+    files = {"2026_01_02/gyro_accel.csv": mars_csv(r), "2026_01_02/frame_timestamps.txt": b"1\n"}
+    if r.streams:
+        pose = r.streams["pose"]
+        place, q = _y_up(pose.value)
+        head = "timestamp_ns,world_origin_id,tracking_state,tx_m,ty_m,tz_m,qx,qy,qz,qw"
+        n = len(pose.t)
+        text = [*place.T.tolist(), *q[:, [1, 2, 3, 0]].T.tolist()]
+        columns = [_boot_ns(pose.t), [1] * n, ["TRACKING"] * n, *text]
+        files["2026_01_02/arcore_poses.csv"] = rows(head, *columns)
+    return files
+
+
+def mars_logger_arkit(r: Recording) -> Files:
+    """As newer versions for iOS write it."""
+    names = [f"user_acceleration_{a}_g" for a in "xyz"]
+    names += [f"rotation_rate_{a}_rad_s" for a in "xyz"] + [f"gravity_{a}_g" for a in "xyz"]
+    head = ",".join(["motion_timestamp_s", "unix_timestamp_s", *names])
+    down = np.tile([0.1, -0.2, -0.9], (len(r.imu.t), 1))
+    t = [f"{ns / 1e9:.9f}" for ns in _boot_ns(r.imu.t)]
+    value = np.hstack([-r.imu.accel / G - down, r.imu.gyro, down]).T.tolist()
+    files = {"imu.csv": rows(head, t, t, *value)}
+    if r.streams:
+        pose = r.streams["pose"]
+        n, matrices = len(pose.t), _matrices(pose.value)
+        whole = np.concatenate([matrices, np.tile([0.0, 0.0, 0.0, 1.0], (n, 1, 1))], axis=1)
+        names = [f"transform_m{row}{column}" for column in range(4) for row in range(4)]
+        head = ",".join(["frame_timestamp_s", "unix_timestamp_s", *names, "tracking_state"])
+        t = [f"{ns / 1e9:.9f}" for ns in _boot_ns(pose.t)]
+        value = whole.transpose(0, 2, 1).reshape(n, 16).T.tolist()
+        files["frames.csv"] = rows(head, t, t, *value, ["normal"] * n)
+    return files
+
+
+def data_logger(r: Recording, apple: bool = False) -> Files:
+    """Of the apps by P. Kim; of an iPhone Apple's sign and 9.81 to a g."""
+
+    def table(t: np.ndarray, *value: np.ndarray) -> bytes:
+        return b"# Created at Thu Jan 02 in Seoul\n" + rows(
+            "", _boot_ns(t), *np.hstack(value).T.tolist(), [""] * len(t), separator=" "
+        )
+
+    files = {
+        "gyro_uncalib.txt": table(r.imu.t, r.imu.gyro),
+        "gyro.txt": table(r.imu.t, r.imu.gyro * 0.9),
+        "acce.txt": table(r.imu.t, r.imu.accel * (-9.81 / G if apple else 1.0)),
+        ("heading.txt" if apple else "rv.txt"): b"# Created at Thu Jan 02 in Seoul\n",
+    }
+    if r.streams:
+        mag, pose = r.streams["mag"], r.streams["pose"]
+        files["magnet_uncalib.txt"] = table(mag.t, mag.value * 1e6)
+        if apple:
+            files["ARKit_camera_pose.txt"] = table(pose.t, _matrices(pose.value).reshape(-1, 12))
+        else:
+            place, q = _y_up(pose.value)
+            files["ARCore_sensor_pose.txt"] = table(pose.t, q[:, [1, 2, 3, 0]], place)
+    return files
+
+
+def sensor_logger_database(r: Recording) -> bytes:
+    """Of Android: a table a sensor, as the app's documentation reads it."""
+    import sqlite3
+
+    with tempfile.TemporaryDirectory() as name:
+        path = Path(name) / "export.sqlite"
+        database = sqlite3.connect(path)
+        for sensor, value in (("Gyroscope", r.imu.gyro), ("Accelerometer", r.imu.accel)):
+            _fill(database, f"{sensor}Uncalibrated", stamps(r), value)
+        if r.streams:
+            mag = r.streams["mag"]
+            at = (START_NS + np.rint(mag.t * 1e9).astype(np.int64)).tolist()
+            _fill(database, "MagnetometerUncalibrated", at, mag.value * 1e6)
+        database.execute("CREATE TABLE Metadata (version TEXT, platform TEXT)")
+        database.execute("INSERT INTO Metadata VALUES ('3', 'android')")
+        database.commit()
+        database.close()
+        return path.read_bytes()
+
+
+def _fill(database: Any, sensor: str, ns: list[int], value: np.ndarray) -> None:
+    """Every value as text, z first, as the app's tables have it."""
+    database.execute(f"CREATE TABLE {sensor} (time TEXT, seconds_elapsed TEXT, z, y, x)")
+    lines = [(str(n), "0", repr(z), repr(y), repr(x))
+             for n, (x, y, z) in zip(ns, value.tolist(), strict=True)]  # fmt: skip
+    database.executemany(f"INSERT INTO {sensor} VALUES (?, ?, ?, ?, ?)", lines)
+
+
 def ximu3(r: Recording) -> Files:
     us = [round(x * 1e6) for x in r.imu.t.tolist()]
     header = "Timestamp (us),Gyroscope X (deg/s),Gyroscope Y (deg/s),Gyroscope Z (deg/s)"
@@ -410,6 +519,17 @@ WRITERS: dict[str, list[tuple[str, Callable[[Recording], bytes]]]] = {
     "phyphox": [(".zip", lambda r: zipped(phyphox(r))), (".xls", phyphox_xls)],
     "euroc": [(".zip", lambda r: zipped(euroc(r)))],
     "stray_scanner": [(".zip", lambda r: zipped(stray_scanner(r)))],
+    "mars_logger": [
+        (".zip", lambda r: zipped(mars_logger(r))),
+        (".zip", lambda r: zipped(mars_logger_arkit(r))),
+        (".csv", mars_csv),
+        (".csv", lambda r: mars_csv(r, apple=True)),
+    ],
+    "data_logger": [
+        (".zip", lambda r: zipped(data_logger(r))),
+        (".zip", lambda r: zipped(data_logger(r, apple=True))),
+    ],
+    "sensor_logger": [(".sqlite", sensor_logger_database)],
     "ximu3": [(".zip", lambda r: zipped(ximu3(r)))],
     "ros1_bag": [(".bag", ros1_bag)],
     "ros2_bag": [(".db3", database)],

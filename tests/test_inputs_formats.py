@@ -4,6 +4,7 @@ format alone, from a folder as from a zip; what a file lacks is said in a senten
 from __future__ import annotations
 
 import dataclasses
+import sqlite3
 import sys
 import zipfile
 from collections.abc import Callable
@@ -65,11 +66,7 @@ def test_what_was_written_is_read(kind: str, ending: str, write: Writer, tmp_pat
 
 def test_every_format_is_among_these_and_reads_the_streams_that_it_says(tmp_path: Path) -> None:
     names = {module.__name__.rsplit(".", 1)[-1]: module for module in formats()}
-    assert set(names) - set(WRITERS) == {
-        "mcap",
-        "plain_csv",
-        "sensor_logger",
-    }  # (files of their own)
+    assert set(names) - set(WRITERS) == {"mcap", "plain_csv"}  # (files of their own)
     for k, (kind, ending, write) in enumerate(WRITTEN):
         path = tmp_path / f"{k}{ending}"
         path.write_bytes(write(sample(n=300)))
@@ -86,7 +83,8 @@ def test_no_other_format_takes_it(kind: str, ending: str, write: Writer, tmp_pat
 
 
 @pytest.mark.parametrize("write", [format_files.phyphox, format_files.euroc,
-                                   format_files.stray_scanner, format_files.ximu3])  # fmt: skip
+                                   format_files.stray_scanner, format_files.ximu3,
+                                   format_files.mars_logger, format_files.data_logger])  # fmt: skip
 def test_a_folder_is_read_as_its_zip(
     write: Callable[[Recording], format_files.Files], tmp_path: Path
 ) -> None:
@@ -170,6 +168,58 @@ def test_a_bomb_is_not_unpacked(
             archive.writestr(f"x/{name}", b"0" * (8 * 2**20))
         archive.writestr("Magnetometer.csv", b"0" * (8 * 2**20))
     with pytest.raises(InputError, match="would unpack to too much"):
+        load(path)
+
+
+def test_only_tracked_poses_of_the_longest_world_are_read(tmp_path: Path) -> None:
+    """ARCore's rows while it is lost, and of an earlier world, are not poses of this one."""
+    files = dict(format_files.mars_logger(sample(n=300)))
+    name = "2026_01_02/arcore_poses.csv"
+    lines = files[name].decode().splitlines()
+    for k in range(1, 6):
+        lines[k] = lines[k].replace(",1,TRACKING,", ",0,TRACKING,")
+    for k in range(10, 14):
+        lines[k] = lines[k].replace("TRACKING", "PAUSED")
+    files[name] = "\n".join(lines).encode()
+    pose = sample(n=300).streams["pose"]
+    got = load(folder(tmp_path, files)).streams["pose"]
+    kept = np.setdiff1d(np.arange(len(pose.t)), [*range(5), *range(9, 13)])
+    np.testing.assert_allclose(got.t, pose.t[kept], atol=1e-8)
+
+
+def test_what_the_phone_has_corrected_is_said_to_be(tmp_path: Path) -> None:
+    for k, files in enumerate((format_files.mars_logger(format_files.small()),
+                               format_files.mars_logger_arkit(format_files.small()))):  # fmt: skip
+        said = load(folder(tmp_path / str(k), files)).warnings
+        assert any("taken a changing bias out of the gyroscope" in one for one in said)
+    path = written(tmp_path, ".csv", format_files.mars_csv(format_files.small(), apple=True))
+    assert load(path).warnings == ()
+    files = dict(format_files.data_logger(format_files.small()))
+    del files["gyro_uncalib.txt"], files["rv.txt"]
+    said = load(folder(tmp_path / "raw", files)).warnings
+    assert any("gyro.txt is used" in one for one in said)
+    assert any("Android's is taken" in one for one in said)
+
+
+def test_matrices_that_are_no_rotation_are_no_pose(tmp_path: Path) -> None:
+    """ARKit gives zeros before it has begun."""
+    files = dict(format_files.data_logger(sample(n=300), apple=True))
+    lines = files["ARKit_camera_pose.txt"].decode().splitlines()
+    lines[1] = lines[1].split(" ")[0] + " 0" * 12
+    files["ARKit_camera_pose.txt"] = "\n".join(lines).encode()
+    got = load(folder(tmp_path, files))
+    assert len(got.streams["pose"].t) == len(sample(n=300).streams["pose"].t) - 1
+    assert any("without an orientation" in one for one in got.warnings)
+
+
+@pytest.mark.parametrize("column", ["x", "time"])
+def test_a_database_that_lacks_a_column_is_a_sentence(tmp_path: Path, column: str) -> None:
+    path = written(tmp_path, ".sqlite", format_files.sensor_logger_database(format_files.small()))
+    database = sqlite3.connect(path)
+    database.execute(f"ALTER TABLE GyroscopeUncalibrated RENAME COLUMN {column} TO other")
+    database.commit()
+    database.close()
+    with pytest.raises(InputError, match=f"no such column: {column}"):
         load(path)
 
 

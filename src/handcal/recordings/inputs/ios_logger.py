@@ -32,6 +32,8 @@ TRIED = "a real folder of an iPhone, equal to its conversion by other hands"
 MEMBERS = ("Gyro.txt", "Accel.txt")
 _ALL = {"gyro.txt": 3, "accel.txt": 3, "magnet.txt": 3, "arposes.txt": 7}
 _HALF = np.sqrt(0.5)
+# The determinant of a rotation is 1 but for rounding; below this a matrix is none.
+_LEAST_DETERMINANT = 0.9
 
 
 def can_read(path: Path) -> bool:
@@ -71,3 +73,15 @@ def z_up(pose: Array) -> Array:
     x, y, z, qw, qx, qy, qz = pose.T
     turned = (qw - qx, qx + qw, qy - qz, qz + qy)
     return np.column_stack([x, -z, y, *(_HALF * q for q in turned)])
+
+
+def pose_of_matrices(matrices: Array) -> Array:
+    """Poses (m, 7), x y z qw qx qy qz, of matrices (m, 3, 4): rotation, and place in the last
+    column. Where the rotation is none (a row of zeros), the quaternion is zero."""
+    from handcal.compiled.so3 import quaternion_of  # (compiles nothing, but brings numba along)
+
+    turns = matrices[:, :, :3]
+    good = np.isfinite(matrices).all(axis=(1, 2)) & (np.linalg.det(turns) > _LEAST_DETERMINANT)
+    q = np.zeros((len(matrices), 4))
+    q[good] = quaternion_of(turns[good])
+    return np.hstack([matrices[:, :, 3], q])

@@ -1,4 +1,4 @@
-"""Exports of the Sensor Logger app (iOS and Android): zip, folder of CSV files, or JSON.
+"""Exports of the Sensor Logger app (iOS and Android): zip, folder of CSV files, JSON or SQLite.
 
 Units and signs differ between the systems. Android: m/s^2, screen up reads +9.81 on z.
 iOS: the other sign, and the uncalibrated accelerometer in g; unless the app was told to
@@ -13,7 +13,7 @@ import csv
 import io
 import json
 import zipfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,20 +22,25 @@ import numpy as np
 from handcal.earth import STANDARD_GRAVITY
 from handcal.recordings.inputs._options import Options
 from handcal.recordings.inputs._repair import Columns, assemble, columns, magnitude_at_rest
+from handcal.recordings.inputs._sqlite import is_database, opened, tables
 from handcal.recordings.inputs._zip import LARGEST, beginnings, contents, listing, stated
 from handcal.types import InputError, IntArray, Recording
 
-UNDERSTOOD = "an export of the Sensor Logger app (zip, folder or JSON)"
+UNDERSTOOD = "an export of the Sensor Logger app (zip, folder, JSON or SQLite)"
 UNITS = (
     "rad/s, m/s^2, uT; of iOS the uncalibrated accelerometer in g, and signs turned: "
     "at rest -1 g on the axis up"
 )
 STREAMS_READ = "IMU, magnetometer"
-TRIED = "real exports of iOS and Android, the second equal to its conversion by other hands"
+TRIED = (
+    "real exports of iOS and Android, the second equal to its conversion by other hands; JSON and "
+    "SQLite written by the documented layout"
+)
 GYROS = ("GyroscopeUncalibrated", "Gyroscope")
 MAGS = ("MagnetometerUncalibrated", "Magnetometer")
 ACCELS = ("AccelerometerUncalibrated", "TotalAcceleration", "Accelerometer", "Gravity")
 SENSORS = (*GYROS, *MAGS, *ACCELS)
+_CELLS = ("time", "x", "y", "z")  # what is read of a row
 MEMBERS = (f"{GYROS[0]}.csv", f"{ACCELS[0]}.csv")
 
 
@@ -50,13 +55,16 @@ class _Export:
 
 def can_read(path: Path) -> bool:
     """By the names of the files in it and what their columns are called (phyphox has the same
-    names, the x-IMU3 one of them), or by the first bytes of the JSON."""
+    names, the x-IMU3 one of them), by the first bytes of the JSON, or by the tables of the
+    database."""
     if listing(path) is not None:
         found = beginnings(path, lambda name: _stem(name) in SENSORS)
         others = (b"Time (", b"Timestamp")
         return any(not t.lstrip(b'\xef\xbb\xbf"').startswith(others) for t in found.values())
     if zipfile.is_zipfile(path):
         return False
+    if is_database(path):
+        return not tables(path).isdisjoint(SENSORS)
     with path.open("rb") as file:
         start = file.read(4096).lstrip(b"\xef\xbb\xbf \t\r\n")
     return start.startswith(b"[") and b'"sensor"' in start
@@ -67,7 +75,7 @@ def read(path: Path, options: Options) -> Recording:
     if path.is_dir() or zipfile.is_zipfile(path):
         export = _from_files(path, options)
     else:
-        export = _from_json(path)
+        export = _from_database(path) if is_database(path) else _from_json(path)
     options.progress(1.0)
     said = list(stated("Sensor Logger", options))
     gyro = _first(export, GYROS, said)
@@ -210,22 +218,41 @@ def _from_json(path: Path) -> _Export:
         raise InputError(f"{path} is not whole JSON: it may be truncated.") from error
     if not isinstance(entries, list) or not all(isinstance(e, dict) for e in entries):
         raise InputError(f"{path} is not an array of readings.")
-    rows: dict[str, list[dict[str, object]]] = {}
+    rows: dict[str, list[tuple[object, ...]]] = {}
     metadata: dict[str, object] = {}
     for entry in entries:
         name = str(entry.get("sensor"))
         if name in SENSORS:
-            rows.setdefault(name, []).append(entry)
+            rows.setdefault(name, []).append(tuple(entry.get(key) for key in _CELLS))
         elif "platform" in entry:
             metadata = entry
-    sensors = {name: _json_columns(path, name, found) for name, found in rows.items()}
+    return _export({name: _of_cells(path, name, found) for name, found in rows.items()}, metadata)
+
+
+def _from_database(path: Path) -> _Export:
+    """One table a sensor, its columns called as in the CSV, its values numbers or text."""
+    if path.stat().st_size > LARGEST:
+        raise InputError(f"{path} is too large to be read as a database: export it as zip.")
+    there = tables(path)
+    sensors, metadata = {}, {}
+    with opened(path) as database:
+        for name in (sensor for sensor in SENSORS if sensor in there):
+            cells = database.execute(f'SELECT {", ".join(_CELLS)} FROM "{name}"').fetchall()
+            if cells:
+                sensors[name] = _of_cells(path, name, cells)
+        for name in (table for table in there if table.lower() == "metadata"):
+            cursor = database.execute(f'SELECT * FROM "{name.replace(chr(34), chr(34) * 2)}"')
+            keys = [str(column[0]) for column in cursor.description]
+            metadata = dict(zip(keys, cursor.fetchone() or (), strict=False))
     return _export(sensors, metadata)
 
 
-def _json_columns(path: Path, name: str, found: Iterable[Mapping[str, object]]) -> Columns:
+def _of_cells(path: Path, name: str, rows: Sequence[Sequence[object]]) -> Columns:
+    """Stamps and readings of rows of time, x, y, z, each a number or its text. Errors:
+    InputError."""
     try:
-        ns = np.array([int(str(row["time"])) for row in found], dtype=np.int64)
-        value = np.array([[float(str(row[axis])) for axis in "xyz"] for row in found])
-    except (KeyError, ValueError, OverflowError) as error:
+        ns = np.array([int(str(row[0])) for row in rows], dtype=np.int64)
+        value = np.array([[float(str(cell)) for cell in row[1:]] for row in rows])
+    except (ValueError, OverflowError) as error:
         raise InputError(f"{path}: a reading of {name} lacks time, x, y or z.") from error
     return columns(_checked_ns(path, ns), value)
