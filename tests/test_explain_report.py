@@ -513,6 +513,10 @@ def test_a_browser_without_network_draws_it_without_complaint(browser, page, wid
         return r.left < b.left - 2 || r.right > b.right + 2 || r.bottom > b.bottom + 2;
       }).map(t => t.textContent)})"""
     assert tab.evaluate(outside) == []
+    wider = """[...document.querySelectorAll('.plot.over')].map(f => [f.scrollWidth > f.clientWidth,
+      getComputedStyle(f.querySelector('figcaption'), '::after').content.includes('sideways')])"""
+    assert tab.evaluate(wider)
+    assert all(scrolls == said_so == (width < 700) for scrolls, said_so in tab.evaluate(wider))
     context.close()
 
 
