@@ -370,6 +370,15 @@ def test_what_is_left_is_what_is_measured(result):
     assert float(left["gyro_bandwidth"].split()[1]) == pytest.approx(rms(change), rel=0.01)
 
 
+def test_rounding_is_not_told_as_an_error_that_is_left(result):
+    """Of a gyro's misalignment an autopilot's scales leave nothing in the accelerometer."""
+    path = result(drawn(0, (*DIAGONAL, "gyro_misalignment")))
+    (total,) = (x for x in contents(path, format_of("px4"), recording()).header
+                if x.startswith("All of that together"))  # fmt: skip
+    assert "gyro 0." in total
+    assert "accelerometer" not in total
+
+
 def test_sizes_of_an_explanation_are_told_without_the_recording(result):
     missing = [{"effect": "gyro_bandwidth", "size": {"gyro_x": 0.03, "gyro_z": 0.04}}]
     path = result(drawn(0, (*MATRICES, "gyro_bandwidth")), missing=missing)

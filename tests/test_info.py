@@ -168,6 +168,15 @@ def test_it_fits_the_terminal(width: int) -> None:
     assert len(strip(o)) == 60
 
 
+def test_a_long_topic_cuts_no_other_column() -> None:
+    """PX4's IMU is of two topics, which together are as long as three columns."""
+    o = overview(turned((X, 90.0)))
+    streams = tuple(replace(s, topic="sensor_gyro, sensor_accel") for s in o.streams)
+    console = Console(width=80, record=True, file=io.StringIO())
+    print_info(Info("made", "SI", replace(o, streams=streams), seen(o)), console)
+    assert "…" not in console.export_text()
+
+
 def test_three_minutes_take_no_two_seconds() -> None:
     recording = turned(*[(X, 90.0), (Y, 90.0)] * 11)
     seen(overview(turned((X, 90.0))))

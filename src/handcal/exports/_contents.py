@@ -30,6 +30,8 @@ LEVELS = {"gyro_noise": "gyro_noise", "accel_noise": "accel_noise",
 ALLAN = ("gyro_noise", "accel_noise", "gyro_bias_walk", "accel_bias_walk")
 UNITS = ("rad/s", "m/s^2")
 UNKNOWN = "how much is not known"
+# rad/s and m/s^2: to this all exports equal ``apply``; what is left below it is rounding.
+ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -237,8 +239,8 @@ def _rms(error: Array) -> tuple[float, float]:
 def _sized(rms: tuple[float, float] | None) -> str:
     if rms is None:
         return UNKNOWN
-    parts = [f"{name} {value:.3g} {unit}" for name, value, unit
-             in zip(("gyro", "accelerometer"), rms, UNITS, strict=True) if value > 0.0]  # fmt: skip
+    named = zip(("gyro", "accelerometer"), rms, UNITS, strict=True)
+    parts = [f"{name} {value:.3g} {unit}" for name, value, unit in named if value > ROUNDING]
     return (", ".join(parts) + " RMS") if parts else "nothing in this recording"
 
 

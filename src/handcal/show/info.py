@@ -142,10 +142,11 @@ def print_info(info: Info, console: Console) -> None:
         print_section(console, heading, sentences)
 
 
-def _table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Any:
+def _table(columns: Sequence[str], rows: Sequence[Sequence[str]], wraps: str = "") -> Any:
+    """wraps: the column that may take more than a line, so that no other one is cut."""
     from rich.markup import escape
 
-    out = table(columns[0], *(f">{c}" for c in columns[1:]))
+    out = table(columns[0], *(f">{'*' if c == wraps else ''}{c}" for c in columns[1:]))
     for row in rows:
         out.add_row(*map(escape, row))
     return out
@@ -159,7 +160,7 @@ SEEN_COLUMNS = ("could teach", "shown", "sigma", "usual")
 
 
 def _stream_table(o: Overview) -> Any:
-    return _table(STREAM_COLUMNS, [stream_row(s) for s in o.streams])
+    return _table(STREAM_COLUMNS, [stream_row(s) for s in o.streams], wraps="topic")
 
 
 def _turn_table(o: Overview) -> Any:
