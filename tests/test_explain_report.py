@@ -20,6 +20,7 @@ from handcal.show import dashboard, drawing
 from handcal.show.calibration import summary
 from handcal.show.explanation import frames, plots, verdict_text, words
 from handcal.show.explanation.document import explanation_json
+from handcal.show.explanation.evidence_curves import evidence_plot
 from handcal.show.explanation.report import render_explanation, write_explanation_report
 from handcal.show.explanation.terminal import print_explanation
 from handcal.show.words import channel_title
@@ -541,6 +542,29 @@ def test_of_many_the_headline_names_the_largest_three_and_says_how_many():
     assert said.startswith("Five things are missing, above all the lever arm, the effect 4 and the")
     assert "effect 2" not in said
     assert "99.4" in said  # (the least of all probabilities)
+
+
+@pytest.mark.parametrize("recordings", [1, 2])
+def test_of_many_effects_each_has_a_panel_of_its_own(recordings):
+    """The strongest sets the scale of a common one, and the others lie on its axis."""
+    e = fake_explanation("explained", recordings)
+    ids = ("gyro_scale", "lever_arm", "accel_delay", "gyro_bandwidth", "accel_scale")
+    ends = dict(zip(ids, (40_000.0, 12.0, 300.0, 25.0, 80.0), strict=True))
+    each = tuple(
+        replace(r, evidence=replace(
+            r.evidence, gain={i: end * np.linspace(0.0, 1.0, r.evidence.t.size)
+                              for i, end in ends.items()}))
+        for r in e.recordings
+    )  # fmt: skip
+    found = tuple(replace(e.hypotheses[0], effect=i, title=i, verdict="named") for i in ids)
+    plot = evidence_plot(replace(e, recordings=each, hypotheses=found, unnamed=()))
+    assert plot is not None
+    said = re.findall(rf">({'|'.join(ids)})<", plot.svg)
+    assert said == sorted(ids, key=lambda i: -ends[i])
+    assert plot.svg.count("nats gained") == 0
+    few = evidence_plot(replace(e, recordings=each, hypotheses=found[:3], unnamed=()))
+    assert few is not None
+    assert few.svg.count("nats gained") == recordings
 
 
 def test_a_place_that_nobody_measured_is_not_called_recorded():

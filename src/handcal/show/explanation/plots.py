@@ -21,7 +21,6 @@ from handcal.show.drawing import (
     INK,
     MISS,
     MUTED,
-    PURPLE,
     RC,
     RED,
     SHADE,
@@ -40,10 +39,10 @@ from handcal.show.drawing import (
 )
 from handcal.show.explanation import words as say
 from handcal.show.explanation.always import nothing_added
+from handcal.show.explanation.evidence_curves import effect_styles, evidence_plot
 from handcal.show.explanation.frames import (
     by_gain,
     cells,
-    found_effects,
     lost,
     mismatches,
     missed,
@@ -56,16 +55,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 BEFORE, AFTER = XYZ[0], XYZ[2]
-FOUND = (XYZ[2], XYZ[1], PURPLE)
-DASHES = ("-", (0, (5, 2)), (0, (1.5, 1.5)))
-OTHERS = ("-", (0, (5, 2)), (0, (1.5, 1.5)), (0, (6, 2, 1.5, 2)))
 BARS = 16  # hypotheses in one figure
-CURVES = 6
-
-
-def effect_styles(explanation: Explanation) -> dict[str, tuple[str, Any]]:
-    """Colour and dashes of each effect that was found."""
-    return {e: (FOUND[i % 3], DASHES[i // 3 % 3]) for i, e in enumerate(found_effects(explanation))}
 
 
 def trace_plot(explanation: Explanation, recording: int, trace: Trace, wide: bool = False) -> Plot:
@@ -269,42 +259,6 @@ def _nats_axis(ax: Any, values: Sequence[float]) -> None:
     ax.grid(visible=True, axis="x")  # setting a scale forgets it
     ax.axvline(0, color=MUTED, lw=0.9)
     ax.set(xlim=(low, high), xlabel="nats")
-
-
-def evidence_plot(explanation: Explanation) -> Plot | None:
-    """Cumulated gain over time of what is in the final model, a panel for each recording."""
-    each = [r for r in explanation.recordings if r.evidence.t.size and r.evidence.gain]
-    if not each:
-        return None
-    styles = effect_styles(explanation)
-    titles = {h.effect: h.title for h in explanation.hypotheses}
-    for i, u in enumerate(explanation.unnamed):
-        styles[u.formula], titles[u.formula] = (RED, DASHES[i % 3]), u.formula
-    figure, axes = canvas(len(each), 0.9 + 2.9 * len(each) if len(each) > 1 else 4.4, share=False)
-    for ax, r in zip(axes, each, strict=True):
-        end = {e: float(g[-1]) for e, g in r.evidence.gain.items()}
-        order = sorted(end, key=lambda e: (e not in styles, -end[e]))[: max(CURVES, len(styles))]
-        others = [e for e in order if e not in styles]
-        k = thin(r.evidence.t.size)
-        for effect in sorted(order, key=lambda e: -end[e]):
-            found = effect in styles
-            colour, dashes = styles[effect] if found else (MUTED, OTHERS[others.index(effect) % 4])
-            ax.plot(r.evidence.t[k], r.evidence.gain[effect][k], color=colour, linestyle=dashes,
-                    lw=2.0 if found else 1.0,
-                    label=titles.get(effect) or words.effect_title(effect))  # fmt: skip
-        shade([ax], r.rests)
-        ax.axhline(0, color=MUTED, lw=0.8)
-        ax.set_ylabel("nats gained")
-        if ax is axes[0]:
-            ax.legend(loc="upper left", fontsize=9.5, borderaxespad=0.3, labelspacing=0.3)
-        if len(each) > 1:
-            name = say.recording_names(explanation)[explanation.recordings.index(r)]
-            ax.set_title(name, color=MUTED, pad=4)
-    caption = (
-        "The final model against the same without the effect, added up as the recording goes on: "
-        "where a curve climbs, the recording speaks for it. Rests shaded."
-    )
-    return Plot("Where the evidence came from", caption, svg(figure, "evidence"))
 
 
 def balance_plot(explanation: Explanation) -> Plot | None:

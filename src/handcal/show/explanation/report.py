@@ -15,6 +15,7 @@ from handcal.show.calibration.report import how_to_apply
 from handcal.show.drawing import PALETTE
 from handcal.show.explanation import always, document, frames, plots, verdict_text
 from handcal.show.explanation import words as say
+from handcal.show.explanation.evidence_curves import effect_styles
 from handcal.show.explanation.next_commands import applicable, biases_of, commands
 from handcal.show.html_page import page
 from handcal.types import Parameter
@@ -36,7 +37,7 @@ def render_explanation(explanation: Explanation, following: Sequence[str] = ()) 
 
 def _context(e: Explanation, following: Sequence[str]) -> dict[str, Any]:
     names = say.recording_names(e)
-    styles = plots.effect_styles(e)
+    styles = effect_styles(e)
     gains = [m.log_evidence_gain for m in e.missing if not say.is_always(m)]
     gains += [u.log_evidence_gain for u in e.unnamed]
     return {
