@@ -466,7 +466,7 @@ def test_columns_are_explained_and_a_far_ratio_has_its_cause(page, whole):
         assert column in text
     assert max(end_of(r)["over_bound"] for c in whole["cells"] for r in c["parameters"]) > FAR_OFF
     (cause,) = (line for line in said if "is no noise" in line)
-    assert ": accel_scale is in these worlds" in cause
+    assert ": accel_scale (0 0 -7750 ppm) is in these worlds" in cause
     told = [{**c, "estimate": ["accel_scale"]} for c in whole["cells"]]
     assert not any("is no noise" in line for line in sentences({**whole, "cells": told}))
 
@@ -524,6 +524,7 @@ def test_the_command_from_end_to_end(tmp_path, monkeypatch):
     assert "<td>none</td>" in text  # (as the grid says it, and not the 100 that stands for it)
     assert "central 95" not in text.replace("too few for a central 95", "")
     assert "As in paper 002, not varied: scenario z-turn" in text
+    assert "effects accel_scale (0 0 -7750 ppm)" in text
     assert "Cell 2: Gyro" in text
     sweep_json = json.loads(files["json"].read_text())
     schemas.check(sweep_json)

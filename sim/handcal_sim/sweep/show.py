@@ -111,7 +111,8 @@ def _far_off(cells: Sequence[Document]) -> list[str]:
     worst, where = FAR_OFF, ""
     hidden: dict[str, None] = {}
     for cell in cells:
-        unasked = [e for e, _ in cell["world"]["effects"] if e not in cell["estimate"]]
+        effects = cell["world"]["effects"]
+        unasked = [_effect(e, v) for e, v in effects if e not in cell["estimate"]]
         for row in cell["parameters"]:
             ratio = end_of(row)["over_bound"]
             if unasked and ratio > FAR_OFF:
@@ -144,8 +145,18 @@ def _all_cells(cells: Sequence[Document]) -> list[str]:
     lines = []
     for values, where in ((otherwise, "In all cells"), (as_paper, "As in paper 002, not varied")):
         if values:
-            lines.append(f"{where}: {', '.join(f'{k} {_word(v)}' for k, v in values.items())}.")
+            said = (
+                f"{k} {', '.join(_effect(*e) for e in v) or 'none' if k == 'effects' else _word(v)}"
+                for k, v in values.items()
+            )
+            lines.append(f"{where}: {', '.join(said)}.")
     return lines
+
+
+def _effect(effect: str, values: Sequence[float]) -> str:
+    """An effect of a world with its values: relative ones in ppm, others in SI."""
+    factor, unit = (1e6, " ppm") if effect.endswith("_scale") else (1.0, "")
+    return f"{effect} ({' '.join(f'{factor * v:g}' for v in values)}{unit})"
 
 
 def _word(value: Any) -> str:
