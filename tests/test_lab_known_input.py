@@ -20,6 +20,7 @@ from handcal.lab.table import ARCMIN, ARCSEC, error_covariance, table
 from handcal.lab.ten_tests import best_rates, magnification, proposal
 from handcal.recordings import segment
 from handcal.recordings.inputs._checks import saturated
+from handcal.show.lab.known_input import known_input_sheet
 from handcal.types import HandcalError, InputError, Series
 
 EXACT = {"gyro": 0.0, "accel": 0.0}
@@ -78,6 +79,17 @@ def test_least_squares_and_kalman_filter_are_one(name):
     alone = regression.least_squares(A, y)
     np.testing.assert_allclose(P, alone.P, rtol=0, atol=1e-9 * np.abs(P).max())
     np.testing.assert_allclose(x, np.linalg.lstsq(A, y, rcond=None)[0], rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize(("apart", "tile"), [(1e-17, "agree"), (0.02, "0.02")])
+def test_rounding_is_no_number_to_show(apart, tile):
+    """The page and the terminal said 1e-17; and that the two agree, whatever came out."""
+    sample = SAMPLES["3"]
+    result = replace(known_input(sample.bench, sample.effects, "table", EXACT), kalman=apart)
+    sheet = known_input_sheet(result, "a.csv", None, pictures=False)
+    assert tile in [value for value, _ in sheet.facts]
+    assert any(("readings agree" if tile == "agree" else "differ by 0.02") in s
+               for s in sheet.sentences)  # fmt: skip
 
 
 def test_condition_numbers_that_paper_000_leaves_out():

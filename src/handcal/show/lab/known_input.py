@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 SENSORS = ("gyro", "accel")
 TITLES = {"gyro": "Gyro", "accel": "Accelerometer"}
 UNITS = {"gyro": "rad/s", "accel": "m/s^2"}
+# Of two solutions, in usual sizes: rounding parts them below it, and no sigma is as small.
+AGREED = 1e-6
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,9 @@ def known_input_sheet(
         (f"{len(result.bench)}", "tests"),
         (f"{k}", f"unknowns, from {m} readings"),
         (f"{result.condition:.3g}", "condition number (1 is the best)"),
-        (f"{result.kalman:.0e}", "Kalman filter less least squares, in usual sizes"),
+        ("agree", "least squares and a Kalman filter")
+        if result.kalman < AGREED
+        else (f"{result.kalman:.1g}", "Kalman filter less least squares, in usual sizes"),
     )
     tables = [_residual_table(result)]
     if table is not None:
@@ -113,7 +117,8 @@ def _sentences(result: KnownInput, better: tuple[Array, Array] | None) -> list[s
     m, k = result.A.shape
     said = [
         f"Rank {k} of {k}: the tests tell all parameters apart. Least squares and a Kalman "
-        f"filter over the same {m} readings agree."
+        f"filter over the same {m} readings "
+        f"{'agree' if result.kalman < AGREED else f'differ by {result.kalman:.1g} usual sizes'}."
     ]
     for i, sensor in enumerate(SENSORS):
         if result.bench.used[3 * i]:
