@@ -43,7 +43,7 @@ def test_a_few_late_readings_are_sorted() -> None:
     swap[[50, 51]] = [51, 50]
     back = assembled(Imu(imu.t, imu.gyro[swap], imu.accel[swap], imu.valid), stamps_of(imu)[swap])
     np.testing.assert_array_equal(back.imu.gyro, imu.gyro)
-    assert "1 readings came late" in back.warnings[0]
+    assert "1 reading came late" in back.warnings[0]
 
 
 @pytest.mark.parametrize("kind", ["many", "far"])

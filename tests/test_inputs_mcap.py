@@ -109,7 +109,7 @@ def test_nan_rows_are_dropped_and_counted(tmp_path: Path) -> None:
     messages[-1] = (0, messages[-1][1], bad)
     back = load(write_channels(tmp_path / "a.mcap", [("/imu", IMU, "cdr")], messages))
     assert len(back.imu.t) == len(messages) - 1
-    assert any("1 rows with NaN" in w for w in back.warnings)
+    assert any("1 row with NaN" in w for w in back.warnings)
 
 
 # --- which topic is which ---------------------------------------------------------------

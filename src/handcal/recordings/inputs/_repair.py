@@ -142,7 +142,8 @@ def _clean(raw: Columns, name: str, said: list[str]) -> Columns:
     finite = np.all(np.abs(raw.value) < IMPOSSIBLE, axis=1)
     bad = len(finite) - int(finite.sum())
     if bad:
-        said.append(f"{name}: {bad} rows with NaN, infinite or impossible values were dropped.")
+        which = f"{name}: {_many(bad, 'row')} with NaN, infinite or impossible values"
+        said.append(f"{which} {_were(bad)} dropped.")
         raw = raw.rows(finite)
     if len(raw.ns) == 0:
         raise InputError(f"There is not one {name} reading in this recording.")
@@ -155,11 +156,14 @@ def _clean(raw: Columns, name: str, said: list[str]) -> Columns:
                 f"{name}: time runs backwards {count} times, by up to {worst:.3g} s: "
                 "these stamps cannot be put in order."
             )
-        said.append(f"{name}: {count} readings came late (up to {worst:.3g} s) and were sorted.")
+        said.append(
+            f"{name}: {_many(count)} came late (up to {worst:.3g} s) and {_were(count)} sorted."
+        )
         raw = raw.rows(np.argsort(raw.ns, kind="stable"))
     repeated = np.diff(raw.ns, prepend=raw.ns[0] - 1) == 0
     if repeated.any():
-        said.append(f"{name}: {int(repeated.sum())} readings with a repeated stamp were dropped.")
+        count = int(repeated.sum())
+        said.append(f"{name}: {_many(count)} with a repeated stamp {_were(count)} dropped.")
         raw = raw.rows(~repeated)
     return raw
 
@@ -188,7 +192,8 @@ def _on_gyro_stamps(
         raise InputError("Gyroscope and accelerometer have no time in common.")
     lost = len(common) - int(common.sum())
     if lost:
-        said.append(f"{lost} gyroscope readings outside the accelerometer's time were dropped.")
+        which = _many(lost, "gyroscope reading")
+        said.append(f"{which} outside the accelerometer's time {_were(lost)} dropped.")
     gyro = gyro.rows(common)
     zero = gyro.ns[0]
     t, ta = (gyro.ns - zero) / 1e9, (accel.ns - zero) / 1e9
@@ -198,7 +203,9 @@ def _on_gyro_stamps(
     # A straight line across a gap is not a measurement.
     gap = ta[right] - ta[left] > _gap_limit(ta)
     if gap.any():
-        said.append(f"accelerometer: {int(gap.sum())} readings inside its gaps are not trusted.")
+        inside = int(gap.sum())
+        verb = "is" if inside == 1 else "are"
+        said.append(f"accelerometer: {_many(inside)} inside its gaps {verb} not trusted.")
     return gyro, force, gyro.valid & accel.valid[left] & accel.valid[right] & ~gap
 
 
@@ -249,7 +256,8 @@ def _unit_quaternions(name: str, raw: Columns, said: list[str]) -> tuple[Columns
     norm = np.linalg.norm(raw.value[:, 3:], axis=1)
     usable = norm > 0.1
     if not usable.all():
-        said.append(f"{name}: {int((~usable).sum())} rows without an orientation were dropped.")
+        count = int((~usable).sum())
+        said.append(f"{name}: {_many(count, 'row')} without an orientation {_were(count)} dropped.")
         raw, norm = raw.rows(usable), norm[usable]
     q = raw.value[:, 3:].copy()
     # Nothing changes on the second reading: a recording written and read again stays equal.
@@ -258,3 +266,12 @@ def _unit_quaternions(name: str, raw: Columns, said: list[str]) -> tuple[Columns
     flips = np.where(np.sum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0)
     q[1:] *= np.cumprod(flips)[:, None]
     return raw, np.hstack([raw.value[:, :3], q])
+
+
+def _many(count: int, noun: str = "reading") -> str:
+    """1 reading, 2 readings."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def _were(count: int) -> str:
+    return "was" if count == 1 else "were"
