@@ -99,6 +99,14 @@ def phyphox(r: Recording, separator: str = ";", brand: str = "Apple") -> Files:
     return files
 
 
+def phyphox_table(r: Recording) -> bytes:
+    """The one table of an experiment of one's own that records both sensors."""
+    names = ["Time (s)", *(f"{sensor} {axis} ({unit})" for sensor, unit in
+             (("Gyroscope", "rad/s"), ("Acceleration", "m/s^2")) for axis in "xyz")]  # fmt: skip
+    value = np.column_stack([r.imu.t, r.imu.gyro, r.imu.accel])
+    return rows(",".join(f'"{n}"' for n in names), *value.T.tolist())
+
+
 def workbook(sheets: Mapping[str, list[list[object]]]) -> bytes:
     """An .xls of numbers and text: a BIFF8 stream in a compound file of one stream."""
 
@@ -516,7 +524,11 @@ def _us(times: np.ndarray) -> list[int]:
 # Of each format by its file: ending, and a recording written in it; folders come as zips.
 WRITERS: dict[str, list[tuple[str, Callable[[Recording], bytes]]]] = {
     "ios_logger": [(".zip", lambda r: zipped(ios_logger(r)))],
-    "phyphox": [(".zip", lambda r: zipped(phyphox(r))), (".xls", phyphox_xls)],
+    "phyphox": [
+        (".zip", lambda r: zipped(phyphox(r))),
+        (".xls", phyphox_xls),
+        (".csv", phyphox_table),
+    ],
     "euroc": [(".zip", lambda r: zipped(euroc(r)))],
     "stray_scanner": [(".zip", lambda r: zipped(stray_scanner(r)))],
     "mars_logger": [

@@ -25,10 +25,10 @@ from handcal.recordings.inputs._magic import begins_with
 from handcal.recordings.inputs._options import Options
 from handcal.recordings.inputs._repair import Columns, assemble, columns, nanoseconds
 from handcal.recordings.inputs._rows import numbers, rows_of, unit_in
-from handcal.recordings.inputs._zip import beginnings, contents, listing, stated
+from handcal.recordings.inputs._zip import LARGEST, beginnings, contents, listing, stated
 from handcal.types import Array, InputError, IntArray, Recording
 
-UNDERSTOOD = "an export of the phyphox app (zip or folder of CSV, or .xls)"
+UNDERSTOOD = "an export of the phyphox app (zip or folder of CSV, one CSV, or .xls)"
 UNITS = (
     "as the header's brackets say (rad/s, m/s^2, uT); signs as Android's: at rest +g on the axis "
     "up; of iOS 9.81 to a g, which is put right"
@@ -75,11 +75,19 @@ class _Export:
 
 
 def can_read(path: Path) -> bool:
-    """By the headers of the CSV files in it, or as an Excel workbook."""
+    """By the headers of the CSV files in it, by that of a CSV (whose names are in quotes), or as
+    an Excel workbook."""
     if listing(path) is not None:
         found = beginnings(path, lambda name: name.lower().endswith(".csv"))
         return any(_sensors("", _header(text)) for text in found.values())
-    return begins_with(path, _WORKBOOK)
+    return begins_with(path, _WORKBOOK) or _is_table(path)
+
+
+def _is_table(path: Path) -> bool:
+    """Whether a file is a table of a sensor: other programs' have no quotes about their names."""
+    with path.open("rb") as file:
+        line = file.readline(LARGEST_META).removeprefix(b"\xef\xbb\xbf")
+    return line.startswith(b'"Time (s)"') and bool(_sensors("", _header(line)))
 
 
 def _header(text: bytes) -> tuple[str, ...]:
@@ -105,7 +113,7 @@ def _sensors(table: str, names: Sequence[str]) -> dict[str, list[int]]:
 
 def read(path: Path, options: Options) -> Recording:
     """Read the recording. Errors: InputError."""
-    is_text = listing(path) is not None
+    is_text = listing(path) is not None or not begins_with(path, _WORKBOOK)
     export = _of_files(path, options) if is_text else _of_workbook(path)
     options.progress(1.0)
     said = list(stated("phyphox", options))
@@ -151,7 +159,8 @@ def _check_held(path: Path, held: Mapping[str, Columns], export: _Export) -> Non
         if quantity not in held:
             raise InputError(
                 f"{path} has no {sensor} readings; it holds {names}. In phyphox, record the "
-                "gyroscope and the accelerometer (with g) together in one experiment of your own."
+                "gyroscope and the accelerometer (with g) together in one experiment of your own; "
+                "of an export of several tables give the zip or the folder."
             )
 
 
@@ -164,8 +173,13 @@ def _stamps(t: Array, starts: Array) -> IntArray:
 
 
 def _of_files(path: Path, options: Options) -> _Export:
-    """Of a zip or folder."""
-    files = contents(path, lambda name: name.lower().endswith(".csv"), options)
+    """Of a zip or folder, or of one table. Errors: InputError."""
+    if listing(path) is not None:
+        files = contents(path, lambda name: name.lower().endswith(".csv"), options)
+    elif path.stat().st_size > LARGEST:
+        raise InputError(f"{path} is too large to be read at once.")
+    else:
+        files = {path.name: path.read_bytes()}
     sheets, texts = [], []
     for name, content in sorted(files.items()):
         if _header(content):
