@@ -6,6 +6,7 @@ from __future__ import annotations
 import dataclasses
 import sqlite3
 import sys
+import tracemalloc
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -155,7 +156,8 @@ def test_an_instrument_s_pose_is_taken_before_an_estimate(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("write", [format_files.ios_logger, format_files.phyphox,
                                    format_files.euroc, format_files.stray_scanner,
-                                   format_files.ximu3])  # fmt: skip
+                                   format_files.ximu3, format_files.mars_logger,
+                                   format_files.data_logger])  # fmt: skip
 def test_a_bomb_is_not_unpacked(
     write: Callable[[Recording], format_files.Files], tmp_path: Path
 ) -> None:
@@ -221,6 +223,25 @@ def test_a_database_that_lacks_a_column_is_a_sentence(tmp_path: Path, column: st
     database.close()
     with pytest.raises(InputError, match=f"no such column: {column}"):
         load(path)
+
+
+def test_cells_that_a_database_computes_are_not_believed(tmp_path: Path) -> None:
+    """300 cells of 15 MB each out of a file of some kB."""
+    path = tmp_path / "export.sqlite"
+    database = sqlite3.connect(path)
+    made = "x AS (printf('%.*c', 15000000, '1'))"
+    database.execute(f"CREATE TABLE GyroscopeUncalibrated (time, seconds_elapsed, z, y, {made})")
+    database.executemany("INSERT INTO GyroscopeUncalibrated VALUES (?, 0, 0, 0)",
+                         [(k,) for k in range(300)])  # fmt: skip
+    database.commit()
+    database.close()
+    tracemalloc.start()
+    try:
+        with pytest.raises(InputError, match=r"GyroscopeUncalibrated lacks|too big"):
+            load(path)
+        assert tracemalloc.get_traced_memory()[1] < 50e6
+    finally:
+        tracemalloc.stop()
 
 
 def test_a_pose_estimated_with_the_imu_is_called_so(tmp_path: Path) -> None:

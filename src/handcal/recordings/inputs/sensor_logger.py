@@ -12,6 +12,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import sqlite3
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -40,6 +41,9 @@ GYROS = ("GyroscopeUncalibrated", "Gyroscope")
 MAGS = ("MagnetometerUncalibrated", "Magnetometer")
 ACCELS = ("AccelerometerUncalibrated", "TotalAcceleration", "Accelerometer", "Gravity")
 SENSORS = (*GYROS, *MAGS, *ACCELS)
+# Bytes of a cell, or of the words that a table was made with, and rows in memory at a time: a
+# column may be computed of nothing, and would otherwise be as long as it says.
+LARGEST_CELL, _AT_ONCE = 2**14, 1000
 _CELLS = ("time", "x", "y", "z")  # what is read of a row
 MEMBERS = (f"{GYROS[0]}.csv", f"{ACCELS[0]}.csv")
 
@@ -236,10 +240,17 @@ def _from_database(path: Path) -> _Export:
     there = tables(path)
     sensors, metadata = {}, {}
     with opened(path) as database:
+        database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_CELL)
         for name in (sensor for sensor in SENSORS if sensor in there):
-            cells = database.execute(f'SELECT {", ".join(_CELLS)} FROM "{name}"').fetchall()
-            if cells:
-                sensors[name] = _of_cells(path, name, cells)
+            cursor = database.execute(f'SELECT {", ".join(_CELLS)} FROM "{name}"')
+            parts = []
+            while rows := cursor.fetchmany(_AT_ONCE):
+                parts.append(_of_cells(path, name, rows))
+            if parts:
+                ns, value = (
+                    np.concatenate([getattr(p, n) for p in parts]) for n in ("ns", "value")
+                )
+                sensors[name] = columns(ns, value)
         for name in (table for table in there if table.lower() == "metadata"):
             cursor = database.execute(f'SELECT * FROM "{name.replace(chr(34), chr(34) * 2)}"')
             keys = [str(column[0]) for column in cursor.description]
