@@ -258,7 +258,8 @@ def _local(f: Fitted, effects: Sequence[Effect]) -> Local:
 def _sane(linear: Linear) -> bool:
     """Whether this is a motion at all; a step astray grows from round to round."""
     steps = np.abs(linear.d).max(initial=0.0)
-    rest = linear.Phi.sum() + linear.r.sum() + linear.H.sum()
+    with np.errstate(over="ignore", invalid="ignore"):
+        rest = linear.Phi.sum() + linear.r.sum() + linear.H.sum()
     nominal = linear.trajectory
     off = max(
         float(np.abs(nominal.bg).max()) / GYRO_BIAS_PRIOR,

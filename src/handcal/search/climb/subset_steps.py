@@ -3,6 +3,7 @@ that is not missed is left out."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import partial
 
@@ -137,6 +138,9 @@ def thin(c: Climb) -> Model | None:
     more = inflation(model) if tried else {}
     for e, without in zip(tried, fits, strict=True):
         gain = better(model, without, c.worth)
+        if not math.isfinite(gain):  # (no fit holds without it, which says nothing of how much)
+            c.stale.discard(e.id)
+            continue
         if e.process is not None:
             c.noise[e.id] = gain - PRIOR
             c.stale.discard(e.id)
