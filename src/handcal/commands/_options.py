@@ -165,7 +165,7 @@ def comma_separated(text: str) -> tuple[str, ...]:
     return tuple(word.strip() for word in text.split(",") if word.strip())
 
 
-def _pairs(items: Sequence[str], option: str) -> dict[str, str]:
+def pairs(items: Sequence[str], option: str) -> dict[str, str]:
     """NAME=VALUE strings as a dictionary. Errors: InputError."""
     from handcal.types import InputError
 
@@ -182,8 +182,8 @@ def load(path: Path, topics: list[str] | None, units: str | None) -> Recording:
     """A recording with the options as typed. Errors: InputError."""
     import handcal
 
-    chosen = _pairs(topics or [], "--topic")
-    said = _pairs(comma_separated(units or ""), "--units")
+    chosen = pairs(topics or [], "--topic")
+    said = pairs(comma_separated(units or ""), "--units")
     with progress(f"reading {path.name}") as report:
         recording: Recording = handcal.load(path, topics=chosen, units=said, progress=report)
     return recording

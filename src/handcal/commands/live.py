@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from handcal.commands._options import load
+from handcal.commands._device import DeviceFile, ModelName, PriorsFile, before_of
+from handcal.commands._options import Effects, Rrd, Topics, Units, comma_separated, load, pairs
 from handcal.commands._registry import say
 
 if TYPE_CHECKING:
-    from handcal.live.estimates import Ended
+    from handcal.live.ending import Ended, Wanted
+    from handcal.live.progress import Board
+    from handcal.live.run import Pull
     from handcal.live.session import Session
+    from handcal.recordings.inputs import Options
 
 
 def live(
@@ -24,6 +31,11 @@ def live(
         typer.Option("--lan", help="Serve the page to this network too, encrypted, not to this "
                      "machine alone."),
     ] = False,
+    plain: Annotated[
+        bool,
+        typer.Option("--plain", help="With --lan, not encrypted: for apps that push and know no "
+                     "new certificates. Whoever is in the network can read along."),
+    ] = False,
     port: Annotated[
         int | None, typer.Option(min=1, max=65535, help="Port of the page; any free one.")
     ] = None,
@@ -34,37 +46,146 @@ def live(
     speed: Annotated[
         float, typer.Option(min=0.0, help="With --from, times as fast as it happened; 0: at once.")
     ] = 1.0,
+    phyphox: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Ask the phyphox app at this address (remote access) "
+                     "for readings."),
+    ] = None,
+    follow: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.mcap", help="Follow the MCAP file that a ROS 2 recorder is "
+                     "writing."),
+    ] = None,
+    effects: Effects = "",
+    until: Annotated[
+        str,
+        typer.Option(metavar="EFFECT=SIGMA,...", help="End when so much is known: "
+                     "gyro_scale=0.1%,gyro_bias=15deg/h."),
+    ] = "",
+    device: DeviceFile = None,
+    priors: PriorsFile = None,
+    model: ModelName = None,
+    topic: Topics = None,
+    units: Units = None,
     budget: Annotated[
         float | None,
         typer.Option(min=0.0, metavar="SECONDS", help="Time limit of the search, as of explain."),
     ] = None,
+    dashboard: Annotated[
+        bool, typer.Option("--dashboard", help="Show it in the Rerun viewer as it goes.")
+    ] = False,
+    web: Annotated[
+        bool, typer.Option("--web", help="The same in a browser instead of a window.")
+    ] = False,
+    rrd: Rrd = None,
 ) -> None:  # fmt: skip
-    """Record a phone as it moves, through a page in its browser, and explain the recording.
+    """Record a phone as it moves, say which turn to do next, and explain the recording.
 
-    Open the link on the phone, do what the page says, press Stop (or Ctrl-C here). Writes
-    recording.mcap, calibration.json, explanation.json and report.html. What was recorded survives
-    a crash: start again with the same folder, and the same link goes on.
+    Open the link on the phone, do what the page says, press Stop (or Ctrl-C here). The app Sensor
+    Logger pushes to the link with push behind it; --phyphox and --follow ask other sources. Writes
+    recording.mcap, calibration.json, explanation.json, report.html and exports. What was recorded
+    survives a crash: start again with the same folder, and the same link goes on.
     """
     from handcal.live.recorder import opened
     from handcal.live.session import Session
 
-    recording = None if source is None else load(source, None, None)
+    places = _Places(lan, plain, port, source, speed, phyphox, follow, topic, units)
+    places.check()
+    recording = None if source is None else load(source, topic, units)
     if recording is None:
         _check_installed()
+    wanted = _wanted(effects, until, (device, priors, model), budget, places.is_page)
     out.mkdir(parents=True, exist_ok=True)
     session = Session(opened(out / "recording.mcap"))
     if session.recorder.samples:
         say(f"going on with {session.recorder.seconds:.0f} s that were recorded before")
-    if recording is None:
-        ended = _served(session, out, lan, port, budget)
-    else:
-        from handcal.live.run import fed
+    with _board(dashboard or web, web, rrd, (source, follow)) as board:
+        if recording is None:
+            ended = _served(session, out, places, wanted, board)
+        else:
+            from handcal.live.run import fed
 
-        ended = fed(session, recording, speed, out, budget, say)
+            session.source = "file"
+            ended = fed(session, recording, speed, out, wanted, say, board)
     print(ended.headline)
     for sentence in ended.sentences:
         print(sentence)
     print(f"{out}: {', '.join(ended.files)}")
+
+
+@dataclass(frozen=True)
+class _Places:
+    """Where the page is, and where readings come from, as typed."""
+
+    lan: bool
+    plain: bool
+    port: int | None
+    source: Path | None
+    speed: float
+    phyphox: str | None
+    follow: Path | None
+    topic: list[str] | None
+    units: str | None
+
+    @property
+    def is_page(self) -> bool:
+        """Readings come from the page, or are pushed."""
+        return self.source is None and self.phyphox is None and self.follow is None
+
+    def check(self) -> None:
+        """Errors: InputError for options that do not go together."""
+        from handcal.types import InputError
+
+        several = [("--from", self.source), ("--phyphox", self.phyphox), ("--follow", self.follow)]
+        named = [option for option, value in several if value is not None]
+        if len(named) > 1:
+            raise InputError(f"{' and '.join(named)}: one source at a time.")
+        if self.plain and not self.lan:
+            raise InputError("--plain is for --lan; on this machine alone nothing is encrypted.")
+
+
+def _wanted(
+    effects: str, until: str, known: tuple[Path | None, Path | None, str | None],
+    budget: float | None, is_page: bool,
+) -> Wanted:  # fmt: skip
+    """What was asked for. Errors: InputError."""
+    from handcal.effects import select
+    from handcal.live.ending import Wanted
+    from handcal.live.goals import parse
+
+    ids = comma_separated(effects)
+    select(ids)
+    goals = dict(parse(until))
+    before = before_of(*known, [])
+    if before is not None and not ids:  # (what is known of the device is estimated on)
+        ids = tuple(dict.fromkeys(e for e, _ in before.names if not e.endswith("_bias")))
+    beyond = [e for e in goals if not e.endswith("_bias")]
+    if ids or beyond:
+        ids = tuple(dict.fromkeys((*ids, *beyond)))
+    return Wanted(ids, before, goals, budget, is_page)
+
+
+@contextlib.contextmanager
+def _board(
+    shown: bool, web: bool, rrd: Path | None, read: tuple[Path | None, ...]
+) -> Iterator[Board | None]:
+    """The dashboard, where one is wanted."""
+    if not shown and rrd is None:
+        yield None
+        return
+    import os
+
+    from handcal.output import check_outputs
+    from handcal.show.viewer import require_display
+
+    check_outputs((rrd,), read)
+    if shown and not web:
+        require_display()
+    os.environ.setdefault("RUST_LOG", "warn,re_grpc_client=off,re_sdk=off")
+    from handcal.show.dashboard.session import board
+
+    with board(show=shown, web=web, rrd=rrd, say=say) as made:
+        yield made
 
 
 def _check_installed() -> None:
@@ -78,21 +199,56 @@ def _check_installed() -> None:
 
 
 def _served(
-    session: Session, out: Path, lan: bool, port: int | None, budget: float | None
+    session: Session, out: Path, places: _Places, wanted: Wanted, board: Board | None
 ) -> Ended:
     import asyncio
 
     from handcal.live.link import link_of, qr
     from handcal.live.run import serve
 
-    link = link_of(out, lan, port)
+    pull = _pull(session, places)
+    link = link_of(out, places.lan, places.port, places.plain)
 
     def ready() -> None:
         print(qr(link.url) + link.url, flush=True)
-        if lan:
+        if places.lan and not places.plain:
             say("the phone will warn that it does not know the certificate, which was made here: "
                 "go on all the same (Advanced, Proceed; on iOS Show Details, visit)")  # fmt: skip
+        elif places.plain:
+            say("not encrypted: phones give no page their sensors this way; it is for apps")
         else:
             say("the page can be opened on this machine alone; --lan serves it to a phone")
+        if places.is_page:
+            say(f"Sensor Logger pushes to {link.url}push")
 
-    return asyncio.run(serve(session, link, out, budget, say, ready))
+    return asyncio.run(serve(session, link, out, wanted, say, ready, pull, board))
+
+
+def _pull(session: Session, places: _Places) -> Pull | None:
+    """How readings are asked for; None where they come by themselves. Errors: InputError."""
+    if places.phyphox is not None:
+        from handcal.live.sources.phyphox import found
+
+        phone = found(places.phyphox)
+        session.source = "phyphox"
+
+        def asked(into: Session) -> bool:
+            phone.poll(into)
+            return not phone.ended
+
+        return asked
+    if places.follow is not None:
+        from handcal.live.sources.mcap import growing
+
+        session.source = "recorder"
+        return growing(places.follow, _options(places)).pull
+    return None
+
+
+def _options(places: _Places) -> Options:
+    """What was said of the topics and units of a file."""
+    from handcal.recordings.inputs._options import checked_options
+
+    topics = pairs(places.topic or [], "--topic")
+    said = pairs(comma_separated(places.units or ""), "--units")
+    return checked_options(topics, said, None)

@@ -141,7 +141,7 @@ def _informations(
     parameters: tuple[Parameter, ...] = ()
     for i, motion in enumerate(motions):
         try:
-            G, parameters = _information(motion, case, levels, effects)
+            G, parameters = information(motion, case, levels, effects)
         except HandcalError:
             continue
         informations[motion] = G
@@ -160,7 +160,7 @@ def _prospects(
     first = np.sqrt(np.diag(known))[at]
     prospects = []
     for motion, G in informations.items():
-        sigma = np.sqrt(np.diag(_updated(known, G)))[at]
+        sigma = np.sqrt(np.diag(updated(known, G)))[at]
         times = math.exp(float(np.log(first / sigma).mean()))
         prospects.append(Prospect(motion, sigma * scale[at], times))
     prospects.sort(key=lambda p: (-round(p.times, 6), p.motion.duration_s))
@@ -199,7 +199,7 @@ def _nothing(heading_sigma: float | None) -> Recording:
     return Recording("nothing recorded yet", imu, streams)
 
 
-def _information(
+def information(
     motion: Motion, case: Case, levels: Mapping[str, float], effects: Sequence[Effect]
 ) -> tuple[Array, tuple[Parameter, ...]]:
     """G (k, k) of biases and effects in units of their priors, everything else integrated out,
@@ -212,17 +212,17 @@ def _information(
     rest = [i for i in range(len(G)) if i not in mine]
     cross = G[np.ix_(mine, rest)]
     inner = G[np.ix_(rest, rest)] + np.eye(len(rest))
-    information = G[np.ix_(mine, mine)] - cross @ np.linalg.solve(inner, cross.T)
+    told = G[np.ix_(mine, mine)] - cross @ np.linalg.solve(inner, cross.T)
     names = [(b, a, u) for b, u in zip(BIASES, ("rad/s", "m/s^2"), strict=True) for a in "xyz"]
     names += [(s.owner, s.name, s.unit) for _, s in slots]
     sigma = done.reduction.scale[mine]
-    return information, tuple(
+    return told, tuple(
         Parameter(e, n, 0.0, float(s), u, float(s), None)
         for (e, n, u), s in zip(names, sigma, strict=True)
     )
 
 
-def _updated(P: Array, G: Array) -> Array:
+def updated(P: Array, G: Array) -> Array:
     """Covariance (k, k) once information G (k, k) is added: (P^-1 + G)^-1 without P^-1."""
     L = np.linalg.cholesky(0.5 * (P + P.T) + 1e-15 * np.eye(len(P)))
     inner = np.eye(len(P)) + L.T @ G @ L

@@ -1,44 +1,103 @@
-"""What to do next, told by what has been done: rest, a turn about each axis and back, rest."""
+"""Leads a hand: asks for a motion, sees from the data whether it was done, says what it brought."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from handcal.types import Recording
+from handcal.live.looks import Look
+from handcal.live.turns import CHOICE, FIRST, Asked, Watched
+from handcal.show import words
+from handcal.types import Array, IntArray, Parameter
 
-REST_S, STILL_RAD_S = 3.0, np.radians(4.0)
-# (there and back, less what slow ends and hasty hands leave out)
-TURN_RAD, TURNING_RAD_S = 3.6 * np.pi, np.radians(10.0)
-REST = "Lay it down on its back, screen up, and leave it there."
-TURNS = (
-    "Hold it where it is and turn it once about its x axis (to the right) and back, slowly.",
-    "Hold it where it is and turn it once about its y axis (to the top) and back, slowly.",
-    "Hold it where it is and turn it once like a plate on the table and back, slowly.",
-)
-LAY_DOWN = "Lay it down again, screen up."
+WAIT = "Hold it where it is: working out what to do next."
 ENOUGH = "That is enough: press Stop, or go on turning to know more."
+# Without an estimate after this long, s of recording, turns are asked for one after the other.
+PATIENCE_S = 15.0
+# An improvement below a tenth is not worth a word.
+BETTER = 0.9
+# Of these at most is said what a motion brought.
+MOST_TOLD = 3
 
 
-def next_turn(recording: Recording | None) -> dict[str, Any]:
-    """The sentence, and which share (0 to 1) of it has been done."""
-    if recording is None:
-        return {"say": REST, "done": 0.0}
-    imu = recording.imu
-    step = np.clip(np.diff(imu.t, append=imu.t[-1]), 0.0, 0.1)
-    size = np.linalg.norm(imu.gyro, axis=1)
-    still = size < STILL_RAD_S
-    moved = np.flatnonzero(~still)
-    rested = float(step[still].sum())
-    if rested < REST_S and len(moved) * float(np.median(step)) < REST_S:
-        return {"say": REST, "done": rested / REST_S}
-    turning = size > TURNING_RAD_S
-    turned = (np.abs(imu.gyro) * (turning * step)[:, None]).sum(axis=0) / TURN_RAD
-    for axis, sentence in enumerate(TURNS):
-        if turned[axis] < 1.0:
-            return {"say": sentence, "done": round(float(turned[axis]), 3)}
-    last = float(imu.t[-1] - imu.t[moved[-1]]) if len(moved) else 0.0
-    if last < REST_S:
-        return {"say": LAY_DOWN, "done": round(last / REST_S, 3)}
-    return {"say": ENOUGH, "done": 1.0}
+@dataclass
+class Guide:
+    """watched: the motion that is asked for; before: the look when it was asked for; brought: what
+    the last one did; over_ns: when the last motion was over, None while one is being done."""
+
+    watched: Watched = field(default_factory=lambda: Watched(FIRST))
+    look: Look | None = None
+    before: Look | None = None
+    brought: str = ""
+    asked: list[str] = field(default_factory=list)
+    over_ns: int | None = None
+    last_ns: int | None = None
+    enough: bool = False
+
+    def saw(self, ns: IntArray, gyro: Array) -> None:
+        """Take in what was read since the last time: stamps (n,) ns, rates (n, 3) rad/s."""
+        fresh = ns > (-1 if self.last_ns is None else self.last_ns)
+        ns, gyro = ns[fresh], gyro[fresh]
+        if not len(ns):
+            return
+        # (a gap is no turn: over it nothing is known)
+        step = np.clip(np.diff(ns, prepend=ns[0] if self.last_ns is None else self.last_ns) / 1e9,
+                       0.0, 0.1)  # fmt: skip
+        self.last_ns = int(ns[-1])
+        if self.over_ns is None:
+            bias = self.look.bias if self.look is not None else 0.0
+            self.watched.saw(gyro - bias, step)
+            if self.watched.over:
+                self.over_ns = self.last_ns
+        elif self.last_ns - self.over_ns > PATIENCE_S * 1e9:
+            self._ask(CHOICE[len(self.asked) % len(CHOICE)])
+
+    def learned(self, look: Look) -> None:
+        """A new look: it says what the last motion brought, and which is next."""
+        self.look, self.enough = look, look.enough
+        if self.over_ns is None or look.end_ns < self.over_ns:
+            return
+        if self.before is not None:
+            self.brought = brought(self.before, look, self.watched.asked.name)
+        if look.next is not None and not look.enough:
+            self._ask(next(a for a in CHOICE if a.name == look.next.name))
+
+    def _ask(self, asked: Asked) -> None:
+        self.watched, self.before, self.over_ns = Watched(asked), self.look, None
+        self.asked.append(asked.name)
+
+    def told(self) -> dict[str, Any]:
+        """What the page, the terminal and the dashboard are told."""
+        out: dict[str, Any] = {"brought": self.brought}
+        if self.enough:
+            return out | {"turn": {"say": ENOUGH, "done": 1.0}}
+        if self.over_ns is not None:
+            return out | {"turn": {"say": WAIT, "done": 1.0}}
+        now = self.watched
+        say = now.asked.motion.sentence if now.asked is FIRST else now.sentence
+        turn = {"say": say, "hint": now.hint, "done": round(now.done, 3), "step": now.at + 1,
+                "steps": len(now.steps), "name": now.asked.name,
+                "picture": now.picture}  # fmt: skip
+        return out | {"turn": turn}
+
+
+def brought(before: Look, after: Look, name: str) -> str:
+    """What a motion did: the parameters that became known best, the most improved first."""
+    improved: list[tuple[float, Parameter, float]] = []
+    for p in after.parameters:
+        old = before.sigma(p.effect, p.name)
+        if old is not None and p.sigma < BETTER * old:
+            improved.append((p.sigma / old, p, old))
+    if not improved:
+        return f"“{name}” told little that was new."
+    improved.sort(key=lambda entry: entry[0])
+    told = []
+    for _, p, old in improved[:MOST_TOLD]:
+        unit = words.shown_group([p])
+        told.append(
+            f"{words.parameter_title(p)} ± {unit.value(old, old)} to ± "
+            f"{unit.value(p.sigma, p.sigma)} {unit.unit}"
+        )
+    return f"That brought {words.listed(told)}."

@@ -38,17 +38,18 @@ class Link:
         return frozenset(f"{name}:{self.port}" for name in names)
 
 
-def link_of(folder: Path, lan: bool, port: int | None) -> Link:
+def link_of(folder: Path, lan: bool, port: int | None, plain: bool = False) -> Link:
     """The folder's link, the same as before if it had one; otherwise a new one, kept in a file
-    that only its owner can read. Errors: InputError for a port in use or a damaged file."""
+    that only its owner can read. plain: not encrypted in a network either. Errors: InputError for
+    a damaged file."""
     path, host = folder / NAME, own_address() if lan else LOOPBACK
-    before = _kept(path)
-    same = before is not None and before.host == host and bool(before.certificate) == lan
+    before, tls = _kept(path), lan and not plain
+    same = before is not None and before.host == host and bool(before.certificate) == tls
     if before is not None and same and port in (None, before.port):
         return before
     link = Link(
         secrets.token_urlsafe(24) if before is None else before.token,
-        host, port or _free_port(host), _certificate(host) if lan else "",
+        host, port or _free_port(host), _certificate(host) if tls else "",
     )  # fmt: skip
     path.unlink(missing_ok=True)
     handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)

@@ -1,4 +1,4 @@
-"""What a session records: in memory for the estimates, in the file before it is acknowledged.
+"""What a session records: in the file before it is acknowledged, and its last minutes in memory.
 
 A file that a killed process left is gone on with: its last note says which batch is due.
 """
@@ -7,53 +7,73 @@ from __future__ import annotations
 
 import os
 import time
+from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from handcal.recordings import append
+from handcal.recordings.append import Pieces
+from handcal.recordings.streams import STREAMS
 from handcal.types import Array, InputError, IntArray
 
 SYNC_S = 1.0  # so much at most is lost where the whole machine dies
+# In memory, for the estimates on the way, whatever else: at 400 Hz some 10 MB.
+LONGEST_NS = 300 * 1_000_000_000
 
-Stream = list[tuple[IntArray, Array]]
+Stream = deque[tuple[IntArray, Array]]
 
 
 @dataclass
 class Recorder:
-    """An open recording. next: number of the batch that is due; last_ns: stamp of the last
-    sample, None before the first."""
+    """An open recording. next: number of the batch that is due; first_ns, last_ns: stamps of the
+    first and the last sample, None before there is one; newest: by stream; kept: in memory."""
 
     path: Path
     growing: append.Growing
     next: int = 0
     samples: int = 0
     first_ns: int | None = None
-    last_ns: int | None = None
-    kept: dict[str, Stream] = field(default_factory=lambda: {"imu": [], "heading": []})
+    newest: dict[str, int] = field(default_factory=dict)
+    kept: dict[str, Stream] = field(default_factory=lambda: {n: deque() for n in append.IDS})
+    note: Mapping[str, Any] = field(default_factory=dict)
     synced: float = 0.0
 
-    def add(
-        self, ns: IntArray, value: Array, heading: tuple[IntArray, Array] | None, seq: int
-    ) -> None:
-        """Write one batch, and only then count it: ns (n,), value (n, 6) rates and forces."""
-        pieces = {"imu": (ns, value)} | ({} if heading is None else {"heading": heading})
-        append.append(self.growing, pieces, {"seq": seq})
+    def add(self, pieces: Pieces, note: Mapping[str, Any]) -> None:
+        """Write one batch, and only then count it: by stream stamps (n,) ns and values (n, d);
+        the note has its number, "seq"."""
+        append.append(self.growing, pieces, note)
         if time.monotonic() - self.synced > SYNC_S:
             os.fsync(self.growing.file.fileno())
             self.synced = time.monotonic()
-        self.next = seq + 1
+        self.next, self.note = int(note["seq"]) + 1, note
         for name, piece in pieces.items():
             self._keep(name, piece)
 
     def _keep(self, name: str, piece: tuple[IntArray, Array]) -> None:
-        self.kept[name].append(piece)
         ns = piece[0]
-        if name == "imu" and len(ns):
+        if not len(ns):
+            return
+        self.kept[name].append(piece)
+        self.newest[name] = int(ns[-1])
+        if name == "imu":
             self.samples += len(ns)
             self.first_ns = int(ns[0]) if self.first_ns is None else self.first_ns
-            self.last_ns = int(ns[-1])
+            self.forget(int(ns[-1]) - LONGEST_NS)
+
+    def forget(self, before_ns: int) -> None:
+        """Keep in memory only what came at that stamp or later (pieces as a whole)."""
+        for stream in self.kept.values():
+            while stream and stream[0][0][-1] < before_ns:
+                stream.popleft()
+
+    @property
+    def last_ns(self) -> int | None:
+        """Stamp of the last sample of the IMU."""
+        return self.newest.get("imu")
 
     @property
     def seconds(self) -> float:
@@ -72,14 +92,14 @@ class Recorder:
         return np.concatenate(parts) if parts else np.zeros(0, dtype=np.int64)
 
     def streams(self) -> dict[str, tuple[IntArray, Array]]:
-        """Stamps (n,) ns and values (n, d), by stream."""
-        width = {"imu": 6, "heading": 1}
+        """Stamps (n,) ns and values (n, d) that are in memory, by stream."""
         return {
             name: (
                 np.concatenate([np.zeros(0, dtype=np.int64), *(ns for ns, _ in parts)]),
-                np.concatenate([np.zeros((0, width[name])), *(v for _, v in parts)]),
+                np.concatenate([np.zeros((0, len(STREAMS[name].columns))), *(v for _, v in parts)]),
             )
             for name, parts in self.kept.items()
+            if parts or name == "imu"
         }
 
     def close(self) -> None:
@@ -95,7 +115,9 @@ def opened(path: Path) -> Recorder:
     held = append.held(path)
     if held.complete or held.end == 0:
         raise InputError(f"{path} is a recording that has ended; name another folder with --out.")
-    recorder = Recorder(path, append.go_on(path, held), next=int(held.note.get("seq", -1)) + 1)
+    recorder = Recorder(
+        path, append.go_on(path, held), next=int(held.note.get("seq", -1)) + 1, note=held.note
+    )
     for name, piece in held.streams.items():
         recorder._keep(name, piece)
     return recorder

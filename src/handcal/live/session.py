@@ -2,7 +2,7 @@
 
 A batch is recorded before it is acknowledged. One that arrives again, because its acknowledgement
 was lost, is acknowledged again and nothing else; one that arrives too early is refused with the
-number that is due. Stamps are the sender's clock; the arrivals only say whether it is still there.
+number that is due. Stamps are the sender's clock; when each batch arrived stands beside them.
 """
 
 from __future__ import annotations
@@ -16,11 +16,15 @@ from typing import Any
 
 import numpy as np
 
+from handcal.live.clocks import Clocks
 from handcal.live.recorder import Recorder
-from handcal.types import Array, HandcalError, Imu, IntArray, Recording, Series
+from handcal.recordings.append import Pieces
+from handcal.types import Array, BoolArray, HandcalError, Imu, IntArray, Recording, Series
 
 SILENT_S = 10.0  # after which another page may take the session over
 MOST_SAMPLES = 2_000_000  # five hours at 100 Hz
+# Of all streams in one batch: what unpacks to a quarter of what the recorder takes back.
+MOST_ROWS = 20_000
 LONGEST_GAP_NS = 3600 * 1_000_000_000
 RECENT = 200
 
@@ -36,29 +40,43 @@ class Refused(HandcalError):
 @dataclass(frozen=True)
 class Batch:
     """What arrives at once: client and number; ns (n,) stamps, gyro (n, 3) rad/s, accel (n, 3)
-    m/s^2; heading: stamps (m,) ns and yaw (m, 1) rad."""
+    m/s^2; further: of other streams, by name, stamps (m,) ns and values (m, d) as in types.Series;
+    note: what its source has to know after a restart, as JSON."""
 
     client: str
     seq: int
     ns: IntArray
     gyro: Array
     accel: Array
-    heading: tuple[IntArray, Array] | None = None
+    further: Pieces = field(default_factory=dict)
+    note: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass
 class Session:
-    """What has arrived so far. ``clock``: seconds, of any origin; ``state``: recording, working,
-    done or failed; ``told``: what is shown beside the counts."""
+    """What has arrived so far.
+
+    clock: seconds, of any origin; wall_ns: this machine's time, which stands beside the stamps in
+    the file and is never mixed with them; state: recording, working, done or failed; source: where
+    readings come from; told: what is shown beside the counts.
+    """
 
     recorder: Recorder
     clock: Callable[[], float] = time.monotonic
+    wall_ns: Callable[[], int] = time.time_ns
+    clocks: Clocks = field(default_factory=Clocks)
     state: str = "recording"
     told: dict[str, Any] = field(default_factory=dict)
+    source: str = "page"
     client: str = ""
     seen: float = -np.inf
     late: int = 0
     lock: threading.Lock = field(default_factory=threading.Lock)
+
+    @property
+    def note(self) -> Mapping[str, Any]:
+        """What the last batch's source wanted to know after a restart."""
+        return self.recorder.note
 
     @property
     def next(self) -> int:
@@ -91,16 +109,32 @@ class Session:
 
     def _record(self, batch: Batch) -> None:
         last = self.recorder.last_ns
+        rows = len(batch.ns) + sum(len(ns) for ns, _ in batch.further.values())
+        if rows > MOST_ROWS:
+            raise Refused(413, f"A batch may have {MOST_ROWS} readings at most.")
         if self.recorder.samples + len(batch.ns) > MOST_SAMPLES:
             raise Refused(413, "The recording is full; stop it.")
         if last is not None and len(batch.ns) and batch.ns[-1] - last > LONGEST_GAP_NS:
             raise Refused(400, "The clock of the sender has jumped by more than an hour.")
-        highest = np.maximum.accumulate(np.r_[-1 if last is None else last, batch.ns])[:-1]
-        fresh = batch.ns > highest
+        fresh = self._fresh("imu", batch.ns)
+        further = {}
+        for name, (ns, value) in batch.further.items():
+            own = self._fresh(name, ns)
+            further[name] = (ns[own], value[own])
+        arrived = self.wall_ns()
+        if fresh.any():
+            self.clocks.heard(int(batch.ns[fresh][-1]), arrived)
+        values = np.hstack([batch.gyro, batch.accel])[fresh]
+        note = {"seq": batch.seq, "host_ns": arrived, **batch.note}
+        self.recorder.add({"imu": (batch.ns[fresh], values), **further}, note)
+
+    def _fresh(self, stream: str, ns: IntArray) -> BoolArray:
+        """Which stamps (n,) are newer than all before them."""
+        last = self.recorder.newest.get(stream, -1)
+        highest = np.maximum.accumulate(np.r_[last, ns])[:-1]
+        fresh: BoolArray = ns > highest
         self.late += int((~fresh).sum())
-        self.recorder.add(
-            batch.ns[fresh], np.hstack([batch.gyro, batch.accel])[fresh], batch.heading, batch.seq
-        )
+        return fresh
 
     def status(self) -> Mapping[str, Any]:
         """What the page is answered."""
@@ -113,11 +147,29 @@ class Session:
             "seconds": round(self.recorder.seconds, 2),
             "rate_hz": round(1e9 / float(np.median(steps)), 1) if len(steps) else None,
             "late": self.late,
+            "source": self.source,
             **self.told,
         }
 
+    def since(self, ns: int) -> tuple[IntArray, Array]:
+        """Stamps (n,) ns and readings (n, 6) of the IMU in batches that hold newer ones."""
+        with self.lock:
+            parts: list[tuple[IntArray, Array]] = []
+            for piece in reversed(self.recorder.kept["imu"]):
+                if piece[0][-1] <= ns:
+                    break
+                parts.insert(0, piece)
+        if not parts:
+            return np.zeros(0, dtype=np.int64), np.zeros((0, 6))
+        return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
+
+    def forget(self, before_ns: int) -> None:
+        """Keep in memory only what is not older than that stamp."""
+        with self.lock:
+            self.recorder.forget(before_ns)
+
     def recording(self) -> Recording | None:
-        """All there is so far, None below two samples."""
+        """What the recorder keeps in memory (the last minutes), None below two samples."""
         with self.lock:
             streams = self.recorder.streams()
         return recording_of(self.recorder.path, streams)

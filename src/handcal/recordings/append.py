@@ -30,8 +30,9 @@ from handcal.recordings.streams import STREAMS
 from handcal.types import Array, InputError, IntArray
 
 MAGIC = b"\x89MCAP0\r\n"
-LARGEST = 4 * 2**20  # no piece of ours unpacks to more
-IDS = {"imu": 1, "heading": 2}
+LARGEST = 32 * 2**20  # no piece of ours unpacks to more
+# Channels; 3 is the note (files that were broken off keep their numbers).
+IDS = {"imu": 1, "heading": 2, "mag": 4, "temperature": 5, "pose": 6, "reference": 7}
 NOTE_ID, NOTE_TOPIC, NOTE_SCHEMA = 3, "/live/batch", "handcal/live/batch"
 _DAMAGED = (struct.error, EndOfFile, UnicodeDecodeError, OverflowError, ValueError)
 
@@ -130,7 +131,8 @@ def _register_note(growing: Growing, out: RecordBuilder) -> None:
 
 def held(path: Path) -> Held:
     """What such a file holds, as far as it goes. Errors: InputError for a file of another kind."""
-    blocks: dict[int, list[bytes]] = {}
+    parts: dict[str, list[tuple[IntArray, Array]]] = {}
+    note: Mapping[str, Any] = {}
     end, complete = 0, False
     with path.open("rb") as file:
         if file.read(8) != MAGIC:
@@ -139,13 +141,19 @@ def held(path: Path) -> Held:
             complete = complete or opcode in (Opcode.DATA_END, Opcode.FOOTER)
             if opcode == Opcode.CHUNK:
                 try:
-                    _take(_unpacked(content), blocks)
+                    blocks = _messages(_unpacked(content))
+                    note = json.loads(blocks[NOTE_ID][-1]) if NOTE_ID in blocks else note
                 except _DAMAGED:
                     break
+                for name, id in IDS.items():
+                    if id in blocks:
+                        parts.setdefault(name, []).append(_decoded(name, blocks[id]))
             end = after
-    streams = {name: _decoded(name, blocks[id]) for name, id in IDS.items() if id in blocks}
-    notes = blocks.get(NOTE_ID)
-    return Held(streams, json.loads(notes[-1]) if notes else {}, end, complete)
+    streams = {
+        name: (np.concatenate([ns for ns, _ in some]), np.concatenate([v for _, v in some]))
+        for name, some in parts.items()
+    }
+    return Held(streams, note, end, complete)
 
 
 def _records(file: BinaryIO) -> Iterator[tuple[int, bytes, int]]:
@@ -175,8 +183,9 @@ def _unpacked(content: bytes) -> bytes:
     return data
 
 
-def _take(data: bytes, blocks: dict[int, list[bytes]]) -> None:
+def _messages(data: bytes) -> dict[int, list[bytes]]:
     """The messages of a chunk, by channel."""
+    blocks: dict[int, list[bytes]] = {}
     at = 0
     while at + 9 <= len(data):
         opcode, length = struct.unpack_from("<BQ", data, at)
@@ -184,6 +193,7 @@ def _take(data: bytes, blocks: dict[int, list[bytes]]) -> None:
             (id,) = struct.unpack_from("<H", data, at + 9)
             blocks.setdefault(id, []).append(data[at + 31 : at + 9 + length])
         at += 9 + length
+    return blocks
 
 
 def _decoded(stream: str, parts: list[bytes]) -> tuple[IntArray, Array]:

@@ -10,6 +10,7 @@ const agent = /iPhone|iPad|iPod/.test(navigator.userAgent) ? "ios"
 let next = 0;          // number of the next batch
 let batch = empty();   // being filled
 let unsent = [];       // filled, not acknowledged
+let watching = false;  // readings come from elsewhere
 let sending = false, stopping = false, last = -Infinity, heard = 0;
 
 function own() {
@@ -80,29 +81,70 @@ async function ask() {  // nothing to send: what is new there, and that this pag
   finally { sending = false; }
 }
 
+function text(id, words) { $(id).textContent = words || ""; $(id).hidden = !words; }
+
 function show(said) {
   heard = performance.now();
   $("seconds").textContent = `${said.seconds.toFixed(0)} s`;
   $("rate").textContent = said.rate_hz ? `${said.rate_hz.toFixed(0)} Hz` : "–";
-  if (said.turn) { $("say").textContent = said.turn.say; $("done").value = said.turn.done; $("turn").hidden = stopping; }
-  if (said.biases) { $("closing").hidden = false; $("biases").replaceChildren(...said.biases.map(row)); }
+  if (watching) { $("waitname").textContent = "late"; $("waiting").textContent = said.late; }
+  if (said.turn) {
+    $("say").textContent = said.turn.say; $("done").value = said.turn.done; $("turn").hidden = stopping;
+    text("hint", said.turn.hint); text("brought", said.brought);
+    picture = said.turn.picture || null; $("stage").hidden = !picture;
+  }
+  text("doubts", (said.doubts || []).join(" "));
+  if (said.parameters) { $("closing").hidden = false; $("bars").replaceChildren(...said.parameters.map(row)); }
+  if (said.so_far && said.so_far.length) text("sofar", `So far explain finds: ${said.so_far.join("; ")}.`);
   if (said.state === "working") {
     $("note").textContent = said.stage ? `Explaining: ${said.stage}` : "Explaining what was recorded";
-    $("turn").hidden = false; $("say").textContent = "The result takes a minute or so.";
+    $("turn").hidden = false; $("stage").hidden = true; picture = null;
+    $("say").textContent = "The result takes a minute or so."; text("hint", ""); text("doubts", "");
     $("done").value = said.progress || 0;
   }
   if (said.verdict) ended(said);
 }
 
 function row(b) {
-  const cells = [b.name, `${b.value.toPrecision(2)} ± ${b.sigma.toPrecision(1)} ${b.unit}`].map((text) => {
-    const cell = document.createElement("td"); cell.textContent = text; return cell;
-  });
-  const bar = document.createElement("meter"), cell = document.createElement("td"), line = document.createElement("tr");
-  bar.max = 1; bar.value = Math.min(1, b.sigma / b.prior);
-  cell.append(bar); line.append(...cells, cell);
+  const line = document.createElement("tr");
+  line.className = b.good ? "good" : "";
+  for (const words of [b.name, b.text]) {
+    const cell = document.createElement("td"); cell.textContent = words; line.append(cell);
+  }
+  const bar = document.createElement("meter"), cell = document.createElement("td");
+  bar.max = 1; bar.value = b.left;
+  cell.append(bar); line.append(cell);
   return line;
 }
+
+// The phone that shows what to do: body axes are x right, y to the top, z out of the screen; the
+// floor's are the page's, where y points down.
+let picture = null, shownSince = 0, shownTurn = "";
+
+function times(a, b) {
+  return [0, 1, 2].flatMap((i) => [0, 1, 2].map((j) => a[3 * i] * b[j] + a[3 * i + 1] * b[3 + j] + a[3 * i + 2] * b[6 + j]));
+}
+
+function about([x, y, z], angle) {
+  const n = Math.hypot(x, y, z), c = Math.cos(angle), s = Math.sin(angle), v = 1 - c;
+  [x, y, z] = [x / n, y / n, z / n];
+  return [c + x * x * v, x * y * v - z * s, x * z * v + y * s, y * x * v + z * s, c + y * y * v, y * z * v - x * s,
+    z * x * v - y * s, z * y * v + x * s, c + z * z * v];
+}
+
+function draw(now) {
+  if (picture) {
+    const turn = JSON.stringify(picture);
+    if (turn !== shownTurn) { shownTurn = turn; shownSince = now; }
+    const t = ((now - shownSince) / 1000) % (picture.seconds + 1), s = Math.min(1, t / picture.seconds);
+    const m = times(picture.from, about(picture.axis, picture.degrees * Math.PI / 180 * s * s * (3 - 2 * s)));
+    const flip = [1, -1, 1], at = (i, j) => m[3 * i + j] * flip[i] * flip[j];
+    const cells = [0, 1, 2].flatMap((j) => [...[0, 1, 2].map((i) => at(i, j).toFixed(5)), 0]);
+    $("phone").style.transform = `matrix3d(${cells.join(",")},0,0,0,1)`;
+  }
+  requestAnimationFrame(draw);
+}
+requestAnimationFrame(draw);
 
 function ended(said) {
   $("headline").textContent = said.verdict.headline;
@@ -136,6 +178,18 @@ async function start() {
   setTimeout(() => { if (last === -Infinity) complain("No readings arrive: this device has no gyro, or the page may not read it."); }, 2000);
 }
 
+async function begin() {  // readings come from an app, a recorder or a phone that is asked: watch
+  try {
+    const said = await (await fetch("state")).json();
+    if (said.source === "page" && !said.verdict) return;
+    watching = true;
+    $("start").hidden = true; $("facts").hidden = false; $("stop").hidden = said.state !== "recording";
+    $("note").textContent = "Readings come from elsewhere; this page shows what to do.";
+    show(said);
+    if (!said.verdict) poll();
+  } catch { complain("No connection to the computer."); }
+}
+
 async function stop() {
   stopping = true;
   $("stop").disabled = true;
@@ -148,7 +202,7 @@ async function stop() {
   try { const [, said] = await post("stop", { client }); show(said); }
   catch { complain("No connection: press Stop again."); $("stop").disabled = stopping = false; return; }
   $("stop").hidden = true;
-  poll();
+  if (!watching) poll();
 }
 
 async function poll() {
@@ -161,5 +215,6 @@ async function poll() {
   setTimeout(poll, POLL_MS);
 }
 
+begin();
 $("start").addEventListener("click", start);
 $("stop").addEventListener("click", stop);

@@ -60,13 +60,13 @@ def parse(body: bytes) -> Batch:
     gyro, accel = _numbers(tree, "gyro", 3), _numbers(tree, "accel", 3)
     if not len(t) == len(gyro) == len(accel):
         raise Refused(400, "t, gyro and accel: expected as many of each.")
-    heading = None
+    further = {}
     if tree.get("heading"):
         rows = _numbers(tree, "heading", 2)
         yaw = np.radians(rows[:, 1:])
-        heading = (_ns(rows[:, 0]), np.arctan2(np.sin(yaw), np.cos(yaw)))
+        further["heading"] = (_ns(rows[:, 0]), np.arctan2(np.sin(yaw), np.cos(yaw)))
     sign = -1.0 if tree.get("agent") == "ios" else 1.0
-    return Batch(client, seq, _ns(t), np.radians(gyro), sign * accel, heading)
+    return Batch(client, seq, _ns(t), np.radians(gyro), sign * accel, further)
 
 
 def _ns(ms: Array) -> IntArray:

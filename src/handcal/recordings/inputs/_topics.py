@@ -91,12 +91,12 @@ def recording_from_topics(
     path: Path, topics: Sequence[Topic], options: Options, warnings: tuple[str, ...]
 ) -> Recording:
     """Assign the topics to streams and assemble them. Errors: InputError."""
-    chosen, said = _chosen(path, topics, options)
+    chosen, said = chosen_topics(path, topics, options)
     held = {
         stream: [topic for topic in topics if topic.name == name and topic.parts]
         for stream, name in chosen.items()
     }
-    messages = {stream: _in_order(channels) for stream, channels in held.items()}
+    messages = {stream: in_order(channels) for stream, channels in held.items()}
     imu = messages.pop("imu")
     value = imu.value * _factors(STREAMS["imu"], options)
     gyro, accel, flagged = both_sensors(path, chosen["imu"], imu.stamp, value, imu.lacking)
@@ -145,7 +145,7 @@ def _factors(row: Stream, options: Options) -> Array:
     return np.repeat(factors, len(row.columns) // len(factors))
 
 
-def _in_order(channels: Sequence[Topic]) -> Decoded:
+def in_order(channels: Sequence[Topic]) -> Decoded:
     """The messages of one topic in the order of the file. Stamped by header time, else log time."""
     parts = [part for channel in channels for part in channel.parts]
     order = np.argsort(np.concatenate([p.order for p in parts]), kind="stable")
@@ -154,7 +154,7 @@ def _in_order(channels: Sequence[Topic]) -> Decoded:
     return Decoded(stamp[order], whole.value[order], whole.lacking[order])
 
 
-def _chosen(
+def chosen_topics(
     path: Path, topics: Sequence[Topic], options: Options
 ) -> tuple[Mapping[str, str], list[str]]:
     """Topic by stream, and where there was a choice, what was taken. Errors: InputError if there

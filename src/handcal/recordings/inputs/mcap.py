@@ -43,8 +43,8 @@ _DAMAGED = (struct.error, EndOfFile, UnicodeDecodeError, OverflowError)
 
 
 @dataclass
-class _Walk:
-    """What has been found in the file so far."""
+class Walk:
+    """What has been found in the file so far: found, by channel; base: bytes before the file."""
 
     path: Path
     schemas: dict[int, Schema] = field(default_factory=dict)
@@ -71,24 +71,24 @@ def read(path: Path, options: Options) -> Recording:
 def topics_in(path: Path, options: Options, base: int = 0) -> tuple[list[Topic], tuple[str, ...]]:
     """What a file holds, and warnings. base: bytes of the files before it, of a recording in
     several. Errors: InputError."""
-    walk = _Walk(path, base=base)
+    walk = Walk(path, base=base)
     with path.open("rb") as file:
         if file.read(8) != MAGIC:
             raise InputError(f"{path} is not an MCAP file, or its first bytes are damaged.")
         loose: list[bytes] = []
         for opcode, content in _records(file, walk, options):
             if opcode == Opcode.CHUNK:
-                _take_records(_unpacked(walk, content), walk)
+                take_records(unpacked(walk, content), walk)
             else:
                 loose.append(struct.pack("<BQ", opcode, len(content)) + content)
             if len(loose) > 4000 or (loose and opcode in (Opcode.CHUNK, Opcode.DATA_END)):
-                _take_records(b"".join(loose), walk)
+                take_records(b"".join(loose), walk)
                 loose = []
-        _take_records(b"".join(loose), walk)
-    return _topics(walk), _warnings(walk)
+        take_records(b"".join(loose), walk)
+    return topics_of(walk), _warnings(walk)
 
 
-def _warnings(walk: _Walk) -> tuple[str, ...]:
+def _warnings(walk: Walk) -> tuple[str, ...]:
     if not walk.complete:
         return (
             "The file ends early or is damaged towards its end: "
@@ -99,7 +99,7 @@ def _warnings(walk: _Walk) -> tuple[str, ...]:
     return ()
 
 
-def _records(file: BinaryIO, walk: _Walk, options: Options) -> Iterator[tuple[int, bytes]]:
+def _records(file: BinaryIO, walk: Walk, options: Options) -> Iterator[tuple[int, bytes]]:
     """Top-level records of the data section that matter, with its checksum checked."""
     size = file.seek(0, 2)
     position = file.seek(8)
@@ -138,7 +138,7 @@ def _records(file: BinaryIO, walk: _Walk, options: Options) -> Iterator[tuple[in
             options.progress(position / size)
 
 
-def _bounded(file: BinaryIO, length: int, walk: _Walk) -> bytes:
+def _bounded(file: BinaryIO, length: int, walk: Walk) -> bytes:
     if length > LARGEST_CHUNK:
         raise InputError(
             f"{walk.path} has a record of {length / 2**20:.0f} MiB, more than the "
@@ -155,7 +155,7 @@ def _skipped(file: BinaryIO, length: int, crc: int) -> int:
     return crc
 
 
-def _check_data_crc(content: bytes, crc: int, walk: _Walk) -> None:
+def _check_data_crc(content: bytes, crc: int, walk: Walk) -> None:
     try:
         stated = DataEnd.read(ReadDataStream(BytesIO(content))).data_section_crc
     except _DAMAGED:
@@ -174,7 +174,7 @@ def _statistics(content: bytes) -> int | None:
         return None
 
 
-def _unpacked(walk: _Walk, content: bytes) -> bytes:
+def unpacked(walk: Walk, content: bytes) -> bytes:
     """The records of a chunk, decompressed within bounds and checked. Errors: InputError."""
     try:
         chunk = Chunk.read(ReadDataStream(BytesIO(content)))
@@ -197,7 +197,7 @@ def _unpacked(walk: _Walk, content: bytes) -> bytes:
     return data
 
 
-def _decompressed(walk: _Walk, compression: str, packed: bytes, size: int) -> bytes:
+def _decompressed(walk: Walk, compression: str, packed: bytes, size: int) -> bytes:
     """At most `size` bytes, or one more. The frame's own header may lie as well."""
     if compression == "":
         return packed
@@ -217,7 +217,7 @@ def _decompressed(walk: _Walk, compression: str, packed: bytes, size: int) -> by
     )
 
 
-def _take_records(data: bytes, walk: _Walk) -> None:
+def take_records(data: bytes, walk: Walk) -> None:
     """Schemas, channels and messages of a chunk. Errors: InputError."""
     read_head, position, end = struct.Struct("<BQH").unpack_from, 0, len(data)
     places: dict[int, tuple[list[int], list[int]]] = {}
@@ -240,7 +240,7 @@ def _take_records(data: bytes, walk: _Walk) -> None:
     walk.base += end
 
 
-def _register(opcode: int, content: bytes, walk: _Walk) -> None:
+def _register(opcode: int, content: bytes, walk: Walk) -> None:
     try:
         if opcode == Opcode.SCHEMA:
             schema = Schema.read(ReadDataStream(BytesIO(content)))
@@ -252,7 +252,7 @@ def _register(opcode: int, content: bytes, walk: _Walk) -> None:
         raise InputError(f"{walk.path} is damaged: a schema or channel is illegible.") from error
 
 
-def _decode(buffer: ByteArray, id: int, starts: IntArray, lengths: IntArray, walk: _Walk) -> None:
+def _decode(buffer: ByteArray, id: int, starts: IntArray, lengths: IntArray, walk: Walk) -> None:
     """Decode the messages of one channel, if handcal knows their schema."""
     channel = walk.channels.get(id)
     if channel is None:
@@ -268,12 +268,13 @@ def _decode(buffer: ByteArray, id: int, starts: IntArray, lengths: IntArray, wal
     walk.found.setdefault(id, []).extend(parts)
 
 
-def _schema_name(walk: _Walk, channel: Channel) -> str:
+def _schema_name(walk: Walk, channel: Channel) -> str:
     schema = walk.schemas.get(channel.schema_id)
     return schema_key(schema.name) if schema else ""
 
 
-def _topics(walk: _Walk) -> list[Topic]:
+def topics_of(walk: Walk) -> list[Topic]:
+    """The channels that were found, with what was decoded of them."""
     return [
         Topic(c.topic, _schema_name(walk, c), c.message_encoding, tuple(walk.found.get(id, ())))
         for id, c in walk.channels.items()

@@ -1,0 +1,187 @@
+"""The end of a session: the recording whole, explained, calibrated, exported."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from handcal.live.session import Session
+from handcal.live.sources.browser import Convention, told
+from handcal.types import HandcalError, Prior, Recording
+
+FILES = ("recording.mcap", "calibration.json", "explanation.json", "report.html")
+# What a calibration is written as besides, in a folder of its own: format, name of the file.
+EXPORTS = (
+    ("python", "correction.py"), ("c", "correction.h"), ("csv", "calibration.csv"),
+    ("ros2", "ros2.yaml"), ("kalibr", "kalibr.yaml"), ("openvins", "openvins.yaml"),
+)  # fmt: skip
+EXPORTED = "exports"
+# What a browser's rounding looks like: all readings are multiples of these, deg/s and m/s^2.
+ROUNDED = (0.1, 0.1)
+# Slower than this, Hz, is the 60 Hz of browsers, not what the sensor could do.
+BROWSER_HZ = 70.0
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What was asked for. effects: to calibrate, instead of those that are found; before: what is
+    known of the device; until: sigmas, SI, by effect; budget: s; checked: axes and sign are a
+    browser's, to be told by turns and the first rest."""
+
+    effects: tuple[str, ...] = ()
+    before: Prior | None = None
+    until: dict[str, float] = field(default_factory=dict)
+    budget: float | None = None
+    checked: bool = False
+
+
+@dataclass(frozen=True)
+class Ended:
+    """What is held at the end: headline and sentences of the verdict, and the files' names."""
+
+    headline: str
+    sentences: tuple[str, ...]
+    files: tuple[str, ...]
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """As the page is told."""
+        return {"headline": self.headline, "sentences": self.sentences, "files": self.files}
+
+
+def with_convention(recording: Recording, found: Convention) -> Recording:
+    """The recording with the axes and the sign that its turns and its first rest have told."""
+    imu = recording.imu
+    gyro = np.ascontiguousarray(imu.gyro[:, list(found.order)])
+    return replace(recording, imu=replace(imu, gyro=gyro, accel=found.sign * imu.accel))
+
+
+def settled(
+    recording: Recording, checked: bool, page: bool = True
+) -> tuple[Recording, tuple[str, ...]]:
+    """The recording as it is to be read, and what was changed. checked: its axes and sign are to
+    be told by turns and rest; page: it is from a browser."""
+    imu = recording.imu
+    if not checked:
+        return recording, ()
+    found = told(imu.t, imu.gyro, imu.accel)
+    if found is None:
+        return recording, ("It was turned too little to tell the axes: they are a guess.",)
+    limits = browsers_limits(recording) if page else ()
+    return with_convention(recording, found), (*found.sentences, *limits)
+
+
+def browsers_limits(recording: Recording) -> Iterator[str]:
+    """What cannot be learnt of these readings, because of what browsers do with them."""
+    imu = recording.imu
+    gyro, accel = np.degrees(imu.gyro), imu.accel
+    if _rounded(gyro, ROUNDED[0]) and _rounded(accel, ROUNDED[1]):
+        yield (
+            "This browser rounds to 0.1 deg/s and 0.1 m/s²: scale errors can be learnt from it, "
+            "noise levels cannot, and of biases no more than the sigmas say."
+        )
+    if recording.rate_hz < BROWSER_HZ:
+        yield (
+            f"This browser gives {recording.rate_hz:.0f} readings a second: what fast turns and "
+            "delays show of the sensors is not in them."
+        )
+    rest = imu.t < 1.0
+    if rest.any() and float(np.abs(gyro[rest].mean(axis=0)).max()) < 0.01:
+        yield (
+            "The gyro reads zero at rest: the system takes its bias off (iOS does), so the bias "
+            "here is what is left of it, not the sensor's own."
+        )
+
+
+def _rounded(value: np.ndarray, step: float) -> bool:
+    some = value[:2000] / step
+    return bool(np.all(np.abs(some - np.rint(some)) < 1e-3))
+
+
+def finish(session: Session, out: Path, wanted: Wanted, progress: Progress) -> Ended:
+    """Write the recording whole, explain it, calibrate with what was found, write it all.
+
+    The explanation is made of the file as it was written, so `handcal explain` says the same.
+    Errors: HandcalError where nothing can be made of it; the recording stays.
+    """
+    from handcal.recordings.export import write_mcap
+    from handcal.recordings.inputs import load
+
+    session.recorder.close()
+    recording = _whole(session)
+    recording, said = settled(recording, wanted.checked, session.source == "page")
+    write_mcap(recording, out / FILES[0])
+    del recording
+    written = load(out / FILES[0])
+    written = replace(written, warnings=(*written.warnings, *said))
+    if session.source != "file" and session.clocks.sentence:
+        said = (*said, session.clocks.sentence)
+    headline, sentences, more = _explained(written, out, wanted, progress)
+    return Ended(headline, (*sentences, *said), (*FILES, *more))
+
+
+def _whole(session: Session) -> Recording:
+    """All that was recorded. Errors: HandcalError where nothing was."""
+    from handcal.live.session import recording_of
+    from handcal.recordings.append import held
+
+    path = session.recorder.path
+    recording = recording_of(path, {"imu": _nothing(), **held(path).streams})
+    if recording is None:
+        path.unlink(missing_ok=True)
+        raise HandcalError("Nothing arrived, so nothing was recorded.")
+    return recording
+
+
+def _nothing() -> Any:
+    return np.zeros(0, dtype=np.int64), np.zeros((0, 6))
+
+
+def _explained(
+    recording: Recording, out: Path, wanted: Wanted, progress: Progress
+) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
+    from handcal.estimate.calibration import calibrate
+    from handcal.explain import explain
+    from handcal.show.calibration.summary import calibration_json, write_json
+    from handcal.show.explanation import verdict_text
+    from handcal.show.explanation.document import explanation_json
+    from handcal.show.explanation.next_commands import commands
+    from handcal.show.explanation.report import write_explanation_report
+
+    def report(fraction: float | None = None, stage: str = "") -> None:
+        if fraction is not None:
+            progress(0.9 * fraction, stage)
+
+    explanation = explain([recording], budget=wanted.budget, before=wanted.before, progress=report)
+    write_json(explanation_json(explanation), out / FILES[2])
+    following = commands(explanation, [str(out / FILES[0])], json=str(out / FILES[2]))
+    write_explanation_report(explanation, out / FILES[3], following)
+    progress(0.9, "calibrating with what was found")
+    effects = wanted.effects or [m.effect for m in explanation.missing]
+    result = calibrate(recording, effects, before=wanted.before)
+    write_json(calibration_json(result), out / FILES[1])
+    verdict = verdict_text.verdict(explanation)
+    return verdict.headline, tuple(verdict.sentences), tuple(exported(out))
+
+
+def exported(out: Path) -> Iterator[str]:
+    """Write the calibration in other programs' formats; the names of what could be written."""
+    from handcal import output
+    from handcal.exports import format_of
+    from handcal.exports._contents import contents
+
+    (out / EXPORTED).mkdir(exist_ok=True)
+    for form, name in EXPORTS:
+        try:
+            text = format_of(form).write(
+                contents(out / FILES[1], format_of(form), None, None, None, None)
+            )
+        except HandcalError:  # (a format that cannot hold what was found)
+            continue
+        output.write_text(out / EXPORTED / name, text)
+        yield f"{EXPORTED}/{name}"
