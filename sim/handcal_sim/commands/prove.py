@@ -16,6 +16,9 @@ import typer
 from handcal_sim.commands._progress import progress
 from handcal_sim.prove.run import ALL, Case, plan, run, with_limits, write_answers
 
+# The suite that leads hands instead of explaining recordings, and how many at full size.
+LIVE, LIVE_HANDS = "live", 200
+
 if TYPE_CHECKING:
     from handcal_sim.prove.trial import Trial
     from handcal_sim.prove.workers import Workers
@@ -33,7 +36,8 @@ def prove(
         str,
         typer.Option(
             help="nothing, one, mixed, unknown, turn, faint, reference, large, phone, odometry, "
-            "people, budget, wild, strange, axis, walks, or all (of the first five)."
+            "people, budget, wild, strange, axis, walks, or all (of the first five); live: hands "
+            "that `handcal live` leads, beside hands that it does not."
         ),
     ] = ALL,
     out: Annotated[
@@ -87,6 +91,9 @@ def _proved(
     from handcal_sim.prove.suites import SUITES
 
     check_outputs((json_file,))
+    if suite == LIVE:
+        _led(n, seed, json_file)
+        return
     if against is not None and shutil.which(against) is None:
         raise InputError(f"--against {against}: there is no such program.")
     if suite not in (ALL, *SUITES):
@@ -115,6 +122,24 @@ def _proved(
     if json_file is not None:
         write_text(json_file, json.dumps(proof, indent=1) + "\n")
     show(proof, Console(highlight=False))
+
+
+def _led(n: int | None, seed: int | None, json_file: Path | None) -> None:
+    """Hands that are led beside hands that are not."""
+    from numpy.random import SeedSequence
+
+    from handcal.commands._registry import say
+    from handcal.output import write_text
+    from handcal_sim.prove.live import lines, run
+
+    seed = int(SeedSequence().generate_state(1)[0]) if seed is None else seed
+    n = LIVE_HANDS if n is None else n
+    say(f"{n} hands, seed {seed}")
+    with progress(n, "leading", "led") as advance:
+        found = run(n, seed, lambda: advance(1))
+    if json_file is not None:
+        write_text(json_file, json.dumps(found, indent=1) + "\n")
+    print("\n".join(lines(found)))
 
 
 def _others(

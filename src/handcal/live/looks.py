@@ -30,6 +30,8 @@ from handcal.types import (
 if TYPE_CHECKING:
     from handcal.live.planning import Proposal
 
+# How far ahead motions are planned, s: a minute is what people have patience for.
+HORIZON_S = 60.0
 # A look needs so much, s: a rest and the beginning of a turn.
 SHORTEST_S = 4.0
 # A window is closed in the next rest after so long, s, and anyhow after so long.
@@ -77,9 +79,12 @@ class Look:
 
 
 def looked(
-    recording: Recording, effects: Sequence[str], before: Prior | None, until: Mapping[str, float]
-) -> Look | None:
-    """Calibrate what there is, and say what to do next; None where nothing can be said yet."""
+    recording: Recording, effects: Sequence[str], before: Prior | None,
+    until: Mapping[str, float], horizon_s: float = HORIZON_S,
+) -> Look | None:  # fmt: skip
+    """Calibrate what there is, and say what to do next; None where nothing can be said yet.
+
+    horizon_s: for how long motions are planned."""
     from handcal.estimate.calibration import calibrate
     from handcal.live.planning import proposed
 
@@ -88,7 +93,7 @@ def looked(
     except HandcalError:  # (too little yet; the next look may have more)
         return None
     try:
-        following = proposed(result, recording, until)
+        following = proposed(result, recording, until, horizon_s=horizon_s)
     except (HandcalError, np.linalg.LinAlgError):  # (a covariance that cannot be added to)
         following = None
     return _look(recording, result, following, until)

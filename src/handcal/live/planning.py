@@ -19,10 +19,11 @@ from handcal.effects import select
 from handcal.estimate.case import case_of
 from handcal.live.goals import wanted
 from handcal.live.turns import CHOICE, Asked
+from handcal.motions import Motion, Z
 from handcal.types import Array, HandcalError, IntArray, Parameter, Recording, Result
 
-# How far ahead is planned, s, and how many motions: a minute is what people have patience for.
-HORIZON_S, MOST = 60.0, 5
+# Motions of a plan: as many as fit into a minute.
+MOST = 5
 # The worst counts, but the others a little, so that of equals the better is taken.
 POWER = 8.0
 BIASES = ("gyro_bias", "accel_bias")
@@ -43,7 +44,7 @@ class Proposal:
 
 def proposed(
     result: Result, recording: Recording, until: Mapping[str, float],
-    choice: Sequence[Asked] = CHOICE, horizon_s: float = HORIZON_S,
+    choice: Sequence[Asked] = CHOICE, horizon_s: float = 60.0,
 ) -> Proposal | None:  # fmt: skip
     """What to ask for after a calibration; None where no motion would tell anything."""
     told = informations(result, recording, choice)
@@ -86,6 +87,23 @@ def _ordered(G: Array, own: Sequence[Parameter], wanted: Sequence[Parameter]) ->
     there = np.array([i >= 0 for i in at])
     index = np.array([max(i, 0) for i in at])
     return np.asarray(np.where(np.outer(there, there), G[np.ix_(index, index)], 0.0))
+
+
+def best_plan(
+    told: Mapping[Asked, Array], known: Array, per_goal: Array, horizon_s: float, pause_s: float
+) -> tuple[str, ...]:
+    """Of all plans that fit the time the one that leaves least; pause_s: before each turn of it.
+    Arguments as of ``best``, for all parameters."""
+    slower = {
+        Asked(a.name, Motion(a.name, (*a.motion.turns, (Z, 0.0, pause_s * _turns(a))))): G
+        for a, G in told.items()
+    }
+    at = np.arange(len(known))
+    return best(slower, known, per_goal, at, horizon_s).planned
+
+
+def _turns(asked: Asked) -> int:
+    return sum(degrees != 0.0 for _, degrees, _ in asked.motion.turns)
 
 
 def best(
