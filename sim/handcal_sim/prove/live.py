@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -27,6 +27,8 @@ EFFECTS = ("gyro_scale", "accel_scale")
 # What people do differently from what they are asked: how long a turn takes them, how far they
 # turn, and how long they think before, s.
 HASTE, FAR, THINK_S = (0.8, 1.3), 0.03, (0.3, 1.0)
+# It is picked up while somebody thinks, s before the first turn.
+PICKED_UP_S = 0.1
 # A hand may be asked for so long, s, until all is known well enough.
 LONGEST_S = 180.0
 # Sigmas a hundredth of what is wanted: never reached, so a minute is used to its end.
@@ -39,17 +41,18 @@ AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 @dataclass(frozen=True)
 class Hand:
-    """One phone in one hand. seed: everything that is drawn comes from it."""
+    """One phone in one hand. seed: everything that is drawn comes from it; rate_hz: the phone's."""
 
     seed: int
+    rate_hz: float = RATE_HZ
 
     def phone(self, rng: np.random.Generator) -> Phone:
-        """A consumer's, at 200 Hz, without a heading, with scale errors of 1 %."""
+        """A consumer's, without a heading, with scale errors of 1 %."""
         made = consumer_phone(rng)
         off = [np.diag(rng.normal(0.0, 0.01, 3)) for _ in range(2)]
         gyro = replace(made.gyro, response=made.gyro.response + off[0])
         accel = replace(made.accel, response=made.accel.response + off[1])
-        return replace(made, rate_hz=RATE_HZ, gyro=gyro, accel=accel, heading=None)
+        return replace(made, rate_hz=self.rate_hz, gyro=gyro, accel=accel, heading=None)
 
     def human(self, turns: Turns) -> list[tuple[tuple[float, float, float], float, float]]:
         """The turns as this hand makes them; the same for the same turns."""
@@ -96,9 +99,20 @@ def chain(turns: Turns, duration: float, start: Start) -> Motion:
             rates.append(profiles.turn_rate(at, at + seconds, angle))
         at += seconds
     activity = profiles.add(*rates) if rates else NONE
-    held = profiles.constant([1.0])
+    # (asked to lay it down, it lies on a table until the first turn)
+    first = next((begin for begin, _ in _gaps(rests, duration)), duration)
+    held = profiles.gate([(first - PICKED_UP_S, duration + 10.0)], 2.0 * PICKED_UP_S)
     return Motion("asked", duration, start_matrix(start), tuple(stages), STILL, held, activity,
                   tuple(rests))  # fmt: skip
+
+
+def _gaps(rests: Sequence[tuple[float, float]], duration: float) -> Iterator[tuple[float, float]]:
+    """What lies between rests."""
+    at = 0.0
+    for begin, end in [*rests, (duration, duration)]:
+        if begin > at + 1e-9:
+            yield at, begin
+        at = end
 
 
 def routine(seconds: float) -> Turns:

@@ -90,7 +90,7 @@ def browsers_limits(recording: Recording) -> Iterator[str]:
             f"This browser gives {recording.rate_hz:.0f} readings a second: what fast turns and "
             "delays show of the sensors is not in them."
         )
-    rest = imu.t < 1.0
+    rest = imu.t < 2.0
     if rest.any() and float(np.abs(gyro[rest].mean(axis=0)).max()) < 0.01:
         yield (
             "The gyro reads zero at rest: the system takes its bias off (iOS does), so the bias "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -40,6 +41,8 @@ USUAL: Mapping[str, float] = {
     "gyro_misalignment": 1e-3,
     "accel_misalignment": 1e-3,
 }
+# A number, then what may be a unit.
+_NUMBER = re.compile(r"\s*((?:[-+.\d]|[eE][-+]?(?=\d))*)\s*(.*?)\s*")
 # Of effects that stand neither here nor there: a tenth of what is usual.
 SHARE = 0.1
 
@@ -55,10 +58,7 @@ def parse(text: str) -> Mapping[str, float]:
         known = catalogue()
         if effect not in known:
             raise InputError(f"--until {item}: unknown effect.{did_you_mean(effect, known)}")
-        number = goal.rstrip("abcdefghijklmnopqrstuvwxyzT%/^2").rstrip()
-        if goal.endswith("2") and "^" not in goal:
-            number = goal
-        unit = goal[len(number) :].strip()
+        number, unit = _NUMBER.fullmatch(goal).groups()  # type: ignore[union-attr]
         own = known[effect].parameters[0].unit
         if unit and (unit not in UNITS or UNITS[unit][0] != own):
             fitting = ", ".join(name for name, (of, _) in UNITS.items() if of == own) or own

@@ -96,8 +96,9 @@ def brought(before: Look, after: Look, name: str) -> str:
     told = []
     for _, p, old in improved[:MOST_TOLD]:
         unit = words.shown_group([p])
+        title = words.parameter_title(p)
         told.append(
-            f"{words.parameter_title(p)} ± {unit.value(old, old)} to ± "
+            f"{title[0].lower()}{title[1:]} from ± {unit.value(old, old)} to ± "
             f"{unit.value(p.sigma, p.sigma)} {unit.unit}"
         )
     return f"That brought {words.listed(told)}."

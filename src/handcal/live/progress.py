@@ -17,7 +17,7 @@ from handcal.live.looks import Look, Looks, with_effects
 from handcal.live.session import Session
 from handcal.live.sources.browser import Convention, told
 from handcal.show import words
-from handcal.types import Array, HandcalError, IntArray, Prior, Recording
+from handcal.types import Array, HandcalError, IntArray, Parameter, Prior, Recording
 
 # `explain` runs behind once there is so much, s, and again when there is so many times as much.
 EXPLAIN_S, EXPLAIN_AGAIN = 30.0, 1.6
@@ -129,8 +129,7 @@ class Live:
         self._follow(ns, value)
         goals = goals_of(look.parameters, self.wanted.until)
         self.session.told["parameters"] = [
-            _row(p.effect, words.parameter_title(p), p.value, p.sigma, p.prior_sigma, float(g),
-                 p.unit)
+            _row(p, float(g))
             for p, g in zip(look.parameters, goals, strict=True)
         ]  # fmt: skip
         self.session.told["doubts"] = [d.sentence for d in look.doubts]
@@ -204,17 +203,16 @@ class Live:
         return (ns - self._zero()) / 1e9
 
 
-def _row(
-    effect: str, title: str, value: float, sigma: float, prior: float, goal: float, unit: str
-) -> dict[str, Any]:
+def _row(p: Parameter, goal: float) -> dict[str, Any]:
     """One bar: text, and how far it is from the usual (1) to the goal (0), in logarithms."""
     from handcal.units import shown
 
-    u = shown(unit, [value, sigma])
+    unit = shown(p.unit, [p.value, p.sigma])
     share = 0.0
-    if np.isfinite(goal) and sigma > goal:
-        share = float(np.clip(np.log(sigma / goal) / np.log(max(prior / goal, 2.0)), 0.0, 1.0))
-    return {
-        "effect": effect, "name": title, "left": round(share, 3), "good": sigma <= goal,
-        "text": f"{u.value(value, sigma, sign=True)} ± {u.value(sigma, sigma)} {u.unit}",
-    }  # fmt: skip
+    if np.isfinite(goal) and p.sigma > goal:
+        whole = np.log(max(p.prior_sigma / goal, 2.0))
+        share = float(np.clip(np.log(p.sigma / goal) / whole, 0.0, 1.0))
+    text = f"{unit.value(p.value, p.sigma, sign=True)} ± {unit.value(p.sigma, p.sigma)} {unit.unit}"
+    # (a telephone is narrow)
+    title = words.parameter_title(p).replace("Accelerometer", "Accel.")
+    return {"name": title, "text": text, "left": round(share, 3), "good": p.sigma <= goal}

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from handcal.live.behind import worker
 from handcal.live.ending import Ended, Wanted, finish
 from handcal.live.link import Link
 from handcal.live.looks import USUAL, Looks
@@ -18,7 +19,7 @@ from handcal.live.session import Refused, Session
 from handcal.live.sources import file
 from handcal.types import HandcalError, Recording
 
-TICK_S, FAREWELL_S, LINGER_S = 0.2, 20.0, 1.0
+TICK_S, FAREWELL_S, LINGER_S = 0.1, 20.0, 1.0
 # Between two questions to a source that has to be asked, s.
 ASK_S = 0.2
 Say = Callable[[str], None]
@@ -35,11 +36,9 @@ def followed(
     """What follows a session, with processes of its own. behind: whether ``explain`` runs too."""
     from multiprocessing import active_children
 
-    from handcal.workers import processes
-
     others = set(active_children())
-    one = processes(1)
-    other = processes(1) if behind else None
+    one = worker()
+    other = worker() if behind else None
     effects = wanted.effects or USUAL
     try:
         looks = Looks(one, effects, wanted.before, wanted.until)

@@ -1,7 +1,7 @@
 // Sends what the phone's sensors read, in numbered batches; keeps each until it is acknowledged.
 "use strict";
 
-const EVERY_MS = 250, LONGEST = 600, PATIENCE_MS = 8000, POLL_MS = 700, QUIET_MS = 1500;
+const EVERY_MS = 150, LONGEST = 600, PATIENCE_MS = 8000, POLL_MS = 700, QUIET_MS = 1500;
 const $ = (id) => document.getElementById(id);
 const client = own();
 const agent = /iPhone|iPad|iPod/.test(navigator.userAgent) ? "ios"
@@ -91,6 +91,7 @@ function show(said) {
   if (said.turn) {
     $("say").textContent = said.turn.say; $("done").value = said.turn.done; $("turn").hidden = stopping;
     text("hint", said.turn.hint); text("brought", said.brought);
+    $("turn").dataset.name = said.turn.name || "";
     picture = said.turn.picture || null; $("stage").hidden = !picture;
   }
   text("doubts", (said.doubts || []).join(" "));
