@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
+import struct
 import threading
+import time
 import urllib.parse
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from typing import Any
@@ -20,11 +24,12 @@ from sample_recording import sample
 
 from handcal.live.recorder import opened
 from handcal.live.session import Session
-from handcal.live.sources import mcap, phyphox
+from handcal.live.sources import foxglove, mcap, phyphox
 from handcal.live.sources.pairing import Pairing
 from handcal.recordings import append
-from handcal.recordings.export import write_mcap
+from handcal.recordings.export import messages, write_mcap
 from handcal.recordings.inputs import Options
+from handcal.recordings.streams import STREAMS
 from handcal.types import HandcalError, InputError, Recording
 
 START_NS = 1_760_000_000_000_000_000
@@ -300,3 +305,82 @@ def test_clocks_are_related_and_not_mixed():
     rate, sigma = clocks.ppm
     assert abs(rate - 40.0) < 4.0 * sigma < 60.0
     assert "behind" in clocks.sentence
+
+
+@contextmanager
+def foxglove_server(recording: Recording, protocol: str) -> Iterator[str]:
+    """A server of the Foxglove WebSocket protocol: a picture's channel, and a recording's."""
+    from aiohttp import web
+
+    names = ("imu", *recording.streams)
+    series = {"imu": (stamps(recording), np.hstack([recording.imu.gyro, recording.imu.accel]))}
+    for name, s in recording.streams.items():
+        series[name] = (START_NS + np.rint(s.t * 1e9).astype(np.int64), s.value)
+
+    async def serve(request: web.Request) -> web.WebSocketResponse:
+        socket = web.WebSocketResponse(protocols=(protocol,))
+        await socket.prepare(request)
+        await socket.send_json({"op": "serverInfo", "name": "x", "capabilities": []})
+        channels = [{"id": 7, "topic": "/camera", "encoding": "cdr", "schema": "",
+                     "schemaName": "sensor_msgs/msg/Image"}]  # fmt: skip
+        channels += [
+            {"id": 10 + k, "topic": STREAMS[n].topic, "encoding": "cdr", "schema": "",
+             "schemaName": STREAMS[n].message.schema}
+            for k, n in enumerate(names)
+        ]  # fmt: skip
+        await socket.send_json({"op": "advertise", "channels": channels})
+        asked = await socket.receive_json()
+        assert asked["op"] == "subscribe"
+        of = {names[s["channelId"] - 10]: s["id"] for s in asked["subscriptions"]}
+        assert set(of) == set(names)
+        rows = sorted((int(ns), n, k) for n in names for k, ns in enumerate(series[n][0]))
+        encoded = {n: messages(n, *series[n]) for n in names}
+        await socket.send_bytes(b"\x01")
+        for ns, n, k in rows:
+            await socket.send_bytes(struct.pack("<BIQ", 1, of[n], ns) + encoded[n][k].tobytes())
+        await socket.close()
+        return socket
+
+    loop, begun, ended = asyncio.new_event_loop(), threading.Event(), asyncio.Event()
+    ports: list[int] = []
+
+    async def run() -> None:
+        app = web.Application()
+        app.router.add_get("/", serve)
+        runner = web.AppRunner(app)
+        await runner.setup()
+        await web.TCPSite(runner, "127.0.0.1", 0).start()
+        ports.append(runner.addresses[0][1])
+        begun.set()
+        await ended.wait()
+        await runner.cleanup()
+
+    thread = threading.Thread(target=loop.run_until_complete, args=(run(),))
+    thread.start()
+    assert begun.wait(10)
+    try:
+        yield f"127.0.0.1:{ports[0]}"
+    finally:
+        loop.call_soon_threadsafe(ended.set)
+        thread.join()
+        loop.close()
+
+
+def test_a_foxglove_websocket_is_listened_to(tmp_path, recording):
+    session = Session(opened(tmp_path / "recording.mcap"))
+    with foxglove_server(recording, "foxglove.websocket.v1") as address:
+        source = foxglove.connected(address, Options())
+        while source.pull(session):
+            time.sleep(0.02)
+    out = session.recording()
+    assert out is not None
+    assert np.array_equal(out.imu.t, recording.imu.t)
+    assert np.array_equal(out.imu.gyro, recording.imu.gyro)
+    assert np.array_equal(out.imu.accel, recording.imu.accel)
+    for name, series in recording.streams.items():
+        assert np.array_equal(out.streams[name].value, series.value), name
+    session.recorder.close()
+    with foxglove_server(recording, "chat") as address, pytest.raises(InputError, match="Foxglove"):
+        foxglove.connected(address, Options())
+    with pytest.raises(InputError, match="No Foxglove"):
+        foxglove.connected("127.0.0.1:9", Options())

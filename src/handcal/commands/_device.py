@@ -56,7 +56,8 @@ def before_of(
 
 
 def known_before(file: Path | None, recordings: Sequence[Recording]) -> Prior | None:
-    """What the file says before these recordings, which do not count twice. Errors: InputError."""
+    """What the file says before these recordings, which do not count twice; none: before one that
+    is about to be made. Errors: InputError."""
     if file is None:
         return None
     from dataclasses import replace
@@ -80,7 +81,8 @@ def known_before(file: Path | None, recordings: Sequence[Recording]) -> Prior | 
         say(difference_sentence(d, device))
     begun = min((r.start_ns for r in recordings if r.start_ns), default=0)
     when = datetime.fromtimestamp(begun / 1e9, UTC) if begun else datetime.now(UTC)
-    return prior(device, when, mean_temperature(recordings[0]), str(file))
+    warmth = mean_temperature(recordings[0]) if recordings else None
+    return prior(device, when, warmth, str(file))
 
 
 def contradictions(

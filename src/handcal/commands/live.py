@@ -56,6 +56,11 @@ def live(
         typer.Option(metavar="FILE.mcap", help="Follow the MCAP file that a ROS 2 recorder is "
                      "writing."),
     ] = None,
+    foxglove: Annotated[
+        str | None,
+        typer.Option(metavar="ws://HOST:PORT", help="Listen to a Foxglove WebSocket "
+                     "(foxglove_bridge)."),
+    ] = None,
     effects: Effects = "",
     until: Annotated[
         str,
@@ -82,14 +87,14 @@ def live(
     """Record a phone as it moves, say which turn to do next, and explain the recording.
 
     Open the link on the phone, do what the page says, press Stop (or Ctrl-C here). The app Sensor
-    Logger pushes to the link with push behind it; --phyphox and --follow ask other sources. Writes
-    recording.mcap, calibration.json, explanation.json, report.html and exports. What was recorded
-    survives a crash: start again with the same folder, and the same link goes on.
+    Logger pushes to the link with push behind it; --phyphox, --follow and --foxglove ask others.
+    Writes recording.mcap, calibration.json, explanation.json, report.html and exports. What was
+    recorded survives a crash: start again with the same folder, and the same link goes on.
     """
     from handcal.live.recorder import opened
     from handcal.live.session import Session
 
-    places = _Places(lan, plain, port, source, speed, phyphox, follow, topic, units)
+    places = _Places(lan, plain, port, source, speed, phyphox, follow, foxglove, topic, units)
     places.check()
     recording = None if source is None else load(source, topic, units)
     if recording is None:
@@ -124,19 +129,21 @@ class _Places:
     speed: float
     phyphox: str | None
     follow: Path | None
+    foxglove: str | None
     topic: list[str] | None
     units: str | None
 
     @property
     def is_page(self) -> bool:
         """Readings come from the page, or are pushed."""
-        return self.source is None and self.phyphox is None and self.follow is None
+        return all(x is None for x in (self.source, self.phyphox, self.follow, self.foxglove))
 
     def check(self) -> None:
         """Errors: InputError for options that do not go together."""
         from handcal.types import InputError
 
-        several = [("--from", self.source), ("--phyphox", self.phyphox), ("--follow", self.follow)]
+        several = [("--from", self.source), ("--phyphox", self.phyphox), ("--follow", self.follow),
+                   ("--foxglove", self.foxglove)]  # fmt: skip
         named = [option for option, value in several if value is not None]
         if len(named) > 1:
             raise InputError(f"{' and '.join(named)}: one source at a time.")
@@ -242,6 +249,11 @@ def _pull(session: Session, places: _Places) -> Pull | None:
 
         session.source = "recorder"
         return growing(places.follow, _options(places)).pull
+    if places.foxglove is not None:
+        from handcal.live.sources.foxglove import connected
+
+        session.source = "foxglove"
+        return connected(places.foxglove, _options(places)).pull
     return None
 
 

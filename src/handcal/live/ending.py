@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from handcal.live.rounding import floors
 from handcal.live.session import Session
 from handcal.live.sources.browser import Convention, told
+from handcal.show.words import listed
 from handcal.types import HandcalError, Prior, Recording
 
 FILES = ("recording.mcap", "calibration.json", "explanation.json", "report.html")
@@ -20,8 +22,6 @@ EXPORTS = (
     ("ros2", "ros2.yaml"), ("kalibr", "kalibr.yaml"), ("openvins", "openvins.yaml"),
 )  # fmt: skip
 EXPORTED = "exports"
-# What a browser's rounding looks like: all readings are multiples of these, deg/s and m/s^2.
-ROUNDED = (0.1, 0.1)
 # Slower than this, Hz, is the 60 Hz of browsers, not what the sensor could do.
 BROWSER_HZ = 70.0
 Progress = Callable[[float, str], None]
@@ -79,11 +79,14 @@ def settled(
 def browsers_limits(recording: Recording) -> Iterator[str]:
     """What cannot be learnt of these readings, because of what browsers do with them."""
     imu = recording.imu
-    gyro, accel = np.degrees(imu.gyro), imu.accel
-    if _rounded(gyro, ROUNDED[0]) and _rounded(accel, ROUNDED[1]):
+    gyro = np.degrees(imu.gyro)
+    floor = floors(recording)
+    if floor:
+        steps = {"gyro_bias": ("0.1 deg/s", "0.03 deg/s"), "accel_bias": ("0.1 m/s²", "3 mg")}
+        of, best = (listed([steps[effect][i] for effect in floor]) for i in range(2))
         yield (
-            "This browser rounds to 0.1 deg/s and 0.1 m/s²: scale errors can be learnt from it, "
-            "noise levels cannot, and of biases no more than the sigmas say."
+            f"This browser rounds to {of}: scale errors can be learnt from it, noise levels "
+            f"cannot, and biases are known to {best} at best, whatever their sigmas say."
         )
     if recording.rate_hz < BROWSER_HZ:
         yield (
@@ -96,11 +99,6 @@ def browsers_limits(recording: Recording) -> Iterator[str]:
             "The gyro reads zero at rest: the system takes its bias off (iOS does), so the bias "
             "here is what is left of it, not the sensor's own."
         )
-
-
-def _rounded(value: np.ndarray, step: float) -> bool:
-    some = value[:2000] / step
-    return bool(np.all(np.abs(some - np.rint(some)) < 1e-3))
 
 
 def finish(session: Session, out: Path, wanted: Wanted, progress: Progress) -> Ended:
@@ -166,7 +164,12 @@ def _explained(
     result = calibrate(recording, effects, before=wanted.before)
     write_json(calibration_json(result), out / FILES[1])
     verdict = verdict_text.verdict(explanation)
-    return verdict.headline, tuple(verdict.sentences), tuple(exported(out))
+    said = tuple(verdict.sentences)
+    if wanted.before is not None and "priors" not in wanted.before.source:
+        from handcal.show.device import surprise_sentences
+
+        said += surprise_sentences(wanted.before, result.parameters, result.covariance)
+    return verdict.headline, said, tuple(exported(out))
 
 
 def exported(out: Path) -> Iterator[str]:

@@ -8,15 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from handcal.effects import catalogue
 from handcal.live.doubts import Doubt, doubts
 from handcal.live.goals import enough
+from handcal.live.rounding import floors, no_better
 from handcal.live.session import Session
+from handcal.live.turns import Proposal
 from handcal.types import (
     Array,
     HandcalError,
@@ -26,9 +27,6 @@ from handcal.types import (
     Recording,
     Result,
 )
-
-if TYPE_CHECKING:
-    from handcal.live.planning import Proposal
 
 # How far ahead motions are planned, s: a minute is what people have patience for.
 HORIZON_S = 60.0
@@ -46,7 +44,8 @@ MOVED = {"gyro_bias": np.radians(3.0) / 3600.0, "accel_bias": 2e-3}
 @dataclass(frozen=True)
 class Look:
     """What a look found. from_ns: stamp at which its window begins; seconds: how long it is;
-    at_rest: whether it ends in a rest; q_nb (4,): attitude at its end, w x y z."""
+    at_rest: whether it ends in a rest; floor: how
+    well biases can be known at best; q_nb (4,): attitude at its end, w x y z."""
 
     from_ns: int
     seconds: float
@@ -60,6 +59,7 @@ class Look:
     enough: bool
     next: Proposal | None
     doubts: tuple[Doubt, ...]
+    floor: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def end_ns(self) -> int:
@@ -92,24 +92,26 @@ def looked(
         result = calibrate(recording, effects, before=before)
     except HandcalError:  # (too little yet; the next look may have more)
         return None
+    floor = floors(recording)
+    parameters, covariance = no_better(result.parameters, result.covariance, floor)
     try:
-        following = proposed(result, recording, until, horizon_s=horizon_s)
+        # (planned with what readings tell: what rounding adds, no motion takes away)
+        following = proposed(result, recording, until, horizon_s=horizon_s, floor=floor)
     except (HandcalError, np.linalg.LinAlgError):  # (a covariance that cannot be added to)
         following = None
-    return _look(recording, result, following, until)
+    result = replace(result, parameters=parameters, covariance=covariance)
+    return _look(recording, result, following, enough(parameters, until, floor))
 
 
-def _look(
-    recording: Recording, result: Result, following: Proposal | None, until: Mapping[str, float]
-) -> Look:
+def _look(recording: Recording, result: Result, following: Proposal | None, known: bool) -> Look:
     end = float(recording.imu.t[-1])
     history = result.smoothed or result.history
     resting = len(result.rests) > 0 and float(result.rests[-1][1]) > end - 1.0
     return Look(
         recording.start_ns, end, result.parameters, result.covariance,
         {n.name: n.value for n in result.noise}, result.innovations, result.assume, resting,
-        history.q_nb[-1], enough(result.parameters, until), following,
-        doubts(recording, result),
+        history.q_nb[-1], known, following,
+        doubts(recording, result), floors(recording),
     )  # fmt: skip
 
 

@@ -8,7 +8,6 @@ enough is taken, else the one that leaves least; and of its motions the one that
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from itertools import combinations_with_replacement
 
@@ -18,7 +17,7 @@ from handcal.design.motion import information
 from handcal.effects import select
 from handcal.estimate.case import case_of
 from handcal.live.goals import wanted
-from handcal.live.turns import CHOICE, Asked
+from handcal.live.turns import CHOICE, Asked, Proposal
 from handcal.motions import Motion, Z
 from handcal.types import Array, HandcalError, IntArray, Parameter, Recording, Result
 
@@ -32,25 +31,17 @@ BIASES = ("gyro_bias", "accel_bias")
 LEAST = 0.1
 
 
-@dataclass(frozen=True)
-class Proposal:
-    """The motion to ask for, by its name; worst: how many times as uncertain as wanted the worst
-    parameter is now, after this motion, and after all that is planned; planned: all of it."""
-
-    name: str
-    worst: tuple[float, float, float]
-    planned: tuple[str, ...]
-
-
 def proposed(
     result: Result, recording: Recording, until: Mapping[str, float],
     choice: Sequence[Asked] = CHOICE, horizon_s: float = 60.0,
+    floor: Mapping[str, float] | None = None,
 ) -> Proposal | None:  # fmt: skip
-    """What to ask for after a calibration; None where no motion would tell anything."""
+    """What to ask for after a calibration; None where no motion would tell anything. floor: how
+    well effects can be known at best, SI."""
     told = informations(result, recording, choice)
     if not told:
         return None
-    goal = wanted(result.parameters, until)
+    goal = wanted(result.parameters, until, floor or {})
     scale = np.array([p.prior_sigma for p in result.parameters])
     known = result.covariance / np.outer(scale, scale)
     at = np.flatnonzero(np.isfinite(goal))

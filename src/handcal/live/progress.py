@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -23,8 +23,8 @@ from handcal.types import Array, HandcalError, IntArray, Parameter, Prior, Recor
 EXPLAIN_S, EXPLAIN_AGAIN = 30.0, 1.6
 # Its time limit while somebody waits, s; at the end there is none.
 BEHIND_S = 20.0
-# A first look goes on the first guess of a browser's axes for no longer, s.
-GUESSING_S = 30.0
+# Letters of a whole bar in the terminal.
+BAR = 20
 
 
 class Board(Protocol):
@@ -90,12 +90,13 @@ class Live:
         if len(ns):
             self.guide.saw(ns, value[:, :3])
             self._follow(ns, value)
+            self._draw(ns, value)  # (before all that may take a while)
         recording = self._recording() if self.looks.running is None else None
         look = self.looks.tick(self.session, recording)
         if look is not None:
             self._learn(look)
         self._explain()
-        self._tell(ns, value)
+        self._tell()
         return bool(self.wanted.until) and self.guide.enough
 
     def _new(self) -> tuple[IntArray, Array]:
@@ -127,7 +128,7 @@ class Live:
         if self.convention is not None and len(ns):
             value = value[:, [*self.convention.order, 3, 4, 5]]
         self._follow(ns, value)
-        goals = goals_of(look.parameters, self.wanted.until)
+        goals = goals_of(look.parameters, self.wanted.until, look.floor)
         self.session.told["parameters"] = [
             _row(p, float(g))
             for p, g in zip(look.parameters, goals, strict=True)
@@ -179,7 +180,7 @@ class Live:
             explained_so_far, recording, self.looks.before or self.wanted.before
         )
 
-    def _tell(self, ns: IntArray, value: Array) -> None:
+    def _tell(self) -> None:
         told_now = self.guide.told()
         self.session.told |= told_now
         say = told_now["turn"]["say"]
@@ -187,20 +188,34 @@ class Live:
             if told_now["brought"] and told_now["brought"] != self.session.told.get("heard"):
                 self.session.told["heard"] = told_now["brought"]
                 self.say(told_now["brought"])
+                for line in bars(self.session.told.get("parameters", [])):
+                    self.say(line)
             self.said = say
             self.say(say)
-        if self.board is not None and len(ns):
+
+    def _draw(self, ns: IntArray, value: Array) -> None:
+        self.drawn_ns = int(ns[-1])
+        if self.board is not None:
             C = self.attitude[1] if self.attitude is not None else None
             self.board.readings((ns - self._zero()) / 1e9, value[:, :3], value[:, 3:], C)
-            self.board.guidance(self._t(int(ns[-1])), told_now)
-        if len(ns):
-            self.drawn_ns = int(ns[-1])
+            self.board.guidance(self._t(int(ns[-1])), self.guide.told())
 
     def _zero(self) -> int:
         return self.session.recorder.first_ns or 0
 
     def _t(self, ns: int) -> float:
         return (ns - self._zero()) / 1e9
+
+
+def bars(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """What is left to learn of each parameter, as lines for the terminal."""
+    wide = max((len(row["name"]) for row in rows), default=0)
+    text = max((len(row["text"]) for row in rows), default=0)
+    return [
+        f"  {row['name']:<{wide}}  {row['text']:>{text}}  "
+        + ("enough" if row["good"] else "█" * max(1, round(BAR * row["left"])))
+        for row in rows
+    ]
 
 
 def _row(p: Parameter, goal: float) -> dict[str, Any]:

@@ -51,6 +51,16 @@ class Asked:
     motion: Motion
 
 
+@dataclass(frozen=True)
+class Proposal:
+    """The motion to ask for, by its name; worst: how many times as uncertain as wanted the worst
+    parameter is now, after this motion, and after all that is planned; planned: all of it."""
+
+    name: str
+    worst: tuple[float, float, float]
+    planned: tuple[str, ...]
+
+
 @dataclass
 class Step:
     """One turn of a motion and how far it is: angle about its axis, rad, from where it began;

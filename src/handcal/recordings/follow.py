@@ -7,7 +7,7 @@ stream is decided as of a finished file, by what has been seen so far, and then 
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -43,20 +43,53 @@ class News:
 
 
 @dataclass
+class Arriving:
+    """Messages that arrive, and of which streams they are. name: of where they come from; seen: one
+    part of each topic that had messages; taken: topic by stream."""
+
+    name: Path
+    options: Options = field(default_factory=Options)
+    seen: dict[str, Topic] = field(default_factory=dict)
+    taken: dict[str, str] = field(default_factory=dict)
+
+    def news(self, topics: Sequence[Topic]) -> Mapping[str, News]:
+        """By stream what these topics hold; nothing before there is an IMU, so that none of its
+        companions is taken for it. Errors: InputError where several fit a stream."""
+        there = [t for t in topics if t.parts]
+        for topic in there:
+            self.seen.setdefault(topic.name, replace(topic, parts=topic.parts[:1]))
+        if not self._chosen():
+            return {}
+        return {
+            stream: _news(stream, [t for t in there if t.name == name], self.options)
+            for stream, name in self.taken.items()
+            if any(t.name == name for t in there)
+        }
+
+    def _chosen(self) -> bool:
+        """Whether there is an IMU; streams that came up since are taken too."""
+        if not any(t.schema == STREAMS["imu"].message.schema for t in self.seen.values()):
+            return False
+        if any(name not in self.taken.values() for name in self.seen):
+            wanted = replace(self.options, topics={**self.options.topics, **self.taken})
+            self.taken = dict(chosen_topics(self.name, list(self.seen.values()), wanted)[0])
+        return True
+
+
+@dataclass
 class Followed:
-    """A growing file. at: where the next record begins; complete: its end has been written;
-    seen: one part of each topic that had messages; taken: topic by stream."""
+    """A growing file. at: where the next record begins; complete: its end has been written."""
 
     path: Path
     options: Options = field(default_factory=Options)
     at: int = 0
     complete: bool = False
     walk: Walk = field(init=False)
-    seen: dict[str, Topic] = field(default_factory=dict)
-    taken: dict[str, str] = field(default_factory=dict)
+    arriving: Arriving = field(init=False)
 
     def __post_init__(self) -> None:
         self.walk = Walk(self.path)
+        self.arriving = Arriving(self.path, self.options)
 
     def news(self) -> Mapping[str, News]:
         """By stream, what came since the last time; empty before there is an IMU.
@@ -65,27 +98,10 @@ class Followed:
         """
         while self._read():
             pass
-        topics = [t for t in topics_of(self.walk) if t.parts]
-        for topic in topics:
-            self.seen.setdefault(topic.name, replace(topic, parts=topic.parts[:1]))
-        if not self._chosen():
-            return {}
-        self.walk.found.clear()
-        return {
-            stream: _news(stream, [t for t in topics if t.name == name], self.options)
-            for stream, name in self.taken.items()
-            if any(t.name == name for t in topics)
-        }
-
-    def _chosen(self) -> bool:
-        """Whether there is an IMU; streams that came up since are taken too."""
-        if not any(t.schema == STREAMS["imu"].message.schema for t in self.seen.values()):
-            return False
-        new = [t for t in self.seen.values() if t.name not in self.taken.values()]
-        if new:
-            wanted = replace(self.options, topics={**self.options.topics, **self.taken})
-            self.taken = dict(chosen_topics(self.path, list(self.seen.values()), wanted)[0])
-        return True
+        out = self.arriving.news(topics_of(self.walk))
+        if out:
+            self.walk.found.clear()
+        return out
 
     def _read(self) -> bool:
         """Take the whole records of the next piece. False where there is none."""

@@ -1,7 +1,7 @@
 // Sends what the phone's sensors read, in numbered batches; keeps each until it is acknowledged.
 "use strict";
 
-const EVERY_MS = 150, LONGEST = 600, PATIENCE_MS = 8000, POLL_MS = 700, QUIET_MS = 1500;
+const EVERY_MS = 150, LONGEST = 600, PATIENCE_MS = 8000, POLL_MS = 700, QUIET_MS = 1500, WATCH_MS = 2000;
 const $ = (id) => document.getElementById(id);
 const client = own();
 const agent = /iPhone|iPad|iPod/.test(navigator.userAgent) ? "ios"
@@ -182,7 +182,8 @@ async function start() {
 async function begin() {  // readings come from an app, a recorder or a phone that is asked: watch
   try {
     const said = await (await fetch("state")).json();
-    if (said.source === "page" && !said.verdict) return;
+    if ($("start").hidden || $("start").disabled) return;
+    if (said.source === "page" && !said.verdict) { setTimeout(begin, WATCH_MS); return; }
     watching = true;
     $("start").hidden = true; $("facts").hidden = false; $("stop").hidden = said.state !== "recording";
     $("note").textContent = "Readings come from elsewhere; this page shows what to do.";
