@@ -77,7 +77,8 @@ def test_a_led_session_as_it_is_shown(tmp_path):
     from handcal_sim.prove.live import Hand
 
     names = ("once about z, standing, and back", "half round about y, rest, and back",
-             "once about y and back")  # fmt: skip
+             "once about y and back", "on its left edge, rest, and back",
+             "once about x and back")  # fmt: skip
     turns = [*FIRST.motion.turns, *(t for n in names for a in CHOICE if a.name == n
                                     for t in a.motion.turns)]  # fmt: skip
     write_mcap(Hand(21).recorded(turns)[1], tmp_path / "x.mcap")

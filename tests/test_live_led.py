@@ -164,9 +164,9 @@ def test_a_hand_does_what_the_page_says(browser, tmp_path, scheme, apple):
     process, link = begun(folder)
     scripted = Scripted(Hand(11, 60.0), apple)
     with opened_page(browser, link, scheme, IPHONE if apple else None) as (tab, said, asked):
-        drive(tab, scripted, 14.0)
+        drive(tab, scripted, 18.0)
         shot(tab, f"turning-{scheme}")
-        drive(tab, scripted, 46.0)
+        drive(tab, scripted, 42.0)
         shot(tab, f"closing-{scheme}")
         assert len(scripted.asked) >= 2
         assert tab.inner_text("#brought").startswith("That "), tab.inner_text("#brought")
@@ -297,7 +297,7 @@ def test_what_is_shown_is_hardly_late(browser, tmp_path):
         thread.join()
     for executor in (one, other):
         executor.shutdown(wait=True, cancel_futures=True)
-    assert live.next_explain_s > 31.0  # (explain has been running)
+    assert live.next_explain_s > 21.0  # (explain has been running)
     told = {name: np.quantile(x, [0.5, 0.99]).round(3).tolist()
             for name, x in (("page", late), ("dashboard", np.array(drawn)))}  # fmt: skip
     print(f"\nlate by (median, 99 %), s: {told}, of {len(late)} and {len(drawn)} samples")

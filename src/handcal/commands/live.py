@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from handcal.live.run import Pull
     from handcal.live.session import Session
     from handcal.recordings.inputs import Options
+    from handcal.types import Prior, Recording
 
 
 def live(
@@ -100,17 +101,17 @@ def live(
     if recording is None:
         _check_installed()
     wanted = _wanted(effects, until, (device, priors, model), budget, places.is_page)
+    pull, named = _pull(places)
     out.mkdir(parents=True, exist_ok=True)
-    session = Session(opened(out / "recording.mcap"))
+    session = Session(opened(out / "recording.mcap"), source=named)
     if session.recorder.samples:
         say(f"going on with {session.recorder.seconds:.0f} s that were recorded before")
     with _board(dashboard or web, web, rrd, (source, follow)) as board:
         if recording is None:
-            ended = _served(session, out, places, wanted, board)
+            ended = _served(session, out, places, wanted, pull, board)
         else:
             from handcal.live.run import fed
 
-            session.source = "file"
             ended = fed(session, recording, speed, out, wanted, say, board)
     print(ended.headline)
     for sentence in ended.sentences:
@@ -169,7 +170,11 @@ def _wanted(
     beyond = [e for e in goals if not e.endswith("_bias")]
     if ids or beyond:
         ids = tuple(dict.fromkeys((*ids, *beyond)))
-    return Wanted(ids, before, goals, budget, is_page)
+
+    def renewed(recording: Recording) -> Prior | None:
+        return before_of(*known, [recording])
+
+    return Wanted(ids, before, goals, budget, is_page, renewed)
 
 
 @contextlib.contextmanager
@@ -206,14 +211,14 @@ def _check_installed() -> None:
 
 
 def _served(
-    session: Session, out: Path, places: _Places, wanted: Wanted, board: Board | None
-) -> Ended:
+    session: Session, out: Path, places: _Places, wanted: Wanted, pull: Pull | None,
+    board: Board | None,
+) -> Ended:  # fmt: skip
     import asyncio
 
     from handcal.live.link import link_of, qr
     from handcal.live.run import serve
 
-    pull = _pull(session, places)
     link = link_of(out, places.lan, places.port, places.plain)
 
     def ready() -> None:
@@ -231,30 +236,28 @@ def _served(
     return asyncio.run(serve(session, link, out, wanted, say, ready, pull, board))
 
 
-def _pull(session: Session, places: _Places) -> Pull | None:
-    """How readings are asked for; None where they come by themselves. Errors: InputError."""
+def _pull(places: _Places) -> tuple[Pull | None, str]:
+    """How readings are asked for, None where they come by themselves; and from where they are.
+    Errors: InputError."""
     if places.phyphox is not None:
         from handcal.live.sources.phyphox import found
 
         phone = found(places.phyphox)
-        session.source = "phyphox"
 
         def asked(into: Session) -> bool:
             phone.poll(into)
             return not phone.ended
 
-        return asked
+        return asked, "phyphox"
     if places.follow is not None:
         from handcal.live.sources.mcap import growing
 
-        session.source = "recorder"
-        return growing(places.follow, _options(places)).pull
+        return growing(places.follow, _options(places)).pull, "recorder"
     if places.foxglove is not None:
         from handcal.live.sources.foxglove import connected
 
-        session.source = "foxglove"
-        return connected(places.foxglove, _options(places)).pull
-    return None
+        return connected(places.foxglove, _options(places)).pull, "foxglove"
+    return None, "page" if places.source is None else "file"
 
 
 def _options(places: _Places) -> Options:

@@ -29,15 +29,19 @@ Progress = Callable[[float, str], None]
 
 @dataclass(frozen=True)
 class Wanted:
-    """What was asked for. effects: to calibrate, instead of those that are found; before: what is
-    known of the device; until: sigmas, SI, by effect; budget: s; checked: axes and sign are a
-    browser's, to be told by turns and the first rest."""
+    """What was asked for.
+
+    effects: to calibrate, instead of those that are found; before: what is known of the device;
+    until: sigmas, SI, by effect; budget: s; checked: axes and sign are a browser's, to be told by
+    turns and the first rest; renewed: what is known before the recording, by when it was made.
+    """
 
     effects: tuple[str, ...] = ()
     before: Prior | None = None
     until: dict[str, float] = field(default_factory=dict)
     budget: float | None = None
     checked: bool = False
+    renewed: Callable[[Recording], Prior | None] | None = None
 
 
 @dataclass(frozen=True)
@@ -117,6 +121,8 @@ def finish(session: Session, out: Path, wanted: Wanted, progress: Progress) -> E
     del recording
     written = load(out / FILES[0])
     written = replace(written, warnings=(*written.warnings, *said))
+    if wanted.renewed is not None:
+        wanted = replace(wanted, before=wanted.renewed(written))
     if session.source != "file" and session.clocks.sentence:
         said = (*said, session.clocks.sentence)
     headline, sentences, more = _explained(written, out, wanted, progress)

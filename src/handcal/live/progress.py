@@ -20,7 +20,7 @@ from handcal.show import words
 from handcal.types import Array, HandcalError, IntArray, Parameter, Prior, Recording
 
 # `explain` runs behind once there is so much, s, and again when there is so many times as much.
-EXPLAIN_S, EXPLAIN_AGAIN = 30.0, 1.6
+EXPLAIN_S, EXPLAIN_AGAIN = 20.0, 1.6
 # Its time limit while somebody waits, s; at the end there is none.
 BEHIND_S = 20.0
 # Letters of a whole bar in the terminal.

@@ -38,6 +38,8 @@ from handcal.units import DEG
 
 # Updates whose NIS is averaged.
 NIS_WINDOW = 20
+# An innovation with a gate so many times as wide as usual is not drawn.
+WILD = 20.0
 # Readings that are drawn a second: a plot of a minute has no more columns than that.
 DRAWN_HZ = 50.0
 # The phone that shows what to do stands beside the one in the hand, m.
@@ -92,7 +94,9 @@ class SessionBoard:
         self._parameters(look.parameters)
         begin = t - look.seconds
         for kind, i in look.innovations.items():
-            fresh = i.t + begin > self.last.get(kind, -math.inf)
+            # (the first ones, before anything is known, would make the others invisible)
+            tame = i.sigma.max(axis=1) < WILD * np.median(i.sigma.max(axis=1)) if i.t.size else i.t
+            fresh = (i.t + begin > self.last.get(kind, -math.inf)) & np.asarray(tame, dtype=bool)
             if fresh.any():
                 self._innovations(kind, i, fresh, begin)
                 self.last[kind] = float(i.t[fresh][-1]) + begin
@@ -189,7 +193,8 @@ class SessionBoard:
         for entity in ("/imu/gyro", "/imu/accel"):
             static(entity, lines("xyz", XYZ, 1.0))
         start = rr.TextDocument("## Waiting for readings", media_type="text/markdown")
-        static("/guidance", start)
+        self.rec.set_time(TIMELINE, duration=0.0)
+        self.rec.log("/guidance", start)  # (what is static would stand before all that follows)
 
     def _send(self) -> None:
         """The arrangement, for what there is to see by now."""
