@@ -50,10 +50,11 @@ def test_a_motion_that_is_done_is_seen_and_another_is_not(asked):
     step = np.full(len(own), 1.0 / RATE)
     for sign in (1.0, -1.0):
         tips = any(0.0 < abs(degrees) < 180.0 for _, degrees, _ in asked.motion.turns)
-        if sign < 0.0 and tips:
-            continue  # (how it is to lie is not left open)
         done = Watched(asked)
         done.saw(sign * own, step)
+        if sign < 0.0 and tips:
+            assert not done.over  # (how it is to lie is not left open)
+            continue
         assert done.over
         assert done.done == 1.0
     half = Watched(asked)
@@ -64,6 +65,25 @@ def test_a_motion_that_is_done_is_seen_and_another_is_not(asked):
         other = Watched(asked)
         other.saw(own[:, [1, 2, 0]], step)
         assert not other.over
+
+
+def test_back_is_the_other_way():
+    """Half round twice the same way is not there and back; and how it is to lie is said."""
+    asked = next(a for a in CHOICE if a.name == "half round about y, rest, and back")
+    own = rates(asked.motion)
+    same = Watched(asked)
+    same.saw(np.abs(own), np.full(len(own), 1.0 / RATE))
+    assert same.at == 2
+    left = Watched(next(a for a in CHOICE if a.name == "on its left edge, rest, and back"))
+    said = [left.sentence]
+    for k in range(0, 400, 10):
+        own = rates(left.asked.motion)[k : k + 10]
+        left.saw(own, np.full(len(own), 1.0 / RATE))
+        said.append(left.sentence)
+    told = list(dict.fromkeys(said))
+    assert "onto its left edge" in told[0]
+    assert "Hold it still" in told[1]
+    assert "as it lay before" in told[2]
 
 
 def test_a_turn_about_another_axis_is_said():

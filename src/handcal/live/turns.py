@@ -1,7 +1,7 @@
 """What a hand is asked to do, step by step, and how far it has come, seen from the gyro.
 
 A step is a rest, or a turn about one of the body's axes. Which way round somebody turns first is
-left open; back is the other way.
+left open, but for quarter turns; back is the other way.
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ WHOLE = 0.9
 RESTED = 0.75
 # Turned so far about another axis without getting on about the right one, it is said.
 ASTRAY_RAD = np.radians(120.0)
+# Of smaller turns, deg, the way round matters: how it is to lie comes of them.
+WAY_DEG = 180.0
 # How fast a turn is asked for, s for 360 deg: what a hand does without haste.
 ROUND_S = 5.0
 # From lying to standing, s.
@@ -35,11 +37,8 @@ _HOW = {
 }
 _TIP = {
     ("x", 1): "stand it up on its lower edge, screen towards you",
-    ("x", -1): "lay it down on its back again",
     ("y", 1): "tip it onto its right edge",
-    ("y", -1): "tip it back",
-    ("z", 1): "turn it a quarter to the left",
-    ("z", -1): "turn it a quarter to the right",
+    ("y", -1): "tip it onto its left edge",
 }
 
 
@@ -63,7 +62,8 @@ class Proposal:
 
 @dataclass
 class Step:
-    """One turn of a motion and how far it is: angle about its axis, rad, from where it began;
+    """One turn of a motion and how far it is. sign: which way it has to go, 0 where that is left
+    open; angle about its axis, rad, from where it began;
     low, high: how far to either side; still: s in rest; astray: rad about the other axes."""
 
     turn: Turn
@@ -113,11 +113,15 @@ class Watched:
 
     def __post_init__(self) -> None:
         turns = [t for t in self.asked.motion.turns if t[2] > 0.0]
+        # (about the same axis as before, the other way)
         backs = [
-            i > 0 and t[0] == turns[i - 1][0] and t[1] == -turns[i - 1][1] != 0.0
+            any(e[0] == t[0] and e[1] == -t[1] != 0.0 for e in turns[:i])
             for i, t in enumerate(turns)
         ]
-        self.steps = [Step(t, b) for t, b in zip(turns, backs, strict=True)]
+        self.steps = [
+            Step(t, b, int(np.sign(t[1])) if abs(t[1]) < WAY_DEG else 0)
+            for t, b in zip(turns, backs, strict=True)
+        ]
 
     @property
     def over(self) -> bool:
@@ -145,9 +149,15 @@ class Watched:
             rate, step = rate[used:], step[used:]
             if now.done >= 1.0:
                 self.at += 1
-                if not self.over and self.steps[self.at].back:
-                    other = now.angle >= 0.5 * (now.low + now.high)
-                    self.steps[self.at].sign = -1 if other else 1
+                self._turned_back()
+
+    def _turned_back(self) -> None:
+        """Where what is next goes back: the other way than it was done."""
+        if self.over or self.step.sign or not self.step.back:
+            return
+        axis, degrees, _ = self.step.turn
+        there = next(s for s in self.steps if s.turn[0] == axis and s.turn[1] == -degrees)
+        self.step.sign = -1 if there.angle - there.low >= there.high - there.angle else 1
 
     @property
     def sentence(self) -> str:
@@ -156,9 +166,10 @@ class Watched:
         name = _AXES.get(axis, "")
         if degrees == 0.0:
             return f"Hold it still, or lay it down, for {seconds:.0f} seconds."
-        if abs(degrees) < 180.0:
-            tip = _TIP.get((name, int(np.sign(degrees))), "turn it")
-            return f"Now {tip}, in one place."
+        if abs(degrees) < WAY_DEG:
+            if self.step.back:
+                return "Now back, as it lay before."
+            return f"Now {_TIP[name, int(np.sign(degrees))]}, in one place."
         how = _HOW.get(name, "about the line shown")
         if self.step.back:
             return f"And back the other way, in {seconds:.0f} seconds."
