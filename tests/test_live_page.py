@@ -133,7 +133,7 @@ def test_from_the_page_to_the_verdict(browser, tmp_path, scheme):
     process, link = begun(folder)
     tab, _ = opened(browser, link, scheme)
     moved(tab, recording)
-    tab.wait_for_selector("#biases tr", timeout=60_000)
+    tab.wait_for_selector("#bars tr", timeout=60_000)
     picture = os.environ.get("HANDCAL_PICTURES")
     if picture:
         tab.screenshot(path=f"{picture}/recording-{scheme}.png")
