@@ -18,6 +18,7 @@ from handcal.live.doubts import doubts
 from handcal.live.guide import ENOUGH, WAIT, Guide, brought
 from handcal.live.looks import Look, Looks, carried
 from handcal.live.planning import MOST, best
+from handcal.live.rounding import less_sure, rounded
 from handcal.live.turns import CHOICE, FIRST, Watched
 from handcal.motions import attitude
 from handcal.types import InputError, Parameter, Recording, Series
@@ -268,3 +269,19 @@ def test_a_window_that_is_closed_is_what_is_known_before_the_next():
     sigma = np.sqrt(np.diag(carried(found).covariance))
     assert sigma[0] == pytest.approx(1e-3)
     assert 1e-6 < sigma[1] < 1e-4
+
+
+def test_of_rounded_readings_one_is_less_sure():
+    """Twice, but no less sure than at the start; correlations stay."""
+    known, unknown = parameter("gyro_scale", "x", 1e-3), parameter("gyro_scale", "y", 9.9e-3)
+    covariance = np.array([[1e-6, 4e-6], [4e-6, 9.801e-5]])
+    (first, second), wider = less_sure([known, unknown], covariance)
+    assert first.sigma == pytest.approx(2e-3)
+    assert second.sigma == pytest.approx(1e-2)
+    np.testing.assert_allclose(np.sqrt(np.diag(wider)), [2e-3, 1e-2])
+    correlation = wider[0, 1] / np.sqrt(wider[0, 0] * wider[1, 1])
+    assert correlation == pytest.approx(4e-6 / np.sqrt(1e-6 * 9.801e-5))
+    plain = recording()
+    assert not rounded(plain)
+    imu = plain.imu
+    assert rounded(replace(plain, imu=replace(imu, accel=np.round(imu.accel, 1))))

@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from handcal.live.rounding import floors
+from handcal.live.rounding import TOO_SURE, rounded
 from handcal.live.session import Session
 from handcal.live.sources.browser import Convention, told
-from handcal.show.words import listed
 from handcal.types import HandcalError, Prior, Recording
 
 FILES = ("recording.mcap", "calibration.json", "explanation.json", "report.html")
@@ -84,13 +83,11 @@ def browsers_limits(recording: Recording) -> Iterator[str]:
     """What cannot be learnt of these readings, because of what browsers do with them."""
     imu = recording.imu
     gyro = np.degrees(imu.gyro)
-    floor = floors(recording)
-    if floor:
-        steps = {"gyro_bias": ("0.1 deg/s", "0.03 deg/s"), "accel_bias": ("0.1 m/s²", "3 mg")}
-        of, best = (listed([steps[effect][i] for effect in floor]) for i in range(2))
+    if rounded(recording):
         yield (
-            f"This browser rounds to {of}: scale errors can be learnt from it, noise levels "
-            f"cannot, and biases are known to {best} at best, whatever their sigmas say."
+            "This browser rounds to 0.1 deg/s or 0.1 m/s²: biases and scale errors can be learnt "
+            f"all the same, but to {TOO_SURE:.0f} times the sigmas that are given; noise levels "
+            "are those of the rounding."
         )
     if recording.rate_hz < BROWSER_HZ:
         yield (

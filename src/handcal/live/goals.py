@@ -41,9 +41,6 @@ USUAL: Mapping[str, float] = {
     "gyro_misalignment": 1e-3,
     "accel_misalignment": 1e-3,
 }
-# What nothing can make better is known well enough when so little is missing to it.
-NEARLY = 1.1
-_NONE: Mapping[str, float] = {}
 # A number, then what may be a unit.
 _NUMBER = re.compile(r"\s*((?:[-+.\d]|[eE][-+]?(?=\d))*)\s*(.*?)\s*")
 # Of effects that stand neither here nor there: a tenth of what is usual.
@@ -78,24 +75,18 @@ def parse(text: str) -> Mapping[str, float]:
     return goals
 
 
-def wanted(
-    parameters: Sequence[Parameter], until: Mapping[str, float], floor: Mapping[str, float] = _NONE
-) -> Array:
+def wanted(parameters: Sequence[Parameter], until: Mapping[str, float]) -> Array:
     """How well each parameter (k,) is to be known, SI; infinite where it does not matter: with
-    ``until``, all that it does not name. floor: what cannot be known better is not wanted better,
-    unless it is named."""
+    ``until``, all that it does not name."""
 
     def usual(p: Parameter) -> float:
-        own = USUAL.get(p.effect, SHARE * p.prior_sigma)
-        return max(own, NEARLY * floor.get(p.effect, 0.0))
+        return USUAL.get(p.effect, SHARE * p.prior_sigma)
 
     return np.array([until.get(p.effect, math.inf) if until else usual(p) for p in parameters])
 
 
-def enough(
-    parameters: Sequence[Parameter], until: Mapping[str, float], floor: Mapping[str, float] = _NONE
-) -> bool:
+def enough(parameters: Sequence[Parameter], until: Mapping[str, float]) -> bool:
     """Whether every parameter is known as well as is wanted, and each named one is there."""
     there = {p.effect for p in parameters}
     sigma = np.array([p.sigma for p in parameters])
-    return set(until) <= there and bool(np.all(sigma <= wanted(parameters, until, floor)))
+    return set(until) <= there and bool(np.all(sigma <= wanted(parameters, until)))

@@ -15,7 +15,7 @@ import numpy as np
 from handcal.effects import catalogue
 from handcal.live.doubts import Doubt, doubts
 from handcal.live.goals import enough
-from handcal.live.rounding import floors, no_better
+from handcal.live.rounding import less_sure, rounded
 from handcal.live.session import Session
 from handcal.live.turns import Proposal
 from handcal.types import (
@@ -44,8 +44,7 @@ MOVED = {"gyro_bias": np.radians(3.0) / 3600.0, "accel_bias": 2e-3}
 @dataclass(frozen=True)
 class Look:
     """What a look found. from_ns: stamp at which its window begins; seconds: how long it is;
-    at_rest: whether it ends in a rest; floor: how
-    well biases can be known at best; q_nb (4,): attitude at its end, w x y z."""
+    at_rest: whether it ends in a rest; q_nb (4,): attitude at its end, w x y z."""
 
     from_ns: int
     seconds: float
@@ -59,7 +58,6 @@ class Look:
     enough: bool
     next: Proposal | None
     doubts: tuple[Doubt, ...]
-    floor: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def end_ns(self) -> int:
@@ -92,15 +90,14 @@ def looked(
         result = calibrate(recording, effects, before=before)
     except HandcalError:  # (too little yet; the next look may have more)
         return None
-    floor = floors(recording)
-    parameters, covariance = no_better(result.parameters, result.covariance, floor)
+    if rounded(recording):
+        parameters, covariance = less_sure(result.parameters, result.covariance)
+        result = replace(result, parameters=parameters, covariance=covariance)
     try:
-        # (planned with what readings tell: what rounding adds, no motion takes away)
-        following = proposed(result, recording, until, horizon_s=horizon_s, floor=floor)
+        following = proposed(result, recording, until, horizon_s=horizon_s)
     except (HandcalError, np.linalg.LinAlgError):  # (a covariance that cannot be added to)
         following = None
-    result = replace(result, parameters=parameters, covariance=covariance)
-    return _look(recording, result, following, enough(parameters, until, floor))
+    return _look(recording, result, following, enough(result.parameters, until))
 
 
 def _look(recording: Recording, result: Result, following: Proposal | None, known: bool) -> Look:
@@ -111,7 +108,7 @@ def _look(recording: Recording, result: Result, following: Proposal | None, know
         recording.start_ns, end, result.parameters, result.covariance,
         {n.name: n.value for n in result.noise}, result.innovations, result.assume, resting,
         history.q_nb[-1], known, following,
-        doubts(recording, result), floors(recording),
+        doubts(recording, result),
     )  # fmt: skip
 
 

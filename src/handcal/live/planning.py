@@ -34,14 +34,12 @@ LEAST = 0.1
 def proposed(
     result: Result, recording: Recording, until: Mapping[str, float],
     choice: Sequence[Asked] = CHOICE, horizon_s: float = 60.0,
-    floor: Mapping[str, float] | None = None,
 ) -> Proposal | None:  # fmt: skip
-    """What to ask for after a calibration; None where no motion would tell anything. floor: how
-    well effects can be known at best, SI."""
+    """What to ask for after a calibration; None where no motion would tell anything."""
     told = informations(result, recording, choice)
     if not told:
         return None
-    goal = wanted(result.parameters, until, floor or {})
+    goal = wanted(result.parameters, until)
     scale = np.array([p.prior_sigma for p in result.parameters])
     known = result.covariance / np.outer(scale, scale)
     at = np.flatnonzero(np.isfinite(goal))

@@ -128,7 +128,7 @@ class Live:
         if self.convention is not None and len(ns):
             value = value[:, [*self.convention.order, 3, 4, 5]]
         self._follow(ns, value)
-        goals = goals_of(look.parameters, self.wanted.until, look.floor)
+        goals = goals_of(look.parameters, self.wanted.until)
         self.session.told["parameters"] = [
             _row(p, float(g))
             for p, g in zip(look.parameters, goals, strict=True)
