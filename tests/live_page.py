@@ -62,7 +62,7 @@ def rows_of(recording: Recording, each: int = 25) -> list[dict[str, Any]]:
 
 @contextmanager
 def served(
-    folder: Path, clock: Callable[[], float] | None = None
+    folder: Path, clock: Callable[[], float] | None = None, link: Link | None = None
 ) -> Iterator[tuple[Session, Link]]:
     """A server over loopback, until the block ends."""
     from handcal.live.server import Served, listening
@@ -70,7 +70,7 @@ def served(
     session = Session(opened(folder / "recording.mcap"))
     if clock is not None:
         session.clock = clock
-    link = link_of(folder, False, None)
+    link = link_of(folder, False, None) if link is None else link
     loop, begun = asyncio.new_event_loop(), threading.Event()
     ended = asyncio.Event()
 

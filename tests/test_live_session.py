@@ -121,6 +121,34 @@ def test_a_page_may_reach_nothing_else_and_the_link_is_kept_for_its_owner(tmp_pa
         assert again == link
 
 
+def test_in_a_network_the_page_is_encrypted_unless_told_otherwise(tmp_path, monkeypatch):
+    """With a certificate of its own for the address that is told; the link stays the folder's."""
+    import ssl
+    import urllib.request
+
+    from handcal.live import link as links
+
+    monkeypatch.setattr(links, "own_address", lambda: "127.0.0.1")
+    kept = links.link_of(tmp_path, True, None)
+    assert kept.url.startswith("https://127.0.0.1:")
+    assert links.link_of(tmp_path, True, None) == kept
+    assert stat.S_IMODE((tmp_path / NAME).stat().st_mode) == 0o600
+    assert links.qr(kept.url).count("\n") > 10
+    begin = kept.certificate.index("-----BEGIN CERTIFICATE")  # (behind the key)
+    trusting = ssl.create_default_context(cadata=kept.certificate[begin:])
+    trusting.verify_flags |= ssl.VERIFY_X509_PARTIAL_CHAIN  # (its maker's key was thrown away)
+    with served(tmp_path, link=kept) as (_, link):
+        with urllib.request.urlopen(link.url, context=trusting) as answer:
+            assert answer.status == 200
+        with pytest.raises(OSError, match=r"."):
+            urllib.request.urlopen(link.url.replace("https", "http"), timeout=5).read()
+        with pytest.raises(OSError, match="CERTIFICATE_VERIFY"):
+            urllib.request.urlopen(link.url, context=ssl.create_default_context())
+    plain = links.link_of(tmp_path, True, None, plain=True)
+    assert plain.url.startswith("http://")
+    assert plain.token == kept.token
+
+
 @pytest.mark.parametrize("torn", [1, 40, 2000])
 def test_a_file_that_was_torn_off_goes_on_behind_its_last_whole_batch(tmp_path, rows, torn):
     path = tmp_path / "recording.mcap"

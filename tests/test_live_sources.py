@@ -76,10 +76,11 @@ def test_sensor_logger_pushes(tmp_path, recording, apple):
     """One message comes twice, and the server is started anew in between."""
     messages = pushes(recording, apple)
     for some in (messages[:5], messages[3:]):
-        with served(tmp_path) as (_, link):
+        with served(tmp_path) as (session, link):
             page = Page(link)
             for message in some:
                 assert page.post("push", message)[0] == 200
+            assert session.late == 0  # (what came again was not even looked at)
     held = append.held(tmp_path / "recording.mcap").streams
     ns, value = held["imu"]
     own = np.searchsorted(stamps(recording), ns)

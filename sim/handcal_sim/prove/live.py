@@ -255,7 +255,7 @@ def score(trials: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     asked = sum(len(t[k]["names"]) for t in trials for k in ("guided", "soon"))
     seen = sum(t[k]["seen"] for t in trials for k in ("guided", "soon"))
     return {
-        "schema": "handcal/prove-live/1", "hands": len(trials),
+        "schema": "handcal-sim/prove-live/1", "hands": len(trials),
         "worst": {k: middle(list(v)) for k, v in w.items()},
         "unguided_to_guided": middle(list(w["unguided"] / w["guided"])),
         "least_unguided_to_guided": float((w["unguided"] / w["guided"]).min()),
