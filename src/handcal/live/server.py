@@ -43,7 +43,8 @@ Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 @dataclass
 class Served:
     """What the handlers share. stop: set when the recording is to end; seen: set when the page
-    has been told how it ended; pages: whether one was opened; pushed: what an app has sent."""
+    has been told how it ended; pages: whether there is one to
+    be told; pushed: what an app has sent."""
 
     session: Session
     link: Link
@@ -122,6 +123,7 @@ async def _page(request: web.Request) -> web.Response:
 
 def _asked(served: Served) -> Handler:
     async def handler(_request: web.Request) -> web.Response:
+        served.pages = True
         if served.session.state in ("done", "failed"):
             served.seen.set()
         return _answer(served)
@@ -131,6 +133,7 @@ def _asked(served: Served) -> Handler:
 
 def _posted(act: Callable[[bytes, Served], None], served: Served) -> Handler:
     async def handler(request: web.Request) -> web.Response:
+        served.pages = True  # (one that was opened before a restart, too)
         body = await request.read()
         if len(body) > LARGEST:  # (sent without saying its length)
             raise Refused(413, f"A batch may have {LARGEST // 1024} kB at most.")
