@@ -84,6 +84,12 @@ class Live:
     drawn_ns: int = -1
     said: str = ""
 
+    def __post_init__(self) -> None:
+        """What is loaded when it is first used is loaded now, not while somebody turns."""
+        so3.rotations(np.zeros((1, 3)))
+        for effect in self.looks.effects:
+            words.effect_title(effect)
+
     def tick(self) -> bool:
         """See what is new. True once all is known as well as was asked for (--until)."""
         ns, value = self._new()
