@@ -87,6 +87,8 @@ class Live:
     def __post_init__(self) -> None:
         """What is loaded when it is first used is loaded now, not while somebody turns."""
         so3.rotations(np.zeros((1, 3)))
+        so3.matrix_exp(np.zeros(3))
+        so3.quaternion_of(np.eye(3)[None])
         for effect in self.looks.effects:
             words.effect_title(effect)
 
