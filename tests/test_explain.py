@@ -334,6 +334,7 @@ def test_every_verdict_is_status_0(main: Callable, file: Path, verdict: str) -> 
         ["{file}", "nothing-there.mcap"],
         ["{file}", "--held-out", "nothing-there.mcap"],
         ["{file}", "--twin", "no-folder/x.mcap"],
+        ["{file}", "--twin", "x.txt"],
         ["{file}", "--json", "no-folder/x.json"],
         ["{file}", "--assume", "nonsense"],
         ["{file}", "--latitude", "91"],

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from sample_recording import sample
 
-from handcal.recordings.inputs import load
+from handcal.recordings.inputs import load, plain_csv
 from handcal.types import InputError, Recording
 
 DEG, G = np.pi / 180, 9.80665
@@ -181,3 +181,37 @@ def test_real_csv(real_recordings: Path) -> None:
     assert abs(np.degrees(back.imu.gyro[:50]).mean()) < 1
     strength = np.linalg.norm(back.streams["mag"].value, axis=1)
     assert 2e-5 < np.median(strength) < 8e-5
+
+
+@pytest.mark.parametrize("ended", ["\n", ""])
+def test_a_file_that_is_whole_is_read_whole(ended: str, tmp_path: Path) -> None:
+    path = write_csv(tmp_path, HEADER, rows_of(sample()))
+    path.write_text(path.read_text().rstrip("\n") + ended)
+    back = load(path)
+    assert len(back.imu.t) == len(sample().imu.t)
+    assert back.warnings == ()
+
+
+@pytest.mark.parametrize("rows_at_once", [20_000, 209])
+def test_a_line_that_is_cut_off_is_left_out_and_said(
+    rows_at_once: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Wherever the last line is cut; of a number that lost a digit or two nothing is seen."""
+    monkeypatch.setattr(plain_csv, "_ROWS_AT_ONCE", rows_at_once)
+    whole = sample(n=210, streams=False)
+    content = write_csv(tmp_path, HEADER, rows_of(whole)).read_bytes()
+    begins = content.rstrip(b"\n").rindex(b"\n") + 1
+    for end in [
+        begins,
+        *range(begins + 1, len(content) - 8, 5),
+        *range(len(content) - 8, len(content)),
+    ]:
+        (tmp_path / "b.csv").write_bytes(content[:end])
+        back = load(tmp_path / "b.csv")
+        n = len(back.imu.t)
+        cut = "" if n == len(whole.imu.t) or end == begins else "middle of a line"
+        assert cut in " ".join(back.warnings)
+        assert n >= len(whole.imu.t) - 1
+        assert bool(back.warnings) == bool(cut)
+        np.testing.assert_array_equal(back.imu.gyro, whole.imu.gyro[:n])
+        np.testing.assert_allclose(back.imu.accel, whole.imu.accel[:n], rtol=0, atol=1e-9)

@@ -305,6 +305,15 @@ def test_parquet_without_pyarrow_is_a_sentence(
         load(path)
 
 
+def test_a_parquet_column_of_no_letters_is_a_sentence(tmp_path: Path) -> None:
+    """Found by `make fuzz`: pyarrow decodes names when they are asked for."""
+    content = format_files.parquet(format_files.small())
+    assert b"gx" in content
+    path = written(tmp_path, ".parquet", content.replace(b"gx", b"\xe1x"))
+    with pytest.raises(InputError, match="damaged Parquet"):
+        load(path)
+
+
 def test_a_px4_log_is_the_one_that_pyulog_reads(tmp_path: Path) -> None:
     """So the logs written here are ULog; and one cut in a message gives what is before."""
     expected = sample(n=300, streams=False)

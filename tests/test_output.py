@@ -9,9 +9,22 @@ from pathlib import Path
 
 import pytest
 from fake_result import fake_result
+from typer.testing import CliRunner
 
+from handcal.commands._app import app
 from handcal.output import beside, check_outputs, whole, write_text
 from handcal.types import HandcalError, InputError
+
+GOOD = """
+import numpy as np
+from handcal.effects import Effect, Param
+
+EFFECT = Effect(
+    id="own_law", title="Own law", parameters=(Param("k", "1", 0.01),), story="Odd.",
+    source="this test", motion="Any.", validated="this test",
+    imu_error=lambda p, signals: p[0] * np.hstack([signals.gyro, signals.accel]),
+)
+"""
 
 
 @pytest.fixture
@@ -45,6 +58,39 @@ def test_an_output_is_no_file_of_a_folder_that_is_read(recording: Path) -> None:
     with pytest.raises(InputError, match="is what is read"):
         check_outputs([recording], [recording.parent])
     check_outputs([recording.with_name("new.html")], [recording.parent])
+
+
+@pytest.mark.parametrize("options", ["--effects-from eff", "--config c.toml"])
+def test_nor_is_it_what_an_option_of_every_command_reads(
+    options: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "eff").mkdir()
+    read = {"eff/own_law.py": GOOD, "c.toml": "[effects]\n"}
+    for name, text in read.items():
+        Path(name).write_text(text)
+    target = next(n for n in read if n.split("/")[0] in options)
+    words = ["effects", "--json", target]
+    place = 0 if "config" in options else 1
+    words[place:place] = options.split()
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 2
+    assert "is what is read" in done.stderr
+    assert Path(target).read_text() == read[target]
+    check_outputs([Path("c.toml")])  # (of the next command it is no input)
+
+
+def test_a_fleet_does_not_replace_the_priors_that_it_reads(tmp_path: Path) -> None:
+    """Nor its manifest: nothing runs before that is known."""
+    (tmp_path / "out" / "recordings").mkdir(parents=True)
+    (tmp_path / "a.mcap").write_bytes(b"")
+    for option, name in (("--priors", "priors.toml"), ("--manifest", "fleet.json")):
+        file = tmp_path / "out" / name
+        file.write_text("path,device,model\n../a.mcap,d,m\n")
+        words = ["fleet", str(tmp_path / "a.mcap"), "--out", str(tmp_path / "out"), option]
+        done = CliRunner().invoke(app, [*words, str(file)])
+        assert done.exit_code == 2
+        assert "is what is read" in done.stderr
 
 
 def test_two_outputs_are_two_files(tmp_path: Path) -> None:

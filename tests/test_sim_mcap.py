@@ -238,8 +238,10 @@ def test_the_command_takes_all_its_options(tmp_path):
     ("arguments", "sentence"),
     [
         (["jump"], "no scenario 'jump'; there are z-turn"),
+        (["z-turns"], "Did you mean z-turn"),
         (["z-turn", "--device", "toy"], "no device 'toy'"),
         (["z-turn", "--effect", "gyro_scal=1"], "no effect 'gyro_scal'; there are"),
+        (["z-turn", "--effect", "gyro_scal=1"], "Did you mean gyro_scale"),
         (["z-turn", "--effect", "gyro_scale=1"], "gyro_scale=x,y,z"),
         (["z-turn", "--effect", "gravity=1", "--effect", "gravity=2"], "gravity is given twice"),
         (["z-turn", "--heading-sigma", "-1"], "--no-heading"),
@@ -263,6 +265,12 @@ def test_wrong_use_is_one_line_and_status_2(tmp_path, arguments, sentence):
     assert result.stderr.count("\n") == 1
     assert sentence in result.stderr
     assert not (tmp_path / "a.mcap").exists()
+
+
+def test_a_name_of_another_format_is_wrong_use(tmp_path):
+    result = run("z-turn", "--seed", 1, "-o", tmp_path / "a.csv")
+    assert result.exit_code == 2
+    assert "ends in .mcap" in result.stderr
 
 
 def test_a_file_that_cannot_be_written_is_one_line(tmp_path):

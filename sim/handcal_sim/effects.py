@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from handcal_sim.errors import SimulationError
+from handcal_sim.errors import SimulationError, UnknownWord
 from handcal_sim.phone import Phone
 from handcal_sim.sensors import Earth
 
@@ -162,7 +162,7 @@ def check(name: str, values: Sequence[float]) -> None:
 
 def _expected(name: str) -> str:
     if name not in EFFECTS:
-        raise SimulationError(f"no effect {name!r}; there are {', '.join(EFFECTS)}")
+        raise UnknownWord("effect", name, EFFECTS)
     names = ",".join(parameter.name for parameter in EFFECTS[name])
     of = unit(name)
     return f"{name}={names} " + ("without unit" if of == "1" else f"in {of}")

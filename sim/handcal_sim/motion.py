@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from handcal_sim import profiles
-from handcal_sim.errors import SimulationError
+from handcal_sim.errors import SimulationError, UnknownWord
 from handcal_sim.profiles import Array, Jet, Profile
 
 
@@ -271,7 +271,7 @@ SCENARIOS: dict[str, tuple[Scenario, float]] = {
 def build(name: str, duration_s: float | None, start: Start, rng: np.random.Generator) -> Motion:
     """The scenario of that name; SimulationError says which there are."""
     if name not in SCENARIOS:
-        raise SimulationError(f"no scenario {name!r}; there are {', '.join(SCENARIOS)}")
+        raise UnknownWord("scenario", name, SCENARIOS)
     make, usual = SCENARIOS[name]
     duration = usual if duration_s is None else duration_s
     if not (math.isfinite(duration) and 1.0 <= duration <= DAY_S):

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from handcal_sim.companions import Clocking, Heading, Magnetometer, Pose, Reference, Thermometer
-from handcal_sim.errors import SimulationError
+from handcal_sim.errors import SimulationError, UnknownWord
 from handcal_sim.profiles import Array
 
 STANDARD_GRAVITY = 9.80665
@@ -211,7 +211,7 @@ def make_phone(name: str, rng: np.random.Generator) -> Phone:
         return paper_phone()
     if name == "perfect":
         return perfect_phone()
-    raise SimulationError(f"no device {name!r}; there are {', '.join(DEVICES)}")
+    raise UnknownWord("device", name, DEVICES)
 
 
 def with_rate(phone: Phone, rate_hz: float) -> Phone:

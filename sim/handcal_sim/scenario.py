@@ -13,7 +13,7 @@ import numpy as np
 from handcal_sim import aiding, hand, lab, sensors
 from handcal_sim import effects as catalogue
 from handcal_sim.companions import Clocking, Pose
-from handcal_sim.errors import SimulationError
+from handcal_sim.errors import SimulationError, UnknownWord
 from handcal_sim.hand import Hand
 from handcal_sim.motion import SCENARIOS, Motion, Scenario, Start, build, random_start
 from handcal_sim.phone import Phone, consumer_phone
@@ -116,8 +116,7 @@ def _motion(
     if equipment is not None:
         raise SimulationError(f"{name} is done by hand: {', '.join(lab.SETUPS)} have equipment")
     if name not in SCENARIOS:
-        known = ", ".join([*SCENARIOS, *lab.SETUPS])
-        raise SimulationError(f"no scenario {name!r}; there are {known}")
+        raise UnknownWord("scenario", name, (*SCENARIOS, *lab.SETUPS))
     return build(name, duration_s, start, rng)
 
 

@@ -11,11 +11,24 @@ import os
 import tempfile
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from contextvars import ContextVar
 from pathlib import Path
 
 from handcal.types import HandcalError, InputError, Recording
 
 STANDARD_OUTPUT = "-"
+# What is read besides, within ``not_over``.
+_READ: ContextVar[tuple[Path, ...]] = ContextVar("read", default=())
+
+
+@contextlib.contextmanager
+def not_over(paths: Iterable[Path]) -> Iterator[None]:
+    """Inside, no output may be one of these files either, whichever command asks."""
+    token = _READ.set((*_READ.get(), *paths))
+    try:
+        yield
+    finally:
+        _READ.reset(token)
 
 
 def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path | None] = ()) -> None:
@@ -24,7 +37,7 @@ def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path | None] 
 
     Files are the same if they are one on the disk, by whatever link. Errors: InputError.
     """
-    read = [path for path in inputs if path is not None]
+    read = [path for path in (*inputs, *_READ.get()) if path is not None]
     written: list[Path] = []
     for path in outputs:
         if path is None or str(path) == STANDARD_OUTPUT:

@@ -115,6 +115,7 @@ def simulate(
 ) -> None:
     """Write a recording of a simulated device in a simulated hand, and what was true."""
     from handcal.output import check_outputs, whole
+    from handcal.recordings.export import check_ending
     from handcal_sim.effects import parted
     from handcal_sim.request import Request, simulated
 
@@ -130,6 +131,7 @@ def simulate(
         table_errors=table_errors, spin_deg_s=spin,
     )  # fmt: skip
     check_outputs((out,))
+    check_ending(out)
     with wrong_use():
         world, used = simulated(request)
         from handcal_sim import foreign

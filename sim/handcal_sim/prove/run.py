@@ -52,6 +52,7 @@ def run(
     advance: Callable[[], None],
 ) -> list[Trial]:  # fmt: skip
     """Draw, write and explain. After an interrupt: what had been explained by then."""
+    from handcal.output import write_text
     from handcal_sim.mcap_writer import write
     from handcal_sim.prove.draw import draw
     from handcal_sim.prove.further import worked_out
@@ -74,7 +75,7 @@ def run(
             document, taken = explain(file)
         except Stopped:
             return None
-        (explanations / f"{name}.json").write_text(json.dumps(document), encoding="utf-8")
+        write_text(explanations / f"{name}.json", json.dumps(document))
         ticket = Ticket(suite, number, seed)
         further = worked_out(ticket, document)
         further |= told(ticket, answer, file, further)
@@ -109,9 +110,11 @@ def each(
 
 def write_answers(trials: Sequence[Trial], seed: int, file: Path) -> None:
     """The answers, once nobody has to guess them any more."""
+    from handcal.output import write_text
+
     answers = {trial.name: dataclasses.asdict(trial.answer) for trial in trials}
     document = {"schema": "handcal-sim/answers/1", "seed": seed, "recordings": answers}
-    file.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    write_text(file, json.dumps(document, indent=1) + "\n")
 
 
 def explained(path: str) -> Mapping[str, Any]:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from handcal_sim.effects import check
-from handcal_sim.errors import SimulationError
+from handcal_sim.errors import SimulationError, UnknownWord
 from handcal_sim.motion import SCENARIOS
 from handcal_sim.sweep.printed import FIGURES, PRINTED, Printed
 
@@ -239,7 +239,7 @@ def _cell(given: Mapping[str, Any], group: str) -> Cell:
             raise SimulationError("r_h_rad cannot match a heading_sigma_deg of 0")
         told["r_h_rad"] = math.radians(world.heading_sigma_deg)
     if world.scenario not in SCENARIOS:
-        raise SimulationError(f"no scenario {world.scenario!r}; there are {', '.join(SCENARIOS)}")
+        raise UnknownWord("scenario", world.scenario, SCENARIOS)
     return Cell(world, group=group, **told)
 
 

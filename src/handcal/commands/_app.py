@@ -45,9 +45,11 @@ def _root(
 ) -> None:
     """Calibrate cheap inertial sensors while they are simply turned in the hand."""
     if config is not None:
+        from handcal import output
         from handcal.commands._config import defaults
 
         context.default_map = defaults(config, context)
+        context.with_resource(output.not_over([config]))
 
 
 def main() -> None:

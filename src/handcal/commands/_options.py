@@ -130,11 +130,12 @@ def with_own_effects(command: Callable[..., None]) -> Callable[..., None]:
         if effects_from is None:
             command(*arguments, **options)
             return
-        from handcal import user_effects
+        from handcal import output, user_effects
 
-        names = ", ".join(path.name for path in user_effects.files(effects_from))
+        files = user_effects.files(effects_from)
+        names = ", ".join(path.name for path in files)
         say(f"running the code of {names} in {effects_from}, as --effects-from asks")
-        with user_effects.effects_from(effects_from):
+        with user_effects.effects_from(effects_from), output.not_over(files):
             command(*arguments, **options)
 
     own = signature(command, eval_str=True)

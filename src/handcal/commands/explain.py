@@ -104,8 +104,7 @@ def explain(
 
     read = (*files, *(held_out or ()), device, priors)
     check_outputs((json, report, rrd, twin, write_effect), read)
-    if write_effect is not None:
-        _check_new(write_effect)
+    _check_names(twin, write_effect)
     recordings = [load(path, topic, units) for path in files]
     if twin:
         check_outputs(beside(twin, recordings), read)
@@ -207,6 +206,16 @@ def _typed(
     for name, values in (("--ignore", ignore), ("--topic", topic), ("--held-out", held_out)):
         out += [word for value in values or () for word in (name, str(value))]
     return out + (["--reference-exact"] if reference_exact else [])
+
+
+def _check_names(twin: Path | None, write_effect: Path | None) -> None:
+    """That what is asked for can be written under such names. Errors: InputError."""
+    from handcal.recordings.export import check_ending
+
+    if twin is not None:
+        check_ending(twin)
+    if write_effect is not None:
+        _check_new(write_effect)
 
 
 def _check_new(path: Path) -> None:

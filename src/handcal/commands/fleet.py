@@ -72,6 +72,7 @@ def fleet(
     """
     from handcal.fleet import store as kept
     from handcal.fleet.record import Options
+    from handcal.output import check_outputs
     from handcal.types import HandcalError, InputError
 
     if not hasattr(os, "fork"):
@@ -81,6 +82,7 @@ def fleet(
     listed, left_out = _listed(sources or [], manifest, group_by, out)
     options = Options(deadline, int(memory * 1e6), budget)
     store = kept.opened(out)
+    check_outputs(kept.told_files(out), (priors, manifest))
     _announced(listed, left_out)
     prior_of = _prior_of(priors, listed)
     members = _run(listed, store, options, executor, workers or os.cpu_count() or 1, prior_of)

@@ -15,6 +15,7 @@ from functools import cache
 from importlib.metadata import entry_points
 from typing import Any
 
+from handcal.did_you_mean import did_you_mean
 from handcal.exports._correction import Correction
 from handcal.types import Array, InputError
 
@@ -113,5 +114,6 @@ def format_of(name: str) -> Format:
     alike = {known.casefold(): known for known in formats()}
     found = name if name in formats() else alike.get(name.casefold())
     if found is None:
-        raise InputError(f"Unknown format '{name}'. Known: {', '.join(sorted(formats()))}.")
+        near = did_you_mean(name, formats())
+        raise InputError(f"Unknown format '{name}'.{near} Known: {', '.join(sorted(formats()))}.")
     return formats()[found]

@@ -16,7 +16,7 @@ from handcal.device.priors import Learned, write
 from handcal.fleet import dataset
 from handcal.fleet.record import DONE, Document, Source
 from handcal.fleet.run import Member, rows
-from handcal.fleet.store import Store
+from handcal.fleet.store import Store, told_files
 from handcal.fleet.work import information_of
 from handcal.population.by_model import Common, Model, Reading, models
 from handcal.show.fleet import Fleet, fleet_json, write_page
@@ -50,9 +50,10 @@ def write_all(members: Sequence[Member], store: Store) -> Written:
     fleet = Fleet(known, tuple(failures), dict(verdicts), len(readings))
     document = fleet_json(fleet) | {"version": handcal.__version__}
     text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False)
-    output.write_text(store.folder / "fleet.json", text + "\n")
-    _write_priors(store.folder / "priors.toml", known)
-    write_page(fleet, store.folder / "fleet.html")
+    json_file, priors, report = told_files(store.folder)
+    output.write_text(json_file, text + "\n")
+    _write_priors(priors, known)
+    write_page(fleet, report)
     return Written(len(readings), len(failures), fleet)
 
 

@@ -91,6 +91,11 @@ def _digests(path: Path) -> dict[tuple[str, int, int], str]:
     return out
 
 
+def told_files(folder: Path) -> tuple[Path, Path, Path]:
+    """What is told of a fleet: as JSON, as priors, as a page."""
+    return folder / "fleet.json", folder / "priors.toml", folder / "fleet.html"
+
+
 def stands(record: Document | None, options: Options) -> bool:
     """Whether a record need not be made again: not where it was killed, nor where it came to a
     limit that is further now."""

@@ -29,8 +29,8 @@ def write_mcap(recording: Recording, path: str | Path) -> None:
 
 
 def check_ending(path: Path) -> None:
-    """Errors: InputError for a name of another format than is written."""
-    if path.suffix.lower() != ".mcap":
+    """Errors: InputError for a file's name of another format than is written."""
+    if path.suffix.lower() != ".mcap" and (path.is_file() or not path.exists()):
         raise InputError(f"{path}: what is written is MCAP; give it a name that ends in .mcap.")
 
 

@@ -15,12 +15,14 @@ from __future__ import annotations
 import importlib
 import pkgutil
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 
 from handcal.documents import reading
+from handcal.recordings.inputs._cut import said_of_cuts
 from handcal.recordings.inputs._nearest import of_no_format
 from handcal.recordings.inputs._options import Options, checked_options, quantities
 from handcal.recordings.inputs._repair import Columns, assemble, columns, nanoseconds
@@ -72,9 +74,10 @@ def load(
     options = checked_options(topics, units, progress)
     module = format_of(path)
     # Absurd numbers become infinite or NaN in conversion, and are dropped and told.
-    with reading(path), np.errstate(over="ignore", invalid="ignore"):
+    with reading(path), said_of_cuts() as cut, np.errstate(over="ignore", invalid="ignore"):
         recording: Recording = module.read(path, options)
-        return recording
+    # (a table that holds two sensors is read for both)
+    return replace(recording, warnings=(*recording.warnings, *dict.fromkeys(cut)))
 
 
 def of_arrays(

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from handcal.recordings.inputs._cut import whole_lines
 from handcal.recordings.inputs._repair import nanoseconds
 from handcal.types import Array, InputError, IntArray
 
@@ -35,6 +36,8 @@ def rows_of(content: bytes, where: str, *, header: bool = True, separator: str =
     separator = separator or max(",;\t", key=first.count)
     names = tuple(cell.strip().strip('"') for cell in first.split(separator)) if header else ()
     body = [line for line in lines[number + header :] if _is_row(line, False)]
+    if body and not content.endswith((b"\n", b"\r")):
+        body = whole_lines(body, separator, where)
     if separator != ",":  # then a comma can only be a decimal sign
         body = [line.replace(",", ".") for line in body]
     return Rows(where, names, body, separator, number + 1 + header)

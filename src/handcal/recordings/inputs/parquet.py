@@ -55,7 +55,7 @@ def read(path: Path, options: Options) -> Recording:
                 unit, column = column.type.unit, column.cast(pa.int64())
                 name = name if "(" in name else f"{name} ({unit})"
             named[name] = np.asarray(column.to_numpy())
-    except (pa.ArrowException, KeyError, OSError, OverflowError) as error:
+    except (pa.ArrowException, KeyError, OSError, OverflowError, UnicodeDecodeError) as error:
         raise InputError(f"{path} is a damaged Parquet file: {error}.") from error
     options.progress(1.0)
     return of_named(path, named, options)

@@ -17,6 +17,7 @@ from typing import TextIO
 
 import numpy as np
 
+from handcal.recordings.inputs._cut import whole_lines
 from handcal.recordings.inputs._options import Options, parse_unit, quantities
 from handcal.recordings.inputs._repair import Columns, assemble, columns, nanoseconds
 from handcal.recordings.inputs._rows import parsed, stamps
@@ -186,10 +187,16 @@ def _table(
     size, done = max(1, path.stat().st_size), 0
     moments: list[IntArray] = []
     tables: list[Array] = []
+    last: list[str] = []
     factor = quantities()["time"][units["time"]]
     others = [index for key, index in places.items() if key[0] != "time"]
     for number, lines in _blocks(file):
         done += sum(map(len, lines))
+        if not lines[-1].endswith("\n"):
+            lines = whole_lines([*last, *lines], separator, str(path))[len(last) :]
+        if not lines:
+            break
+        last = lines[-1:]
         if separator != ",":  # then a comma can only be a decimal sign
             lines = [line.replace(",", ".") for line in lines]
         values = parsed(lines, separator, others, str(path), number)

@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from handcal.earth import STANDARD_GRAVITY
+from handcal.recordings.inputs._cut import whole_lines
 from handcal.recordings.inputs._options import Options
 from handcal.recordings.inputs._repair import Columns, assemble, columns, magnitude_at_rest
 from handcal.recordings.inputs._sqlite import is_database, opened, tables
@@ -191,6 +192,8 @@ def _table(path: Path, name: str, text: str) -> Columns | None:
     lines = [line for line in body.splitlines() if line.strip()]
     if not lines:
         return None
+    if not body.endswith("\n"):
+        lines = whole_lines(lines, ",", f"{path}: {name}.csv")
     if not {"time", "x", "y", "z"} <= set(names):
         raise InputError(f"{path}: {name}.csv lacks one of the columns time, x, y, z.")
     try:
