@@ -152,6 +152,32 @@ def test_what_cannot_be_written_is_a_sentence(tmp_path: Path) -> None:
         write_text(tmp_path, "x")
 
 
+KILLED = """
+import os, signal
+from handcal.output import whole
+with whole("out") as place:
+    place.write_bytes(b"half")
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_what_a_killed_process_left_goes_with_the_next_file(tmp_path: Path) -> None:
+    """And what another process is writing, however long it takes, does not."""
+    subprocess.run([sys.executable, "-c", KILLED], cwd=tmp_path, check=False)
+    (left,) = tmp_path.iterdir()
+    assert left.name.endswith(".part")
+    write_text(tmp_path / "out", "just begun by another, for all one knows")
+    assert left.exists()
+    os.utime(left, (0, 0))
+    with whole(tmp_path / "out") as slow:
+        os.utime(slow, (0, 0))
+        write_text(tmp_path / "out", "first")
+        assert not left.exists()
+        slow.write_text("last")
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+    assert (tmp_path / "out").read_text() == "last"
+
+
 WRITES = """
 import sys
 from handcal.output import write_text

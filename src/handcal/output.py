@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import contextlib
 import os
+import sys
 import tempfile
+import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextvars import ContextVar
@@ -16,7 +18,12 @@ from pathlib import Path
 
 from handcal.types import HandcalError, InputError, Recording
 
+if sys.platform != "win32":
+    import fcntl
+
 STANDARD_OUTPUT = "-"
+# s; a part that nobody holds is left by a process that was killed, or was begun just now.
+LEFT_AFTER_S = 60.0
 # What is read besides, within ``not_over``.
 _READ: ContextVar[tuple[Path, ...]] = ContextVar("read", default=())
 
@@ -92,15 +99,62 @@ def whole(path: str | Path) -> Iterator[Path]:
         return
     place = place.resolve()  # (what a link leads to is replaced, not the link)
     with _said(Path(path)):
-        handle, name = tempfile.mkstemp(dir=place.parent, prefix=f".{place.name}.", suffix=".part")
-        os.close(handle)
-        part = Path(name)
-        try:
+        take_away_left(place.parent, f".{place.name}.")
+        with _part(place) as part:
             yield part
             part.chmod(place.stat().st_mode & 0o777 if place.exists() else 0o666 & ~_umask())
             part.replace(place)
+
+
+@contextlib.contextmanager
+def _part(place: Path) -> Iterator[Path]:
+    """A file beside a place, which is held for as long as it is being written."""
+    handle, name = tempfile.mkstemp(dir=place.parent, prefix=f".{place.name}.", suffix=".part")
+    part = Path(name)
+    try:
+        if sys.platform == "win32" or not _held(handle):
+            os.close(handle)
+            handle = -1
+        yield part
+    finally:
+        if handle >= 0:
+            os.close(handle)
+        part.unlink(missing_ok=True)
+
+
+def _held(handle: int) -> bool:
+    """Hold a file against whoever takes away what was left; False where the disk knows no locks,
+    or another holds it."""
+    if sys.platform == "win32":
+        return False
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
+def take_away_left(folder: Path, begins: str = ".") -> None:
+    """Remove the parts in a folder that processes left which were killed while they wrote. What
+    another process is writing stays, and so does all where the system has no locks."""
+    if sys.platform == "win32":
+        return
+    with contextlib.suppress(OSError):  # (then whatever is to be written there will say it)
+        for entry in list(os.scandir(folder)):
+            if entry.name.startswith(begins) and entry.name.endswith(".part"):
+                _take_away(entry.path)
+
+
+def _take_away(part: str) -> None:
+    with contextlib.suppress(OSError):  # (somebody else was faster, or may not)
+        if time.time() - os.stat(part).st_mtime < LEFT_AFTER_S:
+            return
+        handle = os.open(part, os.O_RDWR)
+        try:
+            if _held(handle):
+                os.unlink(part)
         finally:
-            part.unlink(missing_ok=True)
+            os.close(handle)
 
 
 @contextlib.contextmanager

@@ -71,8 +71,7 @@ def opened(folder: Path) -> Store:
     try:
         for name in (RECORDS, EXPLANATIONS):
             (folder / name).mkdir(parents=True, exist_ok=True)
-        for part in folder.glob("*/.*.part"):  # (of a run that was killed)
-            part.unlink()
+            output.take_away_left(folder / name)
     except OSError as error:
         raise HandcalError(f"{folder} could not be made: {error.strerror or error}.") from error
     return Store(folder, _digests(folder / DIGESTS))
