@@ -290,3 +290,10 @@ def test_what_parameters_gain_is_their_evidence(seed: int) -> None:
     flat = np.outer(column, column)[None] - 5.0 * np.eye(3)
     assert np.linalg.eigvalsh(flat[0])[0] < -1.0
     assert np.isfinite(weighing.gains(b[:1], flat)).all()
+    # what left float64's range is no candidate, and takes nothing from the others
+    for lost in (np.nan, np.inf):
+        some = G.copy()
+        some[1, 2, 0] = lost
+        gained = weighing.gains(b, some)
+        assert gained[1] == -np.inf
+        assert np.delete(gained, 1) == pytest.approx(np.delete(expected, 1), rel=1e-12)

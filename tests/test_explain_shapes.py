@@ -173,6 +173,16 @@ def test_a_heading_that_errs_with_the_temperature_is_told(square: bool) -> None:
     assert term.effect.id == f"heading += k * (T - 25){'^2' * square}"
 
 
+def test_a_course_whose_arithmetic_is_lost_is_no_candidate() -> None:
+    """Information below none, which a gap of a minute left of a difference: there was no course
+    at all, and explain ended in a traceback."""
+    basis = shapes.heading_bases(SPAN)[0]
+    names = tuple((basis.effect.id, p.name) for p in basis.effect.parameters)
+    lost = Quadratic(names, 0.0, np.ones(len(names)), -1e6 * np.eye(len(names)))
+    _, gain = shapes.best(basis, lost, np.zeros(0, dtype=np.int64))
+    assert gain == -np.inf
+
+
 @pytest.mark.parametrize("direction", [-2.0, 0.3, 1.1])
 def test_a_sine_of_the_heading_is_no_lobe(direction: float) -> None:
     """A lobe may be as wide as one of e^2 to one, by the square root of two: wider ones are what

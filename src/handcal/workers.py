@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
@@ -171,5 +172,18 @@ def processes(jobs: int) -> Executor:
 
 
 def _alone() -> None:
-    """In a new process: an interrupt is for the parent to deal with."""
+    """In a new process: an interrupt is for the parent to deal with, with whom it ends (a parent
+    that was killed tells nobody: its processes would wait for work for ever)."""
+    from multiprocessing import parent_process
+
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = parent_process()
+    if parent is not None:
+        threading.Thread(target=_ends_with, args=(parent.sentinel,), daemon=True).start()
+
+
+def _ends_with(parent: int) -> None:
+    from multiprocessing.connection import wait as wait_for
+
+    wait_for([parent])
+    os._exit(1)

@@ -45,3 +45,10 @@ def listen(handler: Callable[[int, object], NoReturn]) -> None:
     for number in SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, handler)
+
+
+def over() -> None:
+    """All is done, and the status known: while Python takes itself down, what ends the program
+    would only give it another status (a signal's own, as nobody hears it any more)."""
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_IGN)

@@ -71,7 +71,8 @@ def local(done: Likelihood, shared_owners: frozenset[str]) -> Local:
     solved = np.linalg.solve(root.T, half)
     # in deviations from the nominal ...
     a_w = a - 0.5 * float(w0[own] @ w0[own]) + 0.5 * float(y @ y) - np.log(np.diag(root)).sum()
-    b_w, G_w = b[shared] - Y.T @ y, G[np.ix_(shared, shared)] - Y.T @ Y
+    with np.errstate(over="ignore", invalid="ignore"):  # (of an effect that leaves float64's range)
+        b_w, G_w = b[shared] - Y.T @ y, G[np.ix_(shared, shared)] - Y.T @ Y
     # ... and in the parameters themselves, whose prior mean is zero
     here = -w0[shared]
     names = tuple((s.owner, s.name) for s, k in zip(problem.slots, keep, strict=True) if k)

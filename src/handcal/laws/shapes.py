@@ -170,7 +170,8 @@ def best(
     """The course that gains most beside the parameters ``known`` of a quadratic that holds the
     basis, as an effect of one parameter; and the nats that it gains, less what its freedom costs.
 
-    root: square root of the prior covariance of the known ones (None: the identity).
+    root: square root of the prior covariance of the known ones (None: the identity). The gain is
+    -inf where float64 holds that of none.
     """
     mine = np.array([i for i, n in enumerate(wide.names) if n[0] == basis.effect.id])
     b, G = integrated(wide, mine, known, root)
@@ -198,8 +199,13 @@ def best(
 
 
 def _gained(linear: Array, information: Array) -> Array:
-    """Nats that courses of height one gain, each under its prior."""
-    return np.asarray(0.5 * linear**2 / (1.0 + information) - 0.5 * np.log1p(information))
+    """Nats that courses of height one gain, each under its prior; -inf where float64 holds no
+    number of it."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        nats = 0.5 * linear**2 / (1.0 + information) - 0.5 * np.log1p(information)
+    # (information far below none: the difference of two that are nearly all there is, as
+    # after a gap of a minute; such a course is no candidate)
+    return np.where(information > -1.0, nats, -math.inf)
 
 
 def _repeated(

@@ -30,10 +30,21 @@ class Beside:
 
 def gains(b: Array, G: Array, root: Array | None = None) -> Array:
     """Nats (f,) that parameters of such quadratics, b (f, k) and G (f, k, k), gain; root
-    (f, k, k): of their priors (None: the identity)."""
+    (f, k, k): of their priors (None: the identity). Where a number of a quadratic is none, what
+    acts so is no candidate: -inf."""
     if root is not None:
         back = root.transpose(0, 2, 1)
         b, G = (back @ b[:, :, None])[:, :, 0], back @ G @ root
+    told = np.isfinite(b).all(axis=1) & np.isfinite(G).all(axis=(1, 2))
+    if not told.all():
+        out = np.full(len(b), -np.inf)
+        out[told] = _gains(b[told], G[told])
+        return out
+    return _gains(b, G)
+
+
+def _gains(b: Array, G: Array) -> Array:
+    """Of numbers that are all finite, under priors of one."""
     if b.shape[1] == 1:
         wide = 1.0 + np.maximum(G[:, 0, 0], 0.0)
         return np.asarray(0.5 * b[:, 0] ** 2 / wide - 0.5 * np.log(wide))
