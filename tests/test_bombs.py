@@ -16,8 +16,10 @@ import pytest
 from fake_result import fake_result
 from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, Header, Schema
-from sample_recording import IMU
+from sample_recording import IMU, imu_messages, sample, write_channels
+from typer.testing import CliRunner
 
+from handcal.commands._app import app
 from handcal.commands._progress import Bar
 from handcal.commands._registry import say
 from handcal.device import apply
@@ -123,6 +125,18 @@ def test_a_hostile_name_does_not_command_the_terminal(
     shown = out.getvalue() + capsys.readouterr().err
     assert not set(shown) & set("\x1b\x07\u202e")
     assert text[:3] not in ("[re", "xxx") or text[:12] in out.getvalue()
+
+
+def test_a_hostile_name_is_text_where_a_command_says_what_it_did(tmp_path: Path) -> None:
+    """Of `import`, `conceal` and `device add`; all tell it by one function."""
+    name = "a\x1b]0;t\x07\n<b>\u202e"
+    source, effect = tmp_path / f"{name}.mcap", "gyro_scale=0.01,0,0"
+    write_channels(source, [("/imu", IMU, "cdr")], imu_messages(sample(streams=False)))
+    for words in (["import", str(source)], ["conceal", str(source), "--effect", effect]):
+        done = CliRunner().invoke(app, [*words, "-o", str(tmp_path / f"{name}o.mcap")])
+        assert done.exit_code == 0
+        assert not set(done.output) & set("\x1b\x07\u202e")
+        assert done.stdout.count("\n") == 1
 
 
 def test_a_hostile_name_in_a_report_is_text(tmp_path: Path) -> None:

@@ -341,6 +341,43 @@ def test_a_result_that_says_the_least_is_enough(result, name):
     assert "gyro_misalignment" in written(path, name)
 
 
+OTHERS = "a.mcap\nimport os; os.system('x')\r\u2028#\x1b[31m ??/\\"
+
+
+@pytest.mark.parametrize("name", sorted(formats()))
+def test_the_words_of_somebody_elses_result_begin_no_line(result, name):
+    """An exported program ran what a result had for the name of its recording."""
+    values = drawn(0, DIAGONAL)
+    plain = written(result(values, warnings=["w"]), name)
+    given = document(values, version=OTHERS, warnings=[OTHERS])
+    given["recording"]["path"] = OTHERS
+    path = result(values)
+    path.write_text(json.dumps(given), encoding="utf-8")
+    text = written(path, name)
+    assert all(c.isprintable() for c in text.replace("\n", "").replace("\t", ""))
+    said = [line for line in text.splitlines() if "import os;" in line]
+    assert not any(line.endswith(("\\", "??/")) for line in said)
+    assert len(text.splitlines()) == len(plain.splitlines())
+    assert not any(line.startswith("import os;") for line in text.splitlines())
+
+
+@pytest.mark.parametrize(
+    ("name", "words", "shown"),
+    [
+        ("latex", r"\input{x}^a", r"\textbackslash{}input\{x\}$^{a}$"),
+        ("markdown", "a|<b>", r"a\|&lt;b&gt;"),
+        ("csv", "=1+1", "'=1+1"),
+    ],
+)
+def test_a_table_shows_words_as_words(result, name, words, shown):
+    given = document(drawn(0, DIAGONAL))
+    given["parameters"][0]["unit"] = words
+    path = result({})
+    path.write_text(json.dumps(given), encoding="utf-8")
+    assert shown in written(path, name)
+    assert words not in written(path, name).replace(shown, "")
+
+
 def rms(error):
     return np.sqrt((error**2).mean())
 

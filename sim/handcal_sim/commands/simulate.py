@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from handcal.commands._registry import tell
 from handcal_sim.commands._wrong_use import wrong_use
 
 
@@ -147,4 +148,4 @@ def simulate(
         print(f"seed {used}", file=sys.stderr)
     streams = ", ".join(f"/{name}" for name in ("imu", *world.streams))
     length = world.parameters["duration_s"]
-    print(f"{out}: {scenario}, {length:g} s, {streams}; {count} messages, seed {used}")
+    tell(f"{out}: {scenario}, {length:g} s, {streams}; {count} messages, seed {used}")

@@ -180,8 +180,16 @@ def _show_what_can_be_shown() -> None:
 
 def say(text: str) -> None:
     """One line on stderr, in which nothing (a file's name) commands the terminal."""
-    line = "".join(c if c.isprintable() else "?" for c in " ".join(text.split()))
-    print(f"handcal: {line}", file=sys.stderr, flush=True)
+    print(f"handcal: {_one_line(text)}", file=sys.stderr, flush=True)
+
+
+def tell(text: str) -> None:
+    """One line on stdout, what a command has done; likewise."""
+    print(_one_line(text))
+
+
+def _one_line(text: str) -> str:
+    return "".join(c if c.isprintable() else "?" for c in " ".join(text.split()))
 
 
 def run(app: typer.Typer) -> NoReturn:

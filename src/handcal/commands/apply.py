@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from handcal.commands._options import Topics, Units, load, with_own_effects
-from handcal.commands._registry import say
+from handcal.commands._registry import say, tell
 
 if TYPE_CHECKING:
     from handcal.device.apply import Corrected, Learnt
@@ -62,7 +62,7 @@ def apply(
     for sentence in (*given.warnings, left):
         if sentence:
             say(sentence)
-    print(f"{out}: {', '.join(corrected.taken)} taken off {recording.name}")
+    tell(f"{out}: {', '.join(corrected.taken)} taken off {recording.name}")
 
 
 def _left(corrected: Corrected, learnt: Learnt) -> str:

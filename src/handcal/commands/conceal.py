@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from handcal.commands._options import Topics, Units, load, with_own_effects
+from handcal.commands._registry import tell
 
 if TYPE_CHECKING:
     pass
@@ -62,4 +63,4 @@ def conceal(
 
         truth = known.apply(recording, known.read(learnt_from), biases=True).recording.imu
     write_mcap(hidden.conceal(recording, values, np.random.default_rng(seed), truth), out)
-    print(f"{out}: {', '.join(values)} concealed in {Path(recording.path).name}, seed {seed}")
+    tell(f"{out}: {', '.join(values)} concealed in {Path(recording.path).name}, seed {seed}")

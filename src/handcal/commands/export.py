@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from handcal.commands._options import Topics, Units, load, with_own_effects
-from handcal.commands._registry import say
+from handcal.commands._registry import say, tell
 
 
 class Axes(StrEnum):
@@ -81,4 +81,4 @@ def export(
     for line in made.header:
         if line.startswith(("Not in this file", "All of that", "How much", "Warning: ")):
             say(line)
-    print(f"{out}: {form.line}")
+    tell(f"{out}: {form.line}")

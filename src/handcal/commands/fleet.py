@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from handcal.commands._ending import INTERRUPTED
-from handcal.commands._registry import say
+from handcal.commands._registry import say, tell
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -181,11 +181,11 @@ def _written(members: Sequence[Member], store: Store) -> None:
     from handcal.show import words
 
     told = write_all(members, store)
-    print(f"{told.done} recordings explained, {told.failed} without a result: "
-          f"{store.folder / 'fleet.html'}")  # fmt: skip
+    tell(f"{told.done} recordings explained, {told.failed} without a result: "
+         f"{store.folder / 'fleet.html'}")  # fmt: skip
     for m in told.fleet.models:
         learned = sum(c.told for c in m.common)
         found = [words.effect_title(s.effect) for s in m.stacks if s.probability > FOUND]
         names = ", ".join(found) or "nothing found"
-        print(f"{m.name}: {m.devices} devices; {learned} of {len(m.common)} spreads told, "
+        tell(f"{m.name}: {m.devices} devices; {learned} of {len(m.common)} spreads told, "
               f"{len(m.odd)} odd ones; common to them: {names}")  # fmt: skip

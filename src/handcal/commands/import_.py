@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from handcal.commands._options import Topics, Units, load
-from handcal.commands._registry import say
+from handcal.commands._registry import say, tell
 
 if TYPE_CHECKING:
     pass
@@ -35,4 +35,4 @@ def import_(
     for warning in recording.warnings:
         say(warning)
     streams = ", ".join(["imu", *recording.streams])
-    print(f"{out}: {recording.duration_s:.1f} s at {recording.rate_hz:.0f} Hz, {streams}")
+    tell(f"{out}: {recording.duration_s:.1f} s at {recording.rate_hz:.0f} Hz, {streams}")

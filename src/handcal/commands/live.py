@@ -12,7 +12,7 @@ import typer
 
 from handcal.commands._device import DeviceFile, ModelName, PriorsFile, before_of
 from handcal.commands._options import Effects, Rrd, Topics, Units, comma_separated, load, pairs
-from handcal.commands._registry import say
+from handcal.commands._registry import say, tell
 
 if TYPE_CHECKING:
     from handcal.live.ending import Ended, Wanted
@@ -113,10 +113,10 @@ def live(
             from handcal.live.run import fed
 
             ended = fed(session, recording, speed, out, wanted, say, board)
-    print(ended.headline)
+    tell(ended.headline)
     for sentence in ended.sentences:
-        print(sentence)
-    print(f"{out}: {', '.join(ended.files)}")
+        tell(sentence)
+    tell(f"{out}: {', '.join(ended.files)}")
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from handcal.effects import catalogue
 from handcal.exports import Contents, Format, Noise, formats
 from handcal.exports import _correction as correction
 from handcal.exports._correction import NOTHING, Correction
+from handcal.exports._text import one_line
 from handcal.recordings.streams import TURNED_TO_FLU
 from handcal.types import Array, HandcalError, InputError, Recording
 
@@ -131,9 +132,9 @@ def contents(
     if form.keep is not None and not form.online and _same(kept, NOTHING):
         raise HandcalError(f"{path} has nothing that this format can hold; use `handcal apply`.")
     noise = _noise(found.document) if allan is None else _of_allan(allan)
-    header = _header(path, found, form, kept, recording)
+    header = tuple(map(one_line, _header(path, found, form, kept, recording)))
     return Contents(
-        path.name, header, kept, found.bias, found.hidden, has_bias, noise,
+        one_line(path.name), header, kept, found.bias, found.hidden, has_bias, noise,
         _rate(found.document), topic or _topic(found.document), axes or "flu",
         _parameters(found.document),
     )  # fmt: skip
@@ -158,8 +159,7 @@ def warnings_of(document: Mapping[str, Any]) -> list[str]:
     found = [*document.get("warnings", [])]
     for r in document.get("recordings", []):
         found += r.get("warnings", [])
-    # (a backslash at its end would take a line of C into the comment)
-    return list(dict.fromkeys(" ".join(str(said).split()).rstrip("\\") for said in found))
+    return list(dict.fromkeys(one_line(" ".join(str(said).split())) for said in found))
 
 
 def _topic(document: Mapping[str, Any]) -> str:
@@ -176,7 +176,7 @@ def _parameters(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     for r in document.get("recordings", []):
         name = Path(r["recording"]["path"]).name
         rows += [p | {"recording": name} for p in r["parameters"]]
-    return rows
+    return [{k: one_line(v) if isinstance(v, str) else v for k, v in p.items()} for p in rows]
 
 
 def _recordings(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from typing import Any
 
@@ -13,6 +14,13 @@ from handcal.types import Array, HandcalError
 ZERO = 1e-12
 # (what numpy.linalg.inv returns is typed loosely)
 AnyMatrix = np.ndarray[Any, np.dtype[Any]]
+
+
+def one_line(text: str) -> str:
+    """Somebody else's words in a file that is a program, or is read by one: on one line, which
+    does not take the next one into a comment either (as C does, of a backslash at its end)."""
+    line = "".join(c if c.isprintable() else "?" for c in text)
+    return re.sub(r"(\\|\?\?/|\s)+$", "", line)
 
 
 def number(value: float) -> str:

@@ -9,13 +9,21 @@ import io
 from handcal.exports import Contents, Format
 from handcal.exports._table import HEAD, rows
 
+# A word that a spreadsheet would take for a formula.
+FORMULA = ("=", "+", "-", "@")
+
+
+def _word(text: str) -> str:
+    return f"'{text}" if text.startswith(FORMULA) else text
+
 
 def write(contents: Contents) -> str:
     """The table."""
     out = io.StringIO()
     table = csv.writer(out, lineterminator="\n")
     table.writerow(HEAD)
-    table.writerows(rows(contents))
+    for effect, name, value, sigma, *words in rows(contents):
+        table.writerow([_word(effect), _word(name), value, sigma, *map(_word, words)])
     return contents.commented() + out.getvalue()
 
 

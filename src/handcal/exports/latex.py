@@ -8,13 +8,24 @@ import re
 from handcal.exports import Contents, Format
 from handcal.exports._table import rows, short
 
+# What TeX reads as a command, and how it is written to be read.
+SIGNS = {"\\": r"\textbackslash{}", "^": r"\textasciicircum{}", "~": r"\textasciitilde{}",
+         **{c: f"\\{c}" for c in "_%&#${}"}}  # fmt: skip
+
 
 def _text(words: str) -> str:
-    return re.sub(r"([_%&#$])", r"\\\1", words)
+    return "".join(SIGNS.get(c, c) for c in words)
 
 
 def _unit(unit: str) -> str:
-    return "" if unit == "1" else re.sub(r"\^(\w+)", r"$^{\1}$", _text(unit))
+    """A unit with its powers raised."""
+    parts = re.split(r"\^(\w+)", unit)
+    powers = (f"$^{{{_text(p)}}}$" for p in parts[1::2])
+    return (
+        ""
+        if unit == "1"
+        else "".join(a + b for a, b in zip(map(_text, parts[::2]), [*powers, ""], strict=True))
+    )
 
 
 def write(contents: Contents) -> str:

@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import html
+
 from handcal.exports import Contents, Format
 from handcal.exports._table import rows, short
+
+
+def _cell(text: str) -> str:
+    return html.escape(text, quote=False).replace("|", r"\|")
 
 
 def write(contents: Contents) -> str:
@@ -11,8 +17,9 @@ def write(contents: Contents) -> str:
     lines = ["| parameter | value | ± 1 sigma | unit | observable |", "|---|---:|---:|---|---|"]
     for effect, name, value, sigma, unit, seen, of in rows(contents):
         shown = " ".join((f"`{effect}` {name}", *([f"({of})"] if of else [])))
-        lines.append(f"| {shown} | {' | '.join(short(value, sigma))} | {unit} | {seen} |")
-    said = "".join(f"- {line}\n" for line in contents.header)
+        cells = (shown, *short(value, sigma), unit, seen)
+        lines.append(f"| {' | '.join(map(_cell, cells))} |")
+    said = "".join(f"- {html.escape(line, quote=False)}\n" for line in contents.header)
     return "\n".join(lines) + "\n\n" + said
 
 

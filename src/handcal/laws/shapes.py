@@ -253,7 +253,7 @@ def _tried(family: Family, span: float, grid: tuple[float, ...]) -> tuple[Array,
 def _lost(family: Family, grid: Array, gain: Callable[[Array], Array], numbers: Array) -> float:
     with np.errstate(all="ignore"):
         value = -float(gain(family.values(numbers, grid)))
-    return value if math.isfinite(value) else 0.0
+    return math.inf if math.isnan(value) else value
 
 
 def _adjusted(lost: Callable[[Array], float], numbers: Array, tried: Array) -> Array:

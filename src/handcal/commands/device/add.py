@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from handcal.commands._registry import say
+from handcal.commands._registry import say, tell
 
 
 def add(
@@ -69,6 +69,6 @@ def add(
         if left := sentence(not_kept(document)):
             say(left if len(results) == 1 else f"{path}: {left}")
     device_file.write(device, file)
-    print(f"{file}: {len(device.sessions)} session{'s' * (len(device.sessions) != 1)}")
+    tell(f"{file}: {len(device.sessions)} session{'s' * (len(device.sessions) != 1)}")
     for d in disagreements(device):
         say(difference_sentence(d, device))
