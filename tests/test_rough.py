@@ -178,6 +178,16 @@ def test_what_ends_the_program_when_all_is_done_does_no_more(ended: signal.Signa
     assert done.stderr == ""
 
 
+def test_a_home_that_cannot_be_written_costs_nothing(tmp_path: Path) -> None:
+    env = {k: v for k, v in os.environ.items() if k not in ("MPLCONFIGDIR", "XDG_CACHE_HOME")}
+    env |= {"HOME": os.devnull, "XDG_CONFIG_HOME": os.devnull, "TMPDIR": str(tmp_path)}
+    command = [*HANDCAL, "design", "poses", "--seed", "0", "--picture", "p.svg"]
+    done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True,
+                          check=False)  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "handcal: seed 0\n")
+    assert [p.name for p in tmp_path.iterdir()] == ["p.svg"]
+
+
 ORPHAN = """
 import os, signal
 from handcal.workers import processes

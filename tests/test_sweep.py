@@ -7,10 +7,13 @@ import multiprocessing
 import os
 import re
 import signal
+import sys
 from concurrent.futures import Executor, Future
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +22,7 @@ from typer.testing import CliRunner
 
 from handcal.commands._app import app
 from handcal.estimate.consistency import chi2_bounds
+from handcal.types import InputError
 from handcal.workers import Workers, WorkersDied, opened
 from handcal_sim.errors import SimulationError
 from handcal_sim.sweep import cell as sweep
@@ -493,6 +497,50 @@ def test_a_scheduler_that_is_gone_is_not_waited_for(monkeypatch):
     workers = Workers(Silent, 1, there=lambda: False)
     with pytest.raises(WorkersDied, match="scheduler is gone"):
         run(small(), workers, sweep.run_chunk, Kept(None), ignored)
+
+
+@pytest.mark.parametrize(
+    ("answers", "said"),
+    [
+        ({"tcp://a": version("handcal"), "tcp://b": "0.0.1"}, "1 run another: 0.0.1 (tcp://b)"),
+        (PackageNotFoundError("handcal"), "has no handcal"),
+        ({"tcp://a": version("handcal")}, ""),
+    ],
+)
+def test_a_worker_of_another_version_computes_nothing(monkeypatch, answers, said):
+    class Client:
+        dashboard_link, status = "", "running"
+
+        def __init__(self, *_arguments, **_options):
+            pass
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            pass
+
+        def run(self, function, *arguments):
+            assert function(*arguments) == version("handcal")
+            if isinstance(answers, Exception):
+                raise answers
+            return answers
+
+        def nthreads(self):
+            return {"tcp://a": 3}
+
+        def get_executor(self):
+            raise NotImplementedError
+
+    stub = SimpleNamespace(Client=Client, KilledWorker=OSError, FutureCancelledError=OSError)
+    monkeypatch.setitem(sys.modules, "distributed", stub)
+    monkeypatch.setitem(sys.modules, "distributed.client", stub)
+    if not said:
+        with opened("dask://nowhere:1", 1) as workers:
+            assert workers.count == 3
+        return
+    with pytest.raises(InputError, match=re.escape(said)), opened("dask://nowhere:1", 1):
+        pass
 
 
 @pytest.mark.parametrize("left", [1, 20, 500])

@@ -16,6 +16,7 @@ from concurrent.futures import CancelledError as FutureCancelled
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
 from itertools import islice
 from typing import Any, TypeVar
 
@@ -74,10 +75,28 @@ def opened(
         said = f": {problem}" if str(problem) else ""
         raise InputError(f"no Dask scheduler at {address}{said}.") from None
     with client:
+        _check_versions(client)
         threads = max(1, sum(client.nthreads().values()))
         died = (distributed.KilledWorker, broken)
         page = str(getattr(client, "dashboard_link", "") or "")
         yield Workers(client.get_executor, threads, died, lambda: client.status == "running", page)
+
+
+def _check_versions(client: Any) -> None:
+    """Errors: InputError where a worker would compute with another handcal, or with none."""
+    own = version("handcal")
+    try:
+        found = client.run(version, "handcal")
+    except PackageNotFoundError:
+        raise InputError(
+            "A worker of this Dask cluster has no handcal: install the same on all machines."
+        ) from None
+    other = sorted({f"{v} ({where})" for where, v in found.items() if v != own})
+    if other:
+        raise InputError(
+            f"This is handcal {own}, and of the Dask cluster's workers {len(other)} run another: "
+            f"{', '.join(other[:3])}. Install the same on all machines."
+        )
 
 
 def done(

@@ -6,6 +6,7 @@ input; 130 interrupted.
 
 from __future__ import annotations
 
+import logging
 import os
 from pathlib import Path
 from typing import Annotated
@@ -57,6 +58,8 @@ def main() -> None:
     # Before numpy is imported: threads on matrices of a hundred rows cost more than they bring.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
+    # (of a cache that it could not keep, a font that is not there: nothing that anybody asked)
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)
     memory.kept()
     run(app)
 
