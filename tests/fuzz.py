@@ -27,6 +27,7 @@ import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 
@@ -36,9 +37,14 @@ from mcap.writer import CompressionType
 from sample_recording import IMU, imu_json, imu_messages, sample, write_channels
 
 import handcal
-from handcal.device import apply
+from handcal.device import apply, priors
+from handcal.device import file as device_file
 from handcal.explain import model_file
+from handcal.fleet import sources
 from handcal.lab import steady_tests_csv
+from handcal.live.recorder import opened
+from handcal.live.session import Session
+from handcal.live.sources import browser
 from handcal.recordings import inputs
 from handcal.show.calibration.summary import calibration_json
 from handcal.types import HandcalError
@@ -98,7 +104,39 @@ def seeds(rng: np.random.Generator) -> list[Seed]:
     rows = "\n".join(",".join(map(str, row)) for row in table)
     bench = f"ax,ay,az,fx,fy,fz\n{rows}\n".encode()
     read = partial(steady_tests_csv.read, sequence="zyx", gravity=9.80665)
-    return [*out, Seed("bench table", ".csv", bench, read)]
+    return [*out, Seed("bench table", ".csv", bench, read), *_of_devices(result)]
+
+
+def _of_devices(result: bytes) -> Iterator[Seed]:
+    """What `device`, `fleet` and `live` read: files of devices, priors, manifests, batches."""
+    with tempfile.TemporaryDirectory() as name:
+        path = Path(name) / "r.json"
+        path.write_bytes(result)
+        when = datetime(2026, 5, 1, tzinfo=UTC)
+        session = device_file.session_of(path, device_file.read_result(path), "phone", when)
+        device_file.write(device_file.Device("phone", (session,)), path)
+        yield Seed("device TOML", ".toml", path.read_bytes(), device_file.read)
+        learned = {("gyro_scale", a): priors.Learned(0.0, 1e-3, 1e-2, 1e-3, 4.0, 9) for a in "xyz"}
+        priors.write(path, {"m": learned}, {"m": {"recordings": 9, "devices": 9}})
+        yield Seed("priors TOML", ".toml", path.read_bytes(), priors.read)
+    manifest = b"path,device,model,started\n.,a,m,2026-05-01T12:00:00Z\n/,b,m,\n"
+    yield Seed("manifest", ".csv", manifest, sources.listed)
+    batch = {"client": "c", "seq": 0, "t": [1.7e12 + 10 * k for k in range(20)], "agent": "ios",
+             "gyro": [[1.0, 2.0, 3.0]] * 20, "accel": [[0.0, 0.1, 9.8]] * 20,
+             "heading": [[1.7e12 + 10 * k, 90.0] for k in range(20)]}  # fmt: skip
+    yield Seed("batch of live", ".json", json.dumps(batch).encode(), _live)
+
+
+def _live(path: Path) -> None:
+    place = path.with_name("growing.mcap")
+    place.unlink(missing_ok=True)
+    recorder = opened(place)
+    try:
+        session = Session(recorder)
+        session.take(browser.parse(path.read_bytes()))
+        session.status()
+    finally:
+        recorder.growing.file.close()
 
 
 def _result() -> handcal.Result:

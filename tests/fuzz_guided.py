@@ -23,8 +23,8 @@ import numpy as np
 
 # Only what reads somebody else's bytes is watched: lines of numpy's or of the filter's say nothing
 # of a reader, and each costs time.
-WATCHED = ("handcal.recordings", "handcal.documents", "handcal.device.apply",
-           "handcal.explain.model_file", "handcal.lab.steady_tests_csv",
+WATCHED = ("handcal.recordings", "handcal.documents", "handcal.device", "handcal.live",
+           "handcal.fleet.sources", "handcal.explain.model_file", "handcal.lab.steady_tests_csv",
            "handcal_sim.sweep.grid")  # fmt: skip
 
 # bytes; above the largest file to begin with, which would else be cut

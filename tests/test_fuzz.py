@@ -41,7 +41,8 @@ def test_every_format_of_the_folder_is_attacked(all_seeds: list[Seed]) -> None:
 
 
 def test_seeds_are_read_before_they_are_mutated(all_seeds: list[Seed], tmp_path: Path) -> None:
-    known = {"mcap", "plain_csv", "sensor_logger", "grid TOML", "bench table", *WRITERS}
+    known = {"mcap", "plain_csv", "sensor_logger", "grid TOML", "bench table", *WRITERS,
+             "device TOML", "priors TOML", "manifest", "batch of live"}  # fmt: skip
     for n, seed in enumerate(s for s in all_seeds if s.kind in known or "JSON" in s.kind):
         score = Score()
         assert execute(seed, seed.content, tmp_path / f"{n}{seed.suffix}", score) is None

@@ -101,3 +101,13 @@ def test_a_folder_is_listed_once_for_all_formats(
         with pytest.raises(InputError, match="It holds photo"):
             load(tmp_path)
         assert listed == [tmp_path] * count
+
+
+def test_a_file_without_a_name_in_a_zip_is_a_sentence(tmp_path: Path) -> None:
+    """Found by `make fuzz-guided`."""
+    path = tmp_path / "x.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("Gyroscope.csv", "a")
+    path.write_bytes(path.read_bytes().replace(b"Gyroscope.csv", b"\0" * 13))
+    with pytest.raises(InputError):
+        load(path)

@@ -15,6 +15,7 @@ from types import ModuleType
 import numpy as np
 
 from handcal.effects import ATTITUDE, Effect, with_effects
+from handcal.output import not_over
 from handcal.signals import probe
 from handcal.types import InputError
 
@@ -34,7 +35,8 @@ def files(folder: Path) -> list[Path]:
 
 @contextmanager
 def effects_from(folder: Path | str | None) -> Iterator[None]:
-    """Inside, the catalogue has the effects of a folder too; of none, it is as it was.
+    """Inside, the catalogue has the effects of a folder too, and no output takes the place of one
+    of its files; of no folder, all is as it was.
 
     Raises InputError, naming the file, where one cannot be run, defines no effect or one of which
     there is one already, or where its error is not what an error has to be.
@@ -42,7 +44,8 @@ def effects_from(folder: Path | str | None) -> Iterator[None]:
     if folder is None:
         yield
         return
-    with with_effects([(str(path), read(path)) for path in files(Path(folder))]):
+    found = files(Path(folder))
+    with with_effects([(str(path), read(path)) for path in found]), not_over(found):
         yield
 
 

@@ -117,6 +117,7 @@ def simulate(
     """Write a recording of a simulated device in a simulated hand, and what was true."""
     from handcal.output import check_outputs, whole
     from handcal.recordings.export import check_ending
+    from handcal.user_effects import files
     from handcal_sim.effects import parted
     from handcal_sim.request import Request, simulated
 
@@ -131,7 +132,7 @@ def simulate(
         start_heading_deg=start_heading, start_tilt_deg=start_tilt, clockwise=clockwise,
         table_errors=table_errors, spin_deg_s=spin,
     )  # fmt: skip
-    check_outputs((out,))
+    check_outputs((out,), files(effects_from) if effects_from else ())
     check_ending(out)
     with wrong_use():
         world, used = simulated(request)

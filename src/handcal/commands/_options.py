@@ -130,12 +130,11 @@ def with_own_effects(command: Callable[..., None]) -> Callable[..., None]:
         if effects_from is None:
             command(*arguments, **options)
             return
-        from handcal import output, user_effects
+        from handcal import user_effects
 
-        files = user_effects.files(effects_from)
-        names = ", ".join(path.name for path in files)
+        names = ", ".join(path.name for path in user_effects.files(effects_from))
         say(f"running the code of {names} in {effects_from}, as --effects-from asks")
-        with user_effects.effects_from(effects_from), output.not_over(files):
+        with user_effects.effects_from(effects_from):
             command(*arguments, **options)
 
     own = signature(command, eval_str=True)

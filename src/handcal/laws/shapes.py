@@ -185,15 +185,16 @@ def best(
     ends: list[tuple[float, Family, Array]] = []
     for family in basis.families:
         starts, values = _tried(family, span, tuple(basis.grid))
-        begun = _repeated(family, starts, values @ b, values @ G, values)
-        ends.append((begun[1], family, begun[0]))
+        at, begun = _repeated(family, starts, values @ b, values @ G, values)
+        ends.append((begun, family, at))
     ends = sorted(ends, key=lambda end: -end[0])[:CLOSER]
     found: list[tuple[float, Family, Array]] = []
-    for _, family, numbers in ends:
+    for begun, family, numbers in ends:
         starts, _ = _tried(family, span, tuple(basis.grid))
         lost = partial(_lost, family, basis.grid, gain)
         at = _adjusted(lost, numbers, starts)
-        found.append((-lost(at) - FREEDOM - _cost(at), family, at))
+        value = -lost(at) - FREEDOM - _cost(at) if begun > -math.inf else begun
+        found.append((value, family, at))
     value, family, numbers = max(found, key=lambda end: end[0])
     return term_of(basis, family, numbers), value
 
@@ -253,7 +254,7 @@ def _tried(family: Family, span: float, grid: tuple[float, ...]) -> tuple[Array,
 def _lost(family: Family, grid: Array, gain: Callable[[Array], Array], numbers: Array) -> float:
     with np.errstate(all="ignore"):
         value = -float(gain(family.values(numbers, grid)))
-    return math.inf if math.isnan(value) else value
+    return value if math.isfinite(value) else 0.0
 
 
 def _adjusted(lost: Callable[[Array], float], numbers: Array, tried: Array) -> Array:

@@ -26,7 +26,9 @@ DEEPEST = 2
 MOST_BEGUN = 100  # (to know a format by)
 # What was listed within ``listed_once``, by path; None outside.
 _LISTED: ContextVar[dict[Path, list[str] | None] | None] = ContextVar("listed", default=None)
-_DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, ValueError, RuntimeError)
+# (IndexError: of a file without any name zipfile asks for the last letter)
+_DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, ValueError, RuntimeError,
+            IndexError)  # fmt: skip
 
 
 def names_within(path: Path) -> set[str] | None:
