@@ -143,19 +143,16 @@ def test_what_is_doubtful_has_errors_taken_off_and_comes_back(
     write_mcap(corrected, tmp_path / "x.mcap")
     back = handcal.load(tmp_path / "x.mcap").imu
     assert np.isfinite(back.gyro).all()
-    np.testing.assert_allclose(back.gyro, recording.imu.gyro / (1.0 + SCALE), rtol=1e-9)
+    # (what counts as missing stays as it is)
+    read, share = recording.imu.valid, 1.0 + SCALE * recording.imu.valid[:, None]
+    assert read.mean() > 0.4
+    np.testing.assert_allclose(back.gyro, recording.imu.gyro / share, rtol=1e-9)
     np.testing.assert_array_equal(back.accel, recording.imu.accel)
     np.testing.assert_allclose(back.t, recording.imu.t, rtol=0, atol=1e-9)
 
 
-# What is not cured: of such readings explain says what is wrong, and names an error all the same.
-NAMED = pytest.mark.xfail(reason="accel_scale, by 94 nats, beside the warning", strict=False)
-
-
 @pytest.mark.prove
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=NAMED if n == "accel stuck" else ()) for n in DOUBTFUL]
-)
+@pytest.mark.parametrize("name", DOUBTFUL)
 def test_what_is_doubtful_is_explained_with_doubt_or_not(name: str, readings: Readings) -> None:
     """The device errs by nothing but biases. A hole of a minute and a gyro at the end of its
     range ended in a traceback."""
@@ -187,12 +184,12 @@ def test_a_coarse_sensor_at_rest_is_not_stuck(hz: float, tremor: float) -> None:
     for q_gyro in np.radians([0.1, 0.3, 1.0]):
         for q_accel in (1e-6, 0.02, 0.3):
             coarse = [q * np.round(x / q) for x, q in ((gyro, q_gyro), (accel, q_accel))]
-            assert _checks.stuck(t, *coarse) == [], (q_gyro, q_accel)
+            assert _checks.stuck(t, *coarse)[0] == [], (q_gyro, q_accel)
     held = slice(round(11.5 * hz), round(13.5 * hz))  # (in mid-turn)
     for k, name in enumerate(("gyroscope", "accelerometer")):
         both = [gyro.copy(), accel.copy()]
         both[k][held] = both[k][held.start]
-        assert name in " ".join(_checks.stuck(t, *both))
+        assert name in " ".join(_checks.stuck(t, *both)[0])
 
 
 def test_a_number_too_long_to_be_one_is_a_sentence(tmp_path) -> None:

@@ -88,10 +88,11 @@ def _dead_axes(value: Array, name: str) -> list[str]:
     ]
 
 
-def stuck(t: Array, gyro: Array, accel: Array) -> list[str]:
+def stuck(t: Array, gyro: Array, accel: Array) -> tuple[list[str], BoolArray]:
     """Warnings where one sensor stays at one value for over a second while the other shows a
-    motion that it would have had to see. t (n,) s; (n, 3) each, on these stamps."""
-    said = []
+    motion that it would have had to see, and where that is (n,): what is read there is no
+    measurement. t (n,) s; (n, 3) each, on these stamps."""
+    said, at_all = [], np.zeros(len(t), dtype=np.bool_)
     for name, value, missed in (
         ("gyroscope", gyro, _turned_by_accel),
         ("accelerometer", accel, _tilted_by_gyro),
@@ -103,12 +104,13 @@ def stuck(t: Array, gyro: Array, accel: Array) -> list[str]:
             at = slice(int(ends[k]), int(ends[k + 1]))
             first, last = t[at.start], t[at.stop - 1]
             if last - first > LONGEST_STUCK_S and missed(t[at], gyro[at], accel[at], step):
+                at_all[at] = True
                 said.append(
                     f"The {name} reads one value from {first:.1f} to {last:.1f} s while the "
-                    "other sensor moves: it was stuck, or its steps are coarser than that motion."
+                    "other sensor moves: it was stuck, or its steps are coarser than that motion. "
+                    "These readings count as missing."
                 )
-                break
-    return said
+    return said, at_all
 
 
 def _step(value: Array) -> Array:

@@ -95,7 +95,9 @@ def assemble(
             f"{path} holds {len(t)} IMU samples over {t[-1]:.1f} s; "
             f"at least {FEWEST} over {SHORTEST_S:.0f} s are needed."
         )
-    said += _doubts(path, t, rates, force)
+    doubts, frozen = _doubts(path, t, rates, force)
+    said += doubts
+    valid = valid & ~frozen
     for name, stream in streams.items():
         if STREAMS[name].circular:
             check_heading_unit(t, rates, (stream.ns - ns[0]) / 1e9, stream.value[:, 0])
@@ -108,22 +110,20 @@ def assemble(
     return Recording(str(path), imu, series, start_ns, tuple(said))
 
 
-def _doubts(path: Path, t: Array, gyro: Array, accel: Array) -> list[str]:
-    """Warnings of what is odd about the readings. Errors: InputError for what cannot be."""
+def _doubts(path: Path, t: Array, gyro: Array, accel: Array) -> tuple[list[str], BoolArray]:
+    """Warnings of what is odd about the readings, and which of them (n,) are no measurements.
+    Errors: InputError for what cannot be."""
     slow = slow_stamps(t)
     if slow is None:
         _check_clock(path, t)
     elif float(np.diff(t).max()) > LONGEST_GAP_S:
         raise InputError(slow)
     said = [slow] if slow else []
-    said += check_alive(gyro, accel) + stuck(t, gyro, accel)
+    said += check_alive(gyro, accel)
+    halts, frozen = stuck(t, gyro, accel)
     rate_hz = 1 / float(np.median(np.diff(t)))
-    return [
-        *said,
-        *check_accel_unit(accel, rate_hz),
-        *check_gyro_unit(t, gyro, accel),
-        *_gap_warning(t),
-    ]
+    said += [*halts, *check_accel_unit(accel, rate_hz), *check_gyro_unit(t, gyro, accel)]
+    return [*said, *_gap_warning(t)], frozen
 
 
 def _check_clock(path: Path, t: Array) -> None:
