@@ -131,7 +131,7 @@ def test_a_name_stands_out_from_what_is_not_understood(
     unknown = replace(catalogue()["gyro_quadratic"], id=beside)
     size = {"gyro_scale": {"gyro_x": ratio}, "gyro_bias_walk": {"gyro_x": ratio}}
     size[beside] = {"accel_x" if beside.startswith("accel") else "gyro_x": 1.0}
-    monkeypatch.setattr(naming.importance, "sizes", lambda _, e: size[e.id])
+    monkeypatch.setattr(naming.importance, "sizes", lambda _, e, **_spread: size[e.id])
     effect = catalogue()[name]
     assert (naming._own(Stub(effect, unknown), effect) > naming.LIKELY) == told
 
@@ -145,7 +145,7 @@ def test_a_name_may_stand_out_on_one_axis(
     unknown = replace(catalogue()["gyro_quadratic"], id="gyro_xyz += e(attitude)")
     effect, axes = catalogue()["gyro_scale"], ("gyro_x", "gyro_y", "gyro_z")
     size = {effect.id: dict(zip(axes, sizes, strict=True)), unknown.id: dict.fromkeys(axes, 1.0)}
-    monkeypatch.setattr(naming.importance, "sizes", lambda _, e: size[e.id])
+    monkeypatch.setattr(naming.importance, "sizes", lambda _, e, **_spread: size[e.id])
     assert (naming._own(Stub(effect, unknown), effect) > naming.LIKELY) == told
 
 
@@ -161,7 +161,7 @@ def test_what_has_no_name_counts_beside_what_is_named_on_the_same_channel(
     law = replace(catalogue()["gyro_quadratic"], id="gyro_x += k * |omega|")
     other = catalogue()["gyro_scale"]
     size = {law.id: {"gyro_x": 1.0}, other.id: {channel: named}}
-    monkeypatch.setattr(naming.importance, "sizes", lambda _, e: size[e.id])
+    monkeypatch.setattr(naming.importance, "sizes", lambda _, e, **_spread: size[e.id])
     u = Unnamed(law.id, 1.0, 0.1, "rad/s", 50.0, channels=("gyro_x",))
     assert naming.next_to_nothing(Stub(law, other), u) != counts
 

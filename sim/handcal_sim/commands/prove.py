@@ -84,20 +84,15 @@ def _proved(
 
     from handcal.commands._registry import say
     from handcal.output import check_outputs, write_text
-    from handcal.types import InputError
     from handcal_sim.prove.paired import compared
     from handcal_sim.prove.score import score
     from handcal_sim.prove.show import show
-    from handcal_sim.prove.suites import SUITES
 
     check_outputs((json_file,))
     if suite == LIVE:
         _led(n, seed, json_file)
         return
-    if against is not None and shutil.which(against) is None:
-        raise InputError(f"--against {against}: there is no such program.")
-    if suite not in (ALL, *SUITES):
-        raise InputError(f"--suite {suite}: there are {', '.join((*SUITES, ALL))}.")
+    _check(suite, against)
     if seed is None:
         seed = int(SeedSequence().generate_state(1)[0])
     cases = plan(suite, n, seed)
@@ -122,6 +117,17 @@ def _proved(
     if json_file is not None:
         write_text(json_file, json.dumps(proof, indent=1) + "\n")
     show(proof, Console(highlight=False))
+
+
+def _check(suite: str, against: str | None) -> None:
+    """Errors: InputError for a suite or a program that is not there."""
+    from handcal.types import InputError
+    from handcal_sim.prove.suites import SUITES
+
+    if against is not None and shutil.which(against) is None:
+        raise InputError(f"--against {against}: there is no such program.")
+    if suite not in (ALL, *SUITES):
+        raise InputError(f"--suite {suite}: there are {', '.join((*SUITES, ALL))}.")
 
 
 def _led(n: int | None, seed: int | None, json_file: Path | None) -> None:
