@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 
+from handcal.effects import catalogue
 from handcal.estimate.case import name_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
@@ -28,9 +29,11 @@ MAX_TERMS, MAX_TRIED = 3, 6
 
 
 def name_term(c: Climb) -> Model | None:
-    """The model with a term that nobody named in the place of what may stand in for it, which hides
-    whatever has no name, or beside it; or as it is chosen anew with a further term on trial."""
-    tried = _instead(c)
+    """The model with a term that nobody named in the place of its noise effects, which hide
+    whatever has no name, or beside them; or as it is chosen anew with a further term on trial."""
+    if not _room(c):
+        return None
+    tried = _instead_of_noise(c)
     while tried is None and _room(c):
         term = best_term(c.model, refused=_refused(c))
         if term is None:
@@ -53,7 +56,7 @@ def _refused(c: Climb) -> set[str]:
     return c.dropped | set(c.model.ids) | {t.effect.id for t in c.unnamed}
 
 
-def _instead(c: Climb) -> Model | None:
+def _instead_of_noise(c: Climb) -> Model | None:
     """The model with a term in the place of what may stand in for one on a sensor, or beside it."""
     key, doubted = frozenset(c.model.ids), _doubted(c)
     if not doubted or key in c.bared:
@@ -72,19 +75,16 @@ def _instead(c: Climb) -> Model | None:
 
 def _doubted(c: Climb) -> list[tuple[str, frozenset[str]]]:
     """Sensors, each with effects of the model that may stand in for one law together: noise, which
-    hides whatever has no name; with it, names that gain less than the noise does (or are weak);
-    with both, steps, whose moment is free; and with all, the laws found so far."""
-    gained, laws = gains(c.where, c.model.chosen), {t.effect.id for t in c.unnamed}
+    hides whatever has no name; the weak ones, with it; and steps, whose moment is free, with
+    both."""
+    gained = gains(c.where, c.model.chosen)
     out: list[tuple[str, frozenset[str]]] = []
     for sensor in SENSORS:
         own = [e for e in c.model.effects if e.id.startswith(sensor) and e.id not in c.kept]
         noise = frozenset(e.id for e in own if e.process is not None)
-        hidden = max([WEAK, *(c.noise.get(i, 0.0) for i in noise)])
-        rest = [e.id for e in own if e.process is None and not e.always]
-        names = [i for i in rest if i not in laws]
-        weak = noise | {i for i in names if gained[i] < hidden}
-        free = weak | {i for i in names if name_of(i) != i}
-        sets = noise, weak, free, free | {i for i in rest if i in laws} if free else free
+        names = [e.id for e in own if e.process is None and name_of(e.id) in catalogue()]
+        weak = noise | {i for i in names if gained[i] < WEAK}
+        sets = noise, weak, weak | {i for i in names if name_of(i) != i}
         out += [(sensor, ids) for ids in dict.fromkeys(sets) if ids]
     return out
 
@@ -97,21 +97,10 @@ def _in_place(c: Climb, sensor: str, ids: frozenset[str]) -> list[tuple[Model, T
     parts = tuple(moved_to(f, rest) for f in c.model.parts)
     without = replace(c.model, effects=rest, parts=parts)
     # (and for what evidence is worth with them: what a law has to do in their place is not misfit)
-    refused = _refused(c) - ids
-    terms = best_terms(without, refused=refused, beyond=(sensor,), worth=c.worth)
-    ways = [
-        (m, t)
-        for t in terms
-        for m in (without, c.model)
-        if _has_room(m) and t.effect.id not in m.ids
-    ]
+    terms = best_terms(without, refused=_refused(c), beyond=(sensor,), worth=c.worth)
+    ways = [(m, term) for term in terms for m in (without, c.model)]
     fits = in_parallel(partial(with_term, m, term, c.worth, c.beyond) for m, term in ways)
     return [(m, term) for m, (_, term) in zip(fits, ways, strict=True)]
-
-
-def _has_room(model: Model) -> bool:
-    """Whether a model may have one more law without a name."""
-    return sum("+=" in e.id and e.process is None for e in model.effects) < MAX_TERMS
 
 
 def with_term(model: Model, term: Term, worth: float, refused: Set[str]) -> Model:
