@@ -6,7 +6,7 @@ import asyncio
 import http.client
 import json
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -61,6 +61,29 @@ def rows_of(recording: Recording, each: int = 25) -> list[dict[str, Any]]:
 
 
 @contextmanager
+def running(begin: Callable[[], Awaitable[Any]]) -> Iterator[Any]:
+    """A server in a loop and a thread of its own; begin: makes its runner, which is yielded."""
+    loop, begun, ended = asyncio.new_event_loop(), threading.Event(), asyncio.Event()
+    made: list[Any] = []
+
+    async def run() -> None:
+        made.append(await begin())
+        begun.set()
+        await ended.wait()
+        await made[0].cleanup()
+
+    thread = threading.Thread(target=loop.run_until_complete, args=(run(),))
+    thread.start()
+    assert begun.wait(10)
+    try:
+        yield made[0]
+    finally:
+        loop.call_soon_threadsafe(ended.set)
+        thread.join()
+        loop.close()
+
+
+@contextmanager
 def served(
     folder: Path, clock: Callable[[], float] | None = None, link: Link | None = None
 ) -> Iterator[tuple[Session, Link]]:
@@ -71,22 +94,8 @@ def served(
     if clock is not None:
         session.clock = clock
     link = link_of(folder, False, None) if link is None else link
-    loop, begun = asyncio.new_event_loop(), threading.Event()
-    ended = asyncio.Event()
-
-    async def run() -> None:
-        runner = await listening(Served(session, link))
-        begun.set()
-        await ended.wait()
-        await runner.cleanup()
-
-    thread = threading.Thread(target=loop.run_until_complete, args=(run(),))
-    thread.start()
-    assert begun.wait(10)
     try:
-        yield session, link
+        with running(lambda: listening(Served(session, link))):
+            yield session, link
     finally:
-        loop.call_soon_threadsafe(ended.set)
-        thread.join()
-        loop.close()
         session.recorder.close()

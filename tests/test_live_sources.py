@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import struct
 import threading
@@ -19,7 +18,7 @@ import pytest
 
 pytest.importorskip("aiohttp")
 
-from live_page import Page, served
+from live_page import Page, running, served
 from sample_recording import sample
 
 from handcal.live.recorder import opened
@@ -43,6 +42,16 @@ def recording() -> Recording:
 
 def stamps(recording: Recording) -> np.ndarray:
     return START_NS + np.rint(recording.imu.t * 1e9).astype(np.int64)
+
+
+def has_all(session: Session, recording: Recording) -> None:
+    out = session.recording()
+    assert out is not None
+    assert np.array_equal(out.imu.t, recording.imu.t)
+    assert np.array_equal(out.imu.gyro, recording.imu.gyro)
+    assert np.array_equal(out.imu.accel, recording.imu.accel)
+    for name, series in recording.streams.items():
+        assert np.array_equal(out.streams[name].value, series.value), name
 
 
 def pushes(recording: Recording, apple: bool, shift_ns: int = 0) -> list[dict[str, Any]]:
@@ -273,13 +282,7 @@ def test_a_recorders_growing_file_is_followed(tmp_path, recording):
         seen.append(session.recorder.samples)
     assert not more
     assert len(set(seen)) > 3
-    out = session.recording()
-    assert out is not None
-    assert np.array_equal(out.imu.t, recording.imu.t)
-    assert np.array_equal(out.imu.gyro, recording.imu.gyro)
-    assert np.array_equal(out.imu.accel, recording.imu.accel)
-    for name, series in recording.streams.items():
-        assert np.array_equal(out.streams[name].value, series.value), name
+    has_all(session, recording)
     session.recorder.close()
 
 
@@ -342,29 +345,16 @@ def foxglove_server(recording: Recording, protocol: str) -> Iterator[str]:
         await socket.close()
         return socket
 
-    loop, begun, ended = asyncio.new_event_loop(), threading.Event(), asyncio.Event()
-    ports: list[int] = []
-
-    async def run() -> None:
+    async def begin() -> web.AppRunner:
         app = web.Application()
         app.router.add_get("/", serve)
         runner = web.AppRunner(app)
         await runner.setup()
         await web.TCPSite(runner, "127.0.0.1", 0).start()
-        ports.append(runner.addresses[0][1])
-        begun.set()
-        await ended.wait()
-        await runner.cleanup()
+        return runner
 
-    thread = threading.Thread(target=loop.run_until_complete, args=(run(),))
-    thread.start()
-    assert begun.wait(10)
-    try:
-        yield f"127.0.0.1:{ports[0]}"
-    finally:
-        loop.call_soon_threadsafe(ended.set)
-        thread.join()
-        loop.close()
+    with running(begin) as runner:
+        yield f"127.0.0.1:{runner.addresses[0][1]}"
 
 
 def test_a_foxglove_websocket_is_listened_to(tmp_path, recording):
@@ -373,13 +363,7 @@ def test_a_foxglove_websocket_is_listened_to(tmp_path, recording):
         source = foxglove.connected(address, Options())
         while source.pull(session):
             time.sleep(0.02)
-    out = session.recording()
-    assert out is not None
-    assert np.array_equal(out.imu.t, recording.imu.t)
-    assert np.array_equal(out.imu.gyro, recording.imu.gyro)
-    assert np.array_equal(out.imu.accel, recording.imu.accel)
-    for name, series in recording.streams.items():
-        assert np.array_equal(out.streams[name].value, series.value), name
+    has_all(session, recording)
     session.recorder.close()
     with foxglove_server(recording, "chat") as address, pytest.raises(InputError, match="Foxglove"):
         foxglove.connected(address, Options())

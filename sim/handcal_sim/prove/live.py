@@ -138,7 +138,7 @@ def cut(recording: Any, seconds: float) -> Any:
 def guided(hand: Hand, until: Mapping[str, float], seconds: float) -> dict[str, Any]:
     """A hand that is asked again after each motion, until all is known or the time is over."""
     from handcal.live.looks import looked
-    from handcal.live.turns import CHOICE, FIRST, Watched
+    from handcal.live.turns import FIRST, Watched, asked_for
 
     turns: list[Any] = list(FIRST.motion.turns)
     names: list[str] = []
@@ -150,7 +150,7 @@ def guided(hand: Hand, until: Mapping[str, float], seconds: float) -> dict[str, 
         look = looked(recording, EFFECTS, None, until, max(left, 10.0))
         if look is None or look.next is None or look.enough or left <= 0.0:
             break
-        asked = next(a for a in CHOICE if a.name == look.next.name)
+        asked = asked_for(look.next.name)
         turns += list(asked.motion.turns)
         names.append(asked.name)
         _, after = hand.recorded(turns)
@@ -164,23 +164,21 @@ def guided(hand: Hand, until: Mapping[str, float], seconds: float) -> dict[str, 
 
 def planned(like: Any, result: Any) -> Turns:
     """The best plan for the whole minute, with noise and hand as they were found to be."""
+    from handcal.design.motion import updated
     from handcal.live.goals import wanted
     from handcal.live.planning import best_plan, informations
-    from handcal.live.turns import CHOICE, FIRST
+    from handcal.live.turns import CHOICE, FIRST, asked_for
 
     told = dict(informations(result, like, (FIRST, *CHOICE)))
     scale = np.array([p.prior_sigma for p in result.parameters])
     goal = wanted(result.parameters, {})
-    first = told.pop(FIRST)
-    from handcal.design.motion import updated
-
-    known = updated(np.eye(len(scale)), first)
+    known = updated(np.eye(len(scale)), told.pop(FIRST))
     left = TOGETHER_S - FIRST.motion.duration_s
     pause = sum(THINK_S) / 2.0
     names = best_plan(told, known, scale / (NEVER * goal), left, pause)
     turns: list[Any] = list(FIRST.motion.turns)
     for name in names:
-        turns += list(next(a for a in CHOICE if a.name == name).motion.turns)
+        turns += list(asked_for(name).motion.turns)
     return turns
 
 
@@ -209,24 +207,22 @@ def tried(seed: int) -> dict[str, Any]:
     from handcal.live.goals import USUAL
 
     hand = Hand(seed)
-    out: dict[str, Any] = {"seed": seed}
-    never = {e: NEVER * USUAL[e] for e in ("gyro_bias", "accel_bias", *EFFECTS)}
-    for name in ("guided", "unguided"):
-        made = guided(hand, never, TOGETHER_S) if name == "guided" else None
-        turns = made["turns"] if made else routine(TOGETHER_S)
+
+    def measured(turns: Turns) -> tuple[dict[str, Any], Any, Any]:
         world, recording = hand.recorded(turns)
         result = calibrate(cut(recording, TOGETHER_S), EFFECTS)
-        out[name] = {"worst": worst(result), "errors": errors(world, result)}
-        if made:
-            out[name] |= {"names": made["names"], "seen": made["seen"]}
-            like, told = recording, result
-    world, recording = hand.recorded(planned(like, told))
-    result = calibrate(cut(recording, TOGETHER_S), EFFECTS)
-    out["planned"] = {"worst": worst(result), "errors": errors(world, result)}
-    soon = guided(hand, {}, LONGEST_S)
-    out["soon"] = {"seconds": soon["seconds"], "enough": soon["enough"], "names": soon["names"],
-                   "seen": soon["seen"]}  # fmt: skip
-    return out
+        return {"worst": worst(result), "errors": errors(world, result)}, recording, result
+
+    never = {e: NEVER * USUAL[e] for e in ("gyro_bias", "accel_bias", *EFFECTS)}
+    made, soon = guided(hand, never, TOGETHER_S), guided(hand, {}, LONGEST_S)
+    led, like, found = measured(made["turns"])
+    return {
+        "seed": seed,
+        "guided": led | {k: made[k] for k in ("names", "seen")},
+        "unguided": measured(routine(TOGETHER_S))[0],
+        "planned": measured(planned(like, found))[0],
+        "soon": {k: soon[k] for k in ("seconds", "enough", "names", "seen")},
+    }
 
 
 def run(n: int, seed: int, advance: Callable[[], None] = lambda: None) -> dict[str, Any]:

@@ -167,9 +167,7 @@ def _wanted(
     before = before_of(*known, [])
     if before is not None and not ids:  # (what is known of the device is estimated on)
         ids = tuple(dict.fromkeys(e for e, _ in before.names if not e.endswith("_bias")))
-    beyond = [e for e in goals if not e.endswith("_bias")]
-    if ids or beyond:
-        ids = tuple(dict.fromkeys((*ids, *beyond)))
+    ids = tuple(dict.fromkeys((*ids, *(e for e in goals if not e.endswith("_bias")))))
 
     def renewed(recording: Recording) -> Prior | None:
         return before_of(*known, [recording])

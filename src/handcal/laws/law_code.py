@@ -12,9 +12,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from handcal.effects import ATTITUDE, ROOM, Z_DIM, Effect, Param, observed_error
-from handcal.laws import operators
-from handcal.laws.drivers import AXES, BY, HEADING, TURNING, WARM, YAW
+from handcal.effects import ATTITUDE, Z_DIM, Effect, Param, observed_error
+from handcal.laws.driver_code import HELPERS, driver_code, steps_to
+from handcal.laws.drivers import AXES, BY, HEADING, WARM
 from handcal.laws.grammar import Form, text_of
 from handcal.laws.law_effect import SENSORS, Law
 from handcal.laws.terms import FASTEST, SLOW
@@ -56,87 +56,6 @@ def number(value: float) -> str:
     return f"{float(value):.{DIGITS}g}"
 
 
-# --- drivers -------------------------------------------------------------------------------------
-
-_SINCE_A_TURN = f'''
-def since_a_turn(t: Array, gyro: Array) -> Array:
-    """Time (n,) since the device was last being turned, s."""
-    turned = np.linalg.norm(gyro, axis=1) > {TURNING}
-    return t - np.maximum.accumulate(np.where(turned, t, t[0]))
-
-'''
-# What a file needs to know of what its code calls.
-_HELPERS = {"since_a_turn": _SINCE_A_TURN} | {
-    name: f"\n{text}\n" for name, text in map(operators.source, operators.OPERATORS)
-}
-_PLAIN = {
-    "|omega|": "np.linalg.norm(signals.gyro, axis=1)",
-    "|f|": "np.linalg.norm(signals.accel, axis=1)",
-    "(time since a turn)": "since_a_turn(signals.t, signals.gyro)",
-    "yaw": "np.arctan2(signals.C_nb[:, 1, 0], signals.C_nb[:, 0, 0])",
-    WARM: f"signals.temperature - {ROOM}",
-    "|alpha|": "np.linalg.norm(np.gradient(signals.gyro, signals.t, axis=0), axis=1)",
-    "|jerk|": "np.linalg.norm(np.gradient(signals.accel, signals.t, axis=0), axis=1)",
-    "sin(pitch of x)": "signals.C_nb[:, 2, 0]",
-    "sin(pitch of y)": "signals.C_nb[:, 2, 1]",
-    "(yaw rate)": 'np.einsum("ni,ni->n", signals.C_nb[:, 2], signals.gyro)',
-    "t": "signals.t - signals.t[0]",
-    "t^2": "(signals.t - signals.t[0]) ** 2",
-}
-_STREAMS = {"omega": "gyro", "f": "accel", "alpha": "gyro", "jerk": "accel"}
-_DIRECTION = re.compile(r"\((omega_\S+) / max\(\|omega\|, ([\d.]+)\)\)")
-_SIGN = re.compile(r"tanh\((.+) / (.+)\)")
-
-
-def driver_code(name: str) -> str:
-    """A driver of an axis x, y, z, or of each axis {i}, as code that makes it (n,) of ``signals``.
-    Raises KeyError for one that there is none of."""
-    if name in _PLAIN:
-        return _PLAIN[name]
-    if found := _DIRECTION.fullmatch(name):
-        return f"{_signal(found[1])} / np.maximum({_PLAIN['|omega|']}, {found[2]})"
-    if " * " in name:
-        return " * ".join(_factor(driver_code(part)) for part in name.split(" * "))
-    if name.endswith("^2"):
-        return f"({driver_code(name[:-2])}) ** 2"
-    if name.startswith("|") and name.endswith("|"):
-        return f"np.abs({driver_code(name[1:-1])})"
-    if found := operators.SIDE.fullmatch(name):
-        return f"np.maximum({found[1]}{driver_code(found[2])}, 0.0)"
-    if found := _SIGN.fullmatch(name):
-        return f"np.tanh({driver_code(found[1])} / {found[2]})"
-    return _signal(name)
-
-
-def _steps_to(x: str, name: str) -> list[str]:
-    """The same as assignments to x, one for each operator."""
-    if (found := operators.parsed(name)) is not None:
-        operator, number, signal = found
-        made = f"{operators.source(operator)[0]}(signals.t, {x}, {number:g})"
-        less = f" - {x}" * operators.OPERATORS[operator].less
-        begun = _steps_to(x, signal)
-        if signal == YAW.name:
-            begun += [f"{x} = np.unwrap({x})"]
-        return [*begun, f"{x} = {made}{less}"]
-    factors, _, last = name.rpartition(" * ")
-    if factors and operators.parsed(last) is not None:
-        return [*_steps_to(x, last), f"{x} = {_factor(driver_code(factors))} * {x}"]
-    return [f"{x} = {driver_code(name)}"]
-
-
-def _signal(name: str) -> str:
-    kind, _, axis = name.partition("_")
-    columns = {"x": "0", "y": "1", "z": "2", "{i}": "i", "{j}": "(i + 1) % 3", "{k}": "i - 1"}
-    if kind == "north":
-        return f"signals.C_nb[:, 1, {columns[axis]}]"
-    signal = f"signals.{_STREAMS[kind]}[:, {columns[axis]}]"
-    return f"np.gradient({signal}, signals.t)" if kind in ("alpha", "jerk") else signal
-
-
-def _factor(code: str) -> str:
-    return f"({code})" if " - " in code else code
-
-
 # --- errors of the IMU ---------------------------------------------------------------------------
 
 # Without which there is nothing to say, and how a function asks for it.
@@ -168,7 +87,7 @@ def _heading_columns(law: Law, texts: Sequence[str], formula: str) -> str:
                   f"    return np.zeros((len(signals.t), {len(texts)}))"]  # fmt: skip
     lines += [f"# {law.driver.said(law.axis)}, {law.driver.unit}"]
     lines += [
-        *_steps_to("x", _template(law, law.driver.name)),
+        *steps_to("x", _template(law, law.driver.name)),
         f"return np.column_stack([{', '.join(texts)}])",
     ]
     return _with_helpers(_defined("heading(signals: Signals) -> Array:", lines))
@@ -195,7 +114,7 @@ def imu_function(
     here.append(f"# {law.driver.said(law.axis)}, {law.driver.unit}")
     if law.driver.factor is not None:
         here.append(f"felt = {driver_code(_template(law, law.driver.factor.name))}")
-    here += _steps_to(x, _template(law, law.driver.name.rpartition(BY)[2]))
+    here += steps_to(x, _template(law, law.driver.name.rpartition(BY)[2]))
     here += _sum(f"error[:, {place}]", added)
     if law.axis is None:
         here = ["for i in range(3):", *(f"    {line}" for line in here)]
@@ -206,7 +125,7 @@ def imu_function(
 
 
 def _with_helpers(source: str) -> str:
-    helpers = [text for name, text in _HELPERS.items() if f"{name}(" in source]
+    helpers = [text for name, text in HELPERS.items() if f"{name}(" in source]
     return "".join([*helpers, "\n", source])
 
 

@@ -182,15 +182,14 @@ def best(
     def gain(values: Array) -> Array:
         return _gained(values @ b, np.einsum("...i,ij,...j->...", values, G, values))
 
-    ends: list[tuple[float, Family, Array]] = []
+    ends: list[tuple[float, Family, Array, Array]] = []
     for family in basis.families:
         starts, values = _tried(family, span, tuple(basis.grid))
         at, begun = _repeated(family, starts, values @ b, values @ G, values)
-        ends.append((begun, family, at))
+        ends.append((begun, family, at, starts))
     ends = sorted(ends, key=lambda end: -end[0])[:CLOSER]
     found: list[tuple[float, Family, Array]] = []
-    for begun, family, numbers in ends:
-        starts, _ = _tried(family, span, tuple(basis.grid))
+    for begun, family, numbers, starts in ends:
         lost = partial(_lost, family, basis.grid, gain)
         at = _adjusted(lost, numbers, starts)
         value = -lost(at) - FREEDOM - _cost(at) if begun > -math.inf else begun

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from handcal.live.looks import Look
-from handcal.live.turns import CHOICE, FIRST, Asked, Watched
+from handcal.live.turns import CHOICE, FIRST, Asked, Watched, asked_for
 from handcal.show import words
 from handcal.types import Array, IntArray, Parameter
 
@@ -20,6 +20,8 @@ PATIENCE_S = 15.0
 BETTER = 0.9
 # Of these at most is said what a motion brought.
 MOST_TOLD = 3
+# A step between two readings is no longer, s: a gap is no turn, over it nothing is known.
+LONGEST_STEP_S = 0.1
 
 
 @dataclass
@@ -42,9 +44,7 @@ class Guide:
         ns, gyro = ns[fresh], gyro[fresh]
         if not len(ns):
             return
-        # (a gap is no turn: over it nothing is known)
-        step = np.clip(np.diff(ns, prepend=ns[0] if self.last_ns is None else self.last_ns) / 1e9,
-                       0.0, 0.1)  # fmt: skip
+        step = steps_s(ns, int(ns[0]) if self.last_ns is None else self.last_ns)
         self.last_ns = int(ns[-1])
         if self.over_ns is None:
             bias = self.look.bias if self.look is not None else 0.0
@@ -62,7 +62,7 @@ class Guide:
         if self.before is not None:
             self.brought = brought(self.before, look, self.watched.asked.name)
         if look.next is not None and not look.enough:
-            self._ask(next(a for a in CHOICE if a.name == look.next.name))
+            self._ask(asked_for(look.next.name))
 
     def _ask(self, asked: Asked) -> None:
         self.watched, self.before, self.over_ns = Watched(asked), self.look, None
@@ -81,6 +81,11 @@ class Guide:
                 "steps": len(now.steps), "name": now.asked.name,
                 "picture": now.picture}  # fmt: skip
         return out | {"turn": turn}
+
+
+def steps_s(ns: IntArray, last: int) -> Array:
+    """Seconds (n,) from each stamp to the one before it; last: that before the first, ns."""
+    return np.clip(np.diff(ns, prepend=last) / 1e9, 0.0, LONGEST_STEP_S)
 
 
 def brought(before: Look, after: Look, name: str) -> str:

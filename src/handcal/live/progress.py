@@ -12,7 +12,7 @@ import numpy as np
 from handcal.compiled import so3
 from handcal.live.ending import Wanted, with_convention
 from handcal.live.goals import wanted as goals_of
-from handcal.live.guide import Guide
+from handcal.live.guide import Guide, steps_s
 from handcal.live.looks import Look, Looks, with_effects
 from handcal.live.session import Session
 from handcal.live.sources.browser import Convention, told
@@ -83,6 +83,7 @@ class Live:
     attitude: tuple[int, Array] | None = None
     drawn_ns: int = -1
     said: str = ""
+    told_brought: str = ""
 
     def __post_init__(self) -> None:
         """What is loaded when it is first used is loaded now, not while somebody turns."""
@@ -111,11 +112,15 @@ class Live:
         """What came since the last tick, axes put right."""
         ns, value = self.session.since(self.drawn_ns)
         fresh = ns > self.drawn_ns
-        ns, value = ns[fresh], value[fresh]
-        if self.convention is not None and len(ns):
-            order = [*self.convention.order, 3, 4, 5]
-            value = value[:, order] * np.r_[np.ones(3), np.full(3, float(self.convention.sign))]
-        return ns, value
+        return ns[fresh], self._righted(value[fresh])
+
+    def _righted(self, value: Array) -> Array:
+        """Readings (n, 6) with the axes and the sign that have been told by now."""
+        if self.convention is None:
+            return value
+        order = [*self.convention.order, 3, 4, 5]
+        signs = np.r_[np.ones(3), np.full(3, float(self.convention.sign))]
+        return np.asarray(value[:, order] * signs)
 
     def _recording(self) -> Recording | None:
         """What is in memory, axes put right."""
@@ -133,9 +138,7 @@ class Live:
         self.attitude = (look.end_ns, so3.matrix_of(look.q_nb[None])[0])
         # (from the end of the look to now)
         ns, value = self.session.since(look.end_ns)
-        if self.convention is not None and len(ns):
-            value = value[:, [*self.convention.order, 3, 4, 5]]
-        self._follow(ns, value)
+        self._follow(ns, self._righted(value))
         goals = goals_of(look.parameters, self.wanted.until)
         self.session.told["parameters"] = [
             _row(p, float(g))
@@ -154,7 +157,7 @@ class Live:
         if not own.any():
             return
         at = ns[own]
-        step = np.clip(np.diff(at, prepend=last) / 1e9, 0.0, 0.1)[:, None]
+        step = steps_s(at, last)[:, None]
         for turn in so3.rotations((value[own, :3] - self.guide.look.bias) * step):
             C = C @ turn
         self.attitude = int(at[-1]), C
@@ -193,9 +196,9 @@ class Live:
         self.session.told |= told_now
         say = told_now["turn"]["say"]
         if say != self.said:
-            if told_now["brought"] and told_now["brought"] != self.session.told.get("heard"):
-                self.session.told["heard"] = told_now["brought"]
-                self.say(told_now["brought"])
+            if told_now["brought"] and told_now["brought"] != self.told_brought:
+                self.told_brought = told_now["brought"]
+                self.say(self.told_brought)
                 for line in bars(self.session.told.get("parameters", [])):
                     self.say(line)
             self.said = say

@@ -234,3 +234,8 @@ CHOICE: Sequence[Asked] = (
     _asked("on its left edge, rest, and back", *_stood(Y, -90.0, (Z, 0.0, REST))),
     _asked("lie still", (Z, 0.0, 8.0)),
 )  # fmt: skip
+
+
+def asked_for(name: str) -> Asked:
+    """The motion of this name in ``CHOICE``."""
+    return next(asked for asked in CHOICE if asked.name == name)

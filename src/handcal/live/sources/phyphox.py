@@ -31,8 +31,6 @@ PHYPHOX_G = 9.81
 PATIENCE_S = 5.0
 # An answer may hold a minute of three sensors at 400 Hz.
 LARGEST = 16 * 2**20
-# So long after the last answer a phone counts as gone; until then it is asked again.
-GONE_S = 30.0
 Readings = tuple[IntArray, Array]
 
 

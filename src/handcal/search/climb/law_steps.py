@@ -62,7 +62,12 @@ def _instead_of_noise(c: Climb) -> Model | None:
     if not doubted or key in c.bared:
         return None
     c.bared.add(key)
-    ends = [end for sensor, ids in doubted for end in _in_place(c, sensor, ids)]
+    ways: dict[object, tuple[Model, Term]] = {}
+    for m, term in (way for sensor, ids in doubted for way in _in_place(c, sensor, ids)):
+        # (in the place of more may be found what was found in that of less)
+        ways.setdefault((frozenset(m.ids), term.effect.id, term.effect.made), (m, term))
+    fits = in_parallel(partial(with_term, m, t, c.worth, c.beyond) for m, t in ways.values())
+    ends = [(m, term) for m, (_, term) in zip(fits, ways.values(), strict=True)]
     if not ends:
         return None
     tried, term = max(ends, key=lambda end: score(end[0], c.worth))
@@ -90,7 +95,8 @@ def _doubted(c: Climb) -> list[tuple[str, frozenset[str]]]:
 
 
 def _in_place(c: Climb, sensor: str, ids: frozenset[str]) -> list[tuple[Model, Term]]:
-    """Fits with a term that is looked for beside the model's effects but for these."""
+    """Terms that are looked for beside the model's effects but for these, each with the models to
+    which it may be added: without them, and with."""
     # (about the trajectory and the sensor noise that there are with all of them: fitted
     # without them, what they held would be noise, in which no law shows)
     rest = tuple(e for e in c.model.effects if e.id not in ids)
@@ -98,9 +104,7 @@ def _in_place(c: Climb, sensor: str, ids: frozenset[str]) -> list[tuple[Model, T
     without = replace(c.model, effects=rest, parts=parts)
     # (and for what evidence is worth with them: what a law has to do in their place is not misfit)
     terms = best_terms(without, refused=_refused(c), beyond=(sensor,), worth=c.worth)
-    ways = [(m, term) for term in terms for m in (without, c.model)]
-    fits = in_parallel(partial(with_term, m, term, c.worth, c.beyond) for m, term in ways)
-    return [(m, term) for m, (_, term) in zip(fits, ways, strict=True)]
+    return [(m, term) for term in terms for m in (without, c.model)]
 
 
 def with_term(model: Model, term: Term, worth: float, refused: Set[str]) -> Model:
