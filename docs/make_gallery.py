@@ -185,7 +185,7 @@ def differed(document: Document) -> str:
     for m in sorted(document["mismatch"], key=lambda m: -m["share"]):
         span = f"{m['from_s']:.0f} to {m['to_s']:.0f} s"
         share = say.whole_percent(m["share"])
-        lines.append(f"| {say.channel_title(m['channel'])} | {span} | {m['when']} | {share} |")
+        lines.append(f"| {words.channel_title(m['channel'])} | {span} | {m['when']} | {share} |")
     return "\n".join(lines)
 
 
@@ -224,7 +224,7 @@ def improved(document: Document) -> str:
         pair = [fit["residual_rms"][channel] for fit in (before, after)]
         unit = say.channel_shown(channel, pair, small=True)
         old, new = (unit.value(v, 0.1 * max(pair)) for v in pair)
-        lines.append(f"| {say.channel_title(channel)} | {old} | {new} {unit.unit} |")
+        lines.append(f"| {words.channel_title(channel)} | {old} | {new} {unit.unit} |")
     gain = after["log_evidence"] - before["log_evidence"]
     lines.append(
         f"| log evidence, nats | {before['log_evidence']:,.0f} | {after['log_evidence']:,.0f} |"

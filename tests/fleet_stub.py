@@ -7,13 +7,14 @@ import signal
 import time
 from pathlib import Path
 
+from handcal.fleet.remote import fetched
 from handcal.types import InputError
 
 
 def work(request):
     """A file of two words: what to do, and a value of gyro_scale x."""
-    path = Path(request["path"])
-    what, _, value = path.read_text().partition(" ")
+    with fetched(request["path"]) as (path, sha256):
+        what, _, value = path.read_text().partition(" ")
     marks = os.environ.get("FLEET_MARKS")
     if marks:
         with (Path(marks) / path.name).open("a") as file:
@@ -37,10 +38,11 @@ def work(request):
             "unit": "1", "prior_sigma": 0.01, "together": True}  # fmt: skip
     return {
         "recording": {
-            "path": str(path), "duration_s": 20.0, "imu_rate_hz": 100.0, "streams": ["imu"],
+            "path": request["path"], "duration_s": 20.0, "imu_rate_hz": 100.0, "streams": ["imu"],
             "assume": "fixed-point", "sha256": "", "recorded": "2026-05-01T10:00:00Z",
         },
+        "device": "", "model": "",
         "gravity": 9.8, "verdict": "explained", "named": [], "unnamed": [], "hypotheses": [],
         "told": [told], "held_out": {}, "warnings": [], "explanation": {"stub": True},
-        "information": {"names": [], "b": "", "G": ""},
+        "information": {"names": [], "b": "", "G": ""}, "fetched": sha256,
     }  # fmt: skip

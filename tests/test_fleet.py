@@ -42,7 +42,7 @@ def files(folder, **texts):
     folder.mkdir(exist_ok=True)
     for name, text in texts.items():
         (folder / f"{name}.csv").write_text(text)
-    return [Source(p, "m", p.stem) for p in sorted(folder.iterdir())]
+    return [Source(str(p), "m", p.stem) for p in sorted(folder.iterdir())]
 
 
 def made(sources, folder, chosen=None, jobs=2):
@@ -50,14 +50,14 @@ def made(sources, folder, chosen=None, jobs=2):
     place = store.opened(folder)
     with opened("local", jobs, Local) as workers:
         members = run(sources, place, workers, chosen or options(), lambda _: None, lambda _: None)
-    return {m.source.path.stem: place.record(m.key) for m in members}, members, place
+    return {Path(m.source.place).stem: place.record(m.key) for m in members}, members, place
 
 
 def test_whatever_becomes_of_a_recording_is_a_row_with_the_reason(tmp_path):
     sources = files(tmp_path / "in", good="fine 0.01", refused="refuse", bug="bug", dead="die",
                     crash="segfault", hung="hang", large="eat")  # fmt: skip
     # (only what never ends has a short deadline: a busy machine may keep the others waiting)
-    endless = [s for s in sources if s.path.stem == "hung"]
+    endless = [s for s in sources if Path(s.place).stem == "hung"]
     others = [s for s in sources if s not in endless]
     out = tmp_path / "out"
     records, members, place = made(others, out, options(120.0, 600_000_000))
@@ -112,8 +112,8 @@ def test_a_run_that_is_killed_loses_only_what_was_under_way(tmp_path):
     out = tmp_path / "out"
     code = (
         "import sys; from pathlib import Path; import test_fleet as t; from handcal.fleet.record "
-        "import Source; t.made([Source(p, 'm', p.stem) for p in sorted(Path(sys.argv[1]).iterdir())"
-        "], Path(sys.argv[2]))"
+        "import Source; t.made([Source(str(p), 'm', p.stem) for p in "
+        "sorted(Path(sys.argv[1]).iterdir())], Path(sys.argv[2]))"
     )
     command = [sys.executable, "-c", code, str(tmp_path / "in"), str(out)]
     process = subprocess.Popen(command)
@@ -191,9 +191,9 @@ def test_a_manifest_has_to_know_every_recording(tmp_path):
     inside = tmp_path / "fleet/data/recordings/model=x"
     inside.mkdir(parents=True)
     (inside / "part-0.parquet").write_text("rows")
-    paths, others = found([str(tmp_path)], tmp_path / "fleet")
-    assert [p.name for p in paths] == ["a.csv", "b.csv"]
-    assert [p.name for p in others] == ["m.list"]
+    paths, others = found([str(tmp_path)], str(tmp_path / "fleet"))
+    assert [Path(s.place).name for s in paths] == ["a.csv", "b.csv"]
+    assert [Path(p).name for p in others] == ["m.list"]
     with pytest.raises(InputError, match="no such file"):
         found([str(tmp_path / "*.bag")])
 
@@ -225,5 +225,5 @@ def test_a_dask_cluster_keeps_the_same(tmp_path):
     for m in members:
         there = place.record(m.key)
         assert [there[k] for k in ("status", "reason")] == [
-            here[m.source.path.stem][k] for k in ("status", "reason")
+            here[Path(m.source.place).stem][k] for k in ("status", "reason")
         ]

@@ -91,3 +91,16 @@ def test_a_lag_of_the_gyro_is_taken_off_a_delay(script):
     (row,) = script.judged(fact, d)
     assert row["word"] == "right"
     assert row["found"] == pytest.approx(-0.004)
+
+
+def test_where_it_differed_and_how_the_fit_improved_is_told(script):
+    spans = [{"channel": c, "from_s": 1.0, "to_s": 2.0, "when": "throughout", "share": s}
+             for c, s in (("gyro_x", 0.2), ("position_z", 0.8))]  # fmt: skip
+    told = script.differed({"mismatch": spans}).splitlines()
+    assert [line.split(" | ")[0] for line in told[2:]] == ["| position z", "| gyro x"]
+    fits = [{"log_evidence": e, "residual_rms": {"gyro_x": 0.01, "position_z": r}}
+            for e, r in ((-10.0, 0.01), (20.0, 0.001))]  # fmt: skip
+    fit = dict(zip(("before", "after"), fits, strict=True))
+    told = script.improved({"mismatch": spans, "fit": fit})
+    assert "| position z | 10.0 | 1.0 mm |" in told
+    assert "30\u00a0nats more probable" in told

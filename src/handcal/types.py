@@ -95,7 +95,8 @@ class Recording(Brief):
     path: where it came from. streams: by name (rows of ``streams.STREAMS``),
     only those present. start_ns: absolute time of t = 0, ns since 1970 (0 if unknown).
     warnings: what the reader repaired, in sentences. topics: of a bag or a log of PX4, by
-    stream, where it was read.
+    stream, where it was read. device, model: what the file itself says of the device, "" where it
+    says nothing.
     """
 
     path: str
@@ -104,6 +105,8 @@ class Recording(Brief):
     start_ns: int = 0
     warnings: tuple[str, ...] = ()
     topics: Mapping[str, str] = field(default_factory=dict)
+    device: str = ""
+    model: str = ""
 
     @property
     def duration_s(self) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import time
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -30,12 +30,18 @@ def fleet(
     sources: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="SOURCE...", help="Recordings: files, folders, patterns; with --manifest none."
+            metavar="SOURCE...",
+            help="Recordings: files, folders, patterns, addresses (s3://, https://, ...); with "
+            "--manifest none.",
         ),
     ] = None,
     out: Annotated[
-        Path | None,
-        typer.Option("--out", metavar="DIR", help="Where results go, and go on from (needed)."),
+        str | None,
+        typer.Option(
+            "--out",
+            metavar="DIR",
+            help="Folder or address to which results go, and from which they go on (needed).",
+        ),
     ] = None,
     executor: Annotated[
         str, typer.Option(metavar="local|dask://HOST:PORT", help="Where it is computed.")
@@ -81,17 +87,17 @@ def fleet(
         raise InputError("Say where results go: --out DIR.")
     listed, left_out = _listed(sources or [], manifest, group_by, out)
     options = Options(deadline, int(memory * 1e6), budget)
-    store = kept.opened(out)
-    check_outputs(kept.told_files(out), (priors, manifest))
-    _announced(listed, left_out)
-    prior_of = _prior_of(priors, listed)
-    members = _run(listed, store, options, executor, workers or os.cpu_count() or 1, prior_of)
-    _written(members, store)
+    with kept.opened_at(out) as store:
+        check_outputs(kept.told_files(store.folder), (priors, manifest))
+        _announced(listed, left_out)
+        prior_of = _prior_of(priors, listed)
+        members = _run(listed, store, options, executor, workers or os.cpu_count() or 1, prior_of)
+        _written(members, store)
 
 
 def _listed(
-    sources: Sequence[str], manifest: Path | None, group_by: str, own: Path
-) -> tuple[list[Source], list[Path]]:
+    sources: Sequence[str], manifest: Path | None, group_by: str, own: str
+) -> tuple[list[Source], list[str]]:
     from handcal.fleet.sources import found, joined
     from handcal.fleet.sources import listed as rows_of
     from handcal.types import InputError
@@ -100,17 +106,17 @@ def _listed(
         raise InputError("Name recordings (files, folders, patterns) or a --manifest of them.")
     rows = rows_of(manifest) if manifest else []
     # (what an earlier run wrote into a folder that is read is no recording)
-    paths, left_out = found(sources, own)
-    out = joined(paths, rows, group_by)
+    recordings, left_out = found(sources, own)
+    out = joined(recordings, rows, group_by)
     if not out:
         raise InputError(f"There is no recording in {', '.join(sources)}.")
     return out, left_out
 
 
-def _announced(listed: Sequence[Source], left_out: Sequence[Path]) -> None:
+def _announced(listed: Sequence[Source], left_out: Sequence[str]) -> None:
     """What is not known of the recordings, before anything runs."""
     if left_out:
-        names = ", ".join(p.name for p in left_out[:3])
+        names = ", ".join(PurePath(p).name for p in left_out[:3])
         say(f"{len(left_out)} files that are no recordings by their names are left out: {names}")
     nameless = sum(not s.device for s in listed)
     if nameless:
@@ -147,7 +153,7 @@ def _run(
                 say(f"Dask shows what it does at {open_workers.said}")
             return run(listed, store, open_workers, options, prior_of, _Line())
     except KeyboardInterrupt:
-        say(f"interrupted; what is finished is kept in {store.folder}, and the same command goes "
+        say(f"interrupted; what is finished is kept in {store.shown}, and the same command goes "
             "on from there")  # fmt: skip
         raise typer.Exit(INTERRUPTED) from None
 
@@ -182,7 +188,7 @@ def _written(members: Sequence[Member], store: Store) -> None:
 
     told = write_all(members, store)
     tell(f"{told.done} recordings explained, {told.failed} without a result: "
-         f"{store.folder / 'fleet.html'}")  # fmt: skip
+         f"{store.shown}/fleet.html")  # fmt: skip
     for m in told.fleet.models:
         learned = sum(c.told for c in m.common)
         found = [words.effect_title(s.effect) for s in m.stacks if s.probability > FOUND]

@@ -15,6 +15,7 @@ from handcal.fleet.record import Document, Source
 from handcal.types import HandcalError, InputError
 
 SCHEMA = "handcal/fleet-data/1"
+FOLDER = "data"
 RECORDINGS, PARAMETERS = "recordings", "parameters"
 UNKNOWN = "unknown"
 # Rows that are held before they are written: about a megabyte of parameters.
@@ -23,11 +24,12 @@ BATCH = 5000
 COLUMNS: Mapping[str, tuple[tuple[str, str, str], ...]] = {
     RECORDINGS: (
         ("key", "string", "of its JSON in recordings/ and explanations/; empty: never read"),
-        ("path", "string", "as it was read"),
+        ("path", "string", "as it was read; an address without password and what follows a ?"),
         ("sha256", "string", "of its bytes"),
         ("device", "string", "as the manifest says; empty: nobody says"),
         ("started", "string", "ISO 8601, of the manifest or of the recording"),
-        ("status", "string", "done, failed, timed_out, out_of_memory, killed, crashed"),
+        ("status", "string", "done, failed, timed_out, out_of_memory, unreachable, killed, "
+         "crashed"),
         ("reason", "string", "why there is no result, in a sentence"),
         ("verdict", "string", "of explain"),
         ("named", "list", "ids of the effects that explain named"),
@@ -63,7 +65,7 @@ COLUMNS: Mapping[str, tuple[tuple[str, str, str], ...]] = {
 def write(folder: Path, rows: Iterable[tuple[Source, Document]]) -> None:
     """Both data sets, which take the place of older ones when they are complete. Errors: InputError
     without pyarrow, HandcalError where they cannot be written."""
-    new, old, place = folder / "data.part", folder / "data.old", folder / "data"
+    new, old, place = (folder / f"{FOLDER}{end}" for end in (".part", ".old", ""))
     try:
         for left in (new, old):
             shutil.rmtree(left, ignore_errors=True)
@@ -141,7 +143,7 @@ def _pyarrow() -> ModuleType:
 def _recording(source: Source, r: Document) -> Document:
     about, scores = r.get("recording") or {}, r.get("held_out") or {}
     return {
-        "key": r.get("key", ""), "path": str(source.path), "sha256": r.get("sha256", ""),
+        "key": r.get("key", ""), "path": source.shown, "sha256": r.get("sha256", ""),
         "device": source.device, "started": source.started, "status": r["status"],
         "reason": r["reason"], "verdict": r.get("verdict"),
         "named": [m["effect"] for m in r.get("named", [])], "unnamed": r.get("unnamed", []),

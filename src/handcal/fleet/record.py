@@ -8,27 +8,35 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit, urlunsplit
 
 RECORD_SCHEMA = "handcal/fleet-recording/1"
-DONE, FAILED, TIMED_OUT, OUT_OF_MEMORY, KILLED, CRASHED = (
-    "done", "failed", "timed_out", "out_of_memory", "killed", "crashed",
+DONE, FAILED, TIMED_OUT, OUT_OF_MEMORY, KILLED, CRASHED, UNREACHABLE = (
+    "done", "failed", "timed_out", "out_of_memory", "killed", "crashed", "unreachable",
 )  # fmt: skip
 # What another run may do better: it is tried again by the same command.
-PASSING = (TIMED_OUT, OUT_OF_MEMORY, KILLED)
+PASSING = (TIMED_OUT, OUT_OF_MEMORY, KILLED, UNREACHABLE)
 WORK = "handcal.fleet.work:explained"
 Document = dict[str, Any]
 
 
 @dataclass(frozen=True)
 class Source:
-    """One recording: path; model and device ("" where nobody says), started (ISO, or ""), and what
-    else the manifest says of it."""
+    """One recording: path on this machine, or address; model and device ("" where nobody says),
+    started (ISO, or ""), what else the manifest says of it, and of an address what stands for its
+    bytes (``remote.Found.identity``)."""
 
-    path: Path
+    place: str
     model: str = ""
     device: str = ""
     started: str = ""
     others: Mapping[str, str] = field(default_factory=dict)
+    identity: str = ""
+
+    @property
+    def shown(self) -> str:
+        """Where it is, without what may be secret in an address."""
+        return shown(self.place)
 
 
 @dataclass(frozen=True)
@@ -42,6 +50,14 @@ class Options:
     budget: float | None = None
     priors: str = ""
     work: str = WORK
+
+
+def shown(place: str) -> str:
+    """A path as it is, an address without name and password and what follows a ``?``."""
+    if "://" not in place:
+        return place
+    parts = urlsplit(place)
+    return urlunsplit((parts.scheme, parts.netloc.rpartition("@")[2], parts.path, "", ""))
 
 
 def digest(path: Path) -> str:

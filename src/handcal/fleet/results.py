@@ -7,6 +7,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 
 import handcal
@@ -42,7 +43,7 @@ def write_all(members: Sequence[Member], store: Store) -> Written:
                 readings.append(reading_of(source, record))
                 verdicts[str(record.get("verdict"))] += 1
             else:
-                failures.append((str(source.path), record["status"], record["reason"]))
+                failures.append((source.shown, record["status"], record["reason"]))
             yield source, record
 
     dataset.write(store.folder, seen())
@@ -54,6 +55,8 @@ def write_all(members: Sequence[Member], store: Store) -> Written:
     output.write_text(json_file, text + "\n")
     _write_priors(priors, known)
     write_page(fleet, report)
+    for written in (dataset.FOLDER, *(p.name for p in (priors, json_file, report))):
+        store.send(written)
     return Written(len(readings), len(failures), fleet)
 
 
@@ -66,7 +69,20 @@ def reading_of(source: Source, record: Document) -> Reading:
     model = source.model or dataset.UNKNOWN
     kept = record.get("information")
     information = None if kept is None else information_of(kept)
-    return Reading(str(source.path), model, source.device, values, together, gravity, information)
+    warm = (record.get("recording") or {}).get("temperature_degC")
+    return Reading(
+        source.shown, model, source.device, values, together, gravity, information,
+        _seconds(source.started), math.nan if warm is None else float(warm),
+    )  # fmt: skip
+
+
+def _seconds(started: str) -> float:
+    """s since 1970 of a time that is written in ISO 8601; nan without one."""
+    try:
+        when = datetime.fromisoformat(started)
+    except ValueError:
+        return math.nan
+    return (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp()
 
 
 def _write_priors(path: Path, known: Sequence[Model]) -> None:

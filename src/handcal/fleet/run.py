@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import handcal
@@ -101,7 +102,7 @@ def _to_do(
     for source in sources:
         prior = prior_of(source)
         try:
-            sha256 = store.digest(source.path)
+            sha256 = source.identity or store.digest(Path(source.place))
         except OSError as error:
             reason = f"It cannot be read: {error.strerror or error}."
             members.append(Member(source, "", reason))
@@ -118,7 +119,7 @@ def _to_do(
             say(progress)
             continue
         given_out.add(name)
-        request = {"path": str(source.path), "budget": options.budget, "prior": prior,
+        request = {"path": source.place, "budget": options.budget, "prior": prior,
                    "work": options.work, "deadline": options.deadline,
                    "memory": options.memory}  # fmt: skip
         yield Task(name, source, sha256, request)
@@ -128,9 +129,11 @@ def _record(task: Task, answer: Document, options: Options, version: str) -> Doc
     """What is kept of a recording, whatever became of it."""
     result = dict(answer.get("result") or {})
     result.pop("explanation", None)
+    # (of an address the worker says what it read; a recording that it could not fetch has none)
+    sha256 = result.pop("fetched", None) or ("" if task.source.identity else task.sha256)
     about = {
         "schema": RECORD_SCHEMA, "version": version, "key": task.key,
-        "path": str(task.source.path), "sha256": task.sha256, "status": answer["status"],
+        "path": task.source.shown, "sha256": sha256, "status": answer["status"],
         "reason": answer["reason"], "tries": answer["tries"], "seconds": answer["seconds"],
         "peak": answer["peak"], "deadline": options.deadline, "memory": options.memory,
         "budget": options.budget, "priors": _source_of(task.request["prior"]),
@@ -156,11 +159,18 @@ def rows(members: Sequence[Member], store: Store) -> Iterator[tuple[Source, Docu
         if record is None:
             continue
         sha256 = str(record["sha256"])
-        if sha256 in seen:
+        if sha256 and sha256 in seen:
             reason = f"It holds the very readings of {seen[sha256]}, which count once."
             record = {k: record[k] for k in ("key", "sha256", "schema")}
             record |= {"status": FAILED, "reason": reason}
-        seen.setdefault(sha256, str(m.source.path))
-        path = str(m.source.path)
-        started = m.source.started or (record.get("recording") or {}).get("recorded") or ""
-        yield replace(m.source, started=started), record | {"path": path}
+        seen.setdefault(sha256, m.source.shown)
+        yield as_told(m.source, record), record | {"path": m.source.shown}
+
+
+def as_told(source: Source, record: Document) -> Source:
+    """A source, and where nobody said when it began, or of which device or model it is, what its
+    file itself says. A model of the manifest stands, since it may be another word for it."""
+    started = source.started or (record.get("recording") or {}).get("recorded") or ""
+    device = source.device or str(record.get("device") or "")
+    model = source.model or ("" if source.device else str(record.get("model") or ""))
+    return replace(source, started=started, device=device, model=model)

@@ -7,45 +7,66 @@ import glob
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import datetime
+from functools import cache
 from pathlib import Path
 
 from handcal.documents import reading
+from handcal.fleet import remote
 from handcal.fleet.record import Source
 from handcal.types import InputError
 
 COLUMNS = ("path", "device", "model", "started")
 
 
-def found(sources: Sequence[str], own: Path | None = None) -> tuple[list[Path], list[Path]]:
+def found(sources: Sequence[str], own: str | None = None) -> tuple[list[Source], list[str]]:
     """Recordings in the order in which they were named, each once, and files of folders that are of
-    no kind that handcal reads, by their endings. own: a folder that is passed over. Errors:
-    InputError where there is nothing."""
-    skipped = None if own is None else own.resolve()
-    recordings: dict[Path, None] = {}
-    others: list[Path] = []
+    no kind that handcal reads, by their endings. own: a folder (or address) that is passed over.
+    Errors: InputError where there is nothing; Unreachable."""
+    away = own if own is not None and remote.is_address(own) else None
+    skipped = None if own is None or away else Path(own).resolve()
+    recordings: dict[str, Source] = {}
+    others: list[str] = []
     for source in sources:
+        if remote.is_address(source):
+            for file in remote.found(source):
+                if away and file.address.startswith(f"{away.rstrip('/')}/"):
+                    continue
+                if file.address == source or _is_known(file.address):
+                    recordings.setdefault(file.address, remote_source(file))
+                else:
+                    others.append(file.address)
+            continue
         before = len(recordings)
         for path in _named(source):
             for one, known in _within(path, _endings()):
                 if skipped is not None and skipped in one.resolve().parents:
                     continue
                 if known:
-                    recordings.setdefault(one.resolve())
+                    place = str(one.resolve())
+                    recordings.setdefault(place, Source(place))
                 else:
-                    others.append(one)
+                    others.append(str(one))
         if len(recordings) == before and not any(_named(source)):
             raise InputError(f"{source}: there is no such file, folder or pattern.")
-    return list(recordings), others
+    return list(recordings.values()), others
+
+
+def remote_source(file: remote.Found) -> Source:
+    """A recording at an address."""
+    return Source(file.address, identity=file.identity)
+
+
+def _is_known(name: str) -> bool:
+    return name.lower().endswith(_endings())
 
 
 def _named(source: str) -> list[Path]:
-    if "://" in source:
-        raise InputError(f"{source}: addresses are not read yet; name files, folders or patterns.")
     if Path(source).exists():
         return [Path(source)]
     return [Path(p) for p in sorted(glob.glob(source, recursive=True))]
 
 
+@cache
 def _endings() -> tuple[str, ...]:
     """Of the names of files that some format reads."""
     from handcal.recordings.inputs import formats
@@ -97,12 +118,12 @@ def listed(manifest: Path) -> list[Source]:
     names = rows.fieldnames or ()
     if "path" not in names:
         raise InputError(f"{manifest}: expected a first line with path, device, model, started.")
-    out: dict[Path, Source] = {}
+    out: dict[str, Source] = {}
     for number, row in enumerate(rows, 2):
         source = _row(manifest, number, row)
-        if source.path in out:
+        if source.place in out:
             raise InputError(f"{manifest}, line {number}: {row['path']} is listed twice.")
-        out[source.path] = source
+        out[source.place] = source
     if not out:
         raise InputError(f"{manifest} lists no recording.")
     models: dict[str, str] = {}
@@ -118,9 +139,7 @@ def listed(manifest: Path) -> list[Source]:
 def _row(manifest: Path, number: int, row: dict[str, str]) -> Source:
     if None in row or None in row.values():
         raise InputError(f"{manifest}, line {number}: another number of fields than of columns.")
-    path = (manifest.parent / row["path"].strip()).resolve()
-    if not path.exists():
-        raise InputError(f"{manifest}, line {number}: {row['path']} does not exist.")
+    source = _placed(manifest, number, row["path"].strip())
     started = row.get("started", "").strip()
     try:
         _ = started and datetime.fromisoformat(started)
@@ -130,23 +149,36 @@ def _row(manifest: Path, number: int, row: dict[str, str]) -> Source:
         ) from None
     others = {k: v.strip() for k, v in row.items() if k not in COLUMNS}
     text = {k: row.get(k, "").strip() for k in ("model", "device")}
-    return Source(path, text["model"], text["device"], started, others)
+    return replace(source, **text, started=started, others=others)
 
 
-def joined(paths: Sequence[Path], rows: Sequence[Source], group_by: str) -> list[Source]:
-    """Recordings with what the manifest says of each: all of it without any path. group_by: the
-    column that is taken for the model. Errors: InputError where it does not say all."""
-    by_path = {s.path: s for s in rows}
+def _placed(manifest: Path, number: int, named: str) -> Source:
+    """A recording by what its row calls it."""
+    if remote.is_address(named):
+        there = remote.found(named)
+        if [f.address for f in there] != [named]:
+            raise InputError(f"{manifest}, line {number}: {named} is no single file.")
+        return remote_source(there[0])
+    path = (manifest.parent / named).resolve()
+    if not path.exists():
+        raise InputError(f"{manifest}, line {number}: {named} does not exist.")
+    return Source(str(path))
+
+
+def joined(recordings: Sequence[Source], rows: Sequence[Source], group_by: str) -> list[Source]:
+    """Recordings with what the manifest says of each: all of it without any recording. group_by:
+    the column that is taken for the model. Errors: InputError where it does not say all."""
+    by_place = {s.place: s for s in rows}
     if rows and group_by not in ("model", "device", *rows[0].others):
         raise InputError(f"--group-by {group_by}: the manifest has no such column.")
     if not rows and group_by != "model":
         raise InputError(f"--group-by {group_by} needs a --manifest with such a column.")
-    missing = [p for p in paths if rows and p not in by_path]
+    missing = [s.shown for s in recordings if rows and s.place not in by_place]
     if missing:
         raise InputError(
-            f"{missing[0]} is not in the manifest ({len(missing)} of {len(paths)} recordings)."
+            f"{missing[0]} is not in the manifest ({len(missing)} of {len(recordings)} recordings)."
         )
-    chosen = [by_path.get(p, Source(p)) for p in paths] if paths else list(rows)
+    chosen = [by_place.get(s.place, s) for s in recordings] if recordings else list(rows)
     if group_by == "model":
         return chosen
     return [replace(s, model=s.device if group_by == "device" else s.others[group_by])

@@ -5,13 +5,24 @@ from __future__ import annotations
 
 import json
 import os
+import tempfile
 from collections.abc import Iterator
-from contextlib import suppress
-from dataclasses import dataclass, field
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from handcal import output
-from handcal.fleet.record import PASSING, RECORD_SCHEMA, TIMED_OUT, Document, Options, digest
+from handcal.fleet import remote
+from handcal.fleet.record import (
+    OUT_OF_MEMORY,
+    PASSING,
+    RECORD_SCHEMA,
+    TIMED_OUT,
+    Document,
+    Options,
+    digest,
+    shown,
+)
 from handcal.types import HandcalError, InputError
 
 RECORDS, EXPLANATIONS, DIGESTS = "recordings", "explanations", "digests.jsonl"
@@ -19,13 +30,25 @@ RECORDS, EXPLANATIONS, DIGESTS = "recordings", "explanations", "digests.jsonl"
 
 @dataclass(frozen=True)
 class Store:
-    """A folder, and the digests of recordings that were read before, by path, size and time."""
+    """A folder, and the digests of recordings that were read before, by path, size and time; where
+    results go to an address, that folder and the names of the records in it."""
 
     folder: Path
     digests: dict[tuple[str, int, int], str] = field(default_factory=dict)
+    upstream: remote.Folder | None = None
+    there: frozenset[str] = frozenset()
+
+    @property
+    def shown(self) -> str:
+        """Where results are, as people are told."""
+        return str(self.folder) if self.upstream is None else shown(self.upstream.address)
 
     def record(self, key: str) -> Document | None:
-        """What is kept under a key; None where nothing is, or something damaged."""
+        """What is kept under a key; None where nothing is, or something damaged. Errors:
+        Unreachable."""
+        name = f"{RECORDS}/{key}.json"
+        if self.upstream and f"{key}.json" in self.there and not (self.folder / name).exists():
+            self.upstream.fetch(name, self.folder / name)
         try:
             document = json.loads((self.folder / RECORDS / f"{key}.json").read_text("utf-8"))
         except (OSError, ValueError):
@@ -35,11 +58,17 @@ class Store:
 
     def keep(self, key: str, record: Document, explanation: Document | None) -> None:
         """Keep both, the record last. Errors: HandcalError."""
-        if explanation is not None:
-            text = json.dumps(explanation, allow_nan=False, ensure_ascii=False)
-            output.write_text(self.folder / EXPLANATIONS / f"{key}.json", text + "\n")
-        text = json.dumps(record, allow_nan=False, ensure_ascii=False)
-        output.write_text(self.folder / RECORDS / f"{key}.json", text + "\n")
+        for kind, document in ((EXPLANATIONS, explanation), (RECORDS, record)):
+            if document is not None:
+                text = json.dumps(document, allow_nan=False, ensure_ascii=False)
+                output.write_text(self.folder / kind / f"{key}.json", text + "\n")
+                self.send(f"{kind}/{key}.json")
+
+    def send(self, name: str) -> None:
+        """A file, or all in a folder, to the address to which results go, if they do. Errors:
+        Unreachable."""
+        if self.upstream is not None:
+            self.upstream.send(self.folder, name)
 
     def digest(self, path: Path) -> str:
         """sha256 of a recording, read only if it has changed. Errors: OSError."""
@@ -77,6 +106,24 @@ def opened(folder: Path) -> Store:
     return Store(folder, _digests(folder / DIGESTS))
 
 
+@contextmanager
+def opened_at(place: str) -> Iterator[Store]:
+    """The store of a folder of this machine, or of one at an address: of that what is kept is sent
+    there at once, and what is there is fetched when it is asked for. Errors: as of ``opened``;
+    Unreachable."""
+    if not remote.is_address(place):
+        yield opened(Path(place))
+        return
+    upstream = remote.folder(place)
+    if (names := upstream.names()) and RECORDS not in names:
+        raise InputError(
+            f"--out {shown(place)} holds something else than a fleet; name a new folder."
+        )
+    with tempfile.TemporaryDirectory(prefix="handcal-fleet-") as folder:
+        there = upstream.names(RECORDS)
+        yield replace(opened(Path(folder)), upstream=upstream, there=there)
+
+
 def _digests(path: Path) -> dict[tuple[str, int, int], str]:
     out = {}
     if path.exists():
@@ -104,4 +151,4 @@ def stands(record: Document | None, options: Options) -> bool:
         return True
     if record["status"] == TIMED_OUT:
         return bool(record["deadline"] >= options.deadline)
-    return record["status"] != "killed" and bool(record["memory"] >= options.memory)
+    return record["status"] == OUT_OF_MEMORY and bool(record["memory"] >= options.memory)

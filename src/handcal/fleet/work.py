@@ -6,7 +6,6 @@ import json
 from base64 import b64decode, b64encode
 from collections.abc import Mapping
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,8 @@ import numpy as np
 from handcal.estimate.quadratic import Quadratic
 from handcal.explain import explain
 from handcal.explanation import Explanation
-from handcal.fleet.record import Document
+from handcal.fleet.record import Document, shown
+from handcal.fleet.remote import fetched
 from handcal.fleet.told import Telling, told
 from handcal.population.joint import Information
 from handcal.recordings.inputs import load
@@ -26,15 +26,19 @@ from handcal.types import Array, Prior, Recording
 def explained(request: Mapping[str, Any]) -> Document:
     """The explanation of the recording at ``path``, and what it tells of every parameter.
 
-    request: ``path``, ``budget`` (s or None) and ``prior`` (a Prior as JSON has it, or None).
-    Errors: HandcalError.
+    request: ``path`` (or address), ``budget`` (s or None) and ``prior`` (a Prior as JSON has it, or
+    None). Errors: HandcalError.
     """
-    recording = load(Path(request["path"]))
-    before = prior_of(request["prior"])
-    explanation = explain([recording], budget=request["budget"], before=before)
-    document = stamped(explanation_json(explanation))
+    with fetched(request["path"]) as (path, sha256):
+        recording = load(path)
+        before = prior_of(request["prior"])
+        explanation = explain([recording], budget=request["budget"], before=before)
+        document = stamped(explanation_json(explanation))
+    if sha256 is not None:
+        document["recording"] |= {"path": shown(request["path"]), "sha256": sha256}
     telling = told(recording, explanation.model)
-    return summary(recording, explanation, document, telling) | {"explanation": document}
+    out = summary(recording, explanation, document, telling)
+    return out | {"explanation": document, "fetched": sha256}
 
 
 def summary(
@@ -49,6 +53,7 @@ def summary(
     return {
         "recording": {k: v for k, v in document["recording"].items() if k != "streams"}
         | {"streams": sorted(document["recording"]["streams"])},
+        "device": recording.device, "model": recording.model,
         "gravity": _gravity(recording),
         "verdict": explanation.verdict,
         "named": named,

@@ -160,7 +160,7 @@ def _answer(request: Mapping[str, Any]) -> Document:
     try:
         return {"status": DONE, "reason": "", "result": work(request)}
     except HandcalError as error:
-        return {"status": FAILED, "reason": str(error)}
+        return {"status": getattr(error, "status", FAILED), "reason": str(error)}
     except MemoryError:
         return {"status": OUT_OF_MEMORY, "reason": "There was not enough memory."}
 

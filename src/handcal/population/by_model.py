@@ -12,6 +12,7 @@ from handcal.device.file import Name, persistent, unit_of, usual_of
 from handcal.effects import catalogue
 from handcal.population import joint, odd
 from handcal.population.deconvolved import LEAST, Population, population
+from handcal.population.drift import Drift, drift
 from handcal.population.grouped import devices, owners
 from handcal.population.joint import Information
 from handcal.population.odd import Odd
@@ -33,7 +34,8 @@ TOLD = 4.0
 class Reading:
     """What one recording tells: its label, model and device ("" where nobody says); value and sigma
     of each parameter, SI, and which of them were estimated together; gravity m/s^2; what it tells
-    of all parameters at once, where that is known."""
+    of all parameters at once, where that is known; started: s since 1970, temperature: degC, nan
+    where nobody says."""
 
     label: str
     model: str
@@ -42,6 +44,22 @@ class Reading:
     together: frozenset[Name]
     gravity: float
     information: Information | None = None
+    started: float = math.nan
+    temperature: float = math.nan
+
+
+@dataclass(frozen=True)
+class Change:
+    """How one parameter changes between the recordings of a device: begun at started (n,), value
+    (n,) (SI), of the devices who (n,), in the order in which they were given."""
+
+    effect: str
+    name: str
+    unit: str
+    drift: Drift
+    started: Array
+    value: Array
+    who: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -72,7 +90,7 @@ class Common:
 @dataclass(frozen=True)
 class Model:
     """name; how many recordings and devices; its populations, stacked effects (most probable
-    first) and odd ones (oddest first)."""
+    first) and odd ones (oddest first); how parameters change from one recording to the next."""
 
     name: str
     recordings: int
@@ -80,6 +98,7 @@ class Model:
     common: tuple[Common, ...]
     stacks: tuple[Stack, ...]
     odd: tuple[Odd, ...]
+    changes: tuple[Change, ...] = ()
 
 
 def stays(effect: str) -> bool:
@@ -143,7 +162,26 @@ def _model(
         *sorted((*odd.devices(every, told), *odd.recordings(labels, names, lasting)),
                 key=lambda o: o.by_chance),
     )  # fmt: skip
-    return Model(name, len(readings), len(every), tuple(there), stacks, strange)
+    changes = _changes(readings, {n: each.get(n, table[n]) for n in table if n in together}, names)
+    return Model(name, len(readings), len(every), tuple(there), stacks, strange, changes)
+
+
+def _changes(
+    readings: Sequence[Reading], table: Mapping[Name, tuple[Array, Array]], names: Sequence[str]
+) -> tuple[Change, ...]:
+    """Of every parameter but those of the hand."""
+    started, warm = (
+        np.array([getattr(r, k) for r in readings]) for k in ("started", "temperature")
+    )
+    looked_at = [n for n in table if n[0] not in OF_THE_HAND]
+    out = []
+    for n in looked_at:
+        value, sigma = table[n]
+        usual = float(usual_of([n])[0])
+        found = drift(value, sigma, owners(names), started, warm, usual, names, len(looked_at))
+        if found is not None:
+            out.append(Change(*n, unit_of(n), found, started, value, tuple(names)))
+    return tuple(out)
 
 
 def _common(name: Name, values: tuple[Array, Array], names: Sequence[str]) -> Common | None:

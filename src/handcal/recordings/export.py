@@ -47,6 +47,10 @@ def _write(recordings: Mapping[str, Recording], path: str | Path) -> None:
         writer = Writer(file, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD)
         writer.start(profile="ros2", library="handcal")
         _write_messages(writer, recordings)
+        recorded = recordings[""]
+        if recorded.device or recorded.model:
+            about = {"id": recorded.device, "model": recorded.model}
+            writer.add_metadata("device", about)
         writer.finish()  # type: ignore[no-untyped-call]
 
 

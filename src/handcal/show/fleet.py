@@ -18,6 +18,7 @@ from handcal.population.odd import Odd
 from handcal.population.stacked import Stack
 from handcal.show import words
 from handcal.show.calibration.summary import finite
+from handcal.show.changes import change_json, histories, rows_of, steps_of
 from handcal.show.drawing import RC, SHADE, XYZ, Plot, canvas, svg, thin
 from handcal.show.html_page import page
 from handcal.units import Shown, shown
@@ -68,6 +69,7 @@ def _model_json(m: Model) -> dict[str, Any]:
              "reason": reason(o)}
             for o in m.odd
         ],
+        "changes": [change_json(c) for c in m.changes],
     }  # fmt: skip
 
 
@@ -132,6 +134,8 @@ def _section(m: Model) -> dict[str, Any]:
         "name": m.name, "recordings": m.recordings, "devices": m.devices, "plots": draw(m),
         "populations": [_row(c) for c in m.common],
         "stacks": [_stack_row(s) for s in m.stacks[:MOST_STACKS]],
+        "changes": rows_of(m.changes), "steps": steps_of(m.changes),
+        "histories": histories(m.name, m.changes),
         "odd": [(o.who if o.kind == "device" else Path(o.who).name, _times(o.by_chance),
                  reason(o)) for o in m.odd[:MOST_ROWS]],
     }  # fmt: skip

@@ -10,7 +10,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
@@ -21,7 +21,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, DataEnd, Schema, Statistics
+from mcap.records import Channel, Chunk, DataEnd, Metadata, Schema, Statistics
 
 from handcal.recordings.inputs._magic import begins_with
 from handcal.recordings.inputs._messages import ByteArray, schema_key
@@ -36,6 +36,7 @@ TRIED = "real recordings; files written by the library mcap"
 ENDINGS = (".mcap",)
 MAGIC = b"\x89MCAP0\r\n"
 LARGEST_CHUNK = 128 * 2**20
+LARGEST_METADATA = 2**20  # bytes: of a device there are two short texts
 # Beyond a few MiB nothing that sensors write shrinks to a thousandth.
 LARGEST_RATIO, RATIO_FROM = 1000, 4 * 2**20
 _MESSAGE = int(Opcode.MESSAGE)  # compared once a message: an enum is slow
@@ -44,7 +45,8 @@ _DAMAGED = (struct.error, EndOfFile, UnicodeDecodeError, OverflowError)
 
 @dataclass
 class Walk:
-    """What has been found in the file so far: found, by channel; base: bytes before the file."""
+    """What has been found in the file so far: found, by channel; base: bytes before the file;
+    device: what the metadata record of that name says, by ``id`` and ``model``."""
 
     path: Path
     schemas: dict[int, Schema] = field(default_factory=dict)
@@ -54,6 +56,7 @@ class Walk:
     messages: int = 0
     stated: int | None = None
     complete: bool = False
+    device: dict[str, str] = field(default_factory=dict)
 
 
 def can_read(path: Path) -> bool:
@@ -64,13 +67,15 @@ def can_read(path: Path) -> bool:
 
 def read(path: Path, options: Options) -> Recording:
     """Read the recording; truncated files as far as they go. Errors: InputError."""
-    topics, warnings = topics_in(path, options)
-    return recording_from_topics(path, topics, options, warnings)
+    walk = walked(path, options)
+    made = recording_from_topics(path, topics_of(walk), options, warnings_of(walk))
+    device, model = (walk.device.get(k, "").strip() for k in ("id", "model"))
+    return replace(made, device=device, model=model)
 
 
-def topics_in(path: Path, options: Options, base: int = 0) -> tuple[list[Topic], tuple[str, ...]]:
-    """What a file holds, and warnings. base: bytes of the files before it, of a recording in
-    several. Errors: InputError."""
+def walked(path: Path, options: Options, base: int = 0) -> Walk:
+    """What a file holds. base: bytes of the files before it, of a recording in several. Errors:
+    InputError."""
     walk = Walk(path, base=base)
     with path.open("rb") as file:
         if file.read(8) != MAGIC:
@@ -85,10 +90,11 @@ def topics_in(path: Path, options: Options, base: int = 0) -> tuple[list[Topic],
                 take_records(b"".join(loose), walk)
                 loose = []
         take_records(b"".join(loose), walk)
-    return topics_of(walk), _warnings(walk)
+    return walk
 
 
-def _warnings(walk: Walk) -> tuple[str, ...]:
+def warnings_of(walk: Walk) -> tuple[str, ...]:
+    """What of the file is lost, in a sentence."""
     if not walk.complete:
         return (
             "The file ends early or is damaged towards its end: "
@@ -123,6 +129,11 @@ def _records(file: BinaryIO, walk: Walk, options: Options) -> Iterator[tuple[int
         elif opcode in (Opcode.DATA_END, Opcode.STATISTICS):
             content = file.read(min(length, 2**20))
             file.seek(position + 9 + length)
+        elif opcode == Opcode.METADATA and data_section and length <= LARGEST_METADATA:
+            content = file.read(length)
+            crc = zlib.crc32(content, zlib.crc32(head, crc))
+            walk.device |= _device(content)
+            content = b""
         elif data_section:
             crc = _skipped(file, length, zlib.crc32(head, crc))
         else:
@@ -165,6 +176,15 @@ def _check_data_crc(content: bytes, crc: int, walk: Walk) -> None:
             f"{walk.path} is damaged: the checksum of its data section is wrong "
             "(at least one byte was flipped)."
         )
+
+
+def _device(content: bytes) -> dict[str, str]:
+    """What a metadata record says, if it is of the device."""
+    try:
+        record = Metadata.read(ReadDataStream(BytesIO(content)))
+    except _DAMAGED:
+        return {}
+    return dict(record.metadata) if record.name == "device" else {}
 
 
 def _statistics(content: bytes) -> int | None:

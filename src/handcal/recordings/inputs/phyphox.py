@@ -15,7 +15,7 @@ import io
 import re
 import struct
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -130,7 +130,9 @@ def read(path: Path, options: Options) -> Recording:
         )
     said.append("phyphox does not say whether the phone has taken a bias out of its gyroscope.")
     streams = {"mag": held["mag"]} if "mag" in held else {}
-    return assemble(path, held["gyro"], accel, streams, tuple(said))
+    made = assemble(path, held["gyro"], accel, streams, tuple(said))
+    names = (export.device.get(k, "").strip() for k in ("deviceBrand", "deviceModel"))
+    return replace(made, model=" ".join(n for n in names if n))
 
 
 def _held(path: Path, export: _Export) -> dict[str, Columns]:

@@ -43,7 +43,7 @@ HEADER = 16
 LARGEST_MESSAGE = 2**16
 _AT_ONCE = 50_000
 _KINDS = "BFIMPQARDLCSO"
-_DATA, _FLAGS, _FORMAT, _ADDED = (ord(kind) for kind in "DBFA")
+_DATA, _FLAGS, _FORMAT, _ADDED, _INFO = (ord(kind) for kind in "DBFAI")
 _FIELD = re.compile(r"(\w+?)(?:\[(\d{1,5})\])? (\w+)")
 TURNED = np.array([1.0, -1.0, -1.0])  # forward, right, down to forward, left, up
 _SAID = f"PX4's axes (forward, right, down) were {TURNED_TO_FLU}."
@@ -61,7 +61,7 @@ def can_read(path: Path) -> bool:
 
 def read(path: Path, options: Options) -> Recording:
     """Read the recording. Errors: InputError."""
-    topics, said = _topics(path)
+    topics, said, told = _topics(path)
     options.progress(1.0)
     said = [*stated("PX4", options), *said, _SAID]
     whole = topics.get("sensor_combined", {})
@@ -91,11 +91,14 @@ def read(path: Path, options: Options) -> Recording:
         "pose": "vehicle_mocap_odometry",
     }
     made = assemble(path, gyro, accel, streams, tuple(said))
-    return replace(made, topics={s: names[s] for s in ("imu", *made.streams)})
+    read_from = {s: names[s] for s in ("imu", *made.streams)}
+    return replace(made, topics=read_from, device=told.get("sys_uuid", ""),
+                   model=told.get("ver_hw", ""))  # fmt: skip
 
 
-def _topics(path: Path) -> tuple[dict[str, _Fields], list[str]]:
-    """Fields by topic, the first instance of each, and warnings. Errors: InputError."""
+def _topics(path: Path) -> tuple[dict[str, _Fields], list[str], dict[str, str]]:
+    """Fields by topic, the first instance of each, warnings, and what the log says of its device.
+    Errors: InputError."""
     if path.stat().st_size > LARGEST:
         raise InputError(f"{path} is too large to be read at once.")
     data = path.read_bytes()
@@ -114,19 +117,22 @@ def _topics(path: Path) -> tuple[dict[str, _Fields], list[str]]:
         rows = np.concatenate(parts)
         topics[name] = {one: rows[one] for one in layout.names or ()}
     if log.whole:
-        return topics, []
-    return topics, [f"The log ends early or is damaged: {log.messages} messages were recovered."]
+        return topics, [], log.told
+    cut = f"The log ends early or is damaged: {log.messages} messages were recovered."
+    return topics, [cut], log.told
 
 
 @dataclass
 class _Log:
-    """What a walk found: formats by topic; instance and topic, and places, by id."""
+    """What a walk found: formats by topic; instance and topic, and places, by id; what the log says
+    of its device."""
 
     formats: dict[str, str] = field(default_factory=dict)
     names: dict[int, tuple[int, str]] = field(default_factory=dict)
     places: dict[int, list[tuple[int, int]]] = field(default_factory=dict)
     messages: int = 0
     whole: bool = True
+    told: dict[str, str] = field(default_factory=dict)
 
 
 def _walked(path: Path, data: bytes) -> _Log:
@@ -149,6 +155,8 @@ def _walked(path: Path, data: bytes) -> _Log:
             if id in log.names:
                 log.places.setdefault(id, []).append((begin + 2, length - 2))
                 log.messages += 1
+        elif kind == _INFO and length:
+            log.told |= _told(data[begin:following])
         elif kind == _FLAGS and length >= 40:
             ends = _ends(path, data[begin:following], len(data))
         elif kind == _FORMAT:
@@ -162,6 +170,16 @@ def _walked(path: Path, data: bytes) -> _Log:
                 log.names[id] = (instance, name)
         at = following
     return log
+
+
+def _told(message: bytes) -> dict[str, str]:
+    """A text about the device in an information message: length of its key, key (type and name),
+    value."""
+    key, value = message[1 : 1 + message[0]], message[1 + message[0] :]
+    kind, _, name = key.decode("ascii", "replace").partition(" ")
+    if not kind.startswith("char[") or name not in ("sys_uuid", "ver_hw"):
+        return {}
+    return {name: value.decode("utf-8", "replace").strip("\0 ")}
 
 
 def _ends(path: Path, flags: bytes, size: int) -> list[int]:

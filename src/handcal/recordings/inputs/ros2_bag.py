@@ -70,7 +70,8 @@ def read(path: Path, options: Options) -> Recording:
     base = 0
     for file in files:
         if file.suffix == ".mcap":
-            found, warnings = mcap.topics_in(file, options, base)
+            walk = mcap.walked(file, options, base)
+            found, warnings = mcap.topics_of(walk), mcap.warnings_of(walk)
         else:
             found, warnings = _of_database(file, options, base)
         topics += found

@@ -15,7 +15,7 @@ import json
 import sqlite3
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -51,11 +51,13 @@ MEMBERS = (f"{GYROS[0]}.csv", f"{ACCELS[0]}.csv")
 
 @dataclass(frozen=True)
 class _Export:
-    """What the export holds: sensors as they are in it, and the platform if it says."""
+    """What the export holds: sensors as they are in it; platform, device and model if it says."""
 
     sensors: Mapping[str, Columns]
     platform: str
     standardised: bool
+    device: str = ""
+    model: str = ""
 
 
 def can_read(path: Path) -> bool:
@@ -90,7 +92,8 @@ def read(path: Path, options: Options) -> Recording:
     accel = _specific_force(path, export, said)
     mag = _first(export, MAGS, said)
     streams = {} if mag is None else {"mag": columns(mag.ns, mag.value * 1e-6)}
-    return assemble(path, gyro, accel, streams, tuple(said))
+    made = assemble(path, gyro, accel, streams, tuple(said))
+    return replace(made, device=export.device, model=export.model)
 
 
 def _first(export: _Export, names: tuple[str, str], said: list[str]) -> Columns | None:
@@ -182,7 +185,9 @@ def _export(sensors: Mapping[str, Columns], metadata: Mapping[str, object]) -> _
     platform = str(metadata.get("platform", "")).strip().lower()
     platform = "ios" if platform in ("ios", "iphone", "ipados") else platform
     standardised = str(metadata.get("standardisation", "")).strip().lower() == "true"
-    return _Export(sensors, platform if platform in ("ios", "android") else "", standardised)
+    device, model = (str(metadata.get(k) or "").strip() for k in ("device id", "device name"))
+    known = platform if platform in ("ios", "android") else ""
+    return _Export(sensors, known, standardised, device, model)
 
 
 def _table(path: Path, name: str, text: str) -> Columns | None:

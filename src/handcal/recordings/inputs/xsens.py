@@ -11,6 +11,7 @@ was calibrated, of which no tesla can be made: it is left out, and that is said.
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,7 @@ ENDINGS = (".txt",)
 MARK = "it has no line with the columns Acc_X and Gyr_X"
 _HEAD = 8192
 _RATE = re.compile(r"(?:Update Rate|OutputRate|Output Rate)\W*([\d.]+)\s*Hz", re.IGNORECASE)
+_DEVICE = re.compile(r"^\W*Device ?(?:Id|Tag)[:,\s]+([^,\s][^,\r\n]{,99})", re.I | re.M)
 _FINE, _COUNTER = ("sampletimefine",), ("packetcounter", "counter")
 
 
@@ -72,7 +74,9 @@ def read(path: Path, options: Options) -> Recording:
     if "temperature" in plain:
         streams["temperature"] = columns(ns, numbers(rows, places(rows, ("temperature",))))
     options.progress(1.0)
-    return assemble(path, columns(ns, gyro), columns(ns, accel), streams, tuple(said))
+    made = assemble(path, columns(ns, gyro), columns(ns, accel), streams, tuple(said))
+    device = _DEVICE.search(before)
+    return replace(made, device=device[1].strip() if device else "")
 
 
 def _clock(rows: Rows, before: str, dot: bool) -> tuple[IntArray, list[str]]:
