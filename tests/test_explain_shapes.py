@@ -16,7 +16,7 @@ from handcal.estimate.case import case_of
 from handcal.estimate.quadratic import Quadratic
 from handcal.explain import explain
 from handcal.laws import courses, shapes
-from handcal.laws.best_law import best_term
+from handcal.laws.best_law import best_term, survey
 from handcal.types import Array
 from handcal_sim import simulate
 from handcal_sim.phone import Clocking, Phone, Thermometer, consumer_phone, with_rate
@@ -168,7 +168,7 @@ def test_a_heading_that_errs_with_the_temperature_is_told(square: bool) -> None:
         "heading": replace(heading, value=heading.value + error[:, None]),
         "temperature": replace(warmth, value=25.0 + x[:, None]),
     }
-    term = best_term(baseline([case_of(replace(recording, streams=streams))]))
+    term = best_term(survey(baseline([case_of(replace(recording, streams=streams))])))
     assert term is not None
     assert term.effect.id == f"heading += k * (T - 25){'^2' * square}"
 

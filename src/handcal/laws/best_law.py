@@ -11,6 +11,7 @@ from functools import partial
 import numpy as np
 
 from handcal.effects import Effect, Signals
+from handcal.estimate.columns import Ground
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.parallel import in_parallel
@@ -24,6 +25,7 @@ from handcal.laws.over_drivers import (
     Block,
     best_of_block,
     blocks,
+    further_blocks,
     tuned,
     written_out,
 )
@@ -52,48 +54,75 @@ class Term:
     others: tuple[Effect, ...] = ()
 
 
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """All that is looked at beside a model: its ``grounds``, the signals of its first recording;
+    looks and what their scans showed, of the usual vocabulary (under "") and of the further one of
+    each sensor, as far as they were asked for."""
+
+    model: Model
+    base: Sequence[Ground]
+    signals: Signals
+    scanned: dict[str, list[tuple[Look, Quadratic]]]
+
+    def of(self, beyond: Collection[str]) -> list[tuple[Look, Quadratic]]:
+        """Looks and their scans, of the usual vocabulary and of these sensors' further one."""
+        f = self.model.parts[0]
+        for name in ("", *beyond):
+            if name not in self.scanned:
+                looks = _looks(f, self.signals, name)
+                self.scanned[name] = list(_scans(self.model, list(looks), self.base))
+        return [pair for name in ("", *beyond) for pair in self.scanned[name]]
+
+
+def survey(model: Model) -> Survey:
+    """Of this model, with nothing looked at yet."""
+    return Survey(model, grounds(model), signals_of(model.parts[0]), {})
+
+
+def _scans(
+    model: Model, looks: Sequence[Look], base: Sequence[Ground]
+) -> Iterator[tuple[Look, Quadratic]]:
+    scans = in_parallel(partial(scan, model, look.effects, base) for look in looks)
+    return zip(looks, scans, strict=True)
+
+
 def best_term(
-    model: Model,
+    where: Survey,
     *,
     refused: Collection[str] = (),
-    without: str = "",
+    without: Collection[str] = (),
     beyond: Collection[str] = (),
 ) -> Term | None:
     """What gains most over the model, if it gains enough: the best of ``best_terms``."""
-    found = best_terms(model, refused=refused, without=without, beyond=beyond)
+    found = best_terms(where, refused=refused, without=without, beyond=beyond)
     return max(found, key=lambda t: t.gain, default=None)
 
 
 def best_terms(
-    model: Model,
+    where: Survey,
     *,
     refused: Collection[str] = (),
-    without: str = "",
+    without: Collection[str] = (),
     beyond: Collection[str] = (),
     worth: float | None = None,
 ) -> list[Term]:
     """What gains most over the model of all, and of each sensor in beyond, if it gains enough: a
     law over a driver, or a course over time or direction.
 
-    refused: formulas with which no fit holds; without: an effect of the model in whose place it is
-    looked for; beyond: "gyro", "accel" or "heading", for which the whole vocabulary is looked
-    through; worth: what evidence counts for (None: as the scans have it, about this model)."""
-    f = model.parts[0]
-    signals = signals_of(f)
-    known = [e for e in model.effects if e.process is None and e.id != without]
-    looks = list(_looks(f, signals, known, beyond))
-    base = grounds(model)
-    scans = list(in_parallel(partial(scan, model, look.effects, base) for look in looks))
+    refused: formulas with which no fit holds; without: effects of the model, none of them noise, in
+    whose place it is looked for; beyond: "gyro", "accel" or "heading", for which the whole
+    vocabulary is looked through; worth: what evidence counts for (None: as the scans have it, about
+    this model)."""
+    known = [e for e in where.model.effects if e.process is None and e.id not in without]
+    pairs = where.of(beyond)
     # (what is absent scatters differently from scan to scan: one worth for all)
-    worth = float(np.median([q.worth for q in scans])) if worth is None else worth
+    worth = float(np.median([q.worth for _, q in pairs])) if worth is None else worth
     enough = -TERM_PRIOR + math.log(2.0)
     ends = [
-        end
-        for look, q in zip(looks, scans, strict=True)
-        for end in look.best(weighed(q, worth), known)
-        if end[1] > enough
+        end for look, q in pairs for end in look.best(weighed(q, worth), known) if end[1] > enough
     ]
-    about_ = About(model, base, known, signals, worth)
+    about_ = About(where.model, where.base, known, where.signals, worth)
     found = [Term(e, gain / worth) for e, gain in ends if isinstance(e, Effect)]
     found += in_parallel(partial(_as_told, about_, *end) for end in _closer(ends, beyond))
     found = sorted((t for t in found if t.effect.id not in refused), key=lambda t: -t.gain)
@@ -128,21 +157,21 @@ class Look:
     best: Callable[[Quadratic, Sequence[Effect]], list[End]]
 
 
-def _looks(
-    f: Fitted, signals: Signals, known: Sequence[Effect], beyond: Collection[str]
-) -> Iterator[Look]:
-    """All scans: laws over drivers, courses over time, and those of a heading."""
+def _looks(f: Fitted, signals: Signals, beyond: str) -> Iterator[Look]:
+    """All scans: laws over drivers, courses over time, and those of a heading; beyond: over the
+    further drivers of this sensor alone."""
     recording = f.case.recording
     room = NUMBERS / (PER_EPOCH * len(f.t))
-    for chunk in _chunks(blocks(signals, beyond), int(min(max(room, LEAST_COLUMNS), MOST_COLUMNS))):
+    over = further_blocks(signals, beyond) if beyond else blocks(signals)
+    for chunk in _chunks(over, int(min(max(room, LEAST_COLUMNS), MOST_COLUMNS))):
         yield Look([b.effect for b in chunk], partial(_laws, chunk))
+    if beyond:
+        return
     for first in range(0, 6, 2):
         spans = [shapes.imu_basis(first + n, recording.duration_s) for n in range(2)]
         yield Look([b.effect for b in spans], partial(_courses, spans))
     if "heading" in f.case.kinds:
-        here = {e.id for e in known}
         options = [[e] for e in terms.heading_terms(recording)] + terms.heading_curves()
-        options = [some for some in options if some[0].id not in here]
         # (each as something to look at: what the model has of it is another matter)
         looked = [replace(some[0], id=f"basis: {n}") for n, some in enumerate(options)]
         yield Look(looked, partial(_headings, looked, options))
@@ -195,10 +224,13 @@ def _headings(
     q: Quadratic,
     known: Sequence[Effect],
 ) -> list[End]:
-    """Terms and curves of the heading, and what each gains."""
+    """Terms and curves of the heading that are not there, and what each gains."""
     seen = beside(q, known, looked)
+    here = {e.id for e in known}
     out: list[End] = []
     for e, some in zip(looked, options, strict=True):
+        if some[0].id in here:
+            continue
         at = seen.at[e.id]
         b, G = seen.b[at], seen.G[np.ix_(at, at)]
         roots = np.stack([np.eye(len(at)) if x.together is None else x.together for x in some])
@@ -209,16 +241,18 @@ def _headings(
     return out
 
 
-def reshaped(model: Model, worth: float, unnamed: list[Term], shaped: set[str]) -> Model | None:
+def reshaped(where: Survey, worth: float, unnamed: list[Term], shaped: set[str]) -> Model | None:
     """The model with a law or course that fits better than the one it has, which was chosen when
     less was known; ``unnamed`` is changed with it."""
+    model = where.model
     for i, term in enumerate(unnamed):
         old = term.effect
         if old.id not in model.ids or old.id in shaped:
             continue
         shaped.add(old.id)
         law = law_of(old)
-        new = best_term(model, without=old.id, beyond=() if law is None else (SENSORS[law.sensor],))
+        beyond = () if law is None else (SENSORS[law.sensor],)
+        new = best_term(where, without={old.id}, beyond=beyond)
         if new is None:
             continue
         options = [e for e in (new.effect, *new.others) if e.id not in shaped | set(model.ids)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -44,14 +44,17 @@ class Block:
     effect: Effect
 
 
-def blocks(signals: Signals, beyond: Collection[str] = ()) -> list[Block]:
-    """Every sensor with every driver of which this recording has a course; beyond: sensors for
-    which the further drivers are looked at too."""
+def blocks(signals: Signals) -> list[Block]:
+    """Every sensor with every driver of the usual vocabulary of which this recording has a
+    course."""
     usual = [d for d in DRIVERS.values() if usable(d, signals)]
-    found = [b for d in usual for b in _over(d, signals, range(HEADING))]
-    for sensor in (n for n, name in enumerate(SENSORS) if name in beyond):
-        found += [b for d in further(signals, sensor) for b in _over(d, signals, (sensor,))]
-    return found
+    return [b for d in usual for b in _over(d, signals, range(HEADING))]
+
+
+def further_blocks(signals: Signals, sensor: str) -> list[Block]:
+    """A sensor with every further driver of which this recording has a course."""
+    n = SENSORS.index(sensor)
+    return [b for d in further(signals, n) for b in _over(d, signals, (n,))]
 
 
 def _over(driver: Driver, signals: Signals, sensors: Iterable[int]) -> list[Block]:

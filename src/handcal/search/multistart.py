@@ -15,7 +15,7 @@ from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.parallel import in_parallel
-from handcal.laws.best_law import Term, best_term
+from handcal.laws.best_law import Term, best_term, survey
 from handcal.model_score import better
 from handcal.search.budget import Budget
 from handcal.search.climb.candidates import scanned
@@ -85,7 +85,7 @@ def search(
     found = _begun(starts, common, lambda f: report(0.7 * f))
     term = None
     if _may_stand_in(found) and not budget.spent("a search from a law on"):
-        term = best_term(base)
+        term = best_term(survey(base))
     if term is None:
         return found
     # (by fits: about the baseline, whose noise holds what is missing, a scan promises too little)

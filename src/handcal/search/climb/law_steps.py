@@ -15,7 +15,7 @@ from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.parallel import in_parallel
 from handcal.estimate.transfer import moved_to
-from handcal.laws.best_law import Term, best_term, best_terms, reshaped
+from handcal.laws.best_law import Survey, Term, best_term, best_terms, reshaped, survey
 from handcal.laws.law_constants import adjusted
 from handcal.laws.law_effect import SENSORS, effect_of, law_of
 from handcal.model_score import better, score
@@ -35,7 +35,7 @@ def name_term(c: Climb) -> Model | None:
         return None
     tried = _instead_of_noise(c)
     while tried is None and _room(c):
-        term = best_term(c.model, refused=_refused(c))
+        term = best_term(_surveyed(c), refused=_refused(c))
         if term is None:
             break
         c.unnamed.append(term)
@@ -63,7 +63,8 @@ def _instead_of_noise(c: Climb) -> Model | None:
         return None
     c.bared.add(key)
     ways: dict[object, tuple[Model, Term]] = {}
-    for m, term in (way for sensor, ids in doubted for way in _in_place(c, sensor, ids)):
+    surveys: dict[frozenset[str], Survey] = {frozenset(): _surveyed(c)}
+    for m, term in (way for sensor, ids in doubted for way in _in_place(c, sensor, ids, surveys)):
         # (in the place of more may be found what was found in that of less)
         ways.setdefault((frozenset(m.ids), term.effect.id, term.effect.made), (m, term))
     fits = in_parallel(partial(with_term, m, t, c.worth, c.beyond) for m, t in ways.values())
@@ -94,17 +95,36 @@ def _doubted(c: Climb) -> list[tuple[str, frozenset[str]]]:
     return out
 
 
-def _in_place(c: Climb, sensor: str, ids: frozenset[str]) -> list[tuple[Model, Term]]:
+def _surveyed(c: Climb) -> Survey:
+    """The survey of the climb's model: one for all that is asked of it."""
+    if c.survey is None or c.survey.model is not c.model:
+        c.survey = survey(c.model)
+    return c.survey
+
+
+def _in_place(
+    c: Climb, sensor: str, ids: frozenset[str], surveys: dict[frozenset[str], Survey]
+) -> list[tuple[Model, Term]]:
     """Terms that are looked for beside the model's effects but for these, each with the models to
-    which it may be added: without them, and with."""
-    # (about the trajectory and the sensor noise that there are with all of them: fitted
-    # without them, what they held would be noise, in which no law shows)
-    rest = tuple(e for e in c.model.effects if e.id not in ids)
-    parts = tuple(moved_to(f, rest) for f in c.model.parts)
-    without = replace(c.model, effects=rest, parts=parts)
-    # (and for what evidence is worth with them: what a law has to do in their place is not misfit)
-    terms = best_terms(without, refused=_refused(c), beyond=(sensor,), worth=c.worth)
-    return [(m, term) for term in terms for m in (without, c.model)]
+    which it may be added: without them, and with. surveys: of the model without some noise, which
+    are added to."""
+    noise = frozenset(e.id for e in c.model.effects if e.id in ids and e.process is not None)
+    if noise not in surveys:
+        surveys[noise] = survey(_without(c.model, noise))
+    # (for what evidence is worth with them: what a law has to do in their place is not misfit)
+    found = best_terms(
+        surveys[noise], refused=_refused(c), without=ids, beyond=(sensor,), worth=c.worth
+    )
+    without = _without(c.model, ids)
+    return [(m, term) for term in found for m in (without, c.model)]
+
+
+def _without(model: Model, ids: Set[str]) -> Model:
+    """The model without some of its effects, about the trajectory and the sensor noise that there
+    are with all of them: fitted without them, what they held would be noise, in which no law
+    shows."""
+    rest = tuple(e for e in model.effects if e.id not in ids)
+    return replace(model, effects=rest, parts=tuple(moved_to(f, rest) for f in model.parts))
 
 
 def with_term(model: Model, term: Term, worth: float, refused: Set[str]) -> Model:
@@ -124,7 +144,7 @@ def with_term(model: Model, term: Term, worth: float, refused: Set[str]) -> Mode
 
 def reshape(c: Climb) -> Model | None:
     """A course over time or direction, chosen again."""
-    return reshaped(c.model, c.worth, c.unnamed, c.shaped)
+    return reshaped(_surveyed(c), c.worth, c.unnamed, c.shaped)
 
 
 def adjust(c: Climb) -> Model | None:

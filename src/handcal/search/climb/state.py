@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from handcal.estimate.case import name_of
 from handcal.estimate.model import Model
-from handcal.laws.best_law import Term
+from handcal.laws.best_law import Survey, Term
 from handcal.model_score import better
 from handcal.search.budget import Budget
 from handcal.search.space import Space
@@ -30,7 +30,8 @@ class Climb:
     the model, and stale: those for which that is out of date; swaps: (effect, rival) to the nats by
     which the rival, fitted in its place, does worse. dropped: names of what was not missed, or with
     which no fit holds; beyond: of what came out larger than makes sense beside the same others.
-    everything: all were fitted at once.
+    everything: all were fitted at once; survey: of what has no name, beside the last model that was
+    asked.
     """
 
     model: Model
@@ -51,6 +52,7 @@ class Climb:
     bared: set[frozenset[str]] = field(default_factory=set)
     whole: set[str] = field(default_factory=set)
     adjusted: set[str] = field(default_factory=set)
+    survey: Survey | None = None
 
     def __post_init__(self) -> None:
         self.kept = frozenset(self.model.ids)
