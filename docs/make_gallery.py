@@ -2,8 +2,9 @@
 """Explains real recordings (docs/gallery/recordings.toml) and writes docs/gallery/; `make gallery`
 runs it.
 
-An hour or more. Each explanation is kept in gallery-out/ and not made again while it is there;
-what is not there yet stands on the page as left out. `--only-pages` explains nothing.
+An hour or more. Each explanation is kept in gallery-out/ and not made again while it is there; the
+page of a recording that is not there stays as it is, and one that has no page yet stands in the
+overview as left out. `--only-pages` explains nothing.
 """
 
 from __future__ import annotations
@@ -329,12 +330,24 @@ Of devices whose recordings come without one of these licences (phones, a drone,
 """
 
 
+def rows_before() -> dict[str, str]:
+    """Of the overview that there is, the row of each page, by the recording's name."""
+    path = FOLDER / "index.md"
+    lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+    found = [
+        (re.search(r"\]\((\w+)\.md\)", line), line) for line in lines if line.startswith("| [")
+    ]
+    return {m[1]: line for m, line in found if m}
+
+
 def overview(kept: dict[str, Document], left_out: list[str]) -> str:
     """A row for each recording."""
+    before = rows_before()
     lines = ["| recording | verdict | known numbers | unseen blocks, nats | processor, s |",
              "|---|---|---|---|---|"]  # fmt: skip
     for entry in entries():
         if entry["name"] not in kept:
+            lines += [before[entry["name"]]] if entry["name"] in before else []
             continue
         document = kept[entry["name"]]
         words_ = [r["word"] for r in facts_of(entry, document)]
@@ -359,7 +372,8 @@ def write_pages() -> None:
     for entry in entries():
         path = KEPT / f"{entry['name']}.json"
         if not path.exists():
-            left_out.append(entry["title"])
+            if not (FOLDER / f"{entry['name']}.md").exists():
+                left_out.append(entry["title"])
             continue
         kept[entry["name"]] = json.loads(path.read_text(encoding="utf-8"))
     for entry in entries():

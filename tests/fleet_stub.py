@@ -44,5 +44,6 @@ def work(request):
         "device": "", "model": "",
         "gravity": 9.8, "verdict": "explained", "named": [], "unnamed": [], "hypotheses": [],
         "told": [told], "held_out": {}, "warnings": [], "explanation": {"stub": True},
-        "information": {"names": [], "b": "", "G": ""}, "fetched": sha256,
+        "information": {"names": [], "b": "", "G": ""}, "laws": {"count": 0, "told": ""},
+        "fetched": sha256,
     }  # fmt: skip

@@ -16,8 +16,10 @@ import typer
 from handcal_sim.commands._progress import progress
 from handcal_sim.prove.run import ALL, Case, plan, run, with_limits, write_answers
 
-# The suite that leads hands instead of explaining recordings, and how many at full size.
+# The suites that do something else than explain recordings one by one: what leads hands, and the
+# devices of a fleet; how many hands and recordings at full size.
 LIVE, LIVE_HANDS = "live", 200
+FLEET, FLEET_RECORDINGS = "fleet", 2000
 
 if TYPE_CHECKING:
     from handcal_sim.prove.trial import Trial
@@ -37,7 +39,8 @@ def prove(
         typer.Option(
             help="nothing, one, mixed, unknown, turn, faint, reference, large, phone, odometry, "
             "people, budget, wild, strange, axis, walks, or all (of the first five); live: hands "
-            "that `handcal live` leads, beside hands that it does not."
+            "that `handcal live` leads, beside hands that it does not; fleet: recordings of many "
+            "devices, given to `handcal fleet`."
         ),
     ] = ALL,
     out: Annotated[
@@ -92,6 +95,9 @@ def _proved(
     if suite == LIVE:
         _led(n, seed, json_file)
         return
+    if suite == FLEET:
+        _fleet(n, seed, out, json_file, jobs)
+        return
     _check(suite, against)
     if seed is None:
         seed = int(SeedSequence().generate_state(1)[0])
@@ -128,6 +134,26 @@ def _check(suite: str, against: str | None) -> None:
         raise InputError(f"--against {against}: there is no such program.")
     if suite not in (ALL, *SUITES):
         raise InputError(f"--suite {suite}: there are {', '.join((*SUITES, ALL))}.")
+
+
+def _fleet(
+    n: int | None, seed: int | None, out: Path | None, json_file: Path | None, jobs: int
+) -> None:
+    """A fleet whose truth is known."""
+    from numpy.random import SeedSequence
+
+    from handcal.commands._registry import say
+    from handcal.output import write_text
+    from handcal_sim.prove.fleet import lines, run
+
+    seed = int(SeedSequence().generate_state(1)[0]) if seed is None else seed
+    n = FLEET_RECORDINGS if n is None else n
+    say(f"a fleet of {n} recordings, seed {seed}")
+    with _folder(out) as folder:
+        found = run(n, seed, folder, jobs)
+    if json_file is not None:
+        write_text(json_file, json.dumps(found, indent=1) + "\n")
+    print("\n".join(lines(found)))
 
 
 def _led(n: int | None, seed: int | None, json_file: Path | None) -> None:

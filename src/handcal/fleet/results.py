@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import json
 import math
+import re
+import shutil
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from itertools import count
 from pathlib import Path
 
 import handcal
@@ -15,6 +18,7 @@ from handcal import output
 from handcal.device.file import Name
 from handcal.device.priors import Learned, write
 from handcal.fleet import dataset
+from handcal.fleet.laws import FOLDER, asked, laws_of, write_law
 from handcal.fleet.record import DONE, Document, Source
 from handcal.fleet.run import Member, rows
 from handcal.fleet.store import Store, told_files
@@ -47,13 +51,14 @@ def write_all(members: Sequence[Member], store: Store) -> Written:
             yield source, record
 
     dataset.write(store.folder, seen())
-    known = models(readings)
+    known = models(readings, asked())
     fleet = Fleet(known, tuple(failures), dict(verdicts), len(readings))
     document = fleet_json(fleet) | {"version": handcal.__version__}
     text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False)
     json_file, priors, report = told_files(store.folder)
     output.write_text(json_file, text + "\n")
     _write_priors(priors, known)
+    _write_laws(store, known)
     write_page(fleet, report)
     for written in (dataset.FOLDER, *(p.name for p in (priors, json_file, report))):
         store.send(written)
@@ -73,6 +78,7 @@ def reading_of(source: Source, record: Document) -> Reading:
     return Reading(
         source.shown, model, source.device, values, together, gravity, information,
         _seconds(source.started), math.nan if warm is None else float(warm),
+        laws_of(record.get("laws")),
     )  # fmt: skip
 
 
@@ -83,6 +89,20 @@ def _seconds(started: str) -> float:
     except ValueError:
         return math.nan
     return (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp()
+
+
+def _write_laws(store: Store, known: Sequence[Model]) -> None:
+    """A file of the catalogue for the law without a name of each model."""
+    shutil.rmtree(store.folder / FOLDER, ignore_errors=True)
+    taken: set[str] = set()
+    for m in known:
+        if m.law is not None:
+            own = "law_of_" + re.sub(r"[^a-z0-9]+", "_", m.name.lower()).strip("_")
+            effect_id = next(i for i in (own, *(f"{own}_{n}" for n in count(2))) if i not in taken)
+            taken.add(effect_id)
+            write_law(m.law, store.folder / FOLDER, effect_id, m.name)
+    if taken:
+        store.send(FOLDER)
 
 
 def _write_priors(path: Path, known: Sequence[Model]) -> None:

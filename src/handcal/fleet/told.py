@@ -26,6 +26,7 @@ from handcal.estimate.quadratic import Quadratic
 from handcal.estimate.rest_only import resting, travels
 from handcal.estimate.scan import scan
 from handcal.estimate.specification import Specification, seen, settled, view_of
+from handcal.laws.of_devices import Known, known_of
 from handcal.observations import catalogue as observations
 from handcal.population.joint import kept
 from handcal.types import Recording
@@ -54,10 +55,11 @@ class Told:
 @dataclass(frozen=True)
 class Telling:
     """values: each parameter by itself; information: of all but the biases at once, in units of the
-    catalogue's priors (``Quadratic``)."""
+    catalogue's priors (``Quadratic``); laws: what may have no name."""
 
     values: tuple[Told, ...]
     information: Quadratic
+    laws: Known
 
 
 def told(recording: Recording, found: Specification | None = None) -> Telling:
@@ -74,7 +76,7 @@ def told(recording: Recording, found: Specification | None = None) -> Telling:
     for effect in others:
         mine = [i for i, n in enumerate(q.names) if n[0] == effect.id]
         out += _marginals(q, [*own, *mine], mine, False)
-    return Telling(tuple(out), q)
+    return Telling(tuple(out), q, known_of(model))
 
 
 def _model(recording: Recording, found: Specification | None) -> Model:

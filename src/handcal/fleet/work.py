@@ -13,6 +13,7 @@ import numpy as np
 from handcal.estimate.quadratic import Quadratic
 from handcal.explain import explain
 from handcal.explanation import Explanation
+from handcal.fleet.laws import laws_json
 from handcal.fleet.record import Document, shown
 from handcal.fleet.remote import fetched
 from handcal.fleet.told import Telling, told
@@ -62,6 +63,7 @@ def summary(
                        for h in document["hypotheses"]],
         "told": [asdict(t) for t in telling.values],
         "information": information_json(telling.information),
+        "laws": laws_json(telling.laws),
         "held_out": document["held_out"],
         "warnings": document["warnings"],
     }  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from handcal.population.deconvolved import LEAST, Population, population
 from handcal.population.drift import Drift, drift
 from handcal.population.grouped import devices, owners
 from handcal.population.joint import Information
+from handcal.population.laws import Asked, CommonLaw, better, common_law
 from handcal.population.odd import Odd
 from handcal.population.stacked import Stack, stack
 from handcal.types import Array, IntArray
@@ -35,7 +36,8 @@ class Reading:
     """What one recording tells: its label, model and device ("" where nobody says); value and sigma
     of each parameter, SI, and which of them were estimated together; gravity m/s^2; what it tells
     of all parameters at once, where that is known; started: s since 1970, temperature: degC, nan
-    where nobody says."""
+    where nobody says; laws: value and sigma (k,) of the constants of those without a name, if it
+    was asked about these."""
 
     label: str
     model: str
@@ -46,6 +48,7 @@ class Reading:
     information: Information | None = None
     started: float = math.nan
     temperature: float = math.nan
+    laws: tuple[Array, Array] | None = None
 
 
 @dataclass(frozen=True)
@@ -90,7 +93,8 @@ class Common:
 @dataclass(frozen=True)
 class Model:
     """name; how many recordings and devices; its populations, stacked effects (most probable
-    first) and odd ones (oddest first); how parameters change from one recording to the next."""
+    first) and odd ones (oddest first); how parameters change from one recording to the next; the
+    law without a name that the devices have in common."""
 
     name: str
     recordings: int
@@ -99,6 +103,7 @@ class Model:
     stacks: tuple[Stack, ...]
     odd: tuple[Odd, ...]
     changes: tuple[Change, ...] = ()
+    law: CommonLaw | None = None
 
 
 def stays(effect: str) -> bool:
@@ -106,14 +111,19 @@ def stays(effect: str) -> bool:
     return persistent(catalogue()[effect]) and effect not in OF_THE_HAND
 
 
-def models(readings: Sequence[Reading]) -> tuple[Model, ...]:
-    """Of each model what its recordings tell, in the order of their names."""
+def models(readings: Sequence[Reading], laws: Asked | None = None) -> tuple[Model, ...]:
+    """Of each model what its recordings tell, in the order of their names; laws: those that the
+    readings were asked about."""
     by_model: dict[str, list[Reading]] = {}
     for r in readings:
         by_model.setdefault(r.model, []).append(r)
     tables = {m: _table(rs) for m, rs in by_model.items()}
     trials = sum(len({n[0] for n in t if stays(n[0])}) for t in tables.values())
-    return tuple(_model(m, by_model[m], tables[m], max(1, trials)) for m in sorted(by_model))
+    found = [_model(m, by_model[m], tables[m], max(1, trials)) for m in sorted(by_model)]
+    if laws is None:
+        return tuple(found)
+    many = len(laws.usual) * len(found)
+    return tuple(replace(m, law=_law(by_model[m.name], m.stacks, laws, many)) for m in found)
 
 
 def _table(readings: Sequence[Reading]) -> dict[Name, tuple[Array, Array]]:
@@ -164,6 +174,18 @@ def _model(
     )  # fmt: skip
     changes = _changes(readings, {n: each.get(n, table[n]) for n in table if n in together}, names)
     return Model(name, len(readings), len(every), tuple(there), stacks, strange, changes)
+
+
+def _law(
+    readings: Sequence[Reading], stacks: Sequence[Stack], laws: Asked, trials: int
+) -> CommonLaw | None:
+    """What no effect of the catalogue explains as well."""
+    asked = [(r.device or r.label, r.laws) for r in readings if r.laws is not None]
+    if not asked:
+        return None
+    value, sigma = (np.stack([told[k] for _, told in asked]) for k in range(2))
+    found = common_law(laws, value, sigma, [name for name, _ in asked], trials)
+    return found if found is not None and better(found, stacks) else None
 
 
 def _changes(

@@ -16,9 +16,10 @@ from handcal.device.file import unit_of
 from handcal.population.by_model import FOUND, Common, Model
 from handcal.population.odd import Odd
 from handcal.population.stacked import Stack
-from handcal.show import words
+from handcal.show import common_law, words
 from handcal.show.calibration.summary import finite
 from handcal.show.changes import change_json, histories, rows_of, steps_of
+from handcal.show.common_law import law_json
 from handcal.show.drawing import RC, SHADE, XYZ, Plot, canvas, svg, thin
 from handcal.show.html_page import page
 from handcal.units import Shown, shown
@@ -69,7 +70,7 @@ def _model_json(m: Model) -> dict[str, Any]:
              "reason": reason(o)}
             for o in m.odd
         ],
-        "changes": [change_json(c) for c in m.changes],
+        "changes": [change_json(c) for c in m.changes], "law": law_json(m.law),
     }  # fmt: skip
 
 
@@ -136,6 +137,8 @@ def _section(m: Model) -> dict[str, Any]:
         "stacks": [_stack_row(s) for s in m.stacks[:MOST_STACKS]],
         "changes": rows_of(m.changes), "steps": steps_of(m.changes),
         "histories": histories(m.name, m.changes),
+        "law": None if m.law is None else common_law.row_of(m.law),
+        "law_plot": None if m.law is None else common_law.drawn(m.name, m.law),
         "odd": [(o.who if o.kind == "device" else Path(o.who).name, _times(o.by_chance),
                  reason(o)) for o in m.odd[:MOST_ROWS]],
     }  # fmt: skip

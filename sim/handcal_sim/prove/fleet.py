@@ -1,0 +1,193 @@
+"""A fleet of simulated devices of four models, given to ``handcal fleet``, and what it tells of
+them beside the truth.
+
+Of each device several recordings, days apart and at other temperatures. *plain*: errors spread as
+in a datasheet; *tails*: the same with a tail (Student's t with 4 degrees of freedom); *law*:
+every gyro axis has a cubic error, about 2.5 sigma of one recording; *warm*: the gyro's bias goes
+with the temperature, alike in all of its devices. One device in twenty is odd (a gyro axis that
+reads 6 % too much), one file in fifty is broken.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from handcal_sim import simulate
+from handcal_sim.mcap_writer import write
+from handcal_sim.phone import DEG, Phone, consumer_phone
+from handcal_sim.profiles import Array
+from handcal_sim.prove.trial import share
+from handcal_sim.scenario import Stream, World
+from handcal_sim.strangers import scene_of
+
+MODELS = ("plain", "tails", "law", "warm")
+# Standard deviations of the true errors of the devices of every model, by effect.
+SPREADS = {"gyro_scale": 0.005, "gyro_misalignment": 0.3 * DEG, "accel_scale": 0.004,
+           "accel_misalignment": 0.3 * DEG}  # fmt: skip
+DOF = 4.0
+# Of the cubic law, s^2/rad^2: mean and spread over the devices.
+CUBE, CUBE_SPREAD = 2.4e-4, 0.24e-4
+# Of the gyro's bias, (rad/s)/K, in *warm*; standard deviation from one switching on to the next.
+SLOPE, TURN_ON = 0.02 * DEG, 0.03 * DEG
+ODD_SHARE, ODD_SCALE, BROKEN_SHARE = 0.05, 0.06, 0.02
+# A recording: length, s, and how the hand turns the device.
+SECONDS, SCENARIO = 40.0, "free-hand"
+EACH = 4  # recordings of one device
+BEGINNING = datetime(2026, 1, 5, 9, 0, tzinfo=UTC)
+# Share of populations that are to be within three sigma.
+WITHIN = 3.0
+
+
+@dataclass(frozen=True)
+class Device:
+    """effects: its true errors by id; law: the constant of the cubic; slope: of the gyro's bias by
+    temperature; bias: of the gyro at 25 degC (3,); odd: whether one axis is far off."""
+
+    name: str
+    model: str
+    effects: Mapping[str, Array]
+    law: float
+    slope: float
+    bias: Array
+    odd: bool
+
+
+def devices(count: int, rng: np.random.Generator) -> list[Device]:
+    """As many devices, of each model in turn."""
+    odd = set(rng.permutation(count)[: max(1, round(ODD_SHARE * count))].tolist())
+    sizes = {"gyro_scale": 3, "gyro_misalignment": 6, "accel_scale": 3, "accel_misalignment": 3}
+    out = []
+    for n in range(count):
+        model = MODELS[n % len(MODELS)]
+        draw: Callable[[int], Array] = rng.standard_normal
+        if model == "tails":
+            draw = lambda k: rng.standard_t(DOF, k)  # noqa: E731
+        effects = {e: SPREADS[e] * draw(k) for e, k in sizes.items()}
+        if n in odd:
+            effects["gyro_scale"][int(rng.integers(3))] += ODD_SCALE
+        law = rng.normal(CUBE, CUBE_SPREAD) if model == "law" else 0.0
+        bias = rng.normal(0.0, 0.3 * DEG, 3)
+        slope = SLOPE if model == "warm" else 0.0
+        out.append(Device(f"{model}-{n:03d}", model, effects, float(law), slope, bias, n in odd))
+    return out
+
+
+def recorded(device: Device, seed: int) -> tuple[World, float]:
+    """One recording of a device, and its mean temperature, degC."""
+    rng = np.random.default_rng(seed)
+    warm = float(rng.uniform(10.0, 35.0))
+    bias = device.bias + device.slope * (warm - 25.0) + TURN_ON * rng.standard_normal(3)
+
+    def phone(own: np.random.Generator) -> Phone:
+        made = consumer_phone(own)
+        return replace(
+            made, gyro=replace(made.gyro, bias=bias),
+            thermometer=replace(made.thermometer, start=warm, rise=0.0, reported=True),
+        )  # fmt: skip
+
+    effects = {k: v.tolist() for k, v in device.effects.items()}
+    world = simulate(SCENARIO, seed=seed, phone=phone, duration_s=SECONDS, effects=effects)
+    values = world.imu.values.copy()
+    values[:, :3] += device.law * scene_of(world).omega ** 3
+    return replace(world, imu=Stream(world.imu.stamps, values)), warm
+
+
+def written(n: int, seed: int, folder: Path) -> dict[str, Any]:
+    """n recordings and a manifest in a folder, and what is true of them."""
+    rng = np.random.default_rng(seed)
+    made = devices(max(len(MODELS), n // EACH), rng)
+    broken = set(rng.permutation(n)[: max(1, round(BROKEN_SHARE * n))].tolist())
+    rows = []
+    for i in range(n):
+        device = made[i % len(made)]
+        world, _ = recorded(device, int(rng.integers(2**62)))
+        path = folder / f"r{i:04d}.mcap"
+        write(world, path, truth=False)
+        if i in broken:
+            path.write_bytes(path.read_bytes()[:100])
+        days = 20.0 * (i // len(made)) + float(rng.uniform(0.0, 10.0))
+        started = BEGINNING + timedelta(days=days)
+        rows.append((path.name, device.name, device.model, started.isoformat(timespec="seconds")))
+    with (folder / "manifest.txt").open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows([("path", "device", "model", "started"), *rows])
+    return {
+        "recordings": n, "broken": len(broken),
+        "devices": [d.name for d in made], "odd": [d.name for d in made if d.odd],
+    }  # fmt: skip
+
+
+def run(n: int, seed: int, folder: Path, workers: int) -> dict[str, Any]:
+    """The score of ``handcal fleet`` on such a fleet. Errors: CalledProcessError where it fails."""
+    source, out = folder / "recordings", folder / "fleet"
+    source.mkdir(parents=True, exist_ok=True)
+    truth = written(n, seed, source)
+    command = ["fleet", "--manifest", str(source / "manifest.txt"), "--out", str(out)]
+    subprocess.run(
+        [sys.executable, "-m", "handcal", *command, "--workers", str(workers)],
+        check=True, stdout=subprocess.DEVNULL,
+    )  # fmt: skip
+    told = json.loads((out / "fleet.json").read_text("utf-8"))
+    return {"schema": "handcal-sim/prove-fleet/1", "n": n, "seed": seed} | score(told, truth)
+
+
+def score(told: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, Any]:
+    """What fleet.json tells beside what is true."""
+    models = {m["name"]: m for m in told["models"]}
+    spread = [_covered(models[m]) for m in MODELS if m in models]
+    means, spreads = ([x for one in spread for x in one[k]] for k in range(2))
+    odd = [o["who"] for m in told["models"] for o in sorted(m["odd"], key=lambda o: o["by_chance"])
+           if o["kind"] == "device"]  # fmt: skip
+    first = odd[: max(len(truth["odd"]), round(1.5 * len(truth["odd"])))]
+    laws = {name: m["law"]["formula"] for name, m in models.items() if m.get("law")}
+    warm = [c for c in models.get("warm", {}).get("changes", []) if c["effect"] == "gyro_bias"]
+    return {
+        "devices": len(truth["devices"]),
+        "means_within_3_sigma": share(sum(means), len(means)),
+        "spreads_within": share(sum(spreads), len(spreads)),
+        "laws": laws, "law_found": "omega_i^3" in laws.get("law", ""),
+        "laws_elsewhere": sum(name != "law" for name in laws),
+        "odd": share(len(set(first) & set(truth["odd"])), len(truth["odd"])),
+        "broken": share(len(told["failures"]), truth["broken"]),
+        "slopes": [(c["slope"] - SLOPE) / c["slope_sigma"] for c in warm if c["slope_sigma"]],
+        "shares": {c["name"]: c["shares"] for c in warm},
+    }  # fmt: skip
+
+
+def _covered(model: Mapping[str, Any]) -> tuple[list[bool], list[bool]]:
+    """Of each scale error whether the mean is within three sigma of nought, of which the devices
+    were drawn, and whether the interval of the spread holds the one they were drawn with. (Of a
+    tail the spread is that of its density.)"""
+    told = [p for p in model["populations"] if p["effect"] in ("gyro_scale", "accel_scale")]
+    means = [abs(p["mean"]) < WITHIN * p["mean_sigma"] for p in told]
+    spreads = [p["spread_from"] <= SPREADS[p["effect"]] <= p["spread_to"] for p in told]
+    return means, spreads
+
+
+def lines(found: Mapping[str, Any]) -> list[str]:
+    """The score in words."""
+
+    def counted(name: str) -> str:
+        s = found[name]
+        return f"{s['count']} of {s['n']}"
+
+    slopes = ", ".join(f"{z:+.1f}" for z in found["slopes"])
+    return [
+        f"{found['n']} recordings of {found['devices']} devices, seed {found['seed']}",
+        f"means of populations within three sigma: {counted('means_within_3_sigma')}",
+        f"95 % intervals that hold the spread: {counted('spreads_within')}",
+        f"law common to one model: {'found' if found['law_found'] else 'missed'} "
+        f"({found['laws'] or 'none'}); in other models: {found['laws_elsewhere']}",
+        f"odd devices among the first: {counted('odd')}",
+        f"broken files that are rows: {counted('broken')}",
+        f"slope of the gyro's bias by temperature, sigmas off: {slopes or 'not told'}",
+    ]
