@@ -37,8 +37,7 @@ def test_devices_are_drawn_as_their_models_say():
 
 def test_a_law_and_the_temperature_are_in_the_readings():
     (device,) = (d for d in devices(4, np.random.default_rng(0)) if d.model == "law")
-    with_law, _ = recorded(device, 3)
-    without, _ = recorded(replace(device, law=0.0), 3)
+    with_law, without = recorded(device, 3), recorded(replace(device, law=0.0), 3)
     added = with_law.imu.values - without.imu.values
     assert np.allclose(added[:, :3], device.law * with_law.truth.omega**3, atol=1e-9)
     assert not added[:, 3:].any()
@@ -74,7 +73,9 @@ def test_a_score_counts_and_follows_its_schema():
         "failures": [{}],
     }  # fmt: skip
     truth = {"devices": ["a", "b"], "odd": ["a"], "broken": 1}
-    found = score(told, truth)
+    ratio = {"gyro_scale": 0.5, "all": 0.7}
+    taught = {"recordings": 8, "seconds": 20.0, "plain": ratio, "tails": ratio}
+    found = score(told, truth) | {"taught": taught}
     schemas.check({"schema": "handcal-sim/prove-fleet/1", "n": 4, "seed": 0} | found)
     assert found["means_within_3_sigma"]["count"] == 1
     assert found["spreads_within"]["count"] == 1

@@ -43,6 +43,8 @@ ODD_SHARE, ODD_SCALE, BROKEN_SHARE = 0.05, 0.06, 0.02
 # A recording: length, s, and how the hand turns the device.
 SECONDS, SCENARIO = 40.0, "free-hand"
 EACH = 4  # recordings of one device
+# Of a new device, s: it leaves room for what was learned of others.
+SHORT = 20.0
 BEGINNING = datetime(2026, 1, 5, 9, 0, tzinfo=UTC)
 # Share of populations that are to be within three sigma.
 WITHIN = 3.0
@@ -82,8 +84,8 @@ def devices(count: int, rng: np.random.Generator) -> list[Device]:
     return out
 
 
-def recorded(device: Device, seed: int) -> tuple[World, float]:
-    """One recording of a device, and its mean temperature, degC."""
+def recorded(device: Device, seed: int, seconds: float = SECONDS) -> World:
+    """One recording of a device, at a temperature of its own."""
     rng = np.random.default_rng(seed)
     warm = float(rng.uniform(10.0, 35.0))
     bias = device.bias + device.slope * (warm - 25.0) + TURN_ON * rng.standard_normal(3)
@@ -96,10 +98,10 @@ def recorded(device: Device, seed: int) -> tuple[World, float]:
         )  # fmt: skip
 
     effects = {k: v.tolist() for k, v in device.effects.items()}
-    world = simulate(SCENARIO, seed=seed, phone=phone, duration_s=SECONDS, effects=effects)
+    world = simulate(SCENARIO, seed=seed, phone=phone, duration_s=seconds, effects=effects)
     values = world.imu.values.copy()
     values[:, :3] += device.law * scene_of(world).omega ** 3
-    return replace(world, imu=Stream(world.imu.stamps, values)), warm
+    return replace(world, imu=Stream(world.imu.stamps, values))
 
 
 def written(n: int, seed: int, folder: Path) -> dict[str, Any]:
@@ -110,7 +112,7 @@ def written(n: int, seed: int, folder: Path) -> dict[str, Any]:
     rows = []
     for i in range(n):
         device = made[i % len(made)]
-        world, _ = recorded(device, int(rng.integers(2**62)))
+        world = recorded(device, int(rng.integers(2**62)))
         path = folder / f"r{i:04d}.mcap"
         write(world, path, truth=False)
         if i in broken:
@@ -137,7 +139,51 @@ def run(n: int, seed: int, folder: Path, workers: int) -> dict[str, Any]:
         check=True, stdout=subprocess.DEVNULL,
     )  # fmt: skip
     told = json.loads((out / "fleet.json").read_text("utf-8"))
-    return {"schema": "handcal-sim/prove-fleet/1", "n": n, "seed": seed} | score(told, truth)
+    taught = taught_by(out / "priors.toml", max(8, n // 10), seed, folder)
+    return (
+        {"schema": "handcal-sim/prove-fleet/1", "n": n, "seed": seed} | score(told, truth) | taught
+    )
+
+
+def taught_by(priors: Path, count: int, seed: int, folder: Path) -> dict[str, Any]:
+    """What the priors of *plain* are worth for new devices of that model, and of *tails*, of which
+    they know nothing: root mean squares of errors with them over those without, by effect and over
+    all, errors in the devices' spreads."""
+    from handcal.device.priors import prior, read
+
+    learned = prior(read(priors), MODELS[0])
+    rng = np.random.default_rng([seed, 1])
+    made = devices(len(MODELS) * count, rng)
+    out = {}
+    for model in MODELS[:2]:
+        new = [d for d in made if d.model == model and not d.odd]
+        pairs = [_errors(d, int(rng.integers(2**62)), learned, folder / "new.mcap") for d in new]
+        squares = {e: np.mean([[np.mean(p[e] ** 2) for p in pair] for pair in pairs], axis=0)
+                   for e in SPREADS}  # fmt: skip
+        squares["all"] = np.mean(list(squares.values()), axis=0)
+        out[model] = {e: float(np.sqrt(with_ / without)) for e, (without, with_) in squares.items()}
+    return {"taught": {"recordings": count, "seconds": SHORT, **out}}
+
+
+def _errors(
+    device: Device, seed: int, learned: Any, path: Path
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Errors of a short recording's estimates, by effect, in the devices' spreads: without what was
+    learned, and with."""
+    import handcal
+
+    write(recorded(device, seed, SHORT), path, truth=False)
+    recording = handcal.load(path)
+    out = []
+    for before in (None, learned):
+        found = handcal.calibrate(recording, list(SPREADS), before=before)
+        by_effect: dict[str, list[float]] = {e: [] for e in SPREADS}
+        for p in found.parameters:
+            if p.effect in by_effect:
+                by_effect[p.effect].append(p.value)
+        out.append({e: (np.array(v) - device.effects[e]) / SPREADS[e]
+                    for e, v in by_effect.items()})  # fmt: skip
+    return out[0], out[1]
 
 
 def score(told: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, Any]:
@@ -189,5 +235,12 @@ def lines(found: Mapping[str, Any]) -> list[str]:
         f"({found['laws'] or 'none'}); in other models: {found['laws_elsewhere']}",
         f"odd devices among the first: {counted('odd')}",
         f"broken files that are rows: {counted('broken')}",
+        f"RMS errors of {found['taught']['recordings']} new recordings of {SHORT:g} s, with what "
+        f"*plain* taught over without: {_ratios(found['taught']['plain'])}; of another model: "
+        f"{_ratios(found['taught']['tails'])}",
         f"slope of the gyro's bias by temperature, sigmas off: {slopes or 'not told'}",
     ]
+
+
+def _ratios(found: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} {ratio:.2f}" for name, ratio in found.items())
