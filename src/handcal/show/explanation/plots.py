@@ -55,6 +55,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 BEFORE, AFTER = XYZ[0], XYZ[2]
+# Height of a line of a label, in rows of a bar.
+LINE_HIGH = 0.55
 BARS = 16  # hypotheses in one figure
 
 
@@ -212,11 +214,14 @@ def hypothesis_plot(explanation: Explanation) -> Plot:
     shown, styles = by_gain(explanation)[:BARS], effect_styles(explanation)
     terms = explanation.unnamed
     dot: dict[str, Any] = {"markersize": 6.5, "markeredgewidth": 1.6, "zorder": 4}
-    rows = len(terms) + len(shown)
-    figure, (ax,) = canvas(1, 1.3 + 0.31 * rows + 0.12 * len(terms))
-    for row, u in enumerate(terms):
+    names = [say.in_lines(u.formula) for u in terms]
+    high = [max(1.0, LINE_HIGH * (name.count("\n") + 1) + 0.15) for name in names]
+    high += [1.0] * len(shown)
+    place = np.cumsum(high) - 0.5 * np.array(high)
+    figure, (ax,) = canvas(1, 1.3 + 0.31 * sum(high))
+    for row, u in zip(place, terms, strict=False):
         ax.plot(u.log_evidence_gain, row, "o", color=RED, markerfacecolor=SHADE, **dot)
-    for row, h in enumerate(shown, len(terms)):
+    for row, h in zip(place[len(terms) :], shown, strict=True):
         colour = styles.get(h.effect, (MUTED, "-"))[0]
         ax.barh(row, h.alone, height=0.56, color=colour, alpha=0.85 if h.verdict else 0.35, lw=0)
         ax.plot(h.final, row, "o", color=INK, markerfacecolor=SHADE, **dot)
@@ -226,15 +231,14 @@ def hypothesis_plot(explanation: Explanation) -> Plot:
                 color=INK if h.verdict else MUTED)  # fmt: skip
     values = [v for h in shown for v in (h.alone, h.final, h.expected)]
     _nats_axis(ax, [*values, *(u.log_evidence_gain for u in terms)])
-    ax.set_ylim(rows - 0.4, -0.6)
-    names = [say.in_lines(u.formula) for u in terms]
-    ax.set_yticks(range(rows), [*names, *(h.title for h in shown)])
+    ax.set_ylim(sum(high) + 0.1, -0.1)
+    ax.set_yticks(place, [*names, *(h.title for h in shown)])
     ax.tick_params(axis="y", labelcolor=INK)
     ax.grid(visible=False, axis="y")
     inks = [RED] * len(terms) + [INK if h.verdict else MUTED for h in shown]
     for label, ink in zip(ax.get_yticklabels(), inks, strict=True):
         label.set_color(ink)
-    ax.text(1.015, -0.95, "present?", transform=ax.get_yaxis_transform(), fontsize=10, color=MUTED)
+    ax.text(1.015, -0.45, "present?", transform=ax.get_yaxis_transform(), fontsize=10, color=MUTED)
     caption = (
         "Bar: what it gains when added first, coloured if it was found. Circle: what it gains when "
         "added last, beside all that was found; a long bar whose circle is near zero stands in "
