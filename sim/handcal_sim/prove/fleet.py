@@ -42,7 +42,8 @@ SLOPE, TURN_ON = 0.02 * DEG, 0.03 * DEG
 ODD_SHARE, ODD_SCALE, BROKEN_SHARE = 0.05, 0.06, 0.02
 # A recording: length, s, and how the hand turns the device.
 SECONDS, SCENARIO = 40.0, "free-hand"
-EACH = 4  # recordings of one device
+# Recordings of one device, and devices of a model at the fewest: of less there is no population.
+EACH, FEWEST = 4, 5
 # Of a new device, s: it leaves room for what was learned of others.
 SHORT = 20.0
 BEGINNING = datetime(2026, 1, 5, 9, 0, tzinfo=UTC)
@@ -107,7 +108,7 @@ def recorded(device: Device, seed: int, seconds: float = SECONDS) -> World:
 def written(n: int, seed: int, folder: Path) -> dict[str, Any]:
     """n recordings and a manifest in a folder, and what is true of them."""
     rng = np.random.default_rng(seed)
-    made = devices(max(len(MODELS), n // EACH), rng)
+    made = devices(max(FEWEST * len(MODELS), n // EACH), rng)
     broken = set(rng.permutation(n)[: max(1, round(BROKEN_SHARE * n))].tolist())
     rows = []
     for i in range(n):

@@ -185,7 +185,10 @@ def _law(
         return None
     value, sigma = (np.stack([told[k] for _, told in asked]) for k in range(2))
     found = common_law(laws, value, sigma, [name for name, _ in asked], trials)
-    return found if found is not None and better(found, stacks) else None
+    # (what is in every fit has been taken out of what is told of laws)
+    always = {n[0] for r in readings for n in r.together}
+    others = [s for s in stacks if s.effect not in always]
+    return found if found is not None and better(found, others) else None
 
 
 def _changes(
