@@ -50,6 +50,26 @@ def test_the_end_of_the_range_is_found_where_gravity_turns_further(hz, low, high
     assert where.mean() > 0.3
 
 
+@pytest.mark.parametrize("step", [0.0, 1e-3])
+def test_an_extreme_that_repeats_without_its_noise_is_the_end_of_the_range(step):
+    """Of a gyro turned about the vertical, where gravity tells nothing, and of an
+    accelerometer; with noise of a step and more, or without steps."""
+    t, true, _ = moved(swinging(100.0), 100.0)
+    force = 9.80665 * np.c_[0.2 + 0.0 * t, np.sin(0.2 * t), np.cos(0.2 * t)]
+    _, gyro, accel = read(t, true[:, [2, 2, 0]], force)
+    for k, limit in enumerate((LIMIT, 9.0)):
+        both = [gyro, accel]
+        wanted = np.any(np.abs(both[k]) > limit + 0.01, axis=1)
+        both[k] = np.clip(both[k], -limit, limit)
+        if step:
+            both = [step * np.round(x / step) for x in both]
+        said, where = at_range_end(t, *both)
+        assert SAID in said[0]
+        assert ("gyroscope", "accelerometer")[k] in said[0]
+        assert where[wanted].all()
+        assert 0.2 < where.mean() < wanted.mean() + 0.02
+
+
 @pytest.mark.parametrize("hz", [25.0, 100.0])
 def test_coarse_and_slow_readings_are_not_taken_for_it(hz):
     """Steps of 0.02 to 6 deg/s: swung in the hand, spun at one rate, and slowly turned; with a
@@ -62,7 +82,8 @@ def test_coarse_and_slow_readings_are_not_taken_for_it(hz):
             t, gyro, accel = read(*motion, noise=noise)
             for step in np.radians([0.02, 0.3, 1.0, 6.0]):
                 coarse = step * np.round(1.02 * gyro / step)
-                assert at_range_end(t, coarse, accel)[0] == [], (noise, step)
+                for force in (accel, 0.1 * np.round(accel / 0.1)):
+                    assert at_range_end(t, coarse, force)[0] == [], (noise, step)
 
 
 def test_a_hand_that_shakes_is_not_taken_for_it():

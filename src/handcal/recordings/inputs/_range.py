@@ -1,13 +1,18 @@
-"""Is a gyro at the end of its range for long? It piles up at one extreme reading, and gravity
-turns further meanwhile than it says. A brief stay at a usual full scale is ``_checks``' matter."""
+"""Is a sensor at the end of its range for long? It piles up at one extreme reading, without the
+noise that it has elsewhere, or while gravity turns further than a gyro says. A brief stay at a
+usual full scale is ``_checks``' matter."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from handcal.recordings.inputs._checks import RESTING_RATE, held, least_step, turned
 from handcal.types import Array, BoolArray, IntArray
 
+# Below it nothing is the end of an accelerometer's range, m/s^2: a quarter of the smallest made.
+LEAST_FORCE = 4.0
 # A stay that is long enough for gravity to show a missed turn, and how much of one is looked at, s.
 SHORTEST_S, LONGEST_S = 0.2, 2.0
 # So many stays of an axis and a sense, the longest: a hand repeats its turns.
@@ -19,56 +24,89 @@ MISSED, MISSED_SHARE = 0.05, 0.05
 ACROSS = 0.5
 # The ends of one sensor's range are equal but for its bias and its scale error.
 SAME_RANGE = 0.03
+# Readings that stay equal, five or more in a row: so many at the extreme, of so many elsewhere at
+# most this part as often, are no coincidence; where the other axes change by so many of their
+# steps meanwhile, the noise is too large for it too.
+EQUAL, OTHERS, ELSEWHERE, STEPS = 20, 50, 0.05, 1.5
+
+
+@dataclass(frozen=True)
+class _Plateau:
+    """An axis and a sense: the extreme reading that many samples share, and which (n,)."""
+
+    axis: int
+    sign: int
+    extreme: float
+    at: BoolArray
 
 
 def at_range_end(t: Array, gyro: Array, accel: Array) -> tuple[list[str], BoolArray]:
-    """A warning where the gyro stays at the end of its range while gravity turns further, and
-    where that is (n,): what is read there is no measurement. t (n,) s; (n, 3) each, on these
-    stamps, rad/s and m/s^2."""
-    found = _plateaus(gyro)
-    limits = [
-        extreme for (k, sign), (extreme, at) in found.items()
-        if _missed(t, gyro, accel, at, k, sign)
-    ]  # fmt: skip
-    where = np.zeros(len(t), dtype=np.bool_)
-    axes: list[str] = []
-    for (k, sign), (extreme, at) in found.items():
-        if any(abs(extreme - one) <= SAME_RANGE * one for one in limits):
-            where |= at
-            axes.append(f"{'+' if sign > 0 else '-'}{'xyz'[k]}")
-    if not axes:
-        return [], where
-    share = float(where.mean())
-    said = (
-        f"The gyroscope stays at {max(limits):.3g} rad/s (on {', '.join(axes)}) for "
-        f"{100 * share:.0f} % of the time while gravity turns further: it was at the end of its "
-        "measuring range (saturated). These readings count as missing; turn more slowly, or set "
-        "a larger range."
-    )
-    return [said], where
+    """Warnings where a sensor stays at the end of its range, and where that is (n,): what is read
+    there is no measurement. t (n,) s; (n, 3) each, on these stamps, rad/s and m/s^2."""
+    said, where = [], np.zeros(len(t), dtype=np.bool_)
+    for name, value, least, unit in (
+        ("gyroscope", gyro, RESTING_RATE, "rad/s"),
+        ("accelerometer", accel, LEAST_FORCE, "m/s^2"),
+    ):
+        found = _plateaus(value, least)
+        limits = [
+            p.extreme for p in found
+            if _alone(value, p, found) or (value is gyro and _missed(t, gyro, accel, p))
+        ]  # fmt: skip
+        ends = [p for p in found
+                if any(abs(p.extreme - one) <= SAME_RANGE * one for one in limits)]  # fmt: skip
+        if ends:
+            own = np.any([p.at for p in ends], axis=0)
+            axes = ", ".join(f"{'+' if p.sign > 0 else '-'}{'xyz'[p.axis]}" for p in ends)
+            said.append(
+                f"The {name} stays at {max(limits):.3g} {unit} (on {axes}) for "
+                f"{100 * own.mean():.0f} % of the time: it was at the end of its measuring range "
+                "(saturated). These readings count as missing; set a larger range, or move less."
+            )
+            where |= own
+    return said, where
 
 
-def _plateaus(gyro: Array) -> dict[tuple[int, int], tuple[float, BoolArray]]:
-    """By axis and sense: the extreme reading that many samples share, and few come near, and
-    which they are (n,). gyro (n, 3)."""
-    out: dict[tuple[int, int], tuple[float, BoolArray]] = {}
-    table, step = held(gyro), least_step(gyro)
-    for k, column in enumerate(gyro.T):
+def _plateaus(value: Array, least: float) -> list[_Plateau]:
+    """Where many samples share an extreme, and few come near. value (n, 3)."""
+    out = []
+    table, step = held(value), least_step(value)
+    for k, column in enumerate(value.T):
         for sign in (1, -1):
             signed = sign * column
             extreme = float(signed.max())
-            if extreme < RESTING_RATE + 2.0 * step[k]:
+            if extreme < least + 2.0 * step[k]:
                 continue
-            at = (signed == extreme) & ~table
+            there = signed == extreme
+            at = there & ~table
             count = int(at.sum())
-            below = int((signed > 0.97 * extreme).sum()) - int((signed == extreme).sum())
+            below = int((signed > 0.97 * extreme).sum() - there.sum())
             if count >= 5 and count > 2 * below and bool(np.any(at[1:] & at[:-1])):
-                out[k, sign] = extreme, at
+                out.append(_Plateau(k, sign, extreme, at))
     return out
 
 
-def _missed(t: Array, gyro: Array, accel: Array, at: BoolArray, k: int, sign: int) -> bool:
-    """Whether gravity turns about axis k further than is read in the stays ``at`` (n,)."""
+def _alone(value: Array, one: _Plateau, all_of: list[_Plateau]) -> bool:
+    """Whether an axis of (n, 3) repeats its extreme alone, while the others show that the noise
+    is larger than a step."""
+    ends = np.any([p.at for p in all_of if p.axis == one.axis], axis=0)
+    equal = held(value[:, [one.axis]])
+    inside, elsewhere = equal & one.at, equal & ~ends
+    if inside.sum() < EQUAL or (~ends).sum() < OTHERS or elsewhere.sum() > ELSEWHERE * inside.sum():
+        return False
+    step = least_step(value)
+    for k in {0, 1, 2} - {one.axis}:
+        free = inside & ~np.any([p.at for p in all_of if p.axis == k] or [inside & False], axis=0)
+        pairs = free[1:] & free[:-1]
+        changes = np.abs(np.diff(value[:, k]))[pairs]
+        if len(changes) >= EQUAL and float(np.median(changes)) >= STEPS * step[k] > 0.0:
+            return True
+    return False
+
+
+def _missed(t: Array, gyro: Array, accel: Array, one: _Plateau) -> bool:
+    """Whether gravity turns about the axis further than is read in the stays at its extreme."""
+    k, sign, at = one.axis, one.sign, one.at
     edges = np.flatnonzero(np.diff(at.astype(np.int8), prepend=0, append=0))
     a, b = edges[::2], edges[1::2] - 1
     b = np.minimum(b, np.searchsorted(t, t[a] + LONGEST_S, side="right") - 1)

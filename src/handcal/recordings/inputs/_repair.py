@@ -98,6 +98,8 @@ def assemble(
         )
     doubts, frozen = _doubts(path, t, rates, force)
     said += doubts
+    if int((valid & ~frozen).sum()) < min(FEWEST, int(valid.sum())):
+        raise InputError(f"{path}: hardly a reading is left to trust. {' '.join(doubts)}")
     valid = valid & ~frozen
     for name, stream in streams.items():
         if STREAMS[name].circular:
