@@ -203,7 +203,7 @@ def test_a_fleet_of_wrong_readings_learns_no_error(monkeypatch, capsys, tmp_path
     assert sum(told["recordings"].values()) == len(files)
     assert told["recordings"]["failed"] >= len(REFUSED)
     assert all(len(f["reason"]) > 20 and "Traceback" not in f["reason"] for f in told["failures"])
-    assert set(told["verdicts"]) <= {"nothing_missing", "undecided"}
+    assert set(told["verdicts"]) <= {"nothing_missing", "cannot_tell"}
     for model in told["models"]:
         for p in model["populations"]:
             if p["effect"] == "gyro_scale":
