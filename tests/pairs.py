@@ -38,11 +38,12 @@ COMMANDS = {
     "sweep, one grid": "sweep --grid ../1.toml --seeds 2 --jobs 1 --out cells.jsonl --json v.json",
     "conceal": "conceal ../{k}.mcap --effect gyro_scale=0.0{k},0,0 -o x.mcap",
     "apply": "apply ../{k}.mcap --from ../r.json -o y.mcap",
-    "fleet": "fleet ../fleet{k} --out fleet --budget 1 --workers 1",
+    "fleet": "fleet ../fleet{k} --out fleet --budget 0 --workers 1",
     "lab": "lab known-input ../lab{k}.mcap --json l.json --report l.html",
 }
 # What says by itself whether it is whole, by ending: how it begins, how it ends.
-ENDS = {".html": (b"<!doctype html", b"</html>"), ".rrd": (b"RRF", b"")}
+ENDS = {".html": (b"<!doctype html", b"</html>"), ".rrd": (b"RRF", b""),
+        ".parquet": (b"PAR1", b"PAR1")}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -126,6 +127,10 @@ def faults(folder: Path, right: Alone) -> list[str]:
         if name not in there:
             # (of two fleets, each has the results of its own recordings)
             wrong += [] if "/" in name else [f"{name}: not there"]
+        elif name.endswith(".jsonl"):  # (both append: every line is of one of them)
+            lines = {line for one in whole for line in one.splitlines(keepends=True)}
+            if not set(there[name].splitlines(keepends=True)) <= lines:
+                wrong.append(f"{name}: a line of neither of the two")
         elif there[name] not in whole:
             wrong.append(f"{name}: neither of the two, {len(there[name])} bytes")
     for name in right.other:
