@@ -2,7 +2,7 @@
 # PYTHON=/path/to/python chooses the interpreter .venv is made from.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo live docs site gallery stories test lint format prove fuzz fuzz-guided soak rough trial bench bench-check dist audit clean clean-cache
+.PHONY: help setup demo live docs site gallery stories test lint format prove fuzz fuzz-guided soak rough pairs trial bench bench-check dist size audit clean clean-cache
 
 BIN := .venv/bin
 # Of `make trial`: which suites, how many explanations at a time; SEED=N repeats a trial, and
@@ -11,7 +11,8 @@ SUITES := nothing one mixed unknown turn faint reference large phone odometry pe
 JOBS := 1
 SEED :=
 AGAINST :=
-PIP := $(BIN)/python -m pip install --disable-pip-version-check --quiet -c constraints.txt
+# (pip would compile all that is never used, too: 100 MB)
+PIP := $(BIN)/python -m pip install --disable-pip-version-check --quiet --no-compile -c constraints.txt
 PYTHONS := $(PYTHON) python3 python3.13 python3.12 python3.11 python3.14 python
 
 help: ## list these targets
@@ -62,11 +63,14 @@ fuzz: .venv/.installed-dev ## mutated files of every format: N=100000 SEED=0; fa
 fuzz-guided: .venv/.installed-fuzz ## the same, led by coverage (atheris: Linux or macOS, Python 3.11 to 3.13)
 	$(BIN)/python tests/fuzz_guided.py --n $(or $(N),100000) --seed $(or $(SEED),0)
 
-soak: .venv/.installed-dev ## two hours at 200 Hz, a million violent steps, files cut at every byte
-	$(BIN)/python -m pytest -m prove -s tests/test_soak.py tests/test_fuzz.py
+soak: .venv/.installed-dev ## hours at 200 Hz (HOURS=2), a million violent steps, files cut at every byte
+	SOAK_HOURS=$(or $(HOURS),2) $(BIN)/python -m pytest -m prove -s tests/test_soak.py tests/test_fuzz.py
 
 rough: .venv/.installed-dev ## commands ended at random moments, eight processes that compile at once
 	$(BIN)/python -m pytest -m prove -s tests/test_rough.py tests/test_disk_cache.py
+
+pairs: .venv/.installed-dev ## two runs of a command at once into one folder: N=100 SEED=0
+	$(BIN)/python tests/pairs.py --n $(or $(N),100) --seed $(or $(SEED),0)
 
 trial: setup ## blind trials of explain at full size: hours; scores in trial-out/
 	@mkdir -p trial-out
@@ -88,6 +92,12 @@ dist: .venv/.installed-dev ## source archive, wheel and bill of materials (Cyclo
 	$(BIN)/python -m hatchling build
 	$(PIP) --no-deps -e .
 	$(BIN)/python scripts/sbom.py dist
+
+size: ## megabytes by package in a new environment, as installed: needs a package index
+	@rm -rf build/size && $(or $(PYTHON),python3) -m venv build/size
+	@build/size/bin/python -m pip install --disable-pip-version-check --quiet --no-compile .
+	@build/size/bin/python scripts/size.py --most 550
+	@rm -rf build/size
 
 audit: .venv/.installed-audit ## ask for known vulnerabilities of the pinned versions: needs a network
 	@$(BIN)/python scripts/audit.py

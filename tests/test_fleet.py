@@ -156,6 +156,8 @@ def test_a_key_depends_on_bytes_version_and_options_but_not_on_limits(tmp_path):
     [
         ("device,model\n", "first line with path"),
         ("path,device\nnone.csv,d\n", "line 2: none.csv does not exist"),
+        (f"path,device\n{'a' * 5000},d\n", "line 2: a+ does not exist"),
+        ("path,device\na\0b,d\n", "line 2: a\0b does not exist"),
         ("path,device\na.csv,d\na.csv,e\n", "line 3: a.csv is listed twice"),
         ("path,device,model\na.csv,d,x\nb.csv,d,y\n", "device 'd' is of model 'x' and of model"),
         ("path,started\na.csv,yesterday\n", "line 2: started is 'yesterday'"),

@@ -80,6 +80,49 @@ def test_nor_is_it_what_an_option_of_every_command_reads(
     check_outputs([Path("c.toml")])  # (of the next command it is no input)
 
 
+COMMANDS = {
+    "sweep --grid READ --seeds 1 --out OUT": "grid.toml",
+    "sweep --grid READ --seeds 1 --json OUT": "grid.toml",
+    "sweep --grid READ --seeds 1 --csv OUT": "grid.toml",
+    "sweep --grid READ --seeds 1 --report OUT": "grid.toml",
+    "bench --only start --against READ --json OUT": "earlier.json",
+    "bench --only devices --recordings DIR --json OUT": "real.mcap",
+    "bench --only start --peers DIR --json OUT": "peer.py",
+    "prove --n 1 --suite one --effects-from DIR --json OUT": "own_law.py",
+    "prove --n 1 --suite one --against READ --json OUT": "older.sh",
+    "live --from READ --out NEW --speed 0 --rrd OUT": "a.mcap",
+    "live --from READ --out DIR --speed 0": "recording.mcap",
+    "live --follow READ --out DIR": "recording.mcap",
+    "live --from other.mcap --out DIR --device READ": "calibration.json",
+    "live --from other.mcap --out DIR --priors READ": "exports/ros2.yaml",
+    "live --phyphox 127.0.0.1:9 --out DIR --device READ": "report.html",
+}
+
+
+@pytest.mark.parametrize("kind", ["itself", "symbolic", "hard", "roundabout"])
+@pytest.mark.parametrize("words", COMMANDS)
+def test_nor_what_a_command_reads_beside_a_recording(
+    words: str, kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where a session's own names are the outputs, what is read is one of them by a link."""
+    monkeypatch.chdir(tmp_path)
+    target = tmp_path / "dir" / COMMANDS[words]
+    target.parent.mkdir(parents=True)
+    target.write_text(GOOD)
+    target.chmod(0o755)
+    other = linked(target, kind)
+    names = {"READ": other, "OUT": target, "DIR": tmp_path / "dir", "NEW": tmp_path / "new"}
+    if words.endswith("OUT"):
+        names |= {"READ": target, "OUT": other}
+        if "DIR" in words and kind != "itself":  # (one in the folder that is read, by a way round)
+            names["OUT"] = other.parent / ".." / "dir" / other.name
+    done = CliRunner().invoke(app, [str(names.get(w, w)) for w in words.split()])
+    assert done.exit_code == 2, done.output
+    assert "is what is read" in done.stderr
+    assert target.read_text() == GOOD
+    assert not (tmp_path / "new").exists()
+
+
 def test_a_fleet_does_not_replace_the_priors_that_it_reads(tmp_path: Path) -> None:
     """Nor its manifest: nothing runs before that is known."""
     (tmp_path / "out" / "recordings").mkdir(parents=True)

@@ -23,6 +23,7 @@ import audit  # noqa: E402
 import dependencies  # noqa: E402
 import sbom  # noqa: E402
 
+MOST_MB = 550
 PLAIN = ("OMP_NUM_THREADS", "PATH", "HOME", "TMPDIR")
 
 
@@ -119,7 +120,8 @@ def test_the_wheel_works_in_an_environment_of_its_own(tmp_path):
                               capture_output=True, text=True).stdout  # fmt: skip
 
     run(sys.executable, "-m", "venv", tmp_path / "own")
-    run(python, "-m", "pip", "install", "-q", "-c", ROOT / "constraints.txt", wheel)
+    run(python, "-m", "pip", "install", "-q", "--no-compile", "-c", ROOT / "constraints.txt", wheel)
+    run(python, ROOT / "scripts/size.py", "--most", 510)
     handcal = tmp_path / "own/bin/handcal"
     version = wheel.name.split("-")[1]
     assert run(handcal, "--version") == f"handcal {version}\n"
@@ -127,3 +129,5 @@ def test_the_wheel_works_in_an_environment_of_its_own(tmp_path):
     run(handcal, "calibrate", "a.mcap", "--json", "a.json", "--report", "a.html")
     said = json.loads((tmp_path / "a.json").read_text("utf-8"))
     assert (said["schema"], said["version"]) == (CALIBRATION_SCHEMA, version)
+    # with the bytecode of what these commands use, and the compiled kernels
+    print(run(python, ROOT / "scripts/size.py", "--most", MOST_MB))

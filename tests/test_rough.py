@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pairs
 import pytest
 
 from handcal_sim import simulate, write
@@ -250,3 +251,26 @@ def test_a_command_that_is_ended_leaves_the_old_files(
             file.write_bytes(OLD)
         if ended != signal.SIGKILL:
             whole(folder)
+
+
+@pytest.mark.prove
+def test_two_runs_at_once_leave_whole_files() -> None:
+    """One pair of each command; `make pairs` has a hundred."""
+    found = pairs.pairs(len(pairs.COMMANDS), seed=0)
+    assert found == {kind: [[]] for kind in pairs.COMMANDS}
+
+
+def test_a_file_of_two_runs_that_is_not_whole_is_seen(tmp_path: Path) -> None:
+    right = pairs.Alone({"a.json": {b"{}", b"[]"}}, {"b.html": [40], "c.mcap": [9]}, 1.0)
+    page = "<!DOCTYPE html>of 1.mcap</html>"
+    (tmp_path / "a.json").write_text("[]")
+    (tmp_path / "b.html").write_text(page)
+    assert pairs.faults(tmp_path, right) == ["c.mcap: not there"]
+    (tmp_path / "a.json").write_text("{]")
+    (tmp_path / "b.html").write_text(page.replace("1.mcap", "1.mcap and 2.mcap"))
+    (tmp_path / "c.mcap").write_bytes(b"half")
+    (tmp_path / ".a.json.x.part").write_bytes(b"")
+    said = pairs.faults(tmp_path, right)
+    assert [s.split(":")[0] for s in said] == [".a.json.x.part", "a.json", "b.html", "c.mcap"]
+    (tmp_path / "b.html").write_text(page[:-3])
+    assert "does not end" in " ".join(pairs.faults(tmp_path, right))

@@ -87,11 +87,13 @@ def _proved(
 
     from handcal.commands._registry import say
     from handcal.output import check_outputs, write_text
+    from handcal.user_effects import files
     from handcal_sim.prove.paired import compared
     from handcal_sim.prove.score import score
     from handcal_sim.prove.show import show
 
-    check_outputs((json_file,))
+    read = files(effects_from) if effects_from else ()
+    check_outputs((json_file,), (*read, Path(against) if against else None))
     if suite == LIVE:
         _led(n, seed, json_file)
         return

@@ -73,7 +73,8 @@ def bench(
     from handcal.output import check_outputs
     from handcal.types import InputError
 
-    check_outputs((json,), (against,))
+    folders = (peers, recordings) if everything or "devices" in (only or ()) else (peers,)
+    check_outputs((json,), (against, *folders))
     earlier = _earlier(against) if against else None
     for name in only or ():
         if name not in GROUPS:

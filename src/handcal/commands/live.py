@@ -97,6 +97,7 @@ def live(
 
     places = _Places(lan, plain, port, source, speed, phyphox, follow, foxglove, topic, units)
     places.check()
+    _check_outputs(out, rrd, (source, follow, device, priors))
     recording = None if source is None else load(source, topic, units)
     if recording is None:
         _check_installed()
@@ -106,7 +107,7 @@ def live(
     session = Session(opened(out / "recording.mcap"), source=named)
     if session.recorder.samples:
         say(f"going on with {session.recorder.seconds:.0f} s that were recorded before")
-    with _board(dashboard or web, web, rrd, (source, follow)) as board:
+    with _board(dashboard or web, web, rrd) as board:
         if recording is None:
             ended = _served(session, out, places, wanted, pull, board)
         else:
@@ -152,6 +153,15 @@ class _Places:
             raise InputError("--plain is for --lan; on this machine alone nothing is encrypted.")
 
 
+def _check_outputs(out: Path, rrd: Path | None, read: tuple[Path | None, ...]) -> None:
+    """Errors: InputError where the session would replace what it reads."""
+    from handcal.live.ending import EXPORTED, EXPORTS, FILES
+    from handcal.output import check_outputs
+
+    own = [*(out / name for name in FILES), *(out / EXPORTED / name for _, name in EXPORTS)]
+    check_outputs((rrd, *(path for path in own if path.exists())), read)
+
+
 def _wanted(
     effects: str, until: str, known: tuple[Path | None, Path | None, str | None],
     budget: float | None, is_page: bool,
@@ -176,19 +186,15 @@ def _wanted(
 
 
 @contextlib.contextmanager
-def _board(
-    shown: bool, web: bool, rrd: Path | None, read: tuple[Path | None, ...]
-) -> Iterator[Board | None]:
+def _board(shown: bool, web: bool, rrd: Path | None) -> Iterator[Board | None]:
     """The dashboard, where one is wanted."""
     if not shown and rrd is None:
         yield None
         return
     import os
 
-    from handcal.output import check_outputs
     from handcal.show.viewer import require_display
 
-    check_outputs((rrd,), read)
     if shown and not web:
         require_display()
     os.environ.setdefault("RUST_LOG", "warn,re_grpc_client=off,re_sdk=off")

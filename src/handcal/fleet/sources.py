@@ -155,13 +155,17 @@ def _row(manifest: Path, number: int, row: dict[str, str]) -> Source:
 def _placed(manifest: Path, number: int, named: str) -> Source:
     """A recording by what its row calls it."""
     if remote.is_address(named):
-        there = remote.found(named)
-        if [f.address for f in there] != [named]:
+        found = remote.found(named)
+        if [f.address for f in found] != [named]:
             raise InputError(f"{manifest}, line {number}: {named} is no single file.")
-        return remote_source(there[0])
-    path = (manifest.parent / named).resolve()
-    if not path.exists():
-        raise InputError(f"{manifest}, line {number}: {named} does not exist.")
+        return remote_source(found[0])
+    try:
+        path = (manifest.parent / named).resolve()
+        there = path.exists()
+    except (OSError, ValueError):  # (too long, a link to itself, a zero byte: no name of a file)
+        there = False
+    if not there:
+        raise InputError(f"{manifest}, line {number}: {named[:200]} does not exist.")
     return Source(str(path))
 
 

@@ -20,6 +20,7 @@ from handcal.effects import Effect, Param, Signals
 from handcal.estimate import regression
 from handcal.estimate.regression import BIASES, Unknown
 from handcal.lab.choice import chosen
+from handcal.lab.sound import doubts, refuse_incredible
 from handcal.lab.steady_tests import Bench, design, expected
 from handcal.lab.stretches import extra_variance
 from handcal.lab.telling import refuse_unseen
@@ -134,6 +135,8 @@ def known_input(
     usual = regression.priors(names)
     values = np.r_[matrix_log(state.R), state.x] if mounted else state.x
     parameters = regression.parameters(names, values, found.sigma)
+    if extra is None:  # (papers have readings in units of their own)
+        refuse_incredible((p.effect, p.name, p.value) for p in parameters)
     before = _rows(bench, acting, replace(state, x=np.zeros_like(state.x)), mounted)[1]
     result = KnownInput(
         bench, acting, "imu" if mounted else "table", state.R, parameters, found.P, W,
@@ -260,4 +263,4 @@ def _warnings(result: KnownInput) -> tuple[str, ...]:
             f"{m} readings for {k} unknowns: nothing is left to judge the fit by, and sigmas count "
             "little but the noise within the tests."
         )
-    return (*result.bench.warnings, *said)
+    return (*result.bench.warnings, *doubts(result.extra), *said)

@@ -24,6 +24,7 @@ from handcal.estimate import regression
 from handcal.estimate.regression import BIASES, Unknown
 from handcal.lab.choice import chosen
 from handcal.lab.norm_rows import KINDS, Problem, Rows, across, carried_by_gyro, rows_of, unit
+from handcal.lab.sound import refuse_dead, refuse_incredible
 from handcal.lab.stretches import PERFECT, Means, extra_variance, means
 from handcal.lab.telling import refuse_unseen
 from handcal.lab.turns import Turns, no_turns, turns
@@ -93,6 +94,7 @@ def scalar(
     few rests, or they do not tell the parameters apart, or nothing fits.
     """
     acting = (*BIASES, *chosen(effects, "temperature" in recording.streams))
+    refuse_dead(recording)
     rests = means(recording, segment.with_pauses(recording))
     between = turns(recording, rests)
     if only is not None:
@@ -102,6 +104,7 @@ def scalar(
     found = _solved(problem, extra)
     sigma = np.sqrt(np.diag(found.P))
     parameters = regression.parameters(problem.unknowns, found.x, sigma)
+    refuse_incredible((p.effect, p.name, p.value) for p in parameters)
     before_after = np.zeros_like(found.x), found.x
     return Scalar(
         recording, tuple(e.id for e in acting[2:]), parameters, found.P, gravity, rests,

@@ -28,6 +28,7 @@ from handcal.estimate import regression
 from handcal.estimate.regression import BIASES
 from handcal.lab import steady_tests
 from handcal.lab.known_input import known_input
+from handcal.lab.sound import refuse_dead, refuse_incredible
 from handcal.lab.spins import LEAST_SIGMA, SPINNING, of_spins
 from handcal.lab.telling import refuse_unseen
 from handcal.observations import Scene
@@ -100,6 +101,7 @@ def size(recording: Recording, gravity: float = STANDARD_GRAVITY) -> Sized:
 
     Errors: HandcalError where the readings do not show them; the sentence says what would.
     """
+    refuse_dead(recording)
     if "reference" not in recording.streams:
         return of_tests(of_spins(recording, gravity), recording)
     imu = recording.imu
@@ -200,6 +202,7 @@ def of_reference(recording: Recording) -> Sized:
     P = _clustered(A, y - A @ fit.x, sigma, both.t[use])
     plain = A[:, :, : len(regression.unknowns(STATIC))]
     parameters = regression.parameters(unknowns, fit.x, np.sqrt(np.diag(P)))
+    refuse_incredible((p.effect, p.name, p.value) for p in parameters)
     return Sized(
         recording, "reference", parameters, P, pace[use], y - plain @ _fit(plain, y, sigma).x,
         y - A @ fit.x, (),

@@ -16,6 +16,7 @@ from handcal import signals
 from handcal.effects import Effect, Signals
 from handcal.effects._derivative import reach
 from handcal.estimate.regression import columns, errors
+from handcal.lab.sound import refuse_dead
 from handcal.lab.stretches import PERFECT, white_variance
 from handcal.recordings import segment
 from handcal.types import Array, BoolArray, HandcalError, InputError, IntArray, Recording
@@ -97,6 +98,7 @@ def of_recording(recording: Recording) -> Bench:
 
     Errors: InputError without a reference; HandcalError where nothing is ever steady.
     """
+    refuse_dead(recording)
     reference = recording.streams.get("reference")
     if reference is None:
         raise InputError(

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from handcal.earth import STANDARD_GRAVITY
+from handcal.lab.sound import doubts, refuse_incredible
 from handcal.lab.thermal.basis import Basis, candidates
 from handcal.lab.thermal.fit import best_extra
 from handcal.lab.thermal.model import (
@@ -126,7 +127,10 @@ def thermal(
         residual[:, own], extra[sensor] = done.left, done.extra
         before[:, own] = solved(model, s, pieces, gravity).left
         curves += _curves(chosen, done, notes)
-    warnings = (*said, *_lag(pieces, residual))
+    middle = np.array([0.5 * (low + high)])
+    known = [c for c in curves if c.anchored]
+    refuse_incredible((c.effect, c.name, float(c.at(middle)[0][0])) for c in known)
+    warnings = (*doubts(extra), *said, *_lag(pieces, residual))
     return Thermal(tuple(recordings), pieces, tuple(curves), before, residual, extra, warnings)
 
 

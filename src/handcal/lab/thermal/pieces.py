@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from handcal.lab.sound import refuse_dead
 from handcal.lab.stretches import PERFECT, Means, means, noise_power
 from handcal.observations.known_input import axes_between
 from handcal.recordings import segment
@@ -45,6 +46,7 @@ def pieces_of(recording: Recording, number: int) -> Pieces:
         raise InputError(
             f"{recording.path} has no temperature: a stream /temperature (degC) is needed."
         )
+    refuse_dead(recording)
     reference = recording.streams.get("reference")
     stretches = segment.rests(recording) if reference is None else segment.steady(recording)
     span = float(series.value.max() - series.value.min())

@@ -36,7 +36,7 @@ def saturated(value: Array, smallest: float) -> BoolArray:
     smallest: below it nothing is a full scale.
     """
     clipped = np.zeros(len(value), dtype=np.bool_)
-    commanded = _held(value)
+    commanded = held(value)
     for column in value.T:
         for signed in (column, -column):
             extreme = signed.max(initial=0.0)
@@ -51,7 +51,7 @@ def saturated(value: Array, smallest: float) -> BoolArray:
     return clipped
 
 
-def _held(value: Array) -> BoolArray:
+def held(value: Array) -> BoolArray:
     """Rows (n,) of value (n, 3) that are one of five or more equal ones in a row."""
     same = np.all(value[1:] == value[:-1], axis=1).astype(float)
     if len(same) < 4:
@@ -97,7 +97,7 @@ def stuck(t: Array, gyro: Array, accel: Array) -> tuple[list[str], BoolArray]:
         ("gyroscope", gyro, _turned_by_accel),
         ("accelerometer", accel, _tilted_by_gyro),
     ):
-        step = _step(value)
+        step = least_step(value)
         ends = np.flatnonzero(np.any(np.diff(value, axis=0) != 0, axis=1)) + 1
         ends = np.concatenate([[0], ends, [len(t)]])
         for k in np.argsort(-np.diff(ends), kind="stable")[:SPANS]:
@@ -113,7 +113,7 @@ def stuck(t: Array, gyro: Array, accel: Array) -> tuple[list[str], BoolArray]:
     return said, at_all
 
 
-def _step(value: Array) -> Array:
+def least_step(value: Array) -> Array:
     """The least by which each axis of (n, 3) ever changes, (3,); zero for one that never does."""
     changes = np.abs(np.diff(value, axis=0))
     least = np.where(changes > 0, changes, np.inf).min(axis=0, initial=np.inf)
@@ -196,7 +196,7 @@ def check_accel_unit(accel: Array, rate_hz: float) -> list[str]:
     )
 
 
-def _turned(u: Array, rotation: Array) -> Array:
+def turned(u: Array, rotation: Array) -> Array:
     """A direction fixed in space, seen from a body that turned by `rotation` (k, 3), rad."""
     angle = np.linalg.norm(rotation, axis=1, keepdims=True)
     axis = rotation / np.maximum(angle, 1e-12)
@@ -252,7 +252,7 @@ def turning_mismatch(
         u = u0
         for k in range(size):
             row = starts + k
-            u = _turned(u, factor * 0.5 * (gyro[row] + gyro[row + 1]) * dt[row, None])
+            u = turned(u, factor * 0.5 * (gyro[row] + gyro[row + 1]) * dt[row, None])
         errors.append(_angle(u, u1))
     return errors
 

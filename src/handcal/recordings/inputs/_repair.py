@@ -21,6 +21,7 @@ from handcal.recordings.inputs._checks import (
     slow_stamps,
     stuck,
 )
+from handcal.recordings.inputs._range import at_range_end
 from handcal.recordings.streams import STREAMS
 from handcal.types import Array, BoolArray, Imu, InputError, IntArray, Recording, Series
 
@@ -97,6 +98,8 @@ def assemble(
         )
     doubts, frozen = _doubts(path, t, rates, force)
     said += doubts
+    if int((valid & ~frozen).sum()) < min(FEWEST, int(valid.sum())):
+        raise InputError(f"{path}: hardly a reading is left to trust. {' '.join(doubts)}")
     valid = valid & ~frozen
     for name, stream in streams.items():
         if STREAMS[name].circular:
@@ -123,7 +126,9 @@ def _doubts(path: Path, t: Array, gyro: Array, accel: Array) -> tuple[list[str],
     halts, frozen = stuck(t, gyro, accel)
     rate_hz = 1 / float(np.median(np.diff(t)))
     said += [*halts, *check_accel_unit(accel, rate_hz), *check_gyro_unit(t, gyro, accel)]
-    return [*said, *_gap_warning(t)], frozen
+    # (after the units: a gyro in another one misses turns as well)
+    ends, clipped = at_range_end(t, gyro, accel)
+    return [*said, *ends, *_gap_warning(t)], frozen | clipped
 
 
 def _check_clock(path: Path, t: Array) -> None:
