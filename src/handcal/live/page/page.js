@@ -92,18 +92,31 @@ function show(said) {
     $("say").textContent = said.turn.say; $("done").value = said.turn.done; $("turn").hidden = stopping;
     text("hint", said.turn.hint); text("brought", said.brought);
     $("turn").dataset.name = said.turn.name || "";
-    picture = said.turn.picture || null; $("stage").hidden = !picture;
+    picture = said.turn.picture || null; $("asked").hidden = !picture; $("stage").hidden = !picture && !held;
   }
+  if (said.filter) known(said.filter);
   text("doubts", (said.doubts || []).join(" "));
   if (said.parameters) { $("closing").hidden = false; $("bars").replaceChildren(...said.parameters.map(row)); }
   if (said.so_far && said.so_far.length) text("sofar", `So far explain finds: ${said.so_far.join("; ")}.`);
   if (said.state === "working") {
     $("note").textContent = said.stage ? `Explaining: ${said.stage}` : "Explaining what was recorded";
-    $("turn").hidden = false; $("stage").hidden = true; picture = null;
+    $("turn").hidden = false; $("stage").hidden = true; picture = null; held = null;
     $("say").textContent = "The result takes a minute or so."; text("hint", ""); text("doubts", "");
     $("done").value = said.progress || 0;
   }
   if (said.verdict) ended(said);
+}
+
+// What the filter says, which takes each sample as it comes: how the phone is held, and whether what
+// it reads is what is expected.
+let held = null;
+
+function known(filter) {
+  held = filter.held;
+  $("own").hidden = false; $("stage").hidden = stopping;
+  $("held").style.transform = placed(held);
+  text("checks", filter.innovations.map((one) => `Does it fit: ${one.name}, ${one.times.toFixed(1)} times as far off as `
+    + `expected, ${one.beyond} of ${one.of} beyond ${one.gate} sigma.`).join(" "));
 }
 
 function row(b) {
@@ -139,11 +152,15 @@ function draw(now) {
     if (turn !== shownTurn) { shownTurn = turn; shownSince = now; }
     const t = ((now - shownSince) / 1000) % (picture.seconds + 1), s = Math.min(1, t / picture.seconds);
     const m = times(picture.from, about(picture.axis, picture.degrees * Math.PI / 180 * s * s * (3 - 2 * s)));
-    const flip = [1, -1, 1], at = (i, j) => m[3 * i + j] * flip[i] * flip[j];
-    const cells = [0, 1, 2].flatMap((j) => [...[0, 1, 2].map((i) => at(i, j).toFixed(5)), 0]);
-    $("phone").style.transform = `matrix3d(${cells.join(",")},0,0,0,1)`;
+    $("phone").style.transform = placed(m);
   }
   requestAnimationFrame(draw);
+}
+
+function placed(m) {
+  const flip = [1, -1, 1], at = (i, j) => m[3 * i + j] * flip[i] * flip[j];
+  const cells = [0, 1, 2].flatMap((j) => [...[0, 1, 2].map((i) => at(i, j).toFixed(5)), 0]);
+  return `matrix3d(${cells.join(",")},0,0,0,1)`;
 }
 requestAnimationFrame(draw);
 
