@@ -9,9 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from handcal.live import part
 from handcal.live.rounding import TOO_SURE, rounded
 from handcal.live.session import Session
 from handcal.live.sources.browser import Convention, told
+from handcal.recordings.export import Pieces
 from handcal.types import HandcalError, Prior, Recording
 
 FILES = ("recording.mcap", "calibration.json", "explanation.json", "report.html")
@@ -64,19 +66,28 @@ def with_convention(recording: Recording, found: Convention) -> Recording:
     return replace(recording, imu=replace(imu, gyro=gyro, accel=found.sign * imu.accel))
 
 
+def put_right(pieces: Pieces, found: Convention) -> Pieces:
+    """The same of a batch."""
+    if "imu" not in pieces:
+        return pieces
+    ns, value = pieces["imu"]
+    righted = np.hstack([value[:, list(found.order)], found.sign * value[:, 3:]])
+    return {**pieces, "imu": (ns, righted)}
+
+
 def settled(
     recording: Recording, checked: bool, page: bool = True
-) -> tuple[Recording, tuple[str, ...]]:
-    """The recording as it is to be read, and what was changed. checked: its axes and sign are to
-    be told by turns and rest; page: it is from a browser."""
+) -> tuple[Convention, tuple[str, ...]]:
+    """How the recording is to be read, and what is to be said of it. checked: its axes and sign
+    are to be told by turns and rest; page: it is from a browser."""
     imu = recording.imu
     if not checked:
-        return recording, ()
+        return Convention(), ()
     found = told(imu.t, imu.gyro, imu.accel)
     if found is None:
-        return recording, ("It was turned too little to tell the axes: they are a guess.",)
-    limits = browsers_limits(recording) if page else ()
-    return with_convention(recording, found), (*found.sentences, *limits)
+        said = "It was turned too little to tell the axes: they are a guess."
+        return Convention(), (said,)
+    return found, (*found.sentences, *(browsers_limits(recording) if page else ()))
 
 
 def browsers_limits(recording: Recording) -> Iterator[str]:
@@ -108,22 +119,54 @@ def finish(session: Session, out: Path, wanted: Wanted, progress: Progress) -> E
     The explanation is made of the file as it was written, so `handcal explain` says the same.
     Errors: HandcalError where nothing can be made of it; the recording stays.
     """
-    from handcal.recordings.export import write_mcap
     from handcal.recordings.inputs import load
 
     session.recorder.close()
-    recording = _whole(session)
-    recording, said = settled(recording, wanted.checked, session.source == "page")
-    write_mcap(recording, out / FILES[0])
-    del recording
-    written = load(out / FILES[0])
+    long = session.recorder.seconds > part.EXPLAINED_S
+    name, said = (_in_part if long else _as_a_whole)(session, out, wanted)
+    written = load(out / name)
     written = replace(written, warnings=(*written.warnings, *said))
     if wanted.renewed is not None:
         wanted = replace(wanted, before=wanted.renewed(written))
     if session.source != "file" and session.clocks.sentence:
         said = (*said, session.clocks.sentence)
     headline, sentences, more = _explained(written, out, wanted, progress)
-    return Ended(headline, (*sentences, *said), (*FILES, *more))
+    return Ended(headline, (*sentences, *said), (*dict.fromkeys((*FILES, name)), *more))
+
+
+def _as_a_whole(session: Session, out: Path, wanted: Wanted) -> tuple[str, tuple[str, ...]]:
+    """Write the recording; its name, and what is to be said of it."""
+    from handcal.recordings.export import write_mcap
+
+    recording = _whole(session)
+    found, said = settled(recording, wanted.checked, session.source == "page")
+    write_mcap(with_convention(recording, found), out / FILES[0])
+    return FILES[0], said
+
+
+def _in_part(session: Session, out: Path, wanted: Wanted) -> tuple[str, tuple[str, ...]]:
+    """Write a recording of hours piece by piece, and beside it the part that is explained; that
+    one's name, and what is to be said."""
+    from handcal.recordings.export import write_mcap
+
+    path = session.recorder.path
+    begun = part.beginning(path)
+    assert begun is not None  # (it has lasted)
+    found, said = settled(begun, wanted.checked, session.source == "page")
+
+    def change(pieces: Pieces) -> Pieces:
+        return put_right(pieces, found)
+
+    most = part.between(path, *part.most_turned(path), change)
+    assert most is not None
+    write_mcap(most, out / part.NAME)
+    part.rewritten(path, change)
+    minutes = session.recorder.seconds / 60.0
+    return part.NAME, (
+        f"It lasted {minutes:.0f} minutes: what is explained is the {part.EXPLAINED_S / 60.0:.0f} "
+        f"in which it was turned most ({part.NAME}).",
+        *said,
+    )
 
 
 def _whole(session: Session) -> Recording:
@@ -160,7 +203,7 @@ def _explained(
 
     explanation = explain([recording], budget=wanted.budget, before=wanted.before, progress=report)
     write_json(explanation_json(explanation), out / FILES[2])
-    following = commands(explanation, [str(out / FILES[0])], json=str(out / FILES[2]))
+    following = commands(explanation, [recording.path], json=str(out / FILES[2]))
     write_explanation_report(explanation, out / FILES[3], following)
     progress(0.9, "calibrating with what was found")
     effects = wanted.effects or [m.effect for m in explanation.missing]

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from handcal.recordings import append
-from handcal.recordings.append import Pieces
+from handcal.recordings.export import Pieces
 from handcal.recordings.streams import STREAMS
 from handcal.types import Array, InputError, IntArray
 
@@ -131,12 +131,16 @@ def opened(path: Path) -> Recorder:
     """A new recording, or one that was broken off. Errors: InputError where it has ended."""
     if not path.exists():
         return Recorder(path, append.begin(path))
-    held = append.held(path)
-    if held.complete or held.end == 0:
-        raise InputError(f"{path} is a recording that has ended; name another folder with --out.")
-    recorder = Recorder(
-        path, append.go_on(path, held), next=int(held.note.get("seq", -1)) + 1, note=held.note
-    )
-    for name, piece in held.streams.items():
-        recorder._keep(name, piece)
+    over = InputError(f"{path} is a recording that has ended; name another folder with --out.")
+    if append.ended(path):
+        raise over
+    recorder, last = Recorder(path, append.reopened(path)), append.Held({}, {}, 0, False)
+    for last in append.each(path):
+        for name, piece in last.streams.items():
+            recorder._keep(name, piece)
+    if last.complete or last.end == 0:
+        recorder.growing.file.close()
+        raise over
+    append.go_on(recorder.growing, last)
+    recorder.next, recorder.note = int(last.note.get("seq", -1)) + 1, last.note
     return recorder

@@ -18,11 +18,11 @@ import numpy as np
 
 from handcal.live.clocks import Clocks
 from handcal.live.recorder import Recorder
-from handcal.recordings.append import Pieces
+from handcal.recordings.export import Pieces
 from handcal.types import Array, BoolArray, HandcalError, Imu, IntArray, Recording, Series
 
 SILENT_S = 10.0  # after which another page may take the session over
-MOST_SAMPLES = 2_000_000  # five hours at 100 Hz
+MOST_SAMPLES = 40_000_000  # more than a day at 400 Hz; 4 GB
 # Of all streams in one batch: what unpacks to a quarter of what the recorder takes back.
 MOST_ROWS = 20_000
 LONGEST_GAP_NS = 3600 * 1_000_000_000
