@@ -13,6 +13,7 @@ import subprocess
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import wait
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -315,34 +316,80 @@ def memory_mb() -> float:
     return int(found[1]) / 1024.0
 
 
-def test_an_hour_at_400_hz(tmp_path):
-    """Compressed into a minute or two, with looks at it: the memory stays what it is, and nothing
-    is lost."""
+@dataclass
+class Lasted:
+    """memory: MB by minutes; running: share of the ticks in which the filter ran; looks: how many
+    came to their end; tick_s: how long each tick took."""
+
+    memory: dict[int, int] = field(default_factory=dict)
+    running: list[bool] = field(default_factory=list)
+    looks: int = 0
+    tick_s: list[float] = field(default_factory=list)
+
+
+def lasting(path: Path, hours: float, hz: int, look_every_s: float) -> Lasted:
+    """A session compressed in time: the filter over every sample, a tick for each half second, and
+    looks that are waited for (so fast would the hours pass, none would come to its end in time)."""
     rng = np.random.default_rng(0)
-    session = Session(opened(tmp_path / "recording.mcap"))
-    one = worker()
+    session, one, out = Session(opened(path)), worker(), Lasted()
     live = Live(session, Wanted(), Looks(one))
-    each, total = 100, 3600 * 400
-    begin, memory = 1_760_000_000_000_000_000, {}
-    step = 2_500_000
+    assert live.following.ready.wait(120.0)
+    each, step, begin = hz // 4, 10**9 // hz, 1_760_000_000_000_000_000
     gyro = rng.normal(0.0, 1e-3, (each, 3))
     accel = np.array([0.0, 0.0, 9.80665]) + rng.normal(0.0, 1e-2, (each, 3))
-    for seq in range(total // each):
+    ticked, due = live.looks.tick, [look_every_s]
+
+    def paced(session: Session, recording: Any) -> Any:
+        if live.looks.running is None:
+            if session.recorder.seconds < due[0]:
+                return None
+            due[0] += look_every_s
+        look = ticked(session, recording)
+        if live.looks.running is not None:
+            wait([live.looks.running])
+        out.looks += look is not None
+        return look
+
+    live.looks.tick = paced  # type: ignore[method-assign]
+    minute = 240 * max(1, round(hours))
+    for seq in range(int(hours * 3600 * 4)):
         ns = begin + step * np.arange(seq * each, (seq + 1) * each)
         turned = gyro + np.array([0.0, 0.0, np.sin(seq / 40.0) * (seq % 400 > 80)])
         session.take(Batch("one", seq, ns, turned, accel))
-        if seq % 4 == 0:
+        if seq % 2 == 0:
+            began = time.monotonic()
             live.tick()
-        if seq % 1440 == 1439:
-            memory[(seq + 1) // 240] = round(memory_mb())
+            out.tick_s.append(time.monotonic() - began)
+            out.running.append(live.following.online is not None)
+        if seq % (6 * minute) == 6 * minute - 1:
+            out.memory[(seq + 1) // 240] = round(memory_mb())
     session.recorder.close()
     one.shutdown(wait=True, cancel_futures=True)
-    print(f"\nmemory (MB) by minutes: {memory}")
-    values = list(memory.values())
-    assert max(values[5:]) - min(values[5:]) < 20
-    assert max(values) < 400
-    held = append.held(tmp_path / "recording.mcap")
-    assert np.array_equal(held.streams["imu"][0], begin + step * np.arange(total))
+    return out
+
+
+@pytest.mark.parametrize(("hours", "hz", "look_every_s"), [(1.0, 400, 40.0), (24.0, 200, 600.0)])
+def test_hours(tmp_path, hours, hz, look_every_s):
+    """An hour at 400 Hz and a day at 200 Hz, compressed in time: once the minutes that are kept are
+    there, memory goes up and down with a window of looks, by 5 % no further than before; the filter
+    runs, and nothing is lost."""
+    path = tmp_path / "recording.mcap"
+    lasted = lasting(path, hours, hz, look_every_s)
+    took = np.quantile(lasted.tick_s, [0.5, 0.99])
+    print(f"\nmemory (MB) by minutes: {lasted.memory}; {lasted.looks} looks; the filter ran in "
+          f"{np.mean(lasted.running):.2%} of {len(lasted.running)} ticks, which took "
+          f"{1e3 * took[0]:.0f} ms (99 %: {1e3 * took[1]:.0f})")  # fmt: skip
+    settled = [mb for minute, mb in lasted.memory.items() if minute > 10]
+    half = len(settled) // 2
+    assert max(settled[half:]) < 1.05 * max(settled[:half])
+    assert max(settled) < 400
+    assert np.mean(lasted.running) > 0.95
+    step, at = 10**9 // hz, 1_760_000_000_000_000_000
+    for held in append.each(path):
+        for ns in (held.streams[n][0] for n in held.streams):
+            assert np.array_equal(ns, at + step * np.arange(len(ns)))
+            at = int(ns[-1]) + step
+    assert at == 1_760_000_000_000_000_000 + step * int(hours * 3600 * hz)
 
 
 def test_a_hostile_network(tmp_path):
