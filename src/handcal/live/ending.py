@@ -12,7 +12,7 @@ import numpy as np
 from handcal.live import part
 from handcal.live.rounding import TOO_SURE, rounded
 from handcal.live.session import Session
-from handcal.live.sources.browser import Convention, told
+from handcal.live.sources.browser import APIS, Convention, told
 from handcal.recordings.export import Pieces
 from handcal.types import HandcalError, Prior, Recording
 
@@ -130,6 +130,7 @@ def finish(session: Session, out: Path, wanted: Wanted, progress: Progress) -> E
         wanted = replace(wanted, before=wanted.renewed(written))
     if session.source != "file" and session.clocks.sentence:
         said = (*said, session.clocks.sentence)
+    said = (*said, *filter(None, [APIS.get(session.note.get("api", ""))]))
     headline, sentences, more = _explained(written, out, wanted, progress)
     return Ended(headline, (*sentences, *said), (*dict.fromkeys((*FILES, name)), *more))
 
