@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from handcal.live import ending, part
-from handcal.live.ending import Wanted
+from handcal.live.ending import Ended, Wanted
 from handcal.live.recorder import opened
 from handcal.live.session import Batch, Session
 from handcal.recordings import append
@@ -61,7 +61,7 @@ def test_all_is_kept_and_a_part_is_explained(tmp_path, session, monkeypatch):
 
     def explained(recording: Any, *_: Any) -> Any:
         seen.append(recording)
-        return "headline", (), ()
+        return Ended("headline", (), ())
 
     monkeypatch.setattr(ending, "_explained", explained)
     before = append.held(session.recorder.path)

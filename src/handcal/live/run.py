@@ -27,6 +27,7 @@ Say = Callable[[str], None]
 Pull = Callable[[Session], bool]
 # A source that does not answer for so long, s, has gone.
 GONE_S = 30.0
+REACHED = "everything is known as well as was asked for"
 
 
 @contextmanager
@@ -57,7 +58,8 @@ def fed(session: Session, recording: Recording, speed: float, out: Path, wanted:
     try:
         if speed:
             with followed(session, wanted, say, board) as live:
-                file.feed(recording, session, speed, tick=live.tick)
+                if file.feed(recording, session, speed, tick=live.tick):
+                    say(REACHED)
         else:
             file.feed(recording, session, speed)
     except KeyboardInterrupt:
@@ -110,7 +112,7 @@ async def _watch(live: Live, stop: asyncio.Event) -> None:
     """See what is new a few times a second, in a thread beside the server."""
     while True:
         if await asyncio.to_thread(live.tick):
-            live.say("everything is known as well as was asked for")
+            live.say(REACHED)
             stop.set()
         await asyncio.sleep(TICK_S)
 

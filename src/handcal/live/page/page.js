@@ -228,6 +228,9 @@ function ended(said) {
   $("sentences").replaceChildren(...said.verdict.sentences.map((text) => {
     const p = document.createElement("p"); p.textContent = text; return p;
   }));
+  for (const text of said.verdict.warnings || []) {
+    const p = document.createElement("p"); p.className = "warning"; p.textContent = text; $("sentences").append(p);
+  }
   $("files").textContent = said.verdict.files.length ? `On the computer: ${said.verdict.files.join(", ")}` : "";
   $("verdict").className = said.state === "failed" ? "poor" : "";
   $("note").textContent = "It has ended; this page can be closed.";
