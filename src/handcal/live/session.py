@@ -58,7 +58,7 @@ class Session:
 
     clock: seconds, of any origin; wall_ns: this machine's time, which stands beside the stamps in
     the file and is never mixed with them; state: recording, working, done or failed; source: where
-    readings come from; told: what is shown beside the counts.
+    readings come from; told: what is shown beside the counts; news: set when something came.
     """
 
     recorder: Recorder
@@ -72,6 +72,7 @@ class Session:
     seen: float = -np.inf
     late: int = 0
     lock: threading.Lock = field(default_factory=threading.Lock)
+    news: threading.Event = field(default_factory=threading.Event)
 
     @property
     def note(self) -> Mapping[str, Any]:
@@ -127,6 +128,7 @@ class Session:
         values = np.hstack([batch.gyro, batch.accel])[fresh]
         note = {"seq": batch.seq, "host_ns": arrived, **batch.note}
         self.recorder.add({"imu": (batch.ns[fresh], values), **further}, note)
+        self.news.set()
 
     def _fresh(self, stream: str, ns: IntArray) -> BoolArray:
         """Which stamps (n,) are newer than all before them."""

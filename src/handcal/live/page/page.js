@@ -2,7 +2,7 @@
 "use strict";
 
 const FASTEST_HZ = 400, GAP_MS = 500, SILENT_MS = 1500;
-const EVERY_MS = 150, LONGEST = 600, PATIENCE_MS = 8000, POLL_MS = 700, QUIET_MS = 1500, WATCH_MS = 2000;
+const EVERY_MS = 100, LONGEST = 600, PATIENCE_MS = 8000, POLL_MS = 700, QUIET_MS = 1500, WATCH_MS = 2000;
 const $ = (id) => document.getElementById(id);
 const client = own();
 const agent = /iPhone|iPad|iPod/.test(navigator.userAgent) ? "ios"
