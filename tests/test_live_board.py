@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +52,10 @@ def test_a_session_can_be_seen_afterwards(tmp_path):
             parameters, innovations = known(end, *effects)
             shown.estimates(end, parameters)
             shown.updates(innovations)
+        one = innovations["fixed_position"]
+        wild = replace(one, t=one.t[:1] + 11.0, residual=one.residual[:1], nis=one.nis[:1],
+                       sigma=50.0 * one.sigma[:1])  # fmt: skip
+        shown.updates({"fixed_position": wild})  # (it would make the others invisible)
         shown.hypotheses(10.0, {"gyro_scale": 12.0})
     rows = chunks(path)
     assert rows["/imu/gyro"] == 10 * 50 + 1  # (50 a second, and how they are drawn)

@@ -65,9 +65,9 @@ def lines(
 
 def columns(rec: rr.RecordingStream, entity: str, t: Array, values: Array) -> None:
     """Send (k,) or (k, d) scalars of one entity at once; d series in one plot."""
-    table = np.asarray(values, dtype=float).reshape(t.size, -1)
     if t.size == 0:
         return
+    table = np.asarray(values, dtype=float).reshape(t.size, -1)
     scalars = rr.Scalars.columns(scalars=table.ravel()).partition([table.shape[1]] * t.size)
     rec.send_columns(entity, indexes=[rr.TimeColumn(TIMELINE, duration=t)], columns=scalars)
 
