@@ -343,9 +343,9 @@ class Lasted:
     tick_s: list[float] = field(default_factory=list)
 
 
-def lasting(path: Path, hours: float, hz: int, look_every_s: float) -> Lasted:
-    """A session compressed in time: the filter over every sample, a tick for each half second, and
-    looks that are waited for (so fast would the hours pass, none would come to its end in time)."""
+def lasting(path: Path, hours: float, hz: int, look_every_s: float, tick_s: float) -> Lasted:
+    """A session compressed in time: the filter over every sample, a tick for each tick_s, and looks
+    that are waited for (so fast would the hours pass, none would come to its end in time)."""
     rng = np.random.default_rng(0)
     session, one, out = Session(opened(path)), worker(), Lasted()
     live = Live(session, Wanted(), Looks(one))
@@ -372,7 +372,7 @@ def lasting(path: Path, hours: float, hz: int, look_every_s: float) -> Lasted:
         ns = begin + step * np.arange(seq * each, (seq + 1) * each)
         turned = gyro + np.array([0.0, 0.0, np.sin(seq / 40.0) * (seq % 400 > 80)])
         session.take(Batch("one", seq, ns, turned, accel))
-        if seq % 2 == 0:
+        if seq % round(4 * tick_s) == 0:
             began = time.monotonic()
             live.tick()
             out.tick_s.append(time.monotonic() - began)
@@ -384,13 +384,15 @@ def lasting(path: Path, hours: float, hz: int, look_every_s: float) -> Lasted:
     return out
 
 
-@pytest.mark.parametrize(("hours", "hz", "look_every_s"), [(1.0, 400, 40.0), (24.0, 200, 600.0)])
-def test_hours(tmp_path, hours, hz, look_every_s):
+@pytest.mark.parametrize(
+    ("hours", "hz", "look_every_s", "tick_s"), [(1.0, 400, 40.0, 0.5), (24.0, 200, 1800.0, 5.0)]
+)
+def test_hours(tmp_path, hours, hz, look_every_s, tick_s):
     """An hour at 400 Hz and a day at 200 Hz, compressed in time: once the minutes that are kept are
     there, memory goes up and down with a window of looks, by 5 % no further than before; the filter
     runs, and nothing is lost."""
     path = tmp_path / "recording.mcap"
-    lasted = lasting(path, hours, hz, look_every_s)
+    lasted = lasting(path, hours, hz, look_every_s, tick_s)
     took = np.quantile(lasted.tick_s, [0.5, 0.99])
     print(f"\nmemory (MB) by minutes: {lasted.memory}; {lasted.looks} looks; the filter ran in "
           f"{np.mean(lasted.running):.2%} of {len(lasted.running)} ticks, which took "

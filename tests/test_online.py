@@ -107,6 +107,14 @@ def test_its_levels_are_those_of_the_first_rest(recording):
     assert online.levels["gyro_noise"] == pytest.approx(0.02 / np.sqrt(recording.rate_hz), rel=0.15)
 
 
+def test_a_hand_that_has_hardly_turned_sways_no_less_than_is_usual(half):
+    """What lay on a table tells nothing of it; later the batch's own levels count."""
+    low = {**LEVELS, "sway": 1e-4, "sway_per_rate": 1e-4, "sway_time": 5.0, "gyro_noise": 1e-5}
+    early = gone_on(half.standing, low).levels
+    assert {n: early[n] for n in LEVELS} == {**LEVELS, "gyro_noise": 1e-5}
+    assert gone_on(replace(half.standing, t=30.0), low).levels == low
+
+
 def test_what_is_known_before_is_where_it_begins(recording):
     known = Prior((("gyro_scale", "x"), ("gyro_bias", "y")), np.array([0.02, 0.001]),
                   np.diag([1e-4**2, 1e-5**2]), {})  # fmt: skip

@@ -37,6 +37,10 @@ KINDS = ("fixed_position", "heading", "zero_velocity", "zero_rate")
 # So much of what came before a piece has to be there, s: rests are told beside it, and rates and
 # slopes are averaged over it.
 CONTEXT_S = 3.0
+# How a hand sways is not known before it has turned for some seconds: of the first of them a batch
+# finds anything (a tenth of a millimetre), and what goes on from there is off by up to 27 sigma. So
+# long, s, it is taken to sway no less than is usual.
+HAND_S = 15.0
 
 
 @dataclass(frozen=True)
@@ -73,13 +77,22 @@ def begun_at_rest(
 
 
 def gone_on(standing: Standing, levels: Mapping[str, float], engine: str = "compiled") -> Online:
-    """A filter that goes on from where a batch estimate stands, with its noise levels.
+    """A filter that goes on from where a batch estimate stands, with its noise levels; of a hand
+    that has hardly turned yet, at least the usual ones.
 
     Errors: HandcalError where it cannot be: an effect or a kind of observation is not its.
     """
     kinds = [k for k in standing.kinds if k in KINDS]
     if "fixed_position" in kinds:  # (that it lies still was so while all of it did)
         kinds = [k for k in kinds if k != "zero_rate"]
+        if standing.t < HAND_S:
+            usual = observations()["fixed_position"].levels
+            # (its time is what it is; how far it goes in it is at least so much)
+            levels = dict(levels) | {
+                v.name: v.initial if v.unit == "s" else max(v.initial, levels[v.name])
+                for v in usual
+                if v.name in levels
+            }
     known = catalogue()
     effects = [
         known[i] for i in standing.effects if i in known and _acts(known[i], kinds)

@@ -42,6 +42,9 @@ NIS_WINDOW = 20
 WILD = 20.0
 # Readings that are drawn a second: a plot of a minute has no more columns than that.
 DRAWN_HZ = 50.0
+# Of the signals so much is shown, s: two or three turns; of innovations more, since there are but
+# three a second.
+SEEN_S, CHECKED_S = 30.0, 60.0
 # The phone that shows what to do stands beside the one in the hand, m.
 BESIDE_M = (0.22, 0.0, 0.0)
 
@@ -194,6 +197,17 @@ class SessionBoard:
         self.rec.send_blueprint(plan, make_active=True, make_default=True)
 
 
+def up_to_now(lately_s: float | None = None) -> Any:
+    """An axis of time up to where the session is: its last seconds, or all of it."""
+    boundary = rrb.TimeRangeBoundary
+    begin = boundary.absolute(seconds=0.0)
+    if lately_s is not None:
+        begin = boundary.cursor_relative(seconds=-lately_s)
+    return rrb.TimeAxis(
+        view_range=rrb.TimeRange(start=begin, end=boundary.cursor_relative(seconds=0.0))
+    )
+
+
 def blueprint(
     groups: Mapping[str, tuple[str, float]] | None = None, kinds: Sequence[str] = ()
 ) -> rrb.Blueprint:
@@ -210,18 +224,32 @@ def blueprint(
     guidance = rrb.TextDocumentView(origin="/guidance", name="What to do next")
     left = rrb.Vertical(guidance, attitude, row_shares=[2, 5])
     shown = [
-        plot(None, f"/parameters/{effect}", f"{title}, 3 sigma (orange x, green y, blue z)", False)
+        plot(
+            None,
+            f"/parameters/{effect}",
+            f"{title}, 3 sigma (orange x, green y, blue z)",
+            False,
+            axis=up_to_now(),
+        )
         for effect, (title, _) in (groups or {}).items()
     ]
     first, more = shown[:4], shown[4:]
     middle = first + ([rrb.Tabs(*more, active_tab=0)] if more else [])
     checks = [
-        plot(None, f"/innovation/{k}", f"Innovation: {words.kind_title(k)}, 3 sigma", False)
+        plot(
+            None,
+            f"/innovation/{k}",
+            f"Innovation: {words.kind_title(k)}, 3 sigma",
+            False,
+            axis=up_to_now(CHECKED_S),
+        )
         for k in kinds
     ]
-    checks.append(plot(None, "/nis", "NIS per degree of freedom (1 expected)"))
+    nis = "NIS per degree of freedom (1 expected)"
+    checks.append(plot(None, "/nis", nis, axis=up_to_now(CHECKED_S)))
     right = [
-        plot(None, "/imu/gyro", "Gyro, deg/s"), plot(None, "/imu/accel", "Accelerometer, m/s²"),
+        plot(None, "/imu/gyro", "Gyro, deg/s", axis=up_to_now(SEEN_S)),
+        plot(None, "/imu/accel", "Accelerometer, m/s²", axis=up_to_now(SEEN_S)),
         rrb.Tabs(*checks, active_tab=0), plot(None, "/hypotheses", "Evidence so far, nats"),
     ]  # fmt: skip
     parts = [left, *([rrb.Vertical(*middle)] if middle else []), rrb.Vertical(*right)]
