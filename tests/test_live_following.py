@@ -125,6 +125,28 @@ def test_what_was_read_wrongly_is_not_gone_on_with(session, recording, look):
     assert filtered.saw(session, turned).t_ns == session.recorder.last_ns
 
 
+def test_without_it_looks_are_shown(session, recording, look):
+    """And the gyro carries the attitude from a look to now."""
+
+    class Now(Busy):
+        def submit(self, *_: Any) -> Future[Any]:
+            done: Future[Any] = Future()
+            done.set_result(replace(look, standing=None))
+            return done
+
+    worker: Any = Now()
+    live = Live(session, Wanted(), Looks(worker, EFFECTS), None)
+    assert live.following.ready.wait(120.0)
+    fed(session, recording, 9.0, lambda: None)
+    fed(session, recording, 11.0, live.tick)
+    assert "filter" not in session.told
+    assert live.attitude is not None
+    assert live.attitude[0] == session.recorder.last_ns
+    (first, *_) = session.told["parameters"]
+    p = look.parameters[0]
+    assert f"{np.degrees(p.value):+.3f}"[1:4] in first["text"]
+
+
 class Busy:
     """A process that has not come to the end of its look."""
 

@@ -19,7 +19,7 @@ from handcal.estimate.online import (
     stepped,
 )
 from handcal.estimate.standing import known_as, places
-from handcal.types import Prior, Recording
+from handcal.types import HandcalError, Prior, Recording, Series
 from handcal_sim import simulate, write
 
 LEVELS = {"gyro_noise": 1e-3, "accel_noise": 5e-3, "sway": 0.004, "sway_per_rate": 0.004,
@@ -153,6 +153,15 @@ def _values(standing) -> np.ndarray:
     return np.r_[standing.bg, standing.ba, standing.extras]
 
 
+def test_poses_and_references_are_for_the_batch(recording, half):
+    t = recording.imu.t
+    pose = Series(t[::10], np.tile([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (len(t[::10]), 1)))
+    with pytest.raises(HandcalError, match="whole"):
+        begun_at_rest(replace(cut(recording, 0.0, 2.0), streams={"pose": pose}), EFFECTS)
+    with pytest.raises(HandcalError, match="sample by sample"):
+        gone_on(replace(half.standing, kinds=("known_input",)), LEVELS)
+
+
 def test_of_what_it_does_not_observe_nothing_is_assumed(tmp_path):
     """A magnetometer is the batch's: its states are integrated out, the others stay."""
     write(simulate("three-turns", seed=2, duration_s=8.0), tmp_path / "x.mcap")
@@ -162,7 +171,7 @@ def test_of_what_it_does_not_observe_nothing_is_assumed(tmp_path):
         rng = np.random.default_rng(0)
         u = rng.normal(size=(len(t), 3))
         field = 5e-5 * u / np.linalg.norm(u, axis=1)[:, None]
-        recording = replace(recording, streams={"mag": handcal.types.Series(t, field)})
+        recording = replace(recording, streams={"mag": Series(t, field)})
     result = handcal.calibrate(recording, assume="fixed-point")
     assert "magnetometer" in result.standing.kinds
     levels = {n.name: n.value for n in result.noise}

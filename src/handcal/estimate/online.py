@@ -29,7 +29,16 @@ from handcal.estimate.start import BIASES, with_known_biases
 from handcal.observations import Rows, Scene
 from handcal.observations import catalogue as observations
 from handcal.recordings import segment
-from handcal.types import Array, Imu, IntArray, Prior, Recording, Series, Standing
+from handcal.types import (
+    Array,
+    HandcalError,
+    Imu,
+    IntArray,
+    Prior,
+    Recording,
+    Series,
+    Standing,
+)
 
 # What can be observed of a piece alone. Of others (a magnetometer's field strengths, a pose's
 # alignment) the rows are made of the whole recording: the next batch has them.
@@ -63,7 +72,10 @@ def begun_at_rest(
     engine: str = "compiled",
 ) -> tuple[Online, Frame]:  # fmt: skip
     """Begin where a recording begins, and go to its end. effects: ids; before: what is known of
-    the device. Errors: HandcalError where it is lost at once."""
+    the device. Errors: HandcalError where it is lost at once, and where there are poses or a
+    reference, which no piece can tell by itself."""
+    if {"pose", "reference"} & set(recording.streams):
+        raise HandcalError("Poses and references are observed of a whole recording.")
     kinds = ["fixed_position", *(["heading"] if _headed(recording) else [])]
     earth = local_earth(None, 0.0)
     rests = segment.rests(recording)
@@ -80,9 +92,11 @@ def gone_on(standing: Standing, levels: Mapping[str, float], engine: str = "comp
     """A filter that goes on from where a batch estimate stands, with its noise levels; of a hand
     that has hardly turned yet, at least the usual ones.
 
-    Errors: HandcalError where it cannot be: an effect or a kind of observation is not its.
+    Errors: HandcalError where nothing is observed that can be so (beside a reference, by poses).
     """
     kinds = [k for k in standing.kinds if k in KINDS]
+    if not kinds:
+        raise HandcalError("Nothing that is observed here can be observed sample by sample.")
     if "fixed_position" in kinds:  # (that it lies still was so while all of it did)
         kinds = [k for k in kinds if k != "zero_rate"]
         if standing.t < HAND_S:

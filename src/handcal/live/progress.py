@@ -163,17 +163,19 @@ class Live:
 
     def _learn(self, look: Look) -> None:
         self.guide.learned(look)
-        self.attitude = (look.end_ns, so3.matrix_of(look.q_nb[None])[0])
         if _alike(self.looked_as, self._found):
             standing, levels = look.standing, look.noise
             self.following.stands(
                 standing, levels, look.from_ns, self.session, self._put_right
             )  # fmt: skip
+        if self.following.online is None:
+            self.attitude = (look.end_ns, so3.matrix_of(look.q_nb[None])[0])
         # (from the end of the look to now)
         ns, value = self.session.since(look.end_ns)
         self._follow(ns, self._righted(value))
         self.session.told["doubts"] = [d.sentence for d in look.doubts]
         if self.following.online is None:
+            self.session.told.pop("filter", None)
             self._know(self._t(look.end_ns), look.parameters)
             if self.board is not None:
                 begin = self._t(look.from_ns)

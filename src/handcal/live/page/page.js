@@ -154,6 +154,7 @@ function show(said) {
     picture = said.turn.picture || null; $("asked").hidden = !picture; $("stage").hidden = !picture && !held;
   }
   if (said.filter) known(said.filter);
+  else { held = null; $("own").hidden = true; text("checks", ""); }
   text("doubts", (said.doubts || []).join(" "));
   if (said.parameters) { $("closing").hidden = false; $("bars").replaceChildren(...said.parameters.map(row)); }
   if (said.so_far && said.so_far.length) text("sofar", `So far explain finds: ${said.so_far.join("; ")}.`);
