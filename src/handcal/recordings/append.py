@@ -109,7 +109,7 @@ def _records_of(id: int, ns: IntArray, data: ByteArray) -> bytes:
     head = np.zeros(len(ns), dtype=_HEAD)
     head["opcode"], head["length"] = Opcode.MESSAGE, _HEAD.itemsize - 9 + data.shape[1]
     head["channel"], head["log"], head["publish"] = id, ns, ns
-    return np.hstack([head.view(np.uint8).reshape(len(ns), -1), data]).tobytes()
+    return np.hstack([head.view(np.uint8).reshape(len(ns), _HEAD.itemsize), data]).tobytes()
 
 
 def _bytes(out: RecordBuilder) -> bytes:
