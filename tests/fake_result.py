@@ -172,7 +172,7 @@ def fake_frames(result: Result, rate_hz: float = 30.0) -> Iterator[Frame]:
     for row in rows:
         t = float(h.t[row])
         observed = tuple(
-            Observed(kind, i.residual[j], i.sigma[j], float(i.nis[j]))
+            Observed(float(i.t[j]), kind, i.residual[j], i.sigma[j], float(i.nis[j]))
             for kind, i in result.innovations.items()
             for j in np.flatnonzero((i.t > after) & (i.t <= t))
         )

@@ -295,3 +295,14 @@ def test_wrong_words_are_met_with_the_right_ones():
     missing = run("replay", "nosuch.mcap")
     assert missing.returncode == 2
     assert "nosuch.mcap" in missing.stderr
+
+
+def test_what_stands_in_columns_stays_so_and_line_breaks_do_not(capsys):
+    from handcal.commands._registry import say, tell
+
+    tell("  gyro bias x    1.5\u00a0deg/s  enough\n")
+    tell("a name\n   with\r\nbreaks\x1b[2J\n\n")
+    say("  two  spaces")
+    out, said = capsys.readouterr()
+    assert out == "  gyro bias x    1.5 deg/s  enough\na name with breaks?[2J\n"
+    assert said == "handcal:   two  spaces\n"

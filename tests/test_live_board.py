@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import time
+from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -34,12 +34,11 @@ def known(seconds: float, *effects: str) -> Any:
     one = Innovations(at, np.zeros((len(at), 3)), np.ones((len(at), 3)), np.full(len(at), 3.0), 0,
                       "m", ("position_x", "position_y", "position_z"))  # fmt: skip
     parameters = tuple(Parameter(e, a, 0.0, 1e-3, "1", 1e-2, None) for e in effects for a in "xyz")
-    return SimpleNamespace(parameters=parameters, innovations={"fixed_position": one},
-                           seconds=seconds)  # fmt: skip
+    return parameters, {"fixed_position": one}
 
 
 def test_a_session_can_be_seen_afterwards(tmp_path):
-    """Each look draws only what is new of the innovations; effects may come up on the way."""
+    """Only what is new of the innovations is drawn; effects may come up on the way."""
     path = tmp_path / "x.rrd"
     picture = {"from": np.eye(3).ravel().tolist(), "axis": [0, 0, 1], "degrees": 360.0,
                "seconds": 5.0}  # fmt: skip
@@ -49,8 +48,14 @@ def test_a_session_can_be_seen_afterwards(tmp_path):
             t = second + np.arange(100) / 100
             shown.readings(t, np.zeros((100, 3)), np.zeros((100, 3)), np.eye(3))
             shown.guidance(float(t[-1]), {"turn": turn, "brought": ""})
-        shown.look(6.0, known(6.0, "gyro_scale"))
-        shown.look(10.0, known(10.0, "gyro_scale", "accel_scale"))
+        for end, effects in ((6.0, ("gyro_scale",)), (10.0, ("gyro_scale", "accel_scale"))):
+            parameters, innovations = known(end, *effects)
+            shown.estimates(end, parameters)
+            shown.updates(innovations)
+        one = innovations["fixed_position"]
+        wild = replace(one, t=one.t[:1] + 11.0, residual=one.residual[:1], nis=one.nis[:1],
+                       sigma=50.0 * one.sigma[:1])  # fmt: skip
+        shown.updates({"fixed_position": wild})  # (it would make the others invisible)
         shown.hypotheses(10.0, {"gyro_scale": 12.0})
     rows = chunks(path)
     assert rows["/imu/gyro"] == 10 * 50 + 1  # (50 a second, and how they are drawn)

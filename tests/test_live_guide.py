@@ -198,6 +198,18 @@ def test_what_is_enough_is_said_in_units_of_ones_own():
     assert not goals.enough([bias], until)  # (what is not estimated is not known)
 
 
+def test_whether_all_was_reached_is_said():
+    until = goals.parse("gyro_scale=0.1%,gyro_bias=15deg/h")
+    scale, bias = parameter("gyro_scale", "x", 9e-4), parameter("gyro_bias", "z", 1e-3, "rad/s")
+    assert goals.said_of([scale], {}) == ()
+    assert goals.said_of([scale], {"gyro_scale": 1e-3})[0].startswith("All is known")
+    (said,) = goals.said_of([scale, bias], until)
+    assert "Gyro bias z, ± 0.057 instead of 0.0042 deg/s" in said
+    assert "scale" not in said
+    (said,) = goals.said_of([scale], until)
+    assert said.endswith("Gyro bias, not estimated.")
+
+
 def recording(**more: Any) -> Recording:
     t = np.arange(0.0, 20.0, 0.02)
     base = sample(n=len(t), streams=False)

@@ -149,6 +149,21 @@ def test_in_a_network_the_page_is_encrypted_unless_told_otherwise(tmp_path, monk
     assert plain.token == kept.token
 
 
+def test_a_batch_may_hold_nothing_new_of_a_stream(tmp_path, rows):
+    """Samples that came before are left out; what comes with them is recorded."""
+    session = Session(opened(tmp_path / "recording.mcap"))
+    first = browser.parse(_json(0, rows[0]))
+    session.take(first)
+    warm = first.ns[-1:] + 1, np.full((1, 1), 21.0)
+    session.take(replace(first, seq=1, further={"temperature": warm}))
+    session.recorder.close()
+    held = append.held(tmp_path / "recording.mcap")
+    assert session.next == 2
+    assert np.array_equal(held.streams["imu"][0], first.ns)
+    assert held.streams["temperature"][1] == 21.0
+    assert held.note["seq"] == 1
+
+
 @pytest.mark.parametrize("torn", [1, 40, 2000])
 def test_a_file_that_was_torn_off_goes_on_behind_its_last_whole_batch(tmp_path, rows, torn):
     path = tmp_path / "recording.mcap"

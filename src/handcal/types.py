@@ -244,6 +244,30 @@ class Innovations(Brief):
 
 
 @dataclass(frozen=True, repr=False)
+class Standing(Brief):
+    """Where a filter stands at one moment: its whole state, from which it can go on.
+
+    t: s; p, v (3,), C (3, 3) of C_nb, bg, ba (3,); effects, kinds: ids of those in its model;
+    names (c,): owner and name of each constant; processes: owner and number of states of each
+    Markov process behind them; extras (c + e,): constants and Markov states; P (15 + c + e,
+    15 + c + e): covariance of all of it.
+    """
+
+    t: float
+    p: Array
+    v: Array
+    C: Array
+    bg: Array
+    ba: Array
+    effects: tuple[str, ...]
+    kinds: tuple[str, ...]
+    names: tuple[tuple[str, str], ...]
+    processes: tuple[tuple[str, int], ...]
+    extras: Array
+    P: Array
+
+
+@dataclass(frozen=True, repr=False)
 class Result(Brief):
     """What ``calibrate`` learnt from one recording.
 
@@ -253,7 +277,7 @@ class Result(Brief):
     None. rests: (r, 2) start and end of each detected rest, s. smoothed: the same as
     ``history``, each row given the whole recording. settled: relinearising had come to rest.
     model: what was fitted, as JSON holds it (contract); repeated: it was read from a result.
-    before: what was known of the device.
+    before: what was known of the device. standing: where the estimate stands at the last epoch.
     """
 
     recording: Recording
@@ -272,6 +296,7 @@ class Result(Brief):
     model: Mapping[str, Any] = field(default_factory=dict)
     repeated: bool = False
     before: Prior | None = None
+    standing: Standing | None = None
 
     @property
     def observations(self) -> int:

@@ -189,7 +189,10 @@ def tell(text: str) -> None:
 
 
 def _one_line(text: str) -> str:
-    return "".join(c if c.isprintable() else "?" for c in " ".join(text.split()))
+    """Line breaks and what is beside them as one space; what stands in columns stays so."""
+    lines = [part for part in text.splitlines() if part.strip()]
+    line = " ".join(part.strip() for part in lines) if len(lines) > 1 else "".join(lines).rstrip()
+    return "".join(" " if c.isspace() else c if c.isprintable() else "?" for c in line)
 
 
 def run(app: typer.Typer) -> NoReturn:

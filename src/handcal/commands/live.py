@@ -117,6 +117,8 @@ def live(
     tell(ended.headline)
     for sentence in ended.sentences:
         tell(sentence)
+    for warning in ended.warnings:
+        tell(f"Warning: {warning}")
     tell(f"{out}: {', '.join(ended.files)}")
 
 
@@ -182,7 +184,13 @@ def _wanted(
     def renewed(recording: Recording) -> Prior | None:
         return before_of(*known, [recording])
 
-    return Wanted(ids, before, goals, budget, is_page, renewed)
+    typed = [
+        word
+        for option, value in zip(("--device", "--priors", "--model"), known, strict=True)
+        if value is not None
+        for word in (option, str(value))
+    ]
+    return Wanted(ids, before, goals, budget, is_page, renewed, tuple(typed))
 
 
 @contextlib.contextmanager

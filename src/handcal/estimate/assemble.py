@@ -20,6 +20,15 @@ from handcal.types import Array, Markov, Recording
 SNAP_S = 1e-7
 
 
+@dataclass(frozen=True)
+class Piece:
+    """What a piece of a recording has to know of the whole: where that began, from which effects
+    count, and a moment that is to be a node, since a filter stands there; both s."""
+
+    origin: float
+    stands: float
+
+
 def build(
     recording: Recording,
     effects: Sequence[Effect],
@@ -28,10 +37,12 @@ def build(
     omega_ie_n: Array,
     *,
     linearised: bool = True,
+    piece: Piece | None = None,
 ) -> Problem:
     """Assemble a Problem. ``observed``: each kind with its rows and its constants.
 
-    linearised: about zero; not needed where a trajectory to linearise about is at hand.
+    linearised: about zero; not needed where a trajectory to linearise about is at hand. piece: the
+    recording is but one of a longer one.
     """
     acting = [e for e in effects if e.imu_error is not None]
     effects = (*acting, *(e for e in effects if e.imu_error is None))
@@ -42,7 +53,8 @@ def build(
     added = _processes(kinds, effects)
     step = np.r_[[1e-3 * s.prior_sigma for s in slots], np.full(added.size, 1e-5)]
     smooth = smoothness(recording.imu)
-    nodes, rate, dropped = _nodes(recording, smooth, [r for _, r, _ in observed], imu_constants)
+    rows = [r for _, r, _ in observed]
+    nodes, rate, dropped = _nodes(recording, smooth, rows, imu_constants, piece)
     tables = _tables(kinds, [len(c) for _, _, c in observed], effects, slots, added, step)
     problem = Problem(
         recording,
@@ -145,8 +157,9 @@ def _tables(
 
 
 def _nodes(
-    recording: Recording, smooth: Array, rows: Sequence[Rows], imu_constants: int
-) -> tuple[Nodes, Array, int]:
+    recording: Recording, smooth: Array, rows: Sequence[Rows], imu_constants: int,
+    piece: Piece | None,
+) -> tuple[Nodes, Array, int]:  # fmt: skip
     """Insert the observation times between the IMU's stamps, readings interpolated there."""
     imu = recording.imu
     ot = np.concatenate([r.t - r.delay for r in rows]) if rows else np.zeros(0)
@@ -161,18 +174,19 @@ def _nodes(
         z[own, DELAY] = r.delay
         moved[own] = 0.0 if r.moved is None else r.moved
         i = own.stop
-    z[:, TIME], z[:, WARMTH] = ot - imu.t[0], warmth_at(recording, ot)
+    origin = imu.t[0] if piece is None else piece.origin
+    z[:, TIME], z[:, WARMTH] = ot - origin, warmth_at(recording, ot)
     keep = (ot >= imu.t[0]) & (ot <= imu.t[-1])
     ot, kind, z, moved = ot[keep], kind[keep].astype(np.int64), z[keep], moved[keep]
     near = nearest(imu.t, ot)
     ot = np.where(np.abs(imu.t[near] - ot) < SNAP_S, imu.t[near], ot)
     order = np.lexsort((kind, ot))
     ot, kind, z, moved = ot[order], kind[order], z[order], moved[order]
-    t = np.union1d(imu.t, ot)
+    t = np.union1d(imu.t, ot if piece is None else np.r_[ot, piece.stands])
     node = np.searchsorted(t, ot)
     first = np.searchsorted(node, np.arange(len(t) + 1)).astype(np.int64)
     gyro, accel, bend = at_nodes(imu, smooth, np.hstack([imu.gyro, imu.accel]), t)
-    rate = _smoothed_rate(recording, t)
+    rate = _smoothed_rate(recording, t, piece is not None)
     extra = _extra(recording, t)
     np.add.at(extra[:, 2], node, moved**2)
     J = np.zeros((len(t), 6, imu_constants))
@@ -180,12 +194,16 @@ def _nodes(
     return nodes, rate, int((~keep).sum())
 
 
-def _smoothed_rate(recording: Recording, t: Array) -> Array:
+def _smoothed_rate(recording: Recording, t: Array, goes_on: bool) -> Array:
+    """Turning rate (n,) at times t (n,), rad/s, over a third of a second. goes_on: what lies
+    beyond the ends is as what is there, else nothing is."""
     imu = recording.imu
     bias = np.median(imu.gyro, axis=0) if len(imu.t) < 10 else np.zeros(3)
     speed = np.linalg.norm(imu.gyro - bias, axis=1)
     width = max(1, round(0.3 * recording.rate_hz))
     mean = np.convolve(speed, np.ones(width) / width, mode="same")
+    if goes_on:
+        mean /= np.convolve(np.ones(len(speed)), np.ones(width) / width, mode="same")
     return np.asarray(np.interp(t, imu.t, mean))
 
 

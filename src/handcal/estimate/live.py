@@ -24,8 +24,9 @@ from handcal.types import Array, IntArray, Result
 
 @dataclass(frozen=True)
 class Observed:
-    """One update: residual (d,) and sigma (d,) in SI, and its NIS."""
+    """One update at t (s): residual (d,) and sigma (d,) in SI, and its NIS."""
 
+    t: float
     kind: str
     residual: Array
     sigma: Array
@@ -86,19 +87,21 @@ def live_frames(
         state = run(problem, noise, state, track, stop=int(node) + 1)
         check_covariance(state.P, float(problem.nodes.t[state.node]))
         rows = np.arange(first, problem.nodes.first[node + 1])
-        yield _frame(problem, state, track, rows[~np.isnan(track.nis[rows])])
+        yield frame_of(problem, state, track, rows[~np.isnan(track.nis[rows])])
 
 
-def _frame(problem: Problem, state: State, track: Track, rows: IntArray) -> Frame:
+def frame_of(problem: Problem, state: State, track: Track, rows: IntArray) -> Frame:
     """The state with the observations ``rows`` that were used since the last frame."""
     nodes, imu = problem.nodes, problem.recording.imu
-    m = BASE + sum(len(e.parameters) for e in problem.effects)
+    ids = {e.id for e in problem.effects}
+    m = BASE + sum(s.owner in ids for s in problem.slots)
     t = float(nodes.t[state.node])
     observed, heading = [], None
     for q in rows:
         kind = problem.observations[nodes.kind[q]]
         residual, sigma = track.residual[q, : kind.dim], track.sigma[q, : kind.dim]
-        observed.append(Observed(kind.kind, residual, sigma, float(track.nis[q])))
+        at = float(nodes.t[np.searchsorted(nodes.first, q, side="right") - 1])
+        observed.append(Observed(at, kind.kind, residual, sigma, float(track.nis[q])))
         if kind.channels == ("heading",) or kind.kind == "magnetometer":
             heading = _measured_heading(problem, state, int(q))
     now = int(np.searchsorted(imu.t, t, side="right")) - 1

@@ -164,18 +164,19 @@ def observed_of(
     iron: Array | None = None,
     rate: float | None = None,
     reference_exact: bool = False,
+    origin: float | None = None,
 ) -> tuple[list[Observed], Start]:
     """Each kind of observation with its rows and constants, and where the filter starts.
 
     iron (3,): a magnetometer's hard iron with which to begin, tesla (None: the likeliest).
     rate: of pseudo-observations, Hz (None: as often as is usual). reference_exact:
-    a reference has no bias of its own.
+    a reference has no bias of its own. origin: as of ``Scene``.
     """
     has_heading = "heading" in kinds or "magnetometer" in kinds
     scene = Scene(
         rests, has_heading, rate=rate or PSEUDO_RATE, omega_ie_n=earth[1],
         gravity=float(np.linalg.norm(earth[0])), reference_exact=reference_exact,
-        iron=iron,
+        iron=iron, origin=origin,
     )  # fmt: skip
     begin = start or _level(recording, kinds, scene)
     if "pose" in kinds and has_heading:

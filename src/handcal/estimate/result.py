@@ -18,6 +18,7 @@ from handcal.estimate.parameters import Known, Moment, known
 from handcal.estimate.problem import Problem, constants_of
 from handcal.estimate.robust import inflation
 from handcal.estimate.sampling import interpolated
+from handcal.estimate.standing import known_as, standing_of
 from handcal.estimate.trajectory import Trajectory, path
 from handcal.observations import magnetometer
 from handcal.types import (
@@ -30,6 +31,7 @@ from handcal.types import (
     Parameter,
     Prior,
     Result,
+    Standing,
 )
 
 # Rows of a history: as many a second, and no more numbers in all its covariances.
@@ -61,6 +63,7 @@ def _result(model: Model, k: int, found: Known) -> Result:
     history = _history(dense, rows, found, forward.x, forward.P)
     # (the covariances are the largest thing here: of the filter's, the last is left)
     forward = replace(forward, x=forward.x[-1:].copy(), P=forward.P[-1:].copy())
+    standing = _standing(dense, forward, found)
     smoothed = _history(dense, rows, found, *smoother.smooth(dense, f.levels, forward, rows))
     innovations = _innovations(dense, forward)
     parameters, covariance = _walked(problem, found, smoothed)
@@ -82,7 +85,17 @@ def _result(model: Model, k: int, found: Known) -> Result:
         observed_heading=_observed_heading(dense),
         settled=model.settled,
         before=f.case.before,
+        standing=standing,
     )
+
+
+def _standing(dense: Linear, forward: smoother.Pass, found: Known) -> Standing:
+    """The last epoch, its parameters as well known as the fit knows them."""
+    t = float(dense.t[-1])
+    own = standing_of(dense.problem, t, dense.trajectory, forward.x[-1], forward.P[-1])
+    names = [(p.effect, p.name) for p in found.parameters]
+    mean = np.array([p.value for p in found.parameters])
+    return known_as(own, names, mean, found.covariance)
 
 
 def check_covariance(P: Array, t: float) -> None:

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from handcal.live import part
+from handcal.live.goals import said_of
 from handcal.live.rounding import TOO_SURE, rounded
 from handcal.live.session import Session
-from handcal.live.sources.browser import Convention, told
-from handcal.types import HandcalError, Prior, Recording
+from handcal.live.sources.browser import APIS, Convention, told
+from handcal.recordings.export import Pieces
+from handcal.types import Array, HandcalError, Parameter, Prior, Recording
 
 FILES = ("recording.mcap", "calibration.json", "explanation.json", "report.html")
 # What a calibration is written as besides, in a folder of its own: format, name of the file.
@@ -32,7 +35,8 @@ class Wanted:
 
     effects: to calibrate, instead of those that are found; before: what is known of the device;
     until: sigmas, SI, by effect; budget: s; checked: axes and sign are a browser's, to be told by
-    turns and the first rest; renewed: what is known before the recording, by when it was made.
+    turns and the first rest; renewed: what is known before the recording, by when it was made;
+    typed: the options that say so.
     """
 
     effects: tuple[str, ...] = ()
@@ -41,20 +45,24 @@ class Wanted:
     budget: float | None = None
     checked: bool = False
     renewed: Callable[[Recording], Prior | None] | None = None
+    typed: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Ended:
-    """What is held at the end: headline and sentences of the verdict, and the files' names."""
+    """What is held at the end: headline and sentences of the verdict, the files' names, and what
+    explanation and calibration warn of."""
 
     headline: str
     sentences: tuple[str, ...]
     files: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
 
     @property
     def document(self) -> dict[str, Any]:
         """As the page is told."""
-        return {"headline": self.headline, "sentences": self.sentences, "files": self.files}
+        return {"headline": self.headline, "sentences": self.sentences, "files": self.files,
+                "warnings": self.warnings}  # fmt: skip
 
 
 def with_convention(recording: Recording, found: Convention) -> Recording:
@@ -64,19 +72,28 @@ def with_convention(recording: Recording, found: Convention) -> Recording:
     return replace(recording, imu=replace(imu, gyro=gyro, accel=found.sign * imu.accel))
 
 
+def put_right(pieces: Pieces, found: Convention) -> Pieces:
+    """The same of a batch."""
+    if "imu" not in pieces:
+        return pieces
+    ns, value = pieces["imu"]
+    righted = np.hstack([value[:, list(found.order)], found.sign * value[:, 3:]])
+    return {**pieces, "imu": (ns, righted)}
+
+
 def settled(
     recording: Recording, checked: bool, page: bool = True
-) -> tuple[Recording, tuple[str, ...]]:
-    """The recording as it is to be read, and what was changed. checked: its axes and sign are to
-    be told by turns and rest; page: it is from a browser."""
+) -> tuple[Convention, tuple[str, ...]]:
+    """How the recording is to be read, and what is to be said of it. checked: its axes and sign
+    are to be told by turns and rest; page: it is from a browser."""
     imu = recording.imu
     if not checked:
-        return recording, ()
+        return Convention(), ()
     found = told(imu.t, imu.gyro, imu.accel)
     if found is None:
-        return recording, ("It was turned too little to tell the axes: they are a guess.",)
-    limits = browsers_limits(recording) if page else ()
-    return with_convention(recording, found), (*found.sentences, *limits)
+        said = "It was turned too little to tell the axes: they are a guess."
+        return Convention(), (said,)
+    return found, (*found.sentences, *(browsers_limits(recording) if page else ()))
 
 
 def browsers_limits(recording: Recording) -> Iterator[str]:
@@ -108,22 +125,59 @@ def finish(session: Session, out: Path, wanted: Wanted, progress: Progress) -> E
     The explanation is made of the file as it was written, so `handcal explain` says the same.
     Errors: HandcalError where nothing can be made of it; the recording stays.
     """
-    from handcal.recordings.export import write_mcap
     from handcal.recordings.inputs import load
 
     session.recorder.close()
-    recording = _whole(session)
-    recording, said = settled(recording, wanted.checked, session.source == "page")
-    write_mcap(recording, out / FILES[0])
-    del recording
-    written = load(out / FILES[0])
+    long = session.recorder.seconds > part.EXPLAINED_S
+    name, said = (_in_part if long else _as_a_whole)(session, out, wanted)
+    written = load(out / name)
     written = replace(written, warnings=(*written.warnings, *said))
     if wanted.renewed is not None:
         wanted = replace(wanted, before=wanted.renewed(written))
     if session.source != "file" and session.clocks.sentence:
         said = (*said, session.clocks.sentence)
-    headline, sentences, more = _explained(written, out, wanted, progress)
-    return Ended(headline, (*sentences, *said), (*FILES, *more))
+    said = (*said, *filter(None, [APIS.get(session.note.get("api", ""))]))
+    ended = _explained(written, out, wanted, progress)
+    return replace(
+        ended, sentences=(*ended.sentences, *said),
+        files=(*dict.fromkeys((*FILES, name)), *ended.files),
+        warnings=tuple(w for w in ended.warnings if w not in said),
+    )  # fmt: skip
+
+
+def _as_a_whole(session: Session, out: Path, wanted: Wanted) -> tuple[str, tuple[str, ...]]:
+    """Write the recording; its name, and what is to be said of it."""
+    from handcal.recordings.export import write_mcap
+
+    recording = _whole(session)
+    found, said = settled(recording, wanted.checked, session.source == "page")
+    write_mcap(with_convention(recording, found), out / FILES[0])
+    return FILES[0], said
+
+
+def _in_part(session: Session, out: Path, wanted: Wanted) -> tuple[str, tuple[str, ...]]:
+    """Write a recording of hours piece by piece, and beside it the part that is explained; that
+    one's name, and what is to be said."""
+    from handcal.recordings.export import write_mcap
+
+    path = session.recorder.path
+    begun = part.beginning(path)
+    assert begun is not None  # (it has lasted)
+    found, said = settled(begun, wanted.checked, session.source == "page")
+
+    def change(pieces: Pieces) -> Pieces:
+        return put_right(pieces, found)
+
+    most = part.between(path, *part.most_turned(path), change)
+    assert most is not None
+    write_mcap(most, out / part.NAME)
+    part.rewritten(path, change)
+    minutes = session.recorder.seconds / 60.0
+    return part.NAME, (
+        f"It lasted {minutes:.0f} minutes: what is explained is the {part.EXPLAINED_S / 60.0:.0f} "
+        f"in which it was turned most ({part.NAME}).",
+        *said,
+    )
 
 
 def _whole(session: Session) -> Recording:
@@ -143,14 +197,13 @@ def _nothing() -> Any:
     return np.zeros(0, dtype=np.int64), np.zeros((0, 6))
 
 
-def _explained(
-    recording: Recording, out: Path, wanted: Wanted, progress: Progress
-) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
+def _explained(recording: Recording, out: Path, wanted: Wanted, progress: Progress) -> Ended:
+    """Explain and calibrate; of what is written the exports are told as files."""
     from handcal.estimate.calibration import calibrate
     from handcal.explain import explain
     from handcal.show.calibration.summary import calibration_json, write_json
     from handcal.show.explanation import verdict_text
-    from handcal.show.explanation.document import explanation_json
+    from handcal.show.explanation.document import all_warnings, explanation_json
     from handcal.show.explanation.next_commands import commands
     from handcal.show.explanation.report import write_explanation_report
 
@@ -159,20 +212,32 @@ def _explained(
             progress(0.9 * fraction, stage)
 
     explanation = explain([recording], budget=wanted.budget, before=wanted.before, progress=report)
+    more = _contradicting(wanted, explanation.parameters, explanation.covariance)
+    explanation = replace(explanation, warnings=(*explanation.warnings, *more))
     write_json(explanation_json(explanation), out / FILES[2])
-    following = commands(explanation, [str(out / FILES[0])], json=str(out / FILES[2]))
+    following = commands(explanation, [recording.path], wanted.typed, str(out / FILES[2]))
     write_explanation_report(explanation, out / FILES[3], following)
     progress(0.9, "calibrating with what was found")
     effects = wanted.effects or [m.effect for m in explanation.missing]
     result = calibrate(recording, effects, before=wanted.before)
+    more = _contradicting(wanted, result.parameters, result.covariance)
+    result = replace(result, warnings=(*result.warnings, *more))
     write_json(calibration_json(result), out / FILES[1])
     verdict = verdict_text.verdict(explanation)
-    said = tuple(verdict.sentences)
-    if wanted.before is not None and "priors" not in wanted.before.source:
-        from handcal.show.device import surprise_sentences
+    said = (*verdict.sentences, *said_of(result.parameters, wanted.until))
+    warnings = dict.fromkeys((*all_warnings(explanation), *result.warnings))
+    return Ended(verdict.headline, said, tuple(exported(out)), tuple(warnings))
 
-        said += surprise_sentences(wanted.before, result.parameters, result.covariance)
-    return verdict.headline, said, tuple(exported(out))
+
+def _contradicting(
+    wanted: Wanted, parameters: Sequence[Parameter], covariance: Array | None
+) -> tuple[str, ...]:
+    """Where what is found contradicts what a device file says; a file of priors is of others."""
+    if wanted.before is None or covariance is None or "priors" in wanted.before.source:
+        return ()
+    from handcal.show.device import surprise_sentences
+
+    return surprise_sentences(wanted.before, parameters, covariance)
 
 
 def exported(out: Path) -> Iterator[str]:

@@ -10,8 +10,9 @@ import numpy as np
 
 from handcal.did_you_mean import did_you_mean
 from handcal.effects import catalogue
+from handcal.show import words
 from handcal.types import Array, InputError, Parameter
-from handcal.units import DEG, MG
+from handcal.units import DEG, MG, shown
 
 # What a unit is in SI, and of which SI unit it is.
 UNITS: Mapping[str, tuple[str, float]] = {
@@ -83,6 +84,32 @@ def wanted(parameters: Sequence[Parameter], until: Mapping[str, float]) -> Array
         return USUAL.get(p.effect, SHARE * p.prior_sigma)
 
     return np.array([until.get(p.effect, math.inf) if until else usual(p) for p in parameters])
+
+
+def said_of(parameters: Sequence[Parameter], until: Mapping[str, float]) -> tuple[str, ...]:
+    """Whether all that ``until`` names became known as well as it asks for, in a sentence; none
+    where nothing was asked for."""
+    if not until:
+        return ()
+    missed = [
+        (p, goal)
+        for p, goal in zip(parameters, wanted(parameters, until), strict=True)
+        if p.sigma > goal
+    ]
+    there = {p.effect for p in parameters}
+    gone = [words.effect_title(e) for e in until if e not in there]
+    if not missed and not gone:
+        return ("All is known as well as was asked for (--until).",)
+    told = [_missed(p, goal) for p, goal in missed] + [f"{title}, not estimated" for title in gone]
+    return (f"Not known as well as was asked for (--until): {'; '.join(told)}.",)
+
+
+def _missed(p: Parameter, goal: float) -> str:
+    unit = shown(p.unit, [p.sigma])
+    title = words.parameter_title(p)
+    return (
+        f"{title}, ± {unit.value(p.sigma, p.sigma)} instead of {unit.value(goal, goal)} {unit.unit}"
+    )
 
 
 def enough(parameters: Sequence[Parameter], until: Mapping[str, float]) -> bool:

@@ -26,6 +26,7 @@ from handcal.types import (
     Prior,
     Recording,
     Result,
+    Standing,
 )
 
 # How far ahead motions are planned, s: a minute is what people have patience for.
@@ -44,7 +45,8 @@ MOVED = {"gyro_bias": np.radians(3.0) / 3600.0, "accel_bias": 2e-3}
 @dataclass(frozen=True)
 class Look:
     """What a look found. from_ns: stamp at which its window begins; seconds: how long it is;
-    at_rest: whether it ends in a rest; q_nb (4,): attitude at its end, w x y z."""
+    at_rest: whether it ends in a rest; q_nb (4,): attitude at its end, w x y z; standing: from
+    where a filter goes on."""
 
     from_ns: int
     seconds: float
@@ -58,6 +60,7 @@ class Look:
     enough: bool
     next: Proposal | None
     doubts: tuple[Doubt, ...]
+    standing: Standing | None = None
 
     @property
     def end_ns(self) -> int:
@@ -84,6 +87,7 @@ def looked(
 
     horizon_s: for how long motions are planned."""
     from handcal.estimate.calibration import calibrate
+    from handcal.estimate.standing import known_as
     from handcal.live.planning import proposed
 
     try:
@@ -92,7 +96,14 @@ def looked(
         return None
     if rounded(recording):
         parameters, covariance = less_sure(result.parameters, result.covariance)
-        result = replace(result, parameters=parameters, covariance=covariance)
+        standing = result.standing
+        if standing is not None:
+            names = [(p.effect, p.name) for p in parameters]
+            mean = np.array([p.value for p in parameters])
+            standing = known_as(standing, names, mean, covariance)
+        result = replace(
+            result, parameters=parameters, covariance=covariance, standing=standing
+        )  # fmt: skip
     try:
         following = proposed(result, recording, until, horizon_s=horizon_s)
     except (HandcalError, np.linalg.LinAlgError):  # (a covariance that cannot be added to)
@@ -108,7 +119,7 @@ def _look(recording: Recording, result: Result, following: Proposal | None, know
         recording.start_ns, end, result.parameters, result.covariance,
         {n.name: n.value for n in result.noise}, result.innovations, result.assume, resting,
         history.q_nb[-1], known, following,
-        doubts(recording, result),
+        doubts(recording, result), result.standing,
     )  # fmt: skip
 
 

@@ -4,20 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
 
 from handcal.compiled import so3
 from handcal.live.ending import Wanted, with_convention
+from handcal.live.following import Following, Fresh
 from handcal.live.goals import wanted as goals_of
 from handcal.live.guide import Guide, steps_s
 from handcal.live.looks import Look, Looks, with_effects
 from handcal.live.session import Session
 from handcal.live.sources.browser import Convention, told
 from handcal.show import words
-from handcal.types import Array, HandcalError, IntArray, Parameter, Prior, Recording
+from handcal.types import (
+    Array,
+    HandcalError,
+    Innovations,
+    IntArray,
+    Parameter,
+    Prior,
+    Recording,
+)
 
 # `explain` runs behind once there is so much, s, and again when there is so many times as much.
 EXPLAIN_S, EXPLAIN_AGAIN = 20.0, 1.6
@@ -33,8 +42,11 @@ class Board(Protocol):
     def readings(self, t: Array, gyro: Array, accel: Array, C_nb: Array | None) -> None:
         """Readings (n, 3) at times t (n,) s of the session, and the attitude at the last."""
 
-    def look(self, t: float, look: Any) -> None:
+    def estimates(self, t: float, parameters: Sequence[Parameter]) -> None:
         """What is known at t (s)."""
+
+    def updates(self, innovations: Mapping[str, Innovations]) -> None:
+        """Innovations that are new, by kind of observation, at times of the session (s)."""
 
     def guidance(self, t: float, told: Mapping[str, Any]) -> None:
         """What is asked for at t (s)."""
@@ -84,9 +96,12 @@ class Live:
     drawn_ns: int = -1
     said: str = ""
     told_brought: str = ""
+    following: Following = field(init=False)
+    looked_as: Convention = field(default_factory=Convention)
 
     def __post_init__(self) -> None:
         """What is loaded when it is first used is loaded now, not while somebody turns."""
+        self.following = Following(self.looks.effects, self.looks.before)
         so3.rotations(np.zeros((1, 3)))
         so3.matrix_exp(np.zeros(3))
         so3.quaternion_of(np.eye(3)[None])
@@ -100,7 +115,10 @@ class Live:
             self.guide.saw(ns, value[:, :3])
             self._follow(ns, value)
             self._draw(ns, value)  # (before all that may take a while)
-        recording = self._recording() if self.looks.running is None else None
+        recording = None
+        if self.looks.running is None:
+            recording = self._recording()
+            self.looked_as = self._found
         look = self.looks.tick(self.session, recording)
         if look is not None:
             self._learn(look)
@@ -122,6 +140,11 @@ class Live:
         signs = np.r_[np.ones(3), np.full(3, float(self.convention.sign))]
         return np.asarray(value[:, order] * signs)
 
+    @property
+    def _found(self) -> Convention:
+        """As which readings are taken."""
+        return self.convention or Convention()
+
     def _recording(self) -> Recording | None:
         """What is in memory, axes put right."""
         recording = self.session.recording()
@@ -130,27 +153,59 @@ class Live:
         if self.convention is None:
             imu = recording.imu
             self.convention = told(imu.t, imu.gyro, imu.accel)
-        found = self.convention or Convention()
-        return with_convention(recording, found)
+            if not _alike(self._found, Convention()):
+                self.following.give_up()
+        return self._put_right(recording)
+
+    def _put_right(self, recording: Recording) -> Recording:
+        """A piece of what was recorded, its axes as they have been told by now."""
+        return with_convention(recording, self._found) if self.wanted.checked else recording
 
     def _learn(self, look: Look) -> None:
         self.guide.learned(look)
-        self.attitude = (look.end_ns, so3.matrix_of(look.q_nb[None])[0])
+        if _alike(self.looked_as, self._found):
+            standing, levels = look.standing, look.noise
+            self.following.stands(
+                standing, levels, look.from_ns, self.session, self._put_right
+            )  # fmt: skip
+        if self.following.online is None:
+            self.attitude = (look.end_ns, so3.matrix_of(look.q_nb[None])[0])
         # (from the end of the look to now)
         ns, value = self.session.since(look.end_ns)
         self._follow(ns, self._righted(value))
-        goals = goals_of(look.parameters, self.wanted.until)
-        self.session.told["parameters"] = [
-            _row(p, float(g))
-            for p, g in zip(look.parameters, goals, strict=True)
-        ]  # fmt: skip
         self.session.told["doubts"] = [d.sentence for d in look.doubts]
+        if self.following.online is None:
+            self.session.told.pop("filter", None)
+            self._know(self._t(look.end_ns), look.parameters)
+            if self.board is not None:
+                begin = self._t(look.from_ns)
+                self.board.updates(
+                    {k: replace(i, t=i.t + begin) for k, i in look.innovations.items()}
+                )
+
+    def _know(self, t: float, parameters: Sequence[Parameter]) -> None:
+        """Tell what is known at t (s), by the filter or by a look."""
+        goals = goals_of(parameters, self.wanted.until)
+        rows = zip(parameters, goals, strict=True)
+        self.session.told["parameters"] = [_row(p, float(g)) for p, g in rows]
         if self.board is not None:
-            self.board.look(self._t(look.end_ns), look)
+            self.board.estimates(t, parameters)
+
+    def _filtered(self, fresh: Fresh) -> None:
+        """Tell what the filter says."""
+        self.attitude = fresh.t_ns, fresh.C_nb
+        self._know(self._t(fresh.t_ns), fresh.parameters)
+        self.session.told["filter"] = self.following.told(self._zero())
+        if self.board is not None and fresh.innovations:
+            self.board.updates(fresh.innovations)
 
     def _follow(self, ns: IntArray, value: Array) -> None:
-        """Carry the attitude along with the gyro, its bias taken off."""
-        if self.attitude is None or self.guide.look is None:
+        """Step the filter over what came; where it does not run, carry the attitude along with the
+        gyro, its bias taken off."""
+        fresh = self.following.saw(self.session, self._put_right)
+        if fresh is not None:
+            self._filtered(fresh)
+        if self.attitude is None or self.guide.look is None or self.following.online is not None:
             return
         last, C = self.attitude
         own = ns > last
@@ -201,6 +256,8 @@ class Live:
                 self.say(self.told_brought)
                 for line in bars(self.session.told.get("parameters", [])):
                     self.say(line)
+                for line in checks(self.session.told.get("filter")):
+                    self.say(line)
             self.said = say
             self.say(say)
 
@@ -227,6 +284,28 @@ def bars(rows: Sequence[Mapping[str, Any]]) -> list[str]:
         + ("enough" if row["good"] else "█" * max(1, round(BAR * row["left"])))
         for row in rows
     ]
+
+
+def checks(filtered: Mapping[str, Any] | None) -> list[str]:
+    """How the filter has it held, and its innovations beside their gates, for the terminal."""
+    if filtered is None:
+        return []
+    C = np.array(filtered["held"]).reshape(3, 3)
+    level = np.degrees(np.arcsin(np.clip(C[2, :2], -1.0, 1.0)))
+    yaw = np.degrees(np.arctan2(C[1, 0], C[0, 0]))
+    way = "up" if C[2, 2] >= 0.0 else "down"
+    held = f"  held: screen {way}, right edge {level[0]:+.0f}, top edge {level[1]:+.0f} deg above "
+    lines = [f"{held}the horizon, turned to {yaw:+.0f} deg"]
+    return lines + [
+        f"  {one['name']}: innovations {one['times']:.1f} times as large as expected, "
+        f"{one['beyond']} of {one['of']} beyond their gate of {one['gate']:.0f} sigma"
+        for one in filtered["innovations"]
+    ]
+
+
+def _alike(a: Convention, b: Convention) -> bool:
+    """Whether readings are taken the same way."""
+    return (a.order, a.sign) == (b.order, b.sign)
 
 
 def _row(p: Parameter, goal: float) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,13 +16,16 @@ from typing import Any
 import numpy as np
 
 from handcal.recordings import append
-from handcal.recordings.append import Pieces
+from handcal.recordings.export import Pieces
 from handcal.recordings.streams import STREAMS
 from handcal.types import Array, InputError, IntArray
 
 SYNC_S = 1.0  # so much at most is lost where the whole machine dies
 # In memory, for the estimates on the way, whatever else: at 400 Hz some 10 MB.
 LONGEST_NS = 300 * 1_000_000_000
+
+# Thermometers speak once in some seconds: so far back a piece of the recording has their readings.
+SELDOM_NS = 30 * 1_000_000_000
 
 Stream = deque[tuple[IntArray, Array]]
 
@@ -93,14 +96,21 @@ class Recorder:
 
     def streams(self) -> dict[str, tuple[IntArray, Array]]:
         """Stamps (n,) ns and values (n, d) that are in memory, by stream."""
-        return {
-            name: (
-                np.concatenate([np.zeros(0, dtype=np.int64), *(ns for ns, _ in parts)]),
-                np.concatenate([np.zeros((0, len(STREAMS[name].columns))), *(v for _, v in parts)]),
-            )
-            for name, parts in self.kept.items()
-            if parts or name == "imu"
-        }
+        return {n: _joined(n, parts) for n, parts in self.kept.items() if parts or n == "imu"}
+
+    def since(self, ns: int) -> dict[str, tuple[IntArray, Array]]:
+        """As ``streams``, in batches that hold stamps of ns or later; of others than the IMU from
+        SELDOM_NS before it on."""
+        out = {}
+        for name, parts in self.kept.items():
+            from_ns, some = ns if name == "imu" else ns - SELDOM_NS, []
+            for piece in reversed(parts):
+                if piece[0][-1] < from_ns:
+                    break
+                some.append(piece)
+            if some or name == "imu":
+                out[name] = _joined(name, some[::-1])
+        return out
 
     def close(self) -> None:
         """No more comes."""
@@ -108,16 +118,29 @@ class Recorder:
         self.growing.file.close()
 
 
+def _joined(name: str, parts: Iterable[tuple[IntArray, Array]]) -> tuple[IntArray, Array]:
+    """Stamps (n,) ns and values (n, d) of pieces of one stream."""
+    parts = list(parts)
+    return (
+        np.concatenate([np.zeros(0, dtype=np.int64), *(ns for ns, _ in parts)]),
+        np.concatenate([np.zeros((0, len(STREAMS[name].columns))), *(v for _, v in parts)]),
+    )
+
+
 def opened(path: Path) -> Recorder:
     """A new recording, or one that was broken off. Errors: InputError where it has ended."""
     if not path.exists():
         return Recorder(path, append.begin(path))
-    held = append.held(path)
-    if held.complete or held.end == 0:
-        raise InputError(f"{path} is a recording that has ended; name another folder with --out.")
-    recorder = Recorder(
-        path, append.go_on(path, held), next=int(held.note.get("seq", -1)) + 1, note=held.note
-    )
-    for name, piece in held.streams.items():
-        recorder._keep(name, piece)
+    over = InputError(f"{path} is a recording that has ended; name another folder with --out.")
+    if append.ended(path):
+        raise over
+    recorder, last = Recorder(path, append.reopened(path)), append.Held({}, {}, 0, False)
+    for last in append.each(path):
+        for name, piece in last.streams.items():
+            recorder._keep(name, piece)
+    if last.complete or last.end == 0:
+        recorder.growing.file.close()
+        raise over
+    append.go_on(recorder.growing, last)
+    recorder.next, recorder.note = int(last.note.get("seq", -1)) + 1, last.note
     return recorder

@@ -20,6 +20,8 @@ from handcal.live.sources import file
 from handcal.types import HandcalError, Recording
 
 TICK_S, FAREWELL_S, LINGER_S = 0.1, 20.0, 1.0
+# From one look at what is new to the next, s: an app may push two dozen times a second.
+SOONEST_S = 0.05
 # Between two questions to a source that has to be asked, s.
 ASK_S = 0.2
 Say = Callable[[str], None]
@@ -27,6 +29,7 @@ Say = Callable[[str], None]
 Pull = Callable[[Session], bool]
 # A source that does not answer for so long, s, has gone.
 GONE_S = 30.0
+REACHED = "everything is known as well as was asked for"
 
 
 @contextmanager
@@ -57,7 +60,8 @@ def fed(session: Session, recording: Recording, speed: float, out: Path, wanted:
     try:
         if speed:
             with followed(session, wanted, say, board) as live:
-                file.feed(recording, session, speed, tick=live.tick)
+                if file.feed(recording, session, speed, tick=live.tick):
+                    say(REACHED)
         else:
             file.feed(recording, session, speed)
     except KeyboardInterrupt:
@@ -107,12 +111,20 @@ async def serve(session: Session, link: Link, out: Path, wanted: Wanted, say: Sa
 
 
 async def _watch(live: Live, stop: asyncio.Event) -> None:
-    """See what is new a few times a second, in a thread beside the server."""
+    """See what is new as soon as it comes, in a thread beside the server."""
     while True:
-        if await asyncio.to_thread(live.tick):
-            live.say("everything is known as well as was asked for")
+        began = time.monotonic()
+        if await asyncio.to_thread(ticked, live):
+            live.say(REACHED)
             stop.set()
-        await asyncio.sleep(TICK_S)
+        await asyncio.sleep(max(0.0, SOONEST_S - (time.monotonic() - began)))
+
+
+def ticked(live: Live) -> bool:
+    """Wait for something to come, for a while, and see what is new."""
+    live.session.news.wait(TICK_S)
+    live.session.news.clear()
+    return live.tick()
 
 
 def _asked(

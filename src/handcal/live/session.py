@@ -18,11 +18,11 @@ import numpy as np
 
 from handcal.live.clocks import Clocks
 from handcal.live.recorder import Recorder
-from handcal.recordings.append import Pieces
+from handcal.recordings.export import Pieces
 from handcal.types import Array, BoolArray, HandcalError, Imu, IntArray, Recording, Series
 
 SILENT_S = 10.0  # after which another page may take the session over
-MOST_SAMPLES = 2_000_000  # five hours at 100 Hz
+MOST_SAMPLES = 40_000_000  # more than a day at 400 Hz; 4 GB
 # Of all streams in one batch: what unpacks to a quarter of what the recorder takes back.
 MOST_ROWS = 20_000
 LONGEST_GAP_NS = 3600 * 1_000_000_000
@@ -58,7 +58,7 @@ class Session:
 
     clock: seconds, of any origin; wall_ns: this machine's time, which stands beside the stamps in
     the file and is never mixed with them; state: recording, working, done or failed; source: where
-    readings come from; told: what is shown beside the counts.
+    readings come from; told: what is shown beside the counts; news: set when something came.
     """
 
     recorder: Recorder
@@ -72,6 +72,7 @@ class Session:
     seen: float = -np.inf
     late: int = 0
     lock: threading.Lock = field(default_factory=threading.Lock)
+    news: threading.Event = field(default_factory=threading.Event)
 
     @property
     def note(self) -> Mapping[str, Any]:
@@ -127,6 +128,7 @@ class Session:
         values = np.hstack([batch.gyro, batch.accel])[fresh]
         note = {"seq": batch.seq, "host_ns": arrived, **batch.note}
         self.recorder.add({"imu": (batch.ns[fresh], values), **further}, note)
+        self.news.set()
 
     def _fresh(self, stream: str, ns: IntArray) -> BoolArray:
         """Which stamps (n,) are newer than all before them."""
@@ -163,6 +165,19 @@ class Session:
             return np.zeros(0, dtype=np.int64), np.zeros((0, 6))
         return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
 
+    def piece(self, from_ns: int, origin_ns: int, to_ns: int | None = None) -> Recording | None:
+        """What is in memory from the batch on in which from_ns lies (of streams that are read
+        seldom, from a while before it), to to_ns; times are since origin_ns. None below two
+        samples, and where from_ns is older than what is in memory."""
+        with self.lock:
+            streams = self.recorder.since(from_ns)
+        ns, value = streams["imu"]
+        if to_ns is not None:
+            ns, value = ns[ns <= to_ns], value[ns <= to_ns]
+        if len(ns) < 2:
+            return None
+        return recording_of(self.recorder.path, {**streams, "imu": (ns, value)}, origin_ns)
+
     def forget(self, before_ns: int) -> None:
         """Keep in memory only what is not older than that stamp."""
         with self.lock:
@@ -175,17 +190,21 @@ class Session:
         return recording_of(self.recorder.path, streams)
 
 
-def recording_of(path: Path, streams: Mapping[str, tuple[IntArray, Array]]) -> Recording | None:
-    """A recording of stamps (n,) ns and values (n, d) by stream; None below two samples."""
+def recording_of(
+    path: Path, streams: Mapping[str, tuple[IntArray, Array]], origin_ns: int | None = None
+) -> Recording | None:
+    """A recording of stamps (n,) ns and values (n, d) by stream; None below two samples.
+    origin_ns: of time zero, instead of the first sample's."""
     ns, value = streams["imu"]
     if len(ns) < 2:
         return None
-    t = (ns - ns[0]) / 1e9
+    begin = int(ns[0]) if origin_ns is None else origin_ns
+    t = (ns - begin) / 1e9
     gyro, accel = np.ascontiguousarray(value[:, :3]), np.ascontiguousarray(value[:, 3:])
     further = {
-        name: Series((at - ns[0]) / 1e9, v)
+        name: Series((at - begin) / 1e9, v)
         for name, (at, v) in streams.items()
         if name != "imu" and len(at)
     }
     imu = Imu(t, gyro, accel, np.ones(len(t), dtype=np.bool_))
-    return Recording(str(path), imu, further, int(ns[0]))
+    return Recording(str(path), imu, further, begin)

@@ -32,7 +32,8 @@ class Scene:
     motion is modelled as a Markov process instead of white noise. omega_ie_n (3,): the
     Earth's rate, rad/s; gravity: its size, m/s^2. reference_exact: a reference has no bias.
     iron (3,): a magnetometer's hard iron as far as it is known beforehand, tesla (None: what the
-    readings lie around).
+    readings lie around). origin: the recording is a piece of one that began at this time, s, from
+    where pseudo-observations are counted.
     """
 
     rests: Array
@@ -44,6 +45,7 @@ class Scene:
     gravity: float = STANDARD_GRAVITY
     reference_exact: bool = False
     iron: Array | None = None
+    origin: float | None = None
 
 
 @dataclass(frozen=True)
@@ -136,17 +138,24 @@ def nearest(t: Array, wanted: Array) -> IntArray:
     return np.where(wanted - t[right - 1] < t[right] - wanted, right - 1, right)
 
 
-def pseudo_times(recording: Recording, rate: float | None, rests: Array | None = None) -> Array:
+def pseudo_times(
+    recording: Recording, rate: float | None, rests: Array | None = None,
+    origin: float | None = None,
+) -> Array:  # fmt: skip
     """Stamps of IMU samples, one in every 1/rate seconds (all of them for None).
 
     The place within each slot is scattered (a Weyl sequence, so always the same): a hand
     trembles at 8 to 12 Hz, which regular times would alias into a correlated error.
-    rests (r, 2): only within these.
+    rests (r, 2): only within these. origin: of a piece that goes on, where slots are counted
+    from, s; what is to come is left to the next piece.
     """
     t = recording.imu.t
     if rate is not None and rate < recording.rate_hz:
-        slot = np.arange(int((t[-1] - t[0]) * rate) + 1)
-        wanted = t[0] + (slot + (slot * slot * 0.6180339887498949) % 1.0) / rate
+        begin = t[0] if origin is None else origin
+        slot = np.arange(max(0, int((t[0] - begin) * rate)), int((t[-1] - begin) * rate) + 1)
+        wanted = begin + (slot + (slot * slot * 0.6180339887498949) % 1.0) / rate
+        if origin is not None:
+            wanted = wanted[(wanted > t[0]) & (wanted <= t[-1])]
         t = t[np.unique(np.clip(np.searchsorted(t, wanted), 0, len(t) - 1))]
     if rests is not None:
         inside = np.zeros(len(t), dtype=bool)

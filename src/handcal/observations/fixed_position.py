@@ -51,7 +51,7 @@ def _jacobian(nav: Any, theta: Any, z: Any, H: Any) -> int:  # noqa: ARG001
 
 
 def _rows(recording: Recording, scene: Scene) -> Rows | None:
-    t = pseudo_times(recording, scene.rate)
+    t = pseudo_times(recording, scene.rate, origin=scene.origin)
     return Rows(t, np.zeros((len(t), 3)))
 
 

@@ -22,7 +22,7 @@ def _residual(nav: Any, theta: Any, z: Any, r: Any) -> int:  # noqa: ARG001
 
 def _rows(recording: Recording, scene: Scene) -> Rows | None:
     imu = recording.imu
-    t = pseudo_times(recording, scene.rate, scene.rests)
+    t = pseudo_times(recording, scene.rate, scene.rests, scene.origin)
     if not len(t):
         return None
     # The filter compares z with the reading at its stamp. What matters is the mean over

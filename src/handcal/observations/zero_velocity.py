@@ -25,7 +25,7 @@ def _jacobian(nav: Any, theta: Any, z: Any, H: Any) -> int:  # noqa: ARG001
 
 
 def _rows(recording: Recording, scene: Scene) -> Rows | None:
-    t = pseudo_times(recording, scene.rate, scene.rests if scene.sway else None)
+    t = pseudo_times(recording, scene.rate, scene.rests if scene.sway else None, scene.origin)
     return Rows(t, np.zeros((len(t), 3))) if len(t) else None
 
 

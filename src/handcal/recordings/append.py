@@ -12,7 +12,7 @@ import json
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -24,8 +24,8 @@ from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Header, Message, Schema
 
-from handcal.recordings.export import messages
-from handcal.recordings.inputs._messages import decode_cdr
+from handcal.recordings.export import Pieces, messages
+from handcal.recordings.inputs._messages import ByteArray, decode_cdr
 from handcal.recordings.streams import STREAMS
 from handcal.types import Array, InputError, IntArray
 
@@ -34,9 +34,10 @@ LARGEST = 32 * 2**20  # no piece of ours unpacks to more
 # Channels; 3 is the note (files that were broken off keep their numbers).
 IDS = {"imu": 1, "heading": 2, "mag": 4, "temperature": 5, "pose": 6, "reference": 7}
 NOTE_ID, NOTE_TOPIC, NOTE_SCHEMA = 3, "/live/batch", "handcal/live/batch"
+# A message record up to its data.
+_HEAD = np.dtype([("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"),
+                  ("log", "<u8"), ("publish", "<u8")])  # fmt: skip
 _DAMAGED = (struct.error, EndOfFile, UnicodeDecodeError, OverflowError, ValueError)
-
-Pieces = Mapping[str, tuple[IntArray, Array]]
 
 
 @dataclass
@@ -49,8 +50,8 @@ class Growing:
 
 @dataclass(frozen=True)
 class Held:
-    """What a file holds: by stream, stamps (n,) ns and values (n, d); the last note; where the
-    last whole chunk ends; whether somebody has written its end."""
+    """What a file holds, or one chunk of it: by stream, stamps (n,) ns and values (n, d); the last
+    note; where the last whole chunk ends; whether somebody has written its end."""
 
     streams: Mapping[str, tuple[IntArray, Array]]
     note: Mapping[str, Any]
@@ -68,12 +69,15 @@ def begin(path: Path) -> Growing:
     return Growing(file)
 
 
-def go_on(path: Path, held: Held) -> Growing:
-    """The file cut behind its last whole chunk, open for more."""
-    file = path.open("r+b")
-    file.truncate(held.end)
-    file.seek(held.end)
-    return Growing(file)
+def reopened(path: Path) -> Growing:
+    """A file that was broken off, as it is; ``go_on`` makes it ready for more. Errors: OSError."""
+    return Growing(path.open("r+b"))
+
+
+def go_on(growing: Growing, held: Held) -> None:
+    """Cut the file behind its last whole chunk and go there."""
+    growing.file.truncate(held.end)
+    growing.file.seek(held.end)
 
 
 def append(growing: Growing, pieces: Pieces, note: Mapping[str, Any]) -> None:
@@ -81,25 +85,31 @@ def append(growing: Growing, pieces: Pieces, note: Mapping[str, Any]) -> None:
 
     Errors: OSError where the disk takes it no more; HandcalError beyond 2038.
     """
-    out, first, last = RecordBuilder(), 2**63, 0
+    out, parts, first, last = RecordBuilder(), [], 2**63, 0
     for stream, (ns, value) in pieces.items():
         _register(growing, out, stream)
-        block = messages(stream, ns, value)
-        for time, data in zip(ns.tolist(), block, strict=True):
-            _message(out, IDS[stream], time, data.tobytes())
+        parts += [_bytes(out), _records_of(IDS[stream], ns, messages(stream, ns, value))]
         if len(ns):
             first, last = min(first, int(ns[0])), max(last, int(ns[-1]))
     _register_note(growing, out)
-    _message(out, NOTE_ID, last, json.dumps(note).encode())
-    data = _bytes(out)
+    said = json.dumps(note).encode()
+    Message(
+        channel_id=NOTE_ID, data=said, log_time=last, publish_time=last, sequence=0
+    ).write(out)  # fmt: skip
+    data = b"".join([*parts, _bytes(out)])
     packed = zstandard.ZstdCompressor().compress(data)
     Chunk("zstd", packed, last, min(first, last), zlib.crc32(data), len(data)).write(out)
     growing.file.write(_bytes(out))
     growing.file.flush()
 
 
-def _message(out: RecordBuilder, id: int, time: int, data: bytes) -> None:
-    Message(channel_id=id, data=data, log_time=time, publish_time=time, sequence=0).write(out)
+def _records_of(id: int, ns: IntArray, data: ByteArray) -> bytes:
+    """Message records of one channel: stamps (n,) ns and their data (n, length), all at once (one
+    by one they would take longer than all else that is done with a sample)."""
+    head = np.zeros(len(ns), dtype=_HEAD)
+    head["opcode"], head["length"] = Opcode.MESSAGE, _HEAD.itemsize - 9 + data.shape[1]
+    head["channel"], head["log"], head["publish"] = id, ns, ns
+    return np.hstack([head.view(np.uint8).reshape(len(ns), _HEAD.itemsize), data]).tobytes()
 
 
 def _bytes(out: RecordBuilder) -> bytes:
@@ -129,31 +139,47 @@ def _register_note(growing: Growing, out: RecordBuilder) -> None:
         ).write(out)
 
 
+def ended(path: Path) -> bool:
+    """Whether somebody has written the end of a file (its channels may be any then)."""
+    with path.open("rb") as file:
+        size = file.seek(0, 2)
+        file.seek(max(len(MAGIC), size - len(MAGIC)))
+        return file.read() == MAGIC
+
+
 def held(path: Path) -> Held:
     """What such a file holds, as far as it goes. Errors: InputError for a file of another kind."""
     parts: dict[str, list[tuple[IntArray, Array]]] = {}
+    last = Held({}, {}, 0, False)
+    for last in each(path):
+        for name, piece in last.streams.items():
+            parts.setdefault(name, []).append(piece)
+    streams = {
+        name: (np.concatenate([ns for ns, _ in some]), np.concatenate([v for _, v in some]))
+        for name, some in parts.items()
+    }
+    return replace(last, streams=streams)
+
+
+def each(path: Path) -> Iterator[Held]:
+    """What such a file holds, record by record, so that no more than a chunk is in memory; the
+    note, the end and whether there is one as known by then. Errors as of ``held``."""
     note: Mapping[str, Any] = {}
-    end, complete = 0, False
+    complete = False
     with path.open("rb") as file:
         if file.read(8) != MAGIC:
             raise InputError(f"{path} is no recording of handcal live; name another folder.")
         for opcode, content, after in _records(file):
             complete = complete or opcode in (Opcode.DATA_END, Opcode.FOOTER)
+            streams: Mapping[str, tuple[IntArray, Array]] = {}
             if opcode == Opcode.CHUNK:
                 try:
                     blocks = _messages(_unpacked(content))
                     note = json.loads(blocks[NOTE_ID][-1]) if NOTE_ID in blocks else note
                 except _DAMAGED:
-                    break
-                for name, id in IDS.items():
-                    if id in blocks:
-                        parts.setdefault(name, []).append(_decoded(name, blocks[id]))
-            end = after
-    streams = {
-        name: (np.concatenate([ns for ns, _ in some]), np.concatenate([v for _, v in some]))
-        for name, some in parts.items()
-    }
-    return Held(streams, note, end, complete)
+                    return
+                streams = {n: _decoded(n, blocks[id]) for n, id in IDS.items() if id in blocks}
+            yield Held(streams, note, after, complete)
 
 
 def _records(file: BinaryIO) -> Iterator[tuple[int, bytes, int]]:

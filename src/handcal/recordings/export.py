@@ -7,7 +7,7 @@ that are not valid carry the covariance -1 by which ROS says "not measured".
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -21,11 +21,46 @@ from handcal.types import Array, BoolArray, HandcalError, InputError, IntArray, 
 
 # Small chunks, so that a truncated file gives back nearly all it holds.
 CHUNK_SIZE = 64 * 1024
+# By stream, stamps (n,) ns and values (n, d).
+Pieces = Mapping[str, tuple[IntArray, Array]]
 
 
 def write_mcap(recording: Recording, path: str | Path) -> None:
     """Write the recording. Errors: HandcalError if the file cannot be written."""
     _write({"": recording}, path)
+
+
+def write_pieces(pieces: Iterable[Pieces], path: str | Path) -> None:
+    """Write a recording piece by piece, of which no more than one is in memory: of each stream
+    stamps (n,) ns and values (n, d), all valid, in the order of time within a piece. Errors as of
+    ``write_mcap``."""
+    with output.whole(path) as place, place.open("wb") as file:
+        writer = Writer(file, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD)
+        writer.start(profile="ros2", library="handcal")
+        known: dict[str, tuple[int, int]] = {}
+        for some in pieces:
+            _write_piece(writer, some, known)
+        writer.finish()  # type: ignore[no-untyped-call]
+
+
+def _write_piece(writer: Writer, pieces: Pieces, known: dict[str, tuple[int, int]]) -> None:
+    """known: by stream its channel, and how many messages it has."""
+    waiting: list[tuple[int, int, bytes, int]] = []
+    for stream, (ns, value) in pieces.items():
+        row = STREAMS[stream]
+        if stream not in known:
+            text = row.message.definition.encode()
+            schema = writer.register_schema(row.message.schema, "ros2msg", text)
+            known[stream] = writer.register_channel(row.topic, "cdr", schema), 0
+        channel, count = known[stream]
+        known[stream] = channel, count + len(ns)
+        block = messages(stream, ns, value)
+        waiting += [
+            (time, channel, data.tobytes(), count + k)
+            for k, (time, data) in enumerate(zip(ns.tolist(), block, strict=True))
+        ]
+    for time, channel, data, number in sorted(waiting, key=lambda entry: entry[0]):
+        writer.add_message(channel, time, data, time, number)
 
 
 def check_ending(path: Path) -> None:

@@ -1,7 +1,8 @@
 // Sends what the phone's sensors read, in numbered batches; keeps each until it is acknowledged.
 "use strict";
 
-const EVERY_MS = 150, LONGEST = 600, PATIENCE_MS = 8000, POLL_MS = 700, QUIET_MS = 1500, WATCH_MS = 2000;
+const FASTEST_HZ = 400, GAP_MS = 500, SILENT_MS = 1500;
+const EVERY_MS = 100, LONGEST = 600, PATIENCE_MS = 8000, POLL_MS = 700, QUIET_MS = 1500, WATCH_MS = 2000;
 const $ = (id) => document.getElementById(id);
 const client = own();
 const agent = /iPhone|iPad|iPod/.test(navigator.userAgent) ? "ios"
@@ -35,22 +36,80 @@ async function post(name, body) {
 
 function complain(text) { $("error").textContent = text; $("error").hidden = !text; }
 
+// Readings come by DeviceMotion events (deg/s), which every browser on a phone has, or by the sensors'
+// own interface (the Generic Sensor API, rad/s), where each reading has its own stamp.
+let api = "motion";
+
 function moved(event) {
   const w = event.rotationRate, a = event.accelerationIncludingGravity;
-  const read = w && a ? [w.alpha, w.beta, w.gamma, a.x, a.y, a.z] : [];
-  if (read.length !== 6 || !read.every(Number.isFinite)) return;
-  const t = performance.timeOrigin + event.timeStamp;
-  if (!(t > last)) return;
-  last = t;
-  batch.t.push(t);
-  batch.gyro.push(read.slice(0, 3));
-  batch.accel.push(read.slice(3));
+  if (w && a) read(performance.timeOrigin + event.timeStamp, [w.alpha, w.beta, w.gamma], [a.x, a.y, a.z]);
 }
+
+function read(t, gyro, accel) {
+  if (![...gyro, ...accel].every(Number.isFinite) || !(t > last)) return;
+  last = t;
+  batch.t.push(t); batch.gyro.push(gyro); batch.accel.push(accel);
+}
+
+const sensors = [];  // of the Generic Sensor API, while they are read
+let rates = [], forces = [], spoke = -Infinity;
+
+// Rates wait for the force after them, which is then taken at their stamp; across a gap there is none.
+function paired() {
+  while (rates.length && forces.length && forces[forces.length - 1].t >= rates[0].t) {
+    const { t, x } = rates.shift();
+    while (forces.length > 1 && forces[1].t <= t) forces.shift();
+    const [before, after] = forces;
+    if (before.t === t) read(t, x, before.x);
+    else if (before.t < t && after.t - before.t < GAP_MS) {
+      const u = (t - before.t) / (after.t - before.t);
+      read(t, x, before.x.map((f, i) => f + u * (after.x[i] - f)));
+    }
+    spoke = performance.now();
+  }
+  rates = rates.slice(-LONGEST); forces = forces.slice(-LONGEST);
+}
+
+async function allowed(name) {
+  try { return (await navigator.permissions.query({ name })).state !== "denied"; } catch { return true; }
+}
+
+// Whether the sensors' own interface gives readings here; else it is left alone.
+async function direct() {
+  if (typeof Gyroscope === "undefined" || typeof Accelerometer === "undefined") return false;
+  if (!await allowed("gyroscope") || !await allowed("accelerometer")) return false;
+  let refused = false;
+  try {
+    for (const [Kind, list] of [[Gyroscope, () => rates], [Accelerometer, () => forces]]) {
+      const sensor = new Kind({ frequency: FASTEST_HZ });
+      sensor.addEventListener("reading", () => {
+        list().push({ t: performance.timeOrigin + sensor.timestamp, x: [sensor.x, sensor.y, sensor.z] });
+        paired();
+      });
+      sensor.addEventListener("error", () => { refused = true; });
+      sensors.push(sensor);
+      sensor.start();
+    }
+  } catch { refused = true; }
+  const began = performance.now();
+  while (!refused && spoke < began && performance.now() - began < SILENT_MS) await new Promise((ok) => setTimeout(ok, 20));
+  if (refused || spoke < began) { undirect(); batch = empty(); last = -Infinity; return false; }
+  return true;
+}
+
+function undirect() { sensors.splice(0).forEach((s) => s.stop()); rates = []; forces = []; }
+
+// Sensors that fall silent in the middle (some speak only of changes) are given up for motion events.
+function watchdog() {
+  if (api === "sensor" && performance.now() - spoke > SILENT_MS) { close(); undirect(); byMotion(); }
+}
+
+function byMotion() { api = "motion"; addEventListener("devicemotion", moved); }
 
 function close() {
   while (batch.t.length) {
     const cut = (list) => list.splice(0, LONGEST);
-    unsent.push({ client, seq: next++, agent, t: cut(batch.t), gyro: cut(batch.gyro), accel: cut(batch.accel) });
+    unsent.push({ client, seq: next++, agent, api, t: cut(batch.t), gyro: cut(batch.gyro), accel: cut(batch.accel) });
   }
   $("waiting").textContent = unsent.length;
 }
@@ -92,18 +151,32 @@ function show(said) {
     $("say").textContent = said.turn.say; $("done").value = said.turn.done; $("turn").hidden = stopping;
     text("hint", said.turn.hint); text("brought", said.brought);
     $("turn").dataset.name = said.turn.name || "";
-    picture = said.turn.picture || null; $("stage").hidden = !picture;
+    picture = said.turn.picture || null; $("asked").hidden = !picture; $("stage").hidden = !picture && !held;
   }
+  if (said.filter) known(said.filter);
+  else { held = null; $("own").hidden = true; text("checks", ""); }
   text("doubts", (said.doubts || []).join(" "));
   if (said.parameters) { $("closing").hidden = false; $("bars").replaceChildren(...said.parameters.map(row)); }
   if (said.so_far && said.so_far.length) text("sofar", `So far explain finds: ${said.so_far.join("; ")}.`);
   if (said.state === "working") {
     $("note").textContent = said.stage ? `Explaining: ${said.stage}` : "Explaining what was recorded";
-    $("turn").hidden = false; $("stage").hidden = true; picture = null;
+    $("turn").hidden = false; $("stage").hidden = true; picture = null; held = null;
     $("say").textContent = "The result takes a minute or so."; text("hint", ""); text("doubts", "");
     $("done").value = said.progress || 0;
   }
   if (said.verdict) ended(said);
+}
+
+// What the filter says, which takes each sample as it comes: how the phone is held, and whether what
+// it reads is what is expected.
+let held = null;
+
+function known(filter) {
+  held = filter.held;
+  $("own").hidden = false; $("stage").hidden = stopping;
+  $("held").style.transform = placed(held);
+  text("checks", filter.innovations.map((one) => `Does it fit: ${one.name}, ${one.times.toFixed(1)} times as far off as `
+    + `expected, ${one.beyond} of ${one.of} beyond ${one.gate} sigma.`).join(" "));
 }
 
 function row(b) {
@@ -139,11 +212,15 @@ function draw(now) {
     if (turn !== shownTurn) { shownTurn = turn; shownSince = now; }
     const t = ((now - shownSince) / 1000) % (picture.seconds + 1), s = Math.min(1, t / picture.seconds);
     const m = times(picture.from, about(picture.axis, picture.degrees * Math.PI / 180 * s * s * (3 - 2 * s)));
-    const flip = [1, -1, 1], at = (i, j) => m[3 * i + j] * flip[i] * flip[j];
-    const cells = [0, 1, 2].flatMap((j) => [...[0, 1, 2].map((i) => at(i, j).toFixed(5)), 0]);
-    $("phone").style.transform = `matrix3d(${cells.join(",")},0,0,0,1)`;
+    $("phone").style.transform = placed(m);
   }
   requestAnimationFrame(draw);
+}
+
+function placed(m) {
+  const flip = [1, -1, 1], at = (i, j) => m[3 * i + j] * flip[i] * flip[j];
+  const cells = [0, 1, 2].flatMap((j) => [...[0, 1, 2].map((i) => at(i, j).toFixed(5)), 0]);
+  return `matrix3d(${cells.join(",")},0,0,0,1)`;
 }
 requestAnimationFrame(draw);
 
@@ -152,6 +229,9 @@ function ended(said) {
   $("sentences").replaceChildren(...said.verdict.sentences.map((text) => {
     const p = document.createElement("p"); p.textContent = text; return p;
   }));
+  for (const text of said.verdict.warnings || []) {
+    const p = document.createElement("p"); p.className = "warning"; p.textContent = text; $("sentences").append(p);
+  }
   $("files").textContent = said.verdict.files.length ? `On the computer: ${said.verdict.files.join(", ")}` : "";
   $("verdict").className = said.state === "failed" ? "poor" : "";
   $("note").textContent = "It has ended; this page can be closed.";
@@ -162,20 +242,21 @@ function ended(said) {
 async function start() {
   $("start").disabled = true;
   try {
-    if (typeof DeviceMotionEvent === "undefined") throw new Error("This browser does not give a page the sensors.");
-    if (typeof DeviceMotionEvent.requestPermission === "function"
+    if (await direct()) api = "sensor";
+    else if (typeof DeviceMotionEvent === "undefined") throw new Error("This browser does not give a page the sensors.");
+    else if (typeof DeviceMotionEvent.requestPermission === "function"
         && await DeviceMotionEvent.requestPermission() !== "granted") throw new Error("The sensors were not allowed.");
     const [status, said] = await post("hello", { client });
     if (status !== 200) throw new Error(said.error);
     next = said.next;
     complain("");
     show(said);
-  } catch (error) { complain(error.message); $("start").disabled = false; return; }
-  addEventListener("devicemotion", moved);
+  } catch (error) { undirect(); complain(error.message); $("start").disabled = false; return; }
+  if (api === "motion") byMotion();
   if (navigator.wakeLock) navigator.wakeLock.request("screen").catch(() => {});
   $("start").hidden = true; $("stop").hidden = $("facts").hidden = false;
   $("note").textContent = "Recording. Keep this page open and the phone in its place.";
-  setInterval(() => { if (!stopping) { close(); send(); } }, EVERY_MS);
+  setInterval(() => { if (!stopping) { watchdog(); close(); send(); } }, EVERY_MS);
   setTimeout(() => { if (last === -Infinity) complain("No readings arrive: this device has no gyro, or the page may not read it."); }, 2000);
 }
 
@@ -196,6 +277,7 @@ async function stop() {
   stopping = true;
   $("stop").disabled = true;
   removeEventListener("devicemotion", moved);
+  undirect();
   close();
   for (let tries = 0; unsent.length && tries < 20; tries++) {
     await send();

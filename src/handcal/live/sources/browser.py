@@ -1,8 +1,13 @@
-"""Batches of the page: DeviceMotion events as JSON, taken to SI and to the axes of the house.
+"""Batches of the page: what its sensors read as JSON, taken to SI and to the axes of the house.
 
-``{"client": "...", "seq": 0, "agent": "ios" | "android" | "other", "t": [ms since 1970, ...],
-"gyro": [[alpha, beta, gamma], ...] deg/s, "accel": [[x, y, z], ...] m/s^2 with gravity}``, and if
-there is one ``"heading": [[ms, deg], ...]``, the yaw of body x, counter-clockwise from east.
+``{"client": "...", "seq": 0, "agent": "ios" | "android" | "other", "api": "motion" | "sensor",
+"t": [ms since 1970, ...], "gyro": [[x, y, z], ...], "accel": [[x, y, z], ...]}``, the latter m/s^2
+with gravity, and if there is one ``"heading": [[ms, deg], ...]``, the yaw of body x,
+counter-clockwise from east.
+
+api. "motion" (and where it is missing): DeviceMotion events, the gyro's rates in deg/s as alpha,
+beta, gamma. "sensor": the Generic Sensor API, rad/s about x, y, z, signs as in its specification,
+each force taken at the stamp of a rate by the page.
 
 Axes. The first editions of the specification, and pages written after them, have alpha about z,
 beta about x and gamma about y. Chrome, Firefox and Safari all give alpha about x, beta about y and
@@ -26,6 +31,14 @@ import numpy as np
 from handcal.live.session import Batch, Refused
 from handcal.types import Array, IntArray
 
+# How a page comes by its readings, and what is said of it at the end.
+MOTION, SENSOR = "motion", "sensor"
+APIS = {
+    MOTION: "The page was told by DeviceMotion events, whose stamps are the events' own: readings "
+    "may be some milliseconds older.",
+    SENSOR: "The page read its sensors by the Generic Sensor API: stamps are the gyro's readings', "
+    "and the accelerometer was taken at them.",
+}
 MOST = 2000  # samples in a batch
 LIMITS = {"t": 2.147e12, "gyro": 1e5, "accel": 1e4, "heading": 2.147e12}
 LONGEST_CLIENT = 64
@@ -65,8 +78,12 @@ def parse(body: bytes) -> Batch:
         rows = _numbers(tree, "heading", 2)
         yaw = np.radians(rows[:, 1:])
         further["heading"] = (_ns(rows[:, 0]), np.arctan2(np.sin(yaw), np.cos(yaw)))
-    sign = -1.0 if tree.get("agent") == "ios" else 1.0
-    return Batch(client, seq, _ns(t), np.radians(gyro), sign * accel, further)
+    api = tree.get("api", MOTION)
+    if api not in APIS:
+        raise Refused(400, f"api: expected one of {', '.join(APIS)}.")
+    sign = -1.0 if tree.get("agent") == "ios" and api == MOTION else 1.0
+    rate = np.radians(gyro) if api == MOTION else gyro
+    return Batch(client, seq, _ns(t), rate, sign * accel, further, {"api": api})
 
 
 def _ns(ms: Array) -> IntArray:

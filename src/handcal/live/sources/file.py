@@ -47,13 +47,14 @@ def feed(
     speed: float,
     sleep: Callable[[float], None] = time.sleep,
     tick: Callable[[], bool] = lambda: False,
-) -> None:
+) -> bool:
     """All batches that the session does not have, ``speed`` times as fast as they were recorded;
-    0: no waiting. tick: called after each; it says when it is enough."""
+    0: no waiting. tick: called after each; it says when it is enough, which is then returned."""
     begin = session.clock() - (session.next * BATCH_S / speed if speed else 0.0)
     for at, batch in batches(recording, session.next):
         if speed:
             sleep(max(0.0, begin + at / speed - session.clock()))
         session.take(batch)
         if tick():
-            return
+            return True
+    return False

@@ -27,14 +27,13 @@ PHONE_M = (0.072, 0.150, 0.009)
 def plot(
     span: tuple[float, float] | None, origin: str, name: str, legend: bool = True,
     limits: tuple[float, float] | None = None, only: Sequence[str] = (),
-    corner: Literal["RightTop", "LeftTop"] = "RightTop",
+    corner: Literal["RightTop", "LeftTop"] = "RightTop", axis: Any = None,
 ) -> Any:  # fmt: skip
     """One time series; without a legend, which would list every band, the title says it.
 
     span: of the time shown, s; limits: of the values; only: some of what is below the
-    origin; corner: of the legend.
+    origin; corner: of the legend; axis: of time, instead of a span.
     """
-    axis = None
     if span:
         start, end = (rrb.TimeRangeBoundary.absolute(seconds=t) for t in span)
         axis = rrb.TimeAxis(view_range=rrb.TimeRange(start=start, end=end))
@@ -65,9 +64,9 @@ def lines(
 
 def columns(rec: rr.RecordingStream, entity: str, t: Array, values: Array) -> None:
     """Send (k,) or (k, d) scalars of one entity at once; d series in one plot."""
-    table = np.asarray(values, dtype=float).reshape(t.size, -1)
     if t.size == 0:
         return
+    table = np.asarray(values, dtype=float).reshape(t.size, -1)
     scalars = rr.Scalars.columns(scalars=table.ravel()).partition([table.shape[1]] * t.size)
     rec.send_columns(entity, indexes=[rr.TimeColumn(TIMELINE, duration=t)], columns=scalars)
 

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import contextlib
 import math
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -20,7 +21,6 @@ import rerun.blueprint as rrb
 from handcal import output
 from handcal.compiled import so3
 from handcal.show import words
-from handcal.show.calibration import summary
 from handcal.show.dashboard.common import (
     GREY,
     TIMELINE,
@@ -42,33 +42,22 @@ NIS_WINDOW = 20
 WILD = 20.0
 # Readings that are drawn a second: a plot of a minute has no more columns than that.
 DRAWN_HZ = 50.0
+# Of the signals so much is shown, s: two or three turns; of innovations more, since there are but
+# three a second.
+SEEN_S, CHECKED_S = 30.0, 60.0
 # The phone that shows what to do stands beside the one in the hand, m.
 BESIDE_M = (0.22, 0.0, 0.0)
 
 
-class Known(Protocol):
-    """What a look holds, as far as it is drawn."""
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """What is known."""
-
-    @property
-    def innovations(self) -> Mapping[str, Innovations]:
-        """By kind of observation."""
-
-    @property
-    def seconds(self) -> float:
-        """How long the look's window is."""
-
-
 class SessionBoard:
     """Draws into a recording of rerun. last: of each kind of observation, until when it has been
-    drawn, s."""
+    drawn, s; nis: its latest, per degree of freedom; usual: how large its sigmas are."""
 
     def __init__(self, rec: rr.RecordingStream) -> None:
         self.rec = rec
         self.last: dict[str, float] = {}
+        self.nis: dict[str, deque[float]] = {}
+        self.usual: dict[str, float] = {}
         self.groups: dict[str, tuple[str, float]] = {}
         self.kinds: list[str] = []
         self.effects: list[str] = []
@@ -88,18 +77,18 @@ class SessionBoard:
             q = so3.quaternion_of(C_nb[None])[0]
             self.rec.log("/device", rr.Transform3D(quaternion=rr.Quaternion(xyzw=np.roll(q, -1))))
 
-    def look(self, t: float, look: Known) -> None:
-        """What is known at t (s), and the innovations since the last time."""
+    def estimates(self, t: float, parameters: Sequence[Parameter]) -> None:
+        """What is known at t (s)."""
         self.rec.set_time(TIMELINE, duration=t)
-        self._parameters(look.parameters)
-        begin = t - look.seconds
-        for kind, i in look.innovations.items():
-            # (the first ones, before anything is known, would make the others invisible)
-            tame = i.sigma.max(axis=1) < WILD * np.median(i.sigma.max(axis=1)) if i.t.size else i.t
-            fresh = (i.t + begin > self.last.get(kind, -math.inf)) & np.asarray(tame, dtype=bool)
+        self._parameters(parameters)
+
+    def updates(self, innovations: Mapping[str, Innovations]) -> None:
+        """Innovations by kind, those that are new of them; t: s of the session."""
+        for kind, i in innovations.items():
+            fresh = i.t > self.last.get(kind, -math.inf)
             if fresh.any():
-                self._innovations(kind, i, fresh, begin)
-                self.last[kind] = float(i.t[fresh][-1]) + begin
+                self._innovations(kind, i, fresh)
+                self.last[kind] = float(i.t[fresh][-1])
 
     def guidance(self, t: float, told: Mapping[str, Any]) -> None:
         """What is asked for at t (s): its words, and the phone that shows it."""
@@ -156,7 +145,7 @@ class SessionBoard:
         bounds = [f"{n} {s}3σ" for s in "+−" for n in names]
         self.rec.log(f"/parameters/{effect}/band", lines(bounds, dim, 0.8), static=True)
 
-    def _innovations(self, kind: str, i: Innovations, fresh: BoolArray, begin: float) -> None:
+    def _innovations(self, kind: str, i: Innovations, fresh: BoolArray) -> None:
         if kind not in self.kinds:
             self.kinds.append(kind)
             n = len(i.channels)
@@ -171,13 +160,19 @@ class SessionBoard:
             self.rec.log(f"/nis/{kind}", lines([words.kind_title(kind)], [XYZ[2]]), static=True)
             self._send()
         factor = np.array([u.factor for u in words.residual_units(i)])
-        t = i.t[fresh] + begin
-        columns(self.rec, f"/innovation/{kind}/residual", t, factor * i.residual[fresh])
-        sigma = 3.0 * factor * i.sigma[fresh]
-        columns(self.rec, f"/innovation/{kind}/gate", t, np.hstack([sigma, -sigma]))
-        at, nis = summary.windowed_nis(i, NIS_WINDOW)
-        own = at + begin > self.last.get(kind, -math.inf)
-        columns(self.rec, f"/nis/{kind}", at[own] + begin, nis[own])
+        t, latest = i.t[fresh], self.nis.setdefault(kind, deque(maxlen=NIS_WINDOW))
+        size = i.sigma[fresh].max(axis=1)
+        self.usual[kind] = min(self.usual.get(kind, math.inf), float(np.median(size)))
+        # (the first ones, before anything is known, would make the others invisible)
+        tame = size < WILD * self.usual[kind]
+        columns(self.rec, f"/innovation/{kind}/residual", t[tame], factor * i.residual[fresh][tame])
+        sigma = 3.0 * factor * i.sigma[fresh][tame]
+        columns(self.rec, f"/innovation/{kind}/gate", t[tame], np.hstack([sigma, -sigma]))
+        means = []
+        for nis in i.nis[fresh] / i.residual.shape[1]:
+            latest.append(float(nis))
+            means.append(float(np.mean(latest)))
+        columns(self.rec, f"/nis/{kind}", t, np.array(means))
 
     def _static(self) -> None:
         def static(entity: str, *what: Any) -> None:
@@ -202,6 +197,17 @@ class SessionBoard:
         self.rec.send_blueprint(plan, make_active=True, make_default=True)
 
 
+def up_to_now(lately_s: float | None = None) -> Any:
+    """An axis of time up to where the session is: its last seconds, or all of it."""
+    boundary = rrb.TimeRangeBoundary
+    begin = boundary.absolute(seconds=0.0)
+    if lately_s is not None:
+        begin = boundary.cursor_relative(seconds=-lately_s)
+    return rrb.TimeAxis(
+        view_range=rrb.TimeRange(start=begin, end=boundary.cursor_relative(seconds=0.0))
+    )
+
+
 def blueprint(
     groups: Mapping[str, tuple[str, float]] | None = None, kinds: Sequence[str] = ()
 ) -> rrb.Blueprint:
@@ -218,18 +224,32 @@ def blueprint(
     guidance = rrb.TextDocumentView(origin="/guidance", name="What to do next")
     left = rrb.Vertical(guidance, attitude, row_shares=[2, 5])
     shown = [
-        plot(None, f"/parameters/{effect}", f"{title}, 3 sigma (orange x, green y, blue z)", False)
+        plot(
+            None,
+            f"/parameters/{effect}",
+            f"{title}, 3 sigma (orange x, green y, blue z)",
+            False,
+            axis=up_to_now(),
+        )
         for effect, (title, _) in (groups or {}).items()
     ]
     first, more = shown[:4], shown[4:]
     middle = first + ([rrb.Tabs(*more, active_tab=0)] if more else [])
     checks = [
-        plot(None, f"/innovation/{k}", f"Innovation: {words.kind_title(k)}, 3 sigma", False)
+        plot(
+            None,
+            f"/innovation/{k}",
+            f"Innovation: {words.kind_title(k)}, 3 sigma",
+            False,
+            axis=up_to_now(CHECKED_S),
+        )
         for k in kinds
     ]
-    checks.append(plot(None, "/nis", "NIS per degree of freedom (1 expected)"))
+    nis = "NIS per degree of freedom (1 expected)"
+    checks.append(plot(None, "/nis", nis, axis=up_to_now(CHECKED_S)))
     right = [
-        plot(None, "/imu/gyro", "Gyro, deg/s"), plot(None, "/imu/accel", "Accelerometer, m/s²"),
+        plot(None, "/imu/gyro", "Gyro, deg/s", axis=up_to_now(SEEN_S)),
+        plot(None, "/imu/accel", "Accelerometer, m/s²", axis=up_to_now(SEEN_S)),
         rrb.Tabs(*checks, active_tab=0), plot(None, "/hypotheses", "Evidence so far, nats"),
     ]  # fmt: skip
     parts = [left, *([rrb.Vertical(*middle)] if middle else []), rrb.Vertical(*right)]
