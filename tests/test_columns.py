@@ -19,7 +19,6 @@ from handcal.estimate.robust import excess
 from handcal.estimate.scan import grounds, scan
 from handcal.estimate.transfer import moved_to
 from handcal.laws import best_law, over_drivers
-from handcal.laws.drivers import HEADING
 from handcal.search.climb.candidates import candidates
 from handcal_sim import simulate
 from handcal_sim.phone import (
@@ -73,8 +72,9 @@ def test_columns_are_what_a_pass_with_them_has(model: Model) -> None:
     signals = best_law.signals_of(model.parts[0])
     laws = [b.effect for b in over_drivers.blocks(signals)[::5]]
     named = [e for e in candidates(model.parts, model.effects) if e.id not in have]
-    beyond = {"heading"} & set(model.parts[0].case.kinds)
-    past = [b.effect for b in over_drivers.blocks(signals, beyond) if b.sensor == HEADING]
+    past = []
+    if "heading" in model.parts[0].case.kinds:
+        past = [b.effect for b in over_drivers.further_blocks(signals, "heading")]
     for absent in (named, laws, past[::20]) if past else (named, laws):
         whole, found = _whole(model, absent), scan(model, absent, grounds(model))
         at = [found.names.index(n) for n in whole.names]

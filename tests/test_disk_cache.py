@@ -168,3 +168,58 @@ def test_another_release_of_numba_compiles_as_it_does(tmp_path: Path) -> None:
         )
         got = np.array([float(x) for x in done.stdout.split()]).reshape(3, 3)
         np.testing.assert_allclose(got, so3.matrix_exp(angles), atol=1e-15)
+
+
+EIGHT = """
+import importlib.util, os, sys
+import numba
+numba.config.CACHE_DIR = ""
+from handcal.compiled.jit import njit
+rounds = int(sys.argv[2])
+
+def one(folder):
+    spec = importlib.util.spec_from_file_location("one", folder + "/one.py")
+    made = importlib.util.module_from_spec(spec)
+    sys.modules["one"] = made
+    spec.loader.exec_module(made)
+    twice = njit(made.twice)
+    good = twice(21) == 42 and twice(2.5) == 5.0
+    os._exit(0 if good else 1)
+
+for k in range(rounds):
+    folder = f"{sys.argv[1]}/{k}"
+    os.makedirs(folder)
+    with open(folder + "/one.py", "w") as file:
+        file.write("def twice(x):\\n    return x + x\\n")
+    children = []
+    for _ in range(8):
+        child = os.fork()
+        if child == 0:
+            one(folder)
+        children.append(child)
+    ends = [os.waitstatus_to_exitcode(os.waitpid(c, 0)[1]) for c in children]
+    assert ends == [0] * 8, (k, ends)
+"""
+
+
+@pytest.mark.prove
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs a system that can fork")
+def test_eight_processes_fill_one_empty_folder_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each compiles for itself or takes what another has just written; what is left is whole: a
+    process that comes later compiles nothing. (`ROUNDS=100` takes a quarter of an hour.)"""
+    rounds = int(os.environ.get("ROUNDS", "10"))
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    command = [sys.executable, "-c", EIGHT, str(tmp_path), str(rounds)]
+    subprocess.run(command, check=True, timeout=1200)
+    for k in range(0, rounds, 10):
+        spec = importlib.util.spec_from_file_location("one", tmp_path / str(k) / "one.py")
+        made = importlib.util.module_from_spec(spec)
+        monkeypatch.setitem(sys.modules, "one", made)
+        monkeypatch.setattr(numba.config, "CACHE_DIR", "")
+        spec.loader.exec_module(made)
+        twice = njit(made.twice)
+        assert twice(21) == 42
+        assert twice(2.5) == 5.0
+        assert sum(twice.stats.cache_hits.values()) == 2

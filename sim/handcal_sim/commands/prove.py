@@ -94,11 +94,8 @@ def _proved(
 
     read = files(effects_from) if effects_from else ()
     check_outputs((json_file,), (*read, Path(against) if against else None))
-    if suite == LIVE:
-        _led(n, seed, json_file)
-        return
-    if suite == FLEET:
-        _fleet(n, seed, out, json_file, jobs)
+    if suite in (LIVE, FLEET):
+        _led(n, seed, json_file) if suite == LIVE else _fleet(n, seed, out, json_file, jobs)
         return
     _check(suite, against)
     if seed is None:

@@ -223,15 +223,10 @@ def blueprint(
     )  # fmt: skip
     guidance = rrb.TextDocumentView(origin="/guidance", name="What to do next")
     left = rrb.Vertical(guidance, attitude, row_shares=[2, 5])
+    axes = "3 sigma (orange x, green y, blue z)"
     shown = [
-        plot(
-            None,
-            f"/parameters/{effect}",
-            f"{title}, 3 sigma (orange x, green y, blue z)",
-            False,
-            axis=up_to_now(),
-        )
-        for effect, (title, _) in (groups or {}).items()
+        plot(None, f"/parameters/{e}", f"{title}, {axes}", False, axis=up_to_now())
+        for e, (title, _) in (groups or {}).items()
     ]
     first, more = shown[:4], shown[4:]
     middle = first + ([rrb.Tabs(*more, active_tab=0)] if more else [])
