@@ -226,11 +226,13 @@ class Live:
                 self.explainer = None
             self.explaining = None
             if self.so_far is not None:
+                from handcal.show.explanation.words import percent
+
                 found = self.so_far.found
                 if not self.wanted.effects:
                     with_effects(self.looks, [effect for effect, _, _ in found])
                 self.session.told["so_far"] = [
-                    f"{words.effect_title(e)}: {p:.0%}, {g:.0f} nats" for e, p, g in found
+                    f"{words.effect_title(e)}: {percent(p)}, {g:,.0f} nats" for e, p, g in found
                 ]
                 if self.board is not None:
                     t = self.session.recorder.seconds
