@@ -63,8 +63,7 @@ def _instead_of_noise(c: Climb) -> Model | None:
         return None
     c.bared.add(key)
     ways: dict[object, tuple[Model, Term]] = {}
-    surveys: dict[frozenset[str], Survey] = {frozenset(): _surveyed(c)}
-    for m, term in (way for sensor, ids in doubted for way in _in_place(c, sensor, ids, surveys)):
+    for m, term in (way for sensor, ids in doubted for way in _in_place(c, sensor, ids)):
         # (in the place of more may be found what was found in that of less)
         ways.setdefault((frozenset(m.ids), term.effect.id, term.effect.made), (m, term))
     fits = in_parallel(partial(with_term, m, t, c.worth, c.beyond) for m, t in ways.values())
@@ -102,20 +101,14 @@ def _surveyed(c: Climb) -> Survey:
     return c.survey
 
 
-def _in_place(
-    c: Climb, sensor: str, ids: frozenset[str], surveys: dict[frozenset[str], Survey]
-) -> list[tuple[Model, Term]]:
+def _in_place(c: Climb, sensor: str, ids: frozenset[str]) -> list[tuple[Model, Term]]:
     """Terms that are looked for beside the model's effects but for these, each with the models to
-    which it may be added: without them, and with. surveys: of the model without some noise, which
-    are added to."""
-    noise = frozenset(e.id for e in c.model.effects if e.id in ids and e.process is not None)
-    if noise not in surveys:
-        surveys[noise] = survey(_without(c.model, noise))
-    # (for what evidence is worth with them: what a law has to do in their place is not misfit)
-    found = best_terms(
-        surveys[noise], refused=_refused(c), without=ids, beyond=(sensor,), worth=c.worth
-    )
+    which it may be added: without them, and with."""
+    # (looked for about the model without them: a filter or a delay that goes is no small change,
+    # as a survey beside them would have it)
     without = _without(c.model, ids)
+    # (and for what evidence is worth with them: what a law has to do in their place is not misfit)
+    found = best_terms(survey(without), refused=_refused(c), beyond=(sensor,), worth=c.worth)
     return [(m, term) for term in found for m in (without, c.model)]
 
 
