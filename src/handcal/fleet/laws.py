@@ -13,6 +13,7 @@ from handcal import output
 from handcal.explanation import Unnamed
 from handcal.fleet.record import Document
 from handcal.laws import law_file
+from handcal.laws.curve import drivers_of
 from handcal.laws.law_effect import effect_of, named
 from handcal.laws.of_devices import Known, all_laws
 from handcal.population.laws import Asked, CommonLaw
@@ -54,6 +55,7 @@ def unnamed_of(found: CommonLaw) -> Unnamed:
     )
     return Unnamed(
         law.said, p.mean, sigma, parameter.unit, found.stack.gain, channels=law.channels,
+        drivers=drivers_of(law.said),
         constants=(constant,), made=effect_of(law).made,
     )  # fmt: skip
 
@@ -64,6 +66,7 @@ def write_law(found: CommonLaw, folder: Path, effect_id: str, model: str) -> Pat
     u = unnamed_of(found)
     where = f"{found.stack.devices} devices of {model}"
     path = folder / f"{effect_id}.py"
-    text = law_file.text_of(law_file.law_of(u), effect_id, where, u.log_evidence_gain)
+    law = law_file.law_of(u)
+    text = law_file.text_of(law, effect_id, where, u.log_evidence_gain, "handcal fleet")
     output.write_bytes(path, text.encode("utf-8", errors="backslashreplace"))
     return path

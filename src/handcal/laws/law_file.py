@@ -245,8 +245,11 @@ EFFECT = Effect(
 '''
 
 
-def text_of(law: Law, effect_id: str, found_in: str, gain: float) -> str:
-    """The file; found_in: names of recordings; gain: nats that the law gains there."""
+def text_of(
+    law: Law, effect_id: str, found_in: str, gain: float, by: str = "handcal explain"
+) -> str:
+    """The file; found_in: names of recordings; gain: nats that the law gains there; by: the command
+    that found it."""
     acts = ["imu_error=imu_error,"]
     if law.of_past:
         acts = ['seen={"heading": heading},']
@@ -264,7 +267,7 @@ def text_of(law: Law, effect_id: str, found_in: str, gain: float) -> str:
         title=_quoted(law.title),
         parameters=_params(law.parameters),
         story=_quoted(law.story),
-        source=_quoted(f"found in {found_in} by handcal explain"),
+        source=_quoted(f"found in {found_in} by {by}"),
         motion=_quoted(law.motion),
         validated=_quoted(f"the recording in which it was found: {gain:.0f} nats"),
         acts="\n".join(f"    {line}" for line in acts),
