@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from turned_in_hand import recorded
 
-import handcal
 from handcal.compiled import so3
 from handcal.live.ending import Wanted, with_convention
 from handcal.live.following import Following
@@ -21,16 +21,13 @@ from handcal.live.session import Session
 from handcal.live.sources import file
 from handcal.live.sources.browser import Convention
 from handcal.types import Recording
-from handcal_sim import simulate, write
 
 EFFECTS = ("gyro_scale",)
 
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory) -> Recording:
-    path = tmp_path_factory.mktemp("following") / "x.mcap"
-    write(simulate("three-turns", seed=5, duration_s=16.0), path)
-    return replace(handcal.load(path), streams={})
+    return recorded(tmp_path_factory.mktemp("following"))
 
 
 @pytest.fixture(scope="module")

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from turned_in_hand import recorded
 
 import handcal
 from handcal.estimate.live import live_frames
@@ -29,9 +30,7 @@ EFFECTS = ("gyro_scale",)
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory) -> Recording:
-    path = tmp_path_factory.mktemp("online") / "x.mcap"
-    write(simulate("three-turns", seed=5, duration_s=16.0), path)
-    return replace(handcal.load(path), streams={})
+    return recorded(tmp_path_factory.mktemp("online"))
 
 
 def cut(recording: Recording, begin: float, end: float) -> Recording:

@@ -82,7 +82,6 @@ def _proved(
     n: int | None, seed: int | None, suite: str, out: Path | None, json_file: Path | None,
     jobs: int, effects_from: Path | None, against: str | None,
 ) -> None:  # fmt: skip
-    from numpy.random import SeedSequence
     from rich.console import Console
 
     from handcal.commands._registry import say
@@ -98,8 +97,7 @@ def _proved(
         _led(n, seed, json_file) if suite == LIVE else _fleet(n, seed, out, json_file, jobs)
         return
     _check(suite, against)
-    if seed is None:
-        seed = int(SeedSequence().generate_state(1)[0])
+    seed = _drawn(seed)
     cases = plan(suite, n, seed)
     say(f"{len(cases)} recordings, seed {seed}")
     with _folder(out) as folder:
@@ -124,6 +122,13 @@ def _proved(
     show(proof, Console(highlight=False))
 
 
+def _drawn(seed: int | None) -> int:
+    """The seed that was asked for, or one that nobody chose."""
+    from numpy.random import SeedSequence
+
+    return int(SeedSequence().generate_state(1)[0]) if seed is None else seed
+
+
 def _check(suite: str, against: str | None) -> None:
     """Errors: InputError for a suite or a program that is not there."""
     from handcal.types import InputError
@@ -139,13 +144,11 @@ def _fleet(
     n: int | None, seed: int | None, out: Path | None, json_file: Path | None, jobs: int
 ) -> None:
     """A fleet whose truth is known."""
-    from numpy.random import SeedSequence
-
     from handcal.commands._registry import say
     from handcal.output import write_text
     from handcal_sim.prove.fleet import lines, run
 
-    seed = int(SeedSequence().generate_state(1)[0]) if seed is None else seed
+    seed = _drawn(seed)
     n = FLEET_RECORDINGS if n is None else n
     say(f"a fleet of {n} recordings, seed {seed}")
     with _folder(out) as folder:
@@ -157,13 +160,11 @@ def _fleet(
 
 def _led(n: int | None, seed: int | None, json_file: Path | None) -> None:
     """Hands that are led beside hands that are not."""
-    from numpy.random import SeedSequence
-
     from handcal.commands._registry import say
     from handcal.output import write_text
     from handcal_sim.prove.live import lines, run
 
-    seed = int(SeedSequence().generate_state(1)[0]) if seed is None else seed
+    seed = _drawn(seed)
     n = LIVE_HANDS if n is None else n
     say(f"{n} hands, seed {seed}")
     with progress(n, "leading", "led") as advance:

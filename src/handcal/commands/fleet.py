@@ -183,7 +183,7 @@ class _Line:
 def _written(members: Sequence[Member], store: Store) -> None:
     """All that is told of the fleet."""
     from handcal.fleet.results import write_all
-    from handcal.population.by_model import FOUND
+    from handcal.population.stacked import FOUND
     from handcal.show import words
 
     told = write_all(members, store)

@@ -24,7 +24,7 @@ from handcal.estimate.noise_levels import initial_levels
 from handcal.estimate.observed import PSEUDO_RATE, Observed, first_state, observed_of
 from handcal.estimate.problem import Problem, noise_arrays
 from handcal.estimate.result import check_covariance
-from handcal.estimate.standing import kept, known_as, processes
+from handcal.estimate.standing import in_terms_of, kept, known_as, processes
 from handcal.estimate.start import BIASES, with_known_biases
 from handcal.observations import Rows, Scene
 from handcal.observations import catalogue as observations
@@ -148,11 +148,8 @@ def _run(problem: Problem, online: Online, state: State) -> tuple[Online, Frame]
 
 def _standing(problem: Problem, state: State) -> Standing:
     t = problem.nodes.t[max(state.node, 0)]
-    return Standing(
-        float(t), state.p, state.v, state.C, state.bg, state.ba,
-        tuple(e.id for e in problem.effects), tuple(o.kind for o in problem.observations),
-        tuple((s.owner, s.name) for s in problem.slots), processes(problem), state.extras, state.P,
-    )  # fmt: skip
+    navigated = state.p, state.v, state.C, state.bg, state.ba
+    return in_terms_of(problem, float(t), navigated, state.extras, state.P)
 
 
 def _since(piece: Recording, kind: str, standing: Standing) -> Observed:

@@ -25,21 +25,22 @@ RIDGE = 1e-12
 
 def standing_of(problem: Problem, t: float, nominal: Trajectory, x: Array, P: Array) -> Standing:
     """The last epoch, at t (s), of a nominal trajectory with errors x (N,) known to P (N, N)."""
-    c = problem.constants
+    extras = np.r_[nominal.constants, nominal.markov[-1]]
+    navigated = nominal.p[-1], nominal.v[-1], nominal.C[-1], nominal.bg, nominal.ba
+    return moved(in_terms_of(problem, t, navigated, extras, P), x)
+
+
+def in_terms_of(
+    problem: Problem, t: float, navigated: tuple[Array, Array, Array, Array, Array], extras: Array,
+    P: Array,
+) -> Standing:  # fmt: skip
+    """A state of a problem at t (s): place, velocity, attitude and biases (``navigated``), then
+    constants and Markov states."""
     return Standing(
-        t,
-        nominal.p[-1] + x[0:3],
-        nominal.v[-1] + x[3:6],
-        np.asarray(so3.rotations(x[None, 6:9])[0] @ nominal.C[-1]),
-        nominal.bg + x[9:12],
-        nominal.ba + x[12:BASE],
-        tuple(e.id for e in problem.effects),
+        t, *navigated, tuple(e.id for e in problem.effects),
         tuple(o.kind for o in problem.observations),
-        tuple((s.owner, s.name) for s in problem.slots),
-        processes(problem),
-        np.r_[nominal.constants, nominal.markov[-1]] + x[BASE : BASE + c + problem.markov_size],
-        P,
-    )
+        tuple((s.owner, s.name) for s in problem.slots), processes(problem), extras, P,
+    )  # fmt: skip
 
 
 def processes(problem: Problem) -> tuple[tuple[str, int], ...]:

@@ -38,7 +38,7 @@ def found(sources: Sequence[str], own: str | None = None) -> tuple[list[Source],
             continue
         before = len(recordings)
         for path in _named(source):
-            for one, known in _within(path, _endings()):
+            for one, known in _within(path):
                 if skipped is not None and skipped in one.resolve().parents:
                     continue
                 if known:
@@ -75,7 +75,7 @@ def _endings() -> tuple[str, ...]:
     return tuple(sorted(own | {".zip", ".csv"}))
 
 
-def _within(path: Path, endings: Sequence[str]) -> Iterator[tuple[Path, bool]]:
+def _within(path: Path) -> Iterator[tuple[Path, bool]]:
     """A recording itself, or what lies in a folder, and whether it is to be read."""
     if path.is_file():
         yield path, True
@@ -87,9 +87,9 @@ def _within(path: Path, endings: Sequence[str]) -> Iterator[tuple[Path, bool]]:
         if one.name.startswith("."):
             continue
         if one.is_dir():
-            yield from _within(one, endings)
+            yield from _within(one)
         else:
-            yield one, one.name.lower().endswith(tuple(endings))
+            yield one, _is_known(one.name)
 
 
 def _is_recording(folder: Path) -> bool:

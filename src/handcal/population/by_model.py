@@ -13,17 +13,15 @@ from handcal.effects import catalogue
 from handcal.population import joint, odd
 from handcal.population.deconvolved import LEAST, Population, population
 from handcal.population.drift import Drift, drift
-from handcal.population.grouped import devices, owners
+from handcal.population.grouped import devices, owners, telling
 from handcal.population.joint import Information
 from handcal.population.laws import Asked, CommonLaw, better, common_law
 from handcal.population.odd import Odd
-from handcal.population.stacked import Stack, stack
+from handcal.population.stacked import FOUND, Stack, stack
 from handcal.types import Array, IntArray
 
 # What is another in every hand, though a device file keeps it for boards that are mounted.
 OF_THE_HAND = ("lever_arm",)
-# Probability from which an effect is said to be there: contract, `missing`.
-FOUND = 0.5
 # Effects that are looked for one after the other in a model of device.
 MOST = 4
 # A spread is told where the ends of its interval are no further apart than this factor; else the
@@ -243,9 +241,7 @@ def _stacks(
     for effect, names in by_effect.items():
         values = []
         for n in names:
-            x, s = table[n]
-            at = np.flatnonzero(np.isfinite(x) & np.isfinite(s))
-            d = devices(x[at], s[at], _renumbered(who[at]))
+            d = devices(*telling(*table[n], who))
             values.append((d.value, d.sigma))
         out.append(stack(effect, values, usual_of(names), trials))
     return tuple(sorted(out, key=lambda s: (-s.probability, -s.gain)))
@@ -300,7 +296,3 @@ def _sharper(
         there = np.isfinite(value) & np.isfinite(sigma)
         out[name] = (np.where(there, value * size, np.nan), np.where(there, sigma * size, np.nan))
     return out
-
-
-def _renumbered(owner: IntArray) -> IntArray:
-    return np.asarray(np.unique(owner, return_inverse=True)[1].astype(np.int64))

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -158,8 +158,8 @@ def _without_wildest(d: _Devices) -> _Devices:
     mean = (w * d.y).sum(1) / w.sum(1)
     scatter = (np.where(d.there, d.y - mean[:, None], 0.0) ** 2).sum(1) / (d.there.sum(1) - 1)
     keep = np.argsort(scatter, kind="stable")[: max(2, math.ceil((1.0 - ASIDE) * len(d.y)))]
-    rows = {k: getattr(d, k)[np.sort(keep)] for k in d.__dataclass_fields__}
-    return _Devices(**rows)
+    keep = np.sort(keep)
+    return _Devices(*(getattr(d, f.name)[keep] for f in fields(d)))
 
 
 def _temperature_scale(d: _Devices) -> float:
@@ -170,15 +170,19 @@ def _temperature_scale(d: _Devices) -> float:
     return scale if scale > 0.1 else 0.0  # (what thermometers of phones round to)
 
 
-def _covariance(d: _Devices, sizes: Array) -> Array:
-    """(d, n, n) of the recordings of each device; 1 on the diagonal where there is none."""
-    turn_on, walk, spread = sizes
+def _shapes(d: _Devices) -> tuple[Array, Array, Array]:
+    """Covariances (d, n, n) that a turn-on, a walk and slopes of size one make."""
     both = d.there[:, :, None] & d.there[:, None, :]
     first = np.minimum(d.time[:, :, None], d.time[:, None, :])
-    C = walk**2 * first + spread**2 * d.warm[:, :, None] * d.warm[:, None, :]
-    n = d.y.shape[1]
-    diagonal = np.where(d.there, d.variance + turn_on**2, 1.0)
-    return np.asarray(np.where(both, C, 0.0) + np.eye(n) * diagonal[:, :, None])
+    warm = d.warm[:, :, None] * d.warm[:, None, :]
+    return np.eye(d.y.shape[1]) * both, first * both, warm * both
+
+
+def _covariance(d: _Devices, sizes: Array) -> Array:
+    """(d, n, n) of the recordings of each device; 1 on the diagonal where there is none."""
+    made = sum(size**2 * C for size, C in zip(sizes, _shapes(d), strict=True))
+    own = np.where(d.there, d.variance, 1.0)
+    return np.asarray(made + np.eye(d.y.shape[1]) * own[:, :, None])
 
 
 def _projected(d: _Devices, sizes: Array) -> tuple[Array, float]:
@@ -302,31 +306,24 @@ def _with_step(d: _Devices, index: int) -> _Devices:
     ((i, k),) = np.argwhere(d.index == index)
     column = np.zeros((*d.y.shape, 1))
     column[i, k:, 0] = d.there[i, k:]
-    rows = {name: getattr(d, name) for name in d.__dataclass_fields__}
-    return _Devices(**(rows | {"columns": np.concatenate([d.columns, column], axis=2)}))
+    return replace(d, columns=np.concatenate([d.columns, column], axis=2))
 
 
 def _shares(d: _Devices, sizes: Array, slope: float, steps: Sequence[Step]) -> dict[str, float]:
-    """Of the variance within devices, without what sigmas allow, the part that each makes."""
-    turn_on, walk, spread = sizes
+    """Of the variance within devices, without what sigmas allow, the part that each makes; steps:
+    in the order of the columns."""
     n = d.there.sum(1)
     centre = d.there[:, :, None] * (np.eye(d.y.shape[1]) - d.there[:, None, :] / n[:, None, None])
 
     def within(C: Array) -> float:
         return float(np.einsum("dij,djk,dik->", centre, C, centre))
 
-    both = (d.there[:, :, None] & d.there[:, None, :]).astype(float)
-    first = np.minimum(d.time[:, :, None], d.time[:, None, :])
-    warm = d.warm[:, :, None] * d.warm[:, None, :]
-    sizes_of = {s.index: s.size for s in steps}
-    offset = np.zeros_like(d.y)
-    for index, size in sizes_of.items():
-        ((i, k),) = np.argwhere(d.index == index)
-        offset[i, k:] += size * d.there[i, k:]
+    turn_on, walk, slopes = map(within, _shapes(d))
+    offset = d.columns @ np.array([s.size for s in steps])
     parts = {
-        "turn_on": turn_on**2 * within(np.eye(d.y.shape[1]) * both),
-        "ageing": walk**2 * within(first * both),
-        "temperature": (spread**2 + slope**2) * within(warm * both),
+        "turn_on": sizes[0] ** 2 * turn_on,
+        "ageing": sizes[1] ** 2 * walk,
+        "temperature": (sizes[2] ** 2 + slope**2) * slopes,
         "step": within(offset[:, :, None] * offset[:, None, :]),
     }
     whole = sum(parts.values())

@@ -32,6 +32,14 @@ def owners(names: Sequence[str]) -> IntArray:
     )
 
 
+def telling(value: Array, sigma: Array, owner: IntArray) -> tuple[Array, Array, IntArray]:
+    """Values, sigmas and owners of those recordings that tell (both are finite), the owners'
+    numbers from 0 on."""
+    there = np.isfinite(value) & np.isfinite(sigma)
+    own = np.unique(owner[there], return_inverse=True)[1].astype(np.int64)
+    return value[there], sigma[there], own
+
+
 def devices(value: Array, sigma: Array, owner: IntArray, apart: float = 0.0) -> Devices:
     """value (n,), sigma (n,), owner (n,) of recordings; apart: by how much a device differs from
     one switching on to the next (standard deviation)."""

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handcal.population.deconvolved import Population, population
-from handcal.population.grouped import devices, owners
-from handcal.population.stacked import Stack, stack
-from handcal.types import Array, IntArray
+from handcal.population.deconvolved import LEAST, Population, population
+from handcal.population.grouped import devices, owners, telling
+from handcal.population.stacked import FOUND, Stack, stack
+from handcal.types import Array
 
-# Devices below which nothing can be common to them (``deconvolved.LEAST``).
-FEWEST = 3
 # Laws whose evidence is worked out in full: those of the largest sums of evidence for one constant.
 LOOKED_AT = 60
 
@@ -46,26 +44,21 @@ def common_law(
     """The law that explains the recordings of all devices best, value and sigma (n, k); None where
     none is more probable than not. names (n,): of the devices; trials: laws times models."""
     who = owners(names)
-    if who.max(initial=-1) + 1 < FEWEST:
-        return None
     promising = np.argsort(-_simple(value, sigma, laws.usual))[:LOOKED_AT]
     best: tuple[Stack, int] | None = None
     for i in promising.tolist():
-        there = np.isfinite(value[:, i]) & np.isfinite(sigma[:, i])
-        x, s, own = value[there, i], sigma[there, i], _renumbered(who[there])
-        if len(x) == 0 or own.max() + 1 < FEWEST or laws.named(i):
+        d = devices(*telling(value[:, i], sigma[:, i], who))
+        if len(d.value) < LEAST or laws.named(i):
             continue
-        d = devices(x, s, own)
         found = stack(laws.said(i), [(d.value, d.sigma)], laws.usual[i : i + 1], trials)
         if best is None or found.gain > best[0].gain:
             best = found, i
-    if best is None or best[0].probability <= 0.5:
+    if best is None or best[0].probability <= FOUND:
         return None
     found, i = best
-    there = np.isfinite(value[:, i]) & np.isfinite(sigma[:, i])
-    x, s, own = value[there, i], sigma[there, i], _renumbered(who[there])
-    d = devices(x, s, own)
-    return CommonLaw(i, found, population(x, s, own), d.value, d.sigma)
+    told = telling(value[:, i], sigma[:, i], who)
+    d = devices(*told)
+    return CommonLaw(i, found, population(*told), d.value, d.sigma)
 
 
 def _simple(value: Array, sigma: Array, usual: Array) -> Array:
@@ -74,10 +67,6 @@ def _simple(value: Array, sigma: Array, usual: Array) -> Array:
     total, product = w.sum(axis=0), np.where(w > 0.0, w * value, 0.0).sum(axis=0)
     wide = 1.0 + total * usual**2
     return np.asarray(0.5 * product**2 * usual**2 / wide - 0.5 * np.log(wide))
-
-
-def _renumbered(owner: IntArray) -> IntArray:
-    return np.asarray(np.unique(owner, return_inverse=True)[1].astype(np.int64))
 
 
 def better(law: CommonLaw, stacks: Sequence[Stack]) -> bool:

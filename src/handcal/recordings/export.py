@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -34,12 +35,19 @@ def write_pieces(pieces: Iterable[Pieces], path: str | Path) -> None:
     """Write a recording piece by piece, of which no more than one is in memory: of each stream
     stamps (n,) ns and values (n, d), all valid, in the order of time within a piece. Errors as of
     ``write_mcap``."""
+    known: dict[str, tuple[int, int]] = {}
+    with _begun(path) as writer:
+        for some in pieces:
+            _write_piece(writer, some, known)
+
+
+@contextmanager
+def _begun(path: str | Path) -> Iterator[Writer]:
+    """A file that is being written, and is ended with the context."""
     with output.whole(path) as place, place.open("wb") as file:
         writer = Writer(file, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD)
         writer.start(profile="ros2", library="handcal")
-        known: dict[str, tuple[int, int]] = {}
-        for some in pieces:
-            _write_piece(writer, some, known)
+        yield writer
         writer.finish()  # type: ignore[no-untyped-call]
 
 
@@ -78,15 +86,12 @@ def write_twin(recorded: Recording, before: Recording, after: Recording, path: s
 
 
 def _write(recordings: Mapping[str, Recording], path: str | Path) -> None:
-    with output.whole(path) as place, place.open("wb") as file:
-        writer = Writer(file, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD)
-        writer.start(profile="ros2", library="handcal")
+    recorded = recordings[""]
+    with _begun(path) as writer:
         _write_messages(writer, recordings)
-        recorded = recordings[""]
         if recorded.device or recorded.model:
             about = {"id": recorded.device, "model": recorded.model}
             writer.add_metadata("device", about)
-        writer.finish()  # type: ignore[no-untyped-call]
 
 
 def _write_messages(writer: Writer, recordings: Mapping[str, Recording]) -> None:

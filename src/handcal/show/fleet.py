@@ -13,9 +13,9 @@ import numpy as np
 import handcal
 from handcal import output
 from handcal.device.file import unit_of
-from handcal.population.by_model import FOUND, Common, Model
+from handcal.population.by_model import Common, Model
 from handcal.population.odd import Odd
-from handcal.population.stacked import Stack
+from handcal.population.stacked import FOUND, Stack
 from handcal.show import common_law, words
 from handcal.show.calibration.summary import finite
 from handcal.show.changes import change_json, histories, rows_of, steps_of
