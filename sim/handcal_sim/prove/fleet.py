@@ -4,8 +4,8 @@ them beside the truth.
 Of each device several recordings, days apart and at other temperatures. *plain*: errors spread as
 in a datasheet; *tails*: the same with a tail (Student's t with 4 degrees of freedom); *law*:
 every gyro axis has a cubic error, about 2.5 sigma of one recording; *warm*: the gyro's bias goes
-with the temperature, alike in all of its devices. One device in twenty is odd (a gyro axis that
-reads 6 % too much), one file in fifty is broken.
+with the temperature, alike in all of its devices. One device in twenty is odd, in one of several
+ways, one file in fifty is broken, one in a hundred stands under the name of another device.
 """
 
 from __future__ import annotations
@@ -31,6 +31,16 @@ from handcal_sim.scenario import Stream, World
 from handcal_sim.strangers import scene_of
 
 MODELS = ("plain", "tails", "law", "warm")
+GRAVITY = 9.80665  # m/s^2, of an accelerometer that counts in g
+# What makes a device odd, one after the other: an axis that reads so much too much, one that is so
+# far from where it should be (rad), and what is done to its readings before they are written.
+LARGE = {"gyro_scale": 0.06, "gyro_misalignment": 4.0 * DEG, "accel_scale": 0.04}
+SPOILT: Mapping[str, Callable[[Array], Array]] = {
+    "gyro y reversed": lambda v: v * [1.0, -1.0, 1.0, 1.0, 1.0, 1.0],
+    "accelerometer x and y exchanged": lambda v: v[:, [0, 1, 2, 4, 3, 5]],
+    "accelerometer in g": lambda v: v / [1.0, 1.0, 1.0, GRAVITY, GRAVITY, GRAVITY],
+}
+ODD_WAYS = (*LARGE, *SPOILT)
 # Standard deviations of the true errors of the devices of every model, by effect.
 SPREADS = {"gyro_scale": 0.005, "gyro_misalignment": 0.3 * DEG, "accel_scale": 0.004,
            "accel_misalignment": 0.3 * DEG}  # fmt: skip
@@ -39,11 +49,14 @@ DOF = 4.0
 CUBE, CUBE_SPREAD = 2.4e-4, 0.24e-4
 # Of the gyro's bias, (rad/s)/K, in *warm*; standard deviation from one switching on to the next.
 SLOPE, TURN_ON = 0.02 * DEG, 0.03 * DEG
-ODD_SHARE, ODD_SCALE, BROKEN_SHARE = 0.05, 0.06, 0.02
+ODD_SHARE, BROKEN_SHARE, MISLABELLED_SHARE = 0.05, 0.02, 0.01
 # A recording: length, s, and how the hand turns the device.
-SECONDS, SCENARIO = 40.0, "free-hand"
+SECONDS, SCENARIO = 20.0, "free-hand"
 # Recordings of one device, and devices of a model at the fewest: of less there is no population.
-EACH, FEWEST = 4, 5
+EACH, FEWEST = 10, 5
+# Seconds that each recording's search may take: what a fleet shows stands beside what was found in
+# each, and no single one shows what is faint.
+BUDGET = 1.5
 # Of a new device, s: it leaves room for what was learned of others.
 SHORT = 20.0
 BEGINNING = datetime(2026, 1, 5, 9, 0, tzinfo=UTC)
@@ -62,12 +75,13 @@ class Device:
     law: float
     slope: float
     bias: Array
-    odd: bool
+    odd: str
 
 
 def devices(count: int, rng: np.random.Generator) -> list[Device]:
     """As many devices, of each model in turn."""
-    odd = set(rng.permutation(count)[: max(1, round(ODD_SHARE * count))].tolist())
+    strange = rng.permutation(count)[: max(1, round(ODD_SHARE * count))].tolist()
+    odd = {n: ODD_WAYS[i % len(ODD_WAYS)] for i, n in enumerate(strange)}
     sizes = {"gyro_scale": 3, "gyro_misalignment": 6, "accel_scale": 3, "accel_misalignment": 3}
     out = []
     for n in range(count):
@@ -76,12 +90,13 @@ def devices(count: int, rng: np.random.Generator) -> list[Device]:
         if model == "tails":
             draw = lambda k: rng.standard_t(DOF, k)  # noqa: E731
         effects = {e: SPREADS[e] * draw(k) for e, k in sizes.items()}
-        if n in odd:
-            effects["gyro_scale"][int(rng.integers(3))] += ODD_SCALE
+        way = odd.get(n, "")
+        if way in LARGE:
+            effects[way][int(rng.integers(3))] += LARGE[way]
         law = rng.normal(CUBE, CUBE_SPREAD) if model == "law" else 0.0
         bias = rng.normal(0.0, 0.3 * DEG, 3)
         slope = SLOPE if model == "warm" else 0.0
-        out.append(Device(f"{model}-{n:03d}", model, effects, float(law), slope, bias, n in odd))
+        out.append(Device(f"{model}-{n:03d}", model, effects, float(law), slope, bias, way))
     return out
 
 
@@ -102,15 +117,17 @@ def recorded(device: Device, seed: int, seconds: float = SECONDS) -> World:
     world = simulate(SCENARIO, seed=seed, phone=phone, duration_s=seconds, effects=effects)
     values = world.imu.values.copy()
     values[:, :3] += device.law * scene_of(world).omega ** 3
-    return replace(world, imu=Stream(world.imu.stamps, values))
+    return replace(world, imu=Stream(world.imu.stamps, SPOILT.get(device.odd, np.array)(values)))
 
 
 def written(n: int, seed: int, folder: Path) -> dict[str, Any]:
     """n recordings and a manifest in a folder, and what is true of them."""
     rng = np.random.default_rng(seed)
     made = devices(max(FEWEST * len(MODELS), n // EACH), rng)
-    broken = set(rng.permutation(n)[: max(1, round(BROKEN_SHARE * n))].tolist())
-    rows = []
+    order = rng.permutation(n)
+    broken = set(order[: max(1, round(BROKEN_SHARE * n))].tolist())
+    elsewhere = set(order[len(broken) :][: round(MISLABELLED_SHARE * n)].tolist())
+    rows, mislabelled = [], {}
     for i in range(n):
         device = made[i % len(made)]
         world = recorded(device, int(rng.integers(2**62)))
@@ -120,12 +137,17 @@ def written(n: int, seed: int, folder: Path) -> dict[str, Any]:
             path.write_bytes(path.read_bytes()[:100])
         days = 20.0 * (i // len(made)) + float(rng.uniform(0.0, 10.0))
         started = BEGINNING + timedelta(days=days)
-        rows.append((path.name, device.name, device.model, started.isoformat(timespec="seconds")))
+        said = device
+        if i in elsewhere:
+            said = made[(i + len(MODELS)) % len(made)]  # (the next one of its model)
+            mislabelled[path.name] = [said.name, device.name]
+        rows.append((path.name, said.name, said.model, started.isoformat(timespec="seconds")))
     with (folder / "manifest.txt").open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows([("path", "device", "model", "started"), *rows])
     return {
         "recordings": n, "broken": len(broken),
-        "devices": [d.name for d in made], "odd": [d.name for d in made if d.odd],
+        "devices": [d.name for d in made], "odd": {d.name: d.odd for d in made if d.odd},
+        "mislabelled": mislabelled,
     }  # fmt: skip
 
 
@@ -134,7 +156,9 @@ def run(n: int, seed: int, folder: Path, workers: int) -> dict[str, Any]:
     source, out = folder / "recordings", folder / "fleet"
     source.mkdir(parents=True, exist_ok=True)
     truth = written(n, seed, source)
-    command = ["fleet", "--manifest", str(source / "manifest.txt"), "--out", str(out)]
+    (folder / "truth.json").write_text(json.dumps(truth), encoding="utf-8")
+    command = ["fleet", "--manifest", str(source / "manifest.txt"), "--out", str(out),
+               "--budget", str(BUDGET)]  # fmt: skip
     subprocess.run(
         [sys.executable, "-m", "handcal", *command, "--workers", str(workers)],
         check=True, stdout=subprocess.DEVNULL,

@@ -29,7 +29,7 @@ from handcal.estimate.specification import Specification, seen, settled, view_of
 from handcal.laws.of_devices import Known, known_of
 from handcal.observations import catalogue as observations
 from handcal.population.joint import kept
-from handcal.types import Recording
+from handcal.types import HandcalError, Recording
 
 # The model of an inertial sensor in every textbook, and the arm from the held point, which is
 # another in every hand: without it a hand's arm is taken for errors of the accelerometer.
@@ -95,7 +95,13 @@ def _fit(case: Case, found: Specification | None = None) -> Model:
     effects = {e.id: e for e in (*base.effects, *chosen.effects)}
     taken = {i for e in effects.values() for i in (e.id, *e.exclusive)}
     new = {e.id: e for e in select(ALWAYS) if e.id not in taken and _acts(e, case)}
-    return settled(base, replace(chosen, effects=(*(effects | new).values(),)))
+    model = settled(base, replace(chosen, effects=(*(effects | new).values(),)))
+    if not math.isfinite(model.log_evidence):
+        raise HandcalError(
+            "No fit with scale errors, misalignments and an arm holds on this recording: one of "
+            "its sensors reads something else than it should."
+        )
+    return model
 
 
 def _of_catalogue(q: Quadratic) -> Quadratic:

@@ -207,7 +207,7 @@ def turned(u: Array, rotation: Array) -> Array:
     return turned
 
 
-def _calm_windows(t: Array, gyro: Array, accel: Array) -> tuple[IntArray, int, Array, Array]:
+def calm_windows(t: Array, gyro: Array, accel: Array) -> tuple[IntArray, int, Array, Array]:
     """Windows of 0.4 s between moments without other acceleration than gravity.
 
     First samples (k,), length, and the directions of gravity before and after (k, 3); of all
@@ -232,7 +232,7 @@ def _calm_windows(t: Array, gyro: Array, accel: Array) -> tuple[IntArray, int, A
     return starts[most], size, u0[most], u1[most]
 
 
-def _angle(u: Array, v: Array) -> float:
+def between(u: Array, v: Array) -> float:
     """Median angle between the rows, rad."""
     return float(np.median(np.arccos(np.clip(np.sum(u * v, axis=1), -1, 1))))
 
@@ -244,17 +244,19 @@ def turning_mismatch(
 
     Empty where there are fewer than five windows to judge by.
     """
-    starts, size, u0, u1 = _calm_windows(t, gyro, accel)
+    starts, size, u0, u1 = calm_windows(t, gyro, accel)
     if len(starts) < 5:
         return []
-    dt, errors = np.diff(t), []
-    for factor in factors:
-        u = u0
-        for k in range(size):
-            row = starts + k
-            u = turned(u, factor * 0.5 * (gyro[row] + gyro[row + 1]) * dt[row, None])
-        errors.append(_angle(u, u1))
-    return errors
+    return [between(turned_by(t, factor * gyro, starts, size, u0), u1) for factor in factors]
+
+
+def turned_by(t: Array, gyro: Array, starts: IntArray, size: int, u: Array) -> Array:
+    """Directions u (k, 3) that are fixed in space, so many samples after each start (k,)."""
+    dt = np.diff(t)
+    for k in range(size):
+        row = starts + k
+        u = turned(u, 0.5 * (gyro[row] + gyro[row + 1]) * dt[row, None])
+    return u
 
 
 def slow_stamps(t: Array) -> str | None:

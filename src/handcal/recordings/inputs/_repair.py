@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from handcal.recordings.inputs._axes import check_axes
 from handcal.recordings.inputs._checks import (
     check_accel_unit,
     check_alive,
@@ -126,6 +127,7 @@ def _doubts(path: Path, t: Array, gyro: Array, accel: Array) -> tuple[list[str],
     halts, frozen = stuck(t, gyro, accel)
     rate_hz = 1 / float(np.median(np.diff(t)))
     said += [*halts, *check_accel_unit(accel, rate_hz), *check_gyro_unit(t, gyro, accel)]
+    check_axes(t, gyro, accel)
     # (after the units: a gyro in another one misses turns as well)
     ends, clipped = at_range_end(t, gyro, accel)
     return [*said, *ends, *_gap_warning(t)], frozen | clipped

@@ -1,0 +1,74 @@
+"""Do gyro and accelerometer count in the same axes? While something turns, gravity moves in its
+axes as the gyro says; with two axes exchanged or one of them reversed it does not, and nothing can
+be calibrated with such readings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import permutations, product
+
+import numpy as np
+
+from handcal.recordings.inputs._checks import between, calm_windows, turned_by
+from handcal.types import Array, InputError, IntArray
+
+# Median by which gravity's direction is missed, rad: less is a hand's own acceleration. And the
+# part of it that other axes may leave at the most before they are believed.
+MISSED, CLEARLY = 0.15, 0.25
+# Axes that leave as little (a turn about one does not tell the other two): the fewest changes are
+# meant.
+AS_GOOD = 1.25
+FEWEST = 20  # windows; of fewer, one push may decide
+
+
+def check_axes(t: Array, gyro: Array, accel: Array) -> None:
+    """t (n,) s, gyro and accel (n, 3), rad/s and m/s^2. Errors: InputError where the gyro explains
+    far better with other axes how gravity turns."""
+    starts, size, u0, u1 = calm_windows(t, gyro, accel)
+    if len(starts) < FEWEST:
+        return
+    as_read = between(turned_by(t, gyro, starts, size, u0), u1)
+    if as_read < MISSED:
+        return
+    left = [(P, _left(P, turns, u0, u1)) for P, turns in _other_axes(t, gyro, starts, size)]
+    least = min(angle for _, angle in left)
+    if least > CLEARLY * as_read:
+        return
+    ways = [way for P, angle in left if angle <= AS_GOOD * least for way in _changes(P)]
+    sensor, A = max(ways, key=lambda way: float(np.trace(way[1])))
+    axes = ", ".join(f"{'-' if row.sum() < 0 else ''}{'xyz'[int(abs(row).argmax())]}" for row in A)
+    raise InputError(
+        f"Gravity does not turn as the gyroscope says ({np.degrees(as_read):.0f} deg off after "
+        f"0.4 s); with the {sensor}'s {axes} in the place of its x, y, z it does "
+        f"({np.degrees(least):.1f} deg): the two sensors' axes are not the same. Exchange or "
+        "reverse them in the file."
+    )
+
+
+def _other_axes(
+    t: Array, gyro: Array, starts: IntArray, size: int
+) -> Iterator[tuple[Array, Array]]:
+    """Each of the 48 ways P (3, 3) to take a gyro's axes, and how the windows turn with it or, of a
+    mirroring one, with its negative: (k, 3, 3), from first to last axes, in the gyro's own."""
+    turns = {
+        sign: np.stack([turned_by(t, sign * gyro, starts, size, np.tile(e, (len(starts), 1)))
+                        for e in np.eye(3)], axis=2)
+        for sign in (1, -1)
+    }  # fmt: skip
+    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
+        P = np.diag(signs) @ np.eye(3)[list(order)]
+        yield P, turns[1 if np.linalg.det(P) > 0 else -1]
+
+
+def _left(P: Array, turns: Array, u0: Array, u1: Array) -> float:
+    """Median angle, rad, between gravity u1 (k, 3) and u0 as the gyro turns it in these axes."""
+    return between((turns @ (u0 @ P)[..., None])[..., 0] @ P.T, u1)
+
+
+def _changes(P: Array) -> list[tuple[str, Array]]:
+    """What makes the two agree: the gyro's axes, or the accelerometer's, whose sign as a whole no
+    turn tells."""
+    ways = [("gyroscope", P)]
+    if np.linalg.det(P) > 0:
+        ways += [("accelerometer", s * P.T) for s in (1.0, -1.0)]
+    return ways
