@@ -17,7 +17,7 @@ from handcal.device.file import session_of
 from handcal.device.priors import Learned
 from handcal.population import joint, odd
 from handcal.population.by_model import Reading, models
-from handcal.population.deconvolved import _nodes, chance, log_density, population
+from handcal.population.deconvolved import _nodes, chance, foretold, log_density, population
 from handcal.population.grouped import devices, owners
 from handcal.population.stacked import stack
 from handcal.show.calibration.summary import device_json
@@ -141,6 +141,49 @@ def test_odd_devices_and_recordings_come_first_with_the_reason():
     assert len(m.odd) <= 8
     (c,) = [c for c in m.common if c.name == "x"]
     assert c.population.low < 0.004 < c.population.high
+
+
+def test_an_odd_device_is_judged_by_the_others_and_populations_are_told_without_it():
+    """Among eight, and two of twelve that are off alike: a spread that has them hides them."""
+    for count, far in ((8, (2,)), (12, (3, 8))):
+        for seed in range(5):
+            rng = np.random.default_rng(seed)
+            truth = rng.normal(0.0, 0.004, (count, 3))
+            for d in far:
+                truth[d, 1] = 0.08
+            (m,) = models(
+                [Reading(f"r{d}_{r}", "m", f"d{d}", {
+                    ("gyro_scale", a): (float(v + rng.normal(0.0, 0.0004)), 0.0004)
+                    for a, v in zip("xyz", truth[d], strict=True)
+                }, frozenset(("gyro_scale", a) for a in "xyz"), 9.8)
+                 for d in range(count) for r in range(2)]
+            )  # fmt: skip
+            out = {o.who for o in m.odd if o.left_out}
+            assert out == {f"d{d}" for d in far}
+            (c,) = [c for c in m.common if c.name == "y"]
+            assert (c.population.count, len(c.who)) == (count - len(far), count)
+            assert c.population.spread < 0.01
+
+
+def test_what_is_foretold_of_one_more_device_comes_as_often():
+    """400 devices beside six others each: as many in the outer 5 and 30 % as the binomial law has
+    within 3.2 sigma. (The spread's prior is flat, which makes few devices cautious: half as many
+    are let pass at the lower end.)"""
+    p = np.array([
+        foretold(x[:-1], s[:-1], float(x[-1]), float(s[-1]))
+        for x, s in (drawn(np.random.default_rng(seed), 7, noise=0.003) for seed in range(400))
+    ])  # fmt: skip
+    for level in (0.05, 0.3):
+        three = 3.2 * math.sqrt(level * (1.0 - level) / len(p))
+        assert 0.5 * level - three < np.mean(p < level) < level + three
+
+
+def test_a_device_most_of_whose_recordings_are_refused_is_odd():
+    told = odd.refused(
+        {"a": ["", "", "axes", ""], "b": ["axes", "axes", ""], "c": ["x"], "d": [""]}
+    )
+    assert [(o.who, o.kind, o.value, o.said) for o in told] == [("b", "refused", 2, "axes")]
+    assert "2 of its recordings" in reason(told[0])
 
 
 def test_two_devices_are_no_population():

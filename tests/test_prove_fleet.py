@@ -7,23 +7,24 @@ from dataclasses import replace
 import numpy as np
 import schemas
 
-from handcal_sim.prove.fleet import (
+from handcal_sim.prove.fleet import lines, score
+from handcal_sim.prove.fleet_world import (
     CUBE,
+    LARGE,
     MODELS,
-    ODD_SCALE,
+    ODD_WAYS,
     SLOPE,
     SPREADS,
     devices,
-    lines,
     recorded,
-    score,
     written,
 )
+from handcal_sim.prove.trial import share
 
 
 def test_devices_are_drawn_as_their_models_say():
     made = devices(400, np.random.default_rng(0))
-    assert sum(d.odd for d in made) == 20
+    assert [sum(d.odd == way for d in made) for way in ODD_WAYS] == [4, 4, 3, 3, 3, 3]
     for model in MODELS:
         own = [d for d in made if d.model == model and not d.odd]
         scales = np.array([d.effects["gyro_scale"] for d in own])
@@ -45,7 +46,7 @@ def test_a_law_and_the_temperature_are_in_the_readings():
 
 def test_what_is_written_is_a_manifest_of_recordings_some_of_them_broken(tmp_path):
     truth = written(5, 0, tmp_path)
-    assert (truth["recordings"], truth["broken"], len(truth["odd"])) == (5, 1, 1)
+    assert (truth["recordings"], len(truth["broken"]), len(truth["odd"])) == (5, 1, 1)
     rows = (tmp_path / "manifest.txt").read_text().splitlines()
     assert rows[0] == "path,device,model,started"
     assert len(rows) == 6
@@ -64,24 +65,31 @@ def test_a_score_counts_and_follows_its_schema():
             {"name": "law", "populations": [population(0.004, 0.006, 0.007)],
              "law": {"formula": "gyro_xyz += k * omega_i^3"}, "changes": [],
              "odd": [{"who": "a", "kind": "device", "by_chance": 1e-9},
-                     {"who": "b", "kind": "device", "by_chance": 1e-3}]},
+                     {"who": "b", "kind": "device", "by_chance": 1e-3},
+                     {"who": "x/r7.mcap", "kind": "recording", "by_chance": 0.1, "like": "b"}]},
             {"name": "warm", "populations": [], "odd": [], "law": None,
              "changes": [{"effect": "gyro_bias", "name": "x", "slope": SLOPE + 2e-5,
                           "slope_sigma": 1e-5, "shares": {"turn_on": 0.5, "ageing": 0.0,
                                                           "temperature": 0.5, "step": 0.0}}]},
         ],
-        "failures": [{}],
+        "failures": [{"path": "x/r3.mcap"}],
     }  # fmt: skip
-    truth = {"devices": ["a", "b"], "odd": ["a"], "broken": 1}
+    truth = {"devices": ["a", "b"], "odd": {"a": "gyro_scale"}, "broken": ["r3.mcap"],
+             "mislabelled": {"r7.mcap": ["a", "b"], "r8.mcap": ["b", "a"]}}  # fmt: skip
     ratio = {"gyro_scale": 0.5, "all": 0.7}
-    taught = {"recordings": 8, "seconds": 20.0, "plain": ratio, "tails": ratio}
-    found = score(told, truth) | {"taught": taught}
+    foretold = share(7, 8) | {"median_gain": 1.0}
+    taught = {"recordings": 8, "seconds": 20.0, "plain": ratio, "tails": ratio,
+              "plain_foretold": foretold, "tails_foretold": foretold}  # fmt: skip
+    few = {"fleets": 1, "means_within_3_sigma": share(6, 6), "spreads_within": share(5, 6)}
+    found = score(told, truth) | {"taught": taught, "smaller": few}
     schemas.check({"schema": "handcal-sim/prove-fleet/1", "n": 4, "seed": 0} | found)
     assert found["means_within_3_sigma"]["count"] == 1
     assert found["spreads_within"]["count"] == 1
     assert found["law_found"]
     assert found["laws_elsewhere"] == 0
     assert (found["odd"]["count"], found["broken"]["count"]) == (1, 1)
+    assert found["odd"]["places"] == {"a: gyro_scale": 1}
+    assert [found["mislabelled"][k] for k in ("count", "whose", "others")] == [1, 1, 0]
     assert np.isclose(found["slopes"][0], 2.0)
     assert any("found" in line for line in lines({"n": 4, "seed": 0} | found))
-    assert 5.0 * SPREADS["gyro_scale"] < ODD_SCALE
+    assert all(8.0 * SPREADS[effect] < size for effect, size in LARGE.items())

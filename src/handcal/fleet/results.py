@@ -8,7 +8,7 @@ import re
 import shutil
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import count
 from pathlib import Path
@@ -19,11 +19,12 @@ from handcal.device.file import Name
 from handcal.device.priors import Learned, write
 from handcal.fleet import dataset
 from handcal.fleet.laws import FOLDER, asked, laws_of, write_law
-from handcal.fleet.record import DONE, Document, Source
+from handcal.fleet.record import DONE, FAILED, Document, Source
 from handcal.fleet.run import Member, rows
 from handcal.fleet.store import Store, told_files
 from handcal.fleet.work import information_of
 from handcal.population.by_model import Common, Model, Reading, models
+from handcal.population.odd import refused
 from handcal.show.fleet import Fleet, fleet_json, write_page
 
 
@@ -40,6 +41,7 @@ def write_all(members: Sequence[Member], store: Store) -> Written:
     """The data set, fleet.json, priors.toml and fleet.html of a folder, from what is kept in it.
     Errors: HandcalError."""
     readings, failures, verdicts = list[Reading](), list[tuple[str, str, str]](), Counter[str]()
+    unused: dict[str, dict[str, list[str]]] = {}
 
     def seen() -> Iterator[tuple[Source, Document]]:
         for source, record in rows(members, store):
@@ -48,11 +50,16 @@ def write_all(members: Sequence[Member], store: Store) -> Written:
                 verdicts[str(record.get("verdict"))] += 1
             else:
                 failures.append((source.shown, record["status"], record["reason"]))
+            if source.device:
+                why = record["reason"] if record["status"] == FAILED else ""
+                of_model = unused.setdefault(source.model or dataset.UNKNOWN, {})
+                of_model.setdefault(source.device, []).append(why)
             yield source, record
 
     dataset.write(store.folder, seen())
-    known = models(readings, asked())
-    fleet = Fleet(known, tuple(failures), dict(verdicts), len(readings))
+    known = [replace(m, odd=(*refused(unused[m.name]), *m.odd)) if m.name in unused else m
+             for m in models(readings, asked())]  # fmt: skip
+    fleet = Fleet(tuple(known), tuple(failures), dict(verdicts), len(readings))
     document = fleet_json(fleet) | {"version": handcal.__version__}
     text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False)
     json_file, priors, report = told_files(store.folder)

@@ -136,42 +136,69 @@ def _table(readings: Sequence[Reading]) -> dict[Name, tuple[Array, Array]]:
 
 
 def _model(
-    name: str, readings: Sequence[Reading], table: Mapping[Name, tuple[Array, Array]], trials: int
+    name: str, every: Sequence[Reading], whole: Mapping[Name, tuple[Array, Array]], trials: int
 ) -> Model:
+    names = [r.device or r.label for r in every]
+    labels = [r.label for r in every]
+    at_all = {n for r in every for n in r.together}
+    strange = odd.recordings(labels, names, {n: whole[n] for n in whole
+                                             if n in at_all and stays(n[0])})  # fmt: skip
+    # (a recording of another device would be taken for a scatter of its own)
+    elsewhere = {o.who for o in strange if o.left_out}
+    readings = [r for r in every if r.label not in elsewhere]
+    table = whole if not elsewhere else _table(readings)
     who = owners([r.device for r in readings])
     names = [r.device or r.label for r in readings]
     together = {n for r in readings for n in r.together}
-    at_once = [r.information for r in readings if r.information is not None]
-    sharper: dict[Name, tuple[Array, Array]] = {}
-    each: dict[Name, tuple[Array, Array]] = {}
-    if who.max() + 1 < LEAST:
-        stacks: tuple[Stack, ...] = ()  # (what two devices have in common is no population)
-    elif len(at_once) == len(readings):
-        stacks, sharper, each = _at_once(at_once, who, together, trials)
-    else:
-        stacks = _stacks(table, who, trials)
+    stacks, sharper, each = _stacked(readings, table, who, together, trials)
     found = {s.effect for s in stacks if s.probability > FOUND}
-    every = tuple(dict.fromkeys(names))
-    common = [
-        _common(n, *((sharper[n], every) if n in sharper else (table[n], names)))
+    devices = tuple(dict.fromkeys(names))
+    values = {
+        n: (sharper[n], devices) if n in sharper else (table[n], names)
         for n in table
         if n in together or n[0] in found
-    ]
-    there = [c for c in common if c is not None]
-    told = {
-        (c.effect, c.name): (c.population, *_aligned(c, every))
-        for c in there
-        if c.effect not in OF_THE_HAND
     }
+    there, unlike = _populations(values, devices)
     lasting = {n: each.get(n, table[n]) for n in table if n in together and stays(n[0])}
-    labels = [r.label for r in readings]
-    strange = (
-        *odd.unlike_gravity(labels, [r.gravity for r in readings]),
-        *sorted((*odd.devices(every, told), *odd.recordings(labels, names, lasting)),
-                key=lambda o: o.by_chance),
-    )  # fmt: skip
+    strange = [*(o for o in strange if o.left_out),
+               *odd.recordings([r.label for r in readings], names, lasting)]  # fmt: skip
+    ordered = (
+        *odd.unlike_gravity(labels, [r.gravity for r in every]),
+        *sorted((*unlike, *strange), key=lambda o: o.by_chance),
+    )
     changes = _changes(readings, {n: each.get(n, table[n]) for n in table if n in together}, names)
-    return Model(name, len(readings), len(every), tuple(there), stacks, strange, changes)
+    return Model(name, len(every), len(devices), there, stacks, ordered, changes)
+
+
+def _populations(
+    values: Mapping[Name, tuple[tuple[Array, Array], Sequence[str]]], devices: Sequence[str]
+) -> tuple[tuple[Common, ...], list[Odd]]:
+    """Each parameter over the devices, and the odd ones of these, without which that is told."""
+    common = [_common(n, *values[n]) for n in values]
+    told = {
+        (c.effect, c.name): (c.population, *_aligned(c, devices))
+        for c in common
+        if c is not None and c.effect not in OF_THE_HAND
+    }
+    unlike = odd.devices(devices, told)
+    out = frozenset(o.who for o in unlike if o.left_out)
+    if out:
+        common = [_common(n, *values[n], out) for n in values]
+    return tuple(c for c in common if c is not None), unlike
+
+
+def _stacked(
+    readings: Sequence[Reading], table: Mapping[Name, tuple[Array, Array]], who: IntArray,
+    together: Set[Name], trials: int,
+) -> tuple[tuple[Stack, ...], Mapping[Name, tuple[Array, Array]],
+           Mapping[Name, tuple[Array, Array]]]:  # fmt: skip
+    """As ``_at_once``, or of each parameter by itself where recordings do not tell all at once."""
+    if who.max() + 1 < LEAST:
+        return (), {}, {}  # (what two devices have in common is no population)
+    at_once = [r.information for r in readings if r.information is not None]
+    if len(at_once) == len(readings):
+        return _at_once(at_once, who, together, trials)
+    return _stacks(table, who, trials), {}, {}
 
 
 def _law(
@@ -207,16 +234,20 @@ def _changes(
     return tuple(out)
 
 
-def _common(name: Name, values: tuple[Array, Array], names: Sequence[str]) -> Common | None:
-    """None where too few devices tell of it."""
+def _common(
+    name: Name, values: tuple[Array, Array], names: Sequence[str], out: Set[str] = frozenset()
+) -> Common | None:
+    """None where too few devices tell of it; the population is that of all devices but some."""
     at = np.flatnonzero(np.isfinite(values[0]) & np.isfinite(values[1])).tolist()
-    here = owners([names[i] for i in at])
-    if not at or here.max() + 1 < LEAST:
+    kept = [i for i in at if names[i] not in out]
+    here = owners([names[i] for i in kept])
+    if not kept or here.max() + 1 < LEAST:
         return None
     lasting = stays(name[0])
-    value, sigma = values[0][at], values[1][at]
-    p = population(value, sigma, here, lasting)
-    d = devices(value, sigma, here, 0.0 if lasting or np.isnan(p.apart) else p.apart)
+    value, sigma = values
+    p = population(value[kept], sigma[kept], here, lasting)
+    apart = 0.0 if lasting or np.isnan(p.apart) else p.apart
+    d = devices(value[at], sigma[at], owners([names[i] for i in at]), apart)
     whose = tuple(dict.fromkeys(names[i] for i in at))
     return Common(*name, unit_of(name), float(usual_of([name])[0]), lasting, p, whose,
                   d.value, d.sigma)  # fmt: skip

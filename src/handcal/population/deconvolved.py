@@ -10,6 +10,7 @@ The density is normal or Student's t, whichever has the more evidence.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,15 +73,60 @@ def population(value: Array, sigma: Array, owner: IntArray, stays: bool = True) 
     d = devices(value, sigma, owner, 0.0 if math.isnan(apart) else apart)
     if len(d.value) < LEAST:
         raise HandcalError(f"A population takes {LEAST} devices, and there are {len(d.value)}.")
-    normal = _of_tail(d, TAILS[0], apart)
-    off = np.abs(d.value - np.median(d.value)) / np.sqrt(d.sigma**2 + _core(d) ** 2)
+    g = _density(d)
+    low, middle, high = g.spread_at((0.025, 0.5, 0.975))
+    return Population(*g.mean(), middle, low, high, g.dof, g.evidence + d.log_within, apart,
+                      len(d.value))  # fmt: skip
+
+
+def foretold(value: Array, sigma: Array, new: float, new_sigma: float) -> float:
+    """Probability that one more device, read with a sigma of its own, is as far from the mean of
+    others (n,) or farther; all that they leave open of mean and spread is in it."""
+    from scipy.special import ndtr
+
+    g = _density(devices(value, sigma, np.arange(len(value), dtype=np.int64)))
+    share, widen = _nodes(g.dof)
+    v = (new_sigma**2 + 1.0 / g.curvature)[:, None] + (g.spreads**2)[:, None] * widen
+    tails = 2.0 * ndtr(-np.abs(new - g.centre)[:, None] / np.sqrt(v))
+    return float(g.weight @ (tails @ np.exp(share)))
+
+
+@dataclass(frozen=True)
+class _Density:
+    """Of one tail: spreads (s,) on trial, the weight of each (their sum is one) and what the
+    posterior has below it; the best mean and its information at each; log-evidence, without what
+    recordings of one device say of each other."""
+
+    dof: float
+    spreads: Array
+    weight: Array
+    below: Array
+    centre: Array
+    curvature: Array
+    evidence: float
+
+    def mean(self) -> tuple[float, float]:
+        """The population's mean, and its sigma."""
+        mean = float(self.weight @ self.centre)
+        variance = float(self.weight @ (1.0 / self.curvature + (self.centre - mean) ** 2))
+        return mean, math.sqrt(variance)
+
+    def spread_at(self, shares: Sequence[float]) -> list[float]:
+        """Quantiles of the spread."""
+        return [float(np.interp(q, self.below, self.spreads)) for q in shares]
+
+
+def _density(d: Devices) -> _Density:
+    """Normal, or with the tail that has clearly more evidence."""
+    normal = _of_tail(d, TAILS[0])
+    off = np.abs(d.value - np.median(d.value)) / np.sqrt(d.sigma**2 + core(d) ** 2)
     if off.max() < FAR:
         return normal
-    best = max((_of_tail(d, dof, apart) for dof in TAILS[1:]), key=lambda p: p.log_evidence)
-    return best if best.log_evidence > normal.log_evidence + SURE else normal
+    best = max((_of_tail(d, dof) for dof in TAILS[1:]), key=lambda p: p.evidence)
+    return best if best.evidence > normal.evidence + SURE else normal
 
 
-def _core(d: Devices) -> float:
+def core(d: Devices) -> float:
     """A spread that few odd devices do not move: of the middle half, less what sigmas explain."""
     away = np.abs(d.value - np.median(d.value))
     return math.sqrt(
@@ -88,26 +134,19 @@ def _core(d: Devices) -> float:
     )
 
 
-def _of_tail(d: Devices, dof: float, apart: float) -> Population:
-    scale = _raw_scatter(d)
-    spreads = GRID * scale
-    share, widen = _nodes(dof)
-    centre, curvature, log = _means(d, spreads, share, widen)
+def _of_tail(d: Devices, dof: float) -> _Density:
+    spreads = GRID * _raw_scatter(d)
+    centre, curvature, log = _means(d, spreads, *_nodes(dof))
     # (the mean is integrated out by its curvature; over the spread the prior is flat)
     log = log + 0.5 * np.log(2.0 * np.pi / curvature)
     p = np.exp(log - log.max())
     area = 0.5 * (p[1:] + p[:-1]) * np.diff(spreads)
     total = float(area.sum())
-    below = np.r_[0.0, np.cumsum(area)] / total
     weight = np.gradient(spreads) * p
-    weight /= weight.sum()
-    mean = float(weight @ centre)
-    variance = float(weight @ (1.0 / curvature + (centre - mean) ** 2))
-    low, middle, high = (float(np.interp(q, below, spreads)) for q in (0.025, 0.5, 0.975))
     # the prior of the spread is flat up to the largest on trial, that of the mean as wide
     evidence = float(log.max()) + math.log(total / spreads[-1]) - math.log(2.0 * spreads[-1])
-    return Population(mean, math.sqrt(variance), middle, low, high, dof, evidence + d.log_within,
-                      apart, len(d.value))  # fmt: skip
+    below = np.r_[0.0, np.cumsum(area)] / total
+    return _Density(dof, spreads, weight / weight.sum(), below, centre, curvature, evidence)
 
 
 def _raw_scatter(d: Devices) -> float:

@@ -67,7 +67,7 @@ def _model_json(m: Model) -> dict[str, Any]:
             {"who": o.who, "kind": o.kind, "by_chance": finite(o.by_chance), "effect": o.effect,
              "name": o.name, "value": finite(o.value), "sigma": finite(o.sigma),
              "mean": finite(o.mean), "deviation": finite(o.deviation), "like": o.like,
-             "reason": reason(o)}
+             "reason": reason(o), "left_out": o.left_out}
             for o in m.odd
         ],
         "changes": [change_json(c) for c in m.changes], "law": law_json(m.law),
@@ -87,6 +87,8 @@ def _population_json(c: Common) -> dict[str, Any]:
 
 def reason(o: Odd) -> str:
     """Why a device or a recording is odd, in a sentence."""
+    if o.kind == "refused":
+        return f"{round(o.value)} of its recordings could not be used. {o.said}"
     if o.kind == "gravity":
         return (f"Its accelerometer reads {o.value:.3g} m/s² where gravity is 9.8: another unit, "
                 "or no specific force.")  # fmt: skip
@@ -97,7 +99,7 @@ def reason(o: Odd) -> str:
     whose = "devices of the model have" if o.kind == "device" else "its device's others say"
     out = (f"{words.effect_title(o.effect)} {o.name} is {value} {unit.unit}; {whose} {mean} ± "
            f"{deviation}.")  # fmt: skip
-    return out + _guess(o)
+    return out + _guess(o) + (" Populations are told without it." if o.left_out else "")
 
 
 def _guess(o: Odd) -> str:
@@ -139,9 +141,12 @@ def _section(m: Model) -> dict[str, Any]:
         "histories": histories(m.name, m.changes),
         "law": None if m.law is None else common_law.row_of(m.law),
         "law_plot": None if m.law is None else common_law.drawn(m.name, m.law),
-        "odd": [(o.who if o.kind == "device" else Path(o.who).name, _times(o.by_chance),
-                 reason(o)) for o in m.odd[:MOST_ROWS]],
+        "odd": [(_who(o), _times(o.by_chance), reason(o)) for o in m.odd[:MOST_ROWS]],
     }  # fmt: skip
+
+
+def _who(o: Odd) -> str:
+    return o.who if o.kind in ("device", "refused") else Path(o.who).name
 
 
 def _times(expected: float) -> str:
