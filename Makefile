@@ -2,7 +2,7 @@
 # PYTHON=/path/to/python chooses the interpreter .venv is made from.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo live docs site gallery stories test lint format prove fuzz fuzz-guided soak rough pairs trial bench bench-check dist size audit clean clean-cache
+.PHONY: help setup demo live docs site gallery stories test lint format prove fuzz fuzz-guided soak rough pairs trial bench bench-check fleet-scale dist size audit clean clean-cache
 
 BIN := .venv/bin
 # Of `make trial`: which suites, how many explanations at a time; SEED=N repeats a trial, and
@@ -86,6 +86,9 @@ bench: .venv/.installed-bench ## speed beside other programs, start-up, memory: 
 bench-check: .venv/.installed-bench ## fail where a ratio to other programs is 30 % worse than kept
 	$(BIN)/handcal bench --rounds 7 --only filter --only filterpy --only gtsam --only epochs \
 	  --against benchmarks/ratios.json
+
+fleet-scale: setup ## what a fleet costs beside its explanations (N=1000 stand-ins): processor time, memory, bytes
+	$(BIN)/python scripts/fleet_scale.py --recordings $(or $(N),1000) $(if $(DASK),--executor dask)
 
 dist: .venv/.installed-dev ## source archive, wheel and bill of materials (CycloneDX) in dist/
 	@rm -rf dist
