@@ -87,8 +87,9 @@ def beside(path: Path, recordings: Sequence[Recording]) -> list[Path]:
 
 
 @contextlib.contextmanager
-def whole(path: str | Path) -> Iterator[Path]:
-    """Where to write what shall become ``path``, which it does at the end of the block.
+def whole(path: str | Path, tidy: bool = True) -> Iterator[Path]:
+    """Where to write what shall become ``path``, which it does at the end of the block. tidy: look
+    through the folder for parts of it that were left, which takes time where many files are.
 
     Errors: HandcalError if it cannot be written; then what was there before still is.
     """
@@ -99,7 +100,8 @@ def whole(path: str | Path) -> Iterator[Path]:
         return
     place = place.resolve()  # (what a link leads to is replaced, not the link)
     with _said(Path(path)):
-        take_away_left(place.parent, f".{place.name}.")
+        if tidy:
+            take_away_left(place.parent, f".{place.name}.")
         with _part(place) as part:
             yield part
             part.chmod(place.stat().st_mode & 0o777 if place.exists() else 0o666 & ~_umask())
@@ -174,9 +176,10 @@ def _umask() -> int:
     return mask
 
 
-def write_text(path: str | Path, text: str) -> None:
-    """Write a text for the user. Errors: HandcalError if it cannot be written."""
-    with whole(path) as place:
+def write_text(path: str | Path, text: str, tidy: bool = True) -> None:
+    """Write a text for the user; tidy: as of ``whole``. Errors: HandcalError if it cannot be
+    written."""
+    with whole(path, tidy) as place:
         place.write_text(text, encoding="utf-8")
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit, urlunsplit
@@ -77,6 +77,6 @@ def digest(path: Path) -> str:
 def key(sha256: str, version: str, options: Options, prior: Mapping[str, Any] | None) -> str:
     """Under which a result is kept: 32 hexadecimal digits of the recording's bytes, the program's
     version, the options that change results, and the prior that it was made with."""
-    own = {k: v for k, v in asdict(options).items() if k in ("budget", "work")}
+    own = {"budget": options.budget, "work": options.work}
     text = json.dumps([sha256, version, own, prior], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:32]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
@@ -81,7 +82,9 @@ def run(
     tasks = _to_do(sources, store, options, version, prior_of, members, progress, say)
     for task, answer in done(workers, _submitted, tasks):
         record = _record(task, answer, options, version)
-        store.keep(task.key, record, (answer.get("result") or {}).get("explanation"))
+        result = answer.get("result") or {}
+        text = _joined(record, result.get("kept", ""))
+        store.keep(task.key, text, result.get("explanation", ""))
         progress.finished += 1
         progress.failed += record["status"] != DONE
         say(progress)
@@ -126,11 +129,10 @@ def _to_do(
 
 
 def _record(task: Task, answer: Document, options: Options, version: str) -> Document:
-    """What is kept of a recording, whatever became of it."""
-    result = dict(answer.get("result") or {})
-    result.pop("explanation", None)
+    """What is kept of a recording, whatever became of it, beside what it told."""
     # (of an address the worker says what it read; a recording that it could not fetch has none)
-    sha256 = result.pop("fetched", None) or ("" if task.source.identity else task.sha256)
+    fetched = (answer.get("result") or {}).get("fetched")
+    sha256 = fetched or ("" if task.source.identity else task.sha256)
     about = {
         "schema": RECORD_SCHEMA, "version": version, "key": task.key,
         "path": task.source.shown, "sha256": sha256, "status": answer["status"],
@@ -138,7 +140,13 @@ def _record(task: Task, answer: Document, options: Options, version: str) -> Doc
         "peak": answer["peak"], "deadline": options.deadline, "memory": options.memory,
         "budget": options.budget, "priors": _source_of(task.request["prior"]),
     }  # fmt: skip
-    return about | ({"said": answer["said"]} if "said" in answer else {}) | result
+    return about | ({"said": answer["said"]} if "said" in answer else {})
+
+
+def _joined(record: Document, kept: str) -> str:
+    """Both as one JSON object; kept: one as it came, which is not read again here."""
+    own = json.dumps(record, allow_nan=False, ensure_ascii=False)
+    return f"{own[:-1]}, {kept[1:]}" if kept else own
 
 
 def _source_of(prior: Document | None) -> Document | None:

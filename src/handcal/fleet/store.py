@@ -56,12 +56,12 @@ class Store:
         own = isinstance(document, dict) and document.get("schema") == RECORD_SCHEMA
         return document if own else None
 
-    def keep(self, key: str, record: Document, explanation: Document | None) -> None:
-        """Keep both, the record last. Errors: HandcalError."""
-        for kind, document in ((EXPLANATIONS, explanation), (RECORDS, record)):
-            if document is not None:
-                text = json.dumps(document, allow_nan=False, ensure_ascii=False)
-                output.write_text(self.folder / kind / f"{key}.json", text + "\n")
+    def keep(self, key: str, record: str, explanation: str) -> None:
+        """Keep both, as JSON ("": none), the record last. Errors: HandcalError."""
+        for kind, text in ((EXPLANATIONS, explanation), (RECORDS, record)):
+            if text:
+                # (what was left there is taken away when the store is opened)
+                output.write_text(self.folder / kind / f"{key}.json", text + "\n", tidy=False)
                 self.send(f"{kind}/{key}.json")
 
     def send(self, name: str) -> None:

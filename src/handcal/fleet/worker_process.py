@@ -158,11 +158,19 @@ def _answer(request: Mapping[str, Any]) -> Document:
     module, _, name = str(request["work"]).partition(":")
     work = getattr(importlib.import_module(module), name)
     try:
-        return {"status": DONE, "reason": "", "result": work(request)}
+        return {"status": DONE, "reason": "", "result": _as_texts(work(request))}
     except HandcalError as error:
         return {"status": getattr(error, "status", FAILED), "reason": str(error)}
     except MemoryError:
         return {"status": OUT_OF_MEMORY, "reason": "There was not enough memory."}
+
+
+def _as_texts(result: Document) -> Document:
+    """What travels: JSON that whoever asked writes as it is, and what he has to know of it."""
+    explanation, fetched = result.pop("explanation"), result.pop("fetched")
+    kept, explained = (json.dumps(d, allow_nan=False, ensure_ascii=False)
+                       for d in (result, explanation))  # fmt: skip
+    return {"kept": kept, "explanation": explained, "fetched": fetched}
 
 
 if __name__ == "__main__":
