@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handcal.recordings.inputs import of_arrays
+from handcal.recordings.inputs import load, of_arrays
 from handcal.types import InputError
 from handcal_sim import simulate
 
@@ -27,8 +27,10 @@ def turned():
     return world.imu.stamps, world.imu.values
 
 
-def read(t, values):
-    return of_arrays("axes", t, values[:, :3], values[:, 3:6], {})
+def read(t, values, **streams):
+    return of_arrays(
+        "axes", t, values[:, :3], values[:, 3:6], {k: (v, 1) for k, v in streams.items()}
+    )
 
 
 @pytest.mark.parametrize("axes", SAID)
@@ -64,3 +66,25 @@ def test_large_errors_are_no_other_axes(turned):
                          2, axis=0)  # fmt: skip
     assert len(read(t, off).imu.t) == len(t)
     assert replace(read(t, off), warnings=()).imu.valid.all()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_heading_that_counts_clockwise_is_said(seed):
+    world = simulate("free-hand", seed=seed, duration_s=40.0)
+    t, values, heading = world.imu.stamps, world.imu.values, world.streams["heading"]
+    assert len(read(t, values, heading=(heading.stamps, heading.values)).streams["heading"].t) > 20
+    with pytest.raises(InputError, match="heading=deg-cw"):
+        read(t, values, heading=(heading.stamps, -heading.values))
+
+
+def test_a_clockwise_heading_of_a_table_can_be_named(tmp_path):
+    world = simulate("free-hand", seed=0, duration_s=40.0)
+    h = world.streams["heading"]
+    psi = np.degrees(-np.interp(world.imu.stamps, h.stamps, np.unwrap(h.values.ravel())))
+    columns = np.column_stack([world.imu.stamps, world.imu.values[:, :6], psi])
+    path = tmp_path / "compass.csv"
+    np.savetxt(path, columns, delimiter=",", comments="",
+               header="time (s),gx,gy,gz,ax,ay,az,heading (deg-cw)")  # fmt: skip
+    assert load(path, units={"heading": "deg-cw"}).streams["heading"].value.shape[1] == 1
+    with pytest.raises(InputError, match="turns against the gyroscope"):
+        load(path, units={"heading": "deg"})

@@ -212,8 +212,9 @@ _TABLE = (
     Stream(
         "heading", QUATERNION, "/heading", ("yaw",), "rad", "heading", "map",
         yaw_of_quaternions, quaternions_of_yaw,
-        units={"rad": 1.0, "deg": DEGREE}, csv=("heading", "yaw"), observation="heading",
-        circular=True, planned_hz=10.0,
+        units={"rad": 1.0, "deg": DEGREE, "rad-cw": -1.0, "deg-cw": -DEGREE},
+        spellings={"radcw": "rad-cw", "degcw": "deg-cw"}, csv=("heading", "yaw"),
+        observation="heading", circular=True, planned_hz=10.0,
     ),
     # in body axes
     Stream(

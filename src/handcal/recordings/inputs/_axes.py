@@ -1,6 +1,6 @@
-"""Do gyro and accelerometer count in the same axes? While something turns, gravity moves in its
-axes as the gyro says; with two axes exchanged or one of them reversed it does not, and nothing can
-be calibrated with such readings."""
+"""Do gyro, accelerometer and heading count in the same axes? While something turns, gravity moves
+in its axes as the gyro says, and the heading goes with the turn about the vertical. With two axes
+exchanged or one of them reversed they do not, and nothing can be calibrated with such readings."""
 
 from __future__ import annotations
 
@@ -19,6 +19,11 @@ MISSED, CLEARLY = 0.15, 0.25
 # meant.
 AS_GOOD = 1.25
 FEWEST = 20  # windows; of fewer, one push may decide
+# Of a heading: how long it turns between two looks, s; and the share of gravity that has to stand
+# across body x, or its yaw turns faster than the device.
+HEADING_S, LEVEL = 0.5, 0.5
+# Windows in which it should have turned so far, rad; a compass that swings turns by less.
+TURNED = 0.2
 
 
 def check_axes(t: Array, gyro: Array, accel: Array) -> None:
@@ -72,3 +77,33 @@ def _changes(P: Array) -> list[tuple[str, Array]]:
     if np.linalg.det(P) > 0:
         ways += [("accelerometer", s * P.T) for s in (1.0, -1.0)]
     return ways
+
+
+def check_heading_sense(t: Array, gyro: Array, accel: Array, when: Array, heading: Array) -> None:
+    """heading (m,), rad, at when (m,), s, on the clock of t (n,). Errors: InputError where it turns
+    the other way than the gyro about the vertical."""
+    inside = (when >= t[0]) & (when <= t[-1]) & (np.abs(heading) < 1e7)
+    first = np.flatnonzero(np.diff(np.floor(when[inside] / HEADING_S), prepend=-1.0))
+    at, psi = when[inside][first], heading[inside][first]
+    if len(at) < FEWEST:
+        return
+    up = accel / np.maximum(np.linalg.norm(accel, axis=1, keepdims=True), 1e-9)
+    across = 1.0 - up[:, 0] ** 2
+    rate = (gyro[:, 1] * up[:, 1] + gyro[:, 2] * up[:, 2]) / np.maximum(across, LEVEL**2)
+    whole = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(t))])
+    steep = np.concatenate([[0.0], np.cumsum((across[1:] < LEVEL**2) * np.diff(t))])
+    own = np.diff(np.interp(at, t, whole))
+    fair = (np.diff(np.interp(at, t, steep)) == 0) & (np.abs(own) > TURNED) & (np.diff(at) < 1.0)
+    if fair.sum() < FEWEST:
+        return
+    as_read, reversed_ = (
+        float(np.median(np.abs(np.angle(np.exp(1j * (s * np.diff(psi) - own)))[fair])))
+        for s in (1.0, -1.0)
+    )
+    if as_read > MISSED and reversed_ < CLEARLY * as_read:
+        raise InputError(
+            f"The heading turns against the gyroscope ({np.degrees(as_read):.0f} deg off after "
+            f"{HEADING_S:g} s; with its sign turned {np.degrees(reversed_):.1f}): it counts "
+            "clockwise, as a compass does, and here counter-clockwise is meant. Turn its sign in "
+            "the file; of a table give --units heading=deg-cw or rad-cw."
+        )

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from handcal.recordings.inputs._axes import check_axes
+from handcal.recordings.inputs._axes import check_axes, check_heading_sense
 from handcal.recordings.inputs._checks import (
     check_accel_unit,
     check_alive,
@@ -104,7 +104,9 @@ def assemble(
     valid = valid & ~frozen
     for name, stream in streams.items():
         if STREAMS[name].circular:
-            check_heading_unit(t, rates, (stream.ns - ns[0]) / 1e9, stream.value[:, 0])
+            when = (stream.ns - ns[0]) / 1e9
+            check_heading_unit(t, rates, when, stream.value[:, 0])
+            check_heading_sense(t, rates, force, when, stream.value[:, 0])
     inside = int(ns[0]), int(ns[-1])
     found = {name: _series(name, stream, *inside, said) for name, stream in streams.items()}
     series = {name: one for name, one in found.items() if one is not None}
