@@ -79,7 +79,8 @@ def test_a_score_counts_and_follows_its_schema():
     ratio = {"gyro_scale": 0.5, "all": 0.7}
     foretold = share(7, 8) | {"median_gain": 1.0}
     taught = {"recordings": 8, "seconds": 20.0, "plain": ratio, "tails": ratio,
-              "plain_foretold": foretold, "tails_foretold": foretold}  # fmt: skip
+              "plain_foretold": foretold, "tails_foretold": foretold,
+              "plain_room": 5, "tails_room": 4}  # fmt: skip
     few = {"fleets": 1, "means_within_3_sigma": share(6, 6), "spreads_within": share(5, 6)}
     found = score(told, truth) | {"taught": taught, "smaller": few}
     schemas.check({"schema": "handcal-sim/prove-fleet/1", "n": 4, "seed": 0} | found)
