@@ -78,11 +78,13 @@ CUBE = grammar.formula([("cube", ())])
 NUMBERS = (
     ("bump", (30.0, 6.0)), ("bump", (3.0, 1.1, 1.2, 30.0)), ("while", (2.01, 5.13)),
     ("while", (2.01, 3.13, 0.4, 1.1)), ("swing", (25.0, 0.7)), ("decay", (12.0,)),
+    ("chirp", (0.05, 0.004, 0.7)), ("fade", (1.71, 3.0)), ("fade", (1.71, 3.0, 0.83)),
+    ("ring", (9.0, 7.0, 0.4)),
     ("switched", (1.7, 0.3, 0.6)), ("saw", (1.7, 0.3)), ("lobe", (0.4, 5.0)),
 )  # fmt: skip
 COURSES = [(c, *n) for c in ("gyro_x", "accel_y", "heading") for n in NUMBERS
            if c == "heading" or n[0] != "lobe"]  # fmt: skip
-EDGED = {"while": 0.71, "switched": 0.71}
+EDGED = {"while": 0.71, "switched": 0.71, "fade": 0.71}
 
 
 def folder_with(tmp_path, **files):
@@ -420,7 +422,7 @@ def test_a_curve_of_the_heading_written_out_is_the_curve(driver, tmp_path):
 def test_a_course_written_out_is_the_course(channel, kind, numbers, tmp_path):
     effect, k = shapes.again(channel, (kind, numbers)), np.array([0.7])
     own = again(effect, tmp_path)
-    assert own.of_one_day == (kind not in ("decay", "lobe"))
+    assert own.of_one_day == (kind not in ("decay", "ring", "lobe"))
     assert [(p.name, p.unit, p.prior_sigma) for p in own.parameters] == [
         ("k", effect.parameters[0].unit, 0.012)
     ]

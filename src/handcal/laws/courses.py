@@ -129,6 +129,37 @@ def _switched_on(period: float, start: float, length: float) -> Callable[..., in
     return heading
 
 
+def _fade(numbers: Array, x: Array) -> Array:
+    # (edges as wide as the grid is fine, so that they can be moved)
+    edge = max(1e-3, float(x[1] - x[0]))
+    since = x[:, None] - _moments(numbers)
+    there = np.clip(since / edge + 0.5, 0.0, 1.0)
+    return np.asarray((there * np.exp(-np.maximum(since, 0.0) / numbers[1])).sum(axis=1))
+
+
+def _as_long(numbers: Array, starts: Array) -> BoolArray:
+    near = np.abs(starts[:, :1] - _moments(numbers)).min(axis=1) < 0.5 * numbers[1]
+    return np.asarray((starts[:, 1] == numbers[1]) & ~near)
+
+
+def _fades(span: float) -> Iterator[tuple[float, ...]]:
+    for tau in span * np.geomspace(0.02, 0.3, 6):
+        for at in np.linspace(0.0, span, MOST)[1:-1]:
+            yield float(at), float(tau)
+
+
+def _fade_at(at: float, tau: float, *more: float) -> Callable[..., int]:
+    moments = (at, *more)
+
+    def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+        for moment in moments:
+            if z[TIME] >= moment:
+                r[0] -= k[0] * math.exp(-(z[TIME] - moment) / tau)
+        return 0
+
+    return heading
+
+
 def _saw(numbers: Array, x: Array) -> Array:
     return np.asarray(np.mod((x - numbers[1]) / numbers[0], 1.0) - 0.5)
 
@@ -160,6 +191,52 @@ def _swings(span: float) -> Iterator[tuple[float, ...]]:
 def _swing_of(period: float, phase: float) -> Callable[..., int]:
     def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
         r[0] -= k[0] * math.sin(2.0 * math.pi * z[TIME] / period + phase)
+        return 0
+
+    return heading
+
+
+def _chirp(numbers: Array, x: Array) -> Array:
+    first, rate, phase = numbers
+    return np.asarray(np.sin(2.0 * np.pi * (first + 0.5 * rate * x) * x + phase))
+
+
+def _chirps(span: float) -> Iterator[tuple[float, ...]]:
+    swings = np.arange(1.0, MOST / 3.0, 1.0)
+    for first in swings:
+        for last in swings:
+            # (less than half a swing apart it is one of a steady rate)
+            if abs(last - first) > 1.0:
+                for phase in np.arange(8) * np.pi / 8.0:
+                    yield float(first / span), float((last - first) / span**2), float(phase)
+
+
+def _chirp_of(first: float, rate: float, phase: float) -> Callable[..., int]:
+    def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+        turns = (first + 0.5 * rate * z[TIME]) * z[TIME]
+        r[0] -= k[0] * math.sin(2.0 * math.pi * turns + phase)
+        return 0
+
+    return heading
+
+
+def _ring(numbers: Array, x: Array) -> Array:
+    tau, period, phase = numbers
+    return np.asarray(np.exp(-x / tau) * np.sin(2.0 * np.pi * x / period + phase))
+
+
+def _rings(span: float) -> Iterator[tuple[float, ...]]:
+    for k in np.arange(SWINGS, MOST / 3.0, 1.0):
+        # (within a swing it is a decay, and longer than the recording a swing)
+        for tau in (span / k) * np.geomspace(0.4, 0.7 * k, 6):
+            for phase in np.arange(8) * np.pi / 8.0:
+                yield float(tau), float(span / k), float(phase)
+
+
+def _ring_of(tau: float, period: float, phase: float) -> Callable[..., int]:
+    def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+        fade = math.exp(-z[TIME] / tau)
+        r[0] -= k[0] * fade * math.sin(2.0 * math.pi * z[TIME] / period + phase)
         return 0
 
     return heading
@@ -212,6 +289,13 @@ def _while_formula(n: Array) -> str:
     return f"(t from {_spans(n)})"
 
 
+def _fade_formula(n: Array) -> str:
+    if len(n) == 2:
+        return f"(t >= {n[0]:.3g} s) exp(-(t - {n[0]:.3g} s) / {n[1]:.2g} s)"
+    at = ", ".join(f"{moment:.3g}" for moment in np.sort(_moments(n)))
+    return f"(sum of (t >= t_n) exp(-(t - t_n) / {n[1]:.2g} s) for t_n = {at} s)"
+
+
 def _switched_formula(n: Array) -> str:
     return f"((t - {n[1] % n[0]:.3g} s) mod {n[0]:.3g} s < {n[2]:.3g} s)"
 
@@ -222,6 +306,15 @@ def _saw_formula(n: Array) -> str:
 
 def _swing_formula(n: Array) -> str:
     return f"sin(2 pi t / {n[0]:.3g} s + {n[1] % (2.0 * np.pi):.2f})"
+
+
+def _chirp_formula(n: Array) -> str:
+    sign, rate = "-" if n[1] < 0.0 else "+", abs(0.5 * n[1])
+    return f"sin(2 pi (t {n[0]:.3g} Hz {sign} t^2 {rate:.3g} Hz/s) + {n[2] % (2.0 * np.pi):.2f})"
+
+
+def _ring_formula(n: Array) -> str:
+    return f"exp(-t / {n[0]:.3g} s) sin(2 pi t / {n[1]:.3g} s + {n[2] % (2.0 * np.pi):.2f})"
 
 
 def _decay_formula(n: Array) -> str:
@@ -239,6 +332,11 @@ def _bump_words(n: Array) -> str:
 
 def _while_words(n: Array) -> str:
     return f"It was there from {_spans(n)} only."
+
+
+def _fade_words(n: Array) -> str:
+    at = " s, at ".join(f"{moment:.3g}" for moment in np.sort(_moments(n)))
+    return f"It came at once at {at} s, and fades to a third every {n[1]:.2g} s."
 
 
 def _switched_words(n: Array) -> str:
@@ -264,6 +362,17 @@ def _swing_words(n: Array) -> str:
     return f"It swings, once in {n[0]:.3g} s."
 
 
+def _chirp_words(n: Array) -> str:
+    more = "faster" if n[1] * n[0] > 0.0 else "slower"
+    return f"It swings, at first once in {1.0 / max(abs(n[0]), 1e-6):.3g} s, and ever {more}."
+
+
+def _ring_words(n: Array) -> str:
+    return (
+        f"It swings after the start, once in {n[1]:.3g} s, and fades to a third every {n[0]:.2g} s."
+    )
+
+
 def _decay_words(n: Array) -> str:
     return f"It fades after the start, to a third every {n[0]:.2g} s."
 
@@ -277,7 +386,10 @@ OVER_TIME = (
     Family("bump", _bump, _bump_formula, _bump_words, _bumps, _bump_at, _as_wide, 1),
     Family("while", _while, _while_formula, _while_words, _whiles, _while_in, _apart, 2),
     Family("swing", _swing, _swing_formula, _swing_words, _swings, _swing_of),
+    Family("chirp", _chirp, _chirp_formula, _chirp_words, _chirps, _chirp_of),
+    Family("ring", _ring, _ring_formula, _ring_words, _rings, _ring_of),
     Family("decay", _decay, _decay_formula, _decay_words, _decays, _decay_of),
+    Family("fade", _fade, _fade_formula, _fade_words, _fades, _fade_at, _as_long, 1),
     Family("switched", _switched, _switched_formula, _switched_words, _switches, _switched_on),
     Family("saw", _saw, _saw_formula, _saw_words, _saws, _saw_of),
 )

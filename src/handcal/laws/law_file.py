@@ -182,6 +182,18 @@ COURSES: Mapping[str, Callable[[Unnamed], Law]] = {
     "saw": _course(
         "(((t - START) / PERIOD) % 1.0 - 0.5)", (("PERIOD", "s"), ("START", "s")), of_one_day=True
     ),
+    "fade": _course(
+        "(t >= AT) * np.exp(-np.maximum(t - AT, 0.0) / TAU)", (("AT", "s"), ("TAU", "s")),
+        of_one_day=True, moment=1,
+    ),
+    "chirp": _course(
+        "np.sin(2.0 * np.pi * (FIRST + 0.5 * RATE * t) * t + PHASE)",
+        (("FIRST", "Hz"), ("RATE", "Hz/s"), ("PHASE", "rad")), of_one_day=True,
+    ),
+    "ring": _course(
+        "np.exp(-t / TAU) * np.sin(2.0 * np.pi * t / PERIOD + PHASE)",
+        (("TAU", "s"), ("PERIOD", "s"), ("PHASE", "rad")),
+    ),
     "decay": _course("np.exp(-t / TAU)", (("TAU", "s"),)),
     "lobe": _course(
         "np.exp(SHARPNESS * (np.cos(yaw - AT) - 1.0))", (("AT", "rad"), ("SHARPNESS", "1"))
