@@ -36,7 +36,10 @@ NUMBERS = (
     np.array([30.0, 6.0]),
     np.array([20.0, 41.0]),
     np.array([25.0, 0.7]),
+    np.array([0.03, 0.0015, 0.7]),
+    np.array([25.0, 11.0, 0.7]),
     np.array([12.0]),
+    np.array([31.0, 8.0]),
     np.array([23.0, 9.0, 11.0]),
     np.array([21.0, 9.0]),
     np.array([0.4, 5.0]),
@@ -46,6 +49,7 @@ COURSES = tuple(zip(FAMILIES, NUMBERS, strict=True))
 AGAIN = (
     (courses.OVER_TIME[0], np.array([13.0, 3.0, 38.0, 61.0])),
     (courses.OVER_TIME[1], np.array([9.0, 17.0, 31.0, 42.0, 60.0, 66.0])),
+    (courses.OVER_TIME[6], np.array([9.0, 5.0, 33.0, 58.0])),
 )
 
 

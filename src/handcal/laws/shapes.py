@@ -31,7 +31,7 @@ from handcal.types import Array, IntArray
 PEAK = 3.0
 # Times that what comes again is looked for at the most, beginnings of it, of the best; and families
 # looked at more closely.
-AGAIN, BEGINNINGS, CLOSER = 5, 12, 2
+AGAIN, BEGINNINGS, CLOSER = 5, 12, 3
 # Numbers of a course that the odds of any law without a name pay for.
 NUMBERS = 2
 # What lies between two sizes on trial is that much larger or smaller than one of them.
