@@ -18,9 +18,12 @@ import os
 import pickle
 import time
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
+from llvmlite import binding
 from numba.core import caching, event
+from numba.core.runtime import _nrt_python  # type: ignore[attr-defined]
 
 from handcal.compiled.linking import LINKED, readable, rebuilt
 
@@ -86,6 +89,16 @@ class _Cache(caching.FunctionCache):
         self._cache_file: _Files = _Files.__new__(_Files)
         self._cache_file.__dict__.update(files.__dict__)
 
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """As numba's, but what only compiling needs (every operator of every type, half a second)
+        is loaded only where nothing is kept."""
+        if LINKED and runtime_named():
+            with self._guard_against_spurious_io_errors():
+                found = self._load_overload(sig, target_context)
+            if found is not None:
+                return found
+        return super().load_overload(sig, target_context)
+
     def save_overload(self, sig: Any, data: Any) -> None:
         """As numba's; where nothing can be kept, nothing is."""
         with contextlib.suppress(OSError):
@@ -147,6 +160,14 @@ class _WholeCache(_Cache):
             with contextlib.suppress(OSError):
                 fcntl.flock(file, fcntl.LOCK_UN)
             os.close(file)
+
+
+@cache
+def runtime_named() -> bool:
+    """Tell the linker where numba's runtime is; whether that could be done."""
+    for name, address in _nrt_python.c_helpers.items():
+        binding.add_symbol(name if name.startswith("_") else f"NRT_{name}", address)
+    return True
 
 
 def _locked(file: int) -> bool:
