@@ -291,10 +291,11 @@ def _at_once(
     found: dict[str, Stack] = {}
     while True:
         stacks = {}
+        base = joint.without(joint.of_devices(readings, who, always, passing), always)
         for effect in left:
-            names = [*always, *(n for n in listed if n[0] == effect and n not in always)]
-            told = joint.of_devices(readings, who, names, passing)
-            stacks[effect] = joint.stack(told, always, effect, trials)
+            own = [n for n in listed if n[0] == effect and n not in always]
+            told = joint.of_devices(readings, who, [*always, *own], passing)
+            stacks[effect] = joint.stack(told, always, effect, trials, base if own else None)
         new = [s for s in stacks.values() if not {n for n in always if n[0] == s.effect}]
         best = max(new, key=lambda s: s.probability, default=None)
         if best is None or best.probability <= FOUND or len(found) == MOST:

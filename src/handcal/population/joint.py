@@ -134,25 +134,40 @@ def _settled(told: Told, mean: Array, spread: Array) -> float:
     return log - 0.5 * float(mean @ mean) - 0.5 * float(np.linalg.slogdet(H)[1])
 
 
-def stack(told: Told, always: Sequence[Name], effect: str, trials: int) -> Stack:
+Fits = Sequence[tuple[Array, Array]]
+
+
+def without(told: Told, base: Sequence[Name]) -> Fits:
+    """Mean and spread of the population of some parameters alone, for each factor by which sigmas
+    may be too small."""
+    return [fit(part(_honest(told, c), base)) for c in HONEST.tolist()]
+
+
+def _honest(told: Told, c: float) -> Told:
+    return Told(told.names, told.b / c**2, told.G / c**2)
+
+
+def stack(
+    told: Told, always: Sequence[Name], effect: str, trials: int, fits: Fits | None = None
+) -> Stack:
     """Evidence for an effect beside those that are always in the model (its own are left out of
-    them), as ``stacked.stack``."""
+    them), as ``stacked.stack``; fits: ``without`` of these, if it is at hand."""
     own = [n for n in told.names if n[0] == effect]
     base = [n for n in always if n[0] != effect]
     none, shared, few, alone = [], [], [], []
-    for c in HONEST:
-        honest = Told(told.names, told.b / c**2, told.G / c**2)
-        without, whole = part(honest, base), part(honest, [*base, *own])
+    fits = without(told, base) if fits is None else fits
+    for c, (mean, spread) in zip(HONEST.tolist(), fits, strict=True):
+        honest = _honest(told, c)
+        less, whole = part(honest, base), part(honest, [*base, *own])
         # (sigmas that are larger have a likelihood of their own: of the fit with everything)
-        size = _scatter(whole, float(c))
-        mean, spread = fit(without)
-        none.append(_settled(without, mean, spread) + size)
+        size = _scatter(whole, c)
+        none.append(_settled(less, mean, spread) + size)
         pad = np.zeros(len(own))
         logs = [
             _settled(whole, *fit(whole, np.r_[spread, pad + s], len(own), FURTHER)) for s in SPREADS
         ]
         shared.append(log_mean(np.array(logs)) + size)
-        lack = evidence(without, mean, spread)[0]
+        lack = evidence(less, mean, spread)[0]
         have = evidence(whole, np.r_[mean, pad], np.r_[spread, pad + 1.0])[0]
         each = np.logaddexp(np.log(SHARES)[:, None] + have, np.log1p(-SHARES)[:, None] + lack)
         few.append(none[-1] + log_mean(each.sum(1)) - float(lack.sum()))
