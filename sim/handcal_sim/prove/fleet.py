@@ -43,7 +43,7 @@ def run(n: int, seed: int, folder: Path, workers: int) -> dict[str, Any]:
         {"schema": "handcal-sim/prove-fleet/1", "n": n, "seed": seed}
         | score(told, truth)
         | {"smaller": smaller(source / "manifest.txt", out, truth)}
-        | taught_by(out / "priors.toml", max(8, n // 10), seed, folder)
+        | taught_by(out / "priors.toml", max(8, n // 20), seed, folder)
     )
 
 
