@@ -186,7 +186,9 @@ def _written(members: Sequence[Member], store: Store) -> None:
     from handcal.population.stacked import FOUND
     from handcal.show import words
 
-    told = write_all(members, store)
+    told = write_all(
+        members, store, lambda m: say(f"what the devices of {m or 'no model'} have in common")
+    )
     tell(f"{told.done} recordings explained, {told.failed} without a result: "
          f"{store.shown}/fleet.html")  # fmt: skip
     for m in told.fleet.models:

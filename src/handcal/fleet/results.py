@@ -7,7 +7,7 @@ import math
 import re
 import shutil
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import count
@@ -37,9 +37,12 @@ class Written:
     fleet: Fleet
 
 
-def write_all(members: Sequence[Member], store: Store) -> Written:
-    """The data set, fleet.json, priors.toml and fleet.html of a folder, from what is kept in it.
-    Errors: HandcalError."""
+def write_all(
+    members: Sequence[Member], store: Store, report: Callable[[str], None] = lambda _: None
+) -> Written:
+    """The data set, fleet.json, priors.toml and fleet.html of a folder, from what is kept in it;
+    report: called with the name of each model before its devices are looked at. Errors:
+    HandcalError."""
     readings, failures, verdicts = list[Reading](), list[tuple[str, str, str]](), Counter[str]()
     unused: dict[str, dict[str, list[str]]] = {}
 
@@ -58,7 +61,7 @@ def write_all(members: Sequence[Member], store: Store) -> Written:
 
     dataset.write(store.folder, seen())
     known = [replace(m, odd=(*refused(unused[m.name]), *m.odd)) if m.name in unused else m
-             for m in models(readings, asked())]  # fmt: skip
+             for m in models(readings, asked(), report)]  # fmt: skip
     fleet = Fleet(tuple(known), tuple(failures), dict(verdicts), len(readings))
     document = fleet_json(fleet) | {"version": handcal.__version__}
     text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -109,15 +109,21 @@ def stays(effect: str) -> bool:
     return persistent(catalogue()[effect]) and effect not in OF_THE_HAND
 
 
-def models(readings: Sequence[Reading], laws: Asked | None = None) -> tuple[Model, ...]:
+def models(
+    readings: Sequence[Reading], laws: Asked | None = None,
+    report: Callable[[str], None] = lambda _: None,
+) -> tuple[Model, ...]:  # fmt: skip
     """Of each model what its recordings tell, in the order of their names; laws: those that the
-    readings were asked about."""
+    readings were asked about; report: called with the name of each before it is looked at."""
     by_model: dict[str, list[Reading]] = {}
     for r in readings:
         by_model.setdefault(r.model, []).append(r)
     tables = {m: _table(rs) for m, rs in by_model.items()}
     trials = sum(len({n[0] for n in t if stays(n[0])}) for t in tables.values())
-    found = [_model(m, by_model[m], tables[m], max(1, trials)) for m in sorted(by_model)]
+    found = []
+    for m in sorted(by_model):
+        report(m)
+        found.append(_model(m, by_model[m], tables[m], max(1, trials)))
     if laws is None:
         return tuple(found)
     many = len(laws.usual) * len(found)
