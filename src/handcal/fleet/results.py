@@ -65,12 +65,12 @@ def write_all(
     fleet = Fleet(tuple(known), tuple(failures), dict(verdicts), len(readings))
     document = fleet_json(fleet) | {"version": handcal.__version__}
     text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False)
-    json_file, priors, report = told_files(store.folder)
+    json_file, priors, page = told_files(store.folder)
     output.write_text(json_file, text + "\n")
     _write_priors(priors, known)
     _write_laws(store, known)
-    write_page(fleet, report)
-    for written in (dataset.FOLDER, *(p.name for p in (priors, json_file, report))):
+    write_page(fleet, page)
+    for written in (dataset.FOLDER, *(p.name for p in (priors, json_file, page))):
         store.send(written)
     return Written(len(readings), len(failures), fleet)
 
