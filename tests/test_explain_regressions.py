@@ -15,7 +15,7 @@ from worlds import recording_of
 from handcal import observations
 from handcal.compiled import so3
 from handcal.effects import Signals, accel_delay, catalogue, select
-from handcal.estimate import case, fit, noise_levels, observed
+from handcal.estimate import case, fit, noise_levels, observed, pieces
 from handcal.estimate.baseline import baseline, started
 from handcal.estimate.calibration import calibrate
 from handcal.estimate.evidence import Reduction, reduce, reduced_pass
@@ -450,7 +450,7 @@ def test_a_fit_keeps_one_reduction_at_a_time(monkeypatch: pytest.MonkeyPatch) ->
         made.append(weakref.ref(out))
         return out
 
-    monkeypatch.setattr(fit, "reduce", watched)
+    monkeypatch.setattr(pieces, "reduce", watched)
     fitted(base.parts, select(["gyro_scale", "accel_scale"]))
     assert len(made) > 2
 

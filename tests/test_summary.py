@@ -14,7 +14,7 @@ from worlds import recording_of
 
 import handcal
 from handcal import units
-from handcal.estimate.noise_levels import white_levels
+from handcal.estimate.white import white_levels
 from handcal.show import words
 from handcal.show.calibration import summary, verdict_text
 from handcal.show.calibration.terminal import print_summary

@@ -12,14 +12,14 @@ from handcal.effects import Effect, catalogue
 from handcal.estimate import noise_levels, smoother
 from handcal.estimate.case import Case, no_fit, other_irons, problem_with
 from handcal.estimate.derivatives import relinearised
-from handcal.estimate.filter import ENGINES, empty_track
+from handcal.estimate.filter import ENGINES
+from handcal.estimate.first_trajectory import first_trajectory
 from handcal.estimate.fit import fitted
-from handcal.estimate.linear import known_linear, linearise_about
+from handcal.estimate.linear import About, known_linear, linearise_about
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.observed import first_state
 from handcal.estimate.parallel import in_parallel
-from handcal.estimate.problem import noise_arrays
-from handcal.estimate.trajectory import epochs, trajectory_of
+from handcal.estimate.pieces import is_long
 from handcal.types import HandcalError
 
 
@@ -40,7 +40,7 @@ def baseline(cases: Sequence[Case], engine: str = "compiled") -> Model:
         ways += [(*cases[:k], other, *cases[k + 1 :]) for other in other_irons(case)]
 
     def begun(way: Sequence[Case]) -> Model:
-        return fitted([started(c, effects, engine) for c in way], effects, noise_rounds=2)
+        return fitted((started(c, effects, engine) for c in way), effects, noise_rounds=2)
 
     if len(ways) == 1:
         return begun(cases)
@@ -68,10 +68,15 @@ def started(case: Case, effects: Sequence[Effect] = (), engine: str = "compiled"
     levels = noise_levels.initial_levels(problem) | {
         k: v for k, v in case.fixed.items() if k in {lv.name for lv in problem.levels}
     }
-    track = empty_track(problem, epochs(problem))
     state = first_state(problem, case.start, levels, case.iron)
-    state = ENGINES[engine](problem, noise_arrays(problem, levels), state, track)
-    nominal = trajectory_of(problem, track, state.bg, state.ba, state.extras)
+    nominal = first_trajectory(problem, levels, state, ENGINES[engine])
+    if is_long(problem, nominal):
+        about = About(problem, case.start, nominal)
+        del nominal  # (of a long one there shall be no more than are worked with)
+        about = smoother.settled_roughly(about, levels)
+        if not np.isfinite(about.trajectory.p).all():
+            raise no_fit([case.recording])
+        return Fitted(case, about, levels)
     linear, _, _ = smoother.relinearise(linearise_about(problem, case.start, nominal), levels)
     if not np.isfinite(linear.d).all():
         raise no_fit([case.recording])

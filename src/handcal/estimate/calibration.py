@@ -21,6 +21,7 @@ from handcal.estimate.case import Case, case_of
 from handcal.estimate.filter import ENGINES
 from handcal.estimate.model import Model
 from handcal.estimate.observed import check_options
+from handcal.estimate.pieces import by_pieces
 from handcal.estimate.rest_only import resting, travels
 from handcal.estimate.result import results
 from handcal.estimate.specification import (
@@ -116,11 +117,25 @@ def calibrate_together(
         _check_effects(wanted, case.kinds)
         cases.append(replace(case, noise_until=noise_until))
     options = Options(latitude, height, fixed, tuple(ignore), reference_exact, before)
+    auto = assume == "auto" and observations is None
+    with by_pieces():
+        return _calibrated(cases, wanted, options, engine, auto, report)
+
+
+def _calibrated(
+    cases: list[Case],
+    wanted: Sequence[Effect],
+    options: Options,
+    engine: str,
+    auto: bool,
+    report: Progress,
+) -> tuple[Result, ...]:
+    """The results; auto: where a hand travels, by the rests alone."""
     model, chosen = _fitted(cases, wanted, options, engine, report)
-    far = [assume == "auto" and observations is None and travels(f) for f in model.parts]
+    far = [auto and travels(f) for f in model.parts]
     if any(far):
         cases = [
-            resting(f, latitude, height) if gone else case
+            resting(f, options.latitude, options.height) if gone else case
             for case, f, gone in zip(cases, model.parts, far, strict=True)
         ]
         model, chosen = _fitted(cases, wanted, options, engine, report)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -87,12 +87,17 @@ def reduce(linear: Linear, folds: bool = True) -> Reduction:
     """
     folded, t = fold(linear) if folds else None, linear.t
     linear = linear if folded is None else folded.linear
+    return reduced_of(linear, scalars_of(linear, units(linear)), folded, t)
+
+
+def reduced_of(linear: Linear, scalars: Scalars, folded: Folded | None, t: Array) -> Reduction:
+    """The reduction of a problem of which this is read, ``folded`` from epochs at t (k,) s."""
     problem, nominal = linear.problem, linear.trajectory
     c, e = problem.constants, problem.markov_size
     mean15, P15 = linear.start.prior(
         nominal.p[0], nominal.v[0], nominal.C[0], nominal.bg, nominal.ba
     )
-    scale = np.sqrt(np.r_[np.diag(P15)[9:], [s.prior_sigma**2 for s in problem.slots]])
+    scale = units(linear)
     w0 = np.r_[mean15[9:], problem.prior_mean - nominal.constants] / scale
     by_bias = P15[:9, 9:] / np.diag(P15)[9:]
     X0 = np.zeros((9 + e, 1 + 6 + c))
@@ -103,9 +108,9 @@ def reduce(linear: Linear, folds: bool = True) -> Reduction:
     D = np.zeros((len(linear.t), 9, 1 + 6 + c))
     D[:, :, 0] = linear.d
     np.multiply(linear.Phi[:, :, 9:], scale[: width - 9], out=D[:, :, 1 : width - 8])
-    row, channel, g, h = _scalars(linear, scale)
     linear = replace(linear, H=np.zeros((0, *linear.H.shape[1:])))
     folded = None if folded is None else replace(folded, linear=linear)
+    first, g, h, slot = scalars
     return Reduction(
         linear,
         scale,
@@ -113,20 +118,38 @@ def reduce(linear: Linear, folds: bool = True) -> Reduction:
         X0,
         P15,
         D,
-        np.searchsorted(row, linear.first).astype(np.int64),
+        first,
         g,
         h,
         np.argsort(h == 0.0, axis=1, kind="stable"),
         (h != 0.0).sum(axis=1),
-        linear.kind[row] * MAX_DIM + channel,
+        slot,
         folded,
         t,
     )
 
 
-def _scalars(linear: Linear, scale: Array) -> tuple[IntArray, IntArray, Array, Array]:
-    """Row and channel (s,) of each scalar that is read, its residual and slope by the constants
-    (s, 1 + c), its slope by what moves (s, m)."""
+def units(linear: Linear) -> Array:
+    """Prior sigmas (nc,) of biases and constants."""
+    nominal = linear.trajectory
+    _, P15 = linear.start.prior(nominal.p[0], nominal.v[0], nominal.C[0], nominal.bg, nominal.ba)
+    own = [s.prior_sigma**2 for s in linear.problem.slots]
+    return np.asarray(np.sqrt(np.r_[np.diag(P15)[9:], own]))
+
+
+class Scalars(NamedTuple):
+    """What is read, number by number: first (k + 1,) of each epoch, g (s, 1 + nc), h (s, m), slot
+    (s,): see ``Reduction``."""
+
+    first: IntArray
+    g: Array
+    h: Array
+    slot: IntArray
+
+
+def scalars_of(linear: Linear, scale: Array) -> Scalars:
+    """Of each scalar that is read its residual and slope by the constants in units of ``scale``
+    (nc,), and its slope by what moves."""
     problem = linear.problem
     n, e = problem.size, problem.markov_size
     dim = problem.tables.dim[linear.kind] * linear.used
@@ -137,7 +160,8 @@ def _scalars(linear: Linear, scale: Array) -> tuple[IntArray, IntArray, Array, A
         H = linear.H[row[some], channel[some]]
         h[some, :9], h[some, 9:] = H[:, :9], H[:, n - e :]
         np.multiply(H[:, 9 : n - e], -scale, out=g[some, 1:])
-    return row, channel, g, h
+    first = np.searchsorted(row, linear.first).astype(np.int64)
+    return Scalars(first, g, h, linear.kind[row] * MAX_DIM + channel)
 
 
 class Likelihood(Protocol):

@@ -8,7 +8,7 @@ shared parameters, and moves each trajectory by what follows for it.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,10 +16,11 @@ import numpy as np
 from handcal.effects import Effect, catalogue
 from handcal.estimate import noise_levels, smoother
 from handcal.estimate.convergence import ROUNDS, Rounds
-from handcal.estimate.evidence import ReducedPass, Reduction, backward, reduce, reduced_pass
+from handcal.estimate.evidence import ReducedPass, Reduction, reduce, reduced_pass
 from handcal.estimate.heavy_tails import SCALES, tailed, usual
 from handcal.estimate.linear import Linear
 from handcal.estimate.model import Fitted, Known, Model
+from handcal.estimate.pieces import is_long, reduced, released
 from handcal.estimate.quadratic import Local, Posterior, Quadratic, given, local, posterior, total
 from handcal.estimate.transfer import begun, linearised
 from handcal.types import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Array, IntArray, Prior
@@ -111,26 +112,27 @@ class Rested:
 
 
 def fitted(
-    begin: Sequence[Fitted],
+    begin: Iterable[Fitted],
     effects: Sequence[Effect],
     noise_rounds: int = 1,
     known: Known | None = None,
     tolerance: float = COMPARED,
 ) -> Model:
     """Fit these effects to all recordings, beginning from other fits' trajectories and noise,
-    until the evidence rests within ``tolerance`` nats."""
+    until the evidence rests within ``tolerance`` nats. (Those that are made as they are asked for
+    are gone when the first round has left them.)"""
     rest = tolerance if noise_rounds == 0 else ROUGH
-    now = relinearised_parts([begun(f, effects) for f in begin], effects, known, tolerance=rest)
+    now = relinearised_parts((begun(f, effects) for f in begin), effects, known, tolerance=rest)
     if not math.isfinite(now.evidence):
         return diverged(now.parts, effects)
     for left in range(noise_rounds, -1, -1):
         now = _widened(now, effects, known)
         if not left:
             break
-        reduced = now.reductions or [reduce(f.linear) for f in now.parts]
-        new = [with_noise(f, r) for f, r in zip(now.parts, reduced, strict=True)]
-        moved = _with_levels(now, reduced, new, effects, known, tolerance)
-        del reduced
+        have = now.reductions or [reduced(f.about) for f in now.parts]
+        new = [with_noise(f, r) for f, r in zip(now.parts, have, strict=True)]
+        moved = _with_levels(now, have, new, effects, known, tolerance)
+        del have
         if moved is None:
             break
         change = _change(now.parts, new)
@@ -169,7 +171,7 @@ def _widened(now: Rested, effects: Sequence[Effect], known: Known | None) -> Res
 
 def _with_levels(
     now: Rested,
-    reduced: list[Reduction],
+    have: list[Reduction],
     new: Sequence[Fitted],
     effects: Sequence[Effect],
     known: Known | None,
@@ -183,7 +185,7 @@ def _with_levels(
     least = -math.inf if any(f.case.noise_until for f in parts) else now.evidence - ASTRAY
     for share in SHARES:
         towards = [_towards(o, n, share) for o, n in zip(parts, new, strict=True)]
-        tried = relinearised_parts(towards, effects, known, least, now.wide, tolerance, reduced)
+        tried = relinearised_parts(towards, effects, known, least, now.wide, tolerance, have)
         if tried.evidence > least:
             return tried
     return None
@@ -252,14 +254,15 @@ def root_of(names: Sequence[tuple[str, str]], effects: Sequence[Effect]) -> Arra
 
 
 def _local(f: Fitted, effects: Sequence[Effect]) -> Local:
-    return local(reduced_pass(reduce(f.linear), f.levels), frozenset(e.id for e in effects))
+    return local(reduced_pass(reduced(f.about), f.levels), frozenset(e.id for e in effects))
 
 
-def _sane(linear: Linear) -> bool:
-    """Whether this is a motion at all; a step astray grows from round to round."""
+def _sane(linear: Linear, *seen: Array) -> bool:
+    """Whether this is a motion at all; a step astray grows from round to round. seen: what its
+    observations see."""
     steps = np.abs(linear.d).max(initial=0.0)
     with np.errstate(over="ignore", invalid="ignore"):
-        rest = linear.Phi.sum() + linear.r.sum() + linear.H.sum()
+        rest = linear.Phi.sum() + linear.r.sum() + sum(x.sum() for x in seen)
     nominal = linear.trajectory
     off = max(
         float(np.abs(nominal.bg).max()) / GYRO_BIAS_PRIOR,
@@ -273,6 +276,15 @@ def _sane(linear: Linear) -> bool:
     return bool(fits and np.isfinite(rest))
 
 
+def _reduced_if_sane(f: Fitted) -> Reduction | None:
+    """The fit's problem reduced, and nothing kept of what it was linearised to, which is large;
+    None if it is no motion."""
+    if not is_long(f.problem, f.trajectory):
+        return released(f.about) if _sane(f.linear, f.linear.H) else None
+    made = released(f.about)
+    return made if _sane(made.linear, made.g, made.h) else None
+
+
 def _towards(old: Fitted, new: Fitted, share: float) -> Fitted:
     """The fit with its noise levels moved by a share of the way, in their logarithms."""
     levels = {k: v * (new.levels[k] / v) ** share for k, v in old.levels.items()}
@@ -280,7 +292,7 @@ def _towards(old: Fitted, new: Fitted, share: float) -> Fitted:
 
 
 def relinearised_parts(
-    parts: Sequence[Fitted],
+    begin: Iterable[Fitted],
     effects: Sequence[Effect],
     known: Known | None = None,
     least: float = -math.inf,
@@ -294,17 +306,16 @@ def relinearised_parts(
     of the priors instead of the usual one alone. tolerance: nats. reductions: the parts', if known;
     emptied, so that nobody keeps them beside those of the next round.
     """
-    parts, handed_on = list(parts), reductions or []
+    parts, handed_on = list(begin), reductions or []
     # (a list of its own: what the last round leaves is of these parts, not of the caller's)
     reductions = [*handed_on]
     handed_on.clear()
     way = Rounds(tolerance)
     for _ in range(ROUNDS):
         if not reductions:
-            if not all(_sane(f.linear) for f in parts):
+            reductions += filter(None, map(_reduced_if_sane, parts))
+            if len(reductions) < len(parts):
                 return Rested(parts, False, math.nan, tolerance, wide)
-            # (from here on they do without what they were linearised to, which is large)
-            reductions += [reduce(f.about.released()) for f in parts]
         parts = [f.bare for f in parts]
         seen = _seen(parts, reductions, effects, known, wide)
         now, rests = seen.evidence, way.rests(seen.evidence)
@@ -315,10 +326,10 @@ def relinearised_parts(
             return Rested(parts, False, math.nan, tolerance, wide)
         if not now > least:  # (nor where it is no number any more)
             break
+        reductions.clear()  # (these and the passes are as large as what is linearised next)
         parts = _followed(parts, seen, effects, way.step)
-        reductions.clear()
-        del seen  # (its passes are as large as what is linearised next)
-    evidence = way.evidence if all(_sane(f.linear) for f in parts) else math.nan
+    sane = all(_reduced_if_sane(f) is not None for f in parts)
+    evidence = way.evidence if sane else math.nan
     return Rested([f.bare for f in parts], False, evidence, tolerance, wide, swing=way.swing)
 
 
@@ -326,7 +337,7 @@ def relinearised_parts(
 class _Seen:
     """One pass over all parts: what each says, and what they say of the effects together."""
 
-    passes: Sequence[ReducedPass]
+    passes: list[ReducedPass]
     locals: Sequence[Local]
     whole: Quadratic
     mean: Array
@@ -351,15 +362,15 @@ def _seen(
 def _followed(
     parts: Sequence[Fitted], seen: _Seen, effects: Sequence[Effect], step: float
 ) -> list[Fitted]:
-    """The fits where their trajectories go with what all parts say of the constants."""
+    """The fits where their trajectories go with what all parts say of the constants; the passes are
+    used up."""
     out = []
-    for f, done, own in zip(parts, seen.passes, seen.locals, strict=True):
+    for f, own in zip(parts, seen.locals, strict=True):
+        done = seen.passes.pop(0)
         done = replace(done, w=own.deviations(given(seen.whole, own.quadratic, seen.mean)))
-        k, m = done.X.shape[:2]
-        r = np.empty((k, m, 1))
-        backward(done, False, r, np.empty((0, m, m)), spread=False)
-        there = smoother.moved(f.trajectory, step * smoother.whole_mean(done, r))
-        out.append(linearised(f, there, effects, done.reduction.linear.problem))
+        problem, there = done.reduction.linear.problem, smoother.followed(done, f.trajectory, step)
+        del done
+        out.append(linearised(f, there(), effects, problem))
     return out
 
 

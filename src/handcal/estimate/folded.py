@@ -50,6 +50,11 @@ class Folded:
     row: IntArray
     share: Array
 
+    @property
+    def by_pieces(self) -> bool:
+        """Whether it was made piece by piece: then Phi, d, row and share are empty."""
+        return len(self.Phi) == 0
+
 
 def fold(linear: Linear) -> Folded | None:
     """The problem with fewer epochs; None where there would be hardly fewer."""
@@ -79,27 +84,23 @@ def fold(linear: Linear) -> Folded | None:
         (row, count_of, share), (Phi, d, Q), (r, H, kind, scatter),
     )  # fmt: skip
     _left(count_of, row, r, kind, scatter)
-    extra = _more(linear.kind[row >= 0], kind, problem.tables.dim)
+    extra = readings_more(linear.kind[row >= 0], kind, problem.tables.dim)
     folded = replace(
-        linear, trajectory=_at(linear.trajectory, start), Phi=Phi, d=d, Q_gyro=Q[0], Q_accel=Q[1],
-        Q_extra=Q[2], t=linear.t[start], rate=linear.rate[start], first=first, kind=kind, r=r,
-        H=H, used=np.ones(rows, dtype=np.bool_),
+        linear, trajectory=at_epochs(linear.trajectory, start), Phi=Phi, d=d, Q_gyro=Q[0],
+        Q_accel=Q[1], Q_extra=Q[2], t=linear.t[start], rate=linear.rate[start], first=first,
+        kind=kind, r=r, H=H, used=np.ones(rows, dtype=np.bool_),
     )  # fmt: skip
-    markov = linear.trajectory.markov[:k]
-    return Folded(
-        folded, start, of, linear.Phi, linear.d, extra, scatter.ravel(), markov, row, share
-    )
+    own = extra, scatter.ravel(), linear.trajectory.markov[:k], row, share
+    return Folded(folded, start, of, linear.Phi, linear.d, *own)
 
 
-def _at(whole: Trajectory, some: IntArray) -> Trajectory:
+def at_epochs(whole: Trajectory, some: IntArray) -> Trajectory:
     """The trajectory at some of its epochs."""
-    return replace(
-        whole, node=whole.node[some], p=whole.p[some], v=whole.v[some], C=whole.C[some],
-        markov=whole.markov[some],
-    )  # fmt: skip
+    at = {name: getattr(whole, name)[some] for name in ("node", "p", "v", "C", "markov")}
+    return replace(whole, **at)
 
 
-def _more(read: IntArray, summed: IntArray, dim: IntArray) -> Array:
+def readings_more(read: IntArray, summed: IntArray, dim: IntArray) -> Array:
     """How many more readings (kinds * MAX_DIM,) of each kind and channel there were, of kinds
     ``read``, than sums of them, of kinds ``summed``."""
     count = len(dim)
@@ -193,15 +194,15 @@ def _folded(
     line = np.zeros(rows[3].shape[2])
     # (most recordings have no gap; what numba makes of `any`, and of arrays put into arrays, takes
     # it seconds to compile)
-    sources = 3 if _any(Q[2]) else 2
+    sources = 3 if anything(Q[2]) else 2
     w = 0
     for j in range(len(Phi)):
         if j > 0:
-            _stepped(Phi[j], d[j], T, off, new, moved)
+            stepped(Phi[j], d[j], T, off, new, moved)
             T, new = new, T
             copy1(moved, off)
             for s in range(sources):
-                _propagated(Phi[j], noise[s], half, Q[s][j])
+                propagated(Phi[j], noise[s], half, Q[s][j])
         begins = w < len(start) and j == start[w]
         if begins:
             if w > 0:
@@ -219,14 +220,14 @@ def _folded(
         for q in range(first[j], first[j + 1]):
             if row[q] >= 0:
                 for i in range(dim[kind[q]]):
-                    residual = _brought_back(
+                    residual = brought_back(
                         rows[2][q, i], rows[3][q, i], begins, T, off, walks, line
                     )
                     _added(q, i, kind[q], residual, line, go, out)
 
 
 @inner
-def _stepped(Phi: Array, d: Array, T: Array, off: Array, new: Array, moved: Array) -> None:
+def stepped(Phi: Array, d: Array, T: Array, off: Array, new: Array, moved: Array) -> None:
     """``new`` and ``moved``: T (9, 15 + mi) and off (9,) one epoch later."""
     width = Phi.shape[1]
     for a in range(9):
@@ -244,7 +245,7 @@ def _stepped(Phi: Array, d: Array, T: Array, off: Array, new: Array, moved: Arra
 
 
 @inner
-def _brought_back(
+def brought_back(
     r: float, H: Array, begins: bool, T: Array, off: Array, walks: IntArray, line: Array
 ) -> float:
     """Residual and row ``line`` (N,) of a reading, seen from where its window begins."""
@@ -303,7 +304,7 @@ def _left(count_of: IntArray, row: IntArray, r: Array, kind: IntArray, scatter: 
 
 
 @inner
-def _any(Q: Array) -> bool:
+def anything(Q: Array) -> bool:
     """Whether any number of Q (k, 9, 9) is not zero."""
     for j in range(len(Q)):
         for a in range(9):
@@ -314,7 +315,7 @@ def _any(Q: Array) -> bool:
 
 
 @inner
-def _propagated(Phi: Array, P: Array, half: Array, Q: Array) -> None:
+def propagated(Phi: Array, P: Array, half: Array, Q: Array) -> None:
     """P (9, 9) becomes F P F' + Q; F: the first nine columns of Phi, mostly zeros."""
     zero2(half)
     for a in range(9):

@@ -7,8 +7,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from handcal.estimate.evidence import reduce, reduced_pass
+from handcal.estimate.evidence import reduced_pass
 from handcal.estimate.linear import About
+from handcal.estimate.pieces import reduced
 from handcal.estimate.problem import Problem
 
 # A hand that holds a point still does not wander further than this (root mean square, m); nats
@@ -32,5 +33,5 @@ def beyond_a_hand(about: About, levels: Mapping[str, float]) -> float:
     # what is seen in a short while is sigma^2 / time^3; that alone stays
     held = dict(levels) | {n: levels[n] / wide for n in ("sway", "sway_per_rate")}
     held["sway_time"] = levels["sway_time"] / wide ** (2.0 / 3.0)
-    reduction = reduce(about.linear)
+    reduction = reduced(about)
     return reduced_pass(reduction, levels).log_evidence - reduced_pass(reduction, held).log_evidence

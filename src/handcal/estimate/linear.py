@@ -102,7 +102,7 @@ class About:
     def corrected(self) -> Problem:
         """The problem with readings that are corrected at its trajectory's constants."""
         held: Linear | None = self.__dict__.get("_linear")
-        return _prepared(self.problem, self.trajectory)[0] if held is None else held.problem
+        return prepared(self.problem, self.trajectory)[0] if held is None else held.problem
 
     @property
     def bare(self) -> About:
@@ -122,7 +122,7 @@ def beside(linear: Linear, problem: Problem, nominal: Trajectory) -> About:
     have = linear.problem
     problem = replace(problem, nodes=have.nodes, ref=have.ref, slopes=have.slopes, error=have.error)
     between = linear.Phi, linear.d, (linear.Q_gyro, linear.Q_accel, linear.Q_extra)
-    return known_linear(_observed(problem, linear.start, nominal, between))
+    return known_linear(observed(problem, linear.start, nominal, between))
 
 
 # (numbers that run away are no fit, which is seen later)
@@ -133,11 +133,11 @@ def linearise_about(problem: Problem, start: Start, nominal: Trajectory) -> Line
     if any(o.navigates for o in problem.observations):
         # (else d is no noise: it holds whatever moved the biases, and nothing pulls it back)
         turn_noise(Phi, d)
-    problem = _believing(problem, nominal.constants)
-    return _observed(problem, start, nominal, (Phi, d, (Q[0], Q[1], Q[2])))
+    problem = believing(problem, nominal.constants)
+    return observed(problem, start, nominal, (Phi, d, (Q[0], Q[1], Q[2])))
 
 
-def _observed(
+def observed(
     problem: Problem,
     start: Start,
     nominal: Trajectory,
@@ -167,7 +167,7 @@ def _observed(
         d,
         *Q,
         nodes.t[node],
-        _turning(problem, node),
+        turning(problem, node),
         np.r_[nodes.first[node], nodes.first[-1]],
         nodes.kind,
         r,
@@ -178,9 +178,9 @@ def _observed(
 
 def _integrated(problem: Problem, nominal: Trajectory) -> tuple[Problem, Array, Array, Array]:
     """The problem with readings that are corrected at the nominal constants, and Phi, d and the
-    three Q (see ``_transitions``) between the epochs, those of the constants with them."""
-    problem, done, C_nb = _prepared(problem, nominal)
-    Phi, d, Q, W = _transitions(problem, nominal, done is not None)
+    three Q (see ``transitions``) between the epochs, those of the constants with them."""
+    problem, done, C_nb = prepared(problem, nominal)
+    Phi, d, Q, W = transitions(problem, nominal, done is not None)
     if done is not None:
         # What an effect does depends on the true rate and force: take off the noise that
         # this trajectory implies, or each sample's noise would pose as motion that excites it.
@@ -191,7 +191,7 @@ def _integrated(problem: Problem, nominal: Trajectory) -> tuple[Problem, Array, 
     return problem, Phi, d, Q
 
 
-def _prepared(
+def prepared(
     problem: Problem, nominal: Trajectory
 ) -> tuple[Problem, Corrected | None, Array | None]:
     """The problem with readings that are corrected at the nominal constants for good, how that was
@@ -249,7 +249,7 @@ def excited(linear: Linear, fresh: Problem) -> Excited:
     problem, nominal = linear.problem, linear.trajectory
     C_nb = _attitude(fresh, nominal) if problem.navigated else None
     done = _corrected(fresh, nominal, C_nb)
-    _, d, _, W = _transitions(problem, nominal, True)
+    _, d, _, W = transitions(problem, nominal, True)
     if problem.navigated:
         turn_errors(W, nominal.node, d)
     H = linear.H if problem.navigated else _rows(problem, nominal)[1]
@@ -279,7 +279,7 @@ def slopes_of(told: Excited, effects: Sequence[Effect]) -> Slopes:
     return found
 
 
-def _believing(problem: Problem, constants: Array) -> Problem:
+def believing(problem: Problem, constants: Array) -> Problem:
     """The problem with what its observations and effects tell others of their constants (c,)."""
     for k, o in enumerate(problem.observations):
         told = [(o.kind, o.believed)] if o.believed is not None else []
@@ -292,7 +292,7 @@ def _believing(problem: Problem, constants: Array) -> Problem:
     return problem
 
 
-def _turning(problem: Problem, node: IntArray) -> Array:
+def turning(problem: Problem, node: IntArray) -> Array:
     """Turning rate (k,), rad/s, that the noise of each interval goes by: root mean square over the
     time since the last look at the held point, so that it does not depend on how many readings
     of a heading come in between."""
@@ -325,7 +325,7 @@ def _bare(problem: Problem) -> Problem:
     return replace(problem, nodes=problem.nodes._replace(J=np.zeros((len(problem.nodes.t), 6, 0))))
 
 
-def _transitions(
+def transitions(
     problem: Problem, nominal: Trajectory, by_reading: bool
 ) -> tuple[Array, Array, Array, Array]:
     """Phi (k, 9, 15 + mi) but for the constants, d (k, 9) and the three Q (3, k, 9, 9) between the

@@ -19,7 +19,8 @@ from handcal.compiled.kernel import MAX_DIM
 from handcal.estimate.evidence import Reduction, Slopes, backward, reduced_pass
 from handcal.estimate.linear import Linear
 from handcal.estimate.problem import Problem, observation_variances
-from handcal.types import Array, Level, Markov, Recording
+from handcal.estimate.white import white_levels
+from handcal.types import Array, Level, Markov
 
 # Logarithmic steps: of central differences, of the search's first curvature, its longest;
 # and the least curvature, that of the widest prior.
@@ -30,29 +31,7 @@ FLATTEST = 0.25
 SENSORS = ("gyro_noise", "accel_noise")
 # Epochs (a quarter of an hour) from which levels are first sought in one part of so many, within so
 # many nats.
-MANY, PART, ROUGH = 10_000, 6, 1.0
-
-
-def white_levels(recording: Recording) -> dict[str, float]:
-    """White noise densities of gyro and accelerometer, a first guess from the readings.
-
-    Fourth differences hardly see the motion of a hand (at 100 Hz, tremor of 10 Hz counts
-    less than a thousandth), and the quieter third of half-second windows holds the least.
-    """
-    imu, fs = recording.imu, recording.rate_hz
-    out = {}
-    for name, x in (("gyro_noise", imu.gyro), ("accel_noise", imu.accel)):
-        d4 = np.diff(x, n=4, axis=0)
-        width = max(10, round(0.5 * fs))
-        m = len(d4) // width
-        if m == 0:
-            variance = float(d4.var(axis=0).mean())
-        else:
-            windows = (d4[: m * width].reshape(m, width, 3) ** 2).mean(axis=(1, 2))
-            variance = float(np.quantile(windows, 0.3))
-        quantum = 1e-9
-        out[name] = math.sqrt(max(variance / 70.0, quantum**2) / fs)
-    return out
+MANY, PART, ROUGH = 10_000, 6, 0.1
 
 
 def initial_levels(problem: Problem) -> dict[str, float]:

@@ -10,9 +10,10 @@ import numpy as np
 
 from handcal.effects import Effect, Param, catalogue, select
 from handcal.estimate.case import name_of
-from handcal.estimate.evidence import reduce, reduced_pass
+from handcal.estimate.evidence import reduced_pass
 from handcal.estimate.fit import believed
 from handcal.estimate.model import Model
+from handcal.estimate.pieces import reduced
 from handcal.estimate.quadratic import given, local
 from handcal.types import Array, Parameter
 
@@ -88,7 +89,7 @@ def _constants(model: Model, part: int) -> tuple[Array, Array, Array]:
     of their priors, and these units (nc,)."""
     f = model.parts[part]
     nominal = f.trajectory
-    done = reduced_pass(reduce(f.linear), f.levels)
+    done = reduced_pass(reduced(f.about), f.levels)
     own = local(done, frozenset(e.id for e in model.effects))
     at = {n: i for i, n in enumerate(model.quadratic.names)}
     u = given(model.quadratic, own.quadratic, model.u)

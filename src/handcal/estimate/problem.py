@@ -9,7 +9,7 @@ problem together, ``corrected`` and ``derivatives`` make its readings and slopes
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -149,6 +149,21 @@ def slots_of(effects: Sequence[Effect]) -> list[Slot]:
 def constants_of(problem: Problem, constants: Array, owner: str) -> Array:
     """Those of the problem's constants (c,) that are an observation's or an effect's."""
     return constants[[i for i, s in enumerate(problem.slots) if s.owner == owner]]
+
+
+def between(problem: Problem, a: int, b: int) -> Problem:
+    """The problem's nodes from a to b and their readings."""
+    nodes, s = problem.nodes, slice(a, b + 1)
+    q = slice(int(nodes.first[a]), int(nodes.first[b + 1]))
+    own = nodes._replace(
+        t=nodes.t[s], gyro=nodes.gyro[s], accel=nodes.accel[s], bend=nodes.bend[s], J=nodes.J[s],
+        extra=nodes.extra[s], first=nodes.first[a : b + 2] - q.start, kind=nodes.kind[q],
+        z=nodes.z[q],
+    )  # fmt: skip
+    slopes = problem.slopes
+    if slopes is not None:
+        slopes = replace(slopes, values=slopes.values[s])
+    return replace(problem, nodes=own, rate=problem.rate[s], slopes=slopes)
 
 
 def observation_variances(problem: Problem, levels: Mapping[str, float]) -> Array:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -12,9 +13,10 @@ from handcal.compiled import so3
 from handcal.compiled.kernel import BASE
 from handcal.estimate import noise_levels, smoother
 from handcal.estimate.case import no_fit
-from handcal.estimate.linear import Linear, linearise_about
+from handcal.estimate.linear import About, Linear, linearise_about
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.parameters import Known, Moment, known
+from handcal.estimate.pieces import is_long, known_reduced, reduced, starts
 from handcal.estimate.problem import Problem, constants_of
 from handcal.estimate.robust import inflation
 from handcal.estimate.sampling import interpolated
@@ -46,6 +48,9 @@ def results(model: Model, moments: Mapping[str, Moment]) -> tuple[Result, ...]:
     """
     if not math.isfinite(model.log_evidence):
         raise no_fit([part.case.recording for part in model.parts])
+    model = replace(
+        model, parts=tuple(replace(f, about=known_reduced(f.about)) for f in model.parts)
+    )
     excess = inflation(model)
     return tuple(
         _result(model, k, known(model, k, excess, moments)) for k in range(len(model.parts))
@@ -54,17 +59,14 @@ def results(model: Model, moments: Mapping[str, Moment]) -> tuple[Result, ...]:
 
 def _result(model: Model, k: int, found: Known) -> Result:
     f = model.parts[k]
-    problem = f.linear.problem
-    dense = _known_before(_dense(f), f.case.before)
-    rows = _shown(dense)
-    forward = smoother.forward(dense, f.levels, rows=rows)
-    for epoch, P in zip(rows, forward.P, strict=True):
-        check_covariance(P, float(dense.t[epoch]))
+    dense, rows, forward, smooth = _passes(f)
+    problem = dense.problem
+    _check_covariances(forward.P, dense.t[rows])
     history = _history(dense, rows, found, forward.x, forward.P)
     # (the covariances are the largest thing here: of the filter's, the last is left)
     forward = replace(forward, x=forward.x[-1:].copy(), P=forward.P[-1:].copy())
     standing = _standing(dense, forward, found)
-    smoothed = _history(dense, rows, found, *smoother.smooth(dense, f.levels, forward, rows))
+    smoothed = _history(dense, rows, found, *smooth(forward))
     innovations = _innovations(dense, forward)
     parameters, covariance = _walked(problem, found, smoothed)
     recording = f.case.read or f.case.recording
@@ -81,12 +83,50 @@ def _result(model: Model, k: int, found: Known) -> Result:
         innovations=innovations,
         log_evidence=model.log_evidence,
         rests=f.case.rests,
-        warnings=tuple(dict.fromkeys(_warnings(f, model.settled, innovations))),
+        warnings=tuple(dict.fromkeys(_warnings(f, problem, model.settled, innovations))),
         observed_heading=_observed_heading(dense),
         settled=model.settled,
         before=f.case.before,
         standing=standing,
     )
+
+
+# What the smoother says at the rows that are shown, once the filter's last state is known.
+Smooth = Callable[[smoother.Pass], tuple[Array, Array]]
+
+
+def _passes(f: Fitted) -> tuple[Linear, IntArray, smoother.Pass, Smooth]:
+    """The fit linearised for showing, the epochs that are shown (k,), the filter's pass, and what
+    the smoother makes of it; of a long recording piece by piece, where windows begin."""
+    if not is_long(f.problem, f.trajectory):
+        dense = _known_before(_dense(f), f.case.before)
+        rows = _shown(dense)
+        forward = smoother.forward(dense, f.levels, rows=rows)
+        return dense, rows, forward, partial(_smoothed, dense, f.levels, rows)
+    about, before = f.about, f.case.before
+    if before is not None:
+        about = replace(about, problem=_with_known(f.problem, before))
+    t, begin = f.t, starts(about.problem, f.trajectory)
+    step = math.ceil(len(begin) / _row_count(about.problem))
+    last = len(t) - 1
+    some = np.arange(0, len(begin), step)[: None if begin[-1] < last else -1]
+    rows = np.r_[begin[some], last]
+    forward, dense = smoother.forward_by_pieces(about, f.levels, rows)
+    return dense, rows, forward, partial(_smoothed_by_pieces, about, f.levels, some)
+
+
+def _smoothed(
+    dense: Linear, levels: Mapping[str, float], rows: IntArray, forward: smoother.Pass
+) -> tuple[Array, Array]:
+    return smoother.smooth(dense, levels, forward, rows)
+
+
+def _smoothed_by_pieces(
+    about: About, levels: Mapping[str, float], some: IntArray, forward: smoother.Pass
+) -> tuple[Array, Array]:
+    """Errors and covariances at the windows ``some``, and at the last epoch the filter's own."""
+    x, P = smoother.smooth_reduced(reduced(about), levels, some)
+    return np.vstack([x, forward.x[-1:]]), np.concatenate([P, forward.P[-1:]])
 
 
 def _standing(dense: Linear, forward: smoother.Pass, found: Known) -> Standing:
@@ -96,6 +136,11 @@ def _standing(dense: Linear, forward: smoother.Pass, found: Known) -> Standing:
     names = [(p.effect, p.name) for p in found.parameters]
     mean = np.array([p.value for p in found.parameters])
     return known_as(own, names, mean, found.covariance)
+
+
+def _check_covariances(P: Array, t: Array) -> None:
+    for own, at in zip(P, t, strict=True):
+        check_covariance(own, float(at))
 
 
 def check_covariance(P: Array, t: float) -> None:
@@ -108,7 +153,9 @@ def check_covariance(P: Array, t: float) -> None:
         )
 
 
-def _warnings(f: Fitted, settled: bool, innovations: Mapping[str, Innovations]) -> Iterator[str]:
+def _warnings(
+    f: Fitted, problem: Problem, settled: bool, innovations: Mapping[str, Innovations]
+) -> Iterator[str]:
     """What there is to doubt about a recording's results, in sentences."""
     yield from f.case.warnings
     if not settled:
@@ -116,7 +163,6 @@ def _warnings(f: Fitted, settled: bool, innovations: Mapping[str, Innovations]) 
             "The estimate still moved after ten rounds of relinearisation; the motion may be "
             "too poor for all that was asked, so trust the sigmas less."
         )
-    problem = f.linear.problem
     if problem.dropped:
         yield f"{problem.dropped} observations lie outside the IMU's time and were left out."
     for kind, i in innovations.items():
@@ -140,7 +186,7 @@ def _dense(f: Fitted) -> Linear:
     """
     linear = f.linear
     t, node = linear.problem.nodes.t, linear.trajectory.node
-    rows = _rows(linear)
+    rows = _row_count(linear.problem)
     if rows < 2 * len(node) or not linear.problem.navigated:
         return linear
     wanted = np.searchsorted(t, np.linspace(t[0], t[-1], rows))
@@ -159,16 +205,20 @@ def _dense(f: Fitted) -> Linear:
 
 def _known_before(linear: Linear, before: Prior | None) -> Linear:
     """The problem with what was known of each of its constants, for histories."""
+    return replace(linear, problem=_with_known(linear.problem, before))
+
+
+def _with_known(problem: Problem, before: Prior | None) -> Problem:
     if before is None:
-        return linear
+        return problem
     at = {n: k for k, n in enumerate(before.names)}
     slots = tuple(
         replace(s, prior_mean=float(before.mean[k]), prior_sigma=math.sqrt(before.covariance[k, k]))
         if (k := at.get((s.owner, s.name), -1)) >= 0
         else s
-        for s in linear.problem.slots
+        for s in problem.slots
     )
-    return replace(linear, problem=replace(linear.problem, slots=slots))
+    return replace(problem, slots=slots)
 
 
 def _walked(
@@ -201,15 +251,15 @@ def _variances(problem: Problem, P: Array) -> Array:
     return np.asarray(out)
 
 
-def _rows(linear: Linear) -> int:
+def _row_count(problem: Problem) -> int:
     """How many rows a history has: as many a second, and no more than memory holds."""
-    span = float(linear.problem.nodes.t[-1] - linear.problem.nodes.t[0])
-    return max(1, int(min(HISTORY_RATE * span, HISTORY_NUMBERS / linear.problem.size**2)))
+    span = float(problem.nodes.t[-1] - problem.nodes.t[0])
+    return max(1, int(min(HISTORY_RATE * span, HISTORY_NUMBERS / problem.size**2)))
 
 
 def _shown(linear: Linear) -> IntArray:
     """Epochs that are enough to look at, the last one among them."""
-    step = max(1, round(len(linear.t) / _rows(linear)))
+    step = max(1, round(len(linear.t) / _row_count(linear.problem)))
     last = len(linear.t) - 1
     return np.unique(np.r_[np.arange(0, last + 1, step), last]).astype(np.int64)
 

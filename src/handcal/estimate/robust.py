@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handcal.effects import Effect
-from handcal.estimate.evidence import Likelihood, reduce, reduced_pass
+from handcal.estimate.evidence import Likelihood, reduced_pass
+from handcal.estimate.pieces import reduced
 from handcal.types import Array, IntArray
 
 if TYPE_CHECKING:
@@ -66,7 +67,7 @@ def _owners(done: Likelihood) -> list[str]:
 
 def _ratios(f: Fitted) -> list[tuple[str, float, float]]:
     """(effect, mean ratio of scatter to information, blocks) of one recording."""
-    done = reduced_pass(reduce(f.linear), f.levels)
+    done = reduced_pass(reduced(f.about), f.levels)
     return _scattered(done, done.w, None)
 
 

@@ -7,8 +7,9 @@ That is Gauss-Newton on the whole recording, with the evidence of a linear Gauss
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -26,16 +27,26 @@ from handcal.compiled.jit import copy1, copy2, njit
 from handcal.compiled.kernel import BASE, MAX_DIM
 from handcal.compiled.so3 import exp, matmul
 from handcal.estimate.driven import driven
-from handcal.estimate.evidence import ReducedPass, backward, kept, reduce, reduced_pass
+from handcal.estimate.evidence import (
+    ReducedPass,
+    Reduction,
+    backward,
+    kept,
+    reduce,
+    reduced_pass,
+)
 from handcal.estimate.filter import full_prior
 from handcal.estimate.folded import unfolded
-from handcal.estimate.linear import Linear, linearise_about
+from handcal.estimate.linear import About, Linear, linearise_about
+from handcal.estimate.pieces import corrected_about, each, filled, holding, reduced
 from handcal.estimate.problem import observation_variances
 from handcal.estimate.trajectory import Trajectory
 from handcal.types import Array, BoolArray, IntArray
 
 # Epochs whose covariances are smoothed at once: what that takes besides them is small.
 AT_ONCE = 256
+# Nats within which a long recording's first trajectory rests: the fit that begins there goes on.
+ROUGH = 2.0
 
 
 @dataclass(frozen=True)
@@ -64,35 +75,78 @@ def forward(
     keep: store every epoch's state, or those of ``rows`` (k',), for histories; otherwise only
     the last one.
     """
-    problem = linear.problem
-    k, n, q = len(linear.t), problem.size, len(linear.kind)
-    noise = driven(linear, levels)
-    x0, P0 = _prior(linear, levels)
+    k = len(linear.t)
+    x, P = _prior(linear, levels)
     place = kept(k, rows if keep else np.array([k - 1], dtype=np.int64))
-    count = int(place.max()) + 1
-    out = Pass(
-        np.zeros((count, n)),
-        np.zeros((count, n, n)),
-        np.zeros((q, MAX_DIM)),
-        np.zeros((q, MAX_DIM)),
-        np.full(q, np.nan),
-        np.zeros(q),
-    )
+    out = _empty(int(place.max()) + 1, linear.problem.size, len(linear.kind))
+    _passed(linear, levels, linear.used, (x, P), place, out)
+    return out
+
+
+def _empty(count: int, n: int, q: int) -> Pass:
+    """A pass that keeps so many epochs of n states and q readings, before it has gone anywhere."""
+    return Pass(
+        np.zeros((count, n)), np.zeros((count, n, n)), np.zeros((q, MAX_DIM)),
+        np.zeros((q, MAX_DIM)), np.full(q, np.nan), np.zeros(q),
+    )  # fmt: skip
+
+
+def _passed(
+    linear: Linear,
+    levels: Mapping[str, float],
+    used: BoolArray,
+    state: tuple[Array, Array],
+    place: IntArray,
+    out: Pass,
+) -> None:
+    """Filter on from ``state`` at the first epoch, which becomes that at the last; into ``out``."""
+    problem = linear.problem
+    noise = driven(linear, levels)
     _forward(
         (linear.Phi, linear.d, noise.Q, noise.B, noise.Phi_e, noise.Q_e, noise.d_e, noise.Phi_psi),
-        (linear.first, linear.kind, linear.r, linear.H, linear.used),
+        (linear.first, linear.kind, linear.r, linear.H, used),
         problem.tables.dim,
         observation_variances(problem, levels),
         problem.constants,
-        x0,
-        P0,
+        *state,
         (out.x, out.P),
         (out.residual, out.sigma, out.nis, out.loglik),
-        propagation_work(n, problem.markov_size),
-        update_work(n, MAX_DIM),
+        propagation_work(problem.size, problem.markov_size),
+        update_work(problem.size, MAX_DIM),
         place,
     )
-    return out
+
+
+def forward_by_pieces(
+    about: About, levels: Mapping[str, float], rows: IntArray
+) -> tuple[Pass, Linear]:
+    """``forward`` of a long recording, piece by piece, kept at the epochs ``rows`` (k',); and its
+    problem as it was linearised, without what is between the epochs and what readings see."""
+    problem, nominal = corrected_about(about.problem, about.trajectory), about.trajectory
+    nodes, node, n = problem.nodes, nominal.node, problem.size
+    q, place = len(nodes.kind), kept(len(node), rows)
+    out = _empty(len(rows), n, q)
+    r, seen = np.zeros((q, int(problem.tables.dim.max(initial=1)))), np.zeros(q, dtype=np.bool_)
+    state = np.zeros(n), np.zeros((n, n))
+    for a, linear in each(problem, about.start, nominal):
+        old = int(linear.first[1]) if a else 0
+        used, there = linear.used.copy(), place[a : a + len(linear.t)].copy()
+        if a:
+            used[:old], there[0] = False, -1
+        else:
+            state = _prior(linear, levels)
+        own = replace(_empty(0, n, len(used)), x=out.x, P=out.P)
+        _passed(linear, levels, used, state, there, own)
+        new = slice(int(nodes.first[node[a]]) + old, int(nodes.first[node[a]]) + len(used))
+        for name in ("residual", "sigma", "nis", "loglik"):
+            getattr(out, name)[new] = getattr(own, name)[old:]
+        r[new], seen[new] = linear.r[old:], linear.used[old:]
+    none = np.zeros((0, 9, 9))
+    whole = Linear(
+        problem, nominal, about.start, none, none[:, 0], none, none, none, nodes.t[node],
+        np.zeros(0), np.r_[nodes.first[node], q], nodes.kind, r, np.zeros((0, 0, n)), seen,
+    )  # fmt: skip
+    return out, whole
 
 
 def _prior(linear: Linear, levels: Mapping[str, float]) -> tuple[Array, Array]:
@@ -161,20 +215,38 @@ def _forward(
 def smoothed_mean(linear: Linear, levels: Mapping[str, float]) -> tuple[Array, float]:
     """Estimated errors x (k, N) given the whole recording, and the log-evidence."""
     done = reduced_pass(reduce(linear), levels, keep=True)
+    x = smoothed_of(done)
+    folded = done.reduction.folded
+    return x if folded is None else unfolded(folded, done.reduction.t, x), done.log_evidence
+
+
+def smoothed_of(done: ReducedPass) -> Array:
+    """Errors x (K, N) at the epochs of a pass that was kept, given the whole recording."""
     k, m = done.X.shape[:2]
     r = np.empty((k, m, 1))
     backward(done, False, r, np.empty((0, m, m)), spread=False)
-    return whole_mean(done, r), done.log_evidence
+    return _whole_mean(done, r)
 
 
-def whole_mean(done: ReducedPass, r: Array) -> Array:
-    """Errors x (k, N) at all epochs given the whole recording, of a pass that was kept and its
-    adjoint r."""
+def _whole_mean(done: ReducedPass, r: Array) -> Array:
+    """The same, with the pass's adjoint r."""
     reduction = done.reduction
     x = np.empty((len(done.X), reduction.linear.problem.size))
     x[:, 9 : 9 + len(done.w)] = reduction.scale * done.w
     x[:, reduction.moving] = done.X[:, :, 0] + done.X[:, :, 1:] @ done.w + (done.P @ r)[:, :, 0]
-    return x if reduction.folded is None else unfolded(reduction.folded, reduction.t, x)
+    return x
+
+
+def followed(done: ReducedPass, nominal: Trajectory, step: float = 1.0) -> Callable[[], Trajectory]:
+    """Makes the nominal trajectory moved by that share of the errors that a pass, which was kept,
+    finds given the whole recording; of a long one without the pass, which may be gone by then."""
+    x, folded = smoothed_of(done), done.reduction.folded
+    if folded is None:
+        return partial(moved, nominal, step * x)
+    if folded.by_pieces:
+        there = moved(folded.linear.trajectory, step * x)
+        return partial(filled, folded.linear.problem, nominal, there, folded.of)
+    return partial(moved, nominal, step * unfolded(folded, done.reduction.t, x))
 
 
 def smooth(
@@ -186,11 +258,20 @@ def smooth(
     The form of Bryson and Frazier on the reduced filter: nothing is inverted but the
     constants' information, in units of their priors. The last epoch is the filter's own.
     """
-    done = reduced_pass(reduce(linear, folds=False), levels, keep=True, rows=rows)
+    x, P = smooth_reduced(reduce(linear, folds=False), levels, rows)
+    x[-1], P[-1] = forward_pass.x[-1], forward_pass.P[-1]
+    return x, P
+
+
+def smooth_reduced(
+    reduction: Reduction, levels: Mapping[str, float], rows: IntArray | None = None
+) -> tuple[Array, Array]:
+    """The same at the epochs of a reduction, or those of ``rows``, the last one as well."""
+    done = reduced_pass(reduction, levels, keep=True, rows=rows)
     k, m, columns = done.X.shape
     r, N = np.empty((k, m, columns)), np.empty((k, m, m))
     backward(done, True, r, N, rows=rows)
-    x = whole_mean(done, r[:, :, :1])
+    x = _whole_mean(done, r[:, :, :1])
     moving, scale = done.reduction.moving, done.reduction.scale
     fixed = np.arange(9, 9 + len(scale))
     spread = done.spread * scale[:, None]
@@ -205,7 +286,6 @@ def smooth(
         own = P_moving - P_moving @ N[some] @ P_moving
         own = own + by_constants @ by_constants.transpose(0, 2, 1)
         P[some, moving[:, None], moving] = 0.5 * (own + own.transpose(0, 2, 1))
-    x[-1], P[-1] = forward_pass.x[-1], forward_pass.P[-1]
     return x, P
 
 
@@ -254,3 +334,18 @@ def relinearise(
         if settled:
             break
     return linear, settled, evidence
+
+
+def settled_roughly(about: About, levels: Mapping[str, float], rounds: int = 8) -> About:
+    """``relinearise`` of a long recording, piece by piece, to within ROUGH nats."""
+    evidence = -np.inf
+    for _ in range(rounds):
+        done = reduced_pass(reduced(about), levels, keep=True)
+        before, evidence = evidence, done.log_evidence
+        if abs(evidence - before) < ROUGH:
+            return holding(about, done.reduction)
+        problem, there = done.reduction.linear.problem, followed(done, about.trajectory)
+        del done
+        about = About(problem, about.start, there())
+        del there  # (it has the trajectory that was left)
+    return about

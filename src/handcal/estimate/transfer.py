@@ -14,6 +14,7 @@ from handcal.estimate import noise_levels
 from handcal.estimate.case import problem_with
 from handcal.estimate.linear import About
 from handcal.estimate.model import Fitted
+from handcal.estimate.pieces import is_long
 from handcal.estimate.problem import Problem
 from handcal.estimate.sampling import interpolated
 from handcal.estimate.trajectory import Trajectory, epochs, path
@@ -74,6 +75,8 @@ def begun(f: Fitted, effects: Sequence[Effect]) -> Fitted:
     """``moved_to``, for a fit: what is one-sided begins at its usual size. (About zero a filter is
     a delay, which others may hold already, and it would be chance on which side of it a fit ends.)
     """
+    if is_long(f.problem, f.trajectory) and fit_of(f, effects) is f:
+        return f  # (of a long one no second problem; nobody edits its case, as a search may)
     have = {s.owner for s in f.problem.slots}
     new = [e for e in effects if e.id not in have and e.imu_inverse is not None]
     usual = {(e.id, p.name): p.prior_sigma for e in new for p in e.parameters if p.positive}

@@ -84,7 +84,8 @@ class Observation:
     isotropic: where z is zero, the residual is a vector in n without preferred direction.
     wandering: first of the three Markov states that are the velocity of a point that wanders
     at random: what it feels is no motion that could excite an effect.
-    folds: read so often that its readings within a tenth of a second may be folded into one.
+    folds: one number, read so often that its readings within a tenth of a second may be folded into
+    one, or those between two looks at a held point gathered into a few.
     navigates: it says something of position, velocity or attitude. places: it says where the
     device is.
     believed(z (k, Z_DIM), theta): z with what effects have to know of the observation's constants,

@@ -95,7 +95,7 @@ def _starts(
             at = 4 + -(-(end - 4) // aligned[0]) * aligned[0]
             if block.shape[1] < at + 4:
                 raise InputError(f"A message on {topic} is too short for its schema.")
-            lengths = _u32(block[rows], at, order)
+            lengths = _u32(block[:, at : at + 4][rows], 0, order)
             longer += [(rows[lengths == n], at + 4 + n) for n in np.unique(lengths).tolist()]
         groups = longer
     yield from ((rows, 4 + -(-(end - 4) // aligned[1]) * aligned[1]) for rows, end in groups)

@@ -80,11 +80,16 @@ def parts_of(
     parts = []
     for length in np.unique(lengths):
         same = np.flatnonzero(lengths == length)
-        block = buffer[starts[same][:, None] + np.arange(length)]
+        block = rows_of(buffer, starts[same], int(length))
         for rows, decoded in decode(block, layout, topic.name, POSE_LIKE.get(topic.schema, 0)):
             of = same[rows]
             parts.append(Part(base + starts[of], log_ns[of], decoded))
     return parts
+
+
+def rows_of(buffer: ByteArray, starts: IntArray, length: int) -> ByteArray:
+    """The bytes (n, length) that begin at ``starts`` (n,), copied message by message."""
+    return np.lib.stride_tricks.sliding_window_view(buffer, length)[starts]
 
 
 def recording_from_topics(

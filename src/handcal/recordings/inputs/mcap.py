@@ -26,7 +26,14 @@ from mcap.records import Channel, Chunk, DataEnd, Metadata, Schema, Statistics
 from handcal.recordings.inputs._magic import begins_with
 from handcal.recordings.inputs._messages import ByteArray, schema_key
 from handcal.recordings.inputs._options import Options
-from handcal.recordings.inputs._topics import Part, Topic, parts_of, readable, recording_from_topics
+from handcal.recordings.inputs._topics import (
+    Part,
+    Topic,
+    parts_of,
+    readable,
+    recording_from_topics,
+    rows_of,
+)
 from handcal.types import InputError, IntArray, Recording
 
 UNDERSTOOD = "MCAP with ROS 2 messages (.mcap)"
@@ -36,6 +43,7 @@ TRIED = "real recordings; files written by the library mcap"
 ENDINGS = (".mcap",)
 MAGIC = b"\x89MCAP0\r\n"
 LARGEST_CHUNK = 128 * 2**20
+TOGETHER = 2**21  # bytes of chunks that are decoded at once
 LARGEST_METADATA = 2**20  # bytes: of a device there are two short texts
 # Beyond a few MiB nothing that sensors write shrinks to a thousandth.
 LARGEST_RATIO, RATIO_FROM = 1000, 4 * 2**20
@@ -81,15 +89,17 @@ def walked(path: Path, options: Options, base: int = 0) -> Walk:
         if file.read(8) != MAGIC:
             raise InputError(f"{path} is not an MCAP file, or its first bytes are damaged.")
         loose: list[bytes] = []
+        some = _Together()
         for opcode, content in _records(file, walk, options):
             if opcode == Opcode.CHUNK:
-                take_records(unpacked(walk, content), walk)
+                some.take(unpacked(walk, content), walk)
             else:
                 loose.append(struct.pack("<BQ", opcode, len(content)) + content)
             if len(loose) > 4000 or (loose and opcode in (Opcode.CHUNK, Opcode.DATA_END)):
-                take_records(b"".join(loose), walk)
+                some.take(b"".join(loose), walk)
                 loose = []
-        take_records(b"".join(loose), walk)
+        some.take(b"".join(loose), walk)
+        some.decode(walk)
     return walk
 
 
@@ -237,27 +247,52 @@ def _decompressed(walk: Walk, compression: str, packed: bytes, size: int) -> byt
     )
 
 
+class _Together:
+    """The records of several chunks: many are so small that each costs less than its beginning."""
+
+    def __init__(self) -> None:
+        self.chunks: list[bytes] = []
+        self.length = 0
+        self.places: dict[int, tuple[list[int], list[int]]] = {}
+
+    def take(self, data: bytes, walk: Walk) -> None:
+        """Schemas, channels and messages of a chunk. Errors: InputError."""
+        read_head, position, end = struct.Struct("<BQH").unpack_from, 0, len(data)
+        places, before = self.places, self.length
+        while position + 11 <= end:
+            opcode, length, channel = read_head(data, position)
+            following = position + 9 + length
+            if following > end:
+                raise InputError(f"{walk.path} is damaged: a record reaches beyond its chunk.")
+            if opcode == _MESSAGE and length >= 22:
+                if channel not in places:
+                    places[channel] = [], []
+                starts, lengths = places[channel]
+                starts.append(before + position + 31)
+                lengths.append(length - 22)
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                _register(opcode, data[position + 9 : following], walk)
+            position = following
+        self.chunks.append(data)
+        self.length += end
+        if self.length > TOGETHER:
+            self.decode(walk)
+
+    def decode(self, walk: Walk) -> None:
+        """Decode what was taken, and forget it. Errors: InputError."""
+        buffer = np.frombuffer(b"".join(self.chunks), dtype=np.uint8)
+        for channel, (starts, lengths) in self.places.items():
+            walk.messages += len(starts)
+            _decode(buffer, channel, np.array(starts), np.array(lengths), walk)
+        walk.base += self.length
+        self.chunks, self.length, self.places = [], 0, {}
+
+
 def take_records(data: bytes, walk: Walk) -> None:
     """Schemas, channels and messages of a chunk. Errors: InputError."""
-    read_head, position, end = struct.Struct("<BQH").unpack_from, 0, len(data)
-    places: dict[int, tuple[list[int], list[int]]] = {}
-    while position + 11 <= end:
-        opcode, length, channel = read_head(data, position)
-        following = position + 9 + length
-        if following > end:
-            raise InputError(f"{walk.path} is damaged: a record reaches beyond its chunk.")
-        if opcode == _MESSAGE and length >= 22:
-            starts, lengths = places.setdefault(channel, ([], []))
-            starts.append(position + 31)
-            lengths.append(length - 22)
-        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            _register(opcode, data[position + 9 : following], walk)
-        position = following
-    buffer = np.frombuffer(data, dtype=np.uint8)
-    for channel, (starts, lengths) in places.items():
-        walk.messages += len(starts)
-        _decode(buffer, channel, np.array(starts), np.array(lengths), walk)
-    walk.base += end
+    some = _Together()
+    some.take(data, walk)
+    some.decode(walk)
 
 
 def _register(opcode: int, content: bytes, walk: Walk) -> None:
@@ -281,7 +316,7 @@ def _decode(buffer: ByteArray, id: int, starts: IntArray, lengths: IntArray, wal
     if not readable(topic):
         return
     # A message follows its log time and publish time (8 bytes each).
-    log = buffer[(starts - 16)[:, None] + np.arange(8)].view("<u8")[:, 0]
+    log = rows_of(buffer, starts - 16, 8).view("<u8")[:, 0]
     if np.any(log > 9 * 10**18):
         raise InputError(f"A log time on {channel.topic} is further away than 280 years.")
     parts = parts_of(buffer, starts, lengths, log.astype(np.int64), walk.base, topic)

@@ -6,8 +6,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from handcal.estimate.noise_levels import white_levels
 from handcal.estimate.rest_only import DOUBTED
+from handcal.estimate.white import white_levels
 from handcal.show.words import (
     NBSP,
     Verdict,
