@@ -5,8 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from handcal.fleet import results
 from handcal.fleet.laws import asked, laws_json, laws_of, write_law
+from handcal.fleet.store import opened
 from handcal.laws.of_devices import Known, all_laws
+from handcal.population.by_model import Model
 from handcal.population.laws import better, common_law
 from handcal.population.stacked import Stack
 from handcal.user_effects import effects_from
@@ -47,6 +50,17 @@ def test_a_law_that_no_recording_shows_is_found_over_the_devices(tmp_path):
         assert effect.parameters[0].prior_sigma == pytest.approx(
             np.hypot(found.population.mean, found.population.deviation), rel=0.1
         )
+
+
+def test_each_model_has_a_file_of_its_own(tmp_path):
+    """The search for a free name took all memory there is."""
+    laws, value, sigma, who, _ = fleet(np.random.default_rng(0), CUBE)
+    found = common_law(laws, value, sigma, who, len(laws.usual))
+    models = [Model(name, 40, 20, (), (), (), (), found) for name in ("A 1", "a-1", "b")]
+    models.append(Model("none", 40, 20, (), (), ()))
+    results._write_laws(opened(tmp_path / "out"), models)
+    written = sorted(p.name for p in (tmp_path / "out/laws").iterdir())
+    assert written == ["law_of_a_1.py", "law_of_a_1_2.py", "law_of_b.py"]
 
 
 def test_what_is_not_there_is_not_found():

@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from itertools import count
+from itertools import chain, count
 from pathlib import Path
 
 import handcal
@@ -108,7 +108,8 @@ def _write_laws(store: Store, known: Sequence[Model]) -> None:
     for m in known:
         if m.law is not None:
             own = "law_of_" + re.sub(r"[^a-z0-9]+", "_", m.name.lower()).strip("_")
-            effect_id = next(i for i in (own, *(f"{own}_{n}" for n in count(2))) if i not in taken)
+            names = chain((own,), (f"{own}_{n}" for n in count(2)))
+            effect_id = next(i for i in names if i not in taken)
             taken.add(effect_id)
             write_law(m.law, store.folder / FOLDER, effect_id, m.name)
     if taken:

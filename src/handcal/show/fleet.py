@@ -13,6 +13,7 @@ import numpy as np
 import handcal
 from handcal import output
 from handcal.device.file import unit_of
+from handcal.effects import catalogue
 from handcal.population.by_model import Common, Model
 from handcal.population.odd import Odd
 from handcal.population.stacked import FOUND, Stack
@@ -97,7 +98,9 @@ def reason(o: Odd) -> str:
     mean = unit.value(o.mean, o.deviation, sign=True)
     deviation = unit.value(o.deviation, o.deviation)
     whose = "devices of the model have" if o.kind == "device" else "its device's others say"
-    out = (f"{words.effect_title(o.effect)} {o.name} is {value} {unit.unit}; {whose} {mean} ± "
+    # (an effect of one number has no need of its name)
+    which = f" {o.name}" if len(catalogue()[o.effect].parameters) > 1 else ""
+    out = (f"{words.effect_title(o.effect)}{which} is {value} {unit.unit}; {whose} {mean} ± "
            f"{deviation}.")  # fmt: skip
     return out + _guess(o) + (" Populations are told without it." if o.left_out else "")
 
