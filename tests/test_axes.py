@@ -58,6 +58,13 @@ def test_what_turns_about_up_alone_tells_nothing():
         assert len(read(t, said).imu.t) == len(t)
 
 
+def test_gravity_that_stays_while_the_gyro_turns_is_no_exchange_of_axes():
+    """(Any axis along it would fit.)"""
+    t = np.arange(0.0, 20.0, 0.01)
+    values = np.random.default_rng(0).normal([0, 0.8, 0, 0, 0, 9.81], 0.01, (len(t), 6))
+    assert len(read(t, values).imu.t) == len(t)
+
+
 def test_large_errors_are_no_other_axes(turned):
     """A scale error of 15 %, axes 8 degrees off, and a gyro that is late by 20 ms."""
     t, values = turned

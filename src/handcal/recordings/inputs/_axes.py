@@ -33,7 +33,8 @@ def check_axes(t: Array, gyro: Array, accel: Array) -> None:
     if len(starts) < FEWEST:
         return
     as_read = between(turned_by(t, gyro, starts, size, u0), u1)
-    if as_read < MISSED:
+    # (where gravity stays, any turn about it would fit)
+    if as_read < MISSED or between(u0, u1) < MISSED:
         return
     left = [(P, _left(P, turns, u0, u1)) for P, turns in _other_axes(t, gyro, starts, size)]
     least = min(angle for _, angle in left)
