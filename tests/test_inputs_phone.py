@@ -215,7 +215,8 @@ def small_exports(tmp_path_factory: pytest.TempPathFactory) -> list[bytes]:
     return [make(path, files).read_bytes() for make in (zipped, as_json)]
 
 
-@settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=200, deadline=None,
+          suppress_health_check=[HealthCheck.function_scoped_fixture])  # fmt: skip
 @given(st.data())
 def test_any_damage_gives_a_recording_or_a_sentence(
     small_exports: list[bytes], tmp_path: Path, data: st.DataObject

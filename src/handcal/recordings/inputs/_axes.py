@@ -18,7 +18,7 @@ MISSED, CLEARLY = 0.15, 0.25
 # Axes that leave as little (a turn about one does not tell the other two): the fewest changes are
 # meant.
 AS_GOOD = 1.25
-FEWEST = 20  # windows; of fewer, one push may decide
+FEWEST, MOST = 20, 200  # windows; of fewer, one push may decide, and of more no more is learnt
 # Of a heading: how long it turns between two looks, s; and the share of gravity that has to stand
 # across body x, or its yaw turns faster than the device.
 HEADING_S, LEVEL = 0.5, 0.5
@@ -32,6 +32,8 @@ def check_axes(t: Array, gyro: Array, accel: Array) -> None:
     starts, size, u0, u1 = calm_windows(t, gyro, accel)
     if len(starts) < FEWEST:
         return
+    some = np.unique(np.linspace(0, len(starts) - 1, MOST).astype(np.int64))
+    starts, u0, u1 = starts[some], u0[some], u1[some]
     as_read = between(turned_by(t, gyro, starts, size, u0), u1)
     # (where gravity stays, any turn about it would fit)
     if as_read < MISSED or between(u0, u1) < MISSED:
