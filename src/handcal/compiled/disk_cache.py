@@ -92,7 +92,8 @@ class _Cache(caching.FunctionCache):
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """As numba's, but what only compiling needs (every operator of every type, half a second)
         is loaded only where nothing is kept."""
-        if LINKED and runtime_named():
+        if LINKED:
+            _name_runtime()
             with self._guard_against_spurious_io_errors():
                 found = self._load_overload(sig, target_context)
             if found is not None:
@@ -163,11 +164,10 @@ class _WholeCache(_Cache):
 
 
 @cache
-def runtime_named() -> bool:
-    """Tell the linker where numba's runtime is; whether that could be done."""
+def _name_runtime() -> None:
+    """Tell the linker where numba's runtime is."""
     for name, address in _nrt_python.c_helpers.items():
         binding.add_symbol(name if name.startswith("_") else f"NRT_{name}", address)
-    return True
 
 
 def _locked(file: int) -> bool:

@@ -210,12 +210,7 @@ def _folded(
                 copy1(off, carried[1][w])
                 for s in range(3):
                     copy2(noise[s], carried[2][s, w])
-            zero2(T)
-            zero1(off)
-            for s in range(3):
-                zero2(noise[s])
-            for a in range(9):
-                T[a, a] = 1.0
+            at_first(T, off, noise)
             w += 1
         for q in range(first[j], first[j + 1]):
             if row[q] >= 0:
@@ -224,6 +219,17 @@ def _folded(
                         rows[2][q, i], rows[3][q, i], begins, T, off, walks, line
                     )
                     _added(q, i, kind[q], residual, line, go, out)
+
+
+@inner
+def at_first(T: Array, off: Array, noise: Array) -> None:
+    """T (9, 15 + mi), off (9,) and noise (3, 9, 9) at the first epoch of a window."""
+    zero2(T)
+    zero1(off)
+    for s in range(3):
+        zero2(noise[s])
+    for a in range(9):
+        T[a, a] = 1.0
 
 
 @inner

@@ -14,11 +14,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from handcal.compiled.jit import copy1, copy2, inner, njit, zero1, zero2
+from handcal.compiled.jit import copy1, copy2, inner, njit
 from handcal.compiled.kernel import BASE, MAX_DIM
 from handcal.estimate.folded import (
     anything,
     at_epochs,
+    at_first,
     brought_back,
     propagated,
     readings_more,
@@ -124,12 +125,7 @@ def _gathered(
     mine, best = np.zeros(most, np.int64), np.zeros(most)
     for w in range(count):
         end = start[w + 1] if w + 1 < count else len(Phi)
-        zero2(T)
-        zero1(off)
-        for s in range(3):
-            zero2(noise[s])
-        for a in range(9):
-            T[a, a] = 1.0
+        at_first(T, off, noise)
         to = out[3][w]
         for j in range(start[w], end):
             if j > start[w]:
