@@ -76,11 +76,10 @@ def test_a_score_counts_and_follows_its_schema():
     }  # fmt: skip
     truth = {"devices": ["a", "b"], "odd": {"a": "gyro_scale"}, "broken": ["r3.mcap"],
              "mislabelled": {"r7.mcap": ["a", "b"], "r8.mcap": ["b", "a"]}}  # fmt: skip
-    ratio = {"gyro_scale": 0.5, "all": 0.7}
-    foretold = share(7, 8) | {"median_gain": 1.0}
-    taught = {"recordings": 8, "seconds": 20.0, "plain": ratio, "tails": ratio,
-              "plain_foretold": foretold, "tails_foretold": foretold,
-              "plain_room": 5, "tails_room": 4}  # fmt: skip
+    row = {"model": "plain", "priors": "plain", "motion": "z-turn", "effects": {"gyro_scale": 0.5},
+           "all": 0.7, "all_best": 0.6, "estimates": 15, "leave_room": 0, "room": None,
+           "room_best": None, "foretold": share(7, 8) | {"median_gain": 1.0}}  # fmt: skip
+    taught = {"seconds": 20.0, "rows": [row]}
     few = {"fleets": 1, "means_within_3_sigma": share(6, 6), "spreads_within": share(5, 6)}
     found = score(told, truth) | {"taught": taught, "smaller": few}
     schemas.check({"schema": "handcal-sim/prove-fleet/1", "n": 4, "seed": 0} | found)

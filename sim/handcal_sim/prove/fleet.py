@@ -6,12 +6,13 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from handcal_sim.prove.fleet_taught import SHORT, taught_by
-from handcal_sim.prove.fleet_world import MODELS, SLOPE, SPREADS, written
+from handcal_sim.prove import fleet_taught
+from handcal_sim.prove.fleet_taught import taught_by
+from handcal_sim.prove.fleet_world import EACH, FEWEST, FINE, MODELS, SLOPE, SPREADS, written
 from handcal_sim.prove.trial import share
 
 # Seconds that each recording's search may take: what a fleet shows stands beside what was found in
@@ -23,28 +24,42 @@ WITHIN = 3.0
 AMONG = 1.5
 # Devices of one model that make a smaller fleet.
 SMALL = 10
+# For so many recordings of the fleet there is one of the fleet of *fine* (200 for 2,000), and one
+# new device of each model (100, which are 200 recordings to calibrate).
+FINE_SHARE, NEW_SHARE = 10, 20
 
 
 def run(n: int, seed: int, folder: Path, workers: int) -> dict[str, Any]:
     """The score of ``handcal fleet`` on such a fleet; in the same folder again it goes on. Errors:
     CalledProcessError where it fails."""
-    source, out = folder / "recordings", folder / "fleet"
+    truth = _told(n, seed, folder, workers, MODELS)
+    few = max(FEWEST * EACH, n // FINE_SHARE)
+    _told(few, seed, folder / FINE, workers, (FINE,))
+    out = folder / "fleet"
+    told = json.loads((out / "fleet.json").read_text("utf-8"))
+    plain, fine = out / "priors.toml", folder / FINE / "fleet" / "priors.toml"
+    priors = {MODELS[0]: (plain, MODELS[0]), MODELS[1]: (plain, MODELS[0]), FINE: (fine, FINE)}
+    return (
+        {"schema": "handcal-sim/prove-fleet/1", "n": n, "seed": seed}
+        | score(told, truth)
+        | {"smaller": smaller(folder / "recordings" / "manifest.txt", out, truth)}
+        | taught_by(priors, max(8, n // NEW_SHARE), seed, folder)
+    )
+
+
+def _told(n: int, seed: int, folder: Path, workers: int, models: Sequence[str]) -> dict[str, Any]:
+    """Recordings of a fleet, given to ``handcal fleet``, and what is true of them."""
+    source = folder / "recordings"
     source.mkdir(parents=True, exist_ok=True)
-    truth = written(n, seed, source)
+    truth = written(n, seed, source, models)
     (folder / "truth.json").write_text(json.dumps(truth), encoding="utf-8")
-    command = ["fleet", "--manifest", str(source / "manifest.txt"), "--out", str(out),
+    command = ["fleet", "--manifest", str(source / "manifest.txt"), "--out", str(folder / "fleet"),
                "--budget", str(BUDGET)]  # fmt: skip
     subprocess.run(
         [sys.executable, "-m", "handcal", *command, "--workers", str(workers)],
         check=True, stdout=subprocess.DEVNULL,
     )  # fmt: skip
-    told = json.loads((out / "fleet.json").read_text("utf-8"))
-    return (
-        {"schema": "handcal-sim/prove-fleet/1", "n": n, "seed": seed}
-        | score(told, truth)
-        | {"smaller": smaller(source / "manifest.txt", out, truth)}
-        | taught_by(out / "priors.toml", max(8, n // 20), seed, folder)
-    )
+    return truth
 
 
 def score(told: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, Any]:
@@ -168,13 +183,6 @@ def lines(found: Mapping[str, Any]) -> list[str]:
         f"recordings of another device: {counted(wrong)}, {wrong['whose']} with whose they are; "
         f"others: {wrong['others']}",
         f"broken files that are rows: {counted(found['broken'])}",
-        f"of {taught['recordings']} new recordings of {SHORT:g} s, with what *plain* taught over "
-        f"without: {_ratios(taught['plain'])}, the next one better foretold "
-        f"{counted(taught['plain_foretold'])}; of another model: {_ratios(taught['tails'])}, "
-        f"{counted(taught['tails_foretold'])}",
         f"slope of the gyro's bias by temperature, sigmas off: {slopes or 'not told'}",
+        *fleet_taught.lines(taught),
     ]  # fmt: skip
-
-
-def _ratios(found: Mapping[str, float]) -> str:
-    return ", ".join(f"{name} {ratio:.2f}" for name, ratio in found.items())

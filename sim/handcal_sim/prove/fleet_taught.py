@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -9,75 +11,135 @@ import numpy as np
 
 from handcal_sim.mcap_writer import write
 from handcal_sim.profiles import Array
-from handcal_sim.prove.fleet_world import MODELS, SPREADS, Device, devices, recorded
+from handcal_sim.prove.fleet_world import (
+    DOF,
+    MODELS,
+    SCENARIO,
+    SPREADS,
+    Device,
+    devices,
+    recorded,
+    spread_of,
+)
 from handcal_sim.prove.trial import share
 
+Mask = np.ndarray[Any, np.dtype[np.bool_]]
 # Of a new device, s: it leaves room for what was learned of others.
 SHORT = 20.0
 # An estimate that is known by itself to so much of the devices' spread leaves room: with the spread
 # known, its error is at the best 0.8 of what it was, 1 / sqrt(1 + ROOM^2).
 ROOM = 0.75
+# A free hand tells nearly all numbers; still, a turn and still again tell few of them.
+MOTIONS = (SCENARIO, "z-turn")
+# Without priors, with what was learned, with what the devices were drawn from.
+WITHOUT, LEARNED, TRUE = range(3)
 
 
-def taught_by(priors: Path, count: int, seed: int, folder: Path) -> dict[str, Any]:
-    """What the priors of *plain* are worth for new devices of that model, and of *tails*, of which
-    they know nothing. Of each device two recordings: root mean squares of the first one's errors
-    with them over those without, by effect, over all, and over those estimates that leave room,
-    errors in the devices' spreads; and how often the second is the better foretold by what the
-    first then says."""
+@dataclass(frozen=True)
+class One:
+    """One new device: errors of the first recording's estimates in the devices' spreads, by what
+    was known before (3, k); sigmas without (k,); the second recording's evidence after it (3,)."""
+
+    errors: Array
+    sigmas: Array
+    evidence: Array
+
+
+def taught_by(
+    priors: Mapping[str, tuple[Path, str]], count: int, seed: int, folder: Path
+) -> dict[str, Any]:
+    """What priors are worth for new devices.
+
+    priors: by model of the new devices the file, and of which of its models it is asked. Of each
+    device two recordings: one of each of ``MOTIONS``, then one by a free hand. Told of both
+    motions: root mean squares of the first one's errors with the priors over those without, by
+    effect, of all, and of those estimates that leave room; the same with the density that the
+    devices were drawn from (``best``); and how often the second is the better foretold by what the
+    first then says.
+    """
     from handcal.device.priors import prior, read
 
-    learned = prior(read(priors), MODELS[0])
-    rng = np.random.default_rng([seed, 1])
-    made = devices(len(MODELS) * count, rng)
-    out: dict[str, Any] = {}
-    for model in MODELS[:2]:
+    rows = []
+    for model, (path, known) in priors.items():
+        learned = prior(read(path), known)
+        rng = np.random.default_rng([seed, 1])
+        models = MODELS if model in MODELS else (model,)
+        made = devices(len(models) * count, rng, models)
         new = [d for d in made if d.model == model and not d.odd]
-        pairs = [
-            _of_one(d, rng.integers(2**62, size=2).tolist(), learned, folder / "new.mcap")
-            for d in new
-        ]
-        squares = {e: np.array([[one[e] ** 2 for one in pair[0]] for pair in pairs])
-                   for e in SPREADS}  # fmt: skip
-        means = {e: s.mean(axis=(0, 2)) for e, s in squares.items()}
-        means["all"] = np.mean(list(means.values()), axis=0)
-        room = np.concatenate([
-            squares[e].swapaxes(1, 2)[np.array([pair[2][e] for pair in pairs]) >= ROOM]
-            for e in SPREADS
-        ])  # fmt: skip
-        if len(room):
-            means["room"] = room.mean(axis=0)
-        out[f"{model}_room"] = len(room)
-        out[model] = {e: float(np.sqrt(with_ / without)) for e, (without, with_) in means.items()}
-        gains = np.array([p[1] for p in pairs])
-        out[f"{model}_foretold"] = share(int((gains > 0).sum()), len(gains)) | {
-            "median_gain": float(np.median(gains))
-        }
-    return {"taught": {"recordings": count, "seconds": SHORT, **out}}
+        for motion in MOTIONS:
+            ones = [
+                _of_one(d, rng.integers(2**62, size=2).tolist(), motion,
+                        (None, learned, _drawn_from(model)), folder / "new.mcap")
+                for d in new
+            ]  # fmt: skip
+            rows.append({"model": model, "priors": known, "motion": motion, **_row(ones)})
+    return {"taught": {"seconds": SHORT, "rows": rows}}
+
+
+def _row(ones: Sequence[One]) -> dict[str, Any]:
+    squares = np.array([one.errors**2 for one in ones])  # (devices, 3, k)
+    of = np.array([e for e in SPREADS for _ in range(_size(e))])
+    room = np.array([one.sigmas for one in ones]) >= ROOM
+    gains = np.array([one.evidence[LEARNED] - one.evidence[WITHOUT] for one in ones])
+
+    def ratio(which: Mask, before: int) -> float | None:
+        if not which.any():
+            return None
+        with_, without = (squares[:, k][which].mean() for k in (before, WITHOUT))
+        return float(np.sqrt(with_ / without))
+
+    every = np.ones_like(room)
+    return {
+        "effects": {e: ratio(every & (of == e), LEARNED) for e in SPREADS},
+        "all": ratio(every, LEARNED), "all_best": ratio(every, TRUE),
+        "estimates": int(room.size), "leave_room": int(room.sum()),
+        "room": ratio(room, LEARNED), "room_best": ratio(room, TRUE),
+        "foretold": share(int((gains > 0.0).sum()), len(gains))
+        | {"median_gain": float(np.median(gains))},
+    }  # fmt: skip
 
 
 def _of_one(
-    device: Device, seeds: list[int], learned: Any, path: Path
-) -> tuple[list[dict[str, Array]], float, dict[str, Array]]:
-    """Errors of a short recording's estimates, by effect, in the devices' spreads: without what was
-    learned, and with; by how many nats what it then says of the device foretells the other
-    recording better; and the sigmas without, in the spreads."""
+    device: Device, seeds: Sequence[int], motion: str, known: Sequence[Any], path: Path
+) -> One:
     import handcal
 
     recordings = []
-    for seed in seeds:
-        write(recorded(device, seed, SHORT), path, truth=False)
+    for seed, scenario in zip(seeds, (motion, SCENARIO), strict=True):
+        write(recorded(device, seed, SHORT, scenario), path, truth=False)
         recordings.append(handcal.load(path))
-    errors, score, sigmas = [], [], []
-    for before in (None, learned):
+    errors, evidence, sigmas = [], [], []
+    for before in known:
         found = handcal.calibrate(recordings[0], list(SPREADS), before=before)
         own = {e: [p for p in found.parameters if p.effect == e] for e in SPREADS}
-        errors.append({e: (np.array([p.value for p in own[e]]) - device.effects[e]) / SPREADS[e]
-                       for e in SPREADS})  # fmt: skip
-        sigmas.append({e: np.array([p.sigma for p in own[e]]) / SPREADS[e] for e in SPREADS})
+        spread = {e: spread_of(device.model, e) for e in SPREADS}
+        errors.append(np.concatenate([
+            (np.array([p.value for p in own[e]]) - device.effects[e]) / spread[e] for e in SPREADS
+        ]))  # fmt: skip
+        sigmas.append(np.array([p.sigma / spread[e] for e in SPREADS for p in own[e]]))
         second = handcal.calibrate(recordings[1], list(SPREADS), before=_after(found))
-        score.append(second.log_evidence)
-    return errors, score[1] - score[0], sigmas[0]
+        evidence.append(second.log_evidence)
+    return One(np.array(errors), sigmas[WITHOUT], np.array(evidence))
+
+
+def _size(effect: str) -> int:
+    return len(_names(effect))
+
+
+def _names(effect: str) -> list[str]:
+    from handcal.effects import catalogue
+
+    return [p.name for p in catalogue()[effect].parameters]
+
+
+def _drawn_from(model: str) -> Any:
+    """The normal density with the variance of that which a model's devices are drawn from."""
+    from handcal.types import Prior
+
+    names = tuple((e, n) for e in SPREADS for n in _names(e))
+    tail = np.sqrt(DOF / (DOF - 2.0)) if model == MODELS[1] else 1.0
+    sigma = np.array([tail * spread_of(model, e) for e, _ in names])
+    return Prior(names, np.zeros(len(names)), np.diag(sigma**2))
 
 
 def _after(found: Any) -> Any:
@@ -88,3 +150,20 @@ def _after(found: Any) -> Any:
     names = tuple((found.parameters[i].effect, found.parameters[i].name) for i in at)
     mean = np.array([found.parameters[i].value for i in at])
     return Prior(names, mean, found.covariance[np.ix_(at, at)])
+
+
+def lines(taught: Mapping[str, Any]) -> list[str]:
+    """The same in words, one row a model and motion."""
+
+    def said(x: float | None) -> str:
+        return "none" if x is None else f"{x:.2f}"
+
+    return [
+        f"new devices of {r['model']!r}, {taught['seconds']:g} s of {r['motion']}, with what "
+        f"{r['priors']!r} taught over without: all {said(r['all'])} (at the best "
+        f"{said(r['all_best'])}), {r['leave_room']} of {r['estimates']} estimates that leave room "
+        f"{said(r['room'])} (at the best {said(r['room_best'])}); the next one better foretold "
+        f"{r['foretold']['count']} of {r['foretold']['n']}, {r['foretold']['median_gain']:+.1f} "
+        "nats in the median"
+        for r in taught["rows"]
+    ]

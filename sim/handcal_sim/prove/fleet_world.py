@@ -3,14 +3,15 @@
 Of each device several recordings, days apart and at other temperatures. *plain*: errors spread as
 in a datasheet; *tails*: the same with a tail (Student's t with 4 degrees of freedom); *law*:
 every gyro axis has a cubic error, about two sigma of one recording; *warm*: the gyro's bias goes
-with the temperature, alike in all of its devices. One device in twenty is odd, in one of several
+with the temperature, alike in all of its devices. (*fine*, a fleet of its own: *plain* with smaller
+spreads.) One device in twenty is odd, in one of several
 ways, one file in fifty is broken, one in a hundred stands under the name of another device.
 """
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -26,6 +27,8 @@ from handcal_sim.scenario import Stream, World
 from handcal_sim.strangers import scene_of
 
 MODELS = ("plain", "tails", "law", "warm")
+# A model of its own, as its maker calibrated it: a quarter of the others' spreads.
+FINE, FINER = "fine", 0.25
 GRAVITY = 9.80665  # m/s^2, of an accelerometer that counts in g
 # What makes a device odd, one after the other: an axis that reads so much too much, one that is so
 # far from where it should be (rad), and what is done to its readings before they are written.
@@ -66,18 +69,23 @@ class Device:
     odd: str
 
 
-def devices(count: int, rng: np.random.Generator) -> list[Device]:
+def spread_of(model: str, effect: str) -> float:
+    """Scale of the density that true errors of a model's devices are drawn from."""
+    return SPREADS[effect] * (FINER if model == FINE else 1.0)
+
+
+def devices(count: int, rng: np.random.Generator, models: Sequence[str] = MODELS) -> list[Device]:
     """As many devices, of each model in turn."""
     strange = rng.permutation(count)[: max(1, round(ODD_SHARE * count))].tolist()
     odd = {n: ODD_WAYS[i % len(ODD_WAYS)] for i, n in enumerate(strange)}
     sizes = {"gyro_scale": 3, "gyro_misalignment": 6, "accel_scale": 3, "accel_misalignment": 3}
     out = []
     for n in range(count):
-        model = MODELS[n % len(MODELS)]
+        model = models[n % len(models)]
         draw: Callable[[int], Array] = rng.standard_normal
         if model == "tails":
             draw = lambda k: rng.standard_t(DOF, k)  # noqa: E731
-        effects = {e: SPREADS[e] * draw(k) for e, k in sizes.items()}
+        effects = {e: spread_of(model, e) * draw(k) for e, k in sizes.items()}
         way = odd.get(n, "")
         if way in LARGE:
             effects[way][int(rng.integers(3))] += LARGE[way]
@@ -88,7 +96,9 @@ def devices(count: int, rng: np.random.Generator) -> list[Device]:
     return out
 
 
-def recorded(device: Device, seed: int, seconds: float = SECONDS) -> World:
+def recorded(
+    device: Device, seed: int, seconds: float = SECONDS, scenario: str = SCENARIO
+) -> World:
     """One recording of a device, at a temperature of its own."""
     rng = np.random.default_rng(seed)
     warm = float(rng.uniform(10.0, 35.0))
@@ -102,16 +112,16 @@ def recorded(device: Device, seed: int, seconds: float = SECONDS) -> World:
         )  # fmt: skip
 
     effects = {k: v.tolist() for k, v in device.effects.items()}
-    world = simulate(SCENARIO, seed=seed, phone=phone, duration_s=seconds, effects=effects)
+    world = simulate(scenario, seed=seed, phone=phone, duration_s=seconds, effects=effects)
     values = world.imu.values.copy()
     values[:, :3] += device.law * scene_of(world).omega ** 3
     return replace(world, imu=Stream(world.imu.stamps, SPOILT.get(device.odd, np.array)(values)))
 
 
-def written(n: int, seed: int, folder: Path) -> dict[str, Any]:
+def written(n: int, seed: int, folder: Path, models: Sequence[str] = MODELS) -> dict[str, Any]:
     """n recordings and a manifest in a folder, and what is true of them."""
     rng = np.random.default_rng(seed)
-    made = devices(max(FEWEST * len(MODELS), n // EACH), rng)
+    made = devices(max(FEWEST * len(models), n // EACH), rng, models)
     order = rng.permutation(n)
     broken = set(order[: max(1, round(BROKEN_SHARE * n))].tolist())
     elsewhere = set(order[len(broken) :][: round(MISLABELLED_SHARE * n)].tolist())
@@ -127,7 +137,7 @@ def written(n: int, seed: int, folder: Path) -> dict[str, Any]:
         started = BEGINNING + timedelta(days=days)
         said = device
         if i in elsewhere:
-            said = made[(i + len(MODELS)) % len(made)]  # (the next one of its model)
+            said = made[(i + len(models)) % len(made)]  # (the next one of its model)
             mislabelled[path.name] = [said.name, device.name]
         rows.append((path.name, said.name, said.model, started.isoformat(timespec="seconds")))
     with (folder / "manifest.txt").open("w", newline="", encoding="utf-8") as file:
