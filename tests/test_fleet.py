@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import BrokenExecutor, Executor, Future
 from pathlib import Path
 
 import pytest
@@ -20,9 +21,9 @@ from handcal.fleet.record import Options, Source, digest, key
 from handcal.fleet.results import write_all
 from handcal.fleet.run import run
 from handcal.fleet.sources import found, joined, listed
-from handcal.fleet.supervise import TRIES, Local, of_this_process
+from handcal.fleet.supervise import TRIES, Local, of_this_process, supervised_all
 from handcal.types import InputError
-from handcal.workers import opened
+from handcal.workers import AHEAD, Workers, opened
 
 HERE = Path(__file__).parent
 WORK = "fleet_stub:work"
@@ -129,6 +130,41 @@ def test_a_run_that_is_killed_loses_only_what_was_under_way(tmp_path):
     after = {p.name: p.stat().st_mtime_ns for p in out.glob("recordings/*.json")}
     assert {r["told"][0]["value"] for r in records.values()} == set(map(float, range(12)))
     assert {k: after[k] for k in kept} == kept
+
+
+class Parcels(Executor):
+    """Answers at once, that each recording took so many seconds; every so many one is lost."""
+
+    def __init__(self, seconds, lost):
+        self.seconds, self.lost, self.sizes = seconds, lost, []
+
+    def submit(self, fn, requests):
+        assert fn is supervised_all
+        self.sizes.append(len(requests))
+        future = Future()
+        if len(self.sizes) % self.lost == 0:
+            future.set_exception(BrokenExecutor("lost"))
+            return future
+        answer = {"status": "failed", "reason": "", "tries": 1, "seconds": self.seconds, "peak": 0}
+        future.set_result([answer] * len(requests))
+        return future
+
+
+@pytest.mark.parametrize(("seconds", "together", "largest"), [
+    (0.01, 16, 16), (10.0, 16, 3), (100.0, 16, 1), (0.01, 1, 1)
+])  # fmt: skip
+def test_short_recordings_travel_together_and_none_is_lost(tmp_path, seconds, together, largest):
+    sources = [Source(f"stub://{i}", "m", f"d{i}", identity=f"stub-{i}") for i in range(200)]
+    engine = Parcels(seconds, 7)
+    workers = Workers(lambda: engine, 1, together=together)
+    place = store.opened(tmp_path / "out")
+    members = run(sources, place, workers, options(), lambda _: None, lambda _: None)
+    assert [m.source for m in members] == sources
+    assert all(place.record(m.key)["status"] == "failed" for m in members)
+    # (so far ahead nothing is known of how long they take, and at the end few are left)
+    assert engine.sizes[:AHEAD] == [1] * AHEAD
+    assert engine.sizes[-1] == 1
+    assert max(engine.sizes) == largest
 
 
 def test_the_same_readings_count_once(tmp_path):

@@ -29,6 +29,9 @@ PATIENCE = 5
 LOOK_S = 5.0  # between looks at whether the scheduler is there
 # Tasks that are given out for each that runs: a worker never waits, and the memory is bounded.
 AHEAD = 4
+# Short tasks that travel to Dask's workers together: a message costs its scheduler 4 ms, so one of
+# 16 costs 0.25; their results together are a megabyte.
+TOGETHER = 16
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -39,14 +42,16 @@ class WorkersDied(HandcalError):
 @dataclass(frozen=True)
 class Workers:
     """Where tasks are done: a way to an executor, and how many run at once; what is raised for a
-    task whose process died; whether there is still anybody to wait for; and what to tell people of
-    the place (an address of a page, or nothing)."""
+    task whose process died; whether there is still anybody to wait for; what to tell people of
+    the place (an address of a page, or nothing); and how many short tasks may travel together,
+    where each message has its price."""
 
     start: Callable[[], Executor]
     count: int
     died: tuple[type[BaseException], ...] = (BrokenExecutor,)
     there: Callable[[], bool] = lambda: True
     said: str = ""
+    together: int = 1
 
 
 @contextmanager
@@ -79,7 +84,8 @@ def opened(
         threads = max(1, sum(client.nthreads().values()))
         died = (distributed.KilledWorker, broken)
         page = str(getattr(client, "dashboard_link", "") or "")
-        yield Workers(client.get_executor, threads, died, lambda: client.status == "running", page)
+        there = lambda: client.status == "running"  # noqa: E731
+        yield Workers(client.get_executor, threads, died, there, page, TOGETHER)
 
 
 def _check_versions(client: Any) -> None:

@@ -7,17 +7,22 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import handcal
 from handcal.fleet.record import DONE, FAILED, RECORD_SCHEMA, Document, Options, Source, key
 from handcal.fleet.store import Store, stands
-from handcal.fleet.supervise import supervised
+from handcal.fleet.supervise import supervised_all
 from handcal.workers import Workers, done
 
 # Between two lines of progress where stderr is no terminal, s.
 EVERY_S = 10.0
+# Recordings that travel together are lost together when their worker is: of so many seconds.
+PARCEL_S = 30.0
+# Towards the end parcels are so many for each worker at the least.
+SHARES = 8
 
 
 @dataclass(frozen=True)
@@ -43,12 +48,13 @@ class Member:
 @dataclass
 class Progress:
     """How far a run is: of so many recordings, how many are finished, how many of these failed,
-    how many were so before it began."""
+    how many were so before it began, and how many seconds the others took."""
 
     total: int
     finished: int = 0
     failed: int = 0
     before: int = 0
+    seconds: float = 0.0
     began: float = field(default_factory=time.monotonic)
 
     def line(self, now: float) -> str:
@@ -80,19 +86,40 @@ def run(
     progress, members = Progress(len(sources)), list[Member]()
     version = handcal.__version__  # (each look at it reads the package's metadata)
     tasks = _to_do(sources, store, options, version, prior_of, members, progress, say)
-    for task, answer in done(workers, _submitted, tasks):
-        record = _record(task, answer, options, version)
-        result = answer.get("result") or {}
-        text = _joined(record, result.get("kept", ""))
-        store.keep(task.key, text, result.get("explanation", ""))
-        progress.finished += 1
-        progress.failed += record["status"] != DONE
-        say(progress)
+    for some, answers in done(workers, _submitted, _parcels(tasks, workers, progress)):
+        for task, answer in zip(some, answers, strict=True):
+            record = _record(task, answer, options, version)
+            result = answer.get("result") or {}
+            text = _joined(record, result.get("kept", ""))
+            store.keep(task.key, text, result.get("explanation", ""))
+            progress.finished += 1
+            progress.failed += record["status"] != DONE
+            progress.seconds += answer["seconds"]
+            say(progress)
     return members
 
 
-def _submitted(executor: Executor, task: Task) -> Future[Document]:
-    return executor.submit(supervised, task.request)
+def _submitted(executor: Executor, some: Sequence[Task]) -> Future[list[Document]]:
+    return executor.submit(supervised_all, [task.request for task in some])
+
+
+def _parcels(
+    tasks: Iterator[Task], workers: Workers, progress: Progress
+) -> Iterator[tuple[Task, ...]]:
+    """What travels together: as many as take ``PARCEL_S`` by what recordings took so far, and so
+    few that at the end no worker has much more to do than the others."""
+    given = 0
+    while True:
+        made = progress.finished - progress.before
+        many = PARCEL_S * made / progress.seconds if progress.seconds > 0.0 else 1.0
+        left = progress.total - progress.before - given
+        even = left / (SHARES * workers.count)
+        size = int(min(workers.together, many, even))
+        some = tuple(islice(tasks, max(1, size)))
+        if not some:
+            return
+        given += len(some)
+        yield some
 
 
 def _to_do(

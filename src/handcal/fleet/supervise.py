@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import suppress
 from functools import cache
@@ -113,6 +113,13 @@ class Watchers:
 def of_this_process() -> Watchers:
     """The watchers of a process that others give work to (a worker of Dask's)."""
     return Watchers()
+
+
+def supervised_all(
+    requests: Sequence[Mapping[str, Any]], watchers: Watchers | None = None
+) -> list[Document]:
+    """What became of recordings that travelled together, one after the other."""
+    return [supervised(request, watchers) for request in requests]
 
 
 def supervised(request: Mapping[str, Any], watchers: Watchers | None = None) -> Document:
