@@ -92,7 +92,9 @@ fleet-scale: setup ## what a fleet costs beside its explanations (N=1000 stand-i
 
 dist: .venv/.installed-dev ## source archive, wheel and bill of materials (CycloneDX) in dist/
 	@rm -rf dist
-	$(BIN)/python -m hatchling build
+	@echo "Compiling for what most machines can do, which takes a minute."
+	$(BIN)/python scripts/compile.py --ship
+	$(BIN)/python -m hatchling build; made=$$?; rm -rf src/handcal/compiled/shipped; exit $$made
 	$(PIP) --no-deps -e .
 	$(BIN)/python scripts/sbom.py dist
 

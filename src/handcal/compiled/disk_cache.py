@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import inspect
 import os
 import pickle
 import time
@@ -25,6 +26,7 @@ from llvmlite import binding
 from numba.core import caching, event
 from numba.core.runtime import _nrt_python  # type: ignore[attr-defined]
 
+from handcal.compiled import shipped
 from handcal.compiled.linking import LINKED, readable, rebuilt
 
 fcntl: Any
@@ -42,6 +44,8 @@ LONGEST_S, LOOK_S = 60.0, 0.02
 
 
 class _Files(caching.IndexDataCacheFile):
+    shipped: _Files | None = None
+
     def save(self, key: Any, data: Any) -> None:
         """Keep what was compiled for a signature."""
         name = self._name(key)
@@ -53,11 +57,22 @@ class _Files(caching.IndexDataCacheFile):
         self._save_index({**overloads, key: name})
 
     def load(self, key: Any) -> Any:
-        """What was kept for a signature, or None; of another naming it is none."""
+        """What was kept for a signature, or else shipped, or None; of another naming it is none."""
         try:
-            return self._load_data(self._name(key)) if key in self._load_index() else None
+            if key in self._load_index():
+                return self._load_data(self._name(key))
         except _DAMAGED:
-            return None
+            pass
+        return None if self.shipped is None else self.shipped.load(shipped.key_of(key))
+
+    @property
+    def empty(self) -> bool:
+        """Whether nothing is kept of the source as it is now."""
+        try:
+            none = not self._load_index()
+        except _DAMAGED:
+            none = True
+        return none and (self.shipped is None or self.shipped.empty)
 
     def _name(self, key: Any) -> str:
         digest = hashlib.sha256(repr(key).encode()).hexdigest()[:16]
@@ -88,6 +103,11 @@ class _Cache(caching.FunctionCache):
         files = self._cache_file
         self._cache_file: _Files = _Files.__new__(_Files)
         self._cache_file.__dict__.update(files.__dict__)
+        if shipped.runs_here():
+            folder = shipped.folder_of(inspect.getfile(function))
+            if folder is not None:
+                base, stamp = self._impl.filename_base, self._impl.locator.get_source_stamp()
+                self._cache_file.shipped = _Files(str(folder), base, stamp)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """As numba's, but what only compiling needs (every operator of every type, half a second)
@@ -108,10 +128,7 @@ class _Cache(caching.FunctionCache):
     @property
     def empty(self) -> bool:
         """Whether nothing is kept of the function as its source is now."""
-        try:
-            return not self._cache_file._load_index()
-        except _DAMAGED:
-            return True
+        return self._cache_file.empty
 
 
 class _WholeCache(_Cache):
