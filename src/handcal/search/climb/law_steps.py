@@ -26,6 +26,8 @@ from handcal.search.space import best_set, gains
 
 # Terms without a name at the most, and of those that were on trial.
 MAX_TERMS, MAX_TRIED = 3, 6
+# Models, each with a term that it may be fitted with.
+Ways = dict[object, tuple[Model, Term]]
 
 
 def name_term(c: Climb) -> Model | None:
@@ -62,10 +64,15 @@ def _instead_of_noise(c: Climb) -> Model | None:
     if not doubted or key in c.bared:
         return None
     c.bared.add(key)
-    ways: dict[object, tuple[Model, Term]] = {}
+    ways: Ways = {}
     for m, term in (way for sensor, ids in doubted for way in _in_place(c, sensor, ids)):
         # (in the place of more may be found what was found in that of less)
         ways.setdefault((frozenset(m.ids), term.effect.id, term.effect.made), (m, term))
+    return _likeliest(c, ways)
+
+
+def _likeliest(c: Climb, ways: Ways) -> Model | None:
+    """The best fit of models with a term each, if it is likelier than the one there is."""
     fits = in_parallel(partial(with_term, m, t, c.worth, c.beyond) for m, t in ways.values())
     ends = [(m, term) for m, (_, term) in zip(fits, ways.values(), strict=True)]
     if not ends:
@@ -110,6 +117,41 @@ def _in_place(c: Climb, sensor: str, ids: frozenset[str]) -> list[tuple[Model, T
     # (and for what evidence is worth with them: what a law has to do in their place is not misfit)
     found = best_terms(survey(without), refused=_refused(c), beyond=(sensor,), worth=c.worth)
     return [(m, term) for term in found for m in (without, c.model)]
+
+
+def rename(c: Climb) -> Model | None:
+    """The model with another law in the place of one and of names that may be there for its sake
+    only. (A law that is a name beside another law to the first order is found as that: a cubic
+    error as a scale error and what bends off it.)"""
+    ways: Ways = {}
+    for term in c.unnamed:
+        for ids in _beside(c, term):
+            rest = frozenset(c.model.ids) - ids
+            if rest in c.bared:
+                continue
+            c.bared.add(rest)
+            without = _without(c.model, ids)
+            found = best_terms(survey(without), refused=c.dropped, beyond=(_sensor(term),),
+                               worth=c.worth)  # fmt: skip
+            ways |= {(rest, t.effect.id, t.effect.made): (without, t) for t in found}
+    return _likeliest(c, ways)
+
+
+def _beside(c: Climb, term: Term) -> list[frozenset[str]]:
+    """A law with names of its sensor, with delays, by which the errors of all sensors are late or
+    early, and with both."""
+    sensor = _sensor(term)
+    if term.effect.id not in c.model.ids or not sensor:
+        return []
+    taken = [e for e in c.model.effects if e.process is None and e.id not in c.kept]
+    names = [e for e in taken if name_of(e.id) in catalogue()]
+    own = frozenset(e.id for e in names if e.id.startswith(sensor))
+    late = frozenset(e.id for e in names if e.lateness)
+    return [ids | {term.effect.id} for ids in dict.fromkeys((own, late, own | late)) if ids]
+
+
+def _sensor(term: Term) -> str:
+    return next((s for s in SENSORS if term.effect.id.startswith(s)), "")
 
 
 def _without(model: Model, ids: Set[str]) -> Model:
