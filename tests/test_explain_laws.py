@@ -22,10 +22,19 @@ from handcal.estimate.model import Model
 from handcal.estimate.specification import Options, chosen_of, document_of, settled
 from handcal.explain import explain, naming
 from handcal.explain.model_file import chosen_from
-from handcal.laws import best_law, drivers, grammar, law_effect, law_file, vocabulary
+from handcal.laws import (
+    best_law,
+    drivers,
+    grammar,
+    law_effect,
+    law_file,
+    over_drivers,
+    vocabulary,
+)
 from handcal.laws.drivers import DRIVERS
 from handcal.laws.grammar import Range
 from handcal.laws.law_effect import Law
+from handcal.laws.weighing import Beside
 from handcal.search.climb.candidates import scanned
 from handcal.search.climb.law_steps import narrow, with_term
 from handcal.search.climb.sequence import climbed
@@ -173,6 +182,19 @@ def test_play_lags_and_does_not_lead() -> None:
     for driver in plays:
         law = law_over(driver.name, formula("line"), sensor=driver.only or 0)
         assert law_effect.effect_of(law).parameters[0].positive
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_law_that_cannot_be_negative_is_not_found_as_that(sign: float) -> None:
+    driver = vocabulary.driver_of("(play(0.0333 rad/s) of omega_{i} - omega_{i})")
+    (block,) = over_drivers._over(driver, probe(), [0])
+    names = block.effect.parameters
+    seen = Beside(np.full(len(names), sign * 50.0), np.diag(np.full(len(names), 40.0)),
+                  {block.effect.id: np.arange(len(names))})  # fmt: skip
+    found = list(over_drivers.best_of_block(block, seen))
+    assert bool(found) == (sign > 0.0)
+    free = replace(block, driver=replace(driver, positive=False))
+    assert len(list(over_drivers.best_of_block(free, seen))) == 5
 
 
 # --- laws as effects ---------------------------------------------------------------------------

@@ -18,8 +18,10 @@ from handcal.types import Array
 # may move any: a scale error of a fifth takes eight (after three it would be known to 1 %), an
 # error that changes by three quarters of what is measured fifty-six.
 SUBSTITUTIONS, SUBSTITUTED = 60, 1e-7
-# A round that moves hardly less than the one before leads nowhere.
-SHRINKS = 0.9
+# A round that moves hardly less than the one before leads nowhere: where what is added grows faster
+# than what is measured (a lost step does, within its width), whole steps lead ever further to and
+# fro, and half ones to the end, up to three times as fast.
+SHRINKS, HALF = 0.9, 0.5
 
 
 @dataclass(frozen=True)
@@ -107,7 +109,7 @@ def substituted(
         errors = [e.imu_error(at, truth) for e, at in present if e.imu_error is not None]
         for error in errors:
             total += error
-    step, moved = np.empty_like(raw), math.inf
+    step, moved, share = np.empty_like(raw), math.inf, 1.0
     for done in range(SUBSTITUTIONS if present else 0):
         before, moved = moved, 0.0
         for k, (e, at) in enumerate(present):
@@ -118,11 +120,17 @@ def substituted(
             elif e.imu_error is not None:
                 errors[k] = e.imu_error(at, felt(own))
             np.subtract(errors[k], old, out=step)
+            if share < 1.0:
+                step *= share
+                errors[k] = old + step
             total += step
             moved = max(moved, float(step.max()), -float(step.min()))
         # (each round moves by as much less as this one did)
-        following = moved * min(1.0, moved / before) if done else moved
-        # (some are so large that going on would lead away)
-        if following < enough * scale or (done > 1 and not moved < SHRINKS * before):
+        following = moved * min(1.0, moved / before) if math.isfinite(before) else moved
+        if following < enough * scale:
             break
+        if done > 1 and not moved < SHRINKS * before:
+            if share < 1.0:  # (some are so large that going on would lead away)
+                break
+            share, moved = HALF, math.inf
     return total

@@ -98,6 +98,9 @@ def best_of_block(block: Block, seen: Beside) -> Iterator[tuple[Law, float]]:
     one = block.forms[0].constants
     roots = np.stack([np.eye(one) if f.root is None else f.root for f in block.forms])
     for axes, each, b, G in _ways(block, seen):
+        # (a step that is lost is lost, not gained)
+        if block.driver.positive and (np.linalg.solve(np.eye(len(b)) + G, b) < 0.0).any():
+            continue
         own = len(b) // one
         whole = np.zeros((len(roots), own, one, own, one))
         for n in range(own):

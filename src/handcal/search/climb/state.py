@@ -72,8 +72,8 @@ def likelier(c: Climb, tried: Model) -> bool:
 
 
 def sensible(model: Model) -> bool:
-    """Whether no parameter is larger than makes sense."""
-    return not too_large(model)
+    """Whether no parameter is larger than makes sense, or negative where that makes none."""
+    return model.one_sided and not too_large(model)
 
 
 def too_large(model: Model) -> set[str]:
