@@ -352,7 +352,11 @@ def _seen(
     wide: bool,
 ) -> _Seen:
     shared = frozenset(e.id for e in effects)
-    passes = [reduced_pass(r, f.levels, keep=True) for f, r in zip(parts, reductions, strict=True)]
+    # (of what is kept, a trajectory that follows asks for the covariances alone)
+    passes = [
+        reduced_pass(r, f.levels, keep=True, wide=False)
+        for f, r in zip(parts, reductions, strict=True)
+    ]
     locals_ = [local(p, shared) for p in passes]
     whole = total([x.quadratic for x in locals_])
     found = _posterior(whole, effects, known, wide)
