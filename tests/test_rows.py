@@ -57,8 +57,8 @@ def compiled(module):
         return squares(out)
 
     @numba.njit
-    def gram(X, count, out):
-        add_gram(X, count, out)
+    def gram(X, first, count, out):
+        add_gram(X, first, count, out)
 
     return products, rows, in_place, sums, gram
 
@@ -142,8 +142,10 @@ def test_lower_half_of_a_gram_matrix(written, count, blocks, seed):
     n = BLOCK * blocks
     X, before = rng.standard_normal((9, n)), rng.standard_normal((n, n))
     out = before.copy()
-    written[4](X, count, out)
-    exact = before + X[:count].T @ X[:count]
+    first = BLOCK * int(rng.integers(0, blocks + 1))
+    written[4](X, first, count, out)
+    exact = before.copy()
+    exact[first:] += (X[:count].T @ X[:count])[first:]
     np.testing.assert_allclose(np.tril(out), np.tril(exact), rtol=0, atol=1e-13)
 
 

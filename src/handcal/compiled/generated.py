@@ -160,9 +160,9 @@ def _listed(add: bool) -> Any:
     return typed
 
 
-def _add_gram(typingctx: Any, X: Any, count: Any, out: Any) -> Any:  # noqa: ARG001
+def _add_gram(typingctx: Any, X: Any, first: Any, count: Any, out: Any) -> Any:  # noqa: ARG001
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        X, out = (_Matrix(context, builder, signature.args[k], args[k]) for k in (0, 2))
+        X, out = (_Matrix(context, builder, signature.args[k], args[k]) for k in (0, 3))
         zero, block, kind = ir.Constant(_WORD, 0), ir.Constant(_WORD, BLOCK), _vector(BLOCK)
 
         def added(i: Any, j: Any) -> None:
@@ -170,7 +170,7 @@ def _add_gram(typingctx: Any, X: Any, count: Any, out: Any) -> Any:  # noqa: ARG
             totals = [cgutils.alloca_once(builder, kind) for _ in rows]
             for row, total in zip(rows, totals, strict=True):
                 builder.store(out.load(row, j, kind), total)
-            with cgutils.for_range(builder, args[1], intp=_WORD) as loop:
+            with cgutils.for_range(builder, args[2], intp=_WORD) as loop:
                 x = X.load(loop.index, j, kind)
                 for row, total in zip(rows, totals, strict=True):
                     a = X.load(loop.index, row)
@@ -178,13 +178,13 @@ def _add_gram(typingctx: Any, X: Any, count: Any, out: Any) -> Any:  # noqa: ARG
             for row, total in zip(rows, totals, strict=True):
                 out.store(builder.load(total), row, j)
 
-        with cgutils.for_range_slice(builder, zero, out.shape[0], block, intp=_WORD) as (i, _):
+        with cgutils.for_range_slice(builder, args[1], out.shape[0], block, intp=_WORD) as (i, _):
             end = builder.add(i, block)
             with cgutils.for_range_slice(builder, zero, end, block, intp=_WORD) as (j, _):
                 added(i, j)
         return context.get_dummy_value()
 
-    return types.void(X, types.int64, out), codegen
+    return types.void(X, types.int64, types.int64, out), codegen
 
 
 def _squares(typingctx: Any, x: Any) -> Any:  # noqa: ARG001
@@ -240,9 +240,10 @@ add_outer: Callable[[Array, Array, Array, Array, Array], None] = intrinsic(_add_
 # out (n,) = sum of value[k] X[at[k]] for k from begin to end, or that added to out
 set_listed: Callable[[IntArray, Array, int, int, Array, Array], None] = intrinsic(_listed(False))
 add_listed: Callable[[IntArray, Array, int, int, Array, Array], None] = intrinsic(_listed(True))
-# out (n, n) += X' X over the first count rows of X (k, n), n a multiple of eight, of which only the
-# lower half is made, and what lies in a block of eight with it
-add_gram: Callable[[Array, int, Array], None] = intrinsic(_add_gram)
+# out (n, n) += X' X over the first count rows of X (k, n): (X, first, count, out). Only its rows
+# from ``first`` on are made, n and first multiples of eight, of these the lower half, and what lies
+# in a block of eight with it
+add_gram: Callable[[Array, int, int, Array], None] = intrinsic(_add_gram)
 # the sum of the squares of x (n,)
 squares: Callable[[Array], float] = intrinsic(_squares)
 

@@ -80,10 +80,11 @@ def add_listed(at: IntArray, value: Array, begin: int, end: int, X: Array, out: 
 
 
 @_plain
-def add_gram(X: Array, count: int, out: Array) -> None:
-    """Lower half of out (n, n) += X' X over the first count rows of X (k, n)."""
+def add_gram(X: Array, first: int, count: int, out: Array) -> None:
+    """Lower half of out (n, n) += X' X over the first count rows of X (k, n), its rows from
+    ``first`` on."""
     for q in range(count):
-        for i in range(X.shape[1]):
+        for i in range(first, X.shape[1]):
             for j in range(i + 1):
                 out[i, j] += X[q, i] * X[q, j]
 

@@ -83,15 +83,13 @@ def _covariance_update(
 
 
 @inner
-def _innovation(
-    a: Reduced, q: int, begin: int, X: Array, gain: Array, first: int, w: ForwardWork
+def innovation(
+    a: Reduced, q: int, begin: int, X: Array, gain: Array, some: Array, first: int, work: Entries
 ) -> None:
-    """Of scalar q the innovation, into a row of ``w.some``, whose row ``first`` has that of scalar
-    ``begin``: X (m, w) is still as it was before that one, so what came of those in between is
-    taken off."""
-    nu, (_, place, value) = w.some[first + q - begin], w.entries
-    for c in range(a.g.shape[1]):
-        nu[c] = a.g[q, c]
+    """Of what was read in scalar q make the innovation, in a row of ``some`` (b, w), whose row
+    ``first`` has that of scalar ``begin``: X (m, w) is still as it was before that one, so what
+    came of those in between is taken off. work: entries of any kind."""
+    nu, (_, place, value) = some[first + q - begin], work
     at = a.at[q, : a.nonzero[q]]
     for n in range(len(at)):
         value[n] = -a.h[q, at[n]]
@@ -104,7 +102,7 @@ def _innovation(
         if x != 0.0:
             place[count], value[count] = first + p - begin, -x
             count += 1
-    add_listed(place, value, 0, count, w.some, nu)
+    add_listed(place, value, 0, count, some, nu)
 
 
 @inner
@@ -125,10 +123,12 @@ def _observed(
     while begin < last:
         end = min(last, begin + len(w.some) - waiting)
         for q in range(begin, end):
-            _innovation(a, q, begin, X, gain, waiting, w)
+            own = w.some[waiting + q - begin]
+            for c in range(nu.shape[1]):
+                own[c] = a.g[q, c]
+            innovation(a, q, begin, X, gain, w.some, waiting, w.entries)
             at = a.at[q, : a.nonzero[q]]
             S[q] = _covariance_update(P, a.h[q], at, a.R[q], w, gain[q])
-            own = w.some[waiting + q - begin]
             for i in range(len(X)):
                 w.gains[i, q - begin] = gain[q, i]
             for c in range(nu.shape[1]):
@@ -140,7 +140,7 @@ def _observed(
         waiting += end - begin
         begin = end
         if waiting == len(w.some):
-            add_gram(w.some, waiting, gram)
+            add_gram(w.some, 0, waiting, gram)
             waiting = 0
     return waiting
 
@@ -204,7 +204,7 @@ def reduced_forward(
             copied(X, states[0][keep[0][j]])
         if keep[1][j] >= 0:
             copied(P, states[1][keep[1][j]])
-    add_gram(work.some, waiting, gram)
+    add_gram(work.some, 0, waiting, gram)
 
 
 @inner

@@ -50,9 +50,9 @@ add_outer: Callable[[Array, Array, Array, Array, Array], None] = WRITTEN.add_out
 # set_listed(at, value, begin, end, X, out)
 set_listed: Callable[[IntArray, Array, int, int, Array, Array], None] = WRITTEN.set_listed
 add_listed: Callable[[IntArray, Array, int, int, Array, Array], None] = WRITTEN.add_listed
-# the lower half of out (n, n) += X' X over the first count rows of X (k, n), n a multiple of eight:
-# add_gram(X, count, out); above it out is not to be read
-add_gram: Callable[[Array, int, Array], None] = WRITTEN.add_gram
+# the lower half of out (n, n) += X' X over the first count rows of X (k, n), its rows from first
+# on, multiples of eight: add_gram(X, first, count, out); above it out is not to be read
+add_gram: Callable[[Array, int, int, Array], None] = WRITTEN.add_gram
 # the sum of the squares of x (n,)
 squares: Callable[[Array], float] = WRITTEN.squares
 
