@@ -6,7 +6,9 @@ import itertools
 import json
 import re
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -35,6 +37,7 @@ from handcal.laws.drivers import DRIVERS
 from handcal.laws.grammar import Range
 from handcal.laws.law_effect import Law
 from handcal.laws.weighing import Beside
+from handcal.search.climb import law_steps
 from handcal.search.climb.candidates import scanned
 from handcal.search.climb.law_steps import narrow, with_term
 from handcal.search.climb.sequence import climbed
@@ -458,3 +461,42 @@ def test_a_curve_that_was_found_is_written_out_with_what_was_found(size_alone, t
     np.testing.assert_allclose(
         read.imu_error(np.ones(1), s), wanted, rtol=0.0, atol=1e-6 * np.abs(wanted).max()
     )
+
+
+@pytest.mark.parametrize(
+    ("scores", "asked"),
+    [
+        # (in the place of a alone the law is far from the best: with b gone too it is no better)
+        ({"": 500.0, "a": 100.0, "ab": 700.0}, ["a"]),
+        ({"": 500.0, "a": 450.0, "ab": 700.0}, ["a", "ab"]),
+        # (of what diverged nothing is known)
+        ({"": 500.0, "a": -np.inf, "ab": 700.0}, ["a", "ab"]),
+    ],
+)
+def test_a_law_is_sought_in_the_place_of_more_where_it_does_well_in_that_of_less(
+    scores: dict[str, float], asked: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    @dataclass(frozen=True)
+    class Fake:
+        ids: tuple[str, ...]
+        gone: str
+
+    model, seen = Fake(("a", "b", "c"), "none"), []
+    term = best_law.Term(select(("gyro_scale",))[0], 10.0)
+
+    def in_place(_c: Any, _sensor: str, ids: frozenset[str]) -> list[tuple[Fake, best_law.Term]]:
+        gone = "".join(sorted(ids))
+        seen.append(gone)
+        return [(Fake(tuple(i for i in model.ids if i not in ids), gone), term), (model, term)]
+
+    def fitted_with(m: Fake, *_: Any) -> Fake:
+        return Fake((*m.ids, "law"), "" if m is model else m.gone)
+
+    monkeypatch.setattr(law_steps, "_in_place", in_place)
+    monkeypatch.setattr(law_steps, "with_term", fitted_with)
+    monkeypatch.setattr(law_steps, "score", lambda m, _: {"none": 0.0, **scores}[m.gone])
+    climb: Any = SimpleNamespace(model=model, worth=1.0, beyond=set())
+    sets = {"gyro": [frozenset("a"), frozenset("ab")]}
+    ends = law_steps._ends(climb, sets)
+    assert seen == asked
+    assert {m.gone for m, _ in ends} == {"", *asked}

@@ -47,7 +47,20 @@ def compiled(module):
     def in_place(a, x):
         set_row(a, x, 0, x)
 
-    return products, rows, in_place
+    set_listed, add_listed = module.set_listed, module.add_listed
+    add_gram, squares = module.add_gram, module.squares
+
+    @numba.njit
+    def sums(at, value, begin, end, X, out, added):
+        set_listed(at, value, begin, end, X, out)
+        add_listed(at, value, begin, end, X, added)
+        return squares(out)
+
+    @numba.njit
+    def gram(X, first, count, out):
+        add_gram(X, first, count, out)
+
+    return products, rows, in_place, sums, gram
 
 
 WRITTEN = [compiled(generated), compiled(loops)]
@@ -104,6 +117,36 @@ def test_rows_of_any_length(written, m, n, a, seed):
     written[2](a, out)
     np.testing.assert_array_equal(out, a * (a * X[row]))
     np.testing.assert_allclose(added, before + a * X[row], rtol=1e-15, atol=1e-12)
+
+
+@either
+@settings(deadline=None, max_examples=40)
+@given(terms=st.integers(0, 9), n=st.integers(0, 75), seed=st.integers(0, 2**31))
+def test_listed_sums_of_any_length(written, terms, n, seed):
+    rng = np.random.default_rng(seed)
+    X, before = rng.standard_normal((5, n)), rng.standard_normal(n)
+    at, value = rng.integers(0, 5, terms + 2), rng.standard_normal(terms + 2)
+    out, added = np.full(n, np.nan), before.copy()
+    square = written[3](at, value, 1, 1 + terms, X, out, added)
+    exact = value[1 : 1 + terms] @ X[at[1 : 1 + terms]]
+    np.testing.assert_allclose(out, exact, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(added, before + exact, rtol=0, atol=1e-13)
+    assert square == pytest.approx(exact @ exact, rel=1e-12, abs=1e-20)
+
+
+@either
+@settings(deadline=None, max_examples=20)
+@given(count=st.integers(0, 9), blocks=st.integers(0, 4), seed=st.integers(0, 2**31))
+def test_lower_half_of_a_gram_matrix(written, count, blocks, seed):
+    rng = np.random.default_rng(seed)
+    n = BLOCK * blocks
+    X, before = rng.standard_normal((9, n)), rng.standard_normal((n, n))
+    out = before.copy()
+    first = BLOCK * int(rng.integers(0, blocks + 1))
+    written[4](X, first, count, out)
+    exact = before.copy()
+    exact[first:] += (X[:count].T @ X[:count])[first:]
+    np.testing.assert_allclose(np.tril(out), np.tril(exact), rtol=0, atol=1e-13)
 
 
 @given(n=st.integers(0, 100))

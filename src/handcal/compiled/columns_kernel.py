@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numpy as np
 
-from handcal.compiled.covariance import times_transition
-from handcal.compiled.jit import copy2, inner, lean, local_matrix, njit, zero2
+from handcal.compiled.jit import copy2, inner, lean, njit, zero2
 from handcal.compiled.kernel import (
     BASE,
     MAX_DIM,
@@ -16,11 +18,10 @@ from handcal.compiled.kernel import (
     extras_columns,
     fill_nav,
 )
-from handcal.compiled.reduced_kernel import Reduced
+from handcal.compiled.reduced_kernel import Reduced, innovation
+from handcal.compiled.rows import BLOCK, add_gram, add_product
+from handcal.compiled.sparse import Entries, list_entries, times_entries
 from handcal.types import Array, BoolArray, IntArray
-
-# Innovations whose products are added up at once, so that the sums are read less often.
-AT_ONCE = 8
 
 
 @njit
@@ -220,56 +221,71 @@ def seen_by_readings(
                             g[first + a, place[c]] -= rows[1][q, part] * H[a, BASE + c]
 
 
+class FollowedWork(NamedTuple):
+    """Work space of ``followed``: entries of the transition; the columns and these carried (m, w);
+    innovations (b, w) and their gains (m, b)."""
+
+    entries: Entries
+    X: Array
+    carried: Array
+    some: Array
+    gains: Array
+
+
 @lean
-def followed(a: Reduced, gain: Array, D: Array, g: Array, X: Array, new: Array, nu: Array) -> None:
+def followed(
+    a: Reduced,
+    gain: Array,
+    driven: tuple[Array, Array, Array],
+    nu: Array,
+    work: FollowedWork,
+) -> None:
     """Innovations nu (s, c) of further columns beside a pass that has been made already.
 
-    gain (s, m): of that pass; D (K, 9, c), g (s, c): as in ``Reduced``; X (m, c): zeros, and new
-    (m, c) work space.
+    gain (s, m): of that pass; driven: D (K, 9, c) and g (s, c), as in ``Reduced``, and what they
+    are multiplied by (c,).
     """
-    m, columns = X.shape
-    e0 = m - a.Phi_e.shape[1]
+    scale = driven[2]
+    X, m, columns = work.X, len(work.X), nu.shape[1]
+    e = a.Phi_e.shape[1]
     for j in range(len(a.first) - 1):
         if j > 0:
-            times_transition(a.A[j], a.B[j], a.Phi_e[j], a.Phi_psi[j], e0, X, new)
-            for i in range(m):
+            list_entries(a.A[j], a.B[j], a.Phi_e[j], a.Phi_psi[j], work.entries)
+            times_entries(work.entries, X, work.carried)
+            copy2(work.carried, X)
+            for i in range(m - e):
                 for c in range(columns):
-                    X[i, c] = new[i, c]
-            for i in range(9):
+                    X[i, c] += scale[c] * driven[0][j, i, c]
+        begin, last = a.first[j], a.first[j + 1]
+        while begin < last:
+            end = min(last, begin + len(work.some))
+            for q in range(begin, end):
+                own = work.some[q - begin]
                 for c in range(columns):
-                    X[i, c] += D[j, i, c]
-        for q in range(a.first[j], a.first[j + 1]):
-            for c in range(columns):
-                nu[q, c] = g[q, c]
-            for n in range(a.nonzero[q]):
-                i = a.at[q, n]
-                x = a.h[q, i]
+                    own[c] = scale[c] * driven[1][q, c]
+                innovation(a, q, begin, X, gain, work.some, 0, work.entries)
+                for i in range(m):
+                    work.gains[i, q - begin] = gain[q, i]
                 for c in range(columns):
-                    nu[q, c] -= x * X[i, c]
-            for i in range(m):
-                x = gain[q, i]
-                for c in range(columns):
-                    X[i, c] += x * nu[q, c]
+                    nu[q, c] = own[c]
+            add_product(work.gains, work.some, end - begin, X)
+            begin = end
 
 
 @lean
-def products(x: Array, y: Array, S: Array, out: Array, lower: bool) -> None:
-    """Sums over rows of x (s, a) y (s, b) / S into out (a, b), of the lower half alone if so
-    wanted. (A library would share it among threads, and round differently with their number.)"""
-    weight = local_matrix(AT_ONCE, 1)
-    for begin in range(0, len(x), AT_ONCE):
-        end = min(begin + AT_ONCE, len(x))
-        for i in range(x.shape[1]):
-            width = i + 1 if lower else y.shape[1]
-            for q in range(begin, end):
-                weight[q - begin, 0] = x[q, i] / S[q]
-            if end - begin == AT_ONCE:
-                for c in range(width):
-                    s = out[i, c]
-                    for q in range(AT_ONCE):
-                        s += weight[q, 0] * y[begin + q, c]
-                    out[i, c] = s
-            else:
-                for q in range(begin, end):
-                    for c in range(width):
-                        out[i, c] += weight[q - begin, 0] * y[q, c]
+def products(nu: Array, further: Array, S: Array, both: Array, gram: Array) -> None:
+    """Sums over scalars of products of innovations nu (s, a) and further (s, c), over their
+    variances S (s,): in the lower half of gram (v + w, v + w), rows from v on; v and w are a and c,
+    each as wide as a multiple of eight. both (b, v + w): zeros, as many rows as are added up at
+    once. (A library would share it among threads, and round differently with their number.)"""
+    first = (nu.shape[1] + BLOCK - 1) // BLOCK * BLOCK
+    for begin in range(0, len(nu), len(both)):
+        count = min(len(both), len(nu) - begin)
+        for q in range(count):
+            # (of a variance that ran away the sums are none either way)
+            weight = 1.0 / math.sqrt(abs(S[begin + q]))
+            for c in range(nu.shape[1]):
+                both[q, c] = weight * nu[begin + q, c]
+            for c in range(further.shape[1]):
+                both[q, first + c] = weight * further[begin + q, c]
+        add_gram(both, first, count, gram)

@@ -17,7 +17,7 @@ from numba import types
 from numba.core import cgutils as _cgutils
 from numba.extending import intrinsic as _intrinsic
 
-from handcal.types import Array
+from handcal.types import Array, IntArray
 
 # (numba's own are partly typed, and not for this)
 intrinsic: Any = _intrinsic
@@ -26,6 +26,8 @@ _DOUBLE, _WORD = ir.DoubleType(), ir.IntType(64)
 BLOCK = 8
 # Sums that are kept in registers at once: three rows of eight.
 _ROWS, _COLUMNS = (3, 1), (BLOCK, 1)
+# And of one row, four times eight: as many as it takes until the first can be added to again.
+_WIDE = (4 * BLOCK, BLOCK, 1)
 
 
 class _Matrix:
@@ -126,6 +128,88 @@ def _row(add: bool) -> Any:
     return typed
 
 
+def _listed(add: bool) -> Any:
+    def typed(typingctx: Any, at: Any, value: Any, begin: Any, end: Any, X: Any, out: Any) -> Any:
+        del typingctx, begin, end
+
+        def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            kinds = signature.args
+            value, X, out = (_Matrix(context, builder, kinds[k], args[k]) for k in (1, 4, 5))
+            rows = context.make_array(kinds[0])(context, builder, args[0]).data
+            zero, one = ir.Constant(_WORD, 0), ir.Constant(_WORD, 1)
+            for j, columns in _blocks(builder, out.shape[0], _WIDE):
+                parts = range(max(1, columns // BLOCK))
+                kind = _vector(min(columns, BLOCK))
+                here = [builder.add(j, ir.Constant(_WORD, BLOCK * n)) for n in parts]
+                totals = [cgutils.alloca_once(builder, kind) for _ in parts]
+                for place, total in zip(here, totals, strict=True):
+                    first = out.load(zero, place, kind) if add else ir.Constant(kind, None)
+                    builder.store(first, total)
+                with cgutils.for_range_slice(builder, args[2], args[3], one, intp=_WORD) as (k, _):
+                    row = builder.load(builder.gep(rows, [k]))
+                    a = value.load(zero, k)
+                    for place, total in zip(here, totals, strict=True):
+                        x = X.load(row, place, kind)
+                        builder.store(_plus_times(builder, builder.load(total), a, x), total)
+                for place, total in zip(here, totals, strict=True):
+                    out.store(builder.load(total), zero, place)
+            return context.get_dummy_value()
+
+        return types.void(at, value, types.int64, types.int64, X, out), codegen
+
+    return typed
+
+
+def _add_gram(typingctx: Any, X: Any, first: Any, count: Any, out: Any) -> Any:  # noqa: ARG001
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        X, out = (_Matrix(context, builder, signature.args[k], args[k]) for k in (0, 3))
+        zero, block, kind = ir.Constant(_WORD, 0), ir.Constant(_WORD, BLOCK), _vector(BLOCK)
+
+        def added(i: Any, j: Any) -> None:
+            rows = [builder.add(i, ir.Constant(_WORD, r)) for r in range(BLOCK)]
+            totals = [cgutils.alloca_once(builder, kind) for _ in rows]
+            for row, total in zip(rows, totals, strict=True):
+                builder.store(out.load(row, j, kind), total)
+            with cgutils.for_range(builder, args[2], intp=_WORD) as loop:
+                x = X.load(loop.index, j, kind)
+                for row, total in zip(rows, totals, strict=True):
+                    a = X.load(loop.index, row)
+                    builder.store(_plus_times(builder, builder.load(total), a, x), total)
+            for row, total in zip(rows, totals, strict=True):
+                out.store(builder.load(total), row, j)
+
+        with cgutils.for_range_slice(builder, args[1], out.shape[0], block, intp=_WORD) as (i, _):
+            end = builder.add(i, block)
+            with cgutils.for_range_slice(builder, zero, end, block, intp=_WORD) as (j, _):
+                added(i, j)
+        return context.get_dummy_value()
+
+    return types.void(X, types.int64, types.int64, out), codegen
+
+
+def _squares(typingctx: Any, x: Any) -> Any:  # noqa: ARG001
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        x, zero = _Matrix(context, builder, signature.args[0], args[0]), ir.Constant(_WORD, 0)
+        whole = cgutils.alloca_once_value(builder, ir.Constant(_DOUBLE, 0.0))
+        for j, columns in _blocks(builder, x.shape[0], _COLUMNS):
+            y = x.load(zero, j, _vector(columns))
+            y = builder.fmul(y, y)
+            # (halves are added until one number is left)
+            while columns > 1:
+                columns //= 2
+                some = [
+                    ir.Constant(ir.VectorType(ir.IntType(32), columns), list(range(n, n + columns)))
+                    for n in (0, columns)
+                ]
+                y = builder.fadd(*(builder.shuffle_vector(y, y, half) for half in some))
+            if y.type != _DOUBLE:
+                y = builder.extract_element(y, zero)
+            builder.store(builder.fadd(builder.load(whole), y), whole)
+        return builder.load(whole)
+
+    return types.float64(x), codegen
+
+
 def _add_outer(typingctx: Any, a: Any, x: Any, b: Any, y: Any, out: Any) -> Any:  # noqa: ARG001
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         a, x, b, y, out = (_Matrix(context, builder, signature.args[k], args[k]) for k in range(5))
@@ -153,6 +237,15 @@ set_row: Callable[[float, Array, int, Array], None] = intrinsic(_row(add=False))
 add_row: Callable[[float, Array, int, Array], None] = intrinsic(_row(add=True))
 # out (m, n) += a x' + b y': add_outer(a, x, b, y, out)
 add_outer: Callable[[Array, Array, Array, Array, Array], None] = intrinsic(_add_outer)
+# out (n,) = sum of value[k] X[at[k]] for k from begin to end, or that added to out
+set_listed: Callable[[IntArray, Array, int, int, Array, Array], None] = intrinsic(_listed(False))
+add_listed: Callable[[IntArray, Array, int, int, Array, Array], None] = intrinsic(_listed(True))
+# out (n, n) += X' X over the first count rows of X (k, n): (X, first, count, out). Only its rows
+# from ``first`` on are made, n and first multiples of eight, of these the lower half, and what lies
+# in a block of eight with it
+add_gram: Callable[[Array, int, int, Array], None] = intrinsic(_add_gram)
+# the sum of the squares of x (n,)
+squares: Callable[[Array], float] = intrinsic(_squares)
 
 
 def _stack(typingctx: Any, *sizes: Any) -> Any:  # noqa: ARG001

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 import numba
 import numpy as np
 
-from handcal.types import Array
+from handcal.types import Array, IntArray
 
 F = TypeVar("F", bound=Callable[..., Any])
 # (numba's own is partly typed, and not for this)
@@ -61,6 +61,41 @@ def add_outer(a: Array, x: Array, b: Array, y: Array, out: Array) -> None:
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
             out[i, j] = out[i, j] + a[i] * x[j] + b[i] * y[j]
+
+
+@_plain
+def set_listed(at: IntArray, value: Array, begin: int, end: int, X: Array, out: Array) -> None:
+    """out (n,) = sum of value[k] X[at[k]] for k from begin to end."""
+    for j in range(len(out)):
+        out[j] = 0.0
+    add_listed(at, value, begin, end, X, out)
+
+
+@_plain
+def add_listed(at: IntArray, value: Array, begin: int, end: int, X: Array, out: Array) -> None:
+    """``set_listed``, added to out."""
+    for k in range(begin, end):
+        for j in range(len(out)):
+            out[j] += value[k] * X[at[k], j]
+
+
+@_plain
+def add_gram(X: Array, first: int, count: int, out: Array) -> None:
+    """Lower half of out (n, n) += X' X over the first count rows of X (k, n), its rows from
+    ``first`` on."""
+    for q in range(count):
+        for i in range(first, X.shape[1]):
+            for j in range(i + 1):
+                out[i, j] += X[q, i] * X[q, j]
+
+
+@_plain
+def squares(x: Array) -> float:
+    """The sum of the squares of x (n,)."""
+    total = 0.0
+    for i in range(len(x)):
+        total += x[i] * x[i]
+    return total
 
 
 @_plain

@@ -18,7 +18,7 @@ from collections.abc import Callable
 import numpy as np
 
 from handcal.compiled.jit import WRITTEN, inner
-from handcal.types import Array
+from handcal.types import Array, IntArray
 
 # How many numbers the processor is given at a time.
 BLOCK = 8
@@ -46,6 +46,15 @@ set_row: Callable[[float, Array, int, Array], None] = WRITTEN.set_row
 add_row: Callable[[float, Array, int, Array], None] = WRITTEN.add_row
 # out (m, n) += a x' + b y': add_outer(a, x, b, y, out)
 add_outer: Callable[[Array, Array, Array, Array, Array], None] = WRITTEN.add_outer
+# out (n,) = sum of value[k] X[at[k]] for k from begin to end, or that added to out:
+# set_listed(at, value, begin, end, X, out)
+set_listed: Callable[[IntArray, Array, int, int, Array, Array], None] = WRITTEN.set_listed
+add_listed: Callable[[IntArray, Array, int, int, Array, Array], None] = WRITTEN.add_listed
+# the lower half of out (n, n) += X' X over the first count rows of X (k, n), its rows from first
+# on, multiples of eight: add_gram(X, first, count, out); above it out is not to be read
+add_gram: Callable[[Array, int, int, Array], None] = WRITTEN.add_gram
+# the sum of the squares of x (n,)
+squares: Callable[[Array], float] = WRITTEN.squares
 
 
 @inner

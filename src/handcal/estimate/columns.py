@@ -14,8 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from handcal.compiled import columns_kernel as kernel
+from handcal.compiled.rows import blank, padded
+from handcal.compiled.sparse import no_entries
 from handcal.effects import Effect
-from handcal.estimate.evidence import ReducedPass, Reduction, reduce, reduced_pass
+from handcal.estimate.evidence import TOGETHER, ReducedPass, Reduction, reduce, reduced_pass
 from handcal.estimate.linear import Excited, Linear, excited, slopes_of
 from handcal.estimate.problem import Problem, slots_of
 from handcal.estimate.seen import seen_over_time
@@ -102,12 +104,18 @@ def _looks(
 @dataclass(frozen=True)
 class Wider:
     """What a pass says of its constants and of those of further effects, the last ones (see
-    ``ReducedPass``)."""
+    ``ReducedPass``); own, further: innovations of either."""
 
     reduction: Reduction
-    nu: Array
+    own: Array
+    further: Array
     S: Array
     log_likelihood: tuple[float, Array, Array]
+
+    @property
+    def nu(self) -> Array:
+        """Innovations of all, as they lie beside each other."""
+        return np.hstack([self.own, self.further])
 
 
 def widened(about: Ground, effects: Sequence[Effect], seen: Problem | None = None) -> Wider:
@@ -119,11 +127,13 @@ def widened(about: Ground, effects: Sequence[Effect], seen: Problem | None = Non
     slots = slots_of(effects)
     scale = np.array([s.prior_sigma for s in slots])
     D, g = _driven(about, effects, [(s.owner, s.name) for s in slots], seen)
-    D *= scale
-    g *= scale
     m, c = done.gain.shape[1], len(slots)
-    nu = np.empty((len(done.S), c))
-    kernel.followed(done.arrays, done.gain, D, g, np.zeros((m, c)), np.zeros((m, c)), nu)
+    nu, width = np.empty((len(done.S), c)), padded(c)
+    work = kernel.FollowedWork(
+        no_entries(m, TOGETHER), blank(m, width), blank(m, width), blank(TOGETHER, width),
+        blank(m, TOGETHER),
+    )  # fmt: skip
+    kernel.followed(done.arrays, done.gain, (D, g, scale), nu, work)
     reduction, linear = done.reduction, done.reduction.linear
     problem = replace(
         linear.problem,
@@ -136,22 +146,23 @@ def widened(about: Ground, effects: Sequence[Effect], seen: Problem | None = Non
         scale=np.r_[reduction.scale, scale],
         w0=np.r_[reduction.w0, np.zeros(c)],
     )
-    return Wider(wider, np.hstack([done.nu, nu]), done.S, _likelihood(done, nu))
+    return Wider(wider, done.nu, nu, done.S, _likelihood(done, nu))
 
 
 def _likelihood(done: ReducedPass, nu: Array) -> tuple[float, Array, Array]:
     """a, b, G with the columns of further constants, nu (s, c)."""
     a, b, G = done.log_likelihood
-    known, c = len(b), nu.shape[1]
-    mixed, own = np.zeros((1 + known, c)), np.zeros((c, c))
-    kernel.products(done.nu, nu, done.S, mixed, False)
-    kernel.products(nu, nu, done.S, own, True)
+    known, c, first = len(b), nu.shape[1], padded(1 + len(b))
+    size = first + padded(c)
+    gram = blank(size, size)
+    kernel.products(done.nu, nu, done.S, blank(TOGETHER, size), gram)
+    mixed, own = gram[first : first + c, : 1 + known], gram[first : first + c, first : first + c]
     whole = np.zeros((known + c, known + c))
     whole[:known, :known] = G
-    whole[:known, known:] = mixed[1:]
-    whole[known:, :known] = mixed[1:].T
+    whole[:known, known:] = mixed[:, 1:].T
+    whole[known:, :known] = mixed[:, 1:]
     whole[known:, known:] = np.tril(own) + np.tril(own, -1).T
-    return a, np.r_[b, -mixed[0]], whole
+    return a, np.r_[b, -mixed[:, 0]], whole
 
 
 def _driven(

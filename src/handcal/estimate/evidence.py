@@ -13,10 +13,11 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from handcal.compiled.covariance import propagation_work
 from handcal.compiled.kernel import MAX_DIM
-from handcal.compiled.reduced_kernel import Reduced, reduced_backward, reduced_forward
+from handcal.compiled.reduced_adjoint import BackwardWork, reduced_backward
+from handcal.compiled.reduced_kernel import ForwardWork, Reduced, reduced_forward, reduced_means
 from handcal.compiled.rows import blank, padded
+from handcal.compiled.sparse import no_entries
 from handcal.estimate.driven import driven
 from handcal.estimate.filter import full_prior
 from handcal.estimate.folded import Folded, fold
@@ -221,10 +222,13 @@ def reduced_pass(
     levels: Mapping[str, float],
     keep: bool = False,
     rows: IntArray | None = None,
+    wide: bool = True,
 ) -> ReducedPass:
     """Evidence at these noise levels, as that of ``forward`` but several times faster.
 
-    keep: the states after every epoch, or after those of ``rows``; otherwise the last alone.
+    keep: the states after every epoch, or after those of ``rows``; otherwise the last alone. wide:
+    False to keep their covariances without the columns X, which are as large as all else together
+    and which ``means`` does without (X is of the last alone).
 
     Source: the augmented filter of de Jong, The diffuse Kalman filter, Annals of
     Statistics 19 (1991), with proper priors. Of numbers that ran away (a variance that is not
@@ -233,20 +237,39 @@ def reduced_pass(
     k, s = len(reduction.linear.t), len(reduction.h)
     m, columns = reduction.X0.shape
     arrays = _reduced_arrays(reduction, levels)
-    place = kept(k, rows if keep else np.array([k - 1], dtype=np.int64))
-    count = int(place.max()) + 1
-    X, P = np.empty((count, m, columns)), np.empty((count, m, m))
+    last = np.array([k - 1], dtype=np.int64)
+    place = kept(k, rows if keep and wide else last), kept(k, rows if keep else last)
+    X, P = np.empty((_rows(place[0]), m, columns)), np.empty((_rows(place[1]), m, m))
     gain, nu, S = np.empty((s, m)), np.empty((s, columns)), np.empty(s)
-    P0 = _moving_prior(reduction, levels)
-    width = padded(columns)
-    gram, X0 = blank(width, width), blank(m, width)
-    X0[:, :columns] = reduction.X0
-    some = blank(width, TOGETHER), blank(TOGETHER, width)
-    extra = blank(m, width), (blank(m), blank(m), blank(m)), some
-    work = propagation_work(m, m - 9)
-    reduced_forward(arrays, P0, X0, (X, P), (gain, nu, S), gram, work, extra, place)
+    P0, X0 = blank(m, padded(m)), blank(m, padded(columns))
+    P0[:, :m], X0[:, :columns] = _moving_prior(reduction, levels), reduction.X0
+    gram = blank(padded(columns), padded(columns))
+    work = _forward_work(m, padded(columns))
+    reduced_forward(arrays, P0, X0, (X, P), (gain, nu, S), gram, work, place)
     told = _told(reduction, levels, S, gram[:columns, :columns])
     return ReducedPass(reduction, arrays, X, P, gain, nu, S, *told)
+
+
+def _rows(place: IntArray) -> int:
+    """How many epochs are kept."""
+    return int(place.max()) + 1
+
+
+def _forward_work(m: int, width: int) -> ForwardWork:
+    high = padded(m)
+    return ForwardWork(
+        no_entries(m, TOGETHER), blank(m, width), blank(m, high), blank(m, high), blank(high),
+        blank(high), blank(high), blank(TOGETHER, width), blank(m, TOGETHER),
+    )  # fmt: skip
+
+
+def means(done: ReducedPass) -> Array:
+    """States (k, m, 1) after each epoch of a pass, at its constants ``w``."""
+    m, at = done.gain.shape[1], np.r_[1.0, done.w]
+    out, x = np.empty((len(done.arrays.A), m, 1)), done.reduction.X0 @ at
+    moved = done.gain, done.innovations(done.w)
+    reduced_means(done.arrays, x[:, None].copy(), done.arrays.D @ at, moved, no_entries(m), out)
+    return out
 
 
 def _moving_prior(reduction: Reduction, levels: Mapping[str, float]) -> Array:
@@ -354,7 +377,8 @@ def backward(
         np.zeros(s), np.zeros(2), np.zeros((k, e, e)), np.zeros((m, m)),
         np.zeros((k if steps else 0, e, 3 + e)), np.zeros((k if steps else 0, e)),
     )  # fmt: skip
-    rest, moves = _backward_work(m, width, int(np.diff(done.arrays.first).max(initial=0)))
+    most = int(np.diff(done.arrays.first).max(initial=0))
+    work, moves = _backward_work(m, width, most), _steps_work(m, width)
     reduced_backward(
         done.arrays,
         done.gain,
@@ -366,7 +390,7 @@ def backward(
         blank(m, high) if score else blank(0, 0),
         (r_kept, N_kept),
         (slopes.R, slopes.densities, slopes.Q_e, slopes.prior),
-        rest,
+        work,
         kept(k, rows),
         (slopes.step, slopes.d_e),
         (done.X, done.P),
@@ -375,19 +399,20 @@ def backward(
     return slopes
 
 
-def _backward_work(
-    m: int, width: int, most: int
-) -> tuple[
-    tuple[Array, Array, Array, Array, Array, Array], tuple[Array, Array, Array, Array, Array]
-]:
-    """Work space of ``reduced_backward``, for all it does and for how Markov states move; most:
-    scalars that an epoch holds."""
-    high, e = padded(m), m - 9
-    away = 3 + e
-    wide = padded(away)
-    rest = (
-        blank(m, width), blank(width, high), blank(m, m), blank(m, high), blank(most, width),
-        blank(high),
+def _backward_work(m: int, width: int, most: int) -> BackwardWork:
+    """Work space of ``reduced_backward``; most: scalars that an epoch holds."""
+    high = padded(m)
+    return BackwardWork(
+        no_entries(m, most), no_entries(m), blank(m, width), blank(width, high), blank(m, high),
+        blank(m, high), blank(most, width), blank(most, m), blank(m, most), blank(high),
+        blank(high), blank(high),
     )  # fmt: skip
-    moves = blank(away, width), blank(width, wide), blank(m, m), blank(m, wide), blank(e, wide)
-    return rest, moves
+
+
+def _steps_work(m: int, width: int) -> tuple[Array, Array, Array, Array, Array]:
+    """Work space of ``reduced_backward`` for how Markov states move."""
+    e, away = m - 9, m - 6
+    wide = padded(away)
+    return (
+        blank(away, width), blank(width, wide), blank(m, m), blank(m, wide), blank(e, wide),
+    )  # fmt: skip

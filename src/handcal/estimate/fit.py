@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence, Set
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from handcal.estimate.convergence import ROUNDS, Rounds
 from handcal.estimate.evidence import ReducedPass, Reduction, reduce, reduced_pass
 from handcal.estimate.heavy_tails import SCALES, tailed, usual
 from handcal.estimate.linear import Linear
-from handcal.estimate.model import Fitted, Known, Model
+from handcal.estimate.model import Fitted, Known, Model, Rested
 from handcal.estimate.pieces import is_long, reduced, released
 from handcal.estimate.quadratic import Local, Posterior, Quadratic, given, local, posterior, total
 from handcal.estimate.transfer import begun, linearised
@@ -91,24 +91,6 @@ def own_levels(f: Fitted) -> dict[str, float]:
     """Levels that the effects of a fit bring along."""
     own = {lv.name for e in f.problem.effects for lv in e.levels}
     return {k: v for k, v in f.levels.items() if k in own}
-
-
-@dataclass(frozen=True)
-class Rested:
-    """A fit on its way: its parts, whether they rest, their evidence, within how many nats; wide:
-    with all scales of the priors; swing: nats between the best and the worst of its last rounds,
-    where it does not rest. Where they rest: what all recordings say, and the parts' own
-    reductions (empty elsewhere), which other noise levels do not change: whoever goes on from them
-    empties the list, since they are large."""
-
-    parts: list[Fitted]
-    settled: bool
-    evidence: float
-    rest: float
-    wide: bool = False
-    whole: Quadratic | None = None
-    reductions: list[Reduction] = field(default_factory=list)
-    swing: float = 0.0
 
 
 def fitted(
@@ -183,9 +165,12 @@ def _with_levels(
     parts = now.parts
     # (of noise that is a part's alone the whole need not be the better)
     least = -math.inf if any(f.case.noise_until for f in parts) else now.evidence - ASTRAY
+    still = now.settled and now.step < tolerance
     for share in SHARES:
         towards = [_towards(o, n, share) for o, n in zip(parts, new, strict=True)]
-        tried = relinearised_parts(towards, effects, known, least, now.wide, tolerance, have)
+        # (where the last step and these levels change less than that, there is nothing to follow)
+        near = now.evidence if still and share == 1.0 else math.nan
+        tried = relinearised_parts(towards, effects, known, least, now.wide, tolerance, have, near)
         if tried.evidence > least:
             return tried
     return None
@@ -299,12 +284,14 @@ def relinearised_parts(
     wide: bool = False,
     tolerance: float = TOLERANCE,
     reductions: list[Reduction] | None = None,
+    rested: float = math.nan,
 ) -> Rested:
     """Move and linearise again until the joint evidence rests; whether it does, and the evidence.
 
     least: where the evidence falls below that, there is no use in going on. wide: with all scales
     of the priors instead of the usual one alone. tolerance: nats. reductions: the parts', if known;
-    emptied, so that nobody keeps them beside those of the next round.
+    emptied, so that nobody keeps them beside those of the next round. rested: the evidence with
+    which the parts came to rest at other noise levels, their last step within the same tolerance.
     """
     parts, handed_on = list(begin), reductions or []
     # (a list of its own: what the last round leaves is of these parts, not of the caller's)
@@ -318,9 +305,12 @@ def relinearised_parts(
                 return Rested(parts, False, math.nan, tolerance, wide)
         parts = [f.bare for f in parts]
         seen = _seen(parts, reductions, effects, known, wide)
-        now, rests = seen.evidence, way.rests(seen.evidence)
+        now = seen.evidence
+        rests = way.rests(now) or abs(now - rested) < tolerance
         if rests or way.swings(now):
-            return Rested(parts, rests, now, tolerance, wide, seen.whole, [*reductions])
+            step = float(np.fmin(abs(now - way.evidence), abs(now - rested)))
+            return Rested(parts, rests, now, tolerance, wide, seen.whole, [*reductions], step=step)
+        rested = math.nan
         way.went_on(now)
         if way.runs_away:
             return Rested(parts, False, math.nan, tolerance, wide)
@@ -352,7 +342,11 @@ def _seen(
     wide: bool,
 ) -> _Seen:
     shared = frozenset(e.id for e in effects)
-    passes = [reduced_pass(r, f.levels, keep=True) for f, r in zip(parts, reductions, strict=True)]
+    # (of what is kept, a trajectory that follows asks for the covariances alone)
+    passes = [
+        reduced_pass(r, f.levels, keep=True, wide=False)
+        for f, r in zip(parts, reductions, strict=True)
+    ]
     locals_ = [local(p, shared) for p in passes]
     whole = total([x.quadratic for x in locals_])
     found = _posterior(whole, effects, known, wide)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from handcal.effects import Effect
 from handcal.estimate import noise_levels
 from handcal.estimate.case import Case
+from handcal.estimate.evidence import Reduction
 from handcal.estimate.linear import About, Linear
 from handcal.estimate.problem import Problem
 from handcal.estimate.quadratic import Quadratic
@@ -106,3 +108,22 @@ class Model:
         mine = np.array([n in positive for n in self.quadratic.names], dtype=np.bool_)
         sigma = np.sqrt(np.diag(self.covariance))
         return bool(np.all(self.u[mine] > -BELOW_ZERO * sigma[mine]))
+
+
+@dataclass(frozen=True)
+class Rested:
+    """A fit on its way: its parts, whether they rest, their evidence, within how many nats; wide:
+    with all scales of the priors; swing: nats between the best and the worst of its last rounds,
+    where it does not rest; step: nats that its last round changed. Where the parts rest: what all
+    recordings say, and the parts' own reductions (empty elsewhere), which other noise levels do not
+    change: whoever goes on from them empties the list, since they are large."""
+
+    parts: list[Fitted]
+    settled: bool
+    evidence: float
+    rest: float
+    wide: bool = False
+    whole: Quadratic | None = None
+    reductions: list[Reduction] = field(default_factory=list)
+    swing: float = 0.0
+    step: float = math.inf

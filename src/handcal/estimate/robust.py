@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from handcal.compiled.jit import njit
 from handcal.effects import Effect
 from handcal.estimate.evidence import Likelihood, reduced_pass
 from handcal.estimate.pieces import reduced
@@ -79,10 +80,12 @@ def _scattered(
     linear, G = done.reduction.linear, done.log_likelihood[2]
     n = len(w)
     owners = np.array(_owners(done))
-    weight = (done.nu[:, 0] + done.nu[:, 1:] @ w) / done.S
+    nu = done.nu
+    weight = (nu[:, 0] + nu[:, 1:] @ w if w.any() else nu[:, 0]) / done.S
     t = np.repeat(linear.t, np.diff(done.reduction.first))
     block = ((t - t[0]) / BLOCK_S).astype(np.int64) if len(t) else np.zeros(0, dtype=np.int64)
-    sums = _by_block(done.nu[:, 1:] * weight[:, None], block)
+    sums = np.zeros((int(block.max()) + 1 if len(block) else 0, n))
+    _add_by_block(nu, weight, block, sums)
     out = []
     for ids, mine, rest in _apart(linear.problem.effects, owners, present, n):
         both, whole = G[np.ix_(rest, mine)], np.diag(G)[mine]
@@ -112,10 +115,11 @@ def _apart(
         yield group, mine, np.setdiff1d(stays, mine)
 
 
-def _by_block(x: Array, block: IntArray) -> Array:
-    """Sums of the rows x (s, k) over each block, (s,), which are in order."""
-    out = np.zeros((int(block.max()) + 1 if len(block) else 0, x.shape[1]))
-    if len(block):
-        first = np.flatnonzero(np.diff(block, prepend=-1))
-        out[block[first]] = np.add.reduceat(x, first, axis=0)
-    return out
+@njit
+def _add_by_block(nu: Array, weight: Array, block: IntArray, out: Array) -> None:
+    """Sums of the rows nu (s, 1 + k), but for their first number, times weight (s,), over each
+    block (s,): added to out (blocks, k)."""
+    for q in range(len(nu)):
+        row = out[block[q]]
+        for c in range(len(row)):
+            row[c] += weight[q] * nu[q, 1 + c]

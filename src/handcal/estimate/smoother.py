@@ -32,6 +32,7 @@ from handcal.estimate.evidence import (
     Reduction,
     backward,
     kept,
+    means,
     reduce,
     reduced_pass,
 )
@@ -214,7 +215,7 @@ def _forward(
 
 def smoothed_mean(linear: Linear, levels: Mapping[str, float]) -> tuple[Array, float]:
     """Estimated errors x (k, N) given the whole recording, and the log-evidence."""
-    done = reduced_pass(reduce(linear), levels, keep=True)
+    done = reduced_pass(reduce(linear), levels, keep=True, wide=False)
     x = smoothed_of(done)
     folded = done.reduction.folded
     return x if folded is None else unfolded(folded, done.reduction.t, x), done.log_evidence
@@ -222,18 +223,18 @@ def smoothed_mean(linear: Linear, levels: Mapping[str, float]) -> tuple[Array, f
 
 def smoothed_of(done: ReducedPass) -> Array:
     """Errors x (K, N) at the epochs of a pass that was kept, given the whole recording."""
-    k, m = done.X.shape[:2]
+    k, m = done.P.shape[:2]
     r = np.empty((k, m, 1))
     backward(done, False, r, np.empty((0, m, m)), spread=False)
-    return _whole_mean(done, r)
+    return _whole_mean(done, r, means(done))
 
 
-def _whole_mean(done: ReducedPass, r: Array) -> Array:
-    """The same, with the pass's adjoint r."""
+def _whole_mean(done: ReducedPass, r: Array, before: Array) -> Array:
+    """The same, with the pass's adjoint r and its own states ``before`` (k, m, 1) at w."""
     reduction = done.reduction
-    x = np.empty((len(done.X), reduction.linear.problem.size))
+    x = np.empty((len(done.P), reduction.linear.problem.size))
     x[:, 9 : 9 + len(done.w)] = reduction.scale * done.w
-    x[:, reduction.moving] = done.X[:, :, 0] + done.X[:, :, 1:] @ done.w + (done.P @ r)[:, :, 0]
+    x[:, reduction.moving] = (before + done.P @ r)[:, :, 0]
     return x
 
 
@@ -271,7 +272,7 @@ def smooth_reduced(
     k, m, columns = done.X.shape
     r, N = np.empty((k, m, columns)), np.empty((k, m, m))
     backward(done, True, r, N, rows=rows)
-    x = _whole_mean(done, r[:, :, :1])
+    x = _whole_mean(done, r[:, :, :1], done.X @ np.r_[1.0, done.w][:, None])
     moving, scale = done.reduction.moving, done.reduction.scale
     fixed = np.arange(9, 9 + len(scale))
     spread = done.spread * scale[:, None]
@@ -340,7 +341,7 @@ def settled_roughly(about: About, levels: Mapping[str, float], rounds: int = 8) 
     """``relinearise`` of a long recording, piece by piece, to within ROUGH nats."""
     evidence = -np.inf
     for _ in range(rounds):
-        done = reduced_pass(reduced(about), levels, keep=True)
+        done = reduced_pass(reduced(about), levels, keep=True, wide=False)
         before, evidence = evidence, done.log_evidence
         if abs(evidence - before) < ROUGH:
             return holding(about, done.reduction)

@@ -3,7 +3,8 @@ put it on fewer axes."""
 
 from __future__ import annotations
 
-from collections.abc import Set
+import math
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
 from functools import partial
 
@@ -20,14 +21,14 @@ from handcal.laws.law_constants import adjusted
 from handcal.laws.law_effect import SENSORS, effect_of, law_of
 from handcal.model_score import better, score
 from handcal.search.climb.candidates import scanned, scanned_about
-from handcal.search.climb.state import WEAK, Climb, forget, likelier, sensible
+from handcal.search.climb.state import HOPELESS, WEAK, Climb, forget, likelier, sensible
 from handcal.search.climb.subset_steps import choose
 from handcal.search.space import best_set, gains
 
 # Terms without a name at the most, and of those that were on trial.
 MAX_TERMS, MAX_TRIED = 3, 6
-# Models, each with a term that it may be fitted with.
-Ways = dict[object, tuple[Model, Term]]
+# Effects to which a term is added, its formula, and what it is made of.
+_Way = tuple[frozenset[str], str, object]
 
 
 def name_term(c: Climb) -> Model | None:
@@ -64,17 +65,11 @@ def _instead_of_noise(c: Climb) -> Model | None:
     if not doubted or key in c.bared:
         return None
     c.bared.add(key)
-    ways: Ways = {}
-    for m, term in (way for sensor, ids in doubted for way in _in_place(c, sensor, ids)):
-        # (in the place of more may be found what was found in that of less)
-        ways.setdefault((frozenset(m.ids), term.effect.id, term.effect.made), (m, term))
-    return _likeliest(c, ways)
+    return _likeliest(c, _ends(c, doubted))
 
 
-def _likeliest(c: Climb, ways: Ways) -> Model | None:
-    """The best fit of models with a term each, if it is likelier than the one there is."""
-    fits = in_parallel(partial(with_term, m, t, c.worth, c.beyond) for m, t in ways.values())
-    ends = [(m, term) for m, (_, term) in zip(fits, ways.values(), strict=True)]
+def _likeliest(c: Climb, ends: Sequence[tuple[Model, Term]]) -> Model | None:
+    """The best of fits with a term each, if it is likelier than the model there is."""
     if not ends:
         return None
     tried, term = max(ends, key=lambda end: score(end[0], c.worth))
@@ -85,19 +80,61 @@ def _likeliest(c: Climb, ways: Ways) -> Model | None:
     return tried
 
 
-def _doubted(c: Climb) -> list[tuple[str, frozenset[str]]]:
+def _ends(c: Climb, doubted: Mapping[str, list[frozenset[str]]]) -> list[tuple[Model, Term]]:
+    """Fits with a term in the place of effects of each sensor, or beside them: first of the fewest.
+
+    In the place of more is looked only where in that of fewer a fit comes near the best there is:
+    without further names it has no more evidence than with them, but for what these cost.
+    """
+    ends: dict[_Way, tuple[Model, Term]] = {}
+    far: set[tuple[str, str, object]] = set()
+    left = {sensor: [*sets] for sensor, sets in doubted.items()}
+    while any(left.values()):
+        ways: dict[_Way, tuple[Model, Term]] = {}
+        without: dict[str, list[_Way]] = {sensor: [] for sensor, sets in left.items() if sets}
+        for sensor in without:
+            for m, term in _in_place(c, sensor, left[sensor].pop(0)):
+                way: _Way = (frozenset(m.ids), term.effect.id, term.effect.made)
+                without[sensor] += [] if m is c.model else [way]
+                # (in the place of more may be found what was found in that of less)
+                if way not in ends and (sensor, *way[1:]) not in far:
+                    ways[way] = m, term
+        ends |= zip(ways, _fits(c, ways), strict=True)
+        reached = {way: score(m, c.worth) for way, (m, _) in ends.items()}
+        best = max([score(c.model, c.worth), *reached.values()])
+        for sensor, mine in without.items():
+            # (of one that diverged nothing is known)
+            far |= {
+                (sensor, *way[1:])
+                for way in mine
+                if -math.inf < reached.get(way, -math.inf) < best - HOPELESS
+            }
+            hopeless = [way for way in mine if (sensor, *way[1:]) in far]
+            if hopeless and len(hopeless) == len(mine):
+                left[sensor] = []
+    return list(ends.values())
+
+
+def _fits(c: Climb, ways: Mapping[_Way, tuple[Model, Term]]) -> list[tuple[Model, Term]]:
+    """Models, each fitted with its term, and that."""
+    fits = in_parallel(partial(with_term, m, t, c.worth, c.beyond) for m, t in ways.values())
+    return [(m, term) for m, (_, term) in zip(fits, ways.values(), strict=True)]
+
+
+def _doubted(c: Climb) -> dict[str, list[frozenset[str]]]:
     """Sensors, each with effects of the model that may stand in for one law together: noise, which
     hides whatever has no name; the weak ones, with it; and steps, whose moment is free, with
-    both."""
+    both. Each set holds those before."""
     gained = gains(c.where, c.model.chosen)
-    out: list[tuple[str, frozenset[str]]] = []
+    out: dict[str, list[frozenset[str]]] = {}
     for sensor in SENSORS:
         own = [e for e in c.model.effects if e.id.startswith(sensor) and e.id not in c.kept]
         noise = frozenset(e.id for e in own if e.process is not None)
         names = [e.id for e in own if e.process is None and name_of(e.id) in catalogue()]
         weak = noise | {i for i in names if gained[i] < WEAK}
         sets = noise, weak, weak | {i for i in names if name_of(i) != i}
-        out += [(sensor, ids) for ids in dict.fromkeys(sets) if ids]
+        if own_sets := [ids for ids in dict.fromkeys(sets) if ids]:
+            out[sensor] = own_sets
     return out
 
 
@@ -123,7 +160,7 @@ def rename(c: Climb) -> Model | None:
     """The model with another law in the place of one and of names that may be there for its sake
     only. (A law that is a name beside another law to the first order is found as that: a cubic
     error as a scale error and what bends off it.)"""
-    ways: Ways = {}
+    ways: dict[_Way, tuple[Model, Term]] = {}
     for term in c.unnamed:
         for ids in _beside(c, term):
             rest = frozenset(c.model.ids) - ids
@@ -134,7 +171,7 @@ def rename(c: Climb) -> Model | None:
             found = best_terms(survey(without), refused=c.dropped, beyond=(_sensor(term),),
                                worth=c.worth)  # fmt: skip
             ways |= {(rest, t.effect.id, t.effect.made): (without, t) for t in found}
-    return _likeliest(c, ways)
+    return _likeliest(c, _fits(c, ways))
 
 
 def _beside(c: Climb, term: Term) -> list[frozenset[str]]:

@@ -1,0 +1,170 @@
+"""The filter over the moving states alone: its transition as a list, scalars an epoch at a time,
+and means without the columns they came with."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numba
+import numpy as np
+import pytest
+from worlds import recording_of
+
+from handcal.compiled.sparse import Entries, list_entries, no_entries, times_entries, turn_over
+from handcal.effects import select
+from handcal.estimate import evidence, fit
+from handcal.estimate.baseline import started
+from handcal.estimate.case import case_of
+from handcal.estimate.evidence import Reduction, backward, means, reduce, reduced_pass
+from handcal.estimate.model import Fitted
+from handcal.estimate.transfer import moved_to
+from handcal.types import Array
+from handcal_sim import simulate
+from handcal_sim.phone import Phone, capture_pose, consumer_phone
+
+
+@numba.njit
+def _both(
+    Phi: Array,
+    B: Array,
+    Phi_e: Array,
+    Phi_psi: Array,
+    X: Array,
+    out: tuple[Array, Array],
+    entries: Entries,
+    turned: Entries,
+) -> None:
+    m = len(X)
+    list_entries(Phi, B, Phi_e, Phi_psi, entries)
+    turn_over(entries, m, turned)
+    times_entries(entries, X, out[0])
+    times_entries(turned, X, out[1])
+
+
+@pytest.mark.parametrize("coupled", [False, True])
+@pytest.mark.parametrize("e", [0, 5])
+def test_a_listed_transition_is_the_dense_one(e: int, coupled: bool) -> None:
+    rng = np.random.default_rng(e)
+    m = 9 + e
+    F = rng.standard_normal((m, m)) * (rng.random((m, m)) < 0.3)
+    F[0], F[9:, :6] = 0.0, 0.0
+    F[:9, 9:] *= coupled
+    Phi = np.hstack([F[:9, :9], rng.standard_normal((9, 4))])
+    B = np.ascontiguousarray(F[:9, 9:] if coupled else np.zeros((9, 0)))
+    own = [np.ascontiguousarray(F[9:, c]) for c in (slice(9, m), slice(6, 9))]
+    X = rng.standard_normal((m, 11))
+    out = np.full((m, 11), np.nan), np.full((m, 11), np.nan)
+    _both(Phi, B, *own, X, out, no_entries(m), no_entries(m))
+    np.testing.assert_allclose(out[0], F @ X, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(out[1], F.T @ X, rtol=0, atol=1e-12)
+
+
+def _seen(rng: np.random.Generator) -> Phone:
+    return replace(consumer_phone(rng), pose=capture_pose(rng))
+
+
+@pytest.fixture(scope="module")
+def marker() -> tuple[Reduction, dict[str, float]]:
+    """Poses, six numbers each, with two effects and a bias that walks."""
+    world = simulate("free-hand", seed=1, duration_s=10.0, phone=_seen)
+    wanted = select(("lever_arm", "gyro_scale", "gyro_bias_walk"))
+    f = moved_to(started(case_of(recording_of(world, "pose"))), wanted)
+    return reduce(f.linear), dict(f.levels)
+
+
+def test_scalars_of_an_epoch_in_several_parts(
+    marker: tuple[Reduction, dict[str, float]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However many innovations are added up at once: of six in an epoch, four and two."""
+    whole = reduced_pass(*marker)
+    monkeypatch.setattr(evidence, "TOGETHER", 4)
+    parts = reduced_pass(*marker)
+    assert parts.log_evidence == pytest.approx(whole.log_evidence, abs=1e-6)
+    np.testing.assert_allclose(parts.S, whole.S, rtol=1e-9)
+    scale = np.sqrt(whole.S)[:, None]
+    np.testing.assert_allclose(parts.nu / scale, whole.nu / scale, rtol=1e-7, atol=1e-6)
+
+
+def test_means_are_those_of_the_columns(marker: tuple[Reduction, dict[str, float]]) -> None:
+    whole = reduced_pass(*marker, keep=True)
+    lean = reduced_pass(*marker, keep=True, wide=False)
+    assert lean.X.shape == (1, *whole.X.shape[1:])
+    assert lean.log_evidence == whole.log_evidence
+    np.testing.assert_array_equal(lean.P, whole.P)
+    exact = whole.X @ np.r_[1.0, whole.w][:, None]
+    size = np.sqrt(np.einsum("kii->ki", whole.P))[:, :, None]
+    away = np.abs(means(lean) - exact) / np.maximum(size, 1e-12)
+    assert away.max() < 1e-6
+
+
+def test_innovations_do_not_depend_on_what_waits_beside_them(
+    marker: tuple[Reduction, dict[str, float]],
+) -> None:
+    """Against each scalar for itself, as one epoch each: the textbook's order."""
+    reduction, levels = marker
+    done = reduced_pass(reduction, levels, keep=True)
+    j = len(reduction.linear.t) // 2
+    first, end = reduction.first[j : j + 2]
+    R = done.arrays.R[first:end]
+    P, X = _before(done, j)
+    for q, r in zip(range(first, end), R, strict=True):
+        h = reduction.h[q]
+        S = h @ P @ h + r
+        nu = reduction.g[q] - h @ X
+        assert done.S[q] == pytest.approx(S, rel=1e-6)
+        np.testing.assert_allclose(done.nu[q], nu, rtol=1e-6, atol=1e-6 * np.sqrt(S))
+        K = P @ h / S
+        X = X + np.outer(K, nu)
+        P = P - np.outer(K, h @ P)
+
+
+def _before(done: evidence.ReducedPass, j: int) -> tuple[Array, Array]:
+    """P and X of an epoch before it was observed, from the one before."""
+    a, m = done.arrays, done.P.shape[1]
+    F = np.zeros((m, m))
+    F[:9, :9], F[9:, 9:], F[9:, 6:9] = a.A[j][:, :9], a.Phi_e[j], a.Phi_psi[j]
+    F[:9, 9:] = a.B[j] if a.B.shape[2] else 0.0
+    P, X = F @ done.P[j - 1] @ F.T, F @ done.X[j - 1]
+    P[:9, :9] += a.Q[j]
+    P[9:, 9:] += a.Q_e[j]
+    X[:9] += a.D[j]
+    X[9:, 0] += a.d_e[j]
+    return P, X
+
+
+def test_the_adjoint_gives_what_the_columns_gave(
+    marker: tuple[Reduction, dict[str, float]],
+) -> None:
+    """Smoothed means from one column are the first of those with the constants' spread."""
+    done = reduced_pass(*marker, keep=True)
+    k, m, columns = done.X.shape
+    one, all_ = np.empty((k, m, 1)), np.empty((k, m, columns))
+    backward(done, False, one, np.empty((0, m, m)), spread=False)
+    backward(done, True, all_, np.empty((k, m, m)))
+    scale = np.abs(all_[:, :, :1]).max(axis=0)
+    np.testing.assert_allclose(one / scale, all_[:, :, :1] / scale, rtol=0, atol=1e-7)
+
+
+def test_a_fit_that_rests_is_not_linearised_for_levels_that_stay(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Its last step and other noise levels change less than is asked: two linearisations, and the
+    evidence of three; where more is asked, three."""
+    world = simulate("free-hand", seed=1, duration_s=10.0)
+    start = [started(case_of(recording_of(world)))]
+    begin = fit.fitted(start, (), noise_rounds=3, tolerance=1e-3)
+    counted = []
+
+    def counting(f: Fitted) -> Reduction | None:
+        counted.append(f)
+        return sane(f)
+
+    sane = fit._reduced_if_sane
+    monkeypatch.setattr(fit, "_reduced_if_sane", counting)
+    again = fit.fitted(begin.parts, ())
+    assert len(counted) == 2
+    counted.clear()
+    finer = fit.fitted(begin.parts, (), tolerance=1e-9)
+    assert len(counted) > 2
+    assert again.settled
+    assert again.log_evidence == pytest.approx(finer.log_evidence, abs=fit.COMPARED)
