@@ -500,3 +500,25 @@ def test_a_law_is_sought_in_the_place_of_more_where_it_does_well_in_that_of_less
     ends = law_steps._ends(climb, sets)
     assert seen == asked
     assert {m.gone for m, _ in ends} == {"", *asked}
+
+
+def test_names_that_are_told_from_a_law_stay_beside_it() -> None:
+    """A scale error that goes with the law may be part of it; one that does not, and what is of
+    another sensor, is not."""
+    law = law_effect.effect_of(law_over("f_{i}", formula("cube"), (0,), 1))
+    effects = (*select(("accel_scale", "accel_misalignment", "gyro_scale")), law)
+    names = tuple((e.id, p.name) for e in effects for p in e.parameters)
+    covariance = np.diag(np.arange(1.0, 1.0 + len(names)) ** 2)
+    x, k = names.index(("accel_scale", "x")), len(names) - 1
+    covariance[x, k] = covariance[k, x] = -0.8 * (1.0 + x) * (1.0 + k)
+    y = names.index(("gyro_scale", "y"))
+    covariance[y, k] = covariance[k, y] = 0.7 * (1.0 + y) * (1.0 + k)
+    model: Any = SimpleNamespace(
+        ids=tuple(e.id for e in effects), effects=effects, covariance=covariance,
+        quadratic=SimpleNamespace(names=names),
+    )  # fmt: skip
+    climb: Any = SimpleNamespace(model=model, kept=frozenset())
+    term = best_law.Term(law, 10.0)
+    assert law_steps._beside(climb, term) == [frozenset({"accel_scale", law.id})]
+    covariance[x, k] = covariance[k, x] = 0.3 * (1.0 + x) * (1.0 + k)
+    assert law_steps._beside(climb, term) == []

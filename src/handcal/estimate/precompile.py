@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from handcal.estimate import smoother
+from handcal.estimate import robust, smoother
 from handcal.estimate.case import case_of, problem_with
-from handcal.estimate.evidence import backward, reduce, reduced_pass
+from handcal.estimate.evidence import backward, means, reduce, reduced_pass
 from handcal.estimate.folded import unfolded
 from handcal.estimate.heavy_tails import tailed
 from handcal.estimate.linear import Linear
@@ -30,6 +30,10 @@ def compile_ahead() -> None:
     smoother.forward(linear, levels)
     tailed(Quadratic((("none", "x"),), 0.0, np.zeros(1), np.eye(1)), np.arange(1))
     done = reduced_pass(reduce(linear, folds=False), levels, keep=True)
+    means(done)
+    robust._add_by_block(
+        done.nu, done.S, np.zeros(len(done.S), dtype=np.int64), done.nu[:1, 1:].copy()
+    )
     k, m, columns = done.X.shape
     backward(done, True, np.empty((k, m, columns)), np.empty((k, m, m)))
     folded = reduce(linear).folded

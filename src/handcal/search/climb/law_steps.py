@@ -27,6 +27,8 @@ from handcal.search.space import best_set, gains
 
 # Terms without a name at the most, and of those that were on trial.
 MAX_TERMS, MAX_TRIED = 3, 6
+# What is known of a law and of a name goes together so far that one may be part of the other.
+MIXED = 0.5
 # Effects to which a term is added, its formula, and what it is made of.
 _Way = tuple[frozenset[str], str, object]
 
@@ -176,15 +178,24 @@ def rename(c: Climb) -> Model | None:
 
 def _beside(c: Climb, term: Term) -> list[frozenset[str]]:
     """A law with names of its sensor, with delays, by which the errors of all sensors are late or
-    early, and with both."""
+    early, and with both, as far as the recordings hardly tell them from the law."""
     sensor = _sensor(term)
     if term.effect.id not in c.model.ids or not sensor:
         return []
     taken = [e for e in c.model.effects if e.process is None and e.id not in c.kept]
-    names = [e for e in taken if name_of(e.id) in catalogue()]
+    names = [e for e in taken if name_of(e.id) in catalogue()
+             and _correlation(c.model, e.id, term.effect.id) > MIXED]  # fmt: skip
     own = frozenset(e.id for e in names if e.id.startswith(sensor))
     late = frozenset(e.id for e in names if e.lateness)
     return [ids | {term.effect.id} for ids in dict.fromkeys((own, late, own | late)) if ids]
+
+
+def _correlation(model: Model, one: str, other: str) -> float:
+    """The largest of what is known of a parameter of one effect and one of the other."""
+    own = [[k for k, n in enumerate(model.quadratic.names) if n[0] == i] for i in (one, other)]
+    sigma = np.sqrt(np.diag(model.covariance))
+    both = np.abs(model.covariance[np.ix_(*own)]) / np.outer(sigma[own[0]], sigma[own[1]])
+    return float(both.max(initial=0.0))
 
 
 def _sensor(term: Term) -> str:
