@@ -84,8 +84,9 @@ def opened(
         threads = max(1, sum(client.nthreads().values()))
         died = (distributed.KilledWorker, broken)
         page = str(getattr(client, "dashboard_link", "") or "")
-        there = lambda: client.status == "running"  # noqa: E731
-        yield Workers(client.get_executor, threads, died, there, page, TOGETHER)
+        yield Workers(
+            client.get_executor, threads, died, lambda: client.status == "running", page, TOGETHER
+        )
 
 
 def _check_versions(client: Any) -> None:

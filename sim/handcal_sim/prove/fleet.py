@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from handcal_sim.prove import fleet_taught
-from handcal_sim.prove.fleet_taught import taught_by
 from handcal_sim.prove.fleet_world import EACH, FEWEST, FINE, MODELS, SLOPE, SPREADS, written
 from handcal_sim.prove.trial import share
 
@@ -43,7 +42,7 @@ def run(n: int, seed: int, folder: Path, workers: int) -> dict[str, Any]:
         {"schema": "handcal-sim/prove-fleet/1", "n": n, "seed": seed}
         | score(told, truth)
         | {"smaller": smaller(folder / "recordings" / "manifest.txt", out, truth)}
-        | taught_by(priors, max(8, n // NEW_SHARE), seed, folder)
+        | fleet_taught.taught_by(priors, max(8, n // NEW_SHARE), seed, folder)
     )
 
 

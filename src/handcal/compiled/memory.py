@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import sys
+from typing import Any
 
 # glibc's numbers for the size from which memory freed at the top of the heap is given back, for how
 # many arrays may be mapped each for itself, and for how many heaps threads have.
@@ -18,9 +19,7 @@ def kept() -> None:
     hands it out anew, page by page and cleared, takes a twentieth of the time, and of a pass that
     keeps 90 MB of states three quarters. Only glibc is asked.
     """
-    if not sys.platform.startswith("linux"):
-        return
-    tell = getattr(ctypes.CDLL(None), "mallopt", None)
+    tell = _glibc("mallopt")
     if tell is not None:
         tell(_MAPS, 0)
         tell(_TRIM, _NEVER)
@@ -30,11 +29,13 @@ def kept() -> None:
 def returned() -> None:
     """Give back what was freed and is kept, and from now on what is large at once: where little is
     made and freed beside what stays, and that is much. Only glibc is asked."""
-    if not sys.platform.startswith("linux"):
-        return
-    tell = getattr(ctypes.CDLL(None), "mallopt", None)
+    tell, trim = _glibc("mallopt"), _glibc("malloc_trim")
     if tell is not None:
         tell(_MAPS, _USUAL)
-    tell = getattr(ctypes.CDLL(None), "malloc_trim", None)
-    if tell is not None:
-        tell(0)
+    if trim is not None:
+        trim(0)
+
+
+def _glibc(name: str) -> Any:
+    """A function of the system's library; None where there is none of the name, or no Linux."""
+    return getattr(ctypes.CDLL(None), name, None) if sys.platform.startswith("linux") else None

@@ -111,8 +111,7 @@ def _ends(c: Climb, doubted: Mapping[str, list[frozenset[str]]]) -> list[tuple[M
                 for way in mine
                 if -math.inf < reached.get(way, -math.inf) < best - HOPELESS
             }
-            hopeless = [way for way in mine if (sensor, *way[1:]) in far]
-            if hopeless and len(hopeless) == len(mine):
+            if mine and all((sensor, *way[1:]) in far for way in mine):
                 left[sensor] = []
     return list(ends.values())
 
@@ -150,12 +149,20 @@ def _surveyed(c: Climb) -> Survey:
 def _in_place(c: Climb, sensor: str, ids: frozenset[str]) -> list[tuple[Model, Term]]:
     """Terms that are looked for beside the model's effects but for these, each with the models to
     which it may be added: without them, and with."""
+    without, found = _beside_the_rest(c, sensor, ids, _refused(c))
+    return [(m, term) for term in found for m in (without, c.model)]
+
+
+def _beside_the_rest(
+    c: Climb, sensor: str, ids: frozenset[str], refused: Set[str]
+) -> tuple[Model, list[Term]]:
+    """The model without some effects, and terms that are looked for beside what it has."""
     # (looked for about the model without them: a filter or a delay that goes is no small change,
     # as a survey beside them would have it)
     without = _without(c.model, ids)
     # (and for what evidence is worth with them: what a law has to do in their place is not misfit)
-    found = best_terms(survey(without), refused=_refused(c), beyond=(sensor,), worth=c.worth)
-    return [(m, term) for term in found for m in (without, c.model)]
+    found = best_terms(survey(without), refused=refused, beyond=(sensor,), worth=c.worth)
+    return without, found
 
 
 def rename(c: Climb) -> Model | None:
@@ -169,9 +176,7 @@ def rename(c: Climb) -> Model | None:
             if rest in c.bared:
                 continue
             c.bared.add(rest)
-            without = _without(c.model, ids)
-            found = best_terms(survey(without), refused=c.dropped, beyond=(_sensor(term),),
-                               worth=c.worth)  # fmt: skip
+            without, found = _beside_the_rest(c, _sensor(term), ids, c.dropped)
             ways |= {(rest, t.effect.id, t.effect.made): (without, t) for t in found}
     return _likeliest(c, _fits(c, ways))
 
