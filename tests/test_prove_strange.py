@@ -29,6 +29,7 @@ from handcal_sim.prove.trial import Trial
 from handcal_sim.strange import known, law
 from handcal_sim.strange.device import LAWS, MOST, SIZES, own_scene, with_laws
 from handcal_sim.strange.left import curves, left_share
+from handcal_sim.strange.memory import lagged
 from handcal_sim.strange.words import core, same
 from handcal_sim.strangers import scene_of
 
@@ -385,14 +386,16 @@ def test_every_function_of_a_formula_is_known_here(world, scene):
     signals = Signals(scene.t, scene.omega, scene.f, C_nb=world.truth.C_nb)
     for each in (False, True):
         for part in grammar.parts_for(grammar.Range(-3.0, 3.0, 0.2), signed=True, round_=False):
-            form = grammar.formula([part, ("square", ())])
+            own = grammar.formula([part, ("square", ())])
+            waves = grammar.formula([("sine", (0.7,)), ("cosine", (0.7,))], same=True)
+            form = waves if part[0] == "sine" else own
             told = Law(0, (0, 1, 2), each, DRIVERS["omega_{i}"], form, (1.0, 1.0))
             true = told.values(signals, 1) @ [0.7, -0.2]
             names = ("k1_y", "k2_y") if each else ("k1", "k2")
             constants = [{"name": n, "value": v} for n, v in zip(names, (0.7, -0.2), strict=True)]
             one = {**entry(list(told.channels), []), "formula": told.said, "constants": constants}
             found = curves([one], "gyro_y", scene)
-            # (a formula has three digits, and there are samples beside a step)
+            # (a formula has four digits, and there are samples beside a step)
             assert law.rms(found - true) < 0.2 * law.rms(true), told.said
 
 
@@ -447,7 +450,7 @@ def test_a_trial_is_worked_out_scored_and_shown():
     assert set(further) == {f"left_{n}" for n in range(1, len(laws) + 1)}
     assert all(0.5 < share < 3.0 for share in further.values())
     nothing = {**said(), "hand": {"id": "held"}, "fit": {"after": {"log_evidence": 100.0}}}
-    likelier = {"told_1": 0.02, "told_log_evidence": 110.0}
+    likelier = {"told_1": 0.02, "form_1": 0.009, "told_log_evidence": 110.0}
     trials = [
         Trial("r0001", answer, right, 1.0, further={"left_1": 0.005}),
         Trial("r0002", answer, nothing, 1.0, further={**further, **likelier}),
@@ -459,7 +462,7 @@ def test_a_trial_is_worked_out_scored_and_shown():
     figures = proof["further"]["strange"]
     counts = {k: v["count"] for k, v in figures.items() if k != "laws"}
     assert counts == {"told": 1, "driver": 1, "clean": 1, "false": 1, "little_left": 1,
-                      "nothing_left": 1, "nothing_left_if_told": 1,
+                      "nothing_left": 1, "nothing_left_if_told": 1, "nothing_left_if_form": 2,
                       "truth_is_likelier": 1}  # fmt: skip
     assert figures["nothing_left_if_told"]["n"] == 2
     assert figures["told"]["n"] == 4
@@ -495,5 +498,24 @@ def test_told_the_law_itself_calibrate_leaves_what_the_noise_does(tmp_path):
         for effect, given in case.world.parameters["effects"].items()
         for p in given
     ]
-    wrong = draw_strange.left_of_sizes(ticket, true, [0.9] * len(case.laws))
+    wrong = draw_strange.left_of_sizes(ticket, true, [[0.9]] * len(case.laws), free=False)
     assert wrong == {name: pytest.approx(0.1) for name in names}
+    assert 1e-5 < found["form_1"] < 0.3
+
+
+def test_a_law_changes_by_its_numbers_as_its_formula_says(scene):
+    """A low pass, by its time constant of 1.5 to 6 s; a product has no numbers; of bumps at three
+    places with one width each number counts."""
+    named = {one.name: one for one in LAWS.values()}
+    settles = named["gyro_settling_of_past_omega_j"]
+    one = law.drawn(settles, 0, 5)
+    tau = np.random.default_rng(5).uniform(1.5, 6.0)
+    u = law.signal(scene, law.bare(one.drivers[0]))
+    by_tau = (lagged(scene.t, u, 1.001 * tau) - lagged(scene.t, u, 0.999 * tau)) / (0.002 * tau)
+    columns = one.by_numbers(scene)
+    assert columns.shape == (len(scene.t), 1)
+    assert law.rms(columns[:, 0] - 4.5 * by_tau) < 1e-3 * law.rms(4.5 * by_tau)
+    product = next(one for name, one in named.items() if "_product_of_" in name)
+    assert law.drawn(product, 0, 5).by_numbers(scene).shape == (len(scene.t), 0)
+    bumps = next(one for name, one in named.items() if "_bursts_of_t" in name)
+    assert law.drawn(bumps, 0, 5).by_numbers(scene).shape == (len(scene.t), 4)

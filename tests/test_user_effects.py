@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib.metadata
+import re
 import sys
 from types import SimpleNamespace
 
@@ -40,6 +41,7 @@ from handcal.laws.curve import channel_of, drivers_of
 from handcal.laws.drivers import DRIVERS, HEADING, LINE
 from handcal.laws.grammar import range_of
 from handcal.laws.law_effect import Law
+from handcal.laws.vocabulary import driver_of
 from handcal.signals import probe
 from handcal.types import HandcalError, InputError, Parameter
 from handcal_sim import simulate
@@ -276,13 +278,16 @@ def forms_over(driver, signals):
     """Every function of the grammar for a driver, two together, and its curve."""
     over = range_of(np.stack([driver.of(signals, a) for a in range(3)]), driver.signed)
     parts = {}
-    line = driver.knots == LINE
-    for part in [("line", ())] if line else grammar.parts_for(over, driver.signed, driver.round):
+    line, gain = driver.knots == LINE, driver.factor is not None
+    all_ = grammar.parts_for(over, driver.signed, driver.round, gain)
+    for part in [("line", ())] if line else all_:
         parts.setdefault(part[0], []).append(part)
     some = [tried[len(tried) // 3] for tried in parts.values()]
     yield from (grammar.formula([part]) for part in some)
     if driver.knots != LINE:
         yield grammar.formula(some[-2:])
+        if some[-1][1]:
+            yield grammar.formula([some[-1], (some[-2][0], some[-1][1])], same=True)
         yield grammar.curves(over, driver.knots, driver.round)[0]
 
 
@@ -298,7 +303,8 @@ def test_every_law_written_out_is_the_law(tmp_path):
     s = moved()
     cold, said = dataclasses.replace(s, streams={}, C_nb=None), set()
     changed = [d.at(1.37 * d.number) for d in list(DRIVERS.values())[::5] if d.at]
-    for n, driver in enumerate((*DRIVERS.values(), *changed)):
+    gain = driver_of("omega_{i} by f_{j}")
+    for n, driver in enumerate((*DRIVERS.values(), *changed, gain)):
         sensor = n % 2 if driver.only is None else driver.only
         for law in laws_over(driver, sensor, s):
             effect = law_effect.effect_of(law)
@@ -312,8 +318,8 @@ def test_every_law_written_out_is_the_law(tmp_path):
             assert own.needs == driver.needs
             assert not own.needs or not own.imu_error(k, cold).any()
             check_parameters(own, effect, values, law)
-            said |= set(law.form.kind.split(" + "))
-    assert said == {*grammar.ATOMS, *grammar.ROUND, "curve", "circle"}
+            said |= set(re.split(r" [+&] ", law.form.kind))
+    assert said == {*grammar.ATOMS, *grammar.ROUND, *grammar.LEVEL, "curve", "circle"}
 
 
 @pytest.mark.parametrize("sensor", [0, 1])

@@ -24,7 +24,7 @@ from handcal_sim.prove.given import (
 )
 from handcal_sim.prove.suites import Answer
 from handcal_sim.scenario import World
-from handcal_sim.strange.device import LAWS, Added, given, said_of, with_laws
+from handcal_sim.strange.device import LAWS, Added, given, own_scene, said_of, with_laws
 from handcal_sim.strange.law import Law
 from handcal_sim.strange.left import left_of, left_share
 from handcal_sim.strangers import Scene, scene_of
@@ -63,19 +63,30 @@ def left(ticket: Ticket, document: Mapping[str, Any]) -> dict[str, float]:
     return _by_law([left_share(added, case.world, document) for added in case.laws])
 
 
+def columns(one: Added, world: World, free: bool) -> Array:
+    """What a law adds to its channel by its size and, where these are free, by each change of its
+    numbers (n, 1 or more)."""
+    if not free:
+        return one.error[:, None]
+    scene = own_scene(scene_of(world), one.strange.channel)
+    return np.column_stack([one.error, one.k * one.strange.by_numbers(scene)])
+
+
 def left_of_sizes(
-    ticket: Ticket, parameters: Sequence[Mapping[str, Any]], sizes: Sequence[float]
-) -> dict[str, float]:
-    """The same where the laws themselves were told, and found is of each by how much too large."""
+    ticket: Ticket, parameters: Sequence[Mapping[str, Any]], sizes: Sequence[Sequence[float]],
+    free: bool,
+) -> dict[str, float]:  # fmt: skip
+    """The same where the laws themselves were told, and found is of each by how much too large and,
+    where these are free, by how much its numbers are others."""
     case = case_of(ticket)
+
+    def told(size: Sequence[float], law: Added, _: Scene) -> Array:
+        return np.asarray(columns(law, case.world, free) @ np.asarray(size))
+
     return _by_law([
-        left_of(added, case.world, parameters, partial(_scaled, size))
+        left_of(added, case.world, parameters, partial(told, size))
         for added, size in zip(case.laws, sizes, strict=True)
     ])  # fmt: skip
-
-
-def _scaled(size: float, law: Added, _: Scene) -> Array:
-    return np.asarray(size * law.error)
 
 
 def _by_law(shares: Sequence[float | None]) -> dict[str, float]:

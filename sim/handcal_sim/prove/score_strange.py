@@ -58,13 +58,14 @@ def outcome(trial: Trial) -> str:
 def score(trials: Sequence[Trial]) -> dict[str, Any]:
     """Each law, and over recordings: told, driver besides, called clean, with false names; over
     laws: how many are left by a tenth at most, and by a hundredth, and by that where `calibrate`
-    is told the law and has but its size to find. A failure is none of these. Of recordings whose
-    drivers are not told: in how many the truth is likelier than the explanation (where it is not,
-    no search over probabilities could tell it)."""
+    is told the law and has but its size to find, or its size and its numbers. A failure is none of
+    these. Of recordings whose drivers are not told: in how many the truth is likelier than the
+    explanation (where it is not, no search over probabilities could tell it)."""
     laws = [row for trial in trials for row in _rows(trial)]
     left = [row["left"] for row in laws]
-    limits = [row["told"] if row["told"] is not None else row["left"]
-              for row in laws if row["told"] is not None or _reached(row)]  # fmt: skip
+    limits = {kind: [row[kind] if row[kind] is not None else row["left"]
+                     for row in laws if row[kind] is not None or _reached(row)]
+              for kind in ("told", "form")}  # fmt: skip
     by = [outcome(trial) for trial in trials]
     told = [_all(channels_told, trial) for trial in trials]
     driven = [_all(drivers_told, trial) for trial in trials]
@@ -78,9 +79,10 @@ def score(trials: Sequence[Trial]) -> dict[str, Any]:
         "false": share(sum(bool(_false(trial)) for trial in trials), len(trials)),
         "little_left": share(sum(x is not None and x <= LITTLE for x in left), len(left)),
         "nothing_left": share(sum(x is not None and x <= SAME for x in left), len(left)),
-        "nothing_left_if_told": share(sum(x <= SAME for x in limits), len(limits)),
+        **{f"nothing_left_if_{kind}": share(sum(x <= SAME for x in some), len(some))
+           for kind, some in limits.items()},
         "truth_is_likelier": share(sum(x > SURE for x in missed), len(missed)),
-    }
+    }  # fmt: skip
 
 
 def _truth(trial: Trial) -> float | None:
@@ -121,6 +123,7 @@ def _rows(trial: Trial) -> list[dict[str, Any]]:
             "false": _false(trial),
             "found": [] if failed else [entry["formula"] for entry in document["unnamed"]],
             "left": trial.further.get(f"left_{n}"), "told": trial.further.get(f"told_{n}"),
+            "form": trial.further.get(f"form_{n}"),
             "truth": _truth(trial),
         })  # fmt: skip
     return rows

@@ -93,18 +93,18 @@ def _strange(figures: Row) -> list[RenderableType]:
     table = Table(title="Laws that nobody wrote down", title_justify="left", box=box.SIMPLE_HEAD,
                   pad_edge=False)  # fmt: skip
     for column in ("recording", "law", "on", "verdict", "channel", "driver", "false", "left",
-                   "if told", "truth"):  # fmt: skip
+                   "if told", "but numbers", "truth"):  # fmt: skip
         table.add_column(column)
     for row in figures["laws"]:
         told = ["yes" if row[key] else "" for key in ("channel", "driver")]
-        left, least = ("-" if row[key] is None else f"{100.0 * row[key]:.2g} %"
-                       for key in ("left", "told"))  # fmt: skip
+        shares = ("-" if row[key] is None else f"{100.0 * row[key]:.2g} %"
+                  for key in ("left", "told", "form"))  # fmt: skip
         truth = "-" if row["truth"] is None else f"{row['truth']:+.0f}"
         table.add_row(row["recording"], row["law"], " ".join(row["channels"]), row["verdict"],
-                      *told, " ".join(row["false"]), left, least, truth)  # fmt: skip
+                      *told, " ".join(row["false"]), *shares, truth)  # fmt: skip
     said = {key: percent(figures[key]) for key in
             ("told", "driver", "clean", "false", "nothing_left", "little_left",
-             "nothing_left_if_told", "truth_is_likelier")}  # fmt: skip
+             "nothing_left_if_told", "nothing_left_if_form", "truth_is_likelier")}  # fmt: skip
     return [
         table,
         f"strange: {said['told']} of recordings are told rightly: unexplained, on the right "
@@ -114,7 +114,8 @@ def _strange(figures: Row) -> list[RenderableType]:
         f"strange: of {figures['little_left']['n']} laws, names and curves leave at most a tenth "
         f"of {said['little_left']}, at most a hundredth of {said['nothing_left']} (60 % asked).",
         f"strange: told the law and all names, calibrate leaves at most a hundredth of "
-        f"{said['nothing_left_if_told']} of {figures['nothing_left_if_told']['n']}.",
+        f"{said['nothing_left_if_told']} of {figures['nothing_left_if_told']['n']}; told them but "
+        f"for the law's numbers, of {said['nothing_left_if_form']}.",
         f"strange: of {figures['truth_is_likelier']['n']} recordings of which a driver is not told "
         f"and the truth was asked, it is likelier than the explanation in "
         f"{said['truth_is_likelier']}.",

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from handcal.types import Array
 
 
+# Standard deviation of a number of which but its range is known, that being one.
+RANGE = 12.0**-0.5
 # A moment, and which readings are wrong.
 _UNTOLD = ("gyro_bias_step", "heading_outliers")
 
@@ -48,8 +50,9 @@ def _budget(
 def _strange(
     ticket: Ticket, answer: Answer, file: Path, further: Mapping[str, float]
 ) -> dict[str, float]:
-    """Each law as an effect with its true course and one unknown, its size; not beside what
-    `calibrate` cannot be told, nor of a heading, whose courses are no effects."""
+    """Each law as an effect with its true course and one unknown, its size ("told"), and with its
+    numbers as further unknowns ("form"); not beside what `calibrate` cannot be told, nor of a
+    heading, whose courses are no effects."""
     case = draw_strange.case_of(ticket)
     laws = case.laws
     reached = all(further.get(f"left_{n + 1}", 1.0) <= SAME for n in range(len(laws)))
@@ -58,15 +61,19 @@ def _strange(
         return {}
     from handcal.effects import with_effects
 
-    effects = [_course(f"law_{n}", case.world.t, law) for n, law in enumerate(laws, start=1)]
-    with with_effects((effect.id, effect) for effect in effects):
-        names = [*answer.effects, *(effect.id for effect in effects)]
-        found = _calibrated(file, names)
-    listed = found["parameters"]
-    sizes = [p["value"] for effect in effects for p in listed if p["effect"] == effect.id]
-    left = draw_strange.left_of_sizes(ticket, listed, sizes)
-    shares = {name.replace("left", "told"): share for name, share in left.items()}
-    return {**shares, "told_log_evidence": float(found["fit"]["log_evidence"])}
+    shares: dict[str, float] = {}
+    probable: dict[str, float] = {}
+    for kind, free in (("told", False), ("form", True)):
+        columns = [[draw_strange.columns(one, case.world, free) for one in law] for law in laws]
+        effects = [_course(f"law_{n}", case.world.t, law, columns[n]) for n, law in enumerate(laws)]
+        with with_effects((effect.id, effect) for effect in effects):
+            found = _calibrated(file, [*answer.effects, *(effect.id for effect in effects)])
+        listed = found["parameters"]
+        sizes = [[p["value"] for p in listed if p["effect"] == e.id] for e in effects]
+        left = draw_strange.left_of_sizes(ticket, listed, sizes, free)
+        shares |= {name.replace("left", kind): share for name, share in left.items()}
+        probable[kind] = float(found["fit"]["log_evidence"])
+    return {**shares, "told_log_evidence": probable["told"]}
 
 
 def _calibrated(file: Path, names: Sequence[str]) -> Mapping[str, Any]:
@@ -77,20 +84,24 @@ def _calibrated(file: Path, names: Sequence[str]) -> Mapping[str, Any]:
     return calibration_json(handcal.calibrate(str(file), effects=names, assume="fixed-point"))
 
 
-def _course(name: str, t: Array, law: Sequence[Added]) -> Effect:
+def _course(name: str, t: Array, law: Sequence[Added], columns: Sequence[Array]) -> Effect:
+    """An effect that adds these columns (n, m), of each channel of the law, by its size and by the
+    change of each of its numbers, of which no more is known than their range."""
     from handcal.effects import Effect, Param
     from handcal.effects._linear import added
 
     def features(signals: Signals) -> list[tuple[int, int, Array]]:
+        at = signals.t - signals.t[0]
         return [
             (column_of(one.strange.channel), 0,
-             np.interp(signals.t - signals.t[0], t - t[0], one.error)[:, None])
-            for one in law
+             np.stack([np.interp(at, t - t[0], c) for c in own.T], axis=1))
+            for one, own in zip(law, columns, strict=True)
         ]  # fmt: skip
 
+    numbers = tuple(Param(f"n{n}", "1", RANGE) for n in range(1, columns[0].shape[1]))
     return Effect(
-        id=name, title="The law itself", parameters=(Param("size", "1", 10.0),), story="",
-        source="", motion="", validated="", imu_error=added(features), features=features,
+        id=name, title="The law itself", parameters=(Param("size", "1", 10.0), *numbers),
+        story="", source="", motion="", validated="", imu_error=added(features), features=features,
     )  # fmt: skip
 
 

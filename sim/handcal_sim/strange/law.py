@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -30,6 +31,9 @@ UNITS: dict[str, tuple[float, str]] = {
     "jerk": (8.0, "m/s^3"), "up": (1.0, "1"), "north": (1.0, "1"), "tilt": (1.0, "rad"),
     "heading": (1.0, "rad"), "turn": (1.0, "rad/s"), "T": (8.0, "K"), "t": (1.0, "s"),
 }  # fmt: skip
+# Share of a number's range by which it is moved to see what that changes: some hundredths of what
+# a recording tells of it.
+NEAR = 0.003
 _FIELDS = {"omega": "omega", "f": "f", "alpha": "alpha", "jerk": "jerk", "up": "up",
            "north": "north"}  # fmt: skip
 
@@ -68,30 +72,59 @@ def stated(sensor: str, response: Response, drivers: str, why: str) -> Law:
 @dataclass(frozen=True)
 class Strange:
     """A law as it was drawn, on one channel. drivers: with axes; formula: but for its size k;
-    error_of(scene): the error (n,) at the scene's instants with k = 1."""
+    error_of(scene): the error (n,) at the scene's instants with k = 1; by_numbers(scene): its
+    derivatives (n, m) by the numbers that were drawn for it, each in its range as one."""
 
     law: str
     channel: str
     drivers: tuple[str, ...]
     formula: str
     error_of: Callable[[Scene], Array]
+    by_numbers: Callable[[Scene], Array]
+
+
+class _Moved(np.random.Generator):
+    """A generator of which one draw between two numbers is moved by a share of its range."""
+
+    def __init__(self, seed: int, moved: int, share: float) -> None:
+        super().__init__(np.random.PCG64(seed))
+        self.draws, self.moved, self.share = 0, moved, share
+
+    def uniform(self, low: float, high: float, size: int | None = None) -> Any:  # type: ignore[override]
+        """As numpy's; of several numbers, each is a draw."""
+        found = np.array(super().uniform(low, high, size))
+        at = self.moved - self.draws
+        if 0 <= at < found.size:
+            found[(at,) if size else ()] += self.share * (high - low)
+        self.draws += found.size
+        return found if size else float(found)
 
 
 def drawn(law: Law, axis: int, seed: int) -> Strange:
     """The law on that axis (any, for heading) with the numbers that this seed gives it."""
-    respond, text = law.response(np.random.default_rng(seed))
+    counted = _Moved(seed, -1, 0.0)
+    respond, text = law.response(counted)
     drivers = tuple(on_axes(driver, axis) for driver in law.drivers)
     channel = law.sensor if law.sensor == "heading" else f"{law.sensor}_{AXES[axis]}"
 
+    def of(scene: Scene, respond: Callable[..., Array]) -> Array:
+        return respond(scene.t, *(signal(scene, bare(d)) / _unit(d)[0] for d in drivers))
+
     def error_of(scene: Scene) -> Array:
-        signals = [signal(scene, bare(d)) / _unit(d)[0] for d in drivers]
-        return respond(scene.t, *signals)
+        return of(scene, respond)
+
+    def by_numbers(scene: Scene) -> Array:
+        ends = [[of(scene, law.response(_Moved(seed, n, share))[0]) for share in (-NEAR, NEAR)]
+                for n in range(counted.draws)]  # fmt: skip
+        columns = [(more - less) / (2.0 * NEAR) for less, more in ends]
+        return np.stack(columns, axis=1) if columns else np.zeros((len(scene.t), 0))
 
     given = ", ".join(
         f"{letter} = {bare(d)} / ({_unit(d)[0]:g} {_unit(d)[1]})"
         for letter, d in zip("uvw", drivers, strict=False)
     )
-    return Strange(law.name, channel, drivers, f"{channel} += k * ({text}); {given}", error_of)
+    formula = f"{channel} += k * ({text}); {given}"
+    return Strange(law.name, channel, drivers, formula, error_of, by_numbers)
 
 
 def bare(driver: str) -> str:

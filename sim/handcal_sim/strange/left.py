@@ -57,8 +57,13 @@ def left_of(
             return None
         rest = partial(_rest, there, one, at, found, told)
         before += float(np.mean(off(channel, one.error) ** 2))
-        after += rest(0.0) if channel != "heading" else _least(rest)
+        after += _least(rest) if channel == "heading" or _by_north(one) else rest(0.0)
     return math.sqrt(after / before)
+
+
+def _by_north(one: Added) -> bool:
+    """Whether a law depends on where north is."""
+    return any("heading" in d or "north" in d for d in one.strange.drivers)
 
 
 def _rest(

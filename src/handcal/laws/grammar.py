@@ -28,6 +28,9 @@ HARMONICS = 3
 
 # A function of the grammar, and its numbers.
 Part = tuple[str, tuple[float, ...]]
+# Between names of functions, in a form's kind: of a sum of those with numbers each of its own, and
+# with the same ones (a wave has one period, a kink with a jump one place).
+OWN, SAME = " + ", " & "
 
 
 @dataclass(frozen=True)
@@ -55,13 +58,7 @@ class Form:
     def cost(self) -> float:
         """Nats by which a formula is less likely beforehand than the simplest: for its numbers, and
         for further functions, each one of many."""
-        return 0.0 if self.smooth else cost_of(self.parts)
-
-
-def cost_of(parts: Sequence[Part]) -> float:
-    """The cost of the formula of these functions (see ``Form``)."""
-    numbers = sum(len(own) for _, own in parts)
-    return FREEDOM * numbers + math.log(len(ATOMS)) * (len(parts) - 1)
+        return FREEDOM * len(self.numbers) + math.log(len(ATOMS)) * max(len(self.parts) - 1, 0)
 
 
 # --- curves --------------------------------------------------------------------------------
@@ -229,9 +226,7 @@ ATOMS: Mapping[str, Atom] = {
         "max(abs({x}) - {0}, 0)", 1, lambda x, d: np.maximum(np.abs(x) - d, 0.0), _LIMITS,
         sided=True,
     ),
-    "beyond": Atom(
-        "max({x} - {0}, 0)", 1, lambda x, c: np.maximum(x - c, 0.0), _places(9)
-    ),
+    "beyond": Atom("max({x} - {0}, 0)", 1, lambda x, c: np.maximum(x - c, 0.0), _places(12)),
     "step": Atom("({x} > {0})", 0, lambda x, c: (x > c).astype(np.float64), _places(12)),
     "bump": Atom(
         "exp(-(({x} - {0}) / {1})^2 / 2)", 0,
@@ -252,19 +247,22 @@ ROUND: Mapping[str, Atom] = {
     for name, f in (("sin", np.sin), ("cos", np.cos))
 }
 
-_KNOWN: Mapping[str, Atom] = {**ATOMS, **ROUND}
+# In a sum with what a gain does: the gain that it has besides (alone that is a scale error).
+LEVEL: Mapping[str, Atom] = {"level": Atom("1", 0, np.ones_like)}
+_KNOWN: Mapping[str, Atom] = {**ATOMS, **ROUND, **LEVEL}
 
 
-def formula(parts: Sequence[Part]) -> Form:
-    """The sum of these functions, each with its numbers and a constant before it."""
+def formula(parts: Sequence[Part], same: bool = False) -> Form:
+    """The sum of these functions, each with a constant before it and its numbers, or all with the
+    same numbers."""
     atoms = [(_KNOWN[name], numbers) for name, numbers in parts]
 
     def values(x: Array) -> Array:
         return np.stack([a.values(x, *numbers) for a, numbers in atoms], axis=1)
 
     return Form(
-        " + ".join(name for name, _ in parts),
-        tuple(n for _, numbers in parts for n in numbers),
+        (SAME if same else OWN).join(name for name, _ in parts),
+        tuple(n for _, numbers in (parts[:1] if same else parts) for n in numbers),
         len(atoms),
         tuple(a.power for a, _ in atoms),
         values,
@@ -273,11 +271,13 @@ def formula(parts: Sequence[Part]) -> Form:
     )
 
 
-def parts_for(over: Range, signed: bool, round_: bool) -> list[Part]:
-    """Every function of the grammar for a driver, with the numbers to begin with."""
+def parts_for(over: Range, signed: bool, round_: bool, gain: bool = False) -> list[Part]:
+    """Every function of the grammar for a driver, with the numbers to begin with; gain: whether the
+    law is a gain of something."""
+    level: list[Part] = [(name, ()) for name in (LEVEL if gain else ())]
     if round_:
-        return [(name, ()) for name in ROUND]
-    return [
+        return [*((name, ()) for name in ROUND), *level]
+    return level + [
         (name, numbers)
         for name, atom in ATOMS.items()
         if signed or not atom.sided
@@ -295,7 +295,7 @@ def about(part: Part, share: float) -> list[Part]:
     return out
 
 
-def text_of(part: Part, digits: int = 3) -> str:
+def text_of(part: Part, digits: int = 4) -> str:
     """The function as text with its numbers, the driver {x} still open."""
     name, numbers = part
     return _KNOWN[name].text.format(*(f"{n:.{digits}g}" for n in numbers), x="{x}")
@@ -309,8 +309,9 @@ def again(kind: str, numbers: tuple[float, ...]) -> Form:
     if kind == "circle":
         return circle(*numbers[:2])
     parts: list[Part] = []
-    for name in kind.split(" + "):
+    same = SAME in kind
+    for name in kind.split(SAME if same else OWN):
         count = len(next(iter(_KNOWN[name].shares(Range(-1.0, 1.0, 0.1)))))
         parts.append((name, tuple(numbers[:count])))
-        numbers = numbers[count:]
-    return formula(parts)
+        numbers = numbers if same else numbers[count:]
+    return formula(parts, same)

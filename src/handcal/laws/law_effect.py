@@ -84,7 +84,7 @@ class Law:
             return f"{left} += {by}g{own}({x})"
         many = len(self.form.texts) > 1
         parts = [
-            f"k{n + 1 if many else ''}{own} * {by}{text.format(x=x)}"
+            f"k{n + 1 if many else ''}{own} * {by}{text.format(x=x)}".removesuffix(" * 1")
             for n, text in enumerate(self.form.texts)
         ]
         return f"{left} += {' + '.join(parts)}"

@@ -18,7 +18,6 @@ from handcal.laws.grammar import (
     Form,
     Part,
     about,
-    cost_of,
     curves,
     formula,
     parts_for,
@@ -134,11 +133,11 @@ class About:
 
 def written_out(about_: About, law: Law) -> list[tuple[Law, float]]:
     """The law as the formulas that gain most over the model, and what they gain: of one function,
-    and of two; with their numbers adjusted."""
+    of two, and of two with the same numbers; with their numbers adjusted."""
     driver = law.driver
     x = np.stack([driver.of(about_.signals, axis) for axis in range(3)])
     over = range_of(x, driver.signed)
-    parts = parts_for(over, driver.signed, driver.round)
+    parts = parts_for(over, driver.signed, driver.round, driver.factor is not None)
     return [_adjusted(about_, *end) for end in _tried(about_, law, parts)]
 
 
@@ -147,13 +146,14 @@ def _adjusted(about_: About, law: Law, gain: float) -> tuple[Law, float]:
     for share in FINER if law.form.numbers else ():
         parts = [near for part in law.form.parts for near in about(part, share)]
         for other, value in _tried(about_, law, parts):
-            if value > gain and len(other.form.parts) == len(law.form.parts):
+            if value > gain and other.form.kind == law.form.kind:
                 law, gain = other, value
     return law, gain
 
 
 def _tried(about_: About, law: Law, parts: Sequence[Part]) -> list[tuple[Law, float]]:
-    """The best of these functions in the law's place, and the best sum of two; what they gain."""
+    """The best of these functions in the law's place, the best sum of two, and of two with the same
+    numbers; what they gain."""
     forms = [formula([part]) for part in parts]
     sizes = np.array([_rms(law, form, about_.signals) for form in forms])
     some = np.flatnonzero(sizes > 1e-9)
@@ -166,26 +166,28 @@ def _tried(about_: About, law: Law, parts: Sequence[Part]) -> list[tuple[Law, fl
     ]
     seen = about_.seen(effects)
     out = []
-    for sets in _sets([int(n) for n in some], parts):
+    for sets, same in _sets([int(n) for n in some], parts):
         index = [np.concatenate([seen.at[f"basis: {n}"] for n in chosen]) for chosen in sets]
-        values = seen.gains(np.array(index)) - [cost_of([parts[n] for n in s]) for s in sets]
+        sums = [formula([parts[n] for n in chosen], same) for chosen in sets]
+        values = seen.gains(np.array(index)) - [form.cost for form in sums]
         for k in np.argsort(-values, kind="stable"):
             sigmas = tuple(float(SIZE[law.sensor] / sizes[n]) for n in sets[k])
-            form = formula([parts[n] for n in sets[k]])
-            candidate = replace(law, form=form, sigmas=sigmas)
+            candidate = replace(law, form=sums[k], sigmas=sigmas)
             if not named(candidate):
                 out.append((candidate, float(values[k])))
                 break
     return out
 
 
-def _sets(some: Sequence[int], parts: Sequence[Part]) -> list[list[tuple[int, ...]]]:
-    """All of one of these, and all of two that are different functions."""
+def _sets(some: Sequence[int], parts: Sequence[Part]) -> list[tuple[list[tuple[int, ...]], bool]]:
+    """All of one of these, all of two that are different functions, and all of two with the same
+    numbers; each with whether it is that."""
     one: list[tuple[int, ...]] = [(n,) for n in some]
     two: list[tuple[int, ...]] = [
         (n, m) for n, m in combinations(some, 2) if parts[n][0] != parts[m][0]
     ]
-    return [sets for sets in (one, two) if sets]
+    same = [both for both in two if parts[both[0]][1] and parts[both[0]][1] == parts[both[1]][1]]
+    return [(sets, sets is same) for sets in (one, two, same) if sets]
 
 
 def tuned(about_: About, law: Law, gain: float) -> tuple[Law, float]:

@@ -166,9 +166,10 @@ def _beside_the_rest(
 
 
 def rename(c: Climb) -> Model | None:
-    """The model with another law in the place of one and of names that may be there for its sake
-    only. (A law that is a name beside another law to the first order is found as that: a cubic
-    error as a scale error and what bends off it.)"""
+    """The model with another law in the place of one and of names or laws that may be there for its
+    sake only. (A law that is a name beside another law to the first order is found as that: a cubic
+    error as a scale error and what bends off it. And one that is found as another that resembles it
+    leaves a third to be found.)"""
     ways: dict[_Way, tuple[Model, Term]] = {}
     for term in c.unnamed:
         for ids in _beside(c, term):
@@ -183,16 +184,20 @@ def rename(c: Climb) -> Model | None:
 
 def _beside(c: Climb, term: Term) -> list[frozenset[str]]:
     """A law with names of its sensor, with delays, by which the errors of all sensors are late or
-    early, and with both, as far as the recordings hardly tell them from the law."""
+    early, and with both; and with the other laws of its sensor, without and with these names; as
+    far as the recordings hardly tell them from the law."""
     sensor = _sensor(term)
     if term.effect.id not in c.model.ids or not sensor:
         return []
     taken = [e for e in c.model.effects if e.process is None and e.id not in c.kept]
-    names = [e for e in taken if name_of(e.id) in catalogue()
+    mixed = [e for e in taken if e.id != term.effect.id
              and _correlation(c.model, e.id, term.effect.id) > MIXED]  # fmt: skip
+    names = [e for e in mixed if name_of(e.id) in catalogue()]
     own = frozenset(e.id for e in names if e.id.startswith(sensor))
     late = frozenset(e.id for e in names if e.lateness)
-    return [ids | {term.effect.id} for ids in dict.fromkeys((own, late, own | late)) if ids]
+    laws = frozenset(e.id for e in mixed if e.id.startswith(sensor) and e not in names)
+    sets = own, late, own | late, *((laws, laws | own) if laws else ())
+    return [ids | {term.effect.id} for ids in dict.fromkeys(sets) if ids]
 
 
 def _correlation(model: Model, one: str, other: str) -> float:
