@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 class Group(NamedTuple):
     """What a group of figures measures, and about how long that takes.
 
-    The times are those of five rounds with nothing to compile, on two cores beside other work;
-    they are told in the help, and nothing else depends on them.
+    The times are those of five rounds on two cores, with nothing to compile. They are told in the
+    help, and nothing else depends on them.
     """
 
     text: str
@@ -43,11 +43,11 @@ GROUPS = {
     "epochs": Group("explain's pass over 84 s, over dense C++", "10 s"),
     "linear": Group("cost of a sample in recordings of 10 to 10,000 s", "35 s"),
     "reading": Group("messages read from MCAP", "15 s"),
-    "start": Group("help and calibrate, from the start", "5 min"),
-    "memory": Group("calibrate for one hour and explain for ten minutes: time, memory", "3 min"),
+    "start": Group("help and calibrate, from the start", "4 min"),
+    "memory": Group("calibrate for one hour and explain for ten minutes: time, memory", "2 min"),
     "sweep": Group("the whole grid of paper 002, on one core and on two", "3 min"),
     "explain": Group("explain of simulated recordings, and its memory", "10 min"),
-    "devices": Group("explain of every recording in a folder, and its memory", "40 min"),
+    "devices": Group("explain of every recording in a folder, and its memory", "2 min a recording"),
 }
 # These are not worth their time every day; --all includes them.
 LONG = ("memory", "sweep", "explain", "devices")
@@ -60,14 +60,17 @@ def bench(
         list[str] | None,
         typer.Option(
             metavar="GROUP",
-            help="One of these (repeatable), with the time that five rounds take: "
+            help="One of these (repeatable), with about the time that five rounds take: "
             + ", ".join(f"{name} {group.takes}" for name, group in GROUPS.items())
             + ".",
         ),
     ] = None,
     everything: Annotated[
         bool,
-        typer.Option("--all", help=f"With {', '.join(LONG)} too: an hour, eight minutes without."),
+        typer.Option(
+            "--all",
+            help=f"With {', '.join(LONG)} too: 22 minutes and the recordings; 7 minutes without.",
+        ),
     ] = False,
     peers: Annotated[
         Path | None,
@@ -92,8 +95,9 @@ def bench(
 ) -> None:
     """Measure handcal on this machine: speed beside other programs, start-up, memory.
 
-    Each figure is shown, and kept in the file of --json, as soon as it is measured; interrupt when
-    you have seen enough. Peers that are not installed are left out; the extra 'bench' brings them.
+    Each figure is shown, and kept in the file of --json, once it is measured;
+    interrupted, bench leaves what it has. Peers that are not installed are
+    left out; the extra 'bench' brings them.
     """
     from handcal.output import check_outputs
 
