@@ -79,7 +79,7 @@ trial: setup ## blind trials of explain at full size: hours; scores in trial-out
 	    $(if $(AGAINST),--against $(AGAINST)) --json trial-out/$$s.json || exit; \
 	done
 
-bench: .venv/.installed-bench ## speed beside other programs, start-up, memory: ten minutes
+bench: .venv/.installed-bench ## speed beside other programs, start-up, memory: 22 minutes, and 2 for each real recording
 	@mkdir -p bench-out
 	$(BIN)/handcal bench --all --json bench-out/bench.json
 

@@ -5,13 +5,16 @@ import sys
 
 import numpy as np
 import pytest
+import schemas
 import typer
 from numba.core import event
+from typer.testing import CliRunner
 
-from handcal.bench import filter, program, timing
+from handcal.bench import explaining, filter, program, timing
 from handcal.bench.timing import Figure, Missing, Skipped, Spent, Target, in_turns, peer
 from handcal.commands import _progress
 from handcal.commands import bench as bench_command
+from handcal.commands._app import app
 from handcal.recordings.inputs import load
 from handcal.types import HandcalError
 
@@ -136,6 +139,152 @@ def test_the_table_as_json_gives_every_round(capsys, tmp_path, monkeypatch):
     assert "Left out: GTSAM: there is none." in shown
 
 
+def one_figure(group):
+    return Figure(group, f"figure of {group}", "s", np.array([1.0]), "wall")
+
+
+def groups(monkeypatch, **measured):
+    """The command with these groups alone, each a function that yields its rows."""
+    known = {name: bench_command.Group(f"what {name} is", "1 s") for name in measured}
+    monkeypatch.setattr(bench_command, "GROUPS", known)
+    monkeypatch.setattr(bench_command, "_measurements", lambda *_: measured)
+
+
+def test_each_figure_is_shown_and_kept_before_the_next_is_measured(monkeypatch, tmp_path, capfd):
+    kept, seen = tmp_path / "b.json", []
+
+    def look(tick):
+        tick("something")
+        for n in range(2):
+            yield one_figure(f"look {n}")
+            document = json.loads(kept.read_text())
+            schemas.check(document)
+            seen.append([len(document["figures"]), document["complete"], document["skipped"]])
+            seen[-1].append(capfd.readouterr())
+
+    groups(monkeypatch, look=look, last=lambda _: [one_figure("last")])
+    bench_command.bench(rounds=1, json=kept)
+    left = [
+        {"group": name, "title": f"what {name} is", "reason": bench_command.CUT_OFF}
+        for name in ("look", "last")
+    ]
+    assert [one[:3] for one in seen] == [[1, False, left], [2, False, left]]
+    assert "figure of look 0" in seen[0][3].out
+    assert "look (1 of 2): what look is\n" in seen[0][3].err
+    assert "look (1 of 2): something\n" in seen[0][3].err
+    assert seen[1][3].err == ""
+    document = json.loads(kept.read_text())
+    assert [f["group"] for f in document["figures"]] == ["look 0", "look 1", "last"]
+    assert document["complete"] is True
+    assert document["skipped"] == []
+
+
+@pytest.mark.parametrize("to", ["b.json", "-"])
+@pytest.mark.parametrize(
+    ("raised", "status"), [(KeyboardInterrupt(), 130), (SystemExit(143), 143)], ids=["int", "term"]
+)
+def test_interrupted_it_keeps_what_was_measured(monkeypatch, tmp_path, raised, status, to):
+    def cut_off(_tick):
+        yield one_figure("b")
+        raise raised
+
+    groups(monkeypatch, a=lambda _: [one_figure("a")], b=cut_off, c=lambda _: [one_figure("c")])
+    monkeypatch.chdir(tmp_path)
+    done = CliRunner().invoke(app, ["bench", "--json", to])
+    assert done.exit_code == status
+    assert "interrupted; 2 figures are measured" in done.stderr
+    assert done.stderr.endswith("not measured to their end: b, c\n")
+    assert ("figure of a" in done.stdout.split("{")[0]) == (to != "-")
+    document = json.loads(done.stdout if to == "-" else (tmp_path / to).read_text())
+    schemas.check(document)
+    assert [f["group"] for f in document["figures"]] == ["a", "b"]
+    assert document["complete"] is False
+    assert [s["group"] for s in document["skipped"]] == ["b", "c"]
+
+
+def test_an_earlier_result_stays_until_there_is_a_figure(monkeypatch, tmp_path):
+    def cut_off(_tick):
+        raise KeyboardInterrupt
+
+    groups(monkeypatch, a=cut_off)
+    (tmp_path / "b.json").write_text("earlier")
+    done = CliRunner().invoke(app, ["bench", "--json", str(tmp_path / "b.json")])
+    assert done.exit_code == 130
+    assert "nothing is measured yet" in done.stderr
+    assert (tmp_path / "b.json").read_text() == "earlier"
+
+
+def test_who_no_longer_waits_for_a_program_ends_it(monkeypatch):
+    children = []
+
+    def interrupted(child, _begin):
+        children.append(child)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(timing, "_ended", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        timing.run_python("import time; time.sleep(30)")
+    assert children[0].returncode
+
+
+def test_the_smallest_recordings_come_first_and_one_that_fails_is_left_out(monkeypatch, tmp_path):
+    """Where the folder of all recordings is, a variable says."""
+    for name, size in {"a.mcap": 30, "b.mcap": 20, "c.mcap": 10, "no.txt": 1}.items():
+        (tmp_path / name).write_bytes(b"x" * size)
+    wall = {"c": 50.0, "b": None, "a": 9.0}
+    ran = []
+
+    def run(command, path, whole):
+        assert (command, whole) == ("explain", True)
+        ran.append(path.stem)
+        if wall[path.stem] is None:
+            raise HandcalError("it cannot be read.")
+        return timing.Ran(1.0, wall[path.stem], 100.0)
+
+    monkeypatch.setattr(explaining, "run_handcal", run)
+    done = CliRunner().invoke(
+        app,
+        ["bench", "--only", "devices", "--json", "-"],
+        env={"HANDCAL_RECORDINGS": str(tmp_path)},
+    )
+    assert done.exit_code == 0, (done.output, done.exception)
+    document = json.loads(done.stdout)
+    assert ran == ["c", "b", "a"]
+    assert "a.mcap (3 of 3)" in done.stderr
+    (left_out,) = document["skipped"]
+    assert left_out["title"] == "explain: b"
+    assert left_out["reason"] == "it cannot be read."
+    times = {f["title"]: (f["median"], f["met"]) for f in document["figures"] if f["unit"] == "s"}
+    assert times == {
+        "explain: c": (50.0, False), "explain: a": (9.0, True),
+        "explain: median of 2 recordings": (29.5, False),
+        "explain: worst of 2 recordings": (50.0, False),
+    }  # fmt: skip
+
+
+def test_interrupted_recordings_have_a_median_of_which_nothing_is_asked(monkeypatch, tmp_path):
+    for n in range(4):
+        (tmp_path / f"{n}.mcap").write_bytes(b"x" * (9 - n))
+    times = iter([1.0, 5.0])
+
+    def run(*_, whole):  # noqa: ARG001
+        try:
+            return timing.Ran(1.0, next(times), np.nan)
+        except StopIteration:
+            raise KeyboardInterrupt from None
+
+    monkeypatch.setattr(explaining, "run_handcal", run)
+    measured = explaining.devices(tmp_path, lambda _="": None)
+    rows = [next(measured) for _ in range(4)]
+    with pytest.raises(KeyboardInterrupt):
+        next(measured)
+    assert [(r.title, r.value, r.target is None) for r in rows] == [
+        ("explain: 3", 1.0, False), ("explain: 2", 5.0, False),
+        ("explain: median of the smallest 2 of 4 recordings", 3.0, True),
+        ("explain: worst of the smallest 2 of 4 recordings", 5.0, True),
+    ]  # fmt: skip
+
+
 @pytest.mark.parametrize(
     ("slower", "fewer", "status"),
     [(1.29, 1.0, 0), (1.31, 1.0, 1), (1.0, 1.29, 0), (1.0, 1.31, 1), (0.2, 0.2, 0)],
@@ -188,3 +337,15 @@ def test_a_bar_says_that_it_compiles(monkeypatch):
             assert bar.text == "calibrating: compiling, only this once"
             assert bar.shown is not None
         assert bar.text == "calibrating"
+
+
+def test_a_bar_that_made_room_is_shown_again_with_its_stage(monkeypatch):
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    with _progress.progress("measuring", patience=0.0) as bar:
+        bar(stage="one")
+        bar.hide()
+        assert bar.shown is None
+        bar()
+        assert bar.shown is not None
+        assert bar.shown.tasks[0].description == "measuring: one"
+    assert bar.shown is None

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from handcal.bench.program import simulated
-from handcal.bench.timing import Figure, Found, Missing, Ran, Target, Tick, run_handcal
+from handcal.bench.timing import Figure, Missing, Ran, Row, Skipped, Target, Tick, run_handcal
+from handcal.types import HandcalError
 
 # Errors of usual size, of which a device has many at once.
 ERRORS = (
@@ -28,7 +29,7 @@ CLEAN_S, TEN_S, LONG_S, MEDIAN_S, WORST_S = 2.0, 30.0, 60.0, 15.0, 40.0
 USUAL_MB, LONG_MB = 600.0, 1000.0
 
 
-def explaining(folder: Path, rounds: int, tick: Tick) -> Found:
+def explaining(folder: Path, rounds: int, tick: Tick) -> Iterator[Row]:
     """Simulated recordings: one of a perfect device, two of devices with ten errors, a long one."""
     ten = ("--duration", "120", "--seed", "1")
     rows = (
@@ -37,35 +38,50 @@ def explaining(folder: Path, rounds: int, tick: Tick) -> Found:
         ("120 s, ten errors, pose", (*ten, "--pose", *_put(WITH_POSE)), TEN_S, USUAL_MB),
         ("10 min, no error", ("--duration", "600"), LONG_S, LONG_MB),
     )
-    found: Found = []
     for title, options, seconds, megabytes in rows:
+        tick(title)
         path = simulated("free-hand", folder / "explained.mcap", *options)
         ran = [_explained(path, tick) for _ in range(rounds)]
-        found += _figures("explain", f"explain: {title}", ran, seconds, megabytes)
-    return found
+        yield from _figures("explain", f"explain: {title}", ran, seconds, megabytes)
 
 
 def _put(more: Sequence[str]) -> list[str]:
     return [word for one in (*ERRORS, *more) for word in ("--effect", one)]
 
 
-def devices(recordings: Path, tick: Tick) -> Found:
-    """Every recording (MCAP) below a folder, once each. Raises Missing where there is none."""
-    files = sorted(recordings.rglob("*.mcap"))
+def devices(recordings: Path, tick: Tick) -> Iterator[Row]:
+    """Every recording (MCAP) below a folder once, the smallest first; then median and worst.
+
+    One that cannot be explained is left out. Interrupted, it tells the median of those before,
+    of which nothing is asked: large recordings take longer. Raises Missing where there is none.
+    """
+    files = sorted(recordings.rglob("*.mcap"), key=lambda path: (path.stat().st_size, path))
     if not files:
         raise Missing(f"there is no recording in {recordings} (--recordings names another folder).")
-    ran = [_explained(path, tick) for path in files]
-    found: Found = []
-    for path, one in zip(files, ran, strict=True):
-        found += _figures("devices", f"explain: {path.stem}", [one])
-    wall = np.array([one.wall for one in ran])
-    for title, value, most in (
-        ("median", np.median(wall), MEDIAN_S),
-        ("worst", wall.max(), WORST_S),
-    ):
-        title = f"explain: {title} of {len(files)} recordings"
-        found.append(Figure("devices", title, "s", np.array([value]), "wall", Target(most, True)))
-    return found
+    wall: list[float] = []
+    try:
+        for k, path in enumerate(files, 1):
+            tick(f"{path.name} ({k} of {len(files)})")
+            try:
+                ran = _explained(path, tick)
+            except HandcalError as problem:
+                yield Skipped("devices", f"explain: {path.stem}", str(problem))
+                continue
+            wall.append(ran.wall)
+            yield from _figures("devices", f"explain: {path.stem}", [ran], WORST_S)
+    except (KeyboardInterrupt, SystemExit):
+        yield from _summary(wall, f"the smallest {len(wall)} of {len(files)} recordings", False)
+        raise
+    yield from _summary(wall, f"{len(wall)} recordings", True)
+
+
+def _summary(wall: Sequence[float], of: str, asked: bool) -> Iterator[Figure]:
+    """The median and the worst of what was measured, if something was."""
+    for title, middle, most in (("median", np.median, MEDIAN_S), ("worst", np.max, WORST_S)):
+        if wall:
+            target = Target(most, True) if asked else None
+            value = np.array([middle(wall)])
+            yield Figure("devices", f"explain: {title} of {of}", "s", value, "wall", target)
 
 
 def _explained(path: Path, tick: Tick) -> Ran:

@@ -6,7 +6,7 @@ import math
 import os
 import shutil
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,6 +18,7 @@ from handcal.bench.timing import (
     Figure,
     Found,
     Missing,
+    Row,
     Side,
     Skipped,
     Target,
@@ -219,22 +220,18 @@ def against_gtsam(case: Case, script: list[str | Path], rounds: int, tick: Tick)
     ]  # fmt: skip
 
 
-def linear_cost(recording: Recording, rounds: int, tick: Tick) -> Found:
+def linear_cost(recording: Recording, rounds: int, tick: Tick) -> Iterator[Row]:
     """How much more a sample of a long recording costs than one of a short recording."""
     cases = [case_of(repeated(recording, length), 10.0) for length in LENGTHS_S]
-    found: Found = []
     for title, made in (("filter", _filtered), ("smoother", _smoothed)):
+        tick(title)
         sides = [made(case) for case in cases]
         cpu, _ = in_turns(sides, rounds, tick)
         spread = 100.0 * (cpu.max(axis=1) / cpu.min(axis=1) - 1.0)
         text = f"{title}: dearest over cheapest sample, {LENGTHS_S[0]:g} to {LENGTHS_S[-1]:,.0f} s"
-        found.append(Figure("linear", text, "%", spread, "cpu", Target(15.0, True)))
-        per_sample = zip(LENGTHS_S, MEGA * cpu.T, strict=True)
-        found += [
-            Figure("linear", f"{title}, a sample of {length:,.0f} s", "us", us, "cpu")
-            for length, us in per_sample
-        ]
-    return found
+        yield Figure("linear", text, "%", spread, "cpu", Target(15.0, True))
+        for length, us in zip(LENGTHS_S, MEGA * cpu.T, strict=True):
+            yield Figure("linear", f"{title}, a sample of {length:,.0f} s", "us", us, "cpu")
 
 
 def _filtered(case: Case) -> Side:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -11,6 +12,7 @@ import numpy as np
 from handcal.bench.timing import (
     Figure,
     Found,
+    Row,
     Skipped,
     Target,
     Tick,
@@ -69,13 +71,13 @@ def starting(folder: Path, rounds: int, tick: Tick) -> Found:
         run_handcal(*(a.format(path) for a in arguments))
         run_python(f"import {modules}")
     for r in range(rounds):
+        tick(f"round {r + 1} of {rounds}")
         with TemporaryDirectory() as cache:
             first[r] = run_handcal("calibrate", path, cache=Path(cache)).wall
         for k, (_, arguments, modules, _) in enumerate(STARTS):
             ran = run_handcal(*(a.format(path) for a in arguments))
             wall[k, r] = ran.wall, run_python(f"import {modules}").wall
             cpu[k, r] = ran.cpu
-        tick()
     title = "calibrate 30 s, nothing compiled yet"
     found: Found = [Figure("start", title, "s", first, "wall", Target(6.0, True))]
     for (title, _, modules, most), (own, loading), used in zip(
@@ -97,25 +99,21 @@ LONG = (
 )
 
 
-def long_recordings(folder: Path, rounds: int, tick: Tick) -> Found:
+def long_recordings(folder: Path, rounds: int, tick: Tick) -> Iterator[Row]:
     """Processor time and the most memory that a long recording takes, in one thread."""
-    found: Found = []
     for title, command, seconds, most, megabytes in LONG:
+        tick(title)
         options = ("--duration", f"{seconds:g}", "--heading-rate", "50")
         path = simulated("free-hand", folder / "long.mcap", *options)
         # (once beforehand, so that nothing is compiled in what is measured)
         ran = [run_handcal(command, path) for _ in range(1 + rounds)][1:]
-        tick()
         path.unlink()
         used, memory = np.array([r.cpu for r in ran]), np.array([r.memory for r in ran])
         if np.isnan(memory).any():
-            found.append(Skipped("memory", title, "this system does not tell."))
+            yield Skipped("memory", title, "this system does not tell.")
             continue
-        found += [
-            Figure("memory", title, "s", used, "cpu", Target(most, True)),
-            Figure("memory", f"{title}: memory", "MB", memory, "", Target(megabytes, True)),
-        ]
-    return found
+        yield Figure("memory", title, "s", used, "cpu", Target(most, True))
+        yield Figure("memory", f"{title}: memory", "MB", memory, "", Target(megabytes, True))
 
 
 def sweeping(rounds: int, tick: Tick) -> Found:
@@ -127,9 +125,9 @@ def sweeping(rounds: int, tick: Tick) -> Found:
     run_handcal(*command[:-3], "--seeds", "1", "--jobs", "1")
     wall = np.empty((rounds, 2))
     for r in range(rounds):
+        tick(f"round {r + 1} of {rounds}")
         for k, jobs in enumerate(("1", "2")):
             wall[r, k] = run_handcal(*command, jobs).wall
-            tick()
     ratio = wall[:, 0] / wall[:, 1]
     return [
         Figure("sweep", title, "s", wall[:, 1], "wall", Target(25.0, True)),

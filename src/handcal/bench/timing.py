@@ -13,11 +13,11 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -86,9 +86,16 @@ class Spent(NamedTuple):
     wall: float
 
 
+class Tick(Protocol):
+    """Told of everything that begins (``what``), and now and then that it goes on."""
+
+    def __call__(self, what: str = "") -> None: ...
+
+
 Side = Callable[[], Spent]
-Tick = Callable[[], None]
-Found = list[Figure | Skipped]
+Row = Figure | Skipped
+Rows = Iterable[Row]
+Found = list[Row]
 
 
 class Missing(HandcalError):
@@ -221,7 +228,14 @@ def _run(command: Sequence[str], shown: str, environment: Mapping[str, str]) -> 
     with tempfile.TemporaryFile("w+") as said:
         begin = time.perf_counter()
         child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=said, env=environment)
-        ran = _ended(child, begin)
+        try:
+            ran = _ended(child, begin)
+        finally:
+            if (
+                child.returncode is None
+            ):  # (whoever waits was interrupted: nobody wants it any more)
+                child.terminate()
+                child.wait()
         if child.returncode:
             said.seek(0)
             last = (said.read().strip().splitlines() or [""])[-1]

@@ -21,8 +21,9 @@ class Bar:
     """Shows how far something has come: ``bar(fraction)``, ``bar(fraction, stage)``; ``bar()`` says
     that it is alive."""
 
-    def __init__(self, text: str) -> None:
+    def __init__(self, text: str, patience: float | None = None) -> None:
         self.text = text
+        self.patience = patience
         self.started = time.monotonic()
         self.visible = sys.stderr.isatty()
         self.shown: Progress | None = None
@@ -31,19 +32,26 @@ class Bar:
     def __call__(self, fraction: float | None = None, stage: str = "") -> None:
         if stage and stage != self.stage:
             self.stage = stage
-            self._begin(stage)
-        if self.shown is None and self.visible and time.monotonic() - self.started > PATIENCE_S:
+            self._begin()
+        if self.shown is None and self.visible and self._waited():
             self._show()
         if self.shown is not None and fraction is not None:
             self.shown.update(self.shown.task_ids[0], completed=fraction, total=1.0)
 
-    def _begin(self, stage: str) -> None:
+    def _begin(self) -> None:
         """Say which stage begins."""
         if self.visible:
             if self.shown is not None:
-                self.shown.update(self.shown.task_ids[0], description=f"{self.text}: {stage}")
-        elif time.monotonic() - self.started > PATIENCE_S:
-            say(f"{self.text}: {stage}")
+                self.shown.update(self.shown.task_ids[0], description=self._named())
+        elif self._waited():
+            say(self._named())
+
+    def _waited(self) -> bool:
+        patience = PATIENCE_S if self.patience is None else self.patience
+        return time.monotonic() - self.started >= patience
+
+    def _named(self) -> str:
+        return f"{self.text}: {self.stage}" if self.stage else self.text
 
     def _show(self) -> None:
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -52,28 +60,33 @@ class Bar:
 
         columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
         self.shown = Progress(*columns, console=Terminal(stderr=True), transient=True)
-        named = f"{self.text}: {self.stage}" if self.stage else self.text
-        self.shown.add_task(named, total=None)
+        self.shown.add_task(self._named(), total=None)
         self.shown.start()
+
+    def hide(self) -> None:
+        """Make room for what is to be printed; the next call shows the bar again."""
+        if self.shown is not None:
+            self.shown.stop()
+            self.shown = None
 
     def describe(self, text: str) -> None:
         """Say something else beside the bar."""
         self.text = text
         self()
         if self.shown is not None:
-            self.shown.update(self.shown.task_ids[0], description=text)
+            self.shown.update(self.shown.task_ids[0], description=self._named())
 
 
 @contextmanager
-def progress(text: str) -> Iterator[Bar]:
-    """Call what this yields with the fraction done, as often as you like."""
-    bar = Bar(text)
+def progress(text: str, patience: float | None = None) -> Iterator[Bar]:
+    """Call what this yields with the fraction done, as often as you like. patience: s before
+    anything is shown, ``PATIENCE_S`` if not given."""
+    bar = Bar(text, patience)
     try:
         with _compiling(bar) if bar.visible else nullcontext():
             yield bar
     finally:
-        if bar.shown is not None:
-            bar.shown.stop()
+        bar.hide()
 
 
 @contextmanager

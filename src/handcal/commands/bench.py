@@ -3,51 +3,74 @@
 from __future__ import annotations
 
 import os
-import platform
 import sys
-from collections.abc import Callable
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
+from handcal.commands._ending import INTERRUPTED
 from handcal.commands._options import Json
+from handcal.commands._progress import progress
+from handcal.commands._registry import say
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from rich.console import Console
+    from rich.text import Text
 
-    from handcal.bench.timing import Figure, Found, Tick
+    from handcal.bench.timing import Found, Row, Rows, Skipped, Tick
     from handcal.types import Recording
 
+
+class Group(NamedTuple):
+    """What a group of figures measures, and about how long that takes.
+
+    The times are those of five rounds on two cores, with nothing to compile. They are told in the
+    help, and nothing else depends on them.
+    """
+
+    text: str
+    takes: str
+
+
 GROUPS = {
-    "filter": "a sample of the filter, over dense C++",
-    "filterpy": "filterpy over the filter",
-    "pyins": "pyins over the filter",
-    "gtsam": "GTSAM's batch smoother over handcal's",
-    "epochs": "explain's pass over 84 s, over dense C++",
-    "linear": "cost of a sample in recordings of 10 to 10,000 s",
-    "reading": "messages read from MCAP",
-    "start": "help and calibrate, from the start",
-    "memory": "calibrate for one hour and explain for ten minutes: processor time and memory",
-    "sweep": "the whole grid of paper 002, on one core and on two",
-    "explain": "explain of simulated recordings, and its memory",
-    "devices": "explain of every recording in a folder, and its memory",
+    "filter": Group("a sample of the filter, over dense C++", "15 s"),
+    "filterpy": Group("filterpy over the filter", "10 s"),
+    "pyins": Group("pyins over the filter", "1 min"),
+    "gtsam": Group("GTSAM's batch smoother over handcal's", "15 s"),
+    "epochs": Group("explain's pass over 84 s, over dense C++", "10 s"),
+    "linear": Group("cost of a sample in recordings of 10 to 10,000 s", "35 s"),
+    "reading": Group("messages read from MCAP", "15 s"),
+    "start": Group("help and calibrate, from the start", "4 min"),
+    "memory": Group("calibrate for one hour and explain for ten minutes: time, memory", "2 min"),
+    "sweep": Group("the whole grid of paper 002, on one core and on two", "3 min"),
+    "explain": Group("explain of simulated recordings, and its memory", "10 min"),
+    "devices": Group("explain of every recording in a folder, and its memory", "2 min a recording"),
 }
-# These take minutes; --all includes them.
+# These are not worth their time every day; --all includes them.
 LONG = ("memory", "sweep", "explain", "devices")
-SCHEMA = "handcal/bench/1"
+CUT_OFF = "the run ended before it was measured, or measured to its end."
 
 
 def bench(
     rounds: Annotated[int, typer.Option(min=1, help="Rounds in which things take turns.")] = 5,
     only: Annotated[
         list[str] | None,
-        typer.Option(metavar="GROUP", help=f"Of {', '.join(GROUPS)} (repeatable)."),
+        typer.Option(
+            metavar="GROUP",
+            help="One of these (repeatable), with about the time that five rounds take: "
+            + ", ".join(f"{name} {group.takes}" for name, group in GROUPS.items())
+            + ".",
+        ),
     ] = None,
     everything: Annotated[
-        bool, typer.Option("--all", help=f"With {', '.join(LONG)} too, which take minutes.")
+        bool,
+        typer.Option(
+            "--all",
+            help=f"With {', '.join(LONG)} too: 22 minutes and the recordings; 7 minutes without.",
+        ),
     ] = False,
     peers: Annotated[
         Path | None,
@@ -55,7 +78,11 @@ def bench(
     ] = None,
     recordings: Annotated[
         Path,
-        typer.Option(metavar="DIR", help="Recordings of real devices, for the group 'devices'."),
+        typer.Option(
+            metavar="DIR",
+            envvar="HANDCAL_RECORDINGS",
+            help="Recordings of real devices (MCAP), for the group 'devices'.",
+        ),
     ] = Path("../shared/recordings"),
     against: Annotated[
         Path | None,
@@ -68,31 +95,82 @@ def bench(
 ) -> None:
     """Measure handcal on this machine: speed beside other programs, start-up, memory.
 
-    Peers that are not installed are left out; the extra 'bench' brings them.
+    Each figure is shown, and kept in the file of --json, once it is measured;
+    interrupted, bench leaves what it has. Peers that are not installed are
+    left out; the extra 'bench' brings them.
     """
     from handcal.output import check_outputs
-    from handcal.types import InputError
 
     folders = (peers, recordings) if everything or "devices" in (only or ()) else (peers,)
     check_outputs((json,), (against, *folders))
     earlier = _earlier(against) if against else None
-    for name in only or ():
-        if name not in GROUPS:
-            raise InputError(f"--only {name}: there are {', '.join(GROUPS)}.")
-    chosen = [
-        g for g in GROUPS if g in (only or ()) or (not only and (everything or g not in LONG))
-    ]
+    left = _chosen(only or (), everything)
     os.environ["OMP_NUM_THREADS"] = "1"
-    load = _load()
-    found = _measured(chosen, rounds, peers or _beside_the_sources(), recordings)
-    if json:
-        from handcal.show.calibration.summary import write_json
-
-        write_json(_document(found, rounds, load), json)
-    if str(json) != "-":
-        _show(found, rounds, load)
+    measured = _measured(left, rounds, peers or _beside_the_sources(), recordings)
+    found = _taken(measured, left, rounds, json)
     if earlier is not None:
         _check(found, earlier)
+
+
+def _chosen(only: Sequence[str], everything: bool) -> list[str]:
+    """The groups that are asked for, in their own order. Raises InputError."""
+    from handcal.types import InputError
+
+    for name in only:
+        if name not in GROUPS:
+            raise InputError(f"--only {name}: there are {', '.join(GROUPS)}.")
+    return [g for g in GROUPS if g in only or (not only and (everything or g not in LONG))]
+
+
+def _taken(measured: Iterator[Row], left: list[str], rounds: int, json: Path | None) -> Found:
+    """All that is measured; each figure is shown and kept before the next is waited for. left:
+    the groups that are not measured to their end yet."""
+    from handcal.bench.document import document
+    from handcal.show.calibration.summary import write_json
+    from handcal.show.console import Terminal
+
+    load = _load()
+    found: Found = []
+    # (standard output and pipes take one document, and that at the end)
+    at_the_end = json is not None and (str(json) == "-" or (json.exists() and not json.is_file()))
+
+    def keep() -> None:
+        if json:
+            write_json(document(found, _cut_off(left), rounds, load), json)
+
+    console = Terminal(highlight=False, quiet=str(json) == "-")
+    _show_heading(console, rounds, load)
+    try:
+        for row in measured:
+            found.append(row)
+            console.print(_line(row), soft_wrap=True)
+            if not at_the_end:
+                keep()
+    except (KeyboardInterrupt, SystemExit) as ended:
+        if found or at_the_end:  # (before the first figure an earlier file stays)
+            keep()
+        _say_interrupted(found, left, json)
+        if isinstance(ended, SystemExit):
+            raise
+        raise typer.Exit(INTERRUPTED) from None
+    left.clear()
+    keep()
+    return found
+
+
+def _cut_off(groups: Sequence[str]) -> list[Skipped]:
+    from handcal.bench.timing import Skipped
+
+    return [Skipped(name, GROUPS[name].text, CUT_OFF) for name in groups]
+
+
+def _say_interrupted(found: Found, left: Sequence[str], json: Path | None) -> None:
+    from handcal.bench.timing import Figure
+
+    count = sum(isinstance(row, Figure) for row in found)
+    kept = f" and kept in {json}" if count and json and str(json) != "-" else ""
+    figures = f"{count} figures are measured{kept}" if count else "nothing is measured yet"
+    say(f"interrupted; {figures}; not measured to their end: {', '.join(left)}")
 
 
 def _earlier(path: Path) -> list[dict[str, Any]]:
@@ -136,29 +214,36 @@ def _load() -> float | None:
     return os.getloadavg()[0] / (os.cpu_count() or 1)
 
 
-def _measured(groups: list[str], rounds: int, peers: Path, recordings: Path) -> Found:
+def _measured(left: list[str], rounds: int, peers: Path, recordings: Path) -> Iterator[Row]:
+    """Each figure of these groups as soon as there is one; a group that is through leaves them."""
     from handcal.bench.timing import Missing, Skipped
 
-    found: Found = []
-    with TemporaryDirectory(prefix="handcal-bench-") as name, _progress(groups) as told:
+    with (
+        TemporaryDirectory(prefix="handcal-bench-") as name,
+        progress("measuring", patience=0.0) as bar,
+    ):
         measure = _measurements(Path(name), rounds, peers, recordings)
-        for group in groups:
-            told(group)
+        groups = tuple(left)
+        for k, group in enumerate(groups, 1):
+            told = f"{group} ({k} of {len(groups)})"
+
+            def tick(what: str = "", told: str = told) -> None:
+                bar(stage=what and f"{told}: {what}")
+
+            tick(GROUPS[group].text)
             try:
-                found += measure[group](lambda g=group: told(g))  # type: ignore[misc]
+                for row in measure[group](tick):
+                    bar.hide()
+                    yield row
             except Missing as problem:
-                found.append(Skipped(group, GROUPS[group], str(problem)))
-            except KeyboardInterrupt:
-                found += [
-                    Skipped(g, GROUPS[g], "interrupted.") for g in groups[groups.index(group) :]
-                ]
-                break
-    return found
+                bar.hide()
+                yield Skipped(group, GROUPS[group].text, str(problem))
+            left.remove(group)
 
 
 def _measurements(
     folder: Path, rounds: int, peers: Path, recordings: Path
-) -> dict[str, Callable[[Tick], Found]]:
+) -> dict[str, Callable[[Tick], Rows]]:
     """How each group is measured."""
     from functools import cache, partial
 
@@ -211,63 +296,37 @@ def _script(peers: Path, name: str, *arguments: str | Path) -> list[str | Path]:
     return [sys.executable, peers / name, *arguments]
 
 
-@contextmanager
-def _progress(groups: list[str]) -> Iterator[Callable[[str], None]]:
-    """On stderr: which group is being measured, and how many are done."""
-    from rich.console import Console
-
-    console = Console(stderr=True)
-    with console.status("") as status:
-
-        def told(group: str) -> None:
-            status.update(f"{group} ({groups.index(group) + 1} of {len(groups)}): {GROUPS[group]}")
-
-        yield told
-
-
 # ---- what is shown ----------------------------------------------------------------------------
 
 
-def _show(found: Found, rounds: int, load: float | None) -> None:
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-
-    from handcal.bench.timing import Figure
-
-    console = Console(highlight=False)
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for heading, justify in (("", "left"), ("median", "right"), ("", "left"),
-                             ("rounds", "left"), ("asked", "left"), ("", "left")):  # fmt: skip
-        table.add_column(heading, justify=justify)  # type: ignore[arg-type]
-    for one in found:
-        if isinstance(one, Figure):
-            table.add_row(*_row(one))
-    if table.rows:
-        console.print(table)
-        text = "cpu: time of one thread on the processor; wall: by the clock."
-        console.print(f"Medians of {rounds} rounds, with the least and the most. {text}")
-    for one in found:
-        if not isinstance(one, Figure):
-            console.print(f"Left out: {one.title}: {one.reason}", soft_wrap=True)
+def _show_heading(console: Console, rounds: int, load: float | None) -> None:
+    text = "cpu: time of one thread on the processor; wall: by the clock."
+    console.print(f"Medians of {rounds} rounds, the least and the most; {text}", soft_wrap=True)
     if load is not None and load > 0.5:
         console.print(
-            f"This machine was busy before (load {load:.1f} a core): times by the clock are longer "
-            "than they need be, and others somewhat.", soft_wrap=True,
+            f"This machine is busy (load {load:.1f} a core): times by the clock are longer than "
+            "they need be, and others somewhat.", soft_wrap=True,
         )  # fmt: skip
 
 
-def _row(figure: Figure) -> tuple[str, ...]:
-    low, high = figure.rounds.min(), figure.rounds.max()
-    unit = "" if figure.unit == "x" else figure.unit
-    spread = f"{_number(low)} to {_number(high)}" if len(figure.rounds) > 1 else ""
-    asked, verdict = "", ""
-    if figure.target is not None:
-        word = "at most" if figure.target.at_most else "at least"
-        asked = f"{word} {_number(figure.target.value)}"
-        verdict = "[green]met[/]" if figure.met else "[red]missed[/]"
-    title = figure.title if figure.target is not None else f"[dim]{figure.title}[/]"
-    return title, _number(figure.value), f"{unit} {figure.clock}".strip(), spread, asked, verdict
+def _line(row: Row) -> Text:
+    """One line: median, unit and clock, least and most, what it is, what is asked."""
+    from rich.text import Text
+
+    from handcal.bench.timing import Figure
+
+    if not isinstance(row, Figure):
+        return Text(f"Left out: {row.title}: {row.reason}")
+    low, high = row.rounds.min(), row.rounds.max()
+    spread = f"{_number(low)} to {_number(high)}" if len(row.rounds) > 1 else ""
+    unit = f"{row.unit} {row.clock}".strip()
+    out = Text(f"{_number(row.value):>8} {unit:<7} {spread:<16} ")
+    out.append(row.title, "" if row.target else "dim")
+    if row.target is not None:
+        word = "at most" if row.target.at_most else "at least"
+        out.append(f": {word} {_number(row.target.value)} asked, ")
+        out.append(*(("met", "green") if row.met else ("missed", "red")))
+    return out
 
 
 def _number(value: float) -> str:
@@ -275,36 +334,3 @@ def _number(value: float) -> str:
     if value >= 99.95:
         return f"{value:,.0f}"
     return f"{value:.1f}" if value >= 9.995 else f"{value:.2f}"
-
-
-def _document(found: Found, rounds: int, load: float | None) -> dict[str, Any]:
-    from handcal.bench.timing import Figure
-
-    figures = [
-        {
-            "group": f.group, "title": f.title, "unit": f.unit, "clock": f.clock or None,
-            "median": f.value, "rounds": f.rounds.tolist(),
-            "target": f.target and {"at_most" if f.target.at_most else "at_least": f.target.value},
-            "met": f.met,
-        }
-        for f in found if isinstance(f, Figure)
-    ]  # fmt: skip
-    skipped = [
-        {"group": s.group, "title": s.title, "reason": s.reason}
-        for s in found if not isinstance(s, Figure)
-    ]  # fmt: skip
-    return {
-        "schema": SCHEMA, "machine": _machine(load), "rounds": rounds,
-        "figures": figures, "skipped": skipped,
-    }  # fmt: skip
-
-
-def _machine(load: float | None) -> dict[str, Any]:
-    from importlib.metadata import version
-
-    names = ("handcal", "numpy", "numba")
-    return {
-        "processor": platform.processor() or platform.machine(), "cores": os.cpu_count(),
-        "system": platform.system(), "python": platform.python_version(),
-        "load_before": load, "versions": {name: version(name) for name in names},
-    }  # fmt: skip
