@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -234,6 +235,21 @@ def test_a_manifest_has_to_know_every_recording(tmp_path):
     assert [Path(p).name for p in others] == ["m.list"]
     with pytest.raises(InputError, match="no such file"):
         found([str(tmp_path / "*.bag")])
+
+
+def test_a_folder_with_one_recording_that_is_a_folder_is_many(tmp_path):
+    """Formats look for a recording within a folder; beside it there are others."""
+    app = tmp_path / "all/app"
+    app.mkdir(parents=True)
+    for name in ("Gyroscope", "Accelerometer", "Gravity"):
+        (app / f"{name}.csv").write_text("time,seconds_elapsed,z,y,x\n1,0,0,0,1\n2,0.01,0,0,1\n")
+    assert [Path(s.place).name for s in found([str(app)])[0]] == ["app"]
+    assert [Path(s.place).name for s in found([str(tmp_path / "all")])[0]] == ["all"]
+    (tmp_path / "all/one.mcap").write_text("x")
+    assert [Path(s.place).name for s in found([str(tmp_path / "all")])[0]] == ["app", "one.mcap"]
+    shutil.copytree(app, tmp_path / "all/second")
+    (tmp_path / "all/one.mcap").unlink()
+    assert [Path(s.place).name for s in found([str(tmp_path / "all")])[0]] == ["app", "second"]
 
 
 def test_a_folder_of_something_else_is_left_alone(tmp_path):

@@ -100,7 +100,15 @@ def _is_recording(folder: Path) -> bool:
         format_of(folder)
     except InputError:
         return False
-    return True
+    return not _holds_several(folder)
+
+
+def _holds_several(folder: Path) -> bool:
+    """Whether it is a folder of recordings, one of them a folder (which formats find in it, since
+    that is how recordings lie in zip files)."""
+    inside = [one for one in folder.iterdir() if not one.name.startswith(".")]
+    whole = sum(one.is_dir() and _is_recording(one) for one in inside)
+    return whole > 1 or (whole == 1 and any(o.is_file() and _is_known(o.name) for o in inside))
 
 
 def listed(manifest: Path) -> list[Source]:
