@@ -10,9 +10,10 @@ from worlds import recording_of
 
 from handcal.effects import select
 from handcal.estimate import smoother
+from handcal.estimate.adjoint import backward
 from handcal.estimate.baseline import started
 from handcal.estimate.case import case_of
-from handcal.estimate.evidence import backward, reduce, reduced_pass
+from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.fit import fitted
 from handcal.estimate.folded import fold, unfolded
 from handcal.estimate.linear import linearise_about

@@ -13,9 +13,10 @@ from worlds import recording_of
 from handcal.compiled.sparse import Entries, list_entries, no_entries, times_entries, turn_over
 from handcal.effects import select
 from handcal.estimate import evidence, fit
+from handcal.estimate.adjoint import backward
 from handcal.estimate.baseline import started
 from handcal.estimate.case import case_of
-from handcal.estimate.evidence import Reduction, backward, means, reduce, reduced_pass
+from handcal.estimate.evidence import Reduction, means, reduce, reduced_pass
 from handcal.estimate.model import Fitted
 from handcal.estimate.transfer import moved_to
 from handcal.types import Array

@@ -16,7 +16,8 @@ import numpy as np
 
 from handcal.compiled import so3
 from handcal.compiled.kernel import MAX_DIM
-from handcal.estimate.evidence import Reduction, Slopes, backward, reduced_pass
+from handcal.estimate.adjoint import Slopes, backward
+from handcal.estimate.evidence import Reduction, reduced_pass
 from handcal.estimate.linear import Linear
 from handcal.estimate.problem import Problem, observation_variances
 from handcal.estimate.white import white_levels

@@ -10,8 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from handcal.estimate import robust, smoother
+from handcal.estimate.adjoint import backward
 from handcal.estimate.case import case_of, problem_with
-from handcal.estimate.evidence import backward, means, reduce, reduced_pass
+from handcal.estimate.evidence import means, reduce, reduced_pass
 from handcal.estimate.folded import unfolded
 from handcal.estimate.heavy_tails import tailed
 from handcal.estimate.linear import Linear

@@ -26,11 +26,11 @@ from handcal.compiled.covariance import (
 from handcal.compiled.jit import copy1, copy2, njit
 from handcal.compiled.kernel import BASE, MAX_DIM
 from handcal.compiled.so3 import exp, matmul
+from handcal.estimate.adjoint import backward
 from handcal.estimate.driven import driven
 from handcal.estimate.evidence import (
     ReducedPass,
     Reduction,
-    backward,
     kept,
     means,
     reduce,
