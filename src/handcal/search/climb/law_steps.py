@@ -15,8 +15,10 @@ from handcal.estimate.case import name_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.parallel import in_parallel
+from handcal.estimate.rest_only import travels
 from handcal.estimate.transfer import moved_to
 from handcal.laws.best_law import Survey, Term, best_term, best_terms, reshaped, survey
+from handcal.laws.drivers import HEADING
 from handcal.laws.law_constants import adjusted
 from handcal.laws.law_effect import SENSORS, effect_of, law_of
 from handcal.model_score import better, score
@@ -198,6 +200,23 @@ def _beside(c: Climb, term: Term) -> list[frozenset[str]]:
     laws = frozenset(e.id for e in mixed if e.id.startswith(sensor) and e not in names)
     sets = own, late, own | late, *((laws, laws | own) if laws else ())
     return [ids | {term.effect.id} for ids in dict.fromkeys(sets) if ids]
+
+
+def instead_of_travel(c: Climb) -> Model | None:
+    """The model with a law with which the point is held that sways as no hand does without it.
+
+    (Integrated twice, a force that is wrong leads away from any point as a hand does that travels,
+    and its sway takes on whatever there is: no noise of the sensors asks for a law.)
+    """
+    key = frozenset(c.model.ids)
+    if key in c.travelled or not _room(c) or not any(map(travels, c.model.parts)):
+        return None
+    c.travelled.add(key)
+    found = best_terms(_surveyed(c), refused=_refused(c), beyond=SENSORS[:HEADING])
+    ways: dict[_Way, tuple[Model, Term]] = {(key, t.effect.id, t.effect.made): (c.model, t)
+                                            for t in found}  # fmt: skip
+    fits = [(m, term) for m, term in _fits(c, ways) if math.isfinite(m.log_evidence)]
+    return _likeliest(c, [(m, term) for m, term in fits if not any(map(travels, m.parts))])
 
 
 def _correlation(model: Model, one: str, other: str) -> float:

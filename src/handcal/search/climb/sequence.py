@@ -7,7 +7,15 @@ from collections.abc import Callable
 from handcal.estimate.model import Model
 from handcal.search.climb.candidates import scanned
 from handcal.search.climb.exchange_steps import exchange, hidden, reorder
-from handcal.search.climb.law_steps import MAX_TERMS, adjust, name_term, narrow, rename, reshape
+from handcal.search.climb.law_steps import (
+    MAX_TERMS,
+    adjust,
+    instead_of_travel,
+    name_term,
+    narrow,
+    rename,
+    reshape,
+)
 from handcal.search.climb.noise_steps import add_noise
 from handcal.search.climb.state import Climb
 from handcal.search.climb.subset_steps import choose, everything, favourite, thin
@@ -62,5 +70,6 @@ _STEPS: dict[Callable[[Climb], Model | None], str] = {
     add_noise: "noise effects",
     thin: "the fit without its weakest effects",
     name_term: "laws that have no name",
+    instead_of_travel: "laws in the place of a hand that travels",
     rename: "laws in the place of laws and names",
 }

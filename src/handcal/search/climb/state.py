@@ -50,6 +50,7 @@ class Climb:
     ordered: set[tuple[str, frozenset[str]]] = field(default_factory=set)
     shaped: set[str] = field(default_factory=set)
     bared: set[frozenset[str]] = field(default_factory=set)
+    travelled: set[frozenset[str]] = field(default_factory=set)
     whole: set[str] = field(default_factory=set)
     adjusted: set[str] = field(default_factory=set)
     survey: Survey | None = None
