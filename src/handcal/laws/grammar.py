@@ -226,6 +226,10 @@ ATOMS: Mapping[str, Atom] = {
         "max(abs({x}) - {0}, 0)", 1, lambda x, d: np.maximum(np.abs(x) - d, 0.0), _LIMITS,
         sided=True,
     ),
+    "jump": Atom(
+        "sign({x}) * (abs({x}) > {0})", 0, lambda x, d: np.sign(x) * (np.abs(x) > d), _LIMITS,
+        sided=True,
+    ),
     "beyond": Atom("max({x} - {0}, 0)", 1, lambda x, c: np.maximum(x - c, 0.0), _places(12)),
     "step": Atom("({x} > {0})", 0, lambda x, c: (x > c).astype(np.float64), _places(12)),
     "bump": Atom(

@@ -187,14 +187,15 @@ def rename(c: Climb) -> Model | None:
 def _beside(c: Climb, term: Term) -> list[frozenset[str]]:
     """A law with names of its sensor, with delays, by which the errors of all sensors are late or
     early, and with both; and with the other laws of its sensor, without and with these names; as
-    far as the recordings hardly tell them from the law."""
+    far as the recordings hardly tell them from the law, or they are steps, whose moment is free."""
     sensor = _sensor(term)
     if term.effect.id not in c.model.ids or not sensor:
         return []
     taken = [e for e in c.model.effects if e.process is None and e.id not in c.kept]
     mixed = [e for e in taken if e.id != term.effect.id
              and _correlation(c.model, e.id, term.effect.id) > MIXED]  # fmt: skip
-    names = [e for e in mixed if name_of(e.id) in catalogue()]
+    steps = [e for e in taken if name_of(e.id) != e.id]
+    names = [e for e in (*mixed, *steps) if name_of(e.id) in catalogue()]
     own = frozenset(e.id for e in names if e.id.startswith(sensor))
     late = frozenset(e.id for e in names if e.lateness)
     laws = frozenset(e.id for e in mixed if e.id.startswith(sensor) and e not in names)
