@@ -30,6 +30,9 @@ from handcal.estimate.corrected import substituted
 from handcal.estimate.derivatives import relinearised
 from handcal.estimate.linear import linearise_about
 from handcal.estimate.observed import observed_of
+from handcal.laws import grammar
+from handcal.laws.law_effect import Law, effect_of
+from handcal.laws.vocabulary import driver_of
 from handcal.observations import catalogue as observations
 from handcal.signals import of_arrays
 from handcal.types import InputError, Series
@@ -1032,6 +1035,25 @@ def test_an_error_as_steep_as_what_is_measured_is_taken_off(slope: float) -> Non
     truth = Signals(t, rate, np.tile([0.0, 0.0, 9.8], (len(t), 1)))
     error = bent(np.array([slope]), truth)
     found = substituted([law], np.array([slope]), replace(truth, gyro=rate + error[:, :3]))
+    np.testing.assert_allclose(found, error, atol=1e-5)
+
+
+@pytest.mark.parametrize("late", [0.5, 2.0, -6.0, 12.0])
+def test_an_error_by_angular_acceleration_is_taken_off(late: float) -> None:
+    """As large as the rate changes in so many samples: noise moves it by as many times as much as
+    itself from sample to sample, and substitution would make that ever more."""
+    t = np.arange(0.0, 20.0, 0.01)
+    rng = np.random.default_rng(0)
+    rate = np.stack([3.0 * np.sin((1.3 + 0.3 * a) * t) for a in range(3)], axis=1)
+    truth = Signals(
+        t, rate + 0.01 * rng.normal(size=(len(t), 3)), np.tile([0.0, 0, 9.8], (len(t), 1))
+    )
+    form = grammar.formula([("line", ())])
+    law = effect_of(Law(0, (0, 1, 2), False, driver_of("alpha_{i} * |omega|"), form, (1.0,)))
+    k = np.array([0.01 * late / 3.0])
+    assert law.imu_error is not None
+    error = law.imu_error(k, truth)
+    found = substituted([law], k, replace(truth, gyro=truth.gyro + error[:, :3]))
     np.testing.assert_allclose(found, error, atol=1e-5)
 
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import solve_banded
 
 from handcal.effects import Effect, Signals
 from handcal.estimate.problem import Problem
@@ -19,9 +20,11 @@ from handcal.types import Array
 # error that changes by three quarters of what is measured fifty-six.
 SUBSTITUTIONS, SUBSTITUTED = 60, 1e-7
 # A round that moves hardly less than the one before leads nowhere: where what is added grows faster
-# than what is measured (a lost step does, within its width), whole steps lead ever further to and
-# fro, and half ones to the end, up to three times as fast.
-SHRINKS, HALF = 0.9, 0.5
+# than what is measured (a lost step does, within its width; from sample to sample an error by
+# angular acceleration does that is as large as the rate changes in some samples), whole steps lead
+# ever further to and fro. Then steps are Newton's, so many at the most; with new derivatives where
+# less than so much of the rest went with the old ones; which are of this share of the readings.
+SHRINKS, STEPS, STALE, SMALL = 0.9, 30, 0.1, 1e-6
 
 
 @dataclass(frozen=True)
@@ -109,20 +112,13 @@ def substituted(
         errors = [e.imu_error(at, truth) for e, at in present if e.imu_error is not None]
         for error in errors:
             total += error
-    step, moved, share = np.empty_like(raw), math.inf, 1.0
+    begun, step, moved = total.copy(), np.empty_like(raw), math.inf
     for done in range(SUBSTITUTIONS if present else 0):
         before, moved = moved, 0.0
         for k, (e, at) in enumerate(present):
             own, old = raw - total, errors[k]
-            if e.imu_inverse is not None:
-                own += old
-                errors[k] = own - e.imu_inverse(at, reading(readings, own))
-            elif e.imu_error is not None:
-                errors[k] = e.imu_error(at, felt(own))
+            errors[k] = _error(e, at, own, old, readings, felt)
             np.subtract(errors[k], old, out=step)
-            if share < 1.0:
-                step *= share
-                errors[k] = old + step
             total += step
             moved = max(moved, float(step.max()), -float(step.min()))
         # (each round moves by as much less as this one did)
@@ -130,7 +126,68 @@ def substituted(
         if following < enough * scale:
             break
         if done > 1 and not moved < SHRINKS * before:
-            if share < 1.0:  # (some are so large that going on would lead away)
+            if not math.isfinite(moved):
                 break
-            share, moved = HALF, math.inf
+            rest = total - sum(errors)
+
+            def added(own: Array, rest: Array = rest) -> Array:
+                """What all effects add, (n, 6), where these are the readings without."""
+                for k, (e, at) in enumerate(present):
+                    errors[k] = _error(e, at, own, errors[k], readings, felt)
+                return np.asarray(rest + sum(errors))
+
+            return raw - _without(added, raw, raw - begun, enough * scale, SMALL * scale)
     return total
+
+
+def _error(
+    e: Effect, at: Array, own: Array, old: Array, readings: Signals,
+    felt: Callable[[Array], Signals],
+) -> Array:  # fmt: skip
+    """What an effect adds, (n, 6), to these readings without any error; old: what it was taken to
+    add."""
+    if e.imu_inverse is not None:
+        return own + old - e.imu_inverse(at, reading(readings, own + old))
+    return old if e.imu_error is None else e.imu_error(at, felt(own))
+
+
+def _without(
+    added: Callable[[Array], Array], raw: Array, own: Array, least: float, small: float
+) -> Array:
+    """The readings (n, 6) to which as much is added as is missing in raw, to ``least``, or the
+    nearest that were found: from ``own`` on, by Newton's steps with what each channel's sample and
+    its neighbours do to it, by differences of ``small``."""
+    nearest, before, bands = own, math.inf, None
+    for _ in range(STEPS):
+        rest = own + added(own) - raw
+        far = float(np.abs(rest).max())
+        if not far < before:  # (too far, or not a number any more: half as far)
+            own = 0.5 * (own + nearest)
+            bands = None
+            continue
+        if far < least:
+            return own
+        if bands is None or far > STALE * before:
+            bands = _bands(added, own, small)
+        nearest, before = own, far
+        own = own - np.stack([solve_banded((1, 1), bands[c], rest[:, c]) for c in range(6)], axis=1)
+    return nearest
+
+
+def _bands(added: Callable[[Array], Array], own: Array, small: float) -> Array:
+    """Derivatives (6, 3, n) of readings with what is added, by those without: of each channel by
+    its next sample, itself and the one before, as ``solve_banded`` has them."""
+    out = np.zeros((6, 3, len(own)))
+    here = added(own)
+    for sensor in (slice(0, 3), slice(3, 6)):
+        for first in range(3):
+            moved = own.copy()
+            moved[first::3, sensor] += small
+            change = (added(moved) - here)[:, sensor].T / small
+            for row, shift in enumerate((-1, 0, 1)):
+                # (of a reading that is moved, what it does to the one before, itself, the next)
+                to = np.arange(first, len(own), 3) + shift
+                inside = (to >= 0) & (to < len(own))
+                out[sensor, row, to[inside] - shift] = change[:, to[inside]]
+    out[:, 1] += 1.0
+    return out

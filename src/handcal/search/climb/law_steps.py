@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from handcal.effects import catalogue
+from handcal.effects import Effect, catalogue
 from handcal.estimate.case import name_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
@@ -126,16 +126,19 @@ def _fits(c: Climb, ways: Mapping[_Way, tuple[Model, Term]]) -> list[tuple[Model
 
 def _doubted(c: Climb) -> dict[str, list[frozenset[str]]]:
     """Sensors, each with effects of the model that may stand in for one law together: noise, which
-    hides whatever has no name; the weak ones, with it; and steps, whose moment is free, with
-    both. Each set holds those before."""
+    hides whatever has no name; the weak ones, with it; steps, whose moment is free, with both; and
+    delays besides, by which a sensor's error is as fast as what it reads changes. Each set holds
+    those before."""
     gained = gains(c.where, c.model.chosen)
     out: dict[str, list[frozenset[str]]] = {}
+    late = _late([e for e in c.model.effects if e.id not in c.kept])
     for sensor in SENSORS:
         own = [e for e in c.model.effects if e.id.startswith(sensor) and e.id not in c.kept]
         noise = frozenset(e.id for e in own if e.process is not None)
         names = [e.id for e in own if e.process is None and name_of(e.id) in catalogue()]
         weak = noise | {i for i in names if gained[i] < WEAK}
-        sets = noise, weak, weak | {i for i in names if name_of(i) != i}
+        held = weak | {i for i in names if name_of(i) != i}
+        sets = noise, weak, held, held | late if noise else held
         if own_sets := [ids for ids in dict.fromkeys(sets) if ids]:
             out[sensor] = own_sets
     return out
@@ -187,7 +190,9 @@ def rename(c: Climb) -> Model | None:
 def _beside(c: Climb, term: Term) -> list[frozenset[str]]:
     """A law with names of its sensor, with delays, by which the errors of all sensors are late or
     early, and with both; and with the other laws of its sensor, without and with these names; as
-    far as the recordings hardly tell them from the law, or they are steps, whose moment is free."""
+    far as the recordings hardly tell them from the law, or they are steps, whose moment is free.
+    Last with all that has no name on its sensor: what is left beside a law may be so because it is
+    another one."""
     sensor = _sensor(term)
     if term.effect.id not in c.model.ids or not sensor:
         return []
@@ -197,10 +202,22 @@ def _beside(c: Climb, term: Term) -> list[frozenset[str]]:
     steps = [e for e in taken if name_of(e.id) != e.id]
     names = [e for e in (*mixed, *steps) if name_of(e.id) in catalogue()]
     own = frozenset(e.id for e in names if e.id.startswith(sensor))
-    late = frozenset(e.id for e in names if e.lateness)
+    late = _late(names)
     laws = frozenset(e.id for e in mixed if e.id.startswith(sensor) and e not in names)
-    sets = own, late, own | late, *((laws, laws | own) if laws else ())
-    return [ids | {term.effect.id} for ids in dict.fromkeys(sets) if ids]
+    sets = own, late, own | late, *((laws, laws | own) if laws else ()), _nameless(c, sensor)
+    return [ids | {term.effect.id} for ids in dict.fromkeys(sets) if ids - {term.effect.id}]
+
+
+def _late(effects: Sequence[Effect]) -> frozenset[str]:
+    """Those by which readings of whatever sensor come late or early."""
+    alike = {i for e in catalogue().values() if e.akin for i in (e.id, *e.akin)}
+    return frozenset(e.id for e in effects if e.lateness or e.id in alike)
+
+
+def _nameless(c: Climb, sensor: str) -> frozenset[str]:
+    """All laws and noise of a sensor."""
+    own = [e for e in c.model.effects if e.id.startswith(sensor) and e.id not in c.kept]
+    return frozenset(e.id for e in own if e.process is not None or name_of(e.id) not in catalogue())
 
 
 def instead_of_travel(c: Climb) -> Model | None:
