@@ -62,9 +62,11 @@ def search(
     report: Callable[[float], None] = lambda _: None,
     refused: Set[str] = frozenset(),
     budget: Budget | None = None,
+    superseded: Callable[[Found], bool] = lambda _: False,
 ) -> Found:
     """From the baseline to the model that explains the recordings best; refused: effects of which
-    no device has as much as a fit came to; budget: how long it may take.
+    no device has as much as a fit came to; budget: how long it may take; superseded: asked before
+    a second climb, whether where the first one ended is enough.
 
     Where the baseline is no fit the search begins with the one error without which there is none.
     Named effects may be stand-ins for one thing without a name: if a single law does half as
@@ -82,7 +84,9 @@ def search(
     if any(sways_far(f) for f in base.parts):
         # (the usual sway first: in a wide one little of the physics shows)
         starts.insert(0, steadied(base))
-    found = _begun(starts, common, lambda f: report(0.7 * f))
+    found, enough = _begun(starts, common, lambda f: report(0.7 * f), superseded)
+    if enough:
+        return found
     term = None
     if _may_stand_in(found) and not budget.spent("a search from a law on"):
         term = best_term(survey(base))
@@ -149,8 +153,10 @@ def _begun(
     starts: Sequence[Model],
     common: _Common,
     report: Callable[[float], None],
-) -> Found:
-    """The best end of climbs from these starts, up to the first that leaves no wide sway."""
+    superseded: Callable[[Found], bool],
+) -> tuple[Found, bool]:
+    """The best end of climbs from these starts, up to the first that leaves no wide sway; or one
+    before the last that is superseded, and whether that is so."""
     found: Found | None = None
     for number, start in enumerate(starts):
         own = partial(_part_of, report, number / len(starts), len(starts))
@@ -162,8 +168,10 @@ def _begun(
             found = replace(end, alone=found.alone)
         if not any(sways_far(f) for f in found.model.parts):
             break
+        if start is not starts[-1] and superseded(found):
+            return found, True
     assert found is not None
-    return found
+    return found, False
 
 
 def _part_of(report: Callable[[float], None], start: float, parts: int, f: float) -> None:
