@@ -15,7 +15,7 @@ from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.parallel import in_parallel
-from handcal.laws.best_law import Term, best_term, survey
+from handcal.laws.best_law import Term, Vocabulary, best_term, survey
 from handcal.model_score import better
 from handcal.search.budget import Budget
 from handcal.search.climb.candidates import scanned
@@ -55,6 +55,7 @@ class _Common:
 
     refused: Set[str]
     budget: Budget
+    vocabulary: Vocabulary = field(default_factory=dict)
 
 
 def search(
@@ -89,7 +90,7 @@ def search(
         return found
     term = None
     if _may_stand_in(found) and not budget.spent("a search from a law on"):
-        term = best_term(survey(base))
+        term = best_term(survey(base, common.vocabulary))
     if term is None:
         return found
     # (by fits: about the baseline, whose noise holds what is missing, a scan promises too little)
@@ -194,6 +195,7 @@ def _end(
     would begin without these."""
     start = base if begun is None else begun
     c = Climb(start.bare, needed, common.budget, dropped=set(common.refused))
+    c.vocabulary = common.vocabulary
     c.kept = frozenset(base.ids)
     if not climbed(c, report):
         return None

@@ -143,7 +143,7 @@ def _doubted(c: Climb) -> dict[str, list[frozenset[str]]]:
 def _surveyed(c: Climb) -> Survey:
     """The survey of the climb's model: one for all that is asked of it."""
     if c.survey is None or c.survey.model is not c.model:
-        c.survey = survey(c.model)
+        c.survey = survey(c.model, c.vocabulary)
     return c.survey
 
 
@@ -162,7 +162,9 @@ def _beside_the_rest(
     # as a survey beside them would have it)
     without = _without(c.model, ids)
     # (and for what evidence is worth with them: what a law has to do in their place is not misfit)
-    found = best_terms(survey(without), refused=refused, beyond=(sensor,), worth=c.worth)
+    found = best_terms(
+        survey(without, c.vocabulary), refused=refused, beyond=(sensor,), worth=c.worth
+    )
     return without, found
 
 

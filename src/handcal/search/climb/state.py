@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from handcal.estimate.case import name_of
 from handcal.estimate.model import Model
-from handcal.laws.best_law import Survey, Term
+from handcal.laws.best_law import Survey, Term, Vocabulary
 from handcal.model_score import better
 from handcal.search.budget import Budget
 from handcal.search.space import Space
@@ -41,7 +41,7 @@ class Climb:
     which no fit holds; beyond: of what came out larger than makes sense beside the same others.
     lacking: noise effects that were looked at, and what they lacked.
     everything: all were fitted at once; survey: of what has no name, beside the last model that was
-    asked.
+    asked; vocabulary: blocks of laws of the recordings, as far as they were asked for.
     """
 
     model: Model
@@ -64,6 +64,7 @@ class Climb:
     adjusted: set[str] = field(default_factory=set)
     lacking: dict[str, Lack] = field(default_factory=dict)
     survey: Survey | None = None
+    vocabulary: Vocabulary = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.kept = frozenset(self.model.ids)
