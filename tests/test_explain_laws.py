@@ -399,10 +399,14 @@ def test_a_law_comes_with_the_name_that_it_needs() -> None:
     motion holds both, and no half of it alone is worth as much."""
     base = baseline([case_of(strange("gyro", drifting))])
     effect = law_effect.effect_of(law_over("omega_{i} * t", formula("line"), (1,)))
-    whole = with_term(base, best_law.Term(effect, 100.0), 1.0, frozenset())
+    term = best_law.Term(effect, 100.0)
+    whole = with_term(base, term, 1.0, frozenset())
     assert set(whole.ids) - set(base.ids) == {"gyro_scale", "gyro_y += k * omega_y * t"}
     noise = next(e for e in all_noise() if e.id == "gyro_xyz += e(t) * |omega|")
     assert whole.log_evidence > fitted(base.parts, [*base.effects, noise]).log_evidence
+    # (a name is not fitted where all that it promises is of no use)
+    alone = with_term(base, term, 1.0, frozenset(), whole.log_evidence + 1e4)
+    assert set(alone.ids) - set(base.ids) == {"gyro_y += k * omega_y * t"}
 
 
 def test_a_law_keeps_to_the_axes_on_which_it_is() -> None:

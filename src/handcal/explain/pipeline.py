@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from handcal.estimate.baseline import baseline, started
 from handcal.estimate.case import Case, case_of
@@ -49,6 +49,7 @@ Progress = Callable[[float, str], None]
 SAME, LOST = 1.0, 100.0
 
 SEARCHING = "searching what is missing"
+_MOVES = "a hand that moves"
 
 
 def explain(
@@ -205,7 +206,8 @@ def _searched(base: Model, budget: Budget, report: Callable[[float], None]) -> E
     told = not astray(base)
     cleaned, wrong = outliers.cleaned(base) if told else (base, None)
     base, cleaned = base.bare, cleaned.bare
-    found = search(cleaned, report, budget=budget)
+    hand = _Hand(base, told and wrong is None, budget)
+    found = search(cleaned, report, budget=budget, superseded=hand.moves)
     if wrong is not None and wrong.burst is None:
         whole = outliers.put_back(base, found.model)
         if found.model.log_evidence - whole.log_evidence + PRIOR < 0.0:
@@ -218,12 +220,36 @@ def _searched(base: Model, budget: Budget, report: Callable[[float], None]) -> E
             found, wrong = other, None
     if wrong is None:
         found, wrong = _without_outliers(base, base if told else found.model, found, budget, report)
-    still = wrong is not None or budget.spent("a hand that moves")
-    other_hand = None if still else moving(base, found.model, _gained(found))
+    still = wrong is not None or budget.spent(_MOVES)
+    other_hand = None if still else hand.other(found)
     if other_hand is None:
         return End(base, found, wrong, math.nan)
     base, surely = other_hand
     return End(base, search(base, report, budget=budget), wrong, surely, moves=True)
+
+
+@dataclass
+class _Hand:
+    """A hand that moves in the place of what was found about a baseline. clean: whether no reading
+    was taken out before the search. last: the last end for which that was asked, and the answer."""
+
+    base: Model
+    clean: bool
+    budget: Budget
+    last: tuple[Found, tuple[Model, float] | None] | None = None
+
+    def moves(self, found: Found) -> bool:
+        """Whether such a hand explains as much as a climb from the baseline found, no heading being
+        wrong: then the search begins anew from there, wherever other climbs would lead."""
+        if not self.clean or outliers.standing_out(self.base) or self.budget.spent(_MOVES):
+            return False
+        return self.other(found) is not None
+
+    def other(self, found: Found) -> tuple[Model, float] | None:
+        """See ``moving``."""
+        if self.last is None or self.last[0] is not found:
+            self.last = found, moving(self.base, found.model, _gained(found))
+        return self.last[1]
 
 
 def _gained(found: Found) -> dict[str, float]:

@@ -19,6 +19,7 @@ from handcal.estimate.quadratic import Quadratic
 from handcal.estimate.scan import grounds, scan
 from handcal.estimate.seen import truth
 from handcal.laws import shapes, terms
+from handcal.laws.first_look import FirstLook, first_look
 from handcal.laws.law_effect import SENSORS, Law, effect_of, law_of
 from handcal.laws.over_drivers import (
     About,
@@ -44,6 +45,10 @@ CLOSER = 3
 OPEN = 1e-3
 
 
+# Blocks by vocabulary: the usual one (""), and the further one of a sensor.
+Vocabulary = dict[str, list[Block]]
+
+
 @dataclass(frozen=True, eq=False)
 class Term:
     """Something without a name, and the nats that it gains at the likelihood's full worth;
@@ -57,27 +62,51 @@ class Term:
 @dataclass(frozen=True, eq=False)
 class Survey:
     """All that is looked at beside a model: its ``grounds``, the signals of its first recording;
-    looks and what their scans showed, of the usual vocabulary (under "") and of the further one of
-    each sensor, as far as they were asked for."""
+    blocks of the usual vocabulary (under "") and of the further one of each sensor, as far as they
+    were asked for, and looks, and what their scans showed. first: of the first part of long
+    recordings, which says what is looked at in the whole."""
 
     model: Model
     base: Sequence[Ground]
     signals: Signals
+    blocks: Vocabulary
     scanned: dict[str, list[tuple[Look, Quadratic]]]
+    first: FirstLook | None
 
-    def of(self, beyond: Collection[str]) -> list[tuple[Look, Quadratic]]:
-        """Looks and their scans, of the usual vocabulary and of these sensors' further one."""
-        f = self.model.parts[0]
+    def of(self, beyond: Collection[str], known: Sequence[Effect]) -> list[tuple[Look, Quadratic]]:
+        """Looks and their scans, of the usual vocabulary and of these sensors' further one; known:
+        effects beside which laws are looked for."""
         for name in ("", *beyond):
-            if name not in self.scanned:
-                looks = _looks(f, self.signals, name)
-                self.scanned[name] = list(_scans(self.model, list(looks), self.base))
+            self._scan(name, known)
         return [pair for name in ("", *beyond) for pair in self.scanned[name]]
 
+    def _scan(self, name: str, known: Sequence[Effect]) -> None:
+        """Look through a vocabulary, as far as that has not been done."""
+        f = self.model.parts[0]
+        if name not in self.blocks:
+            s = self.signals
+            self.blocks[name] = list(further_blocks(s, name) if name else blocks(s))
+        wanted = self.blocks[name]
+        if self.first is not None:
+            chunks = list(_chunks(self.blocks[name], MOST_COLUMNS))
+            wanted = self.first.likeliest(name, chunks, known)
+        looks = [] if name in self.scanned else list(_others(f, name))
+        done = self.scanned.setdefault(name, [])
+        have = {e.id for look, _ in done for e in look.effects}
+        new = [b for b in wanted if b.effect.id not in have]
+        room = min(max(NUMBERS / (PER_EPOCH * len(f.t)), LEAST_COLUMNS), MOST_COLUMNS)
+        looks += [
+            Look([b.effect for b in chunk], partial(_laws, chunk))
+            for chunk in _chunks(new, int(room))
+        ]
+        done += _scans(self.model, looks, self.base)
 
-def survey(model: Model) -> Survey:
-    """Of this model, with nothing looked at yet."""
-    return Survey(model, grounds(model), signals_of(model.parts[0]), {})
+
+def survey(model: Model, vocabulary: Vocabulary | None = None) -> Survey:
+    """Of this model, with nothing looked at yet; vocabulary: blocks of the same recordings, made
+    about another model, and those that will be made."""
+    made = {} if vocabulary is None else vocabulary
+    return Survey(model, grounds(model), signals_of(model.parts[0]), made, {}, first_look(model))
 
 
 def _scans(
@@ -115,7 +144,7 @@ def best_terms(
     vocabulary is looked through; worth: what evidence counts for (None: as the scans have it, about
     this model)."""
     known = [e for e in where.model.effects if e.process is None and e.id not in without]
-    pairs = where.of(beyond)
+    pairs = where.of(beyond, known)
     # (what is absent scatters differently from scan to scan: one worth for all)
     worth = float(np.median([q.worth for _, q in pairs])) if worth is None else worth
     enough = -TERM_PRIOR + math.log(2.0)
@@ -157,14 +186,10 @@ class Look:
     best: Callable[[Quadratic, Sequence[Effect]], list[End]]
 
 
-def _looks(f: Fitted, signals: Signals, beyond: str) -> Iterator[Look]:
-    """All scans: laws over drivers, courses over time, and those of a heading; beyond: over the
-    further drivers of this sensor alone."""
+def _others(f: Fitted, beyond: str) -> Iterator[Look]:
+    """Scans but for those of laws over drivers: courses over time, and those of a heading; none
+    beyond the usual vocabulary."""
     recording = f.case.recording
-    room = NUMBERS / (PER_EPOCH * len(f.t))
-    over = further_blocks(signals, beyond) if beyond else blocks(signals)
-    for chunk in _chunks(over, int(min(max(room, LEAST_COLUMNS), MOST_COLUMNS))):
-        yield Look([b.effect for b in chunk], partial(_laws, chunk))
     if beyond:
         return
     for first in range(0, 6, 2):

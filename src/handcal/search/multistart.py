@@ -15,7 +15,7 @@ from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.parallel import in_parallel
-from handcal.laws.best_law import Term, best_term, survey
+from handcal.laws.best_law import Term, Vocabulary, best_term, survey
 from handcal.model_score import better
 from handcal.search.budget import Budget
 from handcal.search.climb.candidates import scanned
@@ -55,6 +55,7 @@ class _Common:
 
     refused: Set[str]
     budget: Budget
+    vocabulary: Vocabulary = field(default_factory=dict)
 
 
 def search(
@@ -62,9 +63,11 @@ def search(
     report: Callable[[float], None] = lambda _: None,
     refused: Set[str] = frozenset(),
     budget: Budget | None = None,
+    superseded: Callable[[Found], bool] = lambda _: False,
 ) -> Found:
     """From the baseline to the model that explains the recordings best; refused: effects of which
-    no device has as much as a fit came to; budget: how long it may take.
+    no device has as much as a fit came to; budget: how long it may take; superseded: asked before
+    a second climb, whether where the first one ended is enough.
 
     Where the baseline is no fit the search begins with the one error without which there is none.
     Named effects may be stand-ins for one thing without a name: if a single law does half as
@@ -82,10 +85,12 @@ def search(
     if any(sways_far(f) for f in base.parts):
         # (the usual sway first: in a wide one little of the physics shows)
         starts.insert(0, steadied(base))
-    found = _begun(starts, common, lambda f: report(0.7 * f))
+    found, enough = _begun(starts, common, lambda f: report(0.7 * f), superseded)
+    if enough:
+        return found
     term = None
     if _may_stand_in(found) and not budget.spent("a search from a law on"):
-        term = best_term(survey(base))
+        term = best_term(survey(base, common.vocabulary))
     if term is None:
         return found
     # (by fits: about the baseline, whose noise holds what is missing, a scan promises too little)
@@ -149,8 +154,10 @@ def _begun(
     starts: Sequence[Model],
     common: _Common,
     report: Callable[[float], None],
-) -> Found:
-    """The best end of climbs from these starts, up to the first that leaves no wide sway."""
+    superseded: Callable[[Found], bool],
+) -> tuple[Found, bool]:
+    """The best end of climbs from these starts, up to the first that leaves no wide sway; or one
+    before the last that is superseded, and whether that is so."""
     found: Found | None = None
     for number, start in enumerate(starts):
         own = partial(_part_of, report, number / len(starts), len(starts))
@@ -162,8 +169,10 @@ def _begun(
             found = replace(end, alone=found.alone)
         if not any(sways_far(f) for f in found.model.parts):
             break
+        if start is not starts[-1] and superseded(found):
+            return found, True
     assert found is not None
-    return found
+    return found, False
 
 
 def _part_of(report: Callable[[float], None], start: float, parts: int, f: float) -> None:
@@ -186,6 +195,7 @@ def _end(
     would begin without these."""
     start = base if begun is None else begun
     c = Climb(start.bare, needed, common.budget, dropped=set(common.refused))
+    c.vocabulary = common.vocabulary
     c.kept = frozenset(base.ids)
     if not climbed(c, report):
         return None

@@ -120,7 +120,8 @@ def _ends(c: Climb, doubted: Mapping[str, list[frozenset[str]]]) -> list[tuple[M
 
 def _fits(c: Climb, ways: Mapping[_Way, tuple[Model, Term]]) -> list[tuple[Model, Term]]:
     """Models, each fitted with its term, and that."""
-    fits = in_parallel(partial(with_term, m, t, c.worth, c.beyond) for m, t in ways.values())
+    least = score(c.model, c.worth) - HOPELESS
+    fits = in_parallel(partial(with_term, m, t, c.worth, c.beyond, least) for m, t in ways.values())
     return [(m, term) for m, (_, term) in zip(fits, ways.values(), strict=True)]
 
 
@@ -147,7 +148,7 @@ def _doubted(c: Climb) -> dict[str, list[frozenset[str]]]:
 def _surveyed(c: Climb) -> Survey:
     """The survey of the climb's model: one for all that is asked of it."""
     if c.survey is None or c.survey.model is not c.model:
-        c.survey = survey(c.model)
+        c.survey = survey(c.model, c.vocabulary)
     return c.survey
 
 
@@ -166,7 +167,9 @@ def _beside_the_rest(
     # as a survey beside them would have it)
     without = _without(c.model, ids)
     # (and for what evidence is worth with them: what a law has to do in their place is not misfit)
-    found = best_terms(survey(without), refused=refused, beyond=(sensor,), worth=c.worth)
+    found = best_terms(
+        survey(without, c.vocabulary), refused=refused, beyond=(sensor,), worth=c.worth
+    )
     return without, found
 
 
@@ -257,15 +260,19 @@ def _without(model: Model, ids: Set[str]) -> Model:
     return replace(model, effects=rest, parts=tuple(moved_to(f, rest) for f in model.parts))
 
 
-def with_term(model: Model, term: Term, worth: float, refused: Set[str]) -> Model:
+def with_term(
+    model: Model, term: Term, worth: float, refused: Set[str], least: float = -math.inf
+) -> Model:
     """The model with a term, and with what a scan about that would have besides: of what noise
-    held, part may have a name (a gain that drifts is a scale error too). refused: names."""
+    held, part may have a name (a gain that drifts is a scale error too). refused: names; least:
+    score below which that is of no use."""
     alone = fitted(model.parts, (*model.effects, term.effect))
-    if not sensible(alone):
+    if not (sensible(alone) and math.isfinite(alone.log_evidence)):
         return alone
     where = scanned_about(alone.bare, [term], refused)
     chosen = best_set(where, alone.chosen)
-    if chosen == alone.chosen:
+    promised = where.score(chosen) - where.score(alone.chosen)
+    if chosen == alone.chosen or score(alone, worth) + promised < least:
         return alone
     noise = [e for e in alone.effects if e.process is not None]
     more = fitted(alone.parts, [*(where.effects[i] for i in sorted(chosen)), *noise])
@@ -273,7 +280,10 @@ def with_term(model: Model, term: Term, worth: float, refused: Set[str]) -> Mode
 
 
 def reshape(c: Climb) -> Model | None:
-    """A course over time or direction, chosen again."""
+    """A law, or a course over time or direction, chosen again."""
+    new = set(c.model.ids) - c.shaped
+    if not any(t.effect.id in new for t in c.unnamed):
+        return None
     return reshaped(_surveyed(c), c.worth, c.unnamed, c.shaped)
 
 

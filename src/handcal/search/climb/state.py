@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from handcal.estimate.case import name_of
 from handcal.estimate.model import Model
-from handcal.laws.best_law import Survey, Term
+from handcal.laws.best_law import Survey, Term, Vocabulary
 from handcal.model_score import better
 from handcal.search.budget import Budget
 from handcal.search.space import Space
@@ -21,6 +21,15 @@ HOPELESS = 100.0
 FEW = 3
 
 
+@dataclass(frozen=True)
+class Lack:
+    """Nats that a noise effect surely lacked, beside which effects, and what their evidence was."""
+
+    nats: float
+    log_evidence: float
+    beside: frozenset[str]
+
+
 @dataclass
 class Climb:
     """A model on its way up, and what was tried.
@@ -30,8 +39,9 @@ class Climb:
     the model, and stale: those for which that is out of date; swaps: (effect, rival) to the nats by
     which the rival, fitted in its place, does worse. dropped: names of what was not missed, or with
     which no fit holds; beyond: of what came out larger than makes sense beside the same others.
+    lacking: noise effects that were looked at, and what they lacked.
     everything: all were fitted at once; survey: of what has no name, beside the last model that was
-    asked.
+    asked; vocabulary: blocks of laws of the recordings, as far as they were asked for.
     """
 
     model: Model
@@ -53,7 +63,9 @@ class Climb:
     travelled: set[frozenset[str]] = field(default_factory=set)
     whole: set[str] = field(default_factory=set)
     adjusted: set[str] = field(default_factory=set)
+    lacking: dict[str, Lack] = field(default_factory=dict)
     survey: Survey | None = None
+    vocabulary: Vocabulary = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.kept = frozenset(self.model.ids)
