@@ -13,8 +13,6 @@ from handcal.estimate.model import Model
 from handcal.explain import pipeline
 from handcal.search import multistart
 from handcal.search.budget import Budget
-from handcal.search.climb.noise_steps import _far_off
-from handcal.search.climb.state import Climb, Lack
 from handcal_sim import simulate
 
 
@@ -22,24 +20,6 @@ from handcal_sim import simulate
 def base() -> Model:
     world = simulate("free-hand", seed=0, duration_s=15.0, effects={})
     return baseline([case_of(recording_of(world, "heading"))])
-
-
-def test_noise_that_lacked_much_is_asked_again_when_the_model_is_another() -> None:
-    c = Climb.__new__(Climb)
-
-    class Now:
-        ids = ("a", "b")
-        log_evidence = 100.0
-
-    c.model = Now()  # type: ignore[assignment]
-    c.lacking = {
-        "beside fewer": Lack(5.0, 90.0, frozenset({"a"})),
-        "beside more": Lack(5.0, 103.0, frozenset({"a", "b", "c"})),
-        "beside others": Lack(5.0, 100.0, frozenset({"a", "c"})),
-        "nearly": Lack(-1.0, 100.0, frozenset({"a"})),
-        "what went may be its": Lack(5.0, 110.0, frozenset({"a", "b", "c"})),
-    }
-    assert _far_off(c) == {"beside fewer", "beside more"}
 
 
 def test_no_second_climb_where_the_first_is_superseded(

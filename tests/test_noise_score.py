@@ -130,7 +130,7 @@ def test_looks_are_the_same_on_one_core(monkeypatch: pytest.MonkeyPatch) -> None
     looks = []
     for cores in (1, 2):
         monkeypatch.setattr(parallel.os, "cpu_count", lambda cores=cores: cores)
-        looks.append(looks_of([f], chosen, noise, len(noise))[0])
+        looks.append(looks_of([f], chosen, noise, len(noise)))
     assert [(k.effects[-1].id, k.gain) for k in looks[0]] == [
         (k.effects[-1].id, k.gain) for k in looks[1]
     ]

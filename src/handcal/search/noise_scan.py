@@ -43,10 +43,9 @@ class Look:
 
 def looks_of(
     parts: Sequence[Fitted], effects: Sequence[Effect], noise: Sequence[Effect], most: int
-) -> tuple[list[Look], dict[str, float]]:
+) -> list[Look]:
     """The effects with one noise effect each that the recordings can show, those of the highest
-    score (``most`` at the most), the best first; and of all what they gain at a look, nats, with
-    their odds."""
+    score (``most`` at the most), the best first."""
     plain = [fit_of(f, effects) for f in parts]
     here = sum(reduced_pass(reduce(f.linear), f.levels).log_evidence for f in plain)
 
@@ -60,11 +59,9 @@ def looks_of(
 
     shown = [e for e in noise if any(applicable(f.case, e) for f in parts)]
     best: list[Look] = []
-    gained: dict[str, float] = {}
     for found in in_parallel(partial(look, e) for e in shown):
-        gained[found.effects[-1].id] = scored(found)
         best = sorted([*best, found], key=scored, reverse=True)[:most]
-    return best, gained
+    return best
 
 
 def _with(f: Fitted, wide: Fitted) -> Fitted:

@@ -288,21 +288,24 @@ def reshape(c: Climb) -> Model | None:
 
 
 def adjust(c: Climb) -> Model | None:
-    """The model with a law's numbers (a time, a width) as the recordings ask for them."""
+    """The model with a law's numbers (a time, a width) as the recordings ask for them, step by step
+    as far as they do."""
     for i, term in enumerate(c.unnamed):
-        old = term.effect
-        if old.id not in c.model.ids or old.id in c.adjusted:
-            continue
-        c.adjusted.add(old.id)
-        new = adjusted(c.model, old)
-        if new is None or new.id in c.model.ids:
-            continue
-        tried = fitted(c.model.parts, [new if e is old else e for e in c.model.effects])
-        if likelier(c, tried):
-            c.unnamed[i] = replace(term, effect=new)
-            c.shaped.add(new.id)
-            c.whole.add(new.id)
-            return tried
+        model, effect = c.model, term.effect
+        while effect.id in model.ids and effect.id not in c.adjusted:
+            c.adjusted.add(effect.id)
+            new = adjusted(model, effect)
+            if new is None or new.id in model.ids:
+                break
+            tried = fitted(model.parts, [new if e is effect else e for e in model.effects])
+            if not likelier(c, tried, model):
+                break
+            model, effect = tried, new
+        if model is not c.model:
+            c.unnamed[i] = replace(term, effect=effect)
+            c.shaped.add(effect.id)
+            c.whole.add(effect.id)
+            return model
     return None
 
 

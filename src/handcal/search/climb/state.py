@@ -21,15 +21,6 @@ HOPELESS = 100.0
 FEW = 3
 
 
-@dataclass(frozen=True)
-class Lack:
-    """Nats that a noise effect surely lacked, beside which effects, and what their evidence was."""
-
-    nats: float
-    log_evidence: float
-    beside: frozenset[str]
-
-
 @dataclass
 class Climb:
     """A model on its way up, and what was tried.
@@ -39,7 +30,6 @@ class Climb:
     the model, and stale: those for which that is out of date; swaps: (effect, rival) to the nats by
     which the rival, fitted in its place, does worse. dropped: names of what was not missed, or with
     which no fit holds; beyond: of what came out larger than makes sense beside the same others.
-    lacking: noise effects that were looked at, and what they lacked.
     everything: all were fitted at once; survey: of what has no name, beside the last model that was
     asked; vocabulary: blocks of laws of the recordings, as far as they were asked for.
     """
@@ -63,7 +53,6 @@ class Climb:
     travelled: set[frozenset[str]] = field(default_factory=set)
     whole: set[str] = field(default_factory=set)
     adjusted: set[str] = field(default_factory=set)
-    lacking: dict[str, Lack] = field(default_factory=dict)
     survey: Survey | None = None
     vocabulary: Vocabulary = field(default_factory=dict)
 
@@ -77,10 +66,11 @@ class Climb:
         return self.where.quadratic.worth
 
 
-def likelier(c: Climb, tried: Model) -> bool:
-    """Whether a model's score is above that of the one there is; what no device has is no fit. (Of
-    a fit that does not settle, evidence may be that of the best of its rounds by chance.)"""
-    gain = better(tried, c.model, c.worth)
+def likelier(c: Climb, tried: Model, than: Model | None = None) -> bool:
+    """Whether a model's score is above that of the one there is, or of another; what no device has
+    is no fit. (Of a fit that does not settle, evidence may be that of the best of its rounds by
+    chance.)"""
+    gain = better(tried, c.model if than is None else than, c.worth)
     return sensible(tried) and gain > c.worth * tried.swing
 
 
