@@ -64,6 +64,16 @@ def formula(*names: str) -> grammar.Form:
 # --- forms -------------------------------------------------------------------------------------
 
 
+def test_a_formula_pays_for_its_numbers_once_and_a_curve_for_none() -> None:
+    """What a curve is made again by (its range, its knots) was chosen by nobody."""
+    wave = [("sine", (0.7,)), ("cosine", (0.7,))]
+    assert all(c.cost == 0.0 for c in grammar.curves(RANGES[0], 9, False))
+    assert all(c.cost == 0.0 for c in grammar.curves(RANGES[0], 9, True))
+    own, same = grammar.formula(wave), grammar.formula(wave, same=True)
+    assert own.cost - same.cost == pytest.approx(grammar.FREEDOM)
+    assert (own.cost, same.cost) == (grammar.cost_of(wave, False), grammar.cost_of(wave, True))
+
+
 @pytest.mark.parametrize("over", RANGES)
 def test_the_splines_of_a_curve_add_up_and_are_zero_where_the_driver_is(over: Range) -> None:
     """They add up to one, of which the bias has its share; the last is the line. (With a value of

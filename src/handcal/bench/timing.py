@@ -231,9 +231,8 @@ def _run(command: Sequence[str], shown: str, environment: Mapping[str, str]) -> 
         try:
             ran = _ended(child, begin)
         finally:
-            if (
-                child.returncode is None
-            ):  # (whoever waits was interrupted: nobody wants it any more)
+            # (whoever waits was interrupted: nobody wants it any more)
+            if child.returncode is None:
                 child.terminate()
                 child.wait()
         if child.returncode:

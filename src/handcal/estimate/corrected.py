@@ -159,7 +159,8 @@ def _without(
     its neighbours do to it, by differences of ``small``."""
     nearest, before, bands = own, math.inf, None
     for _ in range(STEPS):
-        rest = own + added(own) - raw
+        here = added(own)
+        rest = own + here - raw
         far = float(np.abs(rest).max())
         if not far < before:  # (too far, or not a number any more: half as far)
             own = 0.5 * (own + nearest)
@@ -168,17 +169,17 @@ def _without(
         if far < least:
             return own
         if bands is None or far > STALE * before:
-            bands = _bands(added, own, small)
+            bands = _bands(added, own, here, small)
         nearest, before = own, far
         own = own - np.stack([solve_banded((1, 1), bands[c], rest[:, c]) for c in range(6)], axis=1)
     return nearest
 
 
-def _bands(added: Callable[[Array], Array], own: Array, small: float) -> Array:
+def _bands(added: Callable[[Array], Array], own: Array, here: Array, small: float) -> Array:
     """Derivatives (6, 3, n) of readings with what is added, by those without: of each channel by
-    its next sample, itself and the one before, as ``solve_banded`` has them."""
+    its next sample, itself and the one before, as ``solve_banded`` has them; here: what is added
+    to these."""
     out = np.zeros((6, 3, len(own)))
-    here = added(own)
     for sensor in (slice(0, 3), slice(3, 6)):
         for first in range(3):
             moved = own.copy()

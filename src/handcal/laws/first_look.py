@@ -20,7 +20,7 @@ from handcal.estimate.quadratic import Quadratic
 from handcal.estimate.scan import grounds, scan
 from handcal.laws.drivers import BY, TIME, WARM, Driver
 from handcal.laws.law_effect import AXES_OF, SENSORS
-from handcal.laws.over_drivers import Block
+from handcal.laws.over_drivers import Block, ways
 from handcal.laws.weighing import Beside, beside, gains, weighed
 
 # Of the blocks of each sensor, the share that is looked at in the whole of a long recording, and
@@ -74,16 +74,12 @@ def _slow(driver: Driver) -> bool:
 def _most(block: Block, seen: Beside) -> float:
     """About what a block gains: as a law of one axis, of all alike, or of each its own. (Whether
     that has a name takes longer to find out.)"""
-    axes, one = len(AXES_OF[block.sensor]), block.forms[0].constants
-    at = seen.at[block.effect.id].reshape(axes, one)
-    roots = np.stack([np.eye(one) if f.root is None else f.root for f in block.forms])
-    b, G = seen.b[at], seen.G[at[:, :, None, None], at[None, None]]
-    ways = [(b[n], G[n, :, n]) for n in range(axes)]
-    ways += [(b.sum(axis=0), G.sum(axis=(0, 2)))]
-    many = (len(ways), *roots.shape)
+    tried = [(b, G) for _, each, b, G in ways(block, seen) if not each]
+    one, roots, axes = block.forms[0].constants, block.roots, len(AXES_OF[block.sensor])
+    many = (len(tried), *roots.shape)
     found = gains(
-        np.broadcast_to(np.stack([b for b, _ in ways])[:, None], many[:3]).reshape(-1, one),
-        np.broadcast_to(np.stack([G for _, G in ways])[:, None], many).reshape(-1, one, one),
+        np.broadcast_to(np.stack([b for b, _ in tried])[:, None], many[:3]).reshape(-1, one),
+        np.broadcast_to(np.stack([G for _, G in tried])[:, None], many).reshape(-1, one, one),
         np.broadcast_to(roots, many).reshape(-1, one, one),
     )
     best = found.reshape(many[:2]).max(axis=1)

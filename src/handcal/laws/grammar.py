@@ -58,7 +58,21 @@ class Form:
     def cost(self) -> float:
         """Nats by which a formula is less likely beforehand than the simplest: for its numbers, and
         for further functions, each one of many."""
-        return FREEDOM * len(self.numbers) + math.log(len(ATOMS)) * max(len(self.parts) - 1, 0)
+        return 0.0 if self.smooth else _cost(self.numbers, self.parts)
+
+
+def cost_of(parts: Sequence[Part], same: bool) -> float:
+    """The cost of the formula of these functions (see ``Form`` and ``formula``)."""
+    return _cost(_numbers(parts, same), parts)
+
+
+def _cost(numbers: Sequence[float], parts: Sequence[Part]) -> float:
+    return FREEDOM * len(numbers) + math.log(len(ATOMS)) * (len(parts) - 1)
+
+
+def _numbers(parts: Sequence[Part], same: bool) -> tuple[float, ...]:
+    """Those of a sum of functions: of each, or the same ones of all."""
+    return tuple(n for _, numbers in (parts[:1] if same else parts) for n in numbers)
 
 
 # --- curves --------------------------------------------------------------------------------
@@ -266,7 +280,7 @@ def formula(parts: Sequence[Part], same: bool = False) -> Form:
 
     return Form(
         (SAME if same else OWN).join(name for name, _ in parts),
-        tuple(n for _, numbers in (parts[:1] if same else parts) for n in numbers),
+        _numbers(parts, same),
         len(atoms),
         tuple(a.power for a, _ in atoms),
         values,

@@ -18,6 +18,7 @@ from handcal.laws.grammar import (
     Form,
     Part,
     about,
+    cost_of,
     curves,
     formula,
     parts_for,
@@ -41,6 +42,12 @@ class Block:
     forms: tuple[Form, ...]
     sigmas: tuple[float, ...]
     effect: Effect
+
+    @property
+    def roots(self) -> Array:
+        """Square roots (f, k, k) of the prior covariance of each form's constants."""
+        one = self.forms[0].constants
+        return np.stack([np.eye(one) if f.root is None else f.root for f in self.forms])
 
 
 def blocks(signals: Signals) -> list[Block]:
@@ -78,7 +85,7 @@ def _block(sensor: int, driver: Driver, forms: tuple[Form, ...], sigma: float) -
     return Block(sensor, driver, forms, sigmas, effect)
 
 
-def _ways(block: Block, seen: Beside) -> Iterator[tuple[tuple[int, ...], bool, Array, Array]]:
+def ways(block: Block, seen: Beside) -> Iterator[tuple[tuple[int, ...], bool, Array, Array]]:
     """Axes, whether each has its own constants, and the quadratic of these: each axis alone, and
     all by one law."""
     axes = AXES_OF[block.sensor]
@@ -94,9 +101,8 @@ def _ways(block: Block, seen: Beside) -> Iterator[tuple[tuple[int, ...], bool, A
 
 def best_of_block(block: Block, seen: Beside) -> Iterator[tuple[Law, float]]:
     """The best law of each way, and what it gains."""
-    one = block.forms[0].constants
-    roots = np.stack([np.eye(one) if f.root is None else f.root for f in block.forms])
-    for axes, each, b, G in _ways(block, seen):
+    one, roots = block.forms[0].constants, block.roots
+    for axes, each, b, G in ways(block, seen):
         # (a step that is lost is lost, not gained)
         if block.driver.positive and (np.linalg.solve(np.eye(len(b)) + G, b) < 0.0).any():
             continue
@@ -168,11 +174,12 @@ def _tried(about_: About, law: Law, parts: Sequence[Part]) -> list[tuple[Law, fl
     out = []
     for sets, same in _sets([int(n) for n in some], parts):
         index = [np.concatenate([seen.at[f"basis: {n}"] for n in chosen]) for chosen in sets]
-        sums = [formula([parts[n] for n in chosen], same) for chosen in sets]
-        values = seen.gains(np.array(index)) - [form.cost for form in sums]
+        costs = [cost_of([parts[n] for n in chosen], same) for chosen in sets]
+        values = seen.gains(np.array(index)) - costs
         for k in np.argsort(-values, kind="stable"):
             sigmas = tuple(float(SIZE[law.sensor] / sizes[n]) for n in sets[k])
-            candidate = replace(law, form=sums[k], sigmas=sigmas)
+            form = formula([parts[n] for n in sets[k]], same)
+            candidate = replace(law, form=form, sigmas=sigmas)
             if not named(candidate):
                 out.append((candidate, float(values[k])))
                 break
@@ -187,7 +194,7 @@ def _sets(some: Sequence[int], parts: Sequence[Part]) -> list[tuple[list[tuple[i
         (n, m) for n, m in combinations(some, 2) if parts[n][0] != parts[m][0]
     ]
     same = [both for both in two if parts[both[0]][1] and parts[both[0]][1] == parts[both[1]][1]]
-    return [(sets, sets is same) for sets in (one, two, same) if sets]
+    return [(sets, alike) for sets, alike in ((one, False), (two, False), (same, True)) if sets]
 
 
 def tuned(about_: About, law: Law, gain: float) -> tuple[Law, float]:
