@@ -16,7 +16,7 @@ from handcal.effects import Effect, Param, catalogue, select
 from handcal.estimate.baseline import baseline, started
 from handcal.estimate.case import case_of
 from handcal.estimate.fit import fitted
-from handcal.estimate.heavy_tails import LOG_SHARES, SCALES
+from handcal.estimate.prior_scales import LOG_SHARES, SCALES
 from handcal.estimate.quadratic import Quadratic
 from handcal.model_score import PRIOR
 from handcal.search import multistart

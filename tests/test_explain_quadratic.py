@@ -14,8 +14,9 @@ from handcal.effects import select
 from handcal.estimate.baseline import started
 from handcal.estimate.case import case_of
 from handcal.estimate.evidence import ReducedPass, reduce, reduced_pass
-from handcal.estimate.fit import fitted, prior_root
+from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
+from handcal.estimate.prior_root import prior_root
 from handcal.estimate.quadratic import (
     Local,
     Quadratic,

@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 
 from handcal.estimate.convergence import FALLEN, FALLS, SHORTEST, Rounds
@@ -40,6 +41,36 @@ def test_it_runs_away_where_every_round_is_worse_and_all_is_lost(per_round):
     assert after(*away).runs_away is (per_round > 1.0)
     assert not after(*away, 10.0).runs_away
     assert not after(*away[:-1]).runs_away
+
+
+def rounds_to_reach(share, mix):
+    """Rounds after which two constants are where they belong to 1e-3, each round bringing all but a
+    ``share`` of what the first lacks."""
+    way, x, information = Rounds(0.2), np.array([1.0, 1.0]), np.array([[2.0, mix], [mix, 1.0]])
+    for n in range(40):
+        if np.abs(x).max() < 1e-3:
+            return n
+        way.went_on(0.0)
+        aim = -np.array([1.0 - share, 1.0]) * x
+        way.aims(aim, information)
+        x = x + way.reach * aim
+    return 40
+
+
+@pytest.mark.parametrize("mix", [0.0, 0.5])
+@pytest.mark.parametrize("share", [0.75, -1.8, -0.9])
+def test_steps_along_one_another_are_taken_at_once(share, mix):
+    """Undone by hand: shares of 0.75 take 24 rounds, of -0.9 66, and those beyond one never end."""
+    assert rounds_to_reach(share, mix) <= 12
+
+
+def test_steps_across_one_another_are_taken_as_they_are():
+    way, information = Rounds(0.2), np.eye(2)
+    for aim in ([1.0, 0.0], [0.0, 1.0], [0.7, 0.7]):
+        way.aims(np.array(aim), information)
+        assert way.reach == way.step
+    way.aims(np.zeros(3), np.eye(3))
+    assert way.reach == way.step
 
 
 def test_a_swing_is_over_the_last_rounds_only():

@@ -8,8 +8,10 @@ import math
 import numpy as np
 import pytest
 from scipy.special import logsumexp
+from scipy.stats import norm
 
-from handcal.estimate.heavy_tails import LOG_SHARES, SCALES, log_evidence, tailed
+from handcal.estimate.heavy_tails import log_evidence, tailed, wider
+from handcal.estimate.prior_scales import LOG_SHARES, SCALES
 from handcal.estimate.quadratic import Quadratic, posterior
 
 
@@ -61,6 +63,35 @@ def test_one_parameter_against_an_integral() -> None:
     )
     whole = np.sum(prior * np.exp(a + b * u - 0.5 * G * u * u)) * (u[1] - u[0])
     assert tailed(q, np.arange(1)).log_evidence == pytest.approx(math.log(whole), abs=1e-6)
+
+
+@pytest.mark.parametrize("at", [0.5, 2.0, 2.6, 3.0, 4.0, 14.0, -3.1])
+def test_the_mean_is_that_over_the_scales(at: float) -> None:
+    """Mean and variance of the posterior under the mixture, by quadrature."""
+    G = 4.0
+    found = tailed(Quadratic((("a", "x"),), 0.0, np.array([G * at]), np.array([[G]])), np.arange(1))
+    u = np.linspace(-60.0, 60.0, 240_001)
+    log_prior = logsumexp(
+        [w - math.log(s) - 0.5 * (u / s) ** 2 for s, w in zip(SCALES, LOG_SHARES, strict=True)],
+        axis=0,
+    )
+    weight = np.exp(log_prior + G * at * u - 0.5 * G * u * u - 0.5 * G * at**2)
+    weight /= weight.sum()
+    mean = float(weight @ u)
+    # (scales of less than a thousandth are left out)
+    assert found.mean[0] == pytest.approx(mean, abs=2e-3)
+    # (and the covariance of narrower ones stays)
+    assert 0.97 < found.covariance[0, 0] / float(weight @ (u - mean) ** 2) < 1.3
+
+
+def test_how_much_likelier_all_scales_make_what_is_large() -> None:
+    for values in ([0.2], [3.5], [0.1, 9.0, -2.0]):
+        each = [
+            w + sum(norm.logpdf(v, scale=s) for v in values)
+            for s, w in zip(SCALES, LOG_SHARES, strict=True)
+        ]
+        more = logsumexp(each) - each[0]
+        assert wider(len(values), sum(v * v for v in values)) == pytest.approx(more)
 
 
 def test_a_large_error_is_not_pulled_towards_zero() -> None:

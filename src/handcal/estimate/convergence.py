@@ -6,12 +6,17 @@ import math
 from collections import deque
 from dataclasses import dataclass, field
 
+from handcal.types import Array
+
 # At the most.
 ROUNDS = 10
 # Shortest step of a fit whose evidence goes up and down, of the way to where it points.
 SHORTEST = 0.2
 # Rounds in a row of which each is worse, to so many nats below the first: no fit comes of that.
 FALLS, FALLEN = 3, 1000.0
+# Steps of the constants count as one way where they are that far along it (cosine), and are not
+# taken further than so many steps at once.
+ALONG, FURTHEST = 0.95, 5.0
 
 
 @dataclass
@@ -25,11 +30,13 @@ class Rounds:
     before: float = -math.inf
     first: float = math.nan
     falls: int = 0
+    reach: float = 1.0
+    aim: Array | None = None
     last: deque[float] = field(default_factory=lambda: deque(maxlen=ROUNDS // 2))
 
     def rests(self, now: float) -> bool:
         """Whether another round changes nothing."""
-        return abs(now - self.evidence) < self.tolerance * self.step
+        return abs(now - self.evidence) < self.tolerance * min(self.reach, 1.0)
 
     def swings(self, now: float) -> bool:
         """Whether it goes to and fro between two trajectories, and this is the better."""
@@ -43,6 +50,26 @@ class Rounds:
         self.before, self.evidence = self.evidence, now
         self.first = now if math.isnan(self.first) else self.first
         self.last.append(float(now))
+
+    def aims(self, aim: Array, information: Array) -> None:
+        """Where this round points: the step (n,) of the constants, of which this (n, n) is known.
+
+        Where it lies along the one before, as far as both tell all such steps together are taken at
+        once, or the part of this one that does not overshoot (Aitken's extrapolation): derivatives
+        that leave out what noise excites find their way in many small steps, priors of several
+        scales in steps that are too large.
+        """
+        before, gone = self.aim, self.reach
+        self.aim, self.reach = aim, self.step
+        if before is None or len(before) != len(aim):
+            return
+        squared, along = float(before @ information @ before), float(aim @ information @ before)
+        length = math.sqrt(squared * float(aim @ information @ aim))
+        if abs(along) > ALONG * length > 0.0:
+            # (a step of one brings 1 - share of what is missing)
+            share = 1.0 - (1.0 - along / squared) / gone
+            least = 1.0 / FURTHEST
+            self.reach = max(1.0 / max(1.0 - share, least), SHORTEST)
 
     @property
     def runs_away(self) -> bool:

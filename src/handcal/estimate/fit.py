@@ -17,13 +17,15 @@ from handcal.effects import Effect, catalogue
 from handcal.estimate import noise_levels, smoother
 from handcal.estimate.convergence import ROUNDS, Rounds
 from handcal.estimate.evidence import ReducedPass, Reduction, reduce, reduced_pass
-from handcal.estimate.heavy_tails import SCALES, tailed, usual
+from handcal.estimate.heavy_tails import has_tails, tailed, usual, wider
 from handcal.estimate.linear import Linear
 from handcal.estimate.model import Fitted, Known, Model, Rested
 from handcal.estimate.pieces import is_long, reduced, released
+from handcal.estimate.prior_root import prior_root
+from handcal.estimate.prior_scales import SCALES
 from handcal.estimate.quadratic import Local, Posterior, Quadratic, given, local, posterior, total
 from handcal.estimate.transfer import begun, linearised
-from handcal.types import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Array, IntArray, Prior
+from handcal.types import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Array, Prior
 
 # Nats within which evidence rests: of a fit that is written down, of one that a search compares
 # with others, and before noise levels are found anew, which changes it by more.
@@ -104,7 +106,10 @@ def fitted(
     until the evidence rests within ``tolerance`` nats. (Those that are made as they are asked for
     are gone when the first round has left them.)"""
     rest = tolerance if noise_rounds == 0 else ROUGH
-    now = relinearised_parts((begun(f, effects) for f in begin), effects, known, tolerance=rest)
+    parts = [begun(f, effects) for f in begin]
+    wide = known is None and any(_begins_wide(f) for f in parts)
+    now = relinearised_parts(parts, effects, known, wide=wide, tolerance=rest)
+    del parts
     if not math.isfinite(now.evidence):
         return diverged(now.parts, effects)
     for left in range(noise_rounds, -1, -1):
@@ -137,7 +142,8 @@ def fitted(
 def _widened(now: Rested, effects: Sequence[Effect], known: Known | None) -> Rested:
     """The fit with all scales of the priors, where some effect asks for more than the usual one.
 
-    (First at the usual scales: seen from far off, anything may look large.)
+    (First at the usual scales, unless it began beyond them: seen from far off, anything may look
+    large.)
     """
     if now.wide or known is not None:
         return now
@@ -204,6 +210,15 @@ def _asks_for_more(whole: Quadratic, effects: Sequence[Effect]) -> bool:
     return tailed(whole, index, root).log_evidence > usual(whole, index, root).log_evidence + MORE
 
 
+def _begins_wide(f: Fitted) -> bool:
+    """Whether some effect has constants here that wider scales than the usual one make likelier."""
+    squares: dict[str, list[float]] = {}
+    for s, value in zip(f.problem.slots, f.trajectory.constants, strict=True):
+        if has_tails(s.owner):
+            squares.setdefault(s.owner, []).append(float(value / s.prior_sigma) ** 2)
+    return any(wider(len(v), sum(v)) > MORE for v in squares.values())
+
+
 def _posterior(
     q: Quadratic, effects: Sequence[Effect], known: Known | None, wide: bool = False
 ) -> Posterior:
@@ -215,27 +230,6 @@ def _posterior(
     a = q.a + float(q.b @ mean - 0.5 * mean @ q.G @ mean)
     moved = posterior(Quadratic(q.names, a, q.b - q.G @ mean, q.G), index, root)
     return replace(moved, mean=moved.mean + mean)
-
-
-def prior_root(
-    q: Quadratic, effects: Sequence[Effect], index: IntArray | None = None
-) -> Array | None:
-    """Square root of the prior covariance of a quadratic's parameters (``index`` of them), or
-    None for the identity: effects that are exclusive of another keep what that one lacks, and
-    those with a gauge do without it."""
-    return root_of(q.names if index is None else [q.names[i] for i in index], effects)
-
-
-def root_of(names: Sequence[tuple[str, str]], effects: Sequence[Effect]) -> Array | None:
-    """The same of parameters by their names."""
-    ids = {e.id for e in effects}
-    root = None
-    for e in effects:
-        if e.together is not None and (not e.exclusive or ids & set(e.exclusive)):
-            mine = [i for i, n in enumerate(names) if n[0] == e.id]
-            root = np.eye(len(names)) if root is None else root
-            root[np.ix_(mine, mine)] = e.together
-    return root
 
 
 def _local(f: Fitted, effects: Sequence[Effect]) -> Local:
@@ -317,7 +311,8 @@ def relinearised_parts(
         if not now > least:  # (nor where it is no number any more)
             break
         reductions.clear()  # (these and the passes are as large as what is linearised next)
-        parts = _followed(parts, seen, effects, way.step)
+        way.aims(seen.aim, seen.whole.G)
+        parts = _followed(parts, seen, effects, way.reach)
     sane = all(_reduced_if_sane(f) is not None for f in parts)
     evidence = way.evidence if sane else math.nan
     return Rested([f.bare for f in parts], False, evidence, tolerance, wide, swing=way.swing)
@@ -332,6 +327,13 @@ class _Seen:
     whole: Quadratic
     mean: Array
     evidence: float
+
+    @property
+    def aim(self) -> Array:
+        """How far the parameters are from where they are thought to be."""
+        here = {n: u for x in self.locals for n, u in zip(x.quadratic.names, x.here, strict=True)}
+        here_now: Array = np.array([here[n] for n in self.whole.names])
+        return self.mean - here_now
 
 
 def _seen(

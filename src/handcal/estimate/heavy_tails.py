@@ -20,21 +20,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handcal.compiled.dense import congruent, forward, forward_rows, gram, rooted
 from handcal.compiled.jit import njit
 from handcal.effects import catalogue
 from handcal.estimate.case import name_of
+from handcal.estimate.prior_scales import LOG_SHARES, SCALES, average, posterior_at, share
 from handcal.estimate.quadratic import Posterior, Quadratic, posterior
 from handcal.types import Array, BoolArray, IntArray
 
-# Scales, in standard deviations of the prior, and the share of devices that have them.
-SCALES = np.array([1.0, 5.0, 25.0])
-LOG_SHARES = np.log([0.9, 0.09, 0.01])
 # Of a parameter within so many standard deviations the wide scales say nothing worth a pass.
 NEAR = 2.0
 ROUNDS = 6
-# Below this the logarithm of the normal distribution function is that of its asymptote.
-FAR_BELOW = -20.0
 
 
 def tailed(
@@ -52,7 +47,7 @@ def tailed(
     recording tells apart.
     """
     mean, covariance = np.empty(len(index)), np.empty((len(index), len(index)))
-    value = _tailed(*_prepared(q, index, root, positive), -1.0, mean, covariance)
+    value = _tailed(*_prepared(q, index, root, positive), -1.0, True, mean, covariance)
     return Posterior(q.a + value, mean, covariance)
 
 
@@ -78,7 +73,9 @@ def log_evidence(
     """As ``tailed``, only the evidence: what a search over subsets needs, which knows the
     ``owners`` of all parameters beforehand."""
     mean, covariance = np.empty(len(index)), np.empty((len(index), len(index)))
-    return q.a + _tailed(*_prepared(q, index, root, positive, owners), NEAR, mean, covariance)
+    return q.a + _tailed(
+        *_prepared(q, index, root, positive, owners), NEAR, False, mean, covariance
+    )
 
 
 @dataclass(frozen=True)
@@ -95,7 +92,7 @@ def owners_of(q: Quadratic) -> Owners:
     """Whose the parameters of a quadratic are."""
     at: dict[str, int] = {}
     number = np.array([at.setdefault(n[0], len(at)) for n in q.names], dtype=np.int64)
-    tails = np.array([_has_tails(owner) for owner in at], dtype=np.bool_)
+    tails = np.array([has_tails(owner) for owner in at], dtype=np.bool_)
     sparse = np.array([_is_sparse(owner) for owner in at], dtype=np.bool_)
     return Owners(number, tails[number], sparse[number]) if at else Owners(number, tails, sparse)
 
@@ -139,9 +136,17 @@ def _is_sparse(owner: str) -> bool:
     return known is not None and len(known.parameters) > 1 and known.together is None
 
 
-def _has_tails(owner: str) -> bool:
+def has_tails(owner: str) -> bool:
+    """Whether the prior of an effect has other scales than the usual one."""
     known = catalogue().get(owner)
     return "+=" not in owner and not owner.startswith("basis:") and (known is None or known.tails)
+
+
+def wider(count: int, square: float) -> float:
+    """Nats by which all scales together make so many parameters, whose squares in usual variances
+    add up to this, likelier than the usual scale does."""
+    each = LOG_SHARES - count * np.log(SCALES) - 0.5 * square / SCALES**2
+    return float(np.logaddexp.reduce(each) - each[0])
 
 
 @njit
@@ -155,19 +160,20 @@ def _tailed(
     sparse: BoolArray,
     half: BoolArray,
     near: float,
+    averaged: bool,
     mean: Array,
     covariance: Array,
 ) -> float:
     """Log-evidence against no parameter at all; mean (m,) and covariance (m, m) are written.
 
     near: of means within so many standard deviations the usual scale alone counts (not
-    positive: never).
+    positive: never). averaged: mean and covariance over the scales, not at the best alone.
     """
     # (loops, and nothing of numpy's algebra: that took a third of all compiling on a first run)
     scale = np.zeros(len(begin) - 1, dtype=np.int64)
     more = 0.0
     for _ in range(ROUNDS):
-        value = _posterior(b, G, R, begin, scale, mean, covariance)
+        value = posterior_at(b, G, R, begin, scale, mean, covariance)
         if near > 0.0 and _small(mean, half, near):
             more = 0.0
             for e in range(len(scale)):
@@ -176,7 +182,10 @@ def _tailed(
         more, same = _summed(mean, covariance, begin, rank, tails, half, scale)
         if same:
             break
-    return value + more + _all_spared(mean, covariance, begin, scale, sparse)
+    value += more + _all_spared(mean, covariance, begin, scale, sparse)
+    if averaged:
+        average(b, G, R, begin, rank, tails, half, scale, mean, covariance)
+    return value
 
 
 @njit
@@ -206,7 +215,7 @@ def _summed(
         count = len(SCALES) if tails[e] else 1
         best = 0
         for k in range(count):
-            shares[k] = _share(
+            shares[k] = share(
                 mean, covariance, begin[e], begin[e + 1], rank[e], SCALES[scale[e]], SCALES[k], half
             )
             if tails[e]:
@@ -241,103 +250,3 @@ def _spared(m: float, variance: float, scale: float) -> float:
     absent: float = -0.5 * m**2 / variance + math.log(scale) - 0.5 * math.log(variance)
     # log of the mean of 1 and exp(absent)
     return max(absent, 0.0) + math.log1p(math.exp(-abs(absent))) - math.log(2.0)
-
-
-@njit
-def _posterior(
-    b: Array, G: Array, R: Array, begin: IntArray, scale: IntArray, mean: Array, C: Array
-) -> float:
-    """``quadratic.posterior`` at these scales of the effects: log-evidence, mean (m,), C (m, m).
-    R (m, m), or (0, 0) for the identity."""
-    m = len(b)
-    rows = np.zeros((m, m))
-    for e in range(len(scale)):
-        for j in range(begin[e], begin[e + 1]):
-            rows[j, j] = SCALES[scale[e]]
-            for i in range(len(R)):
-                rows[j, i] = R[i, j] * SCALES[scale[e]]
-    A = congruent(rows, G, len(R) == 0)
-    y = np.zeros(m)
-    for i in range(m):
-        A[i, i] += 1.0
-        for k in range(m):
-            y[i] += rows[i, k] * b[k]
-    if not rooted(A):
-        for i in range(m):
-            mean[i] = 0.0
-            for j in range(m):
-                C[i, j] = 0.0
-        return -np.inf
-    forward(A, y)
-    forward_rows(A, rows, len(R) == 0)
-    gram(rows, y, mean, C, len(R) == 0)
-    value = 0.0
-    for i in range(m):
-        value += 0.5 * y[i] * y[i] - math.log(A[i, i])
-    return value
-
-
-@njit
-def _share(
-    mean: Array,
-    covariance: Array,
-    first: int,
-    last: int,
-    rank: float,
-    now: float,
-    new: float,
-    half: BoolArray,
-) -> float:
-    """Log of what a scale of an effect's prior is worth against the one it has in the posterior,
-    the effect's parameters being those from first to last: the mean, over the posterior, of the
-    ratio of the priors; half: those that are positive."""
-    k = last - first
-    tighter = 1.0 / new**2 - 1.0 / now**2
-    # E exp(-t u'u / 2) for u ~ N(m, C), with C = S S', is |I + t S'S|^-1/2 times an exponential
-    A = np.zeros((k, k))
-    x = np.zeros(k)
-    for i in range(k):
-        x[i] = mean[first + i]
-        for j in range(k):
-            A[i, j] = tighter * covariance[first + i, first + j]
-        A[i, i] += 1.0
-    # (positive: no posterior is wider than its prior, but for round-off)
-    if not rooted(A):
-        return -np.inf
-    forward(A, x)
-    out: float = rank * math.log(now / new)
-    for i in range(k):
-        out -= math.log(A[i, i]) + 0.5 * tighter * x[i] ** 2
-    return out + _positive_share(A, x, covariance, first, half)
-
-
-@njit
-def _positive_share(L: Array, x: Array, covariance: Array, first: int, half: BoolArray) -> float:
-    """What it is worth that some of an effect's parameters are positive: of root L (k, k) and
-    L^-1 m in x (k,)."""
-    k = len(x)
-    out = 0.0
-    row, column = np.zeros(k), np.zeros(k)
-    for i in range(k):
-        if not half[first + i]:
-            continue
-        # row i of (L L')^-1, on m and on the covariance's column i
-        for j in range(k):
-            row[j] = 1.0 if i == j else 0.0
-            column[j] = covariance[first + j, first + i]
-        forward(L, row)
-        forward(L, column)
-        value, spread = 0.0, 0.0
-        for j in range(k):
-            value += row[j] * x[j]
-            spread += row[j] * column[j]
-        out += math.log(2.0) + _log_normal(value / math.sqrt(spread))
-    return out
-
-
-@njit
-def _log_normal(x: float) -> float:
-    """Log of the normal distribution function."""
-    if x < FAR_BELOW:
-        return -0.5 * x * x - math.log(-x) - 0.5 * math.log(2.0 * math.pi)
-    return math.log(0.5 * math.erfc(-x / math.sqrt(2.0)))

@@ -10,8 +10,8 @@ import numpy as np
 from handcal.effects import Effect, catalogue
 from handcal.estimate.case import applicable
 from handcal.estimate.evidence import reduce, reduced_pass
-from handcal.estimate.fit import root_of
 from handcal.estimate.model import Fitted
+from handcal.estimate.prior_root import root_of
 from handcal.estimate.problem import Slot
 from handcal.estimate.transfer import moved_to
 from handcal.types import Array

@@ -19,10 +19,10 @@ import numpy as np
 from handcal.effects import Effect
 from handcal.estimate.case import Case, name_of, problem_with
 from handcal.estimate.evidence import ReducedPass, reduce, reduced_pass
-from handcal.estimate.fit import prior_root
 from handcal.estimate.linear import linearise_about
 from handcal.estimate.model import Fitted
 from handcal.estimate.observed import observed_of
+from handcal.estimate.prior_root import prior_root
 from handcal.estimate.problem import Problem
 from handcal.estimate.quadratic import Posterior, Quadratic, local, posterior
 from handcal.estimate.trajectory import Trajectory, epochs

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from handcal.estimate.fit import prior_root
+from handcal.estimate.prior_root import prior_root
 from handcal.estimate.quadratic import posterior
 from handcal.search.multistart import Found
 from handcal.types import Parameter

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from handcal.effects import Effect
-from handcal.estimate.fit import prior_root
+from handcal.estimate.prior_root import prior_root
 from handcal.estimate.quadratic import Quadratic
 from handcal.laws import shapes
 from handcal.types import Array, IntArray

@@ -11,8 +11,8 @@ import numpy as np
 
 from handcal.effects import Effect
 from handcal.estimate.case import name_of
-from handcal.estimate.fit import prior_root
 from handcal.estimate.heavy_tails import Owners, log_evidence, owners_of
+from handcal.estimate.prior_root import prior_root
 from handcal.estimate.quadratic import Quadratic
 from handcal.model_score import PRIOR
 from handcal.types import Array, BoolArray, IntArray
