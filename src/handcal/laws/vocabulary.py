@@ -170,7 +170,7 @@ def further(signals: Signals, sensor: int) -> Iterator[Driver]:
         yield from (times(a, whole) for whole in (TURNS, LOAD))
         yield from (times(b, a) for b in (*RATES, *FORCES) if b.name[-3:] != a.name[-3:])
     for a in filter(lambda d: usable(d, signals), NORTH):
-        yield times(own, a)
+        yield from (times(b, a) for b in (*RATES, *FORCES))
 
 
 def _operated(of: Driver, signals: Signals, names: tuple[str, ...]) -> Iterator[Driver]:
