@@ -226,13 +226,13 @@ def test_a_database_that_lacks_a_column_is_a_sentence(tmp_path: Path, column: st
 
 
 def test_cells_that_a_database_computes_are_not_believed(tmp_path: Path) -> None:
-    """300 cells of 15 MB each out of a file of some kB."""
+    """60 cells of 15 MB each out of a file of some kB."""
     path = tmp_path / "export.sqlite"
     database = sqlite3.connect(path)
     made = "x AS (printf('%.*c', 15000000, '1'))"
     database.execute(f"CREATE TABLE GyroscopeUncalibrated (time, seconds_elapsed, z, y, {made})")
     database.executemany("INSERT INTO GyroscopeUncalibrated VALUES (?, 0, 0, 0)",
-                         [(k,) for k in range(300)])  # fmt: skip
+                         [(k,) for k in range(60)])  # fmt: skip
     database.commit()
     database.close()
     tracemalloc.start()
