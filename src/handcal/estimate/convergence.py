@@ -64,7 +64,7 @@ class Rounds:
         if before is None or len(before) != len(aim):
             return
         squared, along = float(before @ information @ before), float(aim @ information @ before)
-        length = math.sqrt(squared * float(aim @ information @ aim))
+        length = math.sqrt(max(squared * float(aim @ information @ aim), 0.0))
         if abs(along) > ALONG * length > 0.0:
             # (a step of one brings 1 - share of what is missing)
             share = 1.0 - (1.0 - along / squared) / gone

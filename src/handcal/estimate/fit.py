@@ -108,8 +108,9 @@ def fitted(
     rest = tolerance if noise_rounds == 0 else ROUGH
     parts = [begun(f, effects) for f in begin]
     wide = known is None and any(_begins_wide(f) for f in parts)
-    now = relinearised_parts(parts, effects, known, wide=wide, tolerance=rest)
-    del parts
+    # (handed on one by one: whoever keeps them here keeps what they are linearised to as well)
+    handed_on = (parts.pop(0) for _ in range(len(parts)))
+    now = relinearised_parts(handed_on, effects, known, wide=wide, tolerance=rest)
     if not math.isfinite(now.evidence):
         return diverged(now.parts, effects)
     for left in range(noise_rounds, -1, -1):
