@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,13 +16,19 @@ from handcal.estimate import noise_levels, parallel
 from handcal.estimate.baseline import started
 from handcal.estimate.case import case_of
 from handcal.estimate.evidence import ReducedPass, Reduction, reduce, reduced_pass
+from handcal.estimate.fit import fitted
 from handcal.estimate.model import Fitted
 from handcal.estimate.noise_levels import Score
 from handcal.estimate.transfer import moved_to
 from handcal.laws import with_motion
+from handcal.recordings.inputs import load
+from handcal.search.drifting_point import begun
 from handcal.search.noise_scan import looks_of
 from handcal_sim import simulate
+from handcal_sim.mcap_writer import write
 from handcal_sim.phone import Phone, capture_pose, consumer_phone
+from handcal_sim.prove.draw import draw
+from handcal_sim.prove.run import promised
 
 STEP = 1e-3
 CASES = {
@@ -134,3 +141,34 @@ def test_looks_are_the_same_on_one_core(monkeypatch: pytest.MonkeyPatch) -> None
     assert [(k.effects[-1].id, k.gain) for k in looks[0]] == [
         (k.effects[-1].id, k.gain) for k in looks[1]
     ]
+
+
+@pytest.mark.parametrize(
+    "number", [7, *(pytest.param(k, marks=pytest.mark.prove) for k in range(7))]
+)
+def test_both_ways_to_share_a_sway_are_looked_at(number: int, tmp_path: Path) -> None:
+    """Whether a search begins where the hand sways whether it turns or not, or only as it turns, it
+    ends as high to half a nat (of the first eight worlds with something that walks, two have a
+    second summit, 3 and 28 nats lower, where one search from either side ended)."""
+    world, answer = draw("walks", number, 0, promised)
+    write(world, tmp_path / "walk.mcap", truth=False)
+    base = begun([case_of(load(tmp_path / "walk.mcap"), "fixed-point")])
+    wanted = [*base.effects, *select(tuple(answer.effects))]
+    (f,) = fitted(base.parts, wanted).parts
+    reduction, ends = reduce(f.linear), []
+    for sway, per_rate in ((0.05, 2e-4), (2e-4, 0.05)):
+        levels = {**f.levels, "sway": sway, "sway_per_rate": per_rate}
+        found, _ = noise_levels.estimate(reduction, levels, [lv.name for lv in f.problem.levels])
+        ends.append(reduced_pass(reduction, found).log_evidence)
+    assert abs(ends[0] - ends[1]) < 0.5
+
+
+def test_what_is_shared_is_kept_where_one_holds_it_all() -> None:
+    x, rate = np.log([0.3, 0.013, 0.008]), 1.3
+    whole = math.hypot(0.013, 0.008 * rate)
+    for option in noise_levels._instead(x, 2, 1, rate):
+        assert option[0] == x[0]
+        assert math.hypot(np.exp(option[1]), np.exp(option[2]) * rate) == pytest.approx(
+            whole, rel=2e-3
+        )
+        assert np.exp((option - x)[1:]).min() == pytest.approx(1.0 / noise_levels.NEARLY_NONE)

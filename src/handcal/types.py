@@ -166,6 +166,8 @@ class Level:
 
     below, above: how far it may stray from the first guess to either side, as a standard
     deviation of its logarithm. most: so many times the first guess it may be, and no more.
+    shared: another level of the same process: root mean squares add up to what is seen, so that
+    either may hold it all, this one in proportion to the turning rate.
     """
 
     name: str
@@ -176,6 +178,7 @@ class Level:
     below: float = 2.0
     above: float = 2.0
     most: float = math.inf
+    shared: str = field(default="", kw_only=True)
 
 
 class Markov(Protocol):

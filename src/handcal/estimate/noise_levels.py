@@ -29,6 +29,9 @@ STEP = 1e-4
 DIFFERENCE = 0.01
 LONGEST_STEP = 1.5
 FLATTEST = 0.25
+# How far one of two levels that share what is seen has to have moved (in its logarithm) for the
+# other way to share it to be looked at; by how much the lesser is less there.
+FAR, NEARLY_NONE = 0.5, 30.0
 SENSORS = ("gyro_noise", "accel_noise")
 # Epochs (a quarter of an hour) from which levels are first sought in one part of so many, within so
 # many nats.
@@ -141,7 +144,37 @@ def estimate(
 
     begin = np.clip(np.array([math.log(levels[n]) for n in names]), low, high)
     found, B = minimise(cost, begin, low, high, tolerance, known.of(names))
+    for i, other in _sharing(problem, names):
+        if np.abs(found - begin)[[i, other]].max() > FAR:
+            rate = _typical_rate(problem)
+            options = [np.clip(x, low, high) for x in _instead(found, i, other, rate)]
+            ends = [minimise(cost, x, low, high, tolerance, B) for x in options]
+            found, B = min([(found, B), *ends], key=lambda end: cost(end[0])[0])
     return dict(levels) | _levels(names, found), Curvature(tuple(names), B)
+
+
+def _sharing(problem: Problem, names: Sequence[str]) -> list[tuple[int, int]]:
+    """Places among these names of levels that share what is seen with another, and of that."""
+    own = {lv.name: lv.shared for lv in problem.levels}
+    return [(i, names.index(own[n])) for i, n in enumerate(names) if own[n] in names]
+
+
+def _typical_rate(problem: Problem) -> float:
+    """Turning rate, rad/s, root mean square."""
+    return float(np.sqrt((problem.rate**2).mean()))
+
+
+def _instead(x: Array, by_rate: int, other: int, rate: float) -> list[Array]:
+    """Logarithms of levels (k,) where one of two that share what is seen holds nearly all of it:
+    there the evidence may have a second summit."""
+    whole = math.hypot(math.exp(x[other]), math.exp(x[by_rate]) * rate)
+    out = []
+    for k, size in ((by_rate, whole / max(rate, 1e-9)), (other, whole)):
+        option = x.copy()
+        option[[by_rate, other]] -= math.log(NEARLY_NONE)
+        option[k] = math.log(size)
+        out.append(option)
+    return out
 
 
 def _range(levels: Sequence[Level], centre: Array, excess: float) -> tuple[Array, Array]:

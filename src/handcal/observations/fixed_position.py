@@ -177,7 +177,7 @@ OBSERVATION = Observation(
     levels=(
         Level("position_noise", "m", 3e-4, 2e-5, 0.05),
         Level("sway", "m", 0.004, 1e-4, 3.0),
-        Level("sway_per_rate", "m/(rad/s)", 0.004, 1e-4, 1.0),
+        Level("sway_per_rate", "m/(rad/s)", 0.004, 1e-4, 1.0, shared="sway"),
         Level("sway_time", "s", 0.5, 0.05, 10.0),
     ),
     variance=_variance,
