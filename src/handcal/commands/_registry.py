@@ -137,9 +137,10 @@ def _first_line(plugin: EntryPoint) -> str:
 def _docstring(source: str, name: str) -> str:
     """Of the function of this name, or of the module where it has none."""
     # (to parse all the commands takes twice as long as all else that handcal does for its help)
-    begin = source.find('"""', source.find(f"\ndef {name}(") + 1)
+    at = source.find(f"\ndef {name}(")
+    begin = source.find('"""', at)
     end = source.find('"""', begin + 3) + 3
-    if 0 <= begin < end and f"\ndef {name}(" in source and source[:begin].endswith(":\n    "):
+    if 0 <= at < begin < end and source[:begin].endswith(":\n    "):
         return inspect.cleandoc(ast.literal_eval(source[begin:end]))
     module = ast.parse(source)
     named = (n for n in module.body if getattr(n, "name", "") == name)

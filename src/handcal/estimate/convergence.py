@@ -66,10 +66,8 @@ class Rounds:
         squared, along = float(before @ information @ before), float(aim @ information @ before)
         length = math.sqrt(max(squared * float(aim @ information @ aim), 0.0))
         if abs(along) > ALONG * length > 0.0:
-            # (a step of one brings 1 - share of what is missing)
-            share = 1.0 - (1.0 - along / squared) / gone
-            least = 1.0 / FURTHEST
-            self.reach = max(1.0 / max(1.0 - share, least), SHORTEST)
+            brings = (1.0 - along / squared) / gone  # (a whole step, of what is missing)
+            self.reach = max(1.0 / max(brings, 1.0 / FURTHEST), SHORTEST)
 
     @property
     def runs_away(self) -> bool:

@@ -333,8 +333,7 @@ class _Seen:
     def aim(self) -> Array:
         """How far the parameters are from where they are thought to be."""
         here = {n: u for x in self.locals for n, u in zip(x.quadratic.names, x.here, strict=True)}
-        here_now: Array = np.array([here[n] for n in self.whole.names])
-        return self.mean - here_now
+        return self.mean - np.array([here[n] for n in self.whole.names], dtype=np.float64)
 
 
 def _seen(

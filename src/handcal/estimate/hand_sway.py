@@ -18,10 +18,15 @@ HAND_SWAY = 0.05
 TRAVEL_NATS = 5.0
 
 
+def typical_rate(problem: Problem) -> float:
+    """Turning rate, rad/s, root mean square."""
+    return float(np.sqrt((problem.rate**2).mean()))
+
+
 def sway_of(problem: Problem, levels: Mapping[str, float]) -> float:
     """Root mean square of the hand's sway at these levels, m; 0 where no point is held."""
-    rate = float(np.sqrt((problem.rate**2).mean()))
-    return math.hypot(levels.get("sway", 0.0), levels.get("sway_per_rate", 0.0) * rate)
+    turning = levels.get("sway_per_rate", 0.0) * typical_rate(problem)
+    return math.hypot(levels.get("sway", 0.0), turning)
 
 
 def beyond_a_hand(about: About, levels: Mapping[str, float]) -> float:

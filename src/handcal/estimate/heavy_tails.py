@@ -23,7 +23,7 @@ import numpy as np
 from handcal.compiled.jit import njit
 from handcal.effects import catalogue
 from handcal.estimate.case import name_of
-from handcal.estimate.prior_scales import LOG_SHARES, SCALES, average, posterior_at, share
+from handcal.estimate.prior_scales import LOG_SHARES, SCALES, all_shares, average, posterior_at
 from handcal.estimate.quadratic import Posterior, Quadratic, posterior
 from handcal.types import Array, BoolArray, IntArray
 
@@ -212,17 +212,12 @@ def _summed(
     out, same = 0.0, True
     shares = np.empty(len(SCALES))
     for e in range(len(scale)):
-        count = len(SCALES) if tails[e] else 1
-        best = 0
+        own = begin[e], begin[e + 1], rank[e]
+        count = all_shares(mean, covariance, own, scale[e], tails[e], half, shares)
+        best, total = 0, 0.0
         for k in range(count):
-            shares[k] = share(
-                mean, covariance, begin[e], begin[e + 1], rank[e], SCALES[scale[e]], SCALES[k], half
-            )
-            if tails[e]:
-                shares[k] += LOG_SHARES[k]
             if shares[k] > shares[best]:
                 best = k
-        total = 0.0
         for k in range(count):
             total += math.exp(shares[k] - shares[best])
         out += shares[best] + math.log(total)

@@ -18,6 +18,7 @@ from handcal.compiled import so3
 from handcal.compiled.kernel import MAX_DIM
 from handcal.estimate.adjoint import Slopes, backward
 from handcal.estimate.evidence import Reduction, reduced_pass
+from handcal.estimate.hand_sway import typical_rate
 from handcal.estimate.linear import Linear
 from handcal.estimate.problem import Problem, observation_variances
 from handcal.estimate.white import white_levels
@@ -143,13 +144,14 @@ def estimate(
         return 0.5 * float(away @ away) - value, away / sigma - slope
 
     begin = np.clip(np.array([math.log(levels[n]) for n in names]), low, high)
-    found, B = minimise(cost, begin, low, high, tolerance, known.of(names))
+    best = minimise(cost, begin, low, high, tolerance, known.of(names))
     for i, other in _sharing(problem, names):
+        _, found, B = best
         if np.abs(found - begin)[[i, other]].max() > FAR:
-            rate = _typical_rate(problem)
-            options = [np.clip(x, low, high) for x in _instead(found, i, other, rate)]
-            ends = [minimise(cost, x, low, high, tolerance, B) for x in options]
-            found, B = min([(found, B), *ends], key=lambda end: cost(end[0])[0])
+            options = _instead(found, i, other, typical_rate(problem))
+            ends = (minimise(cost, np.clip(x, low, high), low, high, tolerance, B) for x in options)
+            best = min([best, *ends], key=lambda end: end[0])
+    _, found, B = best
     return dict(levels) | _levels(names, found), Curvature(tuple(names), B)
 
 
@@ -157,11 +159,6 @@ def _sharing(problem: Problem, names: Sequence[str]) -> list[tuple[int, int]]:
     """Places among these names of levels that share what is seen with another, and of that."""
     own = {lv.name: lv.shared for lv in problem.levels}
     return [(i, names.index(own[n])) for i, n in enumerate(names) if own[n] in names]
-
-
-def _typical_rate(problem: Problem) -> float:
-    """Turning rate, rad/s, root mean square."""
-    return float(np.sqrt((problem.rate**2).mean()))
 
 
 def _instead(x: Array, by_rate: int, other: int, rate: float) -> list[Array]:
@@ -310,8 +307,9 @@ def minimise(
     tolerance: float,
     known: Array | None = None,
     rounds: int = 60,
-) -> tuple[Array, Array]:
-    """Where ``cost(x) -> (value, gradient)`` is least within the bounds, and the curvature there.
+) -> tuple[float, Array, Array]:
+    """The least of ``cost(x) -> (value, gradient)`` within the bounds, where it is, and the
+    curvature there.
 
     All are of order one. A quasi-Newton search (BFGS) that starts from the curvature ``known``
     (k, k; NaN: not known), else from that of differenced gradients; coordinates that press
@@ -343,4 +341,4 @@ def minimise(
         Bs = B @ s
         if s @ y > 1e-3 * (s @ Bs):
             B = B + np.outer(y, y) / (s @ y) - np.outer(Bs, Bs) / (s @ Bs)
-    return x, B
+    return value, x, B

@@ -55,7 +55,7 @@ def posterior_at(
 
 
 @njit
-def share(
+def _share(
     mean: Array,
     covariance: Array,
     first: int,
@@ -89,6 +89,28 @@ def share(
 
 
 @njit
+def all_shares(
+    mean: Array,
+    covariance: Array,
+    own: tuple[int, int, float],
+    now: int,
+    tailed: bool,
+    half: BoolArray,
+    out: Array,
+) -> int:
+    """How many scales an effect's prior has; of each the log of what it is worth against the one
+    ``now`` (see ``_share``), with its share of devices, is written. own: first parameter, the one
+    after the last, rank."""
+    first, last, rank = own
+    count = len(SCALES) if tailed else 1
+    for k in range(count):
+        out[k] = _share(mean, covariance, first, last, rank, SCALES[now], SCALES[k], half)
+        if tailed:
+            out[k] += LOG_SHARES[k]
+    return count
+
+
+@njit
 def average(
     b: Array,
     G: Array,
@@ -115,10 +137,8 @@ def average(
         if not tails[e]:
             continue
         now = scale[e]
-        for k in range(len(SCALES)):
-            shares[k] = LOG_SHARES[k] + share(
-                best_mean, best_C, begin[e], begin[e + 1], rank[e], SCALES[now], SCALES[k], half
-            )
+        own = begin[e], begin[e + 1], rank[e]
+        all_shares(best_mean, best_C, own, now, True, half, shares)
         shares -= shares.max()
         total = np.exp(shares).sum()
         moved = np.zeros(m)
