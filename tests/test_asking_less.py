@@ -3,17 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 from worlds import recording_of
 
 from handcal.estimate.baseline import baseline
 from handcal.estimate.case import case_of
 from handcal.estimate.model import Model
+from handcal.estimate.noise_levels import minimise
 from handcal.explain import pipeline
+from handcal.laws.grammar import formula, shorter
+from handcal.laws.over_drivers import best_of_block, blocks, promising
+from handcal.laws.weighing import Beside
 from handcal.search import multistart
 from handcal.search.budget import Budget
+from handcal.search.climb import in_place, state
+from handcal.signals import probe
 from handcal_sim import simulate
+
+# Nats that a law has to gain.
+LEAST = 12.0
 
 
 @pytest.fixture(scope="module")
@@ -26,10 +38,12 @@ def test_no_second_climb_where_the_first_is_superseded(
     base: Model, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     begun: list[Model] = []
+    rivals: list[Model | None] = []
 
-    def end(start: Model, *_: object) -> multistart.Found:
+    def end(start: Model, *_: object, rival: Model | None) -> multistart.Found:
         begun.append(start)
-        return multistart.Found(start, None, {}, {})  # type: ignore[arg-type]
+        rivals.append(rival)
+        return multistart.Found(start, None, {}, {}, named=start)  # type: ignore[arg-type]
 
     monkeypatch.setattr(multistart, "_end", end)
     monkeypatch.setattr(multistart, "sways_far", lambda _: True)
@@ -37,6 +51,7 @@ def test_no_second_climb_where_the_first_is_superseded(
     monkeypatch.setattr(multistart, "_may_stand_in", lambda _: False)
     multistart.search(base)
     assert len(begun) == 2
+    assert rivals == [None, begun[0]]  # (with what the first began to look for laws)
     begun.clear()
     assert multistart.search(base, superseded=lambda _: True).model is begun[0]
     assert len(begun) == 1
@@ -60,3 +75,122 @@ def test_a_hand_is_asked_about_once_for_each_end(
     assert len(asked) == 2
     assert not pipeline._Hand(base, False, Budget()).moves(one)
     assert len(asked) == 2
+
+
+@pytest.fixture(scope="module")
+def some_blocks():
+    """Of every kind that there is: lines, curves of several sizes."""
+    return blocks(probe())[::5]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_law_is_lost_that_gains_enough(some_blocks, seed):
+    """Where a bound says that none of a block can, none does; and it says so of most that are not
+    there."""
+    rng = np.random.default_rng(seed)
+    at, first = {}, 0
+    for block in some_blocks:
+        size = len(block.effect.parameters)
+        at[block.effect.id] = np.arange(first, first + size)
+        first += size
+    rows = rng.normal(size=(2 * first, first)) * 10.0 ** rng.uniform(-2, 2, first)
+    strong = np.where(rng.random(first) < 0.01, 3.0, 0.0) / np.maximum(
+        1.0, np.abs(rows).max(axis=0)
+    )
+    noise = rng.normal(size=2 * first)
+    seen = Beside(rows.T @ (rows @ strong + noise), rows.T @ rows, at)
+    kept = {block.effect.id for block in promising(some_blocks, seen, LEAST)}
+    gained = {
+        block.effect.id: max((g for _, g in best_of_block(block, seen)), default=-np.inf)
+        for block in some_blocks
+    }
+    assert {i for i, g in gained.items() if g > LEAST} <= kept
+    assert any(g > LEAST for g in gained.values())
+    assert len(kept) < len(some_blocks)
+
+
+def test_what_is_no_number_is_looked_at(some_blocks):
+    block = some_blocks[0]
+    size = len(block.effect.parameters)
+    seen = Beside(np.full(size, np.nan), np.eye(size), {block.effect.id: np.arange(size)})
+    assert promising([block], seen, LEAST) == [block]
+
+
+def test_a_sum_without_each_of_its_functions():
+    whole = formula([("cube", ()), ("compression", (2.6,))])
+    assert [(form.kind, kept) for form, kept in shorter(whole)] == [
+        ("compression", [1]),
+        ("cube", [0]),
+    ]
+    same = formula([("limit", (0.2,)), ("jump", (0.2,))], same=True)
+    assert [form.numbers for form, _ in shorter(same)] == [(0.2,), (0.2,)]
+    assert not list(shorter(formula([("cube", ())])))
+
+
+def _two_valleys(x):
+    """Value and slope of a cost with its least, -1, at 3, and another low, 0, at -3."""
+    deep, flat = np.exp(-0.5 * (x - 3.0) ** 2), np.exp(-0.5 * (x + 3.0) ** 2)
+    value = 1.0 - 2.0 * deep - flat + 0.002 * x**2
+    return float(value[0]), 2.0 * deep * (x - 3.0) + flat * (x + 3.0) + 0.004 * x
+
+
+def test_a_search_that_cannot_come_below_another_ends_early():
+    asked = []
+
+    def cost(x):
+        asked.append(x)
+        return _two_valleys(x)
+
+    ends = np.array([-9.0]), np.array([9.0])
+    far = minimise(cost, np.array([-4.5]), *ends, 1e-4)
+    whole, asked[:] = len(asked), []
+    value, _, _ = minimise(cost, np.array([-4.5]), *ends, 1e-4, beat=-1.0)
+    assert len(asked) < whole
+    assert value >= far[0]
+    # and one that can, does: the deeper of the two is found though the other was first
+    found, x, _ = minimise(cost, np.array([4.5]), *ends, 1e-4, beat=far[0])
+    assert found < far[0] - 0.5
+    assert x[0] == pytest.approx(3.0, abs=0.05)
+
+
+def _climbing(held, own=("gyro_bias_walk",)):
+    """A climb whose gyro's doubted effects hold so many nats."""
+    climb: Any = SimpleNamespace(barred={}, hidden=(frozenset(own), held))
+    return climb
+
+
+@pytest.mark.parametrize(("held", "asked"), [(40.0, False), (59.0, False), (61.0, True)])
+def test_a_law_is_looked_for_again_where_noise_holds_as_much_more_as_it_lacked(
+    held, asked, monkeypatch
+):
+    monkeypatch.setattr(in_place, "_hidden_by", lambda c, *_: c.hidden)
+    c = _climbing(held)
+    c.barred["gyro"] = state.Barred(frozenset({"gyro_bias_walk"}), 40.0, 20.0)
+    assert in_place._may_hide(c, "gyro", ()) is asked
+    assert in_place._may_hide(c, "accel", ())  # (of which nothing was tried)
+    assert in_place._may_hide(_climbing(held, ("gyro_bias_walk", "gyro_scale")), "gyro", ())
+
+
+def _named(ids, evidence):
+    model: Any = SimpleNamespace(ids=ids, log_evidence=evidence)
+    return model
+
+
+@pytest.mark.parametrize(
+    ("ids", "ahead", "ends"),
+    [
+        (("a",), 4.0, True),  # (the same, but for what a fit is right to)
+        (("a",), 6.0, False),
+        (("b",), -99.0, False),
+        (("b",), -101.0, True),
+    ],
+)
+def test_a_climb_ends_where_another_was_ahead(ids, ahead, ends, monkeypatch):
+    monkeypatch.setattr(state, "better", lambda a, b, _: a.log_evidence - b.log_evidence)
+    rival = _named(("a",), 0.0)
+    c: Any = SimpleNamespace(model=_named(ids, ahead), rival=rival, named=None, worth=1.0)
+    assert state.beaten(c) is ends
+    c.model = _named(("a", "b", "c"), 900.0)  # (what it comes to afterwards says nothing of that)
+    assert state.beaten(c) is ends
+    c = SimpleNamespace(model=_named(ids, ahead), rival=None, named=None, worth=1.0)
+    assert not state.beaten(c)

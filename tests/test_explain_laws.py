@@ -37,9 +37,11 @@ from handcal.laws.drivers import DRIVERS
 from handcal.laws.grammar import Range
 from handcal.laws.law_effect import Law
 from handcal.laws.weighing import Beside
+from handcal.search.climb import in_place as places
 from handcal.search.climb import law_steps
 from handcal.search.climb.candidates import scanned
-from handcal.search.climb.law_steps import narrow, with_term
+from handcal.search.climb.in_place import with_term
+from handcal.search.climb.law_steps import narrow
 from handcal.search.climb.sequence import climbed
 from handcal.search.climb.state import Climb
 from handcal.search.noise_scan import all_noise
@@ -506,14 +508,15 @@ def test_a_law_is_sought_in_the_place_of_more_where_it_does_well_in_that_of_less
     def fitted_with(m: Fake, *_: Any) -> Fake:
         return Fake((*m.ids, "law"), "" if m is model else m.gone)
 
-    monkeypatch.setattr(law_steps, "_in_place", in_place)
-    monkeypatch.setattr(law_steps, "with_term", fitted_with)
-    monkeypatch.setattr(law_steps, "score", lambda m, _: {"none": 0.0, **scores}[m.gone])
+    monkeypatch.setattr(places, "_in_place", in_place)
+    monkeypatch.setattr(places, "with_term", fitted_with)
+    monkeypatch.setattr(places, "score", lambda m, _: {"none": 0.0, **scores}[m.gone])
     climb: Any = SimpleNamespace(model=model, worth=1.0, beyond=set())
     sets = {"gyro": [frozenset("a"), frozenset("ab")]}
-    ends = law_steps._ends(climb, sets)
+    ends, short = places._ends(climb, sets)
     assert seen == asked
     assert {m.gone for m, _ in ends} == {"", *asked}
+    assert short == {"gyro": -max(scores[gone] for gone in ("", *asked))}
 
 
 def test_names_that_are_told_from_a_law_stay_beside_it() -> None:

@@ -40,7 +40,7 @@ from handcal.search.drifting_point import begun, moving
 from handcal.search.hand_assumption import foretold
 from handcal.search.multistart import Found, advantage, astray, search
 from handcal.search.space import gains, space
-from handcal.types import InputError, Prior, Recording
+from handcal.types import BoolArray, HandcalError, InputError, Prior, Recording
 
 # Called with the share that is done, and what is being done.
 Progress = Callable[[float, str], None]
@@ -257,6 +257,20 @@ def _gained(found: Found) -> dict[str, float]:
     return gains(found.space, found.model.chosen) | found.noise
 
 
+def _fits_without(found: Found, masks: Sequence[BoolArray | None], cases: Sequence[Case]) -> bool:
+    """Whether the model that was found is likelier without these headings, fitted from where it is
+    or from the start. (Only then is another one looked for that may have been hidden by them.)"""
+    model = found.model
+    enough = model.log_evidence - PRIOR
+    if fitted(outliers.without(model, masks), model.effects).log_evidence > enough:
+        return True
+    try:
+        begin = [started(c, model.effects) for c in cases]
+    except HandcalError:  # (with all of these the online filter diverges)
+        return False
+    return fitted(begin, model.effects, noise_rounds=2).log_evidence > enough
+
+
 def _without_outliers(
     start: Model, about: Model, found: Found, budget: Budget, report: Callable[[float], None]
 ) -> tuple[Found, outliers.Wrong | None]:
@@ -267,6 +281,8 @@ def _without_outliers(
         return found, None
     # (from the start again: they may have led the first trajectory astray)
     cases = [f.case for f in outliers.without(start, masks)]
+    if not _fits_without(found, masks, cases):
+        return found, None
     begin = [started(c, start.effects) for c in cases]
     other = search(fitted(begin, start.effects, noise_rounds=2), report, budget=budget)
     gain = advantage(other, found)

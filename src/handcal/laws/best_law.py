@@ -27,6 +27,7 @@ from handcal.laws.over_drivers import (
     best_of_block,
     blocks,
     further_blocks,
+    promising,
     tuned,
     written_out,
 )
@@ -43,6 +44,8 @@ CLOSER = 3
 # Of what a law gains, the share that terms of second order leave open: a formula that costs more
 # than the one there is has to gain more than that.
 OPEN = 1e-3
+# Nats that something without a name has to gain at a scan.
+ENOUGH = math.log(2.0) - TERM_PRIOR
 
 
 # Blocks by vocabulary: the usual one (""), and the further one of a sensor.
@@ -147,9 +150,8 @@ def best_terms(
     pairs = where.of(beyond, known)
     # (what is absent scatters differently from scan to scan: one worth for all)
     worth = float(np.median([q.worth for _, q in pairs])) if worth is None else worth
-    enough = -TERM_PRIOR + math.log(2.0)
     ends = [
-        end for look, q in pairs for end in look.best(weighed(q, worth), known) if end[1] > enough
+        end for look, q in pairs for end in look.best(weighed(q, worth), known) if end[1] > ENOUGH
     ]
     about_ = About(where.model, where.base, known, where.signals, worth)
     found = [Term(e, gain / worth) for e, gain in ends if isinstance(e, Effect)]
@@ -220,7 +222,7 @@ def _chunks(all_: Sequence[Block], most: int) -> Iterator[list[Block]]:
 
 def _laws(chunk: Sequence[Block], q: Quadratic, known: Sequence[Effect]) -> list[End]:
     seen = beside(q, known, [b.effect for b in chunk])
-    return [end for b in chunk for end in best_of_block(b, seen)]
+    return [end for b in promising(chunk, seen, ENOUGH) for end in best_of_block(b, seen)]
 
 
 def _closer(ends: Sequence[End], beyond: Collection[str]) -> list[tuple[Law, float]]:

@@ -289,6 +289,15 @@ def formula(parts: Sequence[Part], same: bool = False) -> Form:
     )
 
 
+def shorter(form: Form) -> Iterator[tuple[Form, list[int]]]:
+    """A sum without each of its functions, and which constants are left."""
+    several = len(form.parts) > 1
+    for out in range(len(form.parts) * several):
+        kept = [k for k in range(len(form.parts)) if k != out]
+        rest = [form.parts[k] for k in kept]
+        yield formula(rest, SAME in form.kind and len(rest) > 1), kept
+
+
 def parts_for(over: Range, signed: bool, round_: bool, gain: bool = False) -> list[Part]:
     """Every function of the grammar for a driver, with the numbers to begin with; gain: whether the
     law is a gain of something."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -27,7 +28,7 @@ from handcal.laws.grammar import (
 from handcal.laws.law_effect import AXES_OF, SENSORS, SIZE, Law, effect_of, named
 from handcal.laws.vocabulary import further
 from handcal.laws.weighing import Beside, beside, gains
-from handcal.types import Array
+from handcal.types import Array, BoolArray
 
 # Shares of the way to a formula's next numbers on trial at which it is tried once more, in turn.
 FINER = (0.5, 0.2, 0.06)
@@ -43,11 +44,16 @@ class Block:
     sigmas: tuple[float, ...]
     effect: Effect
 
-    @property
+    @cached_property
     def roots(self) -> Array:
         """Square roots (f, k, k) of the prior covariance of each form's constants."""
         one = self.forms[0].constants
         return np.stack([np.eye(one) if f.root is None else f.root for f in self.forms])
+
+    @cached_property
+    def widest(self) -> float:
+        """Largest variance that a form's prior has in any direction."""
+        return float(np.linalg.norm(self.roots, 2, axis=(1, 2)).max()) ** 2
 
 
 def blocks(signals: Signals) -> list[Block]:
@@ -97,6 +103,28 @@ def ways(block: Block, seen: Beside) -> Iterator[tuple[tuple[int, ...], bool, Ar
         yield (0, 1, 2), False, b.sum(axis=0), G.sum(axis=(0, 2))
         if block.driver.own and not block.driver.free:
             yield (0, 1, 2), True, b.ravel(), G.reshape(b.size, b.size)
+
+
+def promising(blocks_: Sequence[Block], seen: Beside, least: float) -> list[Block]:
+    """Those of which some law may gain more than ``least`` nats: with a prior of the widest
+    variance in each direction, and nothing paid for it, they would."""
+    by_size: dict[int, list[Block]] = {}
+    for block in blocks_:
+        by_size.setdefault(len(seen.at[block.effect.id]), []).append(block)
+    lost: set[str] = set()
+    for size, some in by_size.items():
+        at = np.stack([seen.at[block.effect.id] for block in some])
+        b, G = seen.b[at], seen.G[at[:, :, None], at[:, None]]
+        told = np.logical_and(np.isfinite(b).all(axis=1), np.isfinite(G).all(axis=(1, 2)))
+        # (one law of all axes has each of its constants as often as there are axes)
+        loose = np.array([len(AXES_OF[block.sensor]) * block.widest for block in some])
+        A = np.where(told[:, None, None], G, 0.0) + np.eye(size) / loose[:, None, None]
+        b = np.where(told[:, None], b, 0.0)
+        most = 0.5 * (b * np.linalg.solve(A, b[:, :, None])[:, :, 0]).sum(axis=1)
+        # (of numbers that are none, or negative by rounding, that says nothing)
+        few: BoolArray = told & (most >= 0.0) & (most <= least)
+        lost |= {block.effect.id for block, no in zip(some, few, strict=True) if no}
+    return [block for block in blocks_ if block.effect.id not in lost]
 
 
 def best_of_block(block: Block, seen: Beside) -> Iterator[tuple[Law, float]]:

@@ -40,13 +40,14 @@ class Found:
     """Where the search ended: the final model, the space of the last scan, and
     what the catalogue's effects gained over the baseline alone; noise: log-evidence gained by
     each noise effect in the model; swaps: (effect, rival) to the nats by which the rival, fitted
-    in its place, does worse."""
+    in its place, does worse; named: the model with which it began to look for laws."""
 
     model: Model
     space: Space
     alone: dict[str, float]
     noise: dict[str, float]
     swaps: dict[tuple[str, str], float] = field(default_factory=dict)
+    named: Model | None = None
 
 
 @dataclass(frozen=True)
@@ -161,12 +162,12 @@ def _begun(
     found: Found | None = None
     for number, start in enumerate(starts):
         own = partial(_part_of, report, number / len(starts), len(starts))
-        end = _end(start, (), common, own)
+        end = _end(start, (), common, own, rival=None if found is None else found.named)
         assert end is not None
         if found is None:
             found = end
         elif advantage(end, found) > 0.0:
-            found = replace(end, alone=found.alone)
+            found = replace(end, alone=found.alone, named=found.named)
         if not any(sways_far(f) for f in found.model.parts):
             break
         if start is not starts[-1] and superseded(found):
@@ -190,16 +191,18 @@ def _end(
     common: _Common,
     report: Callable[[float], None],
     begun: Model | None = None,
+    rival: Model | None = None,
 ) -> Found | None:
     """The end of a climb from the baseline, or from one with the terms that are needed; None if it
-    would begin without these."""
+    would begin without these. rival: see ``Climb``."""
     start = base if begun is None else begun
     c = Climb(start.bare, needed, common.budget, dropped=set(common.refused))
     c.vocabulary = common.vocabulary
-    c.kept = frozenset(base.ids)
+    c.kept, c.rival = frozenset(base.ids), rival
     if not climbed(c, report):
         return None
     if (late := lateness(c)) is not None:
         c.model = late
         c.where = scanned(c)
-    return Found(c.model.bare, c.where, c.alone, c.noise, c.swaps)
+    named = None if c.named is None else c.named.bare
+    return Found(c.model.bare, c.where, c.alone, c.noise, c.swaps, named)

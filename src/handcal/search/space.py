@@ -11,11 +11,10 @@ import numpy as np
 
 from handcal.effects import Effect
 from handcal.estimate.case import name_of
-from handcal.estimate.heavy_tails import Owners, log_evidence, owners_of
-from handcal.estimate.prior_root import prior_root
 from handcal.estimate.quadratic import Quadratic
+from handcal.estimate.subsets import Subsets, subsets
 from handcal.model_score import PRIOR
-from handcal.types import Array, BoolArray, IntArray
+from handcal.types import Array, IntArray
 
 
 @dataclass(frozen=True)
@@ -33,22 +32,19 @@ class Space:
     scores: dict[frozenset[str], float]
 
     @cached_property
-    def owners(self) -> Owners:
-        """Whose the parameters are."""
-        return owners_of(self.quadratic)
+    def numbers(self) -> Mapping[str, int]:
+        """Of each effect its place among all, by their names."""
+        return {i: n for n, i in enumerate(sorted(self.effects))}
+
+    @cached_property
+    def subsets(self) -> Subsets:
+        """The candidates by these numbers."""
+        return subsets(self.quadratic, [self.effects[i] for i in self.numbers], self.where)
 
     @cached_property
     def plain(self) -> Mapping[str, str]:
         """Of each effect the catalogue's id."""
         return {i: name_of(i) for i in self.effects}
-
-    @cached_property
-    def positive(self) -> Mapping[str, BoolArray]:
-        """Of each effect which parameters cannot be negative."""
-        return {
-            i: np.array([p.positive for p in e.parameters], dtype=np.bool_)
-            for i, e in self.effects.items()
-        }
 
     def score(self, chosen: Iterable[str]) -> float:
         """Log-evidence of this set plus its log prior odds."""
@@ -61,18 +57,8 @@ class Space:
         names = sorted(key)
         if len({self.plain[i] for i in names}) < len(names):
             return -math.inf
-        parts = [self.where[i] for i in names]
-        index: IntArray = np.concatenate(parts) if parts else np.zeros(0, dtype=np.int64)
-        if not len(index):
-            return self.quadratic.a + sum(self.prior[i] for i in names)
-        effects = [self.effects[i] for i in names]
-        root = None
-        if any(e.together is not None for e in effects):
-            root = prior_root(self.quadratic, effects, index)
         odds = sum(self.prior[i] for i in names)
-        # (of what is positive half of a symmetric prior, twice as dense)
-        positive = np.concatenate([self.positive[i] for i in names])
-        return log_evidence(self.quadratic, index, root, positive, self.owners) + odds
+        return self.subsets.log_evidence([self.numbers[i] for i in names]) + odds
 
 
 def space(quadratic: Quadratic, effects: Sequence[Effect], prior: Mapping[str, float]) -> Space:

@@ -17,7 +17,7 @@ from handcal.search.climb.law_steps import (
     reshape,
 )
 from handcal.search.climb.noise_steps import add_noise
-from handcal.search.climb.state import Climb
+from handcal.search.climb.state import Climb, beaten
 from handcal.search.climb.subset_steps import choose, everything, favourite, thin
 from handcal.search.space import gains
 
@@ -53,6 +53,8 @@ def _moved(c: Climb) -> bool:
 
 def _taken(c: Climb, step: Callable[[Climb], Model | None]) -> Model | None:
     """Where a step leads, if there is time for it."""
+    if step in _LAWS and beaten(c):
+        return None
     return None if c.budget.spent(_STEPS[step]) else step(c)
 
 
@@ -73,3 +75,5 @@ _STEPS: dict[Callable[[Climb], Model | None], str] = {
     instead_of_travel: "laws in the place of a hand that travels",
     rename: "laws in the place of laws and names",
 }
+# Those that look for laws, and take most of the time.
+_LAWS = name_term, instead_of_travel, rename

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from handcal.estimate.case import name_of
 from handcal.estimate.model import Model
 from handcal.laws.best_law import Survey, Term, Vocabulary
-from handcal.model_score import better
+from handcal.model_score import PRIOR, better
 from handcal.search.budget import Budget
 from handcal.search.space import Space
 
@@ -21,6 +21,16 @@ HOPELESS = 100.0
 FEW = 3
 
 
+@dataclass(frozen=True)
+class Barred:
+    """Effects of one sensor in whose place no law was likelier: all that a law of it has to do
+    with, the nats that the doubted ones of them held, and by how many the best law fell short."""
+
+    own: frozenset[str]
+    held: float
+    short: float
+
+
 @dataclass
 class Climb:
     """A model on its way up, and what was tried.
@@ -30,8 +40,11 @@ class Climb:
     the model, and stale: those for which that is out of date; swaps: (effect, rival) to the nats by
     which the rival, fitted in its place, does worse. dropped: names of what was not missed, or with
     which no fit holds; beyond: of what came out larger than makes sense beside the same others.
-    everything: all were fitted at once; survey: of what has no name, beside the last model that was
-    asked; vocabulary: blocks of laws of the recordings, as far as they were asked for.
+    everything: all were fitted at once; surveys: of what has no name, beside the last model that
+    was asked (surveyed), by what it was without; vocabulary: blocks of laws of the recordings, as
+    far as they were asked for. barred: by sensor, what came of laws in the place of its doubted
+    effects. rival: the model with which another climb, from another start, began to look for laws;
+    named: that of this one.
     """
 
     model: Model
@@ -50,11 +63,15 @@ class Climb:
     ordered: set[tuple[str, frozenset[str]]] = field(default_factory=set)
     shaped: set[str] = field(default_factory=set)
     bared: set[frozenset[str]] = field(default_factory=set)
+    barred: dict[str, Barred] = field(default_factory=dict)
     travelled: set[frozenset[str]] = field(default_factory=set)
     whole: set[str] = field(default_factory=set)
     adjusted: set[str] = field(default_factory=set)
-    survey: Survey | None = None
+    surveyed: Model | None = None
+    surveys: dict[frozenset[str], Survey] = field(default_factory=dict)
     vocabulary: Vocabulary = field(default_factory=dict)
+    rival: Model | None = None
+    named: Model | None = None
 
     def __post_init__(self) -> None:
         self.kept = frozenset(self.model.ids)
@@ -64,6 +81,16 @@ class Climb:
     def worth(self) -> float:
         """What evidence counts for, at the last scan."""
         return self.where.quadratic.worth
+
+
+def beaten(c: Climb) -> bool:
+    """Whether another climb was much further when it began to look for laws, or had come to the
+    same: what laws there are it has found."""
+    c.named = c.named or c.model
+    if c.rival is None:
+        return False
+    ahead = better(c.named, c.rival, c.worth)
+    return ahead < (-PRIOR if set(c.named.ids) == set(c.rival.ids) else -HOPELESS)
 
 
 def likelier(c: Climb, tried: Model, than: Model | None = None) -> bool:

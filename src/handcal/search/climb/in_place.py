@@ -1,0 +1,234 @@
+"""Laws in the place of what may stand in for one on a sensor, noise first of all, or beside it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence, Set
+from dataclasses import replace
+from functools import partial
+
+from handcal.effects import Effect, catalogue
+from handcal.estimate.case import name_of
+from handcal.estimate.evidence import reduce, reduced_pass
+from handcal.estimate.fit import fitted
+from handcal.estimate.model import Fitted, Model
+from handcal.estimate.parallel import in_parallel
+from handcal.estimate.transfer import fit_of, moved_to
+from handcal.laws.best_law import Survey, Term, best_terms, survey
+from handcal.laws.law_effect import SENSORS
+from handcal.model_score import better, score
+from handcal.search.climb.candidates import scanned_about
+from handcal.search.climb.state import HOPELESS, WEAK, Barred, Climb, forget, likelier, sensible
+from handcal.search.space import best_set, gains
+
+# Effects to which a term is added, its formula, and what it is made of.
+Way = tuple[frozenset[str], str, object]
+
+
+def instead_of_noise(c: Climb) -> Model | None:
+    """The model with a term in the place of what may stand in for one on a sensor, or beside it."""
+    key = frozenset(c.model.ids)
+    if key in c.bared:
+        return None
+    c.bared.add(key)
+    doubted = {sensor: sets for sensor, sets in _doubted(c).items() if _may_hide(c, sensor, sets)}
+    ends, short = _ends(c, doubted)
+    for sensor, nats in short.items():
+        own, held = _hidden_by(c, sensor, doubted[sensor])
+        c.barred[sensor] = Barred(own, held, nats)
+    return likeliest(c, ends)
+
+
+def _may_hide(c: Climb, sensor: str, sets: Sequence[frozenset[str]]) -> bool:
+    """Whether a law may be likelier in the place of these effects than it was when that was tried:
+    they are others, or hold as many nats more as it fell short."""
+    last = c.barred.get(sensor)
+    if last is None:
+        return True
+    own, held = _hidden_by(c, sensor, sets)
+    return own != last.own or held - last.held > last.short
+
+
+def _hidden_by(
+    c: Climb, sensor: str, sets: Sequence[frozenset[str]]
+) -> tuple[frozenset[str], float]:
+    """What of the model a law of this sensor has to do with, and the nats that the doubted of these
+    effects hold."""
+    doubted = sets[-1]
+    own = doubted | {e.id for e in c.model.effects if e.id.startswith(sensor)}
+    named = sum(gained for i, gained in gains(c.where, c.model.chosen).items() if i in doubted)
+    rest = [e for e in c.model.effects if e.process is None or e.id not in doubted]
+    parts = c.model.parts
+    noise = 0.0
+    if len(rest) < len(c.model.effects):
+        noise = _seen_as(parts, c.model.effects) - _seen_as(parts, rest)
+    return own, c.worth * noise + named
+
+
+def _seen_as(parts: Sequence[Fitted], effects: Sequence[Effect]) -> float:
+    """Log-evidence with these effects about the trajectories and noise levels that there are."""
+    there = [fit_of(f, effects) for f in parts]
+    return sum(reduced_pass(reduce(f.linear), f.levels).log_evidence for f in there)
+
+
+def likeliest(c: Climb, ends: Sequence[tuple[Model, Term]]) -> Model | None:
+    """The best of fits with a term each, if it is likelier than the model there is."""
+    if not ends:
+        return None
+    tried, term = max(ends, key=lambda end: score(end[0], c.worth))
+    if not likelier(c, tried):
+        return None
+    c.unnamed.append(term)
+    forget(c, tried)
+    return tried
+
+
+def _ends(
+    c: Climb, doubted: Mapping[str, list[frozenset[str]]]
+) -> tuple[list[tuple[Model, Term]], dict[str, float]]:
+    """Fits with a term in the place of effects of each sensor, or beside them: first of the fewest;
+    and by sensor the nats by which the best of its fits fell short of the model.
+
+    In the place of more is looked only where in that of fewer a fit comes near the best there is:
+    without further names it has no more evidence than with them, but for what these cost.
+    """
+    ends: dict[Way, tuple[Model, Term]] = {}
+    far: set[tuple[str, str, object]] = set()
+    tried: dict[str, set[Way]] = {sensor: set() for sensor in doubted}
+    left = {sensor: [*sets] for sensor, sets in doubted.items()}
+    while any(left.values()):
+        ways: dict[Way, tuple[Model, Term]] = {}
+        bare: dict[str, list[Way]] = {sensor: [] for sensor, sets in left.items() if sets}
+        for sensor in bare:
+            for m, term in _in_place(c, sensor, left[sensor].pop(0)):
+                way: Way = (frozenset(m.ids), term.effect.id, term.effect.made)
+                bare[sensor] += [] if m is c.model else [way]
+                tried[sensor].add(way)
+                # (in the place of more may be found what was found in that of less)
+                if way not in ends and (sensor, *way[1:]) not in far:
+                    ways[way] = m, term
+        ends |= zip(ways, fits_of(c, ways), strict=True)
+        reached = {way: score(m, c.worth) for way, (m, _) in ends.items()}
+        best = max([score(c.model, c.worth), *reached.values()])
+        for sensor, mine in bare.items():
+            # (of one that diverged nothing is known)
+            far |= {
+                (sensor, *way[1:])
+                for way in mine
+                if -math.inf < reached.get(way, -math.inf) < best - HOPELESS
+            }
+            if mine and all((sensor, *way[1:]) in far for way in mine):
+                left[sensor] = []
+    now = score(c.model, c.worth)
+    nats = {way: now - score(m, c.worth) for way, (m, _) in ends.items()}
+    short = {
+        sensor: min(
+            (nats[way] for way in ways if math.isfinite(nats.get(way, math.nan))), default=0.0
+        )
+        for sensor, ways in tried.items()
+    }
+    return list(ends.values()), short
+
+
+def fits_of(c: Climb, ways: Mapping[Way, tuple[Model, Term]]) -> list[tuple[Model, Term]]:
+    """Models, each fitted with its term, and that."""
+    least = score(c.model, c.worth) - HOPELESS
+    fits = in_parallel(partial(with_term, m, t, c.worth, c.beyond, least) for m, t in ways.values())
+    return [(m, term) for m, (_, term) in zip(fits, ways.values(), strict=True)]
+
+
+def _doubted(c: Climb) -> dict[str, list[frozenset[str]]]:
+    """Sensors, each with effects of the model that may stand in for one law together: noise, which
+    hides whatever has no name; the weak ones, with it; steps, whose moment is free, with both; and
+    delays besides, by which a sensor's error is as fast as what it reads changes. Each set holds
+    those before."""
+    gained = gains(c.where, c.model.chosen)
+    out: dict[str, list[frozenset[str]]] = {}
+    late = late_ones([e for e in c.model.effects if e.id not in c.kept])
+    for sensor in SENSORS:
+        own = [e for e in c.model.effects if e.id.startswith(sensor) and e.id not in c.kept]
+        noise = frozenset(e.id for e in own if e.process is not None)
+        names = [e.id for e in own if e.process is None and name_of(e.id) in catalogue()]
+        weak = noise | {i for i in names if gained[i] < WEAK}
+        held = weak | {i for i in names if name_of(i) != i}
+        sets = noise, weak, held, held | late if noise else held
+        if own_sets := [ids for ids in dict.fromkeys(sets) if ids]:
+            out[sensor] = own_sets
+    return out
+
+
+def surveyed(c: Climb, gone: frozenset[str] = frozenset()) -> Survey:
+    """The survey of the climb's model, or of that without some effects: one for all that is asked
+    of it."""
+    if c.surveyed is not c.model:
+        c.surveyed, c.surveys = c.model, {}
+    if gone not in c.surveys:
+        if len(c.surveys) > len(SENSORS):  # (each takes as much room as a pass that is kept)
+            del c.surveys[next(iter(c.surveys))]
+        c.surveys[gone] = survey(without(c.model, gone) if gone else c.model, c.vocabulary)
+    return c.surveys[gone]
+
+
+def _in_place(c: Climb, sensor: str, ids: frozenset[str]) -> list[tuple[Model, Term]]:
+    """Terms that are looked for beside the model's effects but for these, each with the models to
+    which it may be added: without them, and with."""
+    rest, found = beside_the_rest(c, sensor, ids, refused_by(c))
+    return [(m, term) for term in found for m in (rest, c.model)]
+
+
+def beside_the_rest(
+    c: Climb, sensor: str, ids: frozenset[str], refused: Set[str]
+) -> tuple[Model, list[Term]]:
+    """The model without some effects, and terms that are looked for beside what it has."""
+    # (looked for about the model without them: a filter or a delay that goes is no small change,
+    # as a survey beside them would have it. What is small is: one survey is for all sets of these.)
+    small = {i for i in ids if _is_small(c, i)}
+    where = surveyed(c, ids - small)
+    # (and for what evidence is worth with them: what a law has to do in their place is not misfit)
+    found = best_terms(where, refused=refused, without=small, beyond=(sensor,), worth=c.worth)
+    return without(c.model, ids), found
+
+
+def _is_small(c: Climb, i: str) -> bool:
+    """Whether an effect is linear in its parameters, and does little."""
+    known = catalogue().get(i)
+    linear = known is not None and known.features is not None
+    return linear and gains(c.where, c.model.chosen).get(i, WEAK) < WEAK
+
+
+def refused_by(c: Climb) -> set[str]:
+    """Formulas that were on trial, or are."""
+    return c.dropped | set(c.model.ids) | {t.effect.id for t in c.unnamed}
+
+
+def late_ones(effects: Sequence[Effect]) -> frozenset[str]:
+    """Those by which readings of whatever sensor come late or early."""
+    alike = {i for e in catalogue().values() if e.akin for i in (e.id, *e.akin)}
+    return frozenset(e.id for e in effects if e.lateness or e.id in alike)
+
+
+def without(model: Model, ids: Set[str]) -> Model:
+    """The model without some of its effects, about the trajectory and the sensor noise that there
+    are with all of them: fitted without them, what they held would be noise, in which no law
+    shows."""
+    rest = tuple(e for e in model.effects if e.id not in ids)
+    return replace(model, effects=rest, parts=tuple(moved_to(f, rest) for f in model.parts))
+
+
+def with_term(
+    model: Model, term: Term, worth: float, refused: Set[str], least: float = -math.inf
+) -> Model:
+    """The model with a term, and with what a scan about that would have besides: of what noise
+    held, part may have a name (a gain that drifts is a scale error too). refused: names; least:
+    score below which that is of no use."""
+    alone = fitted(model.parts, (*model.effects, term.effect))
+    if not (sensible(alone) and math.isfinite(alone.log_evidence)):
+        return alone
+    where = scanned_about(alone.bare, [term], refused)
+    chosen = best_set(where, alone.chosen)
+    promised = where.score(chosen) - where.score(alone.chosen)
+    if chosen == alone.chosen or score(alone, worth) + promised < least:
+        return alone
+    noise = [e for e in alone.effects if e.process is not None]
+    more = fitted(alone.parts, [*(where.effects[i] for i in sorted(chosen)), *noise])
+    return more if sensible(more) and better(more, alone, worth) > 0.0 else alone
