@@ -171,6 +171,21 @@ def test_a_law_is_looked_for_again_where_noise_holds_as_much_more_as_it_lacked(
     assert in_place._may_hide(_climbing(held, ("gyro_bias_walk", "gyro_scale")), "gyro", ())
 
 
+def test_by_how_much_the_best_law_of_a_sensor_fell_short(monkeypatch):
+    monkeypatch.setattr(in_place, "better", lambda a, b, _: a.log_evidence - b.log_evidence)
+    c: Any = SimpleNamespace(model=_named((), 50.0), worth=1.0)
+
+    def end(law, evidence):
+        return _named((), evidence), SimpleNamespace(effect=SimpleNamespace(id=law))
+
+    ends = [end("gyro_x += a", 20.0), end("gyro_x += b", 35.0), end("accel_x += a", 90.0)]
+    assert in_place._fell_short(c, "gyro", ends) == 15.0
+    assert in_place._fell_short(c, "accel", ends) == -40.0
+    # of none that was found: what a scan asks of one; of none that could be fitted: nothing
+    assert in_place._fell_short(c, "heading", ends) == pytest.approx(np.log(2000.0) + 5.0)
+    assert in_place._fell_short(c, "gyro", [end("gyro_x += a", -np.inf)]) == 0.0
+
+
 def _named(ids, evidence):
     model: Any = SimpleNamespace(ids=ids, log_evidence=evidence)
     return model

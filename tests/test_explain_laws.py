@@ -513,10 +513,9 @@ def test_a_law_is_sought_in_the_place_of_more_where_it_does_well_in_that_of_less
     monkeypatch.setattr(places, "score", lambda m, _: {"none": 0.0, **scores}[m.gone])
     climb: Any = SimpleNamespace(model=model, worth=1.0, beyond=set())
     sets = {"gyro": [frozenset("a"), frozenset("ab")]}
-    ends, short = places._ends(climb, sets)
+    ends = places._ends(climb, sets)
     assert seen == asked
     assert {m.gone for m, _ in ends} == {"", *asked}
-    assert short == {"gyro": -max(scores[gone] for gone in ("", *asked))}
 
 
 def test_names_that_are_told_from_a_law_stay_beside_it() -> None:

@@ -14,7 +14,7 @@ from handcal.estimate.fit import fitted
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.parallel import in_parallel
 from handcal.estimate.transfer import fit_of, moved_to
-from handcal.laws.best_law import Survey, Term, best_terms, survey
+from handcal.laws.best_law import ENOUGH, Survey, Term, best_terms, survey
 from handcal.laws.law_effect import SENSORS
 from handcal.model_score import better, score
 from handcal.search.climb.candidates import scanned_about
@@ -32,10 +32,9 @@ def instead_of_noise(c: Climb) -> Model | None:
         return None
     c.bared.add(key)
     doubted = {sensor: sets for sensor, sets in _doubted(c).items() if _may_hide(c, sensor, sets)}
-    ends, short = _ends(c, doubted)
-    for sensor, nats in short.items():
-        own, held = _hidden_by(c, sensor, doubted[sensor])
-        c.barred[sensor] = Barred(own, held, nats)
+    ends = _ends(c, doubted)
+    for sensor, sets in doubted.items():
+        c.barred[sensor] = Barred(*_hidden_by(c, sensor, sets), _fell_short(c, sensor, ends))
     return likeliest(c, ends)
 
 
@@ -52,17 +51,25 @@ def _may_hide(c: Climb, sensor: str, sets: Sequence[frozenset[str]]) -> bool:
 def _hidden_by(
     c: Climb, sensor: str, sets: Sequence[frozenset[str]]
 ) -> tuple[frozenset[str], float]:
-    """What of the model a law of this sensor has to do with, and the nats that the doubted of these
-    effects hold."""
-    doubted = sets[-1]
-    own = doubted | {e.id for e in c.model.effects if e.id.startswith(sensor)}
-    named = sum(gained for i, gained in gains(c.where, c.model.chosen).items() if i in doubted)
-    rest = [e for e in c.model.effects if e.process is None or e.id not in doubted]
+    """What of the model a law of this sensor has to do with, and the nats that noise and the weak
+    of these effects hold."""
+    own = sets[-1] | {e.id for e in c.model.effects if e.id.startswith(sensor)}
+    gained = gains(c.where, c.model.chosen)
+    weak = sum(v for i, v in gained.items() if i in sets[-1] and v < WEAK)
+    rest = [e for e in c.model.effects if e.process is None or e.id not in sets[-1]]
     parts = c.model.parts
-    noise = 0.0
-    if len(rest) < len(c.model.effects):
-        noise = _seen_as(parts, c.model.effects) - _seen_as(parts, rest)
-    return own, c.worth * noise + named
+    if len(rest) == len(c.model.effects):
+        return own, weak
+    noise = _seen_as(parts, c.model.effects) - _seen_as(parts, rest)
+    return own, c.worth * noise + weak
+
+
+def _fell_short(c: Climb, sensor: str, ends: Sequence[tuple[Model, Term]]) -> float:
+    """Nats by which the best of these laws of a sensor is less likely than the model."""
+    own = [m for m, term in ends if term.effect.id.startswith(sensor)]
+    # (of what diverged nothing is known)
+    nats = [-better(m, c.model, c.worth) for m in own if math.isfinite(m.log_evidence)]
+    return min(nats, default=0.0 if own else ENOUGH)
 
 
 def _seen_as(parts: Sequence[Fitted], effects: Sequence[Effect]) -> float:
@@ -83,18 +90,14 @@ def likeliest(c: Climb, ends: Sequence[tuple[Model, Term]]) -> Model | None:
     return tried
 
 
-def _ends(
-    c: Climb, doubted: Mapping[str, list[frozenset[str]]]
-) -> tuple[list[tuple[Model, Term]], dict[str, float]]:
-    """Fits with a term in the place of effects of each sensor, or beside them: first of the fewest;
-    and by sensor the nats by which the best of its fits fell short of the model.
+def _ends(c: Climb, doubted: Mapping[str, list[frozenset[str]]]) -> list[tuple[Model, Term]]:
+    """Fits with a term in the place of effects of each sensor, or beside them: first of the fewest.
 
     In the place of more is looked only where in that of fewer a fit comes near the best there is:
     without further names it has no more evidence than with them, but for what these cost.
     """
     ends: dict[Way, tuple[Model, Term]] = {}
     far: set[tuple[str, str, object]] = set()
-    tried: dict[str, set[Way]] = {sensor: set() for sensor in doubted}
     left = {sensor: [*sets] for sensor, sets in doubted.items()}
     while any(left.values()):
         ways: dict[Way, tuple[Model, Term]] = {}
@@ -103,7 +106,6 @@ def _ends(
             for m, term in _in_place(c, sensor, left[sensor].pop(0)):
                 way: Way = (frozenset(m.ids), term.effect.id, term.effect.made)
                 bare[sensor] += [] if m is c.model else [way]
-                tried[sensor].add(way)
                 # (in the place of more may be found what was found in that of less)
                 if way not in ends and (sensor, *way[1:]) not in far:
                     ways[way] = m, term
@@ -119,15 +121,7 @@ def _ends(
             }
             if mine and all((sensor, *way[1:]) in far for way in mine):
                 left[sensor] = []
-    now = score(c.model, c.worth)
-    nats = {way: now - score(m, c.worth) for way, (m, _) in ends.items()}
-    short = {
-        sensor: min(
-            (nats[way] for way in ways if math.isfinite(nats.get(way, math.nan))), default=0.0
-        )
-        for sensor, ways in tried.items()
-    }
-    return list(ends.values()), short
+    return list(ends.values())
 
 
 def fits_of(c: Climb, ways: Mapping[Way, tuple[Model, Term]]) -> list[tuple[Model, Term]]:
