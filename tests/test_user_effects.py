@@ -361,6 +361,19 @@ def test_a_heading_that_depends_on_the_past_written_out_is_the_law(tmp_path):
         assert not own.needs or not own.seen["heading"](cold).any()
 
 
+@pytest.mark.parametrize("driver", vocabulary.CURVED)
+@pytest.mark.parametrize("part", [("limit", (0.4,)), ("cube", ()), ("sign", (0.1,))])
+def test_a_formula_of_what_drives_the_heading_written_out_is_the_formula(driver, part, tmp_path):
+    form = grammar.formula([part])
+    law = Law(HEADING, (0,), False, vocabulary.CURVED[driver], form, (1.0,))
+    effect, s = law_effect.effect_of(law), moved()
+    own = again(effect, tmp_path, np.array([0.1]))
+    wanted, found = effect.seen["heading"](s), own.seen["heading"](s)
+    assert np.abs(found - wanted).max() <= 1e-6 * np.abs(wanted).max()
+    assert np.ptp(wanted) > 0.0
+    assert drivers_of(effect.id) == (driver,)
+
+
 def check_parameters(own, effect, values, law):
     """A formula's are its own, with what was found as their sizes; a curve's, one for each."""
     assert not own.of_one_day

@@ -19,7 +19,10 @@ from handcal.estimate.quadratic import Quadratic
 from handcal.estimate.scan import grounds, scan
 from handcal.estimate.seen import truth
 from handcal.laws import shapes, terms
+from handcal.laws.courses import OVER_TIME, OVER_YAW
+from handcal.laws.drivers import HEADING, Driver
 from handcal.laws.first_look import FirstLook, first_look
+from handcal.laws.grammar import formula
 from handcal.laws.law_effect import SENSORS, Law, effect_of, law_of
 from handcal.laws.over_drivers import (
     About,
@@ -31,6 +34,7 @@ from handcal.laws.over_drivers import (
     tuned,
     written_out,
 )
+from handcal.laws.vocabulary import CURVED
 from handcal.laws.weighing import beside, gains, weighed, wide_root
 from handcal.model_score import TERM_PRIOR, better, score
 from handcal.types import IntArray
@@ -48,6 +52,8 @@ OPEN = 1e-3
 ENOUGH = math.log(2.0) - TERM_PRIOR
 
 
+# Families of courses.
+COURSES = frozenset(family.name for family in (*OVER_TIME, *OVER_YAW))
 # Blocks by vocabulary: the usual one (""), and the further one of a sensor.
 Vocabulary = dict[str, list[Block]]
 
@@ -154,7 +160,7 @@ def best_terms(
         end for look, q in pairs for end in look.best(weighed(q, worth), known) if end[1] > ENOUGH
     ]
     about_ = About(where.model, where.base, known, where.signals, worth)
-    found = [Term(e, gain / worth) for e, gain in ends if isinstance(e, Effect)]
+    found = _nameless(about_, [(e, gain) for e, gain in ends if isinstance(e, Effect)])
     found += in_parallel(partial(_as_told, about_, *end) for end in _closer(ends, beyond))
     found = sorted((t for t in found if t.effect.id not in refused), key=lambda t: -t.gain)
     best = dict.fromkeys(
@@ -166,15 +172,48 @@ def best_terms(
     return list(best)
 
 
+def _nameless(about_: About, ends: Sequence[tuple[Effect, float]]) -> list[Term]:
+    """Courses, and terms and curves of the heading, with what they gain. With the curve that gains
+    most, the formulas that it may have; with the course, those of other families on its channel (a
+    scan sees all of them through a grid of seconds, on which a saw is nearly a wave)."""
+    ends = sorted(ends, key=lambda end: -end[1])
+    several = []
+    curve = next((end for end in ends if _driver_of(end[0]) is not None), None)
+    if curve is not None:
+        driver = _driver_of(curve[0])
+        assert driver is not None
+        law = Law(HEADING, (0,), False, driver, formula([("line", ())]), (1.0,))
+        several.append([curve, *((effect_of(x), gain) for x, gain in written_out(about_, law))])
+    courses = [end for end in ends if end[0].made is not None and end[0].made[0] in COURSES]
+    if courses:
+        several.append([end for end in courses if _channel(end[0]) == _channel(courses[0][0])])
+    out = [[end] for end in ends if not any(end in some for some in several)]
+    return [_first_of(about_, some) for some in (*out, *several)]
+
+
+def _first_of(about_: About, ends: Sequence[tuple[Effect, float]]) -> Term:
+    ends = sorted(ends, key=lambda end: -end[1])
+    first, *others = (e for e, _ in ends)
+    return Term(first, ends[0][1] / about_.worth, tuple(others))
+
+
+def _channel(effect: Effect) -> str:
+    return effect.id.partition(" += ")[0]
+
+
+def _driver_of(effect: Effect) -> Driver | None:
+    """What drives a curve of the heading of which there may be a formula."""
+    kind = "" if effect.made is None else effect.made[0]
+    return CURVED.get(kind.removeprefix(terms.CURVE)) if kind.startswith(terms.CURVE) else None
+
+
 def _as_told(about_: About, law: Law, gain: float) -> Term:
     """The law in the form that gains most, a formula where it gains as much as the curve."""
     if law.driver.number:
         law, gain = tuned(about_, law, gain)
         gain -= law.cost
     ends = written_out(about_, law) if law.form.smooth else []
-    ends = sorted([*ends, (law, gain)], key=lambda end: -end[1])
-    first, *others = (effect_of(x) for x, _ in ends)
-    return Term(first, ends[0][1] / about_.worth, tuple(others))
+    return _first_of(about_, [(effect_of(x), nats) for x, nats in (*ends, (law, gain))])
 
 
 End = tuple[Law | Effect, float]
@@ -242,7 +281,7 @@ def _closer(ends: Sequence[End], beyond: Collection[str]) -> list[tuple[Law, flo
 def _courses(bases: Sequence[shapes.Basis], q: Quadratic, known: Sequence[Effect]) -> list[End]:
     ids = {e.id for e in known}
     index: IntArray = np.array([i for i, n in enumerate(q.names) if n[0] in ids], dtype=np.int64)
-    return [shapes.best(b, q, index, wide_root(q, known, index)) for b in bases]
+    return [end for b in bases for end in shapes.closest(b, q, index, wide_root(q, known, index))]
 
 
 def _headings(
@@ -313,7 +352,7 @@ def _kind(effect: Effect) -> tuple[str, ...]:
     """What something without a name is, but for its numbers."""
     law = law_of(effect)
     if law is not None:
-        return effect.id.split(" += ")[0], law.driver.kind, law.form.kind
+        return _channel(effect), law.driver.kind, law.form.kind
     return (effect.id if effect.made is None else effect.made[0],)
 
 

@@ -29,6 +29,7 @@ _PLAIN = {
     "|jerk|": "np.linalg.norm(np.gradient(signals.accel, signals.t, axis=0), axis=1)",
     "sin(pitch of x)": "signals.C_nb[:, 2, 0]",
     "sin(pitch of y)": "signals.C_nb[:, 2, 1]",
+    "cos(tilt)": "signals.C_nb[:, 2, 2]",
     "(yaw rate)": 'np.einsum("ni,ni->n", signals.C_nb[:, 2], signals.gyro)',
     "t": "signals.t - signals.t[0]",
     "t^2": "(signals.t - signals.t[0]) ** 2",

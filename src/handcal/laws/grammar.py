@@ -217,21 +217,21 @@ ATOMS: Mapping[str, Atom] = {
     "growth": Atom("exp({x} / {0})", 0, lambda x, s: np.exp(x / s), _LEAKS, sided=True),
     "decline": Atom("exp(-{x} / {0})", 0, lambda x, s: np.exp(-x / s), _LEAKS, sided=True),
     "fifth power": Atom("{x}^5", 5, lambda x: x**5),
-    "root": Atom("sqrt(abs({x}))", 0.5, lambda x: np.sqrt(np.abs(x)), sided=True),
+    "root": Atom("sqrt(abs({x}))", 0.5, lambda x: np.sqrt(np.abs(x))),
     "signed root": Atom(
         "sign({x}) * sqrt(abs({x}))", 0.5, lambda x: np.sign(x) * np.sqrt(np.abs(x)), sided=True
     ),
     "sign": Atom(
         "tanh({x} / {0})", 0, lambda x, w: np.tanh(x / w),
-        _widths(0.002, 0.006, 0.02, 0.05, 0.12, 0.3), sided=True,
+        _widths(0.002, 0.006, 0.02, 0.05, 0.12, 0.3),
     ),
     "compression": Atom(
         "({x} - {0} * tanh({x} / {0}))", 1, lambda x, s: x - s * np.tanh(x / s),
-        _widths(0.2, 0.35, 0.6, 1.0, 1.6), sided=True,
+        _widths(0.2, 0.35, 0.6, 1.0, 1.6),
     ),
     "dead zone": Atom(
         "clip({x}, -{0}, {0})", 1, lambda x, d: np.clip(x, -d, d),
-        _widths(0.01, 0.025, 0.05, 0.1, 0.2, 0.35, 0.5), sided=True,
+        _widths(0.01, 0.025, 0.05, 0.1, 0.2, 0.35, 0.5),
     ),
     "limit": Atom(
         "({x} - clip({x}, -{0}, {0}))", 1, lambda x, d: x - np.clip(x, -d, d), _LIMITS, sided=True

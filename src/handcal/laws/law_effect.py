@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, lru_cache
@@ -9,7 +10,20 @@ from typing import Any
 
 import numpy as np
 
-from handcal.effects import Catalogue, Effect, Param, Signals, catalogue, imu_jacobian
+from handcal.compiled import so3
+from handcal.effects import (
+    ROOM,
+    TIME,
+    WARMTH,
+    Z_DIM,
+    Catalogue,
+    Effect,
+    Param,
+    Signals,
+    catalogue,
+    imu_jacobian,
+    observed_error,
+)
 from handcal.effects._linear import added
 from handcal.laws import grammar
 from handcal.laws.drivers import AXES, HEADING, Driver
@@ -32,6 +46,8 @@ PROBED, SPANNED = 120, 1e-8
 DEPENDENT = 1e-6
 # Laws of which it is kept whether they have a name: more than one look has, with all its drivers.
 MOST_LAWS = 20000
+# The size of what is one.
+_SIZED = re.compile(r"\babs\((\|[^|]+\|)\)")
 
 
 @dataclass(frozen=True)
@@ -87,7 +103,7 @@ class Law:
             f"k{n + 1 if many else ''}{own} * {by}{text.format(x=x)}".removesuffix(" * 1")
             for n, text in enumerate(self.form.texts)
         ]
-        return f"{left} += {' + '.join(parts)}"
+        return f"{left} += " + _SIZED.sub(r"\1", " + ".join(parts))
 
     @property
     def parameters(self) -> tuple[Param, ...]:
@@ -185,10 +201,10 @@ def is_law(kind: str) -> bool:
 
 
 def named(law: Law) -> bool:
-    """Whether effects of the catalogue add up to the law, tried on a probing motion. (None depends
-    on what a heading was before.)"""
+    """Whether effects of the catalogue add up to the law, tried on a probing motion."""
     if law.sensor == HEADING:
-        return False
+        columns = law.values(_probing(), 0)
+        return bool(spanned(known_headings(catalogue()), columns - columns.mean(axis=0)).all())
     key = law.sensor, law.axes, law.each, law.driver.name, law.form.kind, law.form.numbers
     return _named(key, catalogue())
 
@@ -224,6 +240,35 @@ def _catalogue(known: Catalogue) -> Array:
         J = imu_jacobian(effect, np.zeros(len(effect.parameters)), s)
         columns.append(J.transpose(1, 0, 2).reshape(6 * n, -1))
     return basis(np.hstack(columns))
+
+
+@cache
+def known_headings(known: Catalogue) -> Array:
+    """Basis (n, r) of all that effects of the catalogue add to a heading on the probing motion; a
+    constant offset is the heading's own."""
+    s = _probing()
+    assert s.C_nb is not None
+    acting = [e for e in known.values() if "heading" in e.observation_error and not e.process]
+    columns = [np.ones((len(s.t), 1)), *map(heading_columns, acting)]
+    if any("heading" in e.lateness for e in known.values()):
+        columns.append(np.einsum("ni,ni->n", s.C_nb[:, 2], s.gyro)[:, None])
+    return basis(np.hstack(columns))
+
+
+def heading_columns(effect: Effect) -> Array:
+    """What an effect's parameters add to a heading on the probing motion, (n, k), to scale."""
+    s = _probing()
+    assert s.C_nb is not None
+    assert s.temperature is not None
+    n = len(s.t)
+    place, speed = s.streams["pose"][:, :3], s.streams["mag"]
+    nav = np.hstack([place, speed, s.C_nb.reshape(n, 9), s.gyro, s.accel])
+    z = np.zeros((n, Z_DIM))
+    z[:, 0], z[:, TIME] = so3.yaw_of(s.C_nb), s.t
+    z[:, WARMTH] = s.temperature - ROOM
+    steps = np.diag(1e-3 * effect.prior_sigma)
+    pairs = [(observed_error(effect, "heading", x, nav, z, 1) for x in (-e, e)) for e in steps]
+    return np.hstack([more - less for less, more in pairs])
 
 
 def basis(columns: Array) -> Array:

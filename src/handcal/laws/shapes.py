@@ -167,8 +167,16 @@ def _splines(
 def best(
     basis: Basis, wide: Quadratic, known: IntArray, root: Array | None = None
 ) -> tuple[Effect, float]:
-    """The course that gains most beside the parameters ``known`` of a quadratic that holds the
-    basis, as an effect of one parameter; and the nats that it gains, less what its freedom costs.
+    """The first of ``closest``."""
+    return closest(basis, wide, known, root)[0]
+
+
+def closest(
+    basis: Basis, wide: Quadratic, known: IntArray, root: Array | None = None
+) -> list[tuple[Effect, float]]:
+    """The courses of several families that gain most beside the parameters ``known`` of a quadratic
+    that holds the basis, each as an effect of one parameter; and the nats that it gains, less what
+    its freedom costs: the best one first.
 
     root: square root of the prior covariance of the known ones (None: the identity). The gain is
     -inf where float64 holds that of none.
@@ -194,8 +202,8 @@ def best(
         at = _adjusted(lost, numbers, starts)
         value = -lost(at) - FREEDOM - _cost(at) if begun > -math.inf else begun
         found.append((value, family, at))
-    value, family, numbers = max(found, key=lambda end: end[0])
-    return term_of(basis, family, numbers), value
+    found.sort(key=lambda end: -end[0])
+    return [(term_of(basis, family, numbers), value) for value, family, numbers in found]
 
 
 def _gained(linear: Array, information: Array) -> Array:

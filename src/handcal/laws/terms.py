@@ -13,23 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from handcal.compiled import so3
 from handcal.compiled.jit import inner, residual_function
-from handcal.effects import (
-    ROOM,
-    TIME,
-    WARMTH,
-    Z_DIM,
-    Catalogue,
-    Effect,
-    Param,
-    catalogue,
-    observed_error,
-)
+from handcal.effects import TIME, WARMTH, Catalogue, Effect, Param, catalogue
 from handcal.laws.drivers import WARM
 from handcal.laws.grammar import SIZES, WIDTHS, process_root
-from handcal.laws.law_effect import PROBED, basis, spanned
-from handcal.signals import probe, warmth_at
+from handcal.laws.law_effect import heading_columns, known_headings, spanned
+from handcal.signals import warmth_at
 from handcal.types import Array, Recording
 
 # Root mean square of what a term adds, one prior sigma, rad.
@@ -233,30 +222,9 @@ def _rms(x: Array) -> float:
 @cache
 def _named_headings(catalogued: Catalogue) -> frozenset[str]:
     """Formulas of the heading that effects of the catalogue add up to, on a probing motion."""
-    s = probe(PROBED)
-    assert s.C_nb is not None
-    assert s.temperature is not None
-    n = len(s.t)
-    place, speed = s.streams["pose"][:, :3], s.streams["mag"]
-    nav = np.hstack([place, speed, s.C_nb.reshape(n, 9), s.gyro, s.accel])
-    z = np.zeros((n, Z_DIM))
-    z[:, 0], z[:, TIME] = so3.yaw_of(s.C_nb), s.t
-    z[:, WARMTH] = s.temperature - ROOM
-
-    def columns(effect: Effect) -> Array:
-        steps = np.diag(1e-3 * effect.prior_sigma)
-        pairs = [(observed_error(effect, "heading", x, nav, z, 1) for x in (-e, e)) for e in steps]
-        return np.hstack([more - less for less, more in pairs])
-
-    known = [np.ones((n, 1))]  # a constant offset
-    known += [
-        columns(e)
-        for e in catalogued.values()
-        if "heading" in e.observation_error and not e.process
-    ]
-    inside = basis(np.hstack(known))
+    inside = known_headings(catalogued)
     return frozenset(
-        text for text in _HEADING if spanned(inside, columns(_term_of(text, 1.0))).all()
+        text for text in _HEADING if spanned(inside, heading_columns(_term_of(text, 1.0))).all()
     )
 
 

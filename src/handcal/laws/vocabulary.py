@@ -85,6 +85,7 @@ NORTH = tuple(
 PITCHES = tuple(
     Driver(f"sin(pitch of {x})", "1", _up(n), COARSE, needs=_HERE) for n, x in enumerate("xy")
 )
+TILT = Driver("cos(tilt)", "1", _up(2), COARSE, needs=_HERE)
 YAW_RATE = Driver("(yaw rate)", "rad/s", _yaw_rate, COARSE, needs=_HERE)
 SLOPES = tuple(map(slope, (*RATES, *FORCES)))
 SHAKEN = (
@@ -95,7 +96,11 @@ SHAKEN = (
 FINEST = 33
 # Signals that are not among the first drivers, over which lie curves.
 FURTHER = (*map(size, SLOPES), *SHAKEN, *TURNED, *NORTH, YAW_RATE)
-_PLAIN: Mapping[str, Driver] = {d.name: d for d in (*FURTHER, *PITCHES)}
+_PLAIN: Mapping[str, Driver] = {d.name: d for d in (*FURTHER, *PITCHES, TILT)}
+# What drives a heading's curves (``terms.CURVES``), as drivers of formulas.
+CURVED: Mapping[str, Driver] = {
+    "pitch of x": PITCHES[0], "pitch of y": PITCHES[1], "tilt": TILT, "yaw rate": YAW_RATE,
+}  # fmt: skip
 # What a compass may do with the heading besides showing it: come late, stick, swing. (What is a
 # delay alone has a name.)
 NEEDLE = ("lag", "play", "stick", "slew", "swing", "sway")

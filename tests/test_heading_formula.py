@@ -1,0 +1,54 @@
+"""An error of the heading over how fast it turns, or over how the device is tilted: told as the
+formula that it is, not as a curve."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from worlds import recording_of
+
+from handcal.device.conceal import conceal
+from handcal.effects import with_effects
+from handcal.explain import explain
+from handcal.laws import grammar, law_effect
+from handcal.laws.drivers import HEADING
+from handcal.laws.law_effect import Law, effect_of
+from handcal.laws.terms import CURVES
+from handcal.laws.vocabulary import CURVED
+from handcal_sim import simulate
+
+SIZE = 0.15
+
+
+def law(driver, *parts):
+    form = grammar.formula(parts)
+    return Law(HEADING, (0,), False, CURVED[driver], form, (1.0,) * form.constants)
+
+
+@pytest.mark.parametrize(
+    ("driver", "part"),
+    [("yaw rate", ("limit", (0.6,))), ("tilt", ("cube", ()))],
+)
+def test_a_law_of_the_heading_is_told_as_its_formula(driver, part):
+    world = simulate("free-hand", seed=0, duration_s=25.0, effects={})
+    one = replace(effect_of(law(driver, part)), id="odd_compass")
+    with with_effects([("a test", one)]):
+        recording = conceal(
+            recording_of(world, "heading"), {one.id: [SIZE]}, np.random.default_rng(0)
+        )
+    said = explain([recording])
+    assert said.verdict == "unexplained"
+    (found,) = said.unnamed
+    assert found.drivers == (driver,)
+    (made,) = [law_effect.again(*found.made)]
+    assert [name for name, _ in made.form.parts] == [part[0]]
+    assert made.form.numbers == pytest.approx(part[1], rel=0.1)
+    assert found.value == pytest.approx(SIZE, abs=max(4.0 * found.sigma, 0.02 * SIZE))
+
+
+def test_what_has_a_name_is_no_law():
+    assert law_effect.named(law("yaw rate", ("line", ())))  # (a heading that comes late)
+    for driver in CURVED:
+        assert not law_effect.named(law(driver, ("cube", ())))
+    assert not law_effect.named(law("yaw rate", ("line", ()), ("cube", ())))
+    assert set(CURVED) == set(CURVES) - {"yaw"}
