@@ -35,11 +35,12 @@ from handcal.explanation import (
 from handcal.model_score import PRIOR, TERM_PRIOR
 from handcal.search import outliers
 from handcal.search.budget import Budget, after
+from handcal.search.climb.candidates import scanned_about
 from handcal.search.climb.state import sensible, too_large
 from handcal.search.drifting_point import begun, moving
 from handcal.search.hand_assumption import foretold
 from handcal.search.multistart import Found, advantage, astray, search
-from handcal.search.space import gains, space
+from handcal.search.space import best_set, gains, space
 from handcal.types import BoolArray, HandcalError, InputError, Prior, Recording
 
 # Called with the share that is done, and what is being done.
@@ -208,11 +209,14 @@ def _searched(base: Model, budget: Budget, report: Callable[[float], None]) -> E
     base, cleaned = base.bare, cleaned.bare
     hand = _Hand(base, told and wrong is None, budget)
     found = search(cleaned, report, budget=budget, superseded=hand.moves)
+    again = wrong is not None and wrong.burst is not None
     if wrong is not None and wrong.burst is None:
         whole = outliers.put_back(base, found.model)
         if found.model.log_evidence - whole.log_evidence + PRIOR < 0.0:
             found, wrong = _with(found, whole), None
-    if wrong is not None and (wrong.burst or any(e.held for e in found.model.effects)):
+        elif any(e.held for e in found.model.effects):
+            again = _promises(whole, found.model)
+    if wrong is not None and again:
         # what comes one after the other may be a heading that errs by a known effect, and a step
         # has its moment from the very readings that were left out
         other = search(base, report, budget=budget)
@@ -226,6 +230,17 @@ def _searched(base: Model, budget: Budget, report: Callable[[float], None]) -> E
         return End(base, found, wrong, math.nan)
     base, surely = other_hand
     return End(base, search(base, report, budget=budget), wrong, surely, moves=True)
+
+
+def _promises(whole: Model, model: Model) -> bool:
+    """Whether a scan about the fit with all readings, steps at other moments among its candidates,
+    promises as much as the model has without some of them."""
+    if not math.isfinite(whole.log_evidence):
+        return True
+    about = scanned_about(whole.bare, (), frozenset())
+    gained = about.score(best_set(about, whole.chosen)) - about.score(whole.chosen)
+    worth = about.quadratic.worth
+    return gained > worth * (model.log_evidence - whole.log_evidence) + PRIOR
 
 
 @dataclass
