@@ -209,3 +209,18 @@ def test_a_climb_ends_where_another_was_ahead(ids, ahead, ends, monkeypatch):
     assert state.beaten(c) is ends
     c = SimpleNamespace(model=_named(ids, ahead), rival=None, named=None, worth=1.0)
     assert not state.beaten(c)
+
+
+@pytest.mark.parametrize(("promised", "asked"), [(94.0, False), (96.0, True)])
+def test_all_readings_are_asked_again_where_a_scan_promises_what_some_cost(
+    promised, asked, monkeypatch
+):
+    """The model has a hundred nats more without some; their share costs five."""
+    scores = {frozenset(): 0.0, frozenset("a"): promised}
+    about = SimpleNamespace(score=lambda s: scores[s], quadratic=SimpleNamespace(worth=1.0))
+    monkeypatch.setattr(pipeline, "scanned_about", lambda *_: about)
+    monkeypatch.setattr(pipeline, "best_set", lambda *_: frozenset("a"))
+    whole: Any = SimpleNamespace(bare=None, chosen=frozenset(), log_evidence=-40.0)
+    assert pipeline._promises(whole, _named((), 60.0)) is asked
+    whole.log_evidence = -np.inf  # (of no fit nothing is known)
+    assert pipeline._promises(whole, _named((), 60.0))

@@ -138,6 +138,23 @@ def test_the_planted_course_is_found(family: courses.Family, numbers: Array, see
     assert family.formula(numbers).split("(")[0] == effect.id.split("k * ")[1].split("(")[0]
 
 
+def test_courses_of_other_families_that_come_near_are_told_too() -> None:
+    """Fits tell a saw from what it resembles on a grid of seconds."""
+    basis = shapes.heading_bases(SPAN)[0]
+    saw = next(f for f in courses.OVER_TIME if f.name == "saw")
+    k = basis.through @ saw.values(np.array([9.2, 0.4]), basis.grid)
+    names = tuple((basis.effect.id, p.name) for p in basis.effect.parameters)
+    quadratic = Quadratic(names, 0.0, 100.0 * k, 100.0 * np.eye(len(k)))
+    found = shapes.closest(basis, quadratic, np.zeros(0, dtype=np.int64))
+    kinds = [effect.made[0] for effect, _ in found if effect.made is not None]
+    gained = [gain for _, gain in found]
+    assert len(set(kinds)) == len(found) == shapes.CLOSER
+    assert "saw" in kinds
+    assert gained == sorted(gained, reverse=True)
+    first, gain = shapes.best(basis, quadratic, np.zeros(0, dtype=np.int64))
+    assert (first.id, gain) == (found[0][0].id, gained[0])
+
+
 @pytest.mark.prove
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_what_passes_by_is_unexplained(sign: float) -> None:
