@@ -13,7 +13,6 @@ from worlds import recording_of
 from handcal.estimate.baseline import baseline
 from handcal.estimate.case import case_of
 from handcal.estimate.model import Model
-from handcal.estimate.noise_levels import minimise
 from handcal.explain import pipeline
 from handcal.laws.grammar import formula, shorter
 from handcal.laws.over_drivers import best_of_block, blocks, promising
@@ -125,32 +124,6 @@ def test_a_sum_without_each_of_its_functions():
     same = formula([("limit", (0.2,)), ("jump", (0.2,))], same=True)
     assert [form.numbers for form, _ in shorter(same)] == [(0.2,), (0.2,)]
     assert not list(shorter(formula([("cube", ())])))
-
-
-def _two_valleys(x):
-    """Value and slope of a cost with its least, -1, at 3, and another low, 0, at -3."""
-    deep, flat = np.exp(-0.5 * (x - 3.0) ** 2), np.exp(-0.5 * (x + 3.0) ** 2)
-    value = 1.0 - 2.0 * deep - flat + 0.002 * x**2
-    return float(value[0]), 2.0 * deep * (x - 3.0) + flat * (x + 3.0) + 0.004 * x
-
-
-def test_a_search_that_cannot_come_below_another_ends_early():
-    asked = []
-
-    def cost(x):
-        asked.append(x)
-        return _two_valleys(x)
-
-    ends = np.array([-9.0]), np.array([9.0])
-    far = minimise(cost, np.array([-4.5]), *ends, 1e-4)
-    whole, asked[:] = len(asked), []
-    value, _, _ = minimise(cost, np.array([-4.5]), *ends, 1e-4, beat=-1.0)
-    assert len(asked) < whole
-    assert value >= far[0]
-    # and one that can, does: the deeper of the two is found though the other was first
-    found, x, _ = minimise(cost, np.array([4.5]), *ends, 1e-4, beat=far[0])
-    assert found < far[0] - 0.5
-    assert x[0] == pytest.approx(3.0, abs=0.05)
 
 
 def _climbing(held, own=("gyro_bias_walk",)):

@@ -33,8 +33,6 @@ FLATTEST = 0.25
 # How far one of two levels that share what is seen has to have moved (in its logarithm) for the
 # other way to share it to be looked at; by how much the lesser is less there.
 FAR, NEARLY_NONE = 0.5, 30.0
-# Steps of its present length that a search from there may need to come as far as the first one did.
-MANY_STEPS = 10.0
 SENSORS = ("gyro_noise", "accel_noise")
 # Epochs (a quarter of an hour) from which levels are first sought in one part of so many, within so
 # many nats.
@@ -151,10 +149,8 @@ def estimate(
         _, found, B = best
         if np.abs(found - begin)[[i, other]].max() > FAR:
             options = _instead(found, i, other, typical_rate(problem))
-            for x in options:
-                x = np.clip(x, low, high)
-                end = minimise(cost, x, low, high, tolerance, B, beat=best[0])
-                best = min(best, end, key=lambda end: end[0])
+            ends = (minimise(cost, np.clip(x, low, high), low, high, tolerance, B) for x in options)
+            best = min([best, *ends], key=lambda end: end[0])
     _, found, B = best
     return dict(levels) | _levels(names, found), Curvature(tuple(names), B)
 
@@ -311,7 +307,6 @@ def minimise(
     tolerance: float,
     known: Array | None = None,
     rounds: int = 60,
-    beat: float = math.inf,
 ) -> tuple[float, Array, Array]:
     """The least of ``cost(x) -> (value, gradient)`` within the bounds, where it is, and the
     curvature there.
@@ -319,8 +314,7 @@ def minimise(
     All are of order one. A quasi-Newton search (BFGS) that starts from the curvature ``known``
     (k, k; NaN: not known), else from that of differenced gradients; coordinates that press
     against a bound rest there. It ends when the quadratic model promises less than
-    ``tolerance``, or where ``beat`` is still so far below that at this pace the search would need
-    ``MANY_STEPS`` more.
+    ``tolerance``.
     """
     value, g = cost(x)
     B = _curvature(cost, x, g, known)
@@ -343,10 +337,7 @@ def minimise(
         else:
             break
         s, y = new - x, new_g - g
-        slow = new_value - beat > MANY_STEPS * (value - new_value)
         x, value, g = new, new_value, new_g
-        if slow:
-            break
         Bs = B @ s
         if s @ y > 1e-3 * (s @ Bs):
             B = B + np.outer(y, y) / (s @ y) - np.outer(Bs, Bs) / (s @ Bs)
