@@ -1,4 +1,4 @@
-"""What a search does not ask twice, nor where the answer would not count."""
+"""What a search does not ask twice, nor where the answer would not count; and what it does ask."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from handcal.estimate.baseline import baseline
 from handcal.estimate.case import case_of
 from handcal.estimate.model import Model
 from handcal.explain import pipeline
+from handcal.laws import best_law
 from handcal.laws.grammar import formula, shorter
 from handcal.laws.over_drivers import best_of_block, blocks, promising
 from handcal.laws.weighing import Beside
@@ -197,3 +198,26 @@ def test_all_readings_are_asked_again_where_a_scan_promises_what_some_cost(
     assert pipeline._promises(whole, _named((), 60.0)) is asked
     whole.log_evidence = -np.inf  # (of no fit nothing is known)
     assert pipeline._promises(whole, _named((), 60.0))
+
+
+def _law(kind, smooth):
+    effect = SimpleNamespace(id=f"gyro_x += {kind}")
+    return SimpleNamespace(form=SimpleNamespace(smooth=smooth), effect=effect)
+
+
+def test_the_best_curve_is_looked_at_whatever_does_better():
+    ends = [(_law(str(n), False), 50.0 - n) for n in range(5)]
+    curve, worse = (_law("g", True), 20.0), (_law("h", True), 10.0)
+    assert best_law._best_of([*ends, curve, worse]) == [*ends[: best_law.CLOSER], curve]
+    assert best_law._best_of([curve, *ends]) == [curve, *ends[: best_law.CLOSER - 1]]
+    assert best_law._best_of(ends[:2]) == ends[:2]
+
+
+def test_laws_that_a_scan_cannot_tell_apart_are_told_apart_by_fits():
+    def term(formula, gain):
+        return best_law.Term(SimpleNamespace(id=formula), gain)
+
+    first, near = term("gyro_x += a", 50.0), term("gyro_x += b", 50.0 - best_law.UNTOLD + 0.1)
+    far, other = term("gyro_x += c", 50.0 - best_law.UNTOLD - 0.1), term("gyro_y += a", 50.0)
+    found = best_law._with_rivals(first, [first, near, far, other])
+    assert found.others == (near.effect,)

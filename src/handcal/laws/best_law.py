@@ -52,6 +52,8 @@ OPEN = 1e-3
 ENOUGH = math.log(2.0) - TERM_PRIOR
 
 
+# Nats to which a scan is right.
+UNTOLD = 3.0
 # Families of courses.
 COURSES = frozenset(family.name for family in (*OVER_TIME, *OVER_YAW))
 # Blocks by vocabulary: the usual one (""), and the further one of a sensor.
@@ -163,6 +165,7 @@ def best_terms(
     found = _nameless(about_, [(e, gain) for e, gain in ends if isinstance(e, Effect)])
     found += in_parallel(partial(_as_told, about_, *end) for end in _closer(ends, beyond))
     found = sorted((t for t in found if t.effect.id not in refused), key=lambda t: -t.gain)
+    found = [_with_rivals(t, found) for t in found]
     best = dict.fromkeys(
         [
             *found[:1],
@@ -189,6 +192,13 @@ def _nameless(about_: About, ends: Sequence[tuple[Effect, float]]) -> list[Term]
         several.append([end for end in courses if _channel(end[0]) == _channel(courses[0][0])])
     out = [[end] for end in ends if not any(end in some for some in several)]
     return [_first_of(about_, some) for some in (*out, *several)]
+
+
+def _with_rivals(term: Term, found: Sequence[Term]) -> Term:
+    """A law with those on the same channel, of other drivers, that a scan cannot tell from it."""
+    near = [t for t in found if t is not term and _channel(t.effect) == _channel(term.effect)]
+    rivals = [t.effect for t in near if t.gain > term.gain - UNTOLD]
+    return replace(term, others=(*term.others, *rivals))
 
 
 def _first_of(about_: About, ends: Sequence[tuple[Effect, float]]) -> Term:
@@ -265,17 +275,24 @@ def _laws(chunk: Sequence[Block], q: Quadratic, known: Sequence[Effect]) -> list
 
 
 def _closer(ends: Sequence[End], beyond: Collection[str]) -> list[tuple[Law, float]]:
-    """The best laws, each of another driver; of all, and of each sensor in beyond."""
+    """The best laws, each of another driver; of all, and of each sensor in beyond. The best curve
+    is one of them: as a formula it gains more, since a curve pays for what it might have been."""
     best: dict[tuple[int, str], tuple[Law, float]] = {}
     for law, gain in sorted(ends, key=lambda e: -e[1]):
         if isinstance(law, Law):
             best.setdefault((law.sensor, law.driver.kind), (law, gain))
     laws = list(best.values())
-    out = laws[:CLOSER]
+    out = _best_of(laws)
     for sensor in beyond:
         own = [end for end in laws if SENSORS[end[0].sensor] == sensor]
-        out += [end for end in own[:CLOSER] if end not in out]
+        out += [end for end in _best_of(own) if end not in out]
     return out
+
+
+def _best_of(laws: Sequence[tuple[Law, float]]) -> list[tuple[Law, float]]:
+    first = list(laws[:CLOSER])
+    curve = next((end for end in laws if end[0].form.smooth), None)
+    return first if curve is None or curve in first else [*first, curve]
 
 
 def _courses(bases: Sequence[shapes.Basis], q: Quadratic, known: Sequence[Effect]) -> list[End]:
