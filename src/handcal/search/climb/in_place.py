@@ -151,16 +151,11 @@ def _doubted(c: Climb) -> dict[str, list[frozenset[str]]]:
     return out
 
 
-def surveyed(c: Climb, gone: frozenset[str] = frozenset()) -> Survey:
-    """The survey of the climb's model, or of that without some effects: one for all that is asked
-    of it."""
-    if c.surveyed is not c.model:
-        c.surveyed, c.surveys = c.model, {}
-    if gone not in c.surveys:
-        if len(c.surveys) > len(SENSORS):  # (each takes as much room as a pass that is kept)
-            del c.surveys[next(iter(c.surveys))]
-        c.surveys[gone] = survey(without(c.model, gone) if gone else c.model, c.vocabulary)
-    return c.surveys[gone]
+def surveyed(c: Climb) -> Survey:
+    """The survey of the climb's model: one for all that is asked of it."""
+    if c.survey is None or c.survey.model is not c.model:
+        c.survey = survey(c.model, c.vocabulary)
+    return c.survey
 
 
 def _in_place(c: Climb, sensor: str, ids: frozenset[str]) -> list[tuple[Model, Term]]:
@@ -175,19 +170,12 @@ def beside_the_rest(
 ) -> tuple[Model, list[Term]]:
     """The model without some effects, and terms that are looked for beside what it has."""
     # (looked for about the model without them: a filter or a delay that goes is no small change,
-    # as a survey beside them would have it. What is small is: one survey is for all sets of these.)
-    small = {i for i in ids if _is_small(c, i)}
-    where = surveyed(c, ids - small)
+    # as a survey beside them would have it, nor is that of a weak name: what a sensor's asymmetry
+    # stood in for showed in none)
+    rest = without(c.model, ids)
     # (and for what evidence is worth with them: what a law has to do in their place is not misfit)
-    found = best_terms(where, refused=refused, without=small, beyond=(sensor,), worth=c.worth)
-    return without(c.model, ids), found
-
-
-def _is_small(c: Climb, i: str) -> bool:
-    """Whether an effect is linear in its parameters, and does little."""
-    known = catalogue().get(i)
-    linear = known is not None and known.features is not None
-    return linear and gains(c.where, c.model.chosen).get(i, WEAK) < WEAK
+    found = best_terms(survey(rest, c.vocabulary), refused=refused, beyond=(sensor,), worth=c.worth)
+    return rest, found
 
 
 def refused_by(c: Climb) -> set[str]:

@@ -40,11 +40,10 @@ class Climb:
     the model, and stale: those for which that is out of date; swaps: (effect, rival) to the nats by
     which the rival, fitted in its place, does worse. dropped: names of what was not missed, or with
     which no fit holds; beyond: of what came out larger than makes sense beside the same others.
-    everything: all were fitted at once; surveys: of what has no name, beside the last model that
-    was asked (surveyed), by what it was without; vocabulary: blocks of laws of the recordings, as
-    far as they were asked for. barred: by sensor, what came of laws in the place of its doubted
-    effects. rival: the model with which another climb, from another start, began to look for laws;
-    named: that of this one.
+    everything: all were fitted at once; survey: of what has no name, beside the last model that was
+    asked; vocabulary: blocks of laws of the recordings, as far as they were asked for. barred: by
+    sensor, what came of laws in the place of its doubted effects. rival: the model with which
+    another climb, from another start, began to look for laws; named: that of this one.
     """
 
     model: Model
@@ -67,8 +66,7 @@ class Climb:
     travelled: set[frozenset[str]] = field(default_factory=set)
     whole: set[str] = field(default_factory=set)
     adjusted: set[str] = field(default_factory=set)
-    surveyed: Model | None = None
-    surveys: dict[frozenset[str], Survey] = field(default_factory=dict)
+    survey: Survey | None = None
     vocabulary: Vocabulary = field(default_factory=dict)
     rival: Model | None = None
     named: Model | None = None
