@@ -9,8 +9,11 @@ from worlds import recording_of
 
 from handcal.device.conceal import conceal
 from handcal.effects import with_effects
+from handcal.estimate.baseline import baseline
+from handcal.estimate.case import case_of
 from handcal.explain import explain
 from handcal.laws import grammar, law_effect
+from handcal.laws.curve import drawn
 from handcal.laws.drivers import HEADING
 from handcal.laws.law_effect import Law, effect_of
 from handcal.laws.terms import CURVES
@@ -52,3 +55,15 @@ def test_what_has_a_name_is_no_law():
         assert not law_effect.named(law(driver, ("cube", ())))
     assert not law_effect.named(law("yaw rate", ("line", ()), ("cube", ())))
     assert set(CURVED) == set(CURVES) - {"yaw"}
+
+
+def test_an_angle_is_drawn_as_an_angle_and_a_share_has_no_unit():
+    """(The formula is of its sine, from -1 to 1.)"""
+    world = simulate("free-hand", seed=0, duration_s=15.0, effects={})
+    f = baseline([case_of(recording_of(world, "heading"))]).parts[0]
+    for driver, unit in (("pitch of x", "rad"), ("tilt", "rad"), ("yaw rate", "(rad)/(rad/s)^3")):
+        effect = effect_of(law(driver, ("cube", ())))
+        assert effect.parameters[0].unit == unit
+        x = drawn(f, effect, np.ones(1), np.eye(1)).curve
+        assert x.x_unit == ("rad/s" if driver == "yaw rate" else "rad")
+        assert np.ptp(x.x) > 1.2  # (a sine's course would be two at the most, from -1 to 1)

@@ -25,6 +25,8 @@ _SIGNALS = (r"(?:omega|f|alpha|jerk|north)_[ijkxyz]", "pitch of [xy]", "tilt", "
             "time since a turn", "t", "T")  # fmt: skip
 _DRIVERS = re.compile(rf"(\|(?:omega|f|alpha|jerk)\||\b(?:{'|'.join(_SIGNALS)})\b)")
 _AXES = "xyz"
+# Drivers that are a sine or a cosine of what they are drawn over.
+_ANGLES = {"sin(pitch of x)": np.arcsin, "sin(pitch of y)": np.arcsin, "cos(tilt)": np.arccos}
 
 
 def channel_of(formula: str) -> str:
@@ -56,6 +58,9 @@ def drawn(f: Fitted, effect: Effect, values: Array, C: Array) -> Drawn:
         pieces, x_unit, y_unit = _of_term(f, effect, signals)
     else:
         pieces, x_unit, y_unit = _of_law(law, signals), law.driver.unit, law.unit
+        if law.driver.name in _ANGLES:
+            angle, x_unit = _ANGLES[law.driver.name], "rad"
+            pieces = [(angle(np.clip(x, -1.0, 1.0)), B, scale) for x, B, scale in pieces]
     rows, size, known = [], [], []
     for x, B, scale in pieces:
         gain = law is not None and law.driver.factor is not None

@@ -124,7 +124,7 @@ class Law:
 
 
 def _unit(own: str, driver: str, power: float) -> str:
-    if power == 0:
+    if power == 0 or driver in ("", "1"):
         return own
     return f"({own})/({driver})" + (f"^{power:g}" if power != 1 else "")
 
