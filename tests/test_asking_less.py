@@ -221,3 +221,18 @@ def test_laws_that_a_scan_cannot_tell_apart_are_told_apart_by_fits():
     far, other = term("gyro_x += c", 50.0 - best_law.UNTOLD - 0.1), term("gyro_y += a", 50.0)
     found = best_law._with_rivals(first, [first, near, far, other])
     assert found.others == (near.effect,)
+
+
+@pytest.mark.parametrize(
+    ("formula_", "sensors"),
+    [("gyro_z += k * t^2", ["gyro"]), ("heading += k * t^2", ["heading"])],
+)
+def test_what_a_course_may_be_is_looked_for_in_the_past_of_its_sensor(
+    formula_, sensors, monkeypatch
+):
+    asked = []
+    monkeypatch.setattr(best_law, "best_term", lambda _, **how: asked.append(how["beyond"]))
+    where: Any = SimpleNamespace(model=SimpleNamespace(ids=(formula_,)))
+    term = best_law.Term(SimpleNamespace(id=formula_, made=None), 9.0)
+    assert best_law.reshaped(where, 1.0, [term], set()) is None
+    assert asked == [sensors]

@@ -333,8 +333,8 @@ def reshaped(where: Survey, worth: float, unnamed: list[Term], shaped: set[str])
         if old.id not in model.ids or old.id in shaped:
             continue
         shaped.add(old.id)
-        law = law_of(old)
-        beyond = () if law is None else (SENSORS[law.sensor],)
+        # (a course may be what depends on the past of something: that is further on)
+        beyond = [sensor for sensor in SENSORS if old.id.startswith(sensor)]
         new = best_term(where, without={old.id}, beyond=beyond)
         if new is None:
             continue
