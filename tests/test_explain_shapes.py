@@ -128,7 +128,7 @@ def test_the_planted_course_is_found(family: courses.Family, numbers: Array, see
     truth = np.r_[-0.5, k]
     b = G @ truth + np.linalg.cholesky(G) @ rng.standard_normal(m + 1)
     names = (("known", "k"), *((basis.effect.id, p.name) for p in basis.effect.parameters))
-    effect, gain = shapes.best(basis, Quadratic(names, 0.0, b, G), np.array([0]))
+    effect, gain = shapes.closest(basis, Quadratic(names, 0.0, b, G), np.array([0]))[0]
     information = (100.0 - 900.0 / 101.0) * float(k @ k)
     # (the mean of the log of the likelihood ratio, less Occam's factor; its sigma, and what
     # adjusting two numbers gains)
@@ -151,7 +151,7 @@ def test_courses_of_other_families_that_come_near_are_told_too() -> None:
     assert len(set(kinds)) == len(found) == shapes.CLOSER
     assert "saw" in kinds
     assert gained == sorted(gained, reverse=True)
-    first, gain = shapes.best(basis, quadratic, np.zeros(0, dtype=np.int64))
+    first, gain = shapes.closest(basis, quadratic, np.zeros(0, dtype=np.int64))[0]
     assert (first.id, gain) == (found[0][0].id, gained[0])
 
 
@@ -200,7 +200,7 @@ def test_a_course_whose_arithmetic_is_lost_is_no_candidate() -> None:
     basis = shapes.heading_bases(SPAN)[0]
     names = tuple((basis.effect.id, p.name) for p in basis.effect.parameters)
     lost = Quadratic(names, 0.0, np.ones(len(names)), -1e6 * np.eye(len(names)))
-    _, gain = shapes.best(basis, lost, np.zeros(0, dtype=np.int64))
+    _, gain = shapes.closest(basis, lost, np.zeros(0, dtype=np.int64))[0]
     assert gain == -np.inf
 
 
@@ -214,7 +214,7 @@ def test_a_sine_of_the_heading_is_no_lobe(direction: float) -> None:
     free = 4e3 * (np.eye(len(k)) - 1.0 / len(k))
     names = tuple((basis.effect.id, p.name) for p in basis.effect.parameters)
     quadratic = Quadratic(names, 0.0, 0.05 * free @ k, free)
-    found, _ = shapes.best(basis, quadratic, np.zeros(0, dtype=np.int64))
+    found, _ = shapes.closest(basis, quadratic, np.zeros(0, dtype=np.int64))[0]
     assert found.made is not None
     kind, (at, sharp) = found.made
     assert kind == "lobe"

@@ -17,7 +17,7 @@ from handcal.laws.curve import drawn
 from handcal.laws.drivers import HEADING
 from handcal.laws.law_effect import Law, effect_of
 from handcal.laws.terms import CURVES
-from handcal.laws.vocabulary import CURVED
+from handcal.laws.vocabulary import CURVED, driver_of
 from handcal_sim import simulate
 
 SIZE = 0.15
@@ -55,6 +55,9 @@ def test_what_has_a_name_is_no_law():
         assert not law_effect.named(law(driver, ("cube", ())))
     assert not law_effect.named(law("yaw rate", ("line", ()), ("cube", ())))
     assert set(CURVED) == set(CURVES) - {"yaw"}
+    # (what does not change on the motion on which names are tried has none)
+    side = replace(law("tilt", ("line", ())), driver=driver_of("(side(8.49 K) of (T - 25))"))
+    assert not law_effect.named(side)
 
 
 def test_an_angle_is_drawn_as_an_angle_and_a_share_has_no_unit():

@@ -15,8 +15,8 @@ from handcal.estimate.process import process_parameters
 from handcal.explain import importance
 from handcal.explanation import Curve, Hypothesis, Missing, Unnamed, is_curve
 from handcal.laws import with_motion
-from handcal.laws.curve import channel_of, drawn, drivers_of
-from handcal.laws.law_effect import law_of
+from handcal.laws.curve import drawn, drivers_of
+from handcal.laws.law_effect import channel_of, law_of
 from handcal.model_score import CERTAIN, NAMED, PRIOR, probability
 from handcal.search import outliers
 from handcal.search.climb.exchange_steps import ALIKE, akin

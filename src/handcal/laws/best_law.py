@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import islice
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from handcal.laws.courses import OVER_TIME, OVER_YAW
 from handcal.laws.drivers import HEADING, Driver
 from handcal.laws.first_look import FirstLook, first_look
 from handcal.laws.grammar import formula
-from handcal.laws.law_effect import SENSORS, Law, effect_of, law_of
+from handcal.laws.law_effect import SENSORS, Law, channel_of, effect_of, law_of
 from handcal.laws.over_drivers import (
     About,
     Block,
@@ -50,12 +51,12 @@ CLOSER = 3
 OPEN = 1e-3
 # Nats that something without a name has to gain at a scan.
 ENOUGH = math.log(2.0) - TERM_PRIOR
-
-
 # Nats to which a scan is right.
 UNTOLD = 3.0
 # Families of courses.
 COURSES = frozenset(family.name for family in (*OVER_TIME, *OVER_YAW))
+
+
 # Blocks by vocabulary: the usual one (""), and the further one of a sensor.
 Vocabulary = dict[str, list[Block]]
 
@@ -165,14 +166,13 @@ def best_terms(
     found = _nameless(about_, [(e, gain) for e, gain in ends if isinstance(e, Effect)])
     found += in_parallel(partial(_as_told, about_, *end) for end in _closer(ends, beyond))
     found = sorted((t for t in found if t.effect.id not in refused), key=lambda t: -t.gain)
-    found = [_with_rivals(t, found) for t in found]
     best = dict.fromkeys(
         [
             *found[:1],
             *(t for s in beyond for t in [u for u in found if u.effect.id.startswith(s)][:1]),
         ]
     )
-    return list(best)
+    return [_with_rivals(t, found) for t in best]
 
 
 def _nameless(about_: About, ends: Sequence[tuple[Effect, float]]) -> list[Term]:
@@ -181,22 +181,24 @@ def _nameless(about_: About, ends: Sequence[tuple[Effect, float]]) -> list[Term]
     scan sees all of them through a grid of seconds, on which a saw is nearly a wave)."""
     ends = sorted(ends, key=lambda end: -end[1])
     several = []
-    curve = next((end for end in ends if _driver_of(end[0]) is not None), None)
-    if curve is not None:
-        driver = _driver_of(curve[0])
-        assert driver is not None
+    driven = ((end, driver) for end in ends if (driver := _driver_of(end[0])) is not None)
+    for curve, driver in islice(driven, 1):
         law = Law(HEADING, (0,), False, driver, formula([("line", ())]), (1.0,))
         several.append([curve, *((effect_of(x), gain) for x, gain in written_out(about_, law))])
     courses = [end for end in ends if end[0].made is not None and end[0].made[0] in COURSES]
     if courses:
-        several.append([end for end in courses if _channel(end[0]) == _channel(courses[0][0])])
+        several.append(
+            [end for end in courses if channel_of(end[0].id) == channel_of(courses[0][0].id)]
+        )
     out = [[end] for end in ends if not any(end in some for some in several)]
     return [_first_of(about_, some) for some in (*out, *several)]
 
 
 def _with_rivals(term: Term, found: Sequence[Term]) -> Term:
     """A law with those on the same channel, of other drivers, that a scan cannot tell from it."""
-    near = [t for t in found if t is not term and _channel(t.effect) == _channel(term.effect)]
+    near = [
+        t for t in found if t is not term and channel_of(t.effect.id) == channel_of(term.effect.id)
+    ]
     rivals = [t.effect for t in near if t.gain > term.gain - UNTOLD]
     return replace(term, others=(*term.others, *rivals))
 
@@ -205,10 +207,6 @@ def _first_of(about_: About, ends: Sequence[tuple[Effect, float]]) -> Term:
     ends = sorted(ends, key=lambda end: -end[1])
     first, *others = (e for e, _ in ends)
     return Term(first, ends[0][1] / about_.worth, tuple(others))
-
-
-def _channel(effect: Effect) -> str:
-    return effect.id.partition(" += ")[0]
 
 
 def _driver_of(effect: Effect) -> Driver | None:
@@ -339,7 +337,7 @@ def reshaped(where: Survey, worth: float, unnamed: list[Term], shaped: set[str])
         if new is None:
             continue
         options = [e for e in (new.effect, *new.others) if e.id not in shaped | set(model.ids)]
-        calls = (partial(_with, model, old, e) for e in options)
+        calls = (partial(with_other, model, old, e) for e in options)
         pairs = zip(in_parallel(calls), options, strict=True)
         held = [
             (m, e)
@@ -361,7 +359,8 @@ def _cost(effect: Effect) -> float:
     return 0.0 if law is None or law.form.smooth else law.cost
 
 
-def _with(model: Model, old: Effect, new: Effect) -> Model:
+def with_other(model: Model, old: Effect, new: Effect) -> Model:
+    """The model fitted with one effect in the place of another."""
     return fitted(model.parts, [new if e is old else e for e in model.effects])
 
 
@@ -369,7 +368,7 @@ def _kind(effect: Effect) -> tuple[str, ...]:
     """What something without a name is, but for its numbers."""
     law = law_of(effect)
     if law is not None:
-        return _channel(effect), law.driver.kind, law.form.kind
+        return channel_of(effect.id), law.driver.kind, law.form.kind
     return (effect.id if effect.made is None else effect.made[0],)
 
 

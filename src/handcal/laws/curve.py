@@ -16,7 +16,7 @@ from handcal.estimate.model import Fitted
 from handcal.estimate.trajectory import path
 from handcal.explanation import Curve, is_curve
 from handcal.laws.best_law import signals_of
-from handcal.laws.law_effect import CHANNELS, UNITS, Law, law_of
+from handcal.laws.law_effect import CHANNELS, UNITS, Law, channel_of, law_of
 from handcal.types import Array
 
 # Points of a curve, at the most.
@@ -27,11 +27,6 @@ _DRIVERS = re.compile(rf"(\|(?:omega|f|alpha|jerk)\||\b(?:{'|'.join(_SIGNALS)})\
 _AXES = "xyz"
 # Drivers that are a sine or a cosine of what they are drawn over.
 _ANGLES = {"sin(pitch of x)": np.arcsin, "sin(pitch of y)": np.arcsin, "cos(tilt)": np.arccos}
-
-
-def channel_of(formula: str) -> str:
-    """The channel that a term adds to."""
-    return formula.split(" += ", 1)[0]
 
 
 def drivers_of(formula: str) -> tuple[str, ...]:

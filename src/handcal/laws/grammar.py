@@ -291,8 +291,9 @@ def formula(parts: Sequence[Part], same: bool = False) -> Form:
 
 def shorter(form: Form) -> Iterator[tuple[Form, list[int]]]:
     """A sum without each of its functions, and which constants are left."""
-    several = len(form.parts) > 1
-    for out in range(len(form.parts) * several):
+    if len(form.parts) < 2:
+        return
+    for out in range(len(form.parts)):
         kept = [k for k in range(len(form.parts)) if k != out]
         rest = [form.parts[k] for k in kept]
         yield formula(rest, SAME in form.kind and len(rest) > 1), kept

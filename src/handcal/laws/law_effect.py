@@ -192,6 +192,11 @@ def law_of(effect: Effect) -> Law | None:
     return again(*effect.made)
 
 
+def channel_of(formula: str) -> str:
+    """The channel that a term adds to."""
+    return formula.partition(" += ")[0]
+
+
 def is_law(kind: str) -> bool:
     """Whether this kind (``Effect.made``) is that of a law over a driver."""
     return kind.count(" | ") == 4
@@ -202,9 +207,6 @@ def is_law(kind: str) -> bool:
 
 def named(law: Law) -> bool:
     """Whether effects of the catalogue add up to the law, tried on a probing motion."""
-    if law.sensor == HEADING:
-        columns = law.values(_probing(), 0)
-        return bool(spanned(known_headings(catalogue()), columns - columns.mean(axis=0)).all())
     key = law.sensor, law.axes, law.each, law.driver.name, law.form.kind, law.form.numbers
     return _named(key, catalogue())
 
@@ -214,6 +216,12 @@ def _named(key: tuple[Any, ...], known: Catalogue) -> bool:
     sensor, axes, each, driver, kind, numbers = key
     form = grammar.again(kind, numbers)
     law = Law(sensor, axes, each, driver_of(driver), form, (1.0,) * form.constants)
+    if sensor == HEADING:
+        columns = law.values(_probing(), 0)
+        # (what does not change on that motion, as the side of what is warm, tells nothing there)
+        changing = np.ptp(columns, axis=0).any()
+        inside = spanned(known_headings(known), columns - columns.mean(axis=0))
+        return bool(changing and inside.all())
     J = imu_jacobian(effect_of(law), np.zeros(0), _probing())
     return bool(spanned(_catalogue(known), J.transpose(1, 0, 2).reshape(6 * PROBED, -1)).all())
 

@@ -164,13 +164,6 @@ def _splines(
     )
 
 
-def best(
-    basis: Basis, wide: Quadratic, known: IntArray, root: Array | None = None
-) -> tuple[Effect, float]:
-    """The first of ``closest``."""
-    return closest(basis, wide, known, root)[0]
-
-
 def closest(
     basis: Basis, wide: Quadratic, known: IntArray, root: Array | None = None
 ) -> list[tuple[Effect, float]]:

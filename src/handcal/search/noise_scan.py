@@ -47,7 +47,7 @@ def looks_of(
     """The effects with one noise effect each that the recordings can show, those of the highest
     score (``most`` at the most), the best first."""
     plain = [fit_of(f, effects) for f in parts]
-    here = sum(reduced_pass(reduce(f.linear), f.levels).log_evidence for f in plain)
+    here = as_they_are(plain)
 
     def look(e: Effect) -> Look:
         wide = [_at_best(_with(f, moved_to(f, (*effects, e))), e) for f in plain]
@@ -62,6 +62,11 @@ def looks_of(
     for found in in_parallel(partial(look, e) for e in shown):
         best = sorted([*best, found], key=scored, reverse=True)[:most]
     return best
+
+
+def as_they_are(parts: Sequence[Fitted]) -> float:
+    """Log-evidence about the trajectories and noise levels that there are."""
+    return sum(reduced_pass(reduce(f.linear), f.levels).log_evidence for f in parts)
 
 
 def _with(f: Fitted, wide: Fitted) -> Fitted:

@@ -9,9 +9,8 @@ from functools import partial
 
 from handcal.effects import Effect, catalogue
 from handcal.estimate.case import name_of
-from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.fit import fitted
-from handcal.estimate.model import Fitted, Model
+from handcal.estimate.model import Model
 from handcal.estimate.parallel import in_parallel
 from handcal.estimate.transfer import fit_of, moved_to
 from handcal.laws.best_law import ENOUGH, Survey, Term, best_terms, survey
@@ -19,6 +18,7 @@ from handcal.laws.law_effect import SENSORS
 from handcal.model_score import better, score
 from handcal.search.climb.candidates import scanned_about
 from handcal.search.climb.state import HOPELESS, WEAK, Barred, Climb, forget, likelier, sensible
+from handcal.search.noise_scan import as_they_are
 from handcal.search.space import best_set, gains
 
 # Effects to which a term is added, its formula, and what it is made of.
@@ -31,37 +31,32 @@ def instead_of_noise(c: Climb) -> Model | None:
     if key in c.bared:
         return None
     c.bared.add(key)
-    doubted = {sensor: sets for sensor, sets in _doubted(c).items() if _may_hide(c, sensor, sets)}
-    ends = _ends(c, doubted)
-    for sensor, sets in doubted.items():
-        c.barred[sensor] = Barred(*_hidden_by(c, sensor, sets), _fell_short(c, sensor, ends))
+    doubted = _doubted(c)
+    hidden = {sensor: _hidden_by(c, sensor, sets[-1]) for sensor, sets in doubted.items()}
+    asked = [sensor for sensor in doubted if _may_hide(c.barred.get(sensor), *hidden[sensor])]
+    ends = _ends(c, {sensor: doubted[sensor] for sensor in asked})
+    for sensor in asked:
+        c.barred[sensor] = Barred(*hidden[sensor], _fell_short(c, sensor, ends))
     return likeliest(c, ends)
 
 
-def _may_hide(c: Climb, sensor: str, sets: Sequence[frozenset[str]]) -> bool:
-    """Whether a law may be likelier in the place of these effects than it was when that was tried:
-    they are others, or hold as many nats more as it fell short."""
-    last = c.barred.get(sensor)
-    if last is None:
-        return True
-    own, held = _hidden_by(c, sensor, sets)
-    return own != last.own or held - last.held > last.short
+def _may_hide(last: Barred | None, own: frozenset[str], held: float) -> bool:
+    """Whether a law may be likelier in the place of doubted effects than it was when that was tried
+    last: they are others, or hold as many nats more as it fell short."""
+    return last is None or own != last.own or held - last.held > last.short
 
 
-def _hidden_by(
-    c: Climb, sensor: str, sets: Sequence[frozenset[str]]
-) -> tuple[frozenset[str], float]:
+def _hidden_by(c: Climb, sensor: str, doubted: frozenset[str]) -> tuple[frozenset[str], float]:
     """What of the model a law of this sensor has to do with, and the nats that noise and the weak
-    of these effects hold."""
-    own = sets[-1] | {e.id for e in c.model.effects if e.id.startswith(sensor)}
+    of the doubted effects hold."""
+    own = doubted | {e.id for e in c.model.effects if e.id.startswith(sensor)}
     gained = gains(c.where, c.model.chosen)
-    weak = sum(v for i, v in gained.items() if i in sets[-1] and v < WEAK)
-    rest = [e for e in c.model.effects if e.process is None or e.id not in sets[-1]]
-    parts = c.model.parts
+    weak = sum(v for i, v in gained.items() if i in doubted and v < WEAK)
+    rest = [e for e in c.model.effects if e.process is None or e.id not in doubted]
     if len(rest) == len(c.model.effects):
         return own, weak
-    noise = _seen_as(parts, c.model.effects) - _seen_as(parts, rest)
-    return own, c.worth * noise + weak
+    here, there = ([fit_of(f, e) for f in c.model.parts] for e in (c.model.effects, rest))
+    return own, c.worth * (as_they_are(here) - as_they_are(there)) + weak
 
 
 def _fell_short(c: Climb, sensor: str, ends: Sequence[tuple[Model, Term]]) -> float:
@@ -70,12 +65,6 @@ def _fell_short(c: Climb, sensor: str, ends: Sequence[tuple[Model, Term]]) -> fl
     # (of what diverged nothing is known)
     nats = [-better(m, c.model, c.worth) for m in own if math.isfinite(m.log_evidence)]
     return min(nats, default=0.0 if own else ENOUGH)
-
-
-def _seen_as(parts: Sequence[Fitted], effects: Sequence[Effect]) -> float:
-    """Log-evidence with these effects about the trajectories and noise levels that there are."""
-    there = [fit_of(f, effects) for f in parts]
-    return sum(reduced_pass(reduce(f.linear), f.levels).log_evidence for f in there)
 
 
 def likeliest(c: Climb, ends: Sequence[tuple[Model, Term]]) -> Model | None:

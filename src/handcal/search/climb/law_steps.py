@@ -11,11 +11,10 @@ import numpy as np
 
 from handcal.effects import Effect, catalogue
 from handcal.estimate.case import name_of
-from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.parallel import in_parallel
 from handcal.estimate.rest_only import travels
-from handcal.laws.best_law import Term, best_term, best_terms, reshaped
+from handcal.laws.best_law import Term, best_term, best_terms, reshaped, with_other
 from handcal.laws.drivers import HEADING
 from handcal.laws.grammar import shorter
 from handcal.laws.law_constants import adjusted
@@ -155,7 +154,7 @@ def adjust(c: Climb) -> Model | None:
             new = adjusted(model, effect)
             if new is None or new.id in model.ids:
                 break
-            tried = fitted(model.parts, [new if e is effect else e for e in model.effects])
+            tried = with_other(model, effect, new)
             if not likelier(c, tried, model):
                 break
             model, effect = tried, new
@@ -176,8 +175,7 @@ def narrow(c: Climb) -> Model | None:
             continue
         c.whole.add(old.id)
         new = [effect_of(law) for law in _narrower(c.model, old)]
-        effects = [[e if x is old else x for x in c.model.effects] for e in new]
-        fits = in_parallel(partial(fitted, c.model.parts, those) for those in effects)
+        fits = in_parallel(partial(with_other, c.model, old, e) for e in new)
         ends = [(m, e) for m, e in zip(fits, new, strict=True) if likelier(c, m)]
         if ends:
             best, effect = max(ends, key=lambda end: score(end[0], c.worth))
