@@ -25,7 +25,7 @@ from handcal.effects import (
     observed_error,
     with_effects,
 )
-from handcal.estimate.parallel import in_parallel
+from handcal.estimate.forked import in_parallel
 from handcal.explanation import Unnamed
 from handcal.laws import (
     courses,

@@ -14,7 +14,7 @@ from handcal.estimate.problem import Problem, Slot, slots_of
 from handcal.estimate.sampling import at_nodes, knocked, smoothness
 from handcal.observations import Observation, Rows, nearest
 from handcal.signals import warmth_at
-from handcal.types import Array, Markov, Recording
+from handcal.types import Array, IntArray, Markov, Recording
 
 # Moments closer than this are one, s.
 SNAP_S = 1e-7
@@ -127,33 +127,46 @@ def _tables(
     at = {s.owner: i for i, s in reversed(list(enumerate(slots)))}
     markov_at = {owner: len(slots) + first for owner, first in added.first.items()}
     shape = len(kinds), 2 + len(effects)
-    function, start, count, whole, late = (np.zeros(shape, dtype=np.int64) for _ in range(5))
+    start, count, whole, late = (np.zeros(shape, dtype=np.int64) for _ in range(4))
     held = np.full((*shape, MOST_HELD), np.nan)
     for k, kind in enumerate(kinds):
-        parts = [(kind.residual, at.get(kind.kind, 0), constants[k])]
+        parts = [(at.get(kind.kind, 0), constants[k])]
         if kind.markov is not None:
-            parts.append((kind.markov_residual, markov_at[kind.kind], kind.markov.size))
-        acting = [e for e in effects if kind.kind in e.acts_now_on]
+            parts.append((markov_at[kind.kind], kind.markov.size))
+        acting = _acting(kind, effects)
         for j, e in enumerate(acting, len(parts)):
             whole[k, j] = len(e.held)
             held[k, j, : len(e.held)] = e.held
             late[k, j] = kind.kind in e.lateness
         parts += [
-            (
-                (e.lateness.get(kind.kind) or e.observation_error[kind.kind]),
-                *(
-                    (at[e.id], len(e.parameters))
-                    if e.process is None
-                    else (markov_at[e.id], e.process.size)
-                ),
-            )
+            (at[e.id], len(e.parameters))
+            if e.process is None
+            else (markov_at[e.id], e.process.size)
             for e in acting
         ]
         for j, part in enumerate(parts):
-            function[k, j], start[k, j], count[k, j] = part
+            start[k, j], count[k, j] = part
     dim = np.array([k.dim for k in kinds], dtype=np.int64)
-    jacobian = np.array([k.jacobian for k in kinds], dtype=np.int64)
+    jacobian, function = addresses(kinds, effects)
     return Tables(dim, jacobian, function, start, count, step, whole, held, late)
+
+
+def addresses(kinds: Sequence[Observation], effects: Sequence[Effect]) -> tuple[IntArray, IntArray]:
+    """Where in this process the compiled functions lie that the kernel calls for each kind (see
+    ``Tables``): jacobian (K,), function (K, F)."""
+    function = np.zeros((len(kinds), 2 + len(effects)), dtype=np.int64)
+    for k, kind in enumerate(kinds):
+        own = [kind.residual, *([] if kind.markov is None else [kind.markov_residual])]
+        acting = _acting(kind, effects)
+        own += [e.lateness.get(kind.kind) or e.observation_error[kind.kind] for e in acting]
+        for j, address in enumerate(own):
+            function[k, j] = address
+    return np.array([k.jacobian for k in kinds], dtype=np.int64), function
+
+
+def _acting(kind: Observation, effects: Sequence[Effect]) -> list[Effect]:
+    """Effects on what the kernel sees of this kind, in their order."""
+    return [e for e in effects if kind.kind in e.acts_now_on]
 
 
 def _nodes(

@@ -15,10 +15,10 @@ from handcal.estimate.derivatives import relinearised
 from handcal.estimate.filter import ENGINES
 from handcal.estimate.first_trajectory import first_trajectory
 from handcal.estimate.fit import fitted
+from handcal.estimate.forked import in_parallel
 from handcal.estimate.linear import About, known_linear, linearise_about
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.observed import first_state
-from handcal.estimate.parallel import in_parallel
 from handcal.estimate.pieces import is_long
 from handcal.types import HandcalError
 

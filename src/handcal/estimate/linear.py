@@ -26,7 +26,7 @@ from handcal.effects import ATTITUDE, DELAY, Effect
 from handcal.estimate.corrected import Corrected, corrected_readings
 from handcal.estimate.derivatives import differentiated
 from handcal.estimate.exciting import held, sway, unexciting
-from handcal.estimate.parallel import in_parallel
+from handcal.estimate.parallel import in_threads
 from handcal.estimate.problem import Problem, Slopes, constants_of
 from handcal.estimate.seen import (
     by_biases,
@@ -343,7 +343,7 @@ def transitions(
         )  # fmt: skip
 
     cuts = [0, k // 2, k - 1] if k > MANY else [0, k - 1]
-    for _ in in_parallel(partial(integrated, a, b) for a, b in pairwise(cuts)):
+    for _ in in_threads(partial(integrated, a, b) for a, b in pairwise(cuts)):
         pass
     return Phi, d, Q, W
 

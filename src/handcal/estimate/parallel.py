@@ -1,11 +1,15 @@
-"""Fits that do not depend on each other, on two cores; the results come in their order."""
+"""Compiled code that writes into arrays of its caller, on two cores.
+
+(Whatever has more Python in it gains nothing from threads, of which one at a time may run that; it
+is given to ``forked.in_parallel``.)
+"""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextvars import copy_context
+from contextvars import ContextVar, copy_context
 from functools import partial
 from itertools import islice
 from typing import TypeVar
@@ -13,16 +17,18 @@ from typing import TypeVar
 T = TypeVar("T")
 # (of more than two the memory they work in is the limit)
 AT_ONCE = 2
+# Whether the other core has work already.
+BUSY: ContextVar[bool] = ContextVar("busy", default=False)
 
 
-def in_parallel(calls: Iterable[Callable[[], T]]) -> Iterator[T]:
+def in_threads(calls: Iterable[Callable[[], T]]) -> Iterator[T]:
     """What the calls return, in their order; one or two run at a time.
 
     Threads, since compiled code lets others go on; in the context of the caller, who may have a
     catalogue of his own. Whoever stops asking leaves those that have
     not begun undone.
     """
-    if (os.cpu_count() or 1) < AT_ONCE:
+    if (os.cpu_count() or 1) < AT_ONCE or BUSY.get():
         yield from (call() for call in calls)
         return
     # (a context can be entered by one thread at a time: each call has a copy of its own)

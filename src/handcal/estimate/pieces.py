@@ -32,7 +32,7 @@ from handcal.estimate.linear import (
     transitions,
     turning,
 )
-from handcal.estimate.parallel import in_parallel
+from handcal.estimate.parallel import in_threads
 from handcal.estimate.problem import Problem, between
 from handcal.estimate.start import Start
 from handcal.estimate.trajectory import Trajectory, path
@@ -189,7 +189,7 @@ def _gathered(
 
     rows, size = [], len(problem.observations) * MAX_DIM
     extra, scatter = np.zeros(size), np.zeros(size)
-    found = in_parallel(partial(made, *span) for span in spans)
+    found = in_threads(partial(made, *span) for span in spans)
     for (u, v), (part, scalars, more, left) in zip(spans, found, strict=True):
         to = slice(u + 1, v + 1)  # (what leads to a piece's first window is made with those before)
         linear.Phi[to], linear.d[to] = part.Phi[1:], part.d[1:]

@@ -17,8 +17,8 @@ from handcal.effects import Effect
 from handcal.estimate.baseline import started
 from handcal.estimate.case import Case, Edit, case_of, creeping, edited
 from handcal.estimate.fit import TOLERANCE, fitted, known_before, with_usual_noise
+from handcal.estimate.forked import in_parallel
 from handcal.estimate.model import Fitted, Model
-from handcal.estimate.parallel import in_parallel
 from handcal.estimate.parameters import Moment
 from handcal.estimate.transfer import at_constants, begun
 from handcal.types import HandcalError, Prior, Recording

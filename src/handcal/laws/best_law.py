@@ -14,8 +14,8 @@ import numpy as np
 from handcal.effects import Effect, Signals
 from handcal.estimate.columns import Ground
 from handcal.estimate.fit import fitted
+from handcal.estimate.forked import in_parallel
 from handcal.estimate.model import Fitted, Model
-from handcal.estimate.parallel import in_parallel
 from handcal.estimate.quadratic import Quadratic
 from handcal.estimate.scan import grounds, scan
 from handcal.estimate.seen import truth
@@ -164,7 +164,8 @@ def best_terms(
     ]
     about_ = About(where.model, where.base, known, where.signals, worth)
     found = _nameless(about_, [(e, gain) for e, gain in ends if isinstance(e, Effect)])
-    found += in_parallel(partial(_as_told, about_, *end) for end in _closer(ends, beyond))
+    told = in_parallel(partial(_as_told, about_, *end) for end in _closer(ends, beyond))
+    found += [_first_of(about_, [(effect_of(law), nats) for law, nats in some]) for some in told]
     found = sorted((t for t in found if t.effect.id not in refused), key=lambda t: -t.gain)
     best = dict.fromkeys(
         [
@@ -215,13 +216,13 @@ def _driver_of(effect: Effect) -> Driver | None:
     return CURVED.get(kind.removeprefix(terms.CURVE)) if kind.startswith(terms.CURVE) else None
 
 
-def _as_told(about_: About, law: Law, gain: float) -> Term:
-    """The law in the form that gains most, a formula where it gains as much as the curve."""
+def _as_told(about_: About, law: Law, gain: float) -> list[tuple[Law, float]]:
+    """The formulas that the law may have, where it is a curve, and itself, with what they gain."""
     if law.driver.number:
         law, gain = tuned(about_, law, gain)
         gain -= law.cost
     ends = written_out(about_, law) if law.form.smooth else []
-    return _first_of(about_, [(effect_of(x), nats) for x, nats in (*ends, (law, gain))])
+    return [*ends, (law, gain)]
 
 
 End = tuple[Law | Effect, float]

@@ -14,8 +14,8 @@ import numpy as np
 from handcal.effects import Effect
 from handcal.estimate.columns import Ground
 from handcal.estimate.first_part import first_part
+from handcal.estimate.forked import in_parallel
 from handcal.estimate.model import Model
-from handcal.estimate.parallel import in_parallel
 from handcal.estimate.quadratic import Quadratic
 from handcal.estimate.scan import grounds, scan
 from handcal.laws.drivers import BY, TIME, WARM, Driver

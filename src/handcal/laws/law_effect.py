@@ -63,6 +63,10 @@ class Law:
     form: Form
     sigmas: tuple[float, ...]
 
+    def __reduce__(self) -> tuple[Callable[..., Law], tuple[str, tuple[float, ...]]]:
+        """To another process it is what it is made of."""
+        return again, _made(self)
+
     @property
     def channels(self) -> tuple[str, ...]:
         """To which it adds."""

@@ -19,9 +19,9 @@ from handcal.estimate.case import Case, Edit, edited
 from handcal.estimate.case import creeping as creeping_case
 from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.fit import diverged, fitted
+from handcal.estimate.forked import in_parallel
 from handcal.estimate.hand_sway import HAND_SWAY, TRAVEL_NATS, beyond_a_hand
 from handcal.estimate.model import Fitted, Model
-from handcal.estimate.parallel import in_parallel
 from handcal.estimate.sampling import interpolated
 from handcal.model_score import PRIOR, better
 from handcal.observations.fixed_position import CREEPING

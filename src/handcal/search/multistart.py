@@ -13,8 +13,8 @@ from handcal.estimate.baseline import started
 from handcal.estimate.case import applicable
 from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.fit import fitted
+from handcal.estimate.forked import in_parallel
 from handcal.estimate.model import Model
-from handcal.estimate.parallel import in_parallel
 from handcal.laws.best_law import Term, Vocabulary, best_term, survey
 from handcal.model_score import better
 from handcal.search.budget import Budget

@@ -14,9 +14,9 @@ from handcal.effects import Effect, catalogue
 from handcal.estimate.case import applicable
 from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.fit import fitted
+from handcal.estimate.forked import in_parallel
 from handcal.estimate.linear import beside
 from handcal.estimate.model import Fitted, Model
-from handcal.estimate.parallel import in_parallel
 from handcal.estimate.transfer import fit_of, moved_to
 from handcal.laws import with_motion
 from handcal.model_score import better, prior

@@ -4,15 +4,16 @@ side of the others."""
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
 from functools import partial
 
 from handcal.effects import Effect, catalogue
 from handcal.estimate.case import applicable, name_of
 from handcal.estimate.fit import fitted
+from handcal.estimate.forked import in_parallel
 from handcal.estimate.model import Model
-from handcal.estimate.parallel import in_parallel
+from handcal.laws.best_law import Term
 from handcal.model_score import NAMED, PRIOR, better
 from handcal.search.climb.candidates import scanned_about
 from handcal.search.climb.state import HOPELESS, WEAK, Climb, likelier, sensible
@@ -115,15 +116,16 @@ def akin(a: str, b: str) -> bool:
 def reorder(c: Climb) -> Model | None:
     """A filter or a delay on the other side of the other errors, if that fits better: in the
     sensor they come one after the other, and nobody tells in which order."""
-    model = c.model
+    model, now = c.model, frozenset(c.model.ids)
+    ways = []
     for e in model.effects:
-        key = e.id, frozenset(model.ids)
         beside = [x for x in model.effects if x.imu_error is not None and x.id != e.id]
-        if e.imu_inverse is None or not beside or key in c.ordered:
-            continue
-        c.ordered.add(key)
-        turned = [replace(x, last=not x.last) if x is e else x for x in model.effects]
-        tried = fitted(model.parts, turned)
+        if e.imu_inverse is not None and beside and (e.id, now) not in c.ordered:
+            other = replace(e, last=not e.last)
+            ways.append([other if x is e else x for x in model.effects])
+    fits = in_parallel(partial(fitted, model.parts, effects) for effects in ways)
+    for effects, tried in zip(ways, fits, strict=True):
+        c.ordered |= {(e.id, now) for e in effects if not any(e is x for x in model.effects)}
         if tried.log_evidence > model.log_evidence:
             return tried
     return None
@@ -133,32 +135,42 @@ def hidden(c: Climb) -> Model | None:
     """The model with a filter whose lag delays may hold as well: beside these a scan about zero
     shows nothing of it, since what it smooths grows with its square. So it is fitted, from its
     usual size on, with all the delays that may make up for its lag."""
-    model = c.model
-    have = {name_of(i) for i in model.ids} | c.dropped
+    model, now = c.model, frozenset(c.model.ids)
+    have = {name_of(i) for i in now} | c.dropped
     cases = [f.case for f in model.parts]
+    ways = []
     for e in catalogue().values():
-        key = e.id, frozenset(model.ids)
-        if e.id in have or key in c.ordered or not _smooths(e):
+        if e.id in have or (e.id, now) in c.ordered or not _smooths(e):
             continue
         late = [catalogue()[i] for i in e.akin if i not in have]
         wanted = [x for x in (e, *late) if any(applicable(case, x) for case in cases)]
         held = any(x.delays or akin(e.id, x.id) for x in model.effects)
-        if not held or e not in wanted:
-            continue
-        c.ordered.add(key)
-        tried = fitted(model.parts, [*model.effects, *wanted])
-        # (about it a scan tells which of the delays it can do without)
-        where = scanned_about(tried.bare, c.unnamed, c.dropped | c.beyond)
-        fewer = best_set(where, tried.chosen)
-        if fewer == model.chosen:
-            continue
-        if fewer != tried.chosen:
-            noise = [x for x in model.effects if x.process is not None]
-            tried = fitted(tried.parts, [*(where.effects[i] for i in sorted(fewer)), *noise])
-        if tried.one_sided and likelier(c, tried):
+        if held and e in wanted:
+            ways.append(wanted)
+    refused = c.dropped | c.beyond
+    fits = in_parallel(partial(_beside_delays, model, w, c.unnamed, refused) for w in ways)
+    for (e, *_), tried in zip(ways, fits, strict=True):
+        c.ordered.add((e.id, now))
+        if tried is not None and tried.one_sided and likelier(c, tried):
             c.swaps.clear()  # (they hold beside the same others only)
             return tried
     return None
+
+
+def _beside_delays(
+    model: Model, wanted: Sequence[Effect], unnamed: Sequence[Term], refused: Set[str]
+) -> Model | None:
+    """The model with a filter and such delays as it cannot do without, about a fit with all of
+    them; None if that is the model."""
+    tried = fitted(model.parts, [*model.effects, *wanted])
+    where = scanned_about(tried.bare, unnamed, refused)
+    fewer = best_set(where, tried.chosen)
+    if fewer == model.chosen:
+        return None
+    if fewer == tried.chosen:
+        return tried
+    noise = [x for x in model.effects if x.process is not None]
+    return fitted(tried.parts, [*(where.effects[i] for i in sorted(fewer)), *noise])
 
 
 def _smooths(effect: Effect) -> bool:

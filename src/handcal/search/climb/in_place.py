@@ -10,8 +10,8 @@ from functools import partial
 from handcal.effects import Effect, catalogue
 from handcal.estimate.case import name_of
 from handcal.estimate.fit import fitted
+from handcal.estimate.forked import in_parallel
 from handcal.estimate.model import Model
-from handcal.estimate.parallel import in_parallel
 from handcal.estimate.transfer import fit_of, moved_to
 from handcal.laws.best_law import ENOUGH, Survey, Term, best_terms, survey
 from handcal.laws.law_effect import SENSORS

@@ -11,8 +11,8 @@ import numpy as np
 
 from handcal.effects import Effect, catalogue
 from handcal.estimate.case import name_of
+from handcal.estimate.forked import in_parallel
 from handcal.estimate.model import Model
-from handcal.estimate.parallel import in_parallel
 from handcal.estimate.rest_only import travels
 from handcal.laws.best_law import Term, best_term, best_terms, reshaped, with_other
 from handcal.laws.drivers import HEADING
