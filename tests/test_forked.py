@@ -92,6 +92,22 @@ def test_what_raises_does_so_in_its_turn() -> None:
         next(ways)
 
 
+def test_what_nobody_asks_for_raises_nothing() -> None:
+    here = os.getpid()
+
+    def call(k: int) -> int:
+        if os.getpid() != here:
+            time.sleep(0.2)  # (so that the third is done before the second)
+        if k == 2:
+            raise ValueError("no fit")
+        return k
+
+    ways = in_parallel(partial(call, k) for k in range(3))
+    assert [next(ways), next(ways)] == [0, 1]
+    with pytest.raises(ValueError, match="no fit"):
+        next(ways)
+
+
 def test_a_copy_that_is_killed_loses_nothing() -> None:
     here = os.getpid()
 
@@ -103,13 +119,14 @@ def test_a_copy_that_is_killed_loses_nothing() -> None:
     assert list(in_parallel(partial(call, k) for k in range(5))) == list(range(5))
 
 
+@pytest.mark.parametrize("what", ["fork", "memfd_create"])
 def test_where_there_is_no_room_for_a_copy_all_is_done_here(
-    monkeypatch: pytest.MonkeyPatch,
+    what: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fork() -> int:
+    def none(*_: object) -> int:
         raise OSError("no memory")
 
-    monkeypatch.setattr(forked.os, "fork", fork)
+    monkeypatch.setattr(forked.os, what, none)
     assert list(in_parallel(partial(where, k) for k in range(4))) == [
         (k, os.getpid()) for k in range(4)
     ]
@@ -134,6 +151,19 @@ def test_nobody_works_on_when_nobody_asks(monkeypatch: pytest.MonkeyPatch) -> No
     assert len(begun) == 1
     with pytest.raises(ProcessLookupError):
         os.kill(begun[0], 0)
+
+
+def test_nothing_stays_open() -> None:
+    def opened() -> int:
+        return len(os.listdir("/proc/self/fd"))
+
+    before = opened()
+    for asked in range(5):
+        ways = in_parallel(partial(where, k) for k in range(4))
+        for _ in range(asked):
+            next(ways, None)
+        ways.close()  # type: ignore[attr-defined]
+    assert opened() == before
 
 
 def test_what_was_given_comes_back_itself_and_new_effects_are_made_here() -> None:

@@ -56,28 +56,30 @@ def in_parallel(calls: Iterable[Callable[[], T]]) -> Iterator[T]:
         yield from (call() for _, call in waiting)
         return
     known = dict(_reached(catalogue()))
-    done: dict[int, T] = {}
+    done: dict[int, Callable[[], T]] = {}
+    begun: list[_Beside[T]] = []
     beside: _Beside[T] | None = None
     wanted = 0
     try:
         while True:
             if beside is not None and beside.over():
-                done[beside.number], beside = beside.result(), None
+                done[beside.number], beside = beside.result, None
             if wanted in done:
-                yield done.pop(wanted)
+                yield done.pop(wanted)()
                 wanted += 1
             elif (mine := next(waiting, None)) is not None:
                 later = next(waiting, None) if beside is None else None
                 if later is not None:
                     beside = _Beside(*later, known)
-                done[mine[0]] = _busy(mine[1])
+                    begun.append(beside)
+                done[mine[0]] = _ready(mine[1])
             elif beside is not None:
                 beside.wait()
             else:
                 return
     finally:
-        if beside is not None:
-            beside.stop()
+        for one in begun:
+            one.stop()
 
 
 def _two_at_once() -> bool:
@@ -90,6 +92,16 @@ def _two_at_once() -> bool:
         and multiprocessing.parent_process() is None
         and not BUSY.get()
     )
+
+
+def _ready(call: Callable[[], T]) -> Callable[[], T]:
+    """What says what the call returns. (What it raises is raised in its turn, and never where
+    nobody asks so far.)"""
+    try:
+        found = _busy(call)
+    except Exception:
+        return partial(_busy, call)
+    return lambda: found
 
 
 def _busy(call: Callable[[], T]) -> T:
@@ -107,18 +119,16 @@ class _Beside(Generic[T]):
     def __init__(self, number: int, call: Callable[[], T], known: Mapping[int, object]) -> None:
         self.number, self._call = number, call
         self._known = dict(known) | dict(_reached(call))
-        self._sent = os.memfd_create("handcal")
-        self._status: int | None = None
-        with warnings.catch_warnings():
-            # (that other threads are not copied; none of them has to do with fits)
-            warnings.simplefilter("ignore", DeprecationWarning)
-            try:
-                self._process = os.fork()
-            except OSError:  # (no memory for another: all is done here)
-                self._process, self._status = 0, 1
-                return
-        if self._process == 0:
+        self._sent, self._status = -1, cast(int | None, None)
+        try:
+            self._sent = os.memfd_create("handcal")
+            process = _copied()
+        except OSError:  # (no room for another: all is done here)
+            self._status = 1
+            return
+        if process == 0:
             _work(call, self._sent, self._known)
+        self._process = process
 
     def over(self) -> bool:
         """Whether it is done."""
@@ -138,22 +148,33 @@ class _Beside(Generic[T]):
                 sent.seek(0)
                 return cast(T, _Receiver(sent, self._known).load())
         finally:
-            os.close(self._sent)
-            self._status, self._sent = 0, -1
+            self._close()
 
     def stop(self) -> None:
         """Nobody wants the result any more."""
         if self._status is None:
             os.kill(self._process, signal.SIGKILL)
             self._ended(0)
+        self._close()
+
+    def _close(self) -> None:
         if self._sent >= 0:
             os.close(self._sent)
+        self._sent = -1
 
     def _ended(self, how: int) -> bool:
         process, status = os.waitpid(self._process, how)
         if process:
             self._status = status
         return process != 0
+
+
+def _copied() -> int:
+    """The process of a copy of this one; in the copy 0. Raises OSError where there is no room."""
+    with warnings.catch_warnings():
+        # (that other threads are not copied; none of them has to do with fits)
+        warnings.simplefilter("ignore", DeprecationWarning)
+        return os.fork()
 
 
 def _work(call: Callable[[], object], to: int, known: Mapping[int, object]) -> NoReturn:
