@@ -20,7 +20,7 @@ from handcal.laws.over_drivers import best_of_block, blocks, promising
 from handcal.laws.weighing import Beside
 from handcal.search import multistart
 from handcal.search.budget import Budget
-from handcal.search.climb import in_place, state
+from handcal.search.climb import in_place, sequence, state
 from handcal.signals import probe
 from handcal_sim import simulate
 
@@ -168,10 +168,14 @@ def test_a_climb_ends_where_another_was_ahead(ids, ahead, ends, monkeypatch):
     monkeypatch.setattr(state, "better", lambda a, b, _: a.log_evidence - b.log_evidence)
     rival = _named(("a",), 0.0)
     c: Any = SimpleNamespace(model=_named(ids, ahead), rival=rival, named=None, worth=1.0)
-    assert state.beaten(c) is ends
+    c.budget = Budget()
+    step: Any = lambda _: rival  # noqa: E731
+    monkeypatch.setattr(sequence, "_LAWS", (step,))
+    monkeypatch.setattr(sequence, "_STEPS", {step: "laws"})
+    assert (sequence._taken(c, step) is None) is ends
     c.model = _named(("a", "b", "c"), 900.0)  # (what it comes to afterwards says nothing of that)
     assert state.beaten(c) is ends
-    c = SimpleNamespace(model=_named(ids, ahead), rival=None, named=None, worth=1.0)
+    c.rival = None
     assert not state.beaten(c)
 
 

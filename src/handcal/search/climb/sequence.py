@@ -53,8 +53,10 @@ def _moved(c: Climb) -> bool:
 
 def _taken(c: Climb, step: Callable[[Climb], Model | None]) -> Model | None:
     """Where a step leads, if there is time for it."""
-    if step in _LAWS and beaten(c):
-        return None
+    if step in _LAWS:
+        c.named = c.named or c.model
+        if beaten(c):
+            return None
     return None if c.budget.spent(_STEPS[step]) else step(c)
 
 

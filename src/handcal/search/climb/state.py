@@ -84,8 +84,7 @@ class Climb:
 def beaten(c: Climb) -> bool:
     """Whether another climb was much further when it began to look for laws, or had come to the
     same: what laws there are it has found."""
-    c.named = c.named or c.model
-    if c.rival is None:
+    if c.rival is None or c.named is None:
         return False
     ahead = better(c.named, c.rival, c.worth)
     return ahead < (-PRIOR if set(c.named.ids) == set(c.rival.ids) else -HOPELESS)
