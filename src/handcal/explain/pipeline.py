@@ -6,12 +6,10 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 from handcal.estimate.baseline import baseline, started
 from handcal.estimate.case import Case, case_of
 from handcal.estimate.fit import fitted
-from handcal.estimate.forked import in_parallel
 from handcal.estimate.model import Model
 from handcal.estimate.observed import check_options
 from handcal.estimate.rest_only import resting, travels
@@ -180,11 +178,9 @@ def _refitted(end: End, found: Found, options: Options) -> tuple[Found, Specific
     exact = chosen_of(searched, options, moments(found), exact=True)
     ends = []
     # (each start takes as long as the first, and is seldom the better one)
-    begun = [replace(chosen, begin=BASELINE), replace(chosen, begin=ONLINE), exact]
-    fits = in_parallel(partial(settled, base, written) for written in begun)
-    for fit, written in zip(fits, begun, strict=True):
-        ends.append((fit.bare, written))
-        if _as_good(fit, searched):
+    for written in (replace(chosen, begin=BASELINE), replace(chosen, begin=ONLINE), exact):
+        ends.append((settled(base, written).bare, written))
+        if _as_good(ends[-1][0], searched):
             break
     model, chosen = max(ends, key=lambda end: (sensible(end[0]), end[0].log_evidence))
     if model.log_evidence < searched.log_evidence - LOST:

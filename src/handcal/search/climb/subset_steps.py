@@ -7,7 +7,6 @@ import math
 from dataclasses import replace
 from functools import partial
 
-from handcal.effects import Effect
 from handcal.estimate.case import name_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.forked import in_parallel
@@ -88,20 +87,19 @@ def _same(where: Space, now: frozenset[str], chosen: frozenset[str]) -> bool:
     return where.score(chosen) - where.score(now) < 1.0
 
 
-def _with_noise(c: Climb, chosen: frozenset[str]) -> list[Effect]:
-    """The chosen effects and the model's noise."""
+def _fit(c: Climb, chosen: frozenset[str]) -> Model:
     processes = [e for e in c.model.effects if e.process is not None]
-    return [*(c.where.effects[i] for i in sorted(chosen)), *processes]
+    return fitted(c.model.parts, [*(c.where.effects[i] for i in sorted(chosen)), *processes])
 
 
 def _grown(c: Climb, chosen: frozenset[str]) -> Model | None:
     """The model with the chosen effects, or with the best of those added, if such a fit is
     likelier than the one there is; an effect with which no fit holds is not looked at again."""
     now = c.model.chosen
-    ways = [w for w in (chosen, *_singles(c.where, now, chosen)) if w not in c.refused]
-    # (the second may be in vain, on a core that has nothing else to do)
-    fits = in_parallel(partial(fitted, c.model.parts, _with_noise(c, w)) for w in ways)
-    for wanted, tried in zip(ways, fits, strict=True):
+    for wanted in (chosen, *_singles(c.where, now, chosen)):
+        if wanted in c.refused:
+            continue
+        tried = _fit(c, wanted)
         if likelier(c, tried):
             return tried
         c.refused.add(wanted)
