@@ -38,6 +38,7 @@ pytestmark = pytest.mark.skipif(
 @pytest.fixture(autouse=True)
 def two_cores(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
 
 
 def where(k: int) -> tuple[int, int]:
@@ -61,23 +62,41 @@ def test_work_within_such_work_stays_where_it_is() -> None:
     assert list(in_parallel(partial(inner, k) for k in range(2))) == [[0, 0, 0]] * 2
 
 
-@pytest.mark.parametrize(("cores", "thread"), [(1, False), (None, False), (2, True)])
-def test_one_after_the_other(
-    cores: int | None, thread: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(os, "cpu_count", lambda: cores)
+@pytest.mark.parametrize("why", ["one core", "unknown", "one allowed", "a thread", "no waiting"])
+def test_one_after_the_other(why: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    if why in ("one core", "unknown"):
+        monkeypatch.setattr(os, "cpu_count", lambda: 1 if why == "one core" else None)
+    if why == "one allowed":
+        monkeypatch.setattr(os, "sched_getaffinity", lambda _: {1})
     found: list[tuple[int, int]] = []
 
     def run() -> None:
         found.extend(in_parallel(partial(where, k) for k in range(4)))
 
-    if thread:
-        other = threading.Thread(target=run)
-        other.start()
-        other.join()
-    else:
-        run()
+    before = signal.getsignal(signal.SIGCHLD)
+    try:
+        if why == "no waiting":
+            signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+        if why == "a thread":
+            other = threading.Thread(target=run)
+            other.start()
+            other.join()
+        else:
+            run()
+    finally:
+        signal.signal(signal.SIGCHLD, before)
     assert found == [(k, os.getpid()) for k in range(4)]
+
+
+def test_a_copy_that_somebody_else_waited_for_loses_nothing() -> None:
+    here = os.getpid()
+
+    def call(k: int) -> int:
+        if os.getpid() == here and k == 0:
+            os.waitpid(-1, 0)
+        return k
+
+    assert list(in_parallel(partial(call, k) for k in range(3))) == [0, 1, 2]
 
 
 def test_what_raises_does_so_in_its_turn() -> None:

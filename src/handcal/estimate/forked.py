@@ -30,7 +30,7 @@ import numpy as np
 from handcal.effects import Effect, catalogue
 from handcal.estimate.assemble import addresses
 from handcal.estimate.linear import About
-from handcal.estimate.parallel import AT_ONCE, BUSY
+from handcal.estimate.parallel import BUSY, two_cores
 from handcal.estimate.problem import Problem
 from handcal.observations import Observation
 from handcal.types import Markov
@@ -84,10 +84,12 @@ def in_parallel(calls: Iterable[Callable[[], T]]) -> Iterator[T]:
 
 def _two_at_once() -> bool:
     """Whether a copy of this process may work beside it. (Of a thread that is not the first a copy
-    would lack the others, and a process of several has cores for itself alone.)"""
+    would lack the others, a process of several has no core for another, and where nobody waits for
+    processes nothing is known of how they end.)"""
     return (
         sys.platform == "linux"
-        and (os.cpu_count() or 1) >= AT_ONCE
+        and two_cores()
+        and signal.getsignal(signal.SIGCHLD) is not signal.SIG_IGN
         and threading.current_thread() is threading.main_thread()
         and multiprocessing.parent_process() is None
         and not BUSY.get()
@@ -163,7 +165,10 @@ class _Beside(Generic[T]):
         self._sent = -1
 
     def _ended(self, how: int) -> bool:
-        process, status = os.waitpid(self._process, how)
+        try:
+            process, status = os.waitpid(self._process, how)
+        except ChildProcessError:  # (somebody else has waited for it)
+            process, status = self._process, 1
         if process:
             self._status = status
         return process != 0

@@ -21,6 +21,13 @@ AT_ONCE = 2
 BUSY: ContextVar[bool] = ContextVar("busy", default=False)
 
 
+def two_cores() -> bool:
+    """Whether this process may use two."""
+    allowed = getattr(os, "sched_getaffinity", None)
+    cores = os.cpu_count() or 1
+    return (cores if allowed is None else min(cores, len(allowed(0)))) >= AT_ONCE
+
+
 def in_threads(calls: Iterable[Callable[[], T]]) -> Iterator[T]:
     """What the calls return, in their order; one or two run at a time.
 
@@ -28,7 +35,7 @@ def in_threads(calls: Iterable[Callable[[], T]]) -> Iterator[T]:
     catalogue of his own. Whoever stops asking leaves those that have
     not begun undone.
     """
-    if (os.cpu_count() or 1) < AT_ONCE or BUSY.get():
+    if BUSY.get() or not two_cores():
         yield from (call() for call in calls)
         return
     # (a context can be entered by one thread at a time: each call has a copy of its own)
