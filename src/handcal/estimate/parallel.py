@@ -1,6 +1,6 @@
 """Compiled code that writes into arrays of its caller, on two cores.
 
-(Whatever has more Python in it gains nothing from threads, of which one at a time may run that; it
+(Whatever has more Python in it gains little from threads, of which one at a time may run that; it
 is given to ``forked.in_parallel``.)
 """
 
