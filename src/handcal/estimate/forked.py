@@ -55,7 +55,7 @@ def in_parallel(calls: Iterable[Callable[[], T]]) -> Iterator[T]:
     if not _two_at_once():
         yield from (call() for _, call in waiting)
         return
-    known = dict(_reached(catalogue()))
+    known = _reached(catalogue())
     done: dict[int, Callable[[], T]] = {}
     begun: list[_Beside[T]] = []
     beside: _Beside[T] | None = None
@@ -120,7 +120,7 @@ class _Beside(Generic[T]):
 
     def __init__(self, number: int, call: Callable[[], T], known: Mapping[int, object]) -> None:
         self.number, self._call = number, call
-        self._known = dict(known) | dict(_reached(call))
+        self._known = {**known, **_reached(call)}
         self._sent, self._status = -1, cast(int | None, None)
         try:
             self._sent = os.memfd_create("handcal")
@@ -208,7 +208,7 @@ class _Sender(pickle.Pickler):
         self._known = known
 
     def persistent_id(self, obj: object) -> int | None:
-        if self._known.get(id(obj)) is obj and obj is not None:
+        if id(obj) in self._known:  # (these are kept: nothing new has their addresses)
             return id(obj)
         # (processes are compared by identity)
         if isinstance(obj, REFERRED) or hasattr(type(obj), Markov.transition.__name__):

@@ -13,7 +13,7 @@ from handcal.estimate.case import applicable, name_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.forked import in_parallel
 from handcal.estimate.model import Model
-from handcal.laws.best_law import Term
+from handcal.laws.best_law import Term, with_other
 from handcal.model_score import NAMED, PRIOR, better
 from handcal.search.climb.candidates import scanned_about
 from handcal.search.climb.state import HOPELESS, WEAK, Climb, likelier, sensible
@@ -121,11 +121,10 @@ def reorder(c: Climb) -> Model | None:
     for e in model.effects:
         beside = [x for x in model.effects if x.imu_error is not None and x.id != e.id]
         if e.imu_inverse is not None and beside and (e.id, now) not in c.ordered:
-            other = replace(e, last=not e.last)
-            ways.append([other if x is e else x for x in model.effects])
-    fits = in_parallel(partial(fitted, model.parts, effects) for effects in ways)
-    for effects, tried in zip(ways, fits, strict=True):
-        c.ordered |= {(e.id, now) for e in effects if not any(e is x for x in model.effects)}
+            ways.append((e, replace(e, last=not e.last)))
+    fits = in_parallel(partial(with_other, model, *pair) for pair in ways)
+    for (e, _), tried in zip(ways, fits, strict=True):
+        c.ordered.add((e.id, now))
         if tried.log_evidence > model.log_evidence:
             return tried
     return None
