@@ -17,6 +17,7 @@ from handcal.effects import (
     DELAY,
     TIME,
     Z_DIM,
+    Effect,
     Param,
     Signals,
     catalogue,
@@ -34,7 +35,7 @@ from handcal.laws import grammar
 from handcal.laws.law_effect import Law, effect_of
 from handcal.laws.vocabulary import driver_of
 from handcal.observations import catalogue as observations
-from handcal.signals import of_arrays
+from handcal.signals import of_arrays, probe, units
 from handcal.types import InputError, Series
 from handcal_sim import simulate
 from handcal_sim.effects import EFFECTS as SIMULATED
@@ -1031,11 +1032,49 @@ def test_an_error_as_steep_as_what_is_measured_is_taken_off(slope: float) -> Non
     def bent(k: np.ndarray, signals: Signals) -> np.ndarray:
         return np.hstack([k[0] * np.tanh(signals.gyro), np.zeros_like(signals.accel)])
 
-    law = replace(catalogue()["gyro_scale"], parameters=(Param("k", "1", 1.0),), imu_error=bent)
+    scale = replace(catalogue()["gyro_scale"], features=None, proportional=False)
+    law = replace(scale, parameters=(Param("k", "1", 1.0),), imu_error=bent)
     truth = Signals(t, rate, np.tile([0.0, 0.0, 9.8], (len(t), 1)))
     error = bent(np.array([slope]), truth)
     found = substituted([law], np.array([slope]), replace(truth, gyro=rate + error[:, :3]))
     np.testing.assert_allclose(found, error, atol=1e-5)
+
+
+def test_where_an_error_jumps_no_other_sample_suffers() -> None:
+    """What reads too much by a constant whichever way it turns, and bends by more than the rate:
+    of what noise puts into the jump there is no truth that leads to it. All else is found."""
+    t = np.arange(0.0, 10.0, 0.01)
+    rng = np.random.default_rng(0)
+    rate = np.stack([3.0 * np.sin((1.3 + 0.3 * a) * t) for a in range(3)], axis=1)
+
+    def jumping(k: np.ndarray, signals: Signals) -> np.ndarray:
+        own = k[0] * np.sign(signals.gyro) + k[1] * np.tanh(signals.gyro)
+        return np.hstack([own, np.zeros_like(signals.accel)])
+
+    scale = replace(catalogue()["gyro_scale"], features=None, proportional=False)
+    law = replace(scale, parameters=(Param("k", "1", 1.0), Param("b", "1", 1.0)), imu_error=jumping)
+    truth, k = Signals(t, rate, np.tile([0.0, 0.0, 9.8], (len(t), 1))), np.array([0.05, 1.5])
+    read = rate + jumping(k, truth)[:, :3] + 0.02 * rng.normal(size=rate.shape)
+    lost = np.abs(read) < k[0]
+    assert 0 < lost.sum() < 0.05 * lost.size
+    found = substituted([law], k, replace(truth, gyro=read))[:, :3]
+    asked = jumping(k, replace(truth, gyro=read - found))[:, :3]
+    np.testing.assert_allclose(found[~lost], asked[~lost], atol=1e-5)
+
+
+@pytest.mark.parametrize("effect", [e for e in catalogue().values() if e.imu_error is not None])
+def test_what_is_proportional_says_so(effect: Effect) -> None:
+    """A matrix times the reading, in a motion of which no two signals are alike, and nothing
+    else."""
+    assert effect.imu_error is not None
+    there, at = probe(), effect.prior_sigma
+    read = np.hstack([there.gyro, there.accel])
+    error = effect.imu_error(at, there)
+    matrix = np.linalg.lstsq(read, error, rcond=None)[0]
+    rest, size = (float(np.abs(x).max()) for x in (error - read @ matrix, error))
+    assert (rest < 1e-9 * size) == effect.proportional
+    if effect.proportional:
+        np.testing.assert_allclose(effect.imu_error(at, units()), matrix, atol=1e-12)
 
 
 @pytest.mark.parametrize("late", [0.5, 2.0, -6.0, 12.0])

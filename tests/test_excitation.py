@@ -145,7 +145,7 @@ def test_what_makes_a_hands_sway_smaller_is_not_favoured_for_that(seed: int) -> 
     world = simulate("z-turn", seed=seed, duration_s=30.0)
     base = baseline([case_of(recording_of(world, "heading"))])
     felt = replace(select(["accel_scale"])[0], id="small", imu_error=small_changes, features=None,
-                   parameters=(Param("k", "1", 0.1),))  # fmt: skip
+                   proportional=False, parameters=(Param("k", "1", 0.1),))  # fmt: skip
     assert fitted(base.parts, [felt]).log_evidence < base.log_evidence + 1.0
 
 

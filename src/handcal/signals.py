@@ -92,6 +92,12 @@ def reading(signals: Signals, read: Array) -> Signals:
     return replace(signals, gyro=read[:, :3], accel=read[:, 3:])
 
 
+def units() -> Signals:
+    """Six samples, in each of which one rate or one force is 1 and the others are 0."""
+    one = np.eye(6)
+    return Signals(np.zeros(6), one[:, :3], one[:, 3:])
+
+
 def probe(n: int = 400) -> Signals:
     """A motion of which no two signals are alike, nor any made of others, n samples over 8 s: to
     see on which an effect depends. With all streams that there are."""

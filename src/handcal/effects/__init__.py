@@ -162,7 +162,8 @@ class Effect:
     none. tails: its prior has the wide scales that others have. features(truth): of an effect
     linear in its parameters, where that comes cheaper than differences of ``imu_error``: a
     channel (0 to 5), the first of the parameters that act on it, and the derivatives by these,
-    (n, m).
+    (n, m). proportional: what ``imu_error`` adds is a matrix (6, 6) times rate and force of the
+    same moment, and nothing else.
     """
 
     id: str
@@ -205,6 +206,7 @@ class Effect:
     always: bool = False
     tails: bool = True
     features: Callable[[Signals], Sequence[tuple[int, int, Array]]] | None = None
+    proportional: bool = False
 
     @property
     def prior_sigma(self) -> Array:

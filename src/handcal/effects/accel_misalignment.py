@@ -27,4 +27,5 @@ EFFECT = Effect(
     validated="the simulator's injection",
     imu_error=added(features),
     features=features,
+    proportional=True,
 )

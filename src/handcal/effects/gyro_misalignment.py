@@ -24,4 +24,5 @@ EFFECT = Effect(
     validated="the simulator's injection; motion capture of a hand-held IMU",
     imu_error=added(features),
     features=features,
+    proportional=True,
 )

@@ -22,4 +22,5 @@ EFFECT = Effect(
     validated="three turns simulated with 200 seeds; motion capture of a hand-held IMU",
     imu_error=added(features),
     features=features,
+    proportional=True,
 )

@@ -12,7 +12,7 @@ from scipy.linalg import solve_banded
 from handcal.effects import Effect, Signals
 from handcal.estimate.problem import Problem
 from handcal.estimate.sampling import at_nodes
-from handcal.signals import of_recording, reading
+from handcal.signals import of_recording, reading, units
 from handcal.types import Array
 
 # Rounds of substitution at the most, and the share of the largest reading by which the last one
@@ -22,9 +22,10 @@ SUBSTITUTIONS, SUBSTITUTED = 60, 1e-7
 # A round that moves hardly less than the one before leads nowhere: where what is added grows faster
 # than what is measured (a lost step does, within its width; from sample to sample an error by
 # angular acceleration does that is as large as the rate changes in some samples), whole steps lead
-# ever further to and fro. Then steps are Newton's, so many at the most; with new derivatives where
-# less than so much of the rest went with the old ones; which are of this share of the readings.
-SHRINKS, STEPS, STALE, SMALL = 0.9, 30, 0.1, 1e-6
+# ever further to and fro. Then steps are Newton's, so many at the most, until in two of them hardly
+# fewer samples are left without an answer; with new derivatives where more than such a share was
+# left with the old ones; which are of this share of the readings.
+SHRINKS, STEPS, STALE, SMALL = 0.9, 30, 0.5, 1e-6
 
 
 @dataclass(frozen=True)
@@ -65,19 +66,22 @@ def corrected_readings(
 
 def _undone(
     acting: Sequence[Effect], ref: Array, readings: Signals, raw: Array
-) -> tuple[Array, list[tuple[Effect, Array]]]:
-    """What the effects add that come last of all and are undone at once (n, 6), and those that
-    are left, with their parameters."""
-    total = np.zeros_like(raw)
+) -> tuple[Array, Array, list[tuple[Effect, Array]]]:
+    """What the effects add that come last of all and are undone at once (n, 6); what those add
+    together that are proportional to the truth, to one of rows (6, 6) of it; and those that are
+    left, with their parameters."""
+    total, whole = np.zeros_like(raw), np.zeros((6, 6))
     left, i = [], 0
     for e in acting:
         at = ref[i : i + len(e.parameters)]
         i += len(e.parameters)
         if at.any() and e.imu_inverse is not None and e.last:
             total += raw - total - e.imu_inverse(at, reading(readings, raw - total))
+        elif at.any() and e.imu_error is not None and e.proportional:
+            whole += e.imu_error(at, units())
         elif at.any():
             left.append((e, at))
-    return total, left
+    return total, whole, left
 
 
 # (numbers that run away are no fit, which is seen later)
@@ -91,7 +95,8 @@ def substituted(
     sway: Array | None = None,
 ) -> Array:
     """What all effects add to these readings, (n, 6), by rounds of substitution: first what is
-    done to the whole reading is undone, then the others follow from the truth.
+    done to the whole reading is undone, then the others follow from the truth, what is
+    proportional to it at once.
 
     begin (n, 6): about what they add, if that is known; enough: the change in a round, as a part
     of the largest reading, after which there is no other; sway (n, 3): what of the force only
@@ -105,20 +110,22 @@ def substituted(
 
     raw = np.hstack([readings.gyro, readings.accel])
     scale = float(np.abs(raw).max(initial=0.0))
-    total, present = _undone(acting, ref, readings, raw)
+    undone, whole, present = _undone(acting, ref, readings, raw)
+    given = raw - undone if sway is None else raw - undone + sway @ whole[3:]
+    unmixed = _unmixing(whole)
+    given = unmixed(given)
     errors = [np.zeros_like(raw) for _ in present]
     if begin is not None and all(e.imu_inverse is None for e, _ in present):
         truth = felt(raw - begin)
         errors = [e.imu_error(at, truth) for e, at in present if e.imu_error is not None]
-        for error in errors:
-            total += error
-    begun, step, moved = total.copy(), np.empty_like(raw), math.inf
+    total = unmixed(np.sum(errors, axis=0)) if present else np.zeros_like(raw)
+    begun, moved = total.copy(), math.inf
     for done in range(SUBSTITUTIONS if present else 0):
         before, moved = moved, 0.0
         for k, (e, at) in enumerate(present):
-            own, old = raw - total, errors[k]
-            errors[k] = _error(e, at, own, old, readings, felt)
-            np.subtract(errors[k], old, out=step)
+            old = errors[k]
+            errors[k] = _error(e, at, given - total, old, readings, felt)
+            step = unmixed(errors[k] - old)
             total += step
             moved = max(moved, float(step.max()), -float(step.min()))
         # (each round moves by as much less as this one did)
@@ -128,16 +135,26 @@ def substituted(
         if done > 1 and not moved < SHRINKS * before:
             if not math.isfinite(moved):
                 break
-            rest = total - sum(errors)
 
-            def added(own: Array, rest: Array = rest) -> Array:
+            def added(own: Array) -> Array:
                 """What all effects add, (n, 6), where these are the readings without."""
                 for k, (e, at) in enumerate(present):
                     errors[k] = _error(e, at, own, errors[k], readings, felt)
-                return np.asarray(rest + sum(errors))
+                return unmixed(np.sum(errors, axis=0))
 
-            return raw - _without(added, raw, raw - begun, enough * scale, SMALL * scale)
-    return total
+            return raw - _without(added, given, given - begun, enough * scale, SMALL * scale)
+    return raw - given + total
+
+
+def _unmixing(whole: Array) -> Callable[[Array], Array]:
+    """Rows (n, 6) of the truth of which, with what is proportional to it (6, 6), others are
+    made."""
+    if not whole.any():
+        return lambda rows: rows
+    if not np.isfinite(np.linalg.cond(mixed := np.eye(6) + whole)):
+        return lambda rows: np.full_like(rows, math.nan)
+    back = np.linalg.solve(mixed, np.eye(6))
+    return lambda rows: np.asarray(rows @ back)
 
 
 def _error(
@@ -154,24 +171,36 @@ def _error(
 def _without(
     added: Callable[[Array], Array], raw: Array, own: Array, least: float, small: float
 ) -> Array:
-    """The readings (n, 6) to which as much is added as is missing in raw, to ``least``, or the
-    nearest that were found: from ``own`` on, by Newton's steps with what each channel's sample and
-    its neighbours do to it, by differences of ``small``."""
-    nearest, before, bands = own, math.inf, None
+    """The readings (n, 6) to which as much is added as is missing in raw, to ``least``, or, of
+    each, the nearest that was found (where what is added jumps, some have none): from ``own`` on,
+    by Newton's steps with what each channel's sample and its neighbours do to it, by differences
+    of ``small``."""
+    nearest, nearest_by, bands = own, np.full_like(own, math.inf), None
+    farthest = math.inf
+    left: list[tuple[int, float]] = []
     for _ in range(STEPS):
         here = added(own)
         rest = own + here - raw
-        far = float(np.abs(rest).max())
-        if not far < before:  # (too far, or not a number any more: half as far)
-            own = 0.5 * (own + nearest)
-            bands = None
-            continue
-        if far < least:
+        by = np.abs(rest)
+        if by.max() < least:
             return own
-        if bands is None or far > STALE * before:
+        # (what is further off by a step may have come nearer with its neighbours, so long as
+        # whatever is furthest off does)
+        nearer = (by < nearest_by) | (by.max() < farthest)
+        farthest = float(np.fmin(farthest, by.max()))
+        nearest, nearest_by = np.where(nearer, own, nearest), np.where(nearer, by, nearest_by)
+        left.append((int(np.count_nonzero(~(nearest_by < least))), float((nearest_by**2).sum())))
+        if len(left) > 2 and not any(
+            now < SHRINKS * then for now, then in zip(left[-1], left[-3], strict=True)
+        ):
+            break
+        if bands is None or left[-1][0] > STALE * left[-2][0]:
             bands = _bands(added, own, here, small)
-        nearest, before = own, far
-        own = own - np.stack([solve_banded((1, 1), bands[c], rest[:, c]) for c in range(6)], axis=1)
+        rest[~np.isfinite(rest)] = 0.0
+        step = [solve_banded((1, 1), bands[c], rest[:, c]) for c in range(6)]
+        # (each sample for itself: too far, half as far; not a number any more, back)
+        own = np.where(nearer, own - np.stack(step, axis=1), 0.5 * (own + nearest))
+        own = np.where(np.isfinite(own), own, nearest)
     return nearest
 
 
@@ -180,7 +209,9 @@ def _bands(added: Callable[[Array], Array], own: Array, here: Array, small: floa
     its next sample, itself and the one before, as ``solve_banded`` has them; here: what is added
     to these."""
     out = np.zeros((6, 3, len(own)))
-    for sensor in (slice(0, 3), slice(3, 6)):
+    # (where nothing is added to a sensor, nothing of it changes that)
+    sensors = [s for s in (slice(0, 3), slice(3, 6)) if here[:, s].any()]
+    for sensor in sensors:
         for first in range(3):
             moved = own.copy()
             moved[first::3, sensor] += small
@@ -190,5 +221,6 @@ def _bands(added: Callable[[Array], Array], own: Array, here: Array, small: floa
                 to = np.arange(first, len(own), 3) + shift
                 inside = (to >= 0) & (to < len(own))
                 out[sensor, row, to[inside] - shift] = change[:, to[inside]]
+    out[~np.isfinite(out)] = 0.0
     out[:, 1] += 1.0
     return out

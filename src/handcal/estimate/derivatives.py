@@ -12,10 +12,10 @@ import numpy as np
 
 from handcal.compiled.jit import njit
 from handcal.effects import Effect, Signals, correction_slopes
-from handcal.estimate.corrected import Corrected, corrected_readings, substituted
+from handcal.estimate.corrected import Corrected, corrected_readings
 from handcal.estimate.problem import Problem, Slopes
 from handcal.recordings.streams import STREAMS
-from handcal.signals import at_times, of_recording, reading
+from handcal.signals import at_times, of_recording, reading, units
 from handcal.types import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Array, BoolArray, IntArray, Recording
 
 # What parameters do to the readings is averaged over this long, in motion and at rest.
@@ -215,33 +215,36 @@ def _stilled(truth: Array, t: Array, quiet: BoolArray) -> Array:
 
 
 def errors_by_bias(problem: Problem, bg: Array, ba: Array) -> Array | None:
-    """How what the effects add at problem.ref depends on the biases: (n, 6, 6) at the IMU's
-    samples, by [gyro bias, accel bias]; None where it does not. Not for effects that move the
-    signal as a whole: a constant stays what it is.
+    """How what the effects add at problem.ref depends on the biases, with which the readings were
+    corrected: (n, 6, 6) at the IMU's samples, by [gyro bias, accel bias]; None where it does not.
+    Not for effects that move the signal as a whole: a constant stays what it is.
 
     Beside a reference a bias may be known as a difference alone. An effect that is not linear
     then shows what it really is, and if that could not move, a scale error would stand in for it.
     """
+    if not problem.ref[: problem.imu_constants].any() or problem.error is None:
+        return None
     imu, alpha = problem.recording.imu, problem.alpha
     acting = [e for e in problem.effects if e.imu_error is not None]
     raw = np.hstack([imu.gyro - bg, imu.accel - ba])
     read = of_recording(problem.recording, acting, read=raw, alpha=alpha)
-    if not problem.ref[: problem.imu_constants].any():
-        return None
-    truth = raw - substituted(acting, problem.ref, read)
+    truth = raw - problem.error
     truth = _averaged(truth, max(1, round(AVERAGE_S[0] * problem.recording.rate_hz)))
     first = np.cumsum([0, *(len(e.parameters) for e in acting)])
     parts = [
         (e, problem.ref[i : i + len(e.parameters)]) for e, i in zip(acting, first, strict=False)
     ]
     parts = [(e, at) for e, at in parts if e.imu_inverse is None and at.any()]
-    columns, out = np.asfortranarray(truth), np.zeros((len(imu.t), 6, 6))
+    curved = [(e, at) for e, at in parts if not e.proportional]
+    straight = (e.imu_error(at, units()) for e, at in parts if e.proportional and e.imu_error)
+    columns = np.asfortranarray(truth)
+    out = np.tile(-sum(straight, np.zeros((6, 6))).T, (len(imu.t), 1, 1))
     for k, size in enumerate(np.repeat([GYRO_BIAS_PRIOR, ACCEL_BIAS_PRIOR], 3)):
         step = np.zeros(6)
         step[k] = BIAS_STEP * size
         up, down = (reading(read, columns + s) for s in (step, -step))
         # (a larger bias means a smaller truth)
-        for channel, change in (c for e, at in parts for c in _changes(e, at, down, up)):
+        for channel, change in (c for e, at in curved for c in _changes(e, at, down, up)):
             out[:, channel, k] += change / (2.0 * step[k])
     return out
 
