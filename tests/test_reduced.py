@@ -18,10 +18,12 @@ from handcal.estimate.baseline import started
 from handcal.estimate.case import case_of
 from handcal.estimate.evidence import Reduction, means, reduce, reduced_pass
 from handcal.estimate.model import Fitted
-from handcal.estimate.transfer import moved_to
+from handcal.estimate.noise_levels import Score
+from handcal.estimate.smoother import smoothed_of
+from handcal.estimate.transfer import linearised, moved_to
 from handcal.types import Array
 from handcal_sim import simulate
-from handcal_sim.phone import Phone, capture_pose, consumer_phone
+from handcal_sim.phone import Phone, capture_pose, consumer_phone, trusted_reference
 
 
 @numba.njit
@@ -58,6 +60,38 @@ def test_a_listed_transition_is_the_dense_one(e: int, coupled: bool) -> None:
     _both(Phi, B, *own, X, out, no_entries(m), no_entries(m))
     np.testing.assert_allclose(out[0], F @ X, rtol=0, atol=1e-12)
     np.testing.assert_allclose(out[1], F.T @ X, rtol=0, atol=1e-12)
+
+
+@pytest.fixture(scope="module")
+def compared() -> Fitted:
+    """A device beside a trusted one, with effects, a walk and a memory: nothing is navigated."""
+    world = simulate("free-hand", seed=3, duration_s=8.0, phone=_beside)
+    wanted = select(("gyro_scale", "accel_scale", "gyro_bias_walk", "lever_arm"))
+    f = moved_to(started(case_of(recording_of(world, "reference"))), wanted)
+    constants = f.trajectory.constants + 1e-3 * np.random.default_rng(0).normal(
+        size=len(f.trajectory.constants)
+    )
+    return linearised(f, replace(f.trajectory, constants=constants), wanted)
+
+
+def test_where_nothing_is_navigated_the_pass_does_without(compared: Fitted) -> None:
+    """Evidence, slopes and means are those with position, velocity and attitude among the moving
+    states, of which no reading says anything."""
+    lean, whole = (reduce(compared.linear, whole=own) for own in (False, True))
+    assert (lean.navigation, whole.navigation) == (0, 9)
+    names = [lv.name for lv in compared.problem.levels]
+    told = [Score(r, compared.levels, names)(compared.levels) for r in (lean, whole)]
+    assert told[0][0] == pytest.approx(told[1][0], abs=1e-6)
+    np.testing.assert_allclose(told[0][1], told[1][1], rtol=1e-7, atol=1e-7)
+    x, y = (
+        smoothed_of(reduced_pass(r, compared.levels, keep=True, wide=False)) for r in (lean, whole)
+    )
+    assert float(np.abs(y[:, :9]).max()) > 1e-4
+    np.testing.assert_allclose(x, y, rtol=1e-7, atol=1e-9)
+
+
+def _beside(rng: np.random.Generator) -> Phone:
+    return replace(consumer_phone(rng), heading=None, reference=trusted_reference(rng))
 
 
 def _seen(rng: np.random.Generator) -> Phone:

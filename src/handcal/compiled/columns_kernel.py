@@ -242,7 +242,7 @@ def followed(
 ) -> None:
     """Innovations nu (s, c) of further columns beside a pass that has been made already.
 
-    gain (s, m): of that pass; driven: D (K, 9, c) and g (s, c), as in ``Reduced``, and what they
+    gain (s, m): of that pass; driven: D (K, v, c) and g (s, c), as in ``Reduced``, and what they
     are multiplied by (c,).
     """
     scale = driven[2]

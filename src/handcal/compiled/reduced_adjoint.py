@@ -121,7 +121,7 @@ def reduced_backward(
     (1 + nc, w): what makes of an innovation the one at the constants' posterior mean, and its
     spread. states: r and N after the observations of each epoch, in the row that ``keep`` (k,)
     says (-1: nowhere), or empty. slopes: derivatives of the
-    log-evidence by R (s,), by the two densities whose Q (k, 9, 9) are Q_unit (2,), by Q_e
+    log-evidence by R (s,), by the two densities whose Q (k, v, v) are Q_unit (2,), by Q_e
     (k, e, e) and by the prior of the moving states (m, m; here (m, p)). by_step: derivatives by
     the Markov states' own transitions (k, e, 3 + e), from psi and from each other, and by what is
     added to them (k, e), or empty; passed: X and P after each epoch, for these, with work space
@@ -130,8 +130,8 @@ def reduced_backward(
     Source: Durbin & Koopman, Time Series Analysis by State Space Methods, 4.5 and 7.3.3;
     with constants as in de Jong (1991).
     """
-    m = len(r)
-    e = m - 9
+    m, v = len(r), a.A.shape[1]
+    e = m - v
     score = len(N) > 0
     for j in range(len(a.first) - 2, -1, -1):
         if len(states[0]) > 0 and keep[j] >= 0:
@@ -144,20 +144,20 @@ def reduced_backward(
         if score:
             _adjoint_covariance(a, j, gain, S, N, slopes[0], work)
             _covariance_slope(r, N, work.over, work.square, slopes[3])
-            for i in range(9):
-                for k in range(9):
+            for i in range(v):
+                for k in range(v):
                     slopes[1][0] += slopes[3][i, k] * Q_unit[0][j, i, k]
                     slopes[1][1] += slopes[3][i, k] * Q_unit[1][j, i, k]
             for i in range(e):
                 for k in range(e):
-                    slopes[2][j, i, k] = slopes[3][9 + i, 9 + k]
+                    slopes[2][j, i, k] = slopes[3][v + i, v + k]
         if j > 0:
             list_entries(a.A[j], a.B[j], a.Phi_e[j], a.Phi_psi[j], work.entries)
         if j > 0 and len(by_step[0]) > 0:
             times_entries(work.entries, passed[1][j - 1], work_step[2])
             _step_slope(r, slopes[3], passed[0][j - 1], given, work_step, by_step[0][j])
             for i in range(e):
-                by_step[1][j, i] = r[9 + i, 0]
+                by_step[1][j, i] = r[v + i, 0]
         if j > 0:
             turn_over(work.entries, m, work.turned)
             times_entries(work.turned, r, work.carried)
@@ -198,15 +198,18 @@ def _step_slope(
     """
     state, over, FP, some, total = work
     e = len(out)
-    product(X[6:], given, len(given), state)
-    for i in range(3 + e):
+    v = len(r) - e
+    # (where nothing is navigated there is no psi, and nothing by it)
+    psi = 3 if v > 0 else 0
+    product(X[v - psi :], given, len(given), state)
+    for i in range(psi + e):
         for c in range(state.shape[1]):
             over[c, i] = state[i, c]
-    for i in range(9 + e):
-        for c in range(3 + e):
-            some[i, c] = 2.0 * FP[i, 6 + c]
-    product(r[9:], over, r.shape[1], total)
-    add_product(by_Q[9:], some, 9 + e, total)
+    for i in range(v + e):
+        for c in range(psi + e):
+            some[i, c] = 2.0 * FP[i, v - psi + c]
+    product(r[v:], over, r.shape[1], total)
+    add_product(by_Q[v:], some, v + e, total)
     for i in range(e):
-        for c in range(3 + e):
-            out[i, c] = total[i, c]
+        for c in range(psi + e):
+            out[i, 3 - psi + c] = total[i, c]

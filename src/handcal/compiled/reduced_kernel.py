@@ -14,12 +14,13 @@ from handcal.types import Array, IntArray
 
 
 class Reduced(NamedTuple):
-    """A linearised problem of m = 9 + e moving states, as columns of 1 + nc numbers.
+    """A linearised problem of m = v + e moving states, as columns of 1 + nc numbers; v: 9 of the
+    navigation, or 0 where nothing is navigated.
 
     The first column is for constants as the trajectory has them, the others are derivatives
     by the nc biases and constants, each in units of its prior sigma. k epochs, s scalars.
-    A (k, 9, 15 + mi), of which the first nine columns count; D (k, 9, 1 + nc) added by an
-    interval; Q (k, 9, 9); B (k, 9, e), Phi_e, Q_e (k, e, e), Phi_psi (k, e, 3), d_e (k, e):
+    A (k, v, 15 + mi), of which the first v columns count; D (k, v, 1 + nc) added by an
+    interval; Q (k, v, v); B (k, v, e), Phi_e, Q_e (k, e, e), Phi_psi (k, e, 3), d_e (k, e):
     Markov states; first (k + 1,): scalars of each epoch; g (s, 1 + nc): observed minus
     predicted; h (s, m) with its nonzero (s,) entries listed in at (s, m); R (s,).
     """
@@ -153,10 +154,10 @@ def _carried(a: Reduced, j: int, P: Array, X: Array, w: ForwardWork) -> None:
     times_entries(w.entries, X, w.carried)
     copy2(w.carried, X)
     both_sides(w.entries, P, w.square, w.over)
-    for i in range(9):
+    for i in range(m - e):
         for c in range(a.D.shape[2]):
             X[i, c] += a.D[j, i, c]
-        for c in range(9):
+        for c in range(m - e):
             P[i, c] += a.Q[j, i, c]
     for i in range(e):
         X[m - e + i, 0] += a.d_e[j, i]
@@ -221,7 +222,7 @@ def reduced_means(
 ) -> None:
     """States out (k, m, 1) after each epoch of a forward pass, for one value of the constants.
 
-    x (m, 1): at the start; by_D (k, 9): what each interval adds to the first nine; moved: the gains
+    x (m, 1): at the start; by_D (k, v): what each interval adds to the first v; moved: the gains
     (s, m) of the pass and its innovations (s,) for these constants.
     """
     gain, nu = moved
@@ -231,7 +232,7 @@ def reduced_means(
         if j > 0:
             list_entries(a.A[j], a.B[j], a.Phi_e[j], a.Phi_psi[j], entries)
             times_entries(entries, out[j - 1], x)
-            for i in range(9):
+            for i in range(e0):
                 x[i, 0] += by_D[j, i]
             for i in range(m - e0):
                 x[e0 + i, 0] += a.d_e[j, i]

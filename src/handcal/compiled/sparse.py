@@ -25,31 +25,32 @@ def no_entries(m: int, terms: int = 0) -> Entries:
 
 @inner
 def list_entries(Phi: Array, B: Array, Phi_e: Array, Phi_psi: Array, out: Entries) -> None:
-    """List the transition of the moving states (m, m): Phi (9, n), n >= 9, of which nine columns
-    count, B (9, e) or (9, 0), Phi_psi (e, 3), Phi_e (e, e); see ``covariance.times_transition``."""
+    """List the transition of the moving states (m, m): Phi (v, n), of which v columns count, B
+    (v, e) or (v, 0), Phi_psi (e, 3), Phi_e (e, e); see ``covariance.times_transition``. v: 9, or 0
+    where nothing is navigated."""
     first, at, value = out
-    n = 0
-    for i in range(9):
+    n, v = 0, Phi.shape[0]
+    for i in range(v):
         first[i] = n
-        for k in range(9):
+        for k in range(v):
             if Phi[i, k] != 0.0:
                 at[n], value[n] = k, Phi[i, k]
                 n += 1
         for k in range(B.shape[1]):
             if B[i, k] != 0.0:
-                at[n], value[n] = 9 + k, B[i, k]
+                at[n], value[n] = v + k, B[i, k]
                 n += 1
     for i in range(Phi_e.shape[0]):
-        first[9 + i] = n
-        for k in range(3):
+        first[v + i] = n
+        for k in range(3 if v > 0 else 0):
             if Phi_psi[i, k] != 0.0:
                 at[n], value[n] = 6 + k, Phi_psi[i, k]
                 n += 1
         for k in range(Phi_e.shape[1]):
             if Phi_e[i, k] != 0.0:
-                at[n], value[n] = 9 + k, Phi_e[i, k]
+                at[n], value[n] = v + k, Phi_e[i, k]
                 n += 1
-    first[9 + Phi_e.shape[0]] = n
+    first[v + Phi_e.shape[0]] = n
 
 
 @inner

@@ -51,13 +51,13 @@ def backward(
     given[0, 0] = 1.0
     given[1:, 0] = done.w
     given[1:, 1:columns] = done.spread[:, : columns - 1]
-    k, e = len(linear.t), m - 9
+    k, e = len(linear.t), done.arrays.Phi_e.shape[1]
     slopes = Slopes(
         np.zeros(s), np.zeros(2), np.zeros((k, e, e)), np.zeros((m, m)),
         np.zeros((k if steps else 0, e, 3 + e)), np.zeros((k if steps else 0, e)),
     )  # fmt: skip
     most = int(np.diff(done.arrays.first).max(initial=0))
-    work, moves = _backward_work(m, width, most), _steps_work(m, width)
+    work, moves = _backward_work(m, width, most), _steps_work(m, e, width)
     reduced_backward(
         done.arrays,
         done.gain,
@@ -88,9 +88,9 @@ def _backward_work(m: int, width: int, most: int) -> BackwardWork:
     )  # fmt: skip
 
 
-def _steps_work(m: int, width: int) -> tuple[Array, Array, Array, Array, Array]:
+def _steps_work(m: int, e: int, width: int) -> tuple[Array, Array, Array, Array, Array]:
     """Work space of ``reduced_backward`` for how Markov states move."""
-    e, away = m - 9, m - 6
+    away = e + (3 if m > e else 0)
     wide = padded(away)
     return (
         blank(away, width), blank(width, wide), blank(m, m), blank(m, wide), blank(e, wide),

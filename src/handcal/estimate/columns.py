@@ -57,8 +57,10 @@ def ground(linear: Linear, fresh: Problem, levels: Mapping[str, float]) -> Groun
     length = ends - node[start]
     size = length * np.diff(far)
     begin = np.r_[0, np.cumsum(size)[:-1]]
-    weights = np.zeros((len(told.W), 9, 6)), np.zeros((int(size.sum()), 6))
-    kernel.carried(linear.Phi, told.W, node, start, seen, (far, begin), weights)
+    v = reduction.navigation
+    weights = np.zeros((len(told.W), v, 6)), np.zeros((int(size.sum()), 6))
+    if v > 0:
+        kernel.carried(linear.Phi, told.W, node, start, seen, (far, begin), weights)
     windows = node[start], ends, begin
     return Ground(linear, done, told, windows, weights, (far, scalars), rows, told.by_reading)
 
@@ -168,15 +170,16 @@ def _likelihood(done: ReducedPass, nu: Array) -> tuple[float, Array, Array]:
 def _driven(
     about: Ground, effects: Sequence[Effect], names: list[tuple[str, str]], seen: Problem | None
 ) -> tuple[Array, Array]:
-    """D (K, 9, c) and g (s, c) of further effects' constants."""
+    """D (K, v, c) and g (s, c) of further effects' constants."""
     done, told, c = about.done, about.excited, len(names)
-    D = np.zeros((len(done.arrays.A), 9, c))
+    D = np.zeros((len(done.arrays.A), done.reduction.navigation, c))
     g = np.zeros((len(done.S), c))
     slopes = slopes_of(told, effects)
-    kernel.responses(
-        slopes.values, slopes.channel, slopes.column, about.windows, about.weights,
-        about.scalars, (D, g),
-    )  # fmt: skip
+    if done.reduction.navigation > 0:
+        kernel.responses(
+            slopes.values, slopes.channel, slopes.column, about.windows, about.weights,
+            about.scalars, (D, g),
+        )  # fmt: skip
     nominal = about.linear.trajectory
     if len(about.by_reading):
         first = about.linear.problem.nodes.first

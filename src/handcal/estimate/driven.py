@@ -15,8 +15,8 @@ from handcal.types import Array
 
 @dataclass(frozen=True)
 class Driven:
-    """What the noise levels make of a linearised problem: Q (k, 9, 9) of the navigation
-    errors; B (k, 9, e): how they depend on Markov
+    """What the noise levels make of a linearised problem: Q (k, v, v) of the navigation
+    errors; B (k, v, e): how they depend on Markov
     states; Phi_e, Q_e (k, e, e), d_e (k, e), Phi_psi (k, e, 3) of the Markov states."""
 
     Q: Array
@@ -27,17 +27,21 @@ class Driven:
     Phi_psi: Array
 
 
-def driven(linear: Linear, levels: Mapping[str, float]) -> Driven:
-    """The intervals' noise at these levels."""
+def driven(linear: Linear, levels: Mapping[str, float], v: int = 9) -> Driven:
+    """The intervals' noise at these levels; v: of so many errors of the navigation, 9 or 0."""
     problem = linear.problem
     Phi_e, Q_e = markov_transitions(problem, levels, linear.t, linear.rate)
     d_e, Phi_psi = _markov_steps(problem, linear.trajectory.markov[: len(linear.t)], Phi_e)
+    e = problem.markov_size if problem.walks else 0
+    if v == 0:
+        k = len(linear.t)
+        return Driven(np.zeros((k, 0, 0)), np.zeros((k, 0, e)), Phi_e, Q_e, d_e, Phi_psi)
     Q = (
         levels["gyro_noise"] ** 2 * linear.Q_gyro
         + levels["accel_noise"] ** 2 * linear.Q_accel
         + linear.Q_extra
     )
-    B = np.zeros((len(linear.t), 9, problem.markov_size if problem.walks else 0))
+    B = np.zeros((len(linear.t), 9, e))
     for state, column in problem.walks:
         B[:, :, state : state + 3] = linear.Phi[:, :, 9 + column : 12 + column]
     return Driven(Q, B, Phi_e, Q_e, d_e, Phi_psi)

@@ -34,12 +34,13 @@ AT_ONCE = 2048
 class Reduction:
     """What the reduced filter needs of a linearised problem, whatever the noise levels.
 
-    Biases and constants never move, so the filter runs over the m = 9 + e moving states
+    Biases and constants never move, so the filter runs over the m = v + e moving states
     alone, once for all values w (nc,) of the constants' errors in units of their prior
-    sigma ``scale``; w0 is their prior mean. X0 (m, 1 + nc), P15 (15, 15): the prior;
-    slot (s,): kind and channel of each scalar, numbered through. folded: how the problem was
-    folded, if it was; ``linear`` is what it became, without its H, which went into g and h; t (k,):
-    the epochs before that, s.
+    sigma ``scale``; w0 is their prior mean. v: 9 of the navigation, or 0 where nothing that is
+    read depends on it. X0 (9 + e, 1 + nc), P15 (15, 15): the prior; D (k, v, 1 + nc): see
+    ``Reduced``; slot (s,): kind and channel of each scalar, numbered through. folded: how the
+    problem was folded, if it was; ``linear`` is what it became, without its H, which went into g
+    and h; t (k,): the epochs before that, s.
     """
 
     linear: Linear
@@ -77,17 +78,30 @@ class Reduction:
     def moving(self) -> IntArray:
         """Indices (m,) of the moving states in the full state."""
         n = self.linear.problem.size
-        return np.asarray(np.r_[0:9, n - self.linear.problem.markov_size : n])
+        return np.asarray(np.r_[0 : self.navigation, n - self.linear.problem.markov_size : n])
+
+    @property
+    def begin(self) -> Array:
+        """X0 (m, 1 + nc) of the moving states."""
+        return self.X0[len(self.X0) - self.h.shape[1] :]
+
+    @property
+    def navigation(self) -> int:
+        """How many of them are errors of the navigation: 9, or 0."""
+        return int(self.D.shape[1])
 
 
-def reduce(linear: Linear, folds: bool = True) -> Reduction:
+def reduce(linear: Linear, folds: bool = True, whole: bool = False) -> Reduction:
     """Split a linearised problem into what moves and what is constant.
 
-    folds: False to keep every epoch and every reading its own.
+    folds: False to keep every epoch and every reading its own; whole: with the navigation, even
+    where nothing that is read depends on it.
     """
     folded, t = fold(linear) if folds else None, linear.t
     linear = linear if folded is None else folded.linear
-    return reduced_of(linear, scalars_of(linear, units(linear)), folded, t)
+    problem = linear.problem
+    v = 9 if whole or problem.navigated or not problem.observations else 0
+    return reduced_of(linear, scalars_of(linear, units(linear), v), folded, t)
 
 
 def reduced_of(linear: Linear, scalars: Scalars, folded: Folded | None, t: Array) -> Reduction:
@@ -104,10 +118,11 @@ def reduced_of(linear: Linear, scalars: Scalars, folded: Folded | None, t: Array
     X0[:9, 0] = mean15[:9] - by_bias @ mean15[9:]
     X0[:9, 1:7] = by_bias * scale[:6]
     X0[9:, 0] = -nominal.markov[0]
-    width = linear.Phi.shape[2]
-    D = np.zeros((len(linear.t), 9, 1 + 6 + c))
-    D[:, :, 0] = linear.d
-    np.multiply(linear.Phi[:, :, 9:], scale[: width - 9], out=D[:, :, 1 : width - 8])
+    v, width = scalars.h.shape[1] - e, linear.Phi.shape[2]
+    D = np.zeros((len(linear.t), v, 1 + 6 + c))
+    if v > 0:
+        D[:, :, 0] = linear.d
+        np.multiply(linear.Phi[:, :, 9:], scale[: width - 9], out=D[:, :, 1 : width - 8])
     linear = replace(linear, H=np.zeros((0, *linear.H.shape[1:])))
     folded = None if folded is None else replace(folded, linear=linear)
     first, g, h, slot = scalars
@@ -147,18 +162,18 @@ class Scalars(NamedTuple):
     slot: IntArray
 
 
-def scalars_of(linear: Linear, scale: Array) -> Scalars:
+def scalars_of(linear: Linear, scale: Array, v: int = 9) -> Scalars:
     """Of each scalar that is read its residual and slope by the constants in units of ``scale``
-    (nc,), and its slope by what moves."""
+    (nc,), and its slope by what moves, v of it the navigation."""
     problem = linear.problem
     n, e = problem.size, problem.markov_size
     dim = problem.tables.dim[linear.kind] * linear.used
     row, channel = np.nonzero(np.arange(linear.H.shape[1]) < dim[:, None])
-    h, g = np.empty((len(row), 9 + e)), np.empty((len(row), 1 + len(scale)))
+    h, g = np.empty((len(row), v + e)), np.empty((len(row), 1 + len(scale)))
     g[:, 0] = linear.r[row, channel]
     for some in (slice(i, i + AT_ONCE) for i in range(0, len(row), AT_ONCE)):
         H = linear.H[row[some], channel[some]]
-        h[some, :9], h[some, 9:] = H[:, :9], H[:, n - e :]
+        h[some, :v], h[some, v:] = H[:, :v], H[:, n - e :]
         np.multiply(H[:, 9 : n - e], -scale, out=g[some, 1:])
     first = np.searchsorted(row, linear.first).astype(np.int64)
     return Scalars(first, g, h, linear.kind[row] * MAX_DIM + channel)
@@ -233,15 +248,15 @@ def reduced_pass(
     Statistics 19 (1991), with proper priors. Of numbers that ran away (a variance that is not
     positive, information that is not) the log-evidence is minus infinity.
     """
-    k, s = len(reduction.linear.t), len(reduction.h)
-    m, columns = reduction.X0.shape
+    k, s, m = len(reduction.linear.t), *reduction.h.shape
+    columns = reduction.X0.shape[1]
     arrays = _reduced_arrays(reduction, levels)
     last = np.array([k - 1], dtype=np.int64)
     place = kept(k, rows if keep and wide else last), kept(k, rows if keep else last)
     X, P = np.empty((_rows(place[0]), m, columns)), np.empty((_rows(place[1]), m, m))
     gain, nu, S = np.empty((s, m)), np.empty((s, columns)), np.empty(s)
     P0, X0 = blank(m, padded(m)), blank(m, padded(columns))
-    P0[:, :m], X0[:, :columns] = _moving_prior(reduction, levels), reduction.X0
+    P0[:, :m], X0[:, :columns] = _moving_prior(reduction, levels), reduction.begin
     gram = blank(padded(columns), padded(columns))
     work = _forward_work(m, padded(columns))
     reduced_forward(arrays, P0, X0, (X, P), (gain, nu, S), gram, work, place)
@@ -265,7 +280,10 @@ def _forward_work(m: int, width: int) -> ForwardWork:
 def means(done: ReducedPass) -> Array:
     """States (k, m, 1) after each epoch of a pass, at its constants ``w``."""
     m, at = done.gain.shape[1], np.r_[1.0, done.w]
-    out, x = np.empty((len(done.arrays.A), m, 1)), done.reduction.X0 @ at
+    out, x = (
+        np.empty((len(done.arrays.A), m, 1)),
+        done.reduction.X0[len(done.reduction.X0) - m :] @ at,
+    )
     moved = done.gain, done.innovations(done.w)
     reduced_means(done.arrays, x[:, None].copy(), done.arrays.D @ at, moved, no_entries(m), out)
     return out
@@ -276,8 +294,8 @@ def _moving_prior(reduction: Reduction, levels: Mapping[str, float]) -> Array:
     moving = reduction.moving
     full = full_prior(reduction.linear.problem, reduction.P15, dict(levels))
     P0 = full[np.ix_(moving, moving)]
-    by_bias = reduction.X0[:9, 1:7]
-    P0[:9, :9] -= by_bias @ by_bias.T
+    by_bias = reduction.X0[: reduction.navigation, 1:7]
+    P0[: len(by_bias), : len(by_bias)] -= by_bias @ by_bias.T
     return P0
 
 
@@ -313,10 +331,10 @@ def _root(information: Array) -> Array | None:
 
 
 def _reduced_arrays(reduction: Reduction, levels: Mapping[str, float]) -> Reduced:
-    linear = reduction.linear
-    noise = driven(linear, levels)
+    linear, v = reduction.linear, reduction.navigation
+    noise = driven(linear, levels, v)
     return Reduced(
-        linear.Phi,
+        linear.Phi if v > 0 else np.zeros((len(linear.t), 0, linear.Phi.shape[2])),
         reduction.D,
         noise.Q,
         noise.B,

@@ -247,7 +247,8 @@ class Score:
         up, down = _stepped(name, levels)
         rate = float(linear.problem.rate[0])
         start = block.markov.start(up, rate) - block.markov.start(down, rate)
-        in_m = slice(9 + own.start, 9 + own.stop)
+        v = self.reduction.navigation
+        in_m = slice(v + own.start, v + own.stop)
         out = float(np.vdot(slopes.prior[in_m, in_m], start)) / (2 * STEP)
         out += float(np.vdot(slopes.Q_e[1:, own, own], Q[1:]))
         if not block.moves:

@@ -234,8 +234,33 @@ def _whole_mean(done: ReducedPass, r: Array, before: Array) -> Array:
     reduction = done.reduction
     x = np.empty((len(done.P), reduction.linear.problem.size))
     x[:, 9 : 9 + len(done.w)] = reduction.scale * done.w
-    x[:, reduction.moving] = (before + done.P @ r)[:, :, 0]
+    x[:, reduction.moving] = moving = (before + done.P @ r)[:, :, 0]
+    if reduction.navigation == 0:
+        x[:, :9] = _unseen_navigation(done, moving)
     return x
+
+
+def _unseen_navigation(done: ReducedPass, markov: Array) -> Array:
+    """Errors (k, 9) of the navigation where nothing depends on it: what the constants' errors and
+    those of the Markov states (k, e) make of them."""
+    linear, scale = done.reduction.linear, done.reduction.scale
+    width = linear.Phi.shape[2] - 9
+    step = linear.d + linear.Phi[:, :, 9:] @ (scale * done.w)[:width]
+    for state, column in linear.problem.walks:
+        by_bias = linear.Phi[1:, :, 9 + column : 12 + column]
+        step[1:] += np.einsum("kij,kj->ki", by_bias, markov[:-1, state : state + 3])
+    step[0] = done.reduction.X0[:9] @ np.r_[1.0, done.w]
+    _added_up(linear.Phi, step)
+    return step
+
+
+@njit
+def _added_up(Phi: Array, x: Array) -> None:
+    """Steps x (k, 9) become what they add up to, each carried on by the next Phi (k, 9, .)."""
+    for j in range(1, len(x)):
+        for i in range(9):
+            for c in range(9):
+                x[j, i] += Phi[j, i, c] * x[j - 1, c]
 
 
 def followed(done: ReducedPass, nominal: Trajectory, step: float = 1.0) -> Callable[[], Trajectory]:
@@ -259,7 +284,7 @@ def smooth(
     The form of Bryson and Frazier on the reduced filter: nothing is inverted but the
     constants' information, in units of their priors. The last epoch is the filter's own.
     """
-    x, P = smooth_reduced(reduce(linear, folds=False), levels, rows)
+    x, P = smooth_reduced(reduce(linear, folds=False, whole=True), levels, rows)
     x[-1], P[-1] = forward_pass.x[-1], forward_pass.P[-1]
     return x, P
 
