@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 
-from handcal.compiled.jit import residual_function
+from handcal.compiled.jit import njit, residual_function
 from handcal.observations import Observation, Rows, Scene, pseudo_times
 from handcal.types import Array, Level, Recording
 
@@ -88,16 +88,10 @@ class Sway:
         Phi, Q = np.zeros((2, len(dt), self.size, self.size))
         at = 0
         for part in self.parts:
-            b, end = 1.0 / levels[part.time], at + 3 * part.order
-            unit = b ** np.arange(part.order)
-            phi = _damped(b * dt, part.order) * np.divide.outer(unit, unit)
-            q = _driven(b * dt, part.order) * np.multiply.outer(unit, unit)
-            q *= _variance_of(part, levels, rate)[:, None, None]
-            for k in range(at, at + 3):
-                # (axes do not mix)
-                Phi[:, k:end:3, k:end:3] = phi
-                Q[:, k:end:3, k:end:3] = q
-            at = end
+            b = 1.0 / levels[part.time]
+            unit, variance = np.power(b, np.arange(part.order)), _variance_of(part, levels, rate)
+            _fill(b * dt, np.asarray(unit), variance, _shape(part.order), at, (Phi, Q))
+            at += 3 * part.order
         return Phi, Q
 
     def start(self, levels: Mapping[str, float], rate: float) -> Array:
@@ -119,17 +113,6 @@ def _dynamics(order: int) -> Array:
     return out
 
 
-def _damped(x: Array, order: int) -> Array:
-    """Transition (n, k, k) of such a process over x (n,) of its times: less that pole, its dynamics
-    are nilpotent, so that the series ends."""
-    N = np.eye(order) + _dynamics(order)
-    out, power = np.zeros((len(x), order, order)), np.eye(order)
-    for i in range(order):
-        out += (x**i / math.factorial(i))[:, None, None] * power
-        power = power @ N
-    return np.asarray(out * np.exp(-x)[:, None, None])
-
-
 @cache
 def _stationary(order: int) -> Array:
     """Covariance (k, k) of such a process that has always been going on, of size 1."""
@@ -139,22 +122,74 @@ def _stationary(order: int) -> Array:
     return np.asarray(P / P[0, 0])
 
 
-def _driven(x: Array, order: int) -> Array:
-    """What comes in addition over x (n,) of its times, (n, k, k): what is stationary less what is
-    left of it; over a short while, where these are nearly the same, by quadrature."""
-    P, phi = _stationary(order), _damped(x, order)
-    out = P - phi @ P @ phi.transpose(0, 2, 1)
-    if order <= EXACT_ORDER:
-        return out
-    power = -2.0 * (_dynamics(order) @ P)[-1, -1]
+# Of a process of size and time 1: see ``_fill``.
+Shape = tuple[Array, Array, Array, Array, float]
+
+
+@cache
+def _shape(order: int) -> Shape:
+    """What its transition is made of; less its pole, its dynamics are nilpotent, so that the series
+    ends."""
+    N, P = np.eye(order) + _dynamics(order), _stationary(order)
+    series = [np.linalg.matrix_power(N, i) / math.factorial(i) for i in range(order)]
     at, weight = np.polynomial.legendre.leggauss(POINTS)
-    short = x < SHORT
-    total = np.zeros((int(short.sum()), order, order))
-    for u, w in zip(0.5 + 0.5 * at, 0.5 * weight, strict=True):
-        g = _damped(u * x[short], order)[:, :, -1]
-        total += w * g[:, :, None] * g[:, None, :]
-    out[short] = power * x[short, None, None] * total
-    return out
+    power = -2.0 * (_dynamics(order) @ P)[-1, -1]
+    short = 0.0 if order <= EXACT_ORDER else SHORT
+    return np.array(series), P, 0.5 + 0.5 * at, 0.5 * power * weight, short
+
+
+@njit
+def _fill(
+    x: Array, unit: Array, variance: Array, shape: Shape, at: int, out: tuple[Array, Array]
+) -> None:
+    """Write Phi and Q (k, n, n) of a process, from state ``at`` on of three axes that do not mix,
+    over x (k,) of its times: what is stationary (o, o) less what is left of it; over a short
+    while, where these are nearly the same, by quadrature (points and weights).
+
+    unit (o,): what a unit of each state is; variance (k,): its size; shape: terms (o, o, o) of its
+    series, the covariance P, points, weights, and below what x a while is short.
+    """
+    series, P, points, weights, short = shape
+    o = len(unit)
+    phi, then, q = np.empty((o, o)), np.empty((o, o)), np.empty((o, o))
+    for j in range(len(x)):
+        _damp(x[j], series, phi)
+        if x[j] < short:
+            for a in range(o):
+                for c in range(o):
+                    q[a, c] = 0.0
+            for n in range(len(points)):
+                _damp(points[n] * x[j], series, then)
+                for a in range(o):
+                    for c in range(o):
+                        q[a, c] += weights[n] * x[j] * then[a, o - 1] * then[c, o - 1]
+        else:
+            for a in range(o):
+                for c in range(o):
+                    left = 0.0
+                    for k in range(o):
+                        for i in range(o):
+                            left += phi[a, k] * P[k, i] * phi[c, i]
+                    q[a, c] = P[a, c] - left
+        for a in range(o):
+            for c in range(o):
+                for axis in range(3):
+                    i, k = at + 3 * a + axis, at + 3 * c + axis
+                    out[0][j, i, k] = phi[a, c] * unit[a] / unit[c]
+                    out[1][j, i, k] = q[a, c] * unit[a] * unit[c] * variance[j]
+
+
+@njit
+def _damp(x: float, series: Array, out: Array) -> None:
+    """Transition (o, o) of such a process over x of its times."""
+    scale = math.exp(-x)
+    for a in range(len(out)):
+        for c in range(len(out)):
+            total, power = 0.0, 1.0
+            for i in range(len(out)):
+                total += power * series[i, a, c]
+                power *= x
+            out[a, c] = total * scale
 
 
 def _variance_of(part: Part, levels: Mapping[str, float], rate: Array) -> Array:
