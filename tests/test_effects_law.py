@@ -1096,10 +1096,12 @@ def test_an_error_by_angular_acceleration_is_taken_off(late: float) -> None:
     np.testing.assert_allclose(found, error, atol=1e-5)
 
 
-def test_numbers_that_run_away_are_no_warning() -> None:
+@pytest.mark.parametrize(
+    ("effect", "value"),
+    [("gyro_quadratic", 1e60), ("gyro_scale", math.inf), ("gyro_scale", math.nan)],
+)
+def test_numbers_that_run_away_are_no_warning(effect: str, value: float) -> None:
     """A fit on its way may ask for what no sensor has; that it leads nowhere is seen later."""
     t = np.linspace(0.0, 1.0, 11)
     read = Signals(t, np.full((11, 3), 30.0), np.zeros((11, 3)))
-    assert not np.isfinite(
-        substituted([catalogue()["gyro_quadratic"]], np.full(3, 1e60), read)
-    ).all()
+    assert not np.isfinite(substituted([catalogue()[effect]], np.full(3, value), read)).all()

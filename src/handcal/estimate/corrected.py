@@ -151,7 +151,8 @@ def _unmixing(whole: Array) -> Callable[[Array], Array]:
     made."""
     if not whole.any():
         return lambda rows: rows
-    if not np.isfinite(np.linalg.cond(mixed := np.eye(6) + whole)):
+    mixed = np.eye(6) + whole
+    if not np.isfinite(mixed).all() or not np.isfinite(np.linalg.cond(mixed)):
         return lambda rows: np.full_like(rows, math.nan)
     back = np.linalg.solve(mixed, np.eye(6))
     return lambda rows: np.asarray(rows @ back)

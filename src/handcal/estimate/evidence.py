@@ -280,10 +280,7 @@ def _forward_work(m: int, width: int) -> ForwardWork:
 def means(done: ReducedPass) -> Array:
     """States (k, m, 1) after each epoch of a pass, at its constants ``w``."""
     m, at = done.gain.shape[1], np.r_[1.0, done.w]
-    out, x = (
-        np.empty((len(done.arrays.A), m, 1)),
-        done.reduction.X0[len(done.reduction.X0) - m :] @ at,
-    )
+    out, x = np.empty((len(done.arrays.A), m, 1)), done.reduction.begin @ at
     moved = done.gain, done.innovations(done.w)
     reduced_means(done.arrays, x[:, None].copy(), done.arrays.D @ at, moved, no_entries(m), out)
     return out
