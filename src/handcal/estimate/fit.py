@@ -30,6 +30,8 @@ from handcal.types import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Array, Prior
 # Nats within which evidence rests: of a fit that is written down, of one that a search compares
 # with others, and before noise levels are found anew, which changes it by more.
 TOLERANCE, COMPARED, ROUGH = 0.05, 0.2, 2.0
+# Of these, within which noise levels are found (a search ends where less is promised).
+OF_NOISE = 0.25
 # Nats below what other noise levels gave at which a trajectory is given up.
 ASTRAY = 20.0
 # Of the way to other noise levels, as far as the trajectory can follow.
@@ -118,7 +120,7 @@ def fitted(
         if not left:
             break
         have = now.reductions or [reduced(f.about) for f in now.parts]
-        new = [with_noise(f, r) for f, r in zip(now.parts, have, strict=True)]
+        new = [with_noise(*x, OF_NOISE * tolerance) for x in zip(now.parts, have, strict=True)]
         moved = _with_levels(now, have, new, effects, known, tolerance)
         del have
         if moved is None:
@@ -377,15 +379,15 @@ def with_usual_noise(f: Fitted) -> Fitted:
     return replace(f, levels=levels, curvature=noise_levels.NO_CURVATURE)
 
 
-def with_noise(f: Fitted, reduction: Reduction) -> Fitted:
-    """The fit with its noise levels estimated anew, but for those that are known; reduction: of
-    its linearised problem."""
+def with_noise(f: Fitted, reduction: Reduction, near: float) -> Fitted:
+    """The fit with its noise levels estimated anew within so many nats, but for those that are
+    known; reduction: of its linearised problem."""
     names = tuple(lv.name for lv in f.problem.levels if lv.name not in f.case.fixed)
     if not names:
         return f
     until = f.case.noise_until
     part = reduction if until is None else reduce(noise_levels.until(f.linear, until))
     levels, curvature = noise_levels.estimate(
-        part, f.levels, names, excess=EXCESS, known=f.curvature
+        part, f.levels, names, tolerance=near, excess=EXCESS, known=f.curvature
     )
     return replace(f, levels=levels, curvature=curvature)
