@@ -14,7 +14,7 @@ from handcal.estimate.case import Case, no_fit, other_irons, problem_with
 from handcal.estimate.derivatives import relinearised
 from handcal.estimate.filter import ENGINES
 from handcal.estimate.first_trajectory import first_trajectory
-from handcal.estimate.fit import fitted
+from handcal.estimate.fit import TOLERANCE, fitted
 from handcal.estimate.forked import in_parallel
 from handcal.estimate.linear import About, known_linear, linearise_about
 from handcal.estimate.model import Fitted, Model
@@ -40,7 +40,9 @@ def baseline(cases: Sequence[Case], engine: str = "compiled") -> Model:
         ways += [(*cases[:k], other, *cases[k + 1 :]) for other in other_irons(case)]
 
     def begun(way: Sequence[Case]) -> Model:
-        return fitted((started(c, effects, engine) for c in way), effects, noise_rounds=2)
+        # (written down, as what was found is)
+        first = (started(c, effects, engine) for c in way)
+        return fitted(first, effects, noise_rounds=2, tolerance=TOLERANCE)
 
     if len(ways) == 1:
         return begun(cases)
