@@ -1,6 +1,7 @@
 """Laws that every effect of the catalogue obeys: one file runs them all."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -1022,6 +1023,13 @@ def test_a_filter_is_undone_on_its_side_of_the_other_errors(last: bool) -> None:
     assert near < 0.1 * far
 
 
+def _acting(error: Callable[[np.ndarray, Signals], np.ndarray], *names: str) -> Effect:
+    """An effect with this error, and parameters of these names."""
+    parameters = tuple(Param(name, "1", 1.0) for name in names)
+    scale = replace(catalogue()["gyro_scale"], features=None, proportional=False)
+    return replace(scale, parameters=parameters, imu_error=error)
+
+
 @pytest.mark.parametrize("slope", [-0.7, -0.3, 0.3, 0.77, 1.2, 2.5])
 def test_an_error_as_steep_as_what_is_measured_is_taken_off(slope: float) -> None:
     """What bends by three quarters of the rate: substitution crawls, and must not stop halfway.
@@ -1032,8 +1040,7 @@ def test_an_error_as_steep_as_what_is_measured_is_taken_off(slope: float) -> Non
     def bent(k: np.ndarray, signals: Signals) -> np.ndarray:
         return np.hstack([k[0] * np.tanh(signals.gyro), np.zeros_like(signals.accel)])
 
-    scale = replace(catalogue()["gyro_scale"], features=None, proportional=False)
-    law = replace(scale, parameters=(Param("k", "1", 1.0),), imu_error=bent)
+    law = _acting(bent, "k")
     truth = Signals(t, rate, np.tile([0.0, 0.0, 9.8], (len(t), 1)))
     error = bent(np.array([slope]), truth)
     found = substituted([law], np.array([slope]), replace(truth, gyro=rate + error[:, :3]))
@@ -1051,8 +1058,7 @@ def test_where_an_error_jumps_no_other_sample_suffers() -> None:
         own = k[0] * np.sign(signals.gyro) + k[1] * np.tanh(signals.gyro)
         return np.hstack([own, np.zeros_like(signals.accel)])
 
-    scale = replace(catalogue()["gyro_scale"], features=None, proportional=False)
-    law = replace(scale, parameters=(Param("k", "1", 1.0), Param("b", "1", 1.0)), imu_error=jumping)
+    law = _acting(jumping, "k", "b")
     truth, k = Signals(t, rate, np.tile([0.0, 0.0, 9.8], (len(t), 1))), np.array([0.05, 1.5])
     read = rate + jumping(k, truth)[:, :3] + 0.02 * rng.normal(size=rate.shape)
     lost = np.abs(read) < k[0]

@@ -121,7 +121,7 @@ def reduced_backward(
     (1 + nc, w): what makes of an innovation the one at the constants' posterior mean, and its
     spread. states: r and N after the observations of each epoch, in the row that ``keep`` (k,)
     says (-1: nowhere), or empty. slopes: derivatives of the
-    log-evidence by R (s,), by the two densities whose Q (k, v, v) are Q_unit (2,), by Q_e
+    log-evidence by R (s,), by the two densities whose Q (k, 9, 9) are Q_unit (2,), by Q_e
     (k, e, e) and by the prior of the moving states (m, m; here (m, p)). by_step: derivatives by
     the Markov states' own transitions (k, e, 3 + e), from psi and from each other, and by what is
     added to them (k, e), or empty; passed: X and P after each epoch, for these, with work space

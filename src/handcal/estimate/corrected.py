@@ -64,24 +64,20 @@ def corrected_readings(
     return Corrected(replace(problem, ref=ref, nodes=nodes, error=error), read, raw, error)
 
 
-def _undone(
-    acting: Sequence[Effect], ref: Array, readings: Signals, raw: Array
-) -> tuple[Array, Array, list[tuple[Effect, Array]]]:
-    """What the effects add that come last of all and are undone at once (n, 6); what those add
-    together that are proportional to the truth, to one of rows (6, 6) of it; and those that are
-    left, with their parameters."""
-    total, whole = np.zeros_like(raw), np.zeros((6, 6))
-    left, i = [], 0
+def proportional_apart(
+    acting: Sequence[Effect], ref: Array
+) -> tuple[Array, list[tuple[Effect, Array]]]:
+    """What those effects add together that are proportional to the truth, to one of rows (6, 6) of
+    it; and the others with their parameters, of ``ref`` (c,). Without those that add nothing."""
+    whole, left, i = np.zeros((6, 6)), [], 0
     for e in acting:
         at = ref[i : i + len(e.parameters)]
         i += len(e.parameters)
-        if at.any() and e.imu_inverse is not None and e.last:
-            total += raw - total - e.imu_inverse(at, reading(readings, raw - total))
-        elif at.any() and e.imu_error is not None and e.proportional:
+        if at.any() and e.proportional and e.imu_error is not None:
             whole += e.imu_error(at, units())
         elif at.any():
             left.append((e, at))
-    return total, whole, left
+    return whole, left
 
 
 # (numbers that run away are no fit, which is seen later)
@@ -110,10 +106,10 @@ def substituted(
 
     raw = np.hstack([readings.gyro, readings.accel])
     scale = float(np.abs(raw).max(initial=0.0))
-    undone, whole, present = _undone(acting, ref, readings, raw)
-    given = raw - undone if sway is None else raw - undone + sway @ whole[3:]
+    whole, present = proportional_apart(acting, ref)
+    given, present = _undone(present, readings, raw)
     unmixed = _unmixing(whole)
-    given = unmixed(given)
+    given = unmixed(given if sway is None else given + sway @ whole[3:])
     errors = [np.zeros_like(raw) for _ in present]
     if begin is not None and all(e.imu_inverse is None for e, _ in present):
         truth = felt(raw - begin)
@@ -144,6 +140,20 @@ def substituted(
 
             return raw - _without(added, given, given - begun, enough * scale, SMALL * scale)
     return raw - given + total
+
+
+def _undone(
+    present: Sequence[tuple[Effect, Array]], readings: Signals, raw: Array
+) -> tuple[Array, list[tuple[Effect, Array]]]:
+    """The readings (n, 6) without what comes last of all, which is undone at once, and the effects
+    that are left."""
+    left = []
+    for e, at in present:
+        if e.imu_inverse is not None and e.last:
+            raw = e.imu_inverse(at, reading(readings, raw))
+        else:
+            left.append((e, at))
+    return raw, left
 
 
 def _unmixing(whole: Array) -> Callable[[Array], Array]:
@@ -183,12 +193,13 @@ def _without(
         here = added(own)
         rest = own + here - raw
         by = np.abs(rest)
-        if by.max() < least:
+        far = float(by.max())
+        if far < least:
             return own
         # (what is further off by a step may have come nearer with its neighbours, so long as
         # whatever is furthest off does)
-        nearer = (by < nearest_by) | (by.max() < farthest)
-        farthest = float(np.fmin(farthest, by.max()))
+        nearer = (by < nearest_by) | (far < farthest)
+        farthest = min(farthest, far)
         nearest, nearest_by = np.where(nearer, own, nearest), np.where(nearer, by, nearest_by)
         left.append((int(np.count_nonzero(~(nearest_by < least))), float((nearest_by**2).sum())))
         if len(left) > 2 and not any(

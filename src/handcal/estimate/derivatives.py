@@ -12,10 +12,10 @@ import numpy as np
 
 from handcal.compiled.jit import njit
 from handcal.effects import Effect, Signals, correction_slopes
-from handcal.estimate.corrected import Corrected, corrected_readings
+from handcal.estimate.corrected import Corrected, corrected_readings, proportional_apart
 from handcal.estimate.problem import Problem, Slopes
 from handcal.recordings.streams import STREAMS
-from handcal.signals import at_times, of_recording, reading, units
+from handcal.signals import at_times, of_recording, reading
 from handcal.types import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Array, BoolArray, IntArray, Recording
 
 # What parameters do to the readings is averaged over this long, in motion and at rest.
@@ -84,7 +84,7 @@ def _parts(problem: Problem, read: Signals, truth: Array) -> list[tuple[int, int
     """Channel, constant and derivative (n,) at the IMU's samples, where the true rate and force are
     ``truth`` (n, 6), in the order of the channels."""
     recording = problem.recording
-    compared = bool(problem.observations) and not problem.navigated
+    compared = problem.compared
     signals = reading(read, truth)
     # (what is known of the angular acceleration has none of the noise that is averaged)
     short = max(1, round(AVERAGE_S[0] * recording.rate_hz))
@@ -230,15 +230,9 @@ def errors_by_bias(problem: Problem, bg: Array, ba: Array) -> Array | None:
     read = of_recording(problem.recording, acting, read=raw, alpha=alpha)
     truth = raw - problem.error
     truth = _averaged(truth, max(1, round(AVERAGE_S[0] * problem.recording.rate_hz)))
-    first = np.cumsum([0, *(len(e.parameters) for e in acting)])
-    parts = [
-        (e, problem.ref[i : i + len(e.parameters)]) for e, i in zip(acting, first, strict=False)
-    ]
-    parts = [(e, at) for e, at in parts if e.imu_inverse is None and at.any()]
-    curved = [(e, at) for e, at in parts if not e.proportional]
-    straight = (e.imu_error(at, units()) for e, at in parts if e.proportional and e.imu_error)
-    columns = np.asfortranarray(truth)
-    out = np.tile(-sum(straight, np.zeros((6, 6))).T, (len(imu.t), 1, 1))
+    whole, left = proportional_apart(acting, problem.ref)
+    curved = [(e, at) for e, at in left if e.imu_inverse is None]
+    columns, out = np.asfortranarray(truth), np.tile(-whole.T, (len(imu.t), 1, 1))
     for k, size in enumerate(np.repeat([GYRO_BIAS_PRIOR, ACCEL_BIAS_PRIOR], 3)):
         step = np.zeros(6)
         step[k] = BIAS_STEP * size

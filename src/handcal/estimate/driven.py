@@ -32,18 +32,14 @@ def driven(linear: Linear, levels: Mapping[str, float], v: int = 9) -> Driven:
     problem = linear.problem
     Phi_e, Q_e = markov_transitions(problem, levels, linear.t, linear.rate)
     d_e, Phi_psi = _markov_steps(problem, linear.trajectory.markov[: len(linear.t)], Phi_e)
-    e = problem.markov_size if problem.walks else 0
-    if v == 0:
-        k = len(linear.t)
-        return Driven(np.zeros((k, 0, 0)), np.zeros((k, 0, e)), Phi_e, Q_e, d_e, Phi_psi)
     Q = (
-        levels["gyro_noise"] ** 2 * linear.Q_gyro
-        + levels["accel_noise"] ** 2 * linear.Q_accel
-        + linear.Q_extra
+        levels["gyro_noise"] ** 2 * linear.Q_gyro[:, :v, :v]
+        + levels["accel_noise"] ** 2 * linear.Q_accel[:, :v, :v]
+        + linear.Q_extra[:, :v, :v]
     )
-    B = np.zeros((len(linear.t), 9, e))
+    B = np.zeros((len(linear.t), v, problem.markov_size if problem.walks else 0))
     for state, column in problem.walks:
-        B[:, :, state : state + 3] = linear.Phi[:, :, 9 + column : 12 + column]
+        B[:, :, state : state + 3] = linear.Phi[:, :v, 9 + column : 12 + column]
     return Driven(Q, B, Phi_e, Q_e, d_e, Phi_psi)
 
 

@@ -99,8 +99,7 @@ def reduce(linear: Linear, folds: bool = True, whole: bool = False) -> Reduction
     """
     folded, t = fold(linear) if folds else None, linear.t
     linear = linear if folded is None else folded.linear
-    problem = linear.problem
-    v = 9 if whole or problem.navigated or not problem.observations else 0
+    v = 0 if linear.problem.compared and not whole else 9
     return reduced_of(linear, scalars_of(linear, units(linear), v), folded, t)
 
 
@@ -120,9 +119,8 @@ def reduced_of(linear: Linear, scalars: Scalars, folded: Folded | None, t: Array
     X0[9:, 0] = -nominal.markov[0]
     v, width = scalars.h.shape[1] - e, linear.Phi.shape[2]
     D = np.zeros((len(linear.t), v, 1 + 6 + c))
-    if v > 0:
-        D[:, :, 0] = linear.d
-        np.multiply(linear.Phi[:, :, 9:], scale[: width - 9], out=D[:, :, 1 : width - 8])
+    D[:, :, 0] = linear.d[:, :v]
+    np.multiply(linear.Phi[:, :v, 9:], scale[: width - 9], out=D[:, :, 1 : width - 8])
     linear = replace(linear, H=np.zeros((0, *linear.H.shape[1:])))
     folded = None if folded is None else replace(folded, linear=linear)
     first, g, h, slot = scalars
@@ -331,7 +329,7 @@ def _reduced_arrays(reduction: Reduction, levels: Mapping[str, float]) -> Reduce
     linear, v = reduction.linear, reduction.navigation
     noise = driven(linear, levels, v)
     return Reduced(
-        linear.Phi if v > 0 else np.zeros((len(linear.t), 0, linear.Phi.shape[2])),
+        linear.Phi[:, :v],
         reduction.D,
         noise.Q,
         noise.B,

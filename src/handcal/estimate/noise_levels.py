@@ -243,19 +243,18 @@ class Score:
         """Derivative by the logarithm of a level of what it does to one process."""
         linear, own = self.linear, block.own
         dt = np.diff(linear.t, prepend=linear.t[0])
+        Phi, Q = _by_level(block.markov, name, levels, dt, linear.rate)
         up, down = _stepped(name, levels)
-        more, less = (block.markov.transition(some, dt, linear.rate) for some in (up, down))
         rate = float(linear.problem.rate[0])
         start = block.markov.start(up, rate) - block.markov.start(down, rate)
         v = self.reduction.navigation
         in_m = slice(v + own.start, v + own.stop)
         out = float(np.vdot(slopes.prior[in_m, in_m], start))
-        out += float(np.vdot(slopes.Q_e[1:, own, own], more[1][1:] - less[1][1:]))
+        out += float(np.vdot(slopes.Q_e[1:, own, own], Q[1:]))
         if block.moves:
-            Phi = more[0][1:] - less[0][1:]
-            d_e = np.einsum("kij,kj->ki", Phi, linear.trajectory.markov[: len(dt) - 1, own])
+            d_e = np.einsum("kij,kj->ki", Phi[1:], linear.trajectory.markov[: len(dt) - 1, own])
             by_psi, by_state = slopes.step[1:, own, :3], slopes.step[1:, own, 3:][:, :, own]
-            out += float(np.vdot(by_state, Phi)) + float(np.vdot(slopes.d_e[1:, own], d_e))
+            out += float(np.vdot(by_state, Phi[1:])) + float(np.vdot(slopes.d_e[1:, own], d_e))
             for i in range(0, 3 * block.markov.vectors, 3):
                 out += float(np.vdot(by_psi[:, i : i + 3], so3.skew(d_e[:, i : i + 3])))
         return out / (2 * STEP)
@@ -274,9 +273,10 @@ class _Block:
 def _by_level(
     markov: Markov, name: str, levels: Mapping[str, float], dt: Array, rate: Array
 ) -> tuple[Array, Array]:
-    """Derivatives of a process's Phi and Q (k, size, size) by the logarithm of a level."""
+    """Differences of a process's Phi and Q (k, size, size) over twice ``STEP`` of the logarithm of
+    a level."""
     a, b = (markov.transition(some, dt, rate) for some in _stepped(name, levels))
-    return (a[0] - b[0]) / (2 * STEP), (a[1] - b[1]) / (2 * STEP)
+    return a[0] - b[0], a[1] - b[1]
 
 
 def _stepped(name: str, levels: Mapping[str, float]) -> tuple[dict[str, float], dict[str, float]]:

@@ -104,6 +104,11 @@ class Problem:
         return any(o.navigates for o in self.observations)
 
     @property
+    def compared(self) -> bool:
+        """Whether readings are compared with a reference's, and nothing is navigated."""
+        return bool(self.observations) and not self.navigated
+
+    @property
     def prior_mean(self) -> Array:
         """Prior means (c,) of the constants."""
         return np.array([s.prior_mean for s in self.slots])
