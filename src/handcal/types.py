@@ -184,7 +184,9 @@ class Level:
 class Markov(Protocol):
     """Extra states with dynamics of their own (hand sway, correlated noise).
 
-    vectors: how many of them, three by three from the first, are vectors in n.
+    vectors: how many of them, three by three from the first, are vectors in n. One with matrices of
+    which most is zero may have a method ``weighed`` besides, which does what
+    ``noise_levels.weighed`` does without them.
     """
 
     size: int

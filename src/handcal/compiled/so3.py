@@ -176,6 +176,12 @@ def skew(x: Array) -> Array:
     return np.asarray(out - np.swapaxes(out, -1, -2))
 
 
+def along_skew(A: Array) -> Array:
+    """Vectors (..., 3) whose products with any x are the sums of A (..., 3, 3) times [x cross]."""
+    rows = A[..., 2, 1] - A[..., 1, 2], A[..., 0, 2] - A[..., 2, 0], A[..., 1, 0] - A[..., 0, 1]
+    return np.stack(rows, axis=-1)
+
+
 def yaw_of(C: Array) -> Array:
     """Heading atan2(C[1, 0], C[0, 0]) of rotation matrices (..., 3, 3), rad."""
     return np.asarray(np.arctan2(C[..., 1, 0], C[..., 0, 0]))

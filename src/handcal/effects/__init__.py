@@ -50,6 +50,8 @@ ATTITUDE, PLACE = "attitude", "place"
 # Places in an observation's z (Z_DIM numbers) that are the same for every kind.
 Z_DIM = 47
 DELAY, TIME, WARMTH = 44, 45, 46
+# Courses that signals keep of what was worked out of them last: all of one product and its axes.
+KEPT_COURSES = 24
 # Temperature at which its effects are zero, degC.
 ROOM = 25.0
 
@@ -87,6 +89,17 @@ class Signals:
     C_nb: Array | None = field(default=None, kw_only=True)
     alpha: Array | None = field(default=None, kw_only=True)
     streams: Mapping[str, Array] = field(default_factory=dict, kw_only=True)
+    _worked_out: dict[tuple[object, ...], Array] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
+
+    def once(self, key: tuple[object, ...], course: Callable[[], Array]) -> Array:
+        """What is worked out of these signals, kept while it is asked for again and again."""
+        found = self._worked_out.pop(key, None)
+        self._worked_out[key] = course() if found is None else found
+        if len(self._worked_out) > KEPT_COURSES:
+            del self._worked_out[next(iter(self._worked_out))]
+        return self._worked_out[key]
 
     @property
     def temperature(self) -> Array | None:

@@ -63,7 +63,7 @@ def differentiated(
     swinging = _swinging(problem)
     if swinging and C_nb is not None:
         parts = _turned(parts, swinging, C_nb)
-    at_imu = np.stack([p[2] for p in parts], axis=1) if parts else np.zeros((len(imu.t), 0))
+    at_imu = np.stack([p[2] for p in parts]) if parts else np.zeros((0, len(imu.t)))
     if noise is not None:
         at_imu = _calmed(at_imu, recording.rate_hz, quiet)
     if swinging and C_nb is not None:
@@ -133,7 +133,7 @@ def _turned(
 def _turn_back(
     parts: Sequence[tuple[int, int, Array]], swinging: Set[int], C_nb: Array, columns: Array
 ) -> None:
-    """Columns (n, s) of ``_turned``, along the sensor's axes again."""
+    """Columns (s, n) of ``_turned``, along the sensor's axes again."""
     places: dict[int, list[int]] = {}
     for s, (_, k, _) in enumerate(parts):
         if k in swinging:
@@ -144,12 +144,12 @@ def _turn_back(
 
 @njit
 def _by_transpose(C: Array, places: IntArray, x: Array) -> None:
-    """Multiply three columns of x (n, s) at a time, at ``places`` (k, 3), by C^T (n, 3, 3)."""
-    for i in range(len(x)):
-        for own in places:
-            a, b, c = x[i, own[0]], x[i, own[1]], x[i, own[2]]
+    """Multiply three columns of x (s, n) at a time, at ``places`` (k, 3), by C^T (n, 3, 3)."""
+    for own in places:
+        for i in range(x.shape[1]):
+            a, b, c = x[own[0], i], x[own[1], i], x[own[2], i]
             for j in range(3):
-                x[i, own[j]] = C[i, 0, j] * a + C[i, 1, j] * b + C[i, 2, j] * c
+                x[own[j], i] = C[i, 0, j] * a + C[i, 1, j] * b + C[i, 2, j] * c
 
 
 def _place(part: tuple[int, int, Array]) -> tuple[int, int]:
@@ -197,11 +197,11 @@ def _acting(x: Array) -> BoolArray:
 
 @njit
 def _onto_nodes(x: Array, right: IntArray, share: Array, out: Array) -> None:
-    """Columns (n, s) at the IMU's samples, on straight lines, at the nodes (k, s)."""
+    """Columns (s, n) at the IMU's samples, on straight lines, at the nodes (k, s)."""
     for i in range(len(right)):
         b, u = right[i], share[i]
-        for c in range(x.shape[1]):
-            out[i, c] = x[b - 1, c] * (1.0 - u) + x[b, c] * u
+        for c in range(len(x)):
+            out[i, c] = x[c, b - 1] * (1.0 - u) + x[c, b] * u
 
 
 def _stilled(truth: Array, t: Array, quiet: BoolArray) -> Array:
@@ -257,17 +257,17 @@ def _changes(
 
 
 def _calmed(J: Array, rate: float, quiet: BoolArray) -> Array:
-    """J (n, k) averaged over a short time, and over a longer one within each quiet while.
+    """J (k, n) averaged over a short time, and over a longer one within each quiet while.
 
-    Neither reaches beyond its while, and each row weighs as much as any other: what is averaged
-    adds up to what it did before. A delay's derivative is noise that adds up to nothing; where rows
-    at the end of a rest weighed more, it told of velocities that nobody had.
+    Neither reaches beyond its while, and each sample weighs as much as any other: what is averaged
+    adds up to what it did before. A delay's derivative is noise that adds up to nothing; where the
+    end of a rest weighed more, it told of velocities that nobody had.
     """
     moving, resting = (max(1, round(s * rate)) for s in AVERAGE_S)
     out = np.empty_like(J)
     for width, whiles in ((moving, _whiles(~quiet)), (resting, _whiles(quiet))):
         for a, b in whiles:
-            _mean_within(J[a:b], width, out[a:b])
+            _mean_within(J, a, b, width, out)
     return out
 
 
@@ -306,24 +306,22 @@ def _running_mean(x: Array, width: int, out: Array) -> None:
 
 
 @njit
-def _mean_within(x: Array, width: int, out: Array) -> None:
-    """Means over ``width`` rows of x (n, k) about each, the rows mirrored at both ends: the matrix
-    of that is symmetric, so that columns add up to what they did."""
-    n, k = x.shape
+def _mean_within(x: Array, begin: int, end: int, width: int, out: Array) -> None:
+    """Means over ``width`` samples of x (k, n) about each from begin to end, these mirrored at both
+    ends: the matrix of that is symmetric, so that columns add up to what they did."""
+    n = end - begin
     reach = min(width // 2, n - 1)
-    total = np.zeros(k)
-    for j in range(-reach, reach + 1):
-        for c in range(k):
-            total[c] += x[_mirrored(j, n), c]
-    for i in range(n):
-        for c in range(k):
-            out[i, c] = total[c] / (2 * reach + 1)
-        old, new = _mirrored(i - reach, n), _mirrored(i + reach + 1, n)
-        for c in range(k):
-            total[c] += x[new, c] - x[old, c]
+    for c in range(len(x)):
+        total = 0.0
+        for j in range(-reach, reach + 1):
+            total += x[c, begin + _mirrored(j, n)]
+        for i in range(n):
+            out[c, begin + i] = total / (2 * reach + 1)
+            old, new = _mirrored(i - reach, n), _mirrored(i + reach + 1, n)
+            total += x[c, begin + new] - x[c, begin + old]
 
 
 @njit
 def _mirrored(i: int, n: int) -> int:
-    """Row i of n rows that are mirrored at both ends, not further away than they are long."""
+    """Number i of n that are mirrored at both ends, not further away than they are long."""
     return -1 - i if i < 0 else 2 * n - 1 - i if i >= n else i

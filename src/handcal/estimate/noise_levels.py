@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -203,17 +204,18 @@ class Score:
         self.linear = linear = reduction.linear
         # a few intervals are enough to see what a level does
         few = np.unique(np.linspace(0, len(linear.t) - 1, 50).astype(int))
-        dt, rate = np.diff(linear.t, prepend=linear.t[0])[few], 1.0 + linear.rate[few]
-        self.by: dict[str, list[_Block]] = {n: [] for n in names if n not in SENSORS}
+        self.dt = np.diff(linear.t, prepend=linear.t[0])
+        dt, rate = self.dt[few], 1.0 + linear.rate[few]
+        self.processes: list[_Process] = []
         at = 0
         for markov in linear.problem.markovs:
             own = slice(at, at + markov.size)
             at = own.stop
-            for n in self.by:
-                Phi, Q = _by_level(markov, n, levels, dt, rate)
-                if Phi.any() or Q.any():
-                    self.by[n].append(_Block(markov, own, bool(Phi.any())))
-        self.moving = any(block.moves for blocks in self.by.values() for block in blocks)
+            differ = {n: _by_level(markov, n, levels, dt, rate) for n in names if n not in SENSORS}
+            changed = {n: bool(Phi.any()) for n, (Phi, Q) in differ.items() if Phi.any() or Q.any()}
+            if changed:
+                self.processes.append(_Process(markov, own, tuple(changed), any(changed.values())))
+        self.moving = any(p.moves for p in self.processes)
 
     def __call__(self, levels: Mapping[str, float]) -> tuple[float, Array]:
         """Log-evidence at these levels and its slope by the logarithm of each name's."""
@@ -233,41 +235,67 @@ class Score:
             up, down = _stepped(name, levels)
             R = observation_variances(problem, up) - observation_variances(problem, down)
             out[i] = by_R @ R.ravel() / (2 * STEP)
-            for block in self.by[name]:
-                out[i] += self._by_block(block, name, levels, slopes)
+        at = {name: i for i, name in enumerate(self.names)}
+        for process in self.processes:
+            for name, slope in zip(
+                process.names, self._by_process(process, levels, slopes), strict=True
+            ):
+                out[at[name]] += slope
         return done.log_evidence, out
 
-    def _by_block(
-        self, block: _Block, name: str, levels: Mapping[str, float], slopes: Slopes
-    ) -> float:
-        """Derivative by the logarithm of a level of what it does to one process."""
-        linear, own = self.linear, block.own
-        dt = np.diff(linear.t, prepend=linear.t[0])
-        Phi, Q = _by_level(block.markov, name, levels, dt, linear.rate)
-        up, down = _stepped(name, levels)
+    def _by_process(self, process: _Process, levels: Mapping[str, float], slopes: Slopes) -> Array:
+        """Derivatives by the logarithms of a process's levels of what these do to it."""
+        linear, own, markov = self.linear, process.own, process.markov
+        many = [some for name in process.names for some in _stepped(name, levels)]
         rate = float(linear.problem.rate[0])
-        start = block.markov.start(up, rate) - block.markov.start(down, rate)
         v = self.reduction.navigation
         in_m = slice(v + own.start, v + own.stop)
-        out = float(np.vdot(slopes.prior[in_m, in_m], start))
-        out += float(np.vdot(slopes.Q_e[1:, own, own], Q[1:]))
-        if block.moves:
-            d_e = np.einsum("kij,kj->ki", Phi[1:], linear.trajectory.markov[: len(dt) - 1, own])
-            by_psi, by_state = slopes.step[1:, own, :3], slopes.step[1:, own, 3:][:, :, own]
-            out += float(np.vdot(by_state, Phi[1:])) + float(np.vdot(slopes.d_e[1:, own], d_e))
-            for i in range(0, 3 * block.markov.vectors, 3):
-                out += float(np.vdot(by_psi[:, i : i + 3], so3.skew(d_e[:, i : i + 3])))
-        return out / (2 * STEP)
+        by_Q, by_start = slopes.Q_e[1:, own, own], slopes.prior[in_m, in_m]
+        by_Phi = self._by_step(process, slopes) if process.moves else by_Q[:0]
+        told = getattr(markov, "weighed", partial(weighed, markov))
+        sums = told(many, self.dt[1:], linear.rate[1:], by_Phi, by_Q)
+        starts = np.array([float(np.vdot(by_start, markov.start(some, rate))) for some in many])
+        ends = (sums + starts).reshape(-1, 2)
+        return np.asarray((ends[:, 0] - ends[:, 1]) / (2 * STEP))
+
+    def _by_step(self, process: _Process, slopes: Slopes) -> Array:
+        """Derivatives (n, size, size) by how a process moves: of its states, and of the vectors in
+        n, which turn with the attitude's error."""
+        own = process.own
+        by_psi, out = slopes.step[1:, own, :3], slopes.step[1:, own, 3:][:, :, own].copy()
+        by_d = slopes.d_e[1:, own].copy()
+        for i in range(0, 3 * process.markov.vectors, 3):
+            by_d[:, i : i + 3] += so3.along_skew(by_psi[:, i : i + 3])
+        out += by_d[:, :, None] * self.linear.trajectory.markov[: len(out), None, own]
+        return np.asarray(out)
 
 
 @dataclass(frozen=True)
-class _Block:
-    """A process that a level changes: its places among the Markov states, and whether the level
-    changes how they move, besides what drives them."""
+class _Process:
+    """A process that levels change: its places among the Markov states, their names, and whether
+    one changes how they move, besides what drives them."""
 
     markov: Markov
     own: slice
+    names: tuple[str, ...]
     moves: bool
+
+
+def weighed(
+    markov: Markov,
+    many: Sequence[Mapping[str, float]],
+    dt: Array,
+    rate: Array,
+    by_Phi: Array,
+    by_Q: Array,
+) -> Array:
+    """A process's Phi and Q (n, size, size) at each of these levels, every entry times what it
+    weighs, summed (m,); none of Phi where its weights are empty."""
+    out = np.zeros(len(many))
+    for i, levels in enumerate(many):
+        Phi, Q = markov.transition(levels, dt, rate)
+        out[i] = np.vdot(by_Q, Q) + np.vdot(by_Phi, Phi[: len(by_Phi)])
+    return out
 
 
 def _by_level(

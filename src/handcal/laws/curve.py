@@ -98,7 +98,7 @@ def _of_law(law: Law, signals: Signals) -> list[tuple[Array, Array, Array]]:
     """A law's driver (n,), what a unit of each of its constants adds (n, k), and by what that is
     multiplied (n,): of each axis, or of all together where they have the same constants."""
     one = law.form.constants
-    x = [law.driver.of(signals, axis) for axis in law.axes]
+    x = [law.driver.course(signals, axis) for axis in law.axes]
     scale = [law.driver.scale(signals, axis) for axis in law.axes]
     if not law.each:
         together = np.concatenate(x)

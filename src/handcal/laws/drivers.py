@@ -91,7 +91,12 @@ class Driver:
     def scale(self, signals: Signals, axis: int) -> Array:
         """What it drives is multiplied by, (n,)."""
         one = np.ones_like(signals.t)
-        return one if self.factor is None else self.factor.of(signals, axis)
+        return one if self.factor is None else self.factor.course(signals, axis)
+
+    def course(self, signals: Signals, axis: int) -> Array:
+        """``of`` these signals, which is not worked out again for each law over it; not to be
+        changed."""
+        return signals.once((self.of, axis), lambda: self.of(signals, axis))
 
 
 def _rate(n: int) -> Of:
@@ -156,25 +161,27 @@ def slope(of: Driver) -> Driver:
 
 def size(of: Driver) -> Driver:
     """The size of a driver."""
-    return Driver(f"|{of.name}|", of.unit, lambda s, axis: np.abs(of.of(s, axis)), signed=False)
+    return Driver(f"|{of.name}|", of.unit, lambda s, axis: np.abs(of.course(s, axis)), signed=False)
 
 
 def square(of: Driver) -> Driver:
     """The square of a driver."""
-    return Driver(f"{of.name}^2", f"({of.unit})^2", lambda s, axis: of.of(s, axis) ** 2, LINE,
+    return Driver(f"{of.name}^2", f"({of.unit})^2", lambda s, axis: of.course(s, axis) ** 2, LINE,
                   signed=False)  # fmt: skip
 
 
 def side(of: Driver, sign: int) -> Driver:
     """A driver where it is positive (or where it is negative, its size); else zero."""
     text = f"max({'-' * (sign < 0)}{of.name}, 0)"
-    return Driver(text, of.unit, lambda s, axis: np.maximum(sign * of.of(s, axis), 0.0), LINE,
+    return Driver(text, of.unit, lambda s, axis: np.maximum(sign * of.course(s, axis), 0.0), LINE,
                   signed=False, needs=of.needs)  # fmt: skip
 
 
 def _sign(of: Driver) -> Driver:
     near = SIGN[of.unit]
-    return Driver(f"tanh({of.name} / {near:g})", "", lambda s, axis: np.tanh(of.of(s, axis) / near))
+    return Driver(
+        f"tanh({of.name} / {near:g})", "", lambda s, axis: np.tanh(of.course(s, axis) / near)
+    )
 
 
 def operated(operator: str, of: Driver, number: float, only: int | None = None) -> Driver:
@@ -182,7 +189,7 @@ def operated(operator: str, of: Driver, number: float, only: int | None = None) 
     op, number = OPERATORS[operator], float(f"{number:.3g}")
 
     def values(s: Signals, axis: int) -> Array:
-        x = of.of(s, axis)
+        x = of.course(s, axis)
         return op.values(s.t, np.unwrap(x) if of.round else x, number)
 
     return Driver(
@@ -240,7 +247,7 @@ def times(a: Driver, b: Driver) -> Driver:
         unit = a.unit if b.unit in ("", "1") else f"{a.unit}*{b.unit}"
     again = b.at
     return Driver(
-        f"{a.name} * {b.name}", unit, lambda s, axis: a.of(s, axis) * b.of(s, axis), LINE,
+        f"{a.name} * {b.name}", unit, lambda s, axis: a.course(s, axis) * b.course(s, axis), LINE,
         number=b.number, at=None if again is None else lambda n: times(a, again(n)),
         needs=(*a.needs, *b.needs),
     )  # fmt: skip

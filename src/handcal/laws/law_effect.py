@@ -124,7 +124,7 @@ class Law:
     def values(self, signals: Signals, axis: int) -> Array:
         """What a unit of each constant of the form adds on one axis, (n, k)."""
         scale = np.reshape(self.driver.scale(signals, axis), (-1, 1))
-        return np.asarray(self.form.values(self.driver.of(signals, axis)) * scale)
+        return np.asarray(self.form.values(self.driver.course(signals, axis)) * scale)
 
 
 def _unit(own: str, driver: str, power: float) -> str:

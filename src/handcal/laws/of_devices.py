@@ -94,7 +94,7 @@ def _usual(sensor: int, driver: Driver, form: Form) -> float:
     """The constant of a law that is clearly visible in a motion of all axes; 0 where it does
     nothing there."""
     signals = probe(PROBED)
-    x = np.concatenate([form.values(driver.of(signals, axis)) for axis in range(3)])
+    x = np.concatenate([form.values(driver.course(signals, axis)) for axis in range(3)])
     rms = float(np.sqrt(np.mean(x**2)))
     return SIZE[sensor] / rms if rms > 1e-9 else 0.0
 

@@ -70,7 +70,7 @@ def further_blocks(signals: Signals, sensor: str) -> list[Block]:
 
 
 def _over(driver: Driver, signals: Signals, sensors: Iterable[int]) -> list[Block]:
-    x = np.stack([driver.of(signals, axis) for axis in range(3)])
+    x = np.stack([driver.course(signals, axis) for axis in range(3)])
     rms = float(np.sqrt(np.mean(x**2)))
     if rms < 1e-9 or np.ptp(x) < 1e-6 * rms:
         return []
@@ -169,7 +169,7 @@ def written_out(about_: About, law: Law) -> list[tuple[Law, float]]:
     """The law as the formulas that gain most over the model, and what they gain: of one function,
     of two, and of two with the same numbers; with their numbers adjusted."""
     driver = law.driver
-    x = np.stack([driver.of(about_.signals, axis) for axis in range(3)])
+    x = np.stack([driver.course(about_.signals, axis) for axis in range(3)])
     over = range_of(x, driver.signed)
     parts = parts_for(over, driver.signed, driver.round, driver.factor is not None)
     return [_adjusted(about_, *end) for end in _tried(about_, law, parts)]

@@ -181,7 +181,7 @@ def closest(
     b, G = basis.through.T @ b, basis.through.T @ G @ basis.through
 
     def gain(values: Array) -> Array:
-        return _gained(values @ b, np.einsum("...i,ij,...j->...", values, G, values))
+        return _gained(values @ b, values @ G @ values)
 
     ends: list[tuple[float, Family, Array, Array]] = []
     for family in basis.families:

@@ -62,7 +62,7 @@ def _up(n: int) -> Of:
 
 
 def _total(of: Driver) -> Of:
-    return lambda s, _: np.sqrt(sum(of.of(s, axis) ** 2 for axis in range(3)))
+    return lambda s, _: np.sqrt(sum(of.course(s, axis) ** 2 for axis in range(3)))
 
 
 def _along(n: int) -> Of:
@@ -181,7 +181,7 @@ def further(signals: Signals, sensor: int) -> Iterator[Driver]:
 def _operated(of: Driver, signals: Signals, names: tuple[str, ...]) -> Iterator[Driver]:
     """What these operators make of a driver, with the numbers to begin with; but for what the
     first vocabulary has."""
-    x = np.stack([of.of(signals, axis) for axis in range(3)], axis=1)
+    x = np.stack([of.course(signals, axis) for axis in range(3)], axis=1)
     for name in names:
         for number in OPERATORS[name].begun(signals.t, x):
             if number > 0.0 and (made := operated(name, of, number)).name not in DRIVERS:

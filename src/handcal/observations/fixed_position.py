@@ -7,7 +7,7 @@ Sway is a displacement of that point: a critically damped second-order Markov pr
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -94,6 +94,28 @@ class Sway:
             at += 3 * part.order
         return Phi, Q
 
+    def weighed(
+        self,
+        many: Sequence[Mapping[str, float]],
+        dt: Array,
+        rate: Array,
+        by_Phi: Array,
+        by_Q: Array,
+    ) -> Array:
+        """Phi and Q at each of these levels, every entry times what it weighs, summed (m,)."""
+        out, at = np.zeros(len(many)), 0
+        for part in self.parts:
+            n = np.arange(part.order)
+            # (its size only scales Q: of one time there is one course)
+            for time in {levels[part.time] for levels in many}:
+                course = np.empty(len(dt))
+                shape = np.power(1.0 / time, n), _shape(part.order)
+                by_phi = _weighed(dt / time, *shape, at, (by_Phi, by_Q), course)
+                for i in (i for i, levels in enumerate(many) if levels[part.time] == time):
+                    out[i] += by_phi + course @ _variance_of(part, many[i], rate)
+            at += 3 * part.order
+        return out
+
     def start(self, levels: Mapping[str, float], rate: float) -> Array:
         """Stationary covariance at the turning rate of the start."""
         out, at = np.zeros((self.size, self.size)), 0
@@ -149,34 +171,64 @@ def _fill(
     unit (o,): what a unit of each state is; variance (k,): its size; shape: terms (o, o, o) of its
     series, the covariance P, points, weights, and below what x a while is short.
     """
-    series, P, points, weights, short = shape
     o = len(unit)
     phi, then, q = np.empty((o, o)), np.empty((o, o)), np.empty((o, o))
     for j in range(len(x)):
-        _damp(x[j], series, phi)
-        if x[j] < short:
-            for a in range(o):
-                for c in range(o):
-                    q[a, c] = 0.0
-            for n in range(len(points)):
-                _damp(points[n] * x[j], series, then)
-                for a in range(o):
-                    for c in range(o):
-                        q[a, c] += weights[n] * x[j] * then[a, o - 1] * then[c, o - 1]
-        else:
-            for a in range(o):
-                for c in range(o):
-                    left = 0.0
-                    for k in range(o):
-                        for i in range(o):
-                            left += phi[a, k] * P[k, i] * phi[c, i]
-                    q[a, c] = P[a, c] - left
+        _step(x[j], shape, then, phi, q)
         for a in range(o):
             for c in range(o):
                 for axis in range(3):
                     i, k = at + 3 * a + axis, at + 3 * c + axis
                     out[0][j, i, k] = phi[a, c] * unit[a] / unit[c]
                     out[1][j, i, k] = q[a, c] * unit[a] * unit[c] * variance[j]
+
+
+@njit
+def _weighed(
+    x: Array, unit: Array, shape: Shape, at: int, by: tuple[Array, Array], course: Array
+) -> float:
+    """The sum of what ``_fill`` would write to Phi, each entry times its weight in by[0] (k, n, n;
+    or empty); course (k,) receives that of Q and by[1] in each interval, of size 1."""
+    o = len(unit)
+    phi, then, q = np.empty((o, o)), np.empty((o, o)), np.empty((o, o))
+    out, moves = 0.0, len(by[0]) > 0
+    for j in range(len(x)):
+        _step(x[j], shape, then, phi, q)
+        course[j] = 0.0
+        for a in range(o):
+            for c in range(o):
+                for axis in range(3):
+                    i, k = at + 3 * a + axis, at + 3 * c + axis
+                    course[j] += by[1][j, i, k] * q[a, c] * unit[a] * unit[c]
+                    if moves:
+                        out += by[0][j, i, k] * phi[a, c] * unit[a] / unit[c]
+    return out
+
+
+@njit
+def _step(x: float, shape: Shape, then: Array, phi: Array, q: Array) -> None:
+    """Transition and what is new (o, o) over x of its times, of size and time 1; then: work
+    space."""
+    series, P, points, weights, short = shape
+    o = len(phi)
+    _damp(x, series, phi)
+    if x < short:
+        for a in range(o):
+            for c in range(o):
+                q[a, c] = 0.0
+        for n in range(len(points)):
+            _damp(points[n] * x, series, then)
+            for a in range(o):
+                for c in range(o):
+                    q[a, c] += weights[n] * x * then[a, o - 1] * then[c, o - 1]
+    else:
+        for a in range(o):
+            for c in range(o):
+                left = 0.0
+                for k in range(o):
+                    for i in range(o):
+                        left += phi[a, k] * P[k, i] * phi[c, i]
+                q[a, c] = P[a, c] - left
 
 
 @njit

@@ -20,7 +20,7 @@ acts across a lever arm, never along it.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -114,6 +114,20 @@ class InMotion:
             phi[:, None, None] * np.eye(6),
             ((1.0 - phi**2)[:, None] * variance)[:, :, None] * np.eye(6),
         )
+
+    def weighed(
+        self,
+        many: Sequence[Mapping[str, float]],
+        dt: Array,
+        rate: Array,
+        by_Phi: Array,  # noqa: ARG002
+        by_Q: Array,
+    ) -> Array:
+        """Q at each of these levels, every entry times what it weighs, summed (m,); no level
+        changes Phi."""
+        new = -np.expm1(-2.0 * dt / MEMORY_S) * (rate**2 + SLOWEST**2)
+        along = new @ np.diagonal(by_Q, axis1=1, axis2=2)
+        return np.array([along @ self._variance(levels) for levels in many])
 
     def start(self, levels: Mapping[str, float], rate: float) -> Array:
         """Variances at this rate."""
