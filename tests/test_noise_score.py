@@ -21,9 +21,12 @@ from handcal.estimate.model import Fitted
 from handcal.estimate.noise_levels import Score
 from handcal.estimate.transfer import moved_to
 from handcal.laws import with_motion
+from handcal.observations.fixed_position import CREEP, CREEPING, SWAY, Sway
+from handcal.observations.known_input import MOTION, InMotion
 from handcal.recordings.inputs import load
 from handcal.search.drifting_point import begun
 from handcal.search.noise_scan import looks_of
+from handcal.types import Markov
 from handcal_sim import simulate
 from handcal_sim.mcap_writer import write
 from handcal_sim.phone import Phone, capture_pose, consumer_phone
@@ -172,3 +175,19 @@ def test_what_is_shared_is_kept_where_one_holds_it_all() -> None:
             whole, rel=2e-3
         )
         assert np.exp((option - x)[1:]).min() == pytest.approx(1.0 / noise_levels.NEARLY_NONE)
+
+
+@pytest.mark.parametrize("process", [Sway(SWAY), Sway(SWAY, CREEP), InMotion()])
+@pytest.mark.parametrize("moves", [True, False])
+def test_what_a_process_weighs_without_its_matrices(process: Markov, moves: bool) -> None:
+    """Short intervals and long ones, weights of any kind: as with the matrices written out."""
+    rng = np.random.default_rng(0)
+    dt, rate = rng.choice([1e-3, 0.02, 0.7, 6.0], 40), rng.uniform(0.0, 3.0, 40)
+    names = [*(lv.name for lv in CREEPING.levels), *MOTION]
+    many = [{n: float(rng.uniform(0.1, 2.0)) for n in names} for _ in range(3)]
+    many.append(many[0] | {"sway": 0.3})
+    by_Q, by_Phi = rng.standard_normal((2, 40, process.size, process.size))
+    by_Phi = by_Phi if moves and isinstance(process, Sway) else by_Phi[:0]
+    want = noise_levels.weighed(process, many, dt, rate, by_Phi, by_Q)
+    found = process.weighed(many, dt, rate, by_Phi, by_Q)  # type: ignore[attr-defined]
+    assert np.allclose(found, want, rtol=1e-10, atol=1e-12)

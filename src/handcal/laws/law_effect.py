@@ -305,6 +305,8 @@ def basis(columns: Array) -> Array:
 
 def spanned(Q: Array, U: Array) -> BoolArray:
     """Which columns of U (n, q) lie in the span of the orthonormal ones Q (n, r)."""
-    whole = np.einsum("nq,nq->q", U, U)
-    part = np.einsum("nr,nq->rq", Q, U)
-    return np.asarray(whole - np.einsum("rq,rq->q", part, part) <= SPANNED * whole)
+    # (an exponential may be beyond all numbers on the probing motion: that lies in no span)
+    with np.errstate(over="ignore", invalid="ignore"):
+        whole = np.einsum("nq,nq->q", U, U)
+        part = np.einsum("nr,nq->rq", Q, U)
+        return np.asarray(whole - np.einsum("rq,rq->q", part, part) <= SPANNED * whole)
