@@ -1068,6 +1068,31 @@ def test_where_an_error_jumps_no_other_sample_suffers() -> None:
     np.testing.assert_allclose(found[~lost], asked[~lost], atol=1e-5)
 
 
+@pytest.mark.parametrize("late", [0.02, -0.06, -0.095])
+def test_a_delay_of_many_samples_is_undone_beside_a_steep_law(late: float) -> None:
+    """An accelerometer that is late, though not by what else is read, as wide as twelve samples of
+    noise; while the gyro bends by more than the rate. (Newton's steps, which the gyro asks for,
+    took what the delay adds from one step to the next, and doubled it each time.)"""
+    t = np.arange(0.0, 10.0, 0.008)
+    rng = np.random.default_rng(0)
+    rate = np.stack([3.0 * np.sin((1.3 + 0.3 * a) * t) for a in range(3)], axis=1)
+    force = 9.8 * np.sin(rate) + 0.1 * rng.normal(size=rate.shape)
+
+    def bent(k: np.ndarray, signals: Signals) -> np.ndarray:
+        return np.hstack([k[0] * np.tanh(signals.gyro), np.zeros_like(signals.accel)])
+
+    law, delay = _acting(bent, "k"), replace(catalogue()["accel_delay"], last=False)
+    assert delay.imu_inverse is not None
+    read = replace(
+        Signals(t, rate, force), gyro=rate + bent(np.array([1.5]), Signals(t, rate, force))[:, :3]
+    )
+    found = substituted([delay, law], np.array([late, 1.5]), read)
+    raw = np.hstack([read.gyro, read.accel])
+    np.testing.assert_allclose(raw[:, :3] - found[:, :3], rate, atol=1e-5)
+    truth = delay.imu_inverse(np.array([late]), read)
+    np.testing.assert_allclose(raw[:, 3:] - found[:, 3:], truth[:, 3:], atol=1e-5)
+
+
 @pytest.mark.parametrize("effect", [e for e in catalogue().values() if e.imu_error is not None])
 def test_what_is_proportional_says_so(effect: Effect) -> None:
     """A matrix times the reading, in a motion of which no two signals are alike, and nothing

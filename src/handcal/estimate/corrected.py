@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.linalg import solve_banded
@@ -23,9 +24,10 @@ SUBSTITUTIONS, SUBSTITUTED = 60, 1e-7
 # than what is measured (a lost step does, within its width; from sample to sample an error by
 # angular acceleration does that is as large as the rate changes in some samples), whole steps lead
 # ever further to and fro. Then steps are Newton's, so many at the most, until in two of them hardly
-# fewer samples are left without an answer; with new derivatives where more than such a share was
-# left with the old ones; which are of this share of the readings.
-SHRINKS, STEPS, STALE, SMALL = 0.9, 30, 0.5, 1e-6
+# fewer samples are left without an answer, and they are not half as far off in the mean square;
+# with new derivatives where more than such a share was left with the old ones; which are of this
+# share of the readings.
+SHRINKS, STEPS, CLOSER, STALE, SMALL = 0.9, 30, 0.5, 0.5, 1e-6
 
 
 @dataclass(frozen=True)
@@ -115,7 +117,7 @@ def substituted(
         truth = felt(raw - begin)
         errors = [e.imu_error(at, truth) for e, at in present if e.imu_error is not None]
     total = unmixed(np.sum(errors, axis=0)) if present else np.zeros_like(raw)
-    begun, moved = total.copy(), math.inf
+    begun, zero, moved = total.copy(), np.zeros_like(raw), math.inf
     for done in range(SUBSTITUTIONS if present else 0):
         before, moved = moved, 0.0
         for k, (e, at) in enumerate(present):
@@ -132,11 +134,26 @@ def substituted(
             if not math.isfinite(moved):
                 break
 
-            def added(own: Array) -> Array:
-                """What all effects add, (n, 6), where these are the readings without."""
-                for k, (e, at) in enumerate(present):
-                    errors[k] = _error(e, at, own, errors[k], readings, felt)
-                return unmixed(np.sum(errors, axis=0))
+            def added(own: Array, whole: bool = True) -> Array:
+                """What all effects add, (n, 6), where these are the readings without; not whole:
+                those that move the reading as a whole as much as before."""
+                truth = felt(own)
+                new = [
+                    old if e.imu_inverse is not None or e.imu_error is None
+                    else e.imu_error(at, truth)
+                    for (e, at), old in zip(present, errors, strict=True)
+                ]  # fmt: skip
+                total = unmixed(np.sum(new, axis=0))
+                if whole:
+                    # (of what is read without the others: of the readings without all errors, a
+                    # delay of several samples would not follow from step to step)
+                    for k, (e, at) in enumerate(present):
+                        if e.imu_inverse is not None:
+                            moved = given - total + new[k]
+                            new[k], old = _error(e, at, moved, zero, readings, felt), new[k]
+                            total = total + unmixed(new[k] - old)
+                    errors[:] = new
+                return total
 
             return raw - _without(added, given, given - begun, enough * scale, SMALL * scale)
     return raw - given + total
@@ -180,7 +197,7 @@ def _error(
 
 
 def _without(
-    added: Callable[[Array], Array], raw: Array, own: Array, least: float, small: float
+    added: Callable[..., Array], raw: Array, own: Array, least: float, small: float
 ) -> Array:
     """The readings (n, 6) to which as much is added as is missing in raw, to ``least``, or, of
     each, the nearest that was found (where what is added jumps, some have none): from ``own`` on,
@@ -202,12 +219,13 @@ def _without(
         farthest = min(farthest, far)
         nearest, nearest_by = np.where(nearer, own, nearest), np.where(nearer, by, nearest_by)
         left.append((int(np.count_nonzero(~(nearest_by < least))), float((nearest_by**2).sum())))
-        if len(left) > 2 and not any(
-            now < SHRINKS * then for now, then in zip(left[-1], left[-3], strict=True)
+        before = left[max(len(left) - 3, 0)]
+        if len(left) > 2 and not (
+            left[-1][0] < SHRINKS * before[0] or left[-1][1] < CLOSER * before[1]
         ):
             break
         if bands is None or left[-1][0] > STALE * left[-2][0]:
-            bands = _bands(added, own, here, small)
+            bands = _bands(partial(added, whole=False), own, here, small)
         rest[~np.isfinite(rest)] = 0.0
         step = [solve_banded((1, 1), bands[c], rest[:, c]) for c in range(6)]
         # (each sample for itself: too far, half as far; not a number any more, back)
