@@ -10,6 +10,7 @@ The best becomes an effect of one parameter like any other term.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -277,7 +278,10 @@ def _adjusted(
     else:
         ways = [("Nelder-Mead", {"maxfev": 100 * max(2, len(numbers)), "xatol": 1e-3})]
     for method, options in ways:
-        found = minimize(lost, at, method=method, bounds=bounds, options=options)
+        with warnings.catch_warnings():
+            # (of steps that end beyond a bound by round-off)
+            warnings.simplefilter("ignore", RuntimeWarning)
+            found = minimize(lost, at, method=method, bounds=bounds, options=options)
         if found.fun < least:
             at, least = np.asarray(found.x), float(found.fun)
     return at
