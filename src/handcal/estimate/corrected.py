@@ -117,7 +117,7 @@ def substituted(
         truth = felt(raw - begin)
         errors = [e.imu_error(at, truth) for e, at in present if e.imu_error is not None]
     total = unmixed(np.sum(errors, axis=0)) if present else np.zeros_like(raw)
-    begun, zero, moved = total.copy(), np.zeros_like(raw), math.inf
+    begun, moved = total.copy(), math.inf
     for done in range(SUBSTITUTIONS if present else 0):
         before, moved = moved, 0.0
         for k, (e, at) in enumerate(present):
@@ -133,30 +133,42 @@ def substituted(
         if done > 1 and not moved < SHRINKS * before:
             if not math.isfinite(moved):
                 break
-
-            def added(own: Array, whole: bool = True) -> Array:
-                """What all effects add, (n, 6), where these are the readings without; not whole:
-                those that move the reading as a whole as much as before."""
-                truth = felt(own)
-                new = [
-                    old if e.imu_inverse is not None or e.imu_error is None
-                    else e.imu_error(at, truth)
-                    for (e, at), old in zip(present, errors, strict=True)
-                ]  # fmt: skip
-                total = unmixed(np.sum(new, axis=0))
-                if whole:
-                    # (of what is read without the others: of the readings without all errors, a
-                    # delay of several samples would not follow from step to step)
-                    for k, (e, at) in enumerate(present):
-                        if e.imu_inverse is not None:
-                            moved = given - total + new[k]
-                            new[k], old = _error(e, at, moved, zero, readings, felt), new[k]
-                            total = total + unmixed(new[k] - old)
-                    errors[:] = new
-                return total
-
-            return raw - _without(added, given, given - begun, enough * scale, SMALL * scale)
+            last = _Last(present, errors, given, readings, felt, unmixed)
+            return raw - _without(last.added, given, given - begun, enough * scale, SMALL * scale)
     return raw - given + total
+
+
+@dataclass(frozen=True)
+class _Last:
+    """What effects with their parameters were last taken to add, each (n, 6), to readings that are
+    ``given`` (n, 6); felt, unmixed: as in ``substituted``."""
+
+    present: Sequence[tuple[Effect, Array]]
+    errors: list[Array]
+    given: Array
+    readings: Signals
+    felt: Callable[[Array], Signals]
+    unmixed: Callable[[Array], Array]
+
+    def added(self, own: Array, whole: bool = True) -> Array:
+        """What all add, (n, 6), where these are the readings without; not whole: those that move
+        the reading as a whole as much as last."""
+        truth = self.felt(own)
+        new = [
+            old if e.imu_inverse is not None or e.imu_error is None else e.imu_error(at, truth)
+            for (e, at), old in zip(self.present, self.errors, strict=True)
+        ]
+        total = self.unmixed(np.sum(new, axis=0))
+        if whole:
+            # (of what is read without the others: from the readings without all errors, a delay of
+            # several samples would be taken from one step to the next, and grow)
+            for k, (e, at) in enumerate(self.present):
+                if e.imu_inverse is not None:
+                    moved, old = self.given - total + new[k], new[k]
+                    new[k] = moved - e.imu_inverse(at, reading(self.readings, moved))
+                    total = total + self.unmixed(new[k] - old)
+            self.errors[:] = new
+        return total
 
 
 def _undone(
