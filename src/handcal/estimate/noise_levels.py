@@ -250,7 +250,7 @@ class Score:
         rate = float(linear.problem.rate[0])
         v = self.reduction.navigation
         in_m = slice(v + own.start, v + own.stop)
-        by_Q, by_start = slopes.Q_e[1:, own, own], slopes.prior[in_m, in_m]
+        by_Q, by_start = np.ascontiguousarray(slopes.Q_e[1:, own, own]), slopes.prior[in_m, in_m]
         by_Phi = self._by_step(process, slopes) if process.moves else by_Q[:0]
         told = getattr(markov, "weighed", partial(weighed, markov))
         sums = told(many, self.dt[1:], linear.rate[1:], by_Phi, by_Q)

@@ -16,7 +16,7 @@ from handcal.estimate.evidence import means, reduce, reduced_pass
 from handcal.estimate.folded import unfolded
 from handcal.estimate.heavy_tails import tailed
 from handcal.estimate.linear import Linear
-from handcal.estimate.noise_levels import initial_levels
+from handcal.estimate.noise_levels import Score, initial_levels
 from handcal.estimate.quadratic import Quadratic
 from handcal.estimate.trajectory import Trajectory, epochs
 from handcal.types import Imu, Recording, Series
@@ -37,6 +37,7 @@ def compile_ahead() -> None:
     )
     k, m, columns = done.X.shape
     backward(done, True, np.empty((k, m, columns)), np.empty((k, m, m)))
+    Score(done.reduction, levels, list(levels))(levels)
     folded = reduce(linear).folded
     assert folded is not None
     unfolded(folded, linear.t, np.zeros((len(folded.start), linear.problem.size)))
