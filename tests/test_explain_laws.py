@@ -406,6 +406,29 @@ def test_many_that_stand_in_are_exchanged_for_one(size_alone) -> None:
     assert c.model.ids == (*base.ids, term.effect.id)
 
 
+@pytest.mark.parametrize(("place", "width"), [(0.43, 0.05), (-0.7, 0.12), (1.1, 0.03)])
+def test_a_rise_is_told_with_its_place_and_its_width(place: float, width: float) -> None:
+    """About neither is what is tried first right, and neither alone leads there: between places on
+    trial a wide rise is the likelier one, and it narrows as it comes nearer. (Thirty samples and
+    more lie on it, each read to a third of its height: a width is known to 10 %.)"""
+    s, rng, noise = probe(3000), np.random.default_rng(0), 0.01
+    x = s.gyro[:, 2]
+    read = 0.03 * np.tanh((x - place) / width) + noise * rng.standard_normal(len(x))
+
+    def seen(effects) -> Beside:
+        columns = [e.features(s)[0][2] * e.prior_sigma for e in effects]
+        X = np.hstack(columns) / noise
+        return Beside(
+            X.T @ read / noise, X.T @ X, {e.id: np.array([n]) for n, e in enumerate(effects)}
+        )
+
+    law = law_over("omega_{i}", grammar.curve(Range(-3.0, 3.0, 0.5), 9, 1.0, 1.0), (2,))
+    ends = over_drivers.written_out(SimpleNamespace(signals=s, seen=seen), law)
+    rise, _ = max(ends, key=lambda end: end[1])
+    assert rise.form.kind == "rise"
+    assert rise.form.numbers == pytest.approx((place, width), rel=0.25, abs=0.03)
+
+
 def test_a_law_comes_with_the_name_that_it_needs() -> None:
     """A gain that drifts is a product with the time and a scale error. Noise that goes with the
     motion holds both, and no half of it alone is worth as much."""

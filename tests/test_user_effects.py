@@ -286,7 +286,7 @@ def forms_over(driver, signals):
     yield from (grammar.formula([part]) for part in some)
     if driver.knots != LINE:
         yield grammar.formula(some[-2:])
-        if some[-1][1]:
+        if some[-1][1] and len(some[-2][1]) == len(some[-1][1]):
             yield grammar.formula([some[-1], (some[-2][0], some[-1][1])], same=True)
         yield grammar.curves(over, driver.knots, driver.round)[0]
 

@@ -201,6 +201,13 @@ def _places(count: int, *widths: float) -> Callable[[Range], Iterator[tuple[floa
     return places
 
 
+def _halves(_: Range) -> Iterator[tuple[float, ...]]:
+    """Directions over half a circle (on the other half the constant is negative), and widths."""
+    for c in np.linspace(0.0, math.pi, 13)[1:]:
+        for width in (0.1, 0.25, 0.6):
+            yield float(c), width
+
+
 # (as far apart as two waves have to be for one to be found from the other)
 _WAVES = _widths(*(1.0 / (math.pi * n) for n in range(1, 25)))
 _LEAKS = _widths(0.1, 0.15, 0.25, 0.4, 0.7)
@@ -246,6 +253,10 @@ ATOMS: Mapping[str, Atom] = {
     ),
     "beyond": Atom("max({x} - {0}, 0)", 1, lambda x, c: np.maximum(x - c, 0.0), _places(12)),
     "step": Atom("({x} > {0})", 0, lambda x, c: (x > c).astype(np.float64), _places(12)),
+    "rise": Atom(
+        "tanh(({x} - {0}) / {1})", 0, lambda x, c, w: np.tanh((x - c) / w),
+        _places(12, 0.01, 0.03, 0.08),
+    ),
     "bump": Atom(
         "exp(-(({x} - {0}) / {1})^2 / 2)", 0,
         lambda x, c, w: np.exp(-0.5 * ((x - c) / w) ** 2), _places(9, 0.02, 0.05, 0.12),
@@ -263,7 +274,11 @@ ROUND: Mapping[str, Atom] = {
     )
     for n in range(1, HARMONICS + 1)
     for name, f in (("sin", np.sin), ("cos", np.cos))
-}
+} | {
+    "halves": Atom(
+        "tanh(cos({x} - {0}) / {1})", 0, lambda x, c, w: np.tanh(np.cos(x - c) / w), _halves
+    )
+}  # fmt: skip
 
 # In a sum with what a gain does: the gain that it has besides (alone that is a scale error).
 LEVEL: Mapping[str, Atom] = {"level": Atom("1", 0, np.ones_like)}
@@ -303,11 +318,9 @@ def parts_for(over: Range, signed: bool, round_: bool, gain: bool = False) -> li
     """Every function of the grammar for a driver, with the numbers to begin with; gain: whether the
     law is a gain of something."""
     level: list[Part] = [(name, ()) for name in (LEVEL if gain else ())]
-    if round_:
-        return [*((name, ()) for name in ROUND), *level]
     return level + [
         (name, numbers)
-        for name, atom in ATOMS.items()
+        for name, atom in (ROUND if round_ else ATOMS).items()
         if signed or not atom.sided
         for numbers in atom.shares(over)
     ]

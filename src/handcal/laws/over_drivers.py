@@ -32,6 +32,8 @@ from handcal.types import Array, BoolArray
 
 # Shares of the way to a formula's next numbers on trial at which it is tried once more, in turn.
 FINER = (0.5, 0.2, 0.06)
+# Turns at each of these at the most, on average, and nats for which there is another.
+TURNS, NEARLY = 4, 0.5
 
 
 @dataclass(frozen=True)
@@ -177,11 +179,18 @@ def written_out(about_: About, law: Law) -> list[tuple[Law, float]]:
 
 def _adjusted(about_: About, law: Law, gain: float) -> tuple[Law, float]:
     """The formula with the numbers near its own that gain most, and what it gains."""
-    for share in FINER if law.form.numbers else ():
-        parts = [near for part in law.form.parts for near in about(part, share)]
-        for other, value in _tried(about_, law, parts):
-            if value > gain and other.form.kind == law.form.kind:
-                law, gain = other, value
+    shares = [*FINER] if law.form.numbers else []
+    for _ in range(len(shares) * TURNS):
+        if not shares:
+            break
+        parts = [near for part in law.form.parts for near in about(part, shares[0])]
+        ends = [(o, v) for o, v in _tried(about_, law, parts) if o.form.kind == law.form.kind]
+        other, value = max(ends, key=lambda end: end[1], default=(law, gain))
+        # (what is moved and narrowed in turn goes on at one share as far as that leads)
+        if not value > gain + NEARLY:
+            shares.pop(0)
+        if value > gain:
+            law, gain = other, value
     return law, gain
 
 

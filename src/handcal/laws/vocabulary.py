@@ -99,7 +99,8 @@ FURTHER = (*map(size, SLOPES), *SHAKEN, *TURNED, *NORTH, YAW_RATE)
 _PLAIN: Mapping[str, Driver] = {d.name: d for d in (*FURTHER, *PITCHES, TILT)}
 # What drives a heading's curves (``terms.CURVES``), as drivers of formulas.
 CURVED: Mapping[str, Driver] = {
-    "pitch of x": PITCHES[0], "pitch of y": PITCHES[1], "tilt": TILT, "yaw rate": YAW_RATE,
+    "yaw": YAW, "pitch of x": PITCHES[0], "pitch of y": PITCHES[1], "tilt": TILT,
+    "yaw rate": YAW_RATE,
 }  # fmt: skip
 # What a compass may do with the heading besides showing it: come late, stick, swing. (What is a
 # delay alone has a name.)
