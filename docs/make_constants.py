@@ -46,7 +46,13 @@ def _of(path: Path) -> Iterator[Constant]:
         said = above or (said if node.lineno - 1 == last else "")
         last = node.end_lineno or node.lineno
         name = str(path.relative_to(SOURCE))
-        yield Constant(name, target, ast.unparse(node.value).strip("()"), said)
+        yield Constant(name, target, _several(node.value), said)
+
+
+def _several(value: ast.expr) -> str:
+    """An expression as written; of several, without the parentheses around all."""
+    text = ast.unparse(value)
+    return text[1:-1] if isinstance(value, ast.Tuple) else text
 
 
 def _above(lines: list[str], row: int) -> str:

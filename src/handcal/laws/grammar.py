@@ -201,10 +201,14 @@ def _places(count: int, *widths: float) -> Callable[[Range], Iterator[tuple[floa
     return places
 
 
+# Directions in which a circle is halved on trial, and how blunt the edges are.
+TURNED, BLUNT = 12, (0.1, 0.25, 0.6)
+
+
 def _halves(_: Range) -> Iterator[tuple[float, ...]]:
     """Directions over half a circle (on the other half the constant is negative), and widths."""
-    for c in np.linspace(0.0, math.pi, 13)[1:]:
-        for width in (0.1, 0.25, 0.6):
+    for c in np.linspace(0.0, math.pi, TURNED + 1)[1:]:
+        for width in BLUNT:
             yield float(c), width
 
 

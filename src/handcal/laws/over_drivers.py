@@ -32,8 +32,9 @@ from handcal.types import Array, BoolArray
 
 # Shares of the way to a formula's next numbers on trial at which it is tried once more, in turn.
 FINER = (0.5, 0.2, 0.06)
-# Turns at each of these at the most, on average, and nats for which there is another.
-TURNS, NEARLY = 4, 0.5
+# Turns at each of these at the most (what is moved and narrowed in turn goes on as far as that
+# leads), and nats for which there is another.
+TURNS, NEARLY = 12, 0.5
 
 
 @dataclass(frozen=True)
@@ -179,18 +180,15 @@ def written_out(about_: About, law: Law) -> list[tuple[Law, float]]:
 
 def _adjusted(about_: About, law: Law, gain: float) -> tuple[Law, float]:
     """The formula with the numbers near its own that gain most, and what it gains."""
-    shares = [*FINER] if law.form.numbers else []
-    for _ in range(len(shares) * TURNS):
-        if not shares:
-            break
-        parts = [near for part in law.form.parts for near in about(part, shares[0])]
-        ends = [(o, v) for o, v in _tried(about_, law, parts) if o.form.kind == law.form.kind]
-        other, value = max(ends, key=lambda end: end[1], default=(law, gain))
-        # (what is moved and narrowed in turn goes on at one share as far as that leads)
-        if not value > gain + NEARLY:
-            shares.pop(0)
-        if value > gain:
-            law, gain = other, value
+    for share in FINER if law.form.numbers else ():
+        for _ in range(TURNS):
+            parts = [near for part in law.form.parts for near in about(part, share)]
+            before = gain
+            for other, value in _tried(about_, law, parts):
+                if value > gain and other.form.kind == law.form.kind:
+                    law, gain = other, value
+            if not gain > before + NEARLY:
+                break
     return law, gain
 
 
