@@ -15,12 +15,15 @@ from handcal.estimate.case import case_of
 from handcal.estimate.model import Model
 from handcal.explain import pipeline
 from handcal.laws import best_law
+from handcal.laws.best_law import Term
 from handcal.laws.grammar import formula, shorter
+from handcal.laws.law_effect import Law, effect_of
 from handcal.laws.over_drivers import best_of_block, blocks, promising
+from handcal.laws.vocabulary import driver_of
 from handcal.laws.weighing import Beside
 from handcal.search import multistart
 from handcal.search.budget import Budget
-from handcal.search.climb import in_place, sequence, state
+from handcal.search.climb import in_place, law_steps, sequence, state
 from handcal.signals import probe
 from handcal_sim import simulate
 
@@ -230,3 +233,24 @@ def test_what_a_course_may_be_is_looked_for_in_the_past_of_its_sensor(
     term = best_law.Term(SimpleNamespace(id=formula_, made=None), 9.0)
     assert best_law.reshaped(where, 1.0, [term], set()) is None
     assert asked == [sensors]
+
+
+@pytest.mark.parametrize(
+    ("form", "asked"), [((("cube", ()),), False), ((("line", ()), ("sign", (0.1,))), True)]
+)
+def test_a_sum_is_asked_for_each_of_its_functions_again_when_its_numbers_are_right(
+    form: tuple[Any, ...], asked: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One of them may have made up for numbers that were not right yet."""
+    law = Law(0, (0,), False, driver_of("omega_{i}"), formula(form), (0.01,) * len(form))
+    old, new = (replace(effect_of(law), id=name) for name in ("before", "after"))
+    monkeypatch.setattr(law_steps, "adjusted", lambda _, e: new if e is old else None)
+    monkeypatch.setattr(law_steps, "with_other", lambda *_: SimpleNamespace(ids=("after",)))
+    monkeypatch.setattr(law_steps, "likelier", lambda *_: True)
+    c = SimpleNamespace(
+        unnamed=[Term(old, 1.0)], model=SimpleNamespace(ids=("before",)),
+        adjusted=set(), shaped=set(), whole=set(),
+    )  # fmt: skip
+    found: Any = law_steps.adjust(c)  # type: ignore[arg-type]
+    assert found.ids == ("after",)
+    assert ("after" not in c.whole) == asked

@@ -161,9 +161,16 @@ def adjust(c: Climb) -> Model | None:
         if model is not c.model:
             c.unnamed[i] = replace(term, effect=effect)
             c.shaped.add(effect.id)
-            c.whole.add(effect.id)
+            # (one of a sum may have made up for numbers that were not right yet)
+            if not _sum(effect):
+                c.whole.add(effect.id)
             return model
     return None
+
+
+def _sum(effect: Effect) -> bool:
+    law = law_of(effect)
+    return law is not None and len(law.form.parts) > 1
 
 
 def narrow(c: Climb) -> Model | None:
