@@ -39,7 +39,7 @@ def _of(path: Path) -> Iterator[Constant]:
     for node in ast.parse(text).body:
         if not isinstance(node, ast.Assign) or not _number(node.value):
             continue
-        target = ast.unparse(node.targets[0]).strip("()")
+        target = _several(node.targets[0])
         if not target.isupper() and not target.replace(", ", "").isupper():
             continue
         above = _above(lines, node.lineno - 1)

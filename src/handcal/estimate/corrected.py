@@ -164,8 +164,8 @@ class _Last:
             # several samples would be taken from one step to the next, and grow)
             for k, (e, at) in enumerate(self.present):
                 if e.imu_inverse is not None:
-                    moved, old = self.given - total + new[k], new[k]
-                    new[k] = moved - e.imu_inverse(at, reading(self.readings, moved))
+                    old = new[k]
+                    new[k] = _error(e, at, self.given - total, old, self.readings, self.felt)
                     total = total + self.unmixed(new[k] - old)
             self.errors[:] = new
         return total
@@ -231,9 +231,8 @@ def _without(
         farthest = min(farthest, far)
         nearest, nearest_by = np.where(nearer, own, nearest), np.where(nearer, by, nearest_by)
         left.append((int(np.count_nonzero(~(nearest_by < least))), float((nearest_by**2).sum())))
-        before = left[max(len(left) - 3, 0)]
         if len(left) > 2 and not (
-            left[-1][0] < SHRINKS * before[0] or left[-1][1] < CLOSER * before[1]
+            left[-1][0] < SHRINKS * left[-3][0] or left[-1][1] < CLOSER * left[-3][1]
         ):
             break
         if bands is None or left[-1][0] > STALE * left[-2][0]:

@@ -235,12 +235,9 @@ class Score:
             up, down = _stepped(name, levels)
             R = observation_variances(problem, up) - observation_variances(problem, down)
             out[i] = by_R @ R.ravel() / (2 * STEP)
-        at = {name: i for i, name in enumerate(self.names)}
         for process in self.processes:
-            for name, slope in zip(
-                process.names, self._by_process(process, levels, slopes), strict=True
-            ):
-                out[at[name]] += slope
+            at = [self.names.index(name) for name in process.names]
+            out[at] += self._by_process(process, levels, slopes)
         return done.log_evidence, out
 
     def _by_process(self, process: _Process, levels: Mapping[str, float], slopes: Slopes) -> Array:
@@ -262,12 +259,12 @@ class Score:
         """Derivatives (n, size, size) by how a process moves: of its states, and of the vectors in
         n, which turn with the attitude's error."""
         own = process.own
-        by_psi, out = slopes.step[1:, own, :3], slopes.step[1:, own, 3:][:, :, own].copy()
+        by_psi, by_state = slopes.step[1:, own, :3], slopes.step[1:, own, 3:][:, :, own]
         by_d = slopes.d_e[1:, own].copy()
         for i in range(0, 3 * process.markov.vectors, 3):
             by_d[:, i : i + 3] += so3.along_skew(by_psi[:, i : i + 3])
-        out += by_d[:, :, None] * self.linear.trajectory.markov[: len(out), None, own]
-        return np.asarray(out)
+        before = self.linear.trajectory.markov[: len(by_d), None, own]
+        return np.ascontiguousarray(by_state + by_d[:, :, None] * before)
 
 
 @dataclass(frozen=True)

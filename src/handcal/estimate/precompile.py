@@ -10,7 +10,6 @@ from __future__ import annotations
 import numpy as np
 
 from handcal.estimate import robust, smoother
-from handcal.estimate.adjoint import backward
 from handcal.estimate.case import case_of, problem_with
 from handcal.estimate.evidence import means, reduce, reduced_pass
 from handcal.estimate.folded import unfolded
@@ -35,8 +34,6 @@ def compile_ahead() -> None:
     robust._add_by_block(
         done.nu, done.S, np.zeros(len(done.S), dtype=np.int64), done.nu[:1, 1:].copy()
     )
-    k, m, columns = done.X.shape
-    backward(done, True, np.empty((k, m, columns)), np.empty((k, m, m)))
     Score(done.reduction, levels, list(levels))(levels)
     folded = reduce(linear).folded
     assert folded is not None

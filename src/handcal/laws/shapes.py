@@ -280,7 +280,7 @@ def _adjusted(
     for method, options in ways:
         with warnings.catch_warnings():
             # (of steps that end beyond a bound by round-off)
-            warnings.simplefilter("ignore", RuntimeWarning)
+            warnings.filterwarnings("ignore", "Values in x", RuntimeWarning)
             found = minimize(lost, at, method=method, bounds=bounds, options=options)
         if found.fun < least:
             at, least = np.asarray(found.x), float(found.fun)

@@ -161,16 +161,12 @@ def adjust(c: Climb) -> Model | None:
         if model is not c.model:
             c.unnamed[i] = replace(term, effect=effect)
             c.shaped.add(effect.id)
+            law = law_of(effect)
             # (one of a sum may have made up for numbers that were not right yet)
-            if not _sum(effect):
+            if law is None or not list(shorter(law.form)):
                 c.whole.add(effect.id)
             return model
     return None
-
-
-def _sum(effect: Effect) -> bool:
-    law = law_of(effect)
-    return law is not None and len(law.form.parts) > 1
 
 
 def narrow(c: Climb) -> Model | None:
