@@ -322,6 +322,14 @@ def test_every_law_written_out_is_the_law(tmp_path):
     assert said == {*grammar.ATOMS, *grammar.ROUND, *grammar.LEVEL, "curve", "circle"}
 
 
+def test_what_an_operator_makes_is_told_from_its_name():
+    """An echo that comes on top and one that comes instead differ by the signal alone."""
+    for operator in operators.OPERATORS:
+        name = operators.said(operator, "omega_x", "rad/s", 0.25)
+        assert operators.parsed(name) == (operator, 0.25, "omega_x")
+    assert operators.parsed("(play(0.25 rad/s) of omega_x)") is None
+
+
 @pytest.mark.parametrize("sensor", [0, 1])
 def test_a_law_over_a_further_driver_written_out_is_the_law(tmp_path, sensor):
     """Each kind of them, with one of its numbers: to a millionth of what it adds."""

@@ -248,6 +248,7 @@ OPERATORS: Mapping[str, Operator] = {
     "swing": Operator(_less("swing", "Hz"), swinging, SWINGS),
     "sway": Operator(_less("sway", "Hz"), swaying, SWINGS),
     "echo": Operator(_less("echo", "s"), earlier, LATE),
+    "ghost": Operator(_of("echo", "s"), earlier, LATE, less=False),
 }
 # What is positive, or negative, of a signal.
 SIDE = re.compile(r"max\((-?)(.+), 0\)")
@@ -265,9 +266,8 @@ def parsed(name: str) -> tuple[str, float, str] | None:
     if found is None:
         return None
     word, number, signal, less = found.groups()
-    operator = "lag" if (word, bool(less)) == ("memory", True) else word
-    known = operator in OPERATORS and OPERATORS[operator].less == bool(less)
-    return (operator, float(number), signal) if known else None
+    operator = _BY_WORD.get((word, bool(less)))
+    return None if operator is None else (operator, float(number), signal)
 
 
 def without_numbers(name: str) -> str:
@@ -275,7 +275,9 @@ def without_numbers(name: str) -> str:
     return _NUMBER.sub(r"(\1 ", name)
 
 
-_WORDS = "|".join(sorted({o.text[1:].partition("(")[0] for o in OPERATORS.values()}))
+# Operators by the word for them, and whether the signal is taken away.
+_BY_WORD = {(o.text[1:].partition("(")[0], o.less): name for name, o in OPERATORS.items()}
+_WORDS = "|".join(sorted({word for word, _ in _BY_WORD}))
 _NUMBER = re.compile(rf"\(({_WORDS})\([^ ]+ ")
 
 
