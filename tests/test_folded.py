@@ -9,6 +9,7 @@ import pytest
 from worlds import recording_of
 
 from handcal.effects import select
+from handcal.effects.heading_correlated_noise import SIGMA, TAU
 from handcal.estimate import smoother
 from handcal.estimate.adjoint import backward
 from handcal.estimate.baseline import started
@@ -61,6 +62,19 @@ def test_nothing_is_folded_that_is_looked_at_seldom() -> None:
     world = simulate("free-hand", seed=0, duration_s=10.0)
     (part,) = fitted([started(case_of(recording_of(world)))], ()).parts
     assert fold(part.linear) is None
+
+
+def test_noise_with_a_memory_does_not_rest_within_a_window(fit: Fitted) -> None:
+    """It is linear, so what the trajectory says of it changes no evidence. (As if it rested for
+    0.07 s, a recording that had such noise had 870 nats less than without folding.)"""
+    f = moved_to(fit, select(("heading_correlated_noise",)))
+    levels = {**f.levels, SIGMA: 0.15, TAU: 2.0}
+    noise, values = f.trajectory.markov[:, -1], []
+    for at in (0.0 * noise, 0.05 * np.random.default_rng(0).standard_normal(len(noise))):
+        markov = np.column_stack([f.trajectory.markov[:, :-1], at])
+        there = linearise_about(f.problem, f.about.start, replace(f.trajectory, markov=markov))
+        values.append(reduced_pass(reduce(there), levels).log_evidence)
+    assert abs(values[1] - values[0]) < 1e-6
 
 
 def test_unfolding_gives_back_what_the_windows_were_given(fit: Fitted) -> None:

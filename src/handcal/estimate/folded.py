@@ -5,7 +5,8 @@ all that happens in a tenth of a second, the sensors' noise is far less than the
 readings of one kind are carried to the first epoch of their window through the transition in
 between, each from its own time, and two combinations of them go into the filter, their mean and
 their slope over time. How they scatter beyond that counts for the noise level. What is neglected:
-the sensors' noise within a window, and how a parameter's effect bends within it.
+the sensors' noise within a window, and how a parameter's effect bends within it. Readings that see
+noise with a memory are not folded: it moves within a window by as much as they scatter.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import numpy as np
 from handcal.compiled.jit import copy1, copy2, inner, njit, zero1, zero2
 from handcal.compiled.kernel import BASE, MAX_DIM
 from handcal.estimate.linear import Linear
+from handcal.estimate.problem import Problem
 from handcal.estimate.trajectory import Trajectory
 from handcal.types import Array, BoolArray, IntArray
 
@@ -59,7 +61,7 @@ class Folded:
 def fold(linear: Linear) -> Folded | None:
     """The problem with fewer epochs; None where there would be hardly fewer."""
     kinds, problem = linear.problem.observations, linear.problem
-    folds = np.array([o.folds for o in kinds], dtype=np.bool_)
+    folds = foldable(problem)
     if not folds.any() or not problem.navigated:
         return None
     start = _windows(linear.t, linear.rate, linear.first, folds[linear.kind])
@@ -92,6 +94,13 @@ def fold(linear: Linear) -> Folded | None:
     )  # fmt: skip
     own = extra, scatter.ravel(), linear.trajectory.markov[:k], row, share
     return Folded(folded, start, of, linear.Phi, linear.d, *own)
+
+
+def foldable(problem: Problem) -> BoolArray:
+    """Kinds of observations (k,) whose readings may be folded."""
+    noisy = {kind for e in problem.effects if e.process is not None for kind in e.acts_on}
+    some = [o.folds and o.kind not in noisy for o in problem.observations]
+    return np.array(some, dtype=np.bool_)
 
 
 def at_epochs(whole: Trajectory, some: IntArray) -> Trajectory:
