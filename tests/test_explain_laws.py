@@ -199,6 +199,16 @@ def test_play_lags_and_does_not_lead() -> None:
         assert law_effect.effect_of(law).parameters[0].positive
 
 
+def test_play_of_what_a_sensor_does_not_read_has_either_sign() -> None:
+    """A bias may follow a temperature with play, and fall as it rises (a walk was told)."""
+    units = {"omega_{i}": "rad/s", "f_{i}": "m/s^2", "(T - 25)": "K", "north_{j}": "1"}
+    for own, (name, unit) in zip((0, 1, None, None), units.items(), strict=True):
+        driver = vocabulary.driver_of(f"(play(2.8 {unit}) of {name} - {name})")
+        for sensor in range(2):
+            law = law_over(driver.name, formula("line"), sensor=sensor)
+            assert law_effect.effect_of(law).parameters[0].positive == (sensor == own)
+
+
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_law_that_cannot_be_negative_is_not_found_as_that(sign: float) -> None:
     driver = vocabulary.driver_of("(play(0.0333 rad/s) of omega_{i} - omega_{i})")
@@ -208,7 +218,7 @@ def test_a_law_that_cannot_be_negative_is_not_found_as_that(sign: float) -> None
                   {block.effect.id: np.arange(len(names))})  # fmt: skip
     found = list(over_drivers.best_of_block(block, seen))
     assert bool(found) == (sign > 0.0)
-    free = replace(block, driver=replace(driver, positive=False))
+    free = replace(block, driver=replace(driver, positive=None))
     assert len(list(over_drivers.best_of_block(free, seen))) == 5
 
 

@@ -46,8 +46,9 @@ Of = Callable[[Signals, int], Array]
 @dataclass(frozen=True)
 class Driver:
     """name: with {i}, {j}, {k}; unit; of(signals, axis) -> (n,); knots: of a curve over it;
-    signed: whether it has a zero where a law may change; positive: a factor that can only be
-    positive; number, at: its time or half width, and the same with another one; only: the sensor
+    signed: whether it has a zero where a law may change; positive: the sensor, of which it is the
+    own signal, that by a positive factor alone can err so (what plays loses, and gains nothing);
+    number, at: its time or half width, and the same with another one; only: the sensor
     (0 gyro, 1 accelerometer) that alone could have it; round: an angle; needs: streams or ATTITUDE
     without which it is none; factor: by which what it drives is multiplied, where it drives how
     much another signal is felt; free: a course over time, which is not each axis's own (three of
@@ -58,7 +59,7 @@ class Driver:
     of: Of
     knots: int = FINE
     signed: bool = True
-    positive: bool = False
+    positive: int | None = None
     number: float = 0.0
     at: Callable[[float], Driver] | None = None
     only: int | None = None
@@ -192,10 +193,11 @@ def operated(operator: str, of: Driver, number: float, only: int | None = None) 
         x = of.course(s, axis)
         return op.values(s.t, np.unwrap(x) if of.round else x, number)
 
+    own = {RATES[0].name: 0, FORCES[0].name: 1, YAW.name: HEADING}.get(of.name)
     return Driver(
         operators.said(operator, of.name, of.unit, number), of.unit if op.power else "1", values,
-        LINE, positive=op.positive, number=number, at=lambda n: operated(operator, of, n, only),
-        only=only, needs=of.needs,
+        LINE, positive=own if op.positive else None, number=number,
+        at=lambda n: operated(operator, of, n, only), only=only, needs=of.needs,
     )  # fmt: skip
 
 

@@ -119,7 +119,7 @@ class Law:
             names = [f"{n}_{AXES[a]}" for a in self.axes for n in names]
         units = [_unit(self.unit, self.driver.unit, p) for p in self.form.powers]
         rows = zip(names, [*units] * 3, [*self.sigmas] * 3, strict=False)
-        return tuple(Param(*row, self.driver.positive) for row in rows)
+        return tuple(Param(*row, self.driver.positive == self.sensor) for row in rows)
 
     def values(self, signals: Signals, axis: int) -> Array:
         """What a unit of each constant of the form adds on one axis, (n, k)."""

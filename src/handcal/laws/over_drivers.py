@@ -135,7 +135,8 @@ def best_of_block(block: Block, seen: Beside) -> Iterator[tuple[Law, float]]:
     one, roots = block.forms[0].constants, block.roots
     for axes, each, b, G in ways(block, seen):
         # (a step that is lost is lost, not gained)
-        if block.driver.positive and (np.linalg.solve(np.eye(len(b)) + G, b) < 0.0).any():
+        lost = block.driver.positive == block.sensor
+        if lost and (np.linalg.solve(np.eye(len(b)) + G, b) < 0.0).any():
             continue
         own = len(b) // one
         whole = np.zeros((len(roots), own, one, own, one))
