@@ -4,6 +4,8 @@ import dataclasses
 import io
 import itertools
 import math
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from rich.console import Console
 
 from handcal.effects import Signals, catalogue
 from handcal.laws import grammar
+from handcal.laws.courses import OVER_TIME, Family
 from handcal.laws.curve import drivers_of
 from handcal.laws.drivers import DRIVERS, HEADING, LINE
 from handcal.laws.law_effect import Law
@@ -28,6 +31,7 @@ from handcal_sim.prove.told import told
 from handcal_sim.prove.trial import Trial
 from handcal_sim.strange import known, law
 from handcal_sim.strange.device import LAWS, MOST, SIZES, own_scene, with_laws
+from handcal_sim.strange.formulas import value_of
 from handcal_sim.strange.left import curves, left_share
 from handcal_sim.strange.memory import lagged
 from handcal_sim.strange.words import core, same
@@ -519,3 +523,24 @@ def test_a_law_changes_by_its_numbers_as_its_formula_says(scene):
     assert law.drawn(product, 0, 5).by_numbers(scene).shape == (len(scene.t), 0)
     bumps = next(one for name, one in named.items() if "_bursts_of_t" in name)
     assert law.drawn(bumps, 0, 5).by_numbers(scene).shape == (len(scene.t), 4)
+
+
+@pytest.mark.parametrize("family", OVER_TIME, ids=lambda f: f.name)
+def test_the_text_of_a_course_is_the_course(family: Family) -> None:
+    """To a half of a percent at any moment, but for the sample in which it jumps."""
+    t, rng = np.arange(0.0, 84.0, 0.01), np.random.default_rng(0)
+    starts = list(family.starts(84.0))
+    at: Any = SimpleNamespace(t=t + 3.0)
+    for n in rng.integers(0, len(starts), 20):
+        numbers = np.array(starts[n]) * (1.0 + 0.01 * rng.standard_normal(len(starts[n])))
+        options = [numbers]
+        if family.again is not None:
+            beside = np.array(starts)[family.again(numbers, np.array(starts))]
+            options += [np.r_[numbers, one[: family.moment]] for one in beside[:1]]
+        for some in options:
+            course = family.values(some, t)
+            entry = {"formula": f"gyro_x += k * {family.formula(some)}",
+                     "constants": [{"name": "k", "value": 1.0}]}  # fmt: skip
+            wrong = np.abs(value_of(entry, "gyro_x", at) - course) > 0.005
+            jumps = int((np.abs(np.diff(course)) > 0.4).sum())
+            assert wrong.sum() <= jumps, family.formula(some)

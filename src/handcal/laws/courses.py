@@ -20,6 +20,9 @@ MOST = 48
 SWINGS = 2.0
 # Shares of a period for which something is on that is switched on and off.
 ON = (0.15, 0.25, 0.35, 0.5, 0.65)
+# To within what share of how long something lasts its formula says when it was, if it comes and
+# goes smoothly or at once: so the text leaves a hundredth of the course, root mean square.
+SMOOTH, SHARP = 0.01, 1e-4
 Values = Callable[[Array, Array], Array]
 
 
@@ -280,49 +283,63 @@ def _lobe_at(at: float, sharp: float) -> Callable[..., int]:
 
 def _bump_formula(n: Array) -> str:
     if len(n) == 2:
-        return f"exp(-((t - {n[0]:.3g} s) / {n[1]:.2g} s)^2 / 2)"
-    at = ", ".join(f"{moment:.3g}" for moment in np.sort(_moments(n)))
-    return f"(sum of exp(-((t - t_n) / {n[1]:.2g} s)^2 / 2) for t_n = {at} s)"
+        return f"exp(-((t - {_moment(n[0], SMOOTH * n[1])} s) / {n[1]:.4g} s)^2 / 2)"
+    at = _all_of(n, SMOOTH)
+    return f"(sum of exp(-((t - t_n) / {n[1]:.4g} s)^2 / 2) for t_n = {at} s)"
 
 
 def _while_formula(n: Array) -> str:
-    return f"(t from {_spans(n)})"
+    spans = n.reshape(-1, 2)[np.argsort(n[::2])]
+    many = [[_moment(x, SHARP * (b - a)) for x in (a, b)] for a, b in spans]
+    return f"(t from {', from '.join(f'{a} s to {b} s' for a, b in many)})"
 
 
 def _fade_formula(n: Array) -> str:
     if len(n) == 2:
-        return f"(t >= {n[0]:.3g} s) exp(-(t - {n[0]:.3g} s) / {n[1]:.2g} s)"
-    at = ", ".join(f"{moment:.3g}" for moment in np.sort(_moments(n)))
-    return f"(sum of (t >= t_n) exp(-(t - t_n) / {n[1]:.2g} s) for t_n = {at} s)"
+        at = _moment(n[0], SHARP * n[1])
+        return f"(t >= {at} s) exp(-(t - {at} s) / {n[1]:.4g} s)"
+    at = _all_of(n, SHARP)
+    return f"(sum of (t >= t_n) exp(-(t - t_n) / {n[1]:.4g} s) for t_n = {at} s)"
 
 
 def _switched_formula(n: Array) -> str:
-    return f"((t - {n[1] % n[0]:.3g} s) mod {n[0]:.3g} s < {n[2]:.3g} s)"
+    at = _moment(n[1] % n[0], SHARP * n[2])
+    return f"((t - {at} s) mod {n[0]:.6g} s < {n[2]:.5g} s)"
 
 
 def _saw_formula(n: Array) -> str:
-    return f"((t - {n[1] % n[0]:.3g} s) / {n[0]:.3g} s mod 1 - 0.5)"
+    return f"((t - {_moment(n[1] % n[0], SHARP * n[0])} s) / {n[0]:.6g} s mod 1 - 0.5)"
 
 
 def _swing_formula(n: Array) -> str:
-    return f"sin(2 pi t / {n[0]:.3g} s + {n[1] % (2.0 * np.pi):.2f})"
+    return f"sin(2 pi t / {n[0]:.6g} s + {n[1] % (2.0 * np.pi):.3f})"
 
 
 def _chirp_formula(n: Array) -> str:
     sign, rate = "-" if n[1] < 0.0 else "+", abs(0.5 * n[1])
-    return f"sin(2 pi (t {n[0]:.3g} Hz {sign} t^2 {rate:.3g} Hz/s) + {n[2] % (2.0 * np.pi):.2f})"
+    return f"sin(2 pi (t {n[0]:.6g} Hz {sign} t^2 {rate:.5g} Hz/s) + {n[2] % (2.0 * np.pi):.3f})"
 
 
 def _ring_formula(n: Array) -> str:
-    return f"exp(-t / {n[0]:.3g} s) sin(2 pi t / {n[1]:.3g} s + {n[2] % (2.0 * np.pi):.2f})"
+    return f"exp(-t / {n[0]:.4g} s) sin(2 pi t / {n[1]:.6g} s + {n[2] % (2.0 * np.pi):.3f})"
 
 
 def _decay_formula(n: Array) -> str:
-    return f"exp(-t / {n[0]:.3g} s)"
+    return f"exp(-t / {n[0]:.4g} s)"
 
 
 def _lobe_formula(n: Array) -> str:
-    return f"exp({n[1]:.2g} (cos(yaw - {(n[0] + np.pi) % (2.0 * np.pi) - np.pi:.2f}) - 1))"
+    return f"exp({n[1]:.4g} (cos(yaw - {(n[0] + np.pi) % (2.0 * np.pi) - np.pi:.3f}) - 1))"
+
+
+def _moment(at: float, within: float) -> str:
+    """A moment to within so many seconds."""
+    return f"{at:.{max(0, math.ceil(-math.log10(max(within, 1e-6))))}f}"
+
+
+def _all_of(n: Array, share: float) -> str:
+    """All moments of a course, in turn, to within a share of how long it lasts."""
+    return ", ".join(_moment(moment, share * n[1]) for moment in np.sort(_moments(n)))
 
 
 def _bump_words(n: Array) -> str:

@@ -187,7 +187,7 @@ def _sign(of: Driver) -> Driver:
 
 def operated(operator: str, of: Driver, number: float, only: int | None = None) -> Driver:
     """What an operator makes of a driver, with this number."""
-    op, number = OPERATORS[operator], float(f"{number:.3g}")
+    op, number = OPERATORS[operator], float(f"{number:.{operators.DIGITS}g}")
 
     def values(s: Signals, axis: int) -> Array:
         x = of.course(s, axis)

@@ -32,6 +32,9 @@ WIDTHS = (0.03, 0.06, 0.12, 0.25, 0.45)
 FAR = (0.06, 0.12, 0.25, 0.45, 0.65)
 # And of steps, which have to be met to within a fraction of one over the whole range.
 STEPS = tuple(0.08 * 1.13**n for n in range(17))
+# Digits of a number in a driver's name, which is all that a file has of it: an echo 5 ms off is 1 %
+# off where a hand turns the device.
+DIGITS = 4
 # How fast what is too slow may follow, of the root mean square slope.
 SLEWS = (0.3, 0.7, 1.5)
 
@@ -257,7 +260,7 @@ _SAID = re.compile(r"\((\w+)\(([^ ]+) [^)]*\) of (.+?)( - \3)?\)")
 
 def said(operator: str, signal: str, unit: str, number: float) -> str:
     """How a driver with an operator is called."""
-    return OPERATORS[operator].text.format(n=f"{number:.3g}", x=signal, u=unit)
+    return OPERATORS[operator].text.format(n=f"{number:.{DIGITS}g}", x=signal, u=unit)
 
 
 def parsed(name: str) -> tuple[str, float, str] | None:
