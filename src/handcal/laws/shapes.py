@@ -327,11 +327,21 @@ def again(channel: str, made: tuple[str, tuple[float, ...]]) -> Effect:
 
     Raises KeyError for a kind or a channel that there is none of.
     """
-    name, numbers = made
+    basis, family = _kind(channel, made[0])
+    return term_of(basis, family, np.array(made[1]))
+
+
+def course_of(effect: Effect) -> tuple[Basis, Family, Array] | None:
+    """The channel, as a basis, family and numbers of the course that an effect is; None where it is
+    none."""
+    if effect.made is None or effect.made[0] not in {f.name for f in (*OVER_TIME, *OVER_YAW)}:
+        return None
+    return *_kind(effect.id.partition(" += ")[0], effect.made[0]), np.array(effect.made[1])
+
+
+def _kind(channel: str, name: str) -> tuple[Basis, Family]:
     if channel == "heading":
         bases = heading_bases(1.0)
     else:
         bases = [imu_basis({c: i for i, c in enumerate(CHANNELS)}[channel], 1.0)]
-    known = {f.name: (b, f) for b in bases for f in b.families}
-    basis, family = known[name]
-    return term_of(basis, family, np.array(numbers))
+    return {f.name: (b, f) for b in bases for f in b.families}[name]

@@ -14,6 +14,7 @@ from handcal.estimate.case import name_of
 from handcal.estimate.forked import in_parallel
 from handcal.estimate.model import Model
 from handcal.estimate.rest_only import travels
+from handcal.laws import course_numbers
 from handcal.laws.best_law import Term, best_term, best_terms, reshaped, with_other
 from handcal.laws.drivers import HEADING
 from handcal.laws.grammar import shorter
@@ -151,7 +152,7 @@ def adjust(c: Climb) -> Model | None:
         model, effect = c.model, term.effect
         while effect.id in model.ids and effect.id not in c.adjusted:
             c.adjusted.add(effect.id)
-            new = adjusted(model, effect)
+            new = adjusted(model, effect) or course_numbers.adjusted(model, effect)
             if new is None or new.id in model.ids:
                 break
             tried = with_other(model, effect, new)

@@ -1,0 +1,99 @@
+"""The numbers of a course over time (moments, widths, a period), adjusted about a fit.
+
+A course is found on a grid of seconds, which does not tell when it began, or how fast it swings,
+nearer than that. Here courses with other numbers are weighed by what they add to the readings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from handcal.effects import Effect
+from handcal.estimate.columns import Ground
+from handcal.estimate.model import Model
+from handcal.estimate.scan import grounds, scan
+from handcal.laws import shapes
+from handcal.laws.best_law import signals_of
+from handcal.laws.law_effect import CHANNELS
+from handcal.laws.weighing import beside
+from handcal.types import Array
+
+# Shares of a course, root mean square, that a step of one of its numbers changes, one after the
+# other; steps of one share at the most.
+SHARES, TURNS = (0.3, 0.1, 0.03, 0.01), 12
+# Nats that a step has to gain.
+NEARLY = 0.1
+# Halvings in which a step of that share is found.
+HALVINGS = 40
+
+
+def adjusted(model: Model, effect: Effect) -> Effect | None:
+    """The course of a sensor that an effect of the model is, with the numbers that the recordings
+    ask for; None where it is none, or where they are as good as they get."""
+    found = shapes.course_of(effect)
+    if found is None or found[0].channel not in CHANNELS:
+        return None
+    basis, family, numbers = found
+    signals, base = signals_of(model.parts[0]), grounds(model)
+    t = signals.t - signals.t[0]
+    known = [e for e in model.effects if e.process is None and e.id != effect.id]
+
+    def gained(options: Sequence[Array]) -> Array:
+        some = [
+            replace(shapes.term_of(basis, family, n), id=f"basis: {k}")
+            for k, n in enumerate(options)
+        ]
+        return _gained(model, base, known, some)
+
+    at, least = numbers, NEARLY
+    for share in SHARES:
+        steps = np.array([_step(family.values, at, i, t, share) for i in range(len(at))])
+        for _ in range(TURNS):
+            better = _next(gained, at, steps)
+            if better is None:
+                break
+            at = better
+    now, then = gained([numbers, at])
+    return shapes.term_of(basis, family, at) if then > now + least else None
+
+
+def _gained(
+    model: Model, base: Sequence[Ground], known: Sequence[Effect], some: Sequence[Effect]
+) -> Array:
+    """Nats that each of these gains in the place of the course there is."""
+    seen = beside(scan(model, some, base), known, some)
+    return seen.gains(np.array([seen.at[e.id] for e in some]))
+
+
+def _next(gained: Callable[[Sequence[Array]], Array], at: Array, steps: Array) -> Array | None:
+    """Better numbers, a step off in each in which that gains, or in the one that gains most."""
+    moves = np.concatenate([np.diag(steps), -np.diag(steps)])
+    moves = moves[np.any(moves != 0.0, axis=1)]
+    nats = gained([at, *(at + move for move in moves)])
+    gains = nats[1:] - nats[0]
+    if not len(moves) or not gains.max() > NEARLY:
+        return None
+    best = int(np.argmax(gains))
+    up = {int(np.flatnonzero(moves[k])[0]): moves[k] for k in np.argsort(gains) if gains[k] > 0.0}
+    all_ = at + sum(up.values(), np.zeros(len(at)))
+    one, every = at + moves[best], gained([at, all_])
+    return all_ if every[1] - every[0] > gains[best] else one
+
+
+def _step(
+    values: Callable[[Array, Array], Array], numbers: Array, i: int, t: Array, share: float
+) -> float:
+    """By how much a number changes a course at the moments t (n,) by that share; 0.0 where nothing
+    would."""
+    course = values(numbers, t)
+    size = float(np.sqrt(np.mean(course**2)))
+    low, high = 0.0, float(t[-1])
+    for _ in range(HALVINGS):
+        step = 0.5 * (low + high)
+        off = values(numbers + step * (np.arange(len(numbers)) == i), t) - course
+        changed = float(np.sqrt(np.mean(off**2)))
+        low, high = (low, step) if not changed < share * size else (step, high)
+    return high if high < t[-1] else 0.0
