@@ -8,22 +8,29 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
-from handcal.effects import Effect
+from handcal.effects import Effect, Signals
+from handcal.effects._linear import added
 from handcal.estimate.columns import Ground
 from handcal.estimate.model import Model
 from handcal.estimate.scan import grounds, scan
 from handcal.laws import shapes
 from handcal.laws.best_law import signals_of
-from handcal.laws.law_effect import CHANNELS
+from handcal.laws.courses import OVER_TIME, Values
+from handcal.laws.drivers import HEADING
+from handcal.laws.law_effect import CHANNELS, SENSORS
 from handcal.laws.weighing import beside
 from handcal.types import Array
 
 # Shares of a course, root mean square, that a step of one of its numbers changes, one after the
 # other; steps of one share at the most.
-SHARES, TURNS = (0.3, 0.1, 0.03, 0.01), 12
+SHARES, TURNS = (0.3, 0.15, 0.075, 0.04, 0.02, 0.01), 12
+# Numbers of which up to so many are tried together (of a switch, what its start does its length may
+# undo; of a spell, one edge has nothing to do with the other).
+FEW = 3
 # Nats that a step has to gain.
 NEARLY = 0.1
 # Halvings in which a step of that share is found.
@@ -31,10 +38,10 @@ HALVINGS = 40
 
 
 def adjusted(model: Model, effect: Effect) -> Effect | None:
-    """The course of a sensor that an effect of the model is, with the numbers that the recordings
+    """The course over time that an effect of the model is, with the numbers that the recordings
     ask for; None where it is none, or where they are as good as they get."""
     found = shapes.course_of(effect)
-    if found is None or found[0].channel not in CHANNELS:
+    if found is None or found[1] not in OVER_TIME:
         return None
     basis, family, numbers = found
     signals, base = signals_of(model.parts[0]), grounds(model)
@@ -42,11 +49,10 @@ def adjusted(model: Model, effect: Effect) -> Effect | None:
     known = [e for e in model.effects if e.process is None and e.id != effect.id]
 
     def gained(options: Sequence[Array]) -> Array:
-        some = [
-            replace(shapes.term_of(basis, family, n), id=f"basis: {k}")
-            for k, n in enumerate(options)
-        ]
-        return _gained(model, base, known, some)
+        some = [_as_seen(effect, basis.channel, family.values, n) for n in options]
+        return _gained(
+            model, base, known, [replace(e, id=f"basis: {k}") for k, e in enumerate(some)]
+        )
 
     at, least = numbers, NEARLY
     for share in SHARES:
@@ -60,6 +66,23 @@ def adjusted(model: Model, effect: Effect) -> Effect | None:
     return shapes.term_of(basis, family, at) if then > now + least else None
 
 
+def _as_seen(effect: Effect, channel: str, values: Values, numbers: Array) -> Effect:
+    """A course with other numbers, as a column of what it adds."""
+
+    def course(signals: Signals) -> Array:
+        return values(numbers, signals.t - signals.t[0])[:, None]
+
+    if channel == SENSORS[HEADING]:
+        # (compiled, as a heading's own is, each would take longer than all scans)
+        return replace(effect, observation_error={}, seen={channel: course})
+    place = CHANNELS.index(channel), 0
+
+    def features(signals: Signals) -> list[tuple[int, int, Array]]:
+        return [(*place, course(signals))]
+
+    return replace(effect, imu_error=added(features), features=features)
+
+
 def _gained(
     model: Model, base: Sequence[Ground], known: Sequence[Effect], some: Sequence[Effect]
 ) -> Array:
@@ -69,23 +92,25 @@ def _gained(
 
 
 def _next(gained: Callable[[Sequence[Array]], Array], at: Array, steps: Array) -> Array | None:
-    """Better numbers, a step off in each in which that gains, or in the one that gains most."""
-    moves = np.concatenate([np.diag(steps), -np.diag(steps)])
+    """Better numbers: a step off in each in which that gains, or in what gains most."""
+    signs = np.concatenate([np.eye(len(at)), -np.eye(len(at))])
+    if len(at) <= FEW:
+        signs = np.array(list(product((-1.0, 0.0, 1.0), repeat=len(at))))
+    moves = np.unique(signs * steps, axis=0)
     moves = moves[np.any(moves != 0.0, axis=1)]
     nats = gained([at, *(at + move for move in moves)])
     gains = nats[1:] - nats[0]
     if not len(moves) or not gains.max() > NEARLY:
         return None
-    best = int(np.argmax(gains))
-    up = {int(np.flatnonzero(moves[k])[0]): moves[k] for k in np.argsort(gains) if gains[k] > 0.0}
-    all_ = at + sum(up.values(), np.zeros(len(at)))
-    one, every = at + moves[best], gained([at, all_])
-    return all_ if every[1] - every[0] > gains[best] else one
+    best = moves[int(np.argmax(gains))]
+    single = [k for k in np.argsort(gains) if gains[k] > 0.0 and np.count_nonzero(moves[k]) == 1]
+    each = {int(np.flatnonzero(moves[k])[0]): moves[k] for k in single}
+    together = at + sum(each.values(), np.zeros(len(at)))
+    now, all_ = gained([at, together])
+    return together if all_ - now > gains.max() else at + best
 
 
-def _step(
-    values: Callable[[Array, Array], Array], numbers: Array, i: int, t: Array, share: float
-) -> float:
+def _step(values: Values, numbers: Array, i: int, t: Array, share: float) -> float:
     """By how much a number changes a course at the moments t (n,) by that share; 0.0 where nothing
     would."""
     course = values(numbers, t)
