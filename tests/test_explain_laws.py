@@ -419,6 +419,20 @@ def test_the_numbers_of_a_course_are_told_nearer_than_its_grid(
     assert model.log_evidence > wanted.log_evidence - nats
 
 
+def test_a_course_that_is_not_there_does_not_shrink_to_a_sample() -> None:
+    """Where nothing is, any course gains by becoming the one sample that is furthest off."""
+    base = baseline([case_of(held(0, 20.0, lambda imu: np.zeros((len(imu.t), 6))))])
+    t = np.arange(0.0, 20.0, 0.01)
+    begun = {"bump": (12.0, 0.3), "while": (3.0, 3.4), "switched": (5.0, 1.0, 0.3)}
+    for kind, numbers in begun.items():
+        effect = shapes.again("accel_z", (kind, numbers))
+        new = course_numbers.adjusted(fitted(base.parts, [effect]), effect)
+        for other in (new,) if new is not None and new.made is not None else ():
+            (values,) = (f.values for f in courses.OVER_TIME if f.name == kind)
+            before, after = values(np.array(numbers), t), values(np.array(other.made[1]), t)
+            assert np.mean((after - before) ** 2) < np.mean(before**2)
+
+
 @pytest.mark.prove
 def test_friction_at_zero_rate_is_told_by_its_own_axis() -> None:
     found = explain([strange("gyro", friction)])

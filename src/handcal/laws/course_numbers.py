@@ -14,7 +14,6 @@ import numpy as np
 
 from handcal.effects import Effect, Signals
 from handcal.effects._linear import added
-from handcal.estimate.columns import Ground
 from handcal.estimate.model import Model
 from handcal.estimate.scan import grounds, scan
 from handcal.laws import shapes
@@ -31,6 +30,8 @@ SHARES, TURNS = (0.3, 0.15, 0.075, 0.04, 0.02, 0.01), 12
 # Numbers of which up to so many are tried together (of a switch, what its start does its length may
 # undo; of a spell, one edge has nothing to do with the other).
 FEW = 3
+# As another course counts what is changed by more than this share: half of its power.
+FAR = 0.7
 # Nats that a step has to gain.
 NEARLY = 0.1
 # Halvings in which a step of that share is found.
@@ -49,12 +50,17 @@ def adjusted(model: Model, effect: Effect) -> Effect | None:
     known = [e for e in model.effects if e.process is None and e.id != effect.id]
 
     def gained(options: Sequence[Array]) -> Array:
-        some = [_as_seen(effect, basis.channel, family.values, n) for n in options]
-        return _gained(
-            model, base, known, [replace(e, id=f"basis: {k}") for k, e in enumerate(some)]
-        )
+        near = [k for k, n in enumerate(options) if _changed(family.values, numbers, n, t) < FAR]
+        some = [
+            replace(_as_seen(effect, basis.channel, family.values, options[k]), id=f"basis: {k}")
+            for k in near
+        ]
+        seen = beside(scan(model, some, base), known, some)
+        nats = np.full(len(options), -np.inf)
+        nats[near] = seen.gains(np.array([seen.at[e.id] for e in some]))
+        return nats
 
-    at, least = numbers, NEARLY
+    at = numbers
     for share in SHARES:
         steps = np.array([_step(family.values, at, i, t, share) for i in range(len(at))])
         for _ in range(TURNS):
@@ -63,7 +69,7 @@ def adjusted(model: Model, effect: Effect) -> Effect | None:
                 break
             at = better
     now, then = gained([numbers, at])
-    return shapes.term_of(basis, family, at) if then > now + least else None
+    return shapes.term_of(basis, family, at) if then > now + NEARLY else None
 
 
 def _as_seen(effect: Effect, channel: str, values: Values, numbers: Array) -> Effect:
@@ -81,14 +87,6 @@ def _as_seen(effect: Effect, channel: str, values: Values, numbers: Array) -> Ef
         return [(*place, course(signals))]
 
     return replace(effect, imu_error=added(features), features=features)
-
-
-def _gained(
-    model: Model, base: Sequence[Ground], known: Sequence[Effect], some: Sequence[Effect]
-) -> Array:
-    """Nats that each of these gains in the place of the course there is."""
-    seen = beside(scan(model, some, base), known, some)
-    return seen.gains(np.array([seen.at[e.id] for e in some]))
 
 
 def _next(gained: Callable[[Sequence[Array]], Array], at: Array, steps: Array) -> Array | None:
@@ -113,12 +111,17 @@ def _next(gained: Callable[[Sequence[Array]], Array], at: Array, steps: Array) -
 def _step(values: Values, numbers: Array, i: int, t: Array, share: float) -> float:
     """By how much a number changes a course at the moments t (n,) by that share; 0.0 where nothing
     would."""
-    course = values(numbers, t)
-    size = float(np.sqrt(np.mean(course**2)))
     low, high = 0.0, float(t[-1])
     for _ in range(HALVINGS):
         step = 0.5 * (low + high)
-        off = values(numbers + step * (np.arange(len(numbers)) == i), t) - course
-        changed = float(np.sqrt(np.mean(off**2)))
-        low, high = (low, step) if not changed < share * size else (step, high)
+        changed = _changed(values, numbers, numbers + step * (np.arange(len(numbers)) == i), t)
+        low, high = (low, step) if not changed < share else (step, high)
     return high if high < t[-1] else 0.0
+
+
+def _changed(values: Values, numbers: Array, others: Array, t: Array) -> float:
+    """The share of a course, root mean square, by which it is another with other numbers."""
+    with np.errstate(all="ignore"):  # (of a width beyond nothing that is no number)
+        course = values(numbers, t)
+        off = np.mean((values(others, t) - course) ** 2)
+        return float(np.sqrt(off / np.mean(course**2)))
