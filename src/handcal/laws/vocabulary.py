@@ -146,6 +146,8 @@ def further(signals: Signals, sensor: int) -> Iterator[Driver]:
         for of in filter(lambda d: usable(d, signals), (YAW_RATE, *PITCHES, WARMTH)):
             yield from _operated(of, signals, tuple(OPERATORS))
         yield from _operated(TURNS, signals, ("memory", "lag", "peak"))
+        if usable(WARMTH, signals):  # (what is warmed follows slower than what turns)
+            yield from (operated("lag", WARMTH, tau) for tau in WARMING)
         return
     own = (RATES, FORCES)[sensor][0]
     yield from (d for d in FURTHER if usable(d, signals))
