@@ -353,7 +353,7 @@ def test_a_law_over_a_further_driver_written_out_is_the_law(tmp_path, sensor):
 
 def test_a_heading_may_be_as_slow_to_warm_through_as_a_sensor() -> None:
     """(A compass whose error came 11 s after the temperature was friction at a temperature.)"""
-    slow = {f"(memory({tau:g} s) of (T - 25) - (T - 25))" for tau in (10.0, 30.0, 60.0)}
+    slow = {f"(memory({tau:g} s) of (T - 25) - (T - 25))" for tau in (3.0, 10.0, 30.0)}
     assert slow <= set(DRIVERS)
     assert slow <= {d.name for d in vocabulary.further(moved(), HEADING)}
 
