@@ -18,7 +18,7 @@ from handcal.estimate.quadratic import Quadratic, local
 from handcal.estimate.robust import excess
 from handcal.estimate.scan import grounds, scan
 from handcal.estimate.transfer import moved_to
-from handcal.laws import best_law, over_drivers
+from handcal.laws import over_drivers
 from handcal.search.climb.candidates import candidates
 from handcal_sim import simulate
 from handcal_sim.phone import (
@@ -69,7 +69,7 @@ def _whole(model: Model, absent: list[Effect]) -> Quadratic:
 
 def test_columns_are_what_a_pass_with_them_has(model: Model) -> None:
     have = set(model.ids)
-    signals = best_law.signals_of(model.parts[0])
+    signals = over_drivers.signals_of(model.parts[0])
     laws = [b.effect for b in over_drivers.blocks(signals)[::5]]
     named = [e for e in candidates(model.parts, model.effects) if e.id not in have]
     past = []

@@ -426,7 +426,8 @@ def test_a_course_that_is_not_there_does_not_shrink_to_a_sample() -> None:
     begun = {"bump": (12.0, 0.3), "while": (3.0, 3.4), "switched": (5.0, 1.0, 0.3)}
     for kind, numbers in begun.items():
         effect = shapes.again("accel_z", (kind, numbers))
-        new = course_numbers.adjusted(fitted(base.parts, [effect]), effect)
+        model = fitted(base.parts, [effect])
+        new = course_numbers.adjusted(model, effect)
         for other in (new,) if new is not None and new.made is not None else ():
             (values,) = (f.values for f in courses.OVER_TIME if f.name == kind)
             before, after = values(np.array(numbers), t), values(np.array(other.made[1]), t)

@@ -14,9 +14,9 @@ from handcal.estimate.first_part import LEAST_S, MOST, first_part
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.laws import first_look
-from handcal.laws.best_law import signals_of, survey
+from handcal.laws.best_law import survey
 from handcal.laws.drivers import LINE
-from handcal.laws.over_drivers import blocks
+from handcal.laws.over_drivers import blocks, signals_of
 from handcal.types import Series
 from handcal_sim import simulate
 from handcal_sim.phone import Phone, consumer_phone, with_rate

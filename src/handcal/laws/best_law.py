@@ -18,8 +18,8 @@ from handcal.estimate.forked import in_parallel
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.quadratic import Quadratic
 from handcal.estimate.scan import grounds, scan
-from handcal.estimate.seen import truth
 from handcal.laws import shapes, terms
+from handcal.laws.course_numbers import ROUGHLY, nearer
 from handcal.laws.courses import OVER_TIME, OVER_YAW
 from handcal.laws.drivers import HEADING, Driver
 from handcal.laws.first_look import FirstLook, first_look
@@ -32,6 +32,7 @@ from handcal.laws.over_drivers import (
     blocks,
     further_blocks,
     promising,
+    signals_of,
     tuned,
     written_out,
 )
@@ -173,7 +174,9 @@ def best_terms(
             *(t for s in beyond for t in [u for u in found if u.effect.id.startswith(s)][:1]),
         ]
     )
-    return [_with_rivals(t, found) for t in best]
+    # (on the grid of seconds on which it was found, a course may be hundreds of nats off)
+    near = [_nearer(about_, _with_rivals(t, found)) for t in best]
+    return [t for t in near if t.effect.id not in refused]
 
 
 def _nameless(about_: About, ends: Sequence[tuple[Effect, float]]) -> list[Term]:
@@ -193,6 +196,11 @@ def _nameless(about_: About, ends: Sequence[tuple[Effect, float]]) -> list[Term]
         )
     out = [[end] for end in ends if not any(end in some for some in several)]
     return [_first_of(about_, some) for some in (*out, *several)]
+
+
+def _nearer(about_: About, term: Term) -> Term:
+    effect, nats = nearer(about_, term.effect, ROUGHLY)
+    return replace(term, effect=effect, gain=term.gain + nats / about_.worth)
 
 
 def _with_rivals(term: Term, found: Sequence[Term]) -> Term:
@@ -371,8 +379,3 @@ def _kind(effect: Effect) -> tuple[str, ...]:
     if law is not None:
         return channel_of(effect.id), law.driver.kind, law.form.kind
     return (effect.id if effect.made is None else effect.made[0],)
-
-
-def signals_of(f: Fitted) -> Signals:
-    """The best estimate of rate, force and attitude at the IMU's samples."""
-    return truth(f.linear.problem if f.problem.navigated else f.problem, f.trajectory)

@@ -15,18 +15,19 @@ import numpy as np
 from handcal.effects import Effect, Signals
 from handcal.effects._linear import added
 from handcal.estimate.model import Model
-from handcal.estimate.scan import grounds, scan
+from handcal.estimate.scan import grounds
 from handcal.laws import shapes
-from handcal.laws.best_law import signals_of
-from handcal.laws.courses import OVER_TIME, Values
+from handcal.laws.courses import OVER_TIME, Family, Values
 from handcal.laws.drivers import HEADING
 from handcal.laws.law_effect import CHANNELS, SENSORS
-from handcal.laws.weighing import beside
+from handcal.laws.over_drivers import About, signals_of
 from handcal.types import Array
 
 # Shares of a course, root mean square, that a step of one of its numbers changes, one after the
 # other; steps of one share at the most.
 SHARES, TURNS = (0.3, 0.15, 0.075, 0.04, 0.02, 0.01), 12
+# And of those on trial, beside others.
+ROUGHLY = SHARES[:3]
 # Numbers of which up to so many are tried together (of a switch, what its start does its length may
 # undo; of a spell, one edge has nothing to do with the other).
 FEW = 3
@@ -41,35 +42,59 @@ HALVINGS = 40
 def adjusted(model: Model, effect: Effect) -> Effect | None:
     """The course over time that an effect of the model is, with the numbers that the recordings
     ask for; None where it is none, or where they are as good as they get."""
+    if shapes.course_of(effect) is None:
+        return None
+    signals = signals_of(model.parts[0])
+    known = [e for e in model.effects if e.process is None and e.id != effect.id]
+    near, nats = nearer(About(model, grounds(model), known, signals, 1.0), effect, SHARES)
+    return near if nats > NEARLY else None
+
+
+def nearer(about_: About, effect: Effect, shares: Sequence[float]) -> tuple[Effect, float]:
+    """A course over time with other numbers, and the nats that it gains more than it did; itself
+    where it is none or none gain more. shares: of the steps that are tried, in turn."""
     found = shapes.course_of(effect)
     if found is None or found[1] not in OVER_TIME:
-        return None
+        return effect, 0.0
     basis, family, numbers = found
-    signals, base = signals_of(model.parts[0]), grounds(model)
-    t = signals.t - signals.t[0]
-    known = [e for e in model.effects if e.process is None and e.id != effect.id]
+    t = about_.signals.t - about_.signals.t[0]
 
     def gained(options: Sequence[Array]) -> Array:
-        near = [k for k, n in enumerate(options) if _changed(family.values, numbers, n, t) < FAR]
+        near = [
+            k
+            for k, n in enumerate(options)
+            if in_turn(family, n) and _changed(family.values, numbers, n, t) < FAR
+        ]
         some = [
             replace(_as_seen(effect, basis.channel, family.values, options[k]), id=f"basis: {k}")
             for k in near
         ]
-        seen = beside(scan(model, some, base), known, some)
         nats = np.full(len(options), -np.inf)
-        nats[near] = seen.gains(np.array([seen.at[e.id] for e in some]))
+        if some:
+            seen = about_.seen(some)
+            nats[near] = seen.gains(np.array([seen.at[e.id] for e in some]))
         return nats
 
     at = numbers
-    for share in SHARES:
+    for share in shares:
         steps = np.array([_step(family.values, at, i, t, share) for i in range(len(at))])
         for _ in range(TURNS):
             better = _next(gained, at, steps)
             if better is None:
                 break
             at = better
+    if at is numbers:
+        return effect, 0.0
     now, then = gained([numbers, at])
-    return shapes.term_of(basis, family, at) if then > now + NEARLY else None
+    return shapes.term_of(basis, family, at), float(then - now)
+
+
+def in_turn(family: Family, numbers: Array) -> bool:
+    """Whether spells are one after the other, and none of them ends before it begins."""
+    if family.moment != 2:
+        return True
+    spells = numbers.reshape(-1, 2)
+    return bool((np.diff(spells[np.argsort(spells[:, 0])].ravel()) > 0.0).all())
 
 
 def _as_seen(effect: Effect, channel: str, values: Values, numbers: Array) -> Effect:

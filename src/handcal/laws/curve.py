@@ -15,8 +15,8 @@ from handcal.effects import ROOM, TIME, WARMTH, Z_DIM, Effect, Signals, observed
 from handcal.estimate.model import Fitted
 from handcal.estimate.trajectory import path
 from handcal.explanation import Curve, is_curve
-from handcal.laws.best_law import signals_of
 from handcal.laws.law_effect import CHANNELS, UNITS, Law, channel_of, law_of
+from handcal.laws.over_drivers import signals_of
 from handcal.types import Array
 
 # Points of a curve, at the most.

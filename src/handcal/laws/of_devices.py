@@ -18,10 +18,10 @@ from handcal.effects import catalogue
 from handcal.estimate.columns import Ground
 from handcal.estimate.model import Model
 from handcal.estimate.scan import grounds, scan
-from handcal.laws.best_law import signals_of
 from handcal.laws.drivers import DRIVERS, FORCES, HEADING, LINE, LOAD, RATES, TURNS, Driver, usable
 from handcal.laws.grammar import ATOMS, Form, Part, formula
 from handcal.laws.law_effect import AXES_OF, SIZE, Law, effect_of
+from handcal.laws.over_drivers import signals_of
 from handcal.laws.weighing import beside
 from handcal.signals import probe
 from handcal.types import Array

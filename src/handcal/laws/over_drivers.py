@@ -12,8 +12,9 @@ import numpy as np
 
 from handcal.effects import Effect, Signals
 from handcal.estimate.columns import Ground
-from handcal.estimate.model import Model
+from handcal.estimate.model import Fitted, Model
 from handcal.estimate.scan import scan
+from handcal.estimate.seen import truth
 from handcal.laws.drivers import DRIVERS, HEADING, LINE, NEARER, Driver, usable
 from handcal.laws.grammar import (
     Form,
@@ -250,3 +251,8 @@ def tuned(about_: About, law: Law, gain: float) -> tuple[Law, float]:
 def _rms(law: Law, form: Form, signals: Signals) -> float:
     values = [replace(law, form=form).values(signals, axis) for axis in law.axes]
     return float(np.sqrt(np.mean(np.square(values))))
+
+
+def signals_of(f: Fitted) -> Signals:
+    """The best estimate of rate, force and attitude at the IMU's samples."""
+    return truth(f.linear.problem if f.problem.navigated else f.problem, f.trajectory)
