@@ -54,25 +54,23 @@ def nearer(about_: About, effect: Effect, shares: Sequence[float]) -> tuple[Effe
     """A course over time with other numbers, and the nats that it gains more than it did; itself
     where it is none or none gain more. shares: of the steps that are tried, in turn."""
     found = shapes.course_of(effect)
-    if found is None or found[1] not in OVER_TIME:
+    if found is None or found[1] not in OVER_TIME or not in_turn(*found[1:]):
         return effect, 0.0
     basis, family, numbers = found
     t = about_.signals.t - about_.signals.t[0]
 
     def gained(options: Sequence[Array]) -> Array:
+        changed = [_changed(family.values, numbers, n, t) for n in options]
         near = [
-            k
-            for k, n in enumerate(options)
-            if in_turn(family, n) and _changed(family.values, numbers, n, t) < FAR
-        ]
+            k for k, n in enumerate(options) if changed[k] < FAR and in_turn(family, n)
+        ]  # (the first, of what there is, is always one)
         some = [
             replace(_as_seen(effect, basis.channel, family.values, options[k]), id=f"basis: {k}")
             for k in near
         ]
+        seen = about_.seen(some)
         nats = np.full(len(options), -np.inf)
-        if some:
-            seen = about_.seen(some)
-            nats[near] = seen.gains(np.array([seen.at[e.id] for e in some]))
+        nats[near] = seen.gains(np.array([seen.at[e.id] for e in some]))
         return nats
 
     at = numbers
@@ -122,9 +120,9 @@ def _next(gained: Callable[[Sequence[Array]], Array], at: Array, steps: Array) -
     moves = np.unique(signs * steps, axis=0)
     moves = moves[np.any(moves != 0.0, axis=1)]
     nats = gained([at, *(at + move for move in moves)])
-    gains = nats[1:] - nats[0]
-    if not len(moves) or not gains.max() > NEARLY:
+    if not np.isfinite(nats[0]) or not nats.max() > nats[0] + NEARLY:
         return None
+    gains = nats[1:] - nats[0]
     best = moves[int(np.argmax(gains))]
     single = [k for k in np.argsort(gains) if gains[k] > 0.0 and np.count_nonzero(moves[k]) == 1]
     each = {int(np.flatnonzero(moves[k])[0]): moves[k] for k in single}
