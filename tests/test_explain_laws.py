@@ -428,9 +428,9 @@ def test_a_course_that_is_not_there_does_not_shrink_to_a_sample() -> None:
         effect = shapes.again("accel_z", (kind, numbers))
         model = fitted(base.parts, [effect])
         new = course_numbers.adjusted(model, effect)
-        for other in (new,) if new is not None and new.made is not None else ():
+        if new is not None:
             (values,) = (f.values for f in courses.OVER_TIME if f.name == kind)
-            before, after = values(np.array(numbers), t), values(np.array(other.made[1]), t)
+            before, after = values(np.array(numbers), t), values(np.array(new.made[1]), t)
             assert np.mean((after - before) ** 2) < np.mean(before**2)
 
 

@@ -22,9 +22,28 @@ TURNING = 0.2
 # Temperature above which drivers have it, degC.
 ROOM = 25.0
 
+
+def _spans(found: re.Match[str]) -> str:
+    ends = re.findall(r"([-\d.]+) s to ([-\d.]+) s", found[1])
+    return "(" + " | ".join(f"((t >= {a}) & (t <= {b}))" for a, b in ends) + ")"
+
+
+def _each(found: re.Match[str]) -> str:
+    moments = found[2].split(", ")
+    return "(" + " + ".join(found[1].replace("t_n", f"({at})") for at in moments) + ")"
+
+
 # A formula's text, in turn, and the same in Python.
 _UNITS = r"(?:s|Hz|K|m/s\^[23]|rad/s(?:\^2)?|rad|1)(?:/s)?"
-_PYTHON = (
+_PYTHON: tuple[tuple[str, str | Callable[[re.Match[str]], str]], ...] = (
+    # (courses over time: one after another, and what begins at once)
+    (r"\(t from ([^()]+)\)", _spans),
+    (r"\(sum of (.+) for t_n = ([-\d., ]+) s\)", _each),
+    (r"\(t >= ([^ ]+)(?: s)?\) exp\(-\(t - ([^ ]+)(?: s)?\)", r"(t >= \1) * exp(-max(t - \2, 0)"),
+    (r"\) sin\(", r") * sin("),
+    (r" mod ", r" % "),
+    (r"\b2 pi \(t ([\d.e+-]+) Hz ([+-]) t\^2 ([\d.e+-]+) Hz/s\)",
+     r"2 * pi * (t * \1 \2 t^2 * \3)"),
     (r"\bsin\(pitch of ([xy])\)", r"up_\1"),
     (r"\bpitch of ([xy])", r"arcsin(up_\1)"),
     (r"\byaw rate", "turn"),
@@ -39,28 +58,6 @@ _PYTHON = (
     (r"(?<![\w.])(\d+) heading\b", r"\1 * heading"),
     (r"(?<![\w.])([\d.]+) \(", r"\1 * ("),
     (r"\^", "**"),
-)
-
-
-def _spans(found: re.Match[str]) -> str:
-    ends = re.findall(r"([-\d.]+) s to ([-\d.]+) s", found[1])
-    return "(" + " | ".join(f"((t >= {a}) & (t <= {b}))" for a, b in ends) + ")"
-
-
-def _each(found: re.Match[str]) -> str:
-    moments = found[2].split(", ")
-    return "(" + " + ".join(found[1].replace("t_n", f"({at})") for at in moments) + ")"
-
-
-# Courses over time: one after another, and what begins at once.
-_COURSES: tuple[tuple[str, str | Callable[[re.Match[str]], str]], ...] = (
-    (r"\(t from ([^()]+)\)", _spans),
-    (r"\(sum of (.+) for t_n = ([-\d., ]+) s\)", _each),
-    (r"\(t >= ([^ ]+)(?: s)?\) exp\(-\(t - ([^ ]+)(?: s)?\)", r"(t >= \1) * exp(-max(t - \2, 0)"),
-    (r"\) sin\(", r") * sin("),
-    (r" mod ", r" % "),
-    (r"\b2 pi \(t ([\d.e+-]+) Hz ([+-]) t\^2 ([\d.e+-]+) Hz/s\)",
-     r"2 * pi * (t * \1 \2 t^2 * \3)"),
 )  # fmt: skip
 _PLAIN = (ast.Expression, ast.BinOp, ast.UnaryOp, ast.Compare, ast.Call, ast.Name, ast.Constant,
           ast.operator, ast.unaryop, ast.cmpop, ast.expr_context)  # fmt: skip
@@ -70,8 +67,6 @@ def value_of(entry: Mapping[str, Any], channel: str, at: Scene) -> Array:
     """What an entry of ``unnamed`` with constants adds (n,). Raises KeyError, NameError, TypeError
     or SyntaxError for what is not understood here."""
     text = entry["formula"].partition(" += ")[2]
-    for pattern, course in _COURSES:
-        text = re.sub(pattern, course, text)
     for pattern, code in _PYTHON:
         text = re.sub(pattern, code, text)
     text = re.sub(r"\b(size_)?((?:omega|f|alpha|jerk|north)_[ijk])\b",

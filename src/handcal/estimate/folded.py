@@ -19,7 +19,7 @@ import numpy as np
 from handcal.compiled.jit import copy1, copy2, inner, njit, zero1, zero2
 from handcal.compiled.kernel import BASE, MAX_DIM
 from handcal.estimate.linear import Linear
-from handcal.estimate.problem import Problem
+from handcal.estimate.problem import foldable
 from handcal.estimate.trajectory import Trajectory
 from handcal.types import Array, BoolArray, IntArray
 
@@ -94,13 +94,6 @@ def fold(linear: Linear) -> Folded | None:
     )  # fmt: skip
     own = extra, scatter.ravel(), linear.trajectory.markov[:k], row, share
     return Folded(folded, start, of, linear.Phi, linear.d, *own)
-
-
-def foldable(problem: Problem) -> BoolArray:
-    """Kinds of observations (k,) whose readings may be folded."""
-    noisy = {kind for e in problem.effects if e.process is not None for kind in e.acts_on}
-    some = [o.folds and o.kind not in noisy for o in problem.observations]
-    return np.array(some, dtype=np.bool_)
 
 
 def at_epochs(whole: Trajectory, some: IntArray) -> Trajectory:

@@ -26,7 +26,7 @@ from handcal.estimate.folded import (
     stepped,
 )
 from handcal.estimate.linear import Linear
-from handcal.estimate.problem import Problem
+from handcal.estimate.problem import Problem, foldable
 from handcal.types import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Array, BoolArray, IntArray
 
 # Combinations of readings that say less of the state than this share of what the best one says,
@@ -45,7 +45,7 @@ def gathered(linear: Linear, start: IntArray, whole: bool) -> tuple[Linear, Arra
     for what leads to it.
     """
     problem, kinds = linear.problem, linear.problem.observations
-    folds = np.array([o.folds for o in kinds], dtype=np.bool_)
+    folds = foldable(problem)
     used = linear.used.copy()
     if not whole:
         used[linear.first[start[-1]] :] = False

@@ -33,7 +33,7 @@ from handcal.estimate.linear import (
     turning,
 )
 from handcal.estimate.parallel import in_threads
-from handcal.estimate.problem import Problem, between
+from handcal.estimate.problem import Problem, between, foldable
 from handcal.estimate.start import Start
 from handcal.estimate.trajectory import Trajectory, path
 from handcal.estimate.white import white_levels
@@ -75,9 +75,8 @@ def is_long(problem: Problem, nominal: Trajectory) -> bool:
     moment."""
     if not _ALLOWED.get() or len(nominal.node) < LONG or not problem.navigated:
         return False
-    folding = {o.kind for o in problem.observations if o.folds}
-    past = any(e.seen or (e.process is not None and folding & e.acts_on) for e in problem.effects)
-    if not folding or past or problem.imu_constants:
+    past = any(e.seen for e in problem.effects)
+    if not foldable(problem).any() or past or problem.imu_constants:
         return False
     return len(starts(problem, nominal)) < len(nominal.node) / 2
 
@@ -85,7 +84,7 @@ def is_long(problem: Problem, nominal: Trajectory) -> bool:
 def starts(problem: Problem, nominal: Trajectory) -> IntArray:
     """Epochs (K,) at which windows begin."""
     nodes, node = problem.nodes, nominal.node
-    folds = np.array([o.folds for o in problem.observations], dtype=np.bool_)
+    folds = foldable(problem)
     first = np.r_[nodes.first[node], nodes.first[-1]]
     return windows(nodes.t[node], first, folds[nodes.kind], _longest(problem, folds))
 

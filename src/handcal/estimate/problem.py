@@ -16,7 +16,7 @@ import numpy as np
 from handcal.compiled.kernel import BASE, MAX_DIM, Nodes, Noise, Tables
 from handcal.effects import Effect
 from handcal.observations import Observation
-from handcal.types import Array, IntArray, Level, Markov, Recording
+from handcal.types import Array, BoolArray, IntArray, Level, Markov, Recording
 
 # The readings themselves show the white noise of the sensors to a few percent; there can be
 # more than that (whatever the model lacks), hardly less.
@@ -177,6 +177,13 @@ def observation_variances(problem: Problem, levels: Mapping[str, float]) -> Arra
     for k, o in enumerate(problem.observations):
         R[k, : o.dim] = o.variance(levels)
     return R
+
+
+def foldable(problem: Problem) -> BoolArray:
+    """Kinds of observations (k,) whose readings may be folded."""
+    noisy = {kind for e in problem.effects if e.process is not None for kind in e.acts_on}
+    some = [o.folds and o.kind not in noisy for o in problem.observations]
+    return np.array(some, dtype=np.bool_)
 
 
 def markov_transitions(

@@ -20,7 +20,7 @@ from handcal.estimate.quadratic import Quadratic
 from handcal.estimate.scan import grounds, scan
 from handcal.laws import shapes, terms
 from handcal.laws.course_numbers import ROUGHLY, nearer
-from handcal.laws.courses import OVER_TIME, OVER_YAW
+from handcal.laws.courses import COURSES
 from handcal.laws.drivers import HEADING, Driver
 from handcal.laws.first_look import FirstLook, first_look
 from handcal.laws.grammar import formula
@@ -54,8 +54,6 @@ OPEN = 1e-3
 ENOUGH = math.log(2.0) - TERM_PRIOR
 # Nats to which a scan is right.
 UNTOLD = 3.0
-# Families of courses.
-COURSES = frozenset(family.name for family in (*OVER_TIME, *OVER_YAW))
 
 
 # Blocks by vocabulary: the usual one (""), and the further one of a sensor.

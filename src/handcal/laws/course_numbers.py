@@ -54,16 +54,18 @@ def nearer(about_: About, effect: Effect, shares: Sequence[float]) -> tuple[Effe
     """A course over time with other numbers, and the nats that it gains more than it did; itself
     where it is none or none gain more. shares: of the steps that are tried, in turn."""
     found = shapes.course_of(effect)
-    if found is None or found[1] not in OVER_TIME or not in_turn(*found[1:]):
+    if found is None or found[1] not in OVER_TIME or not _in_turn(*found[1:]):
         return effect, 0.0
     basis, family, numbers = found
     t = about_.signals.t - about_.signals.t[0]
+    begun = family.values(numbers, t)
 
     def gained(options: Sequence[Array]) -> Array:
-        changed = [_changed(family.values, numbers, n, t) for n in options]
+        # (one of them at least: the first is what there is)
         near = [
-            k for k, n in enumerate(options) if changed[k] < FAR and in_turn(family, n)
-        ]  # (the first, of what there is, is always one)
+            k for k, n in enumerate(options)
+            if _in_turn(family, n) and _changed(family.values, begun, n, t) < FAR
+        ]  # fmt: skip
         some = [
             replace(_as_seen(effect, basis.channel, family.values, options[k]), id=f"basis: {k}")
             for k in near
@@ -87,7 +89,7 @@ def nearer(about_: About, effect: Effect, shares: Sequence[float]) -> tuple[Effe
     return shapes.term_of(basis, family, at), float(then - now)
 
 
-def in_turn(family: Family, numbers: Array) -> bool:
+def _in_turn(family: Family, numbers: Array) -> bool:
     """Whether spells are one after the other, and none of them ends before it begins."""
     if family.moment != 2:
         return True
@@ -134,17 +136,16 @@ def _next(gained: Callable[[Sequence[Array]], Array], at: Array, steps: Array) -
 def _step(values: Values, numbers: Array, i: int, t: Array, share: float) -> float:
     """By how much a number changes a course at the moments t (n,) by that share; 0.0 where nothing
     would."""
-    low, high = 0.0, float(t[-1])
+    low, high, course = 0.0, float(t[-1]), values(numbers, t)
     for _ in range(HALVINGS):
         step = 0.5 * (low + high)
-        changed = _changed(values, numbers, numbers + step * (np.arange(len(numbers)) == i), t)
+        changed = _changed(values, course, numbers + step * (np.arange(len(numbers)) == i), t)
         low, high = (low, step) if not changed < share else (step, high)
     return high if high < t[-1] else 0.0
 
 
-def _changed(values: Values, numbers: Array, others: Array, t: Array) -> float:
-    """The share of a course, root mean square, by which it is another with other numbers."""
+def _changed(values: Values, course: Array, others: Array, t: Array) -> float:
+    """The share of a course (n,), root mean square, by which it is another with other numbers."""
     with np.errstate(all="ignore"):  # (of a width beyond nothing that is no number)
-        course = values(numbers, t)
         off = np.mean((values(others, t) - course) ** 2)
         return float(np.sqrt(off / np.mean(course**2)))

@@ -289,9 +289,7 @@ def _bump_formula(n: Array) -> str:
 
 
 def _while_formula(n: Array) -> str:
-    spans = n.reshape(-1, 2)[np.argsort(n[::2])]
-    many = [[_moment(x, SHARP * (b - a)) for x in (a, b)] for a, b in spans]
-    return f"(t from {', from '.join(f'{a} s to {b} s' for a, b in many)})"
+    return f"(t from {_spans(n, SHARP)})"
 
 
 def _fade_formula(n: Array) -> str:
@@ -348,7 +346,7 @@ def _bump_words(n: Array) -> str:
 
 
 def _while_words(n: Array) -> str:
-    return f"It was there from {_spans(n)} only."
+    return f"It was there from {_spans(n, 0.1, 0.1)} only."
 
 
 def _fade_words(n: Array) -> str:
@@ -364,15 +362,12 @@ def _saw_words(n: Array) -> str:
     return f"It drifts, and is set back every {n[0]:.3g} s."
 
 
-def _spans(n: Array) -> str:
+def _spans(n: Array, share: float, most: float = math.inf) -> str:
+    """Spells in turn, to within a share of how long each lasts, and so many seconds at the most."""
     spans = n.reshape(-1, 2)[np.argsort(n[::2])]
-    return ", from ".join(f"{_edge(span, 0)} s to {_edge(span, 1)} s" for span in spans)
-
-
-def _edge(n: Array, k: int) -> str:
-    """One of two moments, with as many digits as tell them apart."""
-    digits = max(0, math.ceil(-math.log10(max(float(n[1] - n[0]), 1e-6)))) + 1
-    return f"{n[k]:.{digits}f}"
+    within = np.minimum(share * (spans[:, 1] - spans[:, 0]), most)
+    ends = zip(spans, within, strict=True)
+    return ", from ".join(f"{_moment(a, w)} s to {_moment(b, w)} s" for (a, b), w in ends)
 
 
 def _swing_words(n: Array) -> str:
@@ -411,3 +406,5 @@ OVER_TIME = (
     Family("saw", _saw, _saw_formula, _saw_words, _saws, _saw_of),
 )
 OVER_YAW = (Family("lobe", _lobe, _lobe_formula, _lobe_words, _lobes, _lobe_at),)
+# What families are called.
+COURSES = frozenset(family.name for family in (*OVER_TIME, *OVER_YAW))

@@ -22,7 +22,7 @@ from scipy.optimize import minimize
 from handcal.compiled.jit import njit, residual_function
 from handcal.effects import TIME, Effect, Param, Signals
 from handcal.estimate.quadratic import Quadratic
-from handcal.laws.courses import MOST, OVER_TIME, OVER_YAW, Family
+from handcal.laws.courses import COURSES, MOST, OVER_TIME, OVER_YAW, Family
 from handcal.laws.grammar import FREEDOM
 from handcal.laws.law_effect import CHANNELS, SIZE, UNITS
 from handcal.laws.terms import CURVES, DIRECTIONS, HEADING_SIZE, cubic, term
@@ -334,7 +334,7 @@ def again(channel: str, made: tuple[str, tuple[float, ...]]) -> Effect:
 def course_of(effect: Effect) -> tuple[Basis, Family, Array] | None:
     """The channel, as a basis, family and numbers of the course that an effect is; None where it is
     none."""
-    if effect.made is None or effect.made[0] not in {f.name for f in (*OVER_TIME, *OVER_YAW)}:
+    if effect.made is None or effect.made[0] not in COURSES:
         return None
     return *_kind(effect.id.partition(" += ")[0], effect.made[0]), np.array(effect.made[1])
 
