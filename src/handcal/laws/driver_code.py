@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-
 from handcal.effects import ROOM
 from handcal.laws import operators
 from handcal.laws.drivers import TURNING, WARM, YAW
@@ -35,8 +33,6 @@ _PLAIN = {
     "t^2": "(signals.t - signals.t[0]) ** 2",
 }
 _STREAMS = {"omega": "gyro", "f": "accel", "alpha": "gyro", "jerk": "accel"}
-_DIRECTION = re.compile(r"\((omega_\S+) / max\(\|omega\|, ([\d.]+)\)\)")
-_SIGN = re.compile(r"tanh\((.+) / (.+)\)")
 
 
 def driver_code(name: str) -> str:
@@ -44,7 +40,7 @@ def driver_code(name: str) -> str:
     Raises KeyError for one that there is none of."""
     if name in _PLAIN:
         return _PLAIN[name]
-    if found := _DIRECTION.fullmatch(name):
+    if found := operators.DIRECTION.fullmatch(name):
         return f"{_signal(found[1])} / np.maximum({_PLAIN['|omega|']}, {found[2]})"
     if " * " in name:
         return " * ".join(_factor(driver_code(part)) for part in name.split(" * "))
@@ -54,7 +50,7 @@ def driver_code(name: str) -> str:
         return f"np.abs({driver_code(name[1:-1])})"
     if found := operators.SIDE.fullmatch(name):
         return f"np.maximum({found[1]}{driver_code(found[2])}, 0.0)"
-    if found := _SIGN.fullmatch(name):
+    if found := operators.SIGN.fullmatch(name):
         return f"np.tanh({driver_code(found[1])} / {found[2]})"
     return _signal(name)
 

@@ -178,7 +178,8 @@ def side(of: Driver, sign: int) -> Driver:
                   signed=False, needs=of.needs)  # fmt: skip
 
 
-def _sign(of: Driver) -> Driver:
+def sign(of: Driver) -> Driver:
+    """The sign of a driver, as soon as it has one."""
     near = SIGN[of.unit]
     return Driver(
         f"tanh({of.name} / {near:g})", "", lambda s, axis: np.tanh(of.course(s, axis) / near)
@@ -230,7 +231,7 @@ def _products() -> Iterator[Driver]:
     pairs = [*combinations(RATES, 2), *combinations(FORCES, 2), *product(RATES, FORCES)]
     pairs += list(product((RATES[0], FORCES[0]), (TURNS, LOAD)))
     others = [(a, b) for a in signals for b in signals if a is not b]
-    pairs += [(a, size(b)) for a, b in others] + [(a, _sign(b)) for a, b in others]
+    pairs += [(a, size(b)) for a, b in others] + [(a, sign(b)) for a, b in others]
     pairs += [(a, b) for b in (TIME, WARMTH) for a in signals]
     yield from (times(a, b) for a, b in pairs)
 

@@ -36,6 +36,7 @@ from handcal.laws.drivers import (
     by,
     operated,
     side,
+    sign,
     size,
     slope,
     square,
@@ -65,19 +66,21 @@ def _total(of: Driver) -> Of:
     return lambda s, _: np.sqrt(sum(of.course(s, axis) ** 2 for axis in range(3)))
 
 
-def _along(n: int) -> Of:
+def _along(rate: Driver, slow: float) -> Driver:
+    """A component of the axis about which the device turns, where it turns faster than this
+    (rad/s)."""
+    slow = float(f"{slow:.{operators.DIGITS}g}")
+
     def of(s: Signals, axis: int) -> Array:
-        size = np.maximum(np.linalg.norm(s.gyro, axis=1), TURNING)
-        return np.asarray(s.gyro[:, (axis + n) % 3] / size)
+        return np.asarray(rate.course(s, axis) / np.maximum(TURNS.course(s, axis), slow))
 
-    return of
+    return Driver(
+        f"({rate.name} / max(|omega|, {slow:g}))", "1", of, LINE, number=slow,
+        at=lambda n: _along(rate, n),
+    )  # fmt: skip
 
 
-# Of the axis about which the device turns, where it does.
-TURNED = tuple(
-    Driver(f"(omega_{{{x}}} / max(|omega|, {TURNING:g}))", "1", _along(n), LINE)
-    for n, x in enumerate("ijk")
-)
+TURNED = tuple(_along(rate, TURNING) for rate in RATES)
 _HERE = (ATTITUDE,)
 NORTH = tuple(
     Driver(f"north_{{{x}}}", "1", _north(n), COARSE, needs=_HERE) for n, x in enumerate("ijk")
@@ -132,6 +135,10 @@ def _made(name: str) -> Driver:
         return square(driver_of(name[:-2]))
     if (one := operators.SIDE.fullmatch(name)) is not None:
         return side(driver_of(one[2]), -1 if one[1] else 1)
+    if (one := operators.SIGN.fullmatch(name)) is not None:
+        return sign(driver_of(one[1]))
+    if (one := operators.DIRECTION.fullmatch(name)) is not None:
+        return _along(driver_of(one[1]), float(one[2]))
     if name[:1] == name[-1:] == "|":
         return size(driver_of(name[1:-1]))
     raise KeyError(name)
@@ -156,11 +163,13 @@ def further(signals: Signals, sensor: int) -> Iterator[Driver]:
     sizes = [size(of) for of in (*RATES, *FORCES, *SLOPES)]
     for of in (TURNS, LOAD, *sizes, *SHAKEN, square(own), square(TURNS)):
         yield from _operated(of, signals, ("memory", "lag", "peak"))
+    for of in map(sign, (RATES[0], FORCES[0])):
+        yield from _operated(of, signals, ("memory", "lag"))
     for of in (TURNS, square(TURNS), LOAD, size(own), square(own)):
         yield from (times(own, memory) for memory in _operated(of, signals, ("memory",)))
     heats = list(_operated(square(TURNS), signals, ("memory",)))
     yield from (times(x, heat) for x in (*RATES, *FORCES) if x is not own for heat in heats)
-    for of in (side(x, sign) for x in FORCES for sign in (1, -1)):
+    for of in (side(x, way) for x in FORCES for way in (1, -1)):
         yield from _operated(of, signals, ("memory",))
     others = (TURNS, LOAD, *RATES[1:], *FORCES[1:], (FORCES, RATES)[sensor][0], YAW, WARMTH, TIME)
     for x in filter(lambda d: usable(d, signals), others):
