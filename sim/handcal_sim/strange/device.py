@@ -11,13 +11,13 @@ import numpy as np
 from handcal_sim.aiding import wrapped
 from handcal_sim.profiles import Array
 from handcal_sim.scenario import World
-from handcal_sim.strange import accel, compass, gyro, more
+from handcal_sim.strange import accel, compass, gyro, more, third
 from handcal_sim.strange.known import remainder, seen
 from handcal_sim.strange.law import Law, Strange, drawn, rms
 from handcal_sim.strangers import Scene, scene_of, with_error
 
 LAWS: dict[str, Law] = {
-    law.name: law for law in (*gyro.LAWS, *accel.LAWS, *compass.LAWS, *more.LAWS)
+    law.name: law for law in (*gyro.LAWS, *accel.LAWS, *compass.LAWS, *more.LAWS, *third.LAWS)
 }
 # Least and largest root mean square that is left beyond the catalogue, over a third of a second,
 # in SI: from a few tens of nats in 84 s to degrees of attitude in a turn.

@@ -81,6 +81,7 @@ _CHANGES = {
 _EQUAL: tuple[tuple[str, frozenset[str]], ...] = (
     ("", frozenset()),
     ("|omega|", frozenset({"omega_x", "omega_y", "omega_z"})),
+    ("|f|", frozenset({"f_x", "f_y", "f_z"})),
     ("tilt", frozenset({"f_z"})),
     *((f"north_{a}", frozenset({"heading", "tilt"})) for a in "xyz"),
     *((f"north_{a}", frozenset({"heading"})) for a in "xyz"),
