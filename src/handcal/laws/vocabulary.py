@@ -177,6 +177,11 @@ def further(signals: Signals, sensor: int) -> Iterator[Driver]:
     if usable(WARMTH, signals):
         yield replace(WARMTH, knots=FINE)
         yield from (times(own, operated("lag", WARMTH, tau)) for tau in WARMING)
+    yield from _further_products(signals)
+
+
+def _further_products(signals: Signals) -> Iterator[Driver]:
+    """Products that either sensor may err by."""
     pairs = (*combinations(RATES, 2), *combinations(FORCES, 2))
     yield from (replace(times(a, b), knots=COARSE) for a, b in pairs)
     for triple in (RATES, FORCES):
