@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from handcal.effects import Signals
-from handcal.laws.driver_code import steps_to
+from handcal.laws.driver_code import HELPERS, steps_to
 from handcal.laws.vocabulary import driver_of
 
 NAMES = [
@@ -35,8 +35,6 @@ def test_a_name_is_that_of_its_driver_and_its_code_makes_the_same(name):
 
 
 def functions():
-    from handcal.laws.driver_code import HELPERS
-
     where = {"np": np, "Array": np.ndarray}
     for source in HELPERS.values():
         exec(source, where)
@@ -49,3 +47,9 @@ def test_below_its_number_a_turn_has_less_of_an_axis(slow):
     along = driver_of(f"(omega_{{i}} / max(|omega|, {slow:g}))").of(s, 2)
     size = np.linalg.norm(s.gyro, axis=1)
     np.testing.assert_allclose(along * np.maximum(size, slow), s.gyro[:, 2], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["tanh(f_{i} / 0.3)", "(omega_{i} / max(|omega|, 0.34567))"])
+def test_a_name_that_no_driver_has_is_none(name):
+    with pytest.raises(KeyError):
+        driver_of(name)

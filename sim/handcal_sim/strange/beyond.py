@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handcal_sim.profiles import Array
-from handcal_sim.strange.memory import interval, lagged
+from handcal_sim.strange.memory import interval, lagged, passed
 from handcal_sim.strange.others import since
 from handcal_sim.strange.still import Made, Rng
 
@@ -104,11 +104,8 @@ def notched(rng: Rng) -> Made:
     hz, wide = rng.uniform(0.3, 0.8), rng.uniform(0.5, 1.0)
 
     def respond(t: Array, u: Array) -> Array:
-        from scipy.signal import cont2discrete, lfilter
-
         w = 2.0 * math.pi * hz
-        top, below, _ = cont2discrete(([wide * w, 0.0], [1.0, wide * w, w * w]), interval(t))
-        return np.asarray(-lfilter(np.ravel(top), below, u - u[0]))
+        return -passed(t, u, [wide * w, 0.0], [1.0, wide * w, w * w])
 
     return respond, f"-band(u, {hz:.3f} Hz, width {wide:.3f})"
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from handcal_sim.profiles import Array
 from handcal_sim.strange.law import signal
-from handcal_sim.strange.memory import followed, lagged, stuck
+from handcal_sim.strange.memory import followed, lagged, passed, stuck
 from handcal_sim.strange.words import of_channel
 from handcal_sim.strangers import Scene
 
@@ -167,12 +167,8 @@ def _peak(t: Array, tau: float, x: Array) -> Array:
 
 def _swung(damping: float) -> Callable[[Array, float, Array], Array]:
     def course(t: Array, hz: float, x: Array) -> Array:
-        from scipy.signal import cont2discrete, lfilter
-
         w = 2.0 * math.pi * hz
-        step = float(t[-1] - t[0]) / (len(t) - 1)
-        top, below, _ = cont2discrete(([w * w], [1.0, 2.0 * damping * w, w * w]), step, "foh")
-        return np.asarray(lfilter(np.ravel(top), below, x - x[0]) + x[0])
+        return np.asarray(passed(t, x, [w * w], [1.0, 2.0 * damping * w, w * w], "foh") + x[0])
 
     return course
 

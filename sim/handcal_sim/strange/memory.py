@@ -19,6 +19,15 @@ def lagged(t: Array, u: Array, tau: float) -> Array:
     return np.asarray(smooth)
 
 
+def passed(t: Array, u: Array, top: list[float], below: list[float], hold: str = "zoh") -> Array:
+    """u (n,), less what it first was, through top / below, polynomials of s, highest power
+    first."""
+    from scipy.signal import cont2discrete, lfilter
+
+    over, under, _ = cont2discrete((top, below), interval(t), hold)
+    return np.asarray(lfilter(np.ravel(over), under, u - u[0]))
+
+
 def followed(u: Array, half: float) -> Array:
     """What follows u (n,) with so much play to either side."""
     follow, at = np.empty(len(u)), float(u[0])
@@ -178,12 +187,8 @@ def ringing(rng: Rng) -> Made:
     hz, damping = rng.uniform(0.5, 1.2), rng.uniform(0.08, 0.2)
 
     def respond(t: Array, u: Array) -> Array:
-        from scipy.signal import cont2discrete, lfilter
-
         w = 2.0 * math.pi * hz
-        top, below, _ = cont2discrete(([w * w], [1.0, 2.0 * damping * w, w * w]), interval(t))
-        swung = lfilter(np.ravel(top), below, u - u[0])
-        return np.asarray(swung - (u - u[0]))
+        return np.asarray(passed(t, u, [w * w], [1.0, 2.0 * damping * w, w * w]) - (u - u[0]))
 
     return respond, f"swing(u, {hz:.3f} Hz, damping {damping:.3f}) - u"
 

@@ -188,7 +188,7 @@ def sign(of: Driver) -> Driver:
 
 def operated(operator: str, of: Driver, number: float, only: int | None = None) -> Driver:
     """What an operator makes of a driver, with this number."""
-    op, number = OPERATORS[operator], float(f"{number:.{operators.DIGITS}g}")
+    op, number = OPERATORS[operator], operators.rounded(number)
 
     def values(s: Signals, axis: int) -> Array:
         x = of.course(s, axis)

@@ -258,8 +258,14 @@ SIDE = re.compile(r"max\((-?)(.+), 0\)")
 # The sign of a signal.
 SIGN = re.compile(r"tanh\((.+) / (.+)\)")
 # Along which axis a device turns, where it turns fast enough.
-DIRECTION = re.compile(r"\((omega_\S+) / max\(\|omega\|, ([\d.e-]+)\)\)")
+_TURNS = r"\(\|omega\|, ([\d.e-]+)\)"
+DIRECTION = re.compile(rf"\((omega_\S+) / max{_TURNS}\)")
 _SAID = re.compile(r"\((\w+)\(([^ ]+) [^)]*\) of (.+?)( - \3)?\)")
+
+
+def rounded(number: float) -> float:
+    """A number with the digits that a driver's name has of it."""
+    return float(f"{number:.{DIGITS}g}")
 
 
 def said(operator: str, signal: str, unit: str, number: float) -> str:
@@ -279,14 +285,13 @@ def parsed(name: str) -> tuple[str, float, str] | None:
 
 def without_numbers(name: str) -> str:
     """A driver's name, but for the numbers of its operators, and for what is no turn yet."""
-    return _SLOW.sub("(|omega|)", _NUMBER.sub(r"(\1 ", name))
+    return re.sub(_TURNS, "(|omega|)", _NUMBER.sub(r"(\1 ", name))
 
 
 # Operators by the word for them, and whether the signal is taken away.
 _BY_WORD = {(o.text[1:].partition("(")[0], o.less): name for name, o in OPERATORS.items()}
 _WORDS = "|".join(sorted({word for word, _ in _BY_WORD}))
 _NUMBER = re.compile(rf"\(({_WORDS})\([^ ]+ ")
-_SLOW = re.compile(r"\(\|omega\|, [\d.e-]+\)")
 
 
 def source(operator: str) -> tuple[str, str]:

@@ -69,7 +69,7 @@ def _total(of: Driver) -> Of:
 def _along(rate: Driver, slow: float) -> Driver:
     """A component of the axis about which the device turns, where it turns faster than this
     (rad/s)."""
-    slow = float(f"{slow:.{operators.DIGITS}g}")
+    slow = operators.rounded(slow)
 
     def of(s: Signals, axis: int) -> Array:
         return np.asarray(rate.course(s, axis) / np.maximum(TURNS.course(s, axis), slow))
@@ -114,7 +114,10 @@ def driver_of(name: str) -> Driver:
     """The driver of this name, whatever the numbers in it. Raises KeyError."""
     if name in DRIVERS or name in _PLAIN:
         return DRIVERS[name] if name in DRIVERS else _PLAIN[name]
-    return _made(name)
+    made = _made(name)
+    if made.name != name:  # (a number in it that there is none with)
+        raise KeyError(name)
+    return made
 
 
 @cache
@@ -124,10 +127,7 @@ def _made(name: str) -> Driver:
         return by(driver_of(factor), driver_of(x))
     if (found := operators.parsed(name)) is not None:
         operator, number, signal = found
-        made = operated(operator, driver_of(signal), number)
-        if made.name != name:
-            raise KeyError(name)
-        return made
+        return operated(operator, driver_of(signal), number)
     first, _, rest = name.partition(" * ")
     if rest:
         return times(driver_of(first), driver_of(rest))
