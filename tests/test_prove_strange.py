@@ -30,7 +30,7 @@ from handcal_sim.prove.suites import SUITES, Answer
 from handcal_sim.prove.told import told
 from handcal_sim.prove.trial import Trial
 from handcal_sim.strange import known, law
-from handcal_sim.strange.device import LAWS, MOST, SIZES, own_scene, with_laws
+from handcal_sim.strange.device import LATEST, LAWS, MOST, SIZES, own_scene, with_laws
 from handcal_sim.strange.formulas import value_of
 from handcal_sim.strange.left import curves, left_share
 from handcal_sim.strange.memory import lagged
@@ -82,6 +82,14 @@ def errors(scene):
 def test_there_are_more_laws_than_a_full_trial_asks_for():
     assert len(LAWS) >= SUITES["strange"].full >= 150
     assert all(one.why.endswith(".") and len(one.why) > 15 for one in LAWS.values())
+
+
+def test_the_latest_laws_are_drawn_in_turn_and_judged_like_the_others():
+    tickets = [Ticket("latest", number, 3) for number in range(SUITES["latest"].full)]
+    firsts = [draw_strange.case_of(t).laws[0][0].strange.law for t in tickets[:4]]
+    assert set(firsts) < set(LATEST) < set(LAWS)
+    assert len(set(firsts)) == 4
+    assert len(LATEST) == SUITES["latest"].full
 
 
 def test_every_law_is_finite_and_the_same_for_the_same_seed(scene, errors):

@@ -221,4 +221,5 @@ _DRAWINGS: Mapping[str, Drawing] = {
     "strange": draw_strange.drawn,
     "axis": _in_part,
     "walks": _each(WALKS),
+    "latest": draw_strange.drawn,
 }

@@ -24,7 +24,7 @@ from handcal_sim.prove.given import (
 )
 from handcal_sim.prove.suites import Answer
 from handcal_sim.scenario import World
-from handcal_sim.strange.device import LAWS, Added, given, own_scene, said_of, with_laws
+from handcal_sim.strange.device import LATEST, LAWS, Added, given, own_scene, said_of, with_laws
 from handcal_sim.strange.law import Law
 from handcal_sim.strange.left import left_of, left_share
 from handcal_sim.strangers import Scene, scene_of
@@ -99,7 +99,7 @@ def case_of(ticket: Ticket) -> Case:
 
 
 def _case(ticket: Ticket, rng: np.random.Generator) -> Case:
-    first = LAWS[in_turn(list(LAWS), ticket)]
+    first = LAWS[in_turn(LATEST if ticket.suite == "latest" else list(LAWS), ticket)]
     second = _second(first, rng)
     chosen = [first] if second is None else [first, second]
     there = _circumstances(any(law.needs_temperature for law in chosen), rng)

@@ -11,6 +11,7 @@ from handcal_sim.prove.given import Ticket
 _FURTHER: Mapping[str, Callable[[Ticket, Mapping[str, Any]], dict[str, float]]] = {
     "budget": draw_budget.left,
     "strange": draw_strange.left,
+    "latest": draw_strange.left,
 }
 
 

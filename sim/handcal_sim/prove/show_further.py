@@ -128,4 +128,5 @@ FURTHER: Mapping[str, Callable[[Row], list[RenderableType]]] = {
     "people": _people,
     "budget": _budget,
     "strange": _strange,
+    "latest": _strange,
 }

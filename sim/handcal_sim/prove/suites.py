@@ -134,6 +134,7 @@ SUITES: dict[str, Suite] = {
         "one effect on one axis, 84 s about three", 4 * len(IN_PART), ("exact", "right_set"), 0.98
     ),
     "walks": Suite("a walk or correlated noise alone, 84 s", 60, ("exact",), 0.95),
+    "latest": Suite("the laws of `strange` that came last", 30, ("exact",), 0.90),
 }
 
 
