@@ -60,6 +60,30 @@ def test_no_second_climb_where_the_first_is_superseded(
     assert len(begun) == 1
 
 
+def test_an_end_that_explains_less_than_the_baseline_is_not_the_last(
+    base: Model, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With the usual noise in the place of a wide sway nothing was found, and with that the search
+    was over: the baseline itself, 1,100 nats likelier, was never searched about."""
+    begun: list[Model] = []
+
+    def end(start: Model, *_: object, **__: object) -> multistart.Found:
+        begun.append(start)
+        return multistart.Found(start, None, {}, {}, named=start)  # type: ignore[arg-type]
+
+    wide = iter((True, *[False] * 9))  # (of the baseline alone)
+    monkeypatch.setattr(multistart, "_end", end)
+    monkeypatch.setattr(multistart, "sways_far", lambda _: next(wide))
+    monkeypatch.setattr(multistart, "_may_stand_in", lambda _: False)
+    monkeypatch.setattr(
+        multistart, "advantage", lambda a, b: a.model.log_evidence - b.model.log_evidence
+    )
+    worse = replace(base, log_evidence=base.log_evidence - 50.0)
+    monkeypatch.setattr(multistart, "steadied", lambda _: worse)
+    assert multistart.search(base).model.log_evidence == base.log_evidence
+    assert len(begun) == 2
+
+
 def test_a_hand_is_asked_about_once_for_each_end(
     base: Model, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -16,9 +16,10 @@ from worlds import injected, problem_of, recording_of
 
 from handcal.effects import Param, Signals, select
 from handcal.estimate.baseline import baseline
-from handcal.estimate.case import case_of
+from handcal.estimate.case import case_of, creeping
 from handcal.estimate.corrected import corrected_readings
 from handcal.estimate.derivatives import QUIET_RATE, _calmed, differentiated
+from handcal.estimate.exciting import _wandering
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.scan import scan
@@ -147,6 +148,17 @@ def test_what_makes_a_hands_sway_smaller_is_not_favoured_for_that(seed: int) -> 
     felt = replace(select(["accel_scale"])[0], id="small", imu_error=small_changes, features=None,
                    proportional=False, parameters=(Param("k", "1", 0.1),))  # fmt: skip
     assert fitted(base.parts, [felt]).log_evidence < base.log_evidence + 1.0
+
+
+def test_all_that_a_held_point_does_is_a_hands_wandering_whether_it_sways_or_creeps() -> None:
+    """Where most of it was taken for a drift, that was motion: a force that counts by its size as
+    well shrank it, and gained a hundred nats in a recording with nothing but a walk."""
+    world = simulate("free-hand", seed=0, duration_s=10.0)
+    (f,) = baseline([creeping(case_of(recording_of(world, "heading")))]).parts
+    states = np.random.default_rng(0).normal(size=f.trajectory.markov.shape)
+    moved = _wandering(f.problem, replace(f.trajectory, markov=states))
+    # (place and velocity of the sway; place, velocity and acceleration of the drift)
+    np.testing.assert_array_equal(moved, states[:, 3:6] + states[:, 9:12])
 
 
 def test_a_filter_that_runs_backwards_is_no_rival_of_a_late_accelerometer() -> None:

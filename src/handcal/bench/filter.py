@@ -64,7 +64,7 @@ class Case:
 def case_of(recording: Recording, rate: float | None = None) -> Case:
     """Position, velocity and heading observed at every sample, or so many times a second."""
     known = catalogue()
-    white = replace(known["fixed_position"], markov=None, markov_residual=0, wandering=None)
+    white = replace(known["fixed_position"], markov=None, markov_residual=0, wandering=())
     t = pseudo_times(recording, rate)
     still, yaw = np.zeros((len(t), 3)), _yaw_at(recording, t)[:, None]
     observed: list[tuple[Observation, Rows, tuple[tuple[str, str, float], ...]]] = [

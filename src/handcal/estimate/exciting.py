@@ -15,7 +15,7 @@ STEADY_S = 0.15
 
 def held(problem: Problem) -> bool:
     """Whether the device turns about a point that wanders."""
-    return any(o.wandering is not None for o in problem.observations)
+    return any(o.wandering for o in problem.observations)
 
 
 def unexciting(
@@ -53,9 +53,8 @@ def _wandering(problem: Problem, nominal: Trajectory) -> Array:
     """Velocity (k, 3) at which the held point wanders at the epochs."""
     out, at = np.zeros_like(nominal.v), 0
     for observation in problem.observations:
-        if observation.wandering is not None:
-            first = at + observation.wandering
-            out += nominal.markov[:, first : first + 3]
+        for state in observation.wandering:
+            out += nominal.markov[:, at + state : at + state + 3]
         at += observation.markov.size if observation.markov is not None else 0
     return out
 

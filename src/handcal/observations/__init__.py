@@ -82,8 +82,8 @@ class Observation:
     by position, velocity, psi, rate and force. ``variance(levels)`` -> (dim,).
     markov_residual: corrects the residual for the Markov states, which are its theta.
     isotropic: where z is zero, the residual is a vector in n without preferred direction.
-    wandering: first of the three Markov states that are the velocity of a point that wanders
-    at random: what it feels is no motion that could excite an effect.
+    wandering: first of each three Markov states that are a velocity of a point that wanders at
+    random: what it feels is no motion that could excite an effect.
     folds: one number, read so often that its readings within a tenth of a second may be folded into
     one, or those between two looks at a held point gathered into a few.
     navigates: it says something of position, velocity or attitude. places: it says where the
@@ -115,7 +115,7 @@ class Observation:
     ours: Callable[[Array, Array], Array] | None = None
     moved: Callable[[Recording, Series, Array, Array], Series] | None = None
     isotropic: bool = False
-    wandering: int | None = None
+    wandering: tuple[int, ...] = ()
     navigates: bool = True
     places: bool = False
     folds: bool = False

@@ -271,7 +271,7 @@ OBSERVATION = Observation(
     markov=Sway(SWAY),
     isotropic=True,
     places=True,
-    wandering=3,
+    wandering=(3,),
     markov_residual=residual_function(_swayed),
 )
 
@@ -286,5 +286,6 @@ CREEPING = replace(
         Level("creep_time", "s", 1.0, 0.2, 60.0),
     ),
     markov=Sway(SWAY, CREEP),
+    wandering=(3, 9),
     markov_residual=residual_function(_crept),
 )

@@ -157,8 +157,9 @@ def _begun(
     report: Callable[[float], None],
     superseded: Callable[[Found], bool],
 ) -> tuple[Found, bool]:
-    """The best end of climbs from these starts, up to the first that leaves no wide sway; or one
-    before the last that is superseded, and whether that is so."""
+    """The best end of climbs from these starts, the last of which is the baseline, up to the first
+    that explains more than that and leaves no wide sway; or one before the last that is superseded,
+    and whether that is so."""
     found: Found | None = None
     for number, start in enumerate(starts):
         own = partial(_part_of, report, number / len(starts), len(starts))
@@ -168,7 +169,9 @@ def _begun(
             found = end
         elif advantage(end, found) > 0.0:
             found = replace(end, alone=found.alone, named=found.named)
-        if not any(sways_far(f) for f in found.model.parts):
+        # (an end that is worse than what it began to explain, at noise of its own, is none)
+        held = better(found.model, starts[-1], 1.0) > 0.0
+        if held and not any(sways_far(f) for f in found.model.parts):
             break
         if start is not starts[-1] and superseded(found):
             return found, True
