@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import islice
 
@@ -19,6 +19,7 @@ from handcal.estimate.model import Fitted, Model
 from handcal.estimate.quadratic import Quadratic
 from handcal.estimate.scan import grounds, scan
 from handcal.laws import shapes, terms
+from handcal.laws.compositions import composed
 from handcal.laws.course_numbers import ROUGHLY, nearer
 from handcal.laws.courses import COURSES
 from handcal.laws.drivers import HEADING, Driver
@@ -31,11 +32,13 @@ from handcal.laws.over_drivers import (
     best_of_block,
     blocks,
     further_blocks,
+    over,
     promising,
     signals_of,
     tuned,
     written_out,
 )
+from handcal.laws.short_windows import Courses, courses_of, fits_in, likeliest
 from handcal.laws.vocabulary import CURVED
 from handcal.laws.weighing import beside, gains, weighed, wide_root
 from handcal.model_score import TERM_PRIOR, better, score
@@ -56,8 +59,13 @@ ENOUGH = math.log(2.0) - TERM_PRIOR
 UNTOLD = 3.0
 
 
-# Blocks by vocabulary: the usual one (""), and the further one of a sensor.
-Vocabulary = dict[str, list[Block]]
+@dataclass(frozen=True, eq=False)
+class Vocabulary:
+    """Blocks of the usual vocabulary ("") and of the further one of each sensor, and the courses of
+    all drivers that are made of several, as far as they were asked for."""
+
+    blocks: dict[str, list[Block]] = field(default_factory=dict)
+    composed: list[Courses] = field(default_factory=list)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,14 +81,13 @@ class Term:
 @dataclass(frozen=True, eq=False)
 class Survey:
     """All that is looked at beside a model: its ``grounds``, the signals of its first recording;
-    blocks of the usual vocabulary (under "") and of the further one of each sensor, as far as they
-    were asked for, and looks, and what their scans showed. first: of the first part of long
-    recordings, which says what is looked at in the whole."""
+    vocabulary, looks (under "" and each sensor, as of blocks), and what their scans showed. first:
+    of the first part of long recordings, which says what is looked at in the whole."""
 
     model: Model
     base: Sequence[Ground]
     signals: Signals
-    blocks: Vocabulary
+    vocabulary: Vocabulary
     scanned: dict[str, list[tuple[Look, Quadratic]]]
     first: FirstLook | None
 
@@ -94,13 +101,14 @@ class Survey:
     def _scan(self, name: str, known: Sequence[Effect]) -> None:
         """Look through a vocabulary, as far as that has not been done."""
         f = self.model.parts[0]
-        if name not in self.blocks:
-            s = self.signals
-            self.blocks[name] = list(further_blocks(s, name) if name else blocks(s))
-        wanted = self.blocks[name]
+        every, s = self.vocabulary.blocks, self.signals
+        if name not in every:
+            every[name] = list(further_blocks(s, name) if name else blocks(s))
+        wanted = every[name]
         if self.first is not None:
-            chunks = list(_chunks(self.blocks[name], MOST_COLUMNS))
-            wanted = self.first.likeliest(name, chunks, known)
+            wanted = self.first.likeliest(name, list(_chunks(wanted, MOST_COLUMNS)), known)
+        if name in SENSORS[:HEADING] and name not in self.scanned:
+            wanted = [*wanted, *self._composed(SENSORS.index(name), known)]
         looks = [] if name in self.scanned else list(_others(f, name))
         done = self.scanned.setdefault(name, [])
         have = {e.id for look, _ in done for e in look.effects}
@@ -112,11 +120,21 @@ class Survey:
         ]
         done += _scans(self.model, looks, self.base)
 
+    def _composed(self, sensor: int, known: Sequence[Effect]) -> list[Block]:
+        """Blocks over those drivers made of several signals that promise most here."""
+        if len(self.model.parts) > 1 or not fits_in(self.signals):
+            return []
+        made = self.vocabulary.composed
+        if not made:
+            made.append(courses_of(list(composed(self.signals)), self.signals))
+        best = likeliest(self.model, self.base, known, sensor, made[0])
+        return [b for d in best for b in over(d, self.signals, (sensor,))]
+
 
 def survey(model: Model, vocabulary: Vocabulary | None = None) -> Survey:
     """Of this model, with nothing looked at yet; vocabulary: blocks of the same recordings, made
     about another model, and those that will be made."""
-    made = {} if vocabulary is None else vocabulary
+    made = Vocabulary() if vocabulary is None else vocabulary
     return Survey(model, grounds(model), signals_of(model.parts[0]), made, {}, first_look(model))
 
 

@@ -65,9 +65,11 @@ def steps_to(x: str, name: str) -> list[str]:
         if signal == YAW.name:
             begun += [f"{x} = np.unwrap({x})"]
         return [*begun, f"{x} = {made}{less}"]
-    factors, _, last = name.rpartition(" * ")
-    if factors and operators.parsed(last) is not None:
-        return [*steps_to(x, last), f"{x} = {_factor(driver_code(factors))} * {x}"]
+    first, rest = operators.factors(name)
+    if rest and " of " in first:
+        return [*steps_to(f"{x}_0", first), *steps_to(x, rest), f"{x} = {x}_0 * {x}"]
+    if " of " in rest:
+        return [*steps_to(x, rest), f"{x} = {_factor(driver_code(first))} * {x}"]
     return [f"{x} = {driver_code(name)}"]
 
 

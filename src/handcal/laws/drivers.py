@@ -79,6 +79,11 @@ class Driver:
         return "{j}" not in self.name and "{k}" not in self.name
 
     @property
+    def composed(self) -> bool:
+        """Whether it is made of several signals, and of what an operator makes of one."""
+        return " * " in self.name and " of " in self.name
+
+    @property
     def kind(self) -> str:
         """Its name, but for a number in it."""
         return operators.without_numbers(self.name)

@@ -279,8 +279,31 @@ def parsed(name: str) -> tuple[str, float, str] | None:
     if found is None:
         return None
     word, number, signal, less = found.groups()
+    if not _closed(signal):  # (of a product of two such drivers)
+        return None
     operator = _BY_WORD.get((word, bool(less)))
     return None if operator is None else (operator, float(number), signal)
+
+
+def factors(name: str) -> tuple[str, str]:
+    """The first factor of a driver that is a product, and the others; none where it is no
+    product."""
+    parts = name.split(" * ")
+    for n in range(1, len(parts)):
+        first = " * ".join(parts[:n])
+        if _closed(first):
+            return first, " * ".join(parts[n:])
+    return name, ""
+
+
+def _closed(text: str) -> bool:
+    """Whether every bracket in it is closed, and none that is not open."""
+    depth = 0
+    for letter in text:
+        depth += (letter == "(") - (letter == ")")
+        if depth < 0:
+            return False
+    return depth == 0
 
 
 def without_numbers(name: str) -> str:

@@ -64,16 +64,17 @@ def blocks(signals: Signals) -> list[Block]:
     """Every sensor with every driver of the usual vocabulary of which this recording has a
     course."""
     usual = [d for d in DRIVERS.values() if usable(d, signals)]
-    return [b for d in usual for b in _over(d, signals, range(HEADING))]
+    return [b for d in usual for b in over(d, signals, range(HEADING))]
 
 
 def further_blocks(signals: Signals, sensor: str) -> list[Block]:
     """A sensor with every further driver of which this recording has a course."""
     n = SENSORS.index(sensor)
-    return [b for d in further(signals, n) for b in _over(d, signals, (n,))]
+    return [b for d in further(signals, n) for b in over(d, signals, (n,))]
 
 
-def _over(driver: Driver, signals: Signals, sensors: Iterable[int]) -> list[Block]:
+def over(driver: Driver, signals: Signals, sensors: Iterable[int]) -> list[Block]:
+    """All laws over a driver, of each of these sensors; none where it has no course."""
     x = np.stack([driver.course(signals, axis) for axis in range(3)])
     rms = float(np.sqrt(np.mean(x**2)))
     if rms < 1e-9 or np.ptp(x) < 1e-6 * rms:
@@ -175,8 +176,8 @@ def written_out(about_: About, law: Law) -> list[tuple[Law, float]]:
     of two, and of two with the same numbers; with their numbers adjusted."""
     driver = law.driver
     x = np.stack([driver.course(about_.signals, axis) for axis in range(3)])
-    over = range_of(x, driver.signed)
-    parts = parts_for(over, driver.signed, driver.round, driver.factor is not None)
+    ends = range_of(x, driver.signed)
+    parts = parts_for(ends, driver.signed, driver.round, driver.factor is not None)
     return [_adjusted(about_, *end) for end in _tried(about_, law, parts)]
 
 
@@ -240,7 +241,7 @@ def tuned(about_: About, law: Law, gain: float) -> tuple[Law, float]:
         at, number = law.driver.at, law.driver.number
         if at is None:
             break
-        near = [b for s in shares for b in _over(at(s * number), about_.signals, (law.sensor,))]
+        near = [b for s in shares for b in over(at(s * number), about_.signals, (law.sensor,))]
         seen = about_.seen([b.effect for b in near])
         for other, value in (end for block in near for end in best_of_block(block, seen)):
             if value > gain and (other.axes, other.each) == (law.axes, law.each):

@@ -128,7 +128,7 @@ def _made(name: str) -> Driver:
     if (found := operators.parsed(name)) is not None:
         operator, number, signal = found
         return operated(operator, driver_of(signal), number)
-    first, _, rest = name.partition(" * ")
+    first, rest = operators.factors(name)
     if rest:
         return times(driver_of(first), driver_of(rest))
     if name.endswith("^2"):
@@ -148,29 +148,29 @@ def further(signals: Signals, sensor: int) -> Iterator[Driver]:
     """What may drive a sensor besides ``DRIVERS`` (a heading: besides what ``terms`` has), in a
     recording that has it."""
     if sensor == HEADING:
-        yield from _operated(YAW, signals, NEEDLE)
+        yield from made_by(YAW, signals, NEEDLE)
         yield from SLOPES
         for of in filter(lambda d: usable(d, signals), (YAW_RATE, *PITCHES, WARMTH)):
-            yield from _operated(of, signals, tuple(OPERATORS))
-        yield from _operated(TURNS, signals, ("memory", "lag", "peak"))
+            yield from made_by(of, signals, tuple(OPERATORS))
+        yield from made_by(TURNS, signals, ("memory", "lag", "peak"))
         if usable(WARMTH, signals):  # (what is warmed follows slower than what turns)
             yield from (operated("lag", WARMTH, tau) for tau in WARMING)
         return
     own = (RATES, FORCES)[sensor][0]
     yield from (d for d in FURTHER if usable(d, signals))
     for of in (*RATES, *FORCES, *filter(lambda d: usable(d, signals), (*NORTH, WARMTH))):
-        yield from _operated(of, signals, tuple(OPERATORS))
+        yield from made_by(of, signals, tuple(OPERATORS))
     sizes = [size(of) for of in (*RATES, *FORCES, *SLOPES)]
     for of in (TURNS, LOAD, *sizes, *SHAKEN, square(own), square(TURNS)):
-        yield from _operated(of, signals, ("memory", "lag", "peak"))
+        yield from made_by(of, signals, ("memory", "lag", "peak"))
     for of in map(sign, (RATES[0], FORCES[0])):
-        yield from _operated(of, signals, ("memory", "lag"))
+        yield from made_by(of, signals, ("memory", "lag"))
     for of in (TURNS, square(TURNS), LOAD, size(own), square(own)):
-        yield from (times(own, memory) for memory in _operated(of, signals, ("memory",)))
-    heats = list(_operated(square(TURNS), signals, ("memory",)))
+        yield from (times(own, memory) for memory in made_by(of, signals, ("memory",)))
+    heats = list(made_by(square(TURNS), signals, ("memory",)))
     yield from (times(x, heat) for x in (*RATES, *FORCES) if x is not own for heat in heats)
     for of in (side(x, way) for x in FORCES for way in (1, -1)):
-        yield from _operated(of, signals, ("memory",))
+        yield from made_by(of, signals, ("memory",))
     others = (TURNS, LOAD, *RATES[1:], *FORCES[1:], (FORCES, RATES)[sensor][0], YAW, WARMTH, TIME)
     for x in filter(lambda d: usable(d, signals), others):
         yield by(own, replace(x, knots=FINEST if x is TIME else COARSE))
@@ -195,7 +195,7 @@ def _further_products(signals: Signals) -> Iterator[Driver]:
         yield from (times(b, a) for b in (*RATES, *FORCES))
 
 
-def _operated(of: Driver, signals: Signals, names: tuple[str, ...]) -> Iterator[Driver]:
+def made_by(of: Driver, signals: Signals, names: tuple[str, ...]) -> Iterator[Driver]:
     """What these operators make of a driver, with the numbers to begin with; but for what the
     first vocabulary has."""
     x = np.stack([of.course(signals, axis) for axis in range(3)], axis=1)

@@ -56,7 +56,7 @@ class _Common:
 
     refused: Set[str]
     budget: Budget
-    vocabulary: Vocabulary = field(default_factory=dict)
+    vocabulary: Vocabulary = field(default_factory=Vocabulary)
 
 
 def search(

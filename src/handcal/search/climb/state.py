@@ -67,7 +67,7 @@ class Climb:
     whole: set[str] = field(default_factory=set)
     adjusted: set[str] = field(default_factory=set)
     survey: Survey | None = None
-    vocabulary: Vocabulary = field(default_factory=dict)
+    vocabulary: Vocabulary = field(default_factory=Vocabulary)
     rival: Model | None = None
     named: Model | None = None
 

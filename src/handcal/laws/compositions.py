@@ -1,0 +1,61 @@
+"""Drivers made of several signals and of what an operator makes of them: far more than a scan looks
+at, so that only those are that a look at what they are in short windows promises most of."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import combinations, combinations_with_replacement
+
+from handcal.effects import Signals
+from handcal.laws.drivers import (
+    FORCES,
+    LOAD,
+    RATES,
+    TURNS,
+    WARMING,
+    WARMTH,
+    Driver,
+    operated,
+    size,
+    square,
+    times,
+    usable,
+)
+from handcal.laws.operators import OPERATORS, OVERSHOOTS
+from handcal.laws.vocabulary import NORTH, PITCHES, SLOPES, TILT, made_by
+
+# What is remembered of a signal, and of one that has no sign.
+_PAST = ("memory", "lag", "friction", "side", "peak")
+_PAST_SIZE = ("memory", "lag", "peak")
+
+
+def composed(signals: Signals) -> Iterator[Driver]:
+    """All of them that a recording has, for either sensor."""
+    plain = (*RATES, *FORCES)
+    whole = (TURNS, LOAD)
+    turned = tuple(d for d in (*NORTH, *PITCHES, TILT) if usable(d, signals))
+    for of in SLOPES:
+        yield from made_by(of, signals, tuple(OPERATORS))
+    felt = (*plain, *map(size, plain), *whole)
+    for of in (*plain, *whole, *map(size, plain)):
+        names = _PAST if of.signed else _PAST_SIZE
+        yield from (times(x, past) for past in made_by(of, signals, names) for x in felt)
+    pairs = [times(a, b) for a, b in combinations_with_replacement(plain, 2)]
+    pairs += [times(a, size(b)) for a in plain for b in plain]
+    pairs += [times(a, square(a)) for a in plain]
+    for pair in pairs:
+        yield from made_by(pair, signals, _PAST_SIZE)
+    yield from _beyond_their_means(plain, signals)
+    yield from (times(a, times(b, c)) for a, b, c in combinations(plain, 3))
+    if usable(WARMTH, signals):
+        late = [operated("lag", WARMTH, tau) for tau in WARMING]
+        yield from (times(x, past) for past in late for x in (*plain, *whole, *turned))
+
+
+def _beyond_their_means(plain: tuple[Driver, ...], signals: Signals) -> Iterator[Driver]:
+    """Products of two signals less what each was, and what is remembered of them."""
+    for a, b in combinations(plain, 2):
+        for tau in OVERSHOOTS:
+            pair = times(operated("lag", a, tau), operated("lag", b, tau))
+            yield pair
+            yield from made_by(pair, signals, ("memory",))
