@@ -39,6 +39,20 @@ def relinearised(
     return replace(done, nodes=done.nodes._replace(J=J))
 
 
+def moving(done: Corrected, noise: Array | None, force: Array | None) -> tuple[Array, BoolArray]:
+    """What of the corrected readings counts as motion (n, 6), and when the device is quiet (n,); as
+    ``differentiated``."""
+    problem = done.problem
+    imu, nodes = problem.recording.imu, problem.nodes
+    truth = done.raw - done.error
+    if noise is not None:
+        truth = truth - noise
+    if force is not None:
+        truth = np.hstack([truth[:, :3], force])
+    quiet = np.interp(imu.t, nodes.t, problem.rate) < QUIET_RATE
+    return (truth if noise is None else _stilled(truth, imu.t, quiet)), quiet
+
+
 def differentiated(
     done: Corrected, noise: Array | None = None, force: Array | None = None
 ) -> Problem:
@@ -50,14 +64,7 @@ def differentiated(
     problem, read = done.problem, done.read
     recording, nodes = problem.recording, problem.nodes
     imu = recording.imu
-    truth = done.raw - done.error
-    if noise is not None:
-        truth = truth - noise
-    if force is not None:
-        truth = np.hstack([truth[:, :3], force])
-    quiet = np.interp(imu.t, nodes.t, problem.rate) < QUIET_RATE
-    if noise is not None:
-        truth = _stilled(truth, imu.t, quiet)
+    truth, quiet = moving(done, noise, force)
     parts = _parts(problem, read, truth)
     C_nb = None if noise is None else read.C_nb
     swinging = _swinging(problem)

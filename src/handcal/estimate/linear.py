@@ -22,9 +22,9 @@ from handcal.compiled.preintegration import (
     turn_errors,
     turn_noise,
 )
-from handcal.effects import ATTITUDE, DELAY, Effect
+from handcal.effects import ATTITUDE, DELAY, Effect, Signals
 from handcal.estimate.corrected import Corrected, corrected_readings
-from handcal.estimate.derivatives import differentiated
+from handcal.estimate.derivatives import differentiated, moving
 from handcal.estimate.exciting import held, sway, unexciting
 from handcal.estimate.parallel import in_threads
 from handcal.estimate.problem import Problem, Slopes, constants_of
@@ -38,7 +38,7 @@ from handcal.estimate.seen import (
 from handcal.estimate.start import Start
 from handcal.estimate.trajectory import Trajectory, biases, intervals, path
 from handcal.observations import NAV
-from handcal.signals import further
+from handcal.signals import further, reading
 from handcal.types import Array, BoolArray, IntArray
 
 # Epochs from which they are integrated in two halves, on two cores: a twentieth of a second.
@@ -277,6 +277,14 @@ def slopes_of(told: Excited, effects: Sequence[Effect]) -> Slopes:
     found = differentiated(replace(done, problem=problem, read=read), told.noise, told.force).slopes
     assert found is not None
     return found
+
+
+def motion_of(told: Excited) -> Signals:
+    """Rate, force and attitude as they may excite an effect, at the IMU's samples."""
+    done = told.done
+    truth, _ = moving(done, told.noise, told.force)
+    streams = further(done.problem.recording, ())
+    return reading(replace(done.read, C_nb=told.C_nb, streams=streams), truth)
 
 
 def believing(problem: Problem, constants: Array) -> Problem:

@@ -15,6 +15,7 @@ from handcal.effects import Effect, Signals
 from handcal.estimate.columns import Ground
 from handcal.estimate.fit import fitted
 from handcal.estimate.forked import in_parallel
+from handcal.estimate.linear import motion_of
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.quadratic import Quadratic
 from handcal.estimate.scan import grounds, scan
@@ -126,7 +127,7 @@ class Survey:
             return []
         made = self.vocabulary.composed
         if not made:
-            made.append(courses_of(list(composed(self.signals)), self.signals))
+            made.append(courses_of(list(composed(self.signals)), motion_of(self.base[0].excited)))
         best = likeliest(self.model, self.base, known, sensor, made[0])
         return [b for d in best for b in over(d, self.signals, (sensor,))]
 

@@ -19,7 +19,7 @@ from handcal.estimate.model import Model
 from handcal.estimate.scan import scan
 from handcal.laws.drivers import Driver
 from handcal.laws.law_effect import SIZE
-from handcal.laws.weighing import Beside, beside, gains, weighed
+from handcal.laws.weighing import Beside, beside, gains
 from handcal.signals import some
 from handcal.types import Array, IntArray
 
@@ -88,8 +88,8 @@ def likeliest(
     """The drivers over which a law of one constant gains most about a model, on one axis or alike
     on all of them, the best first."""
     windows = [_constant(3 * sensor + axis, courses.means.shape[2]) for axis in range(3)]
-    q = scan(model, windows, base)
-    seen = beside(weighed(q, q.worth), known, windows)
+    q = scan(model, windows, base, 1.0)
+    seen = beside(q, known, windows)
     gain = _gains(courses.means, seen, [seen.at[e.id] for e in windows]).max(axis=1)
     out: list[Driver] = []
     kinds: dict[str, int] = {}

@@ -31,6 +31,8 @@ LEAST_WARMING = 0.3
 # Rate below which a compass may stick, rad/s; its inverse sinh's largest size, at 20 rad/s.
 SLOW = 0.1
 FASTEST = math.asinh(20.0 / SLOW)
+# Held more steeply than this (the cosine), the field across a device is too weak for a heading.
+STEEPEST = 0.25
 # Knots of a curve over the heading's direction, and over anything else.
 DIRECTIONS, KNOTS = 32, 9
 # How the kind of a curve begins (``Effect.made``).
@@ -105,6 +107,29 @@ def _tilted_iron(row: int) -> Residual:
     return heading
 
 
+def _turning_iron(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+    yaw = np.arctan2(nav[9], nav[6])
+    size = np.sqrt(nav[15] * nav[15] + nav[16] * nav[16] + nav[17] * nav[17])
+    r[0] -= (k[0] * np.sin(yaw) + k[1] * np.cos(yaw)) * size
+    return 0
+
+
+def _steep_iron(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
+    yaw = np.arctan2(nav[9], nav[6])
+    level = max(abs(nav[14]), STEEPEST)
+    r[0] -= (k[0] * np.sin(yaw) + k[1] * np.cos(yaw)) / level
+    return 0
+
+
+def _of_stream_iron(stream: int) -> Residual:
+    def heading(nav: Any, k: Any, z: Any, r: Any) -> int:
+        yaw = np.arctan2(nav[9], nav[6])
+        r[0] -= (k[0] * np.sin(yaw) + k[1] * np.cos(yaw)) * z[stream]
+        return 0
+
+    return heading
+
+
 def _both_tilted(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
     r[0] -= k[0] * nav[12] * nav[13]
     return 0
@@ -171,6 +196,12 @@ def _table() -> Iterator[tuple[str, tuple[Residual, tuple[str, ...]]]]:
         text = f"(k1 * sin(yaw) + k2 * cos(yaw)) * sin(pitch of {axis})"
         yield text, (_tilted_iron(row), ("rad", "rad"))
         yield f"k * yaw rate * sin(pitch of {axis})", (_tilted_turn(row), ("s",))
+    yield "(k1 * sin(yaw) + k2 * cos(yaw)) * |omega|", (_turning_iron, ("s", "s"))
+    text = f"(k1 * sin(yaw) + k2 * cos(yaw)) / max(abs(cos(tilt)), {STEEPEST:g})"
+    yield text, (_steep_iron, ("rad", "rad"))
+    text = f"(k1 * sin(yaw) + k2 * cos(yaw)) * {WARM}"
+    yield text, (_of_stream_iron(WARMTH), ("rad/K", "rad/K"))
+    yield "(k1 * sin(yaw) + k2 * cos(yaw)) * t", (_of_stream_iron(TIME), ("rad/s", "rad/s"))
     yield "k * sin(pitch of x) * sin(pitch of y)", (_both_tilted, ("rad",))
     yield "(k1 * sin(yaw) + k2 * cos(yaw)) * cos(tilt)", (_tilted_iron(14), ("rad", "rad"))
     yield "k * yaw rate * cos(tilt)", (_tilted_turn(14), ("s",))
@@ -205,7 +236,13 @@ def heading_terms(recording: Recording) -> list[Effect]:
     """Terms of a measured heading."""
     known, span = _named_headings(catalogue()), recording.duration_s
     size, warmth = HEADING_SIZE, warmth_at(recording, recording.imu.t)
-    sizes = {"rad": size, "rad/s^2": 2.0 * size / span**2, "s": size, "1": 1.0}
+    sizes = {
+        "rad": size,
+        "rad/s": 2.0 * size / span,
+        "rad/s^2": 2.0 * size / span**2,
+        "s": size,
+        "1": 1.0,
+    }
     if np.ptp(warmth) > LEAST_WARMING:
         sizes |= {"rad/K": size / _rms(warmth), "rad/K^2": size / _rms(warmth**2)}
     return [

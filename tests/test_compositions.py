@@ -1,0 +1,107 @@
+"""Drivers made of several signals: their names are all that a file has of them, and what a look at
+short windows promises is what a scan says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from worlds import recording_of
+
+from handcal.effects import Signals
+from handcal.estimate.baseline import baseline
+from handcal.estimate.case import case_of
+from handcal.estimate.linear import motion_of
+from handcal.estimate.scan import grounds, scan
+from handcal.laws import operators
+from handcal.laws.compositions import composed
+from handcal.laws.driver_code import HELPERS, steps_to
+from handcal.laws.drivers import DRIVERS, RATES, Driver, operated, times
+from handcal.laws.grammar import formula
+from handcal.laws.law_effect import COMPOSED, Law
+from handcal.laws.over_drivers import over, signals_of
+from handcal.laws.short_windows import MOST_WINDOWS, WINDOW, courses_of, fits_in, likeliest
+from handcal.laws.vocabulary import driver_of
+from handcal.laws.weighing import beside, gains
+from handcal.signals import probe
+from handcal_sim import simulate
+
+PROBE = probe(600)
+ALL = list(composed(PROBE))
+
+
+def test_every_name_is_one_drivers_and_says_all_that_it_is() -> None:
+    assert len({d.name for d in ALL}) == len(ALL) > 3000
+    assert not {d.name for d in ALL} & set(DRIVERS)
+    for d in ALL[:: len(ALL) // 150]:
+        again = driver_of(d.name)
+        assert (again.name, again.number, again.composed) == (d.name, d.number, d.composed)
+        np.testing.assert_array_equal(again.course(PROBE, 1), d.course(PROBE, 1))
+
+
+def test_the_code_of_a_law_that_is_written_out_makes_the_same_course() -> None:
+    names = {"np": np, "signals": PROBE, "Array": np.ndarray, "i": 1}
+    for text in HELPERS.values():
+        exec(text, names)
+    for d in ALL[:: len(ALL) // 150]:
+        exec("\n".join(steps_to("x", d.name)), names)
+        np.testing.assert_allclose(names["x"], d.course(PROBE, 1), rtol=1e-9, atol=1e-12)
+
+
+@given(st.lists(st.sampled_from(ALL), min_size=2, max_size=3))
+def test_a_product_of_any_drivers_comes_apart_where_it_was_put_together(some: list[Driver]) -> None:
+    name = " * ".join(d.name for d in some)
+    first, rest = operators.factors(name)
+    assert f"{first} * {rest}" == name
+    assert operators.factors(first) == (first, "")
+    assert operators.parsed(name) is None
+
+
+def test_what_is_made_of_more_costs_more() -> None:
+    one = operated("memory", RATES[0], 1.0)
+    pair = times(RATES[1], one)
+    assert (one.composed, pair.composed, times(RATES[0], RATES[1]).composed) == (False, True, False)
+    costs = [Law(0, (0,), False, d, formula([("line", ())]), (1.0,)).cost for d in (one, pair)]
+    assert costs[1] - costs[0] == pytest.approx(COMPOSED)
+
+
+@pytest.mark.parametrize(
+    ("sensor", "errors"),
+    [(0, {"gyro_cross_products": np.full(9, 0.01)}), (1, {"accel_asymmetry": np.full(3, 0.03)})],
+)
+def test_a_look_at_short_windows_says_what_a_scan_does(
+    sensor: int, errors: dict[str, np.ndarray]
+) -> None:
+    """Of a world with large errors, for courses of all kinds."""
+    world = simulate("free-hand", seed=0, duration_s=60.0, effects=errors)
+    model = baseline([case_of(recording_of(world, "heading"))])
+    signals = signals_of(model.parts[0])
+    assert fits_in(signals)
+    every = list(composed(signals))
+    base, known = grounds(model), [e for e in model.effects if e.process is None]
+    best = likeliest(model, base, known, sensor, courses_of(every, motion_of(base[0].excited)))
+    blocks = [b for d in best for b in over(d, signals, (sensor,))]
+    q = scan(model, [b.effect for b in blocks], base, 1.0)
+    seen = beside(q, known, [b.effect for b in blocks])
+    told = np.array([_most(seen.b[at], seen.G[np.ix_(at, at)]) for at in seen.at.values()])
+    others = every[:: len(every) // 60]
+    rest = [b for d in others for b in over(d, signals, (sensor,))]
+    q = scan(model, [b.effect for b in rest], base, 1.0)
+    seen = beside(q, known, [b.effect for b in rest])
+    usual = np.array([_most(seen.b[at], seen.G[np.ix_(at, at)]) for at in seen.at.values()])
+    # In windows that are short against a turn, hardly anything of a course is lost.
+    assert told.max() > 20.0
+    assert told.max() > 0.85 * usual.max()
+    assert np.median(told) > 0.5 * told.max()
+    assert told[0] > 0.85 * told.max()
+
+
+def _most(b: np.ndarray, G: np.ndarray) -> float:
+    alone = [gains(b[i : i + 1][None], G[i : i + 1, i : i + 1][None])[0] for i in range(3)]
+    return float(max(*alone, gains(b.sum()[None, None], G.sum()[None, None, None])[0]))
+
+
+def test_of_a_long_recording_there_are_too_many_windows() -> None:
+    t = np.linspace(0.0, (MOST_WINDOWS + 2) * WINDOW, 1000)
+    assert not fits_in(Signals(t, np.zeros((1000, 3)), np.zeros((1000, 3))))
