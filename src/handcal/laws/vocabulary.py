@@ -174,6 +174,7 @@ def further(signals: Signals, sensor: int) -> Iterator[Driver]:
     others = (TURNS, LOAD, *RATES[1:], *FORCES[1:], (FORCES, RATES)[sensor][0], YAW, WARMTH, TIME)
     for x in filter(lambda d: usable(d, signals), others):
         yield by(own, replace(x, knots=FINEST if x is TIME else COARSE))
+    yield from (by(x, replace(TIME, knots=FINEST)) for x in (*RATES, *FORCES) if x is not own)
     if usable(WARMTH, signals):
         yield replace(WARMTH, knots=FINE)
         yield from (times(own, operated("lag", WARMTH, tau)) for tau in WARMING)
