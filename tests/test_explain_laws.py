@@ -215,7 +215,7 @@ def test_play_of_what_a_sensor_does_not_read_has_either_sign() -> None:
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_law_that_cannot_be_negative_is_not_found_as_that(sign: float) -> None:
     driver = vocabulary.driver_of("(play(0.0333 rad/s) of omega_{i} - omega_{i})")
-    (block,) = over_drivers._over(driver, probe(), [0])
+    (block,) = over_drivers.over(driver, probe(), [0])
     names = block.effect.parameters
     seen = Beside(np.full(len(names), sign * 50.0), np.diag(np.full(len(names), 40.0)),
                   {block.effect.id: np.arange(len(names))})  # fmt: skip
