@@ -15,7 +15,7 @@ def since_a_turn(t: Array, gyro: Array) -> Array:
 '''
 # What a file needs to know of what its code calls.
 HELPERS = {"since_a_turn": _SINCE_A_TURN} | {
-    name: f"\n{text}\n" for name, text in map(operators.source, operators.OPERATORS)
+    name: f"\n{text}\n" for name, text in map(operators.source, (*operators.OPERATORS, "frozen"))
 }
 _PLAIN = {
     "|omega|": "np.linalg.norm(signals.gyro, axis=1)",
@@ -65,6 +65,10 @@ def steps_to(x: str, name: str) -> list[str]:
         if signal == YAW.name:
             begun += [f"{x} = np.unwrap({x})"]
         return [*begun, f"{x} = {made}{less}"]
+    if (frozen := operators.FROZEN.fullmatch(name)) is not None:
+        begun = steps_to(x, frozen[2])
+        begun += [f"{x} = np.unwrap({x})"] * (frozen[2] == YAW.name)
+        return [*begun, f"{x} = frozen({x}, {_PLAIN['|omega|']}, {frozen[1]}) - {x}"]
     first, rest = operators.factors(name)
     if rest and " of " in first:
         return [*steps_to(f"{x}_0", first), *steps_to(x, rest), f"{x} = {x}_0 * {x}"]

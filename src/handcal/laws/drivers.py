@@ -207,6 +207,22 @@ def operated(operator: str, of: Driver, number: float, only: int | None = None) 
     )  # fmt: skip
 
 
+def while_turning(of: Driver, slow: float) -> Driver:
+    """By how much a driver is off that is frozen while the device turns faster than this
+    (rad/s)."""
+    slow = operators.rounded(slow)
+
+    def values(s: Signals, axis: int) -> Array:
+        x = of.course(s, axis)
+        x = np.ascontiguousarray(np.unwrap(x) if of.round else x)
+        return np.asarray(operators.frozen(x, TURNS.course(s, axis), slow) - x)
+
+    return Driver(
+        f"(frozen({slow:g} rad/s) of {of.name} - {of.name})", of.unit, values, LINE, number=slow,
+        at=lambda n: while_turning(of, n), needs=of.needs,
+    )  # fmt: skip
+
+
 def _table() -> Iterator[Driver]:
     """The vocabulary: curves over signals, and what is a law already."""
     yield from (RATES[0], *(replace(x, knots=COARSE) for x in RATES[1:]))

@@ -198,6 +198,18 @@ def stepped(t: Array, x: Array, step: float) -> Array:  # noqa: ARG001
     return step * np.floor(x / step + 0.5)
 
 
+@njit
+def frozen(x: Array, turning: Array, slow: float) -> Array:
+    """What x was when the device last turned no faster than so much, while it turns faster."""
+    out = np.empty(len(x))
+    at = x[0]
+    for i in range(len(x)):
+        if turning[i] <= slow:
+            at = x[i]
+        out[i] = at
+    return out
+
+
 @dataclass(frozen=True)
 class Operator:
     """text: how a driver with it is called, of the signal {x}, its unit {u} and the number {n};
@@ -260,6 +272,8 @@ SIGN = re.compile(r"tanh\((.+) / (.+)\)")
 # Along which axis a device turns, where it turns fast enough.
 _TURNS = r"\(\|omega\|, ([\d.e-]+)\)"
 DIRECTION = re.compile(rf"\((omega_\S+) / max{_TURNS}\)")
+# What is frozen while the device turns faster.
+FROZEN = re.compile(r"\(frozen\(([\d.e-]+) rad/s\) of (.+) - \2\)")
 _SAID = re.compile(r"\((\w+)\(([^ ]+) [^)]*\) of (.+?)( - \3)?\)")
 
 
@@ -313,13 +327,13 @@ def without_numbers(name: str) -> str:
 
 # Operators by the word for them, and whether the signal is taken away.
 _BY_WORD = {(o.text[1:].partition("(")[0], o.less): name for name, o in OPERATORS.items()}
-_WORDS = "|".join(sorted({word for word, _ in _BY_WORD}))
+_WORDS = "|".join(sorted({"frozen", *(word for word, _ in _BY_WORD)}))
 _NUMBER = re.compile(rf"\(({_WORDS})\([^ ]+ ")
 
 
 def source(operator: str) -> tuple[str, str]:
-    """Name and source, in plain numpy, of the function of an operator."""
-    function: Any = OPERATORS[operator].of
+    """Name and source, in plain numpy, of the function of an operator, or of ``FROZEN``."""
+    function: Any = frozen if operator == "frozen" else OPERATORS[operator].of
     plain = inspect.unwrap(getattr(function, "py_func", function))
     text = inspect.getsource(plain)
     return plain.__name__, text[text.index("def ") :].replace("  # noqa: ARG001", "")
