@@ -29,6 +29,7 @@ DIGITS = 8
 # Text of a formula, and how numpy says it.
 _PYTHON = (
     (r"\bsin\(pitch of ([xy])\)", r"sin_pitch_\1"),
+    (r"\bcos\(pitch of ([xy])\)", r"sqrt(max(1.0 - sin_pitch_\1**2, 0.0))"),
     (r"\bsin\(tilt\)\^2", "(1.0 - cos_tilt**2)"),
     (r"\bcos\(tilt\)", "cos_tilt"),
     (r"\byaw rate\b", "yaw_rate"),

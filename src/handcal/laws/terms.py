@@ -31,7 +31,8 @@ LEAST_WARMING = 0.3
 # Rate below which a compass may stick, rad/s; its inverse sinh's largest size, at 20 rad/s.
 SLOW = 0.1
 FASTEST = math.asinh(20.0 / SLOW)
-# Held more steeply than this (the cosine), the field across a device is too weak for a heading.
+# Where the axis whose heading is told stands more steeply than this (the cosine), too little of it
+# is level for one.
 STEEPEST = 0.25
 # Knots of a curve over the heading's direction, and over anything else.
 DIRECTIONS, KNOTS = 32, 9
@@ -116,7 +117,7 @@ def _turning_iron(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
 
 def _steep_iron(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
     yaw = np.arctan2(nav[9], nav[6])
-    level = max(abs(nav[14]), STEEPEST)
+    level = max(np.sqrt(max(1.0 - nav[12] * nav[12], 0.0)), STEEPEST)
     r[0] -= (k[0] * np.sin(yaw) + k[1] * np.cos(yaw)) / level
     return 0
 
@@ -197,7 +198,7 @@ def _table() -> Iterator[tuple[str, tuple[Residual, tuple[str, ...]]]]:
         yield text, (_tilted_iron(row), ("rad", "rad"))
         yield f"k * yaw rate * sin(pitch of {axis})", (_tilted_turn(row), ("s",))
     yield "(k1 * sin(yaw) + k2 * cos(yaw)) * |omega|", (_turning_iron, ("s", "s"))
-    text = f"(k1 * sin(yaw) + k2 * cos(yaw)) / max(abs(cos(tilt)), {STEEPEST:g})"
+    text = f"(k1 * sin(yaw) + k2 * cos(yaw)) / max(cos(pitch of x), {STEEPEST:g})"
     yield text, (_steep_iron, ("rad", "rad"))
     text = f"(k1 * sin(yaw) + k2 * cos(yaw)) * {WARM}"
     yield text, (_of_stream_iron(WARMTH), ("rad/K", "rad/K"))
