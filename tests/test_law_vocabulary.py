@@ -12,7 +12,7 @@ NAMES = [
     "(omega_{k} / max(|omega|, 0.3465))",
     "(memory(1.361 s) of tanh(f_{i} / 0.5))",
     "(memory(0.4 s) of tanh(omega_{i} / 0.1) - tanh(omega_{i} / 0.1))",
-    "(frozen(0.8217 rad/s) of f_{j} - f_{j})",
+    "(frozen(0.8217 rad/s of |omega|) of f_{j} - f_{j})",
     "omega_{i} * (memory(2.45 s) of f_{k})",
 ]
 

@@ -218,7 +218,7 @@ def while_turning(of: Driver, slow: float) -> Driver:
         return np.asarray(operators.frozen(x, TURNS.course(s, axis), slow) - x)
 
     return Driver(
-        f"(frozen({slow:g} rad/s) of {of.name} - {of.name})", of.unit, values, LINE, number=slow,
+        f"(frozen({slow:g} rad/s of |omega|) of {of.name} - {of.name})", of.unit, values, LINE, number=slow,
         at=lambda n: while_turning(of, n), needs=of.needs,
     )  # fmt: skip
 

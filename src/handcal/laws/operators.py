@@ -273,7 +273,7 @@ SIGN = re.compile(r"tanh\((.+) / (.+)\)")
 _TURNS = r"\(\|omega\|, ([\d.e-]+)\)"
 DIRECTION = re.compile(rf"\((omega_\S+) / max{_TURNS}\)")
 # What is frozen while the device turns faster.
-FROZEN = re.compile(r"\(frozen\(([\d.e-]+) rad/s\) of (.+) - \2\)")
+FROZEN = re.compile(r"\(frozen\(([\d.e-]+) rad/s of \|omega\|\) of (.+) - \2\)")
 _SAID = re.compile(r"\((\w+)\(([^ ]+) [^)]*\) of (.+?)( - \3)?\)")
 
 
