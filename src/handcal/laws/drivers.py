@@ -217,8 +217,9 @@ def while_turning(of: Driver, slow: float) -> Driver:
         x = np.ascontiguousarray(np.unwrap(x) if of.round else x)
         return np.asarray(operators.frozen(x, TURNS.course(s, axis), slow) - x)
 
+    name = f"(frozen({slow:g} rad/s of |omega|) of {of.name} - {of.name})"
     return Driver(
-        f"(frozen({slow:g} rad/s of |omega|) of {of.name} - {of.name})", of.unit, values, LINE, number=slow,
+        name, of.unit, values, LINE, number=slow,
         at=lambda n: while_turning(of, n), needs=of.needs,
     )  # fmt: skip
 
