@@ -14,7 +14,7 @@ from handcal.estimate.first_part import LEAST_S, MOST, first_part
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.laws import first_look
-from handcal.laws.best_law import survey
+from handcal.laws.best_law import Vocabulary, survey
 from handcal.laws.drivers import LINE
 from handcal.laws.over_drivers import blocks, signals_of
 from handcal.types import Series
@@ -69,7 +69,7 @@ def test_a_law_that_is_there_is_among_those_that_the_whole_is_asked_about(
     made = blocks(signals_of(base.parts[0]))
     lines = [b for b in made if b.driver.knots == LINE and not b.driver.free]
     slow = next(b for b in made if b.driver.free)
-    about = survey(base, {"": [*lines, slow]})
+    about = survey(base, Vocabulary({"": [*lines, slow]}))
     looks = [look for look, _ in about.of((), [])]
     asked = {e.id for look in looks for e in look.effects}
     own = {b.effect.id for b in lines if b.driver.name == "omega_{j} * f_{k}" and not b.sensor}

@@ -15,6 +15,7 @@ from rich.console import Console
 
 from handcal.effects import Signals, catalogue
 from handcal.laws import grammar
+from handcal.laws.compositions import composed
 from handcal.laws.courses import OVER_TIME, Family
 from handcal.laws.curve import drivers_of
 from handcal.laws.drivers import DRIVERS, HEADING, LINE
@@ -382,7 +383,15 @@ def test_what_a_formula_adds_is_known_here(world, scene, channel):
     axis = "xyz".index(channel[-1]) if sensor < HEADING else 0
     form = grammar.formula([("line", ())])
     usual = DRIVERS.values() if sensor < HEADING else ()
-    for driver in (*usual, *further(signals, sensor)):
+    made = list(composed(signals))[::40] if sensor < HEADING else []
+    # (what has steps makes one of the least difference between two rates of change)
+    steps = "(side", "(stick", "(steps", "(friction", "(play"
+    made = [
+        d
+        for d in made
+        if not (d.kind.startswith(steps) and ("alpha" in d.kind or "jerk" in d.kind))
+    ]
+    for driver in (*usual, *further(signals, sensor), *made):
         told = Law(sensor, (axis,), False, driver, form, (1.0,))
         true = told.values(signals, axis)[:, 0]
         one = {**entry([channel], []), "formula": told.said,

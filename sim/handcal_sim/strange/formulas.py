@@ -34,7 +34,8 @@ def _each(found: re.Match[str]) -> str:
 
 
 # A formula's text, in turn, and the same in Python.
-_UNITS = r"(?:s|Hz|K|m/s\^[23]|rad/s(?:\^2)?|rad|1)(?:/s)?"
+_UNITS = r"(?:s|Hz|K|m/s\^[23]|rad/s(?:\^2)?|rad|1)(?:/s)?(?: of \|omega\|)?"
+_PAST_OF = re.compile(rf"\((\w+)\(([\d.e+-]+) {_UNITS}\) of ")
 _PYTHON: tuple[tuple[str, str | Callable[[re.Match[str]], str]], ...] = (
     # (courses over time: one after another, and what begins at once)
     (r"\(t from ([^()]+)\)", _spans),
@@ -49,8 +50,6 @@ _PYTHON: tuple[tuple[str, str | Callable[[re.Match[str]], str]], ...] = (
     (r"\byaw rate", "turn"),
     (r"\byaw\b", "heading"),
     (r"\(time since a turn\)", "since()"),
-    (rf"\b(\w+)\(([\d.e+-]+) {_UNITS}\) of \((T - 25)\)", r"\1(\2, (\3))"),
-    (rf"\b(\w+)\(([\d.e+-]+) {_UNITS}\) of ((?:\([^()]*\)|[^\s()])+)", r"\1(\2, \3)"),
     (r"\|(\w+)\|", r"size_\1"),
     (r"([\d.e+-]+) deg\b", r"radians(\1)"),
     (r"(\d) s\b", r"\1"),
@@ -66,7 +65,7 @@ _PLAIN = (ast.Expression, ast.BinOp, ast.UnaryOp, ast.Compare, ast.Call, ast.Nam
 def value_of(entry: Mapping[str, Any], channel: str, at: Scene) -> Array:
     """What an entry of ``unnamed`` with constants adds (n,). Raises KeyError, NameError, TypeError
     or SyntaxError for what is not understood here."""
-    text = entry["formula"].partition(" += ")[2]
+    text = _called(entry["formula"].partition(" += ")[2])
     for pattern, code in _PYTHON:
         text = re.sub(pattern, code, text)
     text = re.sub(r"\b(size_)?((?:omega|f|alpha|jerk|north)_[ijk])\b",
@@ -76,6 +75,23 @@ def value_of(entry: Mapping[str, Any], channel: str, at: Scene) -> Array:
     names |= {name: _driver(name, at) for name in _signals(text)}
     added = eval(_checked(text), {"__builtins__": {}}, {**_functions(at), **names})
     return np.asarray(added, dtype=np.float64) * np.ones(len(at.t))
+
+
+def _called(text: str) -> str:
+    """The text with each ``(memory(2 s) of x - x)`` as a call, the innermost first."""
+    while found := list(_PAST_OF.finditer(text)):
+        one = found[-1]
+        end, depth = one.end(), 1
+        while depth:
+            depth += (text[end] == "(") - (text[end] == ")")
+            end += 1
+        body = text[one.end() : end - 1]
+        half = (len(body) - 3) // 2
+        less = body[:half] + " - " + body[:half] == body
+        x = body[:half] if less else body
+        call = f"({one[1]}({one[2]}, ({x})){f' - ({x})' if less else ''})"
+        text = text[: one.start()] + call + text[end:]
+    return text
 
 
 def _checked(text: str) -> CodeType:
@@ -111,6 +127,7 @@ def _functions(at: Scene) -> dict[str, Any]:
     names = "sin cos tanh exp abs sign sqrt clip arcsin radians round"
     plain: dict[str, Any] = {name: getattr(np, name) for name in names.split()}
     past = {name: _of(f, at.t) for name, f in _PAST.items()}
+    past["frozen"] = lambda slow, x: _held(np.asarray(x), signal(at, "|omega|") <= slow)
     return plain | past | {"max": np.maximum, "pi": math.pi, "since": lambda: since_a_turn(at)}
 
 
@@ -128,6 +145,12 @@ def _side(_t: Array, far: float, x: Array) -> Array:
     out = np.where(np.abs(x) > far, np.sign(x), 0.0)
     last = np.maximum.accumulate(np.where(out != 0.0, np.arange(len(x)), -1))
     return np.where(last >= 0, out[np.maximum(last, 0)], 0.0)
+
+
+def _held(x: Array, free: Array) -> Array:
+    """x where it is free, and else as it was then."""
+    last = np.maximum.accumulate(np.where(free, np.arange(len(x)), 0))
+    return np.asarray(x[last])
 
 
 def _stepwise(move: Callable[[float, float, float, float], float]) -> Callable[..., Array]:
