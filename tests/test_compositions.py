@@ -102,6 +102,21 @@ def _most(b: np.ndarray, G: np.ndarray) -> float:
     return float(max(*alone, gains(b.sum()[None, None], G.sum()[None, None, None])[0]))
 
 
+def test_a_gap_leaves_its_windows_empty_and_every_other_in_its_place() -> None:
+    t = np.arange(0.0, 12.0, 0.01)
+    t = t[(t < 4.0) | (t > 7.0)]
+    turns = np.column_stack([np.sin(t), np.cos(t), np.ones_like(t)])
+    found = courses_of([RATES[2]], Signals(t, turns, turns))
+    (means,) = found.means
+    middle = (np.arange(means.shape[1]) + 0.5) * WINDOW
+    there = (middle < 3.8) | (middle > 7.2)
+    there[-1] = False  # (which may be longer than the others)
+    np.testing.assert_allclose(
+        means[1][there] * found.rms[0], np.sin(middle[there]), atol=0.03
+    )  # (k of y is x)
+    np.testing.assert_array_equal(means[:, (middle > 4.4) & (middle < 6.6)], 0.0)
+
+
 def test_of_a_long_recording_there_are_too_many_windows() -> None:
     t = np.linspace(0.0, (MOST_WINDOWS + 2) * WINDOW, 1000)
     assert not fits_in(Signals(t, np.zeros((1000, 3)), np.zeros((1000, 3))))

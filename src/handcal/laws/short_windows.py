@@ -53,26 +53,28 @@ def _count(t: Array) -> int:
     return max(1, math.floor(float(t[-1] - t[0]) / WINDOW))
 
 
-def _windows(t: Array) -> IntArray:
-    """The window of each sample (n,)."""
-    return np.asarray(np.minimum(((t - t[0]) / WINDOW).astype(np.int64), _count(t) - 1))
+def _windows(t: Array, all_: Array) -> IntArray:
+    """The window of each of some times t (n,) of all."""
+    return np.asarray(np.minimum(((t - all_[0]) / WINDOW).astype(np.int64), _count(all_) - 1))
 
 
 def courses_of(drivers: Sequence[Driver], signals: Signals) -> Courses:
     """Those of them that have a course."""
     rate = len(signals.t) / max(float(signals.t[-1] - signals.t[0]), 1e-9)
     fewer = some(signals, np.arange(0, len(signals.t), max(1, round(rate / RATE)), dtype=np.int64))
-    first = np.flatnonzero(np.r_[True, np.diff(_windows(fewer.t)) > 0])
+    window = _windows(fewer.t, signals.t)
+    first = np.flatnonzero(np.r_[True, np.diff(window) > 0])
     count = np.diff(np.r_[first, len(fewer.t)])
 
     def worked_out(chunk: Sequence[Driver]) -> tuple[Array, Array]:
-        means: Array = np.zeros((len(chunk), 3, len(first)))
+        # (of a window without a reading there is no mean, and nothing depends on it)
+        means: Array = np.zeros((len(chunk), 3, _count(signals.t)))
         rms = np.zeros(len(chunk))
         for n, driver in enumerate(chunk):
             x = np.stack([driver.course(fewer, axis) for axis in range(3)])
             rms[n] = math.sqrt(float(np.mean(x**2)))
             if rms[n] > 0.0:
-                means[n] = np.add.reduceat(x / rms[n], first, axis=1) / count
+                means[n][:, window[first]] = np.add.reduceat(x / rms[n], first, axis=1) / count
         return means, rms
 
     chunks = [drivers[n : n + TOGETHER] for n in range(0, len(drivers), TOGETHER)]
@@ -108,7 +110,7 @@ def _constant(channel: int, count: int) -> Effect:
 
     def features(signals: Signals) -> list[tuple[int, int, Array]]:
         columns = np.zeros((len(signals.t), count))
-        columns[np.arange(len(signals.t)), np.minimum(_windows(signals.t), count - 1)] = 1.0
+        columns[np.arange(len(signals.t)), _windows(signals.t, signals.t)] = 1.0
         return [(channel, 0, columns)]
 
     size = SIZE[channel // 3]
