@@ -47,8 +47,8 @@ PROBED, SPANNED = 120, 1e-8
 DEPENDENT = 1e-6
 # Laws of which it is kept whether they have a name: more than one look has, with all its drivers.
 MOST_LAWS = 20000
-# Nats that a law over a driver made of several signals and an operator costs besides: there are
-# about five times as many of these as of all others together.
+# Nats that a law over a driver made of several signals and an operator costs besides: with these
+# there are about five times as many drivers as without.
 COMPOSED = math.log(5.0)
 # The size of what is one.
 _SIZED = re.compile(r"\babs\((\|[^|]+\|)\)")
