@@ -29,7 +29,7 @@ DIGITS = 8
 # Text of a formula, and how numpy says it.
 _PYTHON = (
     (r"\bsin\(pitch of ([xy])\)", r"sin_pitch_\1"),
-    (r"\bcos\(pitch of ([xy])\)", r"sqrt(max(1.0 - sin_pitch_\1**2, 0.0))"),
+    (r"\bcos\(pitch of ([xy])\)", r"cos_pitch_\1"),
     (r"\bsin\(tilt\)\^2", "(1.0 - cos_tilt**2)"),
     (r"\bcos\(tilt\)", "cos_tilt"),
     (r"\byaw rate\b", "yaw_rate"),
@@ -230,6 +230,8 @@ _SEEN = {
     "yaw": "np.arctan2(nav[9], nav[6])",
     "sin_pitch_x": "nav[12]",
     "sin_pitch_y": "nav[13]",
+    "cos_pitch_x": "np.sqrt(max(1.0 - nav[12] ** 2, 0.0))",
+    "cos_pitch_y": "np.sqrt(max(1.0 - nav[13] ** 2, 0.0))",
     "cos_tilt": "nav[14]",
     "yaw_rate": "nav[12] * nav[15] + nav[13] * nav[16] + nav[14] * nav[17]",
     "turning": "np.sqrt(nav[15] ** 2 + nav[16] ** 2 + nav[17] ** 2)",
