@@ -108,9 +108,11 @@ class Survey:
         wanted = every[name]
         if self.first is not None:
             wanted = self.first.likeliest(name, list(_chunks(wanted, MOST_COLUMNS)), known)
-        if name in SENSORS[:HEADING] and name not in self.scanned:
-            wanted = [*wanted, *self._composed(SENSORS.index(name), known)]
-        looks = [] if name in self.scanned else list(_others(f, name))
+        looks: list[Look] = []
+        if name not in self.scanned:
+            looks += _others(f, name)
+            if name in SENSORS[:HEADING]:
+                wanted = [*wanted, *self._composed(SENSORS.index(name), known)]
         done = self.scanned.setdefault(name, [])
         have = {e.id for look, _ in done for e in look.effects}
         new = [b for b in wanted if b.effect.id not in have]

@@ -21,7 +21,7 @@ from handcal.laws.drivers import (
     times,
     usable,
 )
-from handcal.laws.operators import OPERATORS, OVERSHOOTS
+from handcal.laws.operators import OVERSHOOTS, PLAIN
 from handcal.laws.vocabulary import NORTH, PITCHES, SLOPES, TILT, made_by
 
 # What is remembered of a signal, and of one that has no sign.
@@ -35,7 +35,7 @@ def composed(signals: Signals) -> Iterator[Driver]:
     whole = (TURNS, LOAD)
     turned = tuple(d for d in (*NORTH, *PITCHES, TILT) if usable(d, signals))
     for of in SLOPES:
-        yield from made_by(of, signals, tuple(OPERATORS))
+        yield from made_by(of, signals, PLAIN)
     felt = (*plain, *map(size, plain), *whole)
     for of in (*plain, *whole, *map(size, plain)):
         names = _PAST if of.signed else _PAST_SIZE

@@ -15,7 +15,7 @@ def since_a_turn(t: Array, gyro: Array) -> Array:
 '''
 # What a file needs to know of what its code calls.
 HELPERS = {"since_a_turn": _SINCE_A_TURN} | {
-    name: f"\n{text}\n" for name, text in map(operators.source, (*operators.OPERATORS, "frozen"))
+    name: f"\n{text}\n" for name, text in map(operators.source, operators.OPERATORS)
 }
 _PLAIN = {
     "|omega|": "np.linalg.norm(signals.gyro, axis=1)",
@@ -59,20 +59,18 @@ def steps_to(x: str, name: str) -> list[str]:
     """The same as assignments to x, one for each operator."""
     if (found := operators.parsed(name)) is not None:
         operator, number, signal = found
-        made = f"{operators.source(operator)[0]}(signals.t, {x}, {number:g})"
-        less = f" - {x}" * operators.OPERATORS[operator].less
+        op = operators.OPERATORS[operator]
+        turns = f", {_PLAIN['|omega|']}" * op.turning
+        made = f"{operators.source(operator)[0]}(signals.t, {x}, {number:g}{turns})"
+        less = f" - {x}" * op.less
         begun = steps_to(x, signal)
         if signal == YAW.name:
             begun += [f"{x} = np.unwrap({x})"]
         return [*begun, f"{x} = {made}{less}"]
-    if (frozen := operators.FROZEN.fullmatch(name)) is not None:
-        begun = steps_to(x, frozen[2])
-        begun += [f"{x} = np.unwrap({x})"] * (frozen[2] == YAW.name)
-        return [*begun, f"{x} = frozen({x}, {_PLAIN['|omega|']}, {frozen[1]}) - {x}"]
     first, rest = operators.factors(name)
-    if rest and " of " in first:
+    if rest and operators.remembers(first):
         return [*steps_to(f"{x}_0", first), *steps_to(x, rest), f"{x} = {x}_0 * {x}"]
-    if " of " in rest:
+    if operators.remembers(rest):
         return [*steps_to(x, rest), f"{x} = {_factor(driver_code(first))} * {x}"]
     return [f"{x} = {driver_code(name)}"]
 

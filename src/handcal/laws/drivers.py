@@ -81,7 +81,7 @@ class Driver:
     @property
     def composed(self) -> bool:
         """Whether it is made of several signals, and of what an operator makes of one."""
-        return " * " in self.name and " of " in self.name
+        return " * " in self.name and operators.remembers(self.name)
 
     @property
     def kind(self) -> str:
@@ -197,30 +197,13 @@ def operated(operator: str, of: Driver, number: float, only: int | None = None) 
 
     def values(s: Signals, axis: int) -> Array:
         x = of.course(s, axis)
-        return op.values(s.t, np.unwrap(x) if of.round else x, number)
+        return op.values(s.t, np.unwrap(x) if of.round else x, number, TURNS.course(s, axis))
 
     own = {RATES[0].name: 0, FORCES[0].name: 1, YAW.name: HEADING}.get(of.name)
     return Driver(
         operators.said(operator, of.name, of.unit, number), of.unit if op.power else "1", values,
         LINE, positive=own if op.positive else None, number=number,
         at=lambda n: operated(operator, of, n, only), only=only, needs=of.needs,
-    )  # fmt: skip
-
-
-def while_turning(of: Driver, slow: float) -> Driver:
-    """By how much a driver is off that is frozen while the device turns faster than this
-    (rad/s)."""
-    slow = operators.rounded(slow)
-
-    def values(s: Signals, axis: int) -> Array:
-        x = of.course(s, axis)
-        x = np.ascontiguousarray(np.unwrap(x) if of.round else x)
-        return np.asarray(operators.frozen(x, TURNS.course(s, axis), slow) - x)
-
-    name = f"(frozen({slow:g} rad/s of |omega|) of {of.name} - {of.name})"
-    return Driver(
-        name, of.unit, values, LINE, number=slow,
-        at=lambda n: while_turning(of, n), needs=of.needs,
     )  # fmt: skip
 
 

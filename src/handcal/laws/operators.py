@@ -35,6 +35,8 @@ STEPS = tuple(0.08 * 1.13**n for n in range(17))
 # Digits of a number in a driver's name, which is all that a file has of it: an echo 5 ms off is 1 %
 # off where a hand turns the device.
 DIGITS = 4
+# Faster than that a device turns, rad/s, where something is frozen meanwhile.
+FREEZING = (0.3, 0.5, 0.8, 1.2, 1.8)
 # How fast what is too slow may follow, of the root mean square slope.
 SLEWS = (0.3, 0.7, 1.5)
 
@@ -199,7 +201,7 @@ def stepped(t: Array, x: Array, step: float) -> Array:  # noqa: ARG001
 
 
 @njit
-def frozen(x: Array, turning: Array, slow: float) -> Array:
+def frozen(t: Array, x: Array, slow: float, turning: Array) -> Array:  # noqa: ARG001
     """What x was when the device last turned no faster than so much, while it turns faster."""
     out = np.empty(len(x))
     at = x[0]
@@ -213,22 +215,25 @@ def frozen(x: Array, turning: Array, slow: float) -> Array:
 @dataclass(frozen=True)
 class Operator:
     """text: how a driver with it is called, of the signal {x}, its unit {u} and the number {n};
-    of(t, x, number): what it makes of a signal; less: what a driver has is that, less the signal;
+    of(t, x, number): what it makes of a signal; turning: whether it takes how fast the device
+    turns (n,), rad/s, as well; less: what a driver has is that, less the signal;
     numbers, share: to begin with, and of what (``Scale``): 1, or the signal's size or slope; power:
     of the signal's unit that of the driver."""
 
     text: str
-    of: Callable[[Array, Array, float], Array]
+    of: Callable[..., Array]
     numbers: tuple[float, ...]
     share: str = "1"
     less: bool = True
     power: int = 1
     positive: bool = False
+    turning: bool = False
 
-    def values(self, t: Array, x: Array, number: float) -> Array:
-        """What a driver is (n,)."""
+    def values(self, t: Array, x: Array, number: float, turns: Array) -> Array:
+        """What a driver is (n,); turns (n,): how fast the device turns, rad/s."""
         x = np.ascontiguousarray(x)
-        return self.of(t, x, number) - x if self.less else self.of(t, x, number)
+        made = self.of(t, x, number, turns) if self.turning else self.of(t, x, number)
+        return made - x if self.less else made
 
     def begun(self, t: Array, x: Array) -> list[float]:
         """Numbers to begin with, for a signal (n, ...)."""
@@ -264,7 +269,10 @@ OPERATORS: Mapping[str, Operator] = {
     "sway": Operator(_less("sway", "Hz"), swaying, SWINGS),
     "echo": Operator(_less("echo", "s"), earlier, LATE),
     "ghost": Operator(_of("echo", "s"), earlier, LATE, less=False),
+    "frozen": Operator(_less("frozen", "rad/s of |omega|"), frozen, FREEZING, turning=True),
 }
+# Those that make something of one signal alone.
+PLAIN = tuple(name for name, operator in OPERATORS.items() if not operator.turning)
 # What is positive, or negative, of a signal.
 SIDE = re.compile(r"max\((-?)(.+), 0\)")
 # The sign of a signal.
@@ -272,8 +280,6 @@ SIGN = re.compile(r"tanh\((.+) / (.+)\)")
 # Along which axis a device turns, where it turns fast enough.
 _TURNS = r"\(\|omega\|, ([\d.e-]+)\)"
 DIRECTION = re.compile(rf"\((omega_\S+) / max{_TURNS}\)")
-# What is frozen while the device turns faster.
-FROZEN = re.compile(r"\(frozen\(([\d.e-]+) rad/s of \|omega\|\) of (.+) - \2\)")
 _SAID = re.compile(r"\((\w+)\(([^ ]+) [^)]*\) of (.+?)( - \3)?\)")
 
 
@@ -325,15 +331,20 @@ def without_numbers(name: str) -> str:
     return re.sub(_TURNS, "(|omega|)", _NUMBER.sub(r"(\1 ", name))
 
 
+def remembers(name: str) -> bool:
+    """Whether there is an operator in a driver's name."""
+    return _NUMBER.search(name) is not None
+
+
 # Operators by the word for them, and whether the signal is taken away.
 _BY_WORD = {(o.text[1:].partition("(")[0], o.less): name for name, o in OPERATORS.items()}
-_WORDS = "|".join(sorted({"frozen", *(word for word, _ in _BY_WORD)}))
+_WORDS = "|".join(sorted({word for word, _ in _BY_WORD}))
 _NUMBER = re.compile(rf"\(({_WORDS})\([^ ]+ ")
 
 
 def source(operator: str) -> tuple[str, str]:
-    """Name and source, in plain numpy, of the function of an operator, or of ``FROZEN``."""
-    function: Any = frozen if operator == "frozen" else OPERATORS[operator].of
+    """Name and source, in plain numpy, of the function of an operator."""
+    function: Any = OPERATORS[operator].of
     plain = inspect.unwrap(getattr(function, "py_func", function))
     text = inspect.getsource(plain)
     return plain.__name__, text[text.index("def ") :].replace("  # noqa: ARG001", "")

@@ -99,33 +99,34 @@ def _tilted(row: int) -> Residual:
     return heading
 
 
+@inner
+def wave(nav: Any, k: Any) -> Any:
+    """Once round the circle of headings, of any phase."""
+    yaw = np.arctan2(nav[9], nav[6])
+    return k[0] * np.sin(yaw) + k[1] * np.cos(yaw)
+
+
 def _tilted_iron(row: int) -> Residual:
     def heading(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
-        yaw = np.arctan2(nav[9], nav[6])
-        r[0] -= (k[0] * np.sin(yaw) + k[1] * np.cos(yaw)) * nav[row]
+        r[0] -= wave(nav, k) * nav[row]
         return 0
 
     return heading
 
 
 def _turning_iron(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
-    yaw = np.arctan2(nav[9], nav[6])
-    size = np.sqrt(nav[15] * nav[15] + nav[16] * nav[16] + nav[17] * nav[17])
-    r[0] -= (k[0] * np.sin(yaw) + k[1] * np.cos(yaw)) * size
+    r[0] -= wave(nav, k) * np.sqrt(nav[15] * nav[15] + nav[16] * nav[16] + nav[17] * nav[17])
     return 0
 
 
 def _steep_iron(nav: Any, k: Any, z: Any, r: Any) -> int:  # noqa: ARG001
-    yaw = np.arctan2(nav[9], nav[6])
-    level = max(np.sqrt(max(1.0 - nav[12] * nav[12], 0.0)), STEEPEST)
-    r[0] -= (k[0] * np.sin(yaw) + k[1] * np.cos(yaw)) / level
+    r[0] -= wave(nav, k) / max(np.sqrt(max(1.0 - nav[12] * nav[12], 0.0)), STEEPEST)
     return 0
 
 
 def _of_stream_iron(stream: int) -> Residual:
     def heading(nav: Any, k: Any, z: Any, r: Any) -> int:
-        yaw = np.arctan2(nav[9], nav[6])
-        r[0] -= (k[0] * np.sin(yaw) + k[1] * np.cos(yaw)) * z[stream]
+        r[0] -= wave(nav, k) * z[stream]
         return 0
 
     return heading

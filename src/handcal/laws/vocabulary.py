@@ -42,9 +42,8 @@ from handcal.laws.drivers import (
     square,
     times,
     usable,
-    while_turning,
 )
-from handcal.laws.operators import OPERATORS
+from handcal.laws.operators import OPERATORS, PLAIN
 from handcal.types import Array
 
 
@@ -96,8 +95,6 @@ SHAKEN = (
     Driver("|alpha|", "rad/s^2", _total(SLOPES[0]), COARSE, signed=False),
     Driver("|jerk|", "m/s^3", _total(SLOPES[3]), COARSE, signed=False),
 )
-# Faster than that a device turns, rad/s, where something is frozen meanwhile.
-FREEZING = (0.3, 0.5, 0.8, 1.2, 1.8)
 # Knots of a gain over time: two to a swing of which a recording has a dozen.
 FINEST = 33
 # Signals that are not among the first drivers, over which lie curves.
@@ -142,8 +139,6 @@ def _made(name: str) -> Driver:
         return sign(driver_of(one[1]))
     if (one := operators.DIRECTION.fullmatch(name)) is not None:
         return _along(driver_of(one[1]), float(one[2]))
-    if (one := operators.FROZEN.fullmatch(name)) is not None:
-        return while_turning(driver_of(one[2]), float(one[1]))
     if name[:1] == name[-1:] == "|":
         return size(driver_of(name[1:-1]))
     raise KeyError(name)
@@ -154,10 +149,10 @@ def further(signals: Signals, sensor: int) -> Iterator[Driver]:
     recording that has it."""
     if sensor == HEADING:
         yield from made_by(YAW, signals, NEEDLE)
-        yield from (while_turning(YAW, slow) for slow in FREEZING)
+        yield from made_by(YAW, signals, ("frozen",))
         yield from SLOPES
         for of in filter(lambda d: usable(d, signals), (YAW_RATE, *PITCHES, WARMTH)):
-            yield from made_by(of, signals, tuple(OPERATORS))
+            yield from made_by(of, signals, PLAIN)
         yield from made_by(TURNS, signals, ("memory", "lag", "peak"))
         if usable(WARMTH, signals):  # (what is warmed follows slower than what turns)
             yield from (operated("lag", WARMTH, tau) for tau in WARMING)
@@ -165,11 +160,12 @@ def further(signals: Signals, sensor: int) -> Iterator[Driver]:
     own = (RATES, FORCES)[sensor][0]
     yield from (d for d in FURTHER if usable(d, signals))
     for of in (*RATES, *FORCES, *filter(lambda d: usable(d, signals), (*NORTH, WARMTH))):
-        yield from made_by(of, signals, tuple(OPERATORS))
+        yield from made_by(of, signals, PLAIN)
     sizes = [size(of) for of in (*RATES, *FORCES, *SLOPES)]
     for of in (TURNS, LOAD, *sizes, *SHAKEN, square(own), square(TURNS)):
         yield from made_by(of, signals, ("memory", "lag", "peak"))
-    yield from (while_turning(of, slow) for of in (*RATES, *FORCES) for slow in FREEZING)
+    for of in (*RATES, *FORCES):
+        yield from made_by(of, signals, ("frozen",))
     for of in map(sign, (RATES[0], FORCES[0])):
         yield from made_by(of, signals, ("memory", "lag"))
     for of in (TURNS, square(TURNS), LOAD, size(own), square(own)):
