@@ -11,16 +11,24 @@ import numpy as np
 from handcal_sim.aiding import wrapped
 from handcal_sim.profiles import Array
 from handcal_sim.scenario import World
-from handcal_sim.strange import accel, compass, gyro, more, third
+from handcal_sim.strange import accel, compass, fourth, gyro, more, third
 from handcal_sim.strange.known import remainder, seen
 from handcal_sim.strange.law import Law, Strange, drawn, rms
 from handcal_sim.strangers import Scene, scene_of, with_error
 
 LAWS: dict[str, Law] = {
-    law.name: law for law in (*gyro.LAWS, *accel.LAWS, *compass.LAWS, *more.LAWS, *third.LAWS)
+    law.name: law
+    for law in (
+        *gyro.LAWS,
+        *accel.LAWS,
+        *compass.LAWS,
+        *more.LAWS,
+        *third.LAWS,
+        *fourth.LAWS,
+    )
 }
 # Those that came last, by a helper who knew neither grammar nor drivers of that day.
-LATEST = tuple(law.name for law in third.LAWS)
+LATEST = tuple(law.name for law in fourth.LAWS)
 # Least and largest root mean square that is left beyond the catalogue, over a third of a second,
 # in SI: from a few tens of nats in 84 s to degrees of attitude in a turn.
 SIZES = {"gyro": (1.5e-3, 0.02), "accel": (0.015, 0.15), "heading": (0.02, 0.2)}
