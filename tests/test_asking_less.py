@@ -14,7 +14,7 @@ from handcal.estimate.baseline import baseline
 from handcal.estimate.case import case_of
 from handcal.estimate.model import Model
 from handcal.explain import pipeline
-from handcal.laws import best_law
+from handcal.laws import best_law, chosen_again
 from handcal.laws.best_law import Term
 from handcal.laws.grammar import formula, shorter
 from handcal.laws.law_effect import Law, effect_of
@@ -252,10 +252,10 @@ def test_what_a_course_may_be_is_looked_for_in_the_past_of_its_sensor(
     formula_, sensors, monkeypatch
 ):
     asked = []
-    monkeypatch.setattr(best_law, "best_term", lambda _, **how: asked.append(how["beyond"]))
+    monkeypatch.setattr(chosen_again, "best_terms", lambda _, **how: asked.append(how["beyond"]))
     where: Any = SimpleNamespace(model=SimpleNamespace(ids=(formula_,)))
     term = best_law.Term(SimpleNamespace(id=formula_, made=None), 9.0)
-    assert best_law.reshaped(where, 1.0, [term], set()) is None
+    assert chosen_again.reshaped(where, 1.0, [term], set()) is None
     assert asked == [sensors]
 
 

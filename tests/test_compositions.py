@@ -3,6 +3,8 @@ short windows promises is what a scan says."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -15,41 +17,45 @@ from handcal.estimate.case import case_of
 from handcal.estimate.linear import motion_of
 from handcal.estimate.scan import grounds, scan
 from handcal.laws import operators
-from handcal.laws.compositions import composed
+from handcal.laws.compositions import composed, composed_headings
 from handcal.laws.driver_code import HELPERS, steps_to
-from handcal.laws.drivers import DRIVERS, RATES, Driver, operated, times
+from handcal.laws.drivers import DRIVERS, HEADING, LINE, RATES, Driver, operated, times
 from handcal.laws.grammar import formula
 from handcal.laws.law_effect import COMPOSED, Law
-from handcal.laws.over_drivers import over, signals_of
+from handcal.laws.over_drivers import Block, best_of_block, over, signals_of
 from handcal.laws.short_windows import MOST_WINDOWS, WINDOW, courses_of, fits_in, likeliest
 from handcal.laws.vocabulary import driver_of
-from handcal.laws.weighing import beside, gains
+from handcal.laws.weighing import Beside, beside
 from handcal.signals import probe
 from handcal_sim import simulate
 
 PROBE = probe(600)
-ALL = list(composed(PROBE))
+IMU, TURNED = list(composed(PROBE)), list(composed_headings(PROBE))
+ALL = [*IMU, *TURNED]
 
 
 def test_every_name_is_one_drivers_and_says_all_that_it_is() -> None:
-    assert len({d.name for d in ALL}) == len(ALL) > 3000
-    assert not {d.name for d in ALL} & set(DRIVERS)
+    for some in (IMU, TURNED):
+        assert len({d.name for d in some}) == len(some) > 3000
+    # (what errs in a heading by one signal is no law of the usual vocabulary, which is of the IMU)
+    assert not {d.name for d in IMU} & set(DRIVERS)
     for d in ALL[:: len(ALL) // 150]:
         again = driver_of(d.name)
         assert (again.name, again.number, again.composed) == (d.name, d.number, d.composed)
         np.testing.assert_array_equal(again.course(PROBE, 1), d.course(PROBE, 1))
+        np.testing.assert_array_equal(again.scale(PROBE, 1), d.scale(PROBE, 1))
 
 
 def test_the_code_of_a_law_that_is_written_out_makes_the_same_course() -> None:
     names = {"np": np, "signals": PROBE, "Array": np.ndarray, "i": 1}
     for text in HELPERS.values():
         exec(text, names)
-    for d in ALL[:: len(ALL) // 150]:
+    for d in [d for d in ALL if d.factor is None][:: len(ALL) // 150]:
         exec("\n".join(steps_to("x", d.name)), names)
         np.testing.assert_allclose(names["x"], d.course(PROBE, 1), rtol=1e-9, atol=1e-12)
 
 
-@given(st.lists(st.sampled_from(ALL), min_size=2, max_size=3))
+@given(st.lists(st.sampled_from([d for d in ALL if d.factor is None]), min_size=2, max_size=3))
 def test_a_product_of_any_drivers_comes_apart_where_it_was_put_together(some: list[Driver]) -> None:
     name = " * ".join(d.name for d in some)
     first, rest = operators.factors(name)
@@ -68,7 +74,11 @@ def test_what_is_made_of_more_costs_more() -> None:
 
 @pytest.mark.parametrize(
     ("sensor", "errors"),
-    [(0, {"gyro_cross_products": np.full(9, 0.01)}), (1, {"accel_asymmetry": np.full(3, 0.03)})],
+    [
+        (0, {"gyro_cross_products": np.full(9, 0.01)}),
+        (1, {"accel_asymmetry": np.full(3, 0.03)}),
+        (HEADING, {"heading_soft_iron": np.full(2, 0.2)}),
+    ],
 )
 def test_a_look_at_short_windows_says_what_a_scan_does(
     sensor: int, errors: dict[str, np.ndarray]
@@ -78,42 +88,41 @@ def test_a_look_at_short_windows_says_what_a_scan_does(
     model = baseline([case_of(recording_of(world, "heading"))])
     signals = signals_of(model.parts[0])
     assert fits_in(signals)
-    every = list(composed(signals))
+    every = list((composed_headings if sensor == HEADING else composed)(signals))
     base, known = grounds(model), [e for e in model.effects if e.process is None]
-    best = likeliest(model, base, known, sensor, courses_of(every, motion_of(base[0].excited)))
+    courses = courses_of(every, motion_of(base[0].excited), sensor)
+    best = likeliest(model, base, known, sensor, courses)
     blocks = [b for d in best for b in over(d, signals, (sensor,))]
     q = scan(model, [b.effect for b in blocks], base, 1.0)
     seen = beside(q, known, [b.effect for b in blocks])
-    told = np.array([_most(seen.b[at], seen.G[np.ix_(at, at)]) for at in seen.at.values()])
+    told = np.array([_most(b, seen) for b in blocks])
     others = every[:: len(every) // 60]
     rest = [b for d in others for b in over(d, signals, (sensor,))]
     q = scan(model, [b.effect for b in rest], base, 1.0)
     seen = beside(q, known, [b.effect for b in rest])
-    usual = np.array([_most(seen.b[at], seen.G[np.ix_(at, at)]) for at in seen.at.values()])
+    usual = np.array([_most(b, seen) for b in rest])
     # In windows that are short against a turn, hardly anything of a course is lost.
     assert told.max() > 20.0
     assert told.max() > 0.85 * usual.max()
-    assert np.median(told) > 0.5 * told.max()
+    assert np.median(told) > np.quantile(usual, 0.9)
     assert told[0] > 0.85 * told.max()
 
 
-def _most(b: np.ndarray, G: np.ndarray) -> float:
-    alone = [gains(b[i : i + 1][None], G[i : i + 1, i : i + 1][None])[0] for i in range(3)]
-    return float(max(*alone, gains(b.sum()[None, None], G.sum()[None, None, None])[0]))
+def _most(block: Block, seen: Beside) -> float:
+    """Nats that the best law of a block gains."""
+    return max((nats for _, nats in best_of_block(block, seen)), default=-np.inf)
 
 
 def test_a_gap_leaves_its_windows_empty_and_every_other_in_its_place() -> None:
     t = np.arange(0.0, 12.0, 0.01)
     t = t[(t < 4.0) | (t > 7.0)]
     turns = np.column_stack([np.sin(t), np.cos(t), np.ones_like(t)])
-    found = courses_of([RATES[2]], Signals(t, turns, turns))
-    (means,) = found.means
+    (found,) = courses_of([replace(RATES[2], knots=LINE)], Signals(t, turns, turns))
+    means = found.means[0, :, 0] * np.sqrt(np.mean(turns[:, 0] ** 2 + turns[:, 1] ** 2 + 1) / 3)
     middle = (np.arange(means.shape[1]) + 0.5) * WINDOW
     there = (middle < 3.8) | (middle > 7.2)
     there[-1] = False  # (which may be longer than the others)
-    np.testing.assert_allclose(
-        means[1][there] * found.rms[0], np.sin(middle[there]), atol=0.03
-    )  # (k of y is x)
+    np.testing.assert_allclose(means[1][there], np.sin(middle[there]), atol=0.03)  # (k of y is x)
     np.testing.assert_array_equal(means[:, (middle > 4.4) & (middle < 6.6)], 0.0)
 
 

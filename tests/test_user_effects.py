@@ -28,6 +28,7 @@ from handcal.effects import (
 from handcal.estimate.forked import in_parallel
 from handcal.explanation import Unnamed
 from handcal.laws import (
+    compositions,
     courses,
     grammar,
     law_effect,
@@ -361,7 +362,9 @@ def test_a_heading_may_be_as_slow_to_warm_through_as_a_sensor() -> None:
 def test_a_heading_that_depends_on_the_past_written_out_is_the_law(tmp_path):
     s, kinds = moved(), {}
     cold = dataclasses.replace(s, streams={}, C_nb=None)
-    for driver in vocabulary.further(s, HEADING):
+    made = list(compositions.composed_headings(s))
+    felt = [d for d in made if d.factor is not None]
+    for driver in (*vocabulary.further(s, HEADING), *made[::60], *felt[::8]):
         kinds.setdefault(driver.kind, driver)
     for driver in kinds.values():
         assert vocabulary.driver_of(driver.name).name == driver.name
@@ -374,6 +377,22 @@ def test_a_heading_that_depends_on_the_past_written_out_is_the_law(tmp_path):
         assert np.ptp(wanted) > 0.0, effect.id
         assert own.needs == driver.needs
         assert not own.needs or not own.seen["heading"](cold).any()
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["|alpha_x|", "omega_y by yaw", "(memory(2.5 s) of |omega|) by yaw", "cos(yaw - 1) by t"],
+)
+def test_a_curve_of_the_heading_over_any_driver_written_out_is_the_curve(name, tmp_path):
+    driver, s = vocabulary.driver_of(name), moved()
+    x = driver.course(s, 0)
+    form = grammar.curves(range_of(x, driver.signed), 7, driver.round)[2]
+    law = Law(HEADING, (0,), False, driver, form, (0.1,) * form.constants)
+    effect, c = law_effect.effect_of(law), np.linspace(-0.1, 0.2, form.constants)
+    own = again(effect, tmp_path, c)
+    wanted, found = effect.seen["heading"](s) @ c, own.seen["heading"](s)[:, 0]
+    assert np.abs(found - wanted).max() <= 1e-6 * np.abs(wanted).max()
+    assert np.ptp(wanted) > 0.0
 
 
 @pytest.mark.parametrize("driver", vocabulary.CURVED)

@@ -13,14 +13,13 @@ import numpy as np
 
 from handcal.effects import Effect, Signals
 from handcal.estimate.columns import Ground
-from handcal.estimate.fit import fitted
 from handcal.estimate.forked import in_parallel
 from handcal.estimate.linear import motion_of
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.quadratic import Quadratic
 from handcal.estimate.scan import grounds, scan
 from handcal.laws import shapes, terms
-from handcal.laws.compositions import composed
+from handcal.laws.compositions import composed, composed_headings
 from handcal.laws.course_numbers import ROUGHLY, nearer
 from handcal.laws.courses import COURSES
 from handcal.laws.drivers import HEADING, Driver
@@ -42,7 +41,7 @@ from handcal.laws.over_drivers import (
 from handcal.laws.short_windows import Courses, courses_of, fits_in, likeliest
 from handcal.laws.vocabulary import CURVED
 from handcal.laws.weighing import beside, gains, weighed, wide_root
-from handcal.model_score import TERM_PRIOR, better, score
+from handcal.model_score import TERM_PRIOR
 from handcal.types import IntArray
 
 # Columns that a scan looks at together at the most and at the least, and numbers that all of them
@@ -51,9 +50,6 @@ MOST_COLUMNS, LEAST_COLUMNS = 140, 30
 NUMBERS, PER_EPOCH = 2e7, 30.0
 # Drivers that are looked at more closely, of the best.
 CLOSER = 3
-# Of what a law gains, the share that terms of second order leave open: a formula that costs more
-# than the one there is has to gain more than that.
-OPEN = 1e-3
 # Nats that something without a name has to gain at a scan.
 ENOUGH = math.log(2.0) - TERM_PRIOR
 # Nats to which a scan is right.
@@ -63,10 +59,11 @@ UNTOLD = 3.0
 @dataclass(frozen=True, eq=False)
 class Vocabulary:
     """Blocks of the usual vocabulary ("") and of the further one of each sensor, and the courses of
-    all drivers that are made of several, as far as they were asked for."""
+    all drivers that are made of several, of an IMU (False) and of a heading, as far as they were
+    asked for."""
 
     blocks: dict[str, list[Block]] = field(default_factory=dict)
-    composed: list[Courses] = field(default_factory=list)
+    composed: dict[bool, list[Courses]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +108,7 @@ class Survey:
         looks: list[Look] = []
         if name not in self.scanned:
             looks += _others(f, name)
-            if name in SENSORS[:HEADING]:
+            if name:
                 wanted = [*wanted, *self._composed(SENSORS.index(name), known)]
         done = self.scanned.setdefault(name, [])
         have = {e.id for look, _ in done for e in look.effects}
@@ -127,10 +124,12 @@ class Survey:
         """Blocks over those drivers made of several signals that promise most here."""
         if len(self.model.parts) > 1 or not fits_in(self.signals):
             return []
-        made = self.vocabulary.composed
-        if not made:
-            made.append(courses_of(list(composed(self.signals)), motion_of(self.base[0].excited)))
-        best = likeliest(self.model, self.base, known, sensor, made[0])
+        made, turns = self.vocabulary.composed, sensor == HEADING
+        if turns not in made:
+            of = composed_headings if turns else composed
+            motion = motion_of(self.base[0].excited)
+            made[turns] = courses_of(list(of(self.signals)), motion, sensor)
+        best = likeliest(self.model, self.base, known, sensor, made[turns])
         return [b for d in best for b in over(d, self.signals, (sensor,))]
 
 
@@ -187,12 +186,8 @@ def best_terms(
     told = in_parallel(partial(_as_told, about_, *end) for end in _closer(ends, beyond))
     found += [_first_of(about_, [(effect_of(law), nats) for law, nats in some]) for some in told]
     found = sorted((t for t in found if t.effect.id not in refused), key=lambda t: -t.gain)
-    best = dict.fromkeys(
-        [
-            *found[:1],
-            *(t for s in beyond for t in [u for u in found if u.effect.id.startswith(s)][:1]),
-        ]
-    )
+    own = [[t for t in found if t.effect.id.startswith(sensor)] for sensor in beyond]
+    best = dict.fromkeys([*found[:1], *(t for some in own for t in _first_ones(some))])
     # (on the grid of seconds on which it was found, a course may be hundreds of nats off)
     near = [_nearer(about_, _with_rivals(t, found)) for t in best]
     return [t for t in near if t.effect.id not in refused]
@@ -215,6 +210,19 @@ def _nameless(about_: About, ends: Sequence[tuple[Effect, float]]) -> list[Term]
         )
     out = [[end] for end in ends if not any(end in some for some in several)]
     return [_first_of(about_, some) for some in (*out, *several)]
+
+
+def _first_ones(found: Sequence[Term]) -> list[Term]:
+    """The best of these, and the best that is no composition: of thousands, one may gain more in a
+    scan by chance."""
+    plain = [t for t in found if not is_composed(t.effect)]
+    return list(dict.fromkeys([*found[:1], *plain[:1]]))
+
+
+def is_composed(effect: Effect) -> bool:
+    """Whether this is a law over a driver that is made of several signals and an operator."""
+    law = law_of(effect)
+    return law is not None and law.driver.composed
 
 
 def _nearer(about_: About, term: Term) -> Term:
@@ -348,53 +356,3 @@ def _headings(
         gain = float(found.max() + math.log(np.mean(np.exp(found - found.max()))))
         out.append((some[int(np.argmax(found))], gain))
     return out
-
-
-def reshaped(where: Survey, worth: float, unnamed: list[Term], shaped: set[str]) -> Model | None:
-    """The model with a law or course that fits better than the one it has, which was chosen when
-    less was known; ``unnamed`` is changed with it."""
-    model = where.model
-    for i, term in enumerate(unnamed):
-        old = term.effect
-        if old.id not in model.ids or old.id in shaped:
-            continue
-        shaped.add(old.id)
-        # (a course may be what depends on the past of something: that is further on)
-        beyond = [sensor for sensor in SENSORS if old.id.startswith(sensor)]
-        new = best_term(where, without={old.id}, beyond=beyond)
-        if new is None:
-            continue
-        options = [e for e in (new.effect, *new.others) if e.id not in shaped | set(model.ids)]
-        calls = (partial(with_other, model, old, e) for e in options)
-        pairs = zip(in_parallel(calls), options, strict=True)
-        held = [
-            (m, e)
-            for m, e in pairs
-            if better(m, model, worth) > (OPEN * worth * new.gain if _cost(e) > _cost(old) else 0.0)
-        ]
-        if not held:
-            continue
-        best, effect = max(held, key=lambda pair: score(pair[0], worth))
-        unnamed[i] = Term(effect, new.gain)
-        if _kind(effect) == _kind(old):
-            shaped.add(effect.id)  # (its numbers are as good as they get)
-        return best
-    return None
-
-
-def _cost(effect: Effect) -> float:
-    law = law_of(effect)
-    return 0.0 if law is None or law.form.smooth else law.cost
-
-
-def with_other(model: Model, old: Effect, new: Effect) -> Model:
-    """The model fitted with one effect in the place of another."""
-    return fitted(model.parts, [new if e is old else e for e in model.effects])
-
-
-def _kind(effect: Effect) -> tuple[str, ...]:
-    """What something without a name is, but for its numbers."""
-    law = law_of(effect)
-    if law is not None:
-        return channel_of(effect.id), law.driver.kind, law.form.kind
-    return (effect.id if effect.made is None else effect.made[0],)

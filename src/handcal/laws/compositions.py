@@ -4,17 +4,21 @@ at, so that only those are that a look at what they are in short windows promise
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import combinations, combinations_with_replacement
 
 from handcal.effects import Signals
 from handcal.laws.drivers import (
+    COARSE,
     FORCES,
     LOAD,
     RATES,
     TURNS,
     WARMING,
     WARMTH,
+    YAW,
     Driver,
+    by,
     operated,
     size,
     square,
@@ -22,7 +26,7 @@ from handcal.laws.drivers import (
     usable,
 )
 from handcal.laws.operators import OVERSHOOTS, PLAIN
-from handcal.laws.vocabulary import NORTH, PITCHES, SLOPES, TILT, made_by
+from handcal.laws.vocabulary import NORTH, PITCHES, SLOPES, TILT, YAW_RATE, made_by
 
 # What is remembered of a signal, and of one that has no sign.
 _PAST = ("memory", "lag", "friction", "side", "peak")
@@ -47,6 +51,9 @@ def composed(signals: Signals) -> Iterator[Driver]:
         yield from made_by(pair, signals, _PAST_SIZE)
     yield from _beyond_their_means(plain, signals)
     yield from (times(a, times(b, c)) for a, b, c in combinations(plain, 3))
+    for x in (replace(d, knots=COARSE) for d in (*plain, *whole, WARMTH, YAW)):
+        if usable(x, signals):
+            yield from (by(a, x) for a in (*RATES[1:], *FORCES[1:]) if a.name != x.name)
     if usable(WARMTH, signals):
         late = [operated("lag", WARMTH, tau) for tau in WARMING]
         yield from (times(x, past) for past in late for x in (*plain, *whole, *turned))
@@ -59,3 +66,28 @@ def _beyond_their_means(plain: tuple[Driver, ...], signals: Signals) -> Iterator
             pair = times(operated("lag", a, tau), operated("lag", b, tau))
             yield pair
             yield from made_by(pair, signals, ("memory",))
+
+
+def composed_headings(signals: Signals) -> Iterator[Driver]:
+    """Those of a measured heading: waves of it that are felt by as much as something remembered
+    says, products, and what operators make of what turns or tilts the device."""
+    turned = tuple(d for d in (YAW_RATE, *PITCHES, TILT) if usable(d, signals))
+    plain = (*RATES, *FORCES, *turned)
+    whole = (TURNS, LOAD, *map(size, plain))
+    for of in (*RATES, *FORCES, LOAD, TILT):
+        if usable(of, signals):
+            yield from made_by(of, signals, PLAIN if of.signed else _PAST_SIZE)
+    past = [
+        made
+        for of in (*plain, *whole)
+        for made in made_by(of, signals, _PAST if of.signed else _PAST_SIZE)
+    ]
+    if usable(YAW, signals):
+        yield from (by(x, YAW) for x in past)
+    first = (*turned, *map(size, turned), TURNS)
+    yield from (times(x, made) for made in past for x in first)
+    pairs = list(combinations_with_replacement(plain, 2))
+    yield from (times(a, b) for a, b in pairs)
+    yield from (times(a, size(b)) for a in plain for b in plain if a is not b)
+    for a, b in pairs:
+        yield from made_by(times(a, b), signals, ("memory",))

@@ -42,6 +42,8 @@ def driver_code(name: str) -> str:
         return _PLAIN[name]
     if found := operators.DIRECTION.fullmatch(name):
         return f"{_signal(found[1])} / np.maximum({_PLAIN['|omega|']}, {found[2]})"
+    if found := operators.BEARING.fullmatch(name):
+        return f"np.cos({_PLAIN['yaw']} - {found[1]})"
     if " * " in name:
         return " * ".join(_factor(driver_code(part)) for part in name.split(" * "))
     if name.endswith("^2"):

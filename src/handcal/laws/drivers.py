@@ -81,7 +81,8 @@ class Driver:
     @property
     def composed(self) -> bool:
         """Whether it is made of several signals, and of what an operator makes of one."""
-        return " * " in self.name and operators.remembers(self.name)
+        several = " * " in self.name or BY in self.name
+        return several and operators.remembers(self.name)
 
     @property
     def kind(self) -> str:
@@ -262,10 +263,12 @@ def times(a: Driver, b: Driver) -> Driver:
 
 
 def by(factor: Driver, x: Driver) -> Driver:
-    """A driver of how much another signal is felt."""
+    """A driver of how much another signal is felt; its number is that of the other signal."""
+    again = factor.at
     return replace(
-        x, name=f"{factor.name}{BY}{x.name}", factor=factor, needs=(*factor.needs, *x.needs)
-    )
+        x, name=f"{factor.name}{BY}{x.name}", factor=factor, needs=(*factor.needs, *x.needs),
+        number=factor.number, at=None if again is None else lambda n: by(again(n), x),
+    )  # fmt: skip
 
 
 DRIVERS: Mapping[str, Driver] = {d.name: d for d in _table()}

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from handcal.effects import ATTITUDE, Z_DIM, Effect, Param, observed_error
-from handcal.laws.driver_code import HELPERS, driver_code, steps_to
+from handcal.laws.driver_code import HELPERS, steps_to
 from handcal.laws.drivers import AXES, BY, HEADING, WARM
 from handcal.laws.grammar import Form, text_of
 from handcal.laws.law_effect import SENSORS, Law
@@ -68,14 +68,13 @@ def law_code(law: Law, formula: str, coefficients: Sequence[float], p: Sequence[
     felt = "" if law.driver.factor is None else "felt * "
     if law.form.smooth:
         above = _curve_code(law, np.reshape(coefficients, (-1, law.form.constants)))
-        added = [f"k * {felt}curve(x{', i' * law.each})"]
+        names, texts = ["k"], [f"{felt}curve(x{', i' * law.each})"]
     else:
-        above = ""
-        names = _names(law.form)
-        texts = [python(text_of(part, DIGITS).format(x="x")) for part in law.form.parts]
-        if law.sensor == HEADING:
-            return _heading_columns(law, texts, formula)
-        added = [f"{name} * {felt}{text}" for name, text in zip(names, texts, strict=True)]
+        above, names = "", _names(law.form)
+        texts = [f"{felt}{python(text_of(x, DIGITS).format(x='x'))}" for x in law.form.parts]
+    if law.sensor == HEADING:
+        return above + _heading_columns(law, texts, formula)
+    added = [f"{name} * {text}" for name, text in zip(names, texts, strict=True)]
     return above + imu_function(law, "x", added, formula, p)
 
 
@@ -86,12 +85,15 @@ def _heading_columns(law: Law, texts: Sequence[str], formula: str) -> str:
     for need in dict.fromkeys(law.driver.needs):
         lines += [f"if {_ABSENT[need]} is None:",
                   f"    return np.zeros((len(signals.t), {len(texts)}))"]  # fmt: skip
-    lines += [f"# {law.driver.said(law.axis)}, {law.driver.unit}"]
-    lines += [
-        *steps_to("x", _template(law, law.driver.name)),
-        f"return np.column_stack([{', '.join(texts)}])",
-    ]
+    lines += [*_driven(law, "x"), f"return np.column_stack([{', '.join(texts)}])"]
     return _with_helpers(_defined("heading(signals: Signals) -> Array:", lines))
+
+
+def _driven(law: Law, x: str) -> list[str]:
+    """Assignments to x, which drives a law, and to what that is multiplied by."""
+    said, factor = f"# {law.driver.said(law.axis)}, {law.driver.unit}", law.driver.factor
+    felt = [] if factor is None else steps_to("felt", _template(law, factor.name))
+    return [said, *felt, *steps_to(x, _template(law, law.driver.name.rpartition(BY)[2]))]
 
 
 def imu_function(
@@ -112,10 +114,7 @@ def imu_function(
         here.append(f"{_left(names)} = p.reshape(3, -1)[i]")
     else:
         lines.append(f"{_left(names)} = p")
-    here.append(f"# {law.driver.said(law.axis)}, {law.driver.unit}")
-    if law.driver.factor is not None:
-        here.append(f"felt = {driver_code(_template(law, law.driver.factor.name))}")
-    here += steps_to(x, _template(law, law.driver.name.rpartition(BY)[2]))
+    here += _driven(law, x)
     here += _sum(f"error[:, {place}]", added)
     if law.axis is None:
         here = ["for i in range(3):", *(f"    {line}" for line in here)]

@@ -280,6 +280,8 @@ SIGN = re.compile(r"tanh\((.+) / (.+)\)")
 # Along which axis a device turns, where it turns fast enough.
 _TURNS = r"\(\|omega\|, ([\d.e-]+)\)"
 DIRECTION = re.compile(rf"\((omega_\S+) / max{_TURNS}\)")
+# A wave once round the circle of headings.
+BEARING = re.compile(r"cos\(yaw - ([\d.e-]+)\)")
 _SAID = re.compile(r"\((\w+)\(([^ ]+) [^)]*\) of (.+?)( - \3)?\)")
 
 
@@ -327,8 +329,9 @@ def _closed(text: str) -> bool:
 
 
 def without_numbers(name: str) -> str:
-    """A driver's name, but for the numbers of its operators, and for what is no turn yet."""
-    return re.sub(_TURNS, "(|omega|)", _NUMBER.sub(r"(\1 ", name))
+    """A driver's name, but for the numbers of its operators, phases, and what is no turn yet."""
+    name = BEARING.sub("cos(yaw)", _NUMBER.sub(r"(\1 ", name))
+    return re.sub(_TURNS, "(|omega|)", name)
 
 
 def remembers(name: str) -> bool:

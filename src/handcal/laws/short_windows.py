@@ -8,6 +8,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -17,8 +18,9 @@ from handcal.estimate.columns import Ground
 from handcal.estimate.forked import in_parallel
 from handcal.estimate.model import Model
 from handcal.estimate.scan import scan
-from handcal.laws.drivers import Driver
-from handcal.laws.law_effect import SIZE
+from handcal.laws.drivers import HEADING, LINE, Driver
+from handcal.laws.grammar import curves, range_of
+from handcal.laws.law_effect import AXES_OF, SENSORS, SIZE
 from handcal.laws.weighing import Beside, beside, gains
 from handcal.signals import some
 from handcal.types import Array, IntArray
@@ -28,20 +30,22 @@ from handcal.types import Array, IntArray
 WINDOW, MOST_WINDOWS = 1.0 / 3.0, 450
 # Courses are worked out so many times a second: in a hand, hardly anything is faster.
 RATE = 40.0
-# Courses that are handed on, and of one kind (times and widths apart).
-LIKELIEST, OF_A_KIND = 36, 2
+# Constants of the laws that are handed on, at the most (a scan's work goes as these), and laws of
+# one kind (times and widths apart).
+LIKELIEST, OF_A_KIND = 60, 2
+# Root mean square below which there is no course.
+COURSELESS = 1e-9
 # Courses that are worked out and weighed at a time.
 TOGETHER = 500
 
 
 @dataclass(frozen=True, eq=False)
 class Courses:
-    """Drivers, with the means of each on three axes in each window (d, 3, K), as shares of their
-    root mean square (d,)."""
+    """Drivers, with what a unit of each constant of a law over each adds on each axis, as means in
+    each window (d, a, c, K), in shares of a clearly visible error."""
 
     drivers: Sequence[Driver]
     means: Array
-    rms: Array
 
 
 def fits_in(signals: Signals) -> bool:
@@ -58,80 +62,123 @@ def _windows(t: Array, all_: Array) -> IntArray:
     return np.asarray(np.minimum(((t - all_[0]) / WINDOW).astype(np.int64), _count(all_) - 1))
 
 
-def courses_of(drivers: Sequence[Driver], signals: Signals) -> Courses:
-    """Those of them that have a course."""
+def courses_of(drivers: Sequence[Driver], signals: Signals, sensor: int = 0) -> list[Courses]:
+    """Those of them that have a course, for a sensor (either IMU sensor alike); those of as many
+    constants together."""
     rate = len(signals.t) / max(float(signals.t[-1] - signals.t[0]), 1e-9)
     fewer = some(signals, np.arange(0, len(signals.t), max(1, round(rate / RATE)), dtype=np.int64))
     window = _windows(fewer.t, signals.t)
     first = np.flatnonzero(np.r_[True, np.diff(window) > 0])
     count = np.diff(np.r_[first, len(fewer.t)])
+    axes = len(AXES_OF[sensor])
 
-    def worked_out(chunk: Sequence[Driver]) -> tuple[Array, Array]:
-        # (of a window without a reading there is no mean, and nothing depends on it)
-        means: Array = np.zeros((len(chunk), 3, _count(signals.t)))
-        rms = np.zeros(len(chunk))
-        for n, driver in enumerate(chunk):
-            x = np.stack([driver.course(fewer, axis) for axis in range(3)])
-            rms[n] = math.sqrt(float(np.mean(x**2)))
-            if rms[n] > 0.0:
-                means[n][:, window[first]] = np.add.reduceat(x / rms[n], first, axis=1) / count
-        return means, rms
+    def worked_out(chunk: Sequence[Driver]) -> list[Array | None]:
+        out: list[Array | None] = []
+        for driver in chunk:
+            x = _columns(driver, fewer, axes)
+            if x is None or not np.isfinite(x).all():
+                out.append(None)
+                continue
+            # (of a window without a reading there is no mean, and nothing depends on it)
+            means = np.zeros((*x.shape[:2], _count(signals.t)))
+            means[:, :, window[first]] = np.add.reduceat(x, first, axis=2) / count
+            out.append(means)
+        return out
 
     chunks = [drivers[n : n + TOGETHER] for n in range(0, len(drivers), TOGETHER)]
     done = in_parallel(partial(worked_out, chunk) for chunk in chunks)
-    means, rms = (np.concatenate(x) for x in zip(*done, strict=True))
-    told = (rms > 1e-9) & np.isfinite(means).all(axis=(1, 2))
-    return Courses([d for d, yes in zip(drivers, told, strict=True) if yes], means[told], rms[told])
+    alike: dict[int, list[tuple[Driver, Array]]] = {}
+    for driver, means in zip(drivers, (m for part in done for m in part), strict=True):
+        if means is not None:
+            alike.setdefault(means.shape[1], []).append((driver, means))
+    return [Courses([d for d, _ in of], np.stack([m for _, m in of])) for of in alike.values()]
+
+
+def _columns(driver: Driver, signals: Signals, axes: int) -> Array | None:
+    """What a unit of each constant of a law over a driver adds on each axis (a, c, n), under priors
+    of one; None where it has no course."""
+    x = np.stack([driver.course(signals, axis) for axis in range(axes)])
+    if driver.knots == LINE:
+        size = _rms(x)
+        return x[:, None] / size if size > COURSELESS else None
+    scale = np.stack([driver.scale(signals, axis) for axis in range(axes)])
+    size = _rms(scale)
+    if not min(size, _rms(x)) > COURSELESS:
+        return None
+    forms = curves(range_of(x, driver.signed), driver.knots, driver.round)
+    form = forms[len(forms) // 2]
+    assert form.root is not None
+    features = np.stack([form.values(row) @ form.root for row in x])
+    return np.asarray((features * (scale / size)[:, :, None]).transpose(0, 2, 1))
+
+
+def _rms(x: Array) -> float:
+    return math.sqrt(float(np.mean(x**2)))
 
 
 def likeliest(
-    model: Model, base: Sequence[Ground], known: Sequence[Effect], sensor: int, courses: Courses
+    model: Model,
+    base: Sequence[Ground],
+    known: Sequence[Effect],
+    sensor: int,
+    courses: Sequence[Courses],
 ) -> list[Driver]:
-    """The drivers over which a law of one constant gains most about a model, on one axis or alike
-    on all of them, the best first."""
-    windows = [_constant(3 * sensor + axis, courses.means.shape[2]) for axis in range(3)]
+    """The drivers over which a law gains most about a model, on one axis or alike on all of them,
+    the best first."""
+    axes = AXES_OF[sensor]
+    windows = [_constant(sensor, axis, courses[0].means.shape[3]) for axis in axes]
     q = scan(model, windows, base, 1.0)
     seen = beside(q, known, windows)
-    gain = _gains(courses.means, seen, [seen.at[e.id] for e in windows]).max(axis=1)
+    at = [seen.at[e.id] for e in windows]
+    ends = [
+        (float(gain), driver, of.means.shape[2])
+        for of in courses
+        for driver, gain in zip(of.drivers, _gains(of.means, seen, at).max(axis=1), strict=True)
+    ]
     out: list[Driver] = []
     kinds: dict[str, int] = {}
-    for n in np.argsort(-gain, kind="stable"):
-        driver = courses.drivers[n]
+    room = LIKELIEST
+    for _, driver, constants in sorted(ends, key=lambda end: -end[0]):
         kinds[driver.kind] = kinds.get(driver.kind, 0) + 1
         if kinds[driver.kind] <= OF_A_KIND:
             out.append(driver)
-        if len(out) == LIKELIEST:
+            room -= constants
+        if room <= 0:
             break
     return out
 
 
-def _constant(channel: int, count: int) -> Effect:
+def _constant(sensor: int, axis: int, count: int) -> Effect:
     """An error of a channel that is another constant in each window."""
 
-    def features(signals: Signals) -> list[tuple[int, int, Array]]:
-        columns = np.zeros((len(signals.t), count))
-        columns[np.arange(len(signals.t)), _windows(signals.t, signals.t)] = 1.0
-        return [(channel, 0, columns)]
+    def columns(signals: Signals) -> Array:
+        out = np.zeros((len(signals.t), count))
+        out[np.arange(len(signals.t)), _windows(signals.t, signals.t)] = 1.0
+        return out
 
-    size = SIZE[channel // 3]
+    physics: dict[str, Any] = {"seen": {SENSORS[HEADING]: columns}}
+    if sensor != HEADING:
+
+        def features(signals: Signals) -> list[tuple[int, int, Array]]:
+            return [(3 * sensor + axis, 0, columns(signals))]
+
+        physics = {"imu_error": added(features), "features": features}
     return Effect(
-        id=f"windows: {channel}", title="", story="", source="", motion="", validated="",
-        parameters=tuple(Param(f"w{n}", "", size) for n in range(count)),
-        imu_error=added(features), features=features,
+        id=f"windows: {sensor} {axis}", title="", story="", source="", motion="", validated="",
+        parameters=tuple(Param(f"w{n}", "", SIZE[sensor]) for n in range(count)), **physics,
     )  # fmt: skip
 
 
 def _gains(means: Array, seen: Beside, at: Sequence[IntArray]) -> Array:
-    """Nats (d, 4) that a law of one constant over each driver gains, on each axis and on all of
-    them alike."""
-    out = np.empty((len(means), 4))
+    """Nats (d, w) that a law over each driver gains, on each axis and on all of them alike."""
+    out = []
     for first in range(0, len(means), TOGETHER):
         c = means[first : first + TOGETHER]
-        b = np.stack([c[:, a] @ seen.b[at[a]] for a in range(3)], axis=1)
-        each = [[((c[:, a] @ seen.G[np.ix_(at[a], at[o])]) * c[:, o]).sum(axis=1)
-                 for o in range(3)] for a in range(3)]  # fmt: skip
-        G = np.array(each).transpose(2, 0, 1)
-        alone = [gains(b[:, a : a + 1], G[:, a : a + 1, a : a + 1]) for a in range(3)]
-        alike = gains(b.sum(axis=1)[:, None], G.sum(axis=(1, 2))[:, None, None])
-        out[first : first + TOGETHER] = np.stack([*alone, alike], axis=1)
-    return out
+        axes = range(c.shape[1])
+        b = [c[:, a] @ seen.b[at[a]] for a in axes]
+        felt = [[c[:, a] @ seen.G[np.ix_(at[a], at[o])] @ c[:, o].transpose(0, 2, 1)
+                 for o in axes] for a in axes]  # fmt: skip
+        each = [gains(b[a], felt[a][a]) for a in axes]
+        alike = gains(np.sum(b, axis=0), np.sum(felt, axis=(0, 1)))
+        out.append(np.stack([*each, alike], axis=1))
+    return np.concatenate(out)

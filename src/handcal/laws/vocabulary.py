@@ -6,6 +6,7 @@ It is made of parts: signals, their sizes and squares, what an operator makes of
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import cache
@@ -89,6 +90,19 @@ PITCHES = tuple(
     Driver(f"sin(pitch of {x})", "1", _up(n), COARSE, needs=_HERE) for n, x in enumerate("xy")
 )
 TILT = Driver("cos(tilt)", "1", _up(2), COARSE, needs=_HERE)
+# Phases of a wave round the circle of headings, over half of it, rad.
+PHASES = tuple(math.pi * (n + 0.5) / 6.0 for n in range(6))
+
+
+def bearing(phase: float) -> Driver:
+    """A wave once round the circle of headings."""
+    phase = operators.rounded(phase)
+    return Driver(
+        f"cos(yaw - {phase:g})", "1", lambda s, axis: np.cos(YAW.course(s, axis) - phase), LINE,
+        number=phase, at=bearing, needs=_HERE,
+    )  # fmt: skip
+
+
 YAW_RATE = Driver("(yaw rate)", "rad/s", _yaw_rate, COARSE, needs=_HERE)
 SLOPES = tuple(map(slope, (*RATES, *FORCES)))
 SHAKEN = (
@@ -137,6 +151,8 @@ def _made(name: str) -> Driver:
         return side(driver_of(one[2]), -1 if one[1] else 1)
     if (one := operators.SIGN.fullmatch(name)) is not None:
         return sign(driver_of(one[1]))
+    if (one := operators.BEARING.fullmatch(name)) is not None:
+        return bearing(float(one[1]))
     if (one := operators.DIRECTION.fullmatch(name)) is not None:
         return _along(driver_of(one[1]), float(one[2]))
     if name[:1] == name[-1:] == "|":
@@ -156,6 +172,7 @@ def further(signals: Signals, sensor: int) -> Iterator[Driver]:
         yield from made_by(TURNS, signals, ("memory", "lag", "peak"))
         if usable(WARMTH, signals):  # (what is warmed follows slower than what turns)
             yield from (operated("lag", WARMTH, tau) for tau in WARMING)
+        yield from _changing_waves(signals)
         return
     own = (RATES, FORCES)[sensor][0]
     yield from (d for d in FURTHER if usable(d, signals))
@@ -182,6 +199,16 @@ def further(signals: Signals, sensor: int) -> Iterator[Driver]:
         yield replace(WARMTH, knots=FINE)
         yield from (times(own, operated("lag", WARMTH, tau)) for tau in WARMING)
     yield from _further_products(signals)
+
+
+def _changing_waves(signals: Signals) -> Iterator[Driver]:
+    """Waves of a heading, felt by as much as another signal says."""
+    if not usable(YAW, signals):
+        return
+    felt = (*RATES, *FORCES, TURNS, LOAD, YAW_RATE, size(YAW_RATE), *PITCHES, TILT, WARMTH, TIME)
+    yield YAW
+    yield from (by(x, YAW) for x in felt if usable(x, signals))
+    yield from (by(bearing(phase), replace(TIME, knots=FINEST)) for phase in PHASES)
 
 
 def _further_products(signals: Signals) -> Iterator[Driver]:

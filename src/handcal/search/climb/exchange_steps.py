@@ -13,7 +13,8 @@ from handcal.estimate.case import applicable, name_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.forked import in_parallel
 from handcal.estimate.model import Model
-from handcal.laws.best_law import Term, with_other
+from handcal.laws.best_law import Term
+from handcal.laws.chosen_again import with_other
 from handcal.model_score import NAMED, PRIOR, better
 from handcal.search.climb.candidates import scanned_about
 from handcal.search.climb.state import HOPELESS, WEAK, Climb, likelier, sensible

@@ -15,7 +15,8 @@ from handcal.estimate.forked import in_parallel
 from handcal.estimate.model import Model
 from handcal.estimate.rest_only import travels
 from handcal.laws import course_numbers
-from handcal.laws.best_law import Term, best_term, best_terms, reshaped, with_other
+from handcal.laws.best_law import Term, best_term, best_terms
+from handcal.laws.chosen_again import reshaped, with_other
 from handcal.laws.drivers import HEADING
 from handcal.laws.grammar import shorter
 from handcal.laws.law_constants import adjusted
