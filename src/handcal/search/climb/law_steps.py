@@ -11,6 +11,7 @@ import numpy as np
 
 from handcal.effects import Effect, catalogue
 from handcal.estimate.case import name_of
+from handcal.estimate.fit import fitted
 from handcal.estimate.forked import in_parallel
 from handcal.estimate.model import Model
 from handcal.estimate.rest_only import travels
@@ -18,9 +19,9 @@ from handcal.laws import course_numbers
 from handcal.laws.best_law import Term, best_term, best_terms
 from handcal.laws.chosen_again import reshaped, with_other
 from handcal.laws.drivers import HEADING
-from handcal.laws.grammar import shorter
+from handcal.laws.grammar import LEVEL, SAME, formula, shorter
 from handcal.laws.law_constants import adjusted
-from handcal.laws.law_effect import SENSORS, Law, effect_of, law_of
+from handcal.laws.law_effect import SENSORS, SIZE, Law, effect_of, law_of
 from handcal.model_score import score
 from handcal.search.climb.candidates import scanned
 from handcal.search.climb.in_place import (
@@ -33,13 +34,15 @@ from handcal.search.climb.in_place import (
     refused_by,
     surveyed,
 )
-from handcal.search.climb.state import Climb, likelier
+from handcal.search.climb.state import Climb, forget, likelier
 from handcal.search.climb.subset_steps import choose
 
 # Terms without a name at the most, and of those that were on trial.
 MAX_TERMS, MAX_TRIED = 3, 6
 # What is known of a law and of a name goes together so far that one may be part of the other.
 MIXED = 0.5
+# What is always felt of a signal, beside how much that changes.
+_LEVEL = (next(iter(LEVEL)), ())
 
 
 def name_term(c: Climb) -> Model | None:
@@ -169,6 +172,50 @@ def adjust(c: Climb) -> Model | None:
                 c.whole.add(effect.id)
             return model
     return None
+
+
+def take_in(c: Climb) -> Model | None:
+    """The model with a law of how much a signal is felt that holds what is always felt of it, in
+    the place of that law and of a name of its sensor that may be there for that."""
+    ways: list[tuple[int, str, Effect]] = []
+    for i, term in enumerate(c.unnamed):
+        whole = _with_level(c, term.effect) if term.effect.id in c.model.ids else None
+        if whole is None:
+            continue
+        asked = [(e.id, term.effect.id) for e in c.model.effects if _names(c, term, e)]
+        ways += [(i, name, whole) for name, law in asked if (name, law) not in c.taken_in]
+        c.taken_in |= set(asked)
+    calls = [partial(_taken_in, c.model, c.unnamed[i].effect, name, e) for i, name, e in ways]
+    fits = zip(in_parallel(calls), ways, strict=True)
+    ends = [(m, way) for m, way in fits if likelier(c, m)]
+    if not ends:
+        return None
+    best, (i, _, whole) = max(ends, key=lambda end: score(end[0], c.worth))
+    c.unnamed[i] = replace(c.unnamed[i], effect=whole)
+    forget(c, best)
+    return best
+
+
+def _names(c: Climb, term: Term, effect: Effect) -> bool:
+    """Whether this is the name of an error of a law's sensor."""
+    found = effect.process is None and effect.id not in c.kept
+    return found and effect.id.startswith(_sensor(term)) and name_of(effect.id) in catalogue()
+
+
+def _with_level(c: Climb, effect: Effect) -> Effect | None:
+    """A law of how much a signal is felt, with what is always felt of it; None if it is none."""
+    law = law_of(effect)
+    if law is None or law.driver.factor is None or law.form.smooth or _LEVEL in law.form.parts:
+        return None
+    felt = [law.driver.scale(surveyed(c).signals, axis) for axis in law.axes]
+    sigma = SIZE[law.sensor] / max(float(np.sqrt(np.mean(np.square(felt)))), 1e-9)
+    form = formula([*law.form.parts, _LEVEL], SAME in law.form.kind)
+    return effect_of(replace(law, form=form, sigmas=(*law.sigmas, sigma)))
+
+
+def _taken_in(model: Model, law: Effect, name: str, whole: Effect) -> Model:
+    rest = [e for e in model.effects if e.id not in (law.id, name)]
+    return fitted(model.parts, [*rest, whole])
 
 
 def narrow(c: Climb) -> Model | None:

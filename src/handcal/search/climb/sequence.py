@@ -15,6 +15,7 @@ from handcal.search.climb.law_steps import (
     narrow,
     rename,
     reshape,
+    take_in,
 )
 from handcal.search.climb.noise_steps import add_noise
 from handcal.search.climb.state import Climb, beaten
@@ -73,6 +74,7 @@ _STEPS: dict[Callable[[Climb], Model | None], str] = {
     hidden: "filters beside delays",
     add_noise: "noise effects",
     thin: "the fit without its weakest effects",
+    take_in: "a law's own level in the place of names",
     name_term: "laws that have no name",
     instead_of_travel: "laws in the place of a hand that travels",
     rename: "laws in the place of laws and names",

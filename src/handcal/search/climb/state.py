@@ -66,6 +66,7 @@ class Climb:
     travelled: set[frozenset[str]] = field(default_factory=set)
     whole: set[str] = field(default_factory=set)
     adjusted: set[str] = field(default_factory=set)
+    taken_in: set[tuple[str, str]] = field(default_factory=set)
     survey: Survey | None = None
     vocabulary: Vocabulary = field(default_factory=Vocabulary)
     rival: Model | None = None
