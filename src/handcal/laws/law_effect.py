@@ -81,7 +81,9 @@ class Law:
     @property
     def cost(self) -> float:
         """Nats by which it is less likely beforehand than the simplest law."""
-        made = COMPOSED if self.driver.composed else 0.0
+        # (what a heading's error depends on at one moment, products too, is in ``terms``)
+        product = self.sensor == HEADING and " * " in self.driver.name
+        made = COMPOSED if self.driver.composed or product else 0.0
         return self.form.cost + made + (grammar.FREEDOM if self.driver.number else 0.0)
 
     @property

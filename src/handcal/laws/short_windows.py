@@ -35,6 +35,8 @@ RATE = 40.0
 LIKELIEST, OF_A_KIND = 60, 2
 # Root mean square below which there is no course.
 COURSELESS = 1e-9
+# A signal that changes by less than this share of its size says of none how much it is felt.
+CHANGING = 0.3
 # Courses that are worked out and weighed at a time.
 TOGETHER = 500
 
@@ -103,7 +105,7 @@ def _columns(driver: Driver, signals: Signals, axes: int) -> Array | None:
         return x[:, None] / size if size > COURSELESS else None
     scale = np.stack([driver.scale(signals, axis) for axis in range(axes)])
     size = _rms(scale)
-    if not min(size, _rms(x)) > COURSELESS:
+    if not (_rms(x) > COURSELESS and _rms(scale - scale.mean()) > CHANGING * size > 0.0):
         return None
     forms = curves(range_of(x, driver.signed), driver.knots, driver.round)
     form = forms[len(forms) // 2]
