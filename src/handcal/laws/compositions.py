@@ -19,6 +19,7 @@ from handcal.laws.drivers import (
     YAW,
     Driver,
     by,
+    mixed,
     operated,
     size,
     square,
@@ -31,6 +32,8 @@ from handcal.laws.vocabulary import NORTH, PITCHES, SLOPES, TILT, YAW_RATE, made
 # What is remembered of a signal, and of one that has no sign.
 _PAST = ("memory", "lag", "friction", "side", "peak")
 _PAST_SIZE = ("memory", "lag", "peak")
+# Shares of a second axis's signal in what acts along a direction between two.
+SHARES = (-2.0, -1.0, -0.5, 0.5, 1.0, 2.0)
 
 
 def composed(signals: Signals) -> Iterator[Driver]:
@@ -51,6 +54,8 @@ def composed(signals: Signals) -> Iterator[Driver]:
         yield from made_by(pair, signals, _PAST_SIZE)
     yield from _beyond_their_means(plain, signals)
     yield from (times(a, times(b, c)) for a, b, c in combinations(plain, 3))
+    for triple in (RATES, FORCES):
+        yield from (mixed(a, b, share) for a, b in combinations(triple, 2) for share in SHARES)
     for x in (replace(d, knots=COARSE) for d in (*plain, *whole, WARMTH, YAW)):
         if usable(x, signals):
             yield from (by(a, x) for a in (*RATES[1:], *FORCES[1:]) if a.name != x.name)

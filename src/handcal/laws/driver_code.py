@@ -42,10 +42,13 @@ def driver_code(name: str) -> str:
         return _PLAIN[name]
     if found := operators.DIRECTION.fullmatch(name):
         return f"{_signal(found[1])} / np.maximum({_PLAIN['|omega|']}, {found[2]})"
+    if found := operators.MIXED.fullmatch(name):
+        return f"({driver_code(found[1])} {found[2]} {found[3]} * {driver_code(found[4])})"
     if found := operators.BEARING.fullmatch(name):
         return f"np.cos({_PLAIN['yaw']} - {found[1]})"
-    if " * " in name:
-        return " * ".join(_factor(driver_code(part)) for part in name.split(" * "))
+    first, rest = operators.factors(name)
+    if rest:
+        return f"{_factor(driver_code(first))} * {_factor(driver_code(rest))}"
     if name.endswith("^2"):
         return f"({driver_code(name[:-2])}) ** 2"
     if name.startswith("|") and name.endswith("|"):

@@ -6,6 +6,7 @@ A driver is a signal for each axis of a sensor. In its name {i} is the sensor's 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations, product
@@ -190,6 +191,17 @@ def sign(of: Driver) -> Driver:
     return Driver(
         f"tanh({of.name} / {near:g})", "", lambda s, axis: np.tanh(of.course(s, axis) / near)
     )
+
+
+def mixed(a: Driver, b: Driver, share: float) -> Driver:
+    """A signal, and a share of another one of the same unit: what acts along neither's axis."""
+    share = operators.rounded(share)
+    return Driver(
+        f"({a.name} {'-' if share < 0.0 else '+'} {abs(share):g} * {b.name})", a.unit,
+        lambda s, axis: a.course(s, axis) + share * b.course(s, axis), COARSE,
+        number=abs(share), at=lambda n: mixed(a, b, math.copysign(n, share)),
+        needs=(*a.needs, *b.needs),
+    )  # fmt: skip
 
 
 def operated(operator: str, of: Driver, number: float, only: int | None = None) -> Driver:

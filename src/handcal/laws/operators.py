@@ -280,6 +280,8 @@ SIGN = re.compile(r"tanh\((.+) / (.+)\)")
 # Along which axis a device turns, where it turns fast enough.
 _TURNS = r"\(\|omega\|, ([\d.e-]+)\)"
 DIRECTION = re.compile(rf"\((omega_\S+) / max{_TURNS}\)")
+# A signal, and a share of another one.
+MIXED = re.compile(r"\((\S+) ([+-]) ([\d.e-]+) \* (\S+)\)")
 # A wave once round the circle of headings.
 BEARING = re.compile(r"cos\(yaw - ([\d.e-]+)\)")
 _SAID = re.compile(r"\((\w+)\(([^ ]+) [^)]*\) of (.+?)( - \3)?\)")
@@ -331,6 +333,7 @@ def _closed(text: str) -> bool:
 def without_numbers(name: str) -> str:
     """A driver's name, but for the numbers of its operators, phases, and what is no turn yet."""
     name = BEARING.sub("cos(yaw)", _NUMBER.sub(r"(\1 ", name))
+    name = MIXED.sub(r"(\1 \2 \4)", name)
     return re.sub(_TURNS, "(|omega|)", name)
 
 

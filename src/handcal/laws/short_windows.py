@@ -30,9 +30,9 @@ from handcal.types import Array, IntArray
 WINDOW, MOST_WINDOWS = 1.0 / 3.0, 450
 # Courses are worked out so many times a second: in a hand, hardly anything is faster.
 RATE = 40.0
-# Constants of the laws that are handed on, at the most (a scan's work goes as these), and laws of
-# one kind (times and widths apart).
-LIKELIEST, OF_A_KIND = 60, 2
+# Constants of the laws over one kind of course that are handed on, at the most (a scan's work goes
+# as these), and laws that differ in times and widths alone.
+LIKELIEST, OF_A_KIND = 36, 2
 # Root mean square below which there is no course.
 COURSELESS = 1e-9
 # A signal that changes by less than this share of its size says of none how much it is felt.
@@ -43,11 +43,13 @@ TOGETHER = 500
 
 @dataclass(frozen=True, eq=False)
 class Courses:
-    """Drivers, with what a unit of each constant of a law over each adds on each axis, as means in
-    each window (d, a, c, K), in shares of a clearly visible error."""
+    """Drivers of one kind of law, with what a unit of each constant of it adds on each axis, as
+    means in each window (d, a, c, K), in shares of a clearly visible error; roots (f, c, c): square
+    roots of the prior covariance of the constants, of each of its forms."""
 
     drivers: Sequence[Driver]
     means: Array
+    roots: Array
 
 
 def fits_in(signals: Signals) -> bool:
@@ -74,44 +76,48 @@ def courses_of(drivers: Sequence[Driver], signals: Signals, sensor: int = 0) -> 
     count = np.diff(np.r_[first, len(fewer.t)])
     axes = len(AXES_OF[sensor])
 
-    def worked_out(chunk: Sequence[Driver]) -> list[Array | None]:
-        out: list[Array | None] = []
+    def worked_out(chunk: Sequence[Driver]) -> list[tuple[Array, Array] | None]:
+        out: list[tuple[Array, Array] | None] = []
         for driver in chunk:
-            x = _columns(driver, fewer, axes)
-            if x is None or not np.isfinite(x).all():
+            x, roots = _columns(driver, fewer, axes)
+            if not (np.isfinite(x).all() and x.size):
                 out.append(None)
                 continue
             # (of a window without a reading there is no mean, and nothing depends on it)
-            means = np.zeros((*x.shape[:2], _count(signals.t)))
+            means: Array = np.zeros((*x.shape[:2], _count(signals.t)))
             means[:, :, window[first]] = np.add.reduceat(x, first, axis=2) / count
-            out.append(means)
+            out.append((means, roots))
         return out
 
     chunks = [drivers[n : n + TOGETHER] for n in range(0, len(drivers), TOGETHER)]
     done = in_parallel(partial(worked_out, chunk) for chunk in chunks)
-    alike: dict[int, list[tuple[Driver, Array]]] = {}
-    for driver, means in zip(drivers, (m for part in done for m in part), strict=True):
-        if means is not None:
-            alike.setdefault(means.shape[1], []).append((driver, means))
-    return [Courses([d for d, _ in of], np.stack([m for _, m in of])) for of in alike.values()]
+    alike: dict[tuple[int, bool], list[tuple[Driver, Array, Array]]] = {}
+    for driver, end in zip(drivers, (end for part in done for end in part), strict=True):
+        if end is not None:
+            alike.setdefault((driver.knots, driver.round), []).append((driver, *end))
+    return [
+        Courses([d for d, _, _ in of], np.stack([m for _, m, _ in of]), of[0][2])
+        for of in alike.values()
+    ]
 
 
-def _columns(driver: Driver, signals: Signals, axes: int) -> Array | None:
-    """What a unit of each constant of a law over a driver adds on each axis (a, c, n), under priors
-    of one; None where it has no course."""
+def _columns(driver: Driver, signals: Signals, axes: int) -> tuple[Array, Array]:
+    """What a unit of each constant of a law over a driver adds on each axis (a, c, n), and the
+    roots of its forms; nothing where it has no course."""
     x = np.stack([driver.course(signals, axis) for axis in range(axes)])
+    nothing: Array = np.zeros((axes, 0, 0))
     if driver.knots == LINE:
         size = _rms(x)
-        return x[:, None] / size if size > COURSELESS else None
+        return (x[:, None] / size if size > COURSELESS else nothing), np.ones((1, 1, 1))
     scale = np.stack([driver.scale(signals, axis) for axis in range(axes)])
     size = _rms(scale)
-    if not (_rms(x) > COURSELESS and _rms(scale - scale.mean()) > CHANGING * size > 0.0):
-        return None
+    felt = driver.factor is None or _rms(scale - scale.mean()) > CHANGING * size > 0.0
+    if not (felt and _rms(x) > COURSELESS):
+        return nothing, nothing
     forms = curves(range_of(x, driver.signed), driver.knots, driver.round)
-    form = forms[len(forms) // 2]
-    assert form.root is not None
-    features = np.stack([form.values(row) @ form.root for row in x])
-    return np.asarray((features * (scale / size)[:, :, None]).transpose(0, 2, 1))
+    features = np.stack([forms[0].values(row) for row in x])
+    columns = (features * (scale / size)[:, :, None]).transpose(0, 2, 1)
+    return columns, np.stack([f.root for f in forms if f.root is not None])
 
 
 def _rms(x: Array) -> float:
@@ -125,28 +131,24 @@ def likeliest(
     sensor: int,
     courses: Sequence[Courses],
 ) -> list[Driver]:
-    """The drivers over which a law gains most about a model, on one axis or alike on all of them,
-    the best first."""
+    """The drivers over which a law gains most about a model, of each kind of course, on one axis or
+    alike on all of them, the best first."""
     axes = AXES_OF[sensor]
     windows = [_constant(sensor, axis, courses[0].means.shape[3]) for axis in axes]
     q = scan(model, windows, base, 1.0)
     seen = beside(q, known, windows)
     at = [seen.at[e.id] for e in windows]
-    ends = [
-        (float(gain), driver, of.means.shape[2])
-        for of in courses
-        for driver, gain in zip(of.drivers, _gains(of.means, seen, at).max(axis=1), strict=True)
-    ]
     out: list[Driver] = []
-    kinds: dict[str, int] = {}
-    room = LIKELIEST
-    for _, driver, constants in sorted(ends, key=lambda end: -end[0]):
-        kinds[driver.kind] = kinds.get(driver.kind, 0) + 1
-        if kinds[driver.kind] <= OF_A_KIND:
-            out.append(driver)
-            room -= constants
-        if room <= 0:
-            break
+    for of in courses:
+        gain = _gains(of, seen, at)
+        kinds: dict[str, int] = {}
+        room = LIKELIEST
+        for n in np.argsort(-gain, kind="stable"):
+            driver = of.drivers[n]
+            kinds[driver.kind] = kinds.get(driver.kind, 0) + 1
+            if room > 0 and kinds[driver.kind] <= OF_A_KIND:
+                out.append(driver)
+                room -= of.means.shape[2]
     return out
 
 
@@ -171,16 +173,18 @@ def _constant(sensor: int, axis: int, count: int) -> Effect:
     )  # fmt: skip
 
 
-def _gains(means: Array, seen: Beside, at: Sequence[IntArray]) -> Array:
-    """Nats (d, w) that a law over each driver gains, on each axis and on all of them alike."""
+def _gains(of: Courses, seen: Beside, at: Sequence[IntArray]) -> Array:
+    """Nats (d,) that a law over each driver gains, on an axis or on all of them alike."""
     out = []
-    for first in range(0, len(means), TOGETHER):
-        c = means[first : first + TOGETHER]
+    for first in range(0, len(of.means), TOGETHER):
+        c = of.means[first : first + TOGETHER]
         axes = range(c.shape[1])
         b = [c[:, a] @ seen.b[at[a]] for a in axes]
         felt = [[c[:, a] @ seen.G[np.ix_(at[a], at[o])] @ c[:, o].transpose(0, 2, 1)
                  for o in axes] for a in axes]  # fmt: skip
-        each = [gains(b[a], felt[a][a]) for a in axes]
-        alike = gains(np.sum(b, axis=0), np.sum(felt, axis=(0, 1)))
-        out.append(np.stack([*each, alike], axis=1))
+        ways = [*((b[a], felt[a][a]) for a in axes), (np.sum(b, axis=0), np.sum(felt, axis=(0, 1)))]
+        ends = [
+            gains(*way, np.broadcast_to(root, way[1].shape)) for way in ways for root in of.roots
+        ]
+        out.append(np.max(ends, axis=0))
     return np.concatenate(out)

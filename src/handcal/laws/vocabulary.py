@@ -35,6 +35,7 @@ from handcal.laws.drivers import (
     Driver,
     Of,
     by,
+    mixed,
     operated,
     side,
     sign,
@@ -151,6 +152,9 @@ def _made(name: str) -> Driver:
         return side(driver_of(one[2]), -1 if one[1] else 1)
     if (one := operators.SIGN.fullmatch(name)) is not None:
         return sign(driver_of(one[1]))
+    if (one := operators.MIXED.fullmatch(name)) is not None:
+        share = float(one[3]) if one[2] == "+" else -float(one[3])
+        return mixed(driver_of(one[1]), driver_of(one[4]), share)
     if (one := operators.BEARING.fullmatch(name)) is not None:
         return bearing(float(one[1]))
     if (one := operators.DIRECTION.fullmatch(name)) is not None:
