@@ -198,6 +198,7 @@ def _swung(damping: float) -> Callable[[Array, float, Array], Array]:
 
 _PAST: Mapping[str, Callable[[Array, float, Array], Array]] = {
     "memory": lambda t, tau, x: lagged(t, x, tau),
+    "smooth": lambda t, tau, x: lagged(-t[::-1], lagged(t, x, tau)[::-1], tau)[::-1],
     "play": lambda _t, half, x: followed(x, half),
     "stick": lambda _t, loose, x: stuck(x, loose),
     "steps": lambda _t, step, x: step * np.floor(x / step + 0.5),

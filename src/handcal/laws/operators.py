@@ -195,6 +195,18 @@ def earlier(t: Array, x: Array, late: float) -> Array:
 
 
 @njit
+def smoothed(t: Array, x: Array, tau: float) -> Array:
+    """The mean (n,) of what x was and will be, weighed by exp(-age / tau) on either side."""
+    out = np.empty(len(x))
+    out[0] = x[0]
+    for i in range(1, len(x)):
+        out[i] = out[i - 1] - np.expm1(-(t[i] - t[i - 1]) / tau) * (x[i] - out[i - 1])
+    for i in range(len(x) - 2, -1, -1):
+        out[i] = out[i + 1] - np.expm1(-(t[i + 1] - t[i]) / tau) * (out[i] - out[i + 1])
+    return out
+
+
+@njit
 def stepped(t: Array, x: Array, step: float) -> Array:  # noqa: ARG001
     """x to the nearest whole number of steps."""
     return step * np.floor(x / step + 0.5)
@@ -268,6 +280,7 @@ OPERATORS: Mapping[str, Operator] = {
     "swing": Operator(_less("swing", "Hz"), swinging, SWINGS),
     "sway": Operator(_less("sway", "Hz"), swaying, SWINGS),
     "echo": Operator(_less("echo", "s"), earlier, LATE),
+    "smooth": Operator(_less("smooth", "s"), smoothed, (0.1, 0.3, 1.0)),
     "ghost": Operator(_of("echo", "s"), earlier, LATE, less=False),
     "frozen": Operator(_less("frozen", "rad/s of |omega|"), frozen, FREEZING, turning=True),
 }
