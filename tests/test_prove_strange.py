@@ -15,7 +15,7 @@ from rich.console import Console
 
 from handcal.effects import Signals, catalogue
 from handcal.laws import grammar
-from handcal.laws.compositions import composed
+from handcal.laws.compositions import composed, composed_headings
 from handcal.laws.courses import OVER_TIME, Family
 from handcal.laws.curve import drivers_of
 from handcal.laws.drivers import DRIVERS, HEADING, LINE
@@ -383,9 +383,10 @@ def test_what_a_formula_adds_is_known_here(world, scene, channel):
     axis = "xyz".index(channel[-1]) if sensor < HEADING else 0
     form = grammar.formula([("line", ())])
     usual = DRIVERS.values() if sensor < HEADING else ()
-    made = list(composed(signals))[::40] if sensor < HEADING else []
-    # (what has steps makes one of the least difference between two rates of change)
-    steps = "(side", "(stick", "(steps", "(friction", "(play"
+    made = list((composed if sensor < HEADING else composed_headings)(signals))[::40]
+    # (what has steps, or remembers how it began, makes one of the least difference between two
+    # rates of change)
+    steps = "(side", "(stick", "(steps", "(friction", "(play", "(memory"
     made = [
         d
         for d in made

@@ -381,7 +381,7 @@ def test_a_heading_that_depends_on_the_past_written_out_is_the_law(tmp_path):
 
 @pytest.mark.parametrize(
     "name",
-    ["|alpha_x|", "omega_y by yaw", "(memory(2.5 s) of |omega|) by yaw", "cos(yaw - 1) by t"],
+    ["|alpha_{i}|", "omega_{j} by yaw", "(memory(2.5 s) of |omega|) by yaw", "cos(yaw - 1) by t"],
 )
 def test_a_curve_of_the_heading_over_any_driver_written_out_is_the_curve(name, tmp_path):
     driver, s = vocabulary.driver_of(name), moved()

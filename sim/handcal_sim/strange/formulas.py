@@ -50,6 +50,7 @@ _PYTHON: tuple[tuple[str, str | Callable[[re.Match[str]], str]], ...] = (
     (r"\byaw rate", "turn"),
     (r"\byaw\b", "heading"),
     (r"\(time since a turn\)", "since()"),
+    (r"\|((?:\(|up_|cos)[^|]*)\|", r"abs(\1)"),
     (r"\|(\w+)\|", r"size_\1"),
     (r"([\d.e+-]+) deg\b", r"radians(\1)"),
     (r"(\d) s\b", r"\1"),

@@ -15,7 +15,7 @@ from handcal.estimate.columns import Ground
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.scan import scan
 from handcal.estimate.seen import truth
-from handcal.laws.drivers import DRIVERS, HEADING, LINE, NEARER, Driver, usable
+from handcal.laws.drivers import BY, DRIVERS, HEADING, LINE, NEARER, Driver, times, usable
 from handcal.laws.grammar import (
     Form,
     Part,
@@ -27,7 +27,7 @@ from handcal.laws.grammar import (
     range_of,
 )
 from handcal.laws.law_effect import AXES_OF, SENSORS, SIZE, Law, effect_of, named
-from handcal.laws.vocabulary import further
+from handcal.laws.vocabulary import driver_of, further
 from handcal.laws.weighing import Beside, beside, gains
 from handcal.types import Array, BoolArray
 
@@ -217,11 +217,22 @@ def _tried(about_: About, law: Law, parts: Sequence[Part]) -> list[tuple[Law, fl
         for k in np.argsort(-values, kind="stable"):
             sigmas = tuple(float(SIZE[law.sensor] / sizes[n]) for n in sets[k])
             form = formula([parts[n] for n in sets[k]], same)
-            candidate = replace(law, form=form, sigmas=sigmas)
+            candidate = _plainly(replace(law, form=form, sigmas=sigmas))
             if not named(candidate):
                 out.append((candidate, float(values[k])))
                 break
     return out
+
+
+def _plainly(law: Law) -> Law:
+    """The law as one over a product, where by how much a signal is felt goes as another one."""
+    factor, x = law.driver.factor, law.driver.name.rpartition(BY)[2]
+    if factor is None or law.driver.number or law.form.parts != (("line", ()),):
+        return law
+    felt = driver_of(x)
+    names = f"{factor.name} * {felt.name}", f"{felt.name} * {factor.name}"
+    usual = [DRIVERS[name] for name in names if name in DRIVERS]
+    return replace(law, driver=usual[0] if usual else times(factor, felt))
 
 
 def _sets(some: Sequence[int], parts: Sequence[Part]) -> list[tuple[list[tuple[int, ...]], bool]]:
