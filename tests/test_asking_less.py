@@ -221,9 +221,10 @@ def test_all_readings_are_asked_again_where_a_scan_promises_what_some_cost(
     assert pipeline._promises(whole, _named((), 60.0))
 
 
-def _law(kind, smooth):
+def _law(kind, smooth, composed=False):
     effect = SimpleNamespace(id=f"gyro_x += {kind}")
-    return SimpleNamespace(form=SimpleNamespace(smooth=smooth), effect=effect)
+    form, driver = SimpleNamespace(smooth=smooth), SimpleNamespace(composed=composed)
+    return SimpleNamespace(form=form, effect=effect, driver=driver)
 
 
 def test_the_best_curve_is_looked_at_whatever_does_better():
@@ -232,6 +233,22 @@ def test_the_best_curve_is_looked_at_whatever_does_better():
     assert best_law._best_of([*ends, curve, worse]) == [*ends[: best_law.CLOSER], curve]
     assert best_law._best_of([curve, *ends]) == [curve, *ends[: best_law.CLOSER - 1]]
     assert best_law._best_of(ends[:2]) == ends[:2]
+
+
+def test_what_is_no_composition_is_looked_at_whatever_does_better():
+    ends = [(_law(str(n), False, composed=True), 50.0 - n) for n in range(5)]
+    plain, worse = (_law("p", False), 20.0), (_law("q", False), 10.0)
+    assert best_law._best_of([*ends, plain, worse]) == [*ends[: best_law.CLOSER], plain]
+    terms = [Term(SimpleNamespace(id=f"accel_z += {n}", made=None), 9.0 - n) for n in range(3)]
+    assert best_law._first_ones(terms) == terms[:1]
+
+
+def test_of_a_law_that_is_a_composition_the_best_of_the_others_is_on_trial():
+    made = [effect_of(Law(1, (2,), False, driver_of(name), formula([("line", ())]), (1.0,)))
+            for name in ("f_{i} * (memory(1 s) of omega_{i})", "f_{j} * |f_{k}|", "f_{j}")]  # fmt: skip
+    terms = [Term(e, 9.0) for e in made]
+    assert best_law._first_ones(terms) == terms[:2]
+    assert best_law._first_ones(terms[1:]) == terms[1:2]
 
 
 def test_laws_that_a_scan_cannot_tell_apart_are_told_apart_by_fits():

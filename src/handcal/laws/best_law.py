@@ -310,7 +310,8 @@ def _laws(chunk: Sequence[Block], q: Quadratic, known: Sequence[Effect]) -> list
 
 def _closer(ends: Sequence[End], beyond: Collection[str]) -> list[tuple[Law, float]]:
     """The best laws, each of another driver; of all, and of each sensor in beyond. The best curve
-    is one of them: as a formula it gains more, since a curve pays for what it might have been."""
+    is one of them: as a formula it gains more, since a curve pays for what it might have been. And
+    so is the best that is no composition."""
     best: dict[tuple[int, str], tuple[Law, float]] = {}
     for law, gain in sorted(ends, key=lambda e: -e[1]):
         if isinstance(law, Law):
@@ -324,9 +325,10 @@ def _closer(ends: Sequence[End], beyond: Collection[str]) -> list[tuple[Law, flo
 
 
 def _best_of(laws: Sequence[tuple[Law, float]]) -> list[tuple[Law, float]]:
+    curve = [end for end in laws if end[0].form.smooth]
+    plain = [end for end in laws if not end[0].driver.composed]
     first = list(laws[:CLOSER])
-    curve = next((end for end in laws if end[0].form.smooth), None)
-    return first if curve is None or curve in first else [*first, curve]
+    return first + [end for some in (curve, plain) for end in some[:1] if end not in first]
 
 
 def _courses(bases: Sequence[shapes.Basis], q: Quadratic, known: Sequence[Effect]) -> list[End]:

@@ -133,6 +133,8 @@ def likeliest(
 ) -> list[Driver]:
     """The drivers over which a law gains most about a model, of each kind of course, on one axis or
     alike on all of them, the best first."""
+    if not courses:
+        return []
     axes = AXES_OF[sensor]
     windows = [_constant(sensor, axis, courses[0].means.shape[3]) for axis in axes]
     q = scan(model, windows, base, 1.0)
