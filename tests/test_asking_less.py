@@ -244,8 +244,9 @@ def test_what_is_no_composition_is_looked_at_whatever_does_better():
 
 
 def test_of_a_law_that_is_a_composition_the_best_of_the_others_is_on_trial():
-    made = [effect_of(Law(1, (2,), False, driver_of(name), formula([("line", ())]), (1.0,)))
-            for name in ("f_{i} * (memory(1 s) of omega_{i})", "f_{j} * |f_{k}|", "f_{j}")]  # fmt: skip
+    names = "f_{i} * (memory(1 s) of omega_{i})", "f_{j} * |f_{k}|", "f_{j}"
+    line = formula([("line", ())])
+    made = [effect_of(Law(1, (2,), False, driver_of(name), line, (1.0,))) for name in names]
     terms = [Term(e, 9.0) for e in made]
     assert best_law._first_ones(terms) == terms[:2]
     assert best_law._first_ones(terms[1:]) == terms[1:2]
