@@ -225,8 +225,8 @@ ATOMS: Mapping[str, Atom] = {
     "size cubed": Atom("abs({x})^3", 3, lambda x: np.abs(x) ** 3, sided=True),
     "upper square": Atom("max({x}, 0)^2", 2, lambda x: np.maximum(x, 0.0) ** 2, sided=True),
     "lower square": Atom("max(-{x}, 0)^2", 2, lambda x: np.maximum(-x, 0.0) ** 2, sided=True),
-    "growth": Atom("exp({x} / {0})", 0, lambda x, s: np.exp(x / s), _LEAKS, sided=True),
-    "decline": Atom("exp(-{x} / {0})", 0, lambda x, s: np.exp(-x / s), _LEAKS, sided=True),
+    "growth": Atom("exp({x} / {0})", 0, lambda x, s: np.exp(x / s), _LEAKS),
+    "decline": Atom("exp(-{x} / {0})", 0, lambda x, s: np.exp(-x / s), _LEAKS),
     "fifth power": Atom("{x}^5", 5, lambda x: x**5),
     "root": Atom("sqrt(abs({x}))", 0.5, lambda x: np.sqrt(np.abs(x))),
     "signed root": Atom(
