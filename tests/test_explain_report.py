@@ -16,6 +16,9 @@ from rerun.chunk import RrdReader
 from rich.console import Console
 
 from handcal.explanation import VERDICTS, Curve, Hypothesis, Missing, Unnamed
+from handcal.laws.grammar import formula
+from handcal.laws.law_effect import Law, effect_of
+from handcal.laws.vocabulary import driver_of
 from handcal.show import dashboard, drawing
 from handcal.show.calibration import summary
 from handcal.show.explanation import frames, plots, verdict_text, words
@@ -605,6 +608,21 @@ def test_a_law_is_drawn_on_the_page_and_in_one_line() -> None:
     assert plot.svg.count("<use") >= len(behind)
     assert plots.law_plot(replace(law, curve=None), 0) is None
     assert words.sparkline(replace(law, curve=None)) == ""
+
+
+def test_a_law_of_how_much_a_signal_is_felt_is_drawn_over_what_says_that() -> None:
+    x = np.linspace(0.0, 2.0, 41)
+    driver = driver_of("omega_{i} by t")
+    effect = effect_of(Law(0, (1,), False, driver, formula([("step", (1.0,))]), (0.1,)))
+    curve = Curve(x, x, x, "s", "1")
+    law = Unnamed(effect.id, 0.02, 1e-3, "1", 100.0, channels=("gyro_y",),
+                  drivers=("omega_y", "t"), curve=curve, made=effect.made)  # fmt: skip
+    assert (words.over_what(law), words.of_what(law)) == ("t", "omega_y")
+    plot = plots.law_plot(law, 0)
+    assert plot is not None
+    assert plot.caption.startswith("gyro_y: how much of omega_y it reads in addition")
+    plain = replace(law, made=None)
+    assert (words.over_what(plain), words.of_what(plain)) == ("omega_y, t", "")
 
 
 def test_what_has_no_name_is_drawn_in_the_viewer_and_said_for_what_it_is(tmp_path) -> None:

@@ -95,7 +95,7 @@ class Law:
     def unit(self) -> str:
         """Of its curve, or of what its formula says."""
         own, factor = UNITS[self.sensor], self.driver.factor
-        if factor is None:
+        if factor is None or factor.unit in ("", "1"):
             return own
         return "1" if factor.unit == own else f"({own})/({factor.unit})"
 

@@ -192,7 +192,8 @@ def law_plot(u: Unnamed, number: int) -> Plot | None:
     ax.set(xlabel=f"{drivers}, {over.unit}" if over.unit else drivers, ylabel=unit.unit)
     legend(ax, 2)
     over_ = "over time, where it is largest" if say.lawless(u) else "over what drives it"
-    caption = f"{', '.join(u.channels)}: what it reads in addition, {over_}."
+    added = f"how much of {felt}" if (felt := say.of_what(u)) else "what"
+    caption = f"{', '.join(u.channels)}: {added} it reads in addition, {over_}."
     return Plot(u.formula, caption, svg(figure, f"law-{number}"))
 
 
