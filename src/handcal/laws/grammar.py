@@ -267,7 +267,7 @@ ATOMS: Mapping[str, Atom] = {
     ),
     "resonance": Atom(
         "1 / (1 + (({x} - {0}) / {1})^2)", 0, lambda x, c, w: 1.0 / (1.0 + ((x - c) / w) ** 2),
-        _places(9, 0.02, 0.05, 0.12),
+        _places(9, 0.03, 0.1, 0.3),
     ),
     "decay": Atom(
         "exp(-abs({x}) / {0})", 0, lambda x, s: np.exp(-np.abs(x) / s),
