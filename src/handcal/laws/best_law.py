@@ -124,12 +124,12 @@ class Survey:
         """Blocks over those drivers made of several signals that promise most here."""
         if len(self.model.parts) > 1 or not fits_in(self.signals):
             return []
-        made, turns = self.vocabulary.composed, sensor == HEADING
-        if turns not in made:
-            of = composed_headings if turns else composed
+        made, of_heading = self.vocabulary.composed, sensor == HEADING
+        if of_heading not in made:
+            drivers = (composed_headings if of_heading else composed)(self.signals)
             motion = motion_of(self.base[0].excited)
-            made[turns] = courses_of(list(of(self.signals)), motion, sensor)
-        best = likeliest(self.model, self.base, known, sensor, made[turns])
+            made[of_heading] = courses_of(list(drivers), motion, sensor)
+        best = likeliest(self.model, self.base, known, sensor, made[of_heading])
         return [b for d in best for b in over(d, self.signals, (sensor,))]
 
 

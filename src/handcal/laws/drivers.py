@@ -275,7 +275,7 @@ def times(a: Driver, b: Driver) -> Driver:
 
 
 def by(factor: Driver, x: Driver) -> Driver:
-    """A driver of how much another signal is felt; its number is that of the other signal."""
+    """A driver of how much another signal (the factor) is felt; its number is the factor's."""
     again = factor.at
     return replace(
         x, name=f"{factor.name}{BY}{x.name}", factor=factor, needs=(*factor.needs, *x.needs),

@@ -67,8 +67,8 @@ def _windows(t: Array, all_: Array) -> IntArray:
 
 
 def courses_of(drivers: Sequence[Driver], signals: Signals, sensor: int = 0) -> list[Courses]:
-    """Those of them that have a course, for a sensor (either IMU sensor alike); those of as many
-    constants together."""
+    """Those of them that have a course, for a sensor (either IMU sensor alike), each kind of law
+    together."""
     rate = len(signals.t) / max(float(signals.t[-1] - signals.t[0]), 1e-9)
     fewer = some(signals, np.arange(0, len(signals.t), max(1, round(rate / RATE)), dtype=np.int64))
     window = _windows(fewer.t, signals.t)
