@@ -45,8 +45,7 @@ def composed(signals: Signals) -> Iterator[Driver]:
         yield from made_by(of, signals, PLAIN)
     felt = (*plain, *map(size, plain), *whole)
     for of in (*plain, *whole, *map(size, plain)):
-        names = _PAST if of.signed else _PAST_SIZE
-        yield from (times(x, past) for past in made_by(of, signals, names) for x in felt)
+        yield from (times(x, past) for past in _past(of, signals) for x in felt)
     pairs = [times(a, b) for a, b in combinations_with_replacement(plain, 2)]
     pairs += [times(a, size(b)) for a in plain for b in plain]
     pairs += [times(a, square(a)) for a in plain]
@@ -82,17 +81,18 @@ def composed_headings(signals: Signals) -> Iterator[Driver]:
     for of in (*RATES, *FORCES, LOAD, TILT):
         if usable(of, signals):
             yield from made_by(of, signals, PLAIN if of.signed else _PAST_SIZE)
-    past = [
-        made
-        for of in (*plain, *whole)
-        for made in made_by(of, signals, _PAST if of.signed else _PAST_SIZE)
-    ]
+    past = [made for of in (*plain, *whole) for made in _past(of, signals)]
     if usable(YAW, signals):
         yield from (by(x, YAW) for x in past)
     first = (*turned, *map(size, turned), TURNS)
     yield from (times(x, made) for made in past for x in first)
-    pairs = list(combinations_with_replacement(plain, 2))
-    yield from (times(a, b) for a, b in pairs)
+    pairs = [times(a, b) for a, b in combinations_with_replacement(plain, 2)]
+    yield from pairs
     yield from (times(a, size(b)) for a in plain for b in plain if a is not b)
-    for a, b in pairs:
-        yield from made_by(times(a, b), signals, ("memory",))
+    for pair in pairs:
+        yield from made_by(pair, signals, ("memory",))
+
+
+def _past(of: Driver, signals: Signals) -> Iterator[Driver]:
+    """What is remembered of a signal."""
+    return made_by(of, signals, _PAST if of.signed else _PAST_SIZE)

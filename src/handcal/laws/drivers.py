@@ -80,6 +80,11 @@ class Driver:
         return "{j}" not in self.name and "{k}" not in self.name
 
     @property
+    def over(self) -> str:
+        """The name of what a law is a function of, without that of a factor."""
+        return self.name.rpartition(BY)[2]
+
+    @property
     def composed(self) -> bool:
         """Whether it is made of several signals, and of what an operator makes of one."""
         several = " * " in self.name or BY in self.name
@@ -93,8 +98,7 @@ class Driver:
     def said(self, axis: int | None) -> str:
         """Its name for one axis; None: for each axis i."""
         letters = "ijk" if axis is None else [AXES[(axis + n) % 3] for n in range(3)]
-        name = self.name.partition(BY)[2] if self.factor else self.name
-        return name.format(i=letters[0], j=letters[1], k=letters[2])
+        return self.over.format(i=letters[0], j=letters[1], k=letters[2])
 
     def scale(self, signals: Signals, axis: int) -> Array:
         """What it drives is multiplied by, (n,)."""

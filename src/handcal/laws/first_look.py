@@ -18,7 +18,7 @@ from handcal.estimate.forked import in_parallel
 from handcal.estimate.model import Model
 from handcal.estimate.quadratic import Quadratic
 from handcal.estimate.scan import grounds, scan
-from handcal.laws.drivers import BY, TIME, WARM, Driver
+from handcal.laws.drivers import TIME, WARM, Driver
 from handcal.laws.law_effect import AXES_OF, SENSORS
 from handcal.laws.over_drivers import Block, ways
 from handcal.laws.weighing import Beside, beside, gains, weighed
@@ -68,7 +68,7 @@ def first_look(model: Model) -> FirstLook | None:
 def _slow(driver: Driver) -> bool:
     """Whether a driver goes with time or warmth, of which a part of a recording does not show
     all."""
-    return driver.free or WARM in driver.name or driver.name.partition(BY)[2] == TIME.name
+    return driver.free or WARM in driver.name or driver.over == TIME.name
 
 
 def _most(block: Block, seen: Beside) -> float:

@@ -289,8 +289,8 @@ ROUND: Mapping[str, Atom] = {
 }  # fmt: skip
 
 # In a sum with what a gain does: the gain that it has besides (alone that is a scale error).
-LEVEL: Mapping[str, Atom] = {"level": Atom("1", 0, np.ones_like)}
-_KNOWN: Mapping[str, Atom] = {**ATOMS, **ROUND, **LEVEL}
+LEVEL: Part = ("level", ())
+_KNOWN: Mapping[str, Atom] = {**ATOMS, **ROUND, LEVEL[0]: Atom("1", 0, np.ones_like)}
 
 
 def formula(parts: Sequence[Part], same: bool = False) -> Form:
@@ -325,8 +325,7 @@ def shorter(form: Form) -> Iterator[tuple[Form, list[int]]]:
 def parts_for(over: Range, signed: bool, round_: bool, gain: bool = False) -> list[Part]:
     """Every function of the grammar for a driver, with the numbers to begin with; gain: whether the
     law is a gain of something."""
-    level: list[Part] = [(name, ()) for name in (LEVEL if gain else ())]
-    return level + [
+    return [LEVEL] * gain + [
         (name, numbers)
         for name, atom in (ROUND if round_ else ATOMS).items()
         if signed or not atom.sided

@@ -14,7 +14,7 @@ import numpy as np
 
 from handcal.effects import ATTITUDE, Z_DIM, Effect, Param, observed_error
 from handcal.laws.driver_code import HELPERS, steps_to
-from handcal.laws.drivers import AXES, BY, HEADING, WARM
+from handcal.laws.drivers import AXES, HEADING, WARM
 from handcal.laws.grammar import Form, text_of
 from handcal.laws.law_effect import SENSORS, Law
 from handcal.laws.terms import FASTEST, SLOW
@@ -93,7 +93,7 @@ def _driven(law: Law, x: str) -> list[str]:
     """Assignments to x, which drives a law, and to what that is multiplied by."""
     said, factor = f"# {law.driver.said(law.axis)}, {law.driver.unit}", law.driver.factor
     felt = [] if factor is None else steps_to("felt", _template(law, factor.name))
-    return [said, *felt, *steps_to(x, _template(law, law.driver.name.rpartition(BY)[2]))]
+    return [said, *felt, *steps_to(x, _template(law, law.driver.over))]
 
 
 def imu_function(
@@ -125,8 +125,12 @@ def imu_function(
 
 
 def _with_helpers(source: str) -> str:
-    helpers = [text for name, text in HELPERS.items() if f"{name}(" in source]
-    return "".join([*helpers, "\n", source])
+    """The source after all that it calls (of which the first may be called by a later one)."""
+    out = f"\n{source}"
+    for name, text in reversed(HELPERS.items()):
+        if f"{name}(" in out:
+            out = text + out
+    return out
 
 
 def _left(names: str) -> str:

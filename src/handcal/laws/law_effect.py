@@ -198,9 +198,12 @@ def again(kind: str, numbers: tuple[float, ...]) -> Law:
 
 def law_of(effect: Effect) -> Law | None:
     """The law that an effect is; None where it is none."""
-    if effect.made is None or not is_law(effect.made[0]):
-        return None
-    return again(*effect.made)
+    return law_made(effect.made)
+
+
+def law_made(made: tuple[str, tuple[float, ...]] | None) -> Law | None:
+    """The law that was made of this (``Effect.made``); None where it is none."""
+    return again(*made) if made is not None and is_law(made[0]) else None
 
 
 def channel_of(formula: str) -> str:

@@ -194,16 +194,10 @@ def earlier(t: Array, x: Array, late: float) -> Array:
     return np.interp(t - late, t, x)
 
 
-@njit
 def smoothed(t: Array, x: Array, tau: float) -> Array:
     """The mean (n,) of what x was and will be, weighed by exp(-age / tau) on either side."""
-    out = np.empty(len(x))
-    out[0] = x[0]
-    for i in range(1, len(x)):
-        out[i] = out[i - 1] - np.expm1(-(t[i] - t[i - 1]) / tau) * (x[i] - out[i - 1])
-    for i in range(len(x) - 2, -1, -1):
-        out[i] = out[i + 1] - np.expm1(-(t[i + 1] - t[i]) / tau) * (out[i] - out[i + 1])
-    return out
+    since = np.ascontiguousarray(-t[::-1])
+    return remembered(since, np.ascontiguousarray(remembered(t, x, tau)[::-1]), tau)[::-1]
 
 
 @njit

@@ -15,7 +15,7 @@ from handcal.estimate.columns import Ground
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.scan import scan
 from handcal.estimate.seen import truth
-from handcal.laws.drivers import BY, DRIVERS, HEADING, LINE, NEARER, Driver, times, usable
+from handcal.laws.drivers import DRIVERS, HEADING, LINE, NEARER, Driver, times, usable
 from handcal.laws.grammar import (
     Form,
     Part,
@@ -199,7 +199,7 @@ def _tried(about_: About, law: Law, parts: Sequence[Part]) -> list[tuple[Law, fl
     """The best of these functions in the law's place, the best sum of two, and of two with the same
     numbers; what they gain."""
     forms = [formula([part]) for part in parts]
-    sizes = np.array([_rms(law, form, about_.signals) for form in forms])
+    sizes = np.array([rms_of(law, form, about_.signals) for form in forms])
     some = np.flatnonzero(sizes > 1e-9)
     effects = [
         replace(
@@ -226,10 +226,10 @@ def _tried(about_: About, law: Law, parts: Sequence[Part]) -> list[tuple[Law, fl
 
 def _plainly(law: Law) -> Law:
     """The law as one over a product, where by how much a signal is felt goes as another one."""
-    factor, x = law.driver.factor, law.driver.name.rpartition(BY)[2]
+    factor = law.driver.factor
     if factor is None or law.driver.number or law.form.parts != (("line", ()),):
         return law
-    felt = driver_of(x)
+    felt = driver_of(law.driver.over)
     names = f"{factor.name} * {felt.name}", f"{felt.name} * {factor.name}"
     usual = [DRIVERS[name] for name in names if name in DRIVERS]
     return replace(law, driver=usual[0] if usual else times(factor, felt))
@@ -260,7 +260,8 @@ def tuned(about_: About, law: Law, gain: float) -> tuple[Law, float]:
     return law, gain
 
 
-def _rms(law: Law, form: Form, signals: Signals) -> float:
+def rms_of(law: Law, form: Form, signals: Signals) -> float:
+    """Root mean square of what a unit of each constant of a form adds in a law's place."""
     values = [replace(law, form=form).values(signals, axis) for axis in law.axes]
     return float(np.sqrt(np.mean(np.square(values))))
 

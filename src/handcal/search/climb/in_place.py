@@ -131,13 +131,19 @@ def _doubted(c: Climb) -> dict[str, list[frozenset[str]]]:
     for sensor in SENSORS:
         own = [e for e in c.model.effects if e.id.startswith(sensor) and e.id not in c.kept]
         noise = frozenset(e.id for e in own if e.process is not None)
-        names = [e.id for e in own if e.process is None and name_of(e.id) in catalogue()]
+        names = [e.id for e in names_of(c, sensor)]
         weak = noise | {i for i in names if gained[i] < WEAK}
         held = weak | {i for i in names if name_of(i) != i}
         sets = noise, weak, held, held | late if noise else held
         if own_sets := [ids for ids in dict.fromkeys(sets) if ids]:
             out[sensor] = own_sets
     return out
+
+
+def names_of(c: Climb, sensor: str) -> list[Effect]:
+    """The errors of a sensor that have a name, but for noise and what is kept."""
+    own = [e for e in c.model.effects if e.id.startswith(sensor) and e.id not in c.kept]
+    return [e for e in own if e.process is None and name_of(e.id) in catalogue()]
 
 
 def surveyed(c: Climb) -> Survey:

@@ -22,6 +22,7 @@ from handcal.laws.drivers import HEADING
 from handcal.laws.grammar import LEVEL, SAME, formula, shorter
 from handcal.laws.law_constants import adjusted
 from handcal.laws.law_effect import SENSORS, SIZE, Law, effect_of, law_of
+from handcal.laws.over_drivers import rms_of
 from handcal.model_score import score
 from handcal.search.climb.candidates import scanned
 from handcal.search.climb.in_place import (
@@ -31,6 +32,7 @@ from handcal.search.climb.in_place import (
     instead_of_noise,
     late_ones,
     likeliest,
+    names_of,
     refused_by,
     surveyed,
 )
@@ -41,8 +43,6 @@ from handcal.search.climb.subset_steps import choose
 MAX_TERMS, MAX_TRIED = 3, 6
 # What is known of a law and of a name goes together so far that one may be part of the other.
 MIXED = 0.5
-# What is always felt of a signal, beside how much that changes.
-_LEVEL = (next(iter(LEVEL)), ())
 
 
 def name_term(c: Climb) -> Model | None:
@@ -182,7 +182,7 @@ def take_in(c: Climb) -> Model | None:
         whole = _with_level(c, term.effect) if term.effect.id in c.model.ids else None
         if whole is None:
             continue
-        asked = [(e.id, term.effect.id) for e in c.model.effects if _names(c, term, e)]
+        asked = [(e.id, term.effect.id) for e in names_of(c, _sensor(term))]
         ways += [(i, name, whole) for name, law in asked if (name, law) not in c.taken_in]
         c.taken_in |= set(asked)
     calls = [partial(_taken_in, c.model, c.unnamed[i].effect, name, e) for i, name, e in ways]
@@ -196,20 +196,13 @@ def take_in(c: Climb) -> Model | None:
     return best
 
 
-def _names(c: Climb, term: Term, effect: Effect) -> bool:
-    """Whether this is the name of an error of a law's sensor."""
-    found = effect.process is None and effect.id not in c.kept
-    return found and effect.id.startswith(_sensor(term)) and name_of(effect.id) in catalogue()
-
-
 def _with_level(c: Climb, effect: Effect) -> Effect | None:
     """A law of how much a signal is felt, with what is always felt of it; None if it is none."""
     law = law_of(effect)
-    if law is None or law.driver.factor is None or law.form.smooth or _LEVEL in law.form.parts:
+    if law is None or law.driver.factor is None or law.form.smooth or LEVEL in law.form.parts:
         return None
-    felt = [law.driver.scale(surveyed(c).signals, axis) for axis in law.axes]
-    sigma = SIZE[law.sensor] / max(float(np.sqrt(np.mean(np.square(felt)))), 1e-9)
-    form = formula([*law.form.parts, _LEVEL], SAME in law.form.kind)
+    sigma = SIZE[law.sensor] / rms_of(law, formula([LEVEL]), surveyed(c).signals)
+    form = formula([*law.form.parts, LEVEL], SAME in law.form.kind)
     return effect_of(replace(law, form=form, sigmas=(*law.sigmas, sigma)))
 
 

@@ -24,7 +24,7 @@ from handcal.explanation import (
     Unnamed,
     is_curve,
 )
-from handcal.laws.law_effect import Law, again, is_law
+from handcal.laws.law_effect import law_made
 from handcal.show import words
 from handcal.show.words import NBSP, effect_title, listed
 from handcal.types import Parameter
@@ -225,20 +225,15 @@ def over_what(u: Unnamed) -> str:
     """Over what its curve is drawn."""
     if lawless(u):
         return "t"
-    law = _law(u) if len(u.drivers) > 1 else None
+    law = law_made(u.made) if len(u.drivers) > 1 else None
     return ", ".join(u.drivers) or "driver" if law is None else law.driver.said(law.axis)
 
 
 def of_what(u: Unnamed) -> str:
     """The signal of which a law says how much is felt; empty where it says what is added."""
-    law = _law(u)
+    law = law_made(u.made)
     factor = None if law is None else law.driver.factor
     return "" if law is None or factor is None else factor.said(law.axis)
-
-
-def _law(u: Unnamed) -> Law | None:
-    """The law over a driver that it is, if it is one."""
-    return again(*u.made) if u.made is not None and is_law(u.made[0]) else None
 
 
 def sparkline(u: Unnamed) -> str:
