@@ -5,6 +5,7 @@ import pytest
 
 from handcal.effects import Signals
 from handcal.laws.driver_code import HELPERS, steps_to
+from handcal.laws.grammar import text_of
 from handcal.laws.vocabulary import driver_of
 
 NAMES = [
@@ -55,3 +56,15 @@ def test_below_its_number_a_turn_has_less_of_an_axis(slow):
 def test_a_name_that_no_driver_has_is_none(name):
     with pytest.raises(KeyError):
         driver_of(name)
+
+
+@pytest.mark.parametrize(
+    ("part", "text"),
+    [
+        (("bump", (-1.5, 2.0)), "exp(-(({x} + 1.5) / 2)^2 / 2)"),
+        (("bump", (1.5, 2.0)), "exp(-(({x} - 1.5) / 2)^2 / 2)"),
+        (("beyond", (-0.25,)), "max({x} + 0.25, 0)"),
+    ],
+)
+def test_what_begins_below_zero_is_written_with_a_plus(part, text):
+    assert text_of(part) == text

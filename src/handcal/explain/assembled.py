@@ -14,6 +14,7 @@ from handcal.effects import catalogue
 from handcal.estimate.case import name_of
 from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.model import Fitted, Model
+from handcal.estimate.rest_only import doubt, out_of_reach
 from handcal.estimate.result import noise, results
 from handcal.estimate.robust import inflation
 from handcal.estimate.specification import Specification
@@ -108,6 +109,10 @@ def _named(
     missing, remarks = likely(entries, alone), [hand_remark(u) for u in lent]
     if counts:
         return _Named("unexplained", missing, unnamed, alone, remarks)
+    if whole and any(out_of_reach(f) for f in found.model.parts):
+        # (with such a sway no law shows)
+        lost = [*remarks, *(remark(u) for u in unnamed)]
+        return _Named("unexplained", likely(entries, {}), [], {}, lost)
     missing = likely(entries, {})
     # (that nothing is missing only a search says that was not broken off)
     none = "nothing_missing" if whole else "cannot_tell"
@@ -321,6 +326,7 @@ def _warnings(
     out = [w for f in base.parts for w in f.case.warnings]
     for f in model.parts:
         out += leaning(f, model.effects, not_seen, excess)
+        out += [said] if (said := doubt(f)) else []
     if not model.settled:
         out.append(
             "The final fit still moved after ten rounds of relinearisation; trust its numbers less."

@@ -346,7 +346,8 @@ def about(part: Part, share: float) -> list[Part]:
 def text_of(part: Part, digits: int = 4) -> str:
     """The function as text with its numbers, the driver {x} still open."""
     name, numbers = part
-    return _KNOWN[name].text.format(*(f"{n:.{digits}g}" for n in numbers), x="{x}")
+    text = _KNOWN[name].text.format(*(f"{n:.{digits}g}" for n in numbers), x="{x}")
+    return text.replace("- -", "+ ")
 
 
 def again(kind: str, numbers: tuple[float, ...]) -> Form:
