@@ -207,8 +207,10 @@ def missing(document: Document) -> str:
     for u in document["unnamed"]:
         gain = say.number(u["log_evidence_gain"])
         formula = html.escape(u["formula"]).replace("|", "&#124;")
+        unit = shown(u["unit"], [u["value"], u["sigma"]])
+        size = (unit.value(u["value"], u["sigma"], sign=True), unit.value(u["sigma"], u["sigma"]))
         lines.append(
-            f"| no name: <code>{formula}</code> | {gain} | {u['value']:.3g} ± {u['sigma']:.2g} {u['unit']} |"
+            f"| no name: <code>{formula}</code> | {gain} | {size[0]} ± {size[1]} {unit.unit} |"
         )
     return "\n".join(lines) if len(lines) > 2 else "Nothing was named."
 
@@ -254,7 +256,7 @@ def open_points(
         f"{words.effect_title(r['effect'])} {r['name']}" for r in rows if r["word"] == "missed"
     ]:
         points.append(
-            f"**Missed: {words.listed(wrong)}.** Either number may be wrong; the sigma does not cover the difference."
+            f"**Missed: {words.listed(wrong)}.** Not found, or further off than sigma and tolerance allow; either number may be wrong."
         )
     score = document["held_out"] or {}
     if score and score["log_score_after"] < score["log_score_before"]:

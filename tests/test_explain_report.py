@@ -25,9 +25,11 @@ from handcal.show.explanation import frames, plots, verdict_text, words
 from handcal.show.explanation.document import explanation_json
 from handcal.show.explanation.evidence_curves import evidence_plot
 from handcal.show.explanation.report import render_explanation, write_explanation_report
+from handcal.show.explanation.symbols import meanings
 from handcal.show.explanation.terminal import print_explanation
-from handcal.show.words import channel_title
+from handcal.show.words import channel_title, noise_title, parameter_title
 from handcal.types import HandcalError, Parameter
+from handcal.units import plain
 
 CONTRACT = {
     "schema", "verdict", "mismatch", "missing", "unnamed", "hypotheses", "fit", "held_out",
@@ -645,3 +647,27 @@ def test_what_has_no_name_is_drawn_in_the_viewer_and_said_for_what_it_is(tmp_pat
     assert words.sized(rest).startswith("a size of")
     assert "over time" in plots.law_plot(rest, 1).caption
     assert "It errs." in printed(e)
+
+
+def test_signs_of_a_formula_are_told_and_no_others() -> None:
+    said = "; ".join(meanings(["gyro_x += k * (stick(0.1 rad/s) of omega_y - omega_y)"]))
+    assert "omega: " in said
+    assert "stick( ) of x: what stays where it is" in said
+    assert not {"f: ", "T: ", "memory( )"} & set(said.split("; "))
+    assert all(word not in said for word in ("specific force", "temperature", "memory"))
+
+
+def test_a_number_is_never_a_power_of_ten() -> None:
+    assert plain(-991.4, 2) == "−990"
+    assert plain(-1.3e-6, 2) == "−0.0000013"
+    assert plain(0.0, 3) == "0"
+    assert plain(47.04, 3) == "47.0"
+
+
+def test_a_law_is_called_by_its_formula_and_what_goes_with_the_motion_too() -> None:
+    k = Parameter("gyro_x += k * f_x", "k", "1", 1.0, 0.1, 1.0, None)
+    assert parameter_title(k) == "k of gyro_x += k * f_x"
+    memory = noise_title("gyro_xz_turning_memory")
+    assert memory == "gyro_xz += e(t) * |omega|, memory"
+    tau = noise_title("heading_correlated_noise_tau")
+    assert tau == "Correlated heading noise, tau"

@@ -130,7 +130,8 @@ class Trace(Brief):
 
     t (k,) s; recorded, before, after (k,): the reading and what the fitted baseline and the
     final model say it should have been; sigma (k,): one standard deviation of what the
-    model allows at this smoothing; unit. Smoothed over a tenth of a second and thinned.
+    model allows at this smoothing; unit. Smoothed over a tenth of a second and thinned. left_out:
+    readings that the final model does without, which are not among them.
     """
 
     channel: str
@@ -140,6 +141,7 @@ class Trace(Brief):
     after: Array
     sigma: float
     unit: str
+    left_out: int = 0
 
 
 @dataclass(frozen=True, repr=False)

@@ -7,6 +7,7 @@ Inside ``showing`` numbers are shown in the units that somebody asked for; other
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -100,6 +101,15 @@ def _asked(key: str) -> tuple[str, float] | None:
     return None
 
 
+def plain(value: float, digits: int) -> str:
+    """A number with so many digits that count, and no power of ten."""
+    if not math.isfinite(value):
+        return "–"
+    places = digits - 1 - math.floor(math.log10(abs(value))) if value else 0
+    text = f"{round(value, places):.{max(places, 0)}f}"
+    return text.replace("-", "−") if float(text) else "0"
+
+
 @dataclass(frozen=True)
 class Shown:
     """A unit for people and the factor that takes SI to it."""
@@ -133,4 +143,5 @@ def shown(unit: str, values: Iterable[float]) -> Shown:
     for name, factor, limit in _UNITS.get(key, ()):
         if largest * factor <= limit:
             return Shown(name, factor)
-    return Shown("" if unit == "1" else unit, 1.0)
+    of_itself = re.fullmatch(r"\((.+)\)/\(\1\)", unit)
+    return Shown("" if unit == "1" or of_itself else unit, 1.0)

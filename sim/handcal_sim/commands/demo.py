@@ -109,9 +109,7 @@ def _show(
 
     console = Console(highlight=False)
 
-    def line(text: str) -> None:
-        console.print(text, soft_wrap=True)
-
+    line = console.print
     line("A simulated phone was held and turned once about each axis. Its gyro secretly misreads "
          "every turn by up to 1.2 %. Handcal is given the recording alone.")  # fmt: skip
     line(f"\n[bold]Biases alone:[/] {calibrated.verdict(plain).headline}")
@@ -133,7 +131,7 @@ def _show(
         ("recording.mcap", f"watch the filter at work: {watch}"),
     ):
         files = ", ".join(str(out / one) for one in name.split(", "))
-        line(f"  {files}  [dim]{what}[/]")
+        console.print(f"  {files}  [dim]{what}[/]", soft_wrap=True)
 
 
 def _table(truth: Mapping[Key, float], result: Result) -> Table:

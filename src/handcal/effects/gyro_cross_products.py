@@ -22,7 +22,7 @@ EFFECT = Effect(
     parameters=tuple(
         Param(f"{i}_{pair}", "s/rad", 0.005) for i in "xyz" for pair in ("xy", "yz", "xz")
     ),
-    story="When the device turns about two axes at once, the gyro reports a little too much.",
+    story="When the device turns about two axes at once, the gyro is a little off.",
     source="paper 000, equation 10",
     motion="Fast turns about slanted axes, between x and y, y and z, x and z.",
     validated="the simulator's injection",

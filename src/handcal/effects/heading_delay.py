@@ -9,7 +9,8 @@ EFFECT = Effect(
     id="heading_delay",
     title="Heading delay",
     parameters=(Param("delay", "s", 0.15),),
-    story="The heading arrives late: while the device turns, it tells of a moment ago.",
+    story="While the device turns, the heading tells of another moment than the gyro: of one that "
+    "has passed (a delay above zero), or of one that the gyro only tells of later (below).",
     source="contract of this project",
     motion="A turn and its reverse.",
     validated="the simulator's injection",

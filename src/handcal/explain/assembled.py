@@ -190,9 +190,10 @@ def _weighed(
     end: End, named: _Named, judged: importance.Judged | None, excess: Mapping[str, float]
 ) -> list[Missing]:
     """What is named, the largest first, each with what it matters."""
-    found = end.found
+    found, left_out = end.found, 0.0 if end.wrong is None else end.wrong.gain
     told = [
-        plainly(found.model, importance.weighed(found, m, judged), excess) for m in named.missing
+        plainly(found.model, importance.weighed(found, m, judged, left_out), excess)
+        for m in named.missing
     ]
     return sorted(told, key=lambda m: (-m.share, -m.log_evidence_gain))
 

@@ -77,13 +77,17 @@ def _space(found: Found, model: Model) -> Space:
     return space(total(powers), own, found.space.prior)
 
 
-def weighed(found: Found, missing: Missing, judged: Judged | None) -> Missing:
-    """What is missing with its size, its share and what unseen data gain by it."""
+def weighed(
+    found: Found, missing: Missing, judged: Judged | None, left_out: float = 0.0
+) -> Missing:
+    """What is missing with its size, its share and what unseen data gain by it; left_out: nats
+    gained by readings that the model does without."""
     effect = next((e for e in found.model.effects if _is(e, missing)), None)
-    if effect is None:
-        return missing
-    whole = max(whole_gain(found, effect.always), 1e-9)
+    always = effect is not None and effect.always
+    whole = max(whole_gain(found, always) + left_out, 1e-9)
     share = float(np.clip(missing.log_evidence_gain / whole, 0.0, 1.0))
+    if effect is None:
+        return replace(missing, share=share)
     return replace(
         missing,
         size=sizes(found.model, effect),

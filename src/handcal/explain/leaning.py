@@ -14,8 +14,9 @@ from handcal.estimate.model import Fitted
 from handcal.estimate.prior_root import root_of
 from handcal.estimate.problem import Slot
 from handcal.estimate.transfer import moved_to
+from handcal.explanation import is_curve
 from handcal.types import Array
-from handcal.units import shown
+from handcal.units import plain, shown
 
 # A number leans on the absence of an effect that would make it so many times less certain.
 MUCH = 3.0
@@ -77,7 +78,8 @@ def _numbers(slots: Sequence[Slot], effects: Sequence[Effect]) -> list[_Numbers]
         _Numbers("The gyro's bias", "rad/s", dict(enumerate("xyz"))),
         _Numbers("The accelerometer's bias", "m/s^2", dict(enumerate("xyz", start=3))),
     ]
-    for e in effects:
+    # (a coefficient of a curve is no number that anybody reads)
+    for e in (e for e in effects if not is_curve(e.id)):
         mine = [(k, s) for k, s in enumerate(slots, start=6) if s.owner == e.id]
         for unit in dict.fromkeys(s.unit for _, s in mine):
             out.append(_Numbers(e.title, unit, {k: s.name for k, s in mine if s.unit == unit}))
@@ -91,7 +93,7 @@ def _sentence(n: _Numbers, alone: Array, worst: Array, causes: Mapping[int, Sequ
     if not at:
         return ""
     unit = shown(n.unit, worst[at])
-    known, then = (", ".join(f"{unit.factor * x[k]:.2g}" for k in at) for x in (alone, worst))
+    known, then = (", ".join(plain(unit.factor * x[k], 2) for k in at) for x in (alone, worst))
     titles = ", ".join(dict.fromkeys(title for k in at for title in causes[k]))
     return (
         f"{n.title} ({', '.join(n.columns[k] for k in at)}: {known} {unit.unit}) is known that "

@@ -167,11 +167,22 @@ def traces(before: Fitted, after: Fitted) -> tuple[Trace, ...]:
         if channel.startswith(("gyro", "accel")) or channel not in b:
             continue
         t, r = a[channel]
+        kept = _read_by(t, b[channel][0])
+        left_out, t, r = int((~kept).sum()), t[kept], r[kept]
         after_r = np.interp(t, *b[channel])
         unit = _unit(channel)
         sigma = float(np.sqrt(np.mean(after_r**2)))
-        out.append(_trace(channel, t, r, r, after_r, sigma, unit))
+        out.append(replace(_trace(channel, t, r, r, after_r, sigma, unit), left_out=left_out))
     return tuple(out)
+
+
+def _read_by(t: Array, others: Array) -> BoolArray:
+    """Which of the readings at times t (n,) another model has too, whose times are (m,)."""
+    if len(t) < 2 or len(others) < 2:
+        return np.ones(len(t), dtype=np.bool_)
+    after = np.clip(np.searchsorted(others, t), 1, len(others) - 1)
+    off = np.minimum(np.abs(t - others[after]), np.abs(t - others[after - 1]))
+    return np.asarray(off < 0.5 * float(np.median(np.diff(t))))
 
 
 def _unit(channel: str) -> str:

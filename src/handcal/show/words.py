@@ -7,6 +7,7 @@ the numbers mean is said in ``calibration.verdict_text`` and ``explanation.verdi
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -40,6 +41,8 @@ _NOISE = {
     "mag_disturbance": "Magnetic disturbance",
 }
 
+# Levels of an error that goes with the motion: how large it is, and how long it lasts.
+_WITH_MOTION = re.compile(r"((?:gyro|accel)_[xyz]+|heading)_(turning|attitude)_(size|memory)")
 # rad; of directions that have nothing to do with the device's it is pi / sqrt(3), 1.8
 _NO_HEADING = 1.0
 _ASSUME = {
@@ -106,8 +109,9 @@ def _effect(effect: str) -> tuple[str, str]:
     """Title and motion."""
     if (known := catalogue().get(effect)) is not None:
         return known.title.removesuffix(" error"), known.motion[:1].lower() + known.motion[1:]
-    unknown = (effect.replace("_", " ").capitalize(), "a longer and more varied motion")
-    return _BASELINE.get(effect, unknown)
+    formula = " += " in effect
+    title = effect if formula else effect.replace("_", " ").capitalize()
+    return _BASELINE.get(effect, (title, "a longer and more varied motion"))
 
 
 def parameter_name(p: Parameter) -> str:
@@ -116,12 +120,20 @@ def parameter_name(p: Parameter) -> str:
 
 
 def parameter_title(p: Parameter) -> str:
-    """ "Gyro bias x", "Heading delay"."""
+    """ "Gyro bias x", "Heading delay", "k of gyro_x += k * omega_y"."""
+    if " += " in p.effect:
+        return f"{p.name} of {p.effect}"
     return f"{effect_title(p.effect)} {parameter_name(p)}".rstrip()
 
 
 def noise_title(name: str) -> str:
     """Of a noise level."""
+    known = sorted((i for i in catalogue() if name.startswith(f"{i}_")), key=len)
+    if known:
+        return f"{catalogue()[known[-1]].title}, {name.removeprefix(known[-1] + '_')}"
+    if (error := _WITH_MOTION.fullmatch(name)) is not None:
+        channel, kind, what = error.groups()
+        return f"{channel} += {'e(t) * |omega|' if kind == 'turning' else 'e(attitude)'}, {what}"
     return _NOISE.get(name, name.replace("_", " ").capitalize())
 
 

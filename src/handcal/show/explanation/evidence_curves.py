@@ -38,7 +38,8 @@ TOGETHER = 3
 TITLE = "Where the evidence came from"
 CAPTION = (
     "The final model against the same without the effect, added up as the recording goes on: "
-    "where a curve climbs, the recording speaks for it. Rests shaded."
+    "where a curve climbs, the recording speaks for it. (Noise, and readings that were left out, "
+    "have none.) Rests shaded."
 )
 
 

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from handcal.explanation import Explanation, Trace, Unnamed
+from handcal.explanation import Explanation, Hypothesis, Trace, Unnamed
+from handcal.laws.law_effect import law_made
 from handcal.show import words
 from handcal.show.calibration import summary
 from handcal.show.calibration.plots import sizes
@@ -58,6 +59,7 @@ BEFORE, AFTER = XYZ[0], XYZ[2]
 # Height of a line of a label, in rows of a bar.
 LINE_HIGH = 0.55
 BARS = 16  # hypotheses in one figure
+SHOWS = 10.0  # nats: a circle so far out is one to ask about
 
 
 def trace_plot(explanation: Explanation, recording: int, trace: Trace, wide: bool = False) -> Plot:
@@ -192,6 +194,9 @@ def law_plot(u: Unnamed, number: int) -> Plot | None:
     ax.set(xlabel=f"{drivers}, {over.unit}" if over.unit else drivers, ylabel=unit.unit)
     legend(ax, 2)
     over_ = "over time, where it is largest" if say.lawless(u) else "over what drives it"
+    law = law_made(u.made)
+    if law is not None and len(u.channels) > 1:
+        over_ += ", of the axis to which it adds most" if law.each else ", the same for each axis"
     added = f"how much of {felt}" if (felt := say.of_what(u)) else "what"
     caption = f"{', '.join(u.channels)}: {added} it reads in addition, {over_}."
     return Plot(u.formula, caption, svg(figure, f"law-{number}"))
@@ -205,6 +210,10 @@ def _trace_caption(trace: Trace, differences: Sequence[Array], unit: Shown, one:
     if one or shown[0] == shown[1]:
         who = "The model is" if one else "Both models are"
         caption = f"{who} {shown[1]} {unit.unit} (rms) off."
+    if trace.left_out:
+        caption += (
+            f" Not drawn: {words.counted(trace.left_out, 'reading')} left out as merely wrong."
+        )
     if not trace.before.any():
         caption += f" Counted from what the {'model' if one else 'baseline'} expects."
     return caption
@@ -224,7 +233,8 @@ def hypothesis_plot(explanation: Explanation) -> Plot:
         ax.plot(u.log_evidence_gain, row, "o", color=RED, markerfacecolor=SHADE, **dot)
     for row, h in zip(place[len(terms) :], shown, strict=True):
         colour = styles.get(h.effect, (MUTED, "-"))[0]
-        ax.barh(row, h.alone, height=0.56, color=colour, alpha=0.85 if h.verdict else 0.35, lw=0)
+        bar: dict[str, Any] = {"color": colour, "alpha": 0.85 if h.verdict else 0.35}
+        ax.barh(row, say.first(h), height=0.56, lw=0, **bar)
         ax.plot(h.final, row, "o", color=INK, markerfacecolor=SHADE, **dot)
         ax.plot([h.expected] * 2, [row - 0.36, row + 0.36], color=INK, lw=1.6, zorder=3)
         likely = say.probable(h, explanation).replace("over ", "> ").replace("under ", "< ")
@@ -240,15 +250,28 @@ def hypothesis_plot(explanation: Explanation) -> Plot:
     for label, ink in zip(ax.get_yticklabels(), inks, strict=True):
         label.set_color(ink)
     ax.text(1.015, -0.45, "present?", transform=ax.get_yaxis_transform(), fontsize=10, color=MUTED)
+    rest = len(explanation.hypotheses) - len(shown)
+    caption = _hypotheses_caption(shown, rest)
+    return Plot("Evidence for each effect", caption, svg(figure, "hypotheses"))
+
+
+def _hypotheses_caption(shown: Sequence[Hypothesis], rest: int) -> str:
+    """What is drawn of each effect; rest: how many are not."""
     caption = (
         "Bar: what it gains when added first, coloured if it was found. Circle: what it gains when "
         "added last, beside all that was found; a long bar whose circle is near zero stands in "
-        "for something else. Tick: what an error of the usual size would gain in this motion."
+        "for something else. Tick: what an error of the usual size would gain in this motion. "
+        "(Noise is fitted beside the rest alone: it has no bar and no tick.)"
     )
-    if (rest := len(explanation.hypotheses) - len(shown)) > 0:
+    if any(not h.verdict and h.final > SHOWS for h in shown):
+        caption += (
+            " Grey with its circle far out: in the final model, but as likely a part of what has "
+            "no name as an error of its own (“present?” is that it is one)."
+        )
+    if rest:
         which = "another effect" if rest == 1 else f"{rest} other effects"
         caption += f" Not drawn: {which}, which gained less when added first."
-    return Plot("Evidence for each effect", caption, svg(figure, "hypotheses"))
+    return caption
 
 
 def _nats_axis(ax: Any, values: Sequence[float]) -> None:
@@ -263,7 +286,7 @@ def _nats_axis(ax: Any, values: Sequence[float]) -> None:
     ax.minorticks_off()
     ax.grid(visible=True, axis="x")  # setting a scale forgets it
     ax.axvline(0, color=MUTED, lw=0.9)
-    ax.set(xlim=(low, high), xlabel="nats")
+    ax.set(xlim=(low, high), xlabel="nats (beyond ±10 on a logarithmic scale)")
 
 
 def balance_plot(explanation: Explanation) -> Plot | None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import handcal
 from handcal import output
-from handcal.explanation import Explanation, Hypothesis, Mismatch, Missing, Unnamed
+from handcal.explanation import Explanation, Hypothesis, Mismatch, Missing, Unnamed, is_curve
 from handcal.show import words
 from handcal.show.calibration.report import how_to_apply
 from handcal.show.drawing import PALETTE
@@ -17,6 +17,7 @@ from handcal.show.explanation import always, document, frames, plots, verdict_te
 from handcal.show.explanation import words as say
 from handcal.show.explanation.evidence_curves import effect_styles
 from handcal.show.explanation.next_commands import applicable, biases_of, commands
+from handcal.show.explanation.symbols import meanings
 from handcal.show.html_page import page
 from handcal.types import Parameter
 from handcal.units import Shown
@@ -51,6 +52,7 @@ def _context(e: Explanation, following: Sequence[str]) -> dict[str, Any]:
         "shares_note": verdict_text.shares_note(e),
         "found_title": _found_title(e),
         "unnamed": [_unnamed(u) for u in e.unnamed],
+        "symbols": "; ".join(meanings([u.formula for u in e.unnamed])) if e.unnamed else "",
         "plots": plots.draw(e),
         "hypotheses": [_hypothesis(h, e) for h in frames.by_gain(e)],
         "residuals": _residuals(e),
@@ -153,7 +155,7 @@ def _card(m: Missing, e: Explanation, styles: dict[str, tuple[str, Any]]) -> dic
 
 def _hypothesis(h: Hypothesis, e: Explanation) -> dict[str, str]:
     said = {"named": "present", "set": "one of a set"}.get(h.verdict, "")
-    return {"title": h.title, "alone": say.number(h.alone), "final": say.number(h.final),
+    return {"title": h.title, "alone": say.number(say.first(h)), "final": say.number(h.final),
             "expected": say.expected(h), "probability": say.probable(h, e),
             "verdict": said}  # fmt: skip
 
@@ -204,6 +206,8 @@ def _groups(e: Explanation) -> list[dict[str, Any]]:
     ]  # fmt: skip
     for recording, parameters in sections:
         for (effect, _), group in words.by_effect(parameters).items():
+            if is_curve(effect):  # (its coefficients are in the JSON, for programs)
+                continue
             unit = words.shown_group(group)
             groups.append({
                 "title": words.effect_title(effect), "unit": unit.unit, "recording": recording,

@@ -13,6 +13,7 @@ from handcal.show import words
 from handcal.show.explanation import always, verdict_text
 from handcal.show.explanation import words as say
 from handcal.show.explanation.document import all_warnings
+from handcal.show.explanation.symbols import meanings
 from handcal.show.terminal import table
 
 if TYPE_CHECKING:
@@ -99,6 +100,8 @@ def _print_found(e: Explanation, console: Console) -> None:
             line(drawn)
         if u.story:
             line(u.story)
+    if e.unnamed:
+        line(f"In SI units: {'; '.join(meanings([u.formula for u in e.unnamed]))}.", style="dim")
 
 
 def _print_judged(e: Explanation, console: Console) -> None:
@@ -180,7 +183,7 @@ def _hypothesis_table(e: Explanation, count: int) -> Any:
     styles = {"named": "bold green", "set": "yellow"}
     for h in _top(e, count):
         mark = {"named": "●", "set": "◐"}.get(h.verdict, "")
-        row = (escape(h.title), say.number(h.alone), say.number(h.final), say.expected(h),
+        row = (escape(h.title), say.number(say.first(h)), say.number(h.final), say.expected(h),
                say.probable(h, e))  # fmt: skip
         rows.add_row(mark, *row, style=styles.get(h.verdict, ""))
     return rows

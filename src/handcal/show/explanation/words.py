@@ -28,7 +28,7 @@ from handcal.laws.law_effect import law_made
 from handcal.show import words
 from handcal.show.words import NBSP, effect_title, listed
 from handcal.types import Parameter
-from handcal.units import DEG, Shown, shown
+from handcal.units import DEG, Shown, plain, shown
 
 _UNITS = {
     "gyro": Shown("deg/s", DEG), "accel": Shown("m/s²", 1.0),
@@ -62,7 +62,9 @@ def percent(share: float) -> str:
 
 
 def whole_percent(share: float) -> str:
-    """A share of a total, to a whole percent."""
+    """A share of a total, to a whole percent; a little is not nothing."""
+    if 0.0 < share < 0.005:
+        return f"under 1{NBSP}%"
     return f"{100 * share:.0f}{NBSP}%" if math.isfinite(share) else "–"
 
 
@@ -72,6 +74,12 @@ def number(value: float) -> str:
         return "–"
     text = f"{value:,.0f}" if abs(value) >= 10 else f"{value:.1f}"
     return text.replace("-", "−") if float(text.replace(",", "")) else text.replace("-", "")
+
+
+def first(hypothesis: Hypothesis) -> float:
+    """Nats that it gains when added first; NaN of noise, which is fitted beside what was found and
+    never alone."""
+    return hypothesis.alone if math.isfinite(hypothesis.expected) else math.nan
 
 
 def expected(hypothesis: Hypothesis) -> str:
@@ -225,7 +233,7 @@ def over_what(u: Unnamed) -> str:
     """Over what its curve is drawn."""
     if lawless(u):
         return "t"
-    law = law_made(u.made) if len(u.drivers) > 1 else None
+    law = law_made(u.made)
     return ", ".join(u.drivers) or "driver" if law is None else law.driver.said(law.axis)
 
 
@@ -246,10 +254,11 @@ def sparkline(u: Unnamed) -> str:
     low, high = float(y.min()), float(y.max())
     steps = np.rint((y - low) / max(high - low, 1e-300) * (len(BLOCKS) - 1)).astype(int)
     unit, over = shown(c.y_unit, [low, high]), shown(c.x_unit, c.x.tolist())
-    ends = [f"{v * over.factor:.3g}".replace("-", "−") for v in (c.x[0], c.x[-1])]
-    sizes = [f"{v * unit.factor:.2g}".replace("-", "−") for v in (low, high)]
+    ends = [plain(v * over.factor, 3) for v in (c.x[0], c.x[-1])]
+    least = 0.01 * max(abs(low), abs(high))
+    sizes = [plain(v * unit.factor if abs(v) > least else 0.0, 2) for v in (low, high)]
     line = "".join(BLOCKS[k] for k in steps)
-    driver = f"{over_what(u)} {over.unit}".rstrip()
+    driver = f"{over.unit} over {over_what(u)}".lstrip()
     return f"{ends[0]} {line} {ends[1]} {driver}; {sizes[0]} to {sizes[1]} {unit.unit}"
 
 
@@ -265,6 +274,8 @@ def amount(u: Unnamed | Parameter) -> str:
     text = f"{value} ± {spread}".replace("-", "−")
     if power:
         text = f"({text})·10{str(power).translate(_SUPERSCRIPT)}"
+    if re.fullmatch(r"\((.+)\)/\(\1\)", u.unit):  # (of itself)
+        return text
     powers = re.sub(r"\^(\d)", lambda m: m[1].translate(_SUPERSCRIPT), u.unit)
     unit = "" if u.unit == "1" else f" {powers}"
     return text + unit
