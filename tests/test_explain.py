@@ -137,6 +137,12 @@ def test_headings_that_point_anywhere() -> None:
     """The share that was drawn: 0.15 of 301, whatever their own binomial says."""
     found = explained(world_of({"heading_outliers": [0.15]}))
     (share,) = only(found, "heading_outliers").parameters
+    # nothing else was missing; and what was left out stands in no picture
+    assert only(found, "heading_outliers").share == pytest.approx(1.0)
+    (drawn,) = [t for t in found.recordings[0].traces if t.channel == "heading"]
+    assert drawn.left_out > 0.1 * len(drawn.t)
+    off = np.abs(np.angle(np.exp(1j * (drawn.recorded - drawn.after))))
+    assert off.max() < 6.0 * drawn.sigma
     assert abs(share.value - 0.15) < 4.0 * math.hypot(share.sigma, math.sqrt(0.15 * 0.85 / 301))
 
 
