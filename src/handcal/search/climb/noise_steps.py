@@ -1,12 +1,16 @@
-"""The step of a climb that adds a noise effect."""
+"""Steps of a climb that add a noise effect, and that put names in the place of one."""
 
 from __future__ import annotations
 
+from handcal.estimate.case import name_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
-from handcal.model_score import PRIOR, better, score
-from handcal.search.climb.state import FEW, Climb
+from handcal.model_score import MOMENTS, PRIOR, better, score
+from handcal.search.climb.candidates import scanned_about
+from handcal.search.climb.in_place import without
+from handcal.search.climb.state import FEW, Climb, forget, likelier
 from handcal.search.noise_scan import all_noise, looks_of, of_looks, on_fewer_axes
+from handcal.search.space import best_set
 
 
 def add_noise(c: Climb) -> Model | None:
@@ -30,4 +34,42 @@ def add_noise(c: Climb) -> Model | None:
     else:
         best = without
     c.visited.clear()
+    return best
+
+
+def name_noise(c: Climb) -> Model | None:
+    """The model with what happened at one moment in the place of a noise effect, if that is
+    likelier.
+
+    (Beside the wrong moment everything else is wrong as well, and no other moment shows about such
+    a fit. Noise brings the trajectory near to what it was: about that one it does.)
+    """
+    key = frozenset(c.model.ids)
+    if key in c.unmasked:
+        return None
+    c.unmasked.add(key)
+    noise = [e for e in c.model.effects if e.process is not None and e.id not in c.kept]
+    tried = (_at_a_moment(c, without(c.model, {e.id})) for e in noise)
+    ends = [m for m in tried if m is not None and likelier(c, m)]
+    if not ends:
+        return None
+    best = max(ends, key=lambda m: score(m, c.worth))
+    forget(c, best)
+    return best
+
+
+def _at_a_moment(c: Climb, model: Model) -> Model | None:
+    """The model with more of the catalogue's effects, one at a moment among them, which is sought
+    from scan to scan; None where a scan wants none."""
+    best: Model | None = None
+    for _ in range(MOMENTS):
+        where = scanned_about(model, c.unnamed, c.dropped | c.beyond)
+        chosen = best_set(where, model.chosen)
+        if chosen == model.chosen or all(name_of(i) == i for i in chosen):
+            return best
+        others = [e for e in model.effects if e.process is not None]
+        model = fitted(model.parts, [*(where.effects[i] for i in sorted(chosen)), *others])
+        if best is not None and model.log_evidence < best.log_evidence:
+            return best
+        best = model
     return best

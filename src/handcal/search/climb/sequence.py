@@ -17,7 +17,7 @@ from handcal.search.climb.law_steps import (
     reshape,
     take_in,
 )
-from handcal.search.climb.noise_steps import add_noise
+from handcal.search.climb.noise_steps import add_noise, name_noise
 from handcal.search.climb.state import Climb, beaten
 from handcal.search.climb.subset_steps import choose, everything, favourite, thin
 from handcal.search.space import gains
@@ -75,6 +75,7 @@ _STEPS: dict[Callable[[Climb], Model | None], str] = {
     add_noise: "noise effects",
     thin: "the fit without its weakest effects",
     take_in: "a law's own level in the place of names",
+    name_noise: "names in the place of noise",
     name_term: "laws that have no name",
     instead_of_travel: "laws in the place of a hand that travels",
     rename: "laws in the place of laws and names",

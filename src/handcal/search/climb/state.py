@@ -64,6 +64,7 @@ class Climb:
     bared: set[frozenset[str]] = field(default_factory=set)
     barred: dict[str, Barred] = field(default_factory=dict)
     travelled: set[frozenset[str]] = field(default_factory=set)
+    unmasked: set[frozenset[str]] = field(default_factory=set)
     whole: set[str] = field(default_factory=set)
     adjusted: set[str] = field(default_factory=set)
     taken_in: set[tuple[str, str]] = field(default_factory=set)
