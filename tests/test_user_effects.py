@@ -71,7 +71,10 @@ WRONG = {
     GOOD.replace("own_law", "k * omega"): "a.py: an effect's id is one word, not 'k . omega'",
     GOOD.replace("signals.accel", "signals.force"): "a.py: imu_error fails, AttributeError",
     GOOD.replace("hstack", "vstack"): r"a.py: imu_error has to .* \(40, 3\)",
-    GOOD.replace("p[0] *", "np.nan *"): "a.py: imu_error has to give finite numbers",
+    GOOD.replace("p[0] *", "np.nan *"): "a.py: imu_error has to give finite numbers, and gives nan",
+    GOOD.replace('"1", 0.01', '"1", 0.0'): "a.py: the usual size of k has to be a number above",
+    GOOD.replace('"1", 0.01', '"1", float("nan")'): "a.py: the usual size of k has to be a number",
+    GOOD.replace('(Param("k", "1", 0.01),)', "()"): "a.py: the effect has no parameter",
 }
 HEADINGS = [f"heading += {f}" for f in terms._HEADING]
 # A law's ways: its axes, and whether each has its own constants.
@@ -91,9 +94,24 @@ EDGED = {"while": 0.71, "switched": 0.71, "fade": 0.71}
 
 
 def folder_with(tmp_path, **files):
+    tmp_path.mkdir(exist_ok=True)
     for name, text in files.items():
         (tmp_path / f"{name}.py").write_text(text, encoding="utf-8")
     return tmp_path
+
+
+# Wrong with a recording alone, which is longer than what a file is tried on: after so many samples.
+LATE = """
+    if len(signals.t) > 100:
+        {late}
+    return p[0] * np.hstack([signals.gyro, signals.accel])
+"""
+LATER = {
+    "return np.zeros((20, 6))": "samples, and gives (20, 6)",
+    "return np.full((len(signals.t), 6), np.inf)": "gives inf of gyro x 0 s after the start",
+    "raise ValueError('too long')": "imu_error fails, ValueError: too long",
+    "signals.temperature - 25.0": "fails, TypeError",
+}
 
 
 # --- a folder ------------------------------------------------------------------------------------
@@ -170,11 +188,33 @@ def test_commands_say_what_they_run_and_end_with_one_line(tmp_path):
         first, second = done.stderr.splitlines()
         assert first.startswith("handcal: running the code of "), call
         assert "own.py is no effect file" in second
-    for empty, said in ((tmp_path / "none", "there is no such folder"), (folder, "no effect file")):
+    file = tmp_path / "none.txt"
+    file.touch()
+    for empty, said in (
+        (tmp_path / "none", "there is no such folder"),
+        (file, "that is a file; name the folder it is in"),
+        (folder, "no effect file"),
+    ):
         (folder / "own.py").unlink(missing_ok=True)
         done = CliRunner().invoke(_app.app, [*calls[0], "--effects-from", str(empty)])
         assert done.exit_code == 2
         assert said in done.stderr
+
+
+@pytest.mark.parametrize("late", LATER)
+@pytest.mark.parametrize("command", ["conceal", "calibrate", "explain"])
+def test_what_goes_wrong_with_a_recording_is_said(late, command, tmp_path):
+    body = LATE.format(late=late)
+    code = GOOD.replace("    return p[0] * np.hstack([signals.gyro, signals.accel])\n", body)
+    folder, recording = folder_with(tmp_path / "own", a=code), tmp_path / "a.mcap"
+    write(simulate("z-turn", seed=0, duration_s=3.0), recording)
+    options = {"conceal": ["--effect", "own_law=0.01", "-o", str(tmp_path / "b.mcap")],
+               "calibrate": ["--effects", "own_law"], "explain": []}[command]  # fmt: skip
+    given = [command, str(recording), *options, "--effects-from", str(folder)]
+    done = CliRunner().invoke(_app.app, given)
+    assert done.exit_code == 2
+    assert LATER[late] in " ".join(done.stderr.split())
+    assert not (tmp_path / "b.mcap").exists()
 
 
 def test_simulate_hands_the_folder_on(tmp_path):
@@ -544,7 +584,7 @@ def test_a_recordings_name_is_no_code(tmp_path):
     ("name", "said"),
     [("odd.txt", "expected a name such as"), ("2nd.py", "expected a name such as"),
      ("_odd.py", "expected a name such as"), ("gyro_scale.py", "there is an effect gyro_scale"),
-     ("there.py", "that file exists"), ("none/odd.py", "there is no folder")],
+     ("there.py", "that file exists"), ("none/none/odd.py", "there is no folder")],
 )  # fmt: skip
 def test_a_file_that_cannot_be_written_is_said_before_the_work(name, said, tmp_path):
     (tmp_path / "there.py").write_text("mine")

@@ -7,24 +7,33 @@ for, since reading such a file is running it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 
-from handcal.effects import ATTITUDE, Effect, with_effects
+from handcal.effects import ATTITUDE, Effect, Signals, with_effects
 from handcal.output import not_over
 from handcal.signals import probe
-from handcal.types import InputError
+from handcal.types import Array, InputError
 
 # Samples of the motion on which a file's error is tried: enough for any difference or filter.
 TRIED = 20
+# Usual sizes within which an error has to be a number, whatever the motion. (A fit may ask for
+# more on its way, and turns back where that is none.)
+USUAL = 3.0
+CHANNELS = ("gyro x", "gyro y", "gyro z", "accelerometer x", "accelerometer y", "accelerometer z")
 
 
 def files(folder: Path) -> list[Path]:
     """The effect files of a folder, by name. Raises InputError if there is none."""
+    if folder.is_file():
+        raise InputError(f"--effects-from {folder}: that is a file; name the folder it is in.")
     if not folder.is_dir():
         raise InputError(f"--effects-from {folder}: there is no such folder.")
     found = [p for p in sorted(folder.glob("*.py")) if not p.name.startswith("_")]
@@ -63,24 +72,73 @@ def read(path: Path) -> Effect:
     effect = getattr(module, "EFFECT", None)
     if not isinstance(effect, Effect):
         raise InputError(f"{path} is no effect file: it defines no EFFECT = Effect(...).")
-    _check(path, effect)
-    return effect
+    return _watched(path, effect)
 
 
-def _check(path: Path, effect: Effect) -> None:
-    """Whether its error of the readings is one: a typing error shows here, not in a long fit."""
+def _watched(path: Path, effect: Effect) -> Effect:
+    """The effect with functions that say what is wrong with what they give, here of a short motion
+    (a typing error shows at once, not in a long fit) and later of any recording. Raises InputError
+    as ``effects_from`` does."""
+    if not effect.parameters:
+        raise InputError(f"{path}: the effect has no parameter, so there is nothing to find.")
+    for p, size in zip(effect.parameters, effect.prior_sigma, strict=True):
+        if not (np.isfinite(size) and size > 0.0):
+            raise InputError(f"{path}: the usual size of {p.name} has to be a number above zero.")
+    watched = effect
+    if effect.imu_error is not None:
+        error = partial(_error, path, effect.imu_error, effect.prior_sigma)
+        watched = replace(watched, imu_error=error)
+    if effect.seen:
+        wide = len(effect.parameters)
+        seen = {k: partial(_seen, path, f"seen[{k!r}]", f, wide) for k, f in effect.seen.items()}
+        watched = replace(watched, seen=seen)
     signals = probe(TRIED)
-    if effect.imu_error is None or not set(effect.needs) <= {ATTITUDE, *signals.streams}:
-        return
-    try:
-        error = np.asarray(effect.imu_error(effect.prior_sigma, signals))
-    except Exception as problem:
-        raise InputError(f"{path}: imu_error fails, {_said(problem)}.") from problem
-    if error.shape != (TRIED, 6) or not np.isfinite(error).all():
+    if watched.imu_error is not None and set(effect.needs) <= {ATTITUDE, *signals.streams}:
+        watched.imu_error(effect.prior_sigma, signals)
+    return watched
+
+
+def _error(
+    path: Path, function: Callable[[Array, Signals], Any], usual: Array, p: Array, signals: Signals
+) -> Array:
+    """What ``imu_error`` gives, (n, 6). Raises InputError where it is none."""
+    what = f"{path}: imu_error"
+    out = _array(what, lambda: function(p, signals), (len(signals.t), 6))
+    if not np.isfinite(out).all() and np.all(np.abs(p) <= USUAL * usual) and _told(signals):
+        k, channel = np.argwhere(~np.isfinite(out))[0]
         raise InputError(
-            f"{path}: imu_error has to give finite numbers, six a sample; of {TRIED} samples it "
-            f"gave an array {error.shape}."
+            f"{what} has to give finite numbers, and gives {out[k, channel]} of "
+            f"{CHANNELS[channel]} {signals.t[k] - signals.t[0]:.3g} s after the start."
         )
+    return out
+
+
+def _seen(
+    path: Path, name: str, function: Callable[[Signals], Any], wide: int, signals: Signals
+) -> Array:
+    """What a function of ``seen`` gives, (n, parameters). Raises InputError where it is none."""
+    return _array(f"{path}: {name}", lambda: function(signals), (len(signals.t), wide))
+
+
+def _array(what: str, make: Callable[[], Any], shape: tuple[int, int]) -> Array:
+    """An array of this shape. Raises InputError where it is none."""
+    try:
+        out = np.asarray(make(), dtype=np.float64)
+    except Exception as problem:
+        raise InputError(
+            f"{what} fails, {_said(problem)}. (signals.temperature is None without a thermometer, "
+            "signals.C_nb is there for an effect with needs=(ATTITUDE,).)"
+        ) from problem
+    if out.shape != shape:
+        raise InputError(
+            f"{what} has to give an array {shape} of {shape[0]} samples, and gives {out.shape}."
+        )
+    return out
+
+
+def _told(signals: Signals) -> bool:
+    """Whether the motion itself is known (that of a fit which diverges is not)."""
+    return bool(np.isfinite(signals.gyro).all() and np.isfinite(signals.accel).all())
 
 
 def _said(error: Exception) -> str:

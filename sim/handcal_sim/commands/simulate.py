@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from handcal.commands._registry import tell
+from handcal.commands._registry import say, tell
 from handcal_sim.commands._wrong_use import wrong_use
 
 
@@ -134,6 +134,8 @@ def simulate(
     )  # fmt: skip
     check_outputs((out,), files(effects_from) if effects_from else ())
     check_ending(out)
+    if effects_from:
+        say(f"running the code of {effects_from}/*.py, as --effects-from asks")
     with wrong_use():
         world, used = simulated(request)
         from handcal_sim import foreign

@@ -59,10 +59,18 @@ def apply(
         nothing = f"{learnt_from} has nothing that could be taken off {recording.name}"
         raise HandcalError(f"{nothing}. {left}" if left else f"{nothing}.")
     write_mcap(corrected.recording, out)
-    for sentence in (*given.warnings, left):
+    # (of a law the constant part is in the bias as well, with the other sign)
+    beside = _TOGETHER if biases and learnt.unnamed else ""
+    for sentence in (*given.warnings, left, beside):
         if sentence:
             say(sentence)
     tell(f"{out}: {', '.join(corrected.taken)} taken off {recording.name}")
+
+
+_TOGETHER = (
+    "The biases were found together with what has no name, and without it may be worse than none: "
+    "write the law out (explain --write-effect), explain with it (--effects-from), and apply that."
+)
 
 
 def _left(corrected: Corrected, learnt: Learnt) -> str:

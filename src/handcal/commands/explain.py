@@ -103,8 +103,9 @@ def explain(
     from handcal.output import beside, check_outputs
 
     read = (*files, *(held_out or ()), device, priors)
-    check_outputs((json, report, rrd, twin, write_effect), read)
     _check_names(twin, write_effect)
+    law = write_effect if write_effect and write_effect.parent.is_dir() else None
+    check_outputs((json, report, rrd, twin, law), read)
     recordings = [load(path, topic, units) for path in files]
     if twin:
         check_outputs(beside(twin, recordings), read)
@@ -128,14 +129,14 @@ def explain(
     typed = _typed(assume, heading_sigma, latitude, height, ignore, reference_exact, topic, units,
                    device, held_out, budget, priors, model)  # fmt: skip
     following = _following(explanation, files, typed, json)
-    twins = beside(twin, recordings) if twin else ()
-    _pictured(explanation, following, report, rrd, twins)
+    # (what took longest and cannot be made again from the rest is written first)
     if json:
         _documented(explanation, json)
-    if str(json) != "-":
-        _printed(explanation, following)
     if write_effect:
         _write(explanation, write_effect)
+    if str(json) != "-":
+        _printed(explanation, following)
+    _pictured(explanation, following, report, rrd, beside(twin, recordings) if twin else ())
 
 
 def _documented(explanation: Explanation, json: Path) -> None:
@@ -220,14 +221,19 @@ def _check_names(twin: Path | None, write_effect: Path | None) -> None:
 
 def _check_new(path: Path) -> None:
     """That an effect can be written there. Errors: InputError."""
+    from keyword import iskeyword
+
     from handcal.effects import catalogue
     from handcal.types import InputError
 
-    if path.suffix != ".py" or not path.stem.isidentifier() or path.stem.startswith("_"):
+    name = path.stem
+    if path.suffix != ".py" or not name.isidentifier() or name.startswith("_") or iskeyword(name):
         raise InputError(
             f"--write-effect {path}: expected a name such as gyro_odd.py; it becomes an effect's "
             "id, so letters, digits and underscores."
         )
+    if not (path.parent.is_dir() or path.parent.parent.is_dir()):
+        raise InputError(f"--write-effect {path}: there is no folder {path.parent.parent}.")
     if path.stem in catalogue():
         raise InputError(f"--write-effect {path}: there is an effect {path.stem}; name another.")
     if path.exists():
@@ -247,6 +253,7 @@ def _write(explanation: Explanation, path: Path) -> None:
         say(f"no law was found that has no name; {path} is not written")
         return
     names = [Path(r.recording.path).name for r in explanation.recordings]
+    path.parent.mkdir(exist_ok=True)
     written = law_file.write(found, path, names, catalogue())
     for u, target in zip(found, written, strict=True):
         say(f"{target}: {u.formula}; edit it, and read it in with --effects-from {target.parent}")

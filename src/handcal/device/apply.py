@@ -127,6 +127,11 @@ def apply(recording: Recording, learnt: Learnt, *, biases: bool = False) -> Corr
     return Corrected(out, taken, left)
 
 
+def removable(effect: str, recording: Recording) -> bool:
+    """Whether an effect, its parameters known, can be taken off a recording's readings."""
+    return not _reason(effect, recording, biases=False)
+
+
 def _reason(effect: str, recording: Recording, biases: bool) -> str:
     """Why an effect is left as it is; empty if it can be taken off."""
     known = catalogue().get(effect)

@@ -361,13 +361,19 @@ def _left_lines(
     found: Known, form: Format, kept: Correction, recording: Recording | None
 ) -> list[str]:
     lines = [f"Not in this file, {line}" for line in left(found, form, recording)]
+    if found.others and found.bias_from:
+        lines.append(
+            "The biases were found together with what is not in this file, and without it may be "
+            "worse than none"
+        )
     if recording is not None and lines:
         done = correction.corrected(recording, found.of_readings(), found.bias)
         read = np.hstack([recording.imu.gyro, recording.imu.accel])
         if done.shape == read.shape:
             rest = (kept.applied(read) - done)[recording.imu.valid]
+            but = " but for what has no name" if found.learnt.unnamed else ""
             lines.append(
-                f"All of that together, in {Path(recording.path).name}: {_sized(_rms(rest))}"
+                f"All of that together{but}, in {Path(recording.path).name}: {_sized(_rms(rest))}"
             )
     if found.elsewhere:
         lines.append(f"No errors of gyro or accelerometer: {', '.join(found.elsewhere)}")

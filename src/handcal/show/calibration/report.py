@@ -63,7 +63,10 @@ def how_to_apply(parameters: Sequence[Parameter]) -> dict[str, Any]:
     effects = dict.fromkeys(p.effect for p in parameters)
     return {
         "code": code_of(parameters),
-        "others": [words.effect_title(e) for e in effects if e not in _APPLIED],
+        "others": [
+            title if " += " in title else title.lower()
+            for title in (words.effect_title(e) for e in effects if e not in _APPLIED)
+        ],
         "g_sensitivity": "gyro_g_sensitivity" in effects,
         "matrices": any(e in _MATRIX for e in effects),
     }

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
+from handcal.device.apply import removable
 from handcal.device.file import kept
 from handcal.effects import catalogue, installed
 from handcal.explanation import Explanation
 from handcal.show.explanation.document import final_parameters
+from handcal.show.explanation.words import lawless
 from handcal.types import Parameter
 
 # Options of ``explain`` that ``apply`` has too, that go with ``calibrate --from``, and that go with
@@ -20,8 +23,9 @@ CALIBRATES = (*REPEATS, "--assume", "--heading-sigma", "--latitude", "--height",
               "--reference-exact")  # fmt: skip
 
 
-# What a device file is called that nobody has named.
+# What a device file is called that nobody has named, and a folder of laws.
 DEVICE = "my-device.toml"
+LAWS = "my-effects"
 
 
 def named(e: Explanation) -> list[str]:
@@ -69,10 +73,15 @@ def commands(
         learnt = ["--from", json, *_known_to(options, REPEATS)]
     report = ["--report", f"{first.stem}-calibration.html"]
     out.append(["handcal", "calibrate", *paths, *learnt, *own, *report])
-    if e.missing:
+    if any(removable(m.effect, e.recordings[0].recording) for m in e.missing):
         corrected = ["--from", json, *_known_to(options, READS), *own]
         corrected += ["-o", f"{first.stem}-corrected.mcap"]
         out.append(["handcal", "apply", str(first), *corrected])
+    if any(not lawless(u) for u in e.unnamed):
+        name = re.sub(r"\W", "_", first.stem, flags=re.ASCII)
+        file, again = f"{LAWS}/law_of_{name}.py", [*paths, *options]
+        out.append(["handcal", "explain", *again, *own, "--write-effect", file])
+        out.append(["handcal", "explain", *again, "--effects-from", LAWS, "--json", json])
     if any(kept((p.effect, p.name)) for m in e.missing for p in m.parameters):
         device = [*_known_to(options, ("--device",))[1:], DEVICE][0]
         out.append(["handcal", "device", "add", device, json])
