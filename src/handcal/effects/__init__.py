@@ -139,7 +139,10 @@ class Effect:
 
     needs: streams without which it cannot be told ("temperature"), ATTITUDE where ``imu_error``
     reads ``Signals.C_nb``, PLACE where it reads the position in ``nav``, which only some kinds of
-    observation tell. delays: kinds of observation whose time its first
+    observation tell. imu_error(p, signals): what gyro and accelerometer read too much, (n, 6).
+    seen: for kinds of observation ("heading"), of the signals what a unit of each parameter
+    makes it read too much, (n, parameters); observation_error: for kinds of observation the
+    address of a compiled function of the state. delays: kinds of observation whose time its first
     parameter shifts, so that large ones can be found about a shifted time: ``z[DELAY]`` is
     the part already taken off. process: Markov states of noise, whose levels ``levels``
     have the parameters' names behind the id (``gyro_bias_walk_density``); walks: the reading
