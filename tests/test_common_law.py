@@ -46,7 +46,7 @@ def test_a_law_that_no_recording_shows_is_found_over_the_devices(tmp_path):
         effect = known_effect("law_of_m")
         assert effect.motion == "One that changes omega_i much."
         assert effect.source == "found in 20 devices of m by handcal fleet"
-        assert effect.title == CUBE.replace(" += ", ": ")
+        assert effect.title == f"Law of {CUBE.replace(' += ', ': ')}"
         assert effect.parameters[0].prior_sigma == pytest.approx(
             np.hypot(found.population.mean, found.population.deviation), rel=0.1
         )

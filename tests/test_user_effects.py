@@ -567,7 +567,7 @@ def test_several_laws_are_several_files_and_none_is_overwritten(tmp_path):
     assert (tmp_path / "odd_2.py").read_text() == "mine"
     one, other = (user_effects.read(p) for p in found)
     assert (one.id, other.id) == ("odd", "odd_4")
-    assert one.title == "gyro_x: k * omega_x^3"
+    assert one.title == "Law of gyro_x: k * omega_x^3"
     assert "found in a.mcap, b.mcap" in other.source
 
 

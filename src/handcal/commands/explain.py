@@ -250,7 +250,8 @@ def _write(explanation: Explanation, path: Path) -> None:
         if u not in found:
             say(f"{u.formula} goes with the motion and is no law: there is nothing to write of it")
     if not found:
-        say(f"no law was found that has no name; {path} is not written")
+        late = " (and time ran out before all was tried)" if explanation.untried else ""
+        say(f"no law was found that has no name{late}; {path} is not written")
         return
     names = [Path(r.recording.path).name for r in explanation.recordings]
     path.parent.mkdir(exist_ok=True)

@@ -207,7 +207,7 @@ def _law(u: Unnamed, parameters: tuple[Param, ...], code: str) -> Law:
         what = f"k * {what}: the curve in this file, as found where k is one"
     words = u.story or f"{channel} reads too much by {what}."
     return Law(
-        title=u.formula.replace(" += ", ": "),
+        title=f"Law of {u.formula.replace(' += ', ': ')}",
         story=f"{words} (To be edited: say here in plain words what does that.)",
         motion="Any." if u.drivers == ("t",) else f"One that changes {', '.join(u.drivers)} much.",
         parameters=parameters,

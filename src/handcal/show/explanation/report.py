@@ -198,6 +198,7 @@ def _held_out(e: Explanation) -> dict[str, Any] | None:
 def _groups(e: Explanation) -> list[dict[str, Any]]:
     """All parameters of the final model by effect, those of each recording after the shared."""
     names, groups = say.recording_names(e), []
+    titles = {m.effect: m.title.removesuffix(" error") for m in e.missing}
     shared = {(p.effect, p.name) for p in e.parameters}
     sections = [("", e.parameters)] + [
         (names[i] if len(names) > 1 else "",
@@ -210,7 +211,8 @@ def _groups(e: Explanation) -> list[dict[str, Any]]:
                 continue
             unit = words.shown_group(group)
             groups.append({
-                "title": words.effect_title(effect), "unit": unit.unit, "recording": recording,
+                "title": titles.get(effect) or words.effect_title(effect), "unit": unit.unit,
+                "recording": recording,
                 "rows": [_row(p, unit) for p in group],
             })  # fmt: skip
     return groups
