@@ -1,4 +1,4 @@
-"""A point that is held does not go where no hand goes: then nothing has been explained."""
+"""A point that is held does not go where no hand goes: then it travels, or something is missing."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ def turned(sticks: float):
     return replace(recording, imu=replace(recording.imu, accel=force + wrong))
 
 
-@pytest.mark.parametrize(("sticks", "verdict"), [(0.0, "nothing_missing"), (STICKS, "unexplained")])
-def test_what_would_have_the_hand_sway_by_metres_is_not_explained(sticks, verdict, monkeypatch):
+@pytest.mark.parametrize(("sticks", "doubts"), [(0.0, 0), (STICKS, 1)])
+def test_what_would_have_the_hand_sway_by_metres_is_doubted(sticks, doubts, monkeypatch):
     """Of a search that finds nothing."""
 
     def in_vain(base, *_, **__):
@@ -33,7 +33,4 @@ def test_what_would_have_the_hand_sway_by_metres_is_not_explained(sticks, verdic
     monkeypatch.setattr(pipeline, "search", in_vain)
     monkeypatch.setattr(pipeline, "_by_the_rests", lambda *given: given[1])
     found = explain([turned(sticks)])
-    assert found.verdict == verdict
-    doubts = [w for w in found.warnings if "which no hand does" in w]
-    assert len(doubts) == (verdict == "unexplained")
-    assert not found.unnamed
+    assert len([w for w in found.warnings if "which no hand does" in w]) == doubts

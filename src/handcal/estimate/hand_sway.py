@@ -16,9 +16,6 @@ from handcal.estimate.problem import Problem
 # that a wider sway must gain before the hand is taken to travel.
 HAND_SWAY = 0.05
 TRAVEL_NATS = 5.0
-# Nor does one that turns something in one place, however badly it is held, by more than half an
-# arm (root mean square, m).
-REACH = 0.3
 
 
 def typical_rate(problem: Problem) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from handcal.estimate.case import Case, case_of
-from handcal.estimate.hand_sway import REACH, TRAVEL_NATS, beyond_a_hand, sway_of
+from handcal.estimate.hand_sway import TRAVEL_NATS, beyond_a_hand, sway_of
 from handcal.estimate.model import Fitted
 
 # How the warning begins where nothing tells a hand that moves from effects that are missing.
@@ -27,14 +27,9 @@ def doubt(f: Fitted) -> str | None:
     wide = sway_of(f.problem, f.levels)
     return (
         f"The point that is held would sway by {wide:.2g} m, which no hand does that stays in one "
-        "place: it travels, or something is missing that was not found. Take what was found for no "
-        "more than a sign of that, and turn the device in one place."
+        "place: it travels, or something is missing that was not found. Turned in one place, the "
+        "device would tell which."
     )
-
-
-def out_of_reach(f: Fitted) -> bool:
-    """Whether a held point would sway further than anything can be that is turned in one place."""
-    return sway_of(f.problem, f.levels) > REACH and travels(f)
 
 
 def resting(

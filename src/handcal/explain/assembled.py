@@ -14,7 +14,7 @@ from handcal.effects import catalogue
 from handcal.estimate.case import name_of
 from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.model import Fitted, Model
-from handcal.estimate.rest_only import doubt, out_of_reach
+from handcal.estimate.rest_only import doubt
 from handcal.estimate.result import noise, results
 from handcal.estimate.robust import inflation
 from handcal.estimate.specification import Specification
@@ -109,10 +109,6 @@ def _named(
     missing, remarks = likely(entries, alone), [hand_remark(u) for u in lent]
     if counts:
         return _Named("unexplained", missing, unnamed, alone, remarks)
-    if whole and any(out_of_reach(f) for f in found.model.parts):
-        # (with such a sway no law shows)
-        lost = [*remarks, *(remark(u) for u in unnamed)]
-        return _Named("unexplained", likely(entries, {}), [], {}, lost)
     missing = likely(entries, {})
     # (that nothing is missing only a search says that was not broken off)
     none = "nothing_missing" if whole else "cannot_tell"
