@@ -27,7 +27,7 @@ from handcal.effects import known_effect
 from handcal.show import words
 from handcal.show.drawing import PALETTE
 from handcal.show.explanation import words as say
-from handcal.units import shown
+from handcal.units import Shown, shown
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "docs" / "gallery"
@@ -190,6 +190,12 @@ def differed(document: Document) -> str:
     return "\n".join(lines)
 
 
+def with_sigma(found: Document, unit: Shown) -> str:
+    """Its value and uncertainty as numbers of this unit."""
+    sigma = found["sigma"]
+    return f"{unit.value(found['value'], sigma, sign=True)} ± {unit.value(sigma, sigma)}"
+
+
 def missing(document: Document) -> str:
     """What was named, with sizes, and laws without a name."""
     lines = ["| effect | nats | size |", "|---|---|---|"]
@@ -197,10 +203,7 @@ def missing(document: Document) -> str:
         values = m["parameters"]
         unit = shown(values[0]["unit"], [v for p in values for v in (p["value"], p["sigma"])])
         same = [p for p in values if p["unit"] == values[0]["unit"]]
-        size = ", ".join(
-            f"{p['name']} {unit.value(p['value'], p['sigma'], sign=True)} ± {unit.value(p['sigma'], p['sigma'])}"
-            for p in same
-        )
+        size = ", ".join(f"{p['name']} {with_sigma(p, unit)}" for p in same)
         names = " or ".join(map(words.effect_title, (m["effect"], *m["indistinguishable_from"])))
         gain = say.number(m["log_evidence_gain"])
         lines.append(f"| {names} | {gain} | {size} {unit.unit} |")
@@ -208,10 +211,8 @@ def missing(document: Document) -> str:
         gain = say.number(u["log_evidence_gain"])
         formula = html.escape(u["formula"]).replace("|", "&#124;")
         unit = shown(u["unit"], [u["value"], u["sigma"]])
-        size = (unit.value(u["value"], u["sigma"], sign=True), unit.value(u["sigma"], u["sigma"]))
-        lines.append(
-            f"| no name: <code>{formula}</code> | {gain} | {size[0]} ± {size[1]} {unit.unit} |"
-        )
+        size = f"{with_sigma(u, unit)} {unit.unit}"
+        lines.append(f"| no name: <code>{formula}</code> | {gain} | {size} |")
     return "\n".join(lines) if len(lines) > 2 else "Nothing was named."
 
 

@@ -650,7 +650,7 @@ def test_what_has_no_name_is_drawn_in_the_viewer_and_said_for_what_it_is(tmp_pat
 
 
 def test_signs_of_a_formula_are_told_and_no_others() -> None:
-    said = "; ".join(meanings(["gyro_x += k * (stick(0.1 rad/s) of omega_y - omega_y)"]))
+    said = meanings(["gyro_x += k * (stick(0.1 rad/s) of omega_y - omega_y)"])
     assert "omega: " in said
     assert "stick( ) of x: what stays where it is" in said
     assert not {"f: ", "T: ", "memory( )"} & set(said.split("; "))

@@ -143,5 +143,9 @@ def shown(unit: str, values: Iterable[float]) -> Shown:
     for name, factor, limit in _UNITS.get(key, ()):
         if largest * factor <= limit:
             return Shown(name, factor)
-    of_itself = re.fullmatch(r"\((.+)\)/\(\1\)", unit)
-    return Shown("" if unit == "1" or of_itself else unit, 1.0)
+    return Shown("" if is_number(unit) else unit, 1.0)
+
+
+def is_number(unit: str) -> bool:
+    """Whether a unit is none: "1", or one over itself."""
+    return unit == "1" or re.fullmatch(r"\((.+)\)/\(\1\)", unit) is not None

@@ -27,7 +27,6 @@ TRIED = 20
 # Usual sizes within which an error has to be a number, whatever the motion. (A fit may ask for
 # more on its way, and turns back where that is none.)
 USUAL = 3.0
-CHANNELS = ("gyro x", "gyro y", "gyro z", "accelerometer x", "accelerometer y", "accelerometer z")
 
 
 def files(folder: Path) -> list[Path]:
@@ -106,9 +105,10 @@ def _error(
     out = _array(what, lambda: function(p, signals), (len(signals.t), 6))
     if not np.isfinite(out).all() and np.all(np.abs(p) <= USUAL * usual) and _told(signals):
         k, channel = np.argwhere(~np.isfinite(out))[0]
+        where = f"{('gyro', 'accelerometer')[channel // 3]} {'xyz'[channel % 3]}"
         raise InputError(
             f"{what} has to give finite numbers, and gives {out[k, channel]} of "
-            f"{CHANNELS[channel]} {signals.t[k] - signals.t[0]:.3g} s after the start."
+            f"{where} {signals.t[k] - signals.t[0]:.3g} s after the start."
         )
     return out
 

@@ -109,15 +109,18 @@ def _show(
 
     console = Console(highlight=False)
 
-    line = console.print
-    line("A simulated phone was held and turned once about each axis. Its gyro secretly misreads "
-         "every turn by up to 1.2 %. Handcal is given the recording alone.")  # fmt: skip
-    line(f"\n[bold]Biases alone:[/] {calibrated.verdict(plain).headline}")
-    line(f"[bold]Explained:[/] {explained.verdict(explanation).headline}")
+    console.print(
+        "A simulated phone was held and turned once about each axis. Its gyro secretly misreads "
+        "every turn by up to 1.2 %. Handcal is given the recording alone."
+    )
+    console.print(f"\n[bold]Biases alone:[/] {calibrated.verdict(plain).headline}")
+    console.print(f"[bold]Explained:[/] {explained.verdict(explanation).headline}")
     console.print(_table(truth, result))
     off = [abs(off_by(p, truth)) for p in result.parameters]
-    line(f"{sum(o < 2.0 for o in off)} of {len(off)} estimates lie within two sigma of the truth; "
-         f"the worst is off by {max(off):.1f}.\n")  # fmt: skip
+    console.print(
+        f"{sum(o < 2.0 for o in off)} of {len(off)} estimates lie within two sigma of the truth; "
+        f"the worst is off by {max(off):.1f}.\n"
+    )
     console.print("Look next at", style="bold")
     effects = ",".join(m.effect for m in explanation.missing)
     watch = f"handcal replay {out / 'recording.mcap'}" + (

@@ -69,11 +69,11 @@ def prove(
     ] = None,
 ) -> None:
     """Conceal random errors in random recordings, explain them blindly, and score that."""
-    from handcal.commands._registry import say
+    from handcal.commands._options import say_what_runs
     from handcal.user_effects import effects_from as also
 
     if effects_from is not None:
-        say(f"running the code of {effects_from}/*.py, as --effects-from asks")
+        say_what_runs(effects_from)
     with also(effects_from):
         _proved(n, seed, suite, out, json_file, jobs, effects_from, against)
 

@@ -8,7 +8,8 @@ from typing import Annotated
 
 import typer
 
-from handcal.commands._registry import say, tell
+from handcal.commands._options import say_what_runs
+from handcal.commands._registry import tell
 from handcal_sim.commands._wrong_use import wrong_use
 
 
@@ -135,7 +136,7 @@ def simulate(
     check_outputs((out,), files(effects_from) if effects_from else ())
     check_ending(out)
     if effects_from:
-        say(f"running the code of {effects_from}/*.py, as --effects-from asks")
+        say_what_runs(effects_from)
     with wrong_use():
         world, used = simulated(request)
         from handcal_sim import foreign

@@ -122,6 +122,14 @@ EffectsFrom = Annotated[
 ]
 
 
+def say_what_runs(folder: Path) -> None:
+    """That the code of a folder's effect files is run. Errors: InputError where there is none."""
+    from handcal.user_effects import files
+
+    names = ", ".join(path.name for path in files(folder))
+    say(f"running the code of {names} in {folder}, as --effects-from asks")
+
+
 def with_own_effects(command: Callable[..., None]) -> Callable[..., None]:
     """The command with the option --effects-from: it runs with those effects in the catalogue."""
 
@@ -132,8 +140,7 @@ def with_own_effects(command: Callable[..., None]) -> Callable[..., None]:
             return
         from handcal import user_effects
 
-        names = ", ".join(path.name for path in user_effects.files(effects_from))
-        say(f"running the code of {names} in {effects_from}, as --effects-from asks")
+        say_what_runs(effects_from)
         with user_effects.effects_from(effects_from):
             command(*arguments, **options)
 

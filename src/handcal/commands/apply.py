@@ -43,8 +43,8 @@ def apply(
 
     What is no error of a sensor (where it sits, gravity, noise) stays, and is said.
     """
+    from handcal.device.apply import TOGETHER, read
     from handcal.device.apply import apply as applied
-    from handcal.device.apply import read
     from handcal.output import check_outputs
     from handcal.recordings.export import check_ending, write_mcap
     from handcal.types import HandcalError
@@ -59,18 +59,14 @@ def apply(
         nothing = f"{learnt_from} has nothing that could be taken off {recording.name}"
         raise HandcalError(f"{nothing}. {left}" if left else f"{nothing}.")
     write_mcap(corrected.recording, out)
-    # (of a law the constant part is in the bias as well, with the other sign)
-    beside = _TOGETHER if biases and learnt.unnamed else ""
+    beside = f"{TOGETHER.format('what has no name')}: {_WRITE}" if biases and learnt.unnamed else ""
     for sentence in (*given.warnings, left, beside):
         if sentence:
             say(sentence)
     tell(f"{out}: {', '.join(corrected.taken)} taken off {recording.name}")
 
 
-_TOGETHER = (
-    "The biases were found together with what has no name, and without it may be worse than none: "
-    "write the law out (explain --write-effect), explain with it (--effects-from), and apply that."
-)
+_WRITE = "write the law out (explain --write-effect), explain with it (--effects-from), apply that."
 
 
 def _left(corrected: Corrected, learnt: Learnt) -> str:

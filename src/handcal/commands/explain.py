@@ -234,8 +234,8 @@ def _check_new(path: Path) -> None:
         )
     if not (path.parent.is_dir() or path.parent.parent.is_dir()):
         raise InputError(f"--write-effect {path}: there is no folder {path.parent.parent}.")
-    if path.stem in catalogue():
-        raise InputError(f"--write-effect {path}: there is an effect {path.stem}; name another.")
+    if name in catalogue():
+        raise InputError(f"--write-effect {path}: there is an effect {name}; name another.")
     if path.exists():
         raise InputError(f"--write-effect {path}: that file exists; name another or remove it.")
 

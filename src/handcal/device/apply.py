@@ -52,6 +52,8 @@ ROUNDS, FOUND = 2000, 1e-14
 EXACT = 1e-12
 
 NO_SENSOR = "no error of a sensor"
+# (Of an error the constant part is in the bias as well, with the other sign.)
+TOGETHER = "The biases were found together with {}, and without it may be worse than none"
 NOT_ASKED = "of one day, taken off with --biases"
 NOT_KNOWN = "not known well enough"
 NO_STREAM = "no stream here from which it could be taken off"

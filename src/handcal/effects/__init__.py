@@ -225,6 +225,11 @@ class Effect:
     proportional: bool = False
 
     @property
+    def misreads(self) -> bool:
+        """Whether gyro or accelerometer read something else for it, whatever is noise apart."""
+        return self.imu_error is not None and not self.world and self.process is None
+
+    @property
     def prior_sigma(self) -> Array:
         """Prior standard deviations (k,) in the order of the parameters."""
         return np.array([p.prior_sigma for p in self.parameters])

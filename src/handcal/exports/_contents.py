@@ -72,10 +72,8 @@ def known(path: Path, recording: Recording | None) -> Known:
         made = correction.as_matrix(effect, values)
         if made is not None:
             matrices[i] = made
-        elif effect.imu_error is None or effect.world or effect.process is not None:
-            elsewhere.append(i)
         else:
-            others.append(i)
+            (others if effect.misreads else elsewhere).append(i)
     held = {i: learnt.values[i] for i in matrices}
     correction.check(correction.together(list(matrices.values()), bias), held, bias)
     return Known(learnt, document, bias, words, hidden, matrices, (*others, *learnt.unnamed),
@@ -362,10 +360,7 @@ def _left_lines(
 ) -> list[str]:
     lines = [f"Not in this file, {line}" for line in left(found, form, recording)]
     if found.others and found.bias_from:
-        lines.append(
-            "The biases were found together with what is not in this file, and without it may be "
-            "worse than none"
-        )
+        lines.append(device.TOGETHER.format("what is not in this file"))
     if recording is not None and lines:
         done = correction.corrected(recording, found.of_readings(), found.bias)
         read = np.hstack([recording.imu.gyro, recording.imu.accel])

@@ -124,6 +124,13 @@ def again(effect_id: str) -> Effect:
     return effect(*_parts(effect_id))
 
 
+def of_level(name: str) -> tuple[str, str] | None:
+    """The id of the error that has a noise level, and which of its two that is; None where it is no
+    such level."""
+    channel, kind, which = ["", "", *name.rsplit("_", 2)][-3:]
+    return (f"{channel} += {KINDS[kind]}", which) if kind in KINDS else None
+
+
 def is_with_motion(effect_id: str) -> bool:
     """Whether this is the id of such an error."""
     return effect_id.partition(" += ")[2] in KINDS.values()

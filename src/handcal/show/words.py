@@ -7,7 +7,6 @@ the numbers mean is said in ``calibration.verdict_text`` and ``explanation.verdi
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -41,8 +40,6 @@ _NOISE = {
     "mag_disturbance": "Magnetic disturbance",
 }
 
-# Levels of an error that goes with the motion: how large it is, and how long it lasts.
-_WITH_MOTION = re.compile(r"((?:gyro|accel)_[xyz]+|heading)_(turning|attitude)_(size|memory)")
 # rad; of directions that have nothing to do with the device's it is pi / sqrt(3), 1.8
 _NO_HEADING = 1.0
 _ASSUME = {
@@ -128,13 +125,15 @@ def parameter_title(p: Parameter) -> str:
 
 def noise_title(name: str) -> str:
     """Of a noise level."""
-    known = sorted((i for i in catalogue() if name.startswith(f"{i}_")), key=len)
-    if known:
-        return f"{catalogue()[known[-1]].title}, {name.removeprefix(known[-1] + '_')}"
-    if (error := _WITH_MOTION.fullmatch(name)) is not None:
-        channel, kind, what = error.groups()
-        return f"{channel} += {'e(t) * |omega|' if kind == 'turning' else 'e(attitude)'}, {what}"
-    return _NOISE.get(name, name.replace("_", " ").capitalize())
+    if name in _NOISE:
+        return _NOISE[name]
+    effect = max((i for i in catalogue() if name.startswith(f"{i}_")), key=len, default="")
+    if effect:
+        return f"{catalogue()[effect].title}, {name.removeprefix(effect + '_')}"
+    from handcal.laws.with_motion import of_level  # (which takes as long as all else here)
+
+    found = of_level(name)
+    return name.replace("_", " ").capitalize() if found is None else ", ".join(found)
 
 
 def deaf_heading(noise: Iterable[NoiseLevel]) -> str | None:

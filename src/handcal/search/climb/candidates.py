@@ -9,6 +9,7 @@ import numpy as np
 
 from handcal.effects import Effect, catalogue
 from handcal.estimate.case import applicable, frozen_at, name_of
+from handcal.estimate.fit import fitted
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.scan import scan
 from handcal.laws.best_law import Term
@@ -89,3 +90,9 @@ def scanned_about(model: Model, terms: Sequence[Term], refused: Set[str]) -> Spa
     odds |= {e.id: REFUSED for e in options if name_of(e.id) in refused}
     odds |= {e.id: -REFUSED for e in options if e.always}
     return space(scan(model, options), options, odds)
+
+
+def fitted_with(model: Model, where: Space, chosen: Set[str]) -> Model:
+    """A set of what is on trial in the place of the model's own, beside its noise, from its fit."""
+    noise = [e for e in model.effects if e.process is not None]
+    return fitted(model.parts, [*(where.effects[i] for i in sorted(chosen)), *noise])

@@ -16,7 +16,7 @@ from handcal.estimate.model import Model
 from handcal.laws.best_law import Term
 from handcal.laws.chosen_again import with_other
 from handcal.model_score import NAMED, PRIOR, better
-from handcal.search.climb.candidates import scanned_about
+from handcal.search.climb.candidates import fitted_with, scanned_about
 from handcal.search.climb.state import HOPELESS, WEAK, Climb, likelier, sensible
 from handcal.search.space import best_set, gains, rivals
 
@@ -169,8 +169,7 @@ def _beside_delays(
         return None
     if fewer == tried.chosen:
         return tried
-    noise = [x for x in model.effects if x.process is not None]
-    return fitted(tried.parts, [*(where.effects[i] for i in sorted(fewer)), *noise])
+    return fitted_with(tried, where, fewer)
 
 
 def _smooths(effect: Effect) -> bool:

@@ -16,7 +16,7 @@ from handcal.estimate.transfer import fit_of, moved_to
 from handcal.laws.best_law import ENOUGH, Survey, Term, best_terms, survey
 from handcal.laws.law_effect import SENSORS
 from handcal.model_score import better, score
-from handcal.search.climb.candidates import scanned_about
+from handcal.search.climb.candidates import fitted_with, scanned_about
 from handcal.search.climb.state import HOPELESS, WEAK, Barred, Climb, forget, likelier, sensible
 from handcal.search.noise_scan import as_they_are
 from handcal.search.space import best_set, gains
@@ -206,6 +206,5 @@ def with_term(
     promised = where.score(chosen) - where.score(alone.chosen)
     if chosen == alone.chosen or score(alone, worth) + promised < least:
         return alone
-    noise = [e for e in alone.effects if e.process is not None]
-    more = fitted(alone.parts, [*(where.effects[i] for i in sorted(chosen)), *noise])
+    more = fitted_with(alone, where, chosen)
     return more if sensible(more) and better(more, alone, worth) > 0.0 else alone

@@ -6,7 +6,7 @@ from handcal.estimate.case import name_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.model_score import MOMENTS, PRIOR, better, score
-from handcal.search.climb.candidates import scanned_about
+from handcal.search.climb.candidates import fitted_with, scanned_about
 from handcal.search.climb.in_place import without
 from handcal.search.climb.state import FEW, Climb, forget, likelier
 from handcal.search.noise_scan import all_noise, looks_of, of_looks, on_fewer_axes
@@ -67,8 +67,7 @@ def _at_a_moment(c: Climb, model: Model) -> Model | None:
         chosen = best_set(where, model.chosen)
         if chosen == model.chosen or all(name_of(i) == i for i in chosen):
             return best
-        others = [e for e in model.effects if e.process is not None]
-        model = fitted(model.parts, [*(where.effects[i] for i in sorted(chosen)), *others])
+        model = fitted_with(model, where, chosen)
         if best is not None and model.log_evidence < best.log_evidence:
             return best
         best = model

@@ -13,7 +13,7 @@ from handcal.estimate.forked import in_parallel
 from handcal.estimate.model import Model
 from handcal.estimate.robust import inflation
 from handcal.model_score import PRIOR, better
-from handcal.search.climb.candidates import REFUSED, candidates, scanned_about
+from handcal.search.climb.candidates import REFUSED, candidates, fitted_with, scanned_about
 from handcal.search.climb.state import FEW, Climb, forget, likelier, too_large
 from handcal.search.space import Space, best_set, gains
 
@@ -65,9 +65,7 @@ def everything(c: Climb) -> Model | None:
     c.model = c.model.bare
     whole = fitted(c.model.parts, [*c.model.effects, *(e for e in others if "@" not in e.id)])
     where = scanned_about(whole.bare, c.unnamed, c.dropped | c.beyond)
-    noise = [e for e in c.model.effects if e.process is not None]
-    best = best_set(where, whole.chosen)
-    tried = fitted(whole.parts, [*(where.effects[i] for i in sorted(best)), *noise])
+    tried = fitted_with(whole, where, best_set(where, whole.chosen))
     if not likelier(c, tried):
         return None
     forget(c, tried)
@@ -87,11 +85,6 @@ def _same(where: Space, now: frozenset[str], chosen: frozenset[str]) -> bool:
     return where.score(chosen) - where.score(now) < 1.0
 
 
-def _fit(c: Climb, chosen: frozenset[str]) -> Model:
-    processes = [e for e in c.model.effects if e.process is not None]
-    return fitted(c.model.parts, [*(c.where.effects[i] for i in sorted(chosen)), *processes])
-
-
 def _grown(c: Climb, chosen: frozenset[str]) -> Model | None:
     """The model with the chosen effects, or with the best of those added, if such a fit is
     likelier than the one there is; an effect with which no fit holds is not looked at again."""
@@ -99,7 +92,7 @@ def _grown(c: Climb, chosen: frozenset[str]) -> Model | None:
     for wanted in (chosen, *_singles(c.where, now, chosen)):
         if wanted in c.refused:
             continue
-        tried = _fit(c, wanted)
+        tried = fitted_with(c.model, c.where, wanted)
         if likelier(c, tried):
             return tried
         c.refused.add(wanted)

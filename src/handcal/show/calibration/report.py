@@ -10,6 +10,8 @@ import numpy as np
 
 import handcal
 from handcal import output
+from handcal.device.apply import TOGETHER
+from handcal.effects import catalogue
 from handcal.show import words
 from handcal.show.calibration import plots, summary, verdict_text
 from handcal.show.drawing import AXES
@@ -61,12 +63,13 @@ def _context(result: Result) -> dict[str, Any]:
 def how_to_apply(parameters: Sequence[Parameter]) -> dict[str, Any]:
     """What the page says of undoing errors: the code, and what it leaves."""
     effects = dict.fromkeys(p.effect for p in parameters)
+    others = {e: words.effect_title(e) for e in effects if e not in _APPLIED}
+    known = catalogue()
+    misread = any(e not in known or known[e].misreads for e in others)
     return {
         "code": code_of(parameters),
-        "others": [
-            title if " += " in title else title.lower()
-            for title in (words.effect_title(e) for e in effects if e not in _APPLIED)
-        ],
+        "others": [t if " += " in e else t.lower() for e, t in others.items()],
+        "together": TOGETHER.format("that") if misread else "",
         "g_sensitivity": "gyro_g_sensitivity" in effects,
         "matrices": any(e in _MATRIX for e in effects),
     }

@@ -52,7 +52,7 @@ def _context(e: Explanation, following: Sequence[str]) -> dict[str, Any]:
         "shares_note": verdict_text.shares_note(e),
         "found_title": _found_title(e),
         "unnamed": [_unnamed(u) for u in e.unnamed],
-        "symbols": "; ".join(meanings([u.formula for u in e.unnamed])) if e.unnamed else "",
+        "symbols": meanings([u.formula for u in e.unnamed]),
         "plots": plots.draw(e),
         "hypotheses": [_hypothesis(h, e) for h in frames.by_gain(e)],
         "residuals": _residuals(e),

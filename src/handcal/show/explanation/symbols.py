@@ -27,8 +27,10 @@ _SIGNS = (
 )
 
 
-def meanings(formulas: Sequence[str]) -> list[str]:
-    """What is not plain arithmetic in these formulas, one phrase each."""
+def meanings(formulas: Sequence[str]) -> str:
+    """What is not plain arithmetic in these formulas, a phrase each; empty of none."""
+    if not formulas:
+        return ""
     laws = " ; ".join(formula.partition(" += ")[2] for formula in formulas)
     out = ["+=: what is read in addition"]
     out += [meaning for sign, meaning in _SIGNS if re.search(sign, laws)]
@@ -37,4 +39,4 @@ def meanings(formulas: Sequence[str]) -> list[str]:
         if re.search(rf"\b{word}\([^()]*\) of ", laws):
             told = " ".join((inspect.getdoc(operator.of) or "").replace(" (n,)", "").split())
             out.append(f"{word}( ) of x: {told[:1].lower()}{told[1:].rstrip('.')}")
-    return out
+    return f"In SI units: {'; '.join(out)}."

@@ -100,8 +100,8 @@ def _print_found(e: Explanation, console: Console) -> None:
             line(drawn)
         if u.story:
             line(u.story)
-    if e.unnamed:
-        line(f"In SI units: {'; '.join(meanings([u.formula for u in e.unnamed]))}.", style="dim")
+    if signs := meanings([u.formula for u in e.unnamed]):
+        line(signs, style="dim")
 
 
 def _print_judged(e: Explanation, console: Console) -> None:

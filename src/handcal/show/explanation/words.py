@@ -28,7 +28,7 @@ from handcal.laws.law_effect import law_made
 from handcal.show import words
 from handcal.show.words import NBSP, effect_title, listed
 from handcal.types import Parameter
-from handcal.units import DEG, Shown, plain, shown
+from handcal.units import DEG, Shown, is_number, plain, shown
 
 _UNITS = {
     "gyro": Shown("deg/s", DEG), "accel": Shown("m/s²", 1.0),
@@ -274,8 +274,6 @@ def amount(u: Unnamed | Parameter) -> str:
     text = f"{value} ± {spread}".replace("-", "−")
     if power:
         text = f"({text})·10{str(power).translate(_SUPERSCRIPT)}"
-    if re.fullmatch(r"\((.+)\)/\(\1\)", u.unit):  # (of itself)
-        return text
     powers = re.sub(r"\^(\d)", lambda m: m[1].translate(_SUPERSCRIPT), u.unit)
-    unit = "" if u.unit == "1" else f" {powers}"
+    unit = "" if is_number(u.unit) else f" {powers}"
     return text + unit
