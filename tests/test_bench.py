@@ -239,7 +239,9 @@ def test_the_smallest_recordings_come_first_and_one_that_fails_is_left_out(monke
         ran.append(path.stem)
         if wall[path.stem] is None:
             raise HandcalError("it cannot be read.")
-        return timing.Ran(1.0, wall[path.stem], 100.0)
+        told = "searching; so far gyro_scale" if path.stem == "a" else "searching"
+        said = (2.5, "reading"), (3.0, f"handcal: {told}"), (8.0, "handcal: judging")
+        return timing.Ran(1.0, wall[path.stem], 100.0, said)
 
     monkeypatch.setattr(explaining, "run_handcal", run)
     done = CliRunner().invoke(
@@ -257,6 +259,7 @@ def test_the_smallest_recordings_come_first_and_one_that_fails_is_left_out(monke
     times = {f["title"]: (f["median"], f["met"]) for f in document["figures"] if f["unit"] == "s"}
     assert times == {
         "explain: c": (50.0, False), "explain: a": (9.0, True),
+        "explain: a, found what it says by": (3.0, None),
         "explain: median of 2 recordings": (29.5, False),
         "explain: worst of 2 recordings": (50.0, False),
     }  # fmt: skip

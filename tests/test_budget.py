@@ -4,20 +4,33 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import signal
 import time
+from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
+from itertools import count
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import schemas
+from typer.testing import CliRunner
 from worlds import recording_of
 
+import handcal.explain
+from handcal.commands._app import app
+from handcal.commands._ending import asked
+from handcal.estimate.forked import in_parallel
 from handcal.explain import explain
+from handcal.explain.pipeline import SO_FAR
 from handcal.search.budget import AFTERWARDS, Budget, after
 from handcal.show.explanation.document import explanation_json
 from handcal.show.explanation.verdict_text import verdict
 from handcal.types import Recording
-from handcal_sim import simulate
+from handcal_sim import simulate, write
 from handcal_sim.phone import Clocking, Phone, consumer_phone, with_rate
 
 
@@ -44,7 +57,7 @@ def test_without_time_nothing_is_claimed(recording: Recording) -> None:
     assert (found.verdict, found.missing, found.unnamed) == ("cannot_tell", (), ())
     assert "further effects" in found.untried
     assert any("further effects" in w for w in found.warnings)
-    assert verdict(found).headline.startswith("Time ran out")
+    assert verdict(found).headline.startswith("The search ended before")
     document = explanation_json(found)
     schemas.check(document)
     assert document["untried"] == list(found.untried)
@@ -87,3 +100,71 @@ def test_the_search_leaves_time_for_what_follows_it() -> None:
     assert all(over.spent("this") for _ in range(2))
     assert over.untried == ["this"]
     assert after(began, None).until == math.inf
+
+
+def test_whoever_stops_has_what_was_found_by_then(recording: Recording) -> None:
+    stages: list[str] = []
+    found = explain(
+        [recording],
+        stop=lambda: any(SO_FAR in s for s in stages),
+        progress=lambda _, stage: stages.append(stage),
+    )
+    assert [m.effect for m in found.missing] == ["gyro_scale"]
+    assert "laws that have no name" in found.untried
+    assert f"searching what is missing{SO_FAR}gyro_scale" in stages
+
+
+def test_a_step_that_is_cut_keeps_what_it_has() -> None:
+    asked_for = count()
+    budget = Budget(stop=lambda: next(asked_for) >= 3)
+    done = list(in_parallel(partial(pow, n, 2) for n in budget.each(range(9))))
+    assert done == [0, 1, 4]
+    assert budget.cut
+    assert budget.spent("the rest")
+
+
+def test_a_step_that_ended_in_time_is_not_cut() -> None:
+    budget = Budget()
+    assert list(budget.each("abc")) == ["a", "b", "c"]
+    assert not budget.cut
+
+
+@pytest.fixture
+def heard() -> Iterator[None]:
+    """(What a shell begins in the background is deaf to SIGINT.)"""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("heard")
+def test_the_first_interrupt_asks_and_the_second_one_ends() -> None:
+    told: list[str] = []
+    with asked(lambda: told.append("once")) as stop:
+        assert not stop()
+        os.kill(os.getpid(), signal.SIGINT)
+        assert stop()
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGINT)
+    assert told == ["once"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+@pytest.mark.usefixtures("heard")
+def test_an_interrupt_ends_the_command_with_the_best_so_far(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write(simulate("three-turns", seed=0, duration_s=12.0), tmp_path / "x.mcap")
+
+    def pressed(*given: Any, **more: Any) -> Any:
+        os.kill(os.getpid(), signal.SIGINT)
+        return explain(*given, **more)
+
+    monkeypatch.setattr(handcal.explain, "explain", pressed)
+    arguments = ["explain", str(tmp_path / "x.mcap"), "--json", str(tmp_path / "x.json")]
+    done = CliRunner().invoke(app, arguments)
+    assert done.exit_code == 0, (done.output, done.exception)
+    assert "Ctrl-C again" in done.stderr
+    document = json.loads((tmp_path / "x.json").read_text(encoding="utf-8"))
+    assert document["verdict"] == "cannot_tell"
+    assert "further effects" in document["untried"]

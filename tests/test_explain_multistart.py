@@ -317,11 +317,11 @@ def test_a_climb_goes_on_while_its_steps_lead_higher(monkeypatch: pytest.MonkeyP
     the right one in its place."""
     steps = iter([*range(25), None])
     climb = Climb.__new__(Climb)
-    climb.budget, climb.needed = Budget(), []
+    climb.budget, climb.needed, climb.model = Budget(), [], None
     monkeypatch.setattr(sequence, "scanned", lambda _: None)
     monkeypatch.setattr(sequence, "gains", lambda *_: {})
     monkeypatch.setattr(sequence, "_STEPS", {lambda _: next(steps): "anything"})
-    assert sequence.climbed(climb, lambda _: None)
+    assert sequence.climbed(climb, lambda *_: None)
     assert climb.model == 24
 
 

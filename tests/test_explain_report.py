@@ -252,8 +252,8 @@ def test_a_search_cut_short_says_so_first():
         judged = verdict_text.verdict(e)
         assert judged.level == "partly"
         assert judged.headline == (
-            "Time ran out before all was tried. Not tried, or not to the end: laws on fewer axes, "
-            "further effects, noise effects, walks and two more."
+            "The search ended before all was tried. Not tried, or not to the end: laws on fewer "
+            "axes, further effects, noise effects, walks and two more."
         )
         page, text = render_explanation(e), printed(e, 200)
         assert 'class="verdict partly"' in page

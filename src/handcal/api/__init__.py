@@ -123,7 +123,8 @@ def explain(
     where, which, how certain.
 
     held_out: other recordings of the device, for scoring alone. budget: seconds after which
-    nothing further is tried. Others as of ``calibrate``; progress is called with the share done,
+    nothing further is tried; stop: asked again and again whether to end likewise, with the best
+    model so far. Others as of ``calibrate``; progress is called with the share done,
     and what is being done. Errors: InputError, HandcalError.
     """
     chosen = options.checked("explain", more, ExplainOptions)

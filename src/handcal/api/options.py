@@ -39,6 +39,7 @@ class ExplainOptions(Options, total=False):
     """What ``explain`` takes besides."""
 
     budget: float | None
+    stop: Callable[[], bool] | None
     progress: Callable[[float, str], None] | None
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from handcal.bench.program import simulated
 from handcal.bench.timing import Figure, Missing, Ran, Row, Skipped, Target, Tick, run_handcal
+from handcal.explain.pipeline import SO_FAR
 from handcal.types import HandcalError
 
 # Errors of usual size, of which a device has many at once.
@@ -69,6 +70,7 @@ def devices(recordings: Path, tick: Tick) -> Iterator[Row]:
                 continue
             wall.append(ran.wall)
             yield from _figures("devices", f"explain: {path.stem}", [ran], WORST_S)
+            yield from _last_found(path, ran)
     except (KeyboardInterrupt, SystemExit):
         yield from _summary(wall, f"the smallest {len(wall)} of {len(files)} recordings", False)
         raise
@@ -82,6 +84,14 @@ def _summary(wall: Sequence[float], of: str, asked: bool) -> Iterator[Figure]:
             target = Target(most, True) if asked else None
             value = np.array([middle(wall)])
             yield Figure("devices", f"explain: {title} of {of}", "s", value, "wall", target)
+
+
+def _last_found(path: Path, ran: Ran) -> Iterator[Figure]:
+    """When a search last found something, or took something back, if it said so."""
+    times = [t for t, line in ran.said if SO_FAR in line]
+    if times:
+        last = np.array([times[-1]])
+        yield Figure("devices", f"explain: {path.stem}, found what it says by", "s", last, "wall")
 
 
 def _explained(path: Path, tick: Tick) -> Ran:

@@ -130,6 +130,6 @@ def sweeping(rounds: int, tick: Tick) -> Found:
             wall[r, k] = run_handcal(*command, jobs).wall
     ratio = wall[:, 0] / wall[:, 1]
     return [
-        Figure("sweep", title, "s", wall[:, 1], "wall", Target(25.0, True)),
+        Figure("sweep", title, "s", wall[:, 1], "wall", Target(5.0, True)),
         Figure("sweep", "paper grid, one core over two", "x", ratio, "wall", Target(1.7, False)),
     ]

@@ -201,11 +201,13 @@ def any_threads(more: Mapping[str, str] | None = None) -> dict[str, str]:
 
 
 class Ran(NamedTuple):
-    """What a program used until it ended: CPU and wall time s, most memory MB (NaN: unknown)."""
+    """What a program used until it ended: CPU and wall time s, most memory MB (NaN: unknown); and
+    the lines that it said on stderr, each with when (s)."""
 
     cpu: float
     wall: float
     memory: float
+    said: tuple[tuple[float, str], ...] = ()
 
 
 def run_handcal(*arguments: str | Path, cache: Path | None = None, whole: bool = False) -> Ran:
@@ -225,30 +227,34 @@ def run_python(code: str) -> Ran:
 
 
 def _run(command: Sequence[str], shown: str, environment: Mapping[str, str]) -> Ran:
-    with tempfile.TemporaryFile("w+") as said:
-        begin = time.perf_counter()
-        child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=said, env=environment)
-        try:
-            ran = _ended(child, begin)
-        finally:
-            # (whoever waits was interrupted: nobody wants it any more)
-            if child.returncode is None:
-                child.terminate()
-                child.wait()
-        if child.returncode:
-            said.seek(0)
-            last = (said.read().strip().splitlines() or [""])[-1]
-            raise HandcalError(f"'{shown}' failed: {last}")
+    begin = time.perf_counter()
+    none, pipe = subprocess.DEVNULL, subprocess.PIPE
+    child = subprocess.Popen(command, stdout=none, stderr=pipe, env=environment, text=True)
+    try:
+        ran = _ended(child, begin)
+    finally:
+        # (whoever waits was interrupted: nobody wants it any more)
+        if child.returncode is None:
+            child.terminate()
+            child.wait()
+        if child.stderr is not None:
+            child.stderr.close()
+    if child.returncode:
+        last = ran.said[-1][1] if ran.said else ""
+        raise HandcalError(f"'{shown}' failed: {last}")
     return ran
 
 
-def _ended(child: subprocess.Popen[bytes], begin: float) -> Ran:
+def _ended(child: subprocess.Popen[str], begin: float) -> Ran:
     """Wait for a child; what it used is known where the system tells (not on Windows)."""
+    assert child.stderr is not None
+    times = [(time.perf_counter() - begin, line.strip()) for line in child.stderr]
+    said = tuple((t, line) for t, line in times if line)
     if not hasattr(os, "wait4"):
         child.wait()
-        return Ran(np.nan, time.perf_counter() - begin, np.nan)
+        return Ran(np.nan, time.perf_counter() - begin, np.nan, said)
     _, status, used = os.wait4(child.pid, 0)
     child.returncode = os.waitstatus_to_exitcode(status)
     # (kilobytes, but for macOS)
     size = used.ru_maxrss / (1 if sys.platform == "darwin" else 1 / 1024)
-    return Ran(used.ru_utime + used.ru_stime, time.perf_counter() - begin, size / MEGA)
+    return Ran(used.ru_utime + used.ru_stime, time.perf_counter() - begin, size / MEGA, said)

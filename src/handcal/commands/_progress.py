@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
 PATIENCE_S = 2.0
+BAR = 16  # letters wide
 
 
 class Bar:
@@ -41,8 +42,7 @@ class Bar:
     def _begin(self) -> None:
         """Say which stage begins."""
         if self.visible:
-            if self.shown is not None:
-                self.shown.update(self.shown.task_ids[0], description=self._named())
+            self._redraw()
         elif self._waited():
             say(self._named())
 
@@ -53,14 +53,24 @@ class Bar:
     def _named(self) -> str:
         return f"{self.text}: {self.stage}" if self.stage else self.text
 
+    def _redraw(self) -> None:
+        if self.shown is not None:
+            # (what has been found so far is a line of its own)
+            text = self._named().replace("; ", "\n", 1)
+            self.shown.update(self.shown.task_ids[0], description=text)
+
     def _show(self) -> None:
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+        from rich.table import Column
 
         from handcal.show.console import Terminal
 
-        columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
-        self.shown = Progress(*columns, console=Terminal(stderr=True), transient=True)
-        self.shown.add_task(self._named(), total=None)
+        wide = Column(ratio=1, no_wrap=True, overflow="ellipsis")
+        said = TextColumn("{task.description}", markup=False, table_column=wide)
+        columns = TimeElapsedColumn(), BarColumn(BAR), said
+        self.shown = Progress(*columns, console=Terminal(stderr=True), transient=True, expand=True)
+        self.shown.add_task("", total=None)
+        self._redraw()
         self.shown.start()
 
     def hide(self) -> None:
@@ -69,12 +79,18 @@ class Bar:
             self.shown.stop()
             self.shown = None
 
+    def announce(self, text: str) -> None:
+        """A line of its own."""
+        if self.shown is None:
+            say(text)
+        else:
+            self.shown.console.print(f"handcal: {text}", markup=False, highlight=False)
+
     def describe(self, text: str) -> None:
         """Say something else beside the bar."""
         self.text = text
         self()
-        if self.shown is not None:
-            self.shown.update(self.shown.task_ids[0], description=self._named())
+        self._redraw()
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,6 +16,7 @@ from handcal.commands._device import (
     before_of,
     contradictions,
 )
+from handcal.commands._ending import asked
 from handcal.commands._options import (
     Assume,
     Assumption,
@@ -41,6 +43,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from handcal.explain import Explanation
+
+
+# After the first Ctrl-C.
+ENDING = "ending with the best model so far (Ctrl-C again: leave with nothing)"
 
 
 @with_own_effects
@@ -97,7 +103,8 @@ def explain(
     """Say what a recording holds that the model does not: where, which physics, how certain.
 
     With --device, biases begin with what earlier sessions said of the device, and the values and
-    sigmas of what is found hold what all sessions say. The exit status is 0 with every verdict.
+    sigmas of what is found hold what all sessions say. Ctrl-C ends the search with the best model
+    so far, as --budget does. The exit status is 0 with every verdict.
     """
     from handcal.explain import explain as explained
     from handcal.output import beside, check_outputs
@@ -111,7 +118,11 @@ def explain(
         check_outputs(beside(twin, recordings), read)
     others = [load(path, topic, units) for path in held_out or ()]
     names = ", ".join(path.name for path in files)
-    with progress(f"explaining {names}") as done, compiled_ahead():
+    with (
+        progress(f"explaining {names}") as done,
+        compiled_ahead(),
+        asked(partial(done.announce, ENDING)) as stop,
+    ):
         explanation = explained(
             recordings,
             others,
@@ -122,6 +133,7 @@ def explain(
             ignore=tuple(ignore or ()),
             reference_exact=reference_exact,
             budget=budget,
+            stop=stop,
             before=before_of(device, priors, model, recordings),
             progress=done,
         )

@@ -186,7 +186,9 @@ def _work(call: Callable[[], object], to: int, known: Mapping[int, object]) -> N
     """In the copy: the call, its result written to this file; ends with status 0 if that is so."""
     status = 1
     try:
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        # (what Ctrl-C means the first process decides; when that is gone, so is this one)
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        for number in (signal.SIGTERM, signal.SIGHUP):
             if signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, signal.SIG_DFL)
         ctypes.CDLL(None).prctl(_PARENT_GONE, signal.SIGKILL)

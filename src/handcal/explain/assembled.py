@@ -228,8 +228,8 @@ def _broken_off(untried: Sequence[str]) -> tuple[str, ...]:
     if not untried:
         return ()
     return (
-        f"The time that was given was over before all had been tried: {', '.join(untried)}. A "
-        "longer --budget, or none, tells whether they change anything.",
+        f"The search ended before all had been tried: {', '.join(untried)}. More time (a longer "
+        "--budget, or none) tells whether they change anything.",
     )
 
 

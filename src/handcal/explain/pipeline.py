@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 from handcal.estimate.baseline import baseline, started
 from handcal.estimate.case import Case, case_of
@@ -36,7 +37,7 @@ from handcal.model_score import PRIOR, TERM_PRIOR
 from handcal.search import outliers
 from handcal.search.budget import Budget, after
 from handcal.search.climb.candidates import scanned_about
-from handcal.search.climb.state import sensible, too_large
+from handcal.search.climb.state import Report, sensible, too_large
 from handcal.search.drifting_point import begun, moving
 from handcal.search.hand_assumption import foretold
 from handcal.search.multistart import Found, advantage, astray, search
@@ -49,6 +50,7 @@ Progress = Callable[[float, str], None]
 # no fit of the same model at all.
 SAME, LOST = 1.0, 100.0
 
+SO_FAR = "; so far "  # and what a search has found
 SEARCHING = "searching what is missing"
 _MOVES = "a hand that moves"
 
@@ -64,6 +66,7 @@ def explain(
     ignore: Sequence[str] = (),
     reference_exact: bool = False,
     budget: float | None = None,
+    stop: Callable[[], bool] | None = None,
     before: Prior | None = None,
     progress: Progress | None = None,
 ) -> Explanation:
@@ -71,17 +74,20 @@ def explain(
 
     held_out: other recordings of the same device, for scoring alone; without any, later
     blocks are predicted from earlier ones. budget: seconds after which nothing further is tried
-    (s; None: until all has been). before: what is known of the device: its biases in the search,
+    (s; None: until all has been); stop: asked again and again whether to end likewise, with the
+    best model so far. before: what is known of the device: its biases in the search,
     its effects in the final fit. Other options as in ``calibrate``. Raises InputError for wrong
     use, HandcalError where no result could be made.
     """
-    time_left, report = after(time.monotonic(), budget), progress or (lambda _, __: None)
+    began, report = time.monotonic(), progress or (lambda _, __: None)
     _check(recordings, assume, heading_sigma, ignore)
     fixed = {} if heading_sigma is None else {"heading_noise": heading_sigma}
     options = Options(latitude, height, fixed, tuple(ignore), reference_exact, before)
     cases = [_case(r, assume, options) for r in recordings]
     report(0.03, "fitting the baseline")
-    end = _searched(begun(cases), time_left, lambda f: report(0.1 + 0.6 * f, SEARCHING))
+    base = begun(cases)
+    time_left = after(began, budget, stop)
+    end = _searched(base, time_left, partial(_so_far, report, SEARCHING, base, 0.1, 0.6))
     if assume == "auto":
         end = _by_the_rests(cases, end, options, time_left, report)
     report(0.75, "fitting the model that was found")
@@ -116,7 +122,8 @@ def _finished(
     large = too_large(found.model)
     if large and not budget.spent("a search without what came out too large"):
         # (the search did not come so far)
-        other = search(end.base, lambda f: report(0.75 + 0.05 * f, "searching again"), large)
+        told = partial(_so_far, report, "searching again", end.base, 0.75, 0.05)
+        other = search(end.base, told, large, budget)
         again, written = _refitted(end, other, options)
         if sensible(again.model):
             found, chosen = replace(again, alone=end.found.alone), written
@@ -158,8 +165,8 @@ def _by_the_rests(
     )
     if not math.isfinite(laid.log_evidence):
         return end
-    stage = "searching by the rests alone"
-    other = _searched(laid, budget, lambda f: report(0.4 + 0.3 * f, stage))
+    told = partial(_so_far, report, "searching by the rests alone", laid, 0.4, 0.3)
+    other = _searched(laid, budget, told)
     surely = foretold(end.found.model, laid, other.found)
     if surely > 0.0:
         return replace(end, surely=surely)
@@ -201,7 +208,16 @@ def _with(found: Found, model: Model) -> Found:
     return replace(found, model=model, space=where)
 
 
-def _searched(base: Model, budget: Budget, report: Callable[[float], None]) -> End:
+def _so_far(
+    report: Progress, stage: str, base: Model, start: float, share: float, f: float, model: Model
+) -> None:
+    """Tell how far a search has come, and what it has found by now."""
+    have = set(base.ids)
+    found = [e.id for e in model.effects if e.id not in have]
+    report(start + share * f, f"{stage}{SO_FAR}{', '.join(found)}" if found else stage)
+
+
+def _searched(base: Model, budget: Budget, report: Report) -> End:
     """Where the search from this baseline ends."""
     # (about no fit at all any reading stands out)
     told = not astray(base)
@@ -287,7 +303,7 @@ def _fits_without(found: Found, masks: Sequence[BoolArray | None], cases: Sequen
 
 
 def _without_outliers(
-    start: Model, about: Model, found: Found, budget: Budget, report: Callable[[float], None]
+    start: Model, about: Model, found: Found, budget: Budget, report: Report
 ) -> tuple[Found, outliers.Wrong | None]:
     """The search from the start once more without headings that stand out from their neighbours
     about a model: physics that is missing may have hidden that they are wrong."""

@@ -21,7 +21,7 @@ from handcal.search.budget import Budget
 from handcal.search.climb.candidates import scanned
 from handcal.search.climb.exchange_steps import lateness
 from handcal.search.climb.sequence import climbed
-from handcal.search.climb.state import WEAK, Climb
+from handcal.search.climb.state import WEAK, Climb, Report
 from handcal.search.space import Space, gains
 from handcal.search.wide_sway import steadied, sways_far
 from handcal.types import HandcalError
@@ -61,7 +61,7 @@ class _Common:
 
 def search(
     base: Model,
-    report: Callable[[float], None] = lambda _: None,
+    report: Report = lambda _, __: None,
     refused: Set[str] = frozenset(),
     budget: Budget | None = None,
     superseded: Callable[[Found], bool] = lambda _: False,
@@ -86,7 +86,7 @@ def search(
     if any(sways_far(f) for f in base.parts):
         # (the usual sway first: in a wide one little of the physics shows)
         starts.insert(0, steadied(base))
-    found, enough = _begun(starts, common, lambda f: report(0.7 * f), superseded)
+    found, enough = _begun(starts, common, partial(_part_of, report, 0.0, 0.7), superseded)
     if enough:
         return found
     term = None
@@ -98,7 +98,7 @@ def search(
     alone = fitted(base.parts, [*base.effects, term.effect])
     gained, whole = (m.log_evidence - base.log_evidence for m in (alone, found.model))
     if gained > HALF * whole:
-        other = _end(base, [term], common, lambda f: report(0.7 + 0.3 * f), alone)
+        other = _end(base, [term], common, partial(_part_of, report, 0.7, 0.3), alone)
         if other is not None and advantage(other, found) > 0.0:
             found = replace(other, alone=found.alone)
     return found
@@ -154,7 +154,7 @@ def _alone(base: Model, effect: Effect) -> Model | None:
 def _begun(
     starts: Sequence[Model],
     common: _Common,
-    report: Callable[[float], None],
+    report: Report,
     superseded: Callable[[Found], bool],
 ) -> tuple[Found, bool]:
     """The best end of climbs from these starts, the last of which is the baseline, up to the first
@@ -162,7 +162,7 @@ def _begun(
     and whether that is so."""
     found: Found | None = None
     for number, start in enumerate(starts):
-        own = partial(_part_of, report, number / len(starts), len(starts))
+        own = partial(_part_of, report, number / len(starts), 1.0 / len(starts))
         end = _end(start, (), common, own, rival=None if found is None else found.named)
         assert end is not None
         if found is None:
@@ -179,8 +179,8 @@ def _begun(
     return found, False
 
 
-def _part_of(report: Callable[[float], None], start: float, parts: int, f: float) -> None:
-    report(start + f / parts)
+def _part_of(report: Report, start: float, share: float, f: float, model: Model) -> None:
+    report(start + share * f, model)
 
 
 def advantage(a: Found, b: Found) -> float:
@@ -192,7 +192,7 @@ def _end(
     base: Model,
     needed: Sequence[Term],
     common: _Common,
-    report: Callable[[float], None],
+    report: Report,
     begun: Model | None = None,
     rival: Model | None = None,
 ) -> Found | None:

@@ -42,8 +42,8 @@ def exchange(c: Climb) -> Model | None:
     def exchanged(e: Effect, rival: str) -> Model:
         return fitted(model.parts, [*(x for x in model.effects if x is not e), catalogue()[rival]])
 
-    fits = in_parallel(partial(exchanged, *pair) for pair in pairs)
-    for (e, rival), tried in zip(pairs, fits, strict=True):
+    fits = in_parallel(partial(exchanged, *pair) for pair in c.budget.each(pairs))
+    for (e, rival), tried in zip(pairs, fits, strict=False):
         # (what comes out on the side where it cannot be is no rival, however well it fits)
         worse = better(model, tried, c.worth) if tried.one_sided else math.inf
         c.swaps[e.id, rival], c.swaps[rival, e.id] = worse, -worse
@@ -123,8 +123,8 @@ def reorder(c: Climb) -> Model | None:
         beside = [x for x in model.effects if x.imu_error is not None and x.id != e.id]
         if e.imu_inverse is not None and beside and (e.id, now) not in c.ordered:
             ways.append((e, replace(e, last=not e.last)))
-    fits = in_parallel(partial(with_other, model, *pair) for pair in ways)
-    for (e, _), tried in zip(ways, fits, strict=True):
+    fits = in_parallel(partial(with_other, model, *pair) for pair in c.budget.each(ways))
+    for (e, _), tried in zip(ways, fits, strict=False):
         c.ordered.add((e.id, now))
         if tried.log_evidence > model.log_evidence:
             return tried
@@ -148,8 +148,9 @@ def hidden(c: Climb) -> Model | None:
         if held and e in wanted:
             ways.append(wanted)
     refused = c.dropped | c.beyond
-    fits = in_parallel(partial(_beside_delays, model, w, c.unnamed, refused) for w in ways)
-    for (e, *_), tried in zip(ways, fits, strict=True):
+    calls = (partial(_beside_delays, model, w, c.unnamed, refused) for w in ways)
+    fits = in_parallel(c.budget.each(calls))
+    for (e, *_), tried in zip(ways, fits, strict=False):
         c.ordered.add((e.id, now))
         if tried is not None and tried.one_sided and likelier(c, tried):
             c.swaps.clear()  # (they hold beside the same others only)

@@ -88,7 +88,7 @@ def _ends(c: Climb, doubted: Mapping[str, list[frozenset[str]]]) -> list[tuple[M
     ends: dict[Way, tuple[Model, Term]] = {}
     far: set[tuple[str, str, object]] = set()
     left = {sensor: [*sets] for sensor, sets in doubted.items()}
-    while any(left.values()):
+    while any(left.values()) and not c.budget.cuts():
         ways: dict[Way, tuple[Model, Term]] = {}
         bare: dict[str, list[Way]] = {sensor: [] for sensor, sets in left.items() if sets}
         for sensor in bare:
@@ -98,7 +98,7 @@ def _ends(c: Climb, doubted: Mapping[str, list[frozenset[str]]]) -> list[tuple[M
                 # (in the place of more may be found what was found in that of less)
                 if way not in ends and (sensor, *way[1:]) not in far:
                     ways[way] = m, term
-        ends |= zip(ways, fits_of(c, ways), strict=True)
+        ends |= zip(ways, fits_of(c, ways), strict=False)
         reached = {way: score(m, c.worth) for way, (m, _) in ends.items()}
         best = max([score(c.model, c.worth), *reached.values()])
         for sensor, mine in bare.items():
@@ -114,10 +114,11 @@ def _ends(c: Climb, doubted: Mapping[str, list[frozenset[str]]]) -> list[tuple[M
 
 
 def fits_of(c: Climb, ways: Mapping[Way, tuple[Model, Term]]) -> list[tuple[Model, Term]]:
-    """Models, each fitted with its term, and that."""
+    """Models, each fitted with its term, and that; those for which there is time."""
     least = score(c.model, c.worth) - HOPELESS
-    fits = in_parallel(partial(with_term, m, t, c.worth, c.beyond, least) for m, t in ways.values())
-    return [(m, term) for m, (_, term) in zip(fits, ways.values(), strict=True)]
+    calls = (partial(with_term, m, t, c.worth, c.beyond, least) for m, t in ways.values())
+    fits = in_parallel(c.budget.each(calls))
+    return [(m, term) for m, (_, term) in zip(fits, ways.values(), strict=False)]
 
 
 def _doubted(c: Climb) -> dict[str, list[frozenset[str]]]:

@@ -75,7 +75,7 @@ def rename(c: Climb) -> Model | None:
     leaves a third to be found.)"""
     ways: dict[Way, tuple[Model, Term]] = {}
     for term in c.unnamed:
-        for ids in _beside(c, term):
+        for ids in c.budget.each(_beside(c, term)):
             rest = frozenset(c.model.ids) - ids
             if rest in c.bared:
                 continue
@@ -186,7 +186,7 @@ def take_in(c: Climb) -> Model | None:
         ways += [(i, name, whole) for name, law in asked if (name, law) not in c.taken_in]
         c.taken_in |= set(asked)
     calls = [partial(_taken_in, c.model, c.unnamed[i].effect, name, e) for i, name, e in ways]
-    fits = zip(in_parallel(calls), ways, strict=True)
+    fits = zip(in_parallel(c.budget.each(calls)), ways, strict=False)
     ends = [(m, way) for m, way in fits if likelier(c, m)]
     if not ends:
         return None
@@ -220,8 +220,9 @@ def narrow(c: Climb) -> Model | None:
             continue
         c.whole.add(old.id)
         new = [effect_of(law) for law in _narrower(c.model, old)]
-        fits = in_parallel(partial(with_other, c.model, old, e) for e in new)
-        ends = [(m, e) for m, e in zip(fits, new, strict=True) if likelier(c, m)]
+        calls = (partial(with_other, c.model, old, e) for e in new)
+        fits = in_parallel(c.budget.each(calls))
+        ends = [(m, e) for m, e in zip(fits, new, strict=False) if likelier(c, m)]
         if ends:
             best, effect = max(ends, key=lambda end: score(end[0], c.worth))
             c.unnamed[i] = replace(term, effect=effect)

@@ -49,7 +49,7 @@ def name_noise(c: Climb) -> Model | None:
         return None
     c.unmasked.add(key)
     noise = [e for e in c.model.effects if e.process is not None and e.id not in c.kept]
-    tried = (_at_a_moment(c, without(c.model, {e.id})) for e in noise)
+    tried = (_at_a_moment(c, without(c.model, {e.id})) for e in c.budget.each(noise))
     ends = [m for m in tried if m is not None and likelier(c, m)]
     if not ends:
         return None

@@ -18,7 +18,7 @@ from handcal.search.climb.law_steps import (
     take_in,
 )
 from handcal.search.climb.noise_steps import add_noise, name_noise
-from handcal.search.climb.state import Climb, beaten
+from handcal.search.climb.state import Climb, Report, beaten
 from handcal.search.climb.subset_steps import choose, everything, favourite, thin
 from handcal.search.space import gains
 
@@ -27,10 +27,10 @@ from handcal.search.space import gains
 ROUNDS = 24
 
 
-def climbed(c: Climb, report: Callable[[float], None]) -> bool:
+def climbed(c: Climb, report: Report) -> bool:
     """Climb as far as it goes; False where that would begin without the terms needed."""
     for turn in range(ROUNDS + 2 * MAX_TERMS):
-        report(min(0.95, 0.15 + 0.1 * turn))
+        report(min(0.95, 0.15 + 0.1 * turn), c.model)
         c.where = scanned(c)
         if turn == 0:
             c.alone = gains(c.where, frozenset())
@@ -58,7 +58,12 @@ def _taken(c: Climb, step: Callable[[Climb], Model | None]) -> Model | None:
         c.named = c.named or c.model
         if beaten(c):
             return None
-    return None if c.budget.spent(_STEPS[step]) else step(c)
+    if c.budget.spent(_STEPS[step]):
+        return None
+    model = step(c)
+    if c.budget.cut:
+        c.budget.note(_STEPS[step])
+    return model
 
 
 # The cheap ones first; nothing is taken away or left without a name before all else rests.

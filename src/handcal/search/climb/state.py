@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from handcal.estimate.case import name_of
@@ -12,6 +12,8 @@ from handcal.model_score import PRIOR, better
 from handcal.search.budget import Budget
 from handcal.search.space import Space
 
+# Called with the share that is done, and the model there is.
+Report = Callable[[float, Model], None]
 # Nats below which an effect may be there for the sake of another's wrong name only.
 WEAK = 100.0
 # Nats less, by a scan, for each name that goes, with which no fit is the better one (but of what is

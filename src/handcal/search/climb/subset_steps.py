@@ -125,11 +125,10 @@ def thin(c: Climb) -> Model | None:
         for e in [e for e in weakest if not e.always][:FEW]
         if least.get(e.id, 0.0) <= (CLOSE if e.process is None else 10.0 * CLOSE)
     ]
-    fits = in_parallel(
-        partial(fitted, model.parts, [x for x in model.effects if x is not e]) for e in tried
-    )
+    fewer = ([x for x in model.effects if x is not e] for e in tried)
+    fits = in_parallel(partial(fitted, model.parts, rest) for rest in c.budget.each(fewer))
     more = inflation(model) if tried else {}
-    for e, without in zip(tried, fits, strict=True):
+    for e, without in zip(tried, fits, strict=False):
         gain = better(model, without, c.worth)
         if not math.isfinite(gain):  # (no fit holds without it, which says nothing of how much)
             c.stale.discard(e.id)

@@ -185,7 +185,9 @@ def ran_out(explanation: Explanation) -> str:
     untried = list(explanation.untried)
     if len(untried) > MANY:
         untried = [*untried[: MANY - 1], f"{counted_word(len(untried) - MANY + 1)} more"]
-    return f"Time ran out before all was tried. Not tried, or not to the end: {listed(untried)}."
+    return (
+        f"The search ended before all was tried. Not tried, or not to the end: {listed(untried)}."
+    )
 
 
 def _nothing(e: Explanation, final: bool = False) -> tuple[str, str, list[str]]:
