@@ -12,8 +12,9 @@ from handcal.compiled import so3
 from handcal.compiled.jit import call_residual
 from handcal.compiled.kernel import BASE, MAX_DIM, MOST_HELD, Tables, linearise
 from handcal.compiled.so3 import wrap
-from handcal.effects import DELAY, TIME, Z_DIM, _reference
+from handcal.effects import DELAY, TIME, WARMTH, Z_DIM, _reference
 from handcal.effects import catalogue as effects
+from handcal.effects._reference import NOW, SLOPE
 from handcal.observations import NAV, Scene, catalogue
 from handcal.observations.magnetometer import HORIZONTAL, UPWARD, heading_off
 from handcal.observations.pose import aligned
@@ -64,9 +65,15 @@ def random_case(kind, seed):
         z = np.r_[w + rng.normal(0, 0.1, 3), f + rng.normal(0, 0.1, 3), rng.normal(0, 5, 3)]
     else:
         z = rng.normal(0, 0.1, 3)
-    out = np.zeros(Z_DIM)
-    out[: len(z)] = z
-    return nav_of(p, v, C, w, f), out
+    return nav_of(p, v, C, w, f), placed(kind, z)
+
+
+def placed(kind, own):
+    """z with these numbers in a kind's first own places."""
+    first = NOW if kind == "known_input" else 0
+    z = np.zeros(_reference.END)
+    z[first : first + len(own)] = own
+    return z
 
 
 def setup(kind, *names):
@@ -216,7 +223,7 @@ def test_a_perfect_reading_leaves_no_residual(kind):
         elif kind == "pose":
             z[:7] = np.r_[nav[:3], so3.quaternion_of(C)]
         elif kind == "known_input":
-            z[:6] = nav[15:21]
+            z = placed(kind, nav[15:21])
         else:
             first = {"fixed_position": 0, "zero_velocity": 3, "zero_rate": 15}[kind]
             z[:3] = nav[first : first + 3]
@@ -246,8 +253,7 @@ def test_residuals_are_observed_minus_predicted():
     assert set(by_hand) == set(KINDS)
     for kind, (reading, expected) in by_hand.items():
         o, tables, count = setup(kind)
-        z = np.zeros(Z_DIM)
-        z[: len(reading)] = reading
+        z = placed(kind, reading)
         got = residual(o, tables, nav, np.zeros(count), z)
         np.testing.assert_allclose(got, expected, atol=1e-12, err_msg=kind)
 
@@ -358,8 +364,7 @@ def test_known_input_constants_turn_the_reference():
         theta = np.zeros(3)
         theta[k] = 0.1
         turn = so3.matrix_exp(theta)
-        z = np.zeros(Z_DIM)
-        z[:6] = np.r_[turn @ w, turn @ f]
+        z = placed("known_input", np.r_[turn @ w, turn @ f])
         extras = np.zeros(count)
         extras[:3] = theta
         np.testing.assert_allclose(residual(o, tables, nav, extras, z), 0, atol=1e-14)
@@ -537,8 +542,8 @@ def test_a_reference_is_turned_and_read_at_the_stamps_of_the_imu(reference_hz, p
     rows = catalogue()["known_input"].rows(recording, SCENE)
     assert set(rows.t) <= set(recording.imu.t)
     assert len(rows.t) > 0.97 * len(recording.imu.t)
-    np.testing.assert_allclose(rows.z[:, :3], rate(rows.t), atol=4e-3)
-    np.testing.assert_allclose(rows.z[:, 6:9], acceleration(rows.t), atol=0.2)
+    np.testing.assert_allclose(rows.z[:, NOW : NOW + 3], rate(rows.t), atol=4e-3)
+    np.testing.assert_allclose(rows.z[:, SLOPE : SLOPE + 3], acceleration(rows.t), atol=0.2)
 
 
 def test_a_slow_reference_is_read_where_the_imu_reads():
@@ -549,7 +554,7 @@ def test_a_slow_reference_is_read_where_the_imu_reads():
     assert set(rows.t) <= set(recording.imu.t)
     assert 0.9 * len(own) < len(rows.t) <= len(own)
     assert np.abs(rows.t[:, None] - own).min(axis=1).max() < 0.5 / 400.0 + 1e-9
-    np.testing.assert_allclose(rows.z[:, :3], rate(rows.t), atol=4e-3)
+    np.testing.assert_allclose(rows.z[:, NOW : NOW + 3], rate(rows.t), atol=4e-3)
 
 
 def test_nothing_is_compared_beside_gaps_and_readings_that_are_none():
@@ -560,8 +565,8 @@ def test_nothing_is_compared_beside_gaps_and_readings_that_are_none():
         assert not np.any((rows.t > a - 0.035) & (rows.t < b + 0.035))
         assert np.any(np.abs(rows.t - (a - 0.05)) < 1e-6)
         assert np.any(np.abs(rows.t - (b + 0.05)) < 1e-6)
-    np.testing.assert_allclose(rows.z[:, :3], rate(rows.t), atol=0.02)
-    assert np.abs(rows.z[:, 6:9] - acceleration(rows.t)).max() < 2.0
+    np.testing.assert_allclose(rows.z[:, NOW : NOW + 3], rate(rows.t), atol=0.02)
+    assert np.abs(rows.z[:, SLOPE : SLOPE + 3] - acceleration(rows.t)).max() < 2.0
 
 
 def test_a_long_rest_tells_no_more_than_its_share():
@@ -636,7 +641,8 @@ def test_each_part_of_a_reference_reading_is_in_its_place() -> None:
     z = _reference.ReferenceRows(*parts).joined()
     for first, part in zip(_reference.PLACES, parts, strict=True):
         np.testing.assert_array_equal(z[:, first : first + part.shape[1]], part)
-    assert z.shape == (3, sum(widths))
-    assert min(DELAY, TIME) >= _reference.END
+    assert z.shape == (3, Z_DIM + sum(widths))
+    assert max(DELAY, TIME, WARMTH) < NOW
+    np.testing.assert_array_equal(z[:, :NOW], 0.0)
     with pytest.raises(ValueError, match="broadcast"):
         _reference.ReferenceRows(*parts[:-1], parts[-1][:, :5]).joined()

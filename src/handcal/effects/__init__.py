@@ -47,9 +47,9 @@ from handcal.types import Array, BoolArray, InputError, Level, Markov, Recording
 
 # What an effect may need besides streams.
 ATTITUDE, PLACE = "attitude", "place"
-# Places in an observation's z (Z_DIM numbers) that are the same for every kind.
-Z_DIM = 47
-DELAY, TIME, WARMTH = 44, 45, 46
+# Places in an observation's z that are the same for every kind; its own numbers are before them,
+# and beyond Z_DIM if they are many.
+DELAY, TIME, WARMTH, Z_DIM = 13, 14, 15, 16
 # Courses that signals keep of what was worked out of them last: all of one product and its axes.
 KEPT_COURSES = 24
 # Temperature at which its effects are zero, degC.

@@ -9,11 +9,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from handcal.effects import Z_DIM
 from handcal.types import Array
 
-# Where each part of z begins (integers, as compiled functions read them).
-NOW, SLOPE, BEFORE, AFTER, SLOPE_BEFORE, SLOPE_AFTER = 0, 6, 12, 18, 24, 30
-REACH, GYRO_LEFT, ACCEL_LEFT, END = 36, 37, 38, 44
+# Where each part of z begins (integers, as compiled functions read them), beyond what every kind
+# has.
+NOW, SLOPE, BEFORE, AFTER, SLOPE_BEFORE, SLOPE_AFTER = 16, 22, 28, 34, 40, 46
+REACH, GYRO_LEFT, ACCEL_LEFT, END = 52, 53, 54, 60
+assert NOW == Z_DIM
 PLACES = (NOW, SLOPE, BEFORE, AFTER, SLOPE_BEFORE, SLOPE_AFTER, REACH, GYRO_LEFT, ACCEL_LEFT)
 
 
@@ -39,7 +42,7 @@ class ReferenceRows(NamedTuple):
 
     def joined(self) -> Array:
         """As z (q, END), each part in its place. Raises ValueError where one does not fit there."""
-        out = np.empty((len(self.now), END))
+        out = np.zeros((len(self.now), END))
         for first, last, part in zip(PLACES, (*PLACES[1:], END), self, strict=True):
             out[:, first:last] = part
         return out

@@ -179,7 +179,8 @@ def _nodes(
     kind = (
         np.concatenate([np.full(len(r.t), k) for k, r in enumerate(rows)]) if rows else np.zeros(0)
     )
-    z, moved = np.zeros((len(ot), Z_DIM)), np.zeros(len(ot))
+    width = max([Z_DIM, *(r.z.shape[1] for r in rows)])
+    z, moved = np.zeros((len(ot), width)), np.zeros(len(ot))
     i = 0
     for r in rows:
         own = slice(i, i + len(r.t))

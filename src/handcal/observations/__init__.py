@@ -50,7 +50,8 @@ class Scene:
 
 @dataclass(frozen=True)
 class Rows:
-    """Observations of one kind: t (k,) s on the IMU's clock, z (k, zdim).
+    """Observations of one kind: t (k,) s on the IMU's clock, z (k, zdim): numbers before
+    ``effects.DELAY``, and from ``effects.Z_DIM`` on if there are more.
 
     delay: s by which they are known to come late; they are put where they belong. alpha: angular
     acceleration (n, 3) at the IMU's samples, rad/s^2, if these observations know it. moved (k,):
@@ -88,7 +89,7 @@ class Observation:
     one, or those between two looks at a held point gathered into a few.
     navigates: it says something of position, velocity or attitude. places: it says where the
     device is.
-    believed(z (k, Z_DIM), theta): z with what effects have to know of the observation's constants,
+    believed(z (k, zdim), theta): z with what effects have to know of the observation's constants,
     at which everything is linearised.
     ours(z (k, zdim), read (k, 6)): share (dim,) of the variance of its white noise that is the
     IMU's, for an observation of the readings themselves.
