@@ -23,7 +23,7 @@ from handcal.laws.vocabulary import driver_of
 from handcal.laws.weighing import Beside
 from handcal.search import multistart
 from handcal.search.budget import Budget
-from handcal.search.climb import in_place, law_steps, sequence, state
+from handcal.search.climb import in_place, law_steps, sequence, state, subset_steps
 from handcal.signals import probe
 from handcal_sim import simulate
 
@@ -291,8 +291,24 @@ def test_a_sum_is_asked_for_each_of_its_functions_again_when_its_numbers_are_rig
     monkeypatch.setattr(law_steps, "likelier", lambda *_: True)
     c = SimpleNamespace(
         unnamed=[Term(old, 1.0)], model=SimpleNamespace(ids=("before",)),
-        adjusted=set(), shaped=set(), whole=set(),
+        adjusted=set(), shaped=set(), whole=set(), budget=Budget(),
     )  # fmt: skip
     found: Any = law_steps.adjust(c)  # type: ignore[arg-type]
     assert found.ids == ("after",)
     assert ("after" not in c.whole) == asked
+
+
+@pytest.mark.parametrize(("there", "dropped"), [("gyro_bias_step@12", set()), ("lever_arm", {"x"})])
+def test_what_fits_at_no_other_moment_stays_where_it_is(there, dropped, monkeypatch):
+    """A step moved to where no fit holds; an effect with which none does."""
+    wanted = "gyro_bias_step@13" if "@" in there else "x"
+    model = SimpleNamespace(chosen=frozenset([there]), log_evidence=0.0)
+    c: Any = SimpleNamespace(model=model, refused=set(), dropped=set(), beyond=set())
+    c.where = SimpleNamespace(score=len)
+    lost = SimpleNamespace(log_evidence=-2.0 * subset_steps.LOST)
+    monkeypatch.setattr(subset_steps, "fitted_with", lambda *_: lost)
+    monkeypatch.setattr(subset_steps, "likelier", lambda *_: False)
+    monkeypatch.setattr(subset_steps, "too_large", lambda _: set())
+    more = frozenset([wanted]) if "@" in there else frozenset([there, wanted])
+    assert subset_steps._grown(c, more) is None
+    assert c.dropped == dropped

@@ -40,6 +40,7 @@ from handcal.laws.drivers import DRIVERS
 from handcal.laws.grammar import Range
 from handcal.laws.law_effect import Law
 from handcal.laws.weighing import Beside
+from handcal.search.budget import Budget
 from handcal.search.climb import in_place as places
 from handcal.search.climb import law_steps
 from handcal.search.climb.candidates import scanned
@@ -601,7 +602,7 @@ def test_a_law_is_sought_in_the_place_of_more_where_it_does_well_in_that_of_less
     monkeypatch.setattr(places, "_in_place", in_place)
     monkeypatch.setattr(places, "with_term", fitted_with)
     monkeypatch.setattr(places, "score", lambda m, _: {"none": 0.0, **scores}[m.gone])
-    climb: Any = SimpleNamespace(model=model, worth=1.0, beyond=set())
+    climb: Any = SimpleNamespace(model=model, worth=1.0, beyond=set(), budget=Budget())
     sets = {"gyro": [frozenset("a"), frozenset("ab")]}
     ends = places._ends(climb, sets)
     assert seen == asked

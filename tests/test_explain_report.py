@@ -537,6 +537,9 @@ def test_of_many_causes_those_that_matter_come_first():
     assert "30" in said
     assert "The two others" in said
     assert verdict_text.matters(e) is None
+    told = verdict_text.verdict(replace(e, missing=four, untried=("laws on fewer axes",)))
+    assert told.sentences[1] == verdict_text.matters(replace(e, missing=four))
+    assert told.sentences[0] == verdict_text.verdict(replace(e, missing=four)).headline
 
 
 def test_of_many_the_headline_names_the_largest_three_and_says_how_many():

@@ -15,6 +15,7 @@ from rich.console import Console
 
 from handcal.commands import _registry
 from handcal.commands.explain import Assume, _typed
+from handcal.effects import catalogue, with_effects
 from handcal.estimate.specification import Specification
 from handcal.show.explanation import plots
 from handcal.show.explanation.document import explanation_json
@@ -91,6 +92,19 @@ def test_what_was_not_written_is_written_first_as_it_was_found():
     assert (str(given["held_out"][0]), given["budget"]) == ("o.mcap", 60.0)
     for line in (second, third):
         assert understood(line)["learnt_from"] == given["json"]
+
+
+@pytest.mark.parametrize(("typed", "folder"), [("my laws", "my laws"), (None, "DIR")])
+def test_effects_of_ones_own_are_read_from_where_they_were(typed, folder):
+    e = fitted()
+    e = replace(e, missing=(replace(e.missing[0], effect="gyro_odd"), *e.missing[1:]))
+    options = _typed(Assume.auto, None, None, 0.0, None, False, None, None,
+                     effects_from=typed and Path(typed))  # fmt: skip
+    with with_effects([("gyro_odd.py", replace(catalogue()["gyro_scale"], id="gyro_odd"))]):
+        lines = commands(e, ["a.mcap"], options)
+    assert all(line.count("--effects-from") == 1 for line in lines[:2])
+    for line in lines[:2]:
+        assert str(understood(line)["effects_from"]) == folder
 
 
 def test_a_fit_that_cannot_be_repeated_is_made_again_of_its_effects():

@@ -97,8 +97,8 @@ def is_curve(formula: str) -> bool:
 @dataclass(frozen=True)
 class Hand:
     """What the hand does: "held" (a point, but for sway), "creeping" (that point drifts),
-    "carried" (still in its rests alone), "resting" (never turned), "" (nobody asked: a pose or a
-    reference tells); and the probability of that against what else was tried."""
+    "carried" (still in its rests alone), "" (nobody asked: a pose or a reference tells); and the
+    probability of that against what else was tried."""
 
     id: str
     probability: float

@@ -32,7 +32,9 @@ PriorsFile = Annotated[
 ]
 ModelName = Annotated[
     str | None,
-    typer.Option("--model", metavar="NAME", help="Which model of --priors, if it has several."),
+    typer.Option(
+        "--model", metavar="NAME", help="Phone model in the --priors file, if it has several."
+    ),
 ]
 
 

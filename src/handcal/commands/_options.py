@@ -131,10 +131,15 @@ def say_what_runs(folder: Path) -> None:
 
 
 def with_own_effects(command: Callable[..., None]) -> Callable[..., None]:
-    """The command with the option --effects-from: it runs with those effects in the catalogue."""
+    """The command with the option --effects-from: it runs with those effects in the catalogue. One
+    that has that option itself is told the folder."""
+    own = signature(command, eval_str=True)
+    told = "effects_from" in own.parameters
 
     @wraps(command)
     def run_with(*arguments: Any, effects_from: Path | None = None, **options: Any) -> None:
+        if told:
+            options["effects_from"] = effects_from
         if effects_from is None:
             command(*arguments, **options)
             return
@@ -144,9 +149,9 @@ def with_own_effects(command: Callable[..., None]) -> Callable[..., None]:
         with user_effects.effects_from(effects_from):
             command(*arguments, **options)
 
-    own = signature(command, eval_str=True)
     option = Parameter("effects_from", Parameter.KEYWORD_ONLY, default=None, annotation=EffectsFrom)
-    run_with.__signature__ = own.replace(parameters=[*own.parameters.values(), option])  # type: ignore[attr-defined]
+    others = [p for name, p in own.parameters.items() if name != option.name]
+    run_with.__signature__ = own.replace(parameters=[*others, option])  # type: ignore[attr-defined]
     run_with.__annotations__ = {**command.__annotations__, "effects_from": EffectsFrom}
     return run_with
 

@@ -38,7 +38,10 @@ def conceal(
         ),
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(min=0, help="Same seed, same file (drawn, and said).")
+        int | None,
+        typer.Option(
+            min=0, help="The same seed gives the same file (drawn and printed if omitted)."
+        ),
     ] = None,
     topic: Topics = None,
     units: Units = None,

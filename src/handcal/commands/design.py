@@ -78,7 +78,9 @@ def poses(
     ] = Known.norm,
     criterion: Annotated[
         Criterion,
-        typer.Option(help="D: volume of uncertainty; A: mean variance; condition: its number."),
+        typer.Option(
+            help="D: volume of uncertainty; A: mean variance; condition: condition number."
+        ),
     ] = Criterion.D,
     sequential: Annotated[
         bool,

@@ -20,6 +20,7 @@ from handcal.commands._ending import asked
 from handcal.commands._options import (
     Assume,
     Assumption,
+    EffectsFrom,
     HeadingSigma,
     Height,
     Ignore,
@@ -65,7 +66,7 @@ def explain(
         Path | None,
         typer.Option(
             metavar="FILE.mcap",
-            help="Write the simulated counterpart, before and after, beside what was recorded.",
+            help="Write the recording, and what baseline and final model say it should have read.",
         ),
     ] = None,
     write_effect: Annotated[
@@ -81,8 +82,7 @@ def explain(
         typer.Option(
             min=0.0,
             metavar="SECONDS",
-            help="Try nothing further after so long: the best model found by then, and what was "
-            "left untried.",
+            help="End the search after this time: the best model so far, and what was not tried.",
         ),
     ] = None,
     device: DeviceFile = None,
@@ -99,6 +99,7 @@ def explain(
     json: Json = None,
     report: Report = None,
     rrd: Rrd = None,
+    effects_from: EffectsFrom = None,
 ) -> None:
     """Say what a recording holds that the model does not: where, which physics, how certain.
 
@@ -139,7 +140,7 @@ def explain(
         )
     explanation = _beside_the_device(explanation)
     typed = _typed(assume, heading_sigma, latitude, height, ignore, reference_exact, topic, units,
-                   device, held_out, budget, priors, model)  # fmt: skip
+                   device, held_out, budget, priors, model, effects_from)  # fmt: skip
     following = _following(explanation, files, typed, json)
     # (what took longest and cannot be made again from the rest is written first)
     if json:
@@ -207,14 +208,14 @@ def _typed(
     assume: Assume, heading_sigma: float | None, latitude: float | None, height: float,
     ignore: list[str] | None, reference_exact: bool, topic: list[str] | None, units: str | None,
     device: Path | None = None, held_out: list[Path] | None = None, budget: float | None = None,
-    priors: Path | None = None, model: str | None = None,
+    priors: Path | None = None, model: str | None = None, effects_from: Path | None = None,
 ) -> list[str]:  # fmt: skip
     """The options that say what is found, as they were typed."""
     out = [] if assume is Assume.auto else ["--assume", str(assume)]
     for name, value in (("--heading-sigma", heading_sigma), ("--latitude", latitude),
                         ("--height", height or None), ("--units", units), ("--device", device),
                         ("--budget", budget), ("--priors", priors),
-                        ("--model", model)):  # fmt: skip
+                        ("--model", model), ("--effects-from", effects_from)):  # fmt: skip
         out += [] if value is None else [name, str(value)]
     for name, values in (("--ignore", ignore), ("--topic", topic), ("--held-out", held_out)):
         out += [word for value in values or () for word in (name, str(value))]

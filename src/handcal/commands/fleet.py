@@ -52,7 +52,11 @@ def fleet(
     ] = None,
     group_by: Annotated[
         str,
-        typer.Option("--group-by", metavar="COLUMN", help="Of the manifest: what has a population"),
+        typer.Option(
+            "--group-by",
+            metavar="COLUMN",
+            help="Column of the manifest: devices with the same value are a population",
+        ),
     ] = "model",
     manifest: Annotated[
         Path | None,

@@ -80,6 +80,7 @@ class Case:
 HELD = "held"
 # A difference of so much iron (tesla) leads no start astray.
 MUCH_IRON = 5e-6
+# Readings of an IMU a second that explain a hand as well as more would.
 ENOUGH_HZ = 90.0
 
 

@@ -40,15 +40,6 @@ def nis_between(innovations: Mapping[str, Innovations], after: float, before: fl
     return total / count if count else float("nan")
 
 
-def autocorrelation(innovations: Innovations, lag: int = 1) -> Array:
-    """Correlation (d,) of standardised innovations with those ``lag`` updates before."""
-    x = innovations.residual / innovations.sigma
-    if len(x) <= lag + 1:
-        return np.zeros(x.shape[1])
-    x = x - x.mean(axis=0)
-    return np.asarray((x[lag:] * x[:-lag]).sum(axis=0) / (x**2).sum(axis=0))
-
-
 def bound(problem: Problem, start: Start, truth: Trajectory, levels: Mapping[str, float]) -> Array:
     """Posterior Cramer-Rao bound (k, N, N) at each epoch, with the filter's own priors.
 

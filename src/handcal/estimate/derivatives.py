@@ -20,6 +20,7 @@ from handcal.types import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Array, BoolArray, I
 
 # What parameters do to the readings is averaged over this long, in motion and at rest.
 AVERAGE_S = (0.05, 2.0)
+# Turning rate, rad/s, below which a device counts as at rest there.
 QUIET_RATE = 0.05
 # Step of the difference by a bias, of its prior.
 BIAS_STEP = 0.1

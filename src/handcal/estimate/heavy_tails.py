@@ -28,6 +28,7 @@ from handcal.types import Array, BoolArray, IntArray
 
 # Of a parameter within so many standard deviations the wide scales say nothing worth a pass.
 NEAR = 2.0
+# Choices of each effect's likeliest scale, at the most; two or three settle it.
 ROUNDS = 6
 
 

@@ -26,6 +26,8 @@ MIN_READINGS = 20
 # How a hand sways within less than a third of a second is nobody's model: looked at more often,
 # it is its shape at those frequencies that is judged, at the expense of a lever arm.
 PSEUDO_RATE = 3.0
+# Standard deviation of the first yaw, rad: any at all where a heading tells it, none where nothing
+# does (it is zero by definition).
 UNKNOWN_YAW = math.radians(100.0)
 FIXED_YAW = 1e-6
 # A field that may be the Earth's with some iron or a wrong sphere in it, tesla.

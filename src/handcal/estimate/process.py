@@ -19,6 +19,7 @@ STEP = 0.15
 PRIOR = 2.0
 # How far a grid over the posterior reaches, in standard deviations, and in how many steps.
 REACH, NODES = 4.0, 9
+# Times that not knowing other levels widens one, at the most: beyond, evidence is no parabola.
 MOST_BY_OTHERS = 3.0
 
 

@@ -38,6 +38,7 @@ from handcal.types import (
 
 # Rows of a history: as many a second, and no more numbers in all its covariances.
 HISTORY_RATE, HISTORY_NUMBERS = 25.0, 4_000_000
+# Gravity that strays less than this from its mean stays along one axis.
 STEADY_GRAVITY = math.radians(20.0)
 
 

@@ -29,6 +29,7 @@ BLOCK_S = 4.0
 BELIEF = 6.0
 # Information beside other effects, as a part of that alone, below which it is rounding.
 EXACT = 1e-10
+# Times that information is discounted for the scatter of scores, at the most.
 MOST = 25.0
 
 

@@ -97,8 +97,8 @@ def _sentence(n: _Numbers, alone: Array, worst: Array, causes: Mapping[int, Sequ
     titles = ", ".join(dict.fromkeys(title for k in at for title in causes[k]))
     return (
         f"{n.title} ({', '.join(n.columns[k] for k in at)}: {known} {unit.unit}) is known that "
-        "well only if nothing is there that this motion could hardly show; with as much as is "
-        f"usual of one of these: {then} {unit.unit} ({titles})."
+        "well only without effects that this motion could hardly show; with one of usual size "
+        f"({titles}): {then} {unit.unit}."
     )
 
 

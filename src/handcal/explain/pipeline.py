@@ -126,7 +126,9 @@ def _finished(
         other = search(end.base, told, large, budget)
         again, written = _refitted(end, other, options)
         if sensible(again.model):
+            # (searched with all readings)
             found, chosen = replace(again, alone=end.found.alone), written
+            end = replace(end, wrong=None)
     return replace(end, found=found), chosen
 
 

@@ -147,15 +147,9 @@ def _scans(
     return zip(looks, scans, strict=True)
 
 
-def best_term(
-    where: Survey,
-    *,
-    refused: Collection[str] = (),
-    without: Collection[str] = (),
-    beyond: Collection[str] = (),
-) -> Term | None:
+def best_term(where: Survey, *, refused: Collection[str] = ()) -> Term | None:
     """What gains most over the model, if it gains enough: the best of ``best_terms``."""
-    found = best_terms(where, refused=refused, without=without, beyond=beyond)
+    found = best_terms(where, refused=refused)
     return max(found, key=lambda t: t.gain, default=None)
 
 

@@ -33,7 +33,8 @@ def reshaped(where: Survey, worth: float, unnamed: list[Term], shaped: set[str])
             continue
         new = max(found, key=lambda t: t.gain)
         effects = new.effect, *new.others, *(t.effect for t in found if not is_composed(t.effect))
-        options = [e for e in effects if e.id not in shaped | set(model.ids)]
+        tried = shaped | set(model.ids)
+        options = list({e.id: e for e in effects if e.id not in tried}.values())
         calls = (partial(with_other, model, old, e) for e in options)
         pairs = zip(in_parallel(calls), options, strict=True)
         held = [

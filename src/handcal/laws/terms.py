@@ -48,15 +48,13 @@ def again(formula: str, prior: float) -> Effect:
     return _term_of(formula.removeprefix("heading += "), prior)
 
 
-def term(
-    formula: str, unit: str, prior: float, story: str = "", positive: bool = False, **physics: Any
-) -> Effect:
+def term(formula: str, unit: str, prior: float, story: str = "", **physics: Any) -> Effect:
     """An effect of one parameter k without a name but its formula; prior: sigma of k; story: what
     that means in plain words, if it can be said."""
     return Effect(
         id=formula,
         title=formula,
-        parameters=(Param("k", unit, prior, positive),),
+        parameters=(Param("k", unit, prior),),
         story=story,
         source="found in this recording",
         motion="The motion in which it was found.",

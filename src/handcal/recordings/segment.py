@@ -52,8 +52,10 @@ HOLD_ANGLE = np.radians(5.0)
 # Flicker beside white noise: real sensors on a table have up to 3.3 times the white noise's
 # variance in half-second means; the steadiest of usual hands 17 times.
 FLICKER = 4.0
+# Chance with which a rest on a table is taken for one in a hand; of so many means at the least.
 STILL_ALARM = 1e-3
 FEWEST = 3
+# Between turns a device on a table may rest as briefly; windows in which that shows.
 MIN_PAUSE_S = 0.2
 PAUSE_WINDOW_S = 0.1
 # A turn at a constant rate ripples by less than this part of it, and by less than this.

@@ -38,6 +38,7 @@ FAST, BESIDE, EACH = 5.0, 0.25, 0.1
 # lift; whoever goes further walks, and of that only the rests tell. Within so much time before and
 # after, s, a hand comes to its speed and stops: where it is slowest there, it is held.
 LONGEST, APART, REACH = 15.0, 0.5, 1.0
+# Of a recording at the most, the fastest: each has numbers of its own.
 MOST_MOVES = 6
 # Nobody sees a point moved by less, m; and in so much time, s, an arm makes one stroke at the most
 # (to reach for something takes half a second to a second).

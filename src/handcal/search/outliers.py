@@ -23,9 +23,11 @@ from handcal.types import Array, BoolArray, Parameter
 # In robust sigmas of the smoothed residual: worth a look, and held to be wrong.
 FAR = 5.0
 WRONG = 4.0
+# Headings that must stand out for any to be left out.
 FEWEST = 3
 # Readings of a heading among which one stands out.
 NEIGHBOURS = 11
+# Fits without what stands out, at the most: each may show others that do.
 ROUNDS = 4
 # From body x to the vertical; within 15 deg no heading counts (contract).
 STEEP = math.radians(10.0)

@@ -76,15 +76,15 @@ def space(quadratic: Quadratic, effects: Sequence[Effect], prior: Mapping[str, f
     )
 
 
-def best_set(where: Space, start: Iterable[str] = (), tolerance: float = 0.0) -> frozenset[str]:
+def best_set(where: Space, start: Iterable[str] = ()) -> frozenset[str]:
     """Climb by adding, dropping and exchanging effects until nothing raises the score."""
     chosen = frozenset(start)
     value = where.score(chosen)
     while True:
         # (of many effects there are a hundred times as many exchanges as there is to add and drop)
-        option = _best(where, _more_or_less(where, chosen), value + tolerance)
+        option = _best(where, _more_or_less(where, chosen), value)
         if option is None:
-            option = _best(where, _exchanged(where, chosen), value + tolerance)
+            option = _best(where, _exchanged(where, chosen), value)
         if option is None:
             option = _pair(where, chosen, value)
         if option is None:

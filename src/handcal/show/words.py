@@ -1,7 +1,7 @@
 """The words and units in which results are shown, the same in terminal, report and dashboard.
 
-``shown`` turns an SI unit into the one a person thinks in. Nothing here formats for a medium; what
-the numbers mean is said in ``calibration.verdict_text`` and ``explanation.verdict_text``.
+``units.shown`` turns an SI unit into the one a person thinks in. Nothing here formats for a medium;
+what the numbers mean is said in ``calibration.verdict_text`` and ``explanation.verdict_text``.
 """
 
 from __future__ import annotations
@@ -16,12 +16,6 @@ from handcal.types import Innovations, NoiseLevel, Parameter
 from handcal.units import DEG, Shown, shown
 
 NBSP = "\u00a0"
-# Title, and the motion that shows it ({axis}: the names concerned), of the baseline, which has
-# no file in the catalogue; the effects' own files say theirs.
-_BASELINE: dict[str, tuple[str, str]] = {
-    "gyro_bias": ("Gyro bias", "rests, and turns about more than one axis"),
-    "accel_bias": ("Accelerometer bias", "rests with {axis} pointing up, down and level"),
-}
 _SENSORS = {"accel": "accelerometer", "mag": "magnetometer"}
 _NOISE = {
     "gyro_noise": "Gyro noise",
@@ -97,9 +91,9 @@ def effect_title(effect: str) -> str:
     return _effect(effect)[0]
 
 
-def effect_motion(effect: str, axis: str = "each axis") -> str:
-    """The motion that shows it, as half a sentence; axis: the names concerned."""
-    return _effect(effect)[1].rstrip(".").replace("{axis}", axis)
+def effect_motion(effect: str) -> str:
+    """The motion that shows it, as half a sentence."""
+    return _effect(effect)[1].rstrip(".")
 
 
 def _effect(effect: str) -> tuple[str, str]:
@@ -108,7 +102,7 @@ def _effect(effect: str) -> tuple[str, str]:
         return known.title.removesuffix(" error"), known.motion[:1].lower() + known.motion[1:]
     formula = " += " in effect
     title = effect if formula else effect.replace("_", " ").capitalize()
-    return _BASELINE.get(effect, (title, "a longer and more varied motion"))
+    return title, "a longer and more varied motion"
 
 
 def parameter_name(p: Parameter) -> str:

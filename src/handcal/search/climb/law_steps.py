@@ -51,7 +51,7 @@ def name_term(c: Climb) -> Model | None:
     if not _room(c):
         return None
     tried = instead_of_noise(c)
-    while tried is None and _room(c):
+    while tried is None and _room(c) and not c.budget.cuts():
         term = best_term(surveyed(c), refused=refused_by(c))
         if term is None:
             break
@@ -154,7 +154,7 @@ def adjust(c: Climb) -> Model | None:
     as far as they do."""
     for i, term in enumerate(c.unnamed):
         model, effect = c.model, term.effect
-        while effect.id in model.ids and effect.id not in c.adjusted:
+        while effect.id in model.ids and effect.id not in c.adjusted and not c.budget.cuts():
             c.adjusted.add(effect.id)
             new = adjusted(model, effect) or course_numbers.adjusted(model, effect)
             if new is None or new.id in model.ids:

@@ -62,7 +62,7 @@ def _at_a_moment(c: Climb, model: Model) -> Model | None:
     """The model with more of the catalogue's effects, one at a moment among them, which is sought
     from scan to scan; None where a scan wants none."""
     best: Model | None = None
-    for _ in range(MOMENTS):
+    for _ in c.budget.each(range(MOMENTS)):
         where = scanned_about(model, c.unnamed, c.dropped | c.beyond)
         chosen = best_set(where, model.chosen)
         if chosen == model.chosen or all(name_of(i) == i for i in chosen):

@@ -27,7 +27,7 @@ def choose(c: Climb) -> Model | None:
     """The effects that the scan likes best, fitted, if such a fit holds; where one of them came out
     larger than makes sense, those that it likes best without that one."""
     now = c.model.chosen
-    for _ in range(FEW):
+    for _ in c.budget.each(range(FEW)):
         chosen, known = favourite(c), len(c.beyond)
         if chosen == now or chosen in c.visited or _same(c.where, now, chosen):
             return None
@@ -96,11 +96,13 @@ def _grown(c: Climb, chosen: frozenset[str]) -> Model | None:
         if likelier(c, tried):
             return tried
         c.refused.add(wanted)
-        if large := too_large(tried) - {name_of(i) for i in now}:
+        there = {name_of(i) for i in now}
+        if large := too_large(tried) - there:
             c.beyond |= large
             return None
         if len(wanted - now) == 1 and tried.log_evidence < c.model.log_evidence - LOST:
-            c.dropped |= {name_of(i) for i in wanted - now}
+            # (what is there at another moment is not dropped)
+            c.dropped |= {name_of(i) for i in wanted - now} - there
     return None
 
 

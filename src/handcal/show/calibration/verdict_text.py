@@ -181,9 +181,8 @@ def not_shown(result: Result) -> tuple[str, ...]:
         hidden = [p for p in group if not p.observable]
         if not hidden:
             continue
-        names = listed([p.name for p in hidden])
         best, unit = min(hidden, key=lambda p: p.sigma / p.prior_sigma), shown_group(group)
-        motion = effect_motion(effect, names)
+        motion = effect_motion(effect)
         subject = listed([parameter_title(hidden[0]), *(p.name for p in hidden[1:])])
         now, before = unit.value(best.sigma, best.sigma), unit.value(best.prior_sigma)
         why = f"{subject}: ±{now}{NBSP}{unit.unit} now, against ±{before}{NBSP}{unit.unit} before"

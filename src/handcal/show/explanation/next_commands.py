@@ -23,6 +23,7 @@ CALIBRATES = (*REPEATS, "--assume", "--heading-sigma", "--latitude", "--height",
               "--reference-exact")  # fmt: skip
 
 
+OWN = ("--effects-from",)
 # What a device file is called that nobody has named, and a folder of laws.
 DEVICE = "my-device.toml"
 LAWS = "my-effects"
@@ -61,7 +62,10 @@ def commands(
     """
     paths = list(files) or [r.recording.path for r in e.recordings]
     first = Path(paths[0])
-    own = ["--effects-from", "DIR"] if any(i not in installed() for i in named(e)) else []
+    folder = _known_to(options, OWN)
+    options = [word for word in options if word not in folder] if folder else options
+    needed = any(i not in installed() for i in named(e))
+    own = (folder or [*OWN, "DIR"]) if needed else []
     out = []
     if not json:
         json = f"{first.stem}-explanation.json"

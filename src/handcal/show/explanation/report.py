@@ -27,7 +27,7 @@ def write_explanation_report(
     explanation: Explanation, path: str | Path, following: Sequence[str] = ()
 ) -> None:
     """Write the report as one HTML file; nothing in it needs a network. following: the commands
-    that come next, as ``following.commands`` makes them of what was typed."""
+    that come next, as ``next_commands.commands`` makes them of what was typed."""
     output.write_text(path, render_explanation(explanation, following))
 
 

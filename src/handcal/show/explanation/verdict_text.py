@@ -143,8 +143,10 @@ def verdict(explanation: Explanation) -> Verdict:
     added, held = always.parted(explanation)
     level, headline, sentences = _head(added, held)
     if (first := matters(added)) is not None:
-        # (what cannot be told apart comes first: the headline is about that)
-        sentences.insert(2 if added.verdict == "cannot_tell" else 0, first)
+        # (what cannot be told apart comes first: the headline is about that; and what was a
+        # headline before time ran out)
+        before = (2 if added.verdict == "cannot_tell" else 0) + bool(added.untried)
+        sentences.insert(before, first)
     if (worst := worst_mismatch(explanation)) is not None:
         sentences.append(worst)
     proof = held_out_sentence(explanation)
