@@ -132,7 +132,8 @@ def test_total_acceleration_and_the_corrected_gyroscope(tmp_path: Path) -> None:
     files = {"Gyroscope": table(motion().imu.gyro), "TotalAcceleration": table(motion().imu.accel)}
     back = load(folder(tmp_path, files))
     np.testing.assert_array_equal(back.imu.accel, motion().imu.accel)
-    assert len(back.warnings) == 2
+    assert len(back.warnings) == 3
+    assert any("signs of Android" in w and "up is down" in w for w in back.warnings)
 
 
 def test_magnetometer_is_in_microtesla(tmp_path: Path) -> None:
@@ -246,3 +247,15 @@ def test_real_iphone(real_recordings: Path, tmp_path: Path) -> None:
     again = load(tmp_path / "a.zip")
     np.testing.assert_array_equal(again.imu.accel, back.imu.accel)
     np.testing.assert_array_equal(again.streams["mag"].value, back.streams["mag"].value)
+
+
+def test_an_empty_cell_is_a_reading_that_was_not_taken(tmp_path: Path) -> None:
+    text = table(motion().imu.gyro)
+    lines = text.splitlines(keepends=True)
+    cells = lines[5].rstrip("\n").split(",")
+    lines[5] = ",".join([*cells[:-1], ""]) + "\n"
+    files = export(GyroscopeUncalibrated="".join(lines),
+                   AccelerometerUncalibrated=table(motion().imu.accel))  # fmt: skip
+    back = load(folder(tmp_path, files))
+    assert len(back.imu.t) == N - 1
+    assert any("NaN" in w for w in back.warnings)

@@ -17,6 +17,8 @@ IntArray = NDArray[np.int64]
 LONGEST_STUCK_S, SPANS = 1.0, 20
 # No gyro reads so much at rest, rad/s; no hand that rests lets gravity turn so far, rad.
 RESTING_RATE, TILTED = 0.2, 0.1
+# Hundreds of times the Earth's field, tesla: beyond any iron in a phone and any full scale.
+STRONGEST_T = 0.02
 FASTEST_GYRO = 40.0  # rad/s; beyond the full scale of nearly every consumer gyro
 # Hardly an IMU is read less often, s; and stamps that are further apart than a tenth of a second's
 # worth of ms, of us, are in the next smaller unit.
@@ -161,6 +163,19 @@ def rest_magnitude(accel: Array, rate_hz: float) -> float:
     restless = windows.var(axis=1).sum(axis=1)
     stillest = np.argsort(restless, kind="stable")[: max(1, len(windows) // 10)]
     return float(np.median(np.linalg.norm(windows[stillest].mean(axis=1), axis=1)))
+
+
+def check_stream_unit(name: str, value: Array) -> None:
+    """A field (n, 3) must be one that may be about a device, in tesla. Errors: InputError."""
+    finite = value[np.all(np.isfinite(value), axis=1)] if name == "mag" else value[:0]
+    size = float(np.median(np.linalg.norm(finite, axis=1))) if len(finite) else 0.0
+    if size < STRONGEST_T:
+        return
+    guess = "microtesla: give --units mag=uT" if size > 5.0 else "gauss: give --units mag=gauss"
+    raise InputError(
+        f"The magnetometer reads {size:.3g} tesla, where the Earth's field is 0.00005: that may be "
+        f"{guess}."
+    )
 
 
 def check_accel_unit(accel: Array, rate_hz: float) -> list[str]:

@@ -17,6 +17,7 @@ from handcal.recordings.inputs._checks import (
     check_alive,
     check_gyro_unit,
     check_heading_unit,
+    check_stream_unit,
     rest_magnitude,
     saturated,
     slow_stamps,
@@ -28,6 +29,8 @@ from handcal.types import Array, BoolArray, Imu, InputError, IntArray, Recording
 
 SHORTEST_S, FEWEST = 2.0, 50
 LONGEST_GAP_S = 86_400.0  # beyond it a clock was set, or two recordings stand in one file
+# Share of stamps that repeat from which they are rounded: a sensor that is read twice has half.
+ROUNDED = 0.6
 IMPOSSIBLE = 1e7  # in no stream's unit is this a reading
 # Smaller extremes than these are no full scale (125 deg/s and 2 g are the smallest made).
 SMALLEST_GYRO, SMALLEST_ACCEL = 2.0, 17.0
@@ -92,17 +95,14 @@ def assemble(
         gyro, force, valid = _on_gyro_stamps(gyro, accel, said)
         ns, rates = gyro.ns, gyro.value
     t = (ns - ns[0]) / 1e9
-    if len(t) < FEWEST or t[-1] < SHORTEST_S:
-        raise InputError(
-            f"{path} holds {len(t)} IMU samples over {t[-1]:.1f} s; "
-            f"at least {FEWEST} over {SHORTEST_S:.0f} s are needed."
-        )
+    _check_enough(path, t, said)
     doubts, frozen = _doubts(path, t, rates, force)
     said += doubts
     if int((valid & ~frozen).sum()) < min(FEWEST, int(valid.sum())):
         raise InputError(f"{path}: hardly a reading is left to trust. {' '.join(doubts)}")
     valid = valid & ~frozen
     for name, stream in streams.items():
+        check_stream_unit(name, stream.value)
         if STREAMS[name].circular:
             when = (stream.ns - ns[0]) / 1e9
             check_heading_unit(t, rates, when, stream.value[:, 0])
@@ -114,6 +114,20 @@ def assemble(
     # Stamps before 1973 count from something else than 1970: boot, or the start.
     start_ns = int(ns[0]) if ns[0] > 10**17 else 0
     return Recording(str(path), imu, series, start_ns, tuple(said))
+
+
+def _check_enough(path: Path, t: Array, said: list[str]) -> None:
+    """Errors: InputError where readings at t (n,), s, are too few or too short."""
+    if len(t) >= FEWEST and t[-1] >= SHORTEST_S:
+        return
+    lost = f" {' '.join(said)}" if said and len(t) < FEWEST else ""
+    unit = ""
+    if len(t) >= FEWEST:
+        unit = " Are the stamps in another unit (--units time=ms, where there are columns)?"
+    raise InputError(
+        f"{path} holds {len(t)} IMU samples over {t[-1]:.1f} s; at least {FEWEST} over "
+        f"{SHORTEST_S:.0f} s are needed.{lost}{unit}"
+    )
 
 
 def _doubts(path: Path, t: Array, gyro: Array, accel: Array) -> tuple[list[str], BoolArray]:
@@ -148,22 +162,23 @@ def _check_clock(path: Path, t: Array) -> None:
 
 def _clean(raw: Columns, name: str, said: list[str]) -> Columns:
     """Finite rows with increasing stamps. Errors: InputError if none, or time is a mess."""
-    finite = np.all(np.abs(raw.value) < IMPOSSIBLE, axis=1)
+    read, finite = raw, np.all(np.abs(raw.value) < IMPOSSIBLE, axis=1)
     bad = len(finite) - int(finite.sum())
     if bad:
         which = f"{name}: {_many(bad, 'row')} with NaN, infinite or impossible values"
         said.append(f"{which} {_were(bad)} dropped.")
         raw = raw.rows(finite)
     if len(raw.ns) == 0:
-        raise InputError(f"There is not one {name} reading in this recording.")
+        raise InputError(f"There is not one {name} reading in this recording.{_never(read, name)}")
     backwards = raw.ns[:-1] - raw.ns[1:]
     count = int((backwards > 0).sum())
     if count:
         worst = float(backwards.max()) / 1e9
         if count > max(3, 0.01 * len(raw.ns)) or worst > 0.5:
             raise InputError(
-                f"{name}: time runs backwards {count} times, by up to {worst:.3g} s: "
-                "these stamps cannot be put in order."
+                f"{name}: time runs backwards {_times(count)}, by up to {worst:.3g} s after "
+                f"{_after(raw.ns, backwards):.1f} s: these stamps cannot be put in order. Cut the "
+                "recording there, or export it again."
             )
         said.append(
             f"{name}: {_many(count)} came late (up to {worst:.3g} s) and {_were(count)} sorted."
@@ -172,9 +187,44 @@ def _clean(raw: Columns, name: str, said: list[str]) -> Columns:
     repeated = np.diff(raw.ns, prepend=raw.ns[0] - 1) == 0
     if repeated.any():
         count = int(repeated.sum())
-        said.append(f"{name}: {_many(count)} with a repeated stamp {_were(count)} dropped.")
+        coarse = _rounded(raw, repeated)
+        said.append(f"{name}: {_many(count)} with a repeated stamp {_were(count)} dropped{coarse}.")
         raw = raw.rows(~repeated)
     return raw
+
+
+def _never(read: Columns, name: str) -> str:
+    """Which columns of what was read hold no number at all, if there are such."""
+    lost = np.flatnonzero(~np.any(np.abs(read.value) < IMPOSSIBLE, axis=0))
+    if not len(read.ns) or not len(lost):
+        return ""
+    names = [f"{s} {a}" for s in ("gyroscope", "accelerometer") for a in "xyz"]
+    if name != "IMU":
+        names = [f"{name} {a}" for a in "xyz"] if read.value.shape[1] == 3 else [name] * 9
+    listed = ", ".join(dict.fromkeys(names[k] for k in lost))
+    return f" Of its {_many(len(read.ns), 'row')} none has a number for {listed}."
+
+
+def _rounded(raw: Columns, repeated: BoolArray) -> str:
+    """That stamps are too coarse, where many repeat and what was read does not."""
+    differs = np.any(np.diff(raw.value, axis=0) != 0.0, axis=1)
+    if repeated.mean() < ROUNDED or np.mean(differs[repeated[1:]]) < 0.5:
+        return ""
+    step = float(np.median(np.diff(raw.ns[~repeated]))) / 1e9 if (~repeated).sum() > 1 else 0.0
+    return (
+        f": the stamps are rounded (to {step:.3g} s, where there are "
+        f"{1.0 / (1.0 - repeated.mean()):.0f} readings), and what was read in between is lost; "
+        "export them with more digits"
+    )
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"
+
+
+def _after(ns: IntArray, backwards: IntArray) -> float:
+    """When stamps (n,) go furthest back, s from the first."""
+    return float(ns[int(np.argmax(backwards))] - ns[0]) / 1e9
 
 
 def _masked(raw: Columns, name: str, said: list[str]) -> Columns:

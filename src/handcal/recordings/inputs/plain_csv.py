@@ -31,6 +31,8 @@ TRIED = "a real recording of an x-IMU3; tables made by hypothesis"
 ENDINGS = (".csv", ".tsv")
 LAST = True  # (any CSV is this one, by its name)
 _ROWS_AT_ONCE = 20_000
+UTF_16 = (b"\xff\xfe", b"\xfe\xff")
+FEWEST_COLUMNS = 6  # fewer separators than this make no header
 _IMU = {
     "gyro": ("g", "gyro", "gyroscope", "w", "angularvelocity"),
     "accel": ("a", "acc", "accel", "accelerometer", "linearacceleration"),
@@ -65,9 +67,11 @@ def can_read(path: Path) -> bool:
 
 def read(path: Path, options: Options) -> Recording:
     """Read the recording. Errors: InputError."""
+    with path.open("rb") as file:
+        if file.read(2) in UTF_16:
+            raise InputError(f"{path} is in UTF-16: save it as UTF-8.")
     with path.open(encoding="utf-8-sig", errors="replace") as file:
-        header = file.readline().lstrip("#").rstrip("\r\n")
-        separator = max(",;\t", key=header.count)
+        header, separator = _header(file)
         names = [cell.strip().strip('"') for cell in header.split(separator)]
         return of_table(
             path,
@@ -75,6 +79,16 @@ def read(path: Path, options: Options) -> Recording:
             options,
             lambda places, units: _table(file, path, separator, places, units, options),
         )
+
+
+def _header(file: TextIO) -> tuple[str, str]:
+    """The line that names the columns, and what is between them; remarks before it are none."""
+    while True:
+        line = file.readline()
+        header = line.lstrip("#").rstrip("\r\n")
+        separator = max(",;\t", key=header.count)
+        if not line.startswith("#") or header.count(separator) >= FEWEST_COLUMNS:
+            return header, separator
 
 
 def of_table(

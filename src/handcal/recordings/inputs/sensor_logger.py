@@ -17,6 +17,7 @@ import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +27,7 @@ from handcal.recordings.inputs._options import Options
 from handcal.recordings.inputs._repair import Columns, assemble, columns, magnitude_at_rest
 from handcal.recordings.inputs._sqlite import is_database, opened, tables
 from handcal.recordings.inputs._zip import LARGEST, beginnings, contents, listing, stated
-from handcal.types import InputError, IntArray, Recording
+from handcal.types import Array, InputError, IntArray, Recording
 
 UNDERSTOOD = "an export of the Sensor Logger app (zip, folder, JSON or SQLite)"
 UNITS = (
@@ -118,10 +119,7 @@ def _specific_force(path: Path, export: _Export, said: list[str]) -> Columns:
         if not export.platform:
             rest = magnitude_at_rest(raw)
             apple = rest < 3.0
-            said.append(
-                f"No metadata: the accelerometer reads {rest:.2f} at rest, taken for "
-                + ("g in the signs of iOS." if apple else "m/s^2 in the signs of Android.")
-            )
+            said.append(_taken_for(rest, apple))
         return columns(raw.ns, raw.value * (-STANDARD_GRAVITY if apple else 1.0))
     said.append("AccelerometerUncalibrated is absent or empty: a corrected one is used.")
     if "TotalAcceleration" in sensors:
@@ -138,8 +136,21 @@ def _specific_force(path: Path, export: _Export, said: list[str]) -> Columns:
             f"{path} does not say whether it is from iOS or Android, which differ in sign: "
             "Metadata.csv with a column platform is needed."
         )
-    unit = STANDARD_GRAVITY if magnitude_at_rest(raw) < 3.0 else 1.0
+    rest = magnitude_at_rest(raw)
+    if not export.platform:
+        apple = rest < 3.0
+        said.append(_taken_for(rest, apple))
+    unit = STANDARD_GRAVITY if rest < 3.0 else 1.0
     return columns(raw.ns, raw.value * (-unit if apple else unit))
+
+
+def _taken_for(rest: float, apple: bool) -> str:
+    """What is said where no metadata tells whose signs these are."""
+    signs = "g in the signs of iOS" if apple else "m/s^2 in the signs of Android"
+    return (
+        f"No metadata: the accelerometer reads {rest:.2f} at rest, taken for {signs} (of the other "
+        "system up is down: keep Metadata.csv beside the sensors)."
+    )
 
 
 def _sum(motion: Columns, gravity: Columns) -> Columns:
@@ -201,17 +212,29 @@ def _table(path: Path, name: str, text: str) -> Columns | None:
         lines = whole_lines(lines, ",", f"{path}: {name}.csv")
     if not {"time", "x", "y", "z"} <= set(names):
         raise InputError(f"{path}: {name}.csv lacks one of the columns time, x, y, z.")
+    axes = [names.index(a) for a in "xyz"]
     try:
         ns = np.loadtxt(
             lines, np.int64, delimiter=",", usecols=[names.index("time")], ndmin=1, comments=None
         )
-        value = np.loadtxt(
-            lines, delimiter=",", usecols=[names.index(a) for a in "xyz"], ndmin=2, comments=None
-        )
+        value = _numbers(lines, axes)
     except ValueError as error:
-        problem = str(error).split(";")[0]
+        problem = str(error).split(";")[0].rstrip(".")
         raise InputError(f"{path}: {name}.csv is damaged: {problem[:200]}.") from error
     return columns(_checked_ns(path, ns), value)
+
+
+def _numbers(lines: list[str], at: list[int]) -> Array:
+    """Columns of these places; empty cells are readings not taken. Errors: ValueError."""
+    try:
+        whole: Array = np.loadtxt(lines, delimiter=",", usecols=at, ndmin=2, comments=None)
+        return whole
+    except ValueError:
+        empty: dict[int | str, Any] = dict.fromkeys(at, lambda cell: float(cell.strip() or "nan"))
+        own: Array = np.loadtxt(
+            lines, delimiter=",", usecols=at, ndmin=2, comments=None, converters=empty
+        )
+        return own
 
 
 def _checked_ns(path: Path, ns: IntArray) -> IntArray:
