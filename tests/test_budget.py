@@ -168,3 +168,9 @@ def test_an_interrupt_ends_the_command_with_the_best_so_far(
     document = json.loads((tmp_path / "x.json").read_text(encoding="utf-8"))
     assert document["verdict"] == "cannot_tell"
     assert "further effects" in document["untried"]
+
+
+def test_what_was_not_weighed_has_no_probability(recording: Recording) -> None:
+    """In the terminal it has a dash; JSON said 0.0 of an effect that is there."""
+    document = explanation_json(explain([recording], budget=0.0))
+    assert {h["probability"] for h in document["hypotheses"]} == {None}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from enum import StrEnum
 from functools import wraps
 from inspect import Parameter, signature
@@ -201,6 +201,20 @@ def load(path: Path, topics: list[str] | None, units: str | None) -> Recording:
     return recording
 
 
+def check_used(recordings: Sequence[Recording], given: Mapping[str, Any]) -> None:
+    """That no option is for something that is not there: it would be left aside without a word.
+    Errors: InputError."""
+    from handcal.types import InputError
+
+    there = {name for r in recordings for name in r.streams} - set(given["ignore"] or ())
+    if given["height"] and given["latitude"] is None:
+        raise InputError("--height needs --latitude: gravity and the Earth's rate depend on both.")
+    if given["heading_sigma"] is not None and not there & {"heading", "mag"}:
+        raise InputError("--heading-sigma is for a heading, and there is none here.")
+    if given.get("reference_exact") and "reference" not in there:
+        raise InputError("--reference-exact is for a /reference, and there is none here.")
+
+
 def radians(degrees: float | None) -> float | None:
     """An angle as typed; None for unset."""
     return None if degrees is None else math.radians(degrees)
@@ -220,6 +234,7 @@ def calibrated(
             raise InputError(f"--{name.replace('_', '-')} {value}: expected a finite number.")
     for name in ("heading_sigma", "latitude"):
         settings[name] = radians(settings[name])
+    check_used(recordings, settings)
     settings |= {"assume": str(settings["assume"]), "engine": str(settings["engine"])}
     settings["ignore"] = tuple(settings["ignore"] or ())
     ids = comma_separated(effects)

@@ -31,6 +31,7 @@ from handcal.commands._options import (
     Rrd,
     Topics,
     UnitsToo,
+    check_used,
     in_units,
     load,
     radians,
@@ -118,6 +119,9 @@ def explain(
     if twin:
         check_outputs(beside(twin, recordings), read)
     others = [load(path, topic, units) for path in held_out or ()]
+    given = {"ignore": ignore, "height": height, "latitude": latitude}
+    given |= {"heading_sigma": heading_sigma, "reference_exact": reference_exact}
+    check_used(recordings, given)
     names = ", ".join(path.name for path in files)
     with (
         progress(f"explaining {names}") as done,

@@ -62,6 +62,9 @@ def export(
     from handcal.types import InputError
 
     if to.casefold() == "list":
+        # (said without a word of what was asked for, that would look like success)
+        if result is not None or out is not None:
+            raise InputError("export needs --to FORMAT; 'handcal export' alone lists the formats.")
         width = max(map(len, formats()))
         for name, form in formats().items():
             print(f"{name:<{width}}  {form.line}")

@@ -8,7 +8,7 @@ Where the sensor sits, how strong gravity is and how large the noise is stay as 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Collection, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -66,7 +66,8 @@ class Learnt:
     path: of the file. values: of each effect, in the order of the catalogue's parameters, SI.
     biases: (recording, gyro and accelerometer (6,)) of each that the file is about; the
     recording is "" where the file does not say which it was. unnamed: formulas. hidden: axes of
-    each bias that were not observable, by recording.
+    each bias that were not observable, by recording; unsure: names of each effect's parameters of
+    which the recordings told little.
     """
 
     path: str
@@ -74,6 +75,7 @@ class Learnt:
     biases: tuple[tuple[str, Array], ...]
     unnamed: tuple[str, ...]
     hidden: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    unsure: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -283,7 +285,23 @@ def _learnt(name: str, document: Mapping[str, Any]) -> Learnt:
         if all(i in own for i in BIASES)
     ]
     effects = {i: v for i, v in values.items() if i not in BIASES}
-    return Learnt(name, effects, tuple(biases), formulas, hidden)
+    unsure = {i: names for i, names in _unsure(document["parameters"]).items() if i in effects}
+    return Learnt(name, effects, tuple(biases), formulas, hidden, unsure)
+
+
+def _unsure(parameters: Sequence[Mapping[str, Any]]) -> dict[str, tuple[str, ...]]:
+    """Parameters of each effect that were not observable, of those that have any."""
+    out: dict[str, tuple[str, ...]] = {}
+    for p in parameters:
+        if p["effect"] not in BIASES and p.get("observable") is False:
+            out[p["effect"]] = (*out.get(p["effect"], ()), p["name"])
+    return out
+
+
+def hardly_known(learnt: Learnt, taken: Collection[str]) -> str:
+    """A sentence about what is corrected of which little was told; empty where all was."""
+    parts = [f"{i} ({', '.join(names)})" for i, names in learnt.unsure.items() if i in taken]
+    return f"The recordings told little of {'; '.join(parts)}." if parts else ""
 
 
 def _hidden(parameters: Sequence[Mapping[str, Any]]) -> dict[str, str]:

@@ -20,7 +20,7 @@ from handcal.estimate.baseline import baseline
 from handcal.estimate.case import Case, case_of
 from handcal.estimate.filter import ENGINES
 from handcal.estimate.model import Model
-from handcal.estimate.observed import check_options
+from handcal.estimate.observed import check_apart, check_options
 from handcal.estimate.pieces import by_pieces
 from handcal.estimate.rest_only import resting, travels
 from handcal.estimate.result import results
@@ -37,6 +37,9 @@ from handcal.observations import catalogue
 from handcal.types import InputError, Prior, Recording, Result
 
 Progress = Callable[[float], None]
+
+# Noise levels are found in no less, s.
+LEAST_NOISE_S = 2.0
 
 
 def calibrate(
@@ -108,13 +111,18 @@ def calibrate_together(
     if heading_sigma is not None:
         fixed["heading_noise"] = heading_sigma
     cases = []
+    check_apart(recordings)
+    if noise_until is not None and not noise_until >= LEAST_NOISE_S:
+        raise InputError(
+            f"Noise is found in no less than {LEAST_NOISE_S:g} s: {noise_until:g} s are too few."
+        )
     for recording in recordings:
         check_options(recording, assume, heading_sigma, ignore)
         case = case_of(
             recording, assume, latitude, height, ignore, fixed, kinds=observations,
             start=start, reference_exact=reference_exact, before=before,
         )  # fmt: skip
-        _check_effects(wanted, case.kinds)
+        _check_effects(wanted, case.kinds, recording)
         cases.append(replace(case, noise_until=noise_until))
     options = Options(latitude, height, fixed, tuple(ignore), reference_exact, before)
     auto = assume == "auto" and observations is None
@@ -175,7 +183,7 @@ def recalibrate(
         views = tuple(view_of(c) for c in cases)
         chosen = replace(chosen, effects=effects, views=views, moments={}, levels=(), begin="")
         for case in cases:
-            _check_effects(effects, case.kinds)
+            _check_effects(effects, case.kinds, case.recording)
     base = baseline(cases)
     chosen = replace(chosen, effects=_with_those_of_all(chosen.effects, base))
     report(0.5)
@@ -228,13 +236,16 @@ def _check_calibrates(effects: Sequence[Effect]) -> None:
             )
 
 
-def _check_effects(effects: Sequence[Effect], kinds: Sequence[str]) -> None:
+def _check_effects(effects: Sequence[Effect], kinds: Sequence[str], recording: Recording) -> None:
     for e in effects:
         acts = e.imu_error is not None or e.walks or e.acts_on & set(kinds)
         if not acts:
+            beside = "mag" in recording.streams and "heading" in kinds
+            why = "nothing like that is observed here: leave it out"
+            if beside and "magnetometer" in e.acts_on:
+                why = "that is not used beside a heading: leave it out, or the heading (--ignore)"
             raise InputError(
-                f"The effect '{e.id}' acts on {' or '.join(sorted(e.acts_on))}, and "
-                "nothing like that is observed here: leave it out."
+                f"The effect '{e.id}' acts on {' or '.join(sorted(e.acts_on))}, and {why}."
             )
         if PLACE in e.needs and not any(catalogue()[k].places for k in kinds):
             raise InputError(

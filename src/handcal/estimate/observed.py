@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -21,6 +22,10 @@ from handcal.types import Array, HandcalError, InputError, Recording, Series
 
 Observed = tuple[Observation, Rows, tuple[tuple[str, str, float], ...]]
 ASSUMPTIONS = ("auto", "fixed-point", "rest-only")
+BESIDE_HEADING = (
+    "The magnetometer is not used beside a heading, which may come from it (--ignore heading uses "
+    "it instead)."
+)
 # Fewer readings than this of a stream are none.
 MIN_READINGS = 20
 # How a hand sways within less than a third of a second is nobody's model: looked at more often,
@@ -74,6 +79,29 @@ def check_options(
             raise InputError(f"There is no stream '{name}' to ignore; the recording has: {have}.")
 
 
+def check_apart(recordings: Sequence[Recording], held_out: Sequence[Recording] = ()) -> None:
+    """Raises InputError where readings would count twice, or be seen that are held out."""
+    for k, one in enumerate(recordings):
+        name = Path(one.path).name
+        for other in recordings[k + 1 :]:
+            if _alike(one, other):
+                raise InputError(
+                    f"{name} and {Path(other.path).name} hold the same readings, which would count "
+                    "twice: leave one of them out."
+                )
+        for other in held_out:
+            if _alike(one, other):
+                raise InputError(
+                    f"{Path(other.path).name}, to be held out, holds the readings of {name}: name "
+                    "another recording of the device."
+                )
+
+
+def _alike(one: Recording, other: Recording) -> bool:
+    a, b = one.imu, other.imu
+    return np.array_equal(a.gyro, b.gyro) and np.array_equal(a.accel, b.accel)
+
+
 def _usable(recording: Recording, warnings: list[str]) -> set[str]:
     """Streams that are fit to be observed; what is left out is said."""
     usable = {s.name for s in STREAMS.values() if s.observation} & set(recording.streams)
@@ -92,6 +120,7 @@ def _usable(recording: Recording, warnings: list[str]) -> set[str]:
         strength = float(np.median(np.linalg.norm(recording.streams["mag"].value - iron, axis=1)))
         if "heading" in usable:
             usable.discard("mag")
+            warnings.append(BESIDE_HEADING)
         elif not EARTHLY[0] < strength < EARTHLY[1]:
             usable.discard("mag")
             warnings.append(

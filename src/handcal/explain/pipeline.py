@@ -12,7 +12,7 @@ from handcal.estimate.baseline import baseline, started
 from handcal.estimate.case import Case, case_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
-from handcal.estimate.observed import check_options
+from handcal.estimate.observed import check_apart, check_options
 from handcal.estimate.rest_only import resting, travels
 from handcal.estimate.scan import scan
 from handcal.estimate.specification import (
@@ -80,7 +80,7 @@ def explain(
     use, HandcalError where no result could be made.
     """
     began, report = time.monotonic(), progress or (lambda _, __: None)
-    _check(recordings, assume, heading_sigma, ignore)
+    _check(recordings, held_out, assume, heading_sigma, ignore)
     fixed = {} if heading_sigma is None else {"heading_noise": heading_sigma}
     options = Options(latitude, height, fixed, tuple(ignore), reference_exact, before)
     cases = [_case(r, assume, options) for r in recordings]
@@ -103,6 +103,7 @@ def explain(
 
 def _check(
     recordings: Sequence[Recording],
+    held_out: Sequence[Recording],
     assume: str,
     heading_sigma: float | None,
     ignore: Sequence[str],
@@ -111,6 +112,7 @@ def _check(
         raise InputError("There is no recording to explain.")
     for recording in recordings:
         check_options(recording, assume, heading_sigma, ignore)
+    check_apart(recordings, held_out)
 
 
 def _finished(

@@ -330,6 +330,10 @@ def _header(
         lines.append(f"{found.bias_from[:1].upper()}{found.bias_from[1:]}")
     for i, axes in found.hidden.items():
         lines.append(f"{i} {' '.join(axes)}: not observable in the recording, taken as zero")
+    if unsure := device.hardly_known(found.learnt, found.matrices):
+        lines.append(unsure)
+    if found.document.get("verdict") == "cannot_tell":
+        lines.append("Warning: of some of these errors the recording cannot tell which it holds")
     if form.keep is not None:
         lines += _left_lines(found, form, kept, recording)
     if any(line.endswith(UNKNOWN) for line in lines):

@@ -19,6 +19,7 @@ from handcal.explanation import (
 )
 from handcal.show import words
 from handcal.show.calibration import summary
+from handcal.show.explanation.words import weighed
 from handcal.types import EXPLANATION_SCHEMA, NoiseLevel, Parameter
 
 
@@ -38,7 +39,7 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
         "missing": [_missing_json(m) for m in e.missing],
         "hand": {"id": e.hand.id, "probability": summary.finite(e.hand.probability)},
         "unnamed": [_unnamed_json(u) for u in e.unnamed],
-        "hypotheses": [_hypothesis_json(h) for h in e.hypotheses],
+        "hypotheses": [_hypothesis_json(h, weighed(h, e)) for h in e.hypotheses],
         "fit": {"before": _fit_json(e.before), "after": _fit_json(e.after)},
         "held_out": _held_out_json(e.held_out),
         "next_motion": [
@@ -73,11 +74,12 @@ def _mismatch_json(m: Mismatch, several: bool) -> dict[str, Any]:
     return out | ({"recording": m.recording} if several else {})
 
 
-def _hypothesis_json(h: Hypothesis) -> dict[str, Any]:
+def _hypothesis_json(h: Hypothesis, known: bool) -> dict[str, Any]:
+    """known: whether its probability is."""
     return {
         "effect": h.effect, "alone": summary.finite(h.alone), "final": summary.finite(h.final),
         "expected_gain": summary.finite(h.expected),
-        "probability": summary.finite(h.probability),
+        "probability": summary.finite(h.probability) if known else None,
     }  # fmt: skip
 
 

@@ -165,9 +165,13 @@ def either(titles: Sequence[str]) -> str:
 
 
 def probable(hypothesis: Hypothesis, explanation: Explanation) -> str:
-    """Its probability; a dash where time ran out before it was weighed."""
-    weighed = hypothesis.verdict or not explanation.untried
-    return percent(hypothesis.probability if weighed else math.nan)
+    """Its probability; a dash where the search ended before it was weighed."""
+    return percent(hypothesis.probability if weighed(hypothesis, explanation) else math.nan)
+
+
+def weighed(hypothesis: Hypothesis, explanation: Explanation) -> bool:
+    """Whether the search came so far."""
+    return bool(hypothesis.verdict) or not explanation.untried
 
 
 def one_model(explanation: Explanation) -> bool:
