@@ -25,8 +25,7 @@ from handcal.commands._app import app
 from handcal.commands._ending import asked
 from handcal.estimate.forked import in_parallel
 from handcal.explain import explain
-from handcal.explain.pipeline import SO_FAR
-from handcal.search.budget import AFTERWARDS, Budget, after
+from handcal.search.budget import AFTERWARDS, SO_FAR, Budget, after
 from handcal.show.explanation.document import explanation_json
 from handcal.show.explanation.verdict_text import verdict
 from handcal.types import Recording

@@ -30,6 +30,7 @@ from handcal.laws import (
     courses,
     drivers,
     grammar,
+    law_constants,
     law_effect,
     law_file,
     over_drivers,
@@ -130,13 +131,41 @@ def test_a_formula_is_made_again_from_its_kind_and_numbers(form: grammar.Form) -
     assert np.isfinite(form.values(x)).all()
 
 
-def test_near_numbers_keep_what_there_is_and_go_both_ways() -> None:
-    around = grammar.about(("bump", (1.0, 0.5)), 0.2)
-    assert around[0] == ("bump", (1.0, 0.5))
+@pytest.mark.parametrize("numbers", [(1.0, 0.5), (0.0, 0.5), (-0.1, 0.5)])
+def test_near_numbers_keep_what_there_is_and_go_both_ways(numbers: tuple[float, float]) -> None:
+    around = grammar.about(("bump", numbers), 0.2)
+    assert around[0] == ("bump", numbers)
     for k, other in ((0, 1), (1, 0)):
-        moved = [p[1] for p in around[1:] if p[1][k] != (1.0, 0.5)[k]]
-        assert {p[other] for p in moved} == {(1.0, 0.5)[other]}
-        assert min(p[k] for p in moved) < (1.0, 0.5)[k] < max(p[k] for p in moved)
+        moved = [p[1] for p in around[1:] if p[1][k] != numbers[k]]
+        assert {p[other] for p in moved} == {numbers[other]}
+        assert min(p[k] for p in moved) < numbers[k] < max(p[k] for p in moved)
+
+
+@pytest.mark.parametrize("begun", [0.0, -0.05])
+def test_a_place_at_zero_is_adjusted(begun: float) -> None:
+    """In proportion to itself it would stay there."""
+    true = (0.6, 1.0)
+
+    def odd(imu: Imu) -> Array:
+        x = (imu.gyro[:, 2] - true[0]) / true[1]
+        return np.outer(0.05 * np.exp(-0.5 * x**2), [0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+
+    base = baseline([case_of(held(0, 30.0, odd))])
+    forms = [grammar.formula([("bump", (c, true[1]))]) for c in (begun, true[0])]
+    laws = [law_over("omega_{i}", form, (2,)) for form in forms]
+    model, wanted = (fitted(base.parts, [law_effect.effect_of(law)]) for law in laws)
+    assert model.log_evidence < wanted.log_evidence - 20.0
+    effect: Effect | None = model.effects[-1]
+    for _ in range(8):
+        assert effect is not None
+        effect = law_constants.adjusted(model, effect)
+        if effect is None:
+            break
+        model = fitted(model.parts, [effect])
+    law = law_effect.law_of(model.effects[-1])
+    assert law is not None
+    assert law.form.numbers == pytest.approx(true, abs=0.1)
+    assert model.log_evidence > wanted.log_evidence - 2.0
 
 
 # --- drivers -----------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ import numpy as np
 
 from handcal.bench.program import simulated
 from handcal.bench.timing import Figure, Missing, Ran, Row, Skipped, Target, Tick, run_handcal
-from handcal.explain.pipeline import SO_FAR
+from handcal.search.budget import SO_FAR
 from handcal.types import HandcalError
 
 # Errors of usual size, of which a device has many at once.

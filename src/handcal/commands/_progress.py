@@ -10,6 +10,7 @@ from contextlib import contextmanager, nullcontext
 from typing import TYPE_CHECKING, Any
 
 from handcal.commands._registry import say
+from handcal.search.budget import SO_FAR
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -56,7 +57,7 @@ class Bar:
     def _redraw(self) -> None:
         if self.shown is not None:
             # (what has been found so far is a line of its own)
-            text = self._named().replace("; ", "\n", 1)
+            text = SO_FAR.replace("; ", "\n").join(self._named().rsplit(SO_FAR, 1))
             self.shown.update(self.shown.task_ids[0], description=text)
 
     def _show(self) -> None:

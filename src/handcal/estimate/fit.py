@@ -133,6 +133,8 @@ def fitted(
         now = relinearised_parts(
             now.parts, effects, known, wide=now.wide, tolerance=tolerance, reductions=now.reductions
         )
+    if not math.isfinite(now.evidence):
+        return diverged(now.parts, effects)
     whole = now.whole or _told(now.parts, effects)
     found = _posterior(whole, effects, known, now.wide)
     constant = sum(f.case.constant for f in now.parts)

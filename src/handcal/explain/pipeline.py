@@ -35,7 +35,7 @@ from handcal.explanation import (
 )
 from handcal.model_score import PRIOR, TERM_PRIOR
 from handcal.search import outliers
-from handcal.search.budget import Budget, after
+from handcal.search.budget import SO_FAR, Budget, after
 from handcal.search.climb.candidates import scanned_about
 from handcal.search.climb.state import Report, sensible, too_large
 from handcal.search.drifting_point import begun, moving
@@ -50,7 +50,6 @@ Progress = Callable[[float, str], None]
 # no fit of the same model at all.
 SAME, LOST = 1.0, 100.0
 
-SO_FAR = "; so far "  # and what a search has found
 SEARCHING = "searching what is missing"
 _MOVES = "a hand that moves"
 

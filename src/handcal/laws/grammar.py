@@ -337,10 +337,27 @@ def about(part: Part, share: float) -> list[Part]:
     """The function with its numbers as they are, and up to so much larger and smaller."""
     name, numbers = part
     out = [part]
-    for n, value in enumerate(numbers):
+    for n, (value, unit) in enumerate(zip(numbers, _units(part), strict=True)):
         for step in (-1.0, -0.5, 0.5, 1.0):
-            out.append((name, (*numbers[:n], value * math.exp(step * share), *numbers[n + 1 :])))
+            other = value + unit * math.expm1(step * share)
+            out.append((name, (*numbers[:n], other, *numbers[n + 1 :])))
     return out
+
+
+def _units(part: Part) -> tuple[float, ...]:
+    """By what each number of a function is changed: in proportion, but a place by no less than the
+    width about it (one at zero would stay there)."""
+    _, numbers = part
+    if len(numbers) != 2:
+        return numbers
+    place, width = numbers
+    return (place if abs(place) > width else width), width
+
+
+def units_of(form: Form) -> tuple[float, ...]:
+    """The same of all numbers of a formula."""
+    same = SAME in form.kind
+    return tuple(u for part in (form.parts[:1] if same else form.parts) for u in _units(part))
 
 
 def text_of(part: Part, digits: int = 4) -> str:

@@ -16,7 +16,8 @@ from handcal.laws.law_effect import Law, adding, effect_of, law_of
 from handcal.laws.weighing import beside
 from handcal.types import Array
 
-# A number's prior, and the largest step at once, as shares of it; and the step of its derivative.
+# A number's prior, and the largest step at once, as shares of its unit; and the step of its
+# derivative.
 OPEN, SMALL = 0.3, 0.01
 # Changes by less than this share of their own uncertainty are none.
 DONE = 0.3
@@ -25,6 +26,12 @@ DONE = 0.3
 def numbers_of(law: Law) -> Array:
     """Those of its form, and of its driver if that has one; a curve's are no matter."""
     own = () if law.form.smooth else law.form.numbers
+    return np.array([*own, *([law.driver.number] if law.driver.at is not None else [])])
+
+
+def _units(law: Law) -> Array:
+    """What a change of each of them is a share of."""
+    own = () if law.form.smooth else grammar.units_of(law.form)
     return np.array([*own, *([law.driver.number] if law.driver.at is not None else [])])
 
 
@@ -57,7 +64,7 @@ def adjusted(model: Model, effect: Effect) -> Effect | None:
     if np.all(np.abs(u) < DONE * sigma):
         return None
     step = np.clip(OPEN * u, -OPEN, OPEN)
-    return effect_of(with_numbers(law, numbers_of(law) * (1.0 + step)))
+    return effect_of(with_numbers(law, numbers_of(law) + step * _units(law)))
 
 
 def _changes(law: Law, values: Array) -> Effect:
@@ -86,11 +93,9 @@ def _adds(law: Law, values: Array, n: int, axis: int, truth: Signals) -> Callabl
 
 
 def _derivatives(law: Law, numbers: Array, adds: Callable[[Law], Array]) -> Array:
-    """By the logarithm of each number, (n, k)."""
+    """By each number, in its unit, (n, k)."""
     columns = []
-    for i in range(len(numbers)):
-        factors = np.ones((2, len(numbers)))
-        factors[:, i] += np.array([SMALL, -SMALL])
-        more, less = (adds(with_numbers(law, numbers * f)) for f in factors)
+    for step in SMALL * np.diag(_units(law)):
+        more, less = (adds(with_numbers(law, numbers + by)) for by in (step, -step))
         columns.append((more - less) / (2.0 * SMALL))
     return np.stack(columns, axis=1)

@@ -13,6 +13,9 @@ T = TypeVar("T")
 # what the baseline took; from long and short recordings, 2 to 4.
 AFTERWARDS = 3.0
 
+# Between what is being done and what a search has found, where both are told.
+SO_FAR = "; so far "
+
 
 def _never() -> bool:
     return False

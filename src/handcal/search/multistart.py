@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -121,6 +122,8 @@ def astray(base: Model) -> bool:
     or only at its end."""
     if base.settled:
         return False
+    if not math.isfinite(base.log_evidence):
+        return True
     if any(f.levels[lv.name] > END * lv.upper for f in base.parts for lv in f.problem.levels):
         return True
     passes = [reduced_pass(reduce(f.linear), f.levels) for f in base.parts]
