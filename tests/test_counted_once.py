@@ -95,3 +95,22 @@ def test_of_what_little_was_told_is_said_where_it_is_taken_off(tmp_path: Path) -
 def test_an_export_without_a_format_is_no_success(tmp_path: Path) -> None:
     said = ran("export", "x.json", "-o", str(tmp_path / "x.csv"), status=2)
     assert "--to FORMAT" in said
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--height", "500"), "--height needs --latitude"),
+        (("--no-heading", "--heading-sigma", "3"), "--no-heading leaves nothing"),
+        (("--perfect", "--device", "paper"), "give one of them"),
+    ],
+)
+def test_simulated_devices_have_what_is_asked_for(options, said, tmp_path: Path) -> None:
+    assert said in ran("simulate", "z-turn", "-o", str(tmp_path / "x.mcap"), *options, status=2)
+
+
+def test_a_table_has_no_topics(tmp_path: Path) -> None:
+    path = tmp_path / "x.csv"
+    rows = (f"{0.01 * k},0.1,{0.001 * (k % 7)},0,0,{0.01 * (k % 5)},9.8\n" for k in range(400))
+    path.write_text("t,gx,gy,gz,ax,ay,az\n" + "".join(rows))
+    assert "has no topics" in ran("info", str(path), "--topic", "imu=/imu", status=2)

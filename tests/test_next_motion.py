@@ -21,8 +21,8 @@ from handcal.estimate.quadratic import Quadratic, log_evidence
 from handcal.estimate.scan import scan
 from handcal.estimate.transfer import moved_to
 from handcal.explain import next_motion
-from handcal.explain.next_motion import ENOUGH, _believed, _informations, next_motions
-from handcal.explanation import Hypothesis, Missing
+from handcal.explain.next_motion import _believed, _informations, next_motions
+from handcal.explanation import ENOUGH_TO_SHOW, Hypothesis, Missing
 from handcal.motions import MOTIONS, Motion, attitude, recording_of
 from handcal.recordings import segment
 from handcal.recordings.streams import STREAMS
@@ -150,7 +150,7 @@ def _plain(name: str) -> Effect:
 
 def test_turns_back_or_at_another_speed_tell_scale_from_square(one_way: Found) -> None:
     alike = rivals(one_way.space, frozenset(["gyro_scale"]), "gyro_scale")["gyro_quadratic"]
-    assert abs(alike) < ENOUGH  # or the recording itself would tell
+    assert abs(alike) < ENOUGH_TO_SHOW  # or the recording itself would tell
     (told,) = next_motions(one_way, [_set("gyro_scale", "gyro_quadratic")], [], "cannot_tell")
     assert told.separates == ("gyro_scale", "gyro_quadratic")
     assert told.expected_gain > 20.0
@@ -165,7 +165,7 @@ def test_lying_still_tells_nothing_of_turns(one_way: Found) -> None:
     both = one_way.space, frozenset(), "gyro_scale", "gyro_quadratic"
     where, rest, a, b = both
     assert next_motion._apart(where, still, rest, a, b) < 0.1
-    assert next_motion._apart(where, back, rest, a, b) > ENOUGH
+    assert next_motion._apart(where, back, rest, a, b) > ENOUGH_TO_SHOW
 
 
 def test_the_promise_is_kept(one_way: Found) -> None:
@@ -230,10 +230,10 @@ def test_no_motion_separates_a_gauge() -> None:
 
 def test_a_lever_arm_needs_two_axes(on_a_table: Found) -> None:
     hidden = _hidden(on_a_table, "lever_arm")
-    assert hidden[0].expected < ENOUGH
+    assert hidden[0].expected < ENOUGH_TO_SHOW
     (told,) = next_motions(on_a_table, [], hidden, "nothing_missing")
     assert told.separates == ("lever_arm",)
-    assert told.expected_gain > ENOUGH
+    assert told.expected_gain > ENOUGH_TO_SHOW
     assert _axes(_motion(told.motion)) >= 2
     at = on_a_table.space.where["lever_arm"]
     for motion, G in _informations(on_a_table, frozenset(["lever_arm"])).items():
@@ -243,7 +243,7 @@ def test_a_lever_arm_needs_two_axes(on_a_table: Found) -> None:
 
 def test_only_warmth_shows_what_warmth_does(on_a_table: Found) -> None:
     hidden = _hidden(on_a_table, "gyro_temperature", "accel_temperature")
-    assert all(h.expected < ENOUGH for h in hidden)
+    assert all(h.expected < ENOUGH_TO_SHOW for h in hidden)
     (told,) = next_motions(on_a_table, [], hidden, "nothing_missing")
     assert _motion(told.motion).warming
     assert set(told.separates) == {"gyro_temperature", "accel_temperature"}
@@ -280,7 +280,7 @@ def test_explain_says_it() -> None:
     found = explain([recording_in(world, "heading")])
     assert found.verdict == "nothing_missing"
     (told,) = found.next_motion
-    low = {h.effect for h in found.hypotheses if h.expected < ENOUGH}
+    low = {h.effect for h in found.hypotheses if h.expected < ENOUGH_TO_SHOW}
     assert set(told.separates) <= low
     assert {"accel_scale", "gyro_misalignment"} & set(told.separates)
     assert _axes(_motion(told.motion)) >= 2

@@ -64,6 +64,8 @@ def simulated(request: Request) -> tuple[World, int]:
         seed = int(np.random.SeedSequence().generate_state(1)[0])
     if seed < 0:
         raise SimulationError("--seed must not be negative")
+    if not request.heading and (request.heading_sigma_deg, request.heading_rate_hz) != (None, None):
+        raise SimulationError("--no-heading leaves nothing for --heading-sigma and --heading-rate")
     effects: dict[str, tuple[float, ...]] = {}
     for text in request.effects:
         name, values = parse_effect(text)
@@ -97,6 +99,8 @@ def _equipment(request: Request) -> Equipment | None:
 
 def _earth(request: Request) -> Earth:
     if request.latitude_deg is None:
+        if request.height_m:
+            raise SimulationError("--height needs --latitude: gravity depends on both")
         return ASSUMED
     if not (abs(request.latitude_deg) <= 90.0 and abs(request.height_m) <= 1e5):
         raise SimulationError("no such place: --latitude is in deg, --height in m")

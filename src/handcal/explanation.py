@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -122,6 +122,15 @@ class Hypothesis:
     expected: float
     probability: float
     verdict: str
+
+
+# Nats, odds of twenty to one: what an effect must promise to be looked for.
+ENOUGH_TO_SHOW = 3.0
+
+
+def hardly_shown(hypotheses: Iterable[Hypothesis]) -> list[Hypothesis]:
+    """Effects that a motion would not have shown at their usual size."""
+    return [h for h in hypotheses if not h.verdict and h.expected < ENOUGH_TO_SHOW]
 
 
 @dataclass(frozen=True, repr=False)

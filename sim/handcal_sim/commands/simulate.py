@@ -49,9 +49,9 @@ def simulate(
         ),
     ] = None,
     device: Annotated[
-        str,
-        typer.Option(help="consumer (drawn at random), paper (paper 002) or perfect."),
-    ] = "consumer",
+        str | None,
+        typer.Option(help="consumer (drawn at random; default), paper (paper 002) or perfect."),
+    ] = None,
     perfect: Annotated[bool, typer.Option("--perfect", help="Same as --device perfect.")] = False,
     rate: Annotated[
         float | None, typer.Option(metavar="HZ", help="Sampling rate of the IMU (100).")
@@ -118,13 +118,16 @@ def simulate(
     """Write a recording of a simulated device in a simulated hand, and what was true."""
     from handcal.output import check_outputs, whole
     from handcal.recordings.export import check_ending
+    from handcal.types import InputError
     from handcal.user_effects import files
     from handcal_sim.effects import parted
     from handcal_sim.request import Request, simulated
 
+    if perfect and device not in (None, "perfect"):
+        raise InputError(f"--perfect is --device perfect, not {device}: give one of them.")
     own, others = parted(effect or ())
     request = Request(
-        scenario=scenario, seed=seed, device="perfect" if perfect else device,
+        scenario=scenario, seed=seed, device="perfect" if perfect else device or "consumer",
         effects=own, rate_hz=rate, duration_s=duration,
         heading=not no_heading, heading_sigma_deg=heading_sigma, heading_rate_hz=heading_rate,
         bias_gyro_deg_h=bias_gyro_deg_h, bias_accel_mg=bias_accel_mg,

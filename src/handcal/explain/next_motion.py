@@ -26,7 +26,13 @@ from handcal.estimate.prior_root import prior_root
 from handcal.estimate.problem import Problem
 from handcal.estimate.quadratic import Posterior, Quadratic, local, posterior
 from handcal.estimate.trajectory import Trajectory, epochs
-from handcal.explanation import Hypothesis, Missing, NextMotion
+from handcal.explanation import (
+    ENOUGH_TO_SHOW,
+    Hypothesis,
+    Missing,
+    NextMotion,
+    hardly_shown,
+)
 from handcal.motions import EARTH_FIELD, MOTIONS, Motion, attitude, rate_of, recording_of
 from handcal.observations.magnetometer import HORIZONTAL, UPWARD
 from handcal.recordings import segment
@@ -37,8 +43,6 @@ from handcal.types import Array, HandcalError, IntArray
 
 # Motions that are proposed, at the most.
 MOST = 3
-# Nats worth a motion: odds of twenty to one.
-ENOUGH = 3.0
 
 
 def next_motions(
@@ -54,7 +58,7 @@ def next_motions(
     hidden: list[str] = []
     if verdict in ("nothing_missing", "cannot_tell"):
         rivals = {i for set_ in sets for i in set_}
-        low = {h.effect for h in hypotheses if not h.verdict and h.expected < ENOUGH}
+        low = {h.effect for h in hardly_shown(hypotheses)}
         hidden = [i for i in where.effects if i in low and i not in chosen | rivals]
     if not sets and not hidden:
         return ()
@@ -209,7 +213,7 @@ def _separating(
     left = set(combinations(set_, 2))
     out: list[NextMotion] = []
     while left and gains:
-        told = {m: {p: g[p] for p in left if g[p] >= ENOUGH} for m, g in gains.items()}
+        told = {m: {p: g[p] for p in left if g[p] >= ENOUGH_TO_SHOW} for m, g in gains.items()}
         best = max(told, key=lambda m: (len(told[m]), min(told[m].values(), default=0.0)))
         if not told[best]:
             break
@@ -231,7 +235,7 @@ def _mutually(
     for i in set_:
         if i not in members:
             order = [tuple(sorted((i, j), key=set_.index)) for j in members]
-            if all(gains[a, b] >= ENOUGH for a, b in order):
+            if all(gains[a, b] >= ENOUGH_TO_SHOW for a, b in order):
                 members.append(i)
     return sorted(members, key=set_.index)
 
@@ -245,7 +249,7 @@ def _revealing(
         q = where.quadratic
         more = replace(where, quadratic=replace(q, G=q.G + G), scores={})
         gains = {i: expected_gain(more, i, chosen, np.ones(len(where.where[i]))) for i in hidden}
-        shown = sorted((i for i in hidden if gains[i] >= ENOUGH), key=lambda i: -gains[i])
+        shown = sorted((i for i in hidden if gains[i] >= ENOUGH_TO_SHOW), key=lambda i: -gains[i])
         least = min((gains[i] for i in shown), default=0.0)
         if shown and (best is None or (len(shown), least) > best[:2]):
             best = (len(shown), least, shown, motion)

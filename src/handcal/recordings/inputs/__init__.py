@@ -76,6 +76,8 @@ def load(
     # Absurd numbers become infinite or NaN in conversion, and are dropped and told.
     with reading(path), said_of_cuts() as cut, np.errstate(over="ignore", invalid="ignore"):
         recording: Recording = module.read(path, options)
+    if topics and not recording.topics:
+        raise InputError(f"{path} has no topics, of which --topic could choose one.")
     # (a table that holds two sensors is read for both)
     return replace(recording, warnings=(*recording.warnings, *dict.fromkeys(cut)))
 

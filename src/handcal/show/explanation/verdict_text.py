@@ -8,12 +8,13 @@ from collections.abc import Sequence
 from functools import partial
 
 from handcal.explanation import (
+    ENOUGH_TO_SHOW,
     Explanation,
     Fit,
-    Hypothesis,
     Missing,
     NextMotion,
     Unnamed,
+    hardly_shown,
 )
 from handcal.show import words
 from handcal.show.explanation import always
@@ -35,7 +36,6 @@ from handcal.show.explanation.words import (
 )
 from handcal.show.words import NBSP, Verdict, listed
 
-SEEN = 3.0  # nats, odds of twenty to one: what an effect must promise to be looked for
 MANY = 5  # names in a row
 MATTERS = 0.05  # share of the mismatch from which a cause is one that matters
 OVERSURE = 1.6  # mean NIS above which errors are clearly larger than the model allows
@@ -203,9 +203,9 @@ def _nothing(e: Explanation, final: bool = False) -> tuple[str, str, list[str]]:
         by = gained[best.effect]
         tried = words.counted(len(open_), "effect")
         change = f"gains {nats(by)}" if by > 0 else f"loses {nats(-by)}"
-        enough = "no more than chance gives" if by < SEEN else "too little to be sure"
+        enough = "no more than chance gives" if by < ENOUGH_TO_SHOW else "too little to be sure"
         sentences.append(f"Of {tried} tried, the best, {the(best.title)}, {change}: {enough}.")
-        if hidden := unseen(e):
+        if hidden := hardly_shown(e.hypotheses):
             sentences.append(
                 f"That is not proof of absence: {words.counted(len(hidden), 'effect')} would "
                 f"hardly show in this motion even at the usual size (they are listed below)."
@@ -331,11 +331,6 @@ def left_over(fit: Fit) -> list[str]:
     ]  # fmt: skip
 
 
-def unseen(explanation: Explanation) -> list[Hypothesis]:
-    """Effects that this motion would not have shown at their usual size."""
-    return [h for h in explanation.hypotheses if not h.verdict and h.expected < SEEN]
-
-
 def untold(explanation: Explanation) -> list[str]:
     """What this motion could not tell, in sentences."""
     sentences = []
@@ -348,7 +343,7 @@ def untold(explanation: Explanation) -> list[str]:
                 f"{names[:1].upper()}{names[1:]} look alike in this motion: one of them is "
                 f"present (probability {percent(m.probability)}), {which}."
             )
-    if hidden := unseen(explanation):
+    if hidden := hardly_shown(explanation.hypotheses):
         names = listed([the(h.title) for h in hidden])
         sentences.append(
             f"{names[:1].upper()}{names[1:]} would hardly show in this motion even at the usual "
