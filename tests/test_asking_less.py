@@ -17,8 +17,15 @@ from handcal.explain import pipeline
 from handcal.laws import best_law, chosen_again
 from handcal.laws.best_law import Term
 from handcal.laws.grammar import formula, shorter
-from handcal.laws.law_effect import Law, effect_of
-from handcal.laws.over_drivers import best_of_block, blocks, promising
+from handcal.laws.law_effect import COMPOSED, SIZE, Law, effect_of
+from handcal.laws.over_drivers import (
+    best_of_block,
+    blocks,
+    is_product,
+    of_one_signal,
+    promising,
+    signals_of,
+)
 from handcal.laws.vocabulary import driver_of
 from handcal.laws.weighing import Beside
 from handcal.search import multistart
@@ -312,3 +319,25 @@ def test_what_fits_at_no_other_moment_stays_where_it_is(there, dropped, monkeypa
     more = frozenset([wanted]) if "@" in there else frozenset([there, wanted])
     assert subset_steps._grown(c, more) is None
     assert c.dropped == dropped
+
+
+@pytest.mark.parametrize(
+    ("driver", "alone"),
+    [
+        ("omega_{j} * |f|", ["omega_{j}", "|f|"]),
+        ("f_{i} by |omega|", ["f_{i}", "|omega|"]),
+        ("|f|", []),
+    ],
+)
+def test_a_product_is_tried_without_each_of_its_signals(driver, alone, base: Model) -> None:
+    """One of them may hardly change (a gyro's rate times the square of a force that is gravity)."""
+    law = Law(1, (2,), False, driver_of(driver), formula([("line", ())]), (0.01,))
+    assert is_product(law.driver) == bool(alone)
+    found = of_one_signal(law, signals_of(base.parts[0]))
+    assert [x.driver.name for x in found] == alone
+    for x in found:
+        assert x.form.parts == (("line", ()),)
+        size = np.std(x.values(signals_of(base.parts[0]), 2)) * x.sigmas[0]
+        assert size <= SIZE[1] * 1.01  # (as large as any law may be)
+    cost = replace(law, driver=driver_of("omega_{j}")).cost
+    assert law.cost == pytest.approx(cost + (COMPOSED if alone else 0.0))

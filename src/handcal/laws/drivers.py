@@ -39,7 +39,7 @@ WARMING = (3.0, 10.0, 30.0, 60.0)
 # How far from the room a device is, as formulas have it.
 WARM = "(T - 25)"
 # Between the name of a signal and that of a driver that changes how much of it is felt.
-BY = " by "
+BY, PRODUCT = " by ", " * "
 
 Of = Callable[[Signals, int], Array]
 

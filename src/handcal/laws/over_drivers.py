@@ -15,7 +15,7 @@ from handcal.estimate.columns import Ground
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.scan import scan
 from handcal.estimate.seen import truth
-from handcal.laws.drivers import DRIVERS, HEADING, LINE, NEARER, Driver, times, usable
+from handcal.laws.drivers import BY, DRIVERS, HEADING, LINE, NEARER, PRODUCT, Driver, times, usable
 from handcal.laws.grammar import (
     Form,
     Part,
@@ -233,6 +233,31 @@ def _plainly(law: Law) -> Law:
     names = f"{factor.name} * {felt.name}", f"{felt.name} * {factor.name}"
     usual = [DRIVERS[name] for name in names if name in DRIVERS]
     return replace(law, driver=usual[0] if usual else times(factor, felt))
+
+
+def is_product(driver: Driver) -> bool:
+    """Whether it is a product of signals."""
+    return driver.factor is not None or len(_factors(driver)) > 1
+
+
+def of_one_signal(law: Law, signals: Signals) -> list[Law]:
+    """Laws in proportion to each signal alone of the product that a law is over. (One of them may
+    hardly change: then the law is the other's.)"""
+    out = []
+    for name in _factors(law.driver):
+        alone = driver_of(name)
+        if usable(alone, signals) and alone.only in (None, law.sensor):
+            plain = replace(law, driver=alone, form=formula([("line", ())]))
+            sigma = SIZE[law.sensor] / max(rms_of(plain, plain.form, signals), 1e-12)
+            out.append(replace(plain, sigmas=(sigma,)))
+    return out
+
+
+def _factors(driver: Driver) -> list[str]:
+    """Names of the signals that a driver is the product of; none where it is no product."""
+    names = driver.name.replace(BY, PRODUCT).split(PRODUCT)
+    whole = all(name.count("(") == name.count(")") for name in names)
+    return names if whole and len(names) > 1 else []
 
 
 def _sets(some: Sequence[int], parts: Sequence[Part]) -> list[tuple[list[tuple[int, ...]], bool]]:

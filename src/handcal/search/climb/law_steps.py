@@ -21,8 +21,8 @@ from handcal.laws.chosen_again import reshaped, with_other
 from handcal.laws.drivers import HEADING
 from handcal.laws.grammar import LEVEL, SAME, formula, shorter
 from handcal.laws.law_constants import adjusted
-from handcal.laws.law_effect import SENSORS, SIZE, Law, effect_of, law_of
-from handcal.laws.over_drivers import rms_of
+from handcal.laws.law_effect import SENSORS, SIZE, Law, effect_of, law_of, named
+from handcal.laws.over_drivers import is_product, of_one_signal, rms_of
 from handcal.model_score import score
 from handcal.search.climb.candidates import scanned
 from handcal.search.climb.in_place import (
@@ -212,14 +212,15 @@ def _taken_in(model: Model, law: Effect, name: str, whole: Effect) -> Model:
 
 
 def narrow(c: Climb) -> Model | None:
-    """The model with a law on fewer axes, or with one function of its sum left out, if it does not
-    miss what it adds least: far from where a law is large a scan cannot tell what it adds there."""
+    """The model with a law on fewer axes, or with one function of its sum or one signal of its
+    product left out, if it does not miss what it adds least: far from where a law is large a scan
+    cannot tell what it adds there."""
     for i, term in enumerate(c.unnamed):
         old = term.effect
         if old.id not in c.model.ids or old.id in c.whole:
             continue
         c.whole.add(old.id)
-        new = [effect_of(law) for law in _narrower(c.model, old)]
+        new = [effect_of(law) for law in _narrower(c, old) if not named(law)]
         calls = (partial(with_other, c.model, old, e) for e in new)
         fits = in_parallel(c.budget.each(calls))
         ends = [(m, e) for m, e in zip(fits, new, strict=False) if likelier(c, m)]
@@ -231,13 +232,13 @@ def narrow(c: Climb) -> Model | None:
     return None
 
 
-def _narrower(model: Model, effect: Effect) -> list[Law]:
-    """The law without the axis on which it adds least; and, where it is a sum, without each of its
-    functions."""
-    law = law_of(effect)
+def _narrower(c: Climb, effect: Effect) -> list[Law]:
+    """The law without the axis on which it adds least; where it is a sum, without each of its
+    functions; and where it is over a product, without each of its signals."""
+    law, model = law_of(effect), c.model
     if law is None:
         return []
-    out = []
+    out = of_one_signal(law, surveyed(c).signals) if is_product(law.driver) else []
     if law.each:
         mine = [k for k, n in enumerate(model.quadratic.names) if n[0] == effect.id]
         sizes = np.abs(model.u[mine]).reshape(len(law.axes), -1).sum(axis=1)
