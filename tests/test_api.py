@@ -103,7 +103,8 @@ def test_a_calibration_is_that_of_the_command_and_shows_itself(
     assert json.loads((tmp_path / "a.json").read_text()) == found.document
     found.report(tmp_path / "a.html")
     assert "Gyro scale" in (tmp_path / "a.html").read_text()
-    several = hc.calibrate([recording, written])
+    other = hc.conceal(recording, {"gyro_scale": [0.001, 0.0, 0.0]})
+    several = hc.calibrate([other, written])
     assert len(several) == 2
     assert all(isinstance(one, api.Calibration) for one in several)
 

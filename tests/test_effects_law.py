@@ -429,7 +429,7 @@ def test_what_is_taken_off_changes_as_the_jacobian_says(effect, share):
 def corrected(name, kind, nav, parameters, z, taken_off=0.0):
     """What the effect adds to a residual of ones, 40 s after the start."""
     r = np.ones(MAX_DIM)
-    z = np.r_[np.asarray(z, dtype=float), np.zeros(Z_DIM - len(z))]
+    z = np.r_[np.asarray(z, dtype=float), np.zeros(max(0, Z_DIM - len(z)))]
     z[DELAY], z[TIME] = taken_off, 40.0
     address = catalogue()[name].observation_error[kind]
     assert call_residual(address, nav, np.asarray(parameters, dtype=float), z, r) == 0
@@ -445,7 +445,7 @@ def nav_of(v, C, w):
 CUBE, GROWTH = 1e4, np.array([3, -1, 2, 10, 20, 30])
 BENT = np.array([0, 0, 0, 0, 1, 0])
 REFERENCE = [
-    *np.zeros(6), *GROWTH,
+    *np.zeros(Z_DIM), *np.zeros(6), *GROWTH,
     *(-0.008 * GROWTH - CUBE * 0.008**3 * BENT), *(0.008 * GROWTH + CUBE * 0.008**3 * BENT),
     *(GROWTH + 3 * CUBE * 0.008**2 * BENT), *(GROWTH + 3 * CUBE * 0.008**2 * BENT), 0.008,
     3, -1, 2,

@@ -499,7 +499,7 @@ def test_many_that_stand_in_are_exchanged_for_one(size_alone) -> None:
     many = fitted(base.parts, [*base.effects, *select(names), term.effect])
     c = Climb(many, [term])
     c.kept = frozenset(base.ids)
-    assert climbed(c, lambda _: None)
+    assert climbed(c, lambda *_: None)
     assert c.model.ids == (*base.ids, term.effect.id)
 
 

@@ -421,7 +421,7 @@ def test_a_climb_out_of_turns_ends_with_a_scan_of_its_model(
 
     monkeypatch.setattr(sequence, "_STEPS", {renamed: "anything"})
     c = Climb(base, ())
-    assert sequence.climbed(c, lambda _: None)
+    assert sequence.climbed(c, lambda *_: None)
     assert c.model.chosen <= set(c.where.effects)
     assert gains(c.where, c.model.chosen)[next(iter(c.model.chosen))] > 0.0
 

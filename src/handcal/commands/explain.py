@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -119,9 +119,12 @@ def explain(
     if twin:
         check_outputs(beside(twin, recordings), read)
     others = [load(path, topic, units) for path in held_out or ()]
-    given = {"ignore": ignore, "height": height, "latitude": latitude}
-    given |= {"heading_sigma": heading_sigma, "reference_exact": reference_exact}
-    check_used(recordings, given)
+    settings: dict[str, Any] = {
+        "heading_sigma": radians(heading_sigma), "latitude": radians(latitude), "height": height,
+        "ignore": tuple(ignore or ()), "reference_exact": reference_exact,
+    }  # fmt: skip
+    check_used(recordings, settings)
+    before = before_of(device, priors, model, recordings)
     names = ", ".join(path.name for path in files)
     with (
         progress(f"explaining {names}") as done,
@@ -129,19 +132,9 @@ def explain(
         asked(partial(done.announce, ENDING)) as stop,
     ):
         explanation = explained(
-            recordings,
-            others,
-            assume=str(assume),
-            heading_sigma=radians(heading_sigma),
-            latitude=radians(latitude),
-            height=height,
-            ignore=tuple(ignore or ()),
-            reference_exact=reference_exact,
-            budget=budget,
-            stop=stop,
-            before=before_of(device, priors, model, recordings),
-            progress=done,
-        )
+            recordings, others, assume=str(assume), budget=budget, stop=stop, before=before,
+            progress=done, **settings,
+        )  # fmt: skip
     explanation = _beside_the_device(explanation)
     typed = _typed(assume, heading_sigma, latitude, height, ignore, reference_exact, topic, units,
                    device, held_out, budget, priors, model, effects_from)  # fmt: skip

@@ -63,7 +63,7 @@ def export(
 
     if to.casefold() == "list":
         # (said without a word of what was asked for, that would look like success)
-        if result is not None or out is not None:
+        if out is not None:
             raise InputError("export needs --to FORMAT; 'handcal export' alone lists the formats.")
         width = max(map(len, formats()))
         for name, form in formats().items():

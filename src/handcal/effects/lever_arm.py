@@ -7,9 +7,7 @@ from typing import Any
 from handcal.compiled.jit import residual_function
 from handcal.effects import Effect, Param
 from handcal.effects._position import placed
-
-# Where z of a reference has its angular acceleration (3,), rad/s^2.
-ALPHA = 6
+from handcal.effects._reference import SLOPE
 
 
 def _position(nav: Any, r: Any, z: Any, out: Any) -> int:  # noqa: ARG001
@@ -28,8 +26,8 @@ def _velocity(nav: Any, r: Any, z: Any, out: Any) -> int:  # noqa: ARG001
 
 
 def _force(nav: Any, r: Any, z: Any, out: Any) -> int:
-    # what the reference lacks of alpha x r + omega x (omega x r)
-    ax, ay, az = z[ALPHA], z[ALPHA + 1], z[ALPHA + 2]
+    # what the reference lacks of alpha x r + omega x (omega x r); its rate's slope is alpha
+    ax, ay, az = z[SLOPE], z[SLOPE + 1], z[SLOPE + 2]
     square = nav[15] * nav[15] + nav[16] * nav[16] + nav[17] * nav[17]
     along = nav[15] * r[0] + nav[16] * r[1] + nav[17] * r[2]
     out[3] += ay * r[2] - az * r[1] + nav[15] * along - square * r[0]
