@@ -13,7 +13,7 @@ from fake_result import fake_frames, fake_result
 
 import handcal
 from handcal import output
-from handcal.commands import _app, _options, _registry, calibrate
+from handcal.commands import _app, _registry, calibrate
 from handcal.commands._progress import progress
 from handcal.estimate import calibration
 from handcal.types import HandcalError, InputError
@@ -143,8 +143,7 @@ def test_several_files_get_a_page_each(main, tmp_path):
     assert two == [Path("out/x-hand-motion.html"), Path("out/x-c.html")]
 
 
-def test_options_reach_the_filter_in_si(main, monkeypatch):
-    monkeypatch.setattr(_options, "check_used", lambda *_: None)
+def test_options_reach_the_filter_in_si(main):
     main("calibrate", "x", "--effects", "gyro_scale, lever_arm", "--heading-sigma", "180",
          "--latitude", "90", "--assume", "rest-only", "--ignore", "mag", "--ignore", "pose",
          "--noise-until", "10", "--engine", "filterpy", "--reference-exact")  # fmt: skip

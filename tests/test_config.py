@@ -6,7 +6,7 @@ import pytest
 from fake_result import fake_result
 
 import handcal
-from handcal.commands import _app, _options
+from handcal.commands import _app
 from handcal.commands._config import first
 from handcal.estimate import calibration
 
@@ -22,7 +22,6 @@ def main(monkeypatch, capsys, tmp_path):
         return (fake_result(),)
 
     monkeypatch.setattr(calibration, "calibrate_together", together)
-    monkeypatch.setattr(_options, "check_used", lambda *_: None)
 
     def call(config, *arguments):
         (tmp_path / "handcal.toml").write_text(config)

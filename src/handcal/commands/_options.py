@@ -201,18 +201,15 @@ def load(path: Path, topics: list[str] | None, units: str | None) -> Recording:
     return recording
 
 
-def check_used(recordings: Sequence[Recording], given: Mapping[str, Any]) -> None:
-    """That no option is for something that is not there: it would be left aside without a word.
-    Errors: InputError."""
-    from handcal.types import InputError
-
+def say_unused(recordings: Sequence[Recording], given: Mapping[str, Any]) -> None:
+    """Say which options are left aside, being for something that is not there."""
     there = {name for r in recordings for name in r.streams} - set(given["ignore"] or ())
     if given["height"] and given["latitude"] is None:
-        raise InputError("--height needs --latitude: gravity and the Earth's rate depend on both.")
+        say("--height is left aside: without --latitude, gravity is the standard one")
     if given["heading_sigma"] is not None and not there & {"heading", "mag"}:
-        raise InputError("--heading-sigma is for a heading, and there is none here.")
+        say("--heading-sigma is left aside: there is no heading here")
     if given.get("reference_exact") and "reference" not in there:
-        raise InputError("--reference-exact is for a /reference, and there is none here.")
+        say("--reference-exact is left aside: there is no /reference here")
 
 
 def radians(degrees: float | None) -> float | None:
@@ -234,7 +231,7 @@ def calibrated(
             raise InputError(f"--{name.replace('_', '-')} {value}: expected a finite number.")
     for name in ("heading_sigma", "latitude"):
         settings[name] = radians(settings[name])
-    check_used(recordings, settings)
+    say_unused(recordings, settings)
     settings |= {"assume": str(settings["assume"]), "engine": str(settings["engine"])}
     settings["ignore"] = tuple(settings["ignore"] or ())
     ids = comma_separated(effects)

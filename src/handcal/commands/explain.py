@@ -31,10 +31,10 @@ from handcal.commands._options import (
     Rrd,
     Topics,
     UnitsToo,
-    check_used,
     in_units,
     load,
     radians,
+    say_unused,
     with_own_effects,
 )
 from handcal.commands._precompile import compiled_ahead
@@ -123,7 +123,7 @@ def explain(
         "heading_sigma": radians(heading_sigma), "latitude": radians(latitude), "height": height,
         "ignore": tuple(ignore or ()), "reference_exact": reference_exact,
     }  # fmt: skip
-    check_used(recordings, settings)
+    say_unused(recordings, settings)
     before = before_of(device, priors, model, recordings)
     names = ", ".join(path.name for path in files)
     with (
