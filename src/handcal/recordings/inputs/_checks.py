@@ -165,16 +165,16 @@ def rest_magnitude(accel: Array, rate_hz: float) -> float:
     return float(np.median(np.linalg.norm(windows[stillest].mean(axis=1), axis=1)))
 
 
-def check_stream_unit(name: str, value: Array) -> None:
-    """A field (n, 3) must be one that may be about a device, in tesla. Errors: InputError."""
+def wrong_field(name: str, value: Array) -> str:
+    """What is said of a field (n, 3), in tesla, that is about no device; empty of any other."""
     finite = value[np.all(np.isfinite(value), axis=1)] if name == "mag" else value[:0]
     size = float(np.median(np.linalg.norm(finite, axis=1))) if len(finite) else 0.0
     if size < STRONGEST_T:
-        return
+        return ""
     guess = "microtesla: give --units mag=uT" if size > 5.0 else "gauss: give --units mag=gauss"
-    raise InputError(
-        f"The magnetometer reads {size:.3g} tesla, where the Earth's field is 0.00005: that may be "
-        f"{guess}."
+    return (
+        f"The magnetometer was left out: it reads {size:.3g} tesla, where the Earth's field is "
+        f"0.00005. That may be {guess}."
     )
 
 

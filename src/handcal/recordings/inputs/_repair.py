@@ -17,11 +17,11 @@ from handcal.recordings.inputs._checks import (
     check_alive,
     check_gyro_unit,
     check_heading_unit,
-    check_stream_unit,
     rest_magnitude,
     saturated,
     slow_stamps,
     stuck,
+    wrong_field,
 )
 from handcal.recordings.inputs._range import at_range_end
 from handcal.recordings.streams import STREAMS
@@ -101,8 +101,10 @@ def assemble(
     if int((valid & ~frozen).sum()) < min(FEWEST, int(valid.sum())):
         raise InputError(f"{path}: hardly a reading is left to trust. {' '.join(doubts)}")
     valid = valid & ~frozen
+    fields = {name: wrong_field(name, stream.value) for name, stream in streams.items()}
+    said += filter(None, fields.values())
+    streams = {name: stream for name, stream in streams.items() if not fields[name]}
     for name, stream in streams.items():
-        check_stream_unit(name, stream.value)
         if STREAMS[name].circular:
             when = (stream.ns - ns[0]) / 1e9
             check_heading_unit(t, rates, when, stream.value[:, 0])
