@@ -22,9 +22,13 @@ from worlds import recording_of
 
 import handcal.explain
 from handcal.commands._app import app
-from handcal.commands._ending import asked
 from handcal.estimate.forked import in_parallel
 from handcal.explain import explain
+from handcal.interrupt import ENDING, asked
+from handcal.live import run
+from handcal.live.ending import Wanted
+from handcal.live.recorder import opened
+from handcal.live.session import Session
 from handcal.search.budget import AFTERWARDS, SO_FAR, Budget, after
 from handcal.show.explanation.document import explanation_json
 from handcal.show.explanation.verdict_text import verdict
@@ -139,13 +143,13 @@ def heard() -> Iterator[None]:
 @pytest.mark.usefixtures("heard")
 def test_the_first_interrupt_asks_and_the_second_one_ends() -> None:
     told: list[str] = []
-    with asked(lambda: told.append("once")) as stop:
+    with asked(told.append) as stop:
         assert not stop()
         os.kill(os.getpid(), signal.SIGINT)
         assert stop()
         with pytest.raises(KeyboardInterrupt):
             os.kill(os.getpid(), signal.SIGINT)
-    assert told == ["once"]
+    assert told == [ENDING]
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
@@ -173,3 +177,23 @@ def test_what_was_not_weighed_has_no_probability(recording: Recording) -> None:
     """In the terminal it has a dash; JSON said 0.0 of an effect that is there."""
     document = explanation_json(explain([recording], budget=0.0))
     assert {h["probability"] for h in document["hypotheses"]} == {None}
+
+
+@pytest.mark.usefixtures("heard")
+def test_an_interrupt_while_a_session_is_explained_ends_that_alone(
+    recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[str] = []
+
+    def finish(_session: Any, _out: Any, wanted: Wanted, _progress: Any) -> Any:
+        assert wanted.stop is not None
+        assert not wanted.stop()
+        os.kill(os.getpid(), signal.SIGINT)
+        return wanted.stop()
+
+    monkeypatch.setattr(run, "finish", finish)
+    monkeypatch.setattr(run.file, "feed", lambda *_, **__: None)
+    session = Session(opened(tmp_path / "x.mcap"), source="file")
+    assert run.fed(session, recording, 0.0, tmp_path, Wanted(), said.append)
+    session.recorder.close()
+    assert ENDING in said

@@ -5,8 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import NoReturn
 
 INTERRUPTED = 130
@@ -46,27 +45,6 @@ def listen(handler: Callable[[int, object], NoReturn]) -> None:
     for number in SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, handler)
-
-
-@contextmanager
-def asked(told: Callable[[], None]) -> Iterator[Callable[[], bool]]:
-    """What says whether Ctrl-C was pressed: the first one asks for an end, and calls this; the next
-    one ends the program as ever. (Unless whoever started it said no.)"""
-    pressed = False
-    before = signal.getsignal(signal.SIGINT)
-
-    def first(_number: int, _frame: object) -> None:
-        nonlocal pressed
-        pressed = True
-        signal.signal(signal.SIGINT, before)
-        told()
-
-    if before is not signal.SIG_IGN:
-        signal.signal(signal.SIGINT, first)
-    try:
-        yield lambda: pressed
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def over() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,7 +15,6 @@ from handcal.commands._device import (
     before_of,
     contradictions,
 )
-from handcal.commands._ending import asked
 from handcal.commands._options import (
     Assume,
     Assumption,
@@ -40,15 +38,12 @@ from handcal.commands._options import (
 from handcal.commands._precompile import compiled_ahead
 from handcal.commands._progress import progress
 from handcal.commands._registry import say
+from handcal.interrupt import asked
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from handcal.explain import Explanation
-
-
-# After the first Ctrl-C.
-ENDING = "ending with the best model so far (Ctrl-C again: leave with nothing)"
 
 
 @with_own_effects
@@ -129,7 +124,7 @@ def explain(
     with (
         progress(f"explaining {names}") as done,
         compiled_ahead(),
-        asked(partial(done.announce, ENDING)) as stop,
+        asked(done.announce) as stop,
     ):
         explanation = explained(
             recordings, others, assume=str(assume), budget=budget, stop=stop, before=before,

@@ -190,7 +190,7 @@ def _wanted(
         if value is not None
         for word in (option, str(value))
     ]
-    return Wanted(ids, before, goals, budget, is_page, renewed, tuple(typed))
+    return Wanted(ids, before, goals, budget, is_page, renewed, typed=tuple(typed))
 
 
 @contextlib.contextmanager

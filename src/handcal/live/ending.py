@@ -36,7 +36,7 @@ class Wanted:
     effects: to calibrate, instead of those that are found; before: what is known of the device;
     until: sigmas, SI, by effect; budget: s; checked: axes and sign are a browser's, to be told by
     turns and the first rest; renewed: what is known before the recording, by when it was made;
-    typed: the options that say so.
+    stop: says whether to end the search with what it has; typed: the options that say so.
     """
 
     effects: tuple[str, ...] = ()
@@ -45,6 +45,7 @@ class Wanted:
     budget: float | None = None
     checked: bool = False
     renewed: Callable[[Recording], Prior | None] | None = None
+    stop: Callable[[], bool] | None = None
     typed: tuple[str, ...] = ()
 
 
@@ -211,7 +212,9 @@ def _explained(recording: Recording, out: Path, wanted: Wanted, progress: Progre
         if fraction is not None:
             progress(0.9 * fraction, stage)
 
-    explanation = explain([recording], budget=wanted.budget, before=wanted.before, progress=report)
+    explanation = explain(
+        [recording], budget=wanted.budget, stop=wanted.stop, before=wanted.before, progress=report
+    )
     more = _contradicting(wanted, explanation.parameters, explanation.covariance)
     explanation = replace(explanation, warnings=(*explanation.warnings, *more))
     write_json(explanation_json(explanation), out / FILES[2])

@@ -8,8 +8,10 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
+from handcal.interrupt import asked
 from handcal.live.behind import worker
 from handcal.live.ending import Ended, Wanted, finish
 from handcal.live.link import Link
@@ -71,7 +73,8 @@ def fed(session: Session, recording: Recording, speed: float, out: Path, wanted:
         if stage:
             say(stage)
 
-    return finish(session, out, wanted, progress)
+    with asked(say) as stop:
+        return finish(session, out, replace(wanted, stop=stop), progress)
 
 
 async def serve(session: Session, link: Link, out: Path, wanted: Wanted, say: Say,
@@ -101,8 +104,9 @@ async def serve(session: Session, link: Link, out: Path, wanted: Wanted, say: Sa
             say("stopped; explaining what there is")
             watching[0].cancel()
         for number in (signal.SIGINT, signal.SIGTERM):
-            loop.remove_signal_handler(number)  # (a second Ctrl-C ends it here and now)
-        return await _finished(session, out, wanted, say)
+            loop.remove_signal_handler(number)
+        with asked(say) as stop:
+            return await _finished(session, out, replace(wanted, stop=stop), say)
     finally:
         if served.pages and session.state in ("done", "failed"):
             await _within(served.seen, FAREWELL_S)
