@@ -16,6 +16,7 @@ from handcal.estimate.model import Model
 from handcal.explain import pipeline
 from handcal.laws import best_law, chosen_again
 from handcal.laws.best_law import Term
+from handcal.laws.drivers import Driver, by
 from handcal.laws.grammar import formula, shorter
 from handcal.laws.law_effect import COMPOSED, SIZE, Law, effect_of
 from handcal.laws.over_drivers import (
@@ -23,6 +24,7 @@ from handcal.laws.over_drivers import (
     blocks,
     is_product,
     of_one_signal,
+    over,
     promising,
     signals_of,
 )
@@ -341,3 +343,12 @@ def test_a_product_is_tried_without_each_of_its_signals(driver, alone, base: Mod
         assert size <= SIZE[1] * 1.01  # (as large as any law may be)
     cost = replace(law, driver=driver_of("omega_{j}")).cost
     assert law.cost == pytest.approx(cost + (COMPOSED if alone else 0.0))
+
+
+def test_of_what_is_never_felt_there_is_no_law(base: Model) -> None:
+    """A threshold on trial may be one that nothing reaches: `explain` ended in a division by
+    zero."""
+    signals = signals_of(base.parts[0])
+    silent = Driver("(nothing)", "rad/s", lambda s, _: 0.0 * s.t)
+    assert over(by(silent, driver_of("|omega|")), signals, (0,)) == []
+    assert over(by(driver_of("omega_{i}"), driver_of("|omega|")), signals, (0,))

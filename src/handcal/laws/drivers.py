@@ -38,6 +38,8 @@ TURNING = 0.2
 WARMING = (3.0, 10.0, 30.0, 60.0)
 # How far from the room a device is, as formulas have it.
 WARM = "(T - 25)"
+# Root mean square below which there is no course.
+COURSELESS = 1e-9
 # Between the name of a signal and that of a driver that changes how much of it is felt.
 BY, PRODUCT = " by ", " * "
 

@@ -15,7 +15,18 @@ from handcal.estimate.columns import Ground
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.scan import scan
 from handcal.estimate.seen import truth
-from handcal.laws.drivers import BY, DRIVERS, HEADING, LINE, NEARER, PRODUCT, Driver, times, usable
+from handcal.laws.drivers import (
+    BY,
+    COURSELESS,
+    DRIVERS,
+    HEADING,
+    LINE,
+    NEARER,
+    PRODUCT,
+    Driver,
+    times,
+    usable,
+)
 from handcal.laws.grammar import (
     Form,
     Part,
@@ -74,10 +85,11 @@ def further_blocks(signals: Signals, sensor: str) -> list[Block]:
 
 
 def over(driver: Driver, signals: Signals, sensors: Iterable[int]) -> list[Block]:
-    """All laws over a driver, of each of these sensors; none where it has no course."""
+    """All laws over a driver, of each of these sensors; none where it has no course, or what it
+    changes has none."""
     x = np.stack([driver.course(signals, axis) for axis in range(3)])
     rms = float(np.sqrt(np.mean(x**2)))
-    if rms < 1e-9 or np.ptp(x) < 1e-6 * rms:
+    if rms < COURSELESS or np.ptp(x) < 1e-6 * rms:
         return []
     sensors = [n for n in sensors if driver.only in (None, n)]
     if driver.knots == LINE:
@@ -85,6 +97,9 @@ def over(driver: Driver, signals: Signals, sensors: Iterable[int]) -> list[Block
         return [_block(n, driver, forms, SIZE[n] / rms) for n in sensors]
     smooth = tuple(curves(range_of(x, driver.signed), driver.knots, driver.round))
     scale = float(np.sqrt(np.mean(np.square([driver.scale(signals, a) for a in range(3)]))))
+    # (a stick with another threshold may never let go)
+    if scale < COURSELESS:
+        return []
     return [_block(n, driver, smooth, SIZE[n] / scale) for n in sensors]
 
 

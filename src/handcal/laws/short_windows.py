@@ -18,7 +18,7 @@ from handcal.estimate.columns import Ground
 from handcal.estimate.forked import in_parallel
 from handcal.estimate.model import Model
 from handcal.estimate.scan import scan
-from handcal.laws.drivers import HEADING, LINE, Driver
+from handcal.laws.drivers import COURSELESS, HEADING, LINE, Driver
 from handcal.laws.grammar import curves, range_of
 from handcal.laws.law_effect import AXES_OF, SENSORS, SIZE
 from handcal.laws.weighing import Beside, beside, gains
@@ -33,8 +33,6 @@ RATE = 40.0
 # Constants of the laws over one kind of course that are handed on, at the most (a scan's work goes
 # as these), and laws that differ in times and widths alone.
 LIKELIEST, OF_A_KIND = 36, 2
-# Root mean square below which there is no course.
-COURSELESS = 1e-9
 # A signal that changes by less than this share of its size says of none how much it is felt.
 CHANGING = 0.3
 # Courses that are worked out and weighed at a time.
