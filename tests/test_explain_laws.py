@@ -141,6 +141,20 @@ def test_near_numbers_keep_what_there_is_and_go_both_ways(numbers: tuple[float, 
         assert min(p[k] for p in moved) < numbers[k] < max(p[k] for p in moved)
 
 
+def as_far_as_it_goes(
+    model: Model, adjusted: Callable[[Model, Effect], Effect | None], most: int
+) -> tuple[Model, Effect | None]:
+    """The model with its one effect's numbers adjusted again and again, and what would be next."""
+    effect: Effect | None = model.effects[-1]
+    for _ in range(most):
+        assert effect is not None
+        effect = adjusted(model, effect)
+        if effect is None:
+            break
+        model = fitted(model.parts, [effect])
+    return model, effect
+
+
 @pytest.mark.parametrize("begun", [0.0, -0.05])
 def test_a_place_at_zero_is_adjusted(begun: float) -> None:
     """In proportion to itself it would stay there."""
@@ -155,13 +169,7 @@ def test_a_place_at_zero_is_adjusted(begun: float) -> None:
     laws = [law_over("omega_{i}", form, (2,)) for form in forms]
     model, wanted = (fitted(base.parts, [law_effect.effect_of(law)]) for law in laws)
     assert model.log_evidence < wanted.log_evidence - 20.0
-    effect: Effect | None = model.effects[-1]
-    for _ in range(8):
-        assert effect is not None
-        effect = law_constants.adjusted(model, effect)
-        if effect is None:
-            break
-        model = fitted(model.parts, [effect])
+    model, _ = as_far_as_it_goes(model, law_constants.adjusted, 8)
     law = law_effect.law_of(model.effects[-1])
     assert law is not None
     assert law.form.numbers == pytest.approx(true, abs=0.1)
@@ -438,13 +446,7 @@ def test_the_numbers_of_a_course_are_told_nearer_than_its_grid(
     effects = [shapes.again(channel, (kind, numbers)) for numbers in (begun, true)]
     model, wanted = (fitted(base.parts, [e]) for e in effects)
     assert model.log_evidence < wanted.log_evidence - 5.0 * nats
-    effect: Effect | None = effects[0]
-    for _ in range(6):
-        assert effect is not None
-        effect = course_numbers.adjusted(model, effect)
-        if effect is None:
-            break
-        model = fitted(model.parts, [effect])
+    model, effect = as_far_as_it_goes(model, course_numbers.adjusted, 6)
     assert effect is None
     assert model.log_evidence > wanted.log_evidence - nats
 

@@ -217,72 +217,54 @@ def test_a_line_that_is_cut_off_is_left_out_and_said(
         np.testing.assert_allclose(back.imu.accel, whole.imu.accel[:n], rtol=0, atol=1e-9)
 
 
-def table_of(t, values):
-    return "".join(f"{a!r},{','.join(map(repr, v))}\n" for a, v in zip(t, values, strict=True))
-
-
 @pytest.fixture
 def moving():
-    """Stamps, s, and readings (n, 6)."""
+    """Stamps, s, and readings (n, 7)."""
     rng = np.random.default_rng(0)
     t = np.arange(400) * 0.01
-    return t, np.hstack([rng.normal(0, 0.1, (400, 3)), rng.normal((0, 0, 9.8), 0.05, (400, 3))])
+    readings = rng.normal(0, 0.1, (400, 3)), rng.normal((0, 0, 9.8), 0.05, (400, 3))
+    return np.column_stack([t, *readings])
 
 
 def test_stamps_that_are_rounded_are_said_to_be(tmp_path, moving):
-    t, values = moving
-    path = tmp_path / "x.csv"
-    path.write_text(f"{HEADER}\n{table_of(np.round(t, 1).tolist(), values.tolist())}")
+    moving[:, 0] = np.round(moving[:, 0], 1)
     with pytest.raises(InputError, match=r"rounded \(to 0\.1 s, where there are 10 readings\)"):
-        load(path)
+        load(write_csv(tmp_path, HEADER, moving))
 
 
 def test_of_a_column_without_a_number_the_name_is_said(tmp_path, moving):
-    t, values = moving
-    values[:, 1] = np.nan
-    path = tmp_path / "x.csv"
-    path.write_text(f"{HEADER}\n{table_of(t.tolist(), values.tolist())}")
+    moving[:, 2] = np.nan
     with pytest.raises(InputError, match="Of its 400 rows none has a number for gyroscope y"):
-        load(path)
+        load(write_csv(tmp_path, HEADER, moving))
 
 
 def test_where_time_runs_backwards_is_said(tmp_path, moving):
-    t, values = moving
-    t[200:] -= 1.5
-    path = tmp_path / "x.csv"
-    path.write_text(f"{HEADER}\n{table_of(t.tolist(), values.tolist())}")
+    moving[200:, 0] -= 1.5
     with pytest.raises(InputError, match=r"backwards once, by up to 1\.49 s after 2\.0 s"):
-        load(path)
+        load(write_csv(tmp_path, HEADER, moving))
 
 
 def test_stamps_in_another_unit_are_asked_about(tmp_path, moving):
-    t, values = moving
-    path = tmp_path / "x.csv"
-    path.write_text(f"{HEADER}\n{table_of((t / 1000).tolist(), values.tolist())}")
+    moving[:, 0] /= 1000
     with pytest.raises(InputError, match="Are the stamps in another unit"):
-        load(path)
+        load(write_csv(tmp_path, HEADER, moving))
 
 
 def test_remarks_before_the_header_are_none_of_it(tmp_path, moving):
-    t, values = moving
-    path = tmp_path / "x.csv"
-    path.write_text(f"# recorded 2024\n# {HEADER}\n{table_of(t.tolist(), values.tolist())}")
+    path = write_csv(tmp_path, f"# recorded 2024\n# {HEADER}", moving)
     assert len(load(path).imu.t) == 400
 
 
 def test_another_encoding_is_named(tmp_path, moving):
-    t, values = moving
-    path = tmp_path / "x.csv"
-    path.write_text(f"{HEADER}\n{table_of(t.tolist(), values.tolist())}", encoding="utf-16")
+    path = write_csv(tmp_path, HEADER, moving)
+    path.write_text(path.read_text(), encoding="utf-16")
     with pytest.raises(InputError, match="UTF-16"):
         load(path)
 
 
 def test_a_field_that_no_device_is_in_is_another_unit(tmp_path, moving):
-    t, values = moving
-    values = np.hstack([values, np.tile([20.0, 5.0, -40.0], (400, 1))])
-    path = tmp_path / "x.csv"
-    path.write_text(f"{HEADER},mx,my,mz\n{table_of(t.tolist(), values.tolist())}")
+    table = np.hstack([moving, np.tile([20.0, 5.0, -40.0], (400, 1))])
+    path = write_csv(tmp_path, f"{HEADER},mx,my,mz", table)
     plain = load(path)
     assert "mag" not in plain.streams
     assert any("--units mag=uT" in w for w in plain.warnings)

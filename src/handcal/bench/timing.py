@@ -229,16 +229,14 @@ def run_python(code: str) -> Ran:
 def _run(command: Sequence[str], shown: str, environment: Mapping[str, str]) -> Ran:
     begin = time.perf_counter()
     none, pipe = subprocess.DEVNULL, subprocess.PIPE
-    child = subprocess.Popen(command, stdout=none, stderr=pipe, env=environment, text=True)
-    try:
-        ran = _ended(child, begin)
-    finally:
-        # (whoever waits was interrupted: nobody wants it any more)
-        if child.returncode is None:
-            child.terminate()
-            child.wait()
-        if child.stderr is not None:
-            child.stderr.close()
+    with subprocess.Popen(command, stdout=none, stderr=pipe, env=environment, text=True) as child:
+        try:
+            ran = _ended(child, begin)
+        finally:
+            # (whoever waits was interrupted: nobody wants it any more)
+            if child.returncode is None:
+                child.terminate()
+                child.wait()
     if child.returncode:
         last = ran.said[-1][1] if ran.said else ""
         raise HandcalError(f"'{shown}' failed: {last}")

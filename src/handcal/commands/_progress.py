@@ -10,7 +10,6 @@ from contextlib import contextmanager, nullcontext
 from typing import TYPE_CHECKING, Any
 
 from handcal.commands._registry import say
-from handcal.search.budget import SO_FAR
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -56,6 +55,8 @@ class Bar:
 
     def _redraw(self) -> None:
         if self.shown is not None:
+            from handcal.search.budget import SO_FAR  # (nothing else of a search is needed here)
+
             # (what has been found so far is a line of its own)
             text = SO_FAR.replace("; ", "\n").join(self._named().rsplit(SO_FAR, 1))
             self.shown.update(self.shown.task_ids[0], description=text)

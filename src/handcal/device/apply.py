@@ -285,15 +285,15 @@ def _learnt(name: str, document: Mapping[str, Any]) -> Learnt:
         if all(i in own for i in BIASES)
     ]
     effects = {i: v for i, v in values.items() if i not in BIASES}
-    unsure = {i: names for i, names in _unsure(document["parameters"]).items() if i in effects}
+    unsure = {i: names for i, names in _untold(document["parameters"]).items() if i in effects}
     return Learnt(name, effects, tuple(biases), formulas, hidden, unsure)
 
 
-def _unsure(parameters: Sequence[Mapping[str, Any]]) -> dict[str, tuple[str, ...]]:
+def _untold(parameters: Sequence[Mapping[str, Any]]) -> dict[str, tuple[str, ...]]:
     """Parameters of each effect that were not observable, of those that have any."""
     out: dict[str, tuple[str, ...]] = {}
     for p in parameters:
-        if p["effect"] not in BIASES and p.get("observable") is False:
+        if p.get("observable") is False:
             out[p["effect"]] = (*out.get(p["effect"], ()), p["name"])
     return out
 
@@ -306,11 +306,7 @@ def hardly_known(learnt: Learnt, taken: Collection[str]) -> str:
 
 def _hidden(parameters: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     """Axes of each bias that were not observable, of those that have any."""
-    out: dict[str, str] = {}
-    for p in parameters:
-        if p["effect"] in BIASES and p.get("observable") is False:
-            out[p["effect"]] = out.get(p["effect"], "") + p["name"]
-    return out
+    return {i: "".join(names) for i, names in _untold(parameters).items() if i in BIASES}
 
 
 def _values(

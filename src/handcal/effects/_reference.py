@@ -14,9 +14,8 @@ from handcal.types import Array
 
 # Where each part of z begins (integers, as compiled functions read them), beyond what every kind
 # has.
-NOW, SLOPE, BEFORE, AFTER, SLOPE_BEFORE, SLOPE_AFTER = 16, 22, 28, 34, 40, 46
-REACH, GYRO_LEFT, ACCEL_LEFT, END = 52, 53, 54, 60
-assert NOW == Z_DIM
+NOW, SLOPE, BEFORE, AFTER, SLOPE_BEFORE, SLOPE_AFTER, REACH = (Z_DIM + 6 * k for k in range(7))
+GYRO_LEFT, ACCEL_LEFT, END = REACH + 1, REACH + 2, REACH + 8
 PLACES = (NOW, SLOPE, BEFORE, AFTER, SLOPE_BEFORE, SLOPE_AFTER, REACH, GYRO_LEFT, ACCEL_LEFT)
 
 

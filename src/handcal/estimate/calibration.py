@@ -110,12 +110,12 @@ def calibrate_together(
     fixed = dict(noise or {})
     if heading_sigma is not None:
         fixed["heading_noise"] = heading_sigma
-    cases = []
     check_apart(recordings)
     if noise_until is not None and not noise_until >= LEAST_NOISE_S:
         raise InputError(
             f"Noise is found in no less than {LEAST_NOISE_S:g} s: {noise_until:g} s are too few."
         )
+    cases = []
     for recording in recordings:
         check_options(recording, assume, heading_sigma, ignore)
         case = case_of(

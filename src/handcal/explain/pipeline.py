@@ -37,7 +37,7 @@ from handcal.model_score import PRIOR, TERM_PRIOR
 from handcal.search import outliers
 from handcal.search.budget import SO_FAR, Budget, after
 from handcal.search.climb.candidates import scanned_about
-from handcal.search.climb.state import Report, sensible, too_large
+from handcal.search.climb.state import Report, part_of, sensible, too_large
 from handcal.search.drifting_point import begun, moving
 from handcal.search.hand_assumption import foretold
 from handcal.search.multistart import Found, advantage, astray, search
@@ -86,7 +86,7 @@ def explain(
     report(0.03, "fitting the baseline")
     base = begun(cases)
     time_left = after(began, budget, stop)
-    end = _searched(base, time_left, partial(_so_far, report, SEARCHING, base, 0.1, 0.6))
+    end = _searched(base, time_left, _so_far(report, SEARCHING, base, 0.1, 0.6))
     if assume == "auto":
         end = _by_the_rests(cases, end, options, time_left, report)
     report(0.75, "fitting the model that was found")
@@ -123,7 +123,7 @@ def _finished(
     large = too_large(found.model)
     if large and not budget.spent("a search without what came out too large"):
         # (the search did not come so far)
-        told = partial(_so_far, report, "searching again", end.base, 0.75, 0.05)
+        told = _so_far(report, "searching again", end.base, 0.75, 0.05)
         other = search(end.base, told, large, budget)
         again, written = _refitted(end, other, options)
         if sensible(again.model):
@@ -168,7 +168,7 @@ def _by_the_rests(
     )
     if not math.isfinite(laid.log_evidence):
         return end
-    told = partial(_so_far, report, "searching by the rests alone", laid, 0.4, 0.3)
+    told = _so_far(report, "searching by the rests alone", laid, 0.4, 0.3)
     other = _searched(laid, budget, told)
     surely = foretold(end.found.model, laid, other.found)
     if surely > 0.0:
@@ -211,13 +211,15 @@ def _with(found: Found, model: Model) -> Found:
     return replace(found, model=model, space=where)
 
 
-def _so_far(
-    report: Progress, stage: str, base: Model, start: float, share: float, f: float, model: Model
-) -> None:
-    """Tell how far a search has come, and what it has found by now."""
+def _so_far(report: Progress, stage: str, base: Model, start: float, share: float) -> Report:
+    """What tells how far a search has come, and what it has found by now."""
     have = set(base.ids)
-    found = [e.id for e in model.effects if e.id not in have]
-    report(start + share * f, f"{stage}{SO_FAR}{', '.join(found)}" if found else stage)
+
+    def told(f: float, model: Model) -> None:
+        found = [e.id for e in model.effects if e.id not in have]
+        report(f, f"{stage}{SO_FAR}{', '.join(found)}" if found else stage)
+
+    return partial(part_of, told, start, share)
 
 
 def _searched(base: Model, budget: Budget, report: Report) -> End:

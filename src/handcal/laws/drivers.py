@@ -87,10 +87,14 @@ class Driver:
         return self.name.rpartition(BY)[2]
 
     @property
+    def several(self) -> bool:
+        """Whether it is made of several signals."""
+        return PRODUCT in self.name or BY in self.name
+
+    @property
     def composed(self) -> bool:
         """Whether it is made of several signals, and of what an operator makes of one."""
-        several = " * " in self.name or BY in self.name
-        return several and operators.remembers(self.name)
+        return self.several and operators.remembers(self.name)
 
     @property
     def kind(self) -> str:

@@ -72,7 +72,12 @@ def _cost(numbers: Sequence[float], parts: Sequence[Part]) -> float:
 
 def _numbers(parts: Sequence[Part], same: bool) -> tuple[float, ...]:
     """Those of a sum of functions: of each, or the same ones of all."""
-    return tuple(n for _, numbers in (parts[:1] if same else parts) for n in numbers)
+    return tuple(n for _, numbers in _own(parts, same) for n in numbers)
+
+
+def _own(parts: Sequence[Part], same: bool) -> Sequence[Part]:
+    """The functions of a sum that have numbers of their own."""
+    return parts[:1] if same else parts
 
 
 # --- curves --------------------------------------------------------------------------------
@@ -356,8 +361,7 @@ def _units(part: Part) -> tuple[float, ...]:
 
 def units_of(form: Form) -> tuple[float, ...]:
     """The same of all numbers of a formula."""
-    same = SAME in form.kind
-    return tuple(u for part in (form.parts[:1] if same else form.parts) for u in _units(part))
+    return tuple(u for part in _own(form.parts, SAME in form.kind) for u in _units(part))
 
 
 def text_of(part: Part, digits: int = 4) -> str:

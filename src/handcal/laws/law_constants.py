@@ -25,13 +25,15 @@ DONE = 0.3
 
 def numbers_of(law: Law) -> Array:
     """Those of its form, and of its driver if that has one; a curve's are no matter."""
-    own = () if law.form.smooth else law.form.numbers
-    return np.array([*own, *([law.driver.number] if law.driver.at is not None else [])])
+    return _and_the_drivers(law, () if law.form.smooth else law.form.numbers)
 
 
 def _units(law: Law) -> Array:
     """What a change of each of them is a share of."""
-    own = () if law.form.smooth else grammar.units_of(law.form)
+    return _and_the_drivers(law, () if law.form.smooth else grammar.units_of(law.form))
+
+
+def _and_the_drivers(law: Law, own: tuple[float, ...]) -> Array:
     return np.array([*own, *([law.driver.number] if law.driver.at is not None else [])])
 
 

@@ -27,7 +27,7 @@ from handcal.effects import (
 )
 from handcal.effects._linear import added
 from handcal.laws import grammar
-from handcal.laws.drivers import AXES, HEADING, Driver
+from handcal.laws.drivers import AXES, HEADING, PRODUCT, Driver
 from handcal.laws.grammar import Form
 from handcal.laws.vocabulary import driver_of
 from handcal.signals import probe
@@ -83,8 +83,10 @@ class Law:
     def cost(self) -> float:
         """Nats by which it is less likely beforehand than the simplest law."""
         # (of a heading, waves that are felt by as much as a signal are no more than signals)
-        felt = self.driver.factor is not None and self.sensor != HEADING
-        made = COMPOSED if self.driver.composed or felt or " * " in self.driver.name else 0.0
+        plain = not self.driver.several or (
+            self.sensor == HEADING and PRODUCT not in self.driver.name and not self.driver.composed
+        )
+        made = 0.0 if plain else COMPOSED
         return self.form.cost + made + (grammar.FREEDOM if self.driver.number else 0.0)
 
     @property

@@ -15,6 +15,7 @@ from handcal.estimate.columns import Ground
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.scan import scan
 from handcal.estimate.seen import truth
+from handcal.laws import operators
 from handcal.laws.drivers import (
     BY,
     COURSELESS,
@@ -22,7 +23,6 @@ from handcal.laws.drivers import (
     HEADING,
     LINE,
     NEARER,
-    PRODUCT,
     Driver,
     times,
     usable,
@@ -252,7 +252,7 @@ def _plainly(law: Law) -> Law:
 
 def is_product(driver: Driver) -> bool:
     """Whether it is a product of signals."""
-    return driver.factor is not None or len(_factors(driver)) > 1
+    return bool(_factors(driver))
 
 
 def of_one_signal(law: Law, signals: Signals) -> list[Law]:
@@ -270,9 +270,12 @@ def of_one_signal(law: Law, signals: Signals) -> list[Law]:
 
 def _factors(driver: Driver) -> list[str]:
     """Names of the signals that a driver is the product of; none where it is no product."""
-    names = driver.name.replace(BY, PRODUCT).split(PRODUCT)
-    whole = all(name.count("(") == name.count(")") for name in names)
-    return names if whole and len(names) > 1 else []
+    felt, _, left = driver.name.rpartition(BY)
+    names = [felt] if felt else []
+    while left:
+        first, left = operators.factors(left)
+        names.append(first)
+    return names if len(names) > 1 else []
 
 
 def _sets(some: Sequence[int], parts: Sequence[Part]) -> list[tuple[list[tuple[int, ...]], bool]]:

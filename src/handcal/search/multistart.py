@@ -22,7 +22,7 @@ from handcal.search.budget import Budget
 from handcal.search.climb.candidates import scanned
 from handcal.search.climb.exchange_steps import lateness
 from handcal.search.climb.sequence import climbed
-from handcal.search.climb.state import WEAK, Climb, Report
+from handcal.search.climb.state import WEAK, Climb, Report, part_of
 from handcal.search.space import Space, gains
 from handcal.search.wide_sway import steadied, sways_far
 from handcal.types import HandcalError
@@ -87,7 +87,7 @@ def search(
     if any(sways_far(f) for f in base.parts):
         # (the usual sway first: in a wide one little of the physics shows)
         starts.insert(0, steadied(base))
-    found, enough = _begun(starts, common, partial(_part_of, report, 0.0, 0.7), superseded)
+    found, enough = _begun(starts, common, partial(part_of, report, 0.0, 0.7), superseded)
     if enough:
         return found
     term = None
@@ -99,7 +99,7 @@ def search(
     alone = fitted(base.parts, [*base.effects, term.effect])
     gained, whole = (m.log_evidence - base.log_evidence for m in (alone, found.model))
     if gained > HALF * whole:
-        other = _end(base, [term], common, partial(_part_of, report, 0.7, 0.3), alone)
+        other = _end(base, [term], common, partial(part_of, report, 0.7, 0.3), alone)
         if other is not None and advantage(other, found) > 0.0:
             found = replace(other, alone=found.alone)
     return found
@@ -165,7 +165,7 @@ def _begun(
     and whether that is so."""
     found: Found | None = None
     for number, start in enumerate(starts):
-        own = partial(_part_of, report, number / len(starts), 1.0 / len(starts))
+        own = partial(part_of, report, number / len(starts), 1.0 / len(starts))
         end = _end(start, (), common, own, rival=None if found is None else found.named)
         assert end is not None
         if found is None:
@@ -180,10 +180,6 @@ def _begun(
             return found, True
     assert found is not None
     return found, False
-
-
-def _part_of(report: Report, start: float, share: float, f: float, model: Model) -> None:
-    report(start + share * f, model)
 
 
 def advantage(a: Found, b: Found) -> float:

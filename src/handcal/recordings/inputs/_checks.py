@@ -165,9 +165,9 @@ def rest_magnitude(accel: Array, rate_hz: float) -> float:
     return float(np.median(np.linalg.norm(windows[stillest].mean(axis=1), axis=1)))
 
 
-def wrong_field(name: str, value: Array) -> str:
+def wrong_field(value: Array) -> str:
     """What is said of a field (n, 3), in tesla, that is about no device; empty of any other."""
-    finite = value[np.all(np.isfinite(value), axis=1)] if name == "mag" else value[:0]
+    finite = value[np.all(np.isfinite(value), axis=1)]
     size = float(np.median(np.linalg.norm(finite, axis=1))) if len(finite) else 0.0
     if size < STRONGEST_T:
         return ""

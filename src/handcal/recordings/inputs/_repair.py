@@ -101,9 +101,6 @@ def assemble(
     if int((valid & ~frozen).sum()) < min(FEWEST, int(valid.sum())):
         raise InputError(f"{path}: hardly a reading is left to trust. {' '.join(doubts)}")
     valid = valid & ~frozen
-    fields = {name: wrong_field(name, stream.value) for name, stream in streams.items()}
-    said += filter(None, fields.values())
-    streams = {name: stream for name, stream in streams.items() if not fields[name]}
     for name, stream in streams.items():
         if STREAMS[name].circular:
             when = (stream.ns - ns[0]) / 1e9
@@ -175,11 +172,12 @@ def _clean(raw: Columns, name: str, said: list[str]) -> Columns:
     backwards = raw.ns[:-1] - raw.ns[1:]
     count = int((backwards > 0).sum())
     if count:
-        worst = float(backwards.max()) / 1e9
+        at = int(np.argmax(backwards))
+        worst, when = float(backwards[at]) / 1e9, float(raw.ns[at] - raw.ns[0]) / 1e9
         if count > max(3, 0.01 * len(raw.ns)) or worst > 0.5:
             raise InputError(
                 f"{name}: time runs backwards {_times(count)}, by up to {worst:.3g} s after "
-                f"{_after(raw.ns, backwards):.1f} s: these stamps cannot be put in order. Cut the "
+                f"{when:.1f} s: these stamps cannot be put in order. Cut the "
                 "recording there, or export it again."
             )
         said.append(
@@ -200,10 +198,9 @@ def _never(read: Columns, name: str) -> str:
     lost = np.flatnonzero(~np.any(np.abs(read.value) < IMPOSSIBLE, axis=0))
     if not len(read.ns) or not len(lost):
         return ""
-    names = [f"{s} {a}" for s in ("gyroscope", "accelerometer") for a in "xyz"]
-    if name != "IMU":
-        names = [f"{name} {a}" for a in "xyz"] if read.value.shape[1] == 3 else [name] * 9
-    listed = ", ".join(dict.fromkeys(names[k] for k in lost))
+    sensors = ("gyroscope", "accelerometer") if name == "IMU" else (name,)
+    names = [f"{s} {a}" for s in sensors for a in "xyz"]
+    listed = ", ".join(names[k] for k in lost) if len(names) == read.value.shape[1] else name
     return f" Of its {_many(len(read.ns), 'row')} none has a number for {listed}."
 
 
@@ -222,11 +219,6 @@ def _rounded(raw: Columns, repeated: BoolArray) -> str:
 
 def _times(count: int) -> str:
     return "once" if count == 1 else f"{count} times"
-
-
-def _after(ns: IntArray, backwards: IntArray) -> float:
-    """When stamps (n,) go furthest back, s from the first."""
-    return float(ns[int(np.argmax(backwards))] - ns[0]) / 1e9
 
 
 def _masked(raw: Columns, name: str, said: list[str]) -> Columns:
@@ -291,6 +283,9 @@ def _series(name: str, raw: Columns, first_ns: int, last_ns: int, said: list[str
     raw = raw.rows(raw.valid)
     if not np.all(np.abs(raw.value) < IMPOSSIBLE, axis=1).any():
         said.append(f"{name}: not one usable reading; the stream was left out.")
+        return None
+    if name == "mag" and (wrong := wrong_field(raw.value)):
+        said.append(wrong)
         return None
     raw = _clean(raw, name, said)
     row = STREAMS[name]

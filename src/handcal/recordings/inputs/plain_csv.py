@@ -9,6 +9,7 @@ readings that were not taken.
 
 from __future__ import annotations
 
+import codecs
 import re
 from collections.abc import Callable, Iterator, Mapping
 from itertools import islice
@@ -31,7 +32,7 @@ TRIED = "a real recording of an x-IMU3; tables made by hypothesis"
 ENDINGS = (".csv", ".tsv")
 LAST = True  # (any CSV is this one, by its name)
 _ROWS_AT_ONCE = 20_000
-UTF_16 = (b"\xff\xfe", b"\xfe\xff")
+UTF_16 = codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE
 FEWEST_COLUMNS = 6  # fewer separators than this make no header
 _IMU = {
     "gyro": ("g", "gyro", "gyroscope", "w", "angularvelocity"),

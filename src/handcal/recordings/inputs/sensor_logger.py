@@ -17,7 +17,6 @@ import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -25,10 +24,12 @@ from handcal.earth import STANDARD_GRAVITY
 from handcal.recordings.inputs._cut import whole_lines
 from handcal.recordings.inputs._options import Options
 from handcal.recordings.inputs._repair import Columns, assemble, columns, magnitude_at_rest
+from handcal.recordings.inputs._rows import parsed
 from handcal.recordings.inputs._sqlite import is_database, opened, tables
 from handcal.recordings.inputs._zip import LARGEST, beginnings, contents, listing, stated
-from handcal.types import Array, InputError, IntArray, Recording
+from handcal.types import InputError, IntArray, Recording
 
+IN_G = 3.0  # what reads less at rest reads g, not m/s^2
 UNDERSTOOD = "an export of the Sensor Logger app (zip, folder, JSON or SQLite)"
 UNITS = (
     "rad/s, m/s^2, uT; of iOS the uncalibrated accelerometer in g, and signs turned: "
@@ -113,13 +114,9 @@ def _first(export: _Export, names: tuple[str, str], said: list[str]) -> Columns 
 def _specific_force(path: Path, export: _Export, said: list[str]) -> Columns:
     """Specific force in m/s^2 in Android's signs. Errors: InputError."""
     sensors = export.sensors
-    apple = export.platform == "ios" and not export.standardised
     if "AccelerometerUncalibrated" in sensors:
         raw = sensors["AccelerometerUncalibrated"]
-        if not export.platform:
-            rest = magnitude_at_rest(raw)
-            apple = rest < 3.0
-            said.append(_taken_for(rest, apple))
+        apple = _apple(export, raw, said)
         return columns(raw.ns, raw.value * (-STANDARD_GRAVITY if apple else 1.0))
     said.append("AccelerometerUncalibrated is absent or empty: a corrected one is used.")
     if "TotalAcceleration" in sensors:
@@ -136,21 +133,22 @@ def _specific_force(path: Path, export: _Export, said: list[str]) -> Columns:
             f"{path} does not say whether it is from iOS or Android, which differ in sign: "
             "Metadata.csv with a column platform is needed."
         )
+    unit = STANDARD_GRAVITY if magnitude_at_rest(raw) < IN_G else 1.0
+    return columns(raw.ns, raw.value * (-unit if _apple(export, raw, said) else unit))
+
+
+def _apple(export: _Export, raw: Columns, said: list[str]) -> bool:
+    """Whether forces have the signs of iOS; where no metadata tells, what they are taken for is
+    said."""
+    if export.platform:
+        return export.platform == "ios" and not export.standardised
     rest = magnitude_at_rest(raw)
-    if not export.platform:
-        apple = rest < 3.0
-        said.append(_taken_for(rest, apple))
-    unit = STANDARD_GRAVITY if rest < 3.0 else 1.0
-    return columns(raw.ns, raw.value * (-unit if apple else unit))
-
-
-def _taken_for(rest: float, apple: bool) -> str:
-    """What is said where no metadata tells whose signs these are."""
-    signs = "g in the signs of iOS" if apple else "m/s^2 in the signs of Android"
-    return (
+    signs = "g in the signs of iOS" if rest < IN_G else "m/s^2 in the signs of Android"
+    said.append(
         f"No metadata: the accelerometer reads {rest:.2f} at rest, taken for {signs} (of the other "
         "system up is down: keep Metadata.csv beside the sensors)."
     )
+    return rest < IN_G
 
 
 def _sum(motion: Columns, gravity: Columns) -> Columns:
@@ -217,24 +215,11 @@ def _table(path: Path, name: str, text: str) -> Columns | None:
         ns = np.loadtxt(
             lines, np.int64, delimiter=",", usecols=[names.index("time")], ndmin=1, comments=None
         )
-        value = _numbers(lines, axes)
     except ValueError as error:
         problem = str(error).split(";")[0].rstrip(".")
         raise InputError(f"{path}: {name}.csv is damaged: {problem[:200]}.") from error
+    value = parsed(lines, ",", axes, f"{path}: {name}.csv is damaged", 2)
     return columns(_checked_ns(path, ns), value)
-
-
-def _numbers(lines: list[str], at: list[int]) -> Array:
-    """Columns of these places; empty cells are readings not taken. Errors: ValueError."""
-    try:
-        whole: Array = np.loadtxt(lines, delimiter=",", usecols=at, ndmin=2, comments=None)
-        return whole
-    except ValueError:
-        empty: dict[int | str, Any] = dict.fromkeys(at, lambda cell: float(cell.strip() or "nan"))
-        own: Array = np.loadtxt(
-            lines, delimiter=",", usecols=at, ndmin=2, comments=None, converters=empty
-        )
-        return own
 
 
 def _checked_ns(path: Path, ns: IntArray) -> IntArray:

@@ -11,13 +11,12 @@ from functools import partial
 from handcal.effects import Effect, catalogue
 from handcal.estimate.case import applicable, name_of
 from handcal.estimate.fit import fitted
-from handcal.estimate.forked import in_parallel
 from handcal.estimate.model import Model
 from handcal.laws.best_law import Term
 from handcal.laws.chosen_again import with_other
 from handcal.model_score import NAMED, PRIOR, better
 from handcal.search.climb.candidates import fitted_with, scanned_about
-from handcal.search.climb.state import HOPELESS, WEAK, Climb, likelier, sensible
+from handcal.search.climb.state import HOPELESS, WEAK, Climb, in_time, likelier, sensible
 from handcal.search.space import best_set, gains, rivals
 
 # A rival that would do so much of what an effect does is fitted in its place.
@@ -42,8 +41,8 @@ def exchange(c: Climb) -> Model | None:
     def exchanged(e: Effect, rival: str) -> Model:
         return fitted(model.parts, [*(x for x in model.effects if x is not e), catalogue()[rival]])
 
-    fits = in_parallel(partial(exchanged, *pair) for pair in c.budget.each(pairs))
-    for (e, rival), tried in zip(pairs, fits, strict=False):
+    calls = (partial(exchanged, *pair) for pair in pairs)
+    for tried, (e, rival) in in_time(c, calls, pairs):
         # (what comes out on the side where it cannot be is no rival, however well it fits)
         worse = better(model, tried, c.worth) if tried.one_sided else math.inf
         c.swaps[e.id, rival], c.swaps[rival, e.id] = worse, -worse
@@ -123,8 +122,8 @@ def reorder(c: Climb) -> Model | None:
         beside = [x for x in model.effects if x.imu_error is not None and x.id != e.id]
         if e.imu_inverse is not None and beside and (e.id, now) not in c.ordered:
             ways.append((e, replace(e, last=not e.last)))
-    fits = in_parallel(partial(with_other, model, *pair) for pair in c.budget.each(ways))
-    for (e, _), tried in zip(ways, fits, strict=False):
+    calls = (partial(with_other, model, *pair) for pair in ways)
+    for tried, (e, _) in in_time(c, calls, ways):
         c.ordered.add((e.id, now))
         if tried.log_evidence > model.log_evidence:
             return tried
@@ -149,8 +148,7 @@ def hidden(c: Climb) -> Model | None:
             ways.append(wanted)
     refused = c.dropped | c.beyond
     calls = (partial(_beside_delays, model, w, c.unnamed, refused) for w in ways)
-    fits = in_parallel(c.budget.each(calls))
-    for (e, *_), tried in zip(ways, fits, strict=False):
+    for tried, (e, *_) in in_time(c, calls, ways):
         c.ordered.add((e.id, now))
         if tried is not None and tried.one_sided and likelier(c, tried):
             c.swaps.clear()  # (they hold beside the same others only)

@@ -10,14 +10,22 @@ from functools import partial
 from handcal.effects import Effect, catalogue
 from handcal.estimate.case import name_of
 from handcal.estimate.fit import fitted
-from handcal.estimate.forked import in_parallel
 from handcal.estimate.model import Model
 from handcal.estimate.transfer import fit_of, moved_to
 from handcal.laws.best_law import ENOUGH, Survey, Term, best_terms, survey
 from handcal.laws.law_effect import SENSORS
 from handcal.model_score import better, score
 from handcal.search.climb.candidates import fitted_with, scanned_about
-from handcal.search.climb.state import HOPELESS, WEAK, Barred, Climb, forget, likelier, sensible
+from handcal.search.climb.state import (
+    HOPELESS,
+    WEAK,
+    Barred,
+    Climb,
+    forget,
+    in_time,
+    likelier,
+    sensible,
+)
 from handcal.search.noise_scan import as_they_are
 from handcal.search.space import best_set, gains
 
@@ -117,8 +125,7 @@ def fits_of(c: Climb, ways: Mapping[Way, tuple[Model, Term]]) -> list[tuple[Mode
     """Models, each fitted with its term, and that; those for which there is time."""
     least = score(c.model, c.worth) - HOPELESS
     calls = (partial(with_term, m, t, c.worth, c.beyond, least) for m, t in ways.values())
-    fits = in_parallel(c.budget.each(calls))
-    return [(m, term) for m, (_, term) in zip(fits, ways.values(), strict=False)]
+    return [(m, term) for m, (_, term) in in_time(c, calls, ways.values())]
 
 
 def _doubted(c: Climb) -> dict[str, list[frozenset[str]]]:

@@ -12,7 +12,6 @@ import numpy as np
 from handcal.effects import Effect, catalogue
 from handcal.estimate.case import name_of
 from handcal.estimate.fit import fitted
-from handcal.estimate.forked import in_parallel
 from handcal.estimate.model import Model
 from handcal.estimate.rest_only import travels
 from handcal.laws import course_numbers
@@ -36,7 +35,7 @@ from handcal.search.climb.in_place import (
     refused_by,
     surveyed,
 )
-from handcal.search.climb.state import Climb, forget, likelier
+from handcal.search.climb.state import Climb, forget, in_time, likelier
 from handcal.search.climb.subset_steps import choose
 
 # Terms without a name at the most, and of those that were on trial.
@@ -186,8 +185,7 @@ def take_in(c: Climb) -> Model | None:
         ways += [(i, name, whole) for name, law in asked if (name, law) not in c.taken_in]
         c.taken_in |= set(asked)
     calls = [partial(_taken_in, c.model, c.unnamed[i].effect, name, e) for i, name, e in ways]
-    fits = zip(in_parallel(c.budget.each(calls)), ways, strict=False)
-    ends = [(m, way) for m, way in fits if likelier(c, m)]
+    ends = [(m, way) for m, way in in_time(c, calls, ways) if likelier(c, m)]
     if not ends:
         return None
     best, (i, _, whole) = max(ends, key=lambda end: score(end[0], c.worth))
@@ -222,8 +220,7 @@ def narrow(c: Climb) -> Model | None:
         c.whole.add(old.id)
         new = [effect_of(law) for law in _narrower(c, old) if not named(law)]
         calls = (partial(with_other, c.model, old, e) for e in new)
-        fits = in_parallel(c.budget.each(calls))
-        ends = [(m, e) for m, e in zip(fits, new, strict=False) if likelier(c, m)]
+        ends = [(m, e) for m, e in in_time(c, calls, new) if likelier(c, m)]
         if ends:
             best, effect = max(ends, key=lambda end: score(end[0], c.worth))
             c.unnamed[i] = replace(term, effect=effect)

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 from handcal.estimate.case import name_of
+from handcal.estimate.forked import in_parallel
 from handcal.estimate.model import Model
 from handcal.laws.best_law import Survey, Term, Vocabulary
 from handcal.model_score import PRIOR, better
 from handcal.search.budget import Budget
 from handcal.search.space import Space
 
+T = TypeVar("T")
+W = TypeVar("W")
 # Called with the share that is done, and the model there is.
 Report = Callable[[float, Model], None]
 # Nats below which an effect may be there for the sake of another's wrong name only.
@@ -83,6 +87,17 @@ class Climb:
     def worth(self) -> float:
         """What evidence counts for, at the last scan."""
         return self.where.quadratic.worth
+
+
+def part_of(report: Report, start: float, share: float, f: float, model: Model) -> None:
+    """Report a part of a whole that begins at this share of it and is so large."""
+    report(start + share * f, model)
+
+
+def in_time(c: Climb, calls: Iterable[Callable[[], T]], ways: Iterable[W]) -> Iterator[tuple[T, W]]:
+    """What these calls return, two at a time, each with what it is of; those for which there is
+    time."""
+    return zip(in_parallel(c.budget.each(calls)), ways, strict=False)
 
 
 def beaten(c: Climb) -> bool:

@@ -9,12 +9,11 @@ from functools import partial
 
 from handcal.estimate.case import name_of
 from handcal.estimate.fit import fitted
-from handcal.estimate.forked import in_parallel
 from handcal.estimate.model import Model
 from handcal.estimate.robust import inflation
 from handcal.model_score import PRIOR, better
 from handcal.search.climb.candidates import REFUSED, candidates, fitted_with, scanned_about
-from handcal.search.climb.state import FEW, Climb, forget, likelier, too_large
+from handcal.search.climb.state import FEW, Climb, forget, in_time, likelier, too_large
 from handcal.search.space import Space, best_set, gains
 
 # An effect whose gain is less than this is fitted without, to be sure.
@@ -128,9 +127,9 @@ def thin(c: Climb) -> Model | None:
         if least.get(e.id, 0.0) <= (CLOSE if e.process is None else 10.0 * CLOSE)
     ]
     fewer = ([x for x in model.effects if x is not e] for e in tried)
-    fits = in_parallel(partial(fitted, model.parts, rest) for rest in c.budget.each(fewer))
+    calls = (partial(fitted, model.parts, rest) for rest in fewer)
     more = inflation(model) if tried else {}
-    for e, without in zip(tried, fits, strict=False):
+    for without, e in in_time(c, calls, tried):
         gain = better(model, without, c.worth)
         if not math.isfinite(gain):  # (no fit holds without it, which says nothing of how much)
             c.stale.discard(e.id)

@@ -22,7 +22,7 @@ REPEATS = (*READS, "--device")
 CALIBRATES = (*REPEATS, "--assume", "--heading-sigma", "--latitude", "--height", "--ignore",
               "--reference-exact")  # fmt: skip
 
-
+# The one that has a folder of one's own effects.
 OWN = ("--effects-from",)
 # What a device file is called that nobody has named, and a folder of laws.
 DEVICE = "my-device.toml"
@@ -62,8 +62,7 @@ def commands(
     """
     paths = list(files) or [r.recording.path for r in e.recordings]
     first = Path(paths[0])
-    folder = _known_to(options, OWN)
-    options = [word for word in options if word not in folder] if folder else options
+    folder, options = _known_to(options, OWN), _known_to(options, OWN, others=True)
     needed = any(i not in installed() for i in named(e))
     own = (folder or [*OWN, "DIR"]) if needed else []
     out = []
@@ -92,11 +91,12 @@ def commands(
     return [shlex.join(words) for words in out]
 
 
-def _known_to(options: Sequence[str], names: Collection[str]) -> list[str]:
-    """Those of the options as typed that another command takes, each with its value."""
+def _known_to(options: Sequence[str], names: Collection[str], *, others: bool = False) -> list[str]:
+    """Those of the options as typed that another command takes, each with its value; or all
+    others."""
     out: list[str] = []
     taken = False
     for word in options:
-        taken = word in names if word.startswith("--") else taken
+        taken = (word in names) != others if word.startswith("--") else taken
         out += [word] if taken else []
     return out
