@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from worlds import recording_of
 
+from handcal.effects import catalogue
 from handcal.estimate.baseline import baseline
 from handcal.estimate.case import case_of
 from handcal.estimate.model import Model
@@ -204,7 +205,7 @@ def test_a_climb_ends_where_another_was_ahead(ids, ahead, ends, monkeypatch):
     monkeypatch.setattr(state, "better", lambda a, b, _: a.log_evidence - b.log_evidence)
     rival = _named(("a",), 0.0)
     c: Any = SimpleNamespace(model=_named(ids, ahead), rival=rival, named=None, worth=1.0)
-    c.budget = Budget()
+    c.budget, c.fruitless = Budget(), {}
     step: Any = lambda _: rival  # noqa: E731
     monkeypatch.setattr(sequence, "_LAWS", (step,))
     monkeypatch.setattr(sequence, "_STEPS", {step: "laws"})
@@ -213,6 +214,56 @@ def test_a_climb_ends_where_another_was_ahead(ids, ahead, ends, monkeypatch):
     assert state.beaten(c) is ends
     c.rival = None
     assert not state.beaten(c)
+
+
+def test_what_led_nowhere_is_not_asked_by_another_climb_about_the_same_fit(monkeypatch):
+    asked = []
+    step: Any = lambda c: asked.append(c.model.ids)  # noqa: E731
+    monkeypatch.setattr(sequence, "_LAWS", (step,))
+    monkeypatch.setattr(sequence, "_STEPS", {step: "laws"})
+    fruitless: dict[Any, float] = {}
+    for ids, evidence in [("a", 10.0), ("a", 9.0), ("a", 10.9), ("b", 9.0), ("a", 12.0)]:
+        c: Any = SimpleNamespace(model=_named((ids,), evidence), rival=None, named=None)
+        c.budget, c.fruitless = Budget(), fruitless
+        assert sequence._taken(c, step) is None
+    assert asked == [("a",), ("b",), ("a",)]
+
+
+def _climb(base, evidence=0.0):
+    c = state.Climb(replace(base, log_evidence=base.log_evidence + evidence), ())
+    c.where = SimpleNamespace(quadratic=SimpleNamespace(worth=0.5))
+    return c
+
+
+@pytest.mark.parametrize(("since", "again"), [(0.0, False), (9.0, False), (-9.0, False),
+                                              (11.0, True), (-11.0, True)])  # fmt: skip
+def test_what_fell_short_is_tried_again_where_the_score_has_changed_by_half_of_that(
+    base, since, again
+):
+    c, what = _climb(base), ("thin", "gyro_scale")
+    assert not state.in_vain(c, what)
+    state.fell_short(c, what, 10.0)  # (evidence counts half: 5 nats are 10)
+    changed = _climb(base, since).model
+    assert state.in_vain(c, what, changed) is not again
+    assert not state.in_vain(c, ("thin", "accel_scale"), changed)
+
+
+@pytest.mark.parametrize(("ids", "since", "kept"), [
+    (("gyro_bandwidth",), 1.0, True),
+    (("gyro_bandwidth",), 50.0, False),  # (the others may have made it the better one)
+    ((), 1.0, False),  # (neither is there, or both: nothing was exchanged)
+    (("gyro_bandwidth", "accel_delay"), 1.0, False),
+])  # fmt: skip
+def test_an_exchange_in_vain_is_kept_where_the_others_are_much_the_same(base, ids, since, kept):
+    c, pair = _climb(base), ("accel_delay", "gyro_bandwidth")
+    c.swaps = {pair: -20.0, pair[::-1]: 20.0}
+    state.fell_short(c, pair, 20.0)
+    effects = tuple(catalogue()[i] for i in ids)
+    # (their own odds are no news)
+    odds = state._odds(replace(base, effects=effects)) - state._odds(base)
+    other = _climb(base, since - odds / c.worth).model
+    state.beside_others(c, replace(other, effects=effects))
+    assert c.swaps == ({pair: -20.0, pair[::-1]: 20.0} if kept else {})
 
 
 @pytest.mark.parametrize(("promised", "asked"), [(94.0, False), (96.0, True)])

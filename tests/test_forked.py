@@ -7,6 +7,7 @@ import signal
 import sys
 import threading
 import time
+from collections import Counter
 from collections.abc import Iterator
 from functools import partial
 
@@ -138,6 +139,30 @@ def test_where_there_is_no_room_for_a_copy_all_is_done_here(
     assert list(in_parallel(partial(where, k) for k in range(4))) == [
         (k, os.getpid()) for k in range(4)
     ]
+
+
+def test_what_takes_little_time_is_done_elsewhere_several_at_a_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    copies: list[int] = []
+    fork = os.fork
+
+    def noted() -> int:
+        copies.append(1)
+        return fork()
+
+    monkeypatch.setattr(forked.os, "fork", noted)
+
+    def slow(k: int) -> tuple[int, int]:
+        time.sleep(0.01)
+        return where(k)
+
+    found = list(in_parallel(partial(slow, k) for k in range(60)))
+    assert [k for k, _ in found] == list(range(60))
+    there = Counter(process for _, process in found)
+    assert len(there) == 1 + len(copies)
+    assert len(copies) > 1
+    assert 1 < max(n for process, n in there.items() if process != os.getpid()) <= forked.MOST
 
 
 def test_nobody_works_on_when_nobody_asks(monkeypatch: pytest.MonkeyPatch) -> None:

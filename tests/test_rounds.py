@@ -43,6 +43,21 @@ def test_it_runs_away_where_every_round_is_worse_and_all_is_lost(per_round):
     assert not after(*away[:-1]).runs_away
 
 
+@pytest.mark.parametrize(
+    ("evidence", "sinks"),
+    [
+        ((5.0, -50.0, -120.0), True),
+        ((5.0, -120.0), False),  # (one worse round is none)
+        ((5.0, -50.0, -99.0), False),
+        ((-300.0, -200.0, -120.0), False),  # (below, and on its way up)
+        ((5.0, -50.0, -120.0, -110.0), False),
+    ],
+)
+def test_it_sinks_where_it_only_becomes_less_below_what_is_of_use(evidence, sinks):
+    assert after(*evidence).sinks(-100.0) is sinks
+    assert not after(*evidence).sinks(-math.inf)
+
+
 def rounds_to_reach(share, mix):
     """Rounds after which two constants are where they belong to 1e-3, each round bringing all but a
     ``share`` of what the first lacks."""

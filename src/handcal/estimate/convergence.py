@@ -14,6 +14,8 @@ ROUNDS = 10
 SHORTEST = 0.2
 # Rounds in a row of which each is worse, to so many nats below the first: no fit comes of that.
 FALLS, FALLEN = 3, 1000.0
+# Rounds in a row of which each is worse, below what would be of use: none comes of that either.
+SINKING = 2
 # Steps of the constants count as one way where they are that far along it (cosine), and are not
 # taken further than so many steps at once.
 ALONG, FURTHEST = 0.95, 5.0
@@ -73,6 +75,10 @@ class Rounds:
     def runs_away(self) -> bool:
         """Whether each of the last rounds was worse, and it is hopelessly far down."""
         return self.falls >= FALLS and self.evidence < self.first - FALLEN
+
+    def sinks(self, least: float) -> bool:
+        """Whether the last rounds were worse each, and the evidence is less than this."""
+        return self.falls >= SINKING and self.evidence < least
 
     @property
     def swing(self) -> float:

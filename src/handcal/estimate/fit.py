@@ -103,19 +103,22 @@ def fitted(
     noise_rounds: int = 1,
     known: Known | None = None,
     tolerance: float = COMPARED,
+    of_use: float = -math.inf,
 ) -> Model:
     """Fit these effects to all recordings, beginning from other fits' trajectories and noise,
-    until the evidence rests within ``tolerance`` nats. (Those that are made as they are asked for
-    are gone when the first round has left them.)"""
+    until the evidence rests within ``tolerance`` nats, or sinks below what would be ``of_use``.
+    (Those that are made as they are asked for are gone when the first round has left them.)"""
     rest = tolerance if noise_rounds == 0 else ROUGH
     parts = [begun(f, effects) for f in begin]
     wide = known is None and any(_begins_wide(f) for f in parts)
     # (handed on one by one: whoever keeps them here keeps what they are linearised to as well)
     handed_on = (parts.pop(0) for _ in range(len(parts)))
-    now = relinearised_parts(handed_on, effects, known, wide=wide, tolerance=rest)
+    constant = sum(f.case.constant for f in parts)
+    of_use -= constant
+    now = relinearised_parts(handed_on, effects, known, wide=wide, tolerance=rest, of_use=of_use)
     if not math.isfinite(now.evidence):
         return diverged(now.parts, effects)
-    for left in range(noise_rounds, -1, -1):
+    for left in range(-1 if now.sank else noise_rounds, -1, -1):
         now = _widened(now, effects, known)
         if not left:
             break
@@ -129,15 +132,15 @@ def fitted(
         now = moved
         if change < 0.02:
             break
-    if now.rest > tolerance:
+    if now.rest > tolerance and not now.sank:
         now = relinearised_parts(
-            now.parts, effects, known, wide=now.wide, tolerance=tolerance, reductions=now.reductions
-        )
+            now.parts, effects, known, wide=now.wide, tolerance=tolerance,
+            reductions=now.reductions, of_use=of_use,
+        )  # fmt: skip
     if not math.isfinite(now.evidence):
         return diverged(now.parts, effects)
     whole = now.whole or _told(now.parts, effects)
     found = _posterior(whole, effects, known, now.wide)
-    constant = sum(f.case.constant for f in now.parts)
     return Model(
         tuple(effects), tuple(now.parts), whole, found.mean, found.covariance,
         found.log_evidence + constant, now.settled, known, now.swing,
@@ -284,6 +287,7 @@ def relinearised_parts(
     tolerance: float = TOLERANCE,
     reductions: list[Reduction] | None = None,
     rested: float = math.nan,
+    of_use: float = -math.inf,
 ) -> Rested:
     """Move and linearise again until the joint evidence rests; whether it does, and the evidence.
 
@@ -291,6 +295,7 @@ def relinearised_parts(
     of the priors instead of the usual one alone. tolerance: nats. reductions: the parts', if known;
     emptied, so that nobody keeps them beside those of the next round. rested: the evidence with
     which the parts came to rest at other noise levels, their last step within the same tolerance.
+    of_use: evidence below which there is no use in going on where it only becomes less.
     """
     parts, handed_on = list(begin), reductions or []
     # (a list of its own: what the last round leaves is of these parts, not of the caller's)
@@ -313,14 +318,16 @@ def relinearised_parts(
         way.went_on(now)
         if way.runs_away:
             return Rested(parts, False, math.nan, tolerance, wide)
-        if not now > least:  # (nor where it is no number any more)
+        if not now > least or way.sinks(of_use):  # (nor where it is no number any more)
             break
         reductions.clear()  # (these and the passes are as large as what is linearised next)
         way.aims(seen.aim, seen.whole.G)
         parts = _followed(parts, seen, effects, way.reach)
     sane = all(_reduced_if_sane(f) is not None for f in parts)
     evidence = way.evidence if sane else math.nan
-    return Rested([f.bare for f in parts], False, evidence, tolerance, wide, swing=way.swing)
+    sank = way.sinks(of_use)
+    bare = [f.bare for f in parts]
+    return Rested(bare, False, evidence, tolerance, wide, swing=way.swing, sank=sank)
 
 
 @dataclass(frozen=True)

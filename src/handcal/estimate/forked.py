@@ -1,8 +1,9 @@
 """Work that does not depend on each other, such as fits, on two cores; the results come in their
 order.
 
-A copy of the process does the next piece of work while this one does its own: it has all that it
-needs, and nothing has to be sent to it. What it found is sent back, and what that shares with what
+A copy of the process does the next piece of work while this one does its own (or the next few,
+where each takes less time than is worth a copy): it has all that it needs, and nothing has to be
+sent to it. What it found is sent back, and what that shares with what
 the work was given (readings, effects) is referred to, not copied. Effects and observations, which
 hold functions and addresses of compiled ones, are only ever referred to: work whose result holds
 new ones is done once more, here.
@@ -18,10 +19,12 @@ import pickle
 import signal
 import sys
 import threading
+import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from functools import partial
+from itertools import islice
 from types import FunctionType, MethodType
 from typing import Any, Generic, NoReturn, TypeVar, cast
 
@@ -40,6 +43,11 @@ T = TypeVar("T")
 REFERRED = (Effect, Observation)
 # What is not worth referring to.
 PLAIN = (str, bytes, int, float, complex, np.generic, type(None), type)
+# Seconds of work for which a copy is made: to make one, and what it costs this process afterwards,
+# takes some 15 ms.
+WORTH_S = 0.15
+# Calls that it does at the most, of which the first may be a bad guess of how long the others take.
+MOST = 8
 # Linux' number of what a process is told when its parent is gone (prctl).
 _PARENT_GONE = 1
 
@@ -48,7 +56,7 @@ def in_parallel(calls: Iterable[Callable[[], T]]) -> Iterator[T]:
     """What the calls return, in their order; two run at a time where this is a program of its own
     with two cores and nothing else of it does so.
 
-    Calls must change nothing: with the copy that does every other one this is lost. Whoever stops
+    Calls must change nothing: with the copy that does some of them this is lost. Whoever stops
     asking leaves those that have not begun undone.
     """
     waiting = enumerate(calls)
@@ -59,20 +67,24 @@ def in_parallel(calls: Iterable[Callable[[], T]]) -> Iterator[T]:
     done: dict[int, Callable[[], T]] = {}
     begun: list[_Beside[T]] = []
     beside: _Beside[T] | None = None
-    wanted = 0
+    wanted, took = 0, WORTH_S
     try:
         while True:
             if beside is not None and beside.over():
-                done[beside.number], beside = beside.result, None
+                done |= enumerate(beside.results(), beside.first)
+                beside = None
             if wanted in done:
                 yield done.pop(wanted)()
                 wanted += 1
             elif (mine := next(waiting, None)) is not None:
-                later = next(waiting, None) if beside is None else None
-                if later is not None:
-                    beside = _Beside(*later, known)
+                many = max(1, min(MOST, round(WORTH_S / took)))
+                later = list(islice(waiting, many)) if beside is None else []
+                if later:
+                    beside = _Beside(later[0][0], [call for _, call in later], known)
                     begun.append(beside)
+                began = time.perf_counter()
                 done[mine[0]] = _ready(mine[1])
+                took = max(time.perf_counter() - began, 1e-6)
             elif beside is not None:
                 beside.wait()
             else:
@@ -116,11 +128,13 @@ def _busy(call: Callable[[], T]) -> T:
 
 
 class _Beside(Generic[T]):
-    """A call that a copy of this process does. number: which of the calls it is."""
+    """Calls that a copy of this process does. first: the number of the first of them."""
 
-    def __init__(self, number: int, call: Callable[[], T], known: Mapping[int, object]) -> None:
-        self.number, self._call = number, call
-        self._known = {**known, **_reached(call)}
+    def __init__(
+        self, first: int, calls: list[Callable[[], T]], known: Mapping[int, object]
+    ) -> None:
+        self.first, self._calls = first, calls
+        self._known = {**known, **_reached(calls)}
         self._sent, self._status = -1, cast(int | None, None)
         try:
             self._sent = os.memfd_create("handcal")
@@ -129,7 +143,7 @@ class _Beside(Generic[T]):
             self._status = 1
             return
         if process == 0:
-            _work(call, self._sent, self._known)
+            _work(calls, self._sent, self._known)
         self._process = process
 
     def over(self) -> bool:
@@ -141,14 +155,15 @@ class _Beside(Generic[T]):
         if self._status is None:
             self._ended(0)
 
-    def result(self) -> T:
-        """What the call returned; where the copy could not say so, what it returns here."""
+    def results(self) -> list[Callable[[], T]]:
+        """What say what each call returned; where the copy could not, what it returns here."""
         try:
             if self._status != 0:
-                return _busy(self._call)
+                return [partial(_busy, call) for call in self._calls]
             with open(self._sent, "rb", closefd=False) as sent:
                 sent.seek(0)
-                return cast(T, _Receiver(sent, self._known).load())
+                found = cast(list[T], _Receiver(sent, self._known).load())
+            return [partial(_same, x) for x in found]
         finally:
             self._close()
 
@@ -174,6 +189,10 @@ class _Beside(Generic[T]):
         return process != 0
 
 
+def _same(found: T) -> T:
+    return found
+
+
 def _copied() -> int:
     """The process of a copy of this one; in the copy 0. Raises OSError where there is no room."""
     with warnings.catch_warnings():
@@ -182,8 +201,9 @@ def _copied() -> int:
         return os.fork()
 
 
-def _work(call: Callable[[], object], to: int, known: Mapping[int, object]) -> NoReturn:
-    """In the copy: the call, its result written to this file; ends with status 0 if that is so."""
+def _work(calls: Iterable[Callable[[], object]], to: int, known: Mapping[int, object]) -> NoReturn:
+    """In the copy: the calls, their results written to this file; ends with status 0 if that is
+    so."""
     status = 1
     try:
         # (what Ctrl-C means the first process decides; when that is gone, so is this one)
@@ -193,7 +213,7 @@ def _work(call: Callable[[], object], to: int, known: Mapping[int, object]) -> N
                 signal.signal(number, signal.SIG_DFL)
         ctypes.CDLL(None).prctl(_PARENT_GONE, signal.SIGKILL)
         gc.freeze()  # (what is only read stays one for both)
-        found = _busy(call)
+        found = [_busy(call) for call in calls]
         with open(to, "wb", closefd=False) as out:
             _Sender(out, known).dump(found)
         status = 0

@@ -116,7 +116,8 @@ class Rested:
     with all scales of the priors; swing: nats between the best and the worst of its last rounds,
     where it does not rest; step: nats that its last round changed. Where the parts rest: what all
     recordings say, and the parts' own reductions (empty elsewhere), which other noise levels do not
-    change: whoever goes on from them empties the list, since they are large."""
+    change: whoever goes on from them empties the list, since they are large. sank: whether it was
+    given up below what would have been of use."""
 
     parts: list[Fitted]
     settled: bool
@@ -127,3 +128,4 @@ class Rested:
     reductions: list[Reduction] = field(default_factory=list)
     swing: float = 0.0
     step: float = math.inf
+    sank: bool = False

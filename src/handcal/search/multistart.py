@@ -58,6 +58,7 @@ class _Common:
     refused: Set[str]
     budget: Budget
     vocabulary: Vocabulary = field(default_factory=Vocabulary)
+    fruitless: dict[tuple[str, frozenset[str]], float] = field(default_factory=dict)
 
 
 def search(
@@ -199,7 +200,7 @@ def _end(
     would begin without these. rival: see ``Climb``."""
     start = base if begun is None else begun
     c = Climb(start.bare, needed, common.budget, dropped=set(common.refused))
-    c.vocabulary = common.vocabulary
+    c.vocabulary, c.fruitless = common.vocabulary, common.fruitless
     c.kept, c.rival = frozenset(base.ids), rival
     if not climbed(c, report):
         return None

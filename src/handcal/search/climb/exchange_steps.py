@@ -16,7 +16,17 @@ from handcal.laws.best_law import Term
 from handcal.laws.chosen_again import with_other
 from handcal.model_score import NAMED, PRIOR, better
 from handcal.search.climb.candidates import fitted_with, scanned_about
-from handcal.search.climb.state import HOPELESS, WEAK, Climb, in_time, likelier, sensible
+from handcal.search.climb.state import (
+    HOPELESS,
+    WEAK,
+    Climb,
+    beside_others,
+    fell_short,
+    in_time,
+    in_vain,
+    likelier,
+    sensible,
+)
 from handcal.search.space import best_set, gains, rivals
 
 # A rival that would do so much of what an effect does is fitted in its place.
@@ -46,6 +56,7 @@ def exchange(c: Climb) -> Model | None:
         # (what comes out on the side where it cannot be is no rival, however well it fits)
         worse = better(model, tried, c.worth) if tried.one_sided else math.inf
         c.swaps[e.id, rival], c.swaps[rival, e.id] = worse, -worse
+        fell_short(c, tuple(sorted((e.id, rival))), abs(worse))
         if worse < 0.0:
             return tried
         # the wrong one of the two may need a weak third, which the right one does not
@@ -139,7 +150,8 @@ def hidden(c: Climb) -> Model | None:
     cases = [f.case for f in model.parts]
     ways = []
     for e in catalogue().values():
-        if e.id in have or (e.id, now) in c.ordered or not _smooths(e):
+        seen = (e.id, now) in c.ordered or in_vain(c, (hidden.__name__, e.id))
+        if e.id in have or seen or not _smooths(e):
             continue
         late = [catalogue()[i] for i in e.akin if i not in have]
         wanted = [x for x in (e, *late) if any(applicable(case, x) for case in cases)]
@@ -151,8 +163,11 @@ def hidden(c: Climb) -> Model | None:
     for tried, (e, *_) in in_time(c, calls, ways):
         c.ordered.add((e.id, now))
         if tried is not None and tried.one_sided and likelier(c, tried):
-            c.swaps.clear()  # (they hold beside the same others only)
+            beside_others(c, tried)
             return tried
+        short = -PRIOR if tried is None else better(model, tried, c.worth)
+        if short > 0.0 and (tried is None or tried.one_sided):
+            fell_short(c, (hidden.__name__, e.id), short)
     return None
 
 

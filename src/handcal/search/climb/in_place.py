@@ -14,7 +14,7 @@ from handcal.estimate.model import Model
 from handcal.estimate.transfer import fit_of, moved_to
 from handcal.laws.best_law import ENOUGH, Survey, Term, best_terms, survey
 from handcal.laws.law_effect import SENSORS
-from handcal.model_score import better, score
+from handcal.model_score import better, log_prior, score
 from handcal.search.climb.candidates import fitted_with, scanned_about
 from handcal.search.climb.state import (
     HOPELESS,
@@ -206,7 +206,9 @@ def with_term(
     """The model with a term, and with what a scan about that would have besides: of what noise
     held, part may have a name (a gain that drifts is a scale error too). refused: names; least:
     score below which that is of no use."""
-    alone = fitted(model.parts, (*model.effects, term.effect))
+    wanted = (*model.effects, term.effect)
+    odds = log_prior(wanted, [f.case for f in model.parts])
+    alone = fitted(model.parts, wanted, of_use=(least - odds) / worth)
     if not (sensible(alone) and math.isfinite(alone.log_evidence)):
         return alone
     where = scanned_about(alone.bare, [term], refused)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from handcal.estimate.model import Model
@@ -18,7 +19,7 @@ from handcal.search.climb.law_steps import (
     take_in,
 )
 from handcal.search.climb.noise_steps import add_noise, name_noise
-from handcal.search.climb.state import Climb, Report, beaten
+from handcal.search.climb.state import SAME_FIT, Climb, Report, beaten
 from handcal.search.climb.subset_steps import choose, everything, favourite, thin
 from handcal.search.space import gains
 
@@ -54,15 +55,18 @@ def _moved(c: Climb) -> bool:
 
 def _taken(c: Climb, step: Callable[[Climb], Model | None]) -> Model | None:
     """Where a step leads, if there is time for it."""
+    key = step.__name__, frozenset(c.model.ids)
     if step in _LAWS:
         c.named = c.named or c.model
-        if beaten(c):
+        if beaten(c) or c.model.log_evidence < c.fruitless.get(key, -math.inf) + SAME_FIT:
             return None
     if c.budget.spent(_STEPS[step]):
         return None
     model = step(c)
     if c.budget.cut:
         c.budget.note(_STEPS[step])
+    elif model is None and step in _LAWS:
+        c.fruitless[key] = c.model.log_evidence
     return model
 
 

@@ -10,7 +10,7 @@ from handcal.estimate.case import name_of
 from handcal.estimate.forked import in_parallel
 from handcal.estimate.model import Model
 from handcal.laws.best_law import Survey, Term, Vocabulary
-from handcal.model_score import PRIOR, better
+from handcal.model_score import PRIOR, better, log_prior
 from handcal.search.budget import Budget
 from handcal.search.space import Space
 
@@ -25,6 +25,11 @@ WEAK = 100.0
 HOPELESS = 100.0
 # How many of the weakest are fitted without.
 FEW = 3
+# Share of the nats by which something fell short, below which what a model's score has changed by
+# since cannot have made it the better one.
+SINCE = 0.5
+# Nats to which two climbs that end with the same effects end with the same fit.
+SAME_FIT = 1.0
 
 
 @dataclass(frozen=True)
@@ -34,6 +39,15 @@ class Barred:
 
     own: frozenset[str]
     held: float
+    short: float
+
+
+@dataclass(frozen=True)
+class Vain:
+    """What fell short by so many nats, beside a model of this log-evidence and log prior odds."""
+
+    evidence: float
+    prior: float
     short: float
 
 
@@ -49,7 +63,9 @@ class Climb:
     everything: all were fitted at once; survey: of what has no name, beside the last model that was
     asked; vocabulary: blocks of laws of the recordings, as far as they were asked for. barred: by
     sensor, what came of laws in the place of its doubted effects. rival: the model with which
-    another climb, from another start, began to look for laws; named: that of this one.
+    another climb, from another start, began to look for laws; named: that of this one. vain: what
+    was fitted in vain; fruitless: steps that led nowhere, each with the effects of the model, and
+    its log-evidence, in whichever climb of a search.
     """
 
     model: Model
@@ -78,6 +94,8 @@ class Climb:
     vocabulary: Vocabulary = field(default_factory=Vocabulary)
     rival: Model | None = None
     named: Model | None = None
+    vain: dict[tuple[str, ...], Vain] = field(default_factory=dict)
+    fruitless: dict[tuple[str, frozenset[str]], float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.kept = frozenset(self.model.ids)
@@ -136,5 +154,35 @@ def forget(c: Climb, model: Model) -> None:
     """Let what was weighed beside effects that are gone be weighed anew."""
     c.noise = {i: v for i, v in c.noise.items() if i in model.ids}
     c.visited.clear()
-    c.swaps.clear()
+    beside_others(c, model)
     c.stale |= set(c.noise)
+
+
+def fell_short(c: Climb, what: tuple[str, ...], short: float) -> None:
+    """Note that something was fitted in vain beside the model there is."""
+    c.vain[what] = Vain(c.model.log_evidence, _odds(c.model), short)
+
+
+def in_vain(c: Climb, what: tuple[str, ...], model: Model | None = None) -> bool:
+    """Whether something fell short by so much that it is no better beside this model, or the one
+    there is: whatever has changed since has changed the score by less."""
+    last, model = c.vain.get(what), c.model if model is None else model
+    if last is None:
+        return False
+    since = c.worth * (model.log_evidence - last.evidence) + _odds(model) - last.prior
+    return abs(since) < SINCE * last.short
+
+
+def beside_others(c: Climb, model: Model) -> None:
+    """Let go what holds beside the same others only, now that the model is another: the exchanges
+    that were near enough for that."""
+    there = set(model.ids)
+    c.swaps = {
+        pair: worse
+        for pair, worse in c.swaps.items()
+        if len(there & set(pair)) == 1 and in_vain(c, tuple(sorted(pair)), model)
+    }
+
+
+def _odds(model: Model) -> float:
+    return log_prior(model.effects, [f.case for f in model.parts])

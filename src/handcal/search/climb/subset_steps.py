@@ -13,7 +13,17 @@ from handcal.estimate.model import Model
 from handcal.estimate.robust import inflation
 from handcal.model_score import PRIOR, better
 from handcal.search.climb.candidates import REFUSED, candidates, fitted_with, scanned_about
-from handcal.search.climb.state import FEW, Climb, forget, in_time, likelier, too_large
+from handcal.search.climb.state import (
+    FEW,
+    Climb,
+    beside_others,
+    fell_short,
+    forget,
+    in_time,
+    in_vain,
+    likelier,
+    too_large,
+)
 from handcal.search.space import Space, best_set, gains
 
 # An effect whose gain is less than this is fitted without, to be sure.
@@ -33,7 +43,7 @@ def choose(c: Climb) -> Model | None:
         c.visited.add(chosen)
         larger = _grown(c, chosen)
         if larger is not None:
-            c.swaps.clear()  # (they hold beside the same others only)
+            beside_others(c, larger)
             c.refused.clear()
             c.beyond.clear()
             return larger
@@ -118,13 +128,15 @@ def thin(c: Climb) -> Model | None:
     """
     model, where = c.model, c.where
     gained = gains(where, model.chosen)
-    last = {i: 0.0 if i in c.stale else v for i, v in c.noise.items()}
+    missed = {i for i in model.ids if in_vain(c, (thin.__name__, i))}
+    last = {i: 0.0 if i in c.stale - missed else v for i, v in c.noise.items()}
     least = gained | last
     weakest = sorted(model.effects, key=lambda e: least.get(e.id, 0.0))
     tried = [
         e
         for e in [e for e in weakest if not e.always][:FEW]
-        if least.get(e.id, 0.0) <= (CLOSE if e.process is None else 10.0 * CLOSE)
+        if e.id not in missed
+        and least.get(e.id, 0.0) <= (CLOSE if e.process is None else 10.0 * CLOSE)
     ]
     fewer = ([x for x in model.effects if x is not e] for e in tried)
     calls = (partial(fitted, model.parts, rest) for rest in fewer)
@@ -144,4 +156,5 @@ def thin(c: Climb) -> Model | None:
             c.noise.pop(e.id, None)
             c.dropped.add(name_of(e.id))
             return without
+        fell_short(c, (thin.__name__, e.id), gain)
     return None
