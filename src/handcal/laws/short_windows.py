@@ -175,14 +175,20 @@ def _constant(sensor: int, axis: int, count: int) -> Effect:
 
 def _gains(of: Courses, seen: Beside, at: Sequence[IntArray]) -> Array:
     """Nats (d,) that a law over each driver gains, on an axis or on all of them alike."""
+    axes = range(of.means.shape[1])
+    G = {(a, o): seen.G[np.ix_(at[a], at[o])] for a in axes for o in axes[a:]}
     out = []
     for first in range(0, len(of.means), TOGETHER):
         c = of.means[first : first + TOGETHER]
-        axes = range(c.shape[1])
         b = [c[:, a] @ seen.b[at[a]] for a in axes]
-        felt = [[c[:, a] @ seen.G[np.ix_(at[a], at[o])] @ c[:, o].transpose(0, 2, 1)
-                 for o in axes] for a in axes]  # fmt: skip
-        ways = [*((b[a], felt[a][a]) for a in axes), (np.sum(b, axis=0), np.sum(felt, axis=(0, 1)))]
+        # (all drivers as rows of one matrix: less is lost to many small products)
+        flat = [c[:, a].reshape(-1, c.shape[3]) for a in axes]
+        felt = {
+            (a, o): (flat[a] @ G[a, o]).reshape(c[:, a].shape) @ c[:, o].transpose(0, 2, 1)
+            for a, o in G
+        }
+        both = [x if a == o else x + x.transpose(0, 2, 1) for (a, o), x in felt.items()]
+        ways = [*((b[a], felt[a, a]) for a in axes), (np.sum(b, axis=0), np.sum(both, axis=0))]
         ends = [
             gains(*way, np.broadcast_to(root, way[1].shape)) for way in ways for root in of.roots
         ]
