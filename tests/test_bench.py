@@ -1,7 +1,9 @@
 """``handcal bench``: what surrounds the measuring. No test looks at a time."""
 
 import json
+import os
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -225,6 +227,29 @@ def test_who_no_longer_waits_for_a_program_ends_it(monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         timing.run_python("import time; time.sleep(30)")
     assert children[0].returncode
+
+
+def test_what_was_begun_ends_with_who_no_longer_waits(monkeypatch, tmp_path):
+    def interrupted(_child, _begin):
+        while not (tmp_path / "begun").exists():
+            time.sleep(0.01)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(timing, "_ended", interrupted)
+    said = f"open({str(tmp_path / 'now')!r}, 'w').write(str(os.getpid()))"
+    moved = f"os.rename({str(tmp_path / 'now')!r}, {str(tmp_path / 'begun')!r})"
+    with pytest.raises(KeyboardInterrupt):
+        timing.run_python(f"import os, time; {said}; {moved}; time.sleep(60)")
+    with pytest.raises(ProcessLookupError):
+        os.kill(int((tmp_path / "begun").read_text()), 0)
+
+
+@pytest.mark.skipif(not hasattr(os, "wait4"), reason="this system does not tell.")
+def test_the_memory_of_who_measures_is_not_counted():
+    mine = np.ones(25_000_000)  # (200 MB)
+    assert timing.run_python("pass").memory < 60.0
+    assert timing.run_python("x = bytearray(100_000_000)").memory > 100.0
+    assert mine.all()
 
 
 def test_the_smallest_recordings_come_first_and_one_that_fails_is_left_out(monkeypatch, tmp_path):

@@ -26,6 +26,7 @@ from handcal.types import Array, HandcalError
 # A side is repeated until it has used this much CPU time: clocks are no finer than 10 ms.
 ENOUGH_S = 0.15
 MEGA = 1e6
+_APART = Path(__file__).with_name("apart.py")
 
 
 @dataclass(frozen=True)
@@ -228,8 +229,9 @@ def run_python(code: str) -> Ran:
 
 def _run(command: Sequence[str], shown: str, environment: Mapping[str, str]) -> Ran:
     begin = time.perf_counter()
-    none, pipe = subprocess.DEVNULL, subprocess.PIPE
-    with subprocess.Popen(command, stdout=none, stderr=pipe, env=environment, text=True) as child:
+    pipe = subprocess.PIPE
+    apart = [sys.executable, "-I", "-S", str(_APART), *command]
+    with subprocess.Popen(apart, stdout=pipe, stderr=pipe, env=environment, text=True) as child:
         try:
             ran = _ended(child, begin)
         finally:
@@ -244,15 +246,12 @@ def _run(command: Sequence[str], shown: str, environment: Mapping[str, str]) -> 
 
 
 def _ended(child: subprocess.Popen[str], begin: float) -> Ran:
-    """Wait for a child; what it used is known where the system tells (not on Windows)."""
+    """Wait for what runs apart; what it used is known where the system tells (not on Windows)."""
     assert child.stderr is not None
+    assert child.stdout is not None
     times = [(time.perf_counter() - begin, line.strip()) for line in child.stderr]
     said = tuple((t, line) for t, line in times if line)
-    if not hasattr(os, "wait4"):
-        child.wait()
-        return Ran(np.nan, time.perf_counter() - begin, np.nan, said)
-    _, status, used = os.wait4(child.pid, 0)
-    child.returncode = os.waitstatus_to_exitcode(status)
+    wall, cpu, most = map(float, child.stdout.read().split() or ["nan"] * 3)
+    child.wait()
     # (kilobytes, but for macOS)
-    size = used.ru_maxrss / (1 if sys.platform == "darwin" else 1 / 1024)
-    return Ran(used.ru_utime + used.ru_stime, time.perf_counter() - begin, size / MEGA, said)
+    return Ran(cpu, wall, most * (1 if sys.platform == "darwin" else 1024) / MEGA, said)
