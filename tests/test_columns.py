@@ -9,6 +9,7 @@ import pytest
 from worlds import recording_of
 
 from handcal.effects import Effect, select
+from handcal.estimate import columns
 from handcal.estimate.baseline import baseline
 from handcal.estimate.case import case_of
 from handcal.estimate.evidence import reduce, reduced_pass
@@ -87,3 +88,19 @@ def test_columns_are_what_a_pass_with_them_has(model: Model) -> None:
         # (what has no effect at all would be the same in any way)
         new = [i for i, n in enumerate(whole.names) if n[0] not in have]
         assert np.mean(np.diag(whole.G)[new] > 1e-3) > 0.7
+
+
+def test_few_at_once_come_to_the_same(model: Model, monkeypatch: pytest.MonkeyPatch) -> None:
+    named = [e for e in candidates(model.parts, model.effects) if e.id not in model.ids]
+    whole = scan(model, named)
+    asked = []
+    slopes_of = columns.slopes_of
+    monkeypatch.setattr(columns, "SLOPES", 1.0)
+    monkeypatch.setattr(columns, "slopes_of", lambda *a: asked.append(a[1]) or slopes_of(*a))
+    some = scan(model, named)
+    assert [len(effects) for effects in asked] == [1] * sum(
+        e.imu_error is not None for e in named
+    ) * len(model.parts)
+    assert some.names == whole.names
+    assert np.array_equal(some.b, whole.b)
+    assert np.array_equal(some.G, whole.G)

@@ -8,7 +8,7 @@ on the way, is worked out once; a column is then a sum over the samples.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,6 +23,9 @@ from handcal.estimate.problem import Problem, slots_of
 from handcal.estimate.seen import seen_over_time
 from handcal.estimate.trajectory import biases
 from handcal.types import Array, IntArray
+
+# Slopes that are worked out together: three arrays of this size or up to three times it, 100 MB.
+SLOPES = 5e6
 
 
 @dataclass(frozen=True)
@@ -167,26 +170,47 @@ def _likelihood(done: ReducedPass, nu: Array) -> tuple[float, Array, Array]:
     return a, np.r_[b, -mixed[:, 0]], whole
 
 
+def _few_at_once(effects: Sequence[Effect], nodes: int) -> Iterator[list[Effect]]:
+    """Those of the effects that act on the readings, as many together as their slopes have room for
+    (each constant has one to three, at all nodes)."""
+    some: list[Effect] = []
+    for e in effects:
+        if e.imu_error is None:
+            continue
+        if some and nodes * sum(len(x.parameters) for x in (*some, e)) > SLOPES:
+            yield some
+            some = []
+        some.append(e)
+    if some:
+        yield some
+
+
 def _driven(
     about: Ground, effects: Sequence[Effect], names: list[tuple[str, str]], seen: Problem | None
 ) -> tuple[Array, Array]:
-    """D (K, v, c) and g (s, c) of further effects' constants."""
+    """D (K, v, c) and g (s, c) of further effects' constants, those that act on the readings
+    first."""
     done, told, c = about.done, about.excited, len(names)
     D = np.zeros((len(done.arrays.A), done.reduction.navigation, c))
     g = np.zeros((len(done.S), c))
-    slopes = slopes_of(told, effects)
-    if done.reduction.navigation > 0:
-        kernel.responses(
-            slopes.values, slopes.channel, slopes.column, about.windows, about.weights,
-            about.scalars, (D, g),
-        )  # fmt: skip
-    nominal = about.linear.trajectory
+    nominal, node = about.linear.trajectory, np.zeros(0, dtype=np.int64)
     if len(about.by_reading):
         first = about.linear.problem.nodes.first
         node = np.searchsorted(first, np.arange(first[-1]), side="right") - 1
-        kernel.seen_at_once(
-            slopes.values, slopes.channel, slopes.column, node, about.by_reading, about.rows, g
-        )
+    begin = 0
+    for some in _few_at_once(effects, len(about.linear.problem.nodes.t)):
+        slopes = slopes_of(told, some, effects)
+        column = slopes.column + begin
+        if done.reduction.navigation > 0:
+            kernel.responses(
+                slopes.values, slopes.channel, column, about.windows, about.weights,
+                about.scalars, (D, g),
+            )  # fmt: skip
+        if len(about.by_reading):
+            kernel.seen_at_once(
+                slopes.values, slopes.channel, column, node, about.by_reading, about.rows, g
+            )
+        begin += sum(len(e.parameters) for e in some)
     _see_past(about, effects, names, g)
     if seen is not None:
         at = {name: i for i, name in enumerate(names)}

@@ -261,10 +261,13 @@ def excited(linear: Linear, fresh: Problem) -> Excited:
     return Excited(done, noise, force, C_nb, W, np.ascontiguousarray(by_reading), measure)
 
 
-def slopes_of(told: Excited, effects: Sequence[Effect]) -> Slopes:
-    """Derivatives of the readings by the constants of effects that are zero."""
+def slopes_of(told: Excited, effects: Sequence[Effect], beside: Sequence[Effect] = ()) -> Slopes:
+    """Derivatives of the readings by the constants of effects that are zero; beside: others that
+    are on trial with them."""
     done, acting = told.done, [e for e in effects if e.imu_error is not None]
-    asked = told.force is not None or any(ATTITUDE in e.needs for e in acting)
+    asked = told.force is not None or any(
+        ATTITUDE in e.needs for e in (*acting, *beside) if e.imu_error is not None
+    )
     have = done.problem
     needed = [e for e in have.effects if e.imu_error is not None] + acting
     read = replace(
