@@ -191,26 +191,10 @@ def _driven(
     """D (K, v, c) and g (s, c) of further effects' constants, those that act on the readings
     first."""
     done, told, c = about.done, about.excited, len(names)
+    nominal = about.linear.trajectory
     D = np.zeros((len(done.arrays.A), done.reduction.navigation, c))
     g = np.zeros((len(done.S), c))
-    nominal, node = about.linear.trajectory, np.zeros(0, dtype=np.int64)
-    if len(about.by_reading):
-        first = about.linear.problem.nodes.first
-        node = np.searchsorted(first, np.arange(first[-1]), side="right") - 1
-    begin = 0
-    for some in _few_at_once(effects, len(about.linear.problem.nodes.t)):
-        slopes = slopes_of(told, some, effects)
-        column = slopes.column + begin
-        if done.reduction.navigation > 0:
-            kernel.responses(
-                slopes.values, slopes.channel, column, about.windows, about.weights,
-                about.scalars, (D, g),
-            )  # fmt: skip
-        if len(about.by_reading):
-            kernel.seen_at_once(
-                slopes.values, slopes.channel, column, node, about.by_reading, about.rows, g
-            )
-        begin += sum(len(e.parameters) for e in some)
+    _excite(about, effects, (D, g))
     _see_past(about, effects, names, g)
     if seen is not None:
         at = {name: i for i, name in enumerate(names)}
@@ -235,6 +219,28 @@ def _driven(
             looked if told.measure is None else _measured(told.measure, about.rows[0][:, 0], looked)
         )
     return D, g
+
+
+def _excite(about: Ground, effects: Sequence[Effect], out: tuple[Array, Array]) -> None:
+    """Add to D (K, v, c), and take from g (s, c), what effects that act on the readings do."""
+    node = np.zeros(0, dtype=np.int64)
+    if len(about.by_reading):
+        first = about.linear.problem.nodes.first
+        node = np.searchsorted(first, np.arange(first[-1]), side="right") - 1
+    begin = 0
+    for some in _few_at_once(effects, len(about.linear.problem.nodes.t)):
+        slopes = slopes_of(about.excited, some, effects)
+        column = slopes.column + begin
+        if about.done.reduction.navigation > 0:
+            kernel.responses(
+                slopes.values, slopes.channel, column, about.windows, about.weights,
+                about.scalars, out,
+            )  # fmt: skip
+        if len(about.by_reading):
+            kernel.seen_at_once(
+                slopes.values, slopes.channel, column, node, about.by_reading, about.rows, out[1]
+            )
+        begin += sum(len(e.parameters) for e in some)
 
 
 def _see_past(
