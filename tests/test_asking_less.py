@@ -246,6 +246,9 @@ def test_what_fell_short_is_tried_again_where_the_score_has_changed_by_half_of_t
     changed = _climb(base, since).model
     assert state.in_vain(c, what, changed) is not again
     assert not state.in_vain(c, ("thin", "accel_scale"), changed)
+    state.fell_short(c, what, np.inf)  # (what diverged may not do so beside others)
+    assert state.in_vain(c, what, changed)
+    assert not state.in_vain(c, what, _climb(base, 2.0 * state.HOPELESS).model)
 
 
 @pytest.mark.parametrize(("ids", "since", "kept"), [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TypeVar
@@ -159,7 +160,9 @@ def forget(c: Climb, model: Model) -> None:
 
 
 def fell_short(c: Climb, what: tuple[str, ...], short: float) -> None:
-    """Note that something was fitted in vain beside the model there is."""
+    """Note that something was fitted in vain beside the model there is. (By how much, is not known
+    of what diverged or came out where it cannot be.)"""
+    short = short if math.isfinite(short) else HOPELESS
     c.vain[what] = Vain(c.model.log_evidence, _odds(c.model), short)
 
 
