@@ -55,10 +55,10 @@ def _moved(c: Climb) -> bool:
 
 def _taken(c: Climb, step: Callable[[Climb], Model | None]) -> Model | None:
     """Where a step leads, if there is time for it."""
-    key = step.__name__, frozenset(c.model.ids)
     if step in _LAWS:
         c.named = c.named or c.model
-        if beaten(c) or c.model.log_evidence < c.fruitless.get(key, -math.inf) + SAME_FIT:
+        last = c.fruitless.get(_beside(c, step), -math.inf)
+        if beaten(c) or c.model.log_evidence < last + SAME_FIT:
             return None
     if c.budget.spent(_STEPS[step]):
         return None
@@ -66,8 +66,13 @@ def _taken(c: Climb, step: Callable[[Climb], Model | None]) -> Model | None:
     if c.budget.cut:
         c.budget.note(_STEPS[step])
     elif model is None and step in _LAWS:
-        c.fruitless[key] = c.model.log_evidence
+        c.fruitless[_beside(c, step)] = c.model.log_evidence
     return model
+
+
+def _beside(c: Climb, step: Callable[[Climb], Model | None]) -> tuple[str, frozenset[str]]:
+    """A step, and the effects beside which it is taken."""
+    return step.__name__, frozenset(c.model.ids)
 
 
 # The cheap ones first; nothing is taken away or left without a name before all else rests.
