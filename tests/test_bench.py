@@ -237,11 +237,13 @@ def test_what_was_begun_ends_with_who_no_longer_waits(monkeypatch, tmp_path):
 
     monkeypatch.setattr(timing, "_ended", interrupted)
     said = f"open({str(tmp_path / 'now')!r}, 'w').write(str(os.getpid()))"
+    late = f"open({str(tmp_path / 'late')!r}, 'w')"
     moved = f"os.rename({str(tmp_path / 'now')!r}, {str(tmp_path / 'begun')!r})"
     with pytest.raises(KeyboardInterrupt):
-        timing.run_python(f"import os, time; {said}; {moved}; time.sleep(60)")
+        timing.run_python(f"import os, time; {said}; {moved}; time.sleep(20); {late}")
     with pytest.raises(ProcessLookupError):
         os.kill(int((tmp_path / "begun").read_text()), 0)
+    assert not (tmp_path / "late").exists()
 
 
 @pytest.mark.skipif(not hasattr(os, "wait4"), reason="this system does not tell.")
