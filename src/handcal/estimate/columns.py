@@ -8,8 +8,9 @@ on the way, is worked out once; a column is then a sum over the samples.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -24,7 +25,9 @@ from handcal.estimate.seen import seen_over_time
 from handcal.estimate.trajectory import biases
 from handcal.types import Array, IntArray
 
-# Slopes that are worked out together: three arrays of this size or up to three times it, 100 MB.
+T = TypeVar("T")
+# Constants at nodes whose slopes are worked out together (each has one to three, in three arrays:
+# 100 MB and more).
 SLOPES = 5e6
 
 
@@ -170,19 +173,23 @@ def _likelihood(done: ReducedPass, nu: Array) -> tuple[float, Array, Array]:
     return a, np.r_[b, -mixed[:, 0]], whole
 
 
-def _few_at_once(effects: Sequence[Effect], nodes: int) -> Iterator[list[Effect]]:
-    """Those of the effects that act on the readings, as many together as their slopes have room for
-    (each constant has one to three, at all nodes)."""
-    some: list[Effect] = []
-    for e in effects:
-        if e.imu_error is None:
-            continue
-        if some and nodes * sum(len(x.parameters) for x in (*some, e)) > SLOPES:
-            yield some
-            some = []
-        some.append(e)
-    if some:
-        yield some
+def in_groups(all_: Iterable[T], size: Callable[[T], int], most: float) -> Iterator[list[T]]:
+    """All of these in their order, as many together as are of this size at the most (or one)."""
+    group: list[T] = []
+    sizes = 0
+    for x in all_:
+        if group and sizes + size(x) > most:
+            yield group
+            group, sizes = [], 0
+        group.append(x)
+        sizes += size(x)
+    if group:
+        yield group
+
+
+def columns_of(effect: Effect) -> int:
+    """How many columns it has."""
+    return len(effect.parameters)
 
 
 def _driven(
@@ -228,7 +235,8 @@ def _excite(about: Ground, effects: Sequence[Effect], out: tuple[Array, Array]) 
         first = about.linear.problem.nodes.first
         node = np.searchsorted(first, np.arange(first[-1]), side="right") - 1
     begin = 0
-    for some in _few_at_once(effects, len(about.linear.problem.nodes.t)):
+    acting = [e for e in effects if e.imu_error is not None]
+    for some in in_groups(acting, columns_of, SLOPES / len(about.linear.problem.nodes.t)):
         slopes = slopes_of(about.excited, some, effects)
         column = slopes.column + begin
         if about.done.reduction.navigation > 0:
@@ -240,7 +248,7 @@ def _excite(about: Ground, effects: Sequence[Effect], out: tuple[Array, Array]) 
             kernel.seen_at_once(
                 slopes.values, slopes.channel, column, node, about.by_reading, about.rows, out[1]
             )
-        begin += sum(len(e.parameters) for e in some)
+        begin += sum(map(columns_of, some))
 
 
 def _see_past(

@@ -115,7 +115,7 @@ def _ready(call: Callable[[], T]) -> Callable[[], T]:
         found = _busy(call)
     except Exception:
         return partial(_busy, call)
-    return lambda: found
+    return partial(_same, found)
 
 
 def _busy(call: Callable[[], T]) -> T:

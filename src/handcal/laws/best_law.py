@@ -12,7 +12,7 @@ from itertools import islice
 import numpy as np
 
 from handcal.effects import Effect, Signals
-from handcal.estimate.columns import Ground
+from handcal.estimate.columns import Ground, columns_of, in_groups
 from handcal.estimate.forked import in_parallel
 from handcal.estimate.linear import motion_of
 from handcal.estimate.model import Fitted, Model
@@ -104,7 +104,9 @@ class Survey:
             every[name] = list(further_blocks(s, name) if name else blocks(s))
         wanted = every[name]
         if self.first is not None:
-            wanted = self.first.likeliest(name, list(_chunks(wanted, MOST_COLUMNS)), known)
+            wanted = self.first.likeliest(
+                name, list(in_groups(wanted, _columns, MOST_COLUMNS)), known
+            )
         looks: list[Look] = []
         if name not in self.scanned:
             looks += _others(f, name)
@@ -116,7 +118,7 @@ class Survey:
         room = min(max(NUMBERS / (PER_EPOCH * len(f.t)), LEAST_COLUMNS), MOST_COLUMNS)
         looks += [
             Look([b.effect for b in chunk], partial(_laws, chunk))
-            for chunk in _chunks(new, int(room))
+            for chunk in in_groups(new, _columns, int(room))
         ]
         done += _scans(self.model, looks, self.base)
 
@@ -283,18 +285,8 @@ def _others(f: Fitted, beyond: str) -> Iterator[Look]:
         yield Look([b.effect for b in bases], partial(_courses, bases))
 
 
-def _chunks(all_: Sequence[Block], most: int) -> Iterator[list[Block]]:
-    """All of these, together in scans of so many columns at the most."""
-    chunk: list[Block] = []
-    size = 0
-    for block in all_:
-        if chunk and size + len(block.effect.parameters) > most:
-            yield chunk
-            chunk, size = [], 0
-        chunk.append(block)
-        size += len(block.effect.parameters)
-    if chunk:
-        yield chunk
+def _columns(block: Block) -> int:
+    return columns_of(block.effect)
 
 
 def _laws(chunk: Sequence[Block], q: Quadratic, known: Sequence[Effect]) -> list[End]:
