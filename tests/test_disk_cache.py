@@ -117,6 +117,30 @@ def test_a_function_that_others_call_is_also_called_from_python(tmp_path: Path) 
     assert names == ["one.outer", "one.twice", "part"]
 
 
+ALONE = """
+import sys
+
+sys.path.insert(0, sys.argv[1])
+import one
+from handcal.compiled.jit import njit
+
+print(njit(one.outer)(3), "numba.np.arrayobj" in sys.modules)
+"""
+
+
+def test_what_is_kept_runs_without_what_compiled_it(tmp_path: Path) -> None:
+    """Of functions of numba's own modules, here those that make an array."""
+    text = "import numpy as np\n\ndef outer(x):\n    return np.full((x, x), 2.0).sum()\n"
+    (tmp_path / "one.py").write_text(text)
+    env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    command = [sys.executable, "-c", ALONE, str(tmp_path)]
+    said = [
+        subprocess.run(command, env=env, capture_output=True, text=True, check=True).stdout.split()
+        for _ in range(2)
+    ]
+    assert said == [["18.0", "True"], ["18.0", "False"]]
+
+
 USE = """
 import sys
 

@@ -149,10 +149,15 @@ def test_looks_are_the_same_on_one_core(monkeypatch: pytest.MonkeyPatch) -> None
 @pytest.mark.parametrize(
     "number", [7, *(pytest.param(k, marks=pytest.mark.prove) for k in range(7))]
 )
-def test_both_ways_to_share_a_sway_are_looked_at(number: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize("many", [noise_levels.MANY, 100])
+def test_both_ways_to_share_a_sway_are_looked_at(
+    number: int, many: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Whether a search begins where the hand sways whether it turns or not, or only as it turns, it
     ends as high to half a nat (of the first eight worlds with something that walks, two have a
-    second summit, 3 and 28 nats lower, where one search from either side ended)."""
+    second summit, 3 and 28 nats lower, where one search from either side ended). Of a long
+    recording (``many`` epochs) that is looked at in its first part alone."""
+    monkeypatch.setattr(noise_levels, "MANY", many)
     world, answer = draw("walks", number, 0, promised)
     write(world, tmp_path / "walk.mcap", truth=False)
     base = begun([case_of(load(tmp_path / "walk.mcap"), "fixed-point")])
@@ -164,6 +169,14 @@ def test_both_ways_to_share_a_sway_are_looked_at(number: int, tmp_path: Path) ->
         found, _ = noise_levels.estimate(reduction, levels, [lv.name for lv in f.problem.levels])
         ends.append(reduced_pass(reduction, found).log_evidence)
     assert abs(ends[0] - ends[1]) < 0.5
+
+
+def test_ends_of_a_part_that_the_whole_may_end_at() -> None:
+    """The best, and others that are near in evidence and far in place."""
+    far = 1.1 * noise_levels.FAR
+    places = [(5.0, 0.0), (0.0, 0.0), (1.0, 0.9 * noise_levels.FAR), (2.0, far), (30.0, 2 * far)]
+    ends = [(value, np.array([0.0, where]), np.eye(2)) for value, where in places]
+    assert [end[0] for end in noise_levels._apart(ends)] == [0.0, 2.0]
 
 
 def test_what_is_shared_is_kept_where_one_holds_it_all() -> None:

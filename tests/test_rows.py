@@ -60,7 +60,13 @@ def compiled(module):
     def gram(X, first, count, out):
         add_gram(X, first, count, out)
 
-    return products, rows, in_place, sums, gram
+    nonzero = module.nonzero
+
+    @numba.njit
+    def places(x, at):
+        return nonzero(x, at)
+
+    return products, rows, in_place, sums, gram, places
 
 
 WRITTEN = [compiled(generated), compiled(loops)]
@@ -147,6 +153,17 @@ def test_lower_half_of_a_gram_matrix(written, count, blocks, seed):
     exact = before.copy()
     exact[first:] += (X[:count].T @ X[:count])[first:]
     np.testing.assert_allclose(np.tril(out), np.tril(exact), rtol=0, atol=1e-13)
+
+
+@either
+@settings(deadline=None, max_examples=40)
+@given(x=st.lists(st.sampled_from([0.0, -0.0, 1e-300, -2.0, np.inf, np.nan]), max_size=40))
+def test_places_that_are_not_zero(written, x):
+    x = np.array(x)
+    at = np.full(len(x), -1)
+    count = written[5](x, at)
+    np.testing.assert_array_equal(at[:count], np.flatnonzero(x))
+    assert (at[count:] == -1).all()
 
 
 @given(n=st.integers(0, 100))

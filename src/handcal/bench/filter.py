@@ -138,7 +138,7 @@ def against_dense(case: Case, peers: Path, work: Path, rounds: int, tick: Tick) 
         ratios = cpu[:, :1] / cpu[:, 1:]
         found += [
             Figure(group, "dense C++, predict and 6-dim update", "us", MEGA * cpu[:, 1], "cpu"),
-            Figure(group, "filter over dense C++", "x", ratios[:, 0], "cpu", Target(2.7, True)),
+            Figure(group, "filter over dense C++", "x", ratios[:, 0], "cpu", Target(2.0, True)),
             Figure(group, "filter over dense C++ in plain loops", "x", ratios[:, 1], "cpu"),
         ]  # fmt: skip
     return found

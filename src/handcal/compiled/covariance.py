@@ -11,7 +11,16 @@ import math
 import numpy as np
 
 from handcal.compiled.jit import inlined, inner
-from handcal.compiled.rows import add_outer, add_product, add_row, blank, padded, product, set_row
+from handcal.compiled.rows import (
+    add_outer,
+    add_product,
+    add_row,
+    blank,
+    nonzero,
+    padded,
+    product,
+    set_row,
+)
 from handcal.types import Array, IntArray
 
 Propagation = tuple[Array, Array, Array]
@@ -158,12 +167,8 @@ def update_linear(
     for j in range(d):
         S = R[j]
         nu = r[j]
-        m = 0
         at[j, 0] = 0
-        for a in range(H.shape[1]):
-            if H[j, a] != 0.0:
-                at[j, m] = a
-                m += 1
+        m = nonzero(H[j], at[j])
         count[j] = m
         for k in range(m):
             a = at[j, k]
@@ -174,17 +179,25 @@ def update_linear(
         sigma[j] = math.sqrt(S)
     nis[0] = 0.0
     loglik[0] = 0.0
+    volume = 1.0
     for j in range(d):
         nu, S = scalar_update(P, x, H[j], at[j], count[j], r[j], R[j], work)
         nis[0] += nu * nu / S
-        loglik[0] -= 0.5 * (nu * nu / S + math.log(2.0 * math.pi * S))
+        volume *= 2.0 * math.pi * S
+    loglik[0] = -0.5 * (nis[0] + math.log(volume))
 
 
 @inner
 def symmetrise(P: Array) -> None:
     """P = (P + P') / 2 in place; P (m, p), of which the first m columns count."""
-    for i in range(len(P)):
-        for j in range(i):
+    symmetrise_between(P, 0, len(P))
+
+
+@inner
+def symmetrise_between(P: Array, first: int, end: int) -> None:
+    """``symmetrise``, of a block of its own: rows and columns from first to end."""
+    for i in range(first, end):
+        for j in range(first, i):
             s = 0.5 * (P[i, j] + P[j, i])
             P[i, j] = s
             P[j, i] = s

@@ -15,15 +15,17 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import inspect
+import io
 import os
 import pickle
+import sys
 import time
 from collections.abc import Callable
 from functools import cache
 from typing import Any
 
 from llvmlite import binding
-from numba.core import caching, event
+from numba.core import caching, environment, event
 from numba.core.runtime import _nrt_python  # type: ignore[attr-defined]
 
 from handcal.compiled import shipped
@@ -41,6 +43,26 @@ _DAMAGED = (OSError, EOFError, pickle.UnpicklingError, ValueError, TypeError, At
 
 # Longer than this no function takes; then whoever waits compiles it himself.
 LONGEST_S, LOOK_S = 60.0, 0.02
+
+
+def _environment(module: str, constants: list[Any], name: str) -> Any:
+    """Numba's environment of a compiled function, without importing its module: what only
+    compiling needs of numba would be (a tenth of a second), for globals that no machine code reads.
+    """
+    if module in sys.modules or environment.lookup_environment(name) is not None:
+        return environment._rebuild_env(module, constants, name)
+    made = environment.Environment({"__name__": module})
+    made.consts[:] = constants
+    made.env_name = name
+    environment.Environment._memo[name] = made
+    return made
+
+
+class _Reader(pickle.Unpickler):
+    def find_class(self, module: str, name: str) -> Any:
+        """As Python's, but for environments."""
+        found = super().find_class(module, name)
+        return _environment if found is environment._rebuild_env else found
 
 
 class _Files(caching.IndexDataCacheFile):
@@ -64,6 +86,10 @@ class _Files(caching.IndexDataCacheFile):
         except _DAMAGED:
             pass
         return None if self.shipped is None else self.shipped.load(shipped.key_of(key))
+
+    def _load_data(self, name: str) -> Any:
+        with open(self._data_path(name), "rb") as file:
+            return _Reader(io.BytesIO(file.read())).load()
 
     @property
     def empty(self) -> bool:

@@ -160,6 +160,28 @@ def _listed(add: bool) -> Any:
     return typed
 
 
+def _nonzero(typingctx: Any, x: Any, at: Any) -> Any:  # noqa: ARG001
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        x = _Matrix(context, builder, signature.args[0], args[0])
+        places = context.make_array(signature.args[1])(context, builder, args[1]).data
+        zero, one = ir.Constant(_WORD, 0), ir.Constant(_WORD, 1)
+        count = cgutils.alloca_once_value(builder, zero)
+        for j, columns in _blocks(builder, x.shape[0], _COLUMNS):
+            kind = _vector(columns)
+            found = builder.fcmp_unordered("!=", x.load(zero, j, kind), ir.Constant(kind, None))
+            bits = builder.zext(builder.bitcast(found, ir.IntType(columns)), _WORD)
+            left = cgutils.alloca_once_value(builder, bits)
+            with cgutils.for_range(builder, builder.ctpop(bits), intp=_WORD):
+                bits, n = builder.load(left), builder.load(count)
+                place = builder.add(j, builder.cttz(bits, ir.Constant(ir.IntType(1), 1)))
+                builder.store(place, builder.gep(places, [n]))
+                builder.store(builder.add(n, one), count)
+                builder.store(builder.and_(bits, builder.sub(bits, one)), left)
+        return builder.load(count)
+
+    return types.int64(x, at), codegen
+
+
 def _add_gram(typingctx: Any, X: Any, first: Any, count: Any, out: Any) -> Any:  # noqa: ARG001
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         X, out = (_Matrix(context, builder, signature.args[k], args[k]) for k in (0, 3))
@@ -218,11 +240,9 @@ def _add_outer(typingctx: Any, a: Any, x: Any, b: Any, y: Any, out: Any) -> Any:
             kind = _vector(columns)
             x_j, y_j = x.load(zero, j, kind), y.load(zero, j, kind)
             with cgutils.for_range(builder, out.shape[0], intp=_WORD) as loop:
-                # (rounded twice each, as the same sum would be outside)
                 total = out.load(loop.index, j, kind)
                 for left, right in ((a, x_j), (b, y_j)):
-                    factor = _spread(builder, left.load(zero, loop.index), kind)
-                    total = builder.fadd(total, builder.fmul(factor, right))
+                    total = _plus_times(builder, total, left.load(zero, loop.index), right)
                 out.store(total, loop.index, j)
         return context.get_dummy_value()
 
@@ -244,6 +264,8 @@ add_listed: Callable[[IntArray, Array, int, int, Array, Array], None] = intrinsi
 # from ``first`` on are made, n and first multiples of eight, of these the lower half, and what lies
 # in a block of eight with it
 add_gram: Callable[[Array, int, int, Array], None] = intrinsic(_add_gram)
+# where x (n,) is not zero, into at (n,), and in how many places: nonzero(x, at)
+nonzero: Callable[[Array, IntArray], int] = intrinsic(_nonzero)
 # the sum of the squares of x (n,)
 squares: Callable[[Array], float] = intrinsic(_squares)
 

@@ -90,6 +90,17 @@ def add_gram(X: Array, first: int, count: int, out: Array) -> None:
 
 
 @_plain
+def nonzero(x: Array, at: IntArray) -> int:
+    """Where x (n,) is not zero, into at (n,), and in how many places."""
+    count = 0
+    for j in range(len(x)):
+        if x[j] != 0.0:
+            at[count] = j
+            count += 1
+    return count
+
+
+@_plain
 def squares(x: Array) -> float:
     """The sum of the squares of x (n,)."""
     total = 0.0

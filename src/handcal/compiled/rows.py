@@ -53,6 +53,8 @@ add_listed: Callable[[IntArray, Array, int, int, Array, Array], None] = WRITTEN.
 # the lower half of out (n, n) += X' X over the first count rows of X (k, n), its rows from first
 # on, multiples of eight: add_gram(X, first, count, out); above it out is not to be read
 add_gram: Callable[[Array, int, int, Array], None] = WRITTEN.add_gram
+# where x (n,) is not zero, into at (n,), and in how many places: nonzero(x, at)
+nonzero: Callable[[Array, IntArray], int] = WRITTEN.nonzero
 # the sum of the squares of x (n,)
 squares: Callable[[Array], float] = WRITTEN.squares
 

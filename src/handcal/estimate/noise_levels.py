@@ -38,6 +38,12 @@ SENSORS = ("gyro_noise", "accel_noise")
 # Epochs (a quarter of an hour) from which levels are first sought in one part of so many, within so
 # many nats.
 MANY, PART, ROUGH = 10_000, 6, 0.1
+# An end that falls short of the best by so many nats in a part is not the best of the whole: if it
+# were, such a difference would be three times its scatter there (the root of twice the difference).
+CLOSE = 18.0
+
+# What ``minimise`` returns: cost, place, curvature.
+_End = tuple[float, Array, Array]
 
 
 def initial_levels(problem: Problem) -> dict[str, float]:
@@ -123,11 +129,32 @@ def estimate(
     It ends where less than about ``tolerance`` nats are to be gained. excess: the sensors' own
     noise may not exceed its first guess by more than this factor.
     """
+    begins = [(np.array([math.log(levels[n]) for n in names]), known.of(names))]
+    ends = partial(_ends, levels=levels, names=names, progress=progress, excess=excess)
+    elsewhere = True
     if len(reduction.linear.t) > MANY and not known.names:
         # (an hour asks for dozens of passes from far off, and for a few from near by)
         first = beginning(reduction, len(reduction.linear.t) // PART)
-        levels, near = estimate(first, levels, names, progress, ROUGH, excess)
-        known = replace(near, matrix=PART * near.matrix)
+        near = ends(first, begins, ROUGH)
+        begins = [(x, PART * B) for _, x, B in _apart(near)]
+        elsewhere = len(near) == 1
+    _, found, B = min(ends(reduction, begins, tolerance, elsewhere), key=_cost)
+    return dict(levels) | _levels(names, found), Curvature(tuple(names), B)
+
+
+def _ends(
+    reduction: Reduction,
+    begins: Sequence[tuple[Array, Array | None]],
+    tolerance: float,
+    elsewhere: bool = True,
+    *,
+    levels: Mapping[str, float],
+    names: Sequence[str],
+    progress: Callable[[], None] | None,
+    excess: float,
+) -> list[_End]:
+    """Where searches end that begin at these logarithms of levels (k,), with the curvature there;
+    elsewhere: also those from the other side of levels that share what is seen."""
     problem = reduction.linear.problem
     own = {lv.name: lv for lv in problem.levels}
     guess = initial_levels(problem)
@@ -144,16 +171,29 @@ def estimate(
         away = (x - centre) / sigma
         return 0.5 * float(away @ away) - value, away / sigma - slope
 
-    begin = np.clip(np.array([math.log(levels[n]) for n in names]), low, high)
-    best = minimise(cost, begin, low, high, tolerance, known.of(names))
-    for i, other in _sharing(problem, names):
-        _, found, B = best
-        if np.abs(found - begin)[[i, other]].max() > FAR:
-            options = _instead(found, i, other, typical_rate(problem))
-            ends = (minimise(cost, np.clip(x, low, high), low, high, tolerance, B) for x in options)
-            best = min([best, *ends], key=lambda end: end[0])
-    _, found, B = best
-    return dict(levels) | _levels(names, found), Curvature(tuple(names), B)
+    def end(x: Array, B: Array | None) -> _End:
+        return minimise(cost, np.clip(x, low, high), low, high, tolerance, B)
+
+    out = [end(x, B) for x, B in begins]
+    for i, other in _sharing(problem, names) if elsewhere else ():
+        _, found, B = min(out, key=_cost)
+        if np.abs(found - np.clip(begins[0][0], low, high))[[i, other]].max() > FAR:
+            out += [end(x, B) for x in _instead(found, i, other, typical_rate(problem))]
+    return out
+
+
+def _cost(end: _End) -> float:
+    return end[0]
+
+
+def _apart(ends: Sequence[_End]) -> list[_End]:
+    """Those ends of a part that may be the best of the whole, each a summit of its own."""
+    out: list[_End] = []
+    for value, x, B in sorted(ends, key=_cost):
+        close = not out or value - out[0][0] < CLOSE
+        if close and all(np.abs(x - other).max() > FAR for _, other, _ in out):
+            out.append((value, x, B))
+    return out
 
 
 def _sharing(problem: Problem, names: Sequence[str]) -> list[tuple[int, int]]:
