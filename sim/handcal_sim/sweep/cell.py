@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from handcal import output
 from handcal.compiled import so3
@@ -179,6 +178,8 @@ def chosen_r_h(cell: Cell, problem: Problem, start: Start) -> float:
     That is the maximum of their evidence, the sum of the log predictive densities of the
     innovations, over log R_h: what the readings say themselves of their noise.
     """
+    from scipy.optimize import minimize_scalar  # (slow to import, and seldom asked for)
+
     nothing = np.zeros(0, dtype=np.int64)
 
     def cost(log_r_h: float) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from handcal.estimate import smoother
 from handcal.estimate.linear import linearise_about
@@ -27,7 +27,7 @@ def chi2_bounds(dof: int, level: float = 0.99, tests: int = 1) -> tuple[float, f
     They hold simultaneously for ``tests`` such variables (Bonferroni).
     """
     tail = 0.5 * (1.0 - level) / tests
-    return float(chi2.ppf(tail, dof) / dof), float(chi2.ppf(1.0 - tail, dof) / dof)
+    return float(chdtri(dof, 1.0 - tail) / dof), float(chdtri(dof, tail) / dof)
 
 
 def nis_between(innovations: Mapping[str, Innovations], after: float, before: float) -> float:
