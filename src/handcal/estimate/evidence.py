@@ -144,10 +144,8 @@ def reduced_of(linear: Linear, scalars: Scalars, folded: Folded | None, t: Array
 
 def units(linear: Linear) -> Array:
     """Prior sigmas (nc,) of biases and constants."""
-    nominal = linear.trajectory
-    _, P15 = linear.start.prior(nominal.p[0], nominal.v[0], nominal.C[0], nominal.bg, nominal.ba)
-    own = [s.prior_sigma**2 for s in linear.problem.slots]
-    return np.asarray(np.sqrt(np.r_[np.diag(P15)[9:], own]))
+    own = np.array([s.prior_sigma for s in linear.problem.slots], dtype=np.float64)
+    return np.asarray(np.r_[linear.start.bias_sigma, own])
 
 
 class Scalars(NamedTuple):
