@@ -190,14 +190,8 @@ def update_linear(
 @inner
 def symmetrise(P: Array) -> None:
     """P = (P + P') / 2 in place; P (m, p), of which the first m columns count."""
-    symmetrise_between(P, 0, len(P))
-
-
-@inner
-def symmetrise_between(P: Array, first: int, end: int) -> None:
-    """``symmetrise``, of a block of its own: rows and columns from first to end."""
-    for i in range(first, end):
-        for j in range(first, i):
+    for i in range(len(P)):
+        for j in range(i):
             s = 0.5 * (P[i, j] + P[j, i])
             P[i, j] = s
             P[j, i] = s

@@ -29,7 +29,7 @@ from handcal.compiled.covariance import (
     add_unknown_force,
     propagate,
     propagation_work,
-    symmetrise_between,
+    symmetrise,
     update_linear,
     update_work,
 )
@@ -224,8 +224,7 @@ def _run(
             update(q, nodes, tables, noise, nav, extras, nodes.J[i], P, innovation, work)
             inject(x, p, v, C, bg, ba, extras)
         if nodes.first[i] < nodes.first[i + 1]:
-            # (what moves is made symmetric where it is carried on)
-            symmetrise_between(P, 9, BASE + c)
+            symmetrise(P)
         if at < len(record[0]) and record[0][at] == i:
             copy1(p, record[1][at])
             copy1(v, record[2][at])
