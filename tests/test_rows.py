@@ -237,6 +237,16 @@ def test_update_is_the_joint_one_of_the_textbook(seed):
     assert not P[n:].any()
 
 
+def test_of_a_covariance_that_is_lost_no_density_is_told():
+    """Of two variances that are negative either, whose product is not."""
+    P, x, H = blank(8, 8), blank(8), blank(2, 8)
+    P[0, 0] = P[1, 1] = -2.0
+    H[0, 0] = H[1, 1] = 1.0
+    out = np.empty(2), np.empty(2), np.empty(1), np.empty(1)
+    updated(np.ones(2), H, 2, np.ones(2), P, x, out, update_work(8, 2))
+    assert np.isnan(out[3]).all()
+
+
 RECORDING = Path(__file__).parents[1] / "recordings" / "sealed_01.mcap"
 CALIBRATION = """
 import sys

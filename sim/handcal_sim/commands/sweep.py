@@ -142,7 +142,7 @@ def _thresholds(text: str) -> dict[str, float]:
 
 def _run(plan: Plan, executor: str, jobs: int, out: Path | None) -> list[Any]:
     from handcal.workers import opened
-    from handcal_sim.sweep.run import Kept, chunk, run
+    from handcal_sim.sweep.run import Kept, chunk_of, run
 
     kept = Kept(out)
     before = sum(kept[plan.key(cell)] is not None for cell in plan.cells)
@@ -152,4 +152,4 @@ def _run(plan: Plan, executor: str, jobs: int, out: Path | None) -> list[Any]:
         opened(executor, jobs) as workers,
         progress(len(plan.cells) * plan.seeds, "runs", "runs") as told,
     ):
-        return list(run(plan, workers, chunk, kept, told))
+        return list(run(plan, workers, chunk_of, kept, told))

@@ -81,7 +81,9 @@ class Kept:
                 raise OSError(problem.errno, problem.strerror, str(self.file)) from None
 
 
-def chunk(cell: Cell, seed: int, numbers: Sequence[int], thresholds: Mapping[str, float]) -> Chunk:
+def chunk_of(
+    cell: Cell, seed: int, numbers: Sequence[int], thresholds: Mapping[str, float]
+) -> Chunk:
     """``run_chunk`` where it is called: who only gives it out need not load the filter first."""
     from handcal_sim.sweep.cell import run_chunk
 

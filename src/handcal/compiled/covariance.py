@@ -183,7 +183,8 @@ def update_linear(
     for j in range(d):
         nu, S = scalar_update(P, x, H[j], at[j], count[j], r[j], R[j], work)
         nis[0] += nu * nu / S
-        volume *= 2.0 * math.pi * S
+        # (of two that are negative the product would not tell)
+        volume = volume * 2.0 * math.pi * S if S > 0.0 else math.nan
     loglik[0] = -0.5 * (nis[0] + math.log(volume))
 
 

@@ -15,7 +15,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import inspect
-import io
 import os
 import pickle
 import sys
@@ -89,7 +88,7 @@ class _Files(caching.IndexDataCacheFile):
 
     def _load_data(self, name: str) -> Any:
         with open(self._data_path(name), "rb") as file:
-            return _Reader(io.BytesIO(file.read())).load()
+            return _Reader(file).load()
 
     @property
     def empty(self) -> bool:

@@ -137,7 +137,7 @@ def estimate(
         first = beginning(reduction, len(reduction.linear.t) // PART)
         near = ends(first, begins, ROUGH)
         begins = [(x, PART * B) for _, x, B in _apart(near)]
-        elsewhere = len(near) == 1
+        elsewhere = len(near) == 1  # (else the other side was looked at there)
     _, found, B = min(ends(reduction, begins, tolerance, elsewhere), key=_cost)
     return dict(levels) | _levels(names, found), Curvature(tuple(names), B)
 

@@ -191,11 +191,9 @@ def markov_transitions(
 ) -> tuple[Array, Array]:
     """Phi_e, Q_e (n, e, e) of the intervals that end at t (n,); the first is the identity."""
     e = problem.markov_size
-    dt = np.diff(t, prepend=t[0])
-    if len(problem.markovs) == 1:
-        return problem.markovs[0].transition(levels, dt, rate)
     Phi = np.broadcast_to(np.eye(e), (len(t), e, e)).copy()
     Q = np.zeros((len(t), e, e))
+    dt = np.diff(t, prepend=t[0])
     at = 0
     for markov in problem.markovs:
         s = slice(at, at + markov.size)
