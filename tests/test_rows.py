@@ -16,11 +16,10 @@ from handcal.compiled import generated, loops
 from handcal.compiled.covariance import (
     propagate,
     propagation_work,
-    symmetrise,
     update_linear,
     update_work,
 )
-from handcal.compiled.rows import BLOCK, blank, padded
+from handcal.compiled.rows import BLOCK, blank, padded, symmetrise
 
 # (no Phi of the filter is larger than nine rows; more, to meet every remainder)
 SIZES = st.integers(0, 19)
@@ -60,13 +59,19 @@ def compiled(module):
     def gram(X, first, count, out):
         add_gram(X, first, count, out)
 
+    mean_of_both = module.symmetrise
+
+    @numba.njit
+    def symmetric(P):
+        mean_of_both(P)
+
     nonzero = module.nonzero
 
     @numba.njit
     def places(x, at):
         return nonzero(x, at)
 
-    return products, rows, in_place, sums, gram, places
+    return products, rows, in_place, sums, gram, places, symmetric
 
 
 WRITTEN = [compiled(generated), compiled(loops)]
@@ -76,6 +81,7 @@ either = pytest.mark.parametrize("written", WRITTEN, ids=["generated", "loops"])
 @numba.njit
 def carried(P, Phi, B, Phi_e, Phi_psi, e0, work):
     propagate(P, Phi, B, Phi_e, Phi_psi, e0, work)
+    symmetrise(P)
 
 
 @numba.njit
@@ -204,6 +210,17 @@ def test_transition_in_blocks_is_the_dense_one(constants, markov, wide):
                                rtol=0, atol=1e-11)  # fmt: skip
     np.testing.assert_array_equal(P, P.T)
     assert not P[n:].any()
+
+
+@either
+@settings(deadline=None, max_examples=60)
+@given(m=st.integers(0, 35), more=st.integers(0, 9), seed=st.integers(0, 2**31))
+def test_mean_of_a_matrix_and_what_it_is_turned_over(written, m, more, seed):
+    before = np.random.default_rng(seed).standard_normal((m, m + more))
+    P = before.copy()
+    written[6](P)
+    np.testing.assert_array_equal(P[:, :m], 0.5 * (before[:, :m] + before[:, :m].T))
+    np.testing.assert_array_equal(P[:, m:], before[:, m:])
 
 
 @pytest.mark.parametrize("seed", range(5))

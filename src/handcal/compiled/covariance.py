@@ -24,7 +24,7 @@ from handcal.compiled.rows import (
 from handcal.types import Array, IntArray
 
 Propagation = tuple[Array, Array, Array]
-Update = tuple[Array, Array, Array, IntArray, IntArray]
+Update = tuple[Array, Array, Array, Array, IntArray, IntArray]
 
 
 def propagation_work(n: int, e: int) -> Propagation:
@@ -34,13 +34,13 @@ def propagation_work(n: int, e: int) -> Propagation:
 
 
 def update_work(n: int, d: int) -> Update:
-    """Work space of ``update_linear`` for n states and at most d scalars: -P h, gain, the second
-    correction, and of each scalar where its row of H is not zero, and how often."""
+    """Work space of ``update_linear`` for n states and at most d scalars: that of
+    ``scalar_update``, and of each scalar where its row of H is not zero, and how often."""
     count = np.zeros(d, dtype=np.int64)
-    return blank(n), blank(n), blank(n), np.zeros((d, n), dtype=np.int64), count
+    return blank(n), blank(n), blank(n), blank(n), np.zeros((d, n), dtype=np.int64), count
 
 
-@inner
+@inlined
 def times_transition(
     Phi: Array, B: Array, Phi_e: Array, Phi_psi: Array, e0: int, X: Array, out: Array
 ) -> None:
@@ -70,7 +70,7 @@ def add_unknown_force(P: Array, axis: int, dt: float, variance: float) -> None:
     P[3 + axis, axis] += 0.5 * dt * variance
 
 
-@inner
+@inlined
 def propagate(
     P: Array,
     Phi: Array,
@@ -80,7 +80,7 @@ def propagate(
     e0: int,
     work: Propagation,
 ) -> None:
-    """P = F P F' in place (without Q), F as in ``times_transition``.
+    """P = F P F' in place (without Q), F as in ``times_transition``; ``symmetrise`` it afterwards.
 
     The constants' own block of P does not change, and their rows and columns only once.
     """
@@ -93,57 +93,48 @@ def propagate(
         for i in range(e):
             W_t[j, 9 + i] = W[e0 + i, j]
     times_transition(Phi, B, Phi_e, Phi_psi, e0, W_t, new)
-    for i in range(9):
-        for j in range(9, e0):
-            P[i, j] = W[i, j]
-            P[j, i] = W[i, j]
-        for j in range(i + 1):
-            s = 0.5 * (new[i, j] + new[j, i])
-            P[i, j] = s
-            P[j, i] = s
-    for i in range(e):
-        for j in range(9, e0):
-            P[e0 + i, j] = W[e0 + i, j]
-            P[j, e0 + i] = W[e0 + i, j]
+    for j in range(9, e0):
+        for i in range(9):
+            P[j, i] = W_t[j, i]
+        for i in range(e):
+            P[j, e0 + i] = W_t[j, 9 + i]
+    for a in range(9 + e):
+        i = a if a < 9 else a + e0 - 9
+        set_row(1.0, W, i, P[i])
         for j in range(9):
-            s = 0.5 * (new[e0 + i, j] + new[j, 9 + i])
-            P[e0 + i, j] = s
-            P[j, e0 + i] = s
-        for j in range(i + 1):
-            s = 0.5 * (new[e0 + i, 9 + j] + new[e0 + j, 9 + i])
-            P[e0 + i, e0 + j] = s
-            P[e0 + j, e0 + i] = s
+            P[i, j] = new[i, j]
+        for j in range(e):
+            P[i, e0 + j] = new[i, 9 + j]
 
 
 @inlined
 def scalar_update(
-    P: Array, x: Array, h: Array, at: IntArray, count: int, r: float, R: float, work: Update
-) -> tuple[float, float]:
-    """One scalar Kalman update in Joseph form; returns innovation and its variance.
+    P: Array, h: Array, at: IntArray, count: int, R: float, work: tuple[Array, Array, Array, Array]
+) -> float:
+    """One scalar Kalman update of P in Joseph form; returns the innovation's variance.
 
-    (I - K h) P (I - K h)' + K R K', evaluated as two rank-one corrections. x (N,) and
-    P (N, N), symmetric but for round-off, are changed in place. h is zero but for at[:count];
-    at[0] must be valid in any case.
+    (I - K h) P (I - K h)' + K R K', evaluated as two rank-one corrections. P (m, p), symmetric but
+    for round-off and wider than the states by zeros, is changed in place. h is zero but for
+    at[:count]; at[0] must be valid in any case. work: -P h, the gain K, the second correction and
+    a row of (I - K h) P, each (p,).
     """
-    minus_ph, gain, back, _, _ = work
-    S, nu = R, r
+    minus_ph, gain, back, row = work
+    S = R
     set_row(-h[at[0]], P, at[0], minus_ph)
     for k in range(1, count):
         add_row(-h[at[k]], P, at[k], minus_ph)
     for k in range(count):
-        nu -= h[at[k]] * x[at[k]]
         S -= h[at[k]] * minus_ph[at[k]]
     set_row(-1.0 / S, minus_ph, 0, gain)
-    add_row(nu, gain, 0, x)
-    # (I - K h) P is not symmetric in round-off: multiply by (I - K h)' from what it is
+    # what round-off left of (I - K h) P is taken as it is: times (I - K h)'
     set_row(R, gain, 0, back)
     for k in range(count):
         a = at[k]
-        weight, change = h[a], minus_ph[a]
-        for i in range(len(x)):
-            back[i] -= (P[i, a] + gain[i] * change) * weight
+        set_row(1.0, P, a, row)
+        add_row(gain[a], minus_ph, 0, row)
+        add_row(-h[a], row, 0, back)
     add_outer(gain, minus_ph, back, gain, P)
-    return nu, S
+    return S
 
 
 @inlined
@@ -163,7 +154,9 @@ def update_linear(
     the log of the predictive density (1,). ``symmetrise`` P after the last update.
     """
     residual, sigma, nis, loglik = out
-    at, count = work[3], work[4]
+    at, count = work[4], work[5]
+    own = work[0], work[1], work[2], work[3]
+    # S of all scalars as P is now; that of the first is found below anyway
     for j in range(d):
         S = R[j]
         nu = r[j]
@@ -173,7 +166,7 @@ def update_linear(
         for k in range(m):
             a = at[j, k]
             nu -= H[j, a] * x[a]
-            for l in range(m):
+            for l in range(m if j > 0 else 0):
                 S += H[j, a] * P[a, at[j, l]] * H[j, at[j, l]]
         residual[j] = nu
         sigma[j] = math.sqrt(S)
@@ -181,18 +174,14 @@ def update_linear(
     loglik[0] = 0.0
     volume = 1.0
     for j in range(d):
-        nu, S = scalar_update(P, x, H[j], at[j], count[j], r[j], R[j], work)
+        nu = r[j]
+        for k in range(count[j]):
+            nu -= H[j, at[j, k]] * x[at[j, k]]
+        S = scalar_update(P, H[j], at[j], count[j], R[j], own)
+        add_row(nu, work[1], 0, x)
+        if j == 0:
+            sigma[j] = math.sqrt(S)
         nis[0] += nu * nu / S
         # (of two that are negative the product would not tell)
         volume = volume * 2.0 * math.pi * S if S > 0.0 else math.nan
     loglik[0] = -0.5 * (nis[0] + math.log(volume))
-
-
-@inner
-def symmetrise(P: Array) -> None:
-    """P = (P + P') / 2 in place; P (m, p), of which the first m columns count."""
-    for i in range(len(P)):
-        for j in range(i):
-            s = 0.5 * (P[i, j] + P[j, i])
-            P[i, j] = s
-            P[j, i] = s

@@ -26,6 +26,8 @@ _DOUBLE, _WORD = ir.DoubleType(), ir.IntType(64)
 BLOCK = 8
 # Sums that are kept in registers at once: three rows of eight.
 _ROWS, _COLUMNS = (3, 1), (BLOCK, 1)
+# Of products two blocks of each: a number of the left is then read once for both.
+_TWO = (2 * BLOCK, BLOCK, 1)
 # And of one row, four times eight: as many as it takes until the first can be added to again.
 _WIDE = (4 * BLOCK, BLOCK, 1)
 
@@ -91,7 +93,7 @@ def _product(add: bool) -> Any:
             A, X, out = (_Matrix(context, builder, signature.args[k], args[k]) for k in (0, 1, 3))
             for i, rows in _blocks(builder, A.shape[0], _ROWS):
                 here = [builder.add(i, ir.Constant(_WORD, r)) for r in range(rows)]
-                for j, columns in _blocks(builder, out.shape[1], _COLUMNS):
+                for j, columns in _blocks(builder, out.shape[1], _TWO):
                     kind = _vector(columns)
                     totals = [cgutils.alloca_once(builder, kind) for _ in range(rows)]
                     for row, total in zip(here, totals, strict=True):
@@ -116,7 +118,7 @@ def _row(add: bool) -> Any:
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             X, out = (_Matrix(context, builder, signature.args[k], args[k]) for k in (1, 3))
             zero = ir.Constant(_WORD, 0)
-            for j, columns in _blocks(builder, out.shape[0], _COLUMNS):
+            for j, columns in _blocks(builder, out.shape[0], _TWO):
                 kind = _vector(columns)
                 term = builder.fmul(_spread(builder, args[0], kind), X.load(args[2], j, kind))
                 term = builder.fadd(out.load(zero, j, kind), term) if add else term
@@ -236,7 +238,7 @@ def _add_outer(typingctx: Any, a: Any, x: Any, b: Any, y: Any, out: Any) -> Any:
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         a, x, b, y, out = (_Matrix(context, builder, signature.args[k], args[k]) for k in range(5))
         zero = ir.Constant(_WORD, 0)
-        for j, columns in _blocks(builder, out.shape[1], _COLUMNS):
+        for j, columns in _blocks(builder, out.shape[1], _TWO):
             kind = _vector(columns)
             x_j, y_j = x.load(zero, j, kind), y.load(zero, j, kind)
             with cgutils.for_range(builder, out.shape[0], intp=_WORD) as loop:
@@ -247,6 +249,60 @@ def _add_outer(typingctx: Any, a: Any, x: Any, b: Any, y: Any, out: Any) -> Any:
         return context.get_dummy_value()
 
     return types.void(a, x, b, y, out), codegen
+
+
+def _turned(builder: Any, rows: list[Any]) -> list[Any]:
+    """The columns of a block of eight by eight, given as its rows."""
+    mask = ir.VectorType(ir.IntType(32), BLOCK)
+    for step in (1, 2, 4):
+        # numbers of rows that are ``step`` apart change places across the diagonal
+        lower = [k if not k & step else BLOCK + k - step for k in range(BLOCK)]
+        upper = [k + step if not k & step else BLOCK + k for k in range(BLOCK)]
+        new = list(rows)
+        for k in range(BLOCK):
+            if not k & step:
+                a, b = rows[k], rows[k + step]
+                new[k] = builder.shuffle_vector(a, b, ir.Constant(mask, lower))
+                new[k + step] = builder.shuffle_vector(a, b, ir.Constant(mask, upper))
+        rows = new
+    return rows
+
+
+def _mean_of_both(typingctx: Any, P: Any) -> Any:  # noqa: ARG001
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        P = _Matrix(context, builder, signature.args[0], args[0])
+        kind, step = _vector(BLOCK), ir.Constant(_WORD, BLOCK)
+        zero, half = ir.Constant(_WORD, 0), ir.Constant(_DOUBLE, 0.5)
+        n = P.shape[0]
+        whole = builder.sub(n, builder.urem(n, step))
+
+        def block(i: Any, j: Any) -> tuple[list[Any], list[Any]]:
+            rows = [builder.add(i, ir.Constant(_WORD, r)) for r in range(BLOCK)]
+            return rows, [P.load(row, j, kind) for row in rows]
+
+        def mean(a: Any, b: Any) -> Any:
+            return builder.fmul(_spread(builder, half, a.type), builder.fadd(a, b))
+
+        with cgutils.for_range_slice(builder, zero, whole, step, intp=_WORD) as (i, _):
+            with cgutils.for_range_slice(builder, zero, i, step, intp=_WORD) as (j, _):
+                (below, lower), (above, upper) = block(i, j), block(j, i)
+                means = [mean(a, b) for a, b in zip(lower, _turned(builder, upper), strict=True)]
+                for row, value in zip(below, means, strict=True):
+                    P.store(value, row, j)
+                for row, value in zip(above, _turned(builder, means), strict=True):
+                    P.store(value, row, i)
+            rows, here = block(i, i)
+            for row, a, b in zip(rows, here, _turned(builder, here), strict=True):
+                P.store(mean(a, b), row, i)
+        one = ir.Constant(_WORD, 1)
+        left = cgutils.for_range_slice(builder, whole, n, one, intp=_WORD)
+        with left as (i, _), cgutils.for_range_slice(builder, zero, i, one, intp=_WORD) as (j, _):
+            value = mean(P.load(i, j), P.load(j, i))
+            P.store(value, i, j)
+            P.store(value, j, i)
+        return context.get_dummy_value()
+
+    return types.void(P), codegen
 
 
 # out (m, n) = A (m, k) X for the first count <= k columns of A and rows of X: (A, X, count, out)
@@ -266,6 +322,8 @@ add_listed: Callable[[IntArray, Array, int, int, Array, Array], None] = intrinsi
 add_gram: Callable[[Array, int, int, Array], None] = intrinsic(_add_gram)
 # where x (n,) is not zero, into at (n,), and in how many places: nonzero(x, at)
 nonzero: Callable[[Array, IntArray], int] = intrinsic(_nonzero)
+# P = (P + P') / 2 of the first m rows and columns of P (m, p): symmetrise(P)
+symmetrise: Callable[[Array], None] = intrinsic(_mean_of_both)
 # the sum of the squares of x (n,)
 squares: Callable[[Array], float] = intrinsic(_squares)
 

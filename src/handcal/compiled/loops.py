@@ -101,6 +101,16 @@ def nonzero(x: Array, at: IntArray) -> int:
 
 
 @_plain
+def symmetrise(P: Array) -> None:
+    """P = (P + P') / 2 in place; P (m, p), of which the first m columns count."""
+    for i in range(len(P)):
+        for j in range(i):
+            s = 0.5 * (P[i, j] + P[j, i])
+            P[i, j] = s
+            P[j, i] = s
+
+
+@_plain
 def squares(x: Array) -> float:
     """The sum of the squares of x (n,)."""
     total = 0.0

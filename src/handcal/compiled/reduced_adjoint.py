@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from handcal.compiled.covariance import symmetrise
 from handcal.compiled.jit import copy2, inner, lean, zero1
 from handcal.compiled.reduced_kernel import Reduced, both_sides, copied
 from handcal.compiled.rows import (
@@ -16,6 +15,7 @@ from handcal.compiled.rows import (
     product,
     set_row,
     squares,
+    symmetrise,
 )
 from handcal.compiled.sparse import Entries, list_entries, times_entries, turn_over
 from handcal.types import Array, IntArray

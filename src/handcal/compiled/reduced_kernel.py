@@ -6,9 +6,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from handcal.compiled.covariance import symmetrise
+from handcal.compiled.covariance import scalar_update
 from handcal.compiled.jit import copy2, inner, lean
-from handcal.compiled.rows import add_gram, add_listed, add_outer, add_product, add_row, set_row
+from handcal.compiled.rows import add_gram, add_listed, add_product, set_row, symmetrise
 from handcal.compiled.sparse import Entries, list_entries, times_entries
 from handcal.types import Array, IntArray
 
@@ -43,44 +43,16 @@ class Reduced(NamedTuple):
 
 class ForwardWork(NamedTuple):
     """Work space of ``reduced_forward``: entries of the transition; the columns carried (m, w);
-    covariances (m, p), twice; -P h, gain and the second correction (p,); innovations (b, w), which
-    are added up b at a time, and their gains (m, b)."""
+    covariances (m, p), twice; what ``scalar_update`` needs; innovations (b, w), which are added up
+    b at a time, and their gains (m, b)."""
 
     entries: Entries
     carried: Array
     square: Array
     over: Array
-    minus_ph: Array
-    own: Array
-    back: Array
+    update: tuple[Array, Array, Array, Array]
     some: Array
     gains: Array
-
-
-@inner
-def _covariance_update(
-    P: Array, h: Array, at: IntArray, R: float, w: ForwardWork, gain: Array
-) -> float:
-    """Joseph form (see ``scalar_update``) of P (m, p), wider than the states by zeros; at: where h
-    is not zero. gain (m,) is written. Returns the innovation's variance."""
-    m = len(gain)
-    set_row(-h[at[0]], P, at[0], w.minus_ph)
-    for n in range(1, len(at)):
-        add_row(-h[at[n]], P, at[n], w.minus_ph)
-    S: float = R
-    for a in at:
-        S -= h[a] * w.minus_ph[a]
-    set_row(-1.0 / S, w.minus_ph, 0, w.own)
-    for i in range(m):
-        gain[i] = w.own[i]
-    # (I - K h) P is not symmetric in round-off: multiply by (I - K h)' from what it is
-    set_row(R, w.own, 0, w.back)
-    for a in at:
-        weight, change = h[a], w.minus_ph[a]
-        for i in range(m):
-            w.back[i] -= (P[i, a] + w.own[i] * change) * weight
-    add_outer(w.own, w.minus_ph, w.back, w.own, P)
-    return S
 
 
 @inner
@@ -129,8 +101,9 @@ def _observed(
                 own[c] = a.g[q, c]
             innovation(a, q, begin, X, gain, w.some, waiting, w.entries)
             at = a.at[q, : a.nonzero[q]]
-            S[q] = _covariance_update(P, a.h[q], at, a.R[q], w, gain[q])
+            S[q] = scalar_update(P, a.h[q], at, len(at), a.R[q], w.update)
             for i in range(len(X)):
+                gain[q, i] = w.update[1][i]
                 w.gains[i, q - begin] = gain[q, i]
             for c in range(nu.shape[1]):
                 nu[q, c] = own[c]

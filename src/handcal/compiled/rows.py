@@ -17,7 +17,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from handcal.compiled.jit import WRITTEN, inner
+from handcal.compiled.jit import WRITTEN, inlined
 from handcal.types import Array, IntArray
 
 # How many numbers the processor is given at a time.
@@ -55,17 +55,19 @@ add_listed: Callable[[IntArray, Array, int, int, Array, Array], None] = WRITTEN.
 add_gram: Callable[[Array, int, int, Array], None] = WRITTEN.add_gram
 # where x (n,) is not zero, into at (n,), and in how many places: nonzero(x, at)
 nonzero: Callable[[Array, IntArray], int] = WRITTEN.nonzero
+# P = (P + P') / 2 in place; P (m, p), of which the first m columns count: symmetrise(P)
+symmetrise: Callable[[Array], None] = WRITTEN.symmetrise
 # the sum of the squares of x (n,)
 squares: Callable[[Array], float] = WRITTEN.squares
 
 
-@inner
+@inlined
 def product(A: Array, X: Array, count: int, out: Array) -> None:
     """out (m, n) = A (m, k) X for the first ``count`` <= k columns of A and rows of X."""
     _set_product(A, X, count, out)
 
 
-@inner
+@inlined
 def add_product(A: Array, X: Array, count: int, out: Array) -> None:
     """``product``, added to out."""
     _add_product(A, X, count, out)

@@ -267,9 +267,10 @@ def _rows(place: IntArray) -> int:
 
 def _forward_work(m: int, width: int) -> ForwardWork:
     high = padded(m)
+    update = blank(high), blank(high), blank(high), blank(high)
     return ForwardWork(
-        no_entries(m, TOGETHER), blank(m, width), blank(m, high), blank(m, high), blank(high),
-        blank(high), blank(high), blank(TOGETHER, width), blank(m, TOGETHER),
+        no_entries(m, TOGETHER), blank(m, width), blank(m, high), blank(m, high), update,
+        blank(TOGETHER, width), blank(m, TOGETHER),
     )  # fmt: skip
 
 

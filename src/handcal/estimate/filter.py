@@ -29,7 +29,6 @@ from handcal.compiled.covariance import (
     add_unknown_force,
     propagate,
     propagation_work,
-    symmetrise,
     update_linear,
     update_work,
 )
@@ -45,7 +44,7 @@ from handcal.compiled.kernel import (
     interval,
     linearise,
 )
-from handcal.compiled.rows import blank, padded
+from handcal.compiled.rows import blank, padded, symmetrise
 from handcal.compiled.so3 import exp, matmul
 from handcal.estimate.problem import Problem
 from handcal.estimate.start import Start
@@ -223,8 +222,7 @@ def _run(
             fill_nav(p, v, C, w, f, nav)
             update(q, nodes, tables, noise, nav, extras, nodes.J[i], P, innovation, work)
             inject(x, p, v, C, bg, ba, extras)
-        if nodes.first[i] < nodes.first[i + 1]:
-            symmetrise(P)
+        symmetrise(P)
         if at < len(record[0]) and record[0][at] == i:
             copy1(p, record[1][at])
             copy1(v, record[2][at])
@@ -254,7 +252,8 @@ def add_noise(P: Array, noise: Noise, dt: float, extra: Array, Q_e: Array, c: in
     """Add the process noise of one interval to P, in place."""
     for k in range(3):
         P[3 + k, 3 + k] += noise.accel * dt
-        add_unknown_force(P, k, dt, extra[1])
+        if extra[1] > 0.0:
+            add_unknown_force(P, k, dt, extra[1])
         P[6 + k, 6 + k] += noise.gyro * dt + extra[0]
         P[k, k] += extra[2]
     for k in range(9, BASE + c):

@@ -18,13 +18,13 @@ from handcal.compiled.covariance import (
     Update,
     propagate,
     propagation_work,
-    symmetrise,
     times_transition,
     update_linear,
     update_work,
 )
 from handcal.compiled.jit import copy1, copy2, njit
 from handcal.compiled.kernel import BASE, MAX_DIM
+from handcal.compiled.rows import symmetrise
 from handcal.compiled.so3 import exp, matmul
 from handcal.estimate.adjoint import backward
 from handcal.estimate.driven import driven
