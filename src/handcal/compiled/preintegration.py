@@ -3,15 +3,45 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from handcal.compiled.covariance import add_unknown_force
-from handcal.compiled.jit import copy1, copy2, inner, local_matrix, njit, zero2
+from handcal.compiled.jit import copy1, copy2, inlined, inner, local_matrix, njit, zero2
 from handcal.compiled.kernel import BASE, Nodes, interval
+from handcal.compiled.rows import BLOCK, add_gram, blank, padded, product
 from handcal.compiled.so3 import exp, matmul
 from handcal.compiled.strapdown import advance, increments
 from handcal.types import Array, IntArray
+
+# Rows of what noise brings that are added up together: those of 64 intervals.
+_TOGETHER = 3 * 64
+
+
+class PreintegrationWork(NamedTuple):
+    """Work space of ``preintegrate``, its rows wider than need be, to a multiple of eight: the
+    transitions of an epoch's intervals (., 9, 16), that from an interval's end to the epoch's, and
+    that from its beginning (9, 16); what noise of gyro (b, 16) and accelerometer (b, 8) brings, b
+    rows at a time, and its sums (16, 16), (8, 8); two of (9, 9)."""
+
+    Phi: Array
+    later: Array
+    whole: Array
+    by_gyro: Array
+    by_accel: Array
+    Q_gyro: Array
+    Q_accel: Array
+    squares: Array
+
+
+def preintegration_work(longest: int) -> PreintegrationWork:
+    """Work space where an epoch has at most so many intervals."""
+    wide = padded(BASE)
+    return PreintegrationWork(
+        blank(longest, 9, wide), blank(9, wide), blank(9, wide), blank(_TOGETHER, wide),
+        blank(_TOGETHER, BLOCK), blank(wide, wide), blank(BLOCK, BLOCK), blank(2, 9, 9),
+    )  # fmt: skip
 
 
 @njit
@@ -24,6 +54,7 @@ def preintegrate(
     omega_ie_n: Array,
     out: tuple[Array, Array, Array, Array, Array],
     W: Array,
+    work: PreintegrationWork,
 ) -> None:
     """Phi (k, 9, 15), d and the three Q of every epoch but the first, into ``out`` (see
     ``Linear``), and what an error of the readings over each interval makes of the state at the
@@ -34,11 +65,7 @@ def preintegrate(
     """
     bg, ba = biases
     Phi_out, d_out, Qg_out, Qa_out, Q0_out = out
-    longest = 0
-    for j in range(1, len(epoch)):
-        longest = max(longest, epoch[j] - epoch[j - 1])
-    Phi, J, none = np.empty((longest, 9, BASE)), np.empty((6, 0)), np.empty(0)
-    later, new, work = np.empty((9, 9)), np.empty((9, BASE)), np.empty((2, 9, 9))
+    J, none = np.empty((6, 0)), np.empty(0)
     p, v, C = np.empty(3), np.empty(3), np.empty((3, 3))
     for j in range(1, len(epoch)):
         a, b = epoch[j - 1], epoch[j]
@@ -47,30 +74,63 @@ def preintegrate(
         copy2(nominal[2][j - 1], C)
         for i in range(a + 1, b + 1):
             interval(nodes, i, bg[j - 1], ba[j - 1], none, none, g_n, omega_ie_n, p, v, C,
-                     Phi[i - a - 1], J)  # fmt: skip
-        zero2(later)
-        for k in range(9):
-            later[k, k] = 1.0
-        total, Q = Phi_out[j], (Qg_out[j], Qa_out[j], Q0_out[j])
-        for i in range(b, a, -1):
-            _add_noise(Q, later, nodes.t[i] - nodes.t[i - 1], nodes.extra[i], work)
-            _followed(later, Phi[i - a - 1], new)
-            for r in range(9):
-                for c in range(9):
-                    later[r, c] = new[r, c]
-                for c in range(6):
-                    total[r, 9 + c] += new[r, 9 + c]
-            if len(W) > 0:
-                for r in range(9):
-                    for c in range(6):
-                        W[i, r, c] = new[r, 9 + c]
-        for r in range(9):
-            for c in range(9):
-                total[r, c] = later[r, c]
+                     work.Phi[i - a - 1], J)  # fmt: skip
+        _backwards(nodes, a, b, Phi_out[j], (Qg_out[j], Qa_out[j], Q0_out[j]), W, work)
         for k in range(3):
             d_out[j, k] = p[k] - nominal[0][j, k]
             d_out[j, 3 + k] = v[k] - nominal[1][j, k]
         _angle_between(C, nominal[2][j], d_out[j, 6:9])
+
+
+@inlined
+def _backwards(
+    nodes: Nodes,
+    a: int,
+    b: int,
+    total: Array,
+    Q: tuple[Array, Array, Array],
+    W: Array,
+    work: PreintegrationWork,
+) -> None:
+    """The transition ``total`` (9, 15) from node a to node b, which was zero, the three Q on the
+    way, and W, from the transitions of the intervals between them."""
+    later, new, rows = work.later, work.whole, 0
+    zero2(work.Q_gyro)
+    zero2(work.Q_accel)
+    zero2(later)
+    for k in range(9):
+        later[k, k] = 1.0
+    for i in range(b, a, -1):
+        dt, extra = nodes.t[i] - nodes.t[i - 1], nodes.extra[i]
+        root = math.sqrt(dt)
+        for k in range(3):
+            for r in range(9):
+                work.by_gyro[rows + k, r] = root * later[r, 6 + k]
+            # (no attitude depends on a velocity)
+            for r in range(6):
+                work.by_accel[rows + k, r] = root * later[r, 3 + k]
+        rows += 3
+        if rows == len(work.by_gyro) or i == a + 1:
+            add_gram(work.by_gyro, 0, rows, work.Q_gyro)
+            add_gram(work.by_accel, 0, rows, work.Q_accel)
+            rows = 0
+        if extra[0] != 0.0 or extra[1] != 0.0 or extra[2] != 0.0:
+            _add_extra(Q[2], later, dt, extra, work.squares)
+        product(later, work.Phi[i - a - 1], 9, new)
+        for r in range(9):
+            for c in range(9, 15):
+                total[r, c] += new[r, c]
+        if len(W) > 0:
+            for r in range(9):
+                for c in range(6):
+                    W[i, r, c] = new[r, 9 + c]
+        later, new = new, later
+    for r in range(9):
+        for c in range(9):
+            total[r, c] = later[r, c]
+            Q[0][r, c] = work.Q_gyro[max(r, c), min(r, c)]
+            if max(r, c) < 6:
+                Q[1][r, c] = work.Q_accel[max(r, c), min(r, c)]
 
 
 @njit
@@ -206,35 +266,9 @@ def _less(nodes: Nodes, i: int, bg: Array, ba: Array, w: Array, f: Array) -> Non
 
 
 @inner
-def _followed(later: Array, Phi: Array, out: Array) -> None:
-    """out = later Phi, (9, 15), of transitions that are mostly zeros."""
-    zero2(out)
-    for a in range(9):
-        for k in range(9):
-            s = later[a, k]
-            if s != 0.0:
-                for c in range(Phi.shape[1]):
-                    out[a, c] += s * Phi[k, c]
-
-
-@inner
-def _add_noise(
-    Q: tuple[Array, Array, Array], later: Array, dt: float, extra: Array, work: Array
-) -> None:
-    """Add to the three Q (9, 9), of gyro, accelerometer and gaps, what an interval of dt seconds
-    brings, which the transition ``later`` then carries on."""
-    for s in range(2):
-        first = 6 - 3 * s
-        for a in range(9):
-            for b in range(a + 1):
-                q = 0.0
-                for k in range(first, first + 3):
-                    q += later[a, k] * later[b, k]
-                Q[s][a, b] += dt * q
-                if a != b:
-                    Q[s][b, a] += dt * q
-    if extra[0] == 0.0 and extra[1] == 0.0 and extra[2] == 0.0:
-        return
+def _add_extra(Q: Array, later: Array, dt: float, extra: Array, work: Array) -> None:
+    """Add to Q (9, 9) what an interval of dt seconds brings besides the noise of what was read,
+    which the transition ``later`` then carries on."""
     new, half = work[0], work[1]
     zero2(new)
     zero2(half)
@@ -249,7 +283,7 @@ def _add_noise(
     for a in range(9):
         for b in range(9):
             for k in range(9):
-                Q[2][a, b] += half[a, k] * later[b, k]
+                Q[a, b] += half[a, k] * later[b, k]
 
 
 @inner

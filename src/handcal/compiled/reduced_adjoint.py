@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from handcal.compiled.jit import copy2, inner, lean, zero1
+from handcal.compiled.jit import copy2, inner, lean
 from handcal.compiled.reduced_kernel import Reduced, both_sides, copied
 from handcal.compiled.rows import (
     add_listed,
@@ -24,8 +24,8 @@ from handcal.types import Array, IntArray
 class BackwardWork(NamedTuple):
     """Work space of ``reduced_backward``, of which an epoch has n scalars at the most: entries of
     the transition, and turned over; r carried (m, w) and transposed (w, p); covariances (m, p),
-    twice; innovations (n, w), their gains (n, m) and rows of h (m, n); u, h and what the latter is
-    multiplied by (p,)."""
+    twice; innovations (n, w), their gains (n, m) and rows of h (m, n); u (1, p), h and what the
+    latter is multiplied by (p,)."""
 
     entries: Entries
     turned: Entries
@@ -83,13 +83,11 @@ def _adjoint_covariance(
     (I - K h)' N (I - K h) + h' h / S; and off by_R (s,) what is uncertain of the states."""
     m = len(N)
     for q in range(a.first[j + 1] - 1, a.first[j] - 1, -1):
-        zero1(w.u)
+        product(gain[q : q + 1], N, m, w.u)
         s = 0.0
         for i in range(m):
-            add_row(gain[q, i], N, i, w.u)
             w.h[i] = a.h[q, i]
-        for i in range(m):
-            s += gain[q, i] * w.u[i]
+            s += gain[q, i] * w.u[0, i]
         set_row(0.5 * (s + 1.0 / S[q]), w.h, 0, w.v)
         add_row(-1.0, w.u, 0, w.v)
         add_outer(w.h, w.v, w.v, w.h, N)

@@ -83,7 +83,7 @@ def _backward_work(m: int, width: int, most: int) -> BackwardWork:
     high = padded(m)
     return BackwardWork(
         no_entries(m, most), no_entries(m), blank(m, width), blank(width, high), blank(m, high),
-        blank(m, high), blank(most, width), blank(most, m), blank(m, most), blank(high),
+        blank(m, high), blank(most, width), blank(most, m), blank(m, most), blank(1, high),
         blank(high), blank(high),
     )  # fmt: skip
 

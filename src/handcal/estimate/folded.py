@@ -16,7 +16,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from handcal.compiled.jit import copy1, copy2, inner, njit, zero1, zero2
+from handcal.compiled.across import across, anything, arrived, at_first, brought_back, stepped
+from handcal.compiled.jit import inner, njit
 from handcal.compiled.kernel import BASE, MAX_DIM
 from handcal.estimate.linear import Linear
 from handcal.estimate.problem import foldable
@@ -186,13 +187,11 @@ def _folded(
 ) -> None:
     """Phi, d, Q from window to window, and the rows into which the readings go, their kinds and the
     squares (kinds, MAX_DIM) of those that share a row."""
-    Phi, d, Q = dynamics
+    Phi, _, Q = dynamics
     first, kind = rows[0], rows[1]
     row = go[0]
-    # T, off: from the state at the window's first epoch to that at this one
-    T, new = np.zeros((9, Phi.shape[2])), np.zeros((9, Phi.shape[2]))
-    off, moved = np.zeros(9), np.zeros(9)
-    noise, half = np.zeros((3, 9, 9)), np.zeros((9, 9))
+    width = Phi.shape[2]
+    T, noise, work = across(width)
     line = np.zeros(rows[3].shape[2])
     # (most recordings have no gap; what numba makes of `any`, and of arrays put into arrays, takes
     # it seconds to compile)
@@ -200,78 +199,20 @@ def _folded(
     w = 0
     for j in range(len(Phi)):
         if j > 0:
-            stepped(Phi[j], d[j], T, off, new, moved)
-            T, new = new, T
-            copy1(moved, off)
-            for s in range(sources):
-                propagated(Phi[j], noise[s], half, Q[s][j])
+            stepped(dynamics, j, sources, T, noise, work)
         begins = w < len(start) and j == start[w]
         if begins:
             if w > 0:
-                copy2(T, carried[0][w])
-                copy1(off, carried[1][w])
-                for s in range(3):
-                    copy2(noise[s], carried[2][s, w])
-            at_first(T, off, noise)
+                arrived(T, noise, w, carried)
+            at_first(T, noise)
             w += 1
         for q in range(first[j], first[j + 1]):
             if row[q] >= 0:
                 for i in range(dim[kind[q]]):
                     residual = brought_back(
-                        rows[2][q, i], rows[3][q, i], begins, T, off, walks, line
+                        rows[2][q, i], rows[3][q, i], begins, T, width, walks, line
                     )
                     _added(q, i, kind[q], residual, line, go, out)
-
-
-@inner
-def at_first(T: Array, off: Array, noise: Array) -> None:
-    """T (9, 15 + mi), off (9,) and noise (3, 9, 9) at the first epoch of a window."""
-    zero2(T)
-    zero1(off)
-    for s in range(3):
-        zero2(noise[s])
-    for a in range(9):
-        T[a, a] = 1.0
-
-
-@inner
-def stepped(Phi: Array, d: Array, T: Array, off: Array, new: Array, moved: Array) -> None:
-    """``new`` and ``moved``: T (9, 15 + mi) and off (9,) one epoch later."""
-    width = Phi.shape[1]
-    for a in range(9):
-        moved[a] = d[a]
-        for c in range(9):
-            new[a, c] = 0.0
-        for c in range(9, width):
-            new[a, c] = Phi[a, c]
-        for b in range(9):
-            f = Phi[a, b]
-            if f != 0.0:
-                moved[a] += f * off[b]
-                for c in range(width):
-                    new[a, c] += f * T[b, c]
-
-
-@inner
-def brought_back(
-    r: float, H: Array, begins: bool, T: Array, off: Array, walks: IntArray, line: Array
-) -> float:
-    """Residual and row ``line`` (N,) of a reading, seen from where its window begins."""
-    copy1(H, line)
-    if begins:
-        return r
-    for b in range(9):
-        line[b] = 0.0
-    for b in range(9):
-        h = H[b]
-        if h != 0.0:
-            r -= h * off[b]
-            for c in range(T.shape[1]):
-                line[c] += h * T[b, c]
-    for n in range(len(walks)):
-        for k in range(3):
-            line[walks[n, 0] + k] = line[walks[n, 1] + k]
-    return r
 
 
 @inner
@@ -309,36 +250,6 @@ def _left(count_of: IntArray, row: IntArray, r: Array, kind: IntArray, scatter: 
         if folded[to]:
             for i in range(r.shape[1]):
                 scatter[kind[to], i] = max(scatter[kind[to], i] - r[to, i] ** 2, 0.0)
-
-
-@inner
-def anything(Q: Array) -> bool:
-    """Whether any number of Q (k, 9, 9) is not zero."""
-    for j in range(len(Q)):
-        for a in range(9):
-            for b in range(9):
-                if Q[j, a, b] != 0.0:
-                    return True
-    return False
-
-
-@inner
-def propagated(Phi: Array, P: Array, half: Array, Q: Array) -> None:
-    """P (9, 9) becomes F P F' + Q; F: the first nine columns of Phi, mostly zeros."""
-    zero2(half)
-    for a in range(9):
-        for b in range(9):
-            f = Phi[a, b]
-            if f != 0.0:
-                for c in range(9):
-                    half[a, c] += f * P[b, c]
-    copy2(Q, P)
-    for c in range(9):
-        for b in range(9):
-            f = Phi[c, b]
-            if f != 0.0:
-                for a in range(9):
-                    P[a, c] += half[a, b] * f
 
 
 @njit

@@ -14,17 +14,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from handcal.compiled.across import across, anything, arrived, at_first, brought_back, stepped
 from handcal.compiled.jit import copy1, copy2, inner, njit
 from handcal.compiled.kernel import BASE, MAX_DIM
-from handcal.estimate.folded import (
-    anything,
-    at_epochs,
-    at_first,
-    brought_back,
-    propagated,
-    readings_more,
-    stepped,
-)
+from handcal.estimate.folded import at_epochs, readings_more
 from handcal.estimate.linear import Linear
 from handcal.estimate.problem import Problem, foldable
 from handcal.types import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Array, BoolArray, IntArray
@@ -113,9 +106,7 @@ def _gathered(
     each window, and the squares (kinds, MAX_DIM) of what none holds; of: which readings are used
     (q,), which kinds are gathered."""
     Phi, first, count = dynamics[0], rows[0], len(start)
-    # from the state at the window's first epoch to that at this one: T, off, and noise on the way
-    T, off, noise = np.zeros((9, Phi.shape[2])), np.zeros(9), np.zeros((3, 9, 9))
-    work = np.zeros((9, Phi.shape[2])), np.zeros(9), np.zeros((9, 9))
+    T, noise, work = across(Phi.shape[2])
     sources = 3 if anything(dynamics[2][2]) else 2
     most = 1
     for w in range(count):
@@ -125,40 +116,17 @@ def _gathered(
     mine, best = np.zeros(most, np.int64), np.zeros(most)
     for w in range(count):
         end = start[w + 1] if w + 1 < count else len(Phi)
-        at_first(T, off, noise)
+        at_first(T, noise)
         to = out[3][w]
         for j in range(start[w], end):
             if j > start[w]:
-                _stepped(dynamics, j, sources, T, off, noise, work)
-            to = _taken(j, start[w], rows, of, walks, T, off, read, out, to)
+                stepped(dynamics, j, sources, T, noise, work)
+            to = _taken(j, start[w], rows, of, walks, (T, Phi.shape[2]), read, out, to)
         out[3][w + 1] = _kept(first[start[w]], first[end], rows[1], of, size, read,
                               (mine, best), out, to)  # fmt: skip
         if w + 1 < count:
-            _stepped(dynamics, end, sources, T, off, noise, work)
-            copy2(T, carried[0][w + 1])
-            copy1(off, carried[1][w + 1])
-            for s in range(3):
-                copy2(noise[s], carried[2][s, w + 1])
-
-
-@inner
-def _stepped(
-    dynamics: tuple[Array, Array, tuple[Array, Array, Array]],
-    j: int,
-    sources: int,
-    T: Array,
-    off: Array,
-    noise: Array,
-    work: tuple[Array, Array, Array],
-) -> None:
-    """T (9, 15 + mi), off (9,) and noise (3, 9, 9) one epoch later, at epoch j."""
-    Phi, d, Q = dynamics
-    new, moved, half = work
-    stepped(Phi[j], d[j], T, off, new, moved)
-    copy2(new, T)
-    copy1(moved, off)
-    for s in range(sources):
-        propagated(Phi[j], noise[s], half, Q[s][j])
+            stepped(dynamics, end, sources, T, noise, work)
+            arrived(T, noise, w + 1, carried)
 
 
 @inner
@@ -168,8 +136,7 @@ def _taken(
     rows: tuple[IntArray, IntArray, Array, Array],
     of: tuple[BoolArray, BoolArray],
     walks: IntArray,
-    T: Array,
-    off: Array,
+    carried: tuple[Array, int],
     read: tuple[Array, Array],
     out: tuple[Array, Array, IntArray, IntArray, Array],
     to: int,
@@ -183,7 +150,8 @@ def _taken(
             continue
         if of[1][kind[q]]:
             i = q - first[begin]
-            left[i] = brought_back(r[q, 0], H[q, 0], j == begin, T, off, walks, lines[i])
+            T, width = carried
+            left[i] = brought_back(r[q, 0], H[q, 0], j == begin, T, width, walks, lines[i])
         else:
             copy1(r[q], out[0][to])
             copy2(H[q], out[1][to])

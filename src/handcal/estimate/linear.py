@@ -18,6 +18,7 @@ from handcal.compiled.jit import copy1, njit
 from handcal.compiled.kernel import BASE, Nodes, Tables, fill_nav, linearise
 from handcal.compiled.preintegration import (
     preintegrate,
+    preintegration_work,
     responses,
     turn_errors,
     turn_noise,
@@ -351,6 +352,7 @@ def transitions(
         preintegrate(
             nodes, epoch[some], (p[some], v[some], C[some]), (bg[some], ba[some]), g_n, turns,
             (Phi[some], d[some], Q[0, some], Q[1, some], Q[2, some]), W,
+            preintegration_work(int(np.diff(epoch[some]).max(initial=0))),
         )  # fmt: skip
 
     cuts = [0, k // 2, k - 1] if k > MANY else [0, k - 1]
