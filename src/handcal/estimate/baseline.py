@@ -73,12 +73,10 @@ def started(case: Case, effects: Sequence[Effect] = (), engine: str = "compiled"
     state = first_state(problem, case.start, levels, case.iron)
     nominal = first_trajectory(problem, levels, state, ENGINES[engine])
     if is_long(problem, nominal):
-        about = About(problem, case.start, nominal)
-        del nominal  # (of a long one there shall be no more than are worked with)
-        about = smoother.settled_roughly(about, levels)
-        if not np.isfinite(about.trajectory.p).all():
+        if not np.isfinite(nominal.p).all():
             raise no_fit([case.recording])
-        return Fitted(case, about, levels)
+        # (the fit that begins here goes on until it rests, a piece at a time)
+        return Fitted(case, About(problem, case.start, nominal), levels)
     linear, _, _ = smoother.relinearise(linearise_about(problem, case.start, nominal), levels)
     if not np.isfinite(linear.d).all():
         raise no_fit([case.recording])

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from handcal.estimate.evidence import ReducedPass, Reduction, reduce, reduced_pa
 from handcal.estimate.heavy_tails import has_tails, tailed, usual, wider
 from handcal.estimate.linear import Linear
 from handcal.estimate.model import Fitted, Known, Model, Rested
-from handcal.estimate.pieces import is_long, reduced, released
+from handcal.estimate.pieces import holding, is_long, reduced, released
 from handcal.estimate.prior_root import prior_root
 from handcal.estimate.prior_scales import SCALES
 from handcal.estimate.quadratic import Local, Posterior, Quadratic, given, local, posterior, total
@@ -142,9 +143,18 @@ def fitted(
     whole = now.whole or _told(now.parts, effects)
     found = _posterior(whole, effects, known, now.wide)
     return Model(
-        tuple(effects), tuple(now.parts), whole, found.mean, found.covariance,
+        tuple(effects), _still_reduced(now), whole, found.mean, found.covariance,
         found.log_evidence + constant, now.settled, known, now.swing,
     )  # fmt: skip
+
+
+def _still_reduced(now: Rested) -> tuple[Fitted, ...]:
+    """The parts; long ones with what they were reduced to when they came to rest, for whoever shows
+    them."""
+    return tuple(
+        replace(f, about=holding(f.about, r)) if is_long(f.problem, f.trajectory) else f
+        for f, r in zip_longest(now.parts, now.reductions)
+    )
 
 
 def _widened(now: Rested, effects: Sequence[Effect], known: Known | None) -> Rested:

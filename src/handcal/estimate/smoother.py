@@ -39,15 +39,13 @@ from handcal.estimate.evidence import (
 from handcal.estimate.filter import full_prior
 from handcal.estimate.folded import unfolded
 from handcal.estimate.linear import About, Linear, linearise_about
-from handcal.estimate.pieces import corrected_about, each, filled, holding, reduced
+from handcal.estimate.pieces import corrected_about, each, filled
 from handcal.estimate.problem import observation_variances
 from handcal.estimate.trajectory import Trajectory
 from handcal.types import Array, BoolArray, IntArray
 
 # Epochs whose covariances are smoothed at once: what that takes besides them is small.
 AT_ONCE = 256
-# Nats within which a long recording's first trajectory rests: the fit that begins there goes on.
-ROUGH = 2.0
 
 
 @dataclass(frozen=True)
@@ -360,18 +358,3 @@ def relinearise(
         if settled:
             break
     return linear, settled, evidence
-
-
-def settled_roughly(about: About, levels: Mapping[str, float], rounds: int = 8) -> About:
-    """``relinearise`` of a long recording, piece by piece, to within ROUGH nats."""
-    evidence = -np.inf
-    for _ in range(rounds):
-        done = reduced_pass(reduced(about), levels, keep=True, wide=False)
-        before, evidence = evidence, done.log_evidence
-        if abs(evidence - before) < ROUGH:
-            return holding(about, done.reduction)
-        problem, there = done.reduction.linear.problem, followed(done, about.trajectory)
-        del done
-        about = About(problem, about.start, there())
-        del there  # (it has the trajectory that was left)
-    return about
