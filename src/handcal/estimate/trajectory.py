@@ -33,8 +33,9 @@ class Trajectory:
 
 def epochs(problem: Problem) -> IntArray:
     """Nodes at which something is observed, with the first and the last node."""
-    seen = np.flatnonzero(np.diff(problem.nodes.first))
-    return np.unique(np.r_[0, seen, len(problem.nodes.t) - 1])
+    seen = np.diff(problem.nodes.first) > 0
+    seen[[0, -1]] = True
+    return np.flatnonzero(seen)
 
 
 def trajectory_of(
