@@ -55,6 +55,9 @@ ENOUGH = math.log(2.0) - TERM_PRIOR
 # Nats to which a scan is right.
 UNTOLD = 3.0
 
+# What ``best_terms`` is asked: beyond, without, worth.
+Asked = tuple[tuple[str, ...], frozenset[str], float | None]
+
 
 @dataclass(frozen=True, eq=False)
 class Vocabulary:
@@ -80,7 +83,8 @@ class Term:
 class Survey:
     """All that is looked at beside a model: its ``grounds``, the signals of its first recording;
     vocabulary, looks (under "" and each sensor, as of blocks), and what their scans showed. first:
-    of the first part of long recordings, which says what is looked at in the whole."""
+    of the first part of long recordings, which says what is looked at in the whole. found: what was
+    found, by what was asked."""
 
     model: Model
     base: Sequence[Ground]
@@ -88,6 +92,7 @@ class Survey:
     vocabulary: Vocabulary
     scanned: dict[str, list[tuple[Look, Quadratic]]]
     first: FirstLook | None
+    found: dict[Asked, tuple[About, list[Term]]] = field(default_factory=dict)
 
     def of(self, beyond: Collection[str], known: Sequence[Effect]) -> list[tuple[Look, Quadratic]]:
         """Looks and their scans, of the usual vocabulary and of these sensors' further one; known:
@@ -170,6 +175,23 @@ def best_terms(
     whose place it is looked for; beyond: "gyro", "accel" or "heading", for which the whole
     vocabulary is looked through; worth: what evidence counts for (None: as the scans have it, about
     this model)."""
+    asked = tuple(beyond), frozenset(without), worth
+    # (of what was found on trial one after the other is asked for, and refused)
+    if asked not in where.found:
+        where.found[asked] = _found(where, *asked)
+    about_, found = where.found[asked]
+    found = [t for t in found if t.effect.id not in refused]
+    own = [[t for t in found if t.effect.id.startswith(sensor)] for sensor in beyond]
+    best = dict.fromkeys([*found[:1], *(t for some in own for t in _first_ones(some))])
+    # (on the grid of seconds on which it was found, a course may be hundreds of nats off)
+    near = [_nearer(about_, _with_rivals(t, found)) for t in best]
+    return [t for t in near if t.effect.id not in refused]
+
+
+def _found(
+    where: Survey, beyond: Collection[str], without: Collection[str], worth: float | None
+) -> tuple[About, list[Term]]:
+    """All that ``best_terms`` may choose from, the best first, and about what it was found."""
     known = [e for e in where.model.effects if e.process is None and e.id not in without]
     pairs = where.of(beyond, known)
     # (what is absent scatters differently from scan to scan: one worth for all)
@@ -181,12 +203,7 @@ def best_terms(
     found = _nameless(about_, [(e, gain) for e, gain in ends if isinstance(e, Effect)])
     told = in_parallel(partial(_as_told, about_, *end) for end in _closer(ends, beyond))
     found += [_first_of(about_, [(effect_of(law), nats) for law, nats in some]) for some in told]
-    found = sorted((t for t in found if t.effect.id not in refused), key=lambda t: -t.gain)
-    own = [[t for t in found if t.effect.id.startswith(sensor)] for sensor in beyond]
-    best = dict.fromkeys([*found[:1], *(t for some in own for t in _first_ones(some))])
-    # (on the grid of seconds on which it was found, a course may be hundreds of nats off)
-    near = [_nearer(about_, _with_rivals(t, found)) for t in best]
-    return [t for t in near if t.effect.id not in refused]
+    return about_, sorted(found, key=lambda t: -t.gain)
 
 
 def _nameless(about_: About, ends: Sequence[tuple[Effect, float]]) -> list[Term]:
