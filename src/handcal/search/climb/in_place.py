@@ -214,7 +214,9 @@ def with_term(
     where = scanned_about(alone.bare, [term], refused)
     chosen = best_set(where, alone.chosen)
     promised = where.score(chosen) - where.score(alone.chosen)
-    if chosen == alone.chosen or score(alone, worth) + promised < least:
+    # (without the term it is a fit that other steps ask for)
+    same = chosen == alone.chosen or term.effect.id not in chosen
+    if same or score(alone, worth) + promised < least:
         return alone
     more = fitted_with(alone, where, chosen)
     return more if sensible(more) and better(more, alone, worth) > 0.0 else alone
