@@ -19,7 +19,7 @@ from handcal.compiled.kernel import (
     fill_nav,
 )
 from handcal.compiled.reduced_kernel import Reduced, innovation
-from handcal.compiled.rows import BLOCK, add_gram, add_product
+from handcal.compiled.rows import BLOCK, add_gram, add_product, add_row
 from handcal.compiled.sparse import Entries, list_entries, times_entries
 from handcal.types import Array, BoolArray, IntArray
 
@@ -114,26 +114,33 @@ def responses(
     most = 0
     for w in range(len(windows[0])):
         most = max(most, scalars[0][w + 1] - scalars[0][w])
-    mean, sums = np.empty(s), np.empty((9 + most, s))
-    edges = np.searchsorted(channel, np.arange(7))
+    # (columns of one channel begin at a multiple of eight)
+    place, edges = np.empty(s, dtype=np.int64), np.zeros(7, dtype=np.int64)
+    begins = np.searchsorted(channel, np.arange(7))
+    for c in range(6):
+        count = begins[c + 1] - begins[c]
+        edges[c + 1] = edges[c] + (count + BLOCK - 1) // BLOCK * BLOCK
+        for k in range(count):
+            place[begins[c] + k] = edges[c] + k
+    mean, sums = np.zeros(edges[6]), np.empty((9 + most, edges[6]))
     for w in range(len(windows[0])):
         rows = 9 + scalars[0][w + 1] - scalars[0][w]
         zero2(sums)
         to = windows[2][w]
         for i in range(windows[0][w] + 1, windows[1][w] + 1):
             for k in range(s):
-                mean[k] = 0.5 * (values[i - 1, k] + values[i, k])
+                mean[place[k]] = 0.5 * (values[i - 1, k] + values[i, k])
             _summed(weights[0][i], mean, edges, 0, sums)
             _summed(weights[1][to : to + rows - 9], mean, edges, 9, sums)
             to += rows - 9
         if w + 1 < len(windows[0]):
             for r in range(9):
                 for k in range(s):
-                    out[0][w + 1, r, column[k]] += sums[r, k]
+                    out[0][w + 1, r, column[k]] += sums[r, place[k]]
         for r in range(9, rows):
             q = scalars[1][scalars[0][w] + r - 9]
             for k in range(s):
-                out[1][q, column[k]] -= sums[r, k]
+                out[1][q, column[k]] -= sums[r, place[k]]
 
 
 @inner
@@ -142,10 +149,9 @@ def _summed(weight: Array, mean: Array, edges: IntArray, at: int, sums: Array) -
     edges (7,): where the columns of each channel begin and end."""
     for r in range(weight.shape[0]):
         for c in range(6):
-            x = weight[r, c]
-            if x != 0.0:
-                for k in range(edges[c], edges[c + 1]):
-                    sums[at + r, k] += x * mean[k]
+            if weight[r, c] != 0.0 and edges[c + 1] > edges[c]:
+                own = slice(edges[c], edges[c + 1])
+                add_row(weight[r, c], mean[own], 0, sums[at + r, own])
 
 
 @njit

@@ -55,8 +55,8 @@ ENOUGH = math.log(2.0) - TERM_PRIOR
 # Nats to which a scan is right.
 UNTOLD = 3.0
 
-# What ``best_terms`` is asked: beyond, without, worth.
-Asked = tuple[tuple[str, ...], frozenset[str], float | None]
+# What ``best_terms`` is asked: beyond, without.
+Asked = tuple[tuple[str, ...], frozenset[str]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,8 +83,9 @@ class Term:
 class Survey:
     """All that is looked at beside a model: its ``grounds``, the signals of its first recording;
     vocabulary, looks (under "" and each sensor, as of blocks), and what their scans showed. first:
-    of the first part of long recordings, which says what is looked at in the whole. found: what was
-    found, by what was asked."""
+    of the first part of long recordings, which says what is looked at in the whole. worth: what
+    evidence counts for (None: as the scans have it, about this model). found: what was found, by
+    what was asked."""
 
     model: Model
     base: Sequence[Ground]
@@ -92,6 +93,7 @@ class Survey:
     vocabulary: Vocabulary
     scanned: dict[str, list[tuple[Look, Quadratic]]]
     first: FirstLook | None
+    worth: float | None = None
     found: dict[Asked, tuple[About, list[Term]]] = field(default_factory=dict)
 
     def of(self, beyond: Collection[str], known: Sequence[Effect]) -> list[tuple[Look, Quadratic]]:
@@ -125,7 +127,7 @@ class Survey:
             Look([b.effect for b in chunk], partial(_laws, chunk))
             for chunk in in_groups(new, _columns, int(room))
         ]
-        done += _scans(self.model, looks, self.base)
+        done += _scans(self.model, looks, self.base, self.worth)
 
     def _composed(self, sensor: int, known: Sequence[Effect]) -> list[Block]:
         """Blocks over those drivers made of several signals that promise most here."""
@@ -140,17 +142,21 @@ class Survey:
         return [b for d in best for b in over(d, self.signals, (sensor,))]
 
 
-def survey(model: Model, vocabulary: Vocabulary | None = None) -> Survey:
+def survey(
+    model: Model, vocabulary: Vocabulary | None = None, worth: float | None = None
+) -> Survey:
     """Of this model, with nothing looked at yet; vocabulary: blocks of the same recordings, made
-    about another model, and those that will be made."""
+    about another model, and those that will be made; worth: what evidence counts for, if that is
+    known."""
     made = Vocabulary() if vocabulary is None else vocabulary
-    return Survey(model, grounds(model), signals_of(model.parts[0]), made, {}, first_look(model))
+    first = first_look(model, worth)
+    return Survey(model, grounds(model), signals_of(model.parts[0]), made, {}, first, worth)
 
 
 def _scans(
-    model: Model, looks: Sequence[Look], base: Sequence[Ground]
+    model: Model, looks: Sequence[Look], base: Sequence[Ground], worth: float | None
 ) -> Iterator[tuple[Look, Quadratic]]:
-    scans = in_parallel(partial(scan, model, look.effects, base) for look in looks)
+    scans = in_parallel(partial(scan, model, look.effects, base, worth) for look in looks)
     return zip(looks, scans, strict=True)
 
 
@@ -166,16 +172,14 @@ def best_terms(
     refused: Collection[str] = (),
     without: Collection[str] = (),
     beyond: Collection[str] = (),
-    worth: float | None = None,
 ) -> list[Term]:
     """What gains most over the model of all, and of each sensor in beyond, if it gains enough: a
     law over a driver, or a course over time or direction.
 
     refused: formulas with which no fit holds; without: effects of the model, none of them noise, in
     whose place it is looked for; beyond: "gyro", "accel" or "heading", for which the whole
-    vocabulary is looked through; worth: what evidence counts for (None: as the scans have it, about
-    this model)."""
-    asked = tuple(beyond), frozenset(without), worth
+    vocabulary is looked through."""
+    asked = tuple(beyond), frozenset(without)
     # (of what was found on trial one after the other is asked for, and refused)
     if asked not in where.found:
         where.found[asked] = _found(where, *asked)
@@ -189,13 +193,13 @@ def best_terms(
 
 
 def _found(
-    where: Survey, beyond: Collection[str], without: Collection[str], worth: float | None
+    where: Survey, beyond: Collection[str], without: Collection[str]
 ) -> tuple[About, list[Term]]:
     """All that ``best_terms`` may choose from, the best first, and about what it was found."""
     known = [e for e in where.model.effects if e.process is None and e.id not in without]
     pairs = where.of(beyond, known)
     # (what is absent scatters differently from scan to scan: one worth for all)
-    worth = float(np.median([q.worth for _, q in pairs])) if worth is None else worth
+    worth = float(np.median([q.worth for _, q in pairs]))
     ends = [
         end for look, q in pairs for end in look.best(weighed(q, worth), known) if end[1] > ENOUGH
     ]

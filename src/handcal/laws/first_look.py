@@ -30,10 +30,12 @@ LIKELIEST, FEWEST = 0.15, 10
 
 @dataclass(frozen=True, eq=False)
 class FirstLook:
-    """The first part of the recordings about a model, and scans of blocks there, by vocabulary."""
+    """The first part of the recordings about a model, and scans of blocks there, by vocabulary;
+    worth: what evidence counts for (None: as the scans have it)."""
 
     model: Model
     base: Sequence[Ground]
+    worth: float | None
     scanned: dict[str, list[tuple[list[Block], Quadratic]]] = field(default_factory=dict)
 
     def likeliest(
@@ -42,7 +44,10 @@ class FirstLook:
         """Blocks of a vocabulary that may gain most in the whole beside these effects: those that
         gain most here, of each sensor, and what is slow, of which this does not show all."""
         if name not in self.scanned:
-            looks = (partial(scan, self.model, [b.effect for b in c], self.base) for c in chunks)
+            looks = (
+                partial(scan, self.model, [b.effect for b in c], self.base, self.worth)
+                for c in chunks
+            )
             self.scanned[name] = list(zip(chunks, in_parallel(looks), strict=True))
         pairs = self.scanned[name]
         worth = float(np.median([q.worth for _, q in pairs])) if pairs else 1.0
@@ -59,10 +64,10 @@ class FirstLook:
         return out
 
 
-def first_look(model: Model) -> FirstLook | None:
+def first_look(model: Model, worth: float | None = None) -> FirstLook | None:
     """About this model; None where its recordings have no first part."""
     part = first_part(model)
-    return None if part is None else FirstLook(part, grounds(part))
+    return None if part is None else FirstLook(part, grounds(part), worth)
 
 
 def _slow(driver: Driver) -> bool:

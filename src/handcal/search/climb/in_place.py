@@ -177,8 +177,8 @@ def beside_the_rest(
     # stood in for showed in none)
     rest = without(c.model, ids)
     # (and for what evidence is worth with them: what a law has to do in their place is not misfit)
-    found = best_terms(survey(rest, c.vocabulary), refused=refused, beyond=(sensor,), worth=c.worth)
-    return rest, found
+    where = survey(rest, c.vocabulary, c.worth)
+    return rest, best_terms(where, refused=refused, beyond=(sensor,))
 
 
 def refused_by(c: Climb) -> set[str]:
