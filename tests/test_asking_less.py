@@ -11,6 +11,7 @@ import pytest
 from worlds import recording_of
 
 from handcal.effects import catalogue
+from handcal.estimate import scan
 from handcal.estimate.baseline import baseline
 from handcal.estimate.case import case_of
 from handcal.estimate.model import Model
@@ -406,3 +407,50 @@ def test_of_what_is_never_felt_there_is_no_law(base: Model) -> None:
     silent = Driver("(nothing)", "rad/s", lambda s, _: 0.0 * s.t)
     assert over(by(silent, driver_of("|omega|")), signals, (0,)) == []
     assert over(by(driver_of("omega_{i}"), driver_of("|omega|")), signals, (0,))
+
+
+def test_what_a_survey_found_is_found_once(base: Model, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On trial one after the other, laws are not written out again; what is asked otherwise is."""
+    asked: list[tuple[str, ...]] = []
+
+    def found(where: Any, beyond: tuple[str, ...], without: Any) -> Any:
+        asked.append(beyond)
+        return where_found(where, beyond, without)
+
+    where_found = best_law._found
+    monkeypatch.setattr(best_law, "ENOUGH", 0.0)
+    monkeypatch.setattr(best_law, "_found", found)
+    where = best_law.survey(base)
+    first = best_law.best_term(where)
+    assert first is not None
+    second = best_law.best_term(where, refused={first.effect.id})
+    assert second is None or second.effect.id != first.effect.id
+    assert asked == [()]
+    best_law.best_terms(where, beyond=("heading",))
+    assert asked == [(), ("heading",)]
+
+
+@pytest.mark.parametrize("worth", [None, 0.5])
+def test_evidence_counts_for_what_it_is_known_to(
+    base: Model, worth: float | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Scans do not ask how far scores scatter where that is known."""
+    counted: list[int] = []
+    excess = scan.excess
+    monkeypatch.setattr(scan, "excess", lambda *a: counted.append(1) or excess(*a))
+    looks = best_law.survey(base, worth=worth).of((), [])
+    assert not worth or {q.worth for _, q in looks} == {worth}
+    assert bool(counted) is (worth is None)
+
+
+def test_a_fit_with_a_term_is_not_repeated_without_it(
+    base: Model, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    law = Law(0, (0, 1, 2), False, driver_of("|f|"), formula([("line", ())]), (1e-3,))
+    term = Term(effect_of(law), 10.0)
+    chosen = frozenset({"gyro_scale"})
+    monkeypatch.setattr(in_place, "best_set", lambda *_: chosen)
+    monkeypatch.setattr(in_place, "fitted_with", lambda *_: pytest.fail("fitted without the term"))
+    where = SimpleNamespace(score=lambda _: 1e6)
+    monkeypatch.setattr(in_place, "scanned_about", lambda *_: where)
+    assert term.effect.id in in_place.with_term(base, term, 1.0, frozenset()).ids

@@ -51,6 +51,9 @@ def test_it_runs_away_where_every_round_is_worse_and_all_is_lost(per_round):
         ((5.0, -50.0, -99.0), False),
         ((-300.0, -200.0, -120.0), False),  # (below, and on its way up)
         ((5.0, -50.0, -120.0, -110.0), False),
+        ((5.0, -101.0 - FALLEN), True),  # (one that is lost)
+        ((-1e4, -101.0 - FALLEN), False),  # (far down, and on its way up)
+        ((-101.0 - FALLEN,), False),  # (where it begins)
     ],
 )
 def test_it_sinks_where_it_only_becomes_less_below_what_is_of_use(evidence, sinks):

@@ -15,6 +15,7 @@ SHORTEST = 0.2
 # Rounds in a row of which each is worse, to so many nats below the first: no fit comes of that.
 FALLS, FALLEN = 3, 1000.0
 # Rounds in a row of which each is worse, below what would be of use: none comes of that either.
+# (One is enough where that is ``FALLEN`` nats below.)
 SINKING = 2
 # Steps of the constants count as one way where they are that far along it (cosine), and are not
 # taken further than so many steps at once.
@@ -77,8 +78,10 @@ class Rounds:
         return self.falls >= FALLS and self.evidence < self.first - FALLEN
 
     def sinks(self, least: float) -> bool:
-        """Whether the last rounds were worse each, and the evidence is less than this."""
-        return self.falls >= SINKING and self.evidence < least
+        """Whether the last rounds were worse each, and the evidence is less than this; or the last
+        one alone, and it is hopelessly less."""
+        enough = least if self.falls >= SINKING else least - FALLEN
+        return self.falls > 0 and self.evidence < enough
 
     @property
     def swing(self) -> float:

@@ -333,7 +333,8 @@ def relinearised_parts(
         reductions.clear()  # (these and the passes are as large as what is linearised next)
         way.aims(seen.aim, seen.whole.G)
         parts = _followed(parts, seen, effects, way.reach)
-    sane = all(_reduced_if_sane(f) is not None for f in parts)
+    # (what was given up was sane in its last round)
+    sane = bool(reductions) or all(_reduced_if_sane(f) is not None for f in parts)
     evidence = way.evidence if sane else math.nan
     sank = way.sinks(of_use)
     bare = [f.bare for f in parts]
