@@ -24,7 +24,9 @@ from handcal.compiled.rows import (
 from handcal.types import Array, IntArray
 
 Propagation = tuple[Array, Array, Array]
-Update = tuple[Array, Array, Array, Array, IntArray, IntArray]
+# Work space of ``scalar_update``: -P h, the gain K, the second correction and a row of (I - K h) P.
+ScalarUpdate = tuple[Array, Array, Array, Array]
+Update = tuple[ScalarUpdate, IntArray, IntArray]
 
 
 def propagation_work(n: int, e: int) -> Propagation:
@@ -33,11 +35,15 @@ def propagation_work(n: int, e: int) -> Propagation:
     return blank(n, n), blank(n, width), blank(n, width)
 
 
+def scalar_work(n: int) -> ScalarUpdate:
+    """Work space of ``scalar_update`` for n states."""
+    return blank(n), blank(n), blank(n), blank(n)
+
+
 def update_work(n: int, d: int) -> Update:
     """Work space of ``update_linear`` for n states and at most d scalars: that of
     ``scalar_update``, and of each scalar where its row of H is not zero, and how often."""
-    count = np.zeros(d, dtype=np.int64)
-    return blank(n), blank(n), blank(n), blank(n), np.zeros((d, n), dtype=np.int64), count
+    return scalar_work(n), np.zeros((d, n), dtype=np.int64), np.zeros(d, dtype=np.int64)
 
 
 @inlined
@@ -109,14 +115,13 @@ def propagate(
 
 @inlined
 def scalar_update(
-    P: Array, h: Array, at: IntArray, count: int, R: float, work: tuple[Array, Array, Array, Array]
+    P: Array, h: Array, at: IntArray, count: int, R: float, work: ScalarUpdate
 ) -> float:
     """One scalar Kalman update of P in Joseph form; returns the innovation's variance.
 
     (I - K h) P (I - K h)' + K R K', evaluated as two rank-one corrections. P (m, p), symmetric but
     for round-off and wider than the states by zeros, is changed in place. h is zero but for
-    at[:count]; at[0] must be valid in any case. work: -P h, the gain K, the second correction and
-    a row of (I - K h) P, each (p,).
+    at[:count]; at[0] must be valid in any case. The gain is in work[1] afterwards, (p,).
     """
     minus_ph, gain, back, row = work
     S = R
@@ -154,8 +159,7 @@ def update_linear(
     the log of the predictive density (1,). ``symmetrise`` P after the last update.
     """
     residual, sigma, nis, loglik = out
-    at, count = work[4], work[5]
-    own = work[0], work[1], work[2], work[3]
+    own, at, count = work
     # S of all scalars as P is now; that of the first is found below anyway
     for j in range(d):
         S = R[j]
@@ -178,7 +182,7 @@ def update_linear(
         for k in range(count[j]):
             nu -= H[j, at[j, k]] * x[at[j, k]]
         S = scalar_update(P, H[j], at[j], count[j], R[j], own)
-        add_row(nu, work[1], 0, x)
+        add_row(nu, own[1], 0, x)
         if j == 0:
             sigma[j] = math.sqrt(S)
         nis[0] += nu * nu / S

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from handcal.compiled.covariance import scalar_update
+from handcal.compiled.covariance import ScalarUpdate, scalar_update
 from handcal.compiled.jit import copy2, inner, lean
 from handcal.compiled.rows import add_gram, add_listed, add_product, set_row, symmetrise
 from handcal.compiled.sparse import Entries, list_entries, times_entries
@@ -50,7 +50,7 @@ class ForwardWork(NamedTuple):
     carried: Array
     square: Array
     over: Array
-    update: tuple[Array, Array, Array, Array]
+    update: ScalarUpdate
     some: Array
     gains: Array
 

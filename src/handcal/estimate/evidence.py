@@ -13,6 +13,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from handcal.compiled.covariance import scalar_work
 from handcal.compiled.kernel import MAX_DIM
 from handcal.compiled.reduced_kernel import ForwardWork, Reduced, reduced_forward, reduced_means
 from handcal.compiled.rows import blank, padded
@@ -267,10 +268,9 @@ def _rows(place: IntArray) -> int:
 
 def _forward_work(m: int, width: int) -> ForwardWork:
     high = padded(m)
-    update = blank(high), blank(high), blank(high), blank(high)
     return ForwardWork(
-        no_entries(m, TOGETHER), blank(m, width), blank(m, high), blank(m, high), update,
-        blank(TOGETHER, width), blank(m, TOGETHER),
+        no_entries(m, TOGETHER), blank(m, width), blank(m, high), blank(m, high),
+        scalar_work(high), blank(TOGETHER, width), blank(m, TOGETHER),
     )  # fmt: skip
 
 
