@@ -119,7 +119,7 @@ def responses(
     begins = np.searchsorted(channel, np.arange(7))
     for c in range(6):
         count = begins[c + 1] - begins[c]
-        edges[c + 1] = edges[c] + _padded(count)
+        edges[c + 1] = edges[c] - (-count // BLOCK) * BLOCK
         for k in range(count):
             place[begins[c] + k] = edges[c] + k
     mean, sums = np.zeros(edges[6]), np.empty((9 + most, edges[6]))
@@ -141,12 +141,6 @@ def responses(
             q = scalars[1][scalars[0][w] + r - 9]
             for k in range(s):
                 out[1][q, column[k]] -= sums[r, place[k]]
-
-
-@inner
-def _padded(n: int) -> int:
-    """The next multiple of eight, as ``rows.padded``."""
-    return (n + BLOCK - 1) // BLOCK * BLOCK
 
 
 @inner
@@ -285,12 +279,12 @@ def followed(
 
 
 @lean
-def products(nu: Array, further: Array, S: Array, both: Array, gram: Array) -> None:
+def products(nu: Array, further: Array, S: Array, first: int, both: Array, gram: Array) -> None:
     """Sums over scalars of products of innovations nu (s, a) and further (s, c), over their
-    variances S (s,): in the lower half of gram (v + w, v + w), rows from v on; v and w are a and c,
-    each as wide as a multiple of eight. both (b, v + w): zeros, as many rows as are added up at
-    once. (A library would share it among threads, and round differently with their number.)"""
-    first = _padded(nu.shape[1])
+    variances S (s,): in the lower half of gram (v + w, v + w), rows from ``first`` on, which is v;
+    v and w are a and c, each as wide as a multiple of eight. both (b, v + w): zeros, as many rows
+    as are added up at once. (A library would share it among threads, and round differently with
+    their number.)"""
     for begin in range(0, len(nu), len(both)):
         count = min(len(both), len(nu) - begin)
         for q in range(count):

@@ -1,7 +1,7 @@
 """Compiled steps of the covariance: carried by a transition, updated by observations.
 
 P may be wider than the state by rows and columns of zeros, which stay zero: products of rows
-that are a multiple of eight long are several times as fast (see ``_rows``).
+that are a multiple of eight long are several times as fast (see ``rows``).
 """
 
 from __future__ import annotations

@@ -118,7 +118,7 @@ def _backwards(
             _add_extra(Q[2], later, dt, extra, work.squares)
         product(later, work.Phi[i - a - 1], 9, new)
         for r in range(9):
-            for c in range(9, 15):
+            for c in range(9, BASE):
                 total[r, c] += new[r, c]
         if len(W) > 0:
             for r in range(9):

@@ -163,7 +163,7 @@ def _likelihood(done: ReducedPass, nu: Array) -> tuple[float, Array, Array]:
     known, c, first = len(b), nu.shape[1], padded(1 + len(b))
     size = first + padded(c)
     gram = blank(size, size)
-    kernel.products(done.nu, nu, done.S, blank(TOGETHER, size), gram)
+    kernel.products(done.nu, nu, done.S, first, blank(TOGETHER, size), gram)
     mixed, own = gram[first : first + c, : 1 + known], gram[first : first + c, first : first + c]
     whole = np.zeros((known + c, known + c))
     whole[:known, :known] = G

@@ -145,12 +145,12 @@ def _taken(
     ``read``, the others into rows from ``to`` on; the row after these."""
     first, kind, r, H = rows
     lines, left = read
+    T, width = carried
     for q in range(first[j], first[j + 1]):
         if not of[0][q]:
             continue
         if of[1][kind[q]]:
             i = q - first[begin]
-            T, width = carried
             left[i] = brought_back(r[q, 0], H[q, 0], j == begin, T, width, walks, lines[i])
         else:
             copy1(r[q], out[0][to])
