@@ -98,7 +98,7 @@ def _parts(problem: Problem, read: Signals, truth: Array) -> list[tuple[int, int
     short = max(1, round(AVERAGE_S[0] * recording.rate_hz))
     averaged = reading(read, _averaged(truth, short)) if compared else signals
     other = _another_reading(recording) if compared else None
-    told = averaged if other is None else reading(read, other)
+    told = averaged if other is None else reading(read, _neighbours(other, short))
     parts: list[tuple[int, int, Array]] = []
     i = 0
     for e in (e for e in problem.effects if e.imu_error is not None):
@@ -172,7 +172,7 @@ def _of_any_shape(effect: Effect) -> bool:
 
 def _another_reading(recording: Recording) -> Array | None:
     """Rate and force (n, 6) by the reference, if there is one: what a law of any shape is a
-    function of may not have in it the noise of the very reading that it shall explain."""
+    function of may not have in it errors of the very reading that it shall explain."""
     series = recording.streams.get(REFERENCE)
     return None if series is None else at_times(STREAMS[REFERENCE], series, recording.imu.t)
 
@@ -283,6 +283,14 @@ def _whiles(wanted: BoolArray) -> IntArray:
     """First row and the one after the last (k, 2) of each run of what is wanted."""
     edges = np.flatnonzero(np.diff(np.r_[0, wanted.astype(np.int8), 0]))
     return edges.reshape(-1, 2).astype(np.int64)
+
+
+def _neighbours(x: Array, width: int) -> Array:
+    """The same as ``_averaged``, at least of one sample before and one after, but without the
+    sample itself: what is compared with it has its noise, and a law that takes off that noise
+    (play, say: what is read less what follows it) promised thousands of nats."""
+    width = max(width, 3)
+    return (width * _averaged(x, width) - x) / (width - 1)
 
 
 def _averaged(J: Array, width: int) -> Array:
