@@ -15,10 +15,11 @@ from handcal import calibrate
 from handcal.effects import catalogue, select
 from handcal.estimate import case
 from handcal.estimate.baseline import baseline
-from handcal.estimate.derivatives import relinearised
+from handcal.estimate.corrected import corrected_readings
+from handcal.estimate.derivatives import errors_by_bias, relinearised
 from handcal.estimate.fit import fitted
 from handcal.explain import explain
-from handcal.laws import grammar
+from handcal.laws.grammar import formula
 from handcal.laws.law_effect import Law, effect_of
 from handcal.laws.vocabulary import driver_of
 from handcal.observations import Scene
@@ -28,6 +29,8 @@ from handcal_sim import simulate
 from handcal_sim.phone import Phone, consumer_phone, trusted_reference, with_rate
 
 G = 9.80665
+# The form of a law in proportion to what it is over.
+LINE = formula([("line", ())])
 
 
 def beside(rng: np.random.Generator) -> Phone:
@@ -266,10 +269,40 @@ def test_what_a_law_is_a_function_of_has_no_noise_of_what_it_is_compared_with() 
     imu = Imu(t, own[:, :3], own[:, 3:], np.ones(len(t), dtype=bool))
     recording = Recording("both", imu, {"reference": Series(t, own + noise)})
     law = effect_of(Law(1, (0,), False, driver_of("(play(0.08 m/s^2) of f_{i} - f_{i})"),
-                        grammar.formula([("line", ())]), (1.0,)))  # fmt: skip
+                        LINE, (1.0,)))  # fmt: skip
     problem = case.problem_with(case.case_of(recording), [law])
     zero = np.zeros(3)
     columns = relinearised(problem, np.zeros(1), zero, zero).nodes.J[:, 3, 0]
     at_nodes = np.interp(problem.nodes.t, t, noise[:, 3])
     assert columns.std() > 0.02  # (m/s^2: it plays)
     assert abs(np.corrcoef(columns, at_nodes)[0, 1]) < 4.0 / math.sqrt(len(t))
+
+
+@pytest.mark.parametrize(
+    ("name", "itself"),
+    [("(memory(0.1 s) of f_{i} - f_{i})", 1.0 - 0.005 / 0.1), ("(memory(0.1 s) of f_{i})", -0.05),
+     ("(echo(0.05 s) of f_{i} - f_{i})", 1.0), ("f_{i} * |f|", None)],
+)  # fmt: skip
+def test_noise_is_counted_as_what_a_sample_does_to_itself(name: str, itself: float | None) -> None:
+    """By k times what a signal was, less the signal, noise becomes smaller by (1 - k) and the mean
+    does not change: evidence was for the law (of a recording beside an array, by 1,300 nats). By
+    how much less is added where this sample alone is larger, of a unit of k; of a law without
+    memory it is what all of them do."""
+    t = np.arange(0.0, 30.0, 0.005)
+    swing = 5.0 * np.sin(np.outer(t, [1.3, 1.7, 2.1])) + np.array([0.0, 0.0, G])
+    own = np.hstack([0.1 * np.cos(np.outer(t, [0.7, 0.9, 1.1])), swing])
+    imu = Imu(t, own[:, :3], own[:, 3:], np.ones(len(t), dtype=bool))
+    recording = Recording("both", imu, {"reference": Series(t, own)})
+    k = 0.01 if itself is None else 0.2
+    law = effect_of(Law(1, (0, 1, 2), False, driver_of(name), LINE, (1.0,)))
+    problem = case.problem_with(case.case_of(recording), [law])
+    zero = np.zeros(3)
+    done = corrected_readings(problem, np.array([k]), zero, zero).problem
+    by_bias = errors_by_bias(done, zero, zero)
+    assert by_bias is not None
+    every, alone = (x[200:-200, 3:, 3:].mean(axis=0) for x in by_bias)
+    if itself is None:
+        np.testing.assert_allclose(alone, every, atol=1e-12)
+        return
+    # (of some 30 s of signs, by chance: a fifth of k over the root of as many samples)
+    np.testing.assert_allclose(alone, k * itself * np.eye(3), atol=4.0 * k / math.sqrt(len(t)))

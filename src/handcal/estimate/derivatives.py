@@ -6,7 +6,7 @@ What excites an effect is the true motion, so noise is taken off or averaged out
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence, Set
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,6 +24,10 @@ AVERAGE_S = (0.05, 2.0)
 QUIET_RATE = 0.05
 # Step of the difference by a bias, of its prior.
 BIAS_STEP = 0.1
+# Usual sizes of the gyro's and the accelerometer's biases.
+BIASES = np.repeat([GYRO_BIAS_PRIOR, ACCEL_BIAS_PRIOR], 3)
+# Changes that differ by such a share of the largest are the same.
+SAME = 1e-6
 # The stream of a second IMU on the same body.
 REFERENCE = "reference"
 
@@ -98,7 +102,7 @@ def _parts(problem: Problem, read: Signals, truth: Array) -> list[tuple[int, int
     short = max(1, round(AVERAGE_S[0] * recording.rate_hz))
     averaged = reading(read, _averaged(truth, short)) if compared else signals
     other = _another_reading(recording) if compared else None
-    told = averaged if other is None else reading(read, _neighbours(other, short))
+    told = averaged if other is None else reading(read, _foretold(other))
     parts: list[tuple[int, int, Array]] = []
     i = 0
     for e in (e for e in problem.effects if e.imu_error is not None):
@@ -222,10 +226,11 @@ def _stilled(truth: Array, t: Array, quiet: BoolArray) -> Array:
     return out
 
 
-def errors_by_bias(problem: Problem, bg: Array, ba: Array) -> Array | None:
+def errors_by_bias(problem: Problem, bg: Array, ba: Array) -> tuple[Array, Array] | None:
     """How what the effects add at problem.ref depends on the biases, with which the readings were
-    corrected: (n, 6, 6) at the IMU's samples, by [gyro bias, accel bias]; None where it does not.
-    Not for effects that move the signal as a whole: a constant stays what it is.
+    corrected: (n, 6, 6) at the IMU's samples, by [gyro bias, accel bias]; and how it depends on
+    each sample alone, as on a bias that only this one has. None where it does not. Not for effects
+    that move the signal as a whole: a constant stays what it is.
 
     Beside a reference a bias may be known as a difference alone. An effect that is not linear
     then shows what it really is, and if that could not move, a scale error would stand in for it.
@@ -239,29 +244,71 @@ def errors_by_bias(problem: Problem, bg: Array, ba: Array) -> Array | None:
     truth = raw - problem.error
     truth = _averaged(truth, max(1, round(AVERAGE_S[0] * problem.recording.rate_hz)))
     whole, left = proportional_apart(acting, problem.ref)
-    curved = [(e, at) for e, at in left if e.imu_inverse is None]
-    columns, out = np.asfortranarray(truth), np.tile(-whole.T, (len(imu.t), 1, 1))
-    for k, size in enumerate(np.repeat([GYRO_BIAS_PRIOR, ACCEL_BIAS_PRIOR], 3)):
-        step = np.zeros(6)
-        step[k] = BIAS_STEP * size
-        up, down = (reading(read, columns + s) for s in (step, -step))
-        # (a larger bias means a smaller truth)
-        for channel, change in (c for e, at in curved for c in _changes(e, at, down, up)):
-            out[:, channel, k] += change / (2.0 * step[k])
-    return out
+    about = _About(read, np.asfortranarray(truth), problem.recording.rate_hz)
+    every = np.tile(-whole.T, (len(imu.t), 1, 1))
+    alone = every.copy()
+    for e, at in left:
+        if e.imu_inverse is None:
+            about.take_off(e, at, every, alone)
+    return every, alone
 
 
-def _changes(
-    effect: Effect, at: Array, before: Signals, after: Signals
-) -> Iterator[tuple[int, Array]]:
-    """Channels, and by how much (n,) an effect adds more to them before than after."""
-    if effect.features is not None:
-        for (channel, first, x), (_, _, y) in zip(
-            effect.features(before), effect.features(after), strict=True
-        ):
-            yield channel, (x - y) @ at[first : first + x.shape[1]]
-    elif effect.imu_error is not None:
-        yield from enumerate((effect.imu_error(at, before) - effect.imu_error(at, after)).T)
+@dataclass(frozen=True)
+class _About:
+    """Signals that effects act on, the truth (n, 6) about which they are, and samples a second."""
+
+    read: Signals
+    truth: Array
+    rate_hz: float
+
+    def take_off(self, effect: Effect, at: Array, every: Array, alone: Array) -> None:
+        """Take off what an effect with these parameters adds more where the truth is larger, of
+        (n, 6, 6) where all of it is and where one sample alone is. (A larger bias means a smaller
+        truth.)"""
+        here = self._added(effect, at, np.zeros(6))
+        for sensor in (slice(0, 3), slice(3, 6)):
+            step = np.zeros(6)
+            step[sensor] = BIAS_STEP * BIASES[sensor]
+            together = self._added(effect, at, step) - here
+            if not together.any():
+                continue
+            memory = _of_any_shape(effect) and self._has_memory(effect, at, step, here, together)
+            for k in range(6)[sensor]:
+                one = np.where(np.arange(6) == k, step, 0.0)
+                whole = self._added(effect, at, one) - here
+                own = self._by_itself(effect, at, one, here, whole) if memory else whole
+                every[:, :, k] -= whole / step[k]
+                alone[:, :, k] -= own / step[k]
+
+    def _by_itself(
+        self, effect: Effect, at: Array, step: Array, here: Array, whole: Array
+    ) -> Array:
+        """What a step does to a sample by itself, in the mean of ``AVERAGE_S``; whole (n, 6): what
+        it does where all make it. Where a half of the samples make it that have no rhythm, what
+        others do to one adds up to half of what all do."""
+        signs = _signs(len(here))[:, None]
+        half = self._added(effect, at, (signs > 0.0) * step) - here
+        width = max(1, round(AVERAGE_S[1] * self.rate_hz))
+        return _averaged(signs * (2.0 * half - whole), width)
+
+    def _has_memory(
+        self, effect: Effect, at: Array, step: Array, here: Array, whole: Array
+    ) -> bool:
+        """Whether what an effect adds to a sample depends on others."""
+        made = _signs(len(here))[:, None] > 0.0
+        half = self._added(effect, at, made * step) - here
+        return not np.allclose(half, made * whole, rtol=0.0, atol=SAME * np.abs(whole).max())
+
+    def _added(self, effect: Effect, at: Array, step: Array) -> Array:
+        assert effect.imu_error is not None
+        return effect.imu_error(at, reading(self.read, self.truth + step))
+
+
+def _signs(n: int) -> Array:
+    """The first n signs of Rudin and Shapiro, of which no two that are so far apart are alike more
+    often than not (Rudin, Proceedings of the American Mathematical Society 10 (1959))."""
+    k = np.arange(n, dtype=np.uint64)
+    return np.where(np.bitwise_count(k & (k >> np.uint64(1))) & 1, -1.0, 1.0)
 
 
 def _calmed(J: Array, rate: float, quiet: BoolArray) -> Array:
@@ -285,12 +332,13 @@ def _whiles(wanted: BoolArray) -> IntArray:
     return edges.reshape(-1, 2).astype(np.int64)
 
 
-def _neighbours(x: Array, width: int) -> Array:
-    """The same as ``_averaged``, at least of one sample before and one after, but without the
-    sample itself: what is compared with it has its noise, and a law that takes off that noise
-    (play, say: what is read less what follows it) promised thousands of nats."""
-    width = max(width, 3)
-    return (width * _averaged(x, width) - x) / (width - 1)
+def _foretold(x: Array) -> Array:
+    """What two samples on either side say of each of x (n, k), by a cubic through them: what is
+    compared with a sample has its noise, and a law that takes off that noise (play, say: what is
+    read less what follows it) promised thousands of nats."""
+    many = np.clip(np.arange(-2, len(x) + 2), 0, len(x) - 1)
+    y = x[many]
+    return (4.0 * (y[1:-3] + y[3:-1]) - y[:-4] - y[4:]) / 6.0
 
 
 def _averaged(J: Array, width: int) -> Array:

@@ -151,9 +151,9 @@ def observed(
         seen_by_constants(problem.slopes, nodes.first, H)
     seen_by_past(problem, nominal, r, H)
     by_bias = by_biases(problem, nominal)
-    seen_by_biases(problem, by_bias, H)
+    seen_by_biases(problem, None if by_bias is None else by_bias[0], H)
     if by_bias is not None:
-        measure = measured(problem, by_bias)
+        measure = measured(problem, by_bias[1])
         r, H = np.einsum("qij,qj->qi", measure, r), measure @ H
     for kind, observation in enumerate(problem.observations):
         if observation.isotropic:
@@ -255,7 +255,7 @@ def excited(linear: Linear, fresh: Problem) -> Excited:
         turn_errors(W, nominal.node, d)
     H = linear.H if problem.navigated else _rows(problem, nominal)[1]
     by_bias = by_biases(problem, nominal)
-    measure = None if by_bias is None else measured(problem, by_bias)
+    measure = None if by_bias is None else measured(problem, by_bias[1])
     H = H if measure is None else measure @ H
     by_reading = H[:, :, 9:BASE] if H[:, :, 9:BASE].any() else np.zeros((0, 0, 6))
     noise, force = unexciting(problem, nominal, d, C_nb)

@@ -61,35 +61,37 @@ def seen_by_past(problem: Problem, nominal: Trajectory, r: Array, H: Array) -> N
         H[mine[:, None], 0, BASE + np.array(at)] = columns
 
 
-def by_biases(problem: Problem, nominal: Trajectory) -> Array | None:
-    """What effects add with a bias (q, 6, 6), where readings are looked at themselves; None where
-    they are not, or nothing is added."""
+def by_biases(problem: Problem, nominal: Trajectory) -> tuple[Array, Array] | None:
+    """What effects add with a bias (q, 6, 6), where readings are looked at themselves, and with a
+    bias of this sample alone; None where they are not, or nothing is added."""
     nodes = problem.nodes
     by_bias = None if problem.navigated else errors_by_bias(problem, nominal.bg, nominal.ba)
     if by_bias is None:
         return None
     seen = np.searchsorted(nodes.first, np.arange(len(nodes.kind)), side="right") - 1
-    return by_bias[nearest(problem.recording.imu.t, nodes.t[seen])]
+    at = nearest(problem.recording.imu.t, nodes.t[seen])
+    return by_bias[0][at], by_bias[1][at]
 
 
-def measured(problem: Problem, by_bias: Array) -> Array:
+def measured(problem: Problem, by_sample: Array) -> Array:
     """What residuals (q, 6) are multiplied by (q, 6, 6), to be in the measure of what was read, not
-    of what is left of it when effects are taken off.
+    of what is left of it when effects are taken off; by_sample: as of ``by_biases``.
 
     Corrected for a scale error of 5 %, readings have 5 % less noise. If that counted, evidence
     would be for whatever makes readings smaller (0.05 nats for each of them), without another word
     of theirs. The reference's noise does not become smaller: residuals are as much larger as the
-    IMU's share of the noise has it.
+    IMU's share of the noise has it. Noise is new at each sample: what others do to it does not
+    count (a signal less the mean of what it was is smaller in its noise, and not in its mean).
     """
     nodes, imu = problem.nodes, problem.recording.imu
-    out = np.tile(np.eye(6), (len(by_bias), 1, 1))
+    out = np.tile(np.eye(6), (len(by_sample), 1, 1))
     for kind, observation in enumerate(problem.observations):
         if observation.ours is None:
             continue
         mine = np.flatnonzero(nodes.kind == kind)
         at = nearest(imu.t, nodes.t[np.searchsorted(nodes.first, mine, side="right") - 1])
         share = observation.ours(nodes.z[mine], np.hstack([imu.gyro[at], imu.accel[at]]))
-        out[mine] -= share[:, None] * by_bias[mine]
+        out[mine] -= share[:, None] * by_sample[mine]
     return out
 
 

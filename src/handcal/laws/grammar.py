@@ -224,15 +224,15 @@ _LIMITS = _widths(0.05, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8)
 ATOMS: Mapping[str, Atom] = {
     "line": Atom("{x}", 1, lambda x: x),
     "square": Atom("{x}^2", 2, lambda x: x * x),
-    "cube": Atom("{x}^3", 3, lambda x: x**3),
+    "cube": Atom("{x}^3", 3, lambda x: x * x * x),
     "size": Atom("abs({x})", 1, np.abs, sided=True),
     "signed square": Atom("{x} * abs({x})", 2, lambda x: x * np.abs(x), sided=True),
-    "size cubed": Atom("abs({x})^3", 3, lambda x: np.abs(x) ** 3, sided=True),
+    "size cubed": Atom("abs({x})^3", 3, lambda x: np.abs(x) * x * x, sided=True),
     "upper square": Atom("max({x}, 0)^2", 2, lambda x: np.maximum(x, 0.0) ** 2, sided=True),
     "lower square": Atom("max(-{x}, 0)^2", 2, lambda x: np.maximum(-x, 0.0) ** 2, sided=True),
     "growth": Atom("exp({x} / {0})", 0, lambda x, s: np.exp(x / s), _LEAKS),
     "decline": Atom("exp(-{x} / {0})", 0, lambda x, s: np.exp(-x / s), _LEAKS),
-    "fifth power": Atom("{x}^5", 5, lambda x: x**5),
+    "fifth power": Atom("{x}^5", 5, lambda x: (x * x) * (x * x) * x),
     "root": Atom("sqrt(abs({x}))", 0.5, lambda x: np.sqrt(np.abs(x))),
     "signed root": Atom(
         "sign({x}) * sqrt(abs({x}))", 0.5, lambda x: np.sign(x) * np.sqrt(np.abs(x)), sided=True
