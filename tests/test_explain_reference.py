@@ -304,5 +304,5 @@ def test_noise_is_counted_as_what_a_sample_does_to_itself(name: str, itself: flo
     if itself is None:
         np.testing.assert_allclose(alone, every, atol=1e-12)
         return
-    # (of some 30 s of signs, by chance: a fifth of k over the root of as many samples)
+    # (by chance: k over the root of as many signs)
     np.testing.assert_allclose(alone, k * itself * np.eye(3), atol=4.0 * k / math.sqrt(len(t)))

@@ -22,10 +22,8 @@ from handcal.types import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Array, BoolArray, I
 AVERAGE_S = (0.05, 2.0)
 # Turning rate, rad/s, below which a device counts as at rest there.
 QUIET_RATE = 0.05
-# Step of the difference by a bias, of its prior.
-BIAS_STEP = 0.1
-# Usual sizes of the gyro's and the accelerometer's biases.
-BIASES = np.repeat([GYRO_BIAS_PRIOR, ACCEL_BIAS_PRIOR], 3)
+# Steps of the differences by gyro and accelerometer biases: a tenth of their priors.
+STEPS = 0.1 * np.repeat([GYRO_BIAS_PRIOR, ACCEL_BIAS_PRIOR], 3)
 # Changes that differ by such a share of the largest are the same.
 SAME = 1e-6
 # The stream of a second IMU on the same body.
@@ -268,7 +266,7 @@ class _About:
         here = self._added(effect, at, np.zeros(6))
         for sensor in (slice(0, 3), slice(3, 6)):
             step = np.zeros(6)
-            step[sensor] = BIAS_STEP * BIASES[sensor]
+            step[sensor] = STEPS[sensor]
             together = self._added(effect, at, step) - here
             if not together.any():
                 continue
