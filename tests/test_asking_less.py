@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -11,10 +12,10 @@ import pytest
 from worlds import recording_of
 
 from handcal.effects import catalogue
-from handcal.estimate import scan
+from handcal.estimate import fit, scan
 from handcal.estimate.baseline import baseline
 from handcal.estimate.case import case_of
-from handcal.estimate.model import Model
+from handcal.estimate.model import Model, Rested
 from handcal.explain import pipeline
 from handcal.laws import best_law, chosen_again
 from handcal.laws.best_law import Term
@@ -454,3 +455,25 @@ def test_a_fit_with_a_term_is_not_repeated_without_it(
     where = SimpleNamespace(score=lambda _: 1e6)
     monkeypatch.setattr(in_place, "scanned_about", lambda *_: where)
     assert term.effect.id in in_place.with_term(base, term, 1.0, frozenset()).ids
+
+
+@pytest.mark.parametrize(("moved", "times"), [(0.5 * fit.STILL, 1), (2.0 * fit.STILL, 3)])
+def test_levels_that_stay_are_followed_once(
+    base: Model, moved: float, times: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where a fit cannot follow levels all the way it goes a part of it: but where they are what
+    they were it did the same ten rounds three times, and once more to rest."""
+    asked: list[float] = []
+
+    def followed(parts: Any, **_: Any) -> Any:
+        asked.append(next(iter(parts[0].levels.values())))
+        return SimpleNamespace(evidence=-50.0)
+
+    monkeypatch.setattr(fit, "relinearised_parts", followed)
+    (f,) = base.parts
+    new = replace(f, levels={k: v * math.exp(moved) for k, v in f.levels.items()})
+    now = Rested([f], True, 0.0, 0.2)
+    found = fit._with_levels(now, [], [new], base.effects, None, 0.2)
+    assert (found is None) is (times > 1)
+    begin = next(iter(f.levels.values()))
+    assert [math.log(x / begin) / moved for x in asked] == pytest.approx(fit.SHARES[:times])

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import zip_longest
 
 import numpy as np
@@ -37,6 +38,8 @@ OF_NOISE = 0.25
 ASTRAY = 20.0
 # Of the way to other noise levels, as far as the trajectory can follow.
 SHARES = (1.0, 0.3, 0.1)
+# Levels that move by less, in their logarithm, stay where they are: there is nothing to follow.
+STILL = 0.02
 # White noise of a sensor beyond what its readings show would be an alibi for whatever physics
 # is missing.
 EXCESS = 1.3
@@ -131,7 +134,7 @@ def fitted(
             break
         change = _change(now.parts, new)
         now = moved
-        if change < 0.02:
+        if change < STILL:
             break
     if now.rest > tolerance and not now.sank:
         now = relinearised_parts(
@@ -187,14 +190,18 @@ def _with_levels(
     about one trajectory, evidence may favour a noise so small that no other is as good. None where
     it cannot follow at all."""
     parts = now.parts
+    # (where the last step and these levels change less than that, there is nothing to follow)
+    near = now.evidence if now.settled and now.step < tolerance else math.nan
+    go = partial(relinearised_parts, effects=effects, known=known, wide=now.wide,
+                 tolerance=tolerance, reductions=have)  # fmt: skip
+    if _change(parts, new) < STILL:
+        # (whether it rests or goes to and fro, about these it does so with any share of their way)
+        return go(new, rested=near)
     # (of noise that is a part's alone the whole need not be the better)
     least = -math.inf if any(f.case.noise_until for f in parts) else now.evidence - ASTRAY
-    still = now.settled and now.step < tolerance
     for share in SHARES:
         towards = [_towards(o, n, share) for o, n in zip(parts, new, strict=True)]
-        # (where the last step and these levels change less than that, there is nothing to follow)
-        near = now.evidence if still and share == 1.0 else math.nan
-        tried = relinearised_parts(towards, effects, known, least, now.wide, tolerance, have, near)
+        tried = go(towards, least=least, rested=near if share == 1.0 else math.nan)
         if tried.evidence > least:
             return tried
     return None
