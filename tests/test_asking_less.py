@@ -472,8 +472,8 @@ def test_levels_that_stay_are_followed_once(
     monkeypatch.setattr(fit, "relinearised_parts", followed)
     (f,) = base.parts
     new = replace(f, levels={k: v * math.exp(moved) for k, v in f.levels.items()})
-    now = Rested([f], True, 0.0, 0.2)
-    found = fit._with_levels(now, [], [new], base.effects, None, 0.2)
+    now, still = Rested([f], True, 0.0, 0.2), fit._change([f], [new]) < fit.STILL
+    found = fit._with_levels(now, [], [new], still, base.effects, None, 0.2)
     assert (found is None) is (times > 1)
     begin = next(iter(f.levels.values()))
     assert [math.log(x / begin) / moved for x in asked] == pytest.approx(fit.SHARES[:times])

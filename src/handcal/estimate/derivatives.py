@@ -5,8 +5,9 @@ What excites an effect is the true motion, so noise is taken off or averaged out
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence, Set
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence, Set
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -97,7 +98,7 @@ def _parts(problem: Problem, read: Signals, truth: Array) -> list[tuple[int, int
     compared = problem.compared
     signals = reading(read, truth)
     # (what is known of the angular acceleration has none of the noise that is averaged)
-    short = max(1, round(AVERAGE_S[0] * recording.rate_hz))
+    short, _ = _widths(recording.rate_hz)
     averaged = reading(read, _averaged(truth, short)) if compared else signals
     other = _another_reading(recording) if compared else None
     told = averaged if other is None else reading(read, _foretold(other))
@@ -239,72 +240,60 @@ def errors_by_bias(problem: Problem, bg: Array, ba: Array) -> tuple[Array, Array
     acting = [e for e in problem.effects if e.imu_error is not None]
     raw = np.hstack([imu.gyro - bg, imu.accel - ba])
     read = of_recording(problem.recording, acting, read=raw, alpha=alpha)
-    truth = raw - problem.error
-    truth = _averaged(truth, max(1, round(AVERAGE_S[0] * problem.recording.rate_hz)))
+    short, long = _widths(problem.recording.rate_hz)
+    truth = np.asfortranarray(_averaged(raw - problem.error, short))
     whole, left = proportional_apart(acting, problem.ref)
-    about = _About(read, np.asfortranarray(truth), problem.recording.rate_hz)
     every = np.tile(-whole.T, (len(imu.t), 1, 1))
     alone = every.copy()
     for e, at in left:
         if e.imu_inverse is None:
-            about.take_off(e, at, every, alone)
+            added = partial(_added, e, at, read, truth)
+            _take_off(added, _of_any_shape(e), long, every, alone)
     return every, alone
 
 
-@dataclass(frozen=True)
-class _About:
-    """Signals that effects act on, the truth (n, 6) about which they are, and samples a second."""
+def _added(effect: Effect, at: Array, read: Signals, truth: Array, step: Array) -> Array:
+    """What an effect with these parameters adds (n, 6) to the truth (n, 6) moved by a step."""
+    assert effect.imu_error is not None
+    return effect.imu_error(at, reading(read, truth + step))
 
-    read: Signals
-    truth: Array
-    rate_hz: float
 
-    def take_off(self, effect: Effect, at: Array, every: Array, alone: Array) -> None:
-        """Take off what an effect with these parameters adds more where the truth is larger, of
-        (n, 6, 6) where all of it is and where one sample alone is. (A larger bias means a smaller
-        truth.)"""
-        here = self._added(effect, at, np.zeros(6))
-        for sensor in (slice(0, 3), slice(3, 6)):
-            step = np.zeros(6)
-            step[sensor] = STEPS[sensor]
-            together = self._added(effect, at, step) - here
-            if not together.any():
-                continue
-            memory = _of_any_shape(effect) and self._has_memory(effect, at, step, here, together)
-            for k in range(6)[sensor]:
-                one = np.where(np.arange(6) == k, step, 0.0)
-                whole = self._added(effect, at, one) - here
-                own = self._by_itself(effect, at, one, here, whole) if memory else whole
-                every[:, :, k] -= whole / step[k]
-                alone[:, :, k] -= own / step[k]
+def _take_off(
+    added: Callable[[Array], Array], memory: bool, width: int, every: Array, alone: Array
+) -> None:
+    """Take off what an effect adds more where the truth is larger, of (n, 6, 6) where all of it is
+    and where one sample alone is (a larger bias means a smaller truth). added: as ``_added``;
+    memory: whether what it adds to a sample may depend on others.
 
-    def _by_itself(
-        self, effect: Effect, at: Array, step: Array, here: Array, whole: Array
-    ) -> Array:
-        """What a step does to a sample by itself, in the mean of ``AVERAGE_S``; whole (n, 6): what
-        it does where all make it. Where a half of the samples make it that have no rhythm, what
-        others do to one adds up to half of what all do."""
-        signs = _signs(len(here))[:, None]
-        half = self._added(effect, at, (signs > 0.0) * step) - here
-        width = max(1, round(AVERAGE_S[1] * self.rate_hz))
-        return _averaged(signs * (2.0 * half - whole), width)
-
-    def _has_memory(
-        self, effect: Effect, at: Array, step: Array, here: Array, whole: Array
-    ) -> bool:
-        """Whether what an effect adds to a sample depends on others."""
-        made = _signs(len(here))[:, None] > 0.0
-        half = self._added(effect, at, made * step) - here
-        return not np.allclose(half, made * whole, rtol=0.0, atol=SAME * np.abs(whole).max())
-
-    def _added(self, effect: Effect, at: Array, step: Array) -> Array:
-        assert effect.imu_error is not None
-        return effect.imu_error(at, reading(self.read, self.truth + step))
+    If it does: where a half of the samples make a step that have no rhythm, what others do to one
+    adds up to half of what all do; what is left is its own, in the mean over ``width`` samples.
+    """
+    here = added(np.zeros(6))
+    signs = _signs(len(here))[:, None]
+    some = np.maximum(signs, 0.0)
+    for sensor in (slice(0, 3), slice(3, 6)):
+        step = np.zeros(6)
+        step[sensor] = STEPS[sensor]
+        all_ = added(step) - here
+        if not all_.any():
+            continue
+        least = SAME * np.abs(all_).max()
+        depends = memory and not np.allclose(
+            added(some * step) - here, some * all_, rtol=0.0, atol=least
+        )
+        for k in range(6)[sensor]:
+            one = np.where(np.arange(6) == k, step, 0.0)
+            whole = own = added(one) - here
+            if depends:
+                half = added(some * one) - here
+                own = _averaged(signs * (2.0 * half - whole), width)
+            every[:, :, k] -= whole / step[k]
+            alone[:, :, k] -= own / step[k]
 
 
 def _signs(n: int) -> Array:
-    """The first n signs of Rudin and Shapiro, of which no two that are so far apart are alike more
-    often than not (Rudin, Proceedings of the American Mathematical Society 10 (1959))."""
+    """The first n signs of Rudin and Shapiro: any two that are so far apart are alike as often as
+    not (Rudin, Proceedings of the American Mathematical Society 10 (1959))."""
     k = np.arange(n, dtype=np.uint64)
     return np.where(np.bitwise_count(k & (k >> np.uint64(1))) & 1, -1.0, 1.0)
 
@@ -316,12 +305,18 @@ def _calmed(J: Array, rate: float, quiet: BoolArray) -> Array:
     adds up to what it did before. A delay's derivative is noise that adds up to nothing; where the
     end of a rest weighed more, it told of velocities that nobody had.
     """
-    moving, resting = (max(1, round(s * rate)) for s in AVERAGE_S)
+    moving, resting = _widths(rate)
     out = np.empty_like(J)
     for width, whiles in ((moving, _whiles(~quiet)), (resting, _whiles(quiet))):
         for a, b in whiles:
             _mean_within(J, a, b, width, out)
     return out
+
+
+def _widths(rate: float) -> tuple[int, int]:
+    """``AVERAGE_S`` in samples, so many a second."""
+    moving, resting = (max(1, round(s * rate)) for s in AVERAGE_S)
+    return moving, resting
 
 
 def _whiles(wanted: BoolArray) -> IntArray:
@@ -334,8 +329,7 @@ def _foretold(x: Array) -> Array:
     """What two samples on either side say of each of x (n, k), by a cubic through them: what is
     compared with a sample has its noise, and a law that takes off that noise (play, say: what is
     read less what follows it) promised thousands of nats."""
-    many = np.clip(np.arange(-2, len(x) + 2), 0, len(x) - 1)
-    y = x[many]
+    y = np.pad(x, ((2, 2), (0, 0)), mode="edge")
     return (4.0 * (y[1:-3] + y[3:-1]) - y[:-4] - y[4:]) / 6.0
 
 

@@ -128,13 +128,13 @@ def fitted(
             break
         have = now.reductions or [reduced(f.about) for f in now.parts]
         new = [with_noise(*x, OF_NOISE * tolerance) for x in zip(now.parts, have, strict=True)]
-        moved = _with_levels(now, have, new, effects, known, tolerance)
+        still = _change(now.parts, new) < STILL
+        moved = _with_levels(now, have, new, still, effects, known, tolerance)
         del have
         if moved is None:
             break
-        change = _change(now.parts, new)
         now = moved
-        if change < STILL:
+        if still:
             break
     if now.rest > tolerance and not now.sank:
         now = relinearised_parts(
@@ -182,19 +182,20 @@ def _with_levels(
     now: Rested,
     have: list[Reduction],
     new: Sequence[Fitted],
+    still: bool,
     effects: Sequence[Effect],
     known: Known | None,
     tolerance: float,
 ) -> Rested | None:
     """The fit at these noise levels, or as far on the way to them as the trajectory can follow:
     about one trajectory, evidence may favour a noise so small that no other is as good. None where
-    it cannot follow at all."""
+    it cannot follow at all. still: whether they are where they were, to ``STILL``."""
     parts = now.parts
     # (where the last step and these levels change less than that, there is nothing to follow)
     near = now.evidence if now.settled and now.step < tolerance else math.nan
     go = partial(relinearised_parts, effects=effects, known=known, wide=now.wide,
                  tolerance=tolerance, reductions=have)  # fmt: skip
-    if _change(parts, new) < STILL:
+    if still:
         # (whether it rests or goes to and fro, about these it does so with any share of their way)
         return go(new, rested=near)
     # (of noise that is a part's alone the whole need not be the better)
