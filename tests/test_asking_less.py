@@ -33,6 +33,7 @@ from handcal.laws.over_drivers import (
 )
 from handcal.laws.vocabulary import driver_of
 from handcal.laws.weighing import Beside
+from handcal.model_score import GAINED, PRIOR, better, of_use
 from handcal.search import multistart
 from handcal.search.budget import Budget
 from handcal.search.climb import in_place, law_steps, sequence, state, subset_steps
@@ -356,7 +357,7 @@ def test_a_sum_is_asked_for_each_of_its_functions_again_when_its_numbers_are_rig
     monkeypatch.setattr(law_steps, "likelier", lambda *_: True)
     c = SimpleNamespace(
         unnamed=[Term(old, 1.0)], model=SimpleNamespace(ids=("before",)),
-        adjusted=set(), shaped=set(), whole=set(), budget=Budget(),
+        adjusted=set(), shaped=set(), whole=set(), budget=Budget(), worth=1.0,
     )  # fmt: skip
     found: Any = law_steps.adjust(c)  # type: ignore[arg-type]
     assert found.ids == ("after",)
@@ -368,9 +369,9 @@ def test_what_fits_at_no_other_moment_stays_where_it_is(there, dropped, monkeypa
     """A step moved to where no fit holds; an effect with which none does."""
     wanted = "gyro_bias_step@13" if "@" in there else "x"
     model = SimpleNamespace(chosen=frozenset([there]), log_evidence=0.0)
-    c: Any = SimpleNamespace(model=model, refused=set(), dropped=set(), beyond=set())
+    c: Any = SimpleNamespace(model=model, refused=set(), dropped=set(), beyond=set(), worth=1.0)
     c.where = SimpleNamespace(score=len)
-    lost = SimpleNamespace(log_evidence=-2.0 * subset_steps.LOST)
+    lost = SimpleNamespace(log_evidence=-2.0 * subset_steps.GAINED)
     monkeypatch.setattr(subset_steps, "fitted_with", lambda *_: lost)
     monkeypatch.setattr(subset_steps, "likelier", lambda *_: False)
     monkeypatch.setattr(subset_steps, "too_large", lambda _: set())
@@ -455,6 +456,31 @@ def test_a_fit_with_a_term_is_not_repeated_without_it(
     where = SimpleNamespace(score=lambda _: 1e6)
     monkeypatch.setattr(in_place, "scanned_about", lambda *_: where)
     assert term.effect.id in in_place.with_term(base, term, 1.0, frozenset()).ids
+
+
+@pytest.mark.parametrize(("above", "anew"), [(-10.0, 1), (10.0, 0)])
+def test_noise_levels_are_not_found_for_a_fit_that_rests_below_what_is_of_use(
+    above: float, anew: int, base: Model, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wanted = [*base.effects, catalogue()["gyro_scale"]]
+    rested = fit.fitted(base.parts, wanted, noise_rounds=0).log_evidence
+    counted: list[int] = []
+    with_noise = fit.with_noise
+    monkeypatch.setattr(fit, "with_noise", lambda *a: counted.append(1) or with_noise(*a))
+    tried = fit.fitted(base.parts, wanted, of_use=rested + above)
+    assert len(counted) == anew
+    assert tried.log_evidence > rested - 1.0
+
+
+@pytest.mark.parametrize("worth", [1.0, 0.2])
+def test_a_fit_is_of_use_from_where_noise_levels_may_still_make_it_the_better(
+    worth: float, base: Model
+) -> None:
+    """An effect has to gain its odds, in evidence that counts for less."""
+    least = of_use(base, [*base.effects, catalogue()["gyro_scale"]], worth)
+    assert least == pytest.approx(base.log_evidence - PRIOR / worth - GAINED, abs=1e-6)
+    alike = replace(base, effects=(*base.effects, catalogue()["gyro_scale"]), log_evidence=least)
+    assert better(base, alike, worth) == pytest.approx(worth * GAINED, abs=1e-6)
 
 
 @pytest.mark.parametrize(("moved", "times"), [(0.5 * fit.STILL, 1), (2.0 * fit.STILL, 3)])

@@ -539,7 +539,8 @@ def test_a_law_comes_with_the_name_that_it_needs() -> None:
     noise = next(e for e in all_noise() if e.id == "gyro_xyz += e(t) * |omega|")
     assert whole.log_evidence > fitted(base.parts, [*base.effects, noise]).log_evidence
     # (a name is not fitted where all that it promises is of no use)
-    alone = with_term(base, term, 1.0, frozenset(), whole.log_evidence + 1e4)
+    far = replace(whole, log_evidence=whole.log_evidence + 1e4)
+    alone = with_term(base, term, 1.0, frozenset(), far)
     assert set(alone.ids) - set(base.ids) == {"gyro_y += k * omega_y * t"}
 
 

@@ -25,6 +25,9 @@ WITH_MOTION = 30
 MOMENTS = 16
 # A name is clear when it has that share of the set that could stand in its place.
 NAMED = 0.9
+# Nats of evidence that a fit may gain after it came to rest, or sank twice, at the noise levels of
+# the model it is compared with: of 540 fits that were then 30 or more below it none ended above.
+GAINED = 50.0
 # Nothing is surer than that.
 CERTAIN = 0.999999
 
@@ -67,6 +70,13 @@ def _moments(effect: Effect, cases: Sequence[Case]) -> int:
 def log_prior(effects: Iterable[Effect], cases: Sequence[Case]) -> float:
     """Log prior odds of a set of effects."""
     return sum(prior(e, cases) for e in effects)
+
+
+def of_use(model: Model, effects: Iterable[Effect], worth: float) -> float:
+    """Log-evidence below which a fit of these effects from this model's on, at its noise levels,
+    comes to no better score than it has."""
+    odds = log_prior(effects, [f.case for f in model.parts])
+    return (score(model, worth) - odds) / worth - GAINED
 
 
 def score(model: Model, worth: float) -> float:

@@ -110,7 +110,8 @@ def fitted(
     of_use: float = -math.inf,
 ) -> Model:
     """Fit these effects to all recordings, beginning from other fits' trajectories and noise,
-    until the evidence rests within ``tolerance`` nats, or sinks below what would be ``of_use``.
+    until the evidence rests within ``tolerance`` nats, or sinks below what would be ``of_use``, or
+    rests there at the noise levels that it began with.
     (Those that are made as they are asked for are gone when the first round has left them.)"""
     rest = tolerance if noise_rounds == 0 else ROUGH
     parts = [begun(f, effects) for f in begin]
@@ -124,7 +125,8 @@ def fitted(
         return diverged(now.parts, effects)
     for left in range(-1 if now.sank else noise_rounds, -1, -1):
         now = _widened(now, effects, known)
-        if not left:
+        now = replace(now, sank=now.evidence < of_use)
+        if not left or now.sank:
             break
         have = now.reductions or [reduced(f.about) for f in now.parts]
         new = [with_noise(*x, OF_NOISE * tolerance) for x in zip(now.parts, have, strict=True)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 
 from handcal.effects import Effect
@@ -10,7 +11,7 @@ from handcal.estimate.forked import in_parallel
 from handcal.estimate.model import Model
 from handcal.laws.best_law import Survey, Term, best_terms, is_composed
 from handcal.laws.law_effect import SENSORS, channel_of, law_of
-from handcal.model_score import better, score
+from handcal.model_score import better, of_use, score
 
 # Of what a law gains, the share that terms of second order leave open: a formula that costs more
 # than the one there is has to gain more than that.
@@ -35,7 +36,7 @@ def reshaped(where: Survey, worth: float, unnamed: list[Term], shaped: set[str])
         effects = new.effect, *new.others, *(t.effect for t in found if not is_composed(t.effect))
         tried = shaped | set(model.ids)
         options = list({e.id: e for e in effects if e.id not in tried}.values())
-        calls = (partial(with_other, model, old, e) for e in options)
+        calls = (partial(with_other, model, old, e, worth) for e in options)
         pairs = zip(in_parallel(calls), options, strict=True)
         held = [
             (m, e)
@@ -57,9 +58,12 @@ def _cost(effect: Effect) -> float:
     return 0.0 if law is None or law.form.smooth else law.cost
 
 
-def with_other(model: Model, old: Effect, new: Effect) -> Model:
-    """The model fitted with one effect in the place of another."""
-    return fitted(model.parts, [new if e is old else e for e in model.effects])
+def with_other(model: Model, old: Effect, new: Effect, worth: float | None = None) -> Model:
+    """The model fitted with one effect in the place of another; worth: of evidence, where a fit
+    that becomes no better than the model is of no use."""
+    wanted = [new if e is old else e for e in model.effects]
+    least = -math.inf if worth is None else of_use(model, wanted, worth)
+    return fitted(model.parts, wanted, of_use=least)
 
 
 def _kind(effect: Effect) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from handcal.estimate.fit import fitted
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.scan import scan
 from handcal.laws.best_law import Term
-from handcal.model_score import MOMENTS, prior
+from handcal.model_score import MOMENTS, of_use, prior
 from handcal.search.climb.state import Climb
 from handcal.search.jumps import sudden
 from handcal.search.space import Space, space
@@ -92,7 +92,12 @@ def scanned_about(model: Model, terms: Sequence[Term], refused: Set[str]) -> Spa
     return space(scan(model, options), options, odds)
 
 
-def fitted_with(model: Model, where: Space, chosen: Set[str]) -> Model:
-    """A set of what is on trial in the place of the model's own, beside its noise, from its fit."""
+def fitted_with(
+    model: Model, where: Space, chosen: Set[str], than: Model | None = None, worth: float = 1.0
+) -> Model:
+    """A set of what is on trial in the place of the model's own, beside its noise, from its fit;
+    than: a model that it should be likelier than, at this worth of evidence."""
     noise = [e for e in model.effects if e.process is not None]
-    return fitted(model.parts, [*(where.effects[i] for i in sorted(chosen)), *noise])
+    wanted = [*(where.effects[i] for i in sorted(chosen)), *noise]
+    least = -math.inf if than is None else of_use(than, wanted, worth)
+    return fitted(model.parts, wanted, of_use=least)

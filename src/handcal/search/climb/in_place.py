@@ -14,7 +14,7 @@ from handcal.estimate.model import Model
 from handcal.estimate.transfer import fit_of, moved_to
 from handcal.laws.best_law import ENOUGH, Survey, Term, best_terms, survey
 from handcal.laws.law_effect import SENSORS
-from handcal.model_score import better, log_prior, score
+from handcal.model_score import better, of_use, score
 from handcal.search.climb.candidates import fitted_with, scanned_about
 from handcal.search.climb.state import (
     HOPELESS,
@@ -123,8 +123,7 @@ def _ends(c: Climb, doubted: Mapping[str, list[frozenset[str]]]) -> list[tuple[M
 
 def fits_of(c: Climb, ways: Mapping[Way, tuple[Model, Term]]) -> list[tuple[Model, Term]]:
     """Models, each fitted with its term, and that; those for which there is time."""
-    least = score(c.model, c.worth) - HOPELESS
-    calls = (partial(with_term, m, t, c.worth, c.beyond, least) for m, t in ways.values())
+    calls = (partial(with_term, m, t, c.worth, c.beyond, c.model) for m, t in ways.values())
     return [(m, term) for m, (_, term) in in_time(c, calls, ways.values())]
 
 
@@ -201,14 +200,14 @@ def without(model: Model, ids: Set[str]) -> Model:
 
 
 def with_term(
-    model: Model, term: Term, worth: float, refused: Set[str], least: float = -math.inf
+    model: Model, term: Term, worth: float, refused: Set[str], than: Model | None = None
 ) -> Model:
     """The model with a term, and with what a scan about that would have besides: of what noise
-    held, part may have a name (a gain that drifts is a scale error too). refused: names; least:
-    score below which that is of no use."""
+    held, part may have a name (a gain that drifts is a scale error too). refused: names; than: a
+    model that it should be likelier than."""
     wanted = (*model.effects, term.effect)
-    odds = log_prior(wanted, [f.case for f in model.parts])
-    alone = fitted(model.parts, wanted, of_use=(least - odds) / worth)
+    least = -math.inf if than is None else of_use(than, wanted, worth)
+    alone = fitted(model.parts, wanted, of_use=least)
     if not (sensible(alone) and math.isfinite(alone.log_evidence)):
         return alone
     where = scanned_about(alone.bare, [term], refused)
@@ -216,7 +215,8 @@ def with_term(
     promised = where.score(chosen) - where.score(alone.chosen)
     # (without the term it is a fit that other steps ask for)
     same = chosen == alone.chosen or term.effect.id not in chosen
-    if same or score(alone, worth) + promised < least:
+    far = than is not None and better(alone, than, worth) + promised < -HOPELESS
+    if same or far:
         return alone
-    more = fitted_with(alone, where, chosen)
+    more = fitted_with(alone, where, chosen, than, worth)
     return more if sensible(more) and better(more, alone, worth) > 0.0 else alone

@@ -11,7 +11,7 @@ from handcal.estimate.case import name_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.robust import inflation
-from handcal.model_score import PRIOR, better
+from handcal.model_score import GAINED, PRIOR, better
 from handcal.search.climb.candidates import REFUSED, candidates, fitted_with, scanned_about
 from handcal.search.climb.state import (
     FEW,
@@ -28,8 +28,6 @@ from handcal.search.space import Space, best_set, gains
 
 # An effect whose gain is less than this is fitted without, to be sure.
 CLOSE = 20.0
-# Nats below which a model that a scan promised to be better has come to nothing.
-LOST = 100.0
 
 
 def choose(c: Climb) -> Model | None:
@@ -101,7 +99,7 @@ def _grown(c: Climb, chosen: frozenset[str]) -> Model | None:
     for wanted in (chosen, *_singles(c.where, now, chosen)):
         if wanted in c.refused:
             continue
-        tried = fitted_with(c.model, c.where, wanted)
+        tried = fitted_with(c.model, c.where, wanted, c.model, c.worth)
         if likelier(c, tried):
             return tried
         c.refused.add(wanted)
@@ -109,7 +107,7 @@ def _grown(c: Climb, chosen: frozenset[str]) -> Model | None:
         if large := too_large(tried) - there:
             c.beyond |= large
             return None
-        if len(wanted - now) == 1 and tried.log_evidence < c.model.log_evidence - LOST:
+        if len(wanted - now) == 1 and tried.log_evidence < c.model.log_evidence - GAINED:
             # (what is there at another moment is not dropped)
             c.dropped |= {name_of(i) for i in wanted - now} - there
     return None
