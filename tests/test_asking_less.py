@@ -458,6 +458,23 @@ def test_a_fit_with_a_term_is_not_repeated_without_it(
     assert term.effect.id in in_place.with_term(base, term, 1.0, frozenset()).ids
 
 
+@pytest.mark.parametrize(("promised", "asked"), [(0.0, False), (1e9, True)])
+def test_no_name_is_fitted_beside_a_law_where_all_that_it_promises_is_of_no_use(
+    promised: float, asked: bool, base: Model, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    law = Law(0, (0, 1, 2), False, driver_of("|f|"), formula([("line", ())]), (1e-3,))
+    term = Term(effect_of(law), 10.0)
+    chosen = frozenset({"gyro_scale", term.effect.id})
+    monkeypatch.setattr(in_place, "best_set", lambda *_: chosen)
+    where = SimpleNamespace(score=lambda ids: promised if ids is chosen else 0.0)
+    monkeypatch.setattr(in_place, "scanned_about", lambda *_: where)
+    fits: list[int] = []
+    monkeypatch.setattr(in_place, "fitted_with", lambda m, *_: fits.append(1) or m)
+    better_one = replace(base, log_evidence=base.log_evidence + 1e4)
+    in_place.with_term(base, term, 1.0, frozenset(), better_one)
+    assert bool(fits) is asked
+
+
 @pytest.mark.parametrize(("above", "anew"), [(-10.0, 1), (10.0, 0)])
 def test_noise_levels_are_not_found_for_a_fit_that_rests_below_what_is_of_use(
     above: float, anew: int, base: Model, monkeypatch: pytest.MonkeyPatch
