@@ -270,6 +270,25 @@ def test_help_needs_neither_numpy_nor_rich_to_start():
     assert done.stdout == "set()\n"
 
 
+def test_what_a_command_imports_for_nothing_is_loaded_where_it_is_used():
+    """The folder of numpy.f2py holds crackfortran, which takes a tenth of a second to import."""
+    code = """
+import sys
+from handcal.commands._app import main
+sys.argv = ["handcal", "calibrate", "not there.mcap"]
+try:
+    main()
+except SystemExit:
+    pass
+import handcal.estimate.calibration, handcal.explain
+print("numpy.f2py.crackfortran" in sys.modules, "scipy.spatial.transform._rotation" in sys.modules)
+from scipy.spatial.transform import Rotation
+print(Rotation.identity().magnitude(), "scipy.spatial.transform._rotation" in sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "False False\n0.0 True\n"
+
+
 @pytest.mark.parametrize("encoding", ["ascii", "cp1252", "cp437"])
 def test_a_terminal_that_lacks_a_sign_gets_another(encoding):
     text = "x = −1.5 ± 0.2 deg/√h at 20\u00a0°C; ☃"

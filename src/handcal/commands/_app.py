@@ -13,6 +13,7 @@ from typing import Annotated
 
 import typer
 
+from handcal.commands._later import put_off
 from handcal.commands._registry import Commands, run
 from handcal.compiled import memory
 
@@ -61,6 +62,7 @@ def main() -> None:
     # (of a cache that it could not keep, a font that is not there: nothing that anybody asked)
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
     memory.kept()
+    put_off()
     run(app)
 
 
