@@ -538,6 +538,10 @@ def test_a_law_comes_with_the_name_that_it_needs() -> None:
     assert set(whole.ids) - set(base.ids) == {"gyro_scale", "gyro_y += k * omega_y * t"}
     noise = next(e for e in all_noise() if e.id == "gyro_xyz += e(t) * |omega|")
     assert whole.log_evidence > fitted(base.parts, [*base.effects, noise]).log_evidence
+    # (a name is not fitted where all that it promises is of no use)
+    far = replace(whole, log_evidence=whole.log_evidence + 1e4)
+    alone = with_term(base, term, 1.0, frozenset(), far)
+    assert set(alone.ids) - set(base.ids) == {"gyro_y += k * omega_y * t"}
 
 
 def test_a_law_keeps_to_the_axes_on_which_it_is() -> None:

@@ -73,11 +73,13 @@ def log_prior(effects: Iterable[Effect], cases: Sequence[Case]) -> float:
     return sum(prior(e, cases) for e in effects)
 
 
-def of_use(model: Model, effects: Iterable[Effect], worth: float) -> float:
-    """Log-evidence below which a fit of these effects from this model's on, at its noise levels,
-    comes to no better score than it has."""
-    odds = log_prior(effects, [f.case for f in model.parts])
-    return (score(model, worth) - odds) / worth - GAINED
+def of_use(than: Model | None, effects: Iterable[Effect], worth: float) -> float:
+    """Log-evidence below which a fit of these effects, at a model's noise levels, comes to no
+    better score than that has; than: the model (None: any fit is of use)."""
+    if than is None:
+        return -math.inf
+    odds = log_prior(effects, [f.case for f in than.parts])
+    return (score(than, worth) - odds) / worth - GAINED
 
 
 def score(model: Model, worth: float) -> float:

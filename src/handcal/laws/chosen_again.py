@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from functools import partial
 
 from handcal.effects import Effect
@@ -36,7 +35,7 @@ def reshaped(where: Survey, worth: float, unnamed: list[Term], shaped: set[str])
         effects = new.effect, *new.others, *(t.effect for t in found if not is_composed(t.effect))
         tried = shaped | set(model.ids)
         options = list({e.id: e for e in effects if e.id not in tried}.values())
-        calls = (partial(with_other, model, old, e, worth) for e in options)
+        calls = (partial(with_other, model, old, e, model, worth) for e in options)
         pairs = zip(in_parallel(calls), options, strict=True)
         held = [
             (m, e)
@@ -58,12 +57,13 @@ def _cost(effect: Effect) -> float:
     return 0.0 if law is None or law.form.smooth else law.cost
 
 
-def with_other(model: Model, old: Effect, new: Effect, worth: float | None = None) -> Model:
-    """The model fitted with one effect in the place of another; worth: of evidence, where a fit
-    that becomes no better than the model is of no use."""
+def with_other(
+    model: Model, old: Effect, new: Effect, than: Model | None = None, worth: float = 1.0
+) -> Model:
+    """The model fitted with one effect in the place of another; than: a model that it should be
+    likelier than, at this worth of evidence."""
     wanted = [new if e is old else e for e in model.effects]
-    least = -math.inf if worth is None else of_use(model, wanted, worth)
-    return fitted(model.parts, wanted, of_use=least)
+    return fitted(model.parts, wanted, of_use=of_use(than, wanted, worth))
 
 
 def _kind(effect: Effect) -> tuple[str, ...]:

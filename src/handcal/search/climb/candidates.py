@@ -99,5 +99,4 @@ def fitted_with(
     than: a model that it should be likelier than, at this worth of evidence."""
     noise = [e for e in model.effects if e.process is not None]
     wanted = [*(where.effects[i] for i in sorted(chosen)), *noise]
-    least = -math.inf if than is None else of_use(than, wanted, worth)
-    return fitted(model.parts, wanted, of_use=least)
+    return fitted(model.parts, wanted, of_use=of_use(than, wanted, worth))

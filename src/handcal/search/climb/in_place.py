@@ -206,8 +206,7 @@ def with_term(
     held, part may have a name (a gain that drifts is a scale error too). refused: names; than: a
     model that it should be likelier than."""
     wanted = (*model.effects, term.effect)
-    least = -math.inf if than is None else of_use(than, wanted, worth)
-    alone = fitted(model.parts, wanted, of_use=least)
+    alone = fitted(model.parts, wanted, of_use=of_use(than, wanted, worth))
     if not (sensible(alone) and math.isfinite(alone.log_evidence)):
         return alone
     where = scanned_about(alone.bare, [term], refused)

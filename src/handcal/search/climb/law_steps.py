@@ -158,7 +158,7 @@ def adjust(c: Climb) -> Model | None:
             new = adjusted(model, effect) or course_numbers.adjusted(model, effect)
             if new is None or new.id in model.ids:
                 break
-            tried = with_other(model, effect, new, c.worth)
+            tried = with_other(model, effect, new, model, c.worth)
             if not likelier(c, tried, model):
                 break
             model, effect = tried, new
@@ -219,7 +219,7 @@ def narrow(c: Climb) -> Model | None:
             continue
         c.whole.add(old.id)
         new = [effect_of(law) for law in _narrower(c, old) if not named(law)]
-        calls = (partial(with_other, c.model, old, e, c.worth) for e in new)
+        calls = (partial(with_other, c.model, old, e, c.model, c.worth) for e in new)
         ends = [(m, e) for m, e in in_time(c, calls, new) if likelier(c, m)]
         if ends:
             best, effect = max(ends, key=lambda end: score(end[0], c.worth))
