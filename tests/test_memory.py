@@ -8,6 +8,8 @@ import sys
 
 import pytest
 
+from handcal.estimate.parallel import two_cores
+
 # Pages that the system hands out while arrays of 1 MB are made and freed, after the first few.
 FAULTS = """
 import resource
@@ -36,3 +38,36 @@ def _faults(how: str) -> int:
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="asks glibc alone")
 def test_the_next_array_gets_the_memory_of_the_last() -> None:
     assert _faults("kept") < 0.05 * _faults("given back")
+
+
+# Megabytes that a copy of the process begins with, beyond those before the arrays were made.
+COPIED = """
+import os
+from functools import partial
+
+import numpy as np
+
+from handcal.compiled import memory
+from handcal.estimate.forked import in_parallel
+
+
+def resident(k):
+    with open("/proc/self/statm") as told:
+        return os.getpid(), int(told.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+memory.kept()
+before = resident(0)[1]
+x = [np.ones(125_000) for _ in range(200)]
+del x
+calls = [partial(resident, k) for k in range(4)]
+print(max(mb for who, mb in in_parallel(calls) if who != os.getpid()) - before)
+"""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="asks glibc alone")
+@pytest.mark.skipif(not two_cores(), reason="copies are made for a second core")
+def test_a_copy_does_not_share_what_was_freed() -> None:
+    command = [sys.executable, "-c", COPIED]
+    told = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert float(told) < 50.0

@@ -26,14 +26,22 @@ def kept() -> None:
         tell(_HEAPS, 1)
 
 
+def emptied() -> None:
+    """Give back what was freed, once: before a copy of the process is made. What both have, whoever
+    writes to it first copies page by page, which takes longer than to be given it anew. Only glibc
+    is asked."""
+    trim = _glibc("malloc_trim")
+    if trim is not None:
+        trim(0)
+
+
 def returned() -> None:
     """Give back what was freed and is kept, and from now on what is large at once: where little is
     made and freed beside what stays, and that is much. Only glibc is asked."""
-    tell, trim = _glibc("mallopt"), _glibc("malloc_trim")
+    tell = _glibc("mallopt")
     if tell is not None:
         tell(_MAPS, _USUAL)
-    if trim is not None:
-        trim(0)
+    emptied()
 
 
 def _glibc(name: str) -> Any:

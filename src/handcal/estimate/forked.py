@@ -30,6 +30,7 @@ from typing import Any, Generic, NoReturn, TypeVar, cast
 
 import numpy as np
 
+from handcal.compiled import memory
 from handcal.effects import Effect, catalogue
 from handcal.estimate.assemble import addresses
 from handcal.estimate.linear import About
@@ -198,6 +199,7 @@ def _copied() -> int:
     with warnings.catch_warnings():
         # (that other threads are not copied; none of them has to do with fits)
         warnings.simplefilter("ignore", DeprecationWarning)
+        memory.emptied()
         return os.fork()
 
 

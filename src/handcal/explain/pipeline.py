@@ -11,6 +11,7 @@ from functools import partial
 from handcal.estimate.baseline import baseline, started
 from handcal.estimate.case import Case, case_of
 from handcal.estimate.fit import fitted
+from handcal.estimate.forked import in_parallel
 from handcal.estimate.model import Model
 from handcal.estimate.observed import check_apart, check_options
 from handcal.estimate.rest_only import resting, travels
@@ -186,16 +187,22 @@ def _refitted(end: End, found: Found, options: Options) -> tuple[Found, Specific
         parts = zip(searched.parts, chosen.views, strict=True)
         base = baseline([seen(f.case.read or f.case.recording, v, options) for f, v in parts])
     exact = chosen_of(searched, options, moments(found), exact=True)
+    ways = replace(chosen, begin=BASELINE), replace(chosen, begin=ONLINE), exact
     ends = []
     # (each start takes as long as the first, and is seldom the better one)
-    for written in (replace(chosen, begin=BASELINE), replace(chosen, begin=ONLINE), exact):
-        ends.append((settled(base, written).bare, written))
-        if _as_good(ends[-1][0], searched):
+    fits = in_parallel(partial(_settled, base, written) for written in ways)
+    for model, written in zip(fits, ways, strict=False):
+        ends.append((model, written))
+        if _as_good(model, searched):
             break
     model, chosen = max(ends, key=lambda end: (sensible(end[0]), end[0].log_evidence))
     if model.log_evidence < searched.log_evidence - LOST:
         return found, None
     return _with(found, model), chosen
+
+
+def _settled(base: Model, written: Specification) -> Model:
+    return settled(base, written).bare
 
 
 def _as_good(model: Model, searched: Model) -> bool:
