@@ -14,7 +14,7 @@ from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.laws.best_law import Term
 from handcal.laws.chosen_again import with_other
-from handcal.model_score import NAMED, PRIOR, better
+from handcal.model_score import NAMED, PRIOR, better, of_use
 from handcal.search.climb.candidates import fitted_with, scanned_about
 from handcal.search.climb.state import (
     HOPELESS,
@@ -49,7 +49,8 @@ def exchange(c: Climb) -> Model | None:
     pairs = _rivalries(c, gained)
 
     def exchanged(e: Effect, rival: str) -> Model:
-        return fitted(model.parts, [*(x for x in model.effects if x is not e), catalogue()[rival]])
+        wanted = [*(x for x in model.effects if x is not e), catalogue()[rival]]
+        return fitted(model.parts, wanted, of_use=of_use(model, wanted, c.worth))
 
     calls = (partial(exchanged, *pair) for pair in pairs)
     for tried, (e, rival) in in_time(c, calls, pairs):
@@ -133,7 +134,7 @@ def reorder(c: Climb) -> Model | None:
         beside = [x for x in model.effects if x.imu_error is not None and x.id != e.id]
         if e.imu_inverse is not None and beside and (e.id, now) not in c.ordered:
             ways.append((e, replace(e, last=not e.last)))
-    calls = (partial(with_other, model, *pair) for pair in ways)
+    calls = (partial(with_other, model, *pair, model, c.worth) for pair in ways)
     for tried, (e, _) in in_time(c, calls, ways):
         c.ordered.add((e.id, now))
         if tried.log_evidence > model.log_evidence:
@@ -159,7 +160,7 @@ def hidden(c: Climb) -> Model | None:
         if held and e in wanted:
             ways.append(wanted)
     refused = c.dropped | c.beyond
-    calls = (partial(_beside_delays, model, w, c.unnamed, refused) for w in ways)
+    calls = (partial(_beside_delays, model, w, c.unnamed, refused, c.worth) for w in ways)
     for tried, (e, *_) in in_time(c, calls, ways):
         c.ordered.add((e.id, now))
         if tried is not None and tried.one_sided and likelier(c, tried):
@@ -172,10 +173,14 @@ def hidden(c: Climb) -> Model | None:
 
 
 def _beside_delays(
-    model: Model, wanted: Sequence[Effect], unnamed: Sequence[Term], refused: Set[str]
+    model: Model,
+    wanted: Sequence[Effect],
+    unnamed: Sequence[Term],
+    refused: Set[str],
+    worth: float,
 ) -> Model | None:
     """The model with a filter and such delays as it cannot do without, about a fit with all of
-    them; None if that is the model."""
+    them; None if that is the model. worth: what evidence counts for."""
     tried = fitted(model.parts, [*model.effects, *wanted])
     where = scanned_about(tried.bare, unnamed, refused)
     fewer = best_set(where, tried.chosen)
@@ -183,7 +188,7 @@ def _beside_delays(
         return None
     if fewer == tried.chosen:
         return tried
-    return fitted_with(tried, where, fewer)
+    return fitted_with(tried, where, fewer, model, worth)
 
 
 def _smooths(effect: Effect) -> bool:

@@ -8,7 +8,15 @@ from handcal.estimate.model import Model
 from handcal.model_score import MOMENTS, PRIOR, better, score
 from handcal.search.climb.candidates import fitted_with, scanned_about
 from handcal.search.climb.in_place import without
-from handcal.search.climb.state import FEW, Climb, forget, likelier
+from handcal.search.climb.state import (
+    FEW,
+    HOPELESS,
+    Climb,
+    fell_short,
+    forget,
+    in_vain,
+    likelier,
+)
 from handcal.search.noise_scan import all_noise, looks_of, of_looks, on_fewer_axes
 from handcal.search.space import best_set
 
@@ -49,8 +57,20 @@ def name_noise(c: Climb) -> Model | None:
         return None
     c.unmasked.add(key)
     noise = [e for e in c.model.effects if e.process is not None and e.id not in c.kept]
-    tried = (_at_a_moment(c, without(c.model, {e.id})) for e in c.budget.each(noise))
-    ends = [m for m in tried if m is not None and likelier(c, m)]
+    ends = []
+    for e in c.budget.each(noise):
+        what = name_noise.__name__, e.id
+        if in_vain(c, what):
+            continue
+        tried = _at_a_moment(c, without(c.model, {e.id}))
+        if tried is not None and likelier(c, tried):
+            ends.append(tried)
+        else:
+            # (where no moment is asked for, all that the noise holds is missing)
+            short = (
+                c.noise.get(e.id, HOPELESS) if tried is None else better(c.model, tried, c.worth)
+            )
+            fell_short(c, what, short)
     if not ends:
         return None
     best = max(ends, key=lambda m: score(m, c.worth))
