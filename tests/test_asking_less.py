@@ -36,7 +36,16 @@ from handcal.laws.weighing import Beside
 from handcal.model_score import GAINED, PRIOR, better, of_use
 from handcal.search import multistart
 from handcal.search.budget import Budget
-from handcal.search.climb import in_place, law_steps, sequence, state, subset_steps
+from handcal.search.climb import (
+    candidates,
+    exchange_steps,
+    in_place,
+    law_steps,
+    noise_steps,
+    sequence,
+    state,
+    subset_steps,
+)
 from handcal.signals import probe
 from handcal_sim import simulate
 
@@ -473,6 +482,71 @@ def test_no_name_is_fitted_beside_a_law_where_all_that_it_promises_is_of_no_use(
     better_one = replace(base, log_evidence=base.log_evidence + 1e4)
     in_place.with_term(base, term, 1.0, frozenset(), better_one)
     assert bool(fits) is asked
+
+
+@pytest.mark.parametrize(("short", "since", "asked"), [
+    (40.0, 15.0, 1), (40.0, 25.0, 2), (None, 70.0, 1), (None, 80.0, 2),
+])  # fmt: skip
+def test_a_moment_in_the_place_of_noise_is_sought_again_where_the_score_has_changed(
+    short: float | None, since: float, asked: int, base: Model, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By half of what a fit fell short by; where none was asked for, of what the noise holds."""
+    sought: list[float] = []
+
+    def found(_: object, model: Model) -> Model | None:
+        sought.append(model.log_evidence)
+        return None if short is None else replace(c.model, log_evidence=sought[-1] - short / 0.5)
+
+    monkeypatch.setattr(noise_steps, "_at_a_moment", found)
+    monkeypatch.setattr(noise_steps, "without", lambda model, _: model)
+    c = _climb(base)
+    noise = catalogue()["gyro_bias_walk"]
+    c.model = replace(c.model, effects=(*base.effects, noise))
+    c.noise = {noise.id: 150.0}
+    assert noise_steps.name_noise(c) is None
+    # (evidence counts half; with another name the question is another)
+    odds = state._odds(replace(base, effects=(catalogue()["gyro_scale"],))) - state._odds(
+        replace(base, effects=())
+    )
+    evidence = c.model.log_evidence + (since - odds) / 0.5
+    c.model = replace(
+        c.model, effects=(*c.model.effects, catalogue()["gyro_scale"]), log_evidence=evidence
+    )
+    assert noise_steps.name_noise(c) is None
+    assert len(sought) == asked
+
+
+def test_what_stands_in_for_an_effect_is_given_up_where_it_cannot_be_the_better_one(
+    base: Model, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slow, late = catalogue()["gyro_bandwidth"], catalogue()["accel_delay"]
+    c = _climb(base)
+    c.model = model = replace(c.model, effects=(*base.effects, catalogue()["gyro_scale"], slow))
+    c.where.quadratic.worth = 0.2
+    least: list[float] = []
+
+    def fit_of(_: object, effects: Any, of_use: float = -math.inf) -> Model:
+        least.append(of_use)
+        return replace(model, effects=tuple(effects), log_evidence=model.log_evidence - 1e6)
+
+    monkeypatch.setattr(exchange_steps, "fitted", fit_of)
+    monkeypatch.setattr(chosen_again, "fitted", fit_of)
+    monkeypatch.setattr(candidates, "fitted", fit_of)
+    monkeypatch.setattr(exchange_steps, "gains", lambda *_: dict.fromkeys(model.ids, 1e3))
+    monkeypatch.setattr(exchange_steps, "_rivalries", lambda *_: [(slow, late.id)])
+    c.model = replace(model, u=np.zeros(0))
+    assert exchange_steps.exchange(c) is None
+    rest = [e for e in model.effects if e is not slow]
+    assert least == [pytest.approx(of_use(model, [*rest, late], 0.2))]
+    least.clear()
+    assert exchange_steps.reorder(c) is None
+    assert least == [pytest.approx(of_use(model, model.effects, 0.2))]
+    least.clear()
+    where = SimpleNamespace(effects={slow.id: slow})
+    monkeypatch.setattr(exchange_steps, "scanned_about", lambda *_: where)
+    monkeypatch.setattr(exchange_steps, "best_set", lambda *_: frozenset({slow.id}))
+    exchange_steps._beside_delays(base, [slow, late], (), frozenset(), 0.2)
+    assert least == [-math.inf, pytest.approx(of_use(base, [slow], 0.2))]
 
 
 @pytest.mark.parametrize(("above", "anew"), [(-10.0, 1), (10.0, 0)])
