@@ -16,6 +16,7 @@ from handcal.estimate import fit, scan
 from handcal.estimate.baseline import baseline
 from handcal.estimate.case import case_of
 from handcal.estimate.model import Model, Rested
+from handcal.estimate.specification import Options, Specification
 from handcal.explain import pipeline
 from handcal.laws import best_law, chosen_again
 from handcal.laws.best_law import Term
@@ -124,6 +125,31 @@ def test_a_hand_is_asked_about_once_for_each_end(
     assert len(asked) == 2
     assert not pipeline._Hand(base, False, Budget()).moves(one)
     assert len(asked) == 2
+
+
+@pytest.mark.parametrize(("good", "asked"), [(0, 1), (1, 2), (2, 3), (None, 3)])
+def test_no_start_of_the_final_fit_is_asked_for_after_one_that_is_as_good(
+    good: int | None, asked: int, base: Model, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun: list[str] = []
+
+    def fits(_: object, written: Specification) -> Model:
+        begun.append(written.begin or "exact")
+        less = 0.0 if len(begun) - 1 == good else 2.0 * pipeline.SAME + len(begun)
+        return replace(base, log_evidence=base.log_evidence - less)
+
+    monkeypatch.setattr(pipeline, "settled", fits)
+    monkeypatch.setattr(pipeline, "in_parallel", lambda calls: (call() for call in calls))
+    monkeypatch.setattr(pipeline, "_with", lambda found, model: replace(found, model=model))
+    found = multistart.Found(base, SimpleNamespace(), {}, {})
+    end = SimpleNamespace(base=base, moves=False)
+    monkeypatch.setattr(pipeline, "moments", lambda _: {})
+    told, written = pipeline._refitted(end, found, Options())
+    assert begun == ["baseline", "online", "exact"][:asked]
+    best = 0 if good is None else good
+    assert (written.begin or "exact") == begun[best]
+    worse = 2.0 * pipeline.SAME + 1.0 if good is None else 0.0
+    assert told.model.log_evidence == base.log_evidence - worse
 
 
 @pytest.fixture(scope="module")

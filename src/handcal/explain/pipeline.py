@@ -190,8 +190,8 @@ def _refitted(end: End, found: Found, options: Options) -> tuple[Found, Specific
     ways = replace(chosen, begin=BASELINE), replace(chosen, begin=ONLINE), exact
     ends = []
     # (each start takes as long as the first, and is seldom the better one)
-    fits = in_parallel(partial(_settled, base, written) for written in ways)
-    for model, written in zip(fits, ways, strict=False):
+    calls = (partial(_settled, base, written) for written in ways)
+    for model, written in zip(in_parallel(calls), ways, strict=False):
         ends.append((model, written))
         if _as_good(model, searched):
             break
