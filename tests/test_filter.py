@@ -42,10 +42,10 @@ def simulated():
 
 
 def real(folder):
-    """Motion capture of a hand-held IMU: the first 20 s of its motion."""
+    """Motion capture of a hand-held IMU: the first 24 s of its motion."""
     recording = load(folder / "broad_06_fast_rotation.mcap")
     moving = segment.rests(recording)[1, 1]
-    short = part_of(recording, moving - 1.0, moving + 19.0)
+    short = part_of(recording, moving - 1.0, moving + 23.0)
     # every third sample, so that the slow engine stays quick
     imu = Imu(*(getattr(short.imu, f.name)[::3] for f in fields(Imu)))
     problem, start = problem_of(replace(short, imu=imu), EFFECTS, ("pose",))
