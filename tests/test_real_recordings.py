@@ -18,6 +18,7 @@ import handcal
 from handcal.compiled import so3
 from handcal.effects import mag_hard_iron
 from handcal.estimate.consistency import nis_between
+from handcal.observations import pose
 from handcal.recordings import segment
 from handcal.types import Array, BoolArray, Imu, Recording, Result, Series
 
@@ -245,3 +246,19 @@ def test_both_halves_of_the_shaking_agree(name: str, real_recordings: Path) -> N
     )
     print(f"\n{name}: halves differ by {np.round(normed, 1)} sigma")
     assert np.abs(normed).max() < 4.0
+
+
+def test_so_many_poses_tell_as_much_of_the_sensors_as_25_a_second(
+    real_recordings: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording = handcal.load(real_recordings / "devices" / "euroc_v203.mcap")
+    effects = ("gyro_scale", "accel_scale", "lever_arm", "pose_delay")
+
+    def sigmas() -> dict[tuple[str, str], float]:
+        found = handcal.calibrate(recording, effects).parameters
+        return {(p.effect, p.name): p.sigma for p in found if not p.effect.startswith("pose")}
+
+    usual = sigmas()
+    monkeypatch.setattr(pose, "MAX_RATE", 25.0)
+    more = sigmas()
+    assert max(usual[k] / more[k] for k in usual) < 1.2
