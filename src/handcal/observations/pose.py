@@ -22,8 +22,8 @@ from handcal.types import Array, InputError, Level, Recording, Series
 
 # Rows a second at the most. What they say of the sensors is limited by the IMU's own noise and by
 # what neighbours share: of two optical trackers and a phone's odometry 10 tell as much of gyro and
-# accelerometer as 25, to 7 % of a sigma (20 % of a delay's), and 1.7 times a sigma of their own
-# delay.
+# accelerometer as 25, to 7 % of a sigma (20 % of a delay's); their own delay has 1.7 times its
+# sigma.
 MAX_RATE = 10.0
 # Turns of gyro and marker are compared over so long, s; so few are none.
 TURN_S, LEAST_TURNS = 0.2, 10
