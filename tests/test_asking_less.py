@@ -34,7 +34,7 @@ from handcal.laws.over_drivers import (
 )
 from handcal.laws.vocabulary import driver_of
 from handcal.laws.weighing import Beside
-from handcal.model_score import GAINED, PRIOR, better, of_use
+from handcal.model_score import GAINED, PRIOR, better, of_use, prior
 from handcal.search import multistart
 from handcal.search.budget import Budget
 from handcal.search.climb import (
@@ -531,13 +531,9 @@ def test_a_moment_in_the_place_of_noise_is_sought_again_where_the_score_has_chan
     c.noise = {noise.id: 150.0}
     assert noise_steps.name_noise(c) is None
     # (evidence counts half; with another name the question is another)
-    odds = state._odds(replace(base, effects=(catalogue()["gyro_scale"],))) - state._odds(
-        replace(base, effects=())
-    )
-    evidence = c.model.log_evidence + (since - odds) / 0.5
-    c.model = replace(
-        c.model, effects=(*c.model.effects, catalogue()["gyro_scale"]), log_evidence=evidence
-    )
+    name = catalogue()["gyro_scale"]
+    evidence = c.model.log_evidence + (since - prior(name, [base.parts[0].case])) / 0.5
+    c.model = replace(c.model, effects=(*c.model.effects, name), log_evidence=evidence)
     assert noise_steps.name_noise(c) is None
     assert len(sought) == asked
 
@@ -547,7 +543,8 @@ def test_what_stands_in_for_an_effect_is_given_up_where_it_cannot_be_the_better_
 ) -> None:
     slow, late = catalogue()["gyro_bandwidth"], catalogue()["accel_delay"]
     c = _climb(base)
-    c.model = model = replace(c.model, effects=(*base.effects, catalogue()["gyro_scale"], slow))
+    effects = (*base.effects, catalogue()["gyro_scale"], slow)
+    c.model = model = replace(c.model, effects=effects, u=np.zeros(0))
     c.where.quadratic.worth = 0.2
     least: list[float] = []
 
@@ -560,7 +557,6 @@ def test_what_stands_in_for_an_effect_is_given_up_where_it_cannot_be_the_better_
     monkeypatch.setattr(candidates, "fitted", fit_of)
     monkeypatch.setattr(exchange_steps, "gains", lambda *_: dict.fromkeys(model.ids, 1e3))
     monkeypatch.setattr(exchange_steps, "_rivalries", lambda *_: [(slow, late.id)])
-    c.model = replace(model, u=np.zeros(0))
     assert exchange_steps.exchange(c) is None
     rest = [e for e in model.effects if e is not slow]
     assert least == [pytest.approx(of_use(model, [*rest, late], 0.2))]

@@ -87,6 +87,12 @@ class Series(Brief):
     t: Array
     value: Array
 
+    def thinned(self, rate: float) -> Series:
+        """Of two readings or more every so many that about ``rate`` are left in a second, Hz; all
+        where there are fewer."""
+        step = max(1, round((len(self.t) - 1) / (self.t[-1] - self.t[0]) / rate))
+        return Series(self.t[::step], self.value[::step])
+
 
 @dataclass(frozen=True, repr=False)
 class Recording(Brief):

@@ -65,8 +65,7 @@ def spheres(recording: Recording) -> tuple[Sphere, ...]:
     mag = recording.streams.get("mag")
     if mag is None or len(mag.t) < 2:
         raise InputError("The recording has no magnetometer, so no hard iron can be guessed.")
-    step = max(1, round((len(mag.t) - 1) / (mag.t[-1] - mag.t[0]) / GUESS_RATE))
-    m = mag.value[::step]
+    m = mag.thinned(GUESS_RATE).value
     found: list[Sphere] = []
     for start in _starts(m):
         s = _sphere(m, start)

@@ -196,10 +196,10 @@ def _same(found: T) -> T:
 
 def _copied() -> int:
     """The process of a copy of this one; in the copy 0. Raises OSError where there is no room."""
+    memory.emptied()
     with warnings.catch_warnings():
         # (that other threads are not copied; none of them has to do with fits)
         warnings.simplefilter("ignore", DeprecationWarning)
-        memory.emptied()
         return os.fork()
 
 

@@ -202,6 +202,7 @@ def _refitted(end: End, found: Found, options: Options) -> tuple[Found, Specific
 
 
 def _settled(base: Model, written: Specification) -> Model:
+    """Of a fit what a copy of the process has to send."""
     return settled(base, written).bare
 
 

@@ -73,8 +73,8 @@ def _rows(recording: Recording, scene: Scene) -> Rows | None:
     if series is None or len(series.t) < 2:
         return None
     # Neighbouring readings share their disturbance; more of them would only feign certainty.
-    step = max(1, round((len(series.t) - 1) / (series.t[-1] - series.t[0]) / MAX_RATE))
-    t, field = series.t[::step], series.value[::step]
+    thin = series.thinned(MAX_RATE)
+    t, field = thin.t, thin.value
     begin, end = recording.imu.t[0] + LATEST, recording.imu.t[-1] - LATEST
     inside = (t >= begin) & (t <= end)
     if inside.any():

@@ -114,12 +114,6 @@ def _bent(nav: Any, bend: Any, z: Any, r: Any) -> int:  # noqa: ARG001
     return 0
 
 
-def _thin(series: Series) -> Series:
-    """At most MAX_RATE rows a second: neighbours share the tracker's own filtering."""
-    step = max(1, round((len(series.t) - 1) / (series.t[-1] - series.t[0]) / MAX_RATE))
-    return Series(series.t[::step], series.value[::step])
-
-
 def _step(pose: Series) -> int:
     """Rows of the pose from the beginning to the end of a turn."""
     return max(1, round(TURN_S / float(np.median(np.diff(pose.t)))))
@@ -196,7 +190,7 @@ def _rows(recording: Recording, scene: Scene) -> Rows | None:
         C_wb = so3.matrix_of(pose.value[first, 3:]) @ R_bm.T
         turn = scene.align_yaw - float(so3.yaw_of(R_nw @ C_wb))
         R_nw = so3.matrix_exp(np.array([0.0, 0.0, turn])) @ R_nw
-    thin = _thin(pose)
+    thin = pose.thinned(MAX_RATE)
     q = so3.quaternion_of(R_nw @ so3.matrix_of(thin.value[:, 3:]) @ R_bm.T)
     return Rows(thin.t, np.hstack([thin.value[:, :3] @ R_nw.T, q]))
 

@@ -67,10 +67,8 @@ def name_noise(c: Climb) -> Model | None:
             ends.append(tried)
         else:
             # (where no moment is asked for, all that the noise holds is missing)
-            short = (
-                c.noise.get(e.id, HOPELESS) if tried is None else better(c.model, tried, c.worth)
-            )
-            fell_short(c, what, short)
+            held = c.noise.get(e.id, HOPELESS)
+            fell_short(c, what, held if tried is None else better(c.model, tried, c.worth))
     if not ends:
         return None
     best = max(ends, key=lambda m: score(m, c.worth))
