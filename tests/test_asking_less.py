@@ -225,6 +225,66 @@ def test_by_how_much_the_best_law_of_a_sensor_fell_short(monkeypatch):
     assert in_place._fell_short(c, "gyro", [end("gyro_x += a", -np.inf)]) == 0.0
 
 
+@pytest.mark.parametrize(
+    ("worth", "last", "asked"),
+    [
+        ({1: 20.0, 2: 90.0}, False, [1]),  # (a law is found beside the noise: that is enough)
+        ({1: -5.0, 2: 90.0}, False, [1, 2]),
+        ({1: 20.0, 2: 90.0}, True, [1, 2]),  # (no other can follow: the best of all)
+        ({1: -5.0, 2: -9.0}, False, [1, 2]),
+    ],
+)
+def test_in_the_place_of_more_no_law_is_sought_while_there_is_one_in_that_of_less(
+    worth, last, asked, monkeypatch
+):
+    sets = [frozenset({"gyro_bias_walk"}), frozenset({"gyro_bias_walk", "gyro_scale"})]
+    seen: list[int] = []
+
+    def beside(_, _sensor, ids, _refused):
+        seen.append(len(ids))
+        term: Any = SimpleNamespace(effect=SimpleNamespace(id=f"gyro_x += {len(ids)}", made=None))
+        return _named((*ids,), 0.0), [term]
+
+    def fits(_, ways):
+        return [
+            (_named((*rest,), worth[int(law[-1])]), t) for (rest, law, _), (_, t) in ways.items()
+        ]
+
+    monkeypatch.setattr(in_place, "beside_the_rest", beside)
+    monkeypatch.setattr(in_place, "fits_of", fits)
+    monkeypatch.setattr(in_place, "refused_by", lambda _: set())
+    monkeypatch.setattr(in_place, "_doubted", lambda _: {"gyro": sets})
+    monkeypatch.setattr(in_place, "_hidden_by", lambda *_: (frozenset(), 0.0))
+    monkeypatch.setattr(in_place, "forget", lambda *_: None)
+    monkeypatch.setattr(in_place, "score", lambda m, _: m.log_evidence)
+    monkeypatch.setattr(in_place, "likelier", lambda _, m: m.log_evidence > 0.0)
+    monkeypatch.setattr(in_place, "better", lambda a, b, _: a.log_evidence - b.log_evidence)
+    c: Any = SimpleNamespace(
+        model=_named(("gyro_bias_walk", "gyro_scale"), 0.0), worth=1.0, budget=Budget(),
+        bared=set(), barred={}, unnamed=[],
+    )  # fmt: skip
+    found = in_place.instead_of_noise(c, last)
+    best = max(worth[k] for k in asked)
+    assert seen == asked
+    assert found is None if best < 0.0 else found.log_evidence == best
+    # what was not asked is asked the next time, also of the same model
+    whole = asked == [1, 2]
+    assert (frozenset(c.model.ids) in c.bared, "gyro" in c.barred) == (whole, whole)
+
+
+def test_a_law_whose_fit_swings_does_not_hide_one_that_rests(monkeypatch):
+    monkeypatch.setattr(in_place, "score", lambda m, _: m.log_evidence)
+    monkeypatch.setattr(in_place, "forget", lambda *_: None)
+    monkeypatch.setattr(in_place, "likelier", lambda _, m: m.log_evidence > m.swing)
+    law, wild = (SimpleNamespace(effect=SimpleNamespace(id=i)) for i in ("gyro", "accel"))
+    rests: Any = SimpleNamespace(log_evidence=20.0, swing=0.0)
+    swings: Any = SimpleNamespace(log_evidence=90.0, swing=600.0)
+    c: Any = SimpleNamespace(worth=1.0, unnamed=[])
+    assert in_place.likeliest(c, [(swings, wild), (rests, law)]) is rests
+    assert c.unnamed == [law]
+    assert in_place.likeliest(c, [(swings, wild)]) is None
+
+
 def _named(ids, evidence):
     model: Any = SimpleNamespace(ids=ids, log_evidence=evidence)
     return model

@@ -636,7 +636,7 @@ def test_a_law_is_sought_in_the_place_of_more_where_it_does_well_in_that_of_less
     monkeypatch.setattr(places, "score", lambda m, _: {"none": 0.0, **scores}[m.gone])
     climb: Any = SimpleNamespace(model=model, worth=1.0, beyond=set(), budget=Budget())
     sets = {"gyro": [frozenset("a"), frozenset("ab")]}
-    ends = places._ends(climb, sets)
+    ends, _ = places._ends(climb, sets, last=True)
     assert seen == asked
     assert {m.gone for m, _ in ends} == {"", *asked}
 

@@ -33,18 +33,20 @@ from handcal.search.space import best_set, gains
 Way = tuple[frozenset[str], str, object]
 
 
-def instead_of_noise(c: Climb) -> Model | None:
-    """The model with a term in the place of what may stand in for one on a sensor, or beside it."""
+def instead_of_noise(c: Climb, last: bool = False) -> Model | None:
+    """The model with a term in the place of what may stand in for one on a sensor, or beside it;
+    last: whether there is room for no other after it."""
     key = frozenset(c.model.ids)
     if key in c.bared:
         return None
-    c.bared.add(key)
     doubted = _doubted(c)
     hidden = {sensor: _hidden_by(c, sensor, sets[-1]) for sensor, sets in doubted.items()}
     asked = [sensor for sensor in doubted if _may_hide(c.barred.get(sensor), *hidden[sensor])]
-    ends = _ends(c, {sensor: doubted[sensor] for sensor in asked})
-    for sensor in asked:
+    ends, answered = _ends(c, {sensor: doubted[sensor] for sensor in asked}, last)
+    for sensor in answered:
         c.barred[sensor] = Barred(*hidden[sensor], _fell_short(c, sensor, ends))
+    if len(answered) == len(asked):
+        c.bared.add(key)
     return likeliest(c, ends)
 
 
@@ -76,22 +78,26 @@ def _fell_short(c: Climb, sensor: str, ends: Sequence[tuple[Model, Term]]) -> fl
 
 
 def likeliest(c: Climb, ends: Sequence[tuple[Model, Term]]) -> Model | None:
-    """The best of fits with a term each, if it is likelier than the model there is."""
-    if not ends:
+    """The best of fits with a term each that are likelier than the model there is."""
+    able = [end for end in ends if likelier(c, end[0])]
+    if not able:
         return None
-    tried, term = max(ends, key=lambda end: score(end[0], c.worth))
-    if not likelier(c, tried):
-        return None
+    tried, term = max(able, key=lambda end: score(end[0], c.worth))
     c.unnamed.append(term)
     forget(c, tried)
     return tried
 
 
-def _ends(c: Climb, doubted: Mapping[str, list[frozenset[str]]]) -> list[tuple[Model, Term]]:
-    """Fits with a term in the place of effects of each sensor, or beside them: first of the fewest.
+def _ends(
+    c: Climb, doubted: Mapping[str, list[frozenset[str]]], last: bool
+) -> tuple[list[tuple[Model, Term]], list[str]]:
+    """Fits with a term in the place of effects of each sensor, or beside them: first of the fewest;
+    and the sensors of which no other set of effects is left to be asked about.
 
     In the place of more is looked only where in that of fewer a fit comes near the best there is:
-    without further names it has no more evidence than with them, but for what these cost.
+    without further names it has no more evidence than with them, but for what these cost. And, but
+    for the last term, only where none of these is of any use: what is found in the place of more
+    is found beside that as well.
     """
     ends: dict[Way, tuple[Model, Term]] = {}
     far: set[tuple[str, str, object]] = set()
@@ -118,7 +124,9 @@ def _ends(c: Climb, doubted: Mapping[str, list[frozenset[str]]]) -> list[tuple[M
             }
             if mine and all((sensor, *way[1:]) in far for way in mine):
                 left[sensor] = []
-    return list(ends.values())
+        if not last and any(likelier(c, m) for m, _ in ends.values()):
+            break
+    return list(ends.values()), [sensor for sensor, sets in left.items() if not sets]
 
 
 def fits_of(c: Climb, ways: Mapping[Way, tuple[Model, Term]]) -> list[tuple[Model, Term]]:

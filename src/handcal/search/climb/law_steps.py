@@ -49,7 +49,7 @@ def name_term(c: Climb) -> Model | None:
     whatever has no name, or beside them; or as it is chosen anew with a further term on trial."""
     if not _room(c):
         return None
-    tried = instead_of_noise(c)
+    tried = instead_of_noise(c, last=_room(c) == 1)
     while tried is None and _room(c) and not c.budget.cuts():
         term = best_term(surveyed(c), refused=refused_by(c))
         if term is None:
@@ -62,9 +62,10 @@ def name_term(c: Climb) -> Model | None:
     return tried
 
 
-def _room(c: Climb) -> bool:
+def _room(c: Climb) -> int:
+    """How many terms more there may be."""
     there = sum(t.effect.id in c.model.ids for t in c.unnamed)
-    return there < MAX_TERMS and len(c.unnamed) < MAX_TRIED
+    return max(min(MAX_TERMS - there, MAX_TRIED - len(c.unnamed)), 0)
 
 
 def rename(c: Climb) -> Model | None:
