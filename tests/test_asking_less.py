@@ -256,8 +256,9 @@ def test_in_the_place_of_more_no_law_is_sought_while_there_is_one_in_that_of_les
     monkeypatch.setattr(in_place, "_doubted", lambda _: {"gyro": sets})
     monkeypatch.setattr(in_place, "_hidden_by", lambda *_: (frozenset(), 0.0))
     monkeypatch.setattr(in_place, "forget", lambda *_: None)
-    monkeypatch.setattr(in_place, "score", lambda m, _: m.log_evidence)
-    monkeypatch.setattr(in_place, "likelier", lambda _, m: m.log_evidence > 0.0)
+    for module in (in_place, state):
+        monkeypatch.setattr(module, "score", lambda m, _: m.log_evidence)
+        monkeypatch.setattr(module, "likelier", lambda _, m: m.log_evidence > 0.0)
     monkeypatch.setattr(in_place, "better", lambda a, b, _: a.log_evidence - b.log_evidence)
     c: Any = SimpleNamespace(
         model=_named(("gyro_bias_walk", "gyro_scale"), 0.0), worth=1.0, budget=Budget(),
@@ -273,9 +274,9 @@ def test_in_the_place_of_more_no_law_is_sought_while_there_is_one_in_that_of_les
 
 
 def test_a_law_whose_fit_swings_does_not_hide_one_that_rests(monkeypatch):
-    monkeypatch.setattr(in_place, "score", lambda m, _: m.log_evidence)
+    monkeypatch.setattr(state, "score", lambda m, _: m.log_evidence)
     monkeypatch.setattr(in_place, "forget", lambda *_: None)
-    monkeypatch.setattr(in_place, "likelier", lambda _, m: m.log_evidence > m.swing)
+    monkeypatch.setattr(state, "likelier", lambda _, m: m.log_evidence > m.swing)
     law, wild = (SimpleNamespace(effect=SimpleNamespace(id=i)) for i in ("gyro", "accel"))
     rests: Any = SimpleNamespace(log_evidence=20.0, swing=0.0)
     swings: Any = SimpleNamespace(log_evidence=90.0, swing=600.0)

@@ -21,6 +21,7 @@ from handcal.search.climb.state import (
     WEAK,
     Barred,
     Climb,
+    best_of,
     forget,
     in_time,
     likelier,
@@ -33,7 +34,7 @@ from handcal.search.space import best_set, gains
 Way = tuple[frozenset[str], str, object]
 
 
-def instead_of_noise(c: Climb, last: bool = False) -> Model | None:
+def instead_of_noise(c: Climb, last: bool) -> Model | None:
     """The model with a term in the place of what may stand in for one on a sensor, or beside it;
     last: whether there is room for no other after it."""
     key = frozenset(c.model.ids)
@@ -79,10 +80,10 @@ def _fell_short(c: Climb, sensor: str, ends: Sequence[tuple[Model, Term]]) -> fl
 
 def likeliest(c: Climb, ends: Sequence[tuple[Model, Term]]) -> Model | None:
     """The best of fits with a term each that are likelier than the model there is."""
-    able = [end for end in ends if likelier(c, end[0])]
-    if not able:
+    best = best_of(c, ends)
+    if best is None:
         return None
-    tried, term = max(able, key=lambda end: score(end[0], c.worth))
+    tried, term = best
     c.unnamed.append(term)
     forget(c, tried)
     return tried

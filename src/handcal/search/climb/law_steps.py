@@ -22,7 +22,6 @@ from handcal.laws.grammar import LEVEL, SAME, formula, shorter
 from handcal.laws.law_constants import adjusted
 from handcal.laws.law_effect import SENSORS, SIZE, Law, effect_of, law_of, named
 from handcal.laws.over_drivers import is_product, of_one_signal, rms_of
-from handcal.model_score import score
 from handcal.search.climb.candidates import scanned
 from handcal.search.climb.in_place import (
     Way,
@@ -35,7 +34,7 @@ from handcal.search.climb.in_place import (
     refused_by,
     surveyed,
 )
-from handcal.search.climb.state import Climb, forget, in_time, likelier
+from handcal.search.climb.state import Climb, best_of, forget, in_time, likelier
 from handcal.search.climb.subset_steps import choose
 
 # Terms without a name at the most, and of those that were on trial.
@@ -186,13 +185,13 @@ def take_in(c: Climb) -> Model | None:
         ways += [(i, name, whole) for name, law in asked if (name, law) not in c.taken_in]
         c.taken_in |= set(asked)
     calls = [partial(_taken_in, c.model, c.unnamed[i].effect, name, e) for i, name, e in ways]
-    ends = [(m, way) for m, way in in_time(c, calls, ways) if likelier(c, m)]
-    if not ends:
+    best = best_of(c, in_time(c, calls, ways))
+    if best is None:
         return None
-    best, (i, _, whole) = max(ends, key=lambda end: score(end[0], c.worth))
+    model, (i, _, whole) = best
     c.unnamed[i] = replace(c.unnamed[i], effect=whole)
-    forget(c, best)
-    return best
+    forget(c, model)
+    return model
 
 
 def _with_level(c: Climb, effect: Effect) -> Effect | None:
@@ -221,12 +220,12 @@ def narrow(c: Climb) -> Model | None:
         c.whole.add(old.id)
         new = [effect_of(law) for law in _narrower(c, old) if not named(law)]
         calls = (partial(with_other, c.model, old, e, c.model, c.worth) for e in new)
-        ends = [(m, e) for m, e in in_time(c, calls, new) if likelier(c, m)]
-        if ends:
-            best, effect = max(ends, key=lambda end: score(end[0], c.worth))
+        best = best_of(c, in_time(c, calls, new))
+        if best is not None:
+            model, effect = best
             c.unnamed[i] = replace(term, effect=effect)
             c.shaped.add(effect.id)
-            return best
+            return model
     return None
 
 

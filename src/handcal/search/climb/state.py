@@ -11,7 +11,7 @@ from handcal.estimate.case import name_of
 from handcal.estimate.forked import in_parallel
 from handcal.estimate.model import Model
 from handcal.laws.best_law import Survey, Term, Vocabulary
-from handcal.model_score import PRIOR, better, log_prior
+from handcal.model_score import PRIOR, better, log_prior, score
 from handcal.search.budget import Budget
 from handcal.search.space import Space
 
@@ -134,6 +134,13 @@ def likelier(c: Climb, tried: Model, than: Model | None = None) -> bool:
     chance.)"""
     gain = better(tried, c.model if than is None else than, c.worth)
     return sensible(tried) and gain > c.worth * tried.swing
+
+
+def best_of(c: Climb, ends: Iterable[tuple[Model, W]]) -> tuple[Model, W] | None:
+    """Of fits, each with what it is of, the best of those that are likelier than the model there
+    is; None where none is."""
+    able = [end for end in ends if likelier(c, end[0])]
+    return max(able, key=lambda end: score(end[0], c.worth), default=None)
 
 
 def sensible(model: Model) -> bool:
