@@ -79,9 +79,10 @@ trial: setup ## blind trials of explain at full size: hours; scores in trial-out
 	    $(if $(AGAINST),--against $(AGAINST)) --json trial-out/$$s.json || exit; \
 	done
 
-bench: .venv/.installed-bench ## speed beside other programs, start-up, memory: 22 minutes, and 2 for each real recording
+bench: .venv/.installed-bench ## speed beside other programs, start-up, memory, docs/profiles.md: 22 minutes, and 2 for each real recording
 	@mkdir -p bench-out
 	$(BIN)/handcal bench --all --json bench-out/bench.json
+	$(BIN)/python docs/make_profiles.py bench-out/bench.json
 
 bench-check: .venv/.installed-bench ## fail where a ratio to other programs is 30 % worse than kept
 	$(BIN)/handcal bench --rounds 7 --only filter --only filterpy --only gtsam --only epochs \

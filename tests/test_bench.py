@@ -4,6 +4,7 @@ import json
 import os
 import sys
 import time
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ import typer
 from numba.core import event
 from typer.testing import CliRunner
 
-from handcal.bench import explaining, filter, program, timing
+from handcal.bench import explaining, filter, program, sampler, timing
 from handcal.bench.timing import Figure, Missing, Skipped, Spent, Target, in_turns, peer
 from handcal.commands import _progress
 from handcal.commands import bench as bench_command
@@ -261,8 +262,8 @@ def test_the_smallest_recordings_come_first_and_one_that_fails_is_left_out(monke
     wall = {"c": 50.0, "b": None, "a": 9.0}
     ran = []
 
-    def run(command, path, whole):
-        assert (command, whole) == ("explain", True)
+    def run(command, path, whole, sampled):
+        assert (command, whole, sampled) == ("explain", True, True)
         ran.append(path.stem)
         if wall[path.stem] is None:
             raise HandcalError("it cannot be read.")
@@ -297,7 +298,7 @@ def test_interrupted_recordings_have_a_median_of_which_nothing_is_asked(monkeypa
         (tmp_path / f"{n}.mcap").write_bytes(b"x" * (9 - n))
     times = iter([1.0, 5.0])
 
-    def run(*_, whole):  # noqa: ARG001
+    def run(*_, whole, sampled):  # noqa: ARG001
         try:
             return timing.Ran(1.0, next(times), np.nan)
         except StopIteration:
@@ -379,3 +380,61 @@ def test_a_bar_that_made_room_is_shown_again_with_its_stage(monkeypatch):
         assert bar.shown is not None
         assert bar.shown.tasks[0].description == "measuring: one"
     assert bar.shown is None
+
+
+def called(*modules):
+    """The frame of the innermost of functions in these modules, each called by the one before."""
+    inner = None
+    for name in reversed(modules):
+        scope = {"__name__": name, "inner": inner, "sys": sys}
+        body = "inner()" if inner else "sys._getframe()"
+        exec(f"def step(): return {body}", scope)
+        inner = scope["step"]
+    return inner()
+
+
+@pytest.mark.parametrize(
+    ("modules", "expected"),
+    [
+        (("handcal.search.climb", "handcal.estimate.fit", "numpy.linalg"),
+         ("estimate.fit", "search.climb")),
+        (("handcal.search.climb", "handcal.laws.survey"), ("laws.survey", "laws.survey")),
+        (("handcal.laws.survey", "handcal.compiled.rows", "numba.core.caching", "pickle"),
+         (sampler.MACHINE_CODE, "laws.survey")),
+        (("__main__", "handcal.types"), ("types", sampler.OTHER)),
+    ],
+)  # fmt: skip
+def test_time_is_that_of_the_innermost_module_and_of_the_step_that_asked(modules, expected):
+    assert sampler.where(called(*modules)) == expected
+
+
+def test_an_import_is_told_by_the_library_that_handcal_asked_for(tmp_path, monkeypatch):
+    (tmp_path / "a_library.py").write_text("import a_part\n")
+    (tmp_path / "a_part.py").write_text("import sys; sys.modules['seen'] = sys._getframe()\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    for name in ("a_library", "a_part", "seen"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    exec("import a_library", {"__name__": "handcal.estimate.fit"})
+    found = sampler.where(sys.modules.pop("seen"))
+    assert found == ("importing a_library", sampler.IMPORTING)
+
+
+def test_a_command_that_is_looked_at_says_where_its_time_went():
+    ran = timing.run_handcal("--help", sampled=True)
+    (found,) = timing.profile("start", "help", ran)
+    # (its time without that of the interpreter's own start and end; looks are 5 ms apart)
+    for seconds in (found.doing, found.asked_by):
+        assert 0.2 * ran.wall < sum(seconds.values()) < ran.wall
+    assert any(name.startswith("importing") for name in found.doing)
+    assert not list(timing.profile("start", "help", timing.run_handcal("--help")))
+
+
+def test_where_time_goes_is_shown_and_kept(tmp_path, monkeypatch, capsys):
+    seconds = {"estimate.fit": 6.0, "importing numba": 3.8, "effects": 0.2}
+    row = timing.Profile("start", "calibrate 30 s", seconds, {"search": 10.0})
+    monkeypatch.setattr(bench_command, "_measured", lambda *_: [row])
+    bench_command.bench(rounds=1, json=tmp_path / "b.json")
+    document = json.loads((tmp_path / "b.json").read_text())
+    schemas.check(document)
+    assert document["profiles"] == [asdict(row)]
+    assert "estimate.fit 60 %, importing numba 38 %, effects 2 %" in capsys.readouterr().out

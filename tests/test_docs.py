@@ -137,3 +137,14 @@ def test_the_notebook_runs(name):
     page = made("make_notebook").executed(ROOT / "docs" / f"{name}.ipynb")
     shown = str([o for c in page.cells if c.cell_type == "code" for o in c.outputs])
     assert [said for said in NOTEBOOKS[name] if said not in shown] == []
+
+
+def test_the_page_of_profiles_leaves_out_what_is_small():
+    versions = dict.fromkeys(("handcal", "numpy", "numba"), "1")
+    machine = {"python": "3.11", "cores": 2, "versions": versions}
+    profile = {"group": "start", "title": "calibrate 30 s", "asked_by": {"search": 10.0},
+               "doing": {"importing numba": 3.8, "estimate.fit": 6.0, "effects": 0.2}}  # fmt: skip
+    page = made("make_profiles").page({"machine": machine, "profiles": [profile]})
+    line = "| calibrate 30 s | 10 | estimate.fit 60 %<br>importing numba 38 % | search 100 % |"
+    assert page.endswith(f"\n{line}\n")
+    assert "`start`" in page

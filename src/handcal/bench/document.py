@@ -5,10 +5,11 @@ from __future__ import annotations
 import os
 import platform
 from collections.abc import Sequence
+from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any
 
-from handcal.bench.timing import Figure, Row, Skipped
+from handcal.bench.timing import Figure, Profile, Row, Skipped
 
 SCHEMA = "handcal/bench/1"
 
@@ -22,6 +23,7 @@ def document(
     return {
         "schema": SCHEMA, "machine": _machine(load), "rounds": rounds, "complete": not left,
         "figures": [_figure(f) for f in rows if isinstance(f, Figure)],
+        "profiles": [asdict(p) for p in rows if isinstance(p, Profile)],
         "skipped": [
             {"group": s.group, "title": s.title, "reason": s.reason}
             for s in rows if isinstance(s, Skipped)

@@ -8,7 +8,17 @@ from pathlib import Path
 import numpy as np
 
 from handcal.bench.program import simulated
-from handcal.bench.timing import Figure, Missing, Ran, Row, Skipped, Target, Tick, run_handcal
+from handcal.bench.timing import (
+    Figure,
+    Missing,
+    Ran,
+    Row,
+    Skipped,
+    Target,
+    Tick,
+    profile,
+    run_handcal,
+)
 from handcal.search.budget import SO_FAR
 from handcal.types import HandcalError
 
@@ -44,6 +54,7 @@ def explaining(folder: Path, rounds: int, tick: Tick) -> Iterator[Row]:
         path = simulated("free-hand", folder / "explained.mcap", *options)
         ran = [_explained(path, tick) for _ in range(rounds)]
         yield from _figures("explain", f"explain: {title}", ran, seconds, megabytes)
+        yield from profile("explain", f"explain: {title}", ran[-1])
 
 
 def _put(more: Sequence[str]) -> list[str]:
@@ -71,6 +82,7 @@ def devices(recordings: Path, tick: Tick) -> Iterator[Row]:
             wall.append(ran.wall)
             yield from _figures("devices", f"explain: {path.stem}", [ran], WORST_S)
             yield from _last_found(path, ran)
+            yield from profile("devices", f"explain: {path.stem}", ran)
     except (KeyboardInterrupt, SystemExit):
         yield from _summary(wall, f"the smallest {len(wall)} of {len(files)} recordings", False)
         raise
@@ -95,7 +107,7 @@ def _last_found(path: Path, ran: Ran) -> Iterator[Figure]:
 
 
 def _explained(path: Path, tick: Tick) -> Ran:
-    ran = run_handcal("explain", path, whole=True)
+    ran = run_handcal("explain", path, whole=True, sampled=True)
     tick()
     return ran
 

@@ -18,6 +18,7 @@ from handcal.bench.timing import (
     Tick,
     in_turns,
     peer,
+    profile,
     run_handcal,
     run_python,
     side,
@@ -89,6 +90,9 @@ def starting(folder: Path, rounds: int, tick: Tick) -> Found:
         found.append(Figure("start", f"{title}, over importing these", "x", own / loading, "wall"))
         if not np.isnan(used).any():
             found.append(Figure("start", f"{title}: of the processor", "s", used, "cpu"))
+    for title, arguments, _, _ in STARTS:
+        ran = run_handcal(*(a.format(path) for a in arguments), sampled=True)
+        found += profile("start", title, ran)
     return found
 
 
@@ -106,7 +110,7 @@ def long_recordings(folder: Path, rounds: int, tick: Tick) -> Iterator[Row]:
         options = ("--duration", f"{seconds:g}", "--heading-rate", "50")
         path = simulated("free-hand", folder / "long.mcap", *options)
         # (once beforehand, so that nothing is compiled in what is measured)
-        ran = [run_handcal(command, path) for _ in range(1 + rounds)][1:]
+        ran = [run_handcal(command, path, sampled=True) for _ in range(1 + rounds)][1:]
         path.unlink()
         used, memory = np.array([r.cpu for r in ran]), np.array([r.memory for r in ran])
         if np.isnan(memory).any():
@@ -114,6 +118,7 @@ def long_recordings(folder: Path, rounds: int, tick: Tick) -> Iterator[Row]:
             continue
         yield Figure("memory", title, "s", used, "cpu", Target(most, True))
         yield Figure("memory", f"{title}: memory", "MB", memory, "", Target(megabytes, True))
+        yield from profile("memory", title, ran[-1])
 
 
 def sweeping(rounds: int, tick: Tick) -> Found:
@@ -129,7 +134,9 @@ def sweeping(rounds: int, tick: Tick) -> Found:
         for k, jobs in enumerate(("1", "2")):
             wall[r, k] = run_handcal(*command, jobs).wall
     ratio = wall[:, 0] / wall[:, 1]
+    ran = run_handcal(*command, "1", sampled=True)
     return [
         Figure("sweep", title, "s", wall[:, 1], "wall", Target(5.0, True)),
         Figure("sweep", "paper grid, one core over two", "x", ratio, "wall", Target(1.7, False)),
+        *profile("sweep", f"paper grid, {RUNS:,} runs, on one core", ran),
     ]

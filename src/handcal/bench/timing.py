@@ -8,6 +8,7 @@ count the waiting for a busy processor; what a person waits for, in wall time.
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -21,12 +22,13 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from handcal.bench.sampler import SAMPLED
 from handcal.types import Array, HandcalError
 
 # A side is repeated until it has used this much CPU time: clocks are no finer than 10 ms.
 ENOUGH_S = 0.15
 MEGA = 1e6
-_APART = Path(__file__).with_name("apart.py")
+_APART, _SAMPLER = (Path(__file__).with_name(name) for name in ("apart.py", "sampler.py"))
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,16 @@ class Skipped:
     reason: str
 
 
+@dataclass(frozen=True)
+class Profile:
+    """Where the time of a command goes: seconds by the module at work, and by what asked for it."""
+
+    group: str
+    title: str
+    doing: Mapping[str, float]
+    asked_by: Mapping[str, float]
+
+
 class Spent(NamedTuple):
     """CPU and wall time of one step, s."""
 
@@ -94,7 +106,7 @@ class Tick(Protocol):
 
 
 Side = Callable[[], Spent]
-Row = Figure | Skipped
+Row = Figure | Skipped | Profile
 Rows = Iterable[Row]
 Found = list[Row]
 
@@ -211,15 +223,26 @@ class Ran(NamedTuple):
     said: tuple[tuple[float, str], ...] = ()
 
 
-def run_handcal(*arguments: str | Path, cache: Path | None = None, whole: bool = False) -> Ran:
+def run_handcal(
+    *arguments: str | Path, cache: Path | None = None, whole: bool = False, sampled: bool = False
+) -> Ran:
     """Run a command of handcal's in a process of its own. Raises HandcalError if that fails.
 
-    cache: the folder for compiled functions; whole: with all the threads that it may have.
+    cache: the folder for compiled functions; whole: with all the threads that it may have;
+    sampled: with the line at its end that ``profile`` reads.
     """
     own = {"NUMBA_CACHE_DIR": str(cache)} if cache else {}
     environment = any_threads(own) if whole else one_thread(own)
     shown = f"handcal {' '.join(map(str, arguments))}"
-    return _run([sys.executable, "-m", "handcal", *map(str, arguments)], shown, environment)
+    how = ["-P", str(_SAMPLER)] if sampled else ["-m", "handcal"]
+    return _run([sys.executable, *how, *map(str, arguments)], shown, environment)
+
+
+def profile(group: str, title: str, ran: Ran) -> Iterator[Profile]:
+    """Where the time of a command that was run ``sampled`` went."""
+    for _, line in ran.said:
+        if line.startswith(SAMPLED):
+            yield Profile(group, title, **json.loads(line.removeprefix(SAMPLED)))
 
 
 def run_python(code: str) -> Ran:
