@@ -134,9 +134,7 @@ def sweeping(rounds: int, tick: Tick) -> Found:
         for k, jobs in enumerate(("1", "2")):
             wall[r, k] = run_handcal(*command, jobs).wall
     ratio = wall[:, 0] / wall[:, 1]
-    ran = run_handcal(*command, "1", sampled=True)
     return [
         Figure("sweep", title, "s", wall[:, 1], "wall", Target(5.0, True)),
         Figure("sweep", "paper grid, one core over two", "x", ratio, "wall", Target(1.7, False)),
-        *profile("sweep", f"paper grid, {RUNS:,} runs, on one core", ran),
     ]
