@@ -429,6 +429,11 @@ def test_a_command_that_is_looked_at_says_where_its_time_went():
     assert not list(timing.profile("start", "help", timing.run_handcal("--help")))
 
 
+def test_a_command_that_fails_while_it_is_looked_at_says_why():
+    with pytest.raises(HandcalError, match=r"failed: .*nowhere\.mcap"):
+        timing.run_handcal("info", "nowhere.mcap", sampled=True)
+
+
 def test_where_time_goes_is_shown_and_kept(tmp_path, monkeypatch, capsys):
     seconds = {"estimate.fit": 6.0, "importing numba": 3.8, "effects": 0.2}
     row = timing.Profile("start", "calibrate 30 s", seconds, {"search": 10.0})

@@ -1,9 +1,9 @@
 """Run a handcal command and look every few milliseconds at what its first thread is doing.
 
-A script of its own, which imports nothing large (what it imports, the command finds there). At the
-end it writes one line on stderr: ``SAMPLED`` and, as JSON, seconds by the module that was at work
-and by the step that had asked for it. Copies of the process, which do what can be done beside it,
-are not looked at; while it waits for one, that is ``estimate.forked``.
+A script of its own, which imports nothing large (what it imports, the command finds there). Where
+the command ends well it writes one line on stderr: ``SAMPLED`` and, as JSON, seconds by the module
+that was at work and by the step that had asked for it. Copies of the process, which do what can be
+done beside it, are not looked at; while it waits for one, that is ``estimate.forked``.
 """
 
 import json
@@ -32,13 +32,18 @@ def main(arguments: list[str]) -> None:
     sampler = threading.Thread(target=look, args=(first, over, doing, asked_by), daemon=True)
     sampler.start()
     sys.argv = ["handcal", *arguments]
+    status: str | int | None = None
     try:
         runpy.run_module("handcal", run_name="__main__", alter_sys=True)
+    except SystemExit as ended:
+        status = ended.code
     finally:
         over.set()
         sampler.join()
+    if not status:  # (else the last line says what failed)
         found = {"doing": doing, "asked_by": asked_by}
         print(SAMPLED + json.dumps(found), file=sys.stderr, flush=True)
+    sys.exit(status)
 
 
 def look(thread: int, over: threading.Event, doing: Seconds, asked_by: Seconds) -> None:

@@ -97,9 +97,10 @@ def bench(
 ) -> None:
     """Measure handcal on this machine: speed beside other programs, start-up, memory.
 
-    Each figure is shown, and kept in the file of --json, once it is measured;
-    interrupted, bench leaves what it has. Peers that are not installed are
-    left out; the extra 'bench' brings them.
+    Of whole commands it tells where the time goes, too. Each figure is shown,
+    and kept in the file of --json, once it is measured; interrupted, bench
+    leaves what it has. Peers that are not installed are left out; the extra
+    'bench' brings them.
     """
     from handcal.output import check_outputs
 
