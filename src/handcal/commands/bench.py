@@ -321,7 +321,7 @@ def _line(row: Row) -> Text:
     if isinstance(row, Skipped):
         return Text(f"Left out: {row.title}: {row.reason}")
     if isinstance(row, Profile):
-        return Text(f"{'':33} where that goes: {_shares(row.doing)}", "dim")
+        return Text(f"{'':33} where it goes: {row.title}: {_shares(row.doing)}", "dim")
     low, high = row.rounds.min(), row.rounds.max()
     spread = f"{_number(low)} to {_number(high)}" if len(row.rounds) > 1 else ""
     unit = f"{row.unit} {row.clock}".strip()
