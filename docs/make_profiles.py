@@ -8,6 +8,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from handcal.bench.timing import shares
+
 FILE = Path(__file__).resolve().parent / "profiles.md"
 INTRODUCTION = """# Where the time of each command goes
 
@@ -21,10 +23,8 @@ LEAST = 3.0
 
 def parts(seconds: dict[str, float]) -> str:
     """The parts of a whole, the largest first."""
-    whole = sum(seconds.values())
-    shares = {name: 100.0 * s / whole for name, s in seconds.items()}
-    largest = sorted(shares, key=lambda name: -shares[name])
-    return "<br>".join(f"{n} {shares[n]:.0f} %" for n in largest if shares[n] >= LEAST)
+    told = (f"{name} {share:.0f} %" for name, share in shares(seconds) if share >= LEAST)
+    return "<br>".join(told)
 
 
 def page(document: dict[str, Any]) -> str:

@@ -24,10 +24,7 @@ def document(
         "schema": SCHEMA, "machine": _machine(load), "rounds": rounds, "complete": not left,
         "figures": [_figure(f) for f in rows if isinstance(f, Figure)],
         "profiles": [asdict(p) for p in rows if isinstance(p, Profile)],
-        "skipped": [
-            {"group": s.group, "title": s.title, "reason": s.reason}
-            for s in rows if isinstance(s, Skipped)
-        ],
+        "skipped": [asdict(s) for s in rows if isinstance(s, Skipped)],
     }  # fmt: skip
 
 

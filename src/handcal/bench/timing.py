@@ -245,6 +245,13 @@ def profile(group: str, title: str, ran: Ran) -> Iterator[Profile]:
             yield Profile(group, title, **json.loads(line.removeprefix(SAMPLED)))
 
 
+def shares(seconds: Mapping[str, float]) -> list[tuple[str, float]]:
+    """The parts of a profile in percent of the whole, the largest first."""
+    whole = sum(seconds.values())
+    largest = sorted(seconds.items(), key=lambda part: -part[1])
+    return [(name, 100.0 * s / whole) for name, s in largest]
+
+
 def run_python(code: str) -> Ran:
     """Run a line of Python in a process of its own. Raises HandcalError if that fails."""
     return _run([sys.executable, "-c", code], f"python -c {code}", one_thread())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
@@ -316,12 +316,13 @@ def _line(row: Row) -> Text:
     """One line: median, unit and clock, least and most, what it is, what is asked."""
     from rich.text import Text
 
-    from handcal.bench.timing import Profile, Skipped
+    from handcal.bench.timing import Profile, Skipped, shares
 
     if isinstance(row, Skipped):
         return Text(f"Left out: {row.title}: {row.reason}")
     if isinstance(row, Profile):
-        return Text(f"{'':33} where it goes: {row.title}: {_shares(row.doing)}", "dim")
+        largest = ", ".join(f"{name} {share:.0f} %" for name, share in shares(row.doing)[:SHOWN])
+        return Text(f"{'':33} where it goes: {row.title}: {largest}", "dim")
     low, high = row.rounds.min(), row.rounds.max()
     spread = f"{_number(low)} to {_number(high)}" if len(row.rounds) > 1 else ""
     unit = f"{row.unit} {row.clock}".strip()
@@ -332,13 +333,6 @@ def _line(row: Row) -> Text:
         out.append(f": {word} {_number(row.target.value)} asked, ")
         out.append(*(("met", "green") if row.met else ("missed", "red")))
     return out
-
-
-def _shares(seconds: Mapping[str, float]) -> str:
-    """The largest parts, in percent of the whole."""
-    whole = sum(seconds.values())
-    largest = sorted(seconds.items(), key=lambda part: -part[1])[:SHOWN]
-    return ", ".join(f"{name} {100.0 * s / whole:.0f} %" for name, s in largest)
 
 
 def _number(value: float) -> str:
