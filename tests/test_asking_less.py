@@ -34,7 +34,7 @@ from handcal.laws.over_drivers import (
 )
 from handcal.laws.vocabulary import driver_of
 from handcal.laws.weighing import Beside
-from handcal.model_score import GAINED, PRIOR, better, of_use, prior
+from handcal.model_score import GAINED, PRIOR, better, of_use
 from handcal.search import multistart
 from handcal.search.budget import Budget
 from handcal.search.climb import (
@@ -205,9 +205,9 @@ def test_a_sum_without_each_of_its_functions():
 @pytest.mark.parametrize(("held", "asked"), [(40.0, False), (59.0, False), (61.0, True)])
 def test_a_law_is_looked_for_again_where_noise_holds_as_much_more_as_it_lacked(held, asked):
     last = state.Barred(frozenset({"gyro_bias_walk"}), 40.0, 20.0)
-    assert in_place._may_hide(last, frozenset({"gyro_bias_walk"}), held) is asked
-    assert in_place._may_hide(None, frozenset({"gyro_bias_walk"}), held)  # (nothing was tried)
-    assert in_place._may_hide(last, frozenset({"gyro_bias_walk", "gyro_scale"}), held)
+    assert in_place.may_hide(last, frozenset({"gyro_bias_walk"}), held) is asked
+    assert in_place.may_hide(None, frozenset({"gyro_bias_walk"}), held)  # (nothing was tried)
+    assert in_place.may_hide(last, frozenset({"gyro_bias_walk", "gyro_scale"}), held)
 
 
 def test_by_how_much_the_best_law_of_a_sensor_fell_short(monkeypatch):
@@ -264,7 +264,7 @@ def test_in_the_place_of_more_no_law_is_sought_while_there_is_one_in_that_of_les
         model=_named(("gyro_bias_walk", "gyro_scale"), 0.0), worth=1.0, budget=Budget(),
         bared=set(), barred={}, unnamed=[],
     )  # fmt: skip
-    found = in_place.instead_of_noise(c, last)
+    found = in_place.instead_of_noise(c, 1 if last else 2)
     best = max(worth[k] for k in asked)
     assert seen == asked
     assert found is None if best < 0.0 else found.log_evidence == best
@@ -571,14 +571,16 @@ def test_no_name_is_fitted_beside_a_law_where_all_that_it_promises_is_of_no_use(
     assert bool(fits) is asked
 
 
-@pytest.mark.parametrize(("short", "since", "asked"), [
-    (40.0, 15.0, 1), (40.0, 25.0, 2), (None, 70.0, 1), (None, 80.0, 2),
+@pytest.mark.parametrize(("short", "more", "asked"), [
+    (40.0, 39.0, 1), (40.0, 41.0, 2), (None, 149.0, 1), (None, 151.0, 2),
 ])  # fmt: skip
-def test_a_moment_in_the_place_of_noise_is_sought_again_where_the_score_has_changed(
-    short: float | None, since: float, asked: int, base: Model, monkeypatch: pytest.MonkeyPatch
+def test_a_moment_in_the_place_of_noise_is_sought_again_where_that_holds_as_much_more_as_it_lacked(
+    short: float | None, more: float, asked: int, base: Model, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By half of what a fit fell short by; where none was asked for, of what the noise holds."""
+    """Where no moment was asked for, all that the noise held was missing; what else there is by
+    now, and what it gained, is no reason."""
     sought: list[float] = []
+    held = 150.0
 
     def found(_: object, model: Model) -> Model | None:
         sought.append(model.log_evidence)
@@ -586,17 +588,65 @@ def test_a_moment_in_the_place_of_noise_is_sought_again_where_the_score_has_chan
 
     monkeypatch.setattr(noise_steps, "_at_a_moment", found)
     monkeypatch.setattr(noise_steps, "without", lambda model, _: model)
+    monkeypatch.setattr(noise_steps, "held_by", lambda *_: held)
     c = _climb(base)
-    noise = catalogue()["gyro_bias_walk"]
-    c.model = replace(c.model, effects=(*base.effects, noise))
-    c.noise = {noise.id: 150.0}
+    c.model = replace(c.model, effects=(*base.effects, catalogue()["gyro_bias_walk"]))
     assert noise_steps.name_noise(c) is None
-    # (evidence counts half; with another name the question is another)
-    name = catalogue()["gyro_scale"]
-    evidence = c.model.log_evidence + (since - prior(name, [base.parts[0].case])) / 0.5
+    # (evidence counts half)
+    name, held = catalogue()["gyro_scale"], held + more
+    evidence = c.model.log_evidence + 1e3
     c.model = replace(c.model, effects=(*c.model.effects, name), log_evidence=evidence)
     assert noise_steps.name_noise(c) is None
     assert len(sought) == asked
+
+
+@pytest.mark.parametrize(
+    ("room", "worth", "there"),
+    [
+        # (of each channel the best, and no second one)
+        (4, 90.0, {"gyro_x += a", "gyro_z += e", "accel_x += c"}),
+        (2, 90.0, {"gyro_x += a", "accel_x += c"}),
+        (1, 90.0, {"gyro_x += a"}),
+        (4, 30.0, {"gyro_x += a"}),  # (beside the first it is not likelier any more)
+    ],
+)
+def test_laws_of_other_channels_that_are_likelier_are_tried_on_top_at_once(
+    room: int, worth: float, there: set[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    nats = {"gyro_x += a": 40.0, "gyro_x += b": 35.0, "accel_x += c": 20.0, "accel_x += d": 10.0,
+            "gyro_z += e": 15.0}  # fmt: skip
+    start = _named(("accel_bias_walk", "gyro_bias_walk"), 0.0)
+    terms: list[Any] = [SimpleNamespace(effect=SimpleNamespace(id=i, made=None)) for i in nats]
+    noise = {i: f"{i.split('_')[0]}_bias_walk" for i in nats}
+    ends = [_named((*(set(start.ids) - {noise[i]}), i), nats[i]) for i in nats]
+    monkeypatch.setattr(in_place, "_doubted", lambda _: {})
+    monkeypatch.setattr(
+        in_place, "_ends", lambda *_, **__: (list(zip(ends, terms, strict=True)), [])
+    )
+    monkeypatch.setattr(in_place, "forget", lambda *_: None)
+    monkeypatch.setattr(state, "score", lambda m, _: m.log_evidence)
+    for module in (in_place, state):
+        monkeypatch.setattr(
+            module, "likelier",
+            lambda c, m, than=None: m.log_evidence > (than or c.model).log_evidence,
+        )  # fmt: skip
+    monkeypatch.setattr(
+        in_place, "without", lambda m, ids: _named(tuple(i for i in m.ids if i not in ids), 0.0)
+    )
+    monkeypatch.setattr(
+        in_place,
+        "with_term",
+        lambda m, t, *_: _named((*m.ids, t.effect.id), worth + len(m.ids)),
+    )
+    c: Any = SimpleNamespace(
+        model=start, worth=1.0, budget=Budget(), bared=set(), barred={}, unnamed=[], beyond=set()
+    )
+    found = in_place.instead_of_noise(c, room)
+    # (and what stood in the place of each law is gone)
+    left = {i for i in start.ids if not any(noise[law] == i for law in there)}
+    assert found is not None
+    assert set(found.ids) == there | left
+    assert {t.effect.id for t in c.unnamed} == there
 
 
 def test_what_stands_in_for_an_effect_is_given_up_where_it_cannot_be_the_better_one(

@@ -16,7 +16,7 @@ from handcal.explain import importance
 from handcal.explanation import Curve, Hypothesis, Missing, Unnamed, is_curve
 from handcal.laws import with_motion
 from handcal.laws.curve import drawn, drivers_of
-from handcal.laws.law_effect import channel_of, law_of
+from handcal.laws.law_effect import channels_of
 from handcal.model_score import CERTAIN, NAMED, PRIOR, probability
 from handcal.search import outliers
 from handcal.search.climb.exchange_steps import ALIKE, akin
@@ -194,8 +194,7 @@ def _unnamed(model: Model, effect: Effect, own: tuple[Parameter, ...], gain: flo
     C = model.covariance[np.ix_(mine, mine)] * np.outer(scale, scale)
     values = np.array([p.value for p in own])
     shown = drawn(model.parts[0], effect, values, C)
-    law = law_of(effect)
-    channels = (channel_of(effect.id),) if law is None else law.channels
+    channels = channels_of(effect)
     drivers = drivers_of(effect.id)
     size, sigma, unit = shown.size, shown.sigma, shown.curve.y_unit
     smooth = effect.together is not None

@@ -214,6 +214,12 @@ def channel_of(formula: str) -> str:
     return formula.partition(" += ")[0]
 
 
+def channels_of(term: Effect) -> tuple[str, ...]:
+    """All channels to which a law, or a course on one of them, adds."""
+    law = law_of(term)
+    return (channel_of(term.id),) if law is None else law.channels
+
+
 def is_law(kind: str) -> bool:
     """Whether this kind (``Effect.made``) is that of a law over a driver."""
     return kind.count(" | ") == 4

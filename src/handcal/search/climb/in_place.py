@@ -13,7 +13,7 @@ from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.transfer import fit_of, moved_to
 from handcal.laws.best_law import ENOUGH, Survey, Term, best_terms, survey
-from handcal.laws.law_effect import SENSORS
+from handcal.laws.law_effect import SENSORS, channels_of
 from handcal.model_score import better, of_use, score
 from handcal.search.climb.candidates import fitted_with, scanned_about
 from handcal.search.climb.state import (
@@ -34,26 +34,50 @@ from handcal.search.space import best_set, gains
 Way = tuple[frozenset[str], str, object]
 
 
-def instead_of_noise(c: Climb, last: bool) -> Model | None:
-    """The model with a term in the place of what may stand in for one on a sensor, or beside it;
-    last: whether there is room for no other after it."""
+def instead_of_noise(c: Climb, room: int) -> Model | None:
+    """The model with terms in the place of what may stand in for them, or beside it: the likeliest,
+    and those of other channels that are likelier as well; room: how many there may be."""
     key = frozenset(c.model.ids)
     if key in c.bared:
         return None
     doubted = _doubted(c)
     hidden = {sensor: _hidden_by(c, sensor, sets[-1]) for sensor, sets in doubted.items()}
-    asked = [sensor for sensor in doubted if _may_hide(c.barred.get(sensor), *hidden[sensor])]
-    ends, answered = _ends(c, {sensor: doubted[sensor] for sensor in asked}, last)
+    asked = [sensor for sensor in doubted if may_hide(c.barred.get(sensor), *hidden[sensor])]
+    ends, answered = _ends(c, {sensor: doubted[sensor] for sensor in asked}, last=room == 1)
     for sensor in answered:
         c.barred[sensor] = Barred(*hidden[sensor], _fell_short(c, sensor, ends))
     if len(answered) == len(asked):
         c.bared.add(key)
-    return likeliest(c, ends)
+    tried = likeliest(c, ends)
+    return tried if tried is None else _and_of_others(c, tried, ends, room - 1)
 
 
-def _may_hide(last: Barred | None, own: frozenset[str], held: float) -> bool:
-    """Whether a law may be likelier in the place of doubted effects than it was when that was tried
-    last: they are others, or hold as many nats more as it fell short."""
+def _and_of_others(c: Climb, tried: Model, ends: Sequence[tuple[Model, Term]], room: int) -> Model:
+    """A model with a term, and with the best of those of other channels, each in the place of what
+    it was likelier without: asked for again beside the first, it is mostly the same, for a further
+    look at all laws."""
+    others = _apart(ends, c.unnamed[-1])
+    while room > 0 and not c.budget.cuts() and (best := best_of(c, others)) is not None:
+        alone, term = best
+        others = _apart(others, term)
+        rest = without(tried, set(c.model.ids) - set(alone.ids))
+        both = with_term(rest, term, c.worth, c.beyond, tried)
+        if likelier(c, both, tried):
+            c.unnamed.append(term)
+            forget(c, both)
+            tried, room = both, room - 1
+    return tried
+
+
+def _apart(ends: Sequence[tuple[Model, Term]], than: Term) -> list[tuple[Model, Term]]:
+    """Those with a term that adds to no channel to which this one adds."""
+    own = set(channels_of(than.effect))
+    return [(m, term) for m, term in ends if own.isdisjoint(channels_of(term.effect))]
+
+
+def may_hide(last: Barred | None, own: frozenset[str], held: float) -> bool:
+    """Whether a law, or a name, may be likelier in the place of doubted effects than it was when
+    that was tried last: they are others, or hold as many nats more as it fell short."""
     return last is None or own != last.own or held - last.held > last.short
 
 
@@ -63,16 +87,21 @@ def _hidden_by(c: Climb, sensor: str, doubted: frozenset[str]) -> tuple[frozense
     own = doubted | {e.id for e in c.model.effects if e.id.startswith(sensor)}
     gained = gains(c.where, c.model.chosen)
     weak = sum(v for i, v in gained.items() if i in doubted and v < WEAK)
-    rest = [e for e in c.model.effects if e.process is None or e.id not in doubted]
+    return own, held_by(c, doubted) + weak
+
+
+def held_by(c: Climb, ids: Set[str]) -> float:
+    """Nats that those of the model's noise effects hold, at the levels that there are."""
+    rest = [e for e in c.model.effects if e.process is None or e.id not in ids]
     if len(rest) == len(c.model.effects):
-        return own, weak
+        return 0.0
     here, there = ([fit_of(f, e) for f in c.model.parts] for e in (c.model.effects, rest))
-    return own, c.worth * (as_they_are(here) - as_they_are(there)) + weak
+    return c.worth * (as_they_are(here) - as_they_are(there))
 
 
 def _fell_short(c: Climb, sensor: str, ends: Sequence[tuple[Model, Term]]) -> float:
     """Nats by which the best of these laws of a sensor is less likely than the model."""
-    own = [m for m, term in ends if term.effect.id.startswith(sensor)]
+    own = [m for m, term in ends if sensor_of(term) == sensor]
     # (of what diverged nothing is known)
     nats = [-better(m, c.model, c.worth) for m in own if math.isfinite(m.log_evidence)]
     return min(nats, default=0.0 if own else ENOUGH)
@@ -154,6 +183,11 @@ def _doubted(c: Climb) -> dict[str, list[frozenset[str]]]:
         if own_sets := [ids for ids in dict.fromkeys(sets) if ids]:
             out[sensor] = own_sets
     return out
+
+
+def sensor_of(term: Term) -> str:
+    """Of whose readings a term is ("" for a course of something else)."""
+    return next((s for s in SENSORS if term.effect.id.startswith(s)), "")
 
 
 def names_of(c: Climb, sensor: str) -> list[Effect]:

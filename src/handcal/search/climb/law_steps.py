@@ -32,6 +32,7 @@ from handcal.search.climb.in_place import (
     likeliest,
     names_of,
     refused_by,
+    sensor_of,
     surveyed,
 )
 from handcal.search.climb.state import Climb, best_of, forget, in_time, likelier
@@ -48,7 +49,7 @@ def name_term(c: Climb) -> Model | None:
     whatever has no name, or beside them; or as it is chosen anew with a further term on trial."""
     if not _room(c):
         return None
-    tried = instead_of_noise(c, last=_room(c) == 1)
+    tried = instead_of_noise(c, _room(c))
     while tried is None and _room(c) and not c.budget.cuts():
         term = best_term(surveyed(c), refused=refused_by(c))
         if term is None:
@@ -79,7 +80,7 @@ def rename(c: Climb) -> Model | None:
             if rest in c.bared:
                 continue
             c.bared.add(rest)
-            without, found = beside_the_rest(c, _sensor(term), ids, c.dropped)
+            without, found = beside_the_rest(c, sensor_of(term), ids, c.dropped)
             ways |= {(rest, t.effect.id, t.effect.made): (without, t) for t in found}
     return likeliest(c, fits_of(c, ways))
 
@@ -90,7 +91,7 @@ def _beside(c: Climb, term: Term) -> list[frozenset[str]]:
     far as the recordings hardly tell them from the law, or they are steps, whose moment is free.
     Last with all that has no name on its sensor: what is left beside a law may be so because it is
     another one."""
-    sensor = _sensor(term)
+    sensor = sensor_of(term)
     if term.effect.id not in c.model.ids or not sensor:
         return []
     taken = [e for e in c.model.effects if e.process is None and e.id not in c.kept]
@@ -136,10 +137,6 @@ def _correlation(model: Model, one: str, other: str) -> float:
     return float(both.max(initial=0.0))
 
 
-def _sensor(term: Term) -> str:
-    return next((s for s in SENSORS if term.effect.id.startswith(s)), "")
-
-
 def reshape(c: Climb) -> Model | None:
     """A law, or a course over time or direction, chosen again."""
     new = set(c.model.ids) - c.shaped
@@ -181,7 +178,7 @@ def take_in(c: Climb) -> Model | None:
         whole = _with_level(c, term.effect) if term.effect.id in c.model.ids else None
         if whole is None:
             continue
-        asked = [(e.id, term.effect.id) for e in names_of(c, _sensor(term))]
+        asked = [(e.id, term.effect.id) for e in names_of(c, sensor_of(term))]
         ways += [(i, name, whole) for name, law in asked if (name, law) not in c.taken_in]
         c.taken_in |= set(asked)
     calls = [partial(_taken_in, c.model, c.unnamed[i].effect, name, e) for i, name, e in ways]

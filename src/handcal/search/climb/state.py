@@ -35,8 +35,9 @@ SAME_FIT = 1.0
 
 @dataclass(frozen=True)
 class Barred:
-    """Effects of one sensor in whose place no law was likelier: all that a law of it has to do
-    with, the nats that the doubted ones of them held, and by how many the best law fell short."""
+    """Effects in whose place nothing was likelier: of a sensor all that a law of it has to do with,
+    or a noise effect for which a moment was sought; the nats that what was doubted of them held,
+    and by how many the best fell short."""
 
     own: frozenset[str]
     held: float
@@ -63,10 +64,10 @@ class Climb:
     which no fit holds; beyond: of what came out larger than makes sense beside the same others.
     everything: all were fitted at once; survey: of what has no name, beside the last model that was
     asked; vocabulary: blocks of laws of the recordings, as far as they were asked for. barred: by
-    sensor, what came of laws in the place of its doubted effects. rival: the model with which
-    another climb, from another start, began to look for laws; named: that of this one. vain: what
-    was fitted in vain; fruitless: steps that led nowhere, each with the effects of the model, and
-    its log-evidence, in whichever climb of a search.
+    sensor, what came of laws in the place of its doubted effects, and by noise effect, of a moment
+    in its place. rival: the model with which another climb, from another start, began to look for
+    laws; named: that of this one. vain: what was fitted in vain; fruitless: steps that led nowhere,
+    each with the effects of the model, and its log-evidence, in whichever climb of a search.
     """
 
     model: Model
