@@ -9,9 +9,10 @@ import numpy as np
 
 from handcal.effects import Effect, catalogue
 from handcal.estimate.case import applicable, frozen_at, name_of
+from handcal.estimate.evidence import ReducedPass
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Fitted, Model
-from handcal.estimate.scan import scan
+from handcal.estimate.scan import grounds, scan
 from handcal.laws.best_law import Term
 from handcal.model_score import MOMENTS, of_use, prior
 from handcal.search.climb.state import Climb
@@ -23,9 +24,12 @@ from handcal.types import Array
 REFUSED = -1e6
 
 
-def candidates(parts: Sequence[Fitted], present: Sequence[Effect]) -> list[Effect]:
+def candidates(
+    parts: Sequence[Fitted], present: Sequence[Effect], done: ReducedPass | None = None
+) -> list[Effect]:
     """Effects with parameters that at least one recording could show; a step at moments all over
-    the recording, near the moment where it is already, and where a reading was least expected."""
+    the recording, near the moment where it is already, and where a reading was least expected.
+    done: a pass over the first recording's fit, if there is one."""
     out: list[Effect] = []
     cases = [f.case for f in parts]
     t = cases[0].recording.imu.t
@@ -41,7 +45,7 @@ def candidates(parts: Sequence[Fitted], present: Sequence[Effect]) -> list[Effec
             grid = grid[:: max(1, math.ceil(len(grid) / MOMENTS))]
             grid = _near(effect, grid, present)
             if effect.acts_on:
-                grid = _with(grid, sudden(parts[0], effect.acts_on))
+                grid = _with(grid, sudden(parts[0], effect.acts_on, done))
             out += [frozen_at(effect, m) for m in grid]
     return out
 
@@ -82,14 +86,16 @@ def scanned_about(model: Model, terms: Sequence[Term], refused: Set[str]) -> Spa
     """The same about any model, with these terms, but for names that are refused."""
     own = {e.id: e for e in model.effects}
     cases = [f.case for f in model.parts]
-    options = [own.get(e.id, e) for e in candidates(model.parts, model.effects)]
+    about = grounds(model)
+    on_trial = candidates(model.parts, model.effects, about[0].done)
+    options = [own.get(e.id, e) for e in on_trial]
     options += [own.get(t.effect.id, t.effect) for t in terms]
     have = {e.id for e in options}
     options += [e for e in model.effects if e.id not in have and e.process is None]
     odds = {e.id: prior(e, cases) for e in options}
     odds |= {e.id: REFUSED for e in options if name_of(e.id) in refused}
     odds |= {e.id: -REFUSED for e in options if e.always}
-    return space(scan(model, options), options, odds)
+    return space(scan(model, options, about), options, odds)
 
 
 def fitted_with(
