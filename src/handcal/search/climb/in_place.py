@@ -42,7 +42,7 @@ def instead_of_noise(c: Climb, room: int) -> Model | None:
         return None
     doubted = _doubted(c)
     hidden = {sensor: _hidden_by(c, sensor, sets[-1]) for sensor, sets in doubted.items()}
-    asked = [sensor for sensor in doubted if may_hide(c.barred.get(sensor), *hidden[sensor])]
+    asked = [sensor for sensor in doubted if _may_hide(c.barred.get(sensor), *hidden[sensor])]
     ends, answered = _ends(c, {sensor: doubted[sensor] for sensor in asked}, last=room == 1)
     for sensor in answered:
         c.barred[sensor] = Barred(*hidden[sensor], _fell_short(c, sensor, ends))
@@ -75,9 +75,9 @@ def _apart(ends: Sequence[tuple[Model, Term]], than: Term) -> list[tuple[Model, 
     return [(m, term) for m, term in ends if own.isdisjoint(channels_of(term.effect))]
 
 
-def may_hide(last: Barred | None, own: frozenset[str], held: float) -> bool:
-    """Whether a law, or a name, may be likelier in the place of doubted effects than it was when
-    that was tried last: they are others, or hold as many nats more as it fell short."""
+def _may_hide(last: Barred | None, own: frozenset[str], held: float) -> bool:
+    """Whether a law may be likelier in the place of doubted effects than it was when that was tried
+    last: they are others, or hold as many nats more as it fell short."""
     return last is None or own != last.own or held - last.held > last.short
 
 

@@ -9,10 +9,11 @@ from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.model_score import MOMENTS, PRIOR, better, score
 from handcal.search.climb.candidates import fitted_with, scanned_about
-from handcal.search.climb.in_place import held_by, may_hide, without
+from handcal.search.climb.in_place import held_by, without
 from handcal.search.climb.state import (
     FEW,
     HOPELESS,
+    SINCE,
     Barred,
     Climb,
     forget,
@@ -60,8 +61,9 @@ def name_noise(c: Climb) -> Model | None:
     noise = [e for e in c.model.effects if e.process is not None and e.id not in c.kept]
     ends = []
     for e in c.budget.each(noise):
-        own, held = frozenset({e.id}), held_by(c, {e.id})
-        if not may_hide(c.barred.get(e.id), own, held):
+        last, held = c.barred.get(e.id), held_by(c, {e.id})
+        # (what a law took of it is missing in its place no more)
+        if last is not None and abs(held - last.held) < SINCE * last.short:
             continue
         tried = _at_a_moment(c, without(c.model, {e.id}))
         if tried is not None and likelier(c, tried):
@@ -69,7 +71,9 @@ def name_noise(c: Climb) -> Model | None:
         else:
             # (where no moment is asked for, all that the noise holds is missing)
             short = held if tried is None else better(c.model, tried, c.worth)
-            c.barred[e.id] = Barred(own, held, short if math.isfinite(short) else HOPELESS)
+            c.barred[e.id] = Barred(
+                frozenset({e.id}), held, short if math.isfinite(short) else HOPELESS
+            )
     if not ends:
         return None
     best = max(ends, key=lambda m: score(m, c.worth))

@@ -26,8 +26,8 @@ WEAK = 100.0
 HOPELESS = 100.0
 # How many of the weakest are fitted without.
 FEW = 3
-# Share of the nats by which something fell short, below which what a model's score has changed by
-# since cannot have made it the better one.
+# Share of the nats by which something fell short, below which what a model's score, or what noise
+# holds in whose place it was, has changed by since cannot have made it the better one.
 SINCE = 0.5
 # Nats to which two climbs that end with the same effects end with the same fit.
 SAME_FIT = 1.0
