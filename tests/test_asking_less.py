@@ -34,7 +34,7 @@ from handcal.laws.over_drivers import (
 )
 from handcal.laws.vocabulary import driver_of
 from handcal.laws.weighing import Beside
-from handcal.model_score import GAINED, PRIOR, better, of_use
+from handcal.model_score import GAINED, PRIOR, better, of_use, prior
 from handcal.search import multistart
 from handcal.search.budget import Budget
 from handcal.search.climb import (
@@ -571,16 +571,14 @@ def test_no_name_is_fitted_beside_a_law_where_all_that_it_promises_is_of_no_use(
     assert bool(fits) is asked
 
 
-@pytest.mark.parametrize(("short", "more", "asked"), [
-    (40.0, 19.0, 1), (40.0, 21.0, 2), (40.0, -21.0, 2), (None, 74.0, 1), (None, -76.0, 2),
+@pytest.mark.parametrize(("short", "since", "asked"), [
+    (40.0, 15.0, 1), (40.0, 25.0, 2), (None, 70.0, 1), (None, 80.0, 2),
 ])  # fmt: skip
-def test_a_moment_in_the_place_of_noise_is_sought_again_where_that_holds_more_or_less(
-    short: float | None, more: float, asked: int, base: Model, monkeypatch: pytest.MonkeyPatch
+def test_a_moment_in_the_place_of_noise_is_sought_again_where_the_score_has_changed(
+    short: float | None, since: float, asked: int, base: Model, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By half of what was missing; where no moment was asked for, that was all that the noise held.
-    What else there is by now, and what it gained, is no reason."""
+    """By half of what a fit fell short by; where none was asked for, of what the noise holds."""
     sought: list[float] = []
-    held = 150.0
 
     def found(_: object, model: Model) -> Model | None:
         sought.append(model.log_evidence)
@@ -588,13 +586,14 @@ def test_a_moment_in_the_place_of_noise_is_sought_again_where_that_holds_more_or
 
     monkeypatch.setattr(noise_steps, "_at_a_moment", found)
     monkeypatch.setattr(noise_steps, "without", lambda model, _: model)
-    monkeypatch.setattr(noise_steps, "held_by", lambda *_: held)
     c = _climb(base)
-    c.model = replace(c.model, effects=(*base.effects, catalogue()["gyro_bias_walk"]))
+    noise = catalogue()["gyro_bias_walk"]
+    c.model = replace(c.model, effects=(*base.effects, noise))
+    c.noise = {noise.id: 150.0}
     assert noise_steps.name_noise(c) is None
-    # (evidence counts half)
-    name, held = catalogue()["gyro_scale"], held + more
-    evidence = c.model.log_evidence + 1e3
+    # (evidence counts half; with another name the question is another)
+    name = catalogue()["gyro_scale"]
+    evidence = c.model.log_evidence + (since - prior(name, [base.parts[0].case])) / 0.5
     c.model = replace(c.model, effects=(*c.model.effects, name), log_evidence=evidence)
     assert noise_steps.name_noise(c) is None
     assert len(sought) == asked

@@ -87,16 +87,11 @@ def _hidden_by(c: Climb, sensor: str, doubted: frozenset[str]) -> tuple[frozense
     own = doubted | {e.id for e in c.model.effects if e.id.startswith(sensor)}
     gained = gains(c.where, c.model.chosen)
     weak = sum(v for i, v in gained.items() if i in doubted and v < WEAK)
-    return own, held_by(c, doubted) + weak
-
-
-def held_by(c: Climb, ids: Set[str]) -> float:
-    """Nats that those of the model's noise effects hold, at the levels that there are."""
-    rest = [e for e in c.model.effects if e.process is None or e.id not in ids]
+    rest = [e for e in c.model.effects if e.process is None or e.id not in doubted]
     if len(rest) == len(c.model.effects):
-        return 0.0
+        return own, weak
     here, there = ([fit_of(f, e) for f in c.model.parts] for e in (c.model.effects, rest))
-    return c.worth * (as_they_are(here) - as_they_are(there))
+    return own, c.worth * (as_they_are(here) - as_they_are(there)) + weak
 
 
 def _fell_short(c: Climb, sensor: str, ends: Sequence[tuple[Model, Term]]) -> float:

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import math
-
 from handcal.estimate.case import name_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.model_score import MOMENTS, PRIOR, better, score
 from handcal.search.climb.candidates import fitted_with, scanned_about
-from handcal.search.climb.in_place import held_by, without
+from handcal.search.climb.in_place import without
 from handcal.search.climb.state import (
     FEW,
     HOPELESS,
-    SINCE,
-    Barred,
     Climb,
+    fell_short,
     forget,
+    in_vain,
     likelier,
 )
 from handcal.search.noise_scan import all_noise, looks_of, of_looks, on_fewer_axes
@@ -61,19 +59,16 @@ def name_noise(c: Climb) -> Model | None:
     noise = [e for e in c.model.effects if e.process is not None and e.id not in c.kept]
     ends = []
     for e in c.budget.each(noise):
-        last, held = c.barred.get(e.id), held_by(c, {e.id})
-        # (what a law took of it is missing in its place no more)
-        if last is not None and abs(held - last.held) < SINCE * last.short:
+        what = name_noise.__name__, e.id
+        if in_vain(c, what):
             continue
         tried = _at_a_moment(c, without(c.model, {e.id}))
         if tried is not None and likelier(c, tried):
             ends.append(tried)
         else:
             # (where no moment is asked for, all that the noise holds is missing)
-            short = held if tried is None else better(c.model, tried, c.worth)
-            c.barred[e.id] = Barred(
-                frozenset({e.id}), held, short if math.isfinite(short) else HOPELESS
-            )
+            held = c.noise.get(e.id, HOPELESS)
+            fell_short(c, what, held if tried is None else better(c.model, tried, c.worth))
     if not ends:
         return None
     best = max(ends, key=lambda m: score(m, c.worth))

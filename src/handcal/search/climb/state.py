@@ -26,8 +26,8 @@ WEAK = 100.0
 HOPELESS = 100.0
 # How many of the weakest are fitted without.
 FEW = 3
-# Share of the nats by which something fell short, below which what a model's score, or what noise
-# holds in whose place it was, has changed by since cannot have made it the better one.
+# Share of the nats by which something fell short, below which what a model's score has changed by
+# since cannot have made it the better one.
 SINCE = 0.5
 # Nats to which two climbs that end with the same effects end with the same fit.
 SAME_FIT = 1.0
@@ -35,9 +35,8 @@ SAME_FIT = 1.0
 
 @dataclass(frozen=True)
 class Barred:
-    """Effects in whose place nothing was likelier: of a sensor all that a law of it has to do with,
-    or a noise effect for which a moment was sought; the nats that what was doubted of them held,
-    and by how many the best fell short."""
+    """Effects of one sensor in whose place no law was likelier: all that a law of it has to do
+    with, the nats that the doubted ones of them held, and by how many the best law fell short."""
 
     own: frozenset[str]
     held: float
@@ -64,10 +63,10 @@ class Climb:
     which no fit holds; beyond: of what came out larger than makes sense beside the same others.
     everything: all were fitted at once; survey: of what has no name, beside the last model that was
     asked; vocabulary: blocks of laws of the recordings, as far as they were asked for. barred: by
-    sensor, what came of laws in the place of its doubted effects, and by noise effect, of a moment
-    in its place. rival: the model with which another climb, from another start, began to look for
-    laws; named: that of this one. vain: what was fitted in vain; fruitless: steps that led nowhere,
-    each with the effects of the model, and its log-evidence, in whichever climb of a search.
+    sensor, what came of laws in the place of its doubted effects. rival: the model with which
+    another climb, from another start, began to look for laws; named: that of this one. vain: what
+    was fitted in vain; fruitless: steps that led nowhere, each with the effects of the model, and
+    its log-evidence, in whichever climb of a search.
     """
 
     model: Model
