@@ -53,9 +53,9 @@ def instead_of_noise(c: Climb, room: int) -> Model | None:
 
 
 def _and_of_others(c: Climb, tried: Model, ends: Sequence[tuple[Model, Term]], room: int) -> Model:
-    """A model with a term, and with the best of those of other channels, each in the place of what
-    it was likelier without: asked for again beside the first, it is mostly the same, for a further
-    look at all laws."""
+    """A model with a term, and with the best of those of other channels that is likelier still,
+    each in the place of what it was likelier without. (Beside the first, a further look at all laws
+    mostly finds the same.)"""
     others = _apart(ends, c.unnamed[-1])
     while room > 0 and not c.budget.cuts() and (best := best_of(c, others)) is not None:
         alone, term = best
