@@ -72,7 +72,8 @@ def test_columns_are_what_a_pass_with_them_has(model: Model) -> None:
     have = set(model.ids)
     signals = over_drivers.signals_of(model.parts[0])
     laws = [b.effect for b in over_drivers.blocks(signals)[::5]]
-    named = [e for e in candidates(model.parts, model.effects) if e.id not in have]
+    (ground,) = grounds(model)
+    named = [e for e in candidates(model.parts, model.effects, ground.done) if e.id not in have]
     past = []
     if "heading" in model.parts[0].case.kinds:
         past = [b.effect for b in over_drivers.further_blocks(signals, "heading")]
@@ -91,7 +92,9 @@ def test_columns_are_what_a_pass_with_them_has(model: Model) -> None:
 
 
 def test_few_at_once_come_to_the_same(model: Model, monkeypatch: pytest.MonkeyPatch) -> None:
-    named = [e for e in candidates(model.parts, model.effects) if e.id not in model.ids]
+    (ground,) = grounds(model)
+    on_trial = candidates(model.parts, model.effects, ground.done)
+    named = [e for e in on_trial if e.id not in model.ids]
     whole = scan(model, named)
     asked = []
     slopes_of = columns.slopes_of

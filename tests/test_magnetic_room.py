@@ -16,6 +16,7 @@ from handcal.effects import Z_DIM, catalogue, observed_error
 from handcal.effects._field import GRADIENT
 from handcal.estimate.baseline import baseline
 from handcal.estimate.case import Case, applicable, case_of, frozen_at
+from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.fit import fitted
 from handcal.estimate.specification import document_of
 from handcal.explain import explain
@@ -173,9 +174,11 @@ def stepped(plain: Recording) -> Case:
 
 def test_a_step_shows_where_a_reading_was_least_expected(stepped: Case) -> None:
     base = baseline([stepped])
-    moments = sudden(base.parts[0], {"magnetometer"})
+    (part,) = base.parts
+    done = reduced_pass(reduce(part.linear), part.levels)
+    moments = sudden(part, {"magnetometer"}, done)
     assert np.abs(moments - STEP[3]).min() < 0.06
-    assert len(sudden(base.parts[0], {"heading"})) == 0
+    assert len(sudden(part, {"heading"}, done)) == 0
 
 
 def test_a_held_step_is_fitted_for_the_rest(stepped: Case) -> None:

@@ -12,7 +12,7 @@ from collections.abc import Set
 import numpy as np
 
 from handcal.compiled.kernel import MAX_DIM
-from handcal.estimate.evidence import ReducedPass, reduce, reduced_pass
+from handcal.estimate.evidence import ReducedPass
 from handcal.estimate.model import Fitted
 from handcal.types import Array
 
@@ -20,10 +20,9 @@ from handcal.types import Array
 MOST = 4
 
 
-def sudden(f: Fitted, kinds: Set[str], done: ReducedPass | None = None) -> Array:
+def sudden(f: Fitted, kinds: Set[str], done: ReducedPass) -> Array:
     """The moments (k,) between two readings of which the second was least expected, s after the
-    first sample, of each of these kinds of observation; done: the pass over it, if there is one."""
-    done = reduced_pass(reduce(f.linear), f.levels) if done is None else done
+    first sample, of each of these kinds of observation; done: a pass over the fit."""
     linear = done.reduction.linear
     square = done.innovations(done.w) ** 2 / done.S
     epoch = np.repeat(np.arange(len(linear.t)), np.diff(done.reduction.first))

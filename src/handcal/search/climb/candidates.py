@@ -25,11 +25,11 @@ REFUSED = -1e6
 
 
 def candidates(
-    parts: Sequence[Fitted], present: Sequence[Effect], done: ReducedPass | None = None
+    parts: Sequence[Fitted], present: Sequence[Effect], done: ReducedPass
 ) -> list[Effect]:
     """Effects with parameters that at least one recording could show; a step at moments all over
     the recording, near the moment where it is already, and where a reading was least expected.
-    done: a pass over the first recording's fit, if there is one."""
+    done: a pass over the first recording's fit."""
     out: list[Effect] = []
     cases = [f.case for f in parts]
     t = cases[0].recording.imu.t

@@ -63,9 +63,7 @@ def _and_of_others(c: Climb, tried: Model, ends: Sequence[tuple[Model, Term]], r
         rest = without(tried, set(c.model.ids) - set(alone.ids))
         both = with_term(rest, term, c.worth, c.beyond, tried)
         if likelier(c, both, tried):
-            c.unnamed.append(term)
-            forget(c, both)
-            tried, room = both, room - 1
+            tried, room = _taken(c, both, term), room - 1
     return tried
 
 
@@ -107,7 +105,11 @@ def likeliest(c: Climb, ends: Sequence[tuple[Model, Term]]) -> Model | None:
     best = best_of(c, ends)
     if best is None:
         return None
-    tried, term = best
+    return _taken(c, *best)
+
+
+def _taken(c: Climb, tried: Model, term: Term) -> Model:
+    """The model with its term, which is one of the climb's from now on."""
     c.unnamed.append(term)
     forget(c, tried)
     return tried

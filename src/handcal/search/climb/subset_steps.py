@@ -7,12 +7,13 @@ import math
 from dataclasses import replace
 from functools import partial
 
+from handcal.effects import catalogue
 from handcal.estimate.case import name_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.robust import inflation
 from handcal.model_score import GAINED, PRIOR, better
-from handcal.search.climb.candidates import REFUSED, candidates, fitted_with, scanned_about
+from handcal.search.climb.candidates import REFUSED, fitted_with, scanned_about
 from handcal.search.climb.state import (
     FEW,
     Climb,
@@ -65,12 +66,12 @@ def everything(c: Climb) -> Model | None:
     if c.everything or not more or not c.model.chosen - c.kept:
         return None
     c.everything = True
-    own = {e.id for e in c.model.effects}
-    names = {name_of(i) for i in own} | c.dropped | c.beyond
-    others = [e for e in candidates(c.model.parts, c.model.effects) if name_of(e.id) not in names]
+    names = {name_of(i) for i in c.model.ids} | c.dropped | c.beyond
+    # (no steps, whose moment is open, and no laws)
+    others = [e for i, e in c.where.effects.items() if i in catalogue() and i not in names]
     # (no two problems of this size beside each other, linearised)
     c.model = c.model.bare
-    whole = fitted(c.model.parts, [*c.model.effects, *(e for e in others if "@" not in e.id)])
+    whole = fitted(c.model.parts, [*c.model.effects, *others])
     where = scanned_about(whole.bare, c.unnamed, c.dropped | c.beyond)
     tried = fitted_with(whole, where, best_set(where, whole.chosen))
     if not likelier(c, tried):
