@@ -265,6 +265,15 @@ def test_a_search_cut_short_says_so_first():
     assert told[0].startswith("Two things are missing")
 
 
+def test_a_search_cut_short_says_what_it_named_and_not_that_the_motion_cannot_tell():
+    left = replace(fake_explanation("explained"), verdict="cannot_tell", untried=("laws",))
+    told = verdict_text.verdict(left).sentences
+    assert told[0].startswith("Two things are missing")
+    both = replace(fake_explanation("cannot_tell"), untried=("laws",))
+    told = verdict_text.verdict(both).sentences
+    assert told[0].startswith("Something is missing, but this motion cannot tell which")
+
+
 def test_what_speaks_against_a_model_is_said():
     e = fake_explanation("explained", recordings=1)
     worse = replace(e.held_out, log_score_after=e.held_out.log_score_before - 12.0)

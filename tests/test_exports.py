@@ -610,6 +610,15 @@ def test_what_a_result_warns_of_goes_with_it_and_the_rest_can_be_asked_for(resul
     assert "How much" not in written(path, "px4", recording=recording())
 
 
+@pytest.mark.parametrize(("alike", "said"), [([], 0), (["gyro_misalignment"], 1)])
+def test_that_a_recording_cannot_tell_which_is_said_of_sets_alone(result, alike, said):
+    """A search that was cut short cannot tell either, of other reasons."""
+    missing = [{"effect": "gyro_scale", "indistinguishable_from": alike}]
+    path = result(drawn(0, DIAGONAL), schema="handcal/explanation/1", verdict="cannot_tell",
+                  missing=missing)  # fmt: skip
+    assert written(path, "px4").count("cannot tell which") == said
+
+
 def test_axes_are_refused_where_they_mean_nothing(result, tmp_path, main):
     path, out = result(drawn(0, DIAGONAL)), tmp_path / "out.txt"
     status, _, said = main("export", path, "--to", "kalibr", "--axes", "frd", "-o", out)

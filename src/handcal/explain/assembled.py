@@ -110,9 +110,9 @@ def _named(
     if counts:
         return _Named("unexplained", missing, unnamed, alone, remarks)
     missing = likely(entries, {})
-    # (that nothing is missing only a search says that was not broken off)
-    none = "nothing_missing" if whole else "cannot_tell"
-    verdict = "cannot_tell" if unsure else "explained" if missing else none
+    # (that this is all only a search says that was not broken off)
+    settled = "explained" if missing else "nothing_missing"
+    verdict = settled if whole and not unsure else "cannot_tell"
     return _Named(verdict, missing, [], {}, [*remarks, *(remark(u) for u in unnamed)])
 
 

@@ -332,7 +332,8 @@ def _header(
         lines.append(f"{i} {' '.join(axes)}: not observable in the recording, taken as zero")
     if unsure := device.hardly_known(found.learnt, found.matrices):
         lines.append(unsure)
-    if found.document.get("verdict") == "cannot_tell":
+    alike = any(m.get("indistinguishable_from") for m in found.document.get("missing", ()))
+    if found.document.get("verdict") == "cannot_tell" and alike:
         lines.append("Warning: of some of these errors the recording cannot tell which it holds")
     if form.keep is not None:
         lines += _left_lines(found, form, kept, recording)
