@@ -12,7 +12,6 @@ from dataclasses import replace
 from functools import partial
 from itertools import count
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,6 @@ from worlds import recording_of
 
 import handcal.explain
 from handcal.commands._app import app
-from handcal.effects import catalogue
 from handcal.estimate.forked import in_parallel
 from handcal.explain import explain
 from handcal.interrupt import ENDING, asked
@@ -31,7 +29,6 @@ from handcal.live import run
 from handcal.live.ending import Wanted
 from handcal.live.recorder import opened
 from handcal.live.session import Session
-from handcal.search import multistart
 from handcal.search.budget import AFTERWARDS, SO_FAR, Budget, after
 from handcal.show.explanation.document import explanation_json
 from handcal.show.explanation.verdict_text import verdict
@@ -136,25 +133,6 @@ def test_a_step_that_ended_in_time_is_not_cut() -> None:
     budget = Budget()
     assert list(budget.each("abc")) == ["a", "b", "c"]
     assert not budget.cut
-
-
-@pytest.mark.parametrize(("until", "led"), [(math.inf, 2), (0.0, 1)])
-def test_where_nothing_fits_without_some_error_the_first_that_helps_has_to_do(
-    monkeypatch: pytest.MonkeyPatch, until: float, led: int
-) -> None:
-    """Fifteen were fitted, a minute of a fast recording, however short the budget."""
-    ends = [SimpleNamespace(settled=k > 0, one_sided=True, log_evidence=k) for k in range(3)]
-    ids = ["gyro_scale", "accel_scale", "gyro_misalignment"]
-    monkeypatch.setattr(multistart, "catalogue", lambda: {i: catalogue()[i] for i in ids})
-    monkeypatch.setattr(multistart, "applicable", lambda *_: True)
-    monkeypatch.setattr(multistart, "_alone", lambda _, e: ends[ids.index(e.id)])
-    monkeypatch.setattr(multistart, "better", lambda *_: 1.0)
-    base: Any = SimpleNamespace(parts=[SimpleNamespace(case=None)])
-    budget = Budget(until)
-    found = multistart.leading(base, budget=budget)
-    assert found is not None
-    assert found.log_evidence == led
-    assert bool(budget.untried) == (led == 1)
 
 
 @pytest.fixture

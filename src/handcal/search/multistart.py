@@ -77,7 +77,7 @@ def search(
     well from the baseline, the search begins again with it, and the better of the two ends counts.
     """
     budget = budget or Budget()
-    led = leading(base, refused, budget) if astray(base) else None
+    led = leading(base, refused) if astray(base) else None
     if led is not None:
         end = _end(base, (), _Common(refused, budget), report, led)
         assert end is not None
@@ -131,13 +131,9 @@ def astray(base: Model) -> bool:
     return any(float(np.median(p.innovations(p.w) ** 2 / p.S)) > MISFIT for p in passes)
 
 
-def leading(
-    base: Model, refused: Set[str] = frozenset(), budget: Budget | None = None
-) -> Model | None:
+def leading(base: Model, refused: Set[str] = frozenset()) -> Model | None:
     """The fit with the one error of the readings without which there is none: where a baseline has
-    diverged, whatever is scanned about it is nonsense. Begun from the online filter with it; where
-    there is no time any more, the first that is a fit has to do."""
-    budget = budget or Budget()
+    diverged, whatever is scanned about it is nonsense. Begun from the online filter with it."""
     cases = [f.case for f in base.parts]
     acting = [
         e
@@ -145,13 +141,10 @@ def leading(
         if e.imu_error is not None and e.process is None and not e.baseline and e.moments is None
     ]
     tried = [e for e in acting if e.id not in refused and any(applicable(c, e) for c in cases)]
-    best: Model | None = None
-    for m in in_parallel(partial(_alone, base, e) for e in tried):
-        if m is not None and m.settled and m.one_sided and better(m, base, 1.0) > 0.0:
-            best = m if best is None or m.log_evidence > best.log_evidence else best
-        if best is not None and budget.spent("other errors without which nothing fits"):
-            break
-    return best
+    ways = [partial(_alone, base, e) for e in tried]
+    fits = [m for m in in_parallel(ways) if m is not None and m.settled and m.one_sided]
+    best = max(fits, key=lambda m: m.log_evidence, default=base)
+    return None if best is base or not better(best, base, 1.0) > 0.0 else best
 
 
 def _alone(base: Model, effect: Effect) -> Model | None:
