@@ -271,7 +271,8 @@ def test_a_search_cut_short_says_what_it_named_and_not_that_the_motion_cannot_te
     assert told[0].startswith("Two things are missing")
     both = replace(fake_explanation("cannot_tell"), untried=("laws",))
     told = verdict_text.verdict(both).sentences
-    assert told[0].startswith("Something is missing, but this motion cannot tell which")
+    assert told[0].startswith("Something is missing: gravity or, less probably, the accelerometer")
+    assert "it is not clear which" in " ".join(verdict_text.untold(both))
 
 
 def test_what_speaks_against_a_model_is_said():

@@ -142,8 +142,8 @@ def shares_note(explanation: Explanation) -> str:
 def verdict(explanation: Explanation) -> Verdict:
     """The headline and what stands behind it, of any of the four verdicts."""
     added, held = always.parted(explanation)
-    if added.untried and _apart(added):
-        # (it is time that ran out which leaves the verdict open, not the motion)
+    if added.untried and added.missing and added.verdict == "cannot_tell":
+        # (what leaves the verdict open is that time ran out; what is named is told as it is)
         added = replace(added, verdict="explained")
     level, headline, sentences = _head(added, held)
     if (first := matters(added)) is not None:
@@ -167,12 +167,6 @@ def verdict(explanation: Explanation) -> Verdict:
         sentences += doubts
         level = "partly" if level == "good" else level
     return Verdict(level, headline, tuple(sentences))
-
-
-def _apart(e: Explanation) -> bool:
-    """Whether something is named, and nothing that looks like something else."""
-    sets = [m.indistinguishable_from for m in e.missing]
-    return e.verdict == "cannot_tell" and bool(sets) and not any(sets)
 
 
 def _head(added: Explanation, held: Sequence[Missing]) -> tuple[str, str, list[str]]:
