@@ -344,25 +344,6 @@ def test_a_ratio_that_is_a_third_worse_than_it_was_fails(
         run(2.0 * slower, 3.0 / fewer, 9.0, against=kept)
 
 
-def test_the_best_rounds_are_compared(monkeypatch, tmp_path):
-    """What works beside it makes most rounds worse, and none better."""
-
-    def run(ours, theirs, **options):
-        figures = [
-            Figure("a", "ours over theirs", "x", np.array(ours)),
-            Figure("a", "theirs over ours", "x", np.array(theirs), "", Target(1.0, False)),
-        ]
-        monkeypatch.setattr(bench_command, "_measured", lambda *_: figures)
-        bench_command.bench(rounds=3, **options)
-
-    kept = tmp_path / "kept.json"
-    run([2.0, 2.1, 2.2], [3.0, 2.9, 2.8], json=kept)
-    run([2.5, 4.0, 5.0], [2.4, 1.5, 1.0], against=kept)
-    for ours, theirs in (([2.7, 2.7, 2.7], [3.0] * 3), ([2.0] * 3, [2.2, 2.2, 2.2])):
-        with pytest.raises(typer.Exit):
-            run(ours, theirs, against=kept)
-
-
 def test_nothing_to_compare_is_no_pass(monkeypatch, tmp_path):
     kept = tmp_path / "kept.json"
     kept.write_text('{"figures": []}')

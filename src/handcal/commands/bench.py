@@ -184,11 +184,7 @@ def _earlier(path: Path) -> list[dict[str, Any]]:
     document = read_json(path)
     try:
         figures = document["figures"]
-        return [
-            {"title": str(f["title"]), "rounds": [*map(float, f["rounds"])]}
-            for f in figures
-            if f["rounds"]
-        ]
+        return [{"title": str(f["title"]), "median": float(f["median"])} for f in figures]
     except (ValueError, KeyError, TypeError):
         raise InputError(f"{path} is not what `handcal bench --json` writes.") from None
 
