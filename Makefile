@@ -2,7 +2,7 @@
 # PYTHON=/path/to/python chooses the interpreter .venv is made from.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo live docs site gallery stories test lint format prove fuzz fuzz-guided soak rough pairs trial bench bench-check fleet-scale dist size audit clean clean-cache
+.PHONY: help setup demo live docs site gallery stories test lint format prove fuzz fuzz-guided soak rough pairs trial judge bench bench-check fleet-scale dist size audit clean clean-cache
 
 BIN := .venv/bin
 # Of `make trial`: which suites, how many explanations at a time; SEED=N repeats a trial, and
@@ -79,6 +79,10 @@ trial: setup ## blind trials of explain at full size: hours; scores in trial-out
 	    $(if $(AGAINST),--against $(AGAINST)) --json trial-out/$$s.json || exit; \
 	done
 
+judge: .venv/.installed-dev ## 120 recordings explained, into judge-out/: hours; QUICK=1 a part, RESUME=1, AGAINST=TABLE, SEED=N, JOBS=2
+	$(BIN)/python benchmarks/judge.py --jobs $(JOBS) $(if $(QUICK),--quick) $(if $(RESUME),--resume) \
+	  $(if $(SEED),--seed $(SEED)) $(if $(AGAINST),--against $(AGAINST))
+
 bench: .venv/.installed-bench ## speed beside other programs, start-up, memory, docs/profiles.md: 22 minutes, and 2 for each real recording
 	@mkdir -p bench-out
 	$(BIN)/handcal bench --all --json bench-out/bench.json
@@ -120,7 +124,7 @@ format: .venv/.installed-dev ## put the code into the project's format
 
 clean: ## remove .venv, caches, builds, the demo's output and scores of trials
 	rm -rf .venv .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
-	rm -rf build dist site demo-out trial-out bench-out fuzz-out gallery-out
+	rm -rf build dist site demo-out trial-out bench-out fuzz-out gallery-out judge-out
 	find src sim tests -name __pycache__ -prune -exec rm -rf {} +
 
 clean-cache: ## remove compiled kernels (do so after editing what is compiled into others)
