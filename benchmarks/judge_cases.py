@@ -28,7 +28,7 @@ DRAWN = {
 QUICK = {"nothing": 2, "faint": 2, "people": 2}
 # Nothing, something outside the catalogue, what cannot be told apart, two effects.
 QUICK_SEALED = ("sealed_01", "sealed_03", "sealed_04", "sealed_06")
-QUICK_REAL = ("sensor_logger_ios", "broad_32_magnet", "array_6_imu5", "openaxes_circle250",
+QUICK_REAL = ("sensor_logger_ios", "broad_32_magnet", "array_6_imu5", "android_fullpitch",
               "phone_oscillations3")  # fmt: skip
 
 

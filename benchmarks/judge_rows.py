@@ -87,7 +87,7 @@ def off_known(facts: Sequence[Mapping[str, Any]], document: Document) -> dict[st
             if row["found"] is not None:
                 off = row["found"] - row["known"]
                 beyond = max(abs(off) - row["within"], 0.0) / row["sigma"]
-                value = _rounded(beyond if off > 0.0 else -beyond)
+                value = _rounded(beyond if off > 0.0 else -beyond) + 0.0  # (no -0.0)
             elif row["word"] == "not told":
                 continue
             else:
