@@ -80,10 +80,11 @@ def _changed(before: Row, after: Row) -> dict[str, Any] | None:
 
 def show(figures: Mapping[str, Any], console: Console) -> None:
     """As tables in the terminal, before above after."""
-    columns = ("suite", "n", "right, %", "in 1 sigma, %", "in 2 sigma, %", "median s")
+    columns = ("suite", "n", "right, %", "1 sigma, %", "2 sigma, %", "s")
     if len(figures["suites"][-1]["sides"]) == 2:
         columns += ("nats", "time")
-    table = _table("Judged", *columns)
+    table = _table("Judged: right outcomes, parameters near the truth, processor time", *columns)
+    table.padding = (0, 1, 0, 0)
     for row in figures["suites"]:
         cells = ["\n".join(_percent(side[key]) for side in row["sides"])
                  for key in ("right", "within_1", "within_2")]  # fmt: skip
@@ -102,9 +103,9 @@ def show(figures: Mapping[str, Any], console: Console) -> None:
 
 
 def _percent(share: Row) -> str:
-    """A share and its interval, short: 98 (94 to 100)."""
+    """A share and its interval, short: 98 (94-100)."""
     low, high = (100.0 * x for x in share["interval"])
-    return f"{100.0 * share['share']:.0f} ({low:.0f} to {high:.0f})" if share["n"] else "-"
+    return f"{100.0 * share['share']:.0f} ({low:.0f}-{high:.0f})" if share["n"] else "-"
 
 
 def _changes(rows: Sequence[Mapping[str, Any]]) -> Table:
