@@ -21,7 +21,7 @@ def swings(largest_rad: float, hz: float) -> Scenario:
     """To and fro about each axis in turn, so far and so often but for a quarter."""
 
     def made(duration: float, start: Start, rng: np.random.Generator) -> Motion:
-        windows = _windows(duration, 3 * max(1, round(duration / 30.0)), rng)
+        windows = spaced(duration, 3 * max(1, round(duration / 30.0)), rng)
         angles, quick = [], []
         for k, window in enumerate(windows):
             omega = 2.0 * math.pi * hz * rng.uniform(0.75, 1.25)
@@ -42,7 +42,7 @@ def routine(quarters: bool) -> Scenario:
         each = 4 if quarters else 1
         cycle_s = 36.0 if quarters else 18.0
         count = 3 * each * max(1, round(duration / cycle_s))
-        windows = _windows(duration, count, rng)
+        windows = spaced(duration, count, rng)
         angle = start.direction * 2.0 * math.pi / each
         angles = [
             profiles.along(np.eye(3)[(2, 0, 1)[k // each % 3]], profiles.turn(a, b, angle))
@@ -72,7 +72,7 @@ def figure_of_eight(largest_rad: float, hz: float) -> Scenario:
     return made
 
 
-def _windows(duration: float, count: int, rng: np.random.Generator) -> Windows:
+def spaced(duration: float, count: int, rng: np.random.Generator) -> Windows:
     """So many movements with short rests before, between and after: from and to, s."""
     rests = rng.uniform(0.6, 1.4, count + 1)
     moves = rng.uniform(0.8, 1.2, count)

@@ -17,6 +17,7 @@ from handcal_sim.profiles import Array
 from handcal_sim.prove import (
     draw_budget,
     draw_odometry,
+    draw_ordinary,
     draw_people,
     draw_phone,
     draw_strange,
@@ -56,7 +57,7 @@ def draw(suite: str, number: int, seed: int, gain: Gain | None = None) -> tuple[
     """Recording `number` of a suite. gain: for `faint`, the nats that an effect promises there."""
     ticket = Ticket(suite, number, seed, gain)
     world, drawn = _DRAWINGS[suite](ticket, generator(ticket))
-    return world, completed(world, drawn)
+    return world, drawn if drawn.baseline else completed(world, drawn)
 
 
 def _several(most: int) -> Drawing:
@@ -222,4 +223,5 @@ _DRAWINGS: Mapping[str, Drawing] = {
     "axis": _in_part,
     "walks": _each(WALKS),
     "latest": draw_strange.drawn,
+    "ordinary": draw_ordinary.drawn,
 }

@@ -20,7 +20,7 @@ def percent(share: Row) -> str:
     return f"{100.0 * share['share']:.1f} % ({low:.1f} to {high:.1f})"
 
 
-def _judged(met: bool | None) -> str:
+def marked(met: bool | None) -> str:
     return {None: "", True: " [green]met[/]", False: " [red]not met[/]"}[met]
 
 
@@ -33,7 +33,7 @@ def _coverage(rows: Mapping[str, Row], asked: Row | None = None) -> str:
         for name, row in three.items()
         if (row["share"] or 0.0) < 0.99
     )
-    target = f"; {100.0 * asked['target']:g} % asked{_judged(asked['met'])}" if asked else ""
+    target = f"; {100.0 * asked['target']:g} % asked{marked(asked['met'])}" if asked else ""
     return (
         f"Of {every['n']} reported parameters {percent(every)} lie within three sigma of the truth"
         f"{target}." + (f" Beyond: {off}." if off else "")
@@ -45,13 +45,13 @@ def _phone(figures: Row) -> list[RenderableType]:
     return [
         "phone: " + _coverage(figures["parameters"], figures["asked"]),
         f"phone: {claims['count']} of {claims['n']} recordings claim a value beyond 5 % or 5 deg; "
-        f"none asked{_judged(claims['count'] == 0)}.",
+        f"none asked{marked(claims['count'] == 0)}.",
     ]
 
 
 def _odometry(figures: Row) -> list[RenderableType]:
     wrong, right = figures["perfect_said_to_drift"], figures["drift_found"]
-    judged = _judged(wrong["count"] == 0 if wrong["n"] else None)
+    judged = marked(wrong["count"] == 0 if wrong["n"] else None)
     return [
         f"odometry: {wrong['count']} of {wrong['n']} perfect trackers are said to drift; "
         f"none asked{judged}. Of those that drift, {percent(right)} are.",
@@ -83,7 +83,7 @@ def _budget(figures: Row) -> list[RenderableType]:
         f"budget: of the gyro's error in another recording there is left: {shares} of {left['n']}; "
         f"{100.0 * asked['median']:g} and {100.0 * asked['worst']:g} % asked, or "
         f"{asked['beside_told']:g} times what is left if told"
-        f"{_judged(left['met'])}.",
+        f"{marked(left['met'])}.",
         f"budget: {percent(names)} of {names['n']} effects are named.",
         "budget: " + _coverage(figures["parameters"]),
     ]

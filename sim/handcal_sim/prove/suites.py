@@ -135,6 +135,7 @@ SUITES: dict[str, Suite] = {
     ),
     "walks": Suite("a walk or correlated noise alone, 84 s", 60, ("exact",), 0.95),
     "latest": Suite("the laws of `strange` that came last", 30, ("exact",), 0.90),
+    "ordinary": Suite("devices with all that is usual, short motions", 180, ("exact",), None),
 }
 
 

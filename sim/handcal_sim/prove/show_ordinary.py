@@ -1,0 +1,85 @@
+"""What `ordinary` finds, as tables for the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from rich import box
+from rich.console import RenderableType
+from rich.table import Table
+
+from handcal_sim.prove.show_further import marked, percent
+
+Row = Mapping[str, Any]
+
+
+def tables(found: Row) -> Iterator[RenderableType]:
+    """Of `ordinary.result`."""
+    yield _coverage("All parameters", found["coverage"])
+    for name, rows in found["by"].items():
+        title = f"By {name}" if name != "besides" else "By what the device has besides"
+        yield _coverage(title, rows)
+    yield _worst(found["worst"])
+    yield from applied(found["apply"])
+    yield from bounds(found["asked"])
+    taken = found["seconds"]["median"]
+    yield f"seed {found['seed']}; median {taken or 0.0:.1f} s; {len(found['failed'])} failed"
+    for name, error in found["failed"].items():
+        yield f"[red]{name}[/]: {error.strip().splitlines()[-1]}"
+
+
+def _table(title: str, columns: Sequence[str]) -> Table:
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    for k, column in enumerate(columns):
+        table.add_column(column, justify="right" if k else "left")
+    return table
+
+
+def _coverage(title: str, rows: Mapping[str, Row]) -> Table:
+    table = _table(
+        title, ("", "n", "shown", "sigma/spread", "within 1 sigma", "within 2 sigma", "rms")
+    )
+    for name, row in rows.items():
+        known, rms = ("-" if row[k] is None else f"{row[k]:.2f}"
+                      for k in ("sigma_over_spread", "rms"))  # fmt: skip
+        shares = (percent(row[f"within_{k}_sigma"]) for k in (1, 2))
+        counts = (str(n) for n in (row["within_1_sigma"]["n"], row["shown"]))
+        table.add_row(name.replace("_", " "), *counts, known, *shares, rms)
+    return table
+
+
+def _worst(rows: Sequence[Row]) -> Table:
+    table = _table("Farthest off", ("number", "class", "motion", "stream", "parameter", "truth",
+                                    "told", "sigma", "off", "shown"))  # fmt: skip
+    for row in rows:
+        numbers = (f"{row[k]:+.3g}" for k in ("truth", "value"))
+        table.add_row(
+            row["recording"], row["class"], row["motion"], row["stream"],
+            f"{row['effect']}.{row['name']}", *numbers, f"{row['sigma']:.2g}",
+            f"{row['sigmas']:+.1f}", "yes" if row["shown"] else "",
+        )  # fmt: skip
+    return table
+
+
+def applied(rows: Sequence[Row]) -> Iterator[RenderableType]:
+    """What corrections leave, if that was asked."""
+    if not rows:
+        return
+    columns = ("sensor", "what", "rms before", "after", "median left", "made worse")
+    table = _table("Another recording of the device, corrected", columns)
+    for row in rows:
+        table.add_row(row["sensor"], row["what"], f"{row['before']:.3g}", f"{row['after']:.3g}",
+                      f"{100.0 * row['median_left']:.0f} %", percent(row["worse"]))  # fmt: skip
+    yield table
+
+
+def bounds(rows: Sequence[Row]) -> Iterator[str]:
+    """What is asked of the numbers, beside what was measured."""
+    for row in rows:
+        off = "at least" if row["off"] is None else f"+-{100.0 * row['off']:g} %:"
+        yield (
+            f"ordinary: {row['part'].replace('_', ' ')} within {row['sigmas']} sigma: "
+            f"{percent(row['measured'])} of {row['measured']['n']}; asked {off} "
+            f"{100.0 * row['asked']:g} %{marked(row['met'])}"
+        )
