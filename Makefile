@@ -7,7 +7,7 @@
 BIN := .venv/bin
 # Of `make trial`: which suites, how many explanations at a time; SEED=N repeats a trial, and
 # AGAINST=../older/.venv/bin/handcal has another version explain the same recordings.
-SUITES := nothing one mixed unknown turn faint reference large phone odometry people budget wild strange axis walks
+SUITES := nothing one mixed unknown turn faint reference large phone odometry people budget wild strange axis walks ordinary
 JOBS := 1
 SEED :=
 AGAINST :=

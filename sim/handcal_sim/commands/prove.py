@@ -39,8 +39,9 @@ def prove(
         typer.Option(
             help="nothing, one, mixed, unknown, turn, faint, reference, large, phone, odometry, "
             "people, budget, wild, strange, latest (laws of strange that came last), axis, walks, "
-            "or all (of the first five); live: hands that `handcal live` leads, beside hands that "
-            "it does not; fleet: recordings of many devices, given to `handcal fleet`."
+            "ordinary (all errors of a data sheet, short motions), or all (of the first five); "
+            "live: hands that `handcal live` leads, beside hands that it does not; fleet: "
+            "recordings of many devices, given to `handcal fleet`."
         ),
     ] = ALL,
     out: Annotated[

@@ -1,5 +1,5 @@
-"""The suite `ordinary`: devices with all errors of a data sheet, as all devices are, in the short and
-one-sided motions that people make. Some have something rare besides.
+"""The suite `ordinary`: devices with all the errors of a data sheet, in the short and one-sided
+motions that people make. Some have something rare besides.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def drawn(ticket: Ticket, rng: np.random.Generator) -> tuple[World, Answer]:
     """Each class with each motion in turn."""
     case = _case(ticket.number, rng)
     world = recorded(case)
-    laws = [said_of(list(_acting(case.laws, world)), scene_of(world))] if case.laws else []
+    laws = [said_of(list(acting(case.laws, world)), scene_of(world))] if case.laws else []
     stranger = {"kind": laws[0]["law"], "laws": laws} if laws else None
     effects = {n: v for n, v in case.device.effects.items() if n not in SLOPES} | {**case.rare}
     said = answer(ticket.suite, "", _circumstances(case), effects, stranger)
@@ -131,11 +131,11 @@ def recorded(case: Case, again: bool = False, silent: bool = False) -> World:
         made, seed=at.seed, phone=replace(phone, thermometer=warm), effects=effects,
         duration_s=at.duration_s, sway=at.sway,
     )  # fmt: skip
-    return with_laws(world, list(_acting(case.laws, world)))
+    return with_laws(world, list(acting(case.laws, world)))
 
 
-def _acting(laws: tuple[Added, ...], world: World) -> tuple[Added, ...]:
-    """A device's law in this world."""
+def acting(laws: tuple[Added, ...], world: World) -> tuple[Added, ...]:
+    """A device's law, with what it adds in this world."""
     scene = scene_of(world) if laws else None
     return tuple(
         replace(one, error=one.k * one.strange.error_of(own_scene(scene, one.strange.channel)))
@@ -162,9 +162,11 @@ def _case(number: int, rng: np.random.Generator) -> Case:
 
 def _occasion(motion: str, rng: np.random.Generator) -> Occasion:
     drift = rng.choice([-1.0, 1.0]) * log_uniform(rng, 0.5, 6.0) * (rng.random() < DRIFTS)
+    thermometer = bool(rng.random() < THERMOMETER)
+    # (a drift that no thermometer sees is a bias that walks, which is something rare)
     return Occasion(
         motion, round(MOTIONS[motion][1] * rng.uniform(0.8, 1.25), 1), log_uniform(rng, 0.5, 2.0),
-        float(rng.uniform(COLDEST, WARMEST)), float(drift), bool(rng.random() < THERMOMETER),
+        float(rng.uniform(COLDEST, WARMEST)), float(drift) * thermometer, thermometer,
         int(rng.integers(2**62)),
     )  # fmt: skip
 

@@ -21,15 +21,12 @@ from rich.console import Console
 
 from handcal_sim.effects import EFFECTS
 from handcal_sim.mcap_writer import write
-from handcal_sim.prove import ordinary_apply, score_ordinary
+from handcal_sim.prove import ordinary_apply, ordinary_numbers
 from handcal_sim.prove.draw import draw
 from handcal_sim.prove.draw_ordinary import COLDEST, SUITE, WARMEST, case_of, recorded
 from handcal_sim.prove.given import Ticket
 from handcal_sim.prove.ordinary_devices import KINDS, SLOPES, SPREADS, spread
-from handcal_sim.prove.ordinary_worker import AGAIN, CORRECTED, PRIORS
-from handcal_sim.prove.run import each, write_answers
-from handcal_sim.prove.score import seconds
-from handcal_sim.prove.score_ordinary import (
+from handcal_sim.prove.ordinary_numbers import (
     BY,
     at_25,
     coverage,
@@ -39,6 +36,9 @@ from handcal_sim.prove.score_ordinary import (
     rare,
     worst,
 )
+from handcal_sim.prove.ordinary_worker import AGAIN, CORRECTED, PRIORS
+from handcal_sim.prove.run import each, write_answers
+from handcal_sim.prove.score import seconds
 from handcal_sim.prove.show_ordinary import tables
 from handcal_sim.prove.trial import Trial
 from handcal_sim.prove.workers import Stopped, Workers
@@ -137,7 +137,7 @@ def result(trials: Sequence[Trial], asked: Asked) -> dict[str, Any]:
         "numbers": list(asked.numbers),
         "effects": asked.effects,
         "drawing_priors": asked.drawing_priors,
-        "asked": score_ordinary.asked(coverage(plain), asked.drawing_priors),
+        "asked": ordinary_numbers.asked(coverage(plain), asked.drawing_priors),
         "coverage": coverage(plain),
         "by": {name: parts(found if name == "besides" else plain, of) for name, of in BY.items()},
         "worst": [line(d) for d in worst(plain, WORST)],

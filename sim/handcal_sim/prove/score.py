@@ -19,7 +19,14 @@ from typing import Any
 
 import numpy as np
 
-from handcal_sim.prove import score_budget, score_odometry, score_people, score_phone, score_strange
+from handcal_sim.prove import (
+    score_budget,
+    score_odometry,
+    score_ordinary,
+    score_people,
+    score_phone,
+    score_strange,
+)
 from handcal_sim.prove.suites import SUITES, Answer
 from handcal_sim.prove.terms import formula_fits
 from handcal_sim.prove.trial import Trial, covered, matched, named, off, share
@@ -36,12 +43,14 @@ _FURTHER: Mapping[str, Callable[[Sequence[Trial]], dict[str, Any]]] = {
     "budget": score_budget.score,
     "strange": score_strange.score,
     "latest": score_strange.score,
+    "ordinary": score_ordinary.score,
 }
 # Suites whose outcomes go by other rules.
 _JUDGED: Mapping[str, Callable[[Trial], str]] = {
     "people": score_people.outcome,
     "strange": score_strange.outcome,
     "latest": score_strange.outcome,
+    "ordinary": score_ordinary.outcome,
 }
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from rich import box
 from rich.console import Console
 from rich.table import Table
 
 from handcal_sim.prove.score import OUTCOMES
-from handcal_sim.prove.show_further import FURTHER, percent
+from handcal_sim.prove.show_further import FURTHER
+from handcal_sim.prove.show_parts import new_table, percent
 
 Row = Mapping[str, Any]
 
@@ -32,7 +32,7 @@ def show(proof: Row, console: Console) -> None:
 
 
 def _paired(rows: list[Row]) -> Table:
-    table = _table(
+    table = new_table(
         "The same recordings by the other program, right", "suite", "both", "this alone",
         "other alone", "neither", "chance",
     )  # fmt: skip
@@ -42,17 +42,10 @@ def _paired(rows: list[Row]) -> Table:
     return table
 
 
-def _table(title: str, *columns: str) -> Table:
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
-    for k, column in enumerate(columns):
-        table.add_column(column, justify="right" if k else "left")
-    return table
-
-
 def _suites(rows: list[Row]) -> Table:
     shown = [kind for kind in OUTCOMES if any(row["outcomes"][kind] for row in rows)]
     titles = [kind.replace("_", " ") for kind in shown]
-    table = _table("Blind trial", "suite", "n", *titles, "right", "asked", "")
+    table = new_table("Blind trial", "suite", "n", *titles, "right", "asked", "")
     for row in rows:
         asked = "-" if row["target"] is None else f"{100.0 * row['target']:g} %"
         verdict = {None: "", True: "[green]met[/]", False: "[red]not met[/]"}[row["met"]]
@@ -63,7 +56,7 @@ def _suites(rows: list[Row]) -> Table:
 
 
 def _effects(rows: Mapping[str, Row]) -> Table:
-    table = _table("What was there, and what was named", "truth", "n", "named", "in set")
+    table = new_table("What was there, and what was named", "truth", "n", "named", "in set")
     table.add_column("instead (times)")
     for name, row in rows.items():
         often = sorted(row["instead"].items(), key=lambda item: -item[1])
@@ -74,7 +67,7 @@ def _effects(rows: Mapping[str, Row]) -> Table:
 
 
 def _unknown(rows: Mapping[str, Mapping[str, int]]) -> Table:
-    table = _table("Outside the catalogue", "kind", "n", "unexplained", "channel", "formula")
+    table = new_table("Outside the catalogue", "kind", "n", "unexplained", "channel", "formula")
     for kind, row in rows.items():
         table.add_row(kind, *(str(row[k]) for k in ("n", "unexplained", "channel", "formula")))
     total = {k: sum(row[k] for row in rows.values()) for k in next(iter(rows.values()))}

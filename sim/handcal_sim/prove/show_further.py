@@ -9,19 +9,10 @@ from rich import box
 from rich.console import RenderableType
 from rich.table import Table
 
+from handcal_sim.prove import show_ordinary
+from handcal_sim.prove.show_parts import marked, percent
+
 Row = Mapping[str, Any]
-
-
-def percent(share: Row) -> str:
-    """A share and its interval: 98.0 % (94.3 to 99.6 %)."""
-    if not share["n"]:
-        return "-"
-    low, high = (100.0 * x for x in share["interval"])
-    return f"{100.0 * share['share']:.1f} % ({low:.1f} to {high:.1f})"
-
-
-def marked(met: bool | None) -> str:
-    return {None: "", True: " [green]met[/]", False: " [red]not met[/]"}[met]
 
 
 def _coverage(rows: Mapping[str, Row], asked: Row | None = None) -> str:
@@ -129,4 +120,5 @@ FURTHER: Mapping[str, Callable[[Row], list[RenderableType]]] = {
     "budget": _budget,
     "strange": _strange,
     "latest": _strange,
+    "ordinary": show_ordinary.explained,
 }

@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
 
-from rich import box
 from rich.console import RenderableType
 from rich.table import Table
 
-from handcal_sim.prove.show_further import marked, percent
-
-Row = Mapping[str, Any]
+from handcal_sim.prove.show_parts import Row, marked, new_table, percent
 
 
 def tables(found: Row) -> Iterator[RenderableType]:
     """Of `ordinary.result`."""
-    yield _coverage("All parameters", found["coverage"])
+    yield covered("All parameters", found["coverage"])
     for name, rows in found["by"].items():
         title = f"By {name}" if name != "besides" else "By what the device has besides"
-        yield _coverage(title, rows)
+        yield covered(title, rows)
     yield _worst(found["worst"])
     yield from applied(found["apply"])
     yield from bounds(found["asked"])
@@ -29,17 +25,10 @@ def tables(found: Row) -> Iterator[RenderableType]:
         yield f"[red]{name}[/]: {error.strip().splitlines()[-1]}"
 
 
-def _table(title: str, columns: Sequence[str]) -> Table:
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
-    for k, column in enumerate(columns):
-        table.add_column(column, justify="right" if k else "left")
-    return table
-
-
-def _coverage(title: str, rows: Mapping[str, Row]) -> Table:
-    table = _table(
-        title, ("", "n", "shown", "sigma/spread", "within 1 sigma", "within 2 sigma", "rms")
-    )
+def covered(title: str, rows: Mapping[str, Row]) -> Table:
+    """Shares within sigmas, a part a row."""
+    columns = ("", "n", "shown", "sigma/spread", "within 1 sigma", "within 2 sigma", "rms")
+    table = new_table(title, *columns)
     for name, row in rows.items():
         known, rms = ("-" if row[k] is None else f"{row[k]:.2f}"
                       for k in ("sigma_over_spread", "rms"))  # fmt: skip
@@ -50,8 +39,8 @@ def _coverage(title: str, rows: Mapping[str, Row]) -> Table:
 
 
 def _worst(rows: Sequence[Row]) -> Table:
-    table = _table("Farthest off", ("number", "class", "motion", "stream", "parameter", "truth",
-                                    "told", "sigma", "off", "shown"))  # fmt: skip
+    columns = ("class", "motion", "stream", "parameter", "truth", "told", "sigma", "off", "shown")
+    table = new_table("Farthest off", "number", *columns)
     for row in rows:
         numbers = (f"{row[k]:+.3g}" for k in ("truth", "value"))
         table.add_row(
@@ -67,7 +56,7 @@ def applied(rows: Sequence[Row]) -> Iterator[RenderableType]:
     if not rows:
         return
     columns = ("sensor", "what", "rms before", "after", "median left", "made worse")
-    table = _table("Another recording of the device, corrected", columns)
+    table = new_table("Another recording of the device, corrected", *columns)
     for row in rows:
         table.add_row(row["sensor"], row["what"], f"{row['before']:.3g}", f"{row['after']:.3g}",
                       f"{100.0 * row['median_left']:.0f} %", percent(row["worse"]))  # fmt: skip
@@ -83,3 +72,27 @@ def bounds(rows: Sequence[Row]) -> Iterator[str]:
             f"{percent(row['measured'])} of {row['measured']['n']}; asked {off} "
             f"{100.0 * row['asked']:g} %{marked(row['met'])}"
         )
+
+
+def explained(figures: Row) -> list[RenderableType]:
+    """The suite's part of a proof."""
+    asked = figures["names_asked"]
+    said = {
+        name: f"{percent(figures[name])} of {figures[name]['n']} ({100.0 * row['asked']:g} % "
+        f"{'at most ' if name == 'false_rare' else ''}asked){marked(row['met'])}"
+        for name, row in asked.items()
+    }
+
+    def often(counts: Mapping[str, int]) -> str:
+        named = ", ".join(f"{k} {n}" for k, n in sorted(counts.items(), key=lambda i: -i[1]))
+        return f": {named}." if named else "."
+
+    return [
+        covered("ordinary: all parameters", figures["coverage"]),
+        *bounds(figures["numbers_asked"]),
+        f"ordinary: of common effects beyond five sigmas, named {said['found']}; not"
+        + often(figures["not_found"]),
+        f"ordinary: of rare effects and laws beyond ten sigmas, told {said['rare_found']}.",
+        f"ordinary: devices with a false rare name {said['false_rare']}"
+        + often(figures["false_names"]),
+    ]

@@ -3,13 +3,14 @@ explanation has to beat."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from handcal_sim.prove import draw_budget, draw_strange
+from handcal_sim.prove import draw_budget, draw_ordinary, draw_strange
 from handcal_sim.prove.given import Ticket
 from handcal_sim.prove.score_budget import MEDIAN
 from handcal_sim.prove.score_strange import SAME
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
 # Standard deviation of a number of which but its range is known, that being one.
 RANGE = 12.0**-0.5
+# Nats without end are a great many.
+MOST = 1e6
 # A moment, and which readings are wrong.
 _UNTOLD = ("gyro_bias_step", "heading_outliers")
 
@@ -33,7 +36,7 @@ def told(
 ) -> dict[str, float]:
     """Shares left of what an explanation leaves more of than is asked: "told" of a gyro's error
     (suite budget), "told_1" and so on of laws (suite strange), and how probable these make the
-    recording."""
+    recording; how clear something rare is ("rare_sigmas", suite ordinary)."""
     work = _TOLD.get(ticket.suite)
     return {} if work is None else work(ticket, answer, file, further)
 
@@ -76,12 +79,68 @@ def _strange(
     return {**shares, "told_log_evidence": probable["told"]}
 
 
-def _calibrated(file: Path, names: Sequence[str]) -> Mapping[str, Any]:
+def _ordinary(
+    ticket: Ticket, answer: Answer, file: Path, _further: Mapping[str, float]
+) -> dict[str, float]:
+    """By how many sigmas what few devices have would show if all names were told
+    ("rare_sigmas"). Of a heading's law: beside white noise alone."""
+    given = answer.circumstances
+    common = [n for n in answer.effects if n != given["rare"] and _told_of(n, given)]
+    sigmas = None
+    if given["rare"]:
+        sigmas = _of_rare(answer.effects[given["rare"]], given["rare"], common, file)
+    elif answer.stranger:
+        (law,) = answer.stranger["laws"]
+        if law["channels"] == ["heading"]:
+            noise = math.radians(given["heading_sigma_deg"])
+            sigmas = law["left"][0] / noise * math.sqrt(given["duration_s"] * given["heading_hz"])
+        else:
+            sigmas = _of_law(draw_ordinary.case_of(ticket), common, file)
+    return {} if sigmas is None else {"rare_sigmas": sigmas}
+
+
+def _told_of(effect: str, given: Mapping[str, Any]) -> bool:
+    return bool(given["thermometer"]) or not effect.endswith("_temperature")
+
+
+def _of_law(case: draw_ordinary.Case, common: Sequence[str], file: Path) -> float | None:
+    from handcal.effects import with_effects
+
+    world = draw_ordinary.recorded(case)
+    laws = draw_ordinary.acting(case.laws, world)
+    effect = _course("law", world.t, laws, [one.error[:, None] for one in laws])
+    with with_effects([(effect.id, effect)]):
+        return _sigmas(_calibrated(file, [*common, effect.id], "auto"), effect.id, {"size": 1.0})
+
+
+def _of_rare(
+    truth: Mapping[str, float], name: str, common: Sequence[str], file: Path
+) -> float | None:
+    """(Of what `calibrate` cannot be told, or tells no sigma of, by the nats that it promises.)"""
+    from handcal_sim.prove.run import expected_gain
+
+    sigmas = None
+    if name not in _UNTOLD:
+        sigmas = _sigmas(_calibrated(file, [*common, name], "auto"), name, truth)
+    if sigmas is None:
+        nats = expected_gain(file, name, list(truth.values()))
+        sigmas = math.sqrt(min(max(2.0 * nats, 0.0), MOST))
+    return sigmas
+
+
+def _sigmas(document: Mapping[str, Any], effect: str, truth: Mapping[str, float]) -> float | None:
+    """How many sigmas the truth is away from nothing; None where none is told."""
+    own = [p for p in document["parameters"] if p["effect"] == effect and (p["sigma"] or 0.0) > 0.0]
+    off = [truth[p["name"]] / p["sigma"] for p in own]
+    return math.sqrt(sum(x * x for x in off)) if off else None
+
+
+def _calibrated(file: Path, names: Sequence[str], assume: str = "fixed-point") -> Mapping[str, Any]:
     """What `handcal calibrate --json` says of a recording that is told these effects."""
     import handcal
     from handcal.show.calibration.summary import calibration_json
 
-    return calibration_json(handcal.calibrate(str(file), effects=names, assume="fixed-point"))
+    return calibration_json(handcal.calibrate(str(file), effects=names, assume=assume))
 
 
 def _course(name: str, t: Array, law: Sequence[Added], columns: Sequence[Array]) -> Effect:
@@ -107,4 +166,4 @@ def _course(name: str, t: Array, law: Sequence[Added], columns: Sequence[Array])
 
 _TOLD: Mapping[
     str, Callable[[Ticket, Answer, Path, Mapping[str, float]], dict[str, float]]
-] = {"budget": _budget, "strange": _strange, "latest": _strange}  # fmt: skip
+] = {"budget": _budget, "strange": _strange, "latest": _strange, "ordinary": _ordinary}  # fmt: skip
