@@ -199,6 +199,7 @@ def test_a_plan_mixes_suites_and_its_names_tell_nothing():
         "axis": 0,
         "walks": 0,
         "latest": 0,
+        "ordinary": 0,
     }
     assert [case[0] for case in cases] == [f"r{k:04d}" for k in range(1, 25)]
     assert cases == run.plan("all", 24, 7) != run.plan("all", 24, 8)

@@ -23,7 +23,7 @@ from handcal_sim.effects import EFFECTS
 from handcal_sim.mcap_writer import write
 from handcal_sim.prove import ordinary_apply, ordinary_numbers
 from handcal_sim.prove.draw import draw
-from handcal_sim.prove.draw_ordinary import COLDEST, SUITE, WARMEST, case_of, recorded
+from handcal_sim.prove.draw_ordinary import COLDEST, SUITE, WARMEST, case_of
 from handcal_sim.prove.given import Ticket
 from handcal_sim.prove.ordinary_devices import KINDS, SLOPES, SPREADS, spread
 from handcal_sim.prove.ordinary_numbers import (
@@ -92,7 +92,7 @@ def _one(number: int, asked: Asked, folder: Path, workers: Workers) -> Trial | N
     del world
     case = case_of(Ticket(SUITE, number, asked.seed))
     if asked.apply:
-        write(recorded(case, again=True), of_kind / AGAIN / name, truth=False)
+        write(ordinary_apply.another(case), of_kind / AGAIN / name, truth=False)
     try:
         document, taken = workers(of_kind / name)
     except Stopped:
@@ -131,7 +131,7 @@ def _word(kind: str) -> str:
 def result(trials: Sequence[Trial], asked: Asked) -> dict[str, Any]:
     """Everything that is shown, ready for JSON."""
     found = deviations(trials)
-    plain = [d for d in found if not rare(d.trial)]
+    plain = [d for d in found if not rare(d.trial)] or found
     return {
         "seed": asked.seed,
         "numbers": list(asked.numbers),

@@ -117,13 +117,14 @@ def _of_rare(
     truth: Mapping[str, float], name: str, common: Sequence[str], file: Path
 ) -> float | None:
     """(Of what `calibrate` cannot be told, or tells no sigma of, by the nats that it promises.)"""
-    from handcal_sim.prove.run import expected_gain
+    import handcal
+    from handcal.explain.expected_gain import expected_gain
 
     sigmas = None
     if name not in _UNTOLD:
         sigmas = _sigmas(_calibrated(file, [*common, name], "auto"), name, truth)
     if sigmas is None:
-        nats = expected_gain(file, name, list(truth.values()))
+        nats = expected_gain(handcal.load(file), name, list(truth.values()))
         sigmas = math.sqrt(min(max(2.0 * nats, 0.0), MOST))
     return sigmas
 
