@@ -36,6 +36,7 @@ docs: .venv/.installed-dev ## write the catalogue and draw the figures of docs/ 
 	$(BIN)/python docs/make_results.py
 	$(BIN)/python docs/make_notebook.py
 	$(BIN)/python docs/make_figures.py
+	$(BIN)/python docs/make_trust_figure.py
 	$(BIN)/python docs/make_explain_figures.py
 	$(BIN)/python docs/make_sweep_figures.py
 	$(BIN)/handcal design poses --n 12 --seed 0 --picture docs/images/poses.png

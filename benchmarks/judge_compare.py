@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from handcal_sim.prove.score_strange import SURE
-from handcal_sim.prove.show import _table
+from handcal_sim.prove.show_parts import new_table
 from handcal_sim.prove.trial import share
 
 Row = Mapping[str, Any]
@@ -83,7 +83,7 @@ def show(figures: Mapping[str, Any], console: Console) -> None:
     columns = ("suite", "n", "right, %", "1 sigma, %", "2 sigma, %", "s")
     if len(figures["suites"][-1]["sides"]) == 2:
         columns += ("nats", "time")
-    table = _table("Judged: right outcomes, parameters near the truth, processor time", *columns)
+    table = new_table("Judged: right outcomes, parameters near the truth, processor time", *columns)
     table.padding = (0, 1, 0, 0)
     for row in figures["suites"]:
         cells = ["\n".join(_percent(side[key]) for side in row["sides"])
@@ -109,7 +109,7 @@ def _percent(share: Row) -> str:
 
 
 def _changes(rows: Sequence[Mapping[str, Any]]) -> Table:
-    table = _table("Changed", "recording", "nats", "before", "after")
+    table = new_table("Changed", "recording", "nats", "before", "after")
     for column in table.columns[2:]:
         column.justify, column.overflow = "left", "fold"
     for row in rows:

@@ -86,14 +86,15 @@ def motions() -> None:
     figure, ax = plt.subplots(figsize=(9, 3.4), layout="constrained")
     for c, (name, recording) in enumerate(cases):
         result = handcal.calibrate(recording, assume="fixed-point")
-        share = [p.sigma / p.prior_sigma for p in result.parameters]
+        biases = result.parameters[:6]
+        share = [p.sigma / p.prior_sigma for p in biases]
         x = np.arange(6) + 0.2 * (c - 1.5)
         ax.bar(x, share, 0.18, color=(*XYZ, GREY)[c], label=name)
         print("motions:", name, np.round(share, 4))
     ax.axhline(0.5, color=INK, lw=0.8, ls="--")
-    ax.text(5.6, 0.55, "observable below", ha="right", va="bottom", color=INK, fontsize=8)
+    ax.text(5.6, 0.55, "shown below", ha="right", va="bottom", color=INK, fontsize=8)
     ax.set(yscale="log", ylim=(3e-4, 2), ylabel="sigma / prior sigma")
-    ax.set_xticks(range(6), [words.parameter_title(p) for p in result.parameters], fontsize=8)
+    ax.set_xticks(range(6), [words.parameter_title(p) for p in biases], fontsize=8)
     ax.legend(frameon=False, ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=8)
     save(figure, "motions")
 

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from fake_result import BASELINE, GRAVITY, _imu, _parameters
+from fake_result import BASELINE, GRAVITY, HIDDEN, _imu, _parameters
 
 from handcal.explanation import (
     Evidence,
@@ -243,12 +243,15 @@ def fake_explanation(verdict: str = "explained", recordings: int | None = None) 
     each = tuple(_explained(case, n, s, 7 + i) for i, (n, s) in enumerate(names))
     before, after = _fits(case, each)
     gained = after.log_evidence - before.log_evidence
+    missing = _missing(case)
+    own = each[0].parameters if count == 1 else ()
+    known = (*own, *(p for m in missing for p in m.parameters), *_parameters(HIDDEN))
     e = Explanation(
-        verdict=verdict, mismatch=(), missing=_missing(case), unnamed=(),
+        verdict=verdict, mismatch=(), missing=missing, unnamed=(),
         hypotheses=_hypotheses(case, np.random.default_rng(11)), before=before, after=after,
         held_out=HeldOut("later blocks", 6120.0, 6120.0 + 0.3 * gained, before.residual_rms,
                          after.residual_rms),
-        next_motion=(), parameters=tuple(p for m in _missing(case) for p in m.parameters),
+        next_motion=(), parameters=known, covariance=np.diag([p.sigma**2 for p in known]),
         noise=each[0].noise, recordings=each, warnings=(), hand=Hand("held", 0.993),
     )  # fmt: skip
     return replace(e, **DETAILS[verdict](e))

@@ -42,6 +42,12 @@ EXTRA: tuple[Row, ...] = (
     ("lever_arm", "z", -0.004, 8.9e-3, 0.1, "m"),
     ("heading_delay", "delay", 0.121, 0.012, 0.15, "s"),
 )
+# What a motion did not show: one at its usual size, one with the tails of its prior.
+HIDDEN: tuple[Row, ...] = (
+    *(("accel_scale", a, 1e-4, 0.0099, 0.01, "1") for a in "xyz"),
+    *(("gyro_g_sensitivity", a + b, 1e-6, 5.4e-4, 1.8e-4, "(rad/s)/(m/s^2)")
+      for a in "xyz" for b in "xyz"),
+)  # fmt: skip
 
 
 def _attitudes(t: Array) -> Array:
@@ -115,12 +121,15 @@ def _history(t: Array, parameters: tuple[Parameter, ...], rng: np.random.Generat
     return History(t, p_n, v_n, _quaternions(c), yaw, nav_sigma, value, sigma)
 
 
-def fake_result(*, heading: bool = True, extra: bool = True, overconfident: bool = False) -> Result:
-    """A consistent result of 84 s in the hand; ``extra`` adds effects beyond the baseline."""
+def fake_result(
+    *, heading: bool = True, extra: bool = True, overconfident: bool = False, hidden: bool = False
+) -> Result:
+    """A consistent result of 84 s in the hand; ``extra`` adds effects beyond the baseline,
+    ``hidden`` some of which nothing is shown."""
     rng = np.random.default_rng(5)
     t = np.arange(0, 84, 0.01)
     slow = t[::5]
-    rows = list(BASELINE + (EXTRA if extra else ()))
+    rows = list(BASELINE + (EXTRA if extra else ()) + (HIDDEN if hidden else ()))
     if not heading:
         rows = [r for r in rows if not r[0].startswith("heading")]
         rows = [(*r[:3], 0.9 * r[4], *r[4:]) if r[:2] == ("gyro_bias", "z") else r for r in rows]

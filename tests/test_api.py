@@ -21,6 +21,7 @@ from handcal.device import apply
 from handcal.estimate.calibration import calibrate, calibrate_together
 from handcal.explain import pipeline
 from handcal.show.calibration import verdict_text as of_calibration
+from handcal.show.calibration.shown import in_front
 from handcal.show.explanation import verdict_text as of_explanation
 from handcal_sim import simulate
 
@@ -97,7 +98,11 @@ def test_a_calibration_is_that_of_the_command_and_shows_itself(
     assert found.parameters[-1] == plain.parameters[-1]
     for shown in (found, found.parameters, hc.read(written), plain, recording, recording.imu):
         assert 10 < len(repr(shown)) < SCREEN
-    assert found._repr_html_().count("<tr>") == 1 + len(plain.parameters)
+    front, rest = in_front(plain.parameters)
+    assert rest
+    assert found._repr_html_().count("<tr>") == 1 + len(front)
+    assert "g-sensitivity" in repr(found)
+    assert "g-sensitivity x" not in repr(found)
     assert len(found.plot().axes) == 1
     found.save(tmp_path / "a.json")
     assert json.loads((tmp_path / "a.json").read_text()) == found.document
@@ -122,8 +127,23 @@ def test_what_was_explained_is_taken_off_and_written(
     assert len(why.plot().axes) == 1
     why.save(tmp_path / "why.json")
     done = hc.apply(written, why)
+    assert "gyro_scale" in done.taken
+    again = hc.apply(written, tmp_path / "why.json").recording
+    assert np.array_equal(again.imu.gyro, done.recording.imu.gyro)
+    # (of the scale no more is left than its sigma allows)
+    sigma = why.missing[0].parameters[0].sigma
+    rate = recording.imu.gyro[:, 0] / 1.02
+    slope = np.polyfit(rate, done.recording.imu.gyro[:, 0] - rate, 1)[0]
+    assert abs(slope) < 4.0 * sigma < 0.5 * 0.02
+
+
+def test_what_was_calibrated_alone_is_taken_off_alone(
+    recording: types.Recording, written: Path, tmp_path: Path
+) -> None:
+    found = hc.calibrate(written, "gyro_scale", only=True)
+    done = hc.apply(written, found)
     assert done.taken == ("gyro_scale",)
-    again = hc.apply(recording, tmp_path / "why.json").recording
+    again = hc.apply(recording, found).recording
     assert np.array_equal(again.imu.gyro, done.recording.imu.gyro)
     done.write(tmp_path / "corrected.mcap")
     left = hc.read(tmp_path / "corrected.mcap").imu.gyro - recording.imu.gyro / [1.02, 1.0, 1.0]
@@ -186,7 +206,7 @@ def test_misuse_is_one_sentence(recording: types.Recording, written: Path) -> No
         with pytest.raises(hc.InputError, match=meant):
             call()
     with pytest.raises(KeyError, match="gyro_bias"):
-        hc.calibrate(recording).parameters["lever_arm"]
+        hc.calibrate(recording).parameters["mag_hard_iron"]
 
 
 def test_sentences_are_in_the_words_of_python(recording: types.Recording, tmp_path: Path) -> None:

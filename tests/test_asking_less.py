@@ -700,9 +700,10 @@ def test_a_fit_is_of_use_from_where_noise_levels_may_still_make_it_the_better(
     worth: float, base: Model
 ) -> None:
     """An effect has to gain its odds, in evidence that counts for less."""
-    least = of_use(base, [*base.effects, catalogue()["gyro_scale"]], worth)
+    least = of_use(base, [*base.effects, catalogue()["gyro_quadratic"]], worth)
     assert least == pytest.approx(base.log_evidence - PRIOR / worth - GAINED, abs=1e-6)
-    alike = replace(base, effects=(*base.effects, catalogue()["gyro_scale"]), log_evidence=least)
+    rare = catalogue()["gyro_quadratic"]
+    alike = replace(base, effects=(*base.effects, rare), log_evidence=least)
     assert better(base, alike, worth) == pytest.approx(worth * GAINED, abs=1e-6)
 
 

@@ -354,10 +354,10 @@ def level_turns(name, seed, *streams):
 def test_a_level_turn_without_a_heading_does_not_show_the_vertical_gyro_bias(seed):
     """Paper 002: b_gz and yaw are not observable; x and y are, through gravity."""
     x, y, z = level_turns("z-turn", seed).parameters[:3]
-    assert not z.observable
+    assert not z.shown
     assert 0.7 * z.prior_sigma < z.sigma <= z.prior_sigma * (1 + 1e-6)
-    assert x.observable
-    assert y.observable
+    assert x.shown
+    assert y.shown
 
 
 @pytest.mark.parametrize(("name", "streams"), [("z-turn", ["heading"]), ("three-turns", [])])
@@ -367,6 +367,6 @@ def test_a_heading_or_turns_about_three_axes_show_every_gyro_bias(name, streams,
     result = level_turns(name, seed, *streams)
     truth = np.radians([1000.0, 1200.0, 1500.0]) / 3600
     for p, value in zip(result.parameters[:3], truth, strict=True):
-        assert p.observable
+        assert p.shown
         assert abs(p.value - value) < 4 * p.sigma
         assert p.converged_at_s is not None

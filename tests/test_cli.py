@@ -146,14 +146,14 @@ def test_several_files_get_a_page_each(main, tmp_path):
 def test_options_reach_the_filter_in_si(main):
     main("calibrate", "x", "--effects", "gyro_scale, lever_arm", "--heading-sigma", "180",
          "--latitude", "90", "--assume", "rest-only", "--ignore", "mag", "--ignore", "pose",
-         "--noise-until", "10", "--engine", "filterpy", "--reference-exact")  # fmt: skip
+         "--noise-until", "10", "--engine", "filterpy", "--reference-exact", "--only")  # fmt: skip
     (settings,) = main.calls
     del settings["progress"]
     assert settings == {
         "effects": ("gyro_scale", "lever_arm"), "heading_sigma": pytest.approx(3.14159265),
         "latitude": pytest.approx(1.57079633), "height": 0.0, "assume": "rest-only",
         "ignore": ("mag", "pose"), "noise_until": 10.0, "engine": "filterpy",
-        "reference_exact": True, "before": None,
+        "reference_exact": True, "before": None, "only": True,
     }  # fmt: skip
 
 

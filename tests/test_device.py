@@ -53,7 +53,7 @@ def session(result, tmp_path, name="x"):
 
 @pytest.fixture(scope="module")
 def first():
-    return calibrate(recorded(0), ["gyro_scale"])
+    return calibrate(recorded(0), ["gyro_scale"], only=True)
 
 
 @pytest.fixture(scope="module")
@@ -63,8 +63,8 @@ def told(first, tmp_path_factory):
     known = Device("phone", (session(first, folder),), "f" * 64)
     second = recorded(1, day=30.0)
     before = history.prior(known, DAY + timedelta(days=30), None, "phone.toml")
-    alone = calibrate(second, ["gyro_scale"])
-    return known, alone, calibrate(second, ["gyro_scale"], before=before)
+    alone = calibrate(second, ["gyro_scale"], only=True)
+    return known, alone, calibrate(second, ["gyro_scale"], before=before, only=True)
 
 
 def block(result):
@@ -97,7 +97,7 @@ def without_biases(s):
     grid = np.ix_(at, at)
     return replace(
         s, names=tuple(s.names[i] for i in at), mean=s.mean[at], covariance=s.covariance[grid],
-        prior_mean=s.prior_mean[at], prior_covariance=s.prior_covariance[grid],
+        prior_mean=s.prior_mean[at], prior_covariance=s.prior_covariance[grid], likelihood=None,
     )  # fmt: skip
 
 
@@ -142,7 +142,7 @@ def changed(first, told):
     """By how much the scale of x changed before the second session, and what that tells."""
     by = 20.0 * math.sqrt(block(first)[1][0, 0] + block(told[1])[1][0, 0])
     recording = recorded(1, (SCALE[0] + by, *SCALE[1:]), day=30.0)
-    return by, calibrate(recording, ["gyro_scale"], before=told[2].before)
+    return by, calibrate(recording, ["gyro_scale"], before=told[2].before, only=True)
 
 
 def test_a_scale_that_changed_by_20_sigma_is_reported(told, changed, tmp_path):

@@ -382,7 +382,7 @@ def held(seed: int, seconds: float, error: Callable[[Imu], Array]) -> Recording:
 
 @pytest.mark.parametrize(
     ("seed", "seconds"),
-    [(0, 24.0), *(pytest.param(k, 40.0, marks=pytest.mark.prove) for k in range(3))],
+    [(0, 40.0), *(pytest.param(k, 40.0, marks=pytest.mark.prove) for k in range(1, 3))],
 )
 def test_a_law_of_two_axes_is_not_told_of_the_third(seed: int, seconds: float) -> None:
     """Found as a law of all three, each with a constant of its own; without the step that puts it
@@ -497,7 +497,7 @@ def size_alone() -> tuple[Model, best_law.Term]:
 def test_many_that_stand_in_are_exchanged_for_one(size_alone) -> None:
     """Each of them alone may gain something beside the others; the law needs none."""
     base, term = size_alone
-    names = ("gyro_scale", "gyro_quadratic", "gyro_cross_products", "gyro_bias_walk")
+    names = ("gyro_quadratic", "gyro_cross_products", "gyro_bias_walk")
     many = fitted(base.parts, [*base.effects, *select(names), term.effect])
     c = Climb(many, [term])
     c.kept = frozenset(base.ids)

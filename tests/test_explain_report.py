@@ -27,13 +27,13 @@ from handcal.show.explanation.evidence_curves import evidence_plot
 from handcal.show.explanation.report import render_explanation, write_explanation_report
 from handcal.show.explanation.symbols import meanings
 from handcal.show.explanation.terminal import print_explanation
-from handcal.show.words import channel_title, noise_title, parameter_title
+from handcal.show.words import channel_title, effect_motion, noise_title, parameter_title
 from handcal.types import HandcalError, Parameter
 from handcal.units import plain
 
 CONTRACT = {
     "schema", "verdict", "mismatch", "missing", "unnamed", "hypotheses", "fit", "held_out",
-    "next_motion", "parameters", "noise", "untellable", "model", "warnings", "hand",
+    "next_motion", "parameters", "noise", "untellable", "model", "warnings", "hand", "covariance",
 }  # fmt: skip
 ENTRIES = {
     "mismatch": {"channel": str, "from_s": float, "to_s": float, "share": float, "when": str},
@@ -118,7 +118,7 @@ def test_there_is_a_made_up_explanation_of_every_verdict():
 def test_the_json_has_the_contracts_keys_and_types(verdict):
     document = explanation_json(fake_explanation(verdict, recordings=1))
     schemas.check(document)
-    assert set(document) == CONTRACT | {"recording"}
+    assert set(document) == CONTRACT | {"recording", "quality"}
     assert document["schema"] == "handcal/explanation/1"
     assert document["verdict"] == verdict
     for name, fields in ENTRIES.items():
@@ -144,7 +144,7 @@ def test_of_several_recordings_each_keeps_its_own(tmp_path):
     document = explanation_json(e)
     assert set(document) == CONTRACT | {"recordings"}
     assert [m["recording"] for m in document["mismatch"]] == [0, 0, 1]
-    assert {p["effect"] for p in document["parameters"]} == {"gyro_scale", "lever_arm"}
+    assert {p["effect"] for p in document["parameters"]}.isdisjoint({"gyro_bias", "accel_bias"})
     for r in document["recordings"]:
         assert {p["effect"] for p in r["parameters"]} == {"gyro_bias", "accel_bias"}
         assert r["recording"]["assume"] == "fixed-point"
@@ -163,32 +163,46 @@ def test_json_leaves_out_what_is_not_a_number():
     json.dumps(document, allow_nan=False)
 
 
-@pytest.mark.parametrize(
-    ("verdict", "headline", "level"),
-    [
-        ("explained", "Two things are missing: the gyro scale error (probability over 99.9 %) and "
-         "the lever arm (probability 99.4 %). Adding them makes the recordings 1,240 nats more "
-         "probable.", "good"),
-        ("nothing_missing", "Nothing is missing that this motion would show.", "good"),
-        ("unexplained", "Something is missing that no known effect accounts for.", "poor"),
-        ("cannot_tell", "Something is missing, but this motion cannot tell which: gravity, the "
-         "accelerometer scale error or the accelerometer asymmetry.", "partly"),
-    ],
-)  # fmt: skip
-def test_the_headline_says_it_plainly(verdict, headline, level):
-    judged = verdict_text.verdict(fake_explanation(verdict))
-    assert judged.headline.replace("\u00a0", " ") == headline
-    assert judged.level == level
+LEVELS = {
+    "explained": "good", "nothing_missing": "good", "unexplained": "poor", "cannot_tell": "partly",
+}  # fmt: skip
 
 
-def test_one_missing_effect_is_one_sentence():
-    e = fake_explanation("explained", recordings=1)
-    gained = replace(e.before, log_evidence=e.before.log_evidence + 863.0)
-    judged = verdict_text.verdict(replace(e, missing=e.missing[:1], after=gained))
-    assert judged.headline.replace("\u00a0", " ") == (
-        "Something is missing: the gyro scale error (probability over 99.9 %), and adding it "
-        "makes the recording 863 nats more probable."
-    )
+def plainly(text):
+    return text.replace("\u00a0", " ")
+
+
+def told_by(e):
+    judged = verdict_text.verdict(e)
+    return plainly(" ".join((judged.headline, *judged.sentences)))
+
+
+def test_the_headline_names_what_was_found_each_with_one_probability(verdict, explanation):
+    judged = verdict_text.verdict(explanation)
+    assert judged.level == LEVELS[verdict]
+    assert judged.headline.startswith("Found: ") == bool(explanation.missing or explanation.unnamed)
+    for m in explanation.missing:
+        assert all(words.the(t) in judged.headline for t in words.members(m, explanation))
+        assert told_by(explanation).count(plainly(words.percent(m.probability))) == 1
+    assert not re.search(r"\bmissing\b|\bnats\b", told_by(explanation))
+
+
+def test_nats_come_after_what_was_found_and_are_told_once(explanation, page):
+    for text in (printed(explanation, 200), page.read_text(encoding="utf-8")):
+        assert len(re.findall("natural logarithms? of", text)) == 1
+        assert not re.search(r"\d\Wnats\b", text.partition("natural logarithm")[0])
+        for m in explanation.missing:
+            assert text.index(m.story) < text.index("natural logarithm")
+
+
+def test_where_hardly_anything_is_shown_the_next_motion_comes_first():
+    e = fake_explanation("nothing_missing")
+    blind = tuple(replace(p, value=0.0, sigma=p.prior_sigma) for p in e.parameters)
+    judged = verdict_text.verdict(replace(e, parameters=blind))
+    assert judged.level == "poor"
+    assert effect_motion("accel_bias") in judged.headline
+    found = fake_explanation("explained", recordings=1)
+    assert "Found" in verdict_text.verdict(replace(found, parameters=blind)).headline
 
 
 def with_hard_iron(verdict="explained", count=0):
@@ -204,26 +218,17 @@ def with_hard_iron(verdict="explained", count=0):
 
 
 @pytest.mark.usefixtures("no_figures")
-def test_what_every_model_has_is_not_missing():
+def test_what_the_baseline_has_too_is_found_like_any_other():
     e = with_hard_iron()
-    judged = verdict_text.verdict(e)
-    said = " ".join((judged.headline, *judged.sentences)).replace("\u00a0", " ")
-    assert judged.headline == "Nothing is missing that this motion would show."
-    assert (
-        "The magnetometer hard iron shows (probability over 99.9 %): it is in every model of a "
-        "magnetometer, and leaving it out would cost 546 nats."
-    ) in said
-    shown = (said + printed(e) + render_explanation(e)).replace("\u00a0", " ")
-    for wrong in ("adding it", "of the mismatch", "do equally well", "Before and after", "+0.0"):
+    said = told_by(e)
+    assert "the magnetometer hard iron" in verdict_text.verdict(e).headline
+    shown = plainly(said + printed(e) + render_explanation(e))
+    for wrong in ("of the mismatch", "do equally well", "Before and after", "+0.0"):
         assert wrong not in shown
     assert "fits worst" not in said
     assert plots.heat_plot(e, 0) is None
-
-
-def test_it_is_told_beside_what_is_missing():
-    judged = verdict_text.verdict(with_hard_iron(count=2))
-    assert judged.headline.startswith("Two things are missing: the gyro scale error")
-    assert any("it is in every model of a magnetometer" in s for s in judged.sentences)
+    both = verdict_text.verdict(with_hard_iron(count=2)).headline
+    assert all(t in both for t in ("gyro scale", "lever arm", "hard iron"))
 
 
 @pytest.mark.usefixtures("no_figures")
@@ -262,16 +267,16 @@ def test_a_search_cut_short_says_so_first():
         for h, row in rows.items():
             assert row.rstrip().endswith(words.percent(h.probability if h.verdict else math.nan))
     told = verdict_text.verdict(replace(fake_explanation("explained"), untried=left)).sentences
-    assert told[0].startswith("Two things are missing")
+    assert told[0].startswith("Found: the gyro scale error")
 
 
 def test_a_search_cut_short_says_what_it_named_and_not_that_the_motion_cannot_tell():
     left = replace(fake_explanation("explained"), verdict="cannot_tell", untried=("laws",))
     told = verdict_text.verdict(left).sentences
-    assert told[0].startswith("Two things are missing")
+    assert told[0].startswith("Found: the gyro scale error")
     both = replace(fake_explanation("cannot_tell"), untried=("laws",))
     told = verdict_text.verdict(both).sentences
-    assert told[0].startswith("Something is missing: gravity or, less probably, the accelerometer")
+    assert told[0].startswith("Found: gravity or, less probably, the accelerometer")
     assert "it is not clear which" in " ".join(verdict_text.untold(both))
 
 
@@ -393,7 +398,7 @@ def test_the_terminal_cuts_nothing_and_breaks_no_number(explanation, width):
     headline = verdict_text.verdict(explanation).headline
     assert " ".join(text.split()).replace("\u00a0", " ").find(" ".join(headline.split())) >= 0
     for m in explanation.missing:
-        assert f"Missing: {m.title}" in text
+        assert f"Found: {m.title}" in text
     for u in explanation.unnamed:
         assert u.formula in text
     biases = [p for r in explanation.recordings for p in r.parameters]
@@ -451,8 +456,8 @@ def test_every_figure_is_there(explanation, figures):
 
 def test_an_explanation_with_next_to_nothing_in_it_still_shows(tmp_path):
     e = nothing_in_it()
-    assert "Nothing is missing" in render_explanation(e)
-    assert "Nothing is missing" in printed(e)
+    assert verdict_text.verdict(e).headline in render_explanation(e)
+    assert verdict_text.verdict(e).headline in printed(e)
     dashboard.save_explanation_rrd(e, tmp_path / "x.rrd")
     assert explanation_json(e)["held_out"] == {}
 
@@ -557,8 +562,8 @@ def test_of_many_the_headline_names_the_largest_three_and_says_how_many():
     first, second = e.missing
     many = [replace(first, share=0.01 * k, title=f"Effect {k}") for k in range(1, 5)]
     said = verdict_text.verdict(replace(e, missing=(second, *many))).headline
-    assert said.startswith("Five things are missing, above all the lever arm, the effect 4 and the")
-    assert "effect 2" not in said
+    assert "five errors" in said
+    assert re.findall(r"lever arm|effect \d", said) == ["lever arm", "effect 4", "effect 3"]
     assert "99.4" in said  # (the least of all probabilities)
 
 

@@ -105,7 +105,7 @@ def sentences(
     world = simulate(motion, seed=0, duration_s=seconds, phone=slow)
     effects = select(named)
     (part,) = fitted([started(case.case_of(recording_of(world, "heading")))], effects).parts
-    return leaning(part, effects, hardly, excess or {})
+    return leaning(part, effects, hardly, (), excess or {})
 
 
 def test_a_bias_that_holds_only_without_a_drift_says_so() -> None:
@@ -127,7 +127,7 @@ def test_an_absence_that_nothing_speaks_for_is_assumed_too() -> None:
     written = chosen_of(model, Options(None, 0.0, {}, ()), {})
     for gained, said in ((1.0, 1), (-1.0, 0)):
         drift = Hypothesis("heading_drift", "Heading drift", 0.0, gained, 100.0, 0.1, "")
-        told = assembled._warnings(model, model, [drift], written, inflation(model))
+        told = assembled._warnings(model, model, [], [drift], written, inflation(model))
         assert sum("gyro's bias" in x for x in told) == said
 
 

@@ -496,7 +496,7 @@ def test_hidden_axes_are_left_to_the_vehicle(result):
             p["observable"] = False
     path.write_text(json.dumps(found))
     text = written(path, "px4")
-    assert "accel_bias z: not observable" in text
+    assert "accel_bias z: not shown" in text
     assert "\tCAL_ACC0_ZOFF\t" not in text
     assert "\tCAL_ACC0_XOFF\t" in text
     names = {}

@@ -148,7 +148,7 @@ def test_the_page_says_how_to_apply_it(verdict):
     rng = np.random.default_rng(0)
     scope = {"gyro": rng.normal(size=(5, 3)), "accel": rng.normal(size=(5, 3))}
     exec(code, scope)
-    known = {(p.effect, p.name): p.value if p.observable else 0.0 for p in applicable(e)}
+    known = {(p.effect, p.name): p.value if p.shown else 0.0 for p in applicable(e)}
     bias = [known["gyro_bias", a] for a in "xyz"]
     scale = [known.get(("gyro_scale", a), 0.0) for a in "xyz"]
     wanted = (scope["gyro"] - bias) / (1.0 + np.array(scale))

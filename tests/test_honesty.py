@@ -46,7 +46,7 @@ def on_a_table(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPath
 def test_a_table_teaches_no_gyro_scale(on_a_table: Result) -> None:
     for axis in "xyz":
         p = on_a_table.parameter("gyro_scale", axis)
-        assert not p.observable
+        assert not p.shown
         assert p.sigma > 0.9 * p.prior_sigma
         # an estimate of what is not seen stays where it began
         assert abs(p.value) < 0.5 * p.prior_sigma
@@ -57,7 +57,7 @@ def test_a_table_does_not_tell_tilt_from_accelerometer_bias(on_a_table: Result) 
     for p in horizontal:
         assert p.sigma > 0.7 * p.prior_sigma
         assert abs(p.value) < p.prior_sigma
-    assert on_a_table.parameter("accel_bias", "z").observable
+    assert on_a_table.parameter("accel_bias", "z").shown
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -66,8 +66,8 @@ def test_a_turn_about_the_vertical_hides_the_vertical_gyro_bias(seed: int, tmp_p
     recording = _recorded(simulate("z-turn", seed=seed, start=Start(), sway=0.0), tmp_path)
     result = handcal.calibrate(recording, assume="fixed-point", ignore=("heading",))
     p = result.parameter("gyro_bias", "z")
-    assert not p.observable
+    assert not p.shown
     assert p.sigma > 0.7 * p.prior_sigma
     seen = handcal.calibrate(recording, assume="fixed-point").parameter("gyro_bias", "z")
-    assert seen.observable
+    assert seen.shown
     assert any("Gravity stays along body z" in w for w in result.warnings)

@@ -127,7 +127,7 @@ def test_what_it_says_is_shown_a_calibration_does_observe(seed: int) -> None:
     found = seen(overview(recording))
     effects = ["gyro_scale", "accel_scale", "lever_arm"]
     result = handcal.calibrate(recording, effects, assume="fixed-point")
-    own = {(p.effect, p.name): p.observable for p in result.parameters}
+    own = {(p.effect, p.name): p.shown for p in result.parameters}
     claims = [own[s.effect.id, name] for s in found for name in s.shown if s.effect.id in effects]
     assert claims
     assert all(claims)

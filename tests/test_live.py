@@ -18,9 +18,12 @@ LEVELS = {"gyro_noise": 1e-3, "accel_noise": 5e-3, "sway": 0.004, "sway_per_rate
 def result(tmp_path_factory):
     path = tmp_path_factory.mktemp("live") / "x.mcap"
     write(simulate("three-turns", seed=5, duration_s=12.0), path)
-    return handcal.calibrate(
-        handcal.load(path), ["gyro_scale"], assume="fixed-point", noise=LEVELS, heading_sigma=0.09
-    )
+    return calibrated(handcal.load(path), only=True)
+
+
+def calibrated(recording, only):
+    options = {"assume": "fixed-point", "noise": LEVELS, "heading_sigma": 0.09}
+    return handcal.calibrate(recording, ["gyro_scale"], **options, only=only)
 
 
 @pytest.fixture(scope="module")
@@ -49,6 +52,23 @@ def test_the_last_frame_is_where_the_calibration_ends(result, frames):
     for p, value, sigma in zip(result.parameters, last.parameters, last.sigma, strict=True):
         assert abs(value - p.value) < 5 * p.sigma, p
         assert sigma == pytest.approx(p.sigma, rel=0.2), p
+
+
+def test_with_all_that_a_device_has_it_ends_there_too(result):
+    """A filter has the usual scale of each prior alone, a calibration wider ones as well: of what
+    is not shown the filter is the surer. Headings are drawn as they were measured, whatever the
+    irons are taken to be."""
+    whole = calibrated(result.recording, only=False)
+    *_, last = frames = list(live_frames(whole, rate_hz=20))
+    assert len(whole.parameters) > 30
+    for p, value, sigma in zip(whole.parameters, last.parameters, last.sigma, strict=True):
+        assert abs(value - p.value) < 5 * p.sigma, p
+        assert 0.5 * p.sigma < sigma < 1.2 * p.sigma, p
+    measured = [f.heading for f in frames if f.heading is not None]
+    assert len(measured) > 100
+    assert set(np.round(measured, 9)) <= set(
+        np.round(result.recording.streams["heading"].value[:, 0], 9)
+    )
 
 
 def test_a_frame_knows_nothing_of_what_is_to_come(result, frames):

@@ -198,6 +198,17 @@ def test_what_is_enough_is_said_in_units_of_ones_own():
     assert not goals.enough([bias], until)  # (what is not estimated is not known)
 
 
+def test_what_every_device_has_is_no_goal_by_itself():
+    """Some of it no motion shows without a heading; biases hold how little is known of it."""
+    bias = parameter("gyro_bias", "x", np.radians(14.0) / 3600.0, "rad/s")
+    other = replace(parameter("gyro_g_sensitivity", "xx", 2e-4), prior_sigma=1.8e-4)
+    rare = replace(parameter("gyro_quadratic", "x", 4e-3), prior_sigma=5e-3)
+    assert goals.enough([bias, other], {})
+    assert not goals.enough([replace(bias, sigma=2.0 * bias.sigma), other], {})
+    assert not goals.enough([bias, other], {"gyro_g_sensitivity": 1e-4})
+    assert not goals.enough([bias, other, rare], {})
+
+
 def test_whether_all_was_reached_is_said():
     until = goals.parse("gyro_scale=0.1%,gyro_bias=15deg/h")
     scale, bias = parameter("gyro_scale", "x", 9e-4), parameter("gyro_bias", "z", 1e-3, "rad/s")

@@ -159,7 +159,8 @@ def test_each_kind_of_step_shares_its_own_odds(plain: Recording) -> None:
     count = len(case.observed[case.kinds.index("magnetometer")][1].t)
     assert prior(one[0], [case]) == PRIOR - np.log(MOMENTS)
     assert [prior(e, [case]) for e in many] == [PRIOR - np.log(count)] * 2
-    assert prior(catalogue()["mag_soft_iron"], [case]) == PRIOR
+    assert prior(catalogue()["mag_gradient"], [case]) == PRIOR
+    assert prior(catalogue()["mag_soft_iron"], [case]) == 0.0  # (every magnetometer has it)
     assert all(applicable(case, e) for e in (*many, *one))
 
 

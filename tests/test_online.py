@@ -40,8 +40,8 @@ def cut(recording: Recording, begin: float, end: float) -> Recording:
                                           accel=imu.accel[own], valid=imu.valid[own]))  # fmt: skip
 
 
-def calibrated(recording: Recording):
-    return handcal.calibrate(recording, EFFECTS, assume="fixed-point", noise=LEVELS)
+def calibrated(recording: Recording, only: bool = True):
+    return handcal.calibrate(recording, EFFECTS, assume="fixed-point", noise=LEVELS, only=only)
 
 
 def run(online: Online, recording: Recording, end: float, every: float):
@@ -74,6 +74,46 @@ def test_from_where_a_batch_stands_it_goes_on_as_a_batch_of_all_would(recording,
     assert min(better) < 0.8
 
 
+def test_so_with_all_that_a_device_has(recording):
+    """What is not shown has wider scales of its prior in a batch, which a filter does not, so
+    sigmas are no more than alike; but of what it began with it has forgotten nothing."""
+    half, whole = (calibrated(cut(recording, 0.0, end), only=False) for end in (9.0, 20.0))
+    online, frame, _ = run(gone_on(half.standing, LEVELS), recording, 20.0, 0.2)
+    assert len(whole.parameters) > 30
+    for p, (effect, name, value, sigma) in zip(
+        whole.parameters, parameters_of(online, frame), strict=True
+    ):
+        assert (effect, name) == (p.effect, p.name)
+        assert abs(value - p.value) < 3.0 * p.sigma, p
+        assert 0.5 * p.sigma < sigma < 2.0 * p.sigma, p
+        assert sigma <= half.parameter(effect, name).sigma * (1.0 + 1e-6), p
+
+
+def test_biases_stay_those_at_the_temperature_that_they_are_of(recording):
+    """A batch tells biases at its mean temperature; what comes later is read as that says."""
+    slope, half_s, imu = np.radians([0.05, -0.04, 0.06]), 9.0, recording.imu
+    warm = np.interp(imu.t, [0.0, half_s, imu.t[-1]], [36.0, 44.0, 48.0])
+    gyro = imu.gyro + (warm - 25.0)[:, None] * slope
+    streams = {"temperature": Series(imu.t, warm[:, None])}
+    warmed = replace(recording, imu=replace(imu, gyro=gyro), streams=streams)
+    own = imu.t <= half_s
+    first = replace(
+        cut(warmed, 0.0, half_s), streams={"temperature": Series(imu.t[own], warm[own, None])}
+    )
+    half = handcal.calibrate(
+        first, ["gyro_temperature"], assume="fixed-point", noise=LEVELS, only=True
+    )
+    assert half.standing.bias_temperature == pytest.approx(40.0, abs=0.1)
+    online, frame, _ = run(gone_on(half.standing, LEVELS), warmed, 20.0, 0.2)
+    told = {(e, n): (v, s) for e, n, v, s in parameters_of(online, frame)}
+    for axis, true in zip("xyz", slope, strict=True):
+        (bias, _), (value, sigma) = told["gyro_bias", axis], told["gyro_temperature", axis]
+        before = half.parameter("gyro_bias", axis)
+        assert abs(bias - before.value) < 4.0 * before.sigma, axis
+        assert abs(value - true) < 4.0 * sigma, axis
+        assert sigma < 0.5 * abs(true), axis
+
+
 def test_each_sample_counts_once_however_they_arrive(recording, half):
     begun = gone_on(half.standing, LEVELS)
     one, first, seen = run(begun, recording, 14.0, 0.15)
@@ -87,14 +127,17 @@ def test_each_sample_counts_once_however_they_arrive(recording, half):
     assert again is one
 
 
-def test_it_is_the_filter_of_replay(recording):
-    """Begun in the first rest with the same levels it ends where ``replay`` does."""
-    result = calibrated(recording)
-    online, _ = begun_at_rest(cut(recording, 0.0, 2.5), EFFECTS)
+@pytest.mark.parametrize(("only", "within"), [(True, 0.4), (False, 1.0)])
+def test_it_is_the_filter_of_replay(recording, only, within):
+    """Begun in the first rest with the same levels it ends where ``replay`` does, with one effect
+    and with all that a device has."""
+    result = calibrated(recording, only)
+    effects = dict.fromkeys(p.effect for p in result.parameters[6:])
+    online, _ = begun_at_rest(cut(recording, 0.0, 2.5), [*effects])
     online = replace(online, levels=LEVELS)
     online, frame, _ = run(online, recording, 20.0, 0.25)
     last = list(live_frames(result, rate_hz=5))[-1]
-    assert np.abs((frame.parameters - last.parameters) / last.sigma).max() < 0.4
+    assert np.abs((frame.parameters - last.parameters) / last.sigma).max() < within
     np.testing.assert_allclose(frame.sigma, last.sigma, rtol=0.1)
 
 
@@ -173,6 +216,7 @@ def test_of_what_it_does_not_observe_nothing_is_assumed(tmp_path):
         recording = replace(recording, streams={"mag": Series(t, field)})
     result = handcal.calibrate(recording, assume="fixed-point")
     assert "magnetometer" in result.standing.kinds
+    assert {"mag_hard_iron", "lever_arm"} <= set(result.standing.effects)
     levels = {n.name: n.value for n in result.noise}
     online = gone_on(result.standing, levels)
     assert online.standing.kinds == ("fixed_position",)

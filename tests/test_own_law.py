@@ -94,11 +94,11 @@ def test_calibrate_knows_it_and_repeats_it(told):
     folder, strange = told
     given = ["calibrate", folder / "second.mcap"]
     result = folder / "calibration.json"
-    run(*given, "--effects", OWN, *own(folder), "--json", result)
+    run(*given, "--effects", OWN, "--only", *own(folder), "--json", result)
     (k,) = (p for p in json.loads(result.read_text())["parameters"] if p["effect"] == OWN)
     law = product(strange)
     true = float(np.vdot(strange.error, law) / np.vdot(law, law))
-    assert k["observable"]
+    assert k["shown"]
     assert k["value"] == pytest.approx(true, rel=0.02)
     run(*given, "--from", result, *own(folder), "--json", folder / "again.json")
     again = json.loads((folder / "again.json").read_text())
@@ -111,13 +111,37 @@ def test_calibrate_knows_it_and_repeats_it(told):
     assert f"Unknown effect '{OWN}'" in run(*given, "--effects", OWN, fails=True).stderr
 
 
-def test_apply_takes_it_off(told, explained):
+def test_beside_all_that_a_device_has_it_is_found_as_well_as_is_said(told, explained):
+    """Sigmas are wider, as they have to be; what was explained alone is as above."""
+    _, strange = told
+    (k,) = (p for p in explained["parameters"] if p["effect"] == OWN)
+    law = product(strange)
+    true = float(np.vdot(strange.error, law) / np.vdot(law, law))
+    assert abs(k["value"] - true) < 4.0 * k["sigma"] < 0.5 * abs(true)
+    assert k["given_model"]["value"] == pytest.approx(true, rel=0.02)
+    assert k["given_model"]["sigma"] < k["sigma"]
+
+
+def test_apply_takes_it_off(told):
     folder, strange = told
-    assert explained["missing"]
-    out = folder / "corrected.mcap"
-    run("apply", folder / "second.mcap", "--from", folder / "second.json", *own(folder), "-o", out)
+    result, out = folder / "alone.json", folder / "corrected.mcap"
+    run("calibrate", folder / "second.mcap", "--effects", OWN, "--only", *own(folder),
+        "--json", result)  # fmt: skip
+    run("apply", folder / "second.mcap", "--from", result, *own(folder), "-o", out)
     left = added(folder, "corrected.mcap", "plain.mcap")
     assert rms(left[:, column(strange)]) < 0.05 * rms(strange.error)
+
+
+def test_apply_takes_off_what_was_explained_as_well_as_it_is_known(told, explained):
+    """Of the law no more is left than its own sigma allows."""
+    folder, strange = told
+    (k,) = (p for p in explained["parameters"] if p["effect"] == OWN)
+    out = folder / "corrected-too.mcap"
+    run("apply", folder / "second.mcap", "--from", folder / "second.json", *own(folder), "-o", out)
+    left = added(folder, "corrected-too.mcap", "plain.mcap")[:, column(strange)]
+    law = product(strange)
+    law = law - law.mean()
+    assert abs(np.vdot(left, law) / np.vdot(law, law)) < 4.0 * k["sigma"]
 
 
 def test_conceal_puts_it_in(told):

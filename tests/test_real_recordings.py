@@ -156,7 +156,7 @@ def test_a_small_iron_is_not_run_away_with(real_recordings: Path) -> None:
     centre, sigma = mag_hard_iron.sphere(recording)
     found = [p for p in result.parameters if p.effect == "mag_hard_iron"]
     assert np.all(np.abs([p.value for p in found] - centre) < 3.0 * sigma)
-    assert all(p.observable for p in found)
+    assert all(p.shown for p in found)
     assert result.settled
     disturbance = next(n for n in result.noise if n.name == "mag_disturbance")
     assert disturbance.value < 5e-6

@@ -15,7 +15,7 @@ from handcal.types import Parameter
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
     path = tmp_path_factory.mktemp("report") / "report.html"
-    report.write_report(fake_result(), path)
+    report.write_report(fake_result(hidden=True), path)
     return path
 
 
@@ -39,11 +39,13 @@ def test_the_page_says_what_the_result_says(page):
         "hand-motion.mcap",
         "12 of 13",
         "+0.6933",
-        "not yet",
+        "gyro g-sensitivity",
         "3 readings of the",
         "consistent",
     ):
         assert part in text
+    learnt = text.split("What was learnt</h2>")[1].split("</table>")[0]
+    assert learnt.count("<tr>") == 1 + len(fake_result().parameters)
     for colour in drawing.PALETTE:
         assert colour not in text.split("</style>")[1]
 

@@ -12,11 +12,13 @@ from worlds import recording_of
 
 import handcal
 from handcal.compiled import so3
+from handcal.effects import catalogue
 from handcal.estimate.baseline import started
 from handcal.estimate.case import case_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.trajectory import path
 from handcal.recordings import segment
+from handcal.show.calibration import summary
 from handcal.types import Array, Imu, Recording
 from handcal_sim import simulate
 from handcal_sim.phone import perfect_phone
@@ -247,12 +249,30 @@ def test_a_board_lying_still_knows_its_gyro_bias():
     z = []
     for seed in range(5):
         recording, _ = record([Table(60.0)], seed)
-        result = handcal.calibrate(recording)
+        result = handcal.calibrate(recording, only=True)
         for axis, true in zip("xyz", Sensor().offset, strict=True):
             p = result.parameter("gyro_bias", axis)
             assert p.sigma < 3.0 * 2.6e-5
             z.append((p.value - true) / p.sigma)
     assert np.mean(np.square(z)) < 5.0 / 3.0 + 3.0 * 0.65
+
+
+def test_a_board_lying_still_does_not_know_what_gravity_does_to_its_gyro():
+    """What it reads is a bias and what gravity adds: 0.1 deg/s/g is usual, so no bias is known
+    better than that; were there no g-sensitivity, it would be known as above."""
+    usual = 9.80665 * catalogue()["gyro_g_sensitivity"].parameters[0].prior_sigma
+    recording, _ = record([Table(60.0)])
+    result = handcal.calibrate(recording)
+    told = summary.calibration_json(result)["parameters"]
+    for (axis, true), row in zip(zip("xyz", Sensor().offset, strict=True), told, strict=False):
+        p = result.parameter("gyro_bias", axis)
+        assert (row["effect"], row["name"], row["sigma"]) == (p.effect, p.name, p.sigma)
+        prior = catalogue()["gyro_bias"].parameters[0].prior_sigma
+        assert usual * prior / math.hypot(usual, prior) < p.sigma < prior
+        assert abs(p.value - true) < 3.0 * p.sigma
+        assert row["given_model"]["sigma"] < 3.0 * 2.6e-5
+        assert abs(row["given_model"]["value"] - true) < 5.0 * row["given_model"]["sigma"]
+    assert not any(p.shown for p in result.parameters if p.effect == "gyro_g_sensitivity")
 
 
 # --- real devices -------------------------------------------------------------------------------

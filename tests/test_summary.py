@@ -3,6 +3,7 @@
 import io
 import json
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -16,9 +17,11 @@ import handcal
 from handcal import units
 from handcal.estimate.white import white_levels
 from handcal.show import words
-from handcal.show.calibration import summary, verdict_text
+from handcal.show.calibration import shown, summary, verdict_text
+from handcal.show.calibration.plots import sizes
 from handcal.show.calibration.terminal import print_summary
-from handcal.types import HandcalError, Innovations, NoiseLevel
+from handcal.show.frames import layout_of
+from handcal.types import HandcalError, Innovations, NoiseLevel, Parameter
 from handcal_sim.scenario import simulate
 
 
@@ -42,7 +45,7 @@ def test_the_json_has_the_contracts_fields():
     schemas.check(document)
     assert set(document) == {
         "schema", "recording", "parameters", "noise", "fit", "untellable", "covariance", "model",
-        "warnings",
+        "warnings", "quality",
     }  # fmt: skip
     assert document["schema"] == "handcal/calibration/1"
     assert set(document["recording"]) == {
@@ -62,9 +65,12 @@ def test_the_json_has_the_contracts_fields():
             "value",
             "sigma",
             "unit",
+            "shown",
             "observable",
+            "given_model",
             "converged_at_s",
         }
+        assert p["shown"] is p["observable"]
     for n in document["noise"]:
         assert set(n) == {"name", "value", "unit"}
     by_name = {(p["effect"], p["name"]): p for p in document["parameters"]}
@@ -135,8 +141,8 @@ def test_running_nis_stays_in_its_band_as_often_as_it_should():
     ],
 )
 def test_units_for_people(unit, value, sigma, text):
-    shown = units.shown(unit, [value])
-    assert f"{shown.value(value, sigma)} {shown.unit}" == text
+    of = units.shown(unit, [value])
+    assert f"{of.value(value, sigma)} {of.unit}" == text
 
 
 def test_digits_follow_sigma():
@@ -170,17 +176,86 @@ def test_the_verdict_says_what_was_learnt_and_what_was_not():
     assert "turn" in sentence
 
 
+@pytest.mark.parametrize("extra", [False, True])
+def test_what_nobody_asked_for_and_no_motion_showed_does_not_count(extra):
+    plain, dense = (fake_result(extra=extra, hidden=h) for h in (False, True))
+    judged = [verdict_text.verdict(r) for r in (plain, dense)]
+    assert judged[0].level == judged[1].level == ("partly" if extra else "good")
+    assert re.findall(r"\d+", judged[0].headline) == re.findall(r"\d+", judged[1].headline)
+    assert not judged[1].headline.startswith("Every")
+    more = len(verdict_text.not_shown(dense)) - len(verdict_text.not_shown(plain))
+    assert more == 1  # (two effects, of twelve parameters)
+
+
+def test_what_was_asked_for_comes_in_front_though_it_is_not_shown():
+    asked = [Parameter("gyro_quadratic", a, 0.0, 0.005, "s/rad", 0.005, None) for a in "xyz"]
+    own = fake_result(extra=False, hidden=True).parameters
+    front, rest = shown.in_front((*own, *asked))
+    assert {p.effect for p in front} == {"gyro_bias", "accel_bias", "gyro_quadratic"}
+    assert {p.effect for p in rest} == {"accel_scale", "gyro_g_sensitivity"}
+    front, rest = shown.in_front(own, ["accel_scale"])
+    assert {p.effect for p in rest} == {"gyro_g_sensitivity"}
+
+
+def test_where_hardly_anything_is_shown_the_first_line_says_what_to_do():
+    result = fake_result(hidden=True)
+    blind = tuple(replace(p, value=0.0, sigma=p.prior_sigma) for p in result.parameters)
+    judged = verdict_text.verdict(replace(result, parameters=blind))
+    assert judged.level == "poor"
+    assert all(words.effect_motion(i) in judged.headline for i in shown.BIASES)
+    gyro = verdict_text.verdict(replace(result, parameters=(*result.parameters[:3], *blind[3:])))
+    assert gyro.level == "partly"
+    assert words.effect_motion("accel_bias") in gyro.headline
+    assert words.effect_motion("gyro_bias") not in gyro.headline
+    scale = replace(result.parameters[6], value=0.5, sigma=1e-4)
+    told = verdict_text.verdict(replace(result, parameters=(*blind[:6], scale, *blind[7:])))
+    assert not any(words.effect_motion(i) in told.headline for i in shown.BIASES)
+
+
+def test_a_sigma_beyond_the_usual_size_is_explained_and_not_clipped():
+    parameters = fake_result(hidden=True).parameters
+    wide = [p for p in parameters if p.sigma > p.prior_sigma]
+    assert not any("beyond the usual" in s for s in shown.under_table(*shown.in_front(parameters)))
+    said = shown.under_table(*shown.in_front(parameters, ["gyro_g_sensitivity"]))[-1]
+    assert all(words.parameter_title(p) in said for p in wide)
+    figure = sizes(wide)
+    ends = [line.get_xdata() for line in figure.axes[0].lines if len(line.get_xdata()) == 2]
+    assert max(np.ptp(x) for x in ends) == pytest.approx(6.0 * wide[0].sigma / wide[0].prior_sigma)
+
+
+def test_figures_are_of_what_is_shown_and_few():
+    result = fake_result(hidden=True)
+    assert {p.effect for p in shown.drawn(result.parameters)} == {
+        "gyro_bias", "accel_bias", "gyro_scale", "lever_arm", "heading_delay",
+    }  # fmt: skip
+    assert ("gyro_scale", "z") not in {(p.effect, p.name) for p in shown.drawn(result.parameters)}
+    assert shown.not_drawn(result.parameters) == ""
+    known = [replace(p, sigma=1e-3 * p.prior_sigma) for p in result.parameters]
+    drawn = shown.drawn(known)
+    assert len(drawn) <= shown.MOST_DRAWN < len(known)
+    assert drawn[:6] == known[:6]
+    assert "g-sensitivity" in shown.not_drawn(known)
+    assert len({g.effect for g in layout_of(result).groups}) == 5
+
+
 def test_rests_that_were_fallen_back_upon_are_no_good_verdict():
-    """Whether the hand moved or effects are missing, `calibrate` cannot tell."""
-    world = simulate("free-hand", seed=7, duration_s=30.0, effects={"gyro_scale": [0.1, -0.1, 0.1]})
-    found = handcal.calibrate(recording_of(world))
+    """Whether the hand moved or effects are missing, `calibrate --only` cannot tell (without it a
+    scale error is not missing)."""
+    scale = [0.1, -0.1, 0.1]
+    world = simulate("free-hand", seed=7, duration_s=30.0, effects={"gyro_scale": scale})
+    whole = handcal.calibrate(recording_of(world))
+    assert whole.assume == "fixed-point"
+    for axis, true in zip("xyz", scale, strict=True):
+        p = whole.parameter("gyro_scale", axis)
+        assert abs(p.value - true) < 4.0 * p.sigma < 0.5 * abs(true)
+    found = handcal.calibrate(recording_of(world), only=True)
     assert found.assume == "rest-only"
     told = verdict_text.verdict(found)
     assert told.level == "partly"
     assert "may be far off" in told.headline
     assert any("handcal explain" in s for s in told.sentences)
     assert not any("throughout" in w for w in found.warnings)
-    asked = handcal.calibrate(recording_of(world), assume="rest-only")
+    asked = handcal.calibrate(recording_of(world), assume="rest-only", only=True)
     assert "far off" not in verdict_text.verdict(asked).headline
 
 
@@ -223,13 +298,15 @@ def test_without_a_heading_the_advice_is_a_second_axis_or_a_heading():
     assert "heading" in sentence
 
 
-def test_the_terminal_table_shows_every_parameter():
+def test_the_terminal_table_shows_what_the_motion_did_and_names_the_rest():
     out = io.StringIO()
-    result = fake_result()
+    result = fake_result(hidden=True)
     print_summary(result, Console(file=out, width=100, color_system=None))
     text = out.getvalue()
-    for p in result.parameters:
+    for p in result.parameters[:13]:
         assert words.parameter_title(p) in text
+    assert "Accelerometer scale x" not in text
+    assert "accelerometer scale and gyro g-sensitivity" in " ".join(text.split())
     assert "could not show" in text
     assert "too confident" not in text
     assert max(len(line.rstrip()) for line in text.splitlines()) <= 100

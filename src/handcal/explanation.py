@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from handcal.estimate.specification import Specification
-from handcal.types import Array, Brief, NoiseLevel, Parameter, Prior, Recording
+from handcal.types import Array, Brief, Likelihood, NoiseLevel, Parameter, Prior, Recording
 
 VERDICTS = ("nothing_missing", "explained", "unexplained", "cannot_tell")
 
@@ -230,7 +230,8 @@ class Explanation(Brief):
     share; hypotheses by ``alone``; model: the final model, whose fit ``calibrate`` repeats;
     untellable: what the recordings cannot show, with the sigma that they would leave of it;
     untried: what the search left out because it had only so much time, in words; covariance: of
-    ``parameters``; device: what was known of the device.
+    ``parameters``; device: what was known of the device; likelihood: what the one recording says
+    itself.
     """
 
     verdict: str
@@ -252,3 +253,4 @@ class Explanation(Brief):
     untried: tuple[str, ...] = ()
     covariance: Array | None = None
     device: Prior | None = None
+    likelihood: Likelihood | None = None

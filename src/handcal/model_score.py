@@ -44,10 +44,10 @@ def prior(effect: Effect, cases: Sequence[Case]) -> float:
     Noise pays for levels that nobody knows. A step shares its odds over the moments on trial; where
     it was put at the reading that was least expected, all readings were looked at. What a hand that
     turns the device about no single point can lend to an effect counts where only that point's rest
-    tells of it. A law without a name pays for what its form was chosen from. What every model
-    has costs nothing.
+    tells of it. A law without a name pays for what its form was chosen from. What every
+    device has costs nothing.
     """
-    if effect.always:
+    if effect.common:
         return 0.0
     if effect.process is not None and effect.passing:
         return PRIOR - math.log(WITH_MOTION) - OCCAM_LEVEL * len(effect.levels)

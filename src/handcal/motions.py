@@ -108,6 +108,13 @@ MOTIONS = (
 )
 
 
+# By which devices are compared.
+MINUTE = Motion(
+    "Turn it by hand about all axes for a minute, as one does.",
+    2 * tuple(turn for turn in _tumbling() if turn[1]),
+)
+
+
 def attitude(motion: Motion, t: Array) -> tuple[Array, Array]:
     """C_nb (n, 3, 3) and the rate omega_ib_b (n, 3) rad/s at times t (n,), s since the start."""
     C, omega = np.empty((len(t), 3, 3)), np.zeros((len(t), 3))
@@ -165,7 +172,8 @@ def recording_of(
     imu = read(t)
     valid = np.ones(len(t), dtype=np.bool_)
     gyro, accel = np.ascontiguousarray(imu[:, :3]), np.ascontiguousarray(imu[:, 3:])
-    return Recording(motion.sentence, Imu(t, gyro, accel, valid), streams)
+    own_imu = Imu(t, gyro, accel, valid)
+    return Recording(motion.sentence, own_imu, streams, bias_temperature=like.bias_temperature)
 
 
 def _temperature(motion: Motion, like: Recording, t: Array) -> Array:

@@ -32,7 +32,10 @@ def of_recording(
     """
     imu = recording.imu
     gyro, accel = (imu.gyro, imu.accel) if read is None else (read[:, :3], read[:, 3:])
-    return Signals(imu.t, gyro, accel, C_nb=C_nb, alpha=alpha, streams=further(recording, effects))
+    return Signals(
+        imu.t, gyro, accel, C_nb=C_nb, alpha=alpha, streams=further(recording, effects),
+        bias_temperature=recording.bias_temperature,
+    )  # fmt: skip
 
 
 def further(recording: Recording, effects: Sequence[Effect] = ()) -> Mapping[str, Array]:
@@ -57,6 +60,14 @@ def at_times(row: Stream, series: Series, t: Array) -> Array:
 def temperature_of(recording: Recording) -> Array | None:
     """Temperature (n,) degC at the IMU's samples, None without a thermometer."""
     return _temperature_at(recording, recording.imu.t)
+
+
+def at_its_temperature(recording: Recording) -> Recording:
+    """The recording with its mean temperature as that at which biases are what they are."""
+    series = recording.streams.get("temperature")
+    if series is None or not len(series.t):
+        return recording
+    return replace(recording, bias_temperature=float(np.nanmean(series.value)))
 
 
 def warmth_at(recording: Recording, t: Array) -> Array:
@@ -84,6 +95,7 @@ def some(signals: Signals, rows: BoolArray | IntArray) -> Signals:
         C_nb=None if s.C_nb is None else s.C_nb[rows],
         alpha=None if s.alpha is None else s.alpha[rows],
         streams={name: value[rows] for name, value in s.streams.items()},
+        bias_temperature=s.bias_temperature,
     )  # fmt: skip
 
 

@@ -102,7 +102,8 @@ class Recording(Brief):
     only those present. start_ns: absolute time of t = 0, ns since 1970 (0 if unknown).
     warnings: what the reader repaired, in sentences. topics: of a bag or a log of PX4, by
     stream, where it was read. device, model: what the file itself says of the device, "" where it
-    says nothing.
+    says nothing. bias_temperature: degC, at which temperature errors are zero; a fit takes the
+    recording's mean, so that biases are those at that temperature.
     """
 
     path: str
@@ -113,6 +114,7 @@ class Recording(Brief):
     topics: Mapping[str, str] = field(default_factory=dict)
     device: str = ""
     model: str = ""
+    bias_temperature: float = 25.0
 
     @property
     def duration_s(self) -> float:
@@ -137,9 +139,9 @@ class Parameter:
     converged_at_s: float | None
 
     @property
-    def observable(self) -> bool:
-        """Contract: sigma below half of its prior."""
-        return self.sigma < 0.5 * self.prior_sigma
+    def shown(self) -> bool:
+        """Contract: sigma below half of its prior's, or the value beyond three sigmas from zero."""
+        return self.sigma < 0.5 * self.prior_sigma or abs(self.value) > 3.0 * self.sigma
 
 
 @dataclass(frozen=True, repr=False)
@@ -154,6 +156,19 @@ class Prior(Brief):
     mean: Array
     covariance: Array
     source: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, repr=False)
+class Likelihood(Brief):
+    """What a recording itself says of its biases and of a device, without any prior, SI.
+
+    names (k,): (effect, parameter). Log-likelihood vector' x - x' information x / 2 of the
+    parameters x (k,), all else integrated out; information (k, k), vector (k,).
+    """
+
+    names: tuple[tuple[str, str], ...]
+    information: Array
+    vector: Array
 
 
 @dataclass(frozen=True)
@@ -261,7 +276,7 @@ class Standing(Brief):
     t: s; p, v (3,), C (3, 3) of C_nb, bg, ba (3,); effects, kinds: ids of those in its model;
     names (c,): owner and name of each constant; processes: owner and number of states of each
     Markov process behind them; extras (c + e,): constants and Markov states; P (15 + c + e,
-    15 + c + e): covariance of all of it.
+    15 + c + e): covariance of all of it; bias_temperature: degC, at which biases are these.
     """
 
     t: float
@@ -276,6 +291,7 @@ class Standing(Brief):
     processes: tuple[tuple[str, int], ...]
     extras: Array
     P: Array
+    bias_temperature: float = 25.0
 
 
 @dataclass(frozen=True, repr=False)
@@ -289,6 +305,7 @@ class Result(Brief):
     ``history``, each row given the whole recording. settled: relinearising had come to rest.
     model: what was fitted, as JSON holds it (contract); repeated: it was read from a result.
     before: what was known of the device. standing: where the estimate stands at the last epoch.
+    likelihood: of the recording alone.
     """
 
     recording: Recording
@@ -308,6 +325,7 @@ class Result(Brief):
     repeated: bool = False
     before: Prior | None = None
     standing: Standing | None = None
+    likelihood: Likelihood | None = None
 
     @property
     def observations(self) -> int:

@@ -54,7 +54,7 @@ def demo(
     recording = handcal.load(file)
     say("calibrating: biases alone")
     with progress("biases alone") as report, compiled_ahead():
-        plain = handcal.calibrate(recording, assume="fixed-point", progress=report)
+        plain = handcal.calibrate(recording, assume="fixed-point", only=True, progress=report)
     say("explaining: what do biases not account for?")
     with progress("explaining") as report:
         explanation = explain([recording], assume="fixed-point", progress=report)
@@ -127,7 +127,7 @@ def _show(
         f" --effects {effects}" if effects else ""
     )
     for name, what in (
-        ("explanation.html", "what is missing and how that shows, in a browser"),
+        ("explanation.html", "what was found and how that shows, in a browser"),
         ("report.html", "the calibration with it, in a browser"),
         ("explanation.rrd, dashboard.rrd", f"the same over time: rerun {out / 'dashboard.rrd'}"),
         ("explanation.json, calibration.json", "the numbers"),

@@ -201,18 +201,23 @@ def answer(
 
 
 def completed(world: World, drawn: Answer) -> Answer:
-    """The answer with the true biases (their means, where they walk), which are never a question
-    but show honest sigmas, and with what iron looks like where north is off by the constant
-    heading offset."""
+    """The answer with the true biases (their means, where they walk, at the mean temperature),
+    which are never a question but show honest sigmas, and with what iron looks like where north is
+    off by the constant heading offset."""
     present = world.parameters["effects"]
     walked = world.parameters["mean_walk"]
-    baseline = {
-        f"{sensor}_bias": {
-            p["name"]: p["value"] + mean
-            for p, mean in zip(present[f"{sensor}_bias"], walked[sensor], strict=True)
+    warm = (
+        world.streams["temperature"].values.mean() - 25.0 if "temperature" in world.streams else 0
+    )
+    baseline = {}
+    for sensor in ("gyro", "accel"):
+        slopes = [p["value"] for p in present.get(f"{sensor}_temperature", ())] or [0.0] * 3
+        baseline[f"{sensor}_bias"] = {
+            p["name"]: p["value"] + mean + warm * slope
+            for p, mean, slope in zip(
+                present[f"{sensor}_bias"], walked[sensor], slopes, strict=True
+            )
         }
-        for sensor in ("gyro", "accel")
-    }
     offset = world.parameters["phone"]["heading_errors"]["offset"]
     comparable = {}
     for name, periods in (("heading_hard_iron", 1), ("heading_soft_iron", 2)):

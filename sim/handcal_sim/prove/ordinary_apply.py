@@ -12,6 +12,7 @@ import numpy as np
 from handcal_sim.prove.draw_ordinary import Case, recorded
 from handcal_sim.prove.trial import Trial, share
 from handcal_sim.scenario import World
+from handcal_sim.strangers import scene_of
 
 SENSORS = ("gyro", "accel")
 # By less than this nothing is made worse (readings are written with so many digits).
@@ -20,12 +21,12 @@ SAME = 1.0 + 1e-6
 
 def left(case: Case, corrected: Path) -> dict[str, float]:
     """Mean squares of what gyro and accelerometer read too much in the second recording, which has
-    no white noise, before and after the correction: of all but the bias at 25 degC, which a
-    correction leaves, and of what is not constant (`gyro_before_varying`)."""
+    no white noise, before and after the correction: of all but the bias at its mean temperature,
+    which a correction leaves, and of what is not constant (`gyro_before_varying`)."""
     import handcal
 
     world = another(case)
-    imu = handcal.load(corrected).imu
+    imu, warm = handcal.load(corrected).imu, float(scene_of(world).warm.mean())
     t = imu.t - imu.t[0] + world.imu.stamps[0]
     rows = np.hstack([world.truth.omega, world.truth.f, world.imu.values])
     true, read = np.split(
@@ -34,7 +35,10 @@ def left(case: Case, corrected: Path) -> dict[str, float]:
     found = {}
     for when, values in (("before", read), ("after", np.hstack([imu.gyro, imu.accel]))):
         for sensor, own in zip(SENSORS, np.split(values - true, 2, axis=1), strict=True):
-            apart = own - case.device.effects[f"{sensor}_bias"]
+            apart = own - np.add(
+                case.device.effects[f"{sensor}_bias"],
+                warm * np.array(case.device.effects[f"{sensor}_temperature"]),
+            )
             found[f"{sensor}_{when}"] = float(np.mean(apart**2))
             found[f"{sensor}_{when}_varying"] = float(np.mean((own - own.mean(axis=0)) ** 2))
     return found

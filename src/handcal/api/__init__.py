@@ -98,7 +98,8 @@ def calibrate(
     """Sensor errors of a device from a recording, or from several together, and how well they are
     known.
 
-    effects: ids of the catalogue beyond constant biases ("gyro_scale"). assume: "auto",
+    effects: ids of the catalogue beyond what every device has ("gravity"); only: these and biases
+    alone. assume: "auto",
     "fixed-point" or "rest-only". heading_sigma (rad), if known; latitude (rad) and height (m) of
     the place; ignore: streams to leave out; reference_exact: a reference has no bias; before: what
     is known of the device. observations: kinds to use instead; noise: levels to keep fixed, SI, by

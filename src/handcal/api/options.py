@@ -32,6 +32,7 @@ class CalibrateOptions(Options, total=False):
     noise_until: float | None
     start: Start | None
     engine: str
+    only: bool
     progress: Callable[[float], None] | None
 
 

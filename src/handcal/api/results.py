@@ -3,7 +3,7 @@ draw themselves, and write themselves to files."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, overload
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-COLUMNS = ("effect", "name", "value", "sigma", "unit", "observable")
+COLUMNS = ("effect", "name", "value", "sigma", "unit", "shown")
 _SHOWN = ("parameter", "value", "± 1 sigma", "unit")
 
 
@@ -87,6 +87,14 @@ class Parameters(tuple[Parameter, ...]):
         return tables.html_table(_SHOWN, self._rows())
 
 
+def _in_front(parameters: Parameters, found: Iterable[str] = ()) -> tuple[Parameters, list[str]]:
+    """Those that a table shows, and what is said below it; found: ids of effects."""
+    from handcal.show.calibration.shown import in_front, under_table
+
+    front, rest = in_front(parameters, found)
+    return Parameters(front), under_table(front, rest)
+
+
 class Calibration(Result):
     """What ``calibrate`` learnt from one recording: ``parameters`` with their ``covariance``,
     ``noise``, ``innovations``, ``history`` and ``smoothed``, ``log_evidence``, ``warnings``."""
@@ -100,10 +108,12 @@ class Calibration(Result):
         return cls(**values | {"parameters": Parameters(values["parameters"])})
 
     def plot(self) -> Figure:
-        """The parameters with one and three sigma, each in what is usual for such a device."""
+        """The parameters that are shown, with one and three sigma, each in what is usual for such a
+        device."""
         from handcal.show.calibration.plots import sizes
+        from handcal.show.calibration.shown import drawn
 
-        return sizes(self.parameters)
+        return sizes(drawn(self.parameters))
 
     def report(self, path: str | Path) -> None:
         """Write the page of ``handcal calibrate --report``."""
@@ -127,18 +137,22 @@ class Calibration(Result):
         return stamped(calibration_json(self))
 
     def __repr__(self) -> str:
-        from handcal.show.calibration import verdict_text
+        from handcal.show.calibration import how_good, verdict_text
 
         judged = verdict_text.verdict(self)
         name = Path(self.recording.path).name
-        return f"Calibration of {name}: {judged.headline}\n{self.parameters!r}"
+        good = how_good.sentences(self.parameters, self.covariance, self.before)
+        table, below = _in_front(self.parameters)
+        head = f"Calibration of {name}: {judged.headline}"
+        return "\n".join([head, *good, repr(table), *below])
 
     def _repr_html_(self) -> str:
         from handcal.show.calibration import verdict_text
 
         judged = verdict_text.verdict(self)
         said = tables.paragraphs(map(in_python, (judged.headline, *judged.sentences)))
-        return said + self.parameters._repr_html_()
+        table, below = _in_front(self.parameters)
+        return said + table._repr_html_() + tables.paragraphs(below)
 
 
 class Explanation(ExplanationData):
@@ -154,12 +168,13 @@ class Explanation(ExplanationData):
         return cls(**values | {"parameters": Parameters(values["parameters"])})
 
     def plot(self) -> Figure:
-        """What is missing with one and three sigma, each in what is usual for such a device; the
-        biases where nothing is."""
+        """What was found with one and three sigma, each in what is usual for such a device; what is
+        shown where nothing was."""
         from handcal.show.calibration.plots import sizes
+        from handcal.show.calibration.shown import drawn
 
         found = [p for m in self.missing for p in m.parameters]
-        return sizes(found or self.parameters)
+        return sizes(found or drawn(self.parameters))
 
     def report(self, path: str | Path) -> None:
         """Write the page of ``handcal explain --report``."""
@@ -195,9 +210,11 @@ class Explanation(ExplanationData):
         return [*out, *((u.formula, "", words.nats(u.log_evidence_gain)) for u in self.unnamed)]
 
     def __repr__(self) -> str:
+        from handcal.show.calibration import how_good
         from handcal.show.explanation import verdict_text
 
         lines = [f"Explanation ({self.verdict}): {verdict_text.verdict(self).headline}"]
+        lines += how_good.sentences(self.parameters, self.covariance, self.device)
         lines += [
             f"  {a}{f', probability {b}' if b else ''} (removing it costs {c})"
             for a, b, c in self._found()
@@ -205,16 +222,17 @@ class Explanation(ExplanationData):
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
+        from handcal.show.calibration import how_good
         from handcal.show.explanation import verdict_text
 
-        said = tables.paragraphs([verdict_text.verdict(self).headline])
+        good = how_good.sentences(self.parameters, self.covariance, self.device)
+        said = tables.paragraphs([verdict_text.verdict(self).headline, *good])
         found = self._found()
         table = (
-            tables.html_table(("missing", "probability", "removing it costs"), found)
-            if found
-            else ""
+            tables.html_table(("found", "probability", "removing it costs"), found) if found else ""
         )
-        return said + table + self.parameters._repr_html_()
+        front, below = _in_front(self.parameters, [m.effect for m in self.missing])
+        return said + table + front._repr_html_() + tables.paragraphs(below)
 
 
 @dataclass(frozen=True, repr=False)

@@ -61,7 +61,15 @@ UnitsToo = Annotated[
 Effects = Annotated[
     str,
     typer.Option(
-        metavar="ID,...", help="Effects to estimate beyond constant biases: gyro_scale,lever_arm."
+        metavar="ID,...",
+        help="Effects to estimate beyond those that every device has: gyro_quadratic,gravity.",
+    ),
+]
+Only = Annotated[
+    bool,
+    typer.Option(
+        "--only",
+        help="Estimate biases and --effects alone: sigmas hold only if nothing else is there.",
     ),
 ]
 HeadingSigma = Annotated[
@@ -242,7 +250,7 @@ def calibrated(
     from handcal.explain.model_file import read
 
     usual = {"assume": "auto", "engine": "compiled", "height": 0.0, "ignore": (),
-             "reference_exact": False}  # fmt: skip
+             "reference_exact": False, "only": False}  # fmt: skip
     own = [n for n, v in settings.items() if v != usual.get(n)]
     if ids or own:
         said = ", ".join(f"--{n.replace('_', '-')}" for n in (["effects"] if ids else []) + own)

@@ -43,7 +43,7 @@ def apply(
 
     What is no error of a sensor (where it sits, gravity, noise) stays, and is said.
     """
-    from handcal.device.apply import TOGETHER, hardly_known, read
+    from handcal.device.apply import TOGETHER, not_shown, read
     from handcal.device.apply import apply as applied
     from handcal.output import check_outputs
     from handcal.recordings.export import check_ending, write_mcap
@@ -60,7 +60,7 @@ def apply(
         raise HandcalError(f"{nothing}. {left}" if left else f"{nothing}.")
     write_mcap(corrected.recording, out)
     beside = f"{TOGETHER.format('what has no name')}: {_WRITE}" if biases and learnt.unnamed else ""
-    unsure = hardly_known(learnt, corrected.taken)
+    unsure = not_shown(learnt)
     for sentence in (*given.warnings, left, unsure, beside):
         if sentence:
             say(sentence)

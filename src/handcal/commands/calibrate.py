@@ -27,6 +27,7 @@ from handcal.commands._options import (
     Json,
     Latitude,
     NoiseUntil,
+    Only,
     ReferenceExact,
     Report,
     Rrd,
@@ -49,6 +50,7 @@ def calibrate(
         list[Path], typer.Argument(metavar="FILE...", help="Recordings of one device.")
     ],
     effects: Effects = "",
+    only: Only = False,
     learnt_from: Annotated[
         Path | None,
         typer.Option(
@@ -77,10 +79,11 @@ def calibrate(
 ) -> None:
     """Run the filter over recordings of one device: sensor errors, how well they are known.
 
-    Effects are those of the device, so several recordings tell them together; biases and noise
-    are each recording's own. With --from, the fit of that result is repeated; of other
-    recordings, the same effects are estimated. With --device, what earlier sessions said of the
-    device is where the fit begins; values and sigmas then hold what all sessions say.
+    Errors that every device has are always estimated; --effects adds others. They are those of the
+    device, so several recordings tell them together; biases and noise are each recording's own.
+    With --from, the fit of that result is repeated; of other recordings, the same effects are
+    estimated. With --device, what earlier sessions said of the device is where the fit begins;
+    values and sigmas then hold what all sessions say.
     """
     from handcal.output import beside, check_outputs
 
@@ -94,7 +97,7 @@ def calibrate(
     results = calibrated(
         recordings, effects, learnt_from, heading_sigma=heading_sigma, assume=assume,
         latitude=latitude, height=height, ignore=ignore, reference_exact=reference_exact,
-        noise_until=noise_until, engine=engine, before=before,
+        noise_until=noise_until, engine=engine, before=before, only=only,
     )  # fmt: skip
     results = tuple(
         replace(r, warnings=(*r.warnings, *contradictions(r.before, r.parameters, r.covariance)))

@@ -113,7 +113,7 @@ def plan(
     else:
         result = calibrate(
             recording, [e.id for e in effects], assume=assume, heading_sigma=heading_sigma,
-            latitude=latitude, height=height, progress=lambda f: report(0.8 * f),
+            latitude=latitude, height=height, only=True, progress=lambda f: report(0.8 * f),
         )  # fmt: skip
         levels = {n.name: n.value for n in result.noise}
         before = result.covariance

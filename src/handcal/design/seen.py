@@ -64,7 +64,7 @@ class Seen:
     @property
     def shown(self) -> tuple[str, ...]:
         """Names of the parameters that could be told."""
-        return tuple(p.name for p in self.parameters if p.observable)
+        return tuple(p.name for p in self.parameters if p.shown)
 
 
 def seen(found: Overview) -> tuple[Seen, ...]:

@@ -8,7 +8,7 @@ Where the sensor sits, how strong gravity is and how large the noise is stay as 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -33,7 +33,7 @@ from handcal.estimate.corrected import substituted
 from handcal.observations import NAV
 from handcal.observations import catalogue as observations
 from handcal.recordings.streams import STREAMS, Stream, observed_by
-from handcal.signals import of_recording, warmth_at
+from handcal.signals import at_its_temperature, of_recording, warmth_at
 from handcal.types import (
     CALIBRATION_SCHEMA,
     EXPLANATION_SCHEMA,
@@ -66,8 +66,8 @@ class Learnt:
     path: of the file. values: of each effect, in the order of the catalogue's parameters, SI.
     biases: (recording, gyro and accelerometer (6,)) of each that the file is about; the
     recording is "" where the file does not say which it was. unnamed: formulas. hidden: axes of
-    each bias that were not observable, by recording; unsure: names of each effect's parameters of
-    which the recordings told little.
+    each bias that were not shown, by recording; unsure: names of each effect's parameters that
+    the recordings did not show.
     """
 
     path: str
@@ -90,10 +90,12 @@ class Corrected:
 def apply(recording: Recording, learnt: Learnt, *, biases: bool = False) -> Corrected:
     """The recording without the errors that were learnt.
 
-    biases: take off also what differs from day to day. Readings that are no measurements
+    biases: take off also what differs from day to day; without them, of temperature errors what
+    changes within the recording. Readings that are no measurements
     (saturated) stay as they are. Raises InputError where biases are asked for and the file
     has none for this recording, HandcalError where an error cannot be undone.
     """
+    recording = at_its_temperature(recording)
     known = [*(BIASES if learnt.biases else ()), *learnt.values]
     why = {i: _reason(i, recording, biases) for i in known}
     values = {i: v for i, v in learnt.values.items() if not why[i]}
@@ -285,12 +287,12 @@ def _learnt(name: str, document: Mapping[str, Any]) -> Learnt:
         if all(i in own for i in BIASES)
     ]
     effects = {i: v for i, v in values.items() if i not in BIASES}
-    unsure = {i: names for i, names in _untold(document["parameters"]).items() if i in effects}
+    unsure = {i: n for i, n in _untold(document["parameters"]).items() if i not in BIASES}
     return Learnt(name, effects, tuple(biases), formulas, hidden, unsure)
 
 
 def _untold(parameters: Sequence[Mapping[str, Any]]) -> dict[str, tuple[str, ...]]:
-    """Parameters of each effect that were not observable, of those that have any."""
+    """Parameters of each effect that were not shown, of those that have any."""
     out: dict[str, tuple[str, ...]] = {}
     for p in parameters:
         if p.get("observable") is False:
@@ -298,24 +300,33 @@ def _untold(parameters: Sequence[Mapping[str, Any]]) -> dict[str, tuple[str, ...
     return out
 
 
-def hardly_known(learnt: Learnt, taken: Collection[str]) -> str:
-    """A sentence about what is corrected of which little was told; empty where all was."""
-    parts = [f"{i} ({', '.join(names)})" for i, names in learnt.unsure.items() if i in taken]
-    return f"The recordings told little of {'; '.join(parts)}." if parts else ""
+def not_shown(learnt: Learnt) -> str:
+    """A sentence about errors that were not shown, which are not taken off; empty where
+    there are none."""
+    parts = [i + (f" ({', '.join(names)})" if i in learnt.values else "")
+             for i, names in learnt.unsure.items()
+             if catalogue()[i].misreads or i in learnt.values]  # fmt: skip
+    return f"Not shown by the recordings, and left as it is: {'; '.join(parts)}." if parts else ""
 
 
 def _hidden(parameters: Sequence[Mapping[str, Any]]) -> dict[str, str]:
-    """Axes of each bias that were not observable, of those that have any."""
+    """Axes of each bias that were not shown, of those that have any."""
     return {i: "".join(names) for i, names in _untold(parameters).items() if i in BIASES}
 
 
 def _values(
     name: str, parameters: Sequence[Mapping[str, Any]], other: Set[str]
 ) -> dict[str, Array]:
-    """By id; other: what is no effect (formulas, how a marker is turned). Errors: InputError."""
+    """By id, of effects of which something is shown; what is not shown is zero. other: what is no
+    effect (formulas, how a marker is turned). Errors: InputError."""
     said: dict[str, dict[str, float]] = {}
+    shown = {p["effect"] for p in parameters if p.get("shown", True)}
     for p in parameters:
+        if p["effect"] not in shown and p["effect"] not in BIASES:
+            continue
         value = p["value"]
+        if p["effect"] not in BIASES and not p.get("shown", True):
+            value = 0.0
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             value = math.nan
         said.setdefault(p["effect"], {})[p["name"]] = value

@@ -154,7 +154,7 @@ class Truth:
     def result(self, beside: tuple[str, ...] = ()) -> Result:
         """Of the recording as it is, with these effects."""
         if beside not in self.results:
-            self.results[beside] = calibrate(self.recording, beside)
+            self.results[beside] = calibrate(self.recording, beside, only=True)
         return self.results[beside]
 
     def attitude(self, t: Array, beside: tuple[str, ...] = ()) -> Array:

@@ -35,7 +35,8 @@ Name = tuple[str, str]
 class Session:
     """One result. recorded: when (UTC); temperature: degC, or None; recordings, sha256: names and
     digests of the files. names (k,), mean (k,), covariance (k, k): posterior, SI; prior_mean (k,),
-    prior_covariance (k, k): what it was made with."""
+    prior_covariance (k, k): what it was made with; likelihood: information (k, k) and
+    vector (k,) of the recording alone (``types.Likelihood``), where the result has them."""
 
     recorded: datetime
     temperature: float | None
@@ -46,6 +47,7 @@ class Session:
     covariance: Array
     prior_mean: Array
     prior_covariance: Array
+    likelihood: tuple[Array, Array] | None = None
 
 
 @dataclass(frozen=True)
@@ -115,7 +117,24 @@ def _session(entry: Mapping[str, Any]) -> Session:
         _sized(C, len(names)),
         _numbers(entry.get("prior_mean", [0.0] * len(names)), len(names)),
         _sized(_matrix(entry.get("prior_covariance", np.diag(usual**2))), len(names)),
+        _told(entry, names, names) if "information" in entry else None,
     )
+
+
+def _told(
+    entry: Mapping[str, Any], have: Sequence[Name], wanted: Sequence[Name]
+) -> tuple[Array, Array]:
+    """Information and vector of the parameters wanted, where a list has them; zero elsewhere."""
+    information = np.array(entry["information"], dtype=float)
+    vector = _numbers(entry["vector"], len(have))
+    if information.shape != (len(have), len(have)) or not np.isfinite(information).all():
+        raise ValueError("an information matrix has another size than the parameters")
+    there = [have.index(n) for n in wanted if n in have]
+    here = [k for k, n in enumerate(wanted) if n in have]
+    out, told = np.zeros((len(wanted), len(wanted))), np.zeros(len(wanted))
+    out[np.ix_(here, here)] = information[np.ix_(there, there)]
+    told[here] = vector[there]
+    return out, told
 
 
 def _name(text: str) -> Name:
@@ -159,7 +178,8 @@ def write(device: Device, path: Path) -> None:
     text = [
         "# What handcal knows of one device. `handcal device show` prints it, `handcal calibrate",
         "# --device` begins with it. SI units; means and covariances are those of each result,",
-        "# prior_mean and prior_covariance what that result was made with, where not the usual.",
+        "# prior_mean and prior_covariance what that result was made with, where not the usual;",
+        "# information and vector what the recording itself says, without any prior.",
         f"schema = {_text(SCHEMA)}",
         f"name = {_text(device.name)}",
         *(line for s in device.sessions for line in _written(s)),
@@ -185,6 +205,8 @@ def _written(s: Session) -> list[str]:
             f"prior_mean = {_row(s.prior_mean)}",
             *_square("prior_covariance", s.prior_covariance),
         ]
+    if s.likelihood is not None:
+        out += [*_square("information", s.likelihood[0]), f"vector = {_row(s.likelihood[1])}"]
     return out
 
 
@@ -254,8 +276,27 @@ def _learnt(
         temperature if temperature is not None else float(np.mean(degrees)) if degrees else None,
         tuple(Path(str(r["path"])).name for r in about),
         tuple(str(r["sha256"]) for r in about if r.get("sha256")),
-        names, mean, C, prior_mean, K,
+        names, mean, C, prior_mean, K, _likelihood(document, names),
     )  # fmt: skip
+
+
+def _likelihood(document: Mapping[str, Any], names: Sequence[Name]) -> tuple[Array, Array] | None:
+    """What the recording itself says of these parameters, all others integrated out at the usual
+    sizes; None where the result does not have it."""
+    said = document.get("likelihood")
+    if said is None:
+        return None
+    have = [(str(effect), str(name)) for effect, name in said["parameters"]]
+    information, vector = _told(said, have, have)
+    other = [k for k, n in enumerate(have) if n not in names and n[0] in catalogue()]
+    mine = [k for k, n in enumerate(have) if n in names]
+    usual = usual_of([have[k] for k in other])
+    A = information[np.ix_(other, other)] * np.outer(usual, usual) + np.eye(len(other))
+    cross = information[np.ix_(mine, other)] * usual
+    solved = np.linalg.solve(A, np.column_stack([cross.T, vector[other] * usual]))
+    left = information[np.ix_(mine, mine)] - cross @ solved[:, :-1]
+    told = {"information": 0.5 * (left + left.T), "vector": vector[mine] - cross @ solved[:, -1]}
+    return _told(told, [have[k] for k in mine], names)
 
 
 def _posterior(

@@ -81,12 +81,16 @@ def alone(session: Session, names: Sequence[Name]) -> tuple[Array, Array]:
     of the catalogue's priors; zero for what it does not tell."""
     usual = usual_of(session.names)
     units = np.outer(usual, usual)
+    at = [names.index(n) for n in session.names]
+    L, h = np.zeros((len(names), len(names))), np.zeros(len(names))
+    if session.likelihood is not None:
+        information, vector = session.likelihood
+        L[np.ix_(at, at)], h[at] = information * units, vector * usual
+        return L, h
     after, before = (_inverse(C / units) for C in (session.covariance, session.prior_covariance))
     d, V = np.linalg.eigh(after - before)
     some = V[:, d > ROUNDING]
     told = after @ (session.mean / usual) - before @ (session.prior_mean / usual)
-    at = [names.index(n) for n in session.names]
-    L, h = np.zeros((len(names), len(names))), np.zeros(len(names))
     L[np.ix_(at, at)] = (some * d[d > ROUNDING]) @ some.T
     h[at] = some @ (some.T @ told)
     return L, h

@@ -23,7 +23,10 @@ def not_kept(document: Mapping[str, Any]) -> Mapping[str, tuple[str, ...]]:
     device file does not keep, by reason."""
     blocks = [document, *document.get("recordings", [])]
     ids = dict.fromkeys(
-        (str(p["effect"]), str(p["name"])) for b in blocks for p in b.get("parameters", [])
+        (str(p["effect"]), str(p["name"]))
+        for b in blocks
+        for p in b.get("parameters", [])
+        if p.get("shown", True)
     )
     out: dict[str, dict[str, None]] = {}
     for effect, name in ids:

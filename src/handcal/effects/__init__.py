@@ -80,7 +80,8 @@ class Signals:
     or None where it is told by the rate alone. streams: what else was measured, (n, d) by the
     stream's name, with the columns and units of its row in ``recordings.streams``: all that no
     observation looks at, and what the effects need; only what the recording has, so an effect
-    adds nothing where ``streams.get`` finds nothing. Made in ``handcal.signals``.
+    adds nothing where ``streams.get`` finds nothing. bias_temperature: degC, at which temperature
+    errors are zero and biases are what they are. Made in ``handcal.signals``.
     """
 
     t: Array
@@ -89,6 +90,7 @@ class Signals:
     C_nb: Array | None = field(default=None, kw_only=True)
     alpha: Array | None = field(default=None, kw_only=True)
     streams: Mapping[str, Array] = field(default_factory=dict, kw_only=True)
+    bias_temperature: float = field(default=ROOM, kw_only=True)
     _worked_out: dict[tuple[object, ...], Array] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
@@ -106,6 +108,12 @@ class Signals:
         """(n,) degC, None where the recording has none."""
         found = self.streams.get("temperature")
         return None if found is None else found[:, 0]
+
+    @property
+    def warmth(self) -> Array:
+        """(n,) K above ``bias_temperature``, zero where the recording has no temperature."""
+        found = self.temperature
+        return np.zeros(len(self.t)) if found is None else found - self.bias_temperature
 
 
 class Known(Protocol):
@@ -173,9 +181,11 @@ class Effect:
     of_one_day: another day it is another. sound(parameters, t (n,), valid (n,)): which readings
     depend on measurements alone, where what is read depends on other moments. instead: the
     effect that is the same on a stream on which this one does not act. baseline: it is in every
-    model (a state of the filter), so it is never on trial. always: it is in every model of a
-    recording in which one of its observations is used, whether asked for or not: nobody has
-    none. tails: its prior has the wide scales that others have. features(truth): of an effect
+    model (a state of the filter), so it is never on trial. always: the online filter starts with
+    it, as with biases. common: every device has it, so every fit of a recording that could show it
+    estimates it; where that and the usual size are from ("": rare, tried beside those). Of errors
+    that stand in for each other one is common. tails: its prior has the wide scales that others
+    have. features(truth): of an effect
     linear in its parameters, where that comes cheaper than differences of ``imu_error``: a
     channel (0 to 5), the first of the parameters that act on it, and the derivatives by these,
     (n, m). proportional: what ``imu_error`` adds is a matrix (6, 6) times rate and force of the
@@ -220,6 +230,7 @@ class Effect:
     instead: str = ""
     baseline: bool = False
     always: bool = False
+    common: str = ""
     tails: bool = True
     features: Callable[[Signals], Sequence[tuple[int, int, Array]]] | None = None
     proportional: bool = False

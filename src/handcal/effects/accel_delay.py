@@ -44,6 +44,7 @@ EFFECT = Effect(
     source="filter delay of a digital output; Kalibr's temporal calibration for the idea",
     motion="Brisk changes of attitude, so that gravity moves between the axes quickly.",
     validated="the simulator's injection",
+    common="filters of the two sensors differ by some samples; Kalibr's temporal calibration",
     imu_error=imu_error,
     imu_inverse=imu_inverse,
     sound=sound,

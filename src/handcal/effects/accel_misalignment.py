@@ -25,6 +25,7 @@ EFFECT = Effect(
     source="paper 003, equation 2",
     motion="Gravity along each axis and between them.",
     validated="the simulator's injection",
+    common="1 to 2 % cross-axis sensitivity in data sheets; 0.4 to 2 % by imu_tk and imucal",
     imu_error=added(features),
     features=features,
     proportional=True,

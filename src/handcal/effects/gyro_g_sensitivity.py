@@ -20,6 +20,7 @@ EFFECT = Effect(
     source="IEEE Std 1431, acceleration-sensitive drift",
     motion="Gravity along each axis, up and down, in one recording.",
     validated="the simulator's injection",
+    common="0.1 deg/s/g in data sheets of MEMS gyros",
     imu_error=added(features),
     features=features,
     proportional=True,

@@ -22,6 +22,7 @@ EFFECT = Effect(
     source="paper 003, equation 3",
     motion="At least one turn about each axis.",
     validated="the simulator's injection; motion capture of a hand-held IMU",
+    common="1 to 2 % cross-axis sensitivity in data sheets; 0.6 to 3 % by imu_tk and imucal",
     imu_error=added(features),
     features=features,
     proportional=True,

@@ -14,6 +14,7 @@ EFFECT = Effect(
     source="contract of this project",
     motion="A turn and its reverse.",
     validated="the simulator's injection",
+    common="fused headings and magnetometers lag by 20 to 200 ms",
     lateness={"heading": LATE, "magnetometer": LATE},
     delays=("heading", "magnetometer"),
 )

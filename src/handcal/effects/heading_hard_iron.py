@@ -27,6 +27,8 @@ EFFECT = Effect(
     "Handbook of Magnetic Compass Adjustment)",
     motion="A full turn about the vertical, back and forth.",
     validated="the simulator's injection",
+    common="headings of phones and boards come from magnetometers: 5 to 20 deg "
+    "of iron where nobody has calibrated them",
     observation_error={"heading": residual_function(_heading)},
     instead="mag_hard_iron",
 )

@@ -47,6 +47,7 @@ EFFECT = Effect(
     source="rigid-body kinematics; paper 003, equation 1",
     motion="Turns about at least two axes; the faster, the sharper.",
     validated="three turns simulated with 200 seeds; motion capture of a hand-held IMU",
+    common="no chip sits at the point that a hand or a marker holds: some centimetres",
     observation_error={
         "fixed_position": _AT_POINT,
         "known_input": residual_function(_force),

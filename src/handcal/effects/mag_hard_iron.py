@@ -134,6 +134,7 @@ EFFECT = Effect(
     source="contract of this project; Gebre-Egziabher et al., J. Aerospace Eng. 19(2), 2006",
     motion="A full turn about at least two axes.",
     validated="the simulator's injection; motion capture of a hand-held IMU",
+    common="some 10 to 500 uT in phones (their own corrections)",
     observation_error={"magnetometer": residual_function(_magnetometer)},
     conceal=lambda iron, recording, _: cleaned(recording, -iron),
     undo=lambda iron, recording: cleaned(recording, iron),

@@ -59,6 +59,7 @@ EFFECT = Effect(
     "antisymmetric part turns the sensor's axes, the trace is the field's own strength",
     motion="Full turns about all three axes.",
     validated="the simulator's injection",
+    common="some per cent to ten in phones; application notes of magnetometers",
     observation_error={"magnetometer": residual_function(_magnetometer)},
     conceal=_conceal,
     undo=_undo,

@@ -13,6 +13,7 @@ EFFECT = Effect(
     source="contract of this project",
     motion="Any brisk motion.",
     validated="the simulator's injection; motion capture of a hand-held IMU",
+    common="cameras and their clocks lag by some milliseconds to tens of them",
     lateness={"pose": LATE},
     delays=("pose",),
 )

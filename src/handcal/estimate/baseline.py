@@ -3,18 +3,19 @@ those that every model has."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from handcal.effects import Effect, catalogue
 from handcal.estimate import noise_levels, smoother
-from handcal.estimate.case import Case, no_fit, other_irons, problem_with
+from handcal.estimate.case import Case, applicable, no_fit, other_irons, problem_with
 from handcal.estimate.derivatives import relinearised
 from handcal.estimate.filter import ENGINES
 from handcal.estimate.first_trajectory import first_trajectory
-from handcal.estimate.fit import TOLERANCE, fitted
+from handcal.estimate.fit import TOLERANCE, TRUSTED, fitted, with_usual_noise
 from handcal.estimate.forked import in_parallel
 from handcal.estimate.linear import About, known_linear, linearise_about
 from handcal.estimate.model import Fitted, Model
@@ -22,11 +23,65 @@ from handcal.estimate.observed import first_state
 from handcal.estimate.pieces import is_long
 from handcal.types import HandcalError
 
+# Standard deviations of a prior by which a parameter moves at once where longer steps lead astray,
+# and beyond which a common effect is no common size.
+CAUTIOUS, FAR = 3.0, 10.0
+
 
 def always(cases: Sequence[Case]) -> tuple[Effect, ...]:
     """The effects that every model of these recordings has."""
     kinds = {k for c in cases for k in c.kinds}
     return tuple(e for e in catalogue().values() if e.always and kinds & e.acts_on)
+
+
+def common(cases: Sequence[Case]) -> tuple[Effect, ...]:
+    """The errors of every device that one of these recordings could show."""
+    known = catalogue().values()
+    return tuple(e for e in known if e.common and any(applicable(c, e) for c in cases))
+
+
+def dense(base: Model, without: Set[str] = frozenset()) -> Model:
+    """The baseline's fit with all common effects, or with as many of them as it can be fitted with.
+
+    Begun from the baseline as it is and from its trajectory with the usual noise, since a baseline
+    that lacks strong errors holds them as noise. Where no such fit rests at sizes that devices
+    have, what the observations err by (an arm, delays, irons) is fitted before what the sensors do,
+    in shorter steps. without: ids of those of which no device has as much as a fit came to.
+    """
+    have = {*base.ids, *without}
+    new = [e for e in common([f.case for f in base.parts]) if e.id not in have]
+    if not new or not np.isfinite(base.log_evidence):
+        return base
+    effects = (*base.effects, *new)
+    found = _from_both(base, effects)
+    if not any(m.settled and np.abs(m.u).max() < FAR for m in found):
+        seen = _from_both(base, [*base.effects, *(e for e in new if e.imu_error is None)], CAUTIOUS)
+        first = max(seen, key=_better)
+        found += _from_both(first, effects, CAUTIOUS) if np.isfinite(first.log_evidence) else []
+        if not any(np.isfinite(m.log_evidence) for m in found):
+            found = [base, first]
+    return max(found, key=_better)
+
+
+def plain(base: Model) -> Model:
+    """The baseline of a fit with common effects: biases and the hand alone."""
+    effects = [e for e in base.effects if e.always]
+    found = fitted(base.parts, effects, noise_rounds=2, tolerance=TOLERANCE)
+    if np.isfinite(found.log_evidence):
+        return found
+    # (what it lacks may be so strong that it can only be begun with wide noise)
+    return baseline([replace(f.case, delays={}) for f in base.parts])
+
+
+def _from_both(base: Model, effects: Sequence[Effect], trusted: float = TRUSTED) -> list[Model]:
+    """Fits of these effects from a fit as it is, and from its trajectory with the usual noise."""
+    fit = partial(fitted, effects=effects, noise_rounds=2, tolerance=TOLERANCE, trusted=trusted)
+    usual = [with_usual_noise(f) for f in base.parts]
+    return [*in_parallel([partial(fit, base.parts), partial(fit, usual)])]
+
+
+def _better(model: Model) -> tuple[bool, float]:
+    return model.one_sided, model.log_evidence
 
 
 def baseline(cases: Sequence[Case], engine: str = "compiled") -> Model:

@@ -3,7 +3,7 @@
 1. segment the recording, choose observations and the assumption about the hand (``estimate.case``),
 2. filter once as a live filter would, smooth, relinearise, and find the noise levels by evidence:
    the baseline (``estimate.fit``),
-3. the same with the effects asked for, from there (``estimate.specification``),
+3. the same with all common effects, then with those asked for (``estimate.specification``),
 4. filter once more about the settled trajectory: that pass is what is shown (``estimate.result``).
 
 ``explain`` ends in the same fit of the model that it chose.
@@ -16,7 +16,7 @@ from dataclasses import replace
 
 from handcal.effects import PLACE, Effect, select
 from handcal.effects import catalogue as known
-from handcal.estimate.baseline import baseline
+from handcal.estimate.baseline import baseline, common, dense
 from handcal.estimate.case import Case, case_of
 from handcal.estimate.filter import ENGINES
 from handcal.estimate.model import Model
@@ -40,6 +40,7 @@ Progress = Callable[[float], None]
 
 # Noise levels are found in no less, s.
 LEAST_NOISE_S = 2.0
+ONLY = "These sigmas hold only if the device has no errors but its biases"
 
 
 def calibrate(
@@ -58,11 +59,14 @@ def calibrate(
     ignore: Sequence[str] = (),
     reference_exact: bool = False,
     before: Prior | None = None,
+    only: bool = False,
     progress: Progress | None = None,
 ) -> Result:
-    """Estimate biases, and the parameters of the effects asked for, from one recording.
+    """Estimate biases, the errors that every device has (``Effect.common``) and those asked for,
+    from one recording.
 
-    effects: ids of the catalogue. observations: kinds to use instead of those that
+    effects: ids of the catalogue, beside the common ones; only: without those, so that the sigmas
+    hold only if nothing else is there. observations: kinds to use instead of those that
     ``assume`` ("auto", "fixed-point", "rest-only") and the streams suggest. heading_sigma:
     rad, if known. latitude (rad) and height (m) switch on the Earth's rate and true
     gravity. noise: levels to keep fixed, SI, by name; all others are estimated, from the
@@ -78,7 +82,7 @@ def calibrate(
         [recording], effects, observations, assume=assume, heading_sigma=heading_sigma,
         latitude=latitude, height=height, noise=noise, noise_until=noise_until, start=start,
         engine=engine, ignore=ignore, reference_exact=reference_exact, before=before,
-        progress=progress,
+        only=only, progress=progress,
     )  # fmt: skip
     return result
 
@@ -99,6 +103,7 @@ def calibrate_together(
     ignore: Sequence[str] = (),
     reference_exact: bool = False,
     before: Prior | None = None,
+    only: bool = False,
     progress: Progress | None = None,
 ) -> tuple[Result, ...]:
     """``calibrate`` for recordings of one device: its effects are theirs together, biases and
@@ -127,7 +132,7 @@ def calibrate_together(
     options = Options(latitude, height, fixed, tuple(ignore), reference_exact, before)
     auto = assume == "auto" and observations is None
     with by_pieces():
-        return _calibrated(cases, wanted, options, engine, auto, report)
+        return _calibrated(cases, wanted, options, engine, auto, only, report)
 
 
 def _calibrated(
@@ -136,18 +141,21 @@ def _calibrated(
     options: Options,
     engine: str,
     auto: bool,
+    only: bool,
     report: Progress,
 ) -> tuple[Result, ...]:
     """The results; auto: where a hand travels, by the rests alone."""
-    model, chosen = _fitted(cases, wanted, options, engine, report)
+    model, chosen = _fitted(cases, wanted, options, engine, only, report)
     far = [auto and travels(f) for f in model.parts]
     if any(far):
         cases = [
             resting(f, options.latitude, options.height) if gone else case
             for case, f, gone in zip(cases, model.parts, far, strict=True)
         ]
-        model, chosen = _fitted(cases, wanted, options, engine, report)
-    return _told(model, chosen, report)
+        model, chosen = _fitted(cases, wanted, options, engine, only, report)
+    told = _told(model, chosen, report)
+    alone = " and ".join([ONLY, *([", ".join(e.id for e in wanted)] if wanted else [])]) + "."
+    return tuple(replace(r, warnings=(*r.warnings, alone)) for r in told) if only else told
 
 
 def recalibrate(
@@ -185,6 +193,8 @@ def recalibrate(
         for case in cases:
             _check_effects(effects, case.kinds, case.recording)
     base = baseline(cases)
+    if {e.id for e in common(cases)} <= {e.id for e in chosen.effects}:
+        base = dense(base)
     chosen = replace(chosen, effects=_with_those_of_all(chosen.effects, base))
     report(0.5)
     told = _told(settled(base, chosen), chosen, report)
@@ -196,9 +206,11 @@ def _fitted(
     effects: Sequence[Effect],
     options: Options,
     engine: str,
+    only: bool,
     report: Progress,
 ) -> tuple[Model, Specification]:
     base = baseline(cases, engine)
+    base = base if only else dense(base)
     report(0.5)
     effects = _with_those_of_all(effects, base)
     chosen = Specification(effects, tuple(view_of(c) for c in cases), options)

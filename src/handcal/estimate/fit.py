@@ -43,6 +43,10 @@ STILL = 0.02
 # White noise of a sensor beyond what its readings show would be an alibi for whatever physics
 # is missing.
 EXCESS = 1.3
+# No parameter is moved by more at once, in standard deviations of its prior.
+TRUSTED = 20.0
+# Of a step that leads to what is no motion, as much is taken instead.
+DAMPED = (1.0, 0.3, 0.1)
 # From one epoch to the next, m and m/s, no trajectory jumps so far.
 BEYOND = 1e3
 # Nats that wider scales of the priors must promise to be tried.
@@ -108,6 +112,7 @@ def fitted(
     known: Known | None = None,
     tolerance: float = COMPARED,
     of_use: float = -math.inf,
+    trusted: float = TRUSTED,
 ) -> Model:
     """Fit these effects to all recordings, beginning from other fits' trajectories and noise,
     until the evidence rests within ``tolerance`` nats, or sinks below what would be ``of_use``, or
@@ -120,7 +125,9 @@ def fitted(
     handed_on = (parts.pop(0) for _ in range(len(parts)))
     constant = sum(f.case.constant for f in parts)
     of_use -= constant
-    now = relinearised_parts(handed_on, effects, known, wide=wide, tolerance=rest, of_use=of_use)
+    now = relinearised_parts(
+        handed_on, effects, known, wide=wide, tolerance=rest, of_use=of_use, trusted=trusted
+    )
     if not math.isfinite(now.evidence):
         return diverged(now.parts, effects)
     for left in range(-1 if now.sank else noise_rounds, -1, -1):
@@ -308,6 +315,7 @@ def relinearised_parts(
     reductions: list[Reduction] | None = None,
     rested: float = math.nan,
     of_use: float = -math.inf,
+    trusted: float = TRUSTED,
 ) -> Rested:
     """Move and linearise again until the joint evidence rests; whether it does, and the evidence.
 
@@ -315,18 +323,18 @@ def relinearised_parts(
     of the priors instead of the usual one alone. tolerance: nats. reductions: the parts', if known;
     emptied, so that nobody keeps them beside those of the next round. rested: the evidence with
     which the parts came to rest at other noise levels, their last step within the same tolerance.
-    of_use: evidence below which there is no use in going on where it only becomes less.
+    of_use: evidence below which there is no use in going on where it only becomes less. trusted: by
+    how much a parameter is moved at once, in standard deviations of its prior.
     """
     parts, handed_on = list(begin), reductions or []
     # (a list of its own: what the last round leaves is of these parts, not of the caller's)
     reductions = [*handed_on]
     handed_on.clear()
     way = Rounds(tolerance)
+    reductions += [] if reductions else _all_reduced(parts)
     for _ in range(ROUNDS):
-        if not reductions:
-            reductions += filter(None, map(_reduced_if_sane, parts))
-            if len(reductions) < len(parts):
-                return Rested(parts, False, math.nan, tolerance, wide)
+        if len(reductions) < len(parts):
+            return Rested(parts, False, math.nan, tolerance, wide)
         parts = [f.bare for f in parts]
         seen = _seen(parts, reductions, effects, known, wide)
         now = seen.evidence
@@ -342,13 +350,39 @@ def relinearised_parts(
             break
         reductions.clear()  # (these and the passes are as large as what is linearised next)
         way.aims(seen.aim, seen.whole.G)
-        parts = _followed(parts, seen, effects, way.reach)
+        far = float(np.abs(seen.aim).max(initial=0.0))
+        reach = way.reach if far < trusted else min(way.reach, trusted / far)
+        parts, reductions = _stepped(parts, seen, effects, known, wide, reach)
     # (what was given up was sane in its last round)
-    sane = bool(reductions) or all(_reduced_if_sane(f) is not None for f in parts)
+    sane, sank = len(reductions) == len(parts), way.sinks(of_use)
     evidence = way.evidence if sane else math.nan
-    sank = way.sinks(of_use)
     bare = [f.bare for f in parts]
     return Rested(bare, False, evidence, tolerance, wide, swing=way.swing, sank=sank)
+
+
+def _all_reduced(parts: Iterable[Fitted]) -> list[Reduction]:
+    """Each part reduced; those left out that are no motion."""
+    return [r for r in map(_reduced_if_sane, parts) if r is not None]
+
+
+def _stepped(
+    parts: Sequence[Fitted],
+    seen: _Seen,
+    effects: Sequence[Effect],
+    known: Known | None,
+    wide: bool,
+    reach: float,
+) -> tuple[list[Fitted], list[Reduction]]:
+    """The parts a step further, and reduced; of a step to what is no motion, a part of it."""
+    for share in DAMPED:
+        if share < 1.0:
+            seen = _seen(parts, _all_reduced(parts), effects, known, wide)
+            parts = [f.bare for f in parts]
+        there = _followed(parts, seen, effects, share * reach)
+        reductions = _all_reduced(there)
+        if len(reductions) == len(there):
+            break
+    return there, reductions
 
 
 @dataclass(frozen=True)

@@ -102,8 +102,10 @@ def frame_of(problem: Problem, state: State, track: Track, rows: IntArray) -> Fr
         residual, sigma = track.residual[q, : kind.dim], track.sigma[q, : kind.dim]
         at = float(nodes.t[np.searchsorted(nodes.first, q, side="right") - 1])
         observed.append(Observed(at, kind.kind, residual, sigma, float(track.nis[q])))
-        if kind.channels == ("heading",) or kind.kind == "magnetometer":
-            heading = _measured_heading(problem, state, int(q))
+        if kind.channels == ("heading",):
+            heading = float(so3.wrap(nodes.z[q, 0]))
+        elif kind.kind == "magnetometer":
+            heading = _heading_of_field(problem, state, int(q))
     now = int(np.searchsorted(imu.t, t, side="right")) - 1
     return Frame(
         t,
@@ -119,8 +121,9 @@ def frame_of(problem: Problem, state: State, track: Track, rows: IntArray) -> Fr
     )
 
 
-def _measured_heading(problem: Problem, state: State, q: int) -> float | None:
-    """What observation q says of the heading at this attitude, rad, if it says anything."""
+def _heading_of_field(problem: Problem, state: State, q: int) -> float | None:
+    """What a magnetometer's reading q says of the heading at this attitude, rad, if it says
+    anything."""
     nodes, i = problem.nodes, state.node
     nav, w, f = np.empty(NAV), np.empty(3), np.empty(3)
     corrected(nodes.gyro[i], nodes.J[i], 0, state.bg, state.extras, problem.ref, w)
@@ -130,9 +133,7 @@ def _measured_heading(problem: Problem, state: State, q: int) -> float | None:
     at = (nav, state.extras, nodes.z[q], nodes.J[i])
     if linearise(nodes.kind[q], problem.tables, *at, r, H) != 0:
         return None
-    off = r[0]
-    if problem.observations[nodes.kind[q]].kind == "magnetometer":
-        own = constants_of(problem, state.extras[: problem.constants], "magnetometer")
-        north = nodes.z[q, magnetometer.HORIZONTAL] + own[:1]
-        off = magnetometer.heading_off(state.C[None], r[None, :3], north)[0]
+    own = constants_of(problem, state.extras[: problem.constants], "magnetometer")
+    north = nodes.z[q, magnetometer.HORIZONTAL] + own[:1]
+    off = magnetometer.heading_off(state.C[None], r[None, :3], north)[0]
     return float(so3.wrap(so3.yaw_of(state.C) + off))

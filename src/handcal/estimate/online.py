@@ -123,6 +123,7 @@ def stepped(online: Online, piece: Recording) -> tuple[Online, Frame | None]:
     imu, s = piece.imu, online.standing
     if len(imu.t) < 2 or not imu.t[0] <= s.t < imu.t[-1]:
         return online, None
+    piece = replace(piece, bias_temperature=s.bias_temperature)
     earth = local_earth(None, 0.0)
     observed = [_since(piece, kind, s) for kind in s.kinds]
     effects = select(s.effects)

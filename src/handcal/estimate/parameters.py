@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,7 @@ from handcal.estimate.fit import believed
 from handcal.estimate.model import Model
 from handcal.estimate.pieces import reduced
 from handcal.estimate.quadratic import given, local
-from handcal.types import Array, Parameter
+from handcal.types import Array, Likelihood, Parameter
 
 # In the order of the filter's states.
 BIASES = tuple(
@@ -106,6 +106,33 @@ def _constants(model: Model, part: int) -> tuple[Array, Array, Array]:
     return whole, C, scale
 
 
+def likelihood(model: Model, part: int, excess: Mapping[str, float]) -> Likelihood:
+    """What one recording says of its biases and of the effects that are constants; excess: as in
+    ``known``."""
+    f = model.parts[part]
+    done = reduced_pass(reduced(f.about), f.levels)
+    slots, (_, b, G) = f.problem.slots, done.log_likelihood
+    effects = {e.id for e in model.effects if "+=" not in e.id}
+    listed = [(s.owner, s.name) if s.owner in effects else ("", "") for s in slots]
+    names = [*((effect, axis) for effect, axis, *_ in BIASES), *listed]
+    own = np.array([name[0] == "" for name in names], dtype=bool)
+    # (what belongs to the recording alone has its prior)
+    root = np.linalg.cholesky(G[np.ix_(own, own)] + np.eye(int(own.sum())))
+    both = np.column_stack([b[own] + done.reduction.w0[own], G[np.ix_(own, ~own)]])
+    half = np.linalg.solve(root, both)
+    y, Y = half[:, 0], half[:, 1:]
+    # (one power for all: two factors would change which sum of two parameters is known)
+    power = 1.0 / max(1.0, float(np.mean(list(excess.values()) or [1.0])))
+    scale = done.reduction.scale[~own]
+    nominal = f.trajectory
+    at = np.r_[nominal.bg, nominal.ba, nominal.constants][~own]
+    Lambda = power * (G[np.ix_(~own, ~own)] - Y.T @ Y) / np.outer(scale, scale)
+    information = 0.5 * (Lambda + Lambda.T)
+    vector = power * (b[~own] - Y.T @ y) / scale + information @ at
+    told = tuple((name_of(i), n) for (i, n), mine in zip(names, own, strict=True) if not mine)
+    return Likelihood(told, information, vector)
+
+
 def _listed(effects: Sequence[Effect]) -> list[tuple[Effect, Param]]:
     """Each parameter of each effect that is a constant, a held moment among them."""
     return [
@@ -114,3 +141,31 @@ def _listed(effects: Sequence[Effect]) -> list[tuple[Effect, Param]]:
         if e.process is None and not e.outliers
         for p in catalogue().get(name_of(e.id), e).parameters
     ]
+
+
+def with_shown(parameters: Sequence[Parameter]) -> frozenset[str]:
+    """Ids of the effects of which a recording shows at least one parameter."""
+    return frozenset(p.effect for p in parameters if p.shown)
+
+
+def given_model(
+    parameters: Sequence[Parameter], covariance: Array, found: Collection[str]
+) -> tuple[Array, Array]:
+    """Values (m,) and sigmas (m,) of the parameters if, besides biases, there are the effects found
+    alone: the normal density of all, given that the others are zero, which is what they are then.
+
+    covariance (m, m): of the parameters.
+    """
+    value = np.array([p.value for p in parameters])
+    own = {i for i, *_ in BIASES} | set(found)
+    out = np.array([p.effect not in own for p in parameters], dtype=bool)
+    mean, sigma = value.copy(), np.sqrt(np.diag(covariance))
+    if out.any():
+        unit = sigma[out]
+        C = covariance[np.ix_(out, out)] / np.outer(unit, unit)
+        gain = np.linalg.lstsq(C, covariance[np.ix_(out, ~out)] / unit[:, None], rcond=1e-12)[0].T
+        mean[~out] -= gain @ (value[out] / unit)
+        less = np.einsum("ij,ij->i", gain, covariance[np.ix_(~out, out)] / unit)
+        sigma[~out] = np.sqrt(np.maximum(np.diag(covariance)[~out] - less, 0.0))
+        mean[out], sigma[out] = 0.0, 0.0
+    return mean, sigma

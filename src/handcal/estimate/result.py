@@ -15,7 +15,7 @@ from handcal.estimate import noise_levels, smoother
 from handcal.estimate.case import no_fit
 from handcal.estimate.linear import About, Linear, linearise_about
 from handcal.estimate.model import Fitted, Model
-from handcal.estimate.parameters import Known, Moment, known
+from handcal.estimate.parameters import Known, Moment, known, likelihood
 from handcal.estimate.pieces import is_long, known_reduced, reduced, starts
 from handcal.estimate.problem import Problem, constants_of
 from handcal.estimate.robust import inflation
@@ -54,7 +54,11 @@ def results(model: Model, moments: Mapping[str, Moment]) -> tuple[Result, ...]:
     )
     excess = inflation(model)
     return tuple(
-        _result(model, k, known(model, k, excess, moments)) for k in range(len(model.parts))
+        replace(
+            _result(model, k, known(model, k, excess, moments)),
+            likelihood=likelihood(model, k, excess),
+        )
+        for k in range(len(model.parts))
     )
 
 
@@ -300,7 +304,7 @@ def _converged(history: History, i: int, p: Parameter) -> float | None:
     can converge is how well it is known.
     """
     value, sigma, t = history.parameters[:, i], history.parameter_sigma[:, i], history.t
-    if not (p.observable and sigma[-1] < 0.5 * p.prior_sigma):
+    if not (p.shown and sigma[-1] < 0.5 * p.prior_sigma):
         return None
     away = (np.abs(value - value[-1]) > 3.0 * sigma[-1]) | (sigma >= 0.5 * p.prior_sigma)
     last = np.flatnonzero(away)

@@ -116,9 +116,9 @@ def settled(base: Model, chosen: Specification, engine: str = "compiled") -> Mod
     effects in it, and the best counts (of an explanation that of these is written down which was
     the better); from the baseline as it is where neither does better than no effect at all.
     """
-    if {e.id for e in chosen.effects} <= set(base.ids):
-        return base
     before = known_before(chosen.effects, chosen.options.before)
+    if before is None and {e.id for e in chosen.effects} <= set(base.ids):
+        return base
     at = _starts(chosen, base)
     parts = [at_constants(begun(f, chosen.effects), chosen.effects, at) for f in base.parts]
     fit = partial(fitted, effects=chosen.effects, noise_rounds=2, known=before, tolerance=TOLERANCE)

@@ -40,6 +40,7 @@ def in_terms_of(
         t, *navigated, tuple(e.id for e in problem.effects),
         tuple(o.kind for o in problem.observations),
         tuple((s.owner, s.name) for s in problem.slots), processes(problem), extras, P,
+        problem.recording.bias_temperature,
     )  # fmt: skip
 
 

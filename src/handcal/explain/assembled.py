@@ -117,10 +117,9 @@ def _named(
 
 
 def _compared(
-    end: End, verdict: str, fits: Sequence[Result]
+    end: End, model: Model, verdict: str, fits: Sequence[Result]
 ) -> tuple[list[Fitted], list[Explained], list[Mismatch]]:
     """The baseline at the model's noise, each recording before and after, and where they differ."""
-    model = end.found.model
     before = held.at_same_noise(end.base.parts, model.parts)
     if end.wrong is not None:
         before = list(end.base.parts)
@@ -137,19 +136,24 @@ def _compared(
 
 def explanation_of(
     end: End,
+    plainest: Model,
     scores: HeldOut,
     written: Specification | None,
     judged: importance.Judged | None,
     untried: tuple[str, ...] = (),
 ) -> Explanation:
-    """All that is said of the end of a search; written: its model as ``calibrate --from`` repeats
-    it, judged: by unseen data; untried: what there was no time for."""
+    """All that is said of the end of a search.
+
+    plainest: the model of what was found alone, which is compared with the baseline; written: the
+    whole model as ``calibrate --from`` repeats it; judged: by unseen data; untried: what there was
+    no time for.
+    """
     found, base, model = end.found, end.base, end.found.model
     wrong = None if end.wrong is None or end.wrong.burst is not None else end.wrong
     fits = results(model, moments(found) if written is None else written.moments)
     learnt = {e.id: parameters_of(fits[0], e) for e in model.effects if e.process is None}
     named = _named(end, learnt, wrong, not untried)
-    before, explained, mismatch = _compared(end, named.verdict, fits)
+    before, explained, mismatch = _compared(end, plainest, named.verdict, fits)
     excess = inflation(model)
     told = _weighed(end, named, judged, excess)
     hypotheses = renamed(model, told, hypotheses_of(found, told, wrong, named.alone))
@@ -162,14 +166,14 @@ def explanation_of(
         tuple(named.unnamed),
         hypotheses,
         _fit(base, before),
-        _fit(model, model.parts),
+        _fit(plainest, plainest.parts),
         scores,
         next_motions(found, named.missing, hypotheses, named.verdict),
         final,
         noise(model.parts[0]),
         tuple(explained),
         (
-            *_warnings(base, model, hypotheses, written, excess),
+            *_warnings(base, model, missing, hypotheses, written, excess),
             *named.remarks,
             *_broken_off(untried),
         ),
@@ -179,6 +183,7 @@ def explanation_of(
         untried,
         _covariance(fits[0], final),
         _before(model),
+        fits[0].likelihood if len(fits) == 1 else None,
     )
 
 
@@ -315,14 +320,17 @@ def _fit(model: Model, parts: Sequence[Fitted]) -> Fit:
 def _warnings(
     base: Model,
     model: Model,
+    missing: Sequence[Missing],
     hypotheses: Sequence[Hypothesis],
     written: Specification | None,
     excess: Mapping[str, float],
 ) -> tuple[str, ...]:
     not_seen = {h.effect for h in hypotheses if h.expected < FAINT or h.final > 0.0}
     out = [w for f in base.parts for w in f.case.warnings]
+    named = {i for m in missing for i in (m.effect, *m.indistinguishable_from)}
+    unnamed = {e.id for e in model.effects if e.common and e.id not in named}
     for f in model.parts:
-        out += leaning(f, model.effects, not_seen, excess)
+        out += leaning(f, model.effects, not_seen, unnamed, excess)
         out += [said] if (said := doubt(f)) else []
     if not model.settled:
         out.append(

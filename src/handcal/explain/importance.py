@@ -82,7 +82,7 @@ def weighed(
 ) -> Missing:
     """What is missing with its size, its share and what unseen data gain by it; left_out: nats
     gained by readings that the model does without."""
-    effect = next((e for e in found.model.effects if _is(e, missing)), None)
+    effect = _in_model(found.model, missing)
     always = effect is not None and effect.always
     whole = max(whole_gain(found, always) + left_out, 1e-9)
     share = float(np.clip(missing.log_evidence_gain / whole, 0.0, 1.0))
@@ -96,9 +96,11 @@ def weighed(
     )
 
 
-def _is(effect: Effect, missing: Missing) -> bool:
-    named = {missing.effect, *missing.indistinguishable_from}
-    return name_of(effect.id) in named
+def _in_model(model: Model, missing: Missing) -> Effect | None:
+    """The effect of the model that is told by this name, or by that of another of its set."""
+    by_name = {name_of(e.id): e for e in reversed(model.effects)}
+    names = missing.effect, *missing.indistinguishable_from
+    return next((by_name[i] for i in names if i in by_name), None)
 
 
 def whole_gain(found: Found, from_nothing: bool = False) -> float:

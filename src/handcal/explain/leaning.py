@@ -32,15 +32,19 @@ class _Numbers:
 
 
 def leaning(
-    f: Fitted, effects: Sequence[Effect], not_seen: Collection[str], excess: Mapping[str, float]
+    f: Fitted,
+    effects: Sequence[Effect],
+    not_seen: Collection[str],
+    unnamed: Collection[str],
+    excess: Mapping[str, float],
 ) -> list[str]:
     """A sentence for the biases of each sensor, and for each effect of the model, whose numbers
     would be far less certain with an effect that is not in it.
 
     effects: of the model; not_seen: ids of effects of the catalogue whose absence is assumed, not
     seen: of their usual size the recording could not show them, or it rather has them than not;
-    excess: by which the scores of each effect scatter beyond the information matrix, as in the
-    sigmas of ``parameters``.
+    unnamed: ids of effects of the model of which nothing is said; excess: by which the scores of
+    each effect scatter beyond the information matrix, as in the sigmas of ``parameters``.
     From the information matrix, each of them alone beside the model.
     """
     have = {e.id for e in effects}
@@ -68,7 +72,10 @@ def leaning(
         for k in np.intersect1d(kept, np.flatnonzero(sigma > MUCH * alone)):
             causes.setdefault(int(k), []).append(e.title.lower())
             worst[k] = max(worst[k], sigma[k])
-    told = [_sentence(n, alone, worst, causes) for n in _numbers(slots, effects)]
+    told = [
+        _sentence(n, alone, worst, causes)
+        for n in _numbers(slots, [e for e in effects if e.id not in unnamed])
+    ]
     return [sentence for sentence in told if sentence]
 
 

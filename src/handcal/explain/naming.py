@@ -10,16 +10,19 @@ import numpy as np
 
 from handcal.effects import Effect, catalogue
 from handcal.estimate.case import Case, name_of
+from handcal.estimate.heavy_tails import tailed
 from handcal.estimate.model import Model
+from handcal.estimate.prior_root import prior_root
 from handcal.estimate.process import process_parameters
 from handcal.explain import importance
 from handcal.explanation import Curve, Hypothesis, Missing, Unnamed, is_curve
 from handcal.laws import with_motion
 from handcal.laws.curve import drawn, drivers_of
 from handcal.laws.law_effect import channels_of
-from handcal.model_score import CERTAIN, NAMED, PRIOR, probability
+from handcal.model_score import CERTAIN, NAMED, probability
 from handcal.search import outliers
 from handcal.search.climb.exchange_steps import ALIKE, akin
+from handcal.search.common_found import Shown, shown
 from handcal.search.multistart import Found
 from handcal.search.space import Space, expected_gain, gains, probabilities, rivals
 from handcal.types import Parameter, Result
@@ -45,6 +48,7 @@ def entries_of(
     """The model's effects as they would be named; whether for one of them a rival is as good."""
     where, model = found.space, found.model
     probable, gained = _probable(where, chosen), gains(where, chosen)
+    common = shown(where, chosen)
     out, unsure = [], False
     for effect in model.effects:
         if "+=" in effect.id:
@@ -54,10 +58,11 @@ def entries_of(
             own = process_parameters(model, effect)
             out.append(_entry(effect, probability(gain), gain, (), own))
             continue
-        if effect.always:
-            if gained[effect.id] + PRIOR > 0.0:
-                gain, own = gained[effect.id], learnt[effect.id]
-                out.append(_entry(effect, probability(gain), gain, (), own))
+        if effect.common:
+            if effect.id in common:
+                entry, doubt = _of_common(where, effect, common[effect.id], learnt[effect.id])
+                out.append(entry)
+                unsure |= doubt
             continue
         set_, share = _set(found, chosen, effect.id)
         members = {name_of(i) for i in set_}
@@ -72,6 +77,41 @@ def entries_of(
                    (wrong.parameter,))
         )  # fmt: skip
     return out, unsure
+
+
+def _of_common(
+    where: Space, effect: Effect, found: Shown, own: tuple[Parameter, ...]
+) -> tuple[Missing, bool]:
+    """A common effect that was found, under the name of what is likeliest in its place; and whether
+    something else is about as likely."""
+    odds = {effect.id: 0.0, **found.rivals}
+    top = max(odds.values())
+    total = sum(math.exp(v - top) for v in odds.values())
+    share = {i: math.exp(v - top) / total for i, v in odds.items()}
+    order = sorted(odds, key=lambda i: -share[i])
+    first = where.effects[order[0]]
+    if first is not effect:
+        own = _parameters_in(where, first, (found.others - {effect.id}) | {first.id})
+    members = [i for i in order if i == effect.id or share[i] >= RIVAL]
+    names = dict.fromkeys(map(name_of, (*members, *found.beside)))
+    others = tuple(i for i in names if i != name_of(first.id))
+    entry = _entry(first, probability(found.gain), found.gain, others, own)
+    return entry, share[first.id] < NAMED or bool(found.beside)
+
+
+def _parameters_in(where: Space, effect: Effect, ids: frozenset[str]) -> tuple[Parameter, ...]:
+    """Parameters of an effect in a model of these effects."""
+    effects = [where.effects[i] for i in sorted(ids)]
+    index = np.concatenate([where.where[e.id] for e in effects])
+    q = where.quadratic
+    known = tailed(q, index, prior_root(q, effects, index))
+    at = [n for n, i in enumerate(index) if q.names[i][0] == effect.id]
+    sigma = np.sqrt(np.diag(known.covariance))
+    return tuple(
+        Parameter(name_of(effect.id), p.name, float(known.mean[k]) * p.prior_sigma,
+                  float(sigma[k]) * p.prior_sigma, p.unit, p.prior_sigma, None)
+        for k, p in zip(at, effect.parameters, strict=True)
+    )  # fmt: skip
 
 
 def _probable(where: Space, chosen: frozenset[str]) -> dict[str, float]:
@@ -248,7 +288,7 @@ def hypotheses_of(
             continue
         verdict = "named" if name in named else "set" if name in rival else ""
         together = sum(p for k, p in probable.items() if name_of(k) == name)
-        if where.effects[i].always:  # (whether or not it is in the model, which it is)
+        if where.effects[i].common:  # (whether or not it is in the model, which it is)
             together = probability(final[i])
         out[name] = Hypothesis(
             name, catalogue()[name].title, gained, final[i],

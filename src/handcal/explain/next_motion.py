@@ -37,6 +37,7 @@ from handcal.motions import EARTH_FIELD, MOTIONS, Motion, attitude, rate_of, rec
 from handcal.observations.magnetometer import HORIZONTAL, UPWARD
 from handcal.recordings import segment
 from handcal.recordings.streams import STREAMS
+from handcal.search.common_found import names_of
 from handcal.search.multistart import Found
 from handcal.search.space import Space, expected_gain
 from handcal.types import Array, HandcalError, IntArray
@@ -53,13 +54,13 @@ def next_motions(
     Nothing where nothing needs telling, or where none of the motions would tell.
     """
     where = found.space
-    chosen = found.model.chosen
+    chosen, names = found.model.chosen, names_of(where, found.model)
     sets = [_members(where, chosen, m) for m in missing if m.indistinguishable_from]
     hidden: list[str] = []
     if verdict in ("nothing_missing", "cannot_tell"):
         rivals = {i for set_ in sets for i in set_}
         low = {h.effect for h in hardly_shown(hypotheses)}
-        hidden = [i for i in where.effects if i in low and i not in chosen | rivals]
+        hidden = [i for i in where.effects if i in low and i not in names | rivals]
     if not sets and not hidden:
         return ()
     wanted = chosen.union(hidden, *sets)
@@ -75,9 +76,10 @@ def next_motions(
 
 def _members(where: Space, chosen: frozenset[str], missing: Missing) -> list[str]:
     """Ids of a set's members as the space has them, the one in the model first."""
-    own = next(i for i in chosen if name_of(i) == missing.effect)
+    names = missing.effect, *missing.indistinguishable_from
+    own = next(i for name in names for i in sorted(chosen) if name_of(i) == name)
     out = [own]
-    for name in missing.indistinguishable_from:
+    for name in names:
         same = [i for i in where.effects if name_of(i) == name and i not in chosen]
         if same:
             out.append(max(same, key=lambda i: where.score((chosen - {own}) | {i})))

@@ -8,9 +8,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from handcal.estimate.baseline import baseline, started
+from handcal.estimate.baseline import baseline, dense, plain, started
 from handcal.estimate.case import Case, case_of
-from handcal.estimate.fit import fitted
+from handcal.estimate.fit import TOLERANCE, fitted
 from handcal.estimate.forked import in_parallel
 from handcal.estimate.model import Model
 from handcal.estimate.observed import check_apart, check_options
@@ -34,11 +34,13 @@ from handcal.explanation import (
     Explanation,
     HeldOut,
 )
+from handcal.laws.with_motion import is_with_motion
 from handcal.model_score import PRIOR, TERM_PRIOR
 from handcal.search import outliers
 from handcal.search.budget import SO_FAR, Budget, after
 from handcal.search.climb.candidates import scanned_about
 from handcal.search.climb.state import Report, part_of, sensible, too_large
+from handcal.search.common_found import names_of
 from handcal.search.drifting_point import begun, moving
 from handcal.search.hand_assumption import foretold
 from handcal.search.multistart import Found, advantage, astray, search
@@ -85,18 +87,20 @@ def explain(
     options = Options(latitude, height, fixed, tuple(ignore), reference_exact, before)
     cases = [_case(r, assume, options) for r in recordings]
     report(0.03, "fitting the baseline")
-    base = begun(cases)
+    base = dense(begun(cases))
     time_left = after(began, budget, stop)
     end = _searched(base, time_left, _so_far(report, SEARCHING, base, 0.1, 0.6))
     if assume == "auto":
         end = _by_the_rests(cases, end, options, time_left, report)
     report(0.75, "fitting the model that was found")
     end, chosen = _finished(end, options, time_left, report)
+    end = replace(end, base=plain(end.base))
+    told = _told(end.found)
     report(0.8, "predicting what was not seen")
     others = [_case(r, "rest-only" if end.rests else assume, options) for r in held_out]
-    scores, judged = _predicted(end, others)
+    scores, judged = _predicted(end, told, others)
     report(0.9, "judging what this motion could tell")
-    out = explanation_of(end, scores, chosen, judged, tuple(time_left.untried))
+    out = explanation_of(end, told, scores, chosen, judged, tuple(time_left.untried))
     report(1.0, "")
     return out
 
@@ -125,22 +129,37 @@ def _finished(
     if large and not budget.spent("a search without what came out too large"):
         # (the search did not come so far)
         told = _so_far(report, "searching again", end.base, 0.75, 0.05)
-        other = search(end.base, told, large, budget)
-        again, written = _refitted(end, other, options)
+        base = dense(plain(end.base), large) if large & set(end.base.ids) else end.base
+        other = search(base, told, large, budget)
+        again, written = _refitted(replace(end, base=base), other, options)
         if sensible(again.model):
             # (searched with all readings)
             found, chosen = replace(again, alone=end.found.alone), written
-            end = replace(end, wrong=None)
+            end = replace(end, base=base, wrong=None)
     return replace(end, found=found), chosen
 
 
-def _predicted(end: End, others: Sequence[Case]) -> tuple[HeldOut, importance.Judged | None]:
+def _told(found: Found) -> Model:
+    """The model of what was found alone, without common effects that the recordings do not show:
+    what evidence, residuals and unseen data are compared by. The model of all where it has no fit.
+    """
+    model = found.model
+    names = names_of(found.space, model)
+    wanted = [e for e in model.effects if e.always or e.id in names]
+    if len(wanted) == len(model.effects):
+        return model
+    told = fitted(model.parts, wanted, noise_rounds=2, tolerance=TOLERANCE)
+    return told if told.log_evidence > model.log_evidence + PRIOR else model
+
+
+def _predicted(
+    end: End, told: Model, others: Sequence[Case]
+) -> tuple[HeldOut, importance.Judged | None]:
     """How well what was not seen is predicted: other recordings, or else later blocks."""
-    found = end.found
     if not others:
-        return held.later_blocks(end.base.bare, found.model), importance.by_later_blocks(found)
-    scores, after = held.other_files(others, found.model)
-    return scores, importance.by_other_files(found, after)
+        return held.later_blocks(end.base.bare, told), importance.by_later_blocks(end.found)
+    scores, after = held.other_files(others, told)
+    return scores, importance.by_other_files(end.found, after)
 
 
 def _case(recording: Recording, assume: str, options: Options) -> Case:
@@ -158,23 +177,32 @@ def _by_the_rests(
 
     (Only after the search: errors of the sensors look like a travelling hand too.)
     """
-    far = [travels(f) for f in end.found.model.parts]
+    far = [travels(f) for f in _as_held(end.found.model).parts]
     if not any(far) or budget.spent("a hand that travels between rests"):
         return end
-    laid = baseline(
-        [
-            resting(f, options.latitude, options.height, explained=True) if gone else case
-            for case, f, gone in zip(cases, end.found.model.parts, far, strict=True)
-        ]
+    laid = dense(
+        baseline(
+            [
+                resting(f, options.latitude, options.height, explained=True) if gone else case
+                for case, f, gone in zip(cases, end.found.model.parts, far, strict=True)
+            ]
+        )
     )
     if not math.isfinite(laid.log_evidence):
         return end
     told = _so_far(report, "searching by the rests alone", laid, 0.4, 0.3)
     other = _searched(laid, budget, told)
-    surely = foretold(end.found.model, laid, other.found)
+    surely = foretold(end.found, laid, other.found)
     if surely > 0.0:
         return replace(end, surely=surely)
     return replace(other, surely=-surely, rests=True)
+
+
+def _as_held(model: Model) -> Model:
+    """The model without noise of the accelerometer that goes with the motion: as large as need be,
+    it takes on whatever a hand does that travels."""
+    kept = [e for e in model.effects if not (is_with_motion(e.id) and e.walks == "accel")]
+    return model if len(kept) == len(model.effects) else fitted(model.parts, kept)
 
 
 def _refitted(end: End, found: Found, options: Options) -> tuple[Found, Specification | None]:
@@ -185,7 +213,9 @@ def _refitted(end: End, found: Found, options: Options) -> tuple[Found, Specific
     chosen = chosen_of(searched, options, moments(found))
     if end.moves or not as_seen(base.parts, chosen):
         parts = zip(searched.parts, chosen.views, strict=True)
-        base = baseline([seen(f.case.read or f.case.recording, v, options) for f, v in parts])
+        base = dense(
+            baseline([seen(f.case.read or f.case.recording, v, options) for f, v in parts])
+        )
     exact = chosen_of(searched, options, moments(found), exact=True)
     ways = replace(chosen, begin=BASELINE), replace(chosen, begin=ONLINE), exact
     ends = []

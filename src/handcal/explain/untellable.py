@@ -20,7 +20,7 @@ def untellable(found: Found, told: Sequence[Parameter]) -> tuple[Parameter, ...]
     the model: what the scan about it says of the covariance.
     """
     where, chosen = found.space, found.model.chosen
-    out = [p for p in told if not p.observable]
+    out = [p for p in told if not p.shown]
     have = {p.effect for p in told}
     for name, effect in where.effects.items():
         if name in have or name in chosen or "@" in name or "+=" in name:
@@ -35,5 +35,5 @@ def untellable(found: Found, told: Sequence[Parameter]) -> tuple[Parameter, ...]
             said = Parameter(
                 name, p.name, 0.0, float(s * p.prior_sigma), p.unit, p.prior_sigma, None
             )
-            out += [] if said.observable else [said]
+            out += [] if said.shown else [said]
     return tuple(replace(p, converged_at_s=None) for p in out)

@@ -42,7 +42,7 @@ class Contents:
 
     name: of the result's file. header: lines of text without any sign of a comment. correction:
     what the format can hold of what is known. bias (6,): known biases, gyro first, whether or not
-    the format holds them; hidden: axes of "gyro_bias" and "accel_bias" that were not observable
+    the format holds them; hidden: axes of "gyro_bias" and "accel_bias" that were not shown
     (their bias counts as zero). has_bias: whether the result has biases at all. rate_hz: of the
     IMU, None if the result does not say. topic: of the Imu messages. axes: "flu" or "frd", what
     the recording's axes are on a vehicle. parameters: rows of the result, as its JSON has them.

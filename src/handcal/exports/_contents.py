@@ -83,7 +83,7 @@ def known(path: Path, recording: Recording | None) -> Known:
 def _bias(
     learnt: Learnt, recording: Recording | None, said: str
 ) -> tuple[Array, str, dict[str, str]]:
-    """Biases (6,), of which recording in words, and their axes that were not observable.
+    """Biases (6,), of which recording in words, and their axes that were not shown.
 
     said: the recordings, for a result that does not say of which its biases are."""
     found = list(learnt.biases)
@@ -329,8 +329,8 @@ def _header(
     if found.bias_from:
         lines.append(f"{found.bias_from[:1].upper()}{found.bias_from[1:]}")
     for i, axes in found.hidden.items():
-        lines.append(f"{i} {' '.join(axes)}: not observable in the recording, taken as zero")
-    if unsure := device.hardly_known(found.learnt, found.matrices):
+        lines.append(f"{i} {' '.join(axes)}: not shown by the recording, taken as zero")
+    if unsure := device.not_shown(found.learnt):
         lines.append(unsure)
     alike = any(m.get("indistinguishable_from") for m in found.document.get("missing", ()))
     if found.document.get("verdict") == "cannot_tell" and alike:

@@ -22,7 +22,7 @@ def keep(correction: Correction) -> Correction:
 
 
 def offsets(contents: Contents) -> dict[str, Array]:
-    """Offsets of "gyro" and "accel" (3,), vehicle's axes; nan where they were not observable."""
+    """Offsets of "gyro" and "accel" (3,), vehicle's axes; nan where they were not shown."""
     c = contents.correction
     turn = TURN if contents.axes == "flu" else np.ones(3)
     found = {}

@@ -40,7 +40,7 @@ def write(contents: Contents) -> str:
     for sensor, name in (("gyro", "INS_GYROFFS"), ("accel", "INS_ACCOFFS")):
         for axis, value in zip("XYZ", found[sensor], strict=True):
             if np.isnan(value):
-                lines.append(f"# {name}_{axis}: not observable, left as it is on the vehicle")
+                lines.append(f"# {name}_{axis}: not shown, left as it is on the vehicle")
             else:
                 lines.append(f"{name}_{axis},{value:.12f}")
     lines += [f"INS_ACCSCAL_{a},{v:.12f}" for a, v in zip("XYZ", factor, strict=True)]

@@ -14,7 +14,7 @@ def _cell(text: str) -> str:
 
 def write(contents: Contents) -> str:
     """The table, the header behind it."""
-    lines = ["| parameter | value | ± 1 sigma | unit | observable |", "|---|---:|---:|---|---|"]
+    lines = ["| parameter | value | ± 1 sigma | unit | shown |", "|---|---:|---:|---|---|"]
     for effect, name, value, sigma, unit, seen, of in rows(contents):
         shown = " ".join((f"`{effect}` {name}", *([f"({of})"] if of else [])))
         cells = (shown, *short(value, sigma), unit, seen)

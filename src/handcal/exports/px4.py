@@ -35,7 +35,7 @@ def write(contents: Contents) -> str:
     for sensor, name in (("gyro", "CAL_GYRO0"), ("accel", "CAL_ACC0")):
         for axis, value in zip("XYZ", found[sensor], strict=True):
             if np.isnan(value):
-                lines.append(f"# {name}_{axis}OFF: not observable, left as it is on the vehicle")
+                lines.append(f"# {name}_{axis}OFF: not shown, left as it is on the vehicle")
             else:
                 lines.append(f"1\t1\t{name}_{axis}OFF\t{value:.12f}\t{REAL}")
     for axis, value in zip("XYZ", scales(contents), strict=True):

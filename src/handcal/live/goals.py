@@ -44,7 +44,8 @@ USUAL: Mapping[str, float] = {
 }
 # A number, then what may be a unit.
 _NUMBER = re.compile(r"\s*((?:[-+.\d]|[eE][-+]?(?=\d))*)\s*(.*?)\s*")
-# Of effects that stand neither here nor there: a tenth of what is usual.
+# Of effects that stand neither here nor there: a tenth of what is usual. (Of common effects no goal
+# is made: how little is known of them is in the sigmas of the ones above.)
 SHARE = 0.1
 
 
@@ -78,10 +79,12 @@ def parse(text: str) -> Mapping[str, float]:
 
 def wanted(parameters: Sequence[Parameter], until: Mapping[str, float]) -> Array:
     """How well each parameter (k,) is to be known, SI; infinite where it does not matter: with
-    ``until``, all that it does not name."""
+    ``until``, all that it does not name; else what every device has and is not among ``USUAL``."""
+    known = catalogue()
 
     def usual(p: Parameter) -> float:
-        return USUAL.get(p.effect, SHARE * p.prior_sigma)
+        common = p.effect in known and known[p.effect].common
+        return USUAL.get(p.effect, math.inf if common else SHARE * p.prior_sigma)
 
     return np.array([until.get(p.effect, math.inf) if until else usual(p) for p in parameters])
 

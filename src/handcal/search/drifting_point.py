@@ -14,7 +14,7 @@ import numpy as np
 
 from handcal.compiled.kernel import MAX_DIM
 from handcal.effects import Effect
-from handcal.estimate.baseline import baseline, started
+from handcal.estimate.baseline import baseline, dense, started
 from handcal.estimate.case import Case, Edit, edited
 from handcal.estimate.case import creeping as creeping_case
 from handcal.estimate.evidence import reduce, reduced_pass
@@ -75,7 +75,7 @@ def moving(base: Model, model: Model, gained: Mapping[str, float]) -> tuple[Mode
     """
     if not any(OBSERVED in f.case.kinds for f in base.parts):
         return None
-    strong = [e for e in model.effects if e.always or _no_hand(e) or gained[e.id] > WEAK]
+    strong = [e for e in model.effects if e.common or _no_hand(e) or gained[e.id] > WEAK]
     named = [e for e in strong if "+=" not in e.id]
     far = _far(model)
     nothing = len(named) == len(model.effects)
@@ -93,7 +93,7 @@ def moving(base: Model, model: Model, gained: Mapping[str, float]) -> tuple[Mode
         ((_advantage(m, model, far), hand) for m, (hand, _) in zip(fits, tried, strict=True)),
         key=lambda pair: pair[0],
     )
-    return None if nats < 0.0 else (baseline(best), nats)
+    return None if nats < 0.0 else (dense(baseline(best)), nats)
 
 
 def _far(model: Model) -> list[float]:

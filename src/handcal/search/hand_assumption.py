@@ -18,26 +18,36 @@ from handcal.estimate.model import Fitted, Model
 from handcal.estimate.transfer import at_constants, moved_to
 from handcal.explanation import Hand
 from handcal.model_score import CERTAIN, log_prior, score
+from handcal.search.common_found import names_of
 from handcal.search.multistart import Found
 
 
-def foretold(held: Model, base: Model, laid: Found) -> float:
-    """Nats by which the sensors as the ``held`` point shows them predict what is observed without
-    it better than the best account of that alone, ``laid``, whose baseline is ``base``.
+def foretold(found: Found, base: Model, laid: Found) -> float:
+    """Nats by which the sensors as the held point shows them (``found``) predict what is observed
+    without it better than the best account of that alone, ``laid``, whose baseline is ``base``.
 
-    Where both name the same, the sway is no physics that the rests do not show, and as unlikely
-    of a hand that holds as it has to be for the rests to be asked.
+    Where both name the same constants (noise tells nothing that the rests could contradict), the
+    sway is no physics that the rests do not show, and as unlikely of a hand that holds as it has to
+    be for the rests to be asked.
     """
-    if held.chosen == laid.model.chosen:
+    held = found.model
+    first, second = _constant(found), _constant(laid)
+    if first == second:
         return -TRAVEL_NATS
     parts = zip(base.parts, held.parts, strict=True)
     begin = [_begun(b, held, h) for b, h in parts]
     # (of what both name neither may know beforehand, or the same readings would count twice)
-    both = frozenset(held.ids) & frozenset(laid.model.ids)
-    seen = fitted(begin, held.effects, known=known_of(held, both)).log_evidence
+    both, free = first & second, frozenset(held.ids) - (first - second)
+    seen = fitted(begin, held.effects, known=known_of(held, free)).log_evidence
     worth = laid.space.quadratic.worth
     shared = log_prior([e for e in laid.model.effects if e.id in both], [f.case for f in begin])
     return worth * seen + shared - score(laid.model, worth)
+
+
+def _constant(found: Found) -> frozenset[str]:
+    """What the end of a search names, but for noise."""
+    noise = {e.id for e in found.model.effects if e.process is not None}
+    return names_of(found.space, found.model) - noise
 
 
 def hand_of(f: Fitted, advantage: float) -> Hand:

@@ -112,7 +112,7 @@ def _may_stand_in(found: Found) -> bool:
     (Of strong names alone, a law in whose place they stood would have left something besides.)
     """
     effects = found.model.effects
-    others = [e for e in effects if e.process or not ("+=" in e.id or e.always)]
+    others = [e for e in effects if e.process or not ("+=" in e.id or e.common)]
     beside = any("+=" in e.id for e in effects)
     gained = gains(found.space, found.model.chosen)
     return any(beside or e.process or gained[e.id] < WEAK for e in others)

@@ -65,7 +65,7 @@ def effects_json(known: Mapping[str, Effect]) -> dict[str, Any]:
         "version": handcal.__version__,
         "effects": [
             {"id": e.id, "title": e.title, "story": e.story, "motion": e.motion,
-             "source": e.source, "validated": e.validated,
+             "source": e.source, "validated": e.validated, "common": e.common,
              "parameters": [{"name": p.name, "unit": p.unit, "prior_sigma": p.prior_sigma}
                             for p in e.parameters]}
             for e in known.values()
@@ -87,8 +87,10 @@ def print_catalogue(known: Mapping[str, Effect], console: Console) -> None:
         table.add_column("id", no_wrap=True, style="cyan")
         table.add_column("what it does")
         table.add_column("usual")
+        table.add_column("common")
         for e in effects:
-            table.add_row(e.id, escape(e.story), escape("; ".join(usual(e))))
+            also = "yes" if e.common or e.baseline else ""
+            table.add_row(e.id, escape(e.story), escape("; ".join(usual(e))), also)
         console.print(table)
     console.print("[bold]handcal effects ID[/] says what shows one, and where it is from.",
                   highlight=False)  # fmt: skip
@@ -105,6 +107,7 @@ def print_effect(effect: Effect, console: Console) -> None:
         ("", effect.story),
         ("Parameters", f"--effect {effect.id}={names}, in {_units(effect)}"),
         ("Usual", "; ".join(usual(effect))),
+        ("Common", effect.common or "no: tried beside what every device has"),
         ("What shows it", effect.motion),
         ("Needs", ", and ".join(needs(effect))),
         ("Source", effect.source),

@@ -9,6 +9,7 @@ import numpy as np
 
 from handcal.show import words
 from handcal.show.calibration import summary, verdict_text
+from handcal.show.calibration.shown import drawn, in_front, under_table
 from handcal.types import Array, Innovations, Parameter, Result
 from handcal.units import Shown
 
@@ -55,7 +56,8 @@ LIVE = "_The filter is running. Where the whole recording leads:_\n\n"
 def layout_of(result: Result, live: bool = False) -> Layout:
     """The layout that suits a result, with ranges fitted to its numbers; live: and says so."""
     columns: dict[tuple[str, str], list[int]] = {}
-    for c, p in enumerate(result.parameters):
+    shown = {p.effect for p in drawn(result.parameters)}
+    for c, p in ((c, p) for c, p in enumerate(result.parameters) if p.effect in shown):
         columns.setdefault((p.effect, p.unit), []).append(c)
     kinds = {kind: _kind(i) for kind, i in result.innovations.items() if i.t.size}
     groups = tuple(_group(result, effect, tuple(cs)) for (effect, _), cs in columns.items())
@@ -88,14 +90,16 @@ def _group(result: Result, effect: str, columns: tuple[int, ...]) -> Group:
 
 def _markdown(result: Result) -> str:
     judged = verdict_text.verdict(result)
+    front, rest = in_front(result.parameters)
     lines = [f"## {judged.headline}", *judged.sentences, "", "| | value | ± 1 sigma | |",
              "|---|---:|---:|---|"]  # fmt: skip
-    for group in words.by_effect(result.parameters).values():
+    for group in words.by_effect(front).values():
         unit = words.shown_group(group)
         lines += [
             f"| {words.parameter_title(p)} | {unit.value(p.value, p.sigma, sign=True)} "
             f"| {unit.value(p.sigma, p.sigma)} | {unit.unit} |"
             for p in group
         ]
-    lines += ["", *(f"- {s}" for s in verdict_text.not_shown(result))]
+    lines += ["", *(f"{s}\n" for s in under_table(front, rest))]
+    lines += [f"- {s}" for s in verdict_text.not_shown(result)]
     return "\n".join(lines)

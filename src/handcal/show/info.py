@@ -68,7 +68,7 @@ def info_json(info: Info) -> dict[str, Any]:
         "could_teach": [
             {"effect": s.effect.id, "shown": list(s.shown),
              "parameters": [{"name": p.name, "sigma": p.sigma, "prior_sigma": p.prior_sigma,
-                             "unit": p.unit, "observable": p.observable} for p in s.parameters],
+                             "unit": p.unit, "observable": p.shown} for p in s.parameters],
              "motion": s.effect.motion}
             for s in info.seen
         ],
@@ -110,7 +110,7 @@ def teach_sentences(info: Info) -> list[str]:
     """What is not shown, with the motion that would show it."""
     out = []
     for s in info.seen:
-        blind = [p.name for p in s.parameters if not p.observable]
+        blind = [p.name for p in s.parameters if not p.shown]
         if blind:
             which = "" if len(blind) == len(s.parameters) else f" {', '.join(blind)}"
             out.append(

@@ -94,7 +94,7 @@ def scanned_about(model: Model, terms: Sequence[Term], refused: Set[str]) -> Spa
     options += [e for e in model.effects if e.id not in have and e.process is None]
     odds = {e.id: prior(e, cases) for e in options}
     odds |= {e.id: REFUSED for e in options if name_of(e.id) in refused}
-    odds |= {e.id: -REFUSED for e in options if e.always}
+    odds |= {e.id: -REFUSED for e in options if e.common and e.id in own}
     return space(scan(model, options, about), options, odds)
 
 

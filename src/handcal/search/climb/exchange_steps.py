@@ -63,7 +63,7 @@ def exchange(c: Climb) -> Model | None:
         # the wrong one of the two may need a weak third, which the right one does not
         others = [x for x in model.effects if x is not e]
         weakest = min(
-            (x for x in others if x.id in model.chosen and not x.always),
+            (x for x in others if x.id in model.chosen and not x.common),
             key=lambda x: gained[x.id],
             default=None,
         )

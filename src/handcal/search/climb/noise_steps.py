@@ -17,6 +17,7 @@ from handcal.search.climb.state import (
     in_vain,
     likelier,
 )
+from handcal.search.climb.subset_steps import favourite
 from handcal.search.noise_scan import all_noise, looks_of, of_looks, on_fewer_axes
 from handcal.search.space import best_set
 
@@ -43,6 +44,22 @@ def add_noise(c: Climb) -> Model | None:
         best = without
     c.visited.clear()
     return best
+
+
+def noise_or_step(c: Climb) -> Model | None:
+    """The model with a noise effect, where the scan would have a step and noise is likelier: about
+    a step that stands in for a walk no walk shows."""
+    chosen = favourite(c)
+    if not any(name_of(i) != i for i in chosen - c.model.chosen):
+        return None
+    known = dict(c.noise)
+    tried = add_noise(c)
+    if tried is not None:
+        step = fitted_with(c.model, c.where, chosen, tried, c.worth)
+        if likelier(c, tried, step) or not likelier(c, step):
+            return tried
+    c.noise = known
+    return None
 
 
 def name_noise(c: Climb) -> Model | None:

@@ -18,7 +18,7 @@ from handcal.search.climb.law_steps import (
     reshape,
     take_in,
 )
-from handcal.search.climb.noise_steps import add_noise, name_noise
+from handcal.search.climb.noise_steps import add_noise, name_noise, noise_or_step
 from handcal.search.climb.state import SAME_FIT, Climb, Report, beaten
 from handcal.search.climb.subset_steps import choose, everything, favourite, thin
 from handcal.search.space import gains
@@ -79,6 +79,7 @@ def _beside(c: Climb, step: Callable[[Climb], Model | None]) -> tuple[str, froze
 # Each with what is left untried where there is no time for it.
 _STEPS: dict[Callable[[Climb], Model | None], str] = {
     everything: "the fit of all effects at once",
+    noise_or_step: "noise in the place of steps",
     choose: "further effects",
     reshape: "other forms of a law",
     narrow: "laws on fewer axes",

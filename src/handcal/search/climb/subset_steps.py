@@ -133,7 +133,7 @@ def thin(c: Climb) -> Model | None:
     weakest = sorted(model.effects, key=lambda e: least.get(e.id, 0.0))
     tried = [
         e
-        for e in [e for e in weakest if not e.always][:FEW]
+        for e in [e for e in weakest if not e.common][:FEW]
         if e.id not in missed
         and least.get(e.id, 0.0) <= (CLOSE if e.process is None else 10.0 * CLOSE)
     ]

@@ -9,6 +9,7 @@ import numpy as np
 
 from handcal.show import words
 from handcal.show.calibration import summary
+from handcal.show.calibration.shown import drawn
 from handcal.show.drawing import (
     AXES,
     INK,
@@ -120,10 +121,10 @@ def _parameters(result: Result, effect: str, columns: Sequence[int]) -> Plot:
         ax.locator_params(axis="y", nbins=4)
     figure.align_ylabels(axes)
     title = words.effect_title(effect)
-    unseen = [p.name for p in group if not p.observable]
+    unseen = [p.name for p in result.parameters if p.effect == effect and not p.shown]
     caption = "Estimate over time with its ±3 sigma band."
     if unseen:
-        caption += f" Not learnt from this motion: {', '.join(unseen)}."
+        caption += f" Not shown by this motion: {', '.join(unseen)}."
     return Plot(title, caption, svg(figure, f"parameters-{columns[0]}"))
 
 
@@ -218,7 +219,7 @@ def _sizes(parameters: Sequence[Parameter], colours: Mapping[str, str]) -> Figur
     reach = 1.5
     for row, (p, unit) in enumerate(shown):
         colour = colours.get(p.effect, XYZ[2])
-        value, sigma = p.value / p.prior_sigma, min(p.sigma / p.prior_sigma, 1.0)
+        value, sigma = p.value / p.prior_sigma, p.sigma / p.prior_sigma
         for times, weight in ((3, 1.6), (1, 4.5)):
             ax.plot([value - times * sigma, value + times * sigma], [row, row], color=colour,
                     lw=weight, alpha=0.9, solid_capstyle="butt")  # fmt: skip
@@ -240,8 +241,8 @@ def draw(result: Result) -> dict[str, list[Plot]]:
     import matplotlib as mpl
 
     columns: dict[tuple[str, str], list[int]] = {}
-    for c, p in enumerate(result.parameters):
-        columns.setdefault((p.effect, p.unit), []).append(c)
+    for p in drawn(result.parameters):
+        columns.setdefault((p.effect, p.unit), []).append(result.parameters.index(p))
     with mpl.rc_context(RC):
         parameters = [
             _parameters(result, effect, cs[i : i + 3])

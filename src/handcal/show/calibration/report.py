@@ -14,6 +14,7 @@ from handcal.device.apply import TOGETHER
 from handcal.effects import catalogue
 from handcal.show import words
 from handcal.show.calibration import plots, summary, verdict_text
+from handcal.show.calibration.shown import in_front, not_drawn, under_table
 from handcal.show.drawing import AXES
 from handcal.show.html_page import page
 from handcal.types import Array, Parameter, Result
@@ -43,6 +44,7 @@ def _context(result: Result) -> dict[str, Any]:
         (f"{len(result.rests)}", "rest" if len(result.rests) == 1 else "rests"),
         (f"{result.observations:,}".replace(",", "\u202f"), "observations"),
     ]
+    front, rest = in_front(result.parameters)
     return {
         "name": Path(recording.path).name,
         "version": handcal.__version__,
@@ -50,12 +52,14 @@ def _context(result: Result) -> dict[str, Any]:
         "assumed": words.assume_sentence(result.assume, recording.streams),
         "verdict": verdict_text.verdict(result),
         "facts": facts,
-        "groups": _rows(result),
+        "groups": _rows(front),
+        "notes": under_table(front, rest),
         "not_shown": verdict_text.not_shown(result),
         "noise": [words.noise_line(n) for n in result.noise],
         "kinds": _kinds(result),
         "warnings": summary.all_warnings(result),
         "plots": plots.draw(result),
+        "not_drawn": not_drawn(result.parameters),
         "apply": how_to_apply(result.parameters),
     }
 
@@ -75,9 +79,9 @@ def how_to_apply(parameters: Sequence[Parameter]) -> dict[str, Any]:
     }
 
 
-def _rows(result: Result) -> list[dict[str, Any]]:
+def _rows(parameters: Sequence[Parameter]) -> list[dict[str, Any]]:
     groups = []
-    for (effect, _), group in words.by_effect(result.parameters).items():
+    for (effect, _), group in words.by_effect(parameters).items():
         unit = words.shown_group(group)
         rows = [
             {
@@ -85,7 +89,7 @@ def _rows(result: Result) -> list[dict[str, Any]]:
                 "value": unit.value(p.value, p.sigma, sign=True),
                 "sigma": unit.value(p.sigma, p.sigma),
                 "prior": unit.value(p.prior_sigma),
-                "observable": p.observable,
+                "shown": p.shown,
                 "at": "–" if p.converged_at_s is None else f"{p.converged_at_s:.0f} s",
             }
             for p in group
@@ -136,8 +140,8 @@ def code_of(parameters: Sequence[Parameter]) -> str:
     for effect, unit in (("gyro_bias", "rad/s"), ("accel_bias", "m/s^2")):
         own = [p for p in parameters if p.effect == effect]
         # (what was not learnt would make readings no better)
-        values = [p.value if p.observable else 0.0 for p in own]
-        hidden = [p.name for p in own if not p.observable]
+        values = [p.value if p.shown else 0.0 for p in own]
+        hidden = [p.name for p in own if not p.shown]
         left = f"; {words.listed(hidden)} not known well enough" if hidden else ""
         lines.append(f"{effect} = np.array({_numbers(values)})  # {unit}{left}")
     accel_true, gyro_true = "(accel - accel_bias)", "(gyro - gyro_bias)"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -14,11 +14,14 @@ import numpy as np
 
 import handcal
 from handcal import output
+from handcal.estimate.parameters import given_model, with_shown
 from handcal.show import words
+from handcal.show.calibration.how_good import quality_json
 from handcal.types import (
     CALIBRATION_SCHEMA,
     Array,
     Innovations,
+    Likelihood,
     Parameter,
     Prior,
     Recording,
@@ -29,6 +32,8 @@ from handcal.types import (
 NOISE_NAMES = {"sway": "hand_sway"}
 # Parameters that every recording has of its own.
 OWN = ("gyro_bias", "accel_bias")
+# What several results of one fit say once, or not at all.
+_OF_ALL = ("model", "device", "priors", "likelihood")
 
 
 def finite(value: float | None) -> float | None:
@@ -82,6 +87,19 @@ def gapped(t: Array, degrees: Array) -> tuple[Array, Array]:
     return np.insert(t, cuts, 0.5 * (t[cuts - 1] + t[cuts])), np.insert(degrees, cuts, np.nan)
 
 
+def parameters_json(
+    parameters: Sequence[Parameter], covariance: Array | None, found: Collection[str]
+) -> list[dict[str, Any]]:
+    """The contract's ``parameters``; found: effects that ``given_model`` has."""
+    if covariance is None or len(covariance) != len(parameters):
+        return [parameter_json(p) for p in parameters]
+    alone = given_model(parameters, covariance, found)
+    return [
+        parameter_json(p) | {"given_model": {"value": finite(v), "sigma": finite(s)}}
+        for p, v, s in zip(parameters, *alone, strict=True)
+    ]
+
+
 def parameter_json(p: Parameter) -> dict[str, Any]:
     """One entry of ``parameters``, as the contract has it."""
     return {
@@ -90,7 +108,8 @@ def parameter_json(p: Parameter) -> dict[str, Any]:
         "value": finite(p.value),
         "sigma": finite(p.sigma),
         "unit": p.unit,
-        "observable": bool(p.observable),
+        "shown": bool(p.shown),
+        "observable": bool(p.shown),
         "converged_at_s": finite(p.converged_at_s),
     }
 
@@ -158,7 +177,9 @@ def calibration_json(result: Result | Sequence[Result]) -> dict[str, Any]:
     return {
         "schema": CALIBRATION_SCHEMA,
         "recording": recording_json(result.recording, result.assume),
-        "parameters": [parameter_json(p) for p in result.parameters],
+        "parameters": parameters_json(
+            result.parameters, result.covariance, with_shown(result.parameters)
+        ),
         "noise": [
             {"name": NOISE_NAMES.get(n.name, n.name), "value": finite(n.value), "unit": n.unit}
             for n in result.noise
@@ -169,10 +190,12 @@ def calibration_json(result: Result | Sequence[Result]) -> dict[str, Any]:
             "nis": {words.kind_name(kind): finite(i.mean_nis) for kind, i in kinds.items()},
             "whiteness": {words.kind_name(kind): whiteness(i) for kind, i in kinds.items()},
         },
-        "untellable": untellable_json([p for p in result.parameters if not p.observable]),
+        "untellable": untellable_json([p for p in result.parameters if not p.shown]),
         "covariance": matrix_json(result.covariance),
+        **likelihood_json(result.likelihood),
         "model": dict(result.model),
         "warnings": list(all_warnings(result)),
+        **quality_json(result.parameters, result.covariance, result.before),
         **device_json(result.before),
     }
 
@@ -189,6 +212,20 @@ def covariance_json(
     at = {(p.effect, p.name): i for i, p in enumerate(of)}
     rows = [at.get((p.effect, p.name), -1) for p in wanted]
     return {} if -1 in rows else {"covariance": matrix_json(covariance[np.ix_(rows, rows)])}
+
+
+def likelihood_json(likelihood: Likelihood | None) -> dict[str, Any]:
+    """``likelihood``: what the recording itself says, without any prior; nothing where that is not
+    known."""
+    if likelihood is None or not np.isfinite(likelihood.information).all():
+        return {}
+    return {
+        "likelihood": {
+            "parameters": [list(n) for n in likelihood.names],
+            "information": matrix_json(likelihood.information),
+            "vector": likelihood.vector.tolist(),
+        }
+    }
 
 
 def device_json(before: Prior | None) -> dict[str, Any]:
@@ -221,15 +258,17 @@ def _together_json(results: Sequence[Result]) -> dict[str, Any]:
     ]  # fmt: skip
     return {
         "schema": CALIBRATION_SCHEMA,
-        "parameters": [parameter_json(p) for p in shared],
+        "parameters": parameters_json(
+            shared, results[0].covariance[np.ix_(joint, joint)], with_shown(shared)
+        ),
         "noise": [],
         "fit": {"log_evidence": finite(results[0].log_evidence),
                 "observations": sum(r.observations for r in results)},
-        "untellable": untellable_json([p for p in shared if not p.observable]),
+        "untellable": untellable_json([p for p in shared if not p.shown]),
         "covariance": matrix_json(results[0].covariance[np.ix_(joint, joint)]),
         "model": dict(results[0].model),
         "recordings": [
-            {k: v for k, v in one.items() if k not in ("model", "device", "priors")} for one in own
+            {k: v for k, v in one.items() if k not in _OF_ALL} for one in own
         ],
         "warnings": [],
         **device_json(results[0].before),

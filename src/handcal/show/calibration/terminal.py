@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from handcal.show import words
 from handcal.show.calibration import verdict_text
+from handcal.show.calibration.shown import in_front, under_table
 from handcal.show.calibration.summary import all_warnings
 from handcal.show.terminal import print_section, table
-from handcal.types import Result
+from handcal.types import Parameter, Result
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -30,7 +32,10 @@ def print_summary(result: Result, console: Console) -> None:
     console.print(f"[bold {colour}]{escape(judged.headline)}[/]")
     for sentence in judged.sentences:
         console.print(Padding(escape(sentence), (0, 0, 0, 2)))
-    console.print(_parameter_table(result, prior=console.width >= WIDE))
+    front, rest = in_front(result.parameters)
+    console.print(_parameter_table(front, prior=console.width >= WIDE))
+    for line in under_table(front, rest):
+        console.print(Padding(escape(line), (0, 0, 1, 2)), highlight=False)
     console.print(_kind_table(result))
     for heading, sentences in (
         ("What this motion could not show", verdict_text.not_shown(result)),
@@ -39,14 +44,14 @@ def print_summary(result: Result, console: Console) -> None:
         print_section(console, heading, sentences)
 
 
-def _parameter_table(result: Result, prior: bool) -> Any:
+def _parameter_table(parameters: Sequence[Parameter], prior: bool) -> Any:
     columns = (">value", ">± 1 sigma", *([">prior ±"] if prior else []))
-    rows = table("parameter", *columns, "*unit", "*observable", "*settled")
-    for group in words.by_effect(result.parameters).values():
+    rows = table("parameter", *columns, "*unit", "*shown", "*settled")
+    for group in words.by_effect(parameters).values():
         unit = words.shown_group(group)
         for p in group:
             at = "" if p.converged_at_s is None else f"{p.converged_at_s:.0f} s"
-            seen = "[green]yes[/]" if p.observable else "[yellow]no[/]"
+            seen = "[green]yes[/]" if p.shown else "[yellow]no[/]"
             row = (unit.value(p.value, p.sigma, sign=True), unit.value(p.sigma, p.sigma))
             before = [unit.value(p.prior_sigma)] if prior else []
             rows.add_row(words.parameter_title(p), *row, *before, unit.unit, seen, at)

@@ -8,6 +8,8 @@ from collections.abc import Sequence
 
 from handcal.estimate.rest_only import DOUBTED
 from handcal.estimate.white import white_levels
+from handcal.show.calibration import how_good
+from handcal.show.calibration.shown import BIASES, hardly_any, in_front, rest_motion
 from handcal.show.words import (
     NBSP,
     Verdict,
@@ -23,7 +25,6 @@ from handcal.show.words import (
 )
 from handcal.types import Innovations, Parameter, Result
 
-BIASES = ("gyro_bias", "accel_bias")
 INFLATED = 5.0
 STRAYED = 6.0  # sigma; of thousands of looks at an honest estimate hardly one gets there
 # What shows the gyro's bias beside a reference, and what is to be said of both biases.
@@ -81,7 +82,7 @@ def strayed(result: Result) -> tuple[str, ...]:
             spread = (h.parameter_sigma[late, c] ** 2 - h.parameter_sigma[-1, c] ** 2).clip(floor)
             ratio = moved / spread**0.5
             at = int(ratio.argmax())
-            if p.observable and ratio[at] > STRAYED and (worst is None or ratio[at] > worst[0]):
+            if p.shown and ratio[at] > STRAYED and (worst is None or ratio[at] > worst[0]):
                 worst = (float(ratio[at]), p, float(moved[at]))
         if worst is not None:
             _, p, moved_by = worst
@@ -118,9 +119,9 @@ def _known_to(parameters: Sequence[Parameter]) -> str:
 
 def verdict(result: Result) -> Verdict:
     """What was learnt, and whether it can be trusted, in a few sentences."""
-    learnt = [p for p in result.parameters if p.observable]
-    biases = [p for p in result.parameters if p.effect in BIASES]
-    n, of = len(learnt), len(result.parameters)
+    front, rest = in_front(result.parameters)
+    learnt = [p for p in front if p.shown]
+    n, of = len(learnt), len(front)
     doubts = [s for k, i in result.innovations.items() if (s := nis_sentence(k, i))]
     lacking = [*strayed(result), *inflated(result)]
     if (deaf := deaf_heading(result.noise)) is not None:
@@ -132,18 +133,19 @@ def verdict(result: Result) -> Verdict:
         nis_word(i) == "too confident" for i in result.innovations.values()
     )
     fell_back = any(w.startswith(DOUBTED) for w in result.warnings)
-    beside = bool(learnt) and "known_input" in result.innovations
-    if not (beside or any(p.observable for p in biases)):
-        level, headline = "poor", "This motion did not show the sensor's biases."
+    if hardly_any(result.parameters):
+        level, headline = next_first(front)
     elif fell_back:
         level, headline = "partly", "These numbers are of the rests alone, and may be far off."
-    elif n == of and not overconfident:
-        level, headline = "good", "Every parameter was learnt, and the numbers hold together."
     elif overconfident:
         level, headline = "partly", "Something in this recording is not explained by the model."
-    else:
+    elif n < of:
         level, headline = "partly", f"{n} of {of} parameters were learnt from this motion."
-    more = _sentences(result, learnt, doubts, fell_back)
+    else:
+        what = "All that this motion shows" if rest else "Every parameter"
+        level, headline = "good", f"{what} was learnt, and the numbers hold together."
+    more = how_good.sentences(result.parameters, result.covariance, result.before)
+    more += _sentences(result, learnt, doubts, fell_back)
     if overconfident and not result.repeated:
         more.append(
             "Usual causes: a held point that moved, or an effect that --effects did not include: "
@@ -152,12 +154,23 @@ def verdict(result: Result) -> Verdict:
     return Verdict(level, headline, tuple(more))
 
 
+def next_first(parameters: Sequence[Parameter]) -> tuple[str, str]:
+    """Level and headline where hardly anything is shown: what to do next."""
+    biases = [p for p in parameters if p.effect in BIASES]
+    hidden = dict.fromkeys(p.effect for p in biases if not p.shown)
+    wanted = "; ".join(effect_motion(e) for e in hidden)
+    level = "partly" if any(p.shown for p in biases) else "poor"
+    return level, f"To do next: {wanted}. This motion showed hardly anything."
+
+
 def _sentences(
     result: Result, learnt: Sequence[Parameter], doubts: Sequence[str], fell_back: bool
 ) -> list[str]:
     """What is known, and what there is to doubt."""
     sentences: list[str] = []
-    groups = [g for g in by_effect(learnt).values() if len(g) and g[0].unit]
+    # (of what is hardly other than zero, the table tells)
+    told = {p.effect for p in learnt if p.effect in BIASES or abs(p.value) > 3.0 * p.sigma}
+    groups = [g for g in by_effect(learnt).values() if g[0].unit and g[0].effect in told]
     if groups:
         known = listed([_known_to(g) for g in groups])
         sentences.append(f"If the model is complete, known to one sigma: {known}.")
@@ -173,12 +186,14 @@ def _sentences(
 
 
 def not_shown(result: Result) -> tuple[str, ...]:
-    """A sentence for each effect that this motion left unknown, with what would show it."""
+    """A sentence for each effect in front that this motion left unknown, with what would show it,
+    and one for the rest."""
+    front, rest = in_front(result.parameters)
     sentences = []
     heading = "heading" in result.innovations or "magnetometer" in result.innovations
     reference = "known_input" in result.innovations
-    for (effect, _), group in by_effect(result.parameters).items():
-        hidden = [p for p in group if not p.observable]
+    for (effect, _), group in by_effect(front).items():
+        hidden = [p for p in group if not p.shown]
         if not hidden:
             continue
         best, unit = min(hidden, key=lambda p: p.sigma / p.prior_sigma), shown_group(group)
@@ -194,4 +209,4 @@ def not_shown(result: Result) -> tuple[str, ...]:
                 "turn: turn about a second axis too, or record a magnetometer or compass heading"
             )
         sentences.append(f"{why}. What would show it: {motion}.")
-    return tuple(sentences)
+    return (*sentences, rest_motion(rest)) if rest else tuple(sentences)

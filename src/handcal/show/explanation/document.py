@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from handcal.effects import catalogue
 from handcal.estimate.specification import document_of
 from handcal.explanation import (
     Explained,
@@ -19,6 +20,7 @@ from handcal.explanation import (
 )
 from handcal.show import words
 from handcal.show.calibration import summary
+from handcal.show.calibration.how_good import quality_json
 from handcal.show.explanation.words import weighed
 from handcal.types import EXPLANATION_SCHEMA, NoiseLevel, Parameter
 
@@ -47,7 +49,7 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
              "expected_gain": summary.finite(n.expected_gain)}
             for n in e.next_motion
         ],
-        "parameters": [summary.parameter_json(p) for p in final_parameters(e)],
+        "parameters": _parameters_json(e),
         "noise": _noise_json(e.noise),
         "untellable": summary.untellable_json(e.untellable),
         "model": {} if e.model is None else document_of(e.model),
@@ -55,7 +57,8 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
     }  # fmt: skip
     if e.covariance is not None:
         document |= summary.covariance_json(e.covariance, e.parameters, final_parameters(e))
-    document |= summary.device_json(e.device)
+    document |= quality_json(e.parameters, e.covariance, e.device)
+    document |= summary.likelihood_json(e.likelihood) | summary.device_json(e.device)
     if e.untried:
         document["untried"] = list(e.untried)
     if several:
@@ -64,6 +67,18 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
         only = e.recordings[0]
         document["recording"] = summary.recording_json(only.recording, only.assume)
     return document
+
+
+def _parameters_json(e: Explanation) -> list[dict[str, Any]]:
+    """Of the final model, each also as it is with the effects alone that were found."""
+    parameters, covariance = final_parameters(e), e.covariance
+    if list(e.parameters) != parameters:
+        covariance = None
+    there = {p.effect for p in parameters}
+    found = {i for i in there if i not in catalogue() or not catalogue()[i].common}
+    for m in e.missing:
+        found |= {next((i for i in (m.effect, *m.indistinguishable_from) if i in there), "")}
+    return summary.parameters_json(parameters, covariance, found)
 
 
 def _mismatch_json(m: Mismatch, several: bool) -> dict[str, Any]:

@@ -5,10 +5,21 @@ from __future__ import annotations
 import numpy as np
 
 from handcal.explanation import Explained, Explanation, Hypothesis, Mismatch, Trace
-from handcal.show.explanation.always import told_mismatch
+from handcal.show.explanation.words import one_model
 from handcal.types import Array
 
 CELLS = 120  # time bins of a heat strip
+
+
+def nothing_added(explanation: Explanation) -> bool:
+    """Whether all that was found is in the baseline too (a magnetometer's hard iron), so that
+    baseline and final model are one."""
+    return bool(explanation.missing) and one_model(explanation)
+
+
+def told_mismatch(explanation: Explanation) -> tuple[Mismatch, ...]:
+    """Where the baseline does not fit; nowhere where it is the final model."""
+    return () if nothing_added(explanation) else explanation.mismatch
 
 
 def found_effects(explanation: Explanation) -> list[str]:

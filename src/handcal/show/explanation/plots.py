@@ -39,7 +39,6 @@ from handcal.show.drawing import (
     thin,
 )
 from handcal.show.explanation import words as say
-from handcal.show.explanation.always import nothing_added
 from handcal.show.explanation.evidence_curves import effect_styles, evidence_plot
 from handcal.show.explanation.frames import (
     by_gain,
@@ -47,6 +46,7 @@ from handcal.show.explanation.frames import (
     lost,
     mismatches,
     missed,
+    nothing_added,
     ranked_traces,
 )
 from handcal.types import Array
@@ -338,7 +338,7 @@ def _dumbbell(ax: Axes, row: int, before: float, after: float) -> None:
 
 
 def parameter_plot(explanation: Explanation) -> Plot | None:
-    """What is missing, in units of what is usual, with one and three sigma."""
+    """What was found, in units of what is usual, with one and three sigma."""
     found = [p for m in explanation.missing for p in m.parameters if p.prior_sigma > 0]
     if not any(math.isfinite(p.value) for p in found):
         return None
@@ -346,7 +346,7 @@ def parameter_plot(explanation: Explanation) -> Plot | None:
     caption = (
         "Thick: ±1 sigma; thin: ±3 sigma. Shaded: what was held possible before (±1 prior sigma)."
     )
-    return Plot("What is missing, in size", caption, svg(figure, "parameters"))
+    return Plot("What was found, in size", caption, svg(figure, "parameters"))
 
 
 def draw(explanation: Explanation) -> dict[str, list[Plot]]:

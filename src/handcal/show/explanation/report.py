@@ -12,8 +12,9 @@ from handcal import output
 from handcal.explanation import Explanation, Hypothesis, Mismatch, Missing, Unnamed, is_curve
 from handcal.show import words
 from handcal.show.calibration.report import how_to_apply
+from handcal.show.calibration.shown import BIASES, in_front, under_table
 from handcal.show.drawing import PALETTE
-from handcal.show.explanation import always, document, frames, plots, verdict_text
+from handcal.show.explanation import document, frames, plots, verdict_text
 from handcal.show.explanation import words as say
 from handcal.show.explanation.evidence_curves import effect_styles
 from handcal.show.explanation.next_commands import applicable, biases_of, commands
@@ -47,10 +48,9 @@ def _context(e: Explanation, following: Sequence[str]) -> dict[str, Any]:
         "assumed": verdict_text.assumptions(e),
         "verdict": verdict_text.verdict(e),
         "facts": _facts(e),
-        "mismatch": [_where(m, names) for m in always.told_mismatch(e)],
+        "mismatch": [_where(m, names) for m in frames.told_mismatch(e)],
         "missing": [_card(m, e, styles) for m in e.missing],
         "shares_note": verdict_text.shares_note(e),
-        "found_title": _found_title(e),
         "unnamed": [_unnamed(u) for u in e.unnamed],
         "symbols": meanings([u.formula for u in e.unnamed]),
         "plots": plots.draw(e),
@@ -59,6 +59,7 @@ def _context(e: Explanation, following: Sequence[str]) -> dict[str, Any]:
         "log": _scores(e.before.log_evidence, e.after.log_evidence),
         "held_out": _held_out(e),
         "groups": _groups(e),
+        "below": under_table(*in_front(e.parameters, _found(e))),
         "one_model": say.one_model(e),
         "more_apart": not say.one_model(e) and max(gains, default=0.0) > say.gain(e),
         "untold": verdict_text.untold(e),
@@ -73,14 +74,6 @@ def _context(e: Explanation, following: Sequence[str]) -> dict[str, Any]:
         "biases_of": biases_of(e),
         "following": following,
     }  # fmt: skip
-
-
-def _found_title(e: Explanation) -> str:
-    """Over the list of what was found."""
-    if always.nothing_added(e):
-        return "What every model has"
-    also = ", and what every model has" if any(map(say.is_always, e.missing)) else ""
-    return f"What is missing{also}"
 
 
 def _unnamed(u: Unnamed) -> dict[str, Any]:
@@ -102,22 +95,17 @@ def _where(m: Mismatch, names: Sequence[str]) -> dict[str, Any]:
 
 def _facts(e: Explanation) -> list[tuple[str, str]]:
     seconds = sum(r.recording.duration_s for r in e.recordings)
-    facts = [
+    shown = sum(p.shown for p in document.final_parameters(e))
+    return [
         (f"{seconds:.0f} s", f"in {words.counted(len(e.recordings), 'recording')}"),
         (f"{len(e.hypotheses)}", "effects tried, not to the end" if e.untried else "effects tried"),
+        (f"{shown} of {len(document.final_parameters(e))}", "parameters shown"),
     ]
-    held = [m for m in e.missing if say.is_always(m)]
-    if held and say.one_model(e):
-        cost = sum(m.log_evidence_gain for m in held)
-        return [*facts, (say.nats(cost), "what every model has would cost if left out")]
-    if e.verdict == "nothing_missing":
-        best = max((h.alone for h in e.hypotheses), default=0.0)
-        return [*facts, (say.nats(best), "gained by the best of them")]
-    for value, label in ((say.gain(e), "gained by the final model"),
-                         (verdict_text.held_out_gain(e), "gained on unseen data")):  # fmt: skip
-        if label != "gained on unseen data" or e.held_out is not None:
-            facts.append((say.nats(value), label))
-    return facts
+
+
+def _found(e: Explanation) -> list[str]:
+    """Ids of the effects found."""
+    return [m.effect for m in e.missing]
 
 
 def _width(share: float) -> str:
@@ -133,7 +121,7 @@ def _row(p: Parameter, unit: Shown) -> dict[str, Any]:
         "sigma": unit.value(p.sigma, p.sigma),
         "prior": unit.value(p.prior_sigma),
         "unit": unit.unit,
-        "observable": p.observable,
+        "shown": p.shown,
     }
 
 
@@ -144,8 +132,6 @@ def _card(m: Missing, e: Explanation, styles: dict[str, tuple[str, Any]]) -> dic
         "others": titles[1:],
         "colour": PALETTE[styles.get(m.effect, (plots.AFTER, ""))[0]],
         "probability": say.percent(m.probability),
-        "gain": say.nats(m.log_evidence_gain),
-        "always": say.is_always(m),
         "weight": verdict_text.weight(m),
         "story": m.story,
         "motion": m.motion,
@@ -196,11 +182,16 @@ def _held_out(e: Explanation) -> dict[str, Any] | None:
 
 
 def _groups(e: Explanation) -> list[dict[str, Any]]:
-    """All parameters of the final model by effect, those of each recording after the shared."""
+    """Parameters of the final model by effect, those of each recording after the shared: found
+    effects first, but for biases, then others that are shown."""
     names, groups = say.recording_names(e), []
     titles = {m.effect: m.title.removesuffix(" error") for m in e.missing}
     shared = {(p.effect, p.name) for p in e.parameters}
-    sections = [("", e.parameters)] + [
+    found = [*BIASES, *_found(e)]
+    front = in_front(e.parameters, found)[0]
+    front.sort(key=lambda p: found.index(p.effect) if p.effect in found else len(found))
+    sections: list[tuple[str, Sequence[Parameter]]] = [("", front)]
+    sections += [
         (names[i] if len(names) > 1 else "",
          tuple(p for p in r.parameters if (p.effect, p.name) not in shared))
         for i, r in enumerate(e.recordings)

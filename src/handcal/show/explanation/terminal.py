@@ -10,15 +10,18 @@ from typing import TYPE_CHECKING, Any
 
 from handcal.explanation import Explanation, Missing
 from handcal.show import words
-from handcal.show.explanation import always, verdict_text
+from handcal.show.calibration.shown import BIASES, in_front, under_table
+from handcal.show.explanation import verdict_text
 from handcal.show.explanation import words as say
 from handcal.show.explanation.document import all_warnings
+from handcal.show.explanation.frames import told_mismatch
 from handcal.show.explanation.symbols import meanings
 from handcal.show.terminal import table
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+NATS = "A nat is a natural logarithm of probability: 3 nats are odds of 20 to 1, 7 of 1,000 to 1."
 KEY = (
     "● present, ◐ one of a set that this motion cannot tell apart. First: added to the baseline, "
     "which may call noise what it lacks. Last: added beside all that was found, at the noise of "
@@ -80,12 +83,11 @@ def _print_verdict(e: Explanation, console: Console) -> None:
 def _print_found(e: Explanation, console: Console) -> None:
     """Where the baseline does not fit, and what was found."""
     line, heading = partial(_line, console), partial(_heading, console)
-    if always.told_mismatch(e):
+    if told_mismatch(e):
         heading("Where the baseline does not fit")
         console.print(_mismatch_table(e))
     for m in e.missing:
-        what = "In every model" if say.is_always(m) else "Missing"
-        heading(f"{what}: {' or '.join(say.members(m, e))}")
+        heading(f"Found: {' or '.join(say.members(m, e))}")
         line(m.story)
         line(verdict_text.weight(m), style="dim")
         console.print(_missing_table(m))
@@ -95,7 +97,7 @@ def _print_found(e: Explanation, console: Console) -> None:
         heading("Found outside the catalogue")
     for u in e.unnamed:
         line(u.formula, style="bold")
-        line(f"{say.sized(u)}, gains {say.nats(u.log_evidence_gain)}")
+        line(say.sized(u))
         if drawn := say.sparkline(u):
             line(drawn)
         if u.story:
@@ -109,13 +111,18 @@ def _print_judged(e: Explanation, console: Console) -> None:
     line, heading = partial(_line, console), partial(_heading, console)
     if e.hypotheses:
         heading("What each effect gains, nats")
+        line(NATS, style="dim")
         console.print(_hypothesis_table(e, TOP))
         if (rest := len(e.hypotheses) - len(_top(e, TOP))) > 0:
             line(f"and {rest} more that gained less when added first", style="dim")
         line(KEY, style="dim")
+    for u in e.unnamed:
+        line(f"{u.formula}: gains {say.nats(u.log_evidence_gain)}", bullet="• ")
     if any(r.parameters for r in e.recordings):
         heading("Biases in the final model")
         console.print(_bias_table(e))
+    for told in _beside(e):
+        line(told)
     heading("How well the model fits" if say.one_model(e) else "Before and after")
     console.print(_fit_table(e))
     if untold := verdict_text.untold(e):
@@ -146,13 +153,23 @@ def _mismatch_table(e: Explanation) -> Any:
 
 
 def _missing_table(m: Missing) -> Any:
-    rows = table("", ">value", ">± 1 sigma", "unit", "observable")
+    rows = table("", ">value", ">± 1 sigma", "unit", "shown")
     for p, unit in say.in_units(m.parameters):
         value = unit.value(p.value, p.sigma, sign=True)
-        seen = "[green]yes[/]" if p.observable else "[yellow]no[/]"
+        seen = "[green]yes[/]" if p.shown else "[yellow]no[/]"
         name = f"{m.title.removesuffix(' error')} {words.parameter_name(p)}".rstrip()
         rows.add_row(f"  {name}", value, unit.value(p.sigma, p.sigma), unit.unit, seen)
     return rows
+
+
+def _beside(e: Explanation) -> list[str]:
+    """What else is in the final model."""
+    found = [m.effect for m in e.missing]
+    front, rest = in_front(e.parameters, found)
+    others = dict.fromkeys(p.effect for p in front if p.effect not in (*BIASES, *found))
+    names = words.listed([words.effect_title(i).lower() for i in others]) if others else ""
+    also = f"Shown too, though not found (values in the JSON): {names}." if others else ""
+    return [s for s in (also, *under_table(front, rest)) if s]
 
 
 def _bias_table(e: Explanation) -> Any:

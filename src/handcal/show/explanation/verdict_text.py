@@ -4,12 +4,9 @@ verdict, what stands behind it, and what the motion could not tell."""
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
 from handcal.explanation import (
-    ENOUGH_TO_SHOW,
     Explanation,
     Fit,
     Missing,
@@ -18,16 +15,17 @@ from handcal.explanation import (
     hardly_shown,
 )
 from handcal.show import words
-from handcal.show.explanation import always
+from handcal.show.calibration import how_good
+from handcal.show.calibration.shown import hardly_any
+from handcal.show.calibration.verdict_text import next_first
+from handcal.show.explanation.frames import told_mismatch
 from handcal.show.explanation.words import (
     channel_shown,
     counted_word,
     either,
-    gain,
     is_always,
     lawless,
     members,
-    nats,
     one_model,
     percent,
     sized,
@@ -53,10 +51,6 @@ def assumptions(explanation: Explanation) -> list[str]:
     return list(dict.fromkeys(own))
 
 
-def _what(explanation: Explanation) -> str:
-    return "the recording" if len(explanation.recordings) == 1 else "the recordings"
-
-
 def _named(m: Missing, explanation: Explanation) -> str:
     names = members(m, explanation)
     return the(names[0]) + (f" or, less probably, {either(names[1:])}" if len(names) > 1 else "")
@@ -67,26 +61,22 @@ def _present(m: Missing, explanation: Explanation) -> str:
 
 
 def _all_present(explanation: Explanation) -> str:
-    """Everything that is named; a probability that all share is said once."""
+    """Everything that is named, of many the three that hold most of the mismatch; a probability
+    that all share is said once."""
     missing = explanation.missing
+    if len(missing) > SHARED:
+        first = sorted(missing, key=lambda m: -m.share)[:SHARED]
+        least = min(m.probability for m in missing)
+        return (
+            f"{counted_word(len(missing))} errors, above all "
+            f"{listed([_named(m, explanation) for m in first])} (each with probability "
+            f"{percent(least)}{'' if least > SURE else ' or more'})"
+        )
     likely = {percent(m.probability) for m in missing}
     if len(likely) > 1 or len(missing) < SHARED:
         return listed([_present(m, explanation) for m in missing])
     return (
         f"{listed([_named(m, explanation) for m in missing])} (each with probability {min(likely)})"
-    )
-
-
-def _largest(explanation: Explanation) -> str:
-    """The named effects, of many the three that hold most of the mismatch."""
-    missing = explanation.missing
-    if len(missing) <= SHARED:
-        return f": {_all_present(explanation)}"
-    first = sorted(missing, key=lambda m: -m.share)[:SHARED]
-    least = min(m.probability for m in missing)
-    return (
-        f", above all {listed([_named(m, explanation) for m in first])} (all present with "
-        f"probability {percent(least)}{'' if least > SURE else ' or more'})"
     )
 
 
@@ -107,10 +97,8 @@ def matters(explanation: Explanation) -> str | None:
 
 def weight(m: Missing) -> str:
     """How much of the mismatch an effect holds, what it does to the readings, and whether unseen
-    data agree."""
-    parts = [f"{whole_percent(m.share)} of the mismatch"]
-    if is_always(m):
-        parts = [f"in {always.every_model(m)}"]
+    data agree; of what the baseline has too, no share."""
+    parts = [] if is_always(m) else [f"{whole_percent(m.share)} of the mismatch"]
     largest: dict[str, tuple[str, float]] = {}
     for channel, rms in m.size.items():
         sensor = channel.rpartition("_")[0] or channel
@@ -121,11 +109,9 @@ def weight(m: Missing) -> str:
         each = [f"{u.value(v, v)}{NBSP}{u.unit} in {words.channel_title(c)}" for c, v, u in units]
         parts.append(f"adds {listed(each)} (root mean square)")
     if m.held_out_gain is not None:
-        agree = "agree" if m.held_out_gain > 0.0 else "do not agree"
-        signed = f"{'+' if m.held_out_gain > 0 else ''}{nats(m.held_out_gain)}"
-        parts.append(f"unseen data {agree} ({signed})")
+        parts.append(f"unseen data {'agree' if m.held_out_gain > 0.0 else 'do not agree'}")
     told = "; ".join(parts)
-    return f"{told[:1].upper()}{told[1:]}."
+    return f"{told[:1].upper()}{told[1:]}." if told else ""
 
 
 def shares_note(explanation: Explanation) -> str:
@@ -141,27 +127,29 @@ def shares_note(explanation: Explanation) -> str:
 
 def verdict(explanation: Explanation) -> Verdict:
     """The headline and what stands behind it, of any of the four verdicts."""
-    added, held = always.parted(explanation)
-    if added.untried and added.missing and added.verdict == "cannot_tell":
+    e = explanation
+    if e.untried and e.missing and e.verdict == "cannot_tell":
         # (what leaves the verdict open is that time ran out; what is named is told as it is)
-        added = replace(added, verdict="explained")
-    level, headline, sentences = _head(added, held)
-    if (first := matters(added)) is not None:
+        e = replace(e, verdict="explained")
+    level, headline, sentences = _head(e)
+    good = how_good.sentences(e.parameters, e.covariance, e.device)
+    sentences[bool(e.untried) :] = [*good, *sentences[bool(e.untried) :]]
+    if (first := matters(e)) is not None:
         # (what cannot be told apart comes first: the headline is about that; and what was a
         # headline before time ran out)
-        before = (2 if added.verdict == "cannot_tell" else 0) + bool(added.untried)
+        before = (2 if e.verdict == "cannot_tell" else 0) + bool(e.untried) + len(good)
         sentences.insert(before, first)
-    if (worst := worst_mismatch(explanation)) is not None:
+    if (worst := worst_mismatch(e)) is not None:
         sentences.append(worst)
-    proof = held_out_sentence(explanation)
-    if proof is not None and not one_model(added):
+    proof = held_out_sentence(e)
+    if proof is not None and not one_model(e):
         sentences.append(proof)
-    doubts = left_over(explanation.after)
-    deaf = words.deaf_heading(n for r in explanation.recordings for n in r.noise)
+    doubts = left_over(e.after)
+    deaf = words.deaf_heading(n for r in e.recordings for n in r.noise)
     if deaf is not None:
         sentences.insert(0, deaf)
         level = "partly" if level == "good" else level
-    if held_out_gain(explanation) < 0 and explanation.verdict != "nothing_missing":
+    if held_out_gain(e) < 0 and explanation.verdict != "nothing_missing":
         level = "partly" if level == "good" else level
     if doubts and explanation.verdict != "unexplained":
         sentences += doubts
@@ -169,21 +157,17 @@ def verdict(explanation: Explanation) -> Verdict:
     return Verdict(level, headline, tuple(sentences))
 
 
-def _head(added: Explanation, held: Sequence[Missing]) -> tuple[str, str, list[str]]:
-    """Level, headline and first sentences; first of all that time ran out, if it did. added: what
-    is missing from the baseline; held: what is in it and shows."""
-    head = {"nothing_missing": _nothing, "explained": _explained, "unexplained": _unexplained,
-            "cannot_tell": _cannot_tell}[added.verdict]  # fmt: skip
-    if added.verdict == "explained" and not added.missing:
-        head = partial(_nothing, final=True)
-    level, headline, sentences = head(added)
-    sentences += [always.sentence(m, added) for m in held]
-    if not added.untried:
+def _head(e: Explanation) -> tuple[str, str, list[str]]:
+    """Level, headline and first sentences; first of all that time ran out, if it did."""
+    head = {"unexplained": _unexplained, "cannot_tell": _cannot_tell}.get(
+        e.verdict, _explained if e.missing else _nothing
+    )
+    level, headline, sentences = head(e)
+    if not e.untried:
         return level, headline, sentences
-    if one_model(added):
-        beside = " beside what every model has" if held else ""
-        headline = f"Nothing was found by then{beside}."
-    return "partly" if level == "good" else level, ran_out(added), [headline, *sentences]
+    if not e.missing and not e.unnamed:
+        headline = "Nothing was found by then."
+    return "partly" if level == "good" else level, ran_out(e), [headline, *sentences]
 
 
 def ran_out(explanation: Explanation) -> str:
@@ -196,40 +180,28 @@ def ran_out(explanation: Explanation) -> str:
     )
 
 
-def _nothing(e: Explanation, final: bool = False) -> tuple[str, str, list[str]]:
-    """final: effects are told by what they gain beside what every model has."""
-    headline = "Nothing is missing that this motion would show."
-    sentences = []
+def _nothing(e: Explanation) -> tuple[str, str, list[str]]:
+    level, headline, sentences = "good", "Nothing was found but the biases.", []
+    if hardly_any(e.parameters):
+        level, headline = next_first(e.parameters)
     open_ = [h for h in e.hypotheses if not h.verdict]
     if open_ and not e.untried:
-        gained = {h.effect: h.final if final else h.alone for h in open_}
-        best = max(open_, key=lambda h: gained[h.effect])
-        by = gained[best.effect]
+        best = max(open_, key=lambda h: h.probability)
         tried = words.counted(len(open_), "effect")
-        change = f"gains {nats(by)}" if by > 0 else f"loses {nats(-by)}"
-        enough = "no more than chance gives" if by < ENOUGH_TO_SHOW else "too little to be sure"
-        sentences.append(f"Of {tried} tried, the best, {the(best.title)}, {change}: {enough}.")
+        sentences.append(
+            f"Of {tried} tried, the likeliest is {the(best.title)} (probability "
+            f"{percent(best.probability)})."
+        )
         if hidden := hardly_shown(e.hypotheses):
             sentences.append(
                 f"That is not proof of absence: {words.counted(len(hidden), 'effect')} would "
                 f"hardly show in this motion even at the usual size (they are listed below)."
             )
-    return "good", headline, sentences
+    return level, headline, sentences
 
 
 def _explained(e: Explanation) -> tuple[str, str, list[str]]:
-    if len(e.missing) == 1:
-        (m,) = e.missing
-        headline = (
-            f"Something is missing: {_present(m, e)}, and adding it makes {_what(e)} "
-            f"{nats(gain(e))} more probable."
-        )
-        return "good", headline, []
-    headline = (
-        f"{counted_word(len(e.missing)).capitalize()} things are missing{_largest(e)}. "
-        f"Adding them makes {_what(e)} {nats(gain(e))} more probable."
-    )
-    return "good", headline, []
+    return "good", f"Found: {_all_present(e)}.", []
 
 
 def _unexplained(e: Explanation) -> tuple[str, str, list[str]]:
@@ -239,14 +211,11 @@ def _unexplained(e: Explanation) -> tuple[str, str, list[str]]:
         if more := len(e.missing) - SHARED if len(e.missing) > SHARED else 0:
             named.append(f"{counted_word(more)} other{'s' * (more > 1)}")
         besides = f", besides {listed(named)}"
-    headline = f"Something is missing that no known effect accounts for{besides}."
+    headline = f"Found: an error that no known effect accounts for{besides}."
     if not e.unnamed:
         return "poor", headline, ["No simple term in the measured signals accounts for it either."]
     u = max(e.unnamed, key=lambda u: u.log_evidence_gain)
-    found = (
-        f"What was found instead (formula in SI units): {u.formula} with {sized(u)}, which gains"
-    )
-    told = (f"{found} {nats(u.log_evidence_gain)}.", u.story, lead(u))
+    told = (f"As a formula, in SI units: {u.formula} with {sized(u)}.", u.story, lead(u))
     return "poor", headline, [" ".join(part for part in told if part)]
 
 
@@ -254,14 +223,11 @@ def _cannot_tell(e: Explanation) -> tuple[str, str, list[str]]:
     open_, clear = ([m for m in e.missing if bool(m.indistinguishable_from) is yes]
                     for yes in (True, False))  # fmt: skip
     if not open_:
-        return "partly", "Something is missing, but this motion cannot tell what.", []
+        return "partly", "Found: an error, but this motion cannot tell which.", []
     sets = [either(members(m, e)) for m in open_]
     likely = listed([percent(m.probability) for m in open_])
-    headline = f"Something is missing, but this motion cannot tell which: {listed(sets, 'and')}."
-    sentences = [
-        f"One of them is present with probability {likely}; adding it makes {_what(e)} "
-        f"{nats(sum(m.log_evidence_gain for m in open_))} more probable, whichever it is."
-    ]
+    headline = f"Found: {listed(sets, 'and')}; this motion cannot tell which."
+    sentences = [f"One of them is present with probability {likely}."]
     if clear:
         sentences.append(f"Told apart clearly: {listed([_present(m, e) for m in clear])}.")
     if e.next_motion:
@@ -281,7 +247,7 @@ def motion_phrase(motion: str) -> str:
 
 def worst_mismatch(explanation: Explanation) -> str | None:
     """Where and when the baseline fits worst."""
-    if not (mismatch := always.told_mismatch(explanation)):
+    if not (mismatch := told_mismatch(explanation)):
         return None
     m = max(mismatch, key=lambda m: m.share)
     return (
@@ -313,17 +279,12 @@ def held_out_sentence(explanation: Explanation) -> str | None:
     h, difference = explanation.held_out, held_out_gain(explanation)
     if h is None or not math.isfinite(difference):
         return None
+    unseen = f"On data that the fit has not seen ({h.source})"
     if abs(difference) < 1.0:
-        return f"On data that the fit has not seen ({h.source}) both models do equally well."
+        return f"{unseen} both models do equally well."
     if difference < 0:
-        return (
-            f"On data that the fit has not seen ({h.source}) the final model does worse, by "
-            f"{nats(-difference)}: do not rely on it yet."
-        )
-    return (
-        f"On data that the fit has not seen ({h.source}) the final model does better, by "
-        f"{nats(difference)}."
-    )
+        return f"{unseen} the final model does worse: do not rely on it yet."
+    return f"{unseen} the final model does better."
 
 
 def left_over(fit: Fit) -> list[str]:
@@ -353,11 +314,11 @@ def untold(explanation: Explanation) -> list[str]:
             f"{names[:1].upper()}{names[1:]} would hardly show in this motion even at the usual "
             f"size, and {'is' if len(hidden) == 1 else 'are'} not ruled out."
         )
-    weak = [p for m in explanation.missing for p in m.parameters if not p.observable]
+    weak = [p for m in explanation.missing for p in m.parameters if not p.shown]
     if weak:
         names = listed([words.parameter_title(p) for p in weak])
         sentences.append(
-            f"{names} {'is' if len(weak) == 1 else 'are'} part of what is missing, but hardly "
-            f"constrained by this motion: a sigma is more than half of what is usual."
+            f"{names} {'is' if len(weak) == 1 else 'are'} part of what was found, but hardly shown "
+            f"by this motion: a sigma is more than half of what is usual."
         )
     return sentences

@@ -1,0 +1,106 @@
+"""Which common effects a recording shows. Every fit estimates them; one is found if the evidence
+falls without it by more than the odds of a name."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+
+from handcal.estimate.case import name_of
+from handcal.estimate.model import Model
+from handcal.model_score import PRIOR
+from handcal.search.space import Space, best_set
+
+# Log odds of what stays in a set whatever else is chosen.
+STAYS = 1e6
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A common effect that is found.
+
+    gain: nats that the model loses without it; beside: common effects that have to be out as well
+    for the evidence to fall, since together they do what it does. rivals: log odds of effects in
+    its place, those of its own being 0. others: all effects of the set of fewest causes.
+    """
+
+    gain: float
+    beside: tuple[str, ...]
+    rivals: Mapping[str, float]
+    others: frozenset[str]
+
+
+def shown(where: Space, chosen: frozenset[str]) -> dict[str, Shown]:
+    """The common effects found among those of a model, by id. chosen: effects of the model.
+
+    Of sets of common effects the likeliest says which are causes, each at the odds of a name. A
+    cause is found where the evidence falls without it, all other common effects present. Where
+    others do what it does, these are taken out with it, first what hides it best.
+    """
+    common = [i for i in sorted(chosen) if where.effects[i].common]
+    rest = chosen.difference(common)
+    sparse = _with_odds(where, chosen, dict.fromkeys(common, PRIOR) | dict.fromkeys(rest, STAYS))
+    causes = max((best_set(sparse, start) for start in (chosen, rest)), key=sparse.score)
+    spare = [i for i in common if i not in causes]
+    out = {}
+    for i in sorted(causes.difference(rest)):
+        gain, beside = _lost(where, chosen, i, spare)
+        if gain + PRIOR > 0.0:
+            out[i] = Shown(gain, beside, _rivals(where, chosen, causes, i), causes)
+    return out
+
+
+def names_of(where: Space, model: Model) -> frozenset[str]:
+    """Ids of what a model has beyond common effects that the recordings do not show."""
+    rare = frozenset(e.id for e in model.effects if not e.common)
+    return rare.union(shown(where, model.chosen))
+
+
+def evidence(where: Space, ids: Iterable[str]) -> float:
+    """Log-evidence of a set, prior odds not counted."""
+    key = frozenset(ids)
+    return where.score(key) - sum(where.prior[i] for i in key)
+
+
+def _with_odds(where: Space, ids: frozenset[str], odds: Mapping[str, float]) -> Space:
+    """These effects of the space alone, at these odds."""
+    effects = {i: e for i, e in where.effects.items() if i in ids}
+    places = {i: where.where[i] for i in effects}
+    return replace(where, effects=effects, prior=odds, where=places, scores={})
+
+
+def _lost(
+    where: Space, chosen: frozenset[str], effect: str, spare: list[str]
+) -> tuple[float, tuple[str, ...]]:
+    """Nats lost without an effect, and those of ``spare`` that are out beside it."""
+    out: list[str] = []
+
+    def lost(without: Iterable[str]) -> float:
+        rest = chosen.difference(without)
+        return evidence(where, rest) - evidence(where, rest - {effect})
+
+    gain = lost(out)
+    while gain + PRIOR <= 0.0 and len(out) < len(spare):
+        left = [i for i in spare if i not in out]
+        best = max(left, key=lambda i: lost([*out, i]))
+        out.append(best)
+        gain = lost(out)
+    return gain, tuple(out)
+
+
+def _rivals(
+    where: Space, chosen: frozenset[str], causes: frozenset[str], effect: str
+) -> dict[str, float]:
+    """Log odds of each other effect in the place of this one among the causes. A rare effect has
+    the odds of a name besides, since a common one is there anyway, and is no better with as many
+    parameters: what it does a common one does as well.
+    """
+    own, size = evidence(where, causes), len(where.where[effect])
+    out = {}
+    for i, e in where.effects.items():
+        if i not in causes and "+=" not in i and (i in chosen) == bool(e.common):
+            odds = evidence(where, (causes - {effect}) | {i}) - own
+            plainer = len(where.where[i]) < size
+            out[i] = odds if e.common else PRIOR + (odds if plainer else min(odds, 0.0))
+    return {i: v for i, v in out.items() if math.isfinite(v) and name_of(i) != name_of(effect)}
