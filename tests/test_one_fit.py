@@ -17,7 +17,7 @@ from worlds import recording_of
 import handcal
 from handcal.effects import select
 from handcal.estimate.baseline import baseline
-from handcal.estimate.calibration import calibrate_together, recalibrate
+from handcal.estimate.calibration import ONLY, calibrate_together, recalibrate
 from handcal.estimate.case import case_of
 from handcal.estimate.fit import fitted
 from handcal.explain import Explanation, explain
@@ -152,6 +152,20 @@ def test_the_effects_of_a_model_are_calibrated_from_another_recording() -> None:
     for axis, true in zip("xyz", effects["gyro_scale"], strict=True):
         p = other.parameter("gyro_scale", axis)
         assert abs(p.value - true) < 4.0 * p.sigma
+
+
+@pytest.mark.parametrize("only", [True, False])
+def test_what_was_calibrated_is_repeated_with_as_much_beside_it(only: bool) -> None:
+    """An arm alone, which is all that could be told of what is observed; or all there is."""
+    recording = replace(made({}, 0, 20.0), streams={})
+    (first,) = calibrate_together([recording], ("lever_arm",), assume="fixed-point", only=only)
+    written = json.loads(json.dumps(calibration_json(first)))["model"]
+    (again,) = recalibrate([recording], chosen_from(written))
+    assert again.parameters == first.parameters
+    assert {p.effect for p in again.parameters} > {*OWN}
+    assert len({p.effect for p in again.parameters}) == (3 if only else 9)
+    for result in (first, again):
+        assert any(w == f"{ONLY} and lever_arm." for w in result.warnings) == only
 
 
 @pytest.mark.parametrize(

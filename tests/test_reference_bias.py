@@ -169,7 +169,7 @@ def test_what_is_not_linear_shows_the_bias_itself() -> None:
         made = device(seed, False, crooked=False)
         recording = lopsided(made, np.array([0.014, -0.012, 0.01]))
         alone, beside = (
-            calibrate(recording, effects)
+            calibrate(recording, effects, only=True)
             for effects in (("accel_asymmetry",), ("accel_asymmetry", "accel_scale"))
         )
         assert beside.log_evidence < alone.log_evidence

@@ -154,8 +154,13 @@ def _calibrated(
         ]
         model, chosen = _fitted(cases, wanted, options, engine, only, report)
     told = _told(model, chosen, report)
-    alone = " and ".join([ONLY, *([", ".join(e.id for e in wanted)] if wanted else [])]) + "."
-    return tuple(replace(r, warnings=(*r.warnings, alone)) for r in told) if only else told
+    return _said_alone(told, wanted) if only else told
+
+
+def _said_alone(told: Sequence[Result], effects: Sequence[Effect]) -> tuple[Result, ...]:
+    """The results with a warning that nothing was estimated but biases and these effects."""
+    alone = " and ".join([ONLY, *([", ".join(e.id for e in effects)] if effects else [])]) + "."
+    return tuple(replace(r, warnings=(*r.warnings, alone)) for r in told)
 
 
 def recalibrate(
@@ -192,13 +197,23 @@ def recalibrate(
         chosen = replace(chosen, effects=effects, views=views, moments={}, levels=(), begin="")
         for case in cases:
             _check_effects(effects, case.kinds, case.recording)
-    base = baseline(cases)
-    if {e.id for e in common(cases)} <= {e.id for e in chosen.effects}:
-        base = dense(base)
+    base = _as_written(baseline(cases), cases, chosen)
     chosen = replace(chosen, effects=_with_those_of_all(chosen.effects, base))
     report(0.5)
     told = _told(settled(base, chosen), chosen, report)
+    if not {e.id for e in common(cases)} <= {e.id for e in chosen.effects}:
+        told = _said_alone(told, [e for e in chosen.effects if not e.always])
     return tuple(replace(r, repeated=True) for r in told)
+
+
+def _as_written(base: Model, cases: Sequence[Case], chosen: Specification) -> Model:
+    """The baseline, or its fit with all common effects, or with as many of them as it could be
+    fitted with, where the model that was written down is one that begins there."""
+    ids = {e.id for e in chosen.effects}
+    if not {e.id for e in common(cases) if e.imu_error is None} <= ids:
+        return base
+    whole = dense(base)
+    return whole if set(whole.ids) <= ids else base
 
 
 def _fitted(
