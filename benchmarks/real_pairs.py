@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 import handcal
-from handcal.device.file import kept, usual_of
+from handcal.device.file import kept, told_of, usual_of
 from handcal.estimate.start import BIASES
 from handcal.types import Array, Likelihood
 
@@ -61,7 +61,8 @@ def compared(a: Likelihood, b: Likelihood, biases: bool) -> tuple[float, float]:
     names = [n for n in a.names if n in b.names and kept(n) and n[0] not in OF_THE_OCCASION]
     names = [n for n in names if biases or n not in BIASES]
     usual = usual_of(names)
-    (L1, h1), (L2, h2) = (_own(x, names, usual) for x in (a, b))
+    units = np.outer(usual, usual)
+    (L1, h1), (L2, h2) = ((L * units, h * usual) for L, h in (told_of(x, names) for x in (a, b)))
     # (m = W x + noise of covariance W - W W', with W = (I + L)^-1 L = I - P)
     (P1, N1, m1), (P2, N2, m2) = _posterior(L1, h1), _posterior(L2, h2)
     C = N1 + N2 + (P1 - P2) @ (P1 - P2).T
@@ -82,18 +83,6 @@ def _posterior(L: Array, h: Array) -> tuple[Array, Array, Array]:
         (V * (values / (1.0 + values) ** 2)) @ V.T,
         V @ ((V.T @ h) / (1.0 + values)),
     )
-
-
-def _own(x: Likelihood, names: list[tuple[str, str]], usual: Array) -> tuple[Array, Array]:
-    """Information and vector of these parameters in usual sizes, all others at theirs."""
-    at = [x.names.index(n) for n in names]
-    other = [k for k, n in enumerate(x.names) if n not in names]
-    size = usual_of([x.names[k] for k in other])
-    A = x.information[np.ix_(other, other)] * np.outer(size, size) + np.eye(len(other))
-    cross = x.information[np.ix_(at, other)] * size
-    half = np.linalg.solve(A, np.column_stack([cross.T, x.vector[other] * size]))
-    L = (x.information[np.ix_(at, at)] - cross @ half[:, :-1]) * np.outer(usual, usual)
-    return L, (x.vector[at] - cross @ half[:, -1]) * usual
 
 
 def main() -> None:

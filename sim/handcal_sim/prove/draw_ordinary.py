@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from handcal_sim.companions import Thermometer
-from handcal_sim.effects import EFFECTS
 from handcal_sim.motion import Scenario, free_hand, three_turns
 from handcal_sim.motion_carried import carried, strolled
 from handcal_sim.motion_ordinary import six_sides, two_axes, yaw_on_a_table
@@ -90,29 +89,12 @@ def drawn(ticket: Ticket, rng: np.random.Generator) -> tuple[World, Answer]:
     said = answer(ticket.suite, "", _circumstances(case), effects, stranger)
     more = {**vars(case.first), "kind": case.device.kind, "stream": _stream(case.device),
             "rare": next(iter(case.rare), ""), "mean_K": _warm(world)}  # fmt: skip
-    said = completed(world, replace(said, circumstances={**said.circumstances, **more}))
-    said = replace(said, baseline=_at_mean_temperature(case, world))
+    said = replace(said, circumstances={**said.circumstances, **more})
+    said = completed(world, said, _warm(world))
     if not case.first.thermometer:
         others = {n: s for n, s in world.streams.items() if n != "temperature"}
         world = replace(world, streams=others)
     return world, said
-
-
-def _at_mean_temperature(case: Case, world: World) -> dict[str, dict[str, float]]:
-    """The true biases as a program tells them: those of the recording's mean temperature, walks
-    included, whether a thermometer reads it or not."""
-    warm, device = _warm(world), case.device.effects
-    walked = world.parameters["mean_walk"]
-    return {
-        bias: {
-            p.name: value + mean + warm * slope
-            for p, value, mean, slope in zip(
-                EFFECTS[bias], device[bias], walked[bias.partition("_")[0]], device[SLOPES[bias]],
-                strict=True,
-            )
-        }
-        for bias in SLOPES
-    }  # fmt: skip
 
 
 def _warm(world: World) -> float:

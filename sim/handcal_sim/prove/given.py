@@ -200,15 +200,16 @@ def answer(
     return Answer(suite, group, injected, stranger or {}, {}, dict(vars(given)))
 
 
-def completed(world: World, drawn: Answer) -> Answer:
+def completed(world: World, drawn: Answer, warm: float | None = None) -> Answer:
     """The answer with the true biases (their means, where they walk, at the mean temperature),
     which are never a question but show honest sigmas, and with what iron looks like where north is
-    off by the constant heading offset."""
+    off by the constant heading offset. warm: the mean temperature above 25 degC, K, where that is
+    not the thermometer's."""
     present = world.parameters["effects"]
     walked = world.parameters["mean_walk"]
-    warm = (
-        world.streams["temperature"].values.mean() - 25.0 if "temperature" in world.streams else 0
-    )
+    if warm is None:
+        told = world.streams.get("temperature")
+        warm = 0.0 if told is None else float(told.values.mean()) - 25.0
     baseline = {}
     for sensor in ("gyro", "accel"):
         slopes = [p["value"] for p in present.get(f"{sensor}_temperature", ())] or [0.0] * 3

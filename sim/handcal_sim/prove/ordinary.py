@@ -177,7 +177,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         write_answers(trials, asked.seed, folder / "answers.json")
     found = result(trials, asked)
     if typed.json:
-        typed.json.write_text(json.dumps(found, indent=1, default=float) + "\n", encoding="utf-8")
+        typed.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     for piece in tables(found):
         Console(highlight=False, width=140).print(piece)
 

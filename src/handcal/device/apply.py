@@ -91,9 +91,9 @@ def apply(recording: Recording, learnt: Learnt, *, biases: bool = False) -> Corr
     """The recording without the errors that were learnt.
 
     biases: take off also what differs from day to day; without them, of temperature errors what
-    changes within the recording. Readings that are no measurements
-    (saturated) stay as they are. Raises InputError where biases are asked for and the file
-    has none for this recording, HandcalError where an error cannot be undone.
+    changes within the recording. Readings that are no measurements (saturated) stay as they are.
+    Raises InputError where biases are asked for and the file has none for this recording,
+    HandcalError where an error cannot be undone.
     """
     recording = at_its_temperature(recording)
     known = [*(BIASES if learnt.biases else ()), *learnt.values]
@@ -320,13 +320,11 @@ def _values(
     """By id, of effects of which something is shown; what is not shown is zero. other: what is no
     effect (formulas, how a marker is turned). Errors: InputError."""
     said: dict[str, dict[str, float]] = {}
-    shown = {p["effect"] for p in parameters if p.get("shown", True)}
+    shown = {*BIASES, *(p["effect"] for p in parameters if p.get("shown", True))}
     for p in parameters:
-        if p["effect"] not in shown and p["effect"] not in BIASES:
+        if p["effect"] not in shown:
             continue
-        value = p["value"]
-        if p["effect"] not in BIASES and not p.get("shown", True):
-            value = 0.0
+        value = p["value"] if p["effect"] in BIASES or p.get("shown", True) else 0.0
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             value = math.nan
         said.setdefault(p["effect"], {})[p["name"]] = value

@@ -20,7 +20,7 @@ from handcal import output
 from handcal.documents import own_toml, read_json
 from handcal.effects import Effect, catalogue
 from handcal.estimate.start import BIASES
-from handcal.types import CALIBRATION_SCHEMA, EXPLANATION_SCHEMA, Array, InputError
+from handcal.types import CALIBRATION_SCHEMA, EXPLANATION_SCHEMA, Array, InputError, Likelihood
 
 SCHEMA = "handcal/device/1"
 # (A device has a few dozen parameters and some hundred sessions at the most.)
@@ -281,13 +281,18 @@ def _learnt(
 
 
 def _likelihood(document: Mapping[str, Any], names: Sequence[Name]) -> tuple[Array, Array] | None:
-    """What the recording itself says of these parameters, all others integrated out at the usual
-    sizes; None where the result does not have it."""
+    """What a recording itself says of these parameters; None where its result does not have it."""
     said = document.get("likelihood")
     if said is None:
         return None
-    have = [(str(effect), str(name)) for effect, name in said["parameters"]]
-    information, vector = _told(said, have, have)
+    have = tuple((str(effect), str(name)) for effect, name in said["parameters"])
+    return told_of(Likelihood(have, *_told(said, have, have)), names)
+
+
+def told_of(said: Likelihood, names: Sequence[Name]) -> tuple[Array, Array]:
+    """Information (k, k) and vector (k,) of these parameters, those of the catalogue that are not
+    among them integrated out at their usual sizes; zero for what the likelihood does not have."""
+    have, information, vector = said.names, said.information, said.vector
     other = [k for k, n in enumerate(have) if n not in names and n[0] in catalogue()]
     mine = [k for k, n in enumerate(have) if n in names]
     usual = usual_of([have[k] for k in other])

@@ -159,7 +159,8 @@ def _calibrated(
 
 def _said_alone(told: Sequence[Result], effects: Sequence[Effect]) -> tuple[Result, ...]:
     """The results with a warning that nothing was estimated but biases and these effects."""
-    alone = " and ".join([ONLY, *([", ".join(e.id for e in effects)] if effects else [])]) + "."
+    names = ", ".join(e.id for e in effects)
+    alone = f"{ONLY} and {names}." if names else f"{ONLY}."
     return tuple(replace(r, warnings=(*r.warnings, alone)) for r in told)
 
 

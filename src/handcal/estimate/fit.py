@@ -116,7 +116,8 @@ def fitted(
 ) -> Model:
     """Fit these effects to all recordings, beginning from other fits' trajectories and noise,
     until the evidence rests within ``tolerance`` nats, or sinks below what would be ``of_use``, or
-    rests there at the noise levels that it began with.
+    rests there at the noise levels that it began with. trusted: see ``relinearised_parts``, before
+    noise levels are found anew.
     (Those that are made as they are asked for are gone when the first round has left them.)"""
     rest = tolerance if noise_rounds == 0 else ROUGH
     parts = [begun(f, effects) for f in begin]

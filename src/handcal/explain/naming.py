@@ -90,7 +90,7 @@ def _of_common(
     share = {i: math.exp(v - top) / total for i, v in odds.items()}
     order = sorted(odds, key=lambda i: -share[i])
     first = where.effects[order[0]]
-    if first is not effect:
+    if first.id != effect.id:
         own = _parameters_in(where, first, (found.others - {effect.id}) | {first.id})
     members = [i for i in order if i == effect.id or share[i] >= RIVAL]
     names = dict.fromkeys(map(name_of, (*members, *found.beside)))
