@@ -35,7 +35,7 @@ from handcal_sim.prove.ordinary_devices import (
 from handcal_sim.prove.ordinary_devices import (
     device as a_device,
 )
-from handcal_sim.prove.ordinary_numbers import asked, at_25, coverage, deviations, worst
+from handcal_sim.prove.ordinary_numbers import asked, coverage, deviations, worst
 from handcal_sim.prove.show import show
 from handcal_sim.prove.suites import Answer
 from handcal_sim.prove.trial import Trial
@@ -183,14 +183,6 @@ def test_numbers_are_counted_by_what_they_are():
     assert [(d.effect, d.shown) for d in deviations([trial(said(parameters=old))])] == [
         ("gyro_scale", True)
     ]
-
-
-def test_biases_may_be_told_at_25_degrees_beside_their_slope():
-    slope = parameter("gyro_temperature", "x", 1e-3, 1e-4)
-    without, beside = (trial(said(parameters=told(0.01, 0.01) + p)) for p in ([], [slope]))
-    assert deviations([at_25(without)])[1].sigmas == pytest.approx(-10.0)
-    assert deviations([beside])[1].sigmas == pytest.approx(-10.0)
-    assert deviations([at_25(beside)])[1].sigmas == pytest.approx(0.0)
 
 
 def test_bounds_are_met_by_honest_sigmas_alone():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -21,6 +22,7 @@ from handcal.recordings import segment
 from handcal.show.calibration import summary
 from handcal.types import Array, Imu, Recording
 from handcal_sim import simulate
+from handcal_sim.motion_carried import carried, strolled
 from handcal_sim.phone import perfect_phone
 
 RATES = (50.0, 200.0, *(pytest.param(r, marks=pytest.mark.prove) for r in (100.0, 500.0)))
@@ -326,6 +328,22 @@ def test_between_rests_the_trajectory_follows_the_readings() -> None:
     turn = nominal.C[0] @ true[0].T
     assert _apart(way.C[at], turn @ true) < np.radians(1.0)
     assert _apart(straight, turn @ true) > np.radians(5.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_walk_that_begins_slowly_tells_nothing_of_a_delay_in_the_rest_before(seed: int) -> None:
+    """Without noise and at rest to the last digit: what a delay does to the beginning of a walk,
+    averaged into the rest before it, made 20 ms into 10 +- 0.4."""
+    rng = np.random.default_rng(seed)
+    walk = carried(strolled(40.0, 1.5, rng), 0.25)
+    world = simulate(
+        walk, seed=seed, phone=replace(perfect_phone(), rate_hz=64.0), sway=0.0, duration_s=40.0,
+        effects={"accel_delay": [0.02]},
+    )  # fmt: skip
+    found = handcal.calibrate(recording_of(world), effects=["accel_delay"], only=True)
+    (delay,) = (p for p in found.parameters if p.effect == "accel_delay")
+    assert abs(delay.value - 0.02) < 3.0 * delay.sigma
+    assert delay.sigma < 0.02
 
 
 def _apart(A: Array, B: Array) -> float:

@@ -28,7 +28,6 @@ from handcal_sim.prove.given import Ticket
 from handcal_sim.prove.ordinary_devices import KINDS, SLOPES, SPREADS, spread
 from handcal_sim.prove.ordinary_numbers import (
     BY,
-    at_25,
     coverage,
     deviations,
     line,
@@ -141,7 +140,8 @@ def result(trials: Sequence[Trial], asked: Asked) -> dict[str, Any]:
         "coverage": coverage(plain),
         "by": {name: parts(found if name == "besides" else plain, of) for name, of in BY.items()},
         "worst": [line(d) for d in worst(plain, WORST)],
-        "apply": ordinary_apply.score(trials),
+        "apply": ordinary_apply.score([t for t in trials if not rare(t)] or trials),
+        "left": ordinary_apply.rows(trials),
         "seconds": seconds(trials),
         "failed": {t.name: t.document["error"] for t in trials if "error" in t.document},
     }
@@ -162,8 +162,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
                         help="--priors of the densities that devices are drawn from")  # fmt: skip
     parser.add_argument("--apply", action="store_true",
                         help="correct another recording of each device")  # fmt: skip
-    parser.add_argument("--biases-at-25", action="store_true",
-                        help="biases beside slopes are told at 25 degC")  # fmt: skip
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--json", type=Path, metavar="OUT")
     typed = parser.parse_args(arguments)
@@ -172,8 +170,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
                   typed.apply)  # fmt: skip
     with _folder(typed.keep) as folder:
         trials = run(asked, folder)
-        if typed.biases_at_25:
-            trials = [at_25(trial) for trial in trials]
         write_answers(trials, asked.seed, folder / "answers.json")
     found = result(trials, asked)
     if typed.json:

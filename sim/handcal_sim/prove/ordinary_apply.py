@@ -49,6 +49,15 @@ def another(case: Case) -> World:
     return recorded(case, again=True, silent=True)
 
 
+def rows(trials: Sequence[Trial]) -> list[dict[str, Any]]:
+    """Of each recording what is left, the worst of the gyro first."""
+    told = [t for t in trials if "gyro_before" in t.further]
+    told.sort(key=lambda t: -t.further["gyro_after"])
+    known = ("kind", "motion", "stream", "rare")
+    return [{"recording": t.name, **{k: t.answer.circumstances[k] for k in known},
+             "law": t.answer.stranger.get("kind", ""), **t.further} for t in told]  # fmt: skip
+
+
 def score(trials: Sequence[Trial]) -> list[dict[str, Any]]:
     """By sensor, of all errors but the bias and of what varies: root mean squares before and after,
     the median share of a mean square that is left, and how many recordings were made worse."""

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
 from handcal_sim.effects import EFFECTS
-from handcal_sim.prove.ordinary_devices import SLOPES, SPREADS, spread
+from handcal_sim.prove.ordinary_devices import SPREADS, spread
 from handcal_sim.prove.trial import Trial, share
 
 # What a parameter is: a bias, another that was drawn, or one of an effect that is not there.
@@ -43,18 +43,6 @@ class Deviation:
         """Of the device's class; 0 where no class has a spread of it."""
         kind = str(self.trial.answer.circumstances["kind"])
         return spread(kind, self.effect) if self.effect in SPREADS else 0.0
-
-
-def at_25(trial: Trial) -> Trial:
-    """The same trial of a program that tells biases at 25 degC where it tells their slopes."""
-    told = {str(p["effect"]) for p in trial.document.get("parameters", [])}
-    answer = trial.answer
-    baseline = {
-        bias: {axis: value - answer.circumstances["mean_K"] * answer.effects[slope][axis]
-               for axis, value in answer.baseline[bias].items()}
-        for bias, slope in SLOPES.items() if slope in told
-    }  # fmt: skip
-    return replace(trial, answer=replace(answer, baseline={**answer.baseline, **baseline}))
 
 
 def deviations(trials: Iterable[Trial]) -> list[Deviation]:

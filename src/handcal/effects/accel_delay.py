@@ -45,6 +45,7 @@ EFFECT = Effect(
     motion="Brisk changes of attitude, so that gravity moves between the axes quickly.",
     validated="the simulator's injection",
     common="filters of the two sensors differ by some samples; Kalibr's temporal calibration",
+    swings=True,
     imu_error=imu_error,
     imu_inverse=imu_inverse,
     sound=sound,

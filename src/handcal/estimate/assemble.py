@@ -36,6 +36,7 @@ def build(
     g_n: Array,
     omega_ie_n: Array,
     *,
+    rests: Array | None = None,
     linearised: bool = True,
     piece: Piece | None = None,
 ) -> Problem:
@@ -74,6 +75,7 @@ def build(
         dropped,
         smooth,
         next((r.alpha for _, r, _ in observed if r.alpha is not None), None),
+        rests=np.zeros((0, 2)) if rests is None else rests,
     )
     zero = np.zeros(3)
     return relinearised(problem, problem.ref, zero, zero) if linearised else problem

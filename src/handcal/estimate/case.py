@@ -271,7 +271,7 @@ def problem_with(case: Case, effects: Sequence[Effect]) -> Problem:
         (o, replace(rows, delay=case.delays.get(o.kind, 0.0)), constants)
         for o, rows, constants in case.observed
     ]
-    return build(case.recording, effects, observed, *case.earth, linearised=False)
+    return build(case.recording, effects, observed, *case.earth, rests=case.rests, linearised=False)
 
 
 def applicable(case: Case, effect: Effect) -> bool:

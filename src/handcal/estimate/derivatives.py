@@ -21,8 +21,6 @@ from handcal.types import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Array, BoolArray, I
 
 # What parameters do to the readings is averaged over this long, in motion and at rest.
 AVERAGE_S = (0.05, 2.0)
-# Turning rate, rad/s, below which a device counts as at rest there.
-QUIET_RATE = 0.05
 # Steps of the differences by gyro and accelerometer biases: a tenth of their priors.
 STEPS = 0.1 * np.repeat([GYRO_BIAS_PRIOR, ACCEL_BIAS_PRIOR], 3)
 # Changes that differ by such a share of the largest are the same.
@@ -44,16 +42,19 @@ def relinearised(
 
 
 def moving(done: Corrected, noise: Array | None, force: Array | None) -> tuple[Array, BoolArray]:
-    """What of the corrected readings counts as motion (n, 6), and when the device is quiet (n,); as
-    ``differentiated``."""
+    """What of the corrected readings counts as motion (n, 6), and when the device rests (n,); as
+    ``differentiated``. What is averaged over a rest holds nothing of the motion beside it: a delay
+    would seem to act in the rest, where the velocity is known."""
     problem = done.problem
-    imu, nodes = problem.recording.imu, problem.nodes
+    imu = problem.recording.imu
     truth = done.raw - done.error
     if noise is not None:
         truth = truth - noise
     if force is not None:
         truth = np.hstack([truth[:, :3], force])
-    quiet = np.interp(imu.t, nodes.t, problem.rate) < QUIET_RATE
+    quiet = np.zeros(len(imu.t), dtype=np.bool_)
+    for a, b in np.searchsorted(imu.t, problem.rests):
+        quiet[a:b] = True
     return (truth if noise is None else _stilled(truth, imu.t, quiet)), quiet
 
 

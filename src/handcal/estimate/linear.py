@@ -197,7 +197,7 @@ def prepared(
 ) -> tuple[Problem, Corrected | None, Array | None]:
     """The problem with readings that are corrected at the nominal constants for good, how that was
     done (None: there was nothing to do), and C_nb (n, 3, 3) where that was asked for."""
-    turning = problem.navigated and any(ATTITUDE in e.needs for e in problem.effects)
+    turning = problem.navigated and any(ATTITUDE in e.needs or e.swings for e in problem.effects)
     done, C_nb = None, None
     if problem.imu_constants:
         C_nb = _attitude(problem, nominal) if turning or held(problem) else None
@@ -267,7 +267,7 @@ def slopes_of(told: Excited, effects: Sequence[Effect], beside: Sequence[Effect]
     are on trial with them."""
     done, acting = told.done, [e for e in effects if e.imu_error is not None]
     asked = told.force is not None or any(
-        ATTITUDE in e.needs for e in (*acting, *beside) if e.imu_error is not None
+        ATTITUDE in e.needs or e.swings for e in (*acting, *beside) if e.imu_error is not None
     )
     have = done.problem
     needed = [e for e in have.effects if e.imu_error is not None] + acting

@@ -172,7 +172,7 @@ def problem_of(
 ) -> tuple[Problem, Start]:
     """The problem these kinds of observation make of the recording, and where it starts."""
     observed, begin = observed_of(recording, kinds, rests, earth, start)
-    problem = build(recording, effects, observed, *earth)
+    problem = build(recording, effects, observed, *earth, rests=rests)
     if "magnetometer" not in kinds or mag_hard_iron.EFFECT.id not in {e.id for e in effects}:
         return problem, begin
     iron, sigma = mag_hard_iron.sphere(recording)

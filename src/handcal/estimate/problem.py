@@ -9,7 +9,7 @@ problem together, ``corrected`` and ``derivatives`` make its readings and slopes
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -71,7 +71,8 @@ class Problem:
     these, and wandering: of each that is a bias; alpha: known angular acceleration (n, 3) at
     the IMU's samples, rad/s^2. slopes: at ref, of what has been linearised about a trajectory;
     the online filter reads ``nodes.J`` instead. error: (n, 6) at the IMU's samples, what the
-    effects were last found to add; where the next search for that begins.
+    effects were last found to add; where the next search for that begins. rests (r, 2): from when
+    until when the device rests, s.
     """
 
     recording: Recording
@@ -93,6 +94,7 @@ class Problem:
     alpha: Array | None = None
     slopes: Slopes | None = None
     error: Array | None = None
+    rests: Array = field(default_factory=lambda: np.zeros((0, 2)))
 
     @property
     def constants(self) -> int:
