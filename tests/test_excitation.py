@@ -18,13 +18,14 @@ from handcal.effects import Param, Signals, select
 from handcal.estimate.baseline import baseline
 from handcal.estimate.case import case_of, creeping
 from handcal.estimate.corrected import corrected_readings
-from handcal.estimate.derivatives import QUIET_RATE, _calmed, differentiated
+from handcal.estimate.derivatives import _calmed, differentiated
 from handcal.estimate.exciting import _wandering
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.scan import scan
 from handcal.estimate.transfer import at_constants
 from handcal.explain.pipeline import explain
+from handcal.recordings.segment import rests
 from handcal.types import Array, Imu, Recording
 from handcal_sim import simulate
 from handcal_sim.phone import Phone, capture_pose, consumer_phone
@@ -44,12 +45,13 @@ def test_a_rest_knows_nothing_of_the_turn_after_it(effect: str) -> None:
     accel = np.tile([0.0, 0.0, 9.80665], (len(t), 1))
     recording = Recording("rest", Imu(t, gyro, accel, np.ones(len(t), dtype=np.bool_)))
     problem, _ = problem_of(recording, [effect], ("fixed_position",))
+    problem = replace(problem, rests=rests(recording))
     zero = np.zeros(3)
     done = corrected_readings(problem, np.zeros(problem.constants), zero, zero)
     slopes = differentiated(done, np.zeros((len(t), 6))).slopes
     assert slopes is not None
+    assert len(problem.rests)
     rest = problem.nodes.t < STARTS_S - 0.2
-    assert problem.rate[rest].max() < QUIET_RATE
     assert np.abs(slopes.values[rest]).max() == 0.0
     assert np.abs(slopes.values[~rest]).max() > 0.5
 

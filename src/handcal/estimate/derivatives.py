@@ -75,16 +75,18 @@ def differentiated(
     swinging = _swinging(problem)
     if swinging and C_nb is not None:
         parts = _turned(parts, swinging, C_nb)
-    at_imu = np.stack([p[2] for p in parts]) if parts else np.zeros((0, len(imu.t)))
     if noise is not None:
-        at_imu = _calmed(at_imu, recording.rate_hz, quiet)
+        rate = recording.rate_hz
+        parts = [(c, k, _calmed(x[None], rate, quiet)[0]) for c, k, x in parts]
     if swinging and C_nb is not None:
-        _turn_back(parts, swinging, C_nb, at_imu)
+        parts = _turned(parts, swinging, C_nb.transpose(0, 2, 1))
+    channels, columns = (np.array([p[k] for p in parts], dtype=np.int64) for k in (0, 1))
     right = np.clip(np.searchsorted(imu.t, nodes.t), 1, len(imu.t) - 1)
     share = (nodes.t - imu.t[right - 1]) / (imu.t[right] - imu.t[right - 1])
     values = np.empty((len(nodes.t), len(parts)))
-    _onto_nodes(at_imu, right, share, values)
-    channels, columns = (np.array([p[k] for p in parts], dtype=np.int64) for k in (0, 1))
+    for s in range(len(parts)):  # (a column at a time, and each is gone then: they are large)
+        _, _, x = parts.pop(0)
+        values[:, s] = x[right - 1] * (1.0 - share) + x[right] * share
     return replace(
         problem,
         nodes=nodes._replace(J=np.zeros((len(nodes.t), 6, 0))),
@@ -132,7 +134,8 @@ def _turned(
 ) -> list[tuple[int, int, Array]]:
     """The same with what swinging constants do to the accelerometer along axes that do not turn:
     averaged like that, the velocity that they lead to stays what it is. Along the sensor's own
-    axes, which turn meanwhile, speeding up and the force towards the centre no longer cancel."""
+    axes, which turn meanwhile, speeding up and the force towards the centre no longer cancel.
+    C_nb transposed turns back."""
     at: dict[int, Array] = {}
     for channel, k, column in parts:
         if k in swinging:
@@ -140,28 +143,6 @@ def _turned(
             at[k] = at[k] + along if k in at else along
     rest = [part for part in parts if part[1] not in swinging]
     return sorted([*rest, *((3 + i, k, at[k][:, i]) for k in at for i in range(3))], key=_place)
-
-
-def _turn_back(
-    parts: Sequence[tuple[int, int, Array]], swinging: Set[int], C_nb: Array, columns: Array
-) -> None:
-    """Columns (s, n) of ``_turned``, along the sensor's axes again."""
-    places: dict[int, list[int]] = {}
-    for s, (_, k, _) in enumerate(parts):
-        if k in swinging:
-            places.setdefault(k, []).append(s)
-    if places:
-        _by_transpose(C_nb, np.array(list(places.values()), dtype=np.int64), columns)
-
-
-@njit
-def _by_transpose(C: Array, places: IntArray, x: Array) -> None:
-    """Multiply three columns of x (s, n) at a time, at ``places`` (k, 3), by C^T (n, 3, 3)."""
-    for own in places:
-        for i in range(x.shape[1]):
-            a, b, c = x[own[0], i], x[own[1], i], x[own[2], i]
-            for j in range(3):
-                x[own[j], i] = C[i, 0, j] * a + C[i, 1, j] * b + C[i, 2, j] * c
 
 
 def _place(part: tuple[int, int, Array]) -> tuple[int, int]:
@@ -205,15 +186,6 @@ def _acting(x: Array) -> BoolArray:
         if left == 0:
             break
     return out
-
-
-@njit
-def _onto_nodes(x: Array, right: IntArray, share: Array, out: Array) -> None:
-    """Columns (s, n) at the IMU's samples, on straight lines, at the nodes (k, s)."""
-    for i in range(len(right)):
-        b, u = right[i], share[i]
-        for c in range(len(x)):
-            out[i, c] = x[c, b - 1] * (1.0 - u) + x[c, b] * u
 
 
 def _stilled(truth: Array, t: Array, quiet: BoolArray) -> Array:

@@ -19,8 +19,10 @@ import numpy as np
 
 from handcal.compiled.kernel import BASE, MAX_DIM
 from handcal.compiled.memory import returned
-from handcal.compiled.preintegration import turn_noise
+from handcal.compiled.preintegration import responses, turn_noise
+from handcal.estimate.derivatives import differentiated
 from handcal.estimate.evidence import Reduction, Scalars, reduce, reduced_of, scalars_of, units
+from handcal.estimate.exciting import unexciting
 from handcal.estimate.folded import Folded, at_epochs
 from handcal.estimate.gathered import gathered, windows
 from handcal.estimate.linear import (
@@ -71,12 +73,10 @@ def by_pieces() -> Iterator[None]:
 
 def is_long(problem: Problem, nominal: Trajectory) -> bool:
     """Whether to go about it piece by piece: many epochs, most of them of readings that may be
-    gathered, and nothing that acts on the IMU's readings or sees more of the past than its own
-    moment."""
+    gathered, and nothing that sees more of the past than its own moment."""
     if not _ALLOWED.get() or len(nominal.node) < LONG or not problem.navigated:
         return False
-    past = any(e.seen for e in problem.effects)
-    if not foldable(problem).any() or past or problem.imu_constants:
+    if not foldable(problem).any() or any(e.seen for e in problem.effects):
         return False
     return len(starts(problem, nominal)) < len(nominal.node) / 2
 
@@ -143,8 +143,20 @@ def released(about: About) -> Reduction:
 
 def corrected_about(problem: Problem, nominal: Trajectory) -> Problem:
     """The problem as it is linearised about the nominal trajectory."""
-    problem, _, _ = prepared(problem, nominal)
+    problem, done, C_nb = prepared(problem, nominal)
+    if done is not None:
+        d = np.zeros((len(nominal.node), 9))
+        for a, b in _spans(len(d)):
+            sub = between(problem, int(nominal.node[a]), int(nominal.node[b]))
+            d[a + 1 : b + 1] = transitions(sub, _some(nominal, a, b), False)[1][1:]
+        problem = differentiated(done, *unexciting(problem, nominal, d, C_nb))
     return believing(problem, nominal.constants)
+
+
+def _spans(epochs: int) -> Iterator[tuple[int, int]]:
+    """First and last epoch of each piece; the last is the first of the next."""
+    last = epochs - 1
+    return ((a, min(a + PIECE, last)) for a in range(0, last, PIECE))
 
 
 def _reduced(problem: Problem, start: Start, nominal: Trajectory) -> Reduction:
@@ -171,8 +183,8 @@ def _gathered(
     gaps = np.zeros((K, 9, 9)) if problem.nodes.extra.any() else np.broadcast_to(0.0, (K, 9, 9))
     Q = np.zeros((2, K, 9, 9))
     linear = Linear(
-        problem, at_epochs(nominal, begin), start, np.zeros((K, 9, BASE)), np.zeros((K, 9)), Q[0],
-        Q[1], gaps, problem.nodes.t[nominal.node[begin]], rate[begin],
+        problem, at_epochs(nominal, begin), start, np.zeros((K, 9, BASE + problem.imu_constants)),
+        np.zeros((K, 9)), Q[0], Q[1], gaps, problem.nodes.t[nominal.node[begin]], rate[begin],
         np.zeros(K + 1, dtype=np.int64), q, np.zeros((0, 1)), np.zeros((0, 1, problem.size)),
         np.zeros(0, dtype=np.bool_),
     )  # fmt: skip
@@ -207,8 +219,10 @@ def _piece(
 ) -> Linear:
     """The epochs from a to b, linearised; rate (k,): of turning, at all epochs, rad/s."""
     sub = between(problem, int(nominal.node[a]), int(nominal.node[b]))
-    part = _some(nominal, a, b)
-    Phi, d, Q, _ = transitions(sub, part, False)
+    part, slopes = _some(nominal, a, b), sub.slopes
+    Phi, d, Q, W = transitions(sub, part, slopes is not None)
+    if slopes is not None:
+        responses(W, slopes.values, slopes.channel, slopes.column, part.node, Phi[:, :, BASE:])
     turn_noise(Phi, d)
     return replace(observed(sub, start, part, (Phi, d, (Q[0], Q[1], Q[2]))), rate=rate[a : b + 1])
 
@@ -225,9 +239,9 @@ def _some(nominal: Trajectory, a: int, b: int) -> Trajectory:
 def each(problem: Problem, start: Start, nominal: Trajectory) -> Iterator[tuple[int, Linear]]:
     """The epochs of a long recording linearised, a piece at a time, with the number of its first:
     that is the last of the piece before, which has its readings. problem: ``corrected_about``."""
-    rate, last = turning(problem, nominal.node), len(nominal.node) - 1
-    for a in range(0, last, PIECE):
-        yield a, _piece(problem, start, nominal, rate, a, min(a + PIECE, last))
+    rate = turning(problem, nominal.node)
+    for a, b in _spans(len(nominal.node)):
+        yield a, _piece(problem, start, nominal, rate, a, b)
 
 
 def filled(problem: Problem, old: Trajectory, there: Trajectory, of: IntArray) -> Trajectory:
