@@ -17,10 +17,13 @@ def features(signals: Signals) -> list[tuple[int, int, Array]]:
     return [(3 + i, k, signals.accel[:, j : j + 1]) for k, (i, j) in enumerate(_PAIRS)]
 
 
+# Beyond it axes are other axes.
+MOST = 0.3
+
 EFFECT = Effect(
     id="accel_misalignment",
     title="Accelerometer misalignment",
-    parameters=tuple(Param("xyz"[i] + "xyz"[j], "rad", 0.01) for i, j in _PAIRS),
+    parameters=tuple(Param("xyz"[i] + "xyz"[j], "rad", 0.01, most=MOST) for i, j in _PAIRS),
     story="The accelerometer's axes are not square to each other.",
     source="paper 003, equation 2",
     motion="Gravity along each axis and between them.",

@@ -12,10 +12,13 @@ def features(signals: Signals) -> list[tuple[int, int, Array]]:
     return [(3 + i, i, signals.accel[:, i : i + 1]) for i in range(3)]
 
 
+# Beyond it the full scale or the unit is wrong.
+MOST = 0.3
+
 EFFECT = Effect(
     id="accel_scale",
     title="Accelerometer scale error",
-    parameters=(Param("x", "1", 0.01), Param("y", "1", 0.01), Param("z", "1", 0.01)),
+    parameters=tuple(Param(axis, "1", 0.01, most=MOST) for axis in "xyz"),
     story="The accelerometer reports every force a fixed fraction too large or too small.",
     source="paper 002, equation 1",
     motion="Each axis up and down for a while, so that gravity pulls on it from both sides.",

@@ -14,10 +14,13 @@ def features(signals: Signals) -> list[tuple[int, int, Array]]:
     return [(i, k, signals.gyro[:, j : j + 1]) for k, (i, j) in enumerate(_PAIRS)]
 
 
+# Beyond it axes are other axes.
+MOST = 0.3
+
 EFFECT = Effect(
     id="gyro_misalignment",
     title="Gyro misalignment",
-    parameters=tuple(Param("xyz"[i] + "xyz"[j], "rad", 0.01) for i, j in _PAIRS),
+    parameters=tuple(Param("xyz"[i] + "xyz"[j], "rad", 0.01, most=MOST) for i, j in _PAIRS),
     story="The gyro's axes are not square to each other, or not square to the accelerometer's.",
     source="paper 003, equation 3",
     motion="At least one turn about each axis.",

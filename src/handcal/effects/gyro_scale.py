@@ -12,10 +12,13 @@ def features(signals: Signals) -> list[tuple[int, int, Array]]:
     return [(i, i, signals.gyro[:, i : i + 1]) for i in range(3)]
 
 
+# Beyond it the full scale or the unit is wrong.
+MOST = 0.3
+
 EFFECT = Effect(
     id="gyro_scale",
     title="Gyro scale error",
-    parameters=(Param("x", "1", 0.01), Param("y", "1", 0.01), Param("z", "1", 0.01)),
+    parameters=tuple(Param(axis, "1", 0.01, most=MOST) for axis in "xyz"),
     story="The gyro reports every turn a fixed fraction too large or too small.",
     source="paper 002, equation 2",
     motion="At least one full turn about each axis, or a turn and its reverse with a heading.",
