@@ -15,7 +15,7 @@ from judge_cases import ROOT, Case
 from handcal_sim.effects import EFFECTS
 from handcal_sim.prove.further import worked_out
 from handcal_sim.prove.given import Ticket
-from handcal_sim.prove.score import outcome
+from handcal_sim.prove.score import claims, outcome
 from handcal_sim.prove.suites import SUITES, Answer
 from handcal_sim.prove.trial import Document, Trial, named, reported
 
@@ -51,7 +51,8 @@ def _drawn(case: Case, trial: Trial) -> Row:
     further = worked_out(Ticket(case.suite, case.number, case.seed), trial.document)
     return {
         "group": trial.answer.group, "outcome": said, "right": said in right,
-        "off": off_truth(trial), "further": {k: _rounded(v) for k, v in further.items()},
+        "off": off_truth(trial), "claims": claims(trial),
+        "further": {k: _rounded(v) for k, v in further.items()},
     }  # fmt: skip
 
 

@@ -31,7 +31,8 @@ def parameters(effect, values, sigma):
 def document(**more):
     fits = {"before": {"log_evidence": 90.0}, "after": {"log_evidence": 100.0}}
     return {
-        "verdict": "explained", "missing": [{"effect": "gyro_scale"}], "unnamed": [], "fit": fits,
+        "verdict": "explained", "missing": [{"effect": "gyro_scale", "probability": 0.97}],
+        "unnamed": [], "fit": fits,
         "held_out": {"log_score_before": 1.0, "log_score_after": 2.0}, "processor_s": 3.0,
         "parameters": parameters("gyro_bias", {"x": 0.012, "y": 0.0, "z": -0.02}, 0.001), **more,
     }  # fmt: skip
@@ -68,6 +69,7 @@ def test_parameters_are_held_against_what_was_drawn_true_biases_and_else_zero(fi
     assert (made["outcome"], made["right"], made["named"]) == ("exact", True, [["gyro_scale"]])
     assert (made["log_evidence"], made["log_evidence_before"]) == (100.0, 90.0)
     assert (made["held_out"], made["seconds"]) == ([1.0, 2.0], 5.0)
+    assert made["claims"] == [(0.97, True)]
 
 
 def test_a_real_recording_is_asked_for_what_is_known_of_it(file):

@@ -228,14 +228,20 @@ def baseline_coverage(trials: Sequence[Trial]) -> dict[str, Any]:
 
 def probabilities(trials: Sequence[Trial]) -> list[dict[str, Any]]:
     """What was claimed to be present with which probability, and how often it was."""
-    claims = []
-    for trial in trials:
-        if "error" in trial.document:
-            continue
-        sets = named(trial.document)
-        right = set(matched(trial.answer.effects, sets).values())
-        for k, missing in enumerate(trial.document["missing"]):
-            claims.append((float(missing["probability"]), k in right))
+    return reliability([claim for trial in trials for claim in claims(trial)])
+
+
+def claims(trial: Trial) -> list[tuple[float, bool]]:
+    """Of each name the probability, and whether what it stands for is there."""
+    if "error" in trial.document:
+        return []
+    right = set(matched(trial.answer.effects, named(trial.document)).values())
+    found = enumerate(trial.document["missing"])
+    return [(float(missing["probability"]), k in right) for k, missing in found]
+
+
+def reliability(claims: Sequence[tuple[float, bool]]) -> list[dict[str, Any]]:
+    """Claims by their probability: how many came true of each range."""
     rows = []
     for low, high in itertools.pairwise((*_EDGES, math.inf)):
         inside = [(p, true) for p, true in claims if low <= p < high]
