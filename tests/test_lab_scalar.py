@@ -19,7 +19,9 @@ from handcal.estimate.regression import unknowns
 from handcal.lab.norm_rows import Problem, carried_by_gyro, unit
 from handcal.lab.papers import paper_001
 from handcal.lab.scalar import DEFAULT, from_poses, halves, scalar
-from handcal.lab.stretches import extra_variance
+from handcal.lab.stretches import extra_variance, means
+from handcal.lab.turns import turns as between
+from handcal.recordings import segment
 from handcal.types import HandcalError, Imu, InputError
 
 G = 9.80665
@@ -295,6 +297,43 @@ def test_real_devices_agree_with_published_calibrations(name, real_recordings):
         for p, value in zip(found[effect], values, strict=True):
             assert abs(p.value - value) < tolerance, (effect, p.name, p.value)
             assert p.sigma < tolerance, (effect, p.name, p.sigma)
+
+
+# Mikov, Reginya and Moschevikin (2020), in per cent, each to 0.12; a common factor of the
+# accelerometer's scales is their gravity.
+IMU_CALIB = {
+    0: {"accel_scale": (0.363, 0.315, 0.647), "gyro_scale": (0.041, 0.457, 0.826)},
+    3: {"accel_scale": (0.263, 0.448, 0.721), "gyro_scale": (0.227, 0.599, 0.308)},
+}
+
+
+@pytest.mark.parametrize("device", list(IMU_CALIB))
+def test_rests_a_few_samples_apart_calibrate_as_published(device, real_recordings):
+    """Issue 75: in the recording of device 3 two pauses are three samples apart."""
+    result = scalar(handcal.load(real_recordings / "devices" / f"imu_calib_{device}.csv"))
+    for effect, per_cent in IMU_CALIB[device].items():
+        own = [p for p in result.parameters if p.effect == effect]
+        apart = np.array([p.value for p in own]) - 0.01 * np.array(per_cent)
+        sigma = np.hypot(0.0012, [p.sigma for p in own])
+        if effect == "accel_scale":
+            apart -= np.average(apart, weights=1.0 / sigma**2)
+        assert np.abs(apart / sigma).max() < 2.0, (effect, apart)
+
+
+def test_a_turn_of_three_samples_is_one(table):
+    """Issue 75: two rests as near as that gave a turn of which nothing was a number."""
+    rests = means(table, segment.with_pauses(table))
+    a, b = int(rests.first[0]), int(rests.last[0])
+    middle = (a + b) // 2
+    near = means(
+        table,
+        np.array(
+            [[table.imu.t[a], table.imu.t[middle]], [table.imu.t[middle + 2], table.imu.t[b]]]
+        ),
+    )
+    found = between(table, near)
+    assert len(found) == 1
+    assert 0.0 < found.missed[0] < 1e-3
 
 
 # What is injected in the next test: small, of all kinds.
