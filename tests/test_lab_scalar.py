@@ -336,6 +336,26 @@ def test_a_turn_of_three_samples_is_one(table):
     assert 0.0 < found.missed[0] < 1e-3
 
 
+def test_an_accelerometer_alone_is_calibrated(table, tmp_path, monkeypatch, capsys):
+    imu = table.imu
+    path, numbers = tmp_path / "a.csv", tmp_path / "a.json"
+    header = "t,ax,ay,az"
+    np.savetxt(path, np.c_[imu.t, imu.accel], delimiter=",", header=header, comments="")
+    status, out, _ = command(monkeypatch, capsys, "lab", "scalar", path, "--json", numbers)
+    assert status == 0
+    assert "Gyro" not in out
+    found = json.loads(numbers.read_text())["parameters"]
+    both = {(p.effect, p.name): p for p in scalar(table).parameters}
+    assert len(found) == 9
+    for p in found:
+        other = both[p["effect"], p["name"]]
+        assert abs(p["value"] - other.value) < 3.0 * np.hypot(p["sigma"], other.sigma)
+        assert p["sigma"] < 3.0 * other.sigma
+    said = command(monkeypatch, capsys, "lab", "scalar", path, "--effects", "gyro_scale")
+    assert said[0] == 2
+    assert "holds the accelerometer alone" in said[2]
+
+
 # What is injected in the next test: small, of all kinds.
 OWN = {"accel_bias": (0.2, -0.1, 0.3), "accel_scale": (0.01, -0.02, 0.015),
        "accel_misalignment": (0.01, -0.008, 0.005)}  # fmt: skip

@@ -80,23 +80,29 @@ class _Solution:
 
 def scalar(
     recording: Recording,
-    effects: Sequence[str] = DEFAULT,
+    effects: Sequence[str] | None = None,
     gravity: float = STANDARD_GRAVITY,
     only: BoolArray | None = None,
     extra: Mapping[str, float] | None = None,
 ) -> Scalar:
     """Calibrate from the rests of a recording.
 
-    effects: ids; constant biases are always estimated. gravity: m/s^2. only (r,): which of the
-    rests that are found to use. extra: as in ``Scalar``, where it is known already.
+    effects: ids, else ``DEFAULT``; constant biases are always estimated. Of an accelerometer alone
+    its own. gravity: m/s^2. only (r,): which of the rests that are found to use. extra: as in
+    ``Scalar``, where it is known already.
 
     Errors: InputError for effects that rests cannot show; HandcalError where there are too
     few rests, or they do not tell the parameters apart, or nothing fits.
     """
-    acting = (*BIASES, *chosen(effects, "temperature" in recording.streams))
+    biases = tuple(e for e in BIASES if _of(e.id, recording.sensors))
+    ids = [e for e in DEFAULT if _of(e, recording.sensors)] if effects is None else effects
+    acting = (*biases, *chosen(ids, "temperature" in recording.streams))
+    for e in acting:
+        if not _of(e.id, recording.sensors):
+            raise InputError(f"{e.id}: {recording.path} holds the accelerometer alone.")
     refuse_dead(recording)
     rests = means(recording, segment.with_pauses(recording))
-    between = turns(recording, rests)
+    between = turns(recording, rests) if "gyro" in recording.sensors else no_turns()
     if only is not None:
         rests, between = rests.only(only), between.only(only)
     problem = Problem(acting, regression.unknowns(acting), rests, between, gravity)
@@ -107,11 +113,16 @@ def scalar(
     refuse_incredible((p.effect, p.name, p.value) for p in parameters)
     before_after = np.zeros_like(found.x), found.x
     return Scalar(
-        recording, tuple(e.id for e in acting[2:]), parameters, found.P, gravity, rests,
+        recording, tuple(e.id for e in acting[len(biases):]), parameters, found.P, gravity, rests,
         np.stack([np.linalg.norm(_felt(problem, x), axis=1) - gravity for x in before_after], 1),
         between, np.stack([_closures(problem, x) for x in before_after], 1), found.extra,
         _warnings(problem),
     )  # fmt: skip
+
+
+def _of(effect: str, sensors: Sequence[str]) -> bool:
+    """Whether an effect is one of these sensors."""
+    return "gyro" in sensors or not effect.startswith("gyro")
 
 
 def from_poses(
