@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +19,7 @@ from handcal.estimate.regression import BIASES as CONSTANT
 from handcal.estimate.regression import unknowns
 from handcal.lab.norm_rows import Problem, carried_by_gyro, unit
 from handcal.lab.papers import paper_001
-from handcal.lab.scalar import DEFAULT, from_poses, halves, scalar
+from handcal.lab.scalar import DEFAULT, from_poses, halves, of_few_rests, scalar
 from handcal.lab.stretches import extra_variance, means
 from handcal.lab.turns import turns as between
 from handcal.recordings import segment
@@ -354,6 +355,51 @@ def test_an_accelerometer_alone_is_calibrated(table, tmp_path, monkeypatch, caps
     said = command(monkeypatch, capsys, "lab", "scalar", path, "--effects", "gyro_scale")
     assert said[0] == 2
     assert "holds the accelerometer alone" in said[2]
+
+
+def test_a_misfit_of_rests_names_what_would_leave_less(table):
+    """Issue 75: it was called a lack of rests."""
+    lean = table.imu.accel + 0.2 * np.abs(table.imu.accel) * [0.0, 0.0, 1.0]
+    with pytest.raises(HandcalError) as refused:
+        scalar(replace(table, imu=replace(table.imu, accel=lean)))
+    said = str(refused.value)
+    assert re.match(r"These effects leave .* unexplained; accel_asymmetry would leave", said)
+    assert "--effects accel_scale,accel_misalignment,gyro_scale,gyro_misalignment,accel_asy" in said
+
+
+def test_info_and_lab_scalar_agree_about_ten_rests(cases, monkeypatch, capsys):
+    path = cases / "ten_rests_real.csv"
+    status, _, refusal = command(monkeypatch, capsys, "lab", "scalar", path)
+    assert status == 1
+    asked = re.search(r"These would work: --effects (\S+)\.$", refusal.strip())[1]
+    _, out, _ = command(monkeypatch, capsys, "info", path)
+    assert f"--effects {asked}" in " ".join(out.split())
+    numbers = ["--effects", asked, "--json", "-"]
+    status, out, _ = command(monkeypatch, capsys, "lab", "scalar", path, *numbers)
+    assert status == 0
+    # as published, in per cent and mg
+    found = [(p["effect"], p["value"], p["sigma"]) for p in json.loads(out)["parameters"]]
+    for effect, si, published in (
+        ("accel_scale", 0.01, (-0.57, 0.29, 2.16)), ("accel_bias", G * 1e-3, (43.4, -21.9, -112.3)),
+    ):  # fmt: skip
+        own = [(value, sigma) for e, value, sigma in found if e == effect]
+        for (value, sigma), known in zip(own, published, strict=True):
+            assert abs(value - si * known) < 3.0 * sigma, effect
+
+
+def test_few_rests_are_refused_with_the_effects_that_would_work(table):
+    """Eight rests: seven unknowns of the accelerometer are one less than they are."""
+    rests = means(table, segment.with_pauses(table))
+    end = rests.span[7, 1] + 0.2
+    m = table.imu.t < end
+    imu = Imu(*(x[m] for x in (table.imu.t, table.imu.gyro, table.imu.accel, table.imu.valid)))
+    short = replace(table, imu=imu, streams={})
+    with pytest.raises(HandcalError, match="too few") as refused:
+        scalar(short)
+    asked = re.search(r"These would work: --effects (\S+)\.$", str(refused.value))[1]
+    result = scalar(short, asked.split(","))
+    assert {p.effect for p in result.parameters} >= {"accel_scale", "gyro_scale"}
+    assert asked in of_few_rests(short)
 
 
 # What is injected in the next test: small, of all kinds.
