@@ -32,7 +32,7 @@ def info(
     check_outputs((json, report), (file,))
     recording = load(file, topic, units)
     form, found = format_of(file), overview(recording)
-    stated = getattr(form, "UNITS", "SI")
+    stated = recording.file_units or getattr(form, "UNITS", "SI")
     if units:
         stated += f"; overruled by --units {units}"
     result = Info(form.UNDERSTOOD, stated, found, seen(found), of_few_rests(recording))

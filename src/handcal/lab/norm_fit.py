@@ -37,6 +37,8 @@ class Solution:
 
 
 def enough(problem: Problem, spare: int = 0) -> None:
+    """Errors: HandcalError without a rest; Unseen where there are fewer than unknowns and these
+    to spare."""
     r = len(problem.rests)
     if r == 0:
         raise HandcalError(
