@@ -354,9 +354,12 @@ def dot(r: Recording) -> bytes:
     return head.encode() + rows(header, range(len(us)), us, *value)
 
 
-def messages(r: Recording, types: Any, odometry: str = "") -> list[tuple[str, str, int, object]]:
+def messages(
+    r: Recording, types: Any, odometry: str = "", apart: tuple[str, ...] = ()
+) -> list[tuple[str, str, int, object]]:
     """Topic, type, stamp in ns and message of rosbags' own types, in time. odometry: the type
-    that holds the pose instead of a PoseStamped."""
+    that holds the pose instead of a PoseStamped. apart: places each of which has a topic for the
+    gyro and one for the accelerometer, the other half zero, as RealSense's driver makes them."""
     cls = types.types
     covariance, none = np.zeros(9), cls["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
 
@@ -371,8 +374,12 @@ def messages(r: Recording, types: Any, odometry: str = "") -> list[tuple[str, st
     out: list[tuple[str, str, int, object]] = []
     name = "sensor_msgs/msg/Imu"
     for ns, g, f in zip(stamps(r), r.imu.gyro, r.imu.accel, strict=True):
-        values = (none, covariance, vector(g), covariance, vector(f), covariance)
-        out.append(("/phone/imu", name, ns, cls[name](header(ns), *values)))
+        zero = np.zeros(3)
+        halves = [(f"{place}/{sensor}/sample", *both) for place in apart
+                  for sensor, both in (("gyro", (g, zero)), ("accel", (zero, f)))]  # fmt: skip
+        for topic, rate, force in halves or [("/phone/imu", g, f)]:
+            values = (none, covariance, vector(rate), covariance, vector(force), covariance)
+            out.append((topic, name, ns, cls[name](header(ns), *values)))
     if not r.streams:
         return out
     name = "sensor_msgs/msg/MagneticField"
@@ -398,7 +405,9 @@ def messages(r: Recording, types: Any, odometry: str = "") -> list[tuple[str, st
     return sorted(out, key=lambda one: one[2])
 
 
-def ros1_bag(r: Recording, compression: str = "", odometry: str = "") -> bytes:
+def ros1_bag(
+    r: Recording, compression: str = "", odometry: str = "", apart: tuple[str, ...] = ()
+) -> bytes:
     """By the package rosbags."""
     from rosbags.rosbag1 import Writer
     from rosbags.typesys import Stores, get_typestore
@@ -410,12 +419,13 @@ def ros1_bag(r: Recording, compression: str = "", odometry: str = "") -> bytes:
         if compression:
             writer.set_compression(Writer.CompressionFormat[compression])
         with writer:
-            _write(writer, messages(r, types, odometry), types, types.serialize_ros1)
+            rows = messages(r, types, odometry, apart)
+            _write(writer, rows, types, types.serialize_ros1)
         return path.read_bytes()
 
 
 def ros2_bag(path: Path, r: Recording, storage: str = "SQLITE3", odometry: str = "",
-             compression: str = "") -> Path:  # fmt: skip
+             compression: str = "", apart: tuple[str, ...] = ()) -> Path:  # fmt: skip
     """A folder, by the package rosbags."""
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
@@ -425,7 +435,7 @@ def ros2_bag(path: Path, r: Recording, storage: str = "SQLITE3", odometry: str =
     if compression:
         writer.set_compression(CompressionMode[compression], CompressionFormat.ZSTD)
     with writer:
-        _write(writer, messages(r, types, odometry), types, types.serialize_cdr)
+        _write(writer, messages(r, types, odometry, apart), types, types.serialize_cdr)
     return path
 
 

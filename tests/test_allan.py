@@ -3,15 +3,19 @@
 import json
 import math
 import re
+from dataclasses import replace
 
 import allantools
 import numpy as np
 import pytest
+from lab_world import command as typed
 
+import handcal
 from handcal.allan import analysis, overlapping, terms
 from handcal.commands.allan import _span
 from handcal.commands.allan import allan as command
 from handcal.recordings.export import write_mcap
+from handcal.recordings.inputs import load
 from handcal.show.allan import allan_json, draw, write_allan_report
 from handcal.types import HandcalError, Imu, InputError, Recording
 
@@ -214,3 +218,75 @@ def test_command_page_and_json(tmp_path, capsys, analysed):
 def test_a_whole_minute_is_enough():
     """Sixty seconds of samples last one interval less than sixty seconds."""
     assert analysis.analyse(recording(1, 2**14, walk=False), (0.0, 60.0)).span[0] == 0.0
+
+
+# --- one sensor, and lost samples (issue 75) ----------------------------------------------------
+
+
+def without(whole, share, in_a_row=1):
+    """The recording with a share of its samples lost, so many in a row."""
+    keep = np.random.default_rng(9).random(len(whole.imu.t)) > share / in_a_row
+    for _ in range(in_a_row - 1):
+        keep[1:] &= keep[:-1] | ~np.r_[True, keep[:-2]]
+    imu = whole.imu
+    return replace(whole, imu=Imu(imu.t[keep], imu.gyro[keep], imu.accel[keep], imu.valid[keep]))
+
+
+@pytest.mark.parametrize("share", [0.002, 0.02, 0.05])
+def test_lost_samples_are_interpolated_and_said(share):
+    whole = recording(0, walk=False)
+    lossy = without(whole, share)
+    result = analysis.analyse(lossy)
+    assert result.span[1] - result.span[0] > 0.99 * whole.duration_s
+    lost = len(whole.imu.t) - len(lossy.imu.t)
+    (said,) = (w for w in result.warnings if "interpolated" in w)
+    assert abs(int(said.split()[0]) - lost) <= 2  # (one at the very end is none)
+    for c, n in zip(result.channels, N, strict=True):
+        white = c.term("N")
+        assert abs(white.value - n) < 4 * white.sigma + 0.75 * share * n
+
+
+def test_late_stamps_are_no_losses():
+    """A sample that came late has a short interval behind it."""
+    whole = recording(0, walk=False)
+    t = whole.imu.t.copy()
+    t[[10_000, 20_000]] += 0.7 / RATE
+    result = analysis.analyse(replace(whole, imu=replace(whole.imu, t=t)), (0.0, 1e4))
+    assert not any("interpolated" in w for w in result.warnings)
+
+
+def test_more_than_a_tenth_lost_is_not_made_up():
+    with pytest.raises(HandcalError, match="without gaps"):
+        analysis.analyse(without(recording(0), 0.15))
+
+
+@pytest.mark.parametrize("sensor", ["gyro", "accel"])
+def test_one_sensor_alone_is_analysed_and_refused_elsewhere(sensor, tmp_path, capsys, monkeypatch):
+    whole = recording(0)
+    value = getattr(whole.imu, sensor)
+    names = ",".join(f"{sensor[0]}{axis}" for axis in "xyz")
+    path, page = tmp_path / "one.csv", tmp_path / "one.html"
+    np.savetxt(path, np.c_[whole.imu.t, value], delimiter=",", header=f"t,{names}", comments="")
+    result = analysis.analyse(load(path, needs=()))
+    both = analysis.analyse(whole)
+    assert [c.name for c in result.channels] == [f"{sensor}_{axis}" for axis in "xyz"]
+    assert result.span == both.span
+    own = [c for c in both.channels if c.sensor == sensor]
+    for c, same in zip(result.channels, own, strict=True):
+        np.testing.assert_allclose(c.deviation, same.deviation, rtol=1e-9)
+    write_allan_report(result, page)
+    assert page.read_text().count("<svg") == 4
+    assert len(allan_json(result)["channels"]) == 3
+    status, _, said = typed(monkeypatch, capsys, "calibrate", path)
+    assert status == 2
+    assert "Only handcal allan takes a gyroscope or an accelerometer alone" in said
+    with pytest.raises(InputError, match="alone"):
+        handcal.calibrate(handcal.read(path, needs=()))
+
+
+def test_files_of_one_sensor_and_with_losses(cases):
+    gyro = analysis.analyse(load(cases / "gyro_only.csv", needs=()))
+    assert {c.sensor for c in gyro.channels} == {"gyro"}
+    lossy = analysis.analyse(load(cases / "still_2_percent_lost.csv"))
+    assert lossy.span[1] - lossy.span[0] > 230.0
+    assert any("lost samples of" in w for w in lossy.warnings)

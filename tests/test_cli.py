@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from fake_result import fake_frames, fake_result
+from lab_world import command
 
 import handcal
 from handcal import output
@@ -325,3 +326,33 @@ def test_what_stands_in_columns_stays_so_and_line_breaks_do_not(capsys):
     out, said = capsys.readouterr()
     assert out == "  gyro bias x    1.5 deg/s  enough\na name with breaks?[2J\n"
     assert said == "handcal:   two  spaces\n"
+
+
+@pytest.mark.parametrize(
+    ("typed", "meant"),
+    [(["explian"], "explain"), (["lab", "scalr"], "scalar"), (["alan"], "allan")],
+)
+def test_a_mistyped_command_is_asked_after(typed, meant, monkeypatch, capsys):
+    status, _, said = command(monkeypatch, capsys, *typed)
+    assert status == 2
+    assert f"Did you mean {meant}" in said
+    assert len(said.splitlines()) == 1
+
+
+def test_a_result_given_as_a_recording_is_recognised(tmp_path, monkeypatch, capsys):
+    path = tmp_path / "result.json"
+    for kind, remedy in (
+        ("calibration", f"handcal apply RECORDING --from {path}"),
+        ("explanation", f"handcal apply RECORDING --from {path}"),
+        ("allan", "name the recording"),
+    ):
+        path.write_text(json.dumps({"schema": f"handcal/{kind}/1", "parameters": []}))
+        status, _, said = command(monkeypatch, capsys, "calibrate", path)
+        assert status == 2
+        assert "and no recording: " in said
+        assert remedy in said
+
+
+def test_wrong_input_is_a_value_error(tmp_path):
+    with pytest.raises(ValueError, match="does not exist"):
+        handcal.read(tmp_path / "nothing.csv")

@@ -9,9 +9,12 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import format_files
 import numpy as np
 import pytest
+from lab_world import command
 from rich.console import Console
+from sample_recording import sample
 from typer.testing import CliRunner
 from worlds import recording_of
 
@@ -198,3 +201,15 @@ def test_a_held_point_teaches_without_rests() -> None:
     found = seen(overview(handcal.load(SEALED)))
     for told in ("gyro_scale", "accel_scale", "gyro_misalignment", "accel_misalignment"):
         assert len(of(found, told)) == len(select([told])[0].parameters), told
+
+
+@pytest.mark.parametrize("brand", ["Apple", "Google"])
+def test_units_are_those_of_the_system_that_wrote_the_file(brand, tmp_path, monkeypatch, capsys):
+    """Issue 75: of an Android file it spoke of iOS."""
+    path = tmp_path / "export.zip"
+    path.write_bytes(format_files.zipped(format_files.phyphox(sample(n=300), brand=brand)))
+    status, out, _ = command(monkeypatch, capsys, "info", path, "--json", "-")
+    assert status == 0
+    stated = json.loads(out)["units"]["stated"]
+    assert "iOS" not in stated
+    assert ("9.81 to a g" in stated) == (brand == "Apple")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from format_files import database, ros1_bag, ros2_bag, small
+from format_files import database, messages, ros1_bag, ros2_bag, small
 from sample_recording import START_NS, sample
 from test_inputs_formats import same, written
 
@@ -137,3 +137,74 @@ def test_which_pose_is_taken(tmp_path: Path) -> None:
         )
     np.testing.assert_array_equal(load(path).streams["pose"].value, [[9, 8, 7, 1, 0, 0, 0]])
     same(load(path, topics={"pose": "/vicon/somewhere"}), expected, atol=1e-12)
+
+
+# --- gyro and accelerometer in topics of their own (issue 75) -----------------------------------
+
+
+def every_bag(folder: Path, apart: tuple[str, ...]) -> list[Path]:
+    """A ROS 1 bag, a ROS 2 bag and one of MCAP."""
+    one = sample(n=300)
+    return [
+        written(folder, ".bag", ros1_bag(one, apart=apart)),
+        ros2_bag(folder / "database", one, apart=apart),
+        ros2_bag(folder / "mcap", one, "MCAP", apart=apart),
+    ]
+
+
+def test_a_topic_for_each_sensor_is_joined_and_said(tmp_path: Path) -> None:
+    for path in every_bag(tmp_path, ("/camera",)):
+        got = load(path)
+        same(got, sample(n=300), atol=1e-12)
+        gyro, accel = (f"/camera/{s}/sample (300 messages)" for s in ("gyro", "accel"))
+        said = f"The gyroscope of {gyro} and the accelerometer of {accel} were joined."
+        assert got.warnings == (said,)
+        assert got.topics["imu"] == "/camera/gyro/sample + /camera/accel/sample"
+
+
+def test_of_several_the_refusal_has_the_option_filled_in(tmp_path: Path) -> None:
+    for path in every_bag(tmp_path, ("/back", "/front")):
+        with pytest.raises(InputError) as refused:
+            load(path)
+        asked = "--topic gyro=/back/gyro/sample --topic accel=/back/accel/sample."
+        assert str(refused.value).endswith(f"Choose with {asked}")
+        options = {"gyro": "/back/gyro/sample", "accel": "/back/accel/sample"}
+        same(load(path, topics=options), sample(n=300), atol=1e-12)
+
+
+def test_a_topic_with_both_comes_before_halves(tmp_path: Path) -> None:
+    """As RealSense's driver publishes where it is asked to unite them."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    types = get_typestore(Stores.ROS2_HUMBLE)
+    rows = [
+        *messages(sample(1, n=300), types, apart=("/camera",)), *messages(sample(n=300), types)
+    ]  # fmt: skip
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        made = {
+            topic: writer.add_connection(topic, kind, typestore=types)
+            for topic, kind in {row[:2] for row in rows if row[1].endswith("Imu")}
+        }
+        for topic, kind, ns, message in sorted(rows, key=lambda row: row[2]):
+            if topic in made:
+                writer.write(made[topic], ns, bytes(types.serialize_cdr(message, kind)))
+    same(load(tmp_path / "bag"), sample(n=300), atol=1e-12)
+
+
+def test_one_sensor_alone_is_refused_and_taken_where_it_is_enough(tmp_path: Path) -> None:
+    for k, path in enumerate(every_bag(tmp_path, ("/camera",))):
+        left = {"gyro": "/camera/gyro/sample", "accel": ""}
+        with pytest.raises(InputError, match="--topic accel=TOPIC"):
+            load(path, topics=left)
+        got = load(path, topics=left, needs=())
+        assert got.sensors == ("gyro",), k
+        np.testing.assert_allclose(got.imu.gyro, sample(n=300).imu.gyro, atol=1e-12)
+        assert not got.imu.accel.any()
+
+
+def test_two_topics_of_a_real_layout(cases: Path) -> None:
+    two, one = load(cases / "two_topics.bag"), load(cases / "one_topic.bag")
+    assert any("were joined" in w for w in two.warnings)
+    assert not one.warnings
+    assert two.rate_hz == pytest.approx(one.rate_hz, rel=1e-3)

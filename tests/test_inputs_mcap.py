@@ -203,7 +203,11 @@ def test_option_that_names_no_topic(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="it holds /left"):
         load(path, topics={"imu": "/nowhere"})
     with pytest.raises(InputError, match="the streams are imu, reference"):
+        load(path, topics={"compass": "/left"})
+    with pytest.raises(InputError, match=r"name the other's topic too, --topic accel=TOPIC"):
         load(path, topics={"gyro": "/left"})
+    with pytest.raises(InputError, match="say the same"):
+        load(path, topics={"gyro": "/left", "imu": "/left"})
 
 
 def test_stream_can_be_left_out(tmp_path: Path) -> None:

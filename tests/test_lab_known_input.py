@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -555,3 +556,50 @@ def test_pages_of_papers_are_what_the_code_computes(number):
 
     page = Path(__file__).resolve().parents[1] / "docs" / f"paper-{number}.md"
     assert markdown(computed(number).tables()) in page.read_text(encoding="utf-8")
+
+
+# --- what does not fit (issue 75) ---------------------------------------------------------------
+
+
+def six_sides(asymmetry, noise=0.02, seed=0):
+    """Averages of the six sides of a device whose z reads up and down differently."""
+    f = 9.80665 * np.vstack([np.eye(3), -np.eye(3)])
+    read = f * [1.005, 0.99, 1.01] + [0.1, -0.2, 0.15] + asymmetry * np.abs(f) * [0.0, 0.1, 1.0]
+    read += noise * np.random.default_rng(seed).standard_normal(f.shape)
+    return steady_tests.of_arrays(None, f, None, read, (1e-11, 1e-11))
+
+
+def test_a_misfit_is_none_of_too_few_tests_and_names_what_would_leave_less():
+    with pytest.raises(HandcalError) as refused:
+        known_input(six_sides(-0.15), ACCEL)
+    said = str(refused.value)
+    assert re.match(r"These effects leave \d+ mg of the accelerometer's readings unexplained", said)
+    assert "add tests" not in said.lower()
+    option = re.search(r"accel_asymmetry would leave ([\d.]+) mg: --effects (\S+)\.$", said)
+    assert float(option[1]) < 10.0
+    again = known_input(six_sides(-0.15), option[2].split(","))
+    z = next(p for p in again.parameters if (p.effect, p.name) == ("accel_asymmetry", "z"))
+    assert abs(z.value + 0.15) < 4.0 * z.sigma
+
+
+def test_a_misfit_that_no_effect_explains_is_said_to_be_one():
+    rng = np.random.default_rng(1)
+    b = six_sides(0.0)
+    torn = replace(b, reading=b.reading + np.r_[0, 0, 0, 3, 3, 3] * rng.standard_normal((6, 6)))
+    with pytest.raises(HandcalError, match="no further effect would leave half of it"):
+        known_input(torn, ACCEL)
+
+
+def test_sides_that_fit_are_calibrated_without_a_word():
+    assert not any("unexplained" in w for w in known_input(six_sides(0.0), ACCEL).warnings)
+
+
+def test_six_averages_typed_in_by_hand(cases, monkeypatch, capsys):
+    path = cases / "six_sides_averages.csv"
+    status, _, said = command(monkeypatch, capsys, "lab", "known-input", path)
+    assert status == 1
+    assert "accel_asymmetry would leave" in said
+    effects = said.split("--effects ")[1].strip().rstrip(".")
+    status, out, _ = command(monkeypatch, capsys, "lab", "known-input", path, "--effects", effects)
+    assert status == 0
+    assert "Accelerometer asymmetry z" in out

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -18,8 +19,10 @@ from handcal.estimate.regression import BIASES as CONSTANT
 from handcal.estimate.regression import unknowns
 from handcal.lab.norm_rows import Problem, carried_by_gyro, unit
 from handcal.lab.papers import paper_001
-from handcal.lab.scalar import DEFAULT, from_poses, halves, scalar
-from handcal.lab.stretches import extra_variance
+from handcal.lab.scalar import DEFAULT, from_poses, halves, of_few_rests, scalar
+from handcal.lab.stretches import extra_variance, means
+from handcal.lab.turns import turns as between
+from handcal.recordings import segment
 from handcal.types import HandcalError, Imu, InputError
 
 G = 9.80665
@@ -295,6 +298,108 @@ def test_real_devices_agree_with_published_calibrations(name, real_recordings):
         for p, value in zip(found[effect], values, strict=True):
             assert abs(p.value - value) < tolerance, (effect, p.name, p.value)
             assert p.sigma < tolerance, (effect, p.name, p.sigma)
+
+
+# Mikov, Reginya and Moschevikin (2020), in per cent, each to 0.12; a common factor of the
+# accelerometer's scales is their gravity.
+IMU_CALIB = {
+    0: {"accel_scale": (0.363, 0.315, 0.647), "gyro_scale": (0.041, 0.457, 0.826)},
+    3: {"accel_scale": (0.263, 0.448, 0.721), "gyro_scale": (0.227, 0.599, 0.308)},
+}
+
+
+@pytest.mark.parametrize("device", list(IMU_CALIB))
+def test_rests_a_few_samples_apart_calibrate_as_published(device, real_recordings):
+    """Issue 75: in the recording of device 3 two pauses are three samples apart."""
+    result = scalar(handcal.load(real_recordings / "devices" / f"imu_calib_{device}.csv"))
+    for effect, per_cent in IMU_CALIB[device].items():
+        own = [p for p in result.parameters if p.effect == effect]
+        apart = np.array([p.value for p in own]) - 0.01 * np.array(per_cent)
+        sigma = np.hypot(0.0012, [p.sigma for p in own])
+        if effect == "accel_scale":
+            apart -= np.average(apart, weights=1.0 / sigma**2)
+        assert np.abs(apart / sigma).max() < 2.0, (effect, apart)
+
+
+def test_a_turn_of_three_samples_is_one(table):
+    """Issue 75: two rests as near as that gave a turn of which nothing was a number."""
+    rests = means(table, segment.with_pauses(table))
+    a, b = int(rests.first[0]), int(rests.last[0])
+    middle = (a + b) // 2
+    near = means(
+        table,
+        np.array(
+            [[table.imu.t[a], table.imu.t[middle]], [table.imu.t[middle + 2], table.imu.t[b]]]
+        ),
+    )
+    found = between(table, near)
+    assert len(found) == 1
+    assert 0.0 < found.missed[0] < 1e-3
+
+
+def test_an_accelerometer_alone_is_calibrated(table, tmp_path, monkeypatch, capsys):
+    imu = table.imu
+    path, numbers = tmp_path / "a.csv", tmp_path / "a.json"
+    header = "t,ax,ay,az"
+    np.savetxt(path, np.c_[imu.t, imu.accel], delimiter=",", header=header, comments="")
+    status, out, _ = command(monkeypatch, capsys, "lab", "scalar", path, "--json", numbers)
+    assert status == 0
+    assert "Gyro" not in out
+    found = json.loads(numbers.read_text())["parameters"]
+    both = {(p.effect, p.name): p for p in scalar(table).parameters}
+    assert len(found) == 9
+    for p in found:
+        other = both[p["effect"], p["name"]]
+        assert abs(p["value"] - other.value) < 3.0 * np.hypot(p["sigma"], other.sigma)
+        assert p["sigma"] < 3.0 * other.sigma
+    said = command(monkeypatch, capsys, "lab", "scalar", path, "--effects", "gyro_scale")
+    assert said[0] == 2
+    assert "holds the accelerometer alone" in said[2]
+
+
+def test_a_misfit_of_rests_names_what_would_leave_less(table):
+    """Issue 75: it was called a lack of rests."""
+    lean = table.imu.accel + 0.2 * np.abs(table.imu.accel) * [0.0, 0.0, 1.0]
+    with pytest.raises(HandcalError) as refused:
+        scalar(replace(table, imu=replace(table.imu, accel=lean)))
+    said = str(refused.value)
+    assert re.match(r"These effects leave .* unexplained; accel_asymmetry would leave", said)
+    assert "--effects accel_scale,accel_misalignment,gyro_scale,gyro_misalignment,accel_asy" in said
+
+
+def test_info_and_lab_scalar_agree_about_ten_rests(cases, monkeypatch, capsys):
+    path = cases / "ten_rests_real.csv"
+    status, _, refusal = command(monkeypatch, capsys, "lab", "scalar", path)
+    assert status == 1
+    asked = re.search(r"These would work: --effects (\S+)\.$", refusal.strip())[1]
+    _, out, _ = command(monkeypatch, capsys, "info", path)
+    assert f"--effects {asked}" in " ".join(out.split())
+    numbers = ["--effects", asked, "--json", "-"]
+    status, out, _ = command(monkeypatch, capsys, "lab", "scalar", path, *numbers)
+    assert status == 0
+    # as published, in per cent and mg
+    found = [(p["effect"], p["value"], p["sigma"]) for p in json.loads(out)["parameters"]]
+    for effect, si, published in (
+        ("accel_scale", 0.01, (-0.57, 0.29, 2.16)), ("accel_bias", G * 1e-3, (43.4, -21.9, -112.3)),
+    ):  # fmt: skip
+        own = [(value, sigma) for e, value, sigma in found if e == effect]
+        for (value, sigma), known in zip(own, published, strict=True):
+            assert abs(value - si * known) < 3.0 * sigma, effect
+
+
+def test_few_rests_are_refused_with_the_effects_that_would_work(table):
+    """Eight rests: seven unknowns of the accelerometer are one less than they are."""
+    rests = means(table, segment.with_pauses(table))
+    end = rests.span[7, 1] + 0.2
+    m = table.imu.t < end
+    imu = Imu(*(x[m] for x in (table.imu.t, table.imu.gyro, table.imu.accel, table.imu.valid)))
+    short = replace(table, imu=imu, streams={})
+    with pytest.raises(HandcalError, match="too few") as refused:
+        scalar(short)
+    asked = re.search(r"These would work: --effects (\S+)\.$", str(refused.value))[1]
+    result = scalar(short, asked.split(","))
+    assert {p.effect for p in result.parameters} >= {"accel_scale", "gyro_scale"}
+    assert asked in of_few_rests(short)
 
 
 # What is injected in the next test: small, of all kinds.

@@ -18,6 +18,7 @@ import pytest
 
 pytest.importorskip("aiohttp")
 
+from format_files import ros2_bag
 from live_page import Page, running, served
 from sample_recording import sample
 
@@ -27,7 +28,7 @@ from handcal.live.sources import foxglove, mcap, phyphox
 from handcal.live.sources.pairing import Pairing
 from handcal.recordings import append
 from handcal.recordings.export import messages, write_mcap
-from handcal.recordings.inputs import Options
+from handcal.recordings.inputs import Options, load
 from handcal.recordings.streams import STREAMS
 from handcal.types import HandcalError, InputError, Recording
 
@@ -284,6 +285,20 @@ def test_a_recorders_growing_file_is_followed(tmp_path, recording):
     assert len(set(seen)) > 3
     has_all(session, recording)
     session.recorder.close()
+
+
+def test_two_topics_of_a_growing_file_are_joined(tmp_path):
+    """Issue 75: RealSense's driver has one for each sensor, the other half zero."""
+    (path,) = ros2_bag(tmp_path / "bag", sample(n=300), "MCAP", apart=("/a",)).glob("*.mcap")
+    session = Session(opened(tmp_path / "recording.mcap"))
+    source = mcap.growing(path, Options())
+    while source.pull(session):
+        pass
+    assert session.recorder.samples == 300
+    session.recorder.close()
+    np.testing.assert_allclose(
+        load(tmp_path / "recording.mcap").imu.accel, sample(n=300).imu.accel, atol=1e-12
+    )
 
 
 def test_what_is_no_growing_recording_is_said(tmp_path):

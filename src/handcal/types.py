@@ -27,8 +27,9 @@ class HandcalError(Exception):
     """A sentence for the user: why there is no result. Exit status 1."""
 
 
-class InputError(HandcalError):
-    """A sentence for the user: what is wrong with a file or an option. Exit status 2."""
+class InputError(HandcalError, ValueError):
+    """A sentence for the user: what is wrong with a file or an option. Exit status 2. In Python it
+    is a ValueError too."""
 
 
 # Letters of a value that a repr shows.
@@ -103,7 +104,9 @@ class Recording(Brief):
     warnings: what the reader repaired, in sentences. topics: of a bag or a log of PX4, by
     stream, where it was read. device, model: what the file itself says of the device, "" where it
     says nothing. bias_temperature: degC, at which temperature errors are zero; a fit takes the
-    recording's mean, so that biases are those at that temperature.
+    recording's mean, so that biases are those at that temperature. sensors: those of the IMU that
+    were recorded, both but where one was asked for alone; the readings of the other are zero.
+    file_units: units and signs in the file, in half a sentence, where its format has several.
     """
 
     path: str
@@ -115,6 +118,8 @@ class Recording(Brief):
     device: str = ""
     model: str = ""
     bias_temperature: float = 25.0
+    sensors: tuple[str, ...] = ("gyro", "accel")
+    file_units: str = ""
 
     @property
     def duration_s(self) -> float:

@@ -5,14 +5,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from handcal.allan import overlapping
 from handcal.allan.terms import LAWS, TERMS, Fit
 from handcal.recordings.segment import rests
-from handcal.types import Array, HandcalError, InputError, NoiseLevel, Recording
+from handcal.types import (
+    Array,
+    BoolArray,
+    HandcalError,
+    Imu,
+    InputError,
+    NoiseLevel,
+    Recording,
+)
 
 CHANNELS = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
 UNITS = {
@@ -28,6 +36,8 @@ FOLLOWS = 0.05  # of deviation: a fit may miss by so much, or by four sigma
 START_S = 2.0  # nor is the fit begun later, for the sake of a filter in the device
 TILT = math.radians(0.2)
 GAP = 1.5  # of the usual interval
+WHOLE = 0.75  # as much of it an interval has that is no late sample's
+MOST_LOST, MOST_IN_A_ROW = 0.1, 3
 
 
 @dataclass(frozen=True)
@@ -83,7 +93,8 @@ class Channel:
 
 @dataclass(frozen=True)
 class Allan:
-    """The noise of all six channels in one stretch of a recording, start and end in s.
+    """The noise of six channels, or of one sensor's three, in one stretch of a recording, start and
+    end in s.
 
     suggested: levels for the filter, in handcal's own names and units.
     """
@@ -102,24 +113,54 @@ class Allan:
 
 
 def analyse(recording: Recording, span: tuple[float, float] | None = None) -> Allan:
-    """Noise of the six channels within span (start, end; s), else in the longest rest.
+    """Noise of the channels within span (start, end; s), else in the longest rest. Of
+    lost samples up to three in a row are interpolated.
 
     Errors: HandcalError where nothing is long enough, InputError for a span outside.
     """
-    first, last, warnings = _stretch(recording, span)
-    imu = recording.imu
+    imu, put_back = _with_lost(recording.imu)
+    first, last, warnings = _stretch(replace(recording, imu=imu), span)
     t = imu.t[first:last]
     rate = (t.size - 1) / float(t[-1] - t[0])
     values = np.column_stack([imu.gyro, imu.accel])[first:last]
     factors, freedom = averaging(t.size)
     channels = []
     for name, x in zip(CHANNELS, values.T, strict=True):
+        if name[:-2] not in recording.sensors:
+            continue
         if not np.ptp(x) > 0:
             raise HandcalError(f"{name} reads the same number throughout: it has no noise to see.")
         channels.append(_channel(name, x, rate, factors, freedom))
+    lost = int(put_back[first:last].sum())
+    if lost:
+        warnings.append(
+            f"{lost} lost samples of {t.size} were interpolated: white noise may be off by "
+            f"{75 * lost / t.size:.2g} % for it."
+        )
     warnings += _doubts(channels, t, values)
     return Allan(recording, (float(t[0]), float(t[-1])), rate, tuple(channels),
                  _suggested(channels), tuple(warnings))  # fmt: skip
+
+
+def _with_lost(imu: Imu) -> tuple[Imu, BoolArray]:
+    """Readings with the few samples that were lost between two others, on the line between these,
+    and which (n,) they are. None is put back where more than a tenth is missing."""
+    step = np.diff(imu.t) / float(np.median(np.diff(imu.t)))
+    beside = np.r_[1.0, step, 1.0]
+    whole = (beside[:-2] > WHOLE) & (beside[2:] > WHOLE)  # (a late sample has a short one beside)
+    lost = np.where((step > GAP) & whole, np.rint(step) - 1.0, 0.0).astype(int)
+    lost[lost > MOST_IN_A_ROW] = 0
+    if lost.sum() > MOST_LOST * len(imu.t):
+        lost[:] = 0
+    n = np.arange(len(imu.t)) + np.r_[0, np.cumsum(lost)]
+    every = np.arange(n[-1] + 1)
+    put_back = np.ones(len(every), dtype=np.bool_)
+    put_back[n] = False
+    line = np.column_stack([imu.t, imu.gyro, imu.accel])
+    full = np.column_stack([np.interp(every, n, column) for column in line.T])
+    full[n] = line
+    valid = np.interp(every, n, imu.valid) == 1.0
+    return Imu(full[:, 0], full[:, 1:4], full[:, 4:], valid), put_back
 
 
 def _stretch(recording: Recording, span: tuple[float, float] | None) -> tuple[int, int, list[str]]:
@@ -251,7 +292,7 @@ def _doubts(channels: Sequence[Channel], t: Array, values: Array) -> list[str]:
     out = []
     blocks = min(20, max(2, int((t[-1] - t[0]) // 10)))
     force = np.array([part.mean(axis=0) for part in np.array_split(values[:, 3:], blocks)])
-    up = force / np.linalg.norm(force, axis=1, keepdims=True)
+    up = force / np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-9)
     tilt = 2 * math.asin(min(1.0, 0.5 * float(
         np.linalg.norm(up[:, None] - up[None], axis=2).max())))  # fmt: skip
     if tilt > TILT:

@@ -29,6 +29,7 @@ from handcal.estimate.calibration import calibrate_together
 from handcal.explain import pipeline
 from handcal.explanation import Explanation as ExplanationData
 from handcal.recordings import inputs
+from handcal.recordings.inputs._options import ALONE, HALVES
 from handcal.types import InputError, Result
 from handcal.types import Recording as RecordingData
 
@@ -61,11 +62,13 @@ def read(
     *,
     topics: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
+    needs: tuple[str, ...] = HALVES,
 ) -> Recording:
     """A recording from a file of any format that the command line reads.
 
-    topics: which MCAP topic is which stream ({"imu": "/phone/imu"}). units: where they are not as
-    the format states ({"accel": "g"}). Errors: InputError.
+    topics: which topic is which stream ({"imu": "/phone/imu"}). units: where they are not as
+    the format states ({"accel": "g"}). needs: of gyro and accel those that there have to be; of
+    one alone ``allan`` makes something. Errors: InputError.
     """
     if not isinstance(path, str | Path):
         raise InputError(f"read takes the path of a file, no {type(path).__name__}; {_OF_ARRAYS}")
@@ -75,7 +78,7 @@ def read(
         for key, value in options.mapping(name, {} if given is None else given, example).items():
             if not isinstance(value, str):
                 raise InputError(f"{name}: {key} takes a name, as {example}, no {value!r:.40}.")
-    read = inputs.load(path, topics=topics, units=units)
+    read = inputs.load(path, topics=topics, units=units, needs=needs)
     return Recording.of(replace(read, warnings=tuple(map(in_python, read.warnings))))
 
 
@@ -146,7 +149,7 @@ def allan(recording: Source, span: tuple[float, float] | None = None) -> Allan:
             raise InputError(f"span takes two numbers (s), (start, end), not {span!r:.40}.")
         for value in span:
             options.number("span", value, " (s)")
-    return Allan.of(analysis.analyse(_one(recording, "allan"), span))
+    return Allan.of(analysis.analyse(_one(recording, "allan", needs=()), span))
 
 
 @spoken()
@@ -211,20 +214,28 @@ def _learnt(learnt: Result | ExplanationData | str | Path) -> device.Learnt:
     )
 
 
-def _one(given: Source, caller: str) -> RecordingData:
+def _one(given: Source, caller: str, needs: tuple[str, ...] = HALVES) -> RecordingData:
     """The one recording that a function takes. Errors: InputError."""
-    found = _recordings(given, caller)
+    found = _recordings(given, caller, needs)
     if len(found) != 1:
         raise InputError(f"{caller} takes one recording, not {len(found)}.")
     return found[0]
 
 
-def _recordings(given: Source | Sequence[Source], caller: str) -> list[RecordingData]:
+def _recordings(
+    given: Source | Sequence[Source], caller: str, needs: tuple[str, ...] = HALVES
+) -> list[RecordingData]:
     """One or several recordings or paths as recordings. Errors: InputError."""
     several = [given] if isinstance(given, RecordingData | str | Path) else given
     if isinstance(several, list | tuple):
         if all(isinstance(one, RecordingData | str | Path) for one in several):
-            return [one if isinstance(one, RecordingData) else read(one) for one in several]
+            found = [
+                one if isinstance(one, RecordingData) else read(one, needs=needs) for one in several
+            ]
+            for one in found:
+                if not set(needs) <= set(one.sensors):
+                    raise InputError(f"{one.path} holds the {one.sensors[0]} alone. {ALONE}")
+            return found
         given = next(x for x in several if not isinstance(x, RecordingData | str | Path))
     raise InputError(
         f"{caller} takes recordings or paths of files, no {type(given).__name__}; {_OF_ARRAYS}"

@@ -40,7 +40,8 @@ Topics = Annotated[
     typer.Option(
         "--topic",
         metavar="NAME=TOPIC",
-        help="Which MCAP topic is which stream, as imu=/phone/imu (repeatable).",
+        help="Which topic is which stream, as imu=/phone/imu, or gyro=/a and accel=/b where they "
+        "are apart (repeatable).",
     ),
 ]
 Units = Annotated[
@@ -198,14 +199,22 @@ def pairs(items: Sequence[str], option: str) -> dict[str, str]:
     return pairs
 
 
-def load(path: Path, topics: list[str] | None, units: str | None) -> Recording:
-    """A recording with the options as typed. Errors: InputError."""
+def load(
+    path: Path,
+    topics: list[str] | None,
+    units: str | None,
+    needs: tuple[str, ...] = ("gyro", "accel"),
+) -> Recording:
+    """A recording with the options as typed; needs: sensors that it has to hold. Errors:
+    InputError."""
     import handcal
 
     chosen = pairs(topics or [], "--topic")
     said = pairs(comma_separated(units or ""), "--units")
     with progress(f"reading {path.name}") as report:
-        recording: Recording = handcal.load(path, topics=chosen, units=said, progress=report)
+        recording: Recording = handcal.load(
+            path, topics=chosen, units=said, progress=report, needs=needs
+        )
     return recording
 
 

@@ -66,6 +66,15 @@ class Commands(TyperGroup):
         finally:
             self.listing = False
 
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """The command that is called; of one that there is not, the nearest names are said."""
+        name = args[0]
+        if not name.startswith("-") and name not in self.list_commands(ctx):
+            from handcal.did_you_mean import did_you_mean
+
+            ctx.fail(f"No such command '{name}'.{did_you_mean(name, self.list_commands(ctx))}")
+        return super().resolve_command(ctx, args)
+
     def invoke(self, ctx: Any) -> Any:
         """Run a command; what goes wrong for a known reason ends in one line on stderr."""
         try:
@@ -234,6 +243,7 @@ def run(app: typer.Typer) -> NoReturn:
         context = getattr(error, "ctx", None)
         path = context.command_path if context else "handcal"
         problem = error.format_message().replace("Value error, ", "")
-        say(f"{problem.rstrip('.')}. See '{path} --help'.")
+        end = "" if problem.endswith((".", "?")) else "."
+        say(f"{problem}{end} See '{path} --help'.")
         status = 2
     sys.exit(status if isinstance(status, int) else 0)

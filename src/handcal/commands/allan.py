@@ -34,7 +34,7 @@ def allan(
 
     check_outputs((json, report), (file,))
     chosen = _span(span)
-    recording = load(file, topic, units)
+    recording = load(file, topic, units, needs=())
     with progress(f"analysing {file.name}"):
         result = analyse(recording, chosen)
     if report:

@@ -22,6 +22,7 @@ def info(
 ) -> None:
     """What a file holds: streams, rates, gaps, units, rests, turns, and what it could teach."""
     from handcal.design.seen import seen
+    from handcal.lab.scalar import of_few_rests
     from handcal.output import check_outputs
     from handcal.recordings.inputs import format_of
     from handcal.recordings.overview import overview
@@ -31,10 +32,10 @@ def info(
     check_outputs((json, report), (file,))
     recording = load(file, topic, units)
     form, found = format_of(file), overview(recording)
-    stated = getattr(form, "UNITS", "SI")
+    stated = recording.file_units or getattr(form, "UNITS", "SI")
     if units:
         stated += f"; overruled by --units {units}"
-    result = Info(form.UNDERSTOOD, stated, found, seen(found))
+    result = Info(form.UNDERSTOOD, stated, found, seen(found), of_few_rests(recording))
     if report:
         write_info_report(result, report)
     if json:

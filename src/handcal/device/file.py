@@ -92,6 +92,8 @@ def read(path: Path) -> Device:
     try:
         sessions = [_session(s) for s in document.get("session", [])]
         name = str(document["name"])
+    except InputError:
+        raise
     except (KeyError, TypeError, ValueError, AttributeError, np.linalg.LinAlgError) as error:
         raise InputError(f"{path} is damaged ({error}).") from None
     return Device(name, _ordered(sessions), sha256)
@@ -241,6 +243,8 @@ def session_of(
     and temperature (degC) where it does not say them. Errors: InputError."""
     try:
         return _learnt(path, document, device, date, temperature)
+    except InputError:
+        raise
     except (KeyError, TypeError, ValueError, AttributeError, np.linalg.LinAlgError) as error:
         raise InputError(f"{path} is damaged ({str(error)[:80]}).") from None
 

@@ -65,6 +65,8 @@ def read(path: Path) -> Priors:
         models = {str(m["name"]): m for m in document.get("model", [])}
         learned = {n: dict(map(_entry, m.get("parameter", []))) for n, m in models.items()}
         origin = {n: {k: int(m[k]) for k in ("recordings", "devices")} for n, m in models.items()}
+    except InputError:
+        raise
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"{path} is damaged ({str(error)[:80]}).") from None
     return Priors(str(path), learned, origin, sha256)

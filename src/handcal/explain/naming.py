@@ -10,9 +10,7 @@ import numpy as np
 
 from handcal.effects import Effect, catalogue
 from handcal.estimate.case import Case, name_of
-from handcal.estimate.heavy_tails import tailed
 from handcal.estimate.model import Model
-from handcal.estimate.prior_root import prior_root
 from handcal.estimate.process import process_parameters
 from handcal.explain import importance
 from handcal.explanation import Curve, Hypothesis, Missing, Unnamed, is_curve
@@ -22,7 +20,7 @@ from handcal.laws.law_effect import channels_of
 from handcal.model_score import CERTAIN, NAMED, probability
 from handcal.search import outliers
 from handcal.search.climb.exchange_steps import ALIKE, akin
-from handcal.search.common_found import Shown, shown
+from handcal.search.common_found import Shown, parameters_in, shown, stands_out
 from handcal.search.multistart import Found
 from handcal.search.space import Space, expected_gain, gains, probabilities, rivals
 from handcal.types import Parameter, Result
@@ -64,6 +62,8 @@ def entries_of(
                 out.append(entry)
                 unsure |= doubt
             continue
+        if not stands_out(learnt[effect.id]):
+            continue
         set_, share = _set(found, chosen, effect.id)
         members = {name_of(i) for i in set_}
         p = min(CERTAIN, sum(v for i, v in probable.items() if name_of(i) in members))
@@ -91,27 +91,12 @@ def _of_common(
     order = sorted(odds, key=lambda i: -share[i])
     first = where.effects[order[0]]
     if first.id != effect.id:
-        own = _parameters_in(where, first, (found.others - {effect.id}) | {first.id})
+        own = parameters_in(where, first, (found.others - {effect.id}) | {first.id})
     members = [i for i in order if i == effect.id or share[i] >= RIVAL]
     names = dict.fromkeys(map(name_of, (*members, *found.beside)))
     others = tuple(i for i in names if i != name_of(first.id))
     entry = _entry(first, probability(found.gain), found.gain, others, own)
     return entry, share[first.id] < NAMED or bool(found.beside)
-
-
-def _parameters_in(where: Space, effect: Effect, ids: frozenset[str]) -> tuple[Parameter, ...]:
-    """Parameters of an effect in a model of these effects."""
-    effects = [where.effects[i] for i in sorted(ids)]
-    index = np.concatenate([where.where[e.id] for e in effects])
-    q = where.quadratic
-    known = tailed(q, index, prior_root(q, effects, index))
-    at = [n for n, i in enumerate(index) if q.names[i][0] == effect.id]
-    sigma = np.sqrt(np.diag(known.covariance))
-    return tuple(
-        Parameter(name_of(effect.id), p.name, float(known.mean[k]) * p.prior_sigma,
-                  float(sigma[k]) * p.prior_sigma, p.unit, p.prior_sigma, None)
-        for k, p in zip(at, effect.parameters, strict=True)
-    )  # fmt: skip
 
 
 def _probable(where: Space, chosen: frozenset[str]) -> dict[str, float]:

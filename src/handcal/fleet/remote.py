@@ -128,6 +128,8 @@ def opened(address: str) -> tuple[Any, str]:
     core = _fsspec()
     try:
         storage, path = _asked(address, lambda: core.url_to_fs(address))
+    except InputError:
+        raise
     except ImportError as error:
         raise InputError(f"{shown(address)}: {error}") from None
     except ValueError as error:

@@ -20,7 +20,8 @@ from handcal.effects import Effect, Param, Signals
 from handcal.estimate import regression
 from handcal.estimate.regression import BIASES, Unknown
 from handcal.lab.choice import chosen
-from handcal.lab.sound import doubts, refuse_incredible
+from handcal.lab.remedy import Fits, of_misfit
+from handcal.lab.sound import APART, doubts, refuse_incredible
 from handcal.lab.steady_tests import Bench, design, expected
 from handcal.lab.stretches import extra_variance
 from handcal.lab.telling import refuse_unseen
@@ -32,8 +33,12 @@ MOUNTING = "mounting"
 ROUNDS, LEVELS = 40, 12
 # Steps this small, in usual sizes of the parameters, are none; while levels are sought, larger.
 LAST_STEP, STEP = 1e-13, 1e-6
+# Columns of which some are no longer independent in what a number holds.
+LOST = 1e15
 # Columns of length one that are farther from independent than this magnify noise too much.
 BAD_CONDITION = 100.0
+# With fewer readings beyond the unknowns nothing is left to judge a fit by.
+SPARE = 3
 SENSORS = ("gyro", "accel")
 HINT = "Add tests with other rates or attitudes, or leave effects out (--effects)."
 
@@ -115,7 +120,53 @@ def known_input(
     tell the parameters apart, naming what they cannot see, or nothing fits.
     """
     _check_finite(bench)
-    acting, mounted = _acting(bench, effects, axes)
+    fit = _fit(bench, effects, axes, extra)
+    names, state, y = fit.names, fit.state, fit.y
+    root = np.sqrt(fit.variance)
+    W, own = fit.A[fit.rows] / root[:, None], y[fit.rows] / root
+    said: list[str] = []
+    if extra is None:
+        said = _misfit(bench, effects, axes, fit)
+    found = regression.least_squares(W, own)
+    by_filter, _ = regression.kalman(W, own)
+    usual = regression.priors(names)
+    values = np.r_[matrix_log(state.R), state.x] if fit.mounted else state.x
+    parameters = regression.parameters(names, values, found.sigma)
+    if extra is None:  # (papers have readings in units of their own)
+        refuse_incredible((p.effect, p.name, p.value) for p in parameters)
+    start = replace(state, x=np.zeros_like(state.x))
+    before = _rows(bench, fit.acting, start, fit.mounted)[1]
+    result = KnownInput(
+        bench, fit.acting, "imu" if fit.mounted else "table", state.R, parameters, found.P, W,
+        regression.condition(W),
+        np.stack([before, y], axis=1).reshape(len(bench), 6, 2),
+        float(np.abs((by_filter - found.x) / usual).max()), fit.levels, (),
+    )  # fmt: skip
+    return replace(result, warnings=(*_warnings(result), *said))
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """The estimate of some effects, with the rows A, y (all 6 n) about it; rows: those used, of
+    variance; levels: the extra noise by sensor."""
+
+    acting: tuple[Effect, ...]
+    mounted: bool
+    names: tuple[Unknown, ...]
+    state: _State
+    levels: Mapping[str, float]
+    A: Array
+    y: Array
+    rows: IntArray
+    variance: Array
+
+
+def _fit(
+    bench: Bench, ids: Sequence[str], axes: str, extra: Mapping[str, float] | None
+) -> _Fit:  # fmt: skip
+    """Errors: HandcalError where the tests alone, free of noise, do not tell the parameters
+    apart, or nothing fits."""
+    acting, mounted = _acting(bench, ids, axes)
     names = _unknowns(acting, mounted)
     rows = np.flatnonzero(np.tile(bench.used, len(bench))).astype(np.int64)
     if len(rows) < len(names):
@@ -127,24 +178,54 @@ def known_input(
     A, _ = _rows(bench, acting, state, mounted)
     refuse_unseen(A[rows], names, hint=HINT)
     state, levels, A, y, variance = _solved(bench, acting, state, mounted, rows, extra, names)
-    root = np.sqrt(variance)
-    W = A[rows] / root[:, None]
-    refuse_unseen(W, names, noise=bool(extra is None), hint=HINT)
-    found = regression.least_squares(W, y[rows] / root)
-    by_filter, _ = regression.kalman(W, y[rows] / root)
-    usual = regression.priors(names)
-    values = np.r_[matrix_log(state.R), state.x] if mounted else state.x
-    parameters = regression.parameters(names, values, found.sigma)
-    if extra is None:  # (papers have readings in units of their own)
-        refuse_incredible((p.effect, p.name, p.value) for p in parameters)
-    before = _rows(bench, acting, replace(state, x=np.zeros_like(state.x)), mounted)[1]
-    result = KnownInput(
-        bench, acting, "imu" if mounted else "table", state.R, parameters, found.P, W,
-        regression.condition(W),
-        np.stack([before, y], axis=1).reshape(len(bench), 6, 2),
-        float(np.abs((by_filter - found.x) / usual).max()), levels, (),
-    )  # fmt: skip
-    return replace(result, warnings=_warnings(result))
+    return _Fit(acting, mounted, names, state, levels, A, y, rows, variance)
+
+
+def _misfit(bench: Bench, ids: Sequence[str], axes: str, fit: _Fit) -> list[str]:
+    """What would leave less, where the fit leaves much. Errors: HandcalError where what it leaves,
+    or the noise, hides parameters."""
+    own = bench.variance.ravel()[fit.rows]
+    by_noise, by_all = (
+        regression.unseen(fit.A[fit.rows] / np.sqrt(v)[:, None], regression.priors(fit.names), True)
+        for v in (own, fit.variance)
+    )
+    if by_noise:
+        refuse_unseen(fit.A[fit.rows] / np.sqrt(own)[:, None], fit.names, noise=True, hint=HINT)
+    if not by_all and all(fit.levels[s] <= APART[s] for s in SENSORS):
+        return []
+    sensors = tuple(s for s, used in zip(SENSORS, bench.used[::3], strict=True) if used)
+
+    def leaves(some: Sequence[str]) -> Mapping[str, float] | None:
+        try:
+            other = _fit(bench, some, axes, None)
+        except HandcalError:
+            return None
+        root = np.sqrt(other.variance)[:, None]
+        spare = len(other.rows) - len(other.names) >= SPARE
+        hides = regression.unseen(
+            other.A[other.rows] / root, regression.priors(other.names), noise=True
+        )
+        return other.levels if spare and not hides else None
+
+    def beside(some: Sequence[str]) -> float:
+        return _beside(bench, some, axes, fit)
+
+    temperature = bench.truth.temperature is not None
+    said = of_misfit(Fits(leaves, beside, tuple(ids), sensors, temperature), fit.levels)
+    if by_all:
+        raise HandcalError(said)
+    return [said]
+
+
+def _beside(bench: Bench, ids: Sequence[str], axes: str, fit: _Fit) -> float:
+    """What is left to first order with more effects about the estimate of a fit, weighted as it."""
+    acting, mounted = _acting(bench, ids, axes)
+    known = dict(zip([n.title for n in regression.unknowns(fit.acting)], fit.state.x, strict=True))
+    x = np.array([known.get(n.title, 0.0) for n in regression.unknowns(acting)])
+    A, y = _rows(bench, acting, _State(x, fit.state.R), mounted)
+    root = np.sqrt(fit.variance)
+    W, own = A[fit.rows] / root[:, None], y[fit.rows] / root
+    return float(np.sum((own - W @ np.linalg.lstsq(W, own)[0]) ** 2))
 
 
 def _check_finite(bench: Bench) -> None:
@@ -235,7 +316,10 @@ def _gauss_newton(
     last = np.inf
     for _ in range(ROUNDS):
         A, y = _rows(bench, acting, state, mounted)
-        step = regression.least_squares(A[rows] / root[:, None], y[rows] / root).x
+        W = A[rows] / root[:, None]
+        if regression.condition(W) > LOST:  # (the way there is no further)
+            break
+        step = regression.least_squares(W, y[rows] / root).x
         size = float(np.abs(step / usual).max())
         R = matrix_exp(step[:3]) @ state.R if mounted else state.R
         state = _State(state.x + step[at:], R)
@@ -258,7 +342,7 @@ def _warnings(result: KnownInput) -> tuple[str, ...]:
             "of equal length): noise of the readings is magnified in some parameters."
         )
     m, k = result.A.shape
-    if m - k < 3:
+    if m - k < SPARE:
         said.append(
             f"{m} readings for {k} unknowns: nothing is left to judge the fit by, and sigmas count "
             "little but the noise within the tests."

@@ -14,10 +14,14 @@ from handcal.units import shown
 MOST_TERMS, MOST_SENTENCES = 4, 4
 
 
+class Unseen(HandcalError):
+    """Rows do not show combinations of parameters."""
+
+
 def refuse_unseen(
     A: Array, unknowns: Sequence[Unknown], noise: bool = False, hint: str = ""
 ) -> None:
-    """HandcalError naming the combinations of parameters that rows A (m, k) do not show.
+    """Unseen, naming the combinations of parameters that rows A (m, k) do not show.
 
     noise: the rows have unit variance; what is told worse than is usual anyway counts too.
     """
@@ -28,7 +32,7 @@ def refuse_unseen(
     if len(blind) > len(said):
         said.append(f"nor with {len(blind) - len(said)} more such combinations")
     seen = "No reading changes by more than its noise" if noise else "No reading changes"
-    raise HandcalError(
+    raise Unseen(
         f"{seen} with {'; nor with '.join(said)}. {hint}".replace("nor with nor", "nor").strip()
     )
 

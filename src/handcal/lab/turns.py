@@ -81,7 +81,8 @@ def turns(recording: Recording, rests: Means) -> Turns:
         kept.append(k)
         parts.append(_gauss(recording, rests, k))
         seconds.append(float(t[-1] - t[0]))
-        rough = float(np.sqrt(white_variance(imu.gyro[a : b + 1]).mean() * (len(t) - 4)))
+        passed = imu.gyro[_around(a, b)]
+        rough = float(np.sqrt(white_variance(passed).mean() * (len(passed) - 4)))
         missed.append(seconds[-1] / len(t) * rough)
     before = np.array(kept, dtype=np.int64)
     all_rows = np.vstack([np.zeros((0, 9)), *parts])
@@ -92,11 +93,17 @@ def turns(recording: Recording, rests: Means) -> Turns:
                  np.array(missed), max(len(rests) - 1, 0) - len(kept))  # fmt: skip
 
 
+def _around(a: int, b: int) -> slice:
+    """The samples that the spline from sample a to b passes: some of both rests too, so that a
+    turn of a few samples has enough."""
+    return slice(max(a - 3, 0), b + 4)
+
+
 def _gauss(recording: Recording, rests: Means, k: int) -> Array:
     """Rows of time, share, gyro, accelerometer and temperature during the turn after rest k."""
     imu = recording.imu
     a, b = int(rests.last[k]), int(rests.first[k + 1])
-    around = slice(max(a - 3, 0), b + 4)
+    around = _around(a, b)
     t = imu.t[a : b + 1]
     at = (t[:-1, None] + np.diff(t)[:, None] * POINTS).ravel()
     share = ((at - t[0]) / (t[-1] - t[0]))[:, None]

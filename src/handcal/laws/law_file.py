@@ -37,7 +37,7 @@ from handcal.laws.law_code import (
     python,
     wrapped,
 )
-from handcal.types import HandcalError
+from handcal.types import HandcalError, InputError
 
 
 @dataclass(frozen=True)
@@ -80,6 +80,8 @@ def law_of(u: Unnamed) -> Law:
         if kind.startswith(terms.CURVE):
             return _curve_of_heading(u)
         return _formula_of_heading(u) if u.made is None else COURSES[kind](u)
+    except InputError:
+        raise
     except (KeyError, ValueError):
         raise HandcalError(f"{u.formula} cannot be written as an effect file.") from None
 

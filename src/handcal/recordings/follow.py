@@ -13,8 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from handcal.recordings.inputs._options import Options
-from handcal.recordings.inputs._topics import Topic, chosen_topics, in_order
+from handcal.recordings.inputs._options import HALVES, Options
+from handcal.recordings.inputs._topics import Topic, in_order
+from handcal.recordings.inputs._which_topic import by_stream, chosen_topics
 from handcal.recordings.inputs.mcap import (
     LARGEST_CHUNK,
     MAGIC,
@@ -57,14 +58,12 @@ class Arriving:
         companions is taken for it. Errors: InputError where several fit a stream."""
         there = [t for t in topics if t.parts]
         for topic in there:
-            self.seen.setdefault(topic.name, replace(topic, parts=topic.parts[:1]))
+            if not self.taken or topic.name not in self.seen:
+                self.seen[topic.name] = replace(topic, parts=topic.parts[-1:])
         if not self._chosen():
             return {}
-        return {
-            stream: _news(stream, [t for t in there if t.name == name], self.options)
-            for stream, name in self.taken.items()
-            if any(t.name == name for t in there)
-        }
+        held = by_stream(self.taken, there)
+        return {name: _news(name, own, self.options) for name, own in held.items() if own}
 
     def _chosen(self) -> bool:
         """Whether there is an IMU; streams that came up since are taken too."""
@@ -72,7 +71,10 @@ class Arriving:
             return False
         if any(name not in self.taken.values() for name in self.seen):
             wanted = replace(self.options, topics={**self.options.topics, **self.taken})
-            self.taken = dict(chosen_topics(self.name, list(self.seen.values()), wanted)[0])
+            taken, _ = chosen_topics(self.name, list(self.seen.values()), wanted)
+            if "imu" not in taken and not set(HALVES) <= set(taken):
+                return False  # (one sensor, or what reads nothing yet)
+            self.taken = dict(taken)
         return True
 
 

@@ -175,7 +175,7 @@ def _one_pose(recording: Recording, a: Rest, b: Rest, calm: BoolArray) -> bool:
 
 def _same(a: Array, b: Array) -> bool:
     """Whether two mean forces (3,) are one attitude's, as far as a hand can hold it."""
-    return bool(np.linalg.norm(b - a) < HOLD_ANGLE * np.linalg.norm(a))
+    return bool(np.linalg.norm(b - a) <= HOLD_ANGLE * np.linalg.norm(a))
 
 
 def _alike(a: Rest, b: Rest) -> bool:

@@ -7,13 +7,21 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
+import numpy as np
+
+from handcal.effects import Effect
 from handcal.estimate.case import name_of
+from handcal.estimate.heavy_tails import tailed
 from handcal.estimate.model import Model
+from handcal.estimate.prior_root import prior_root
 from handcal.model_score import PRIOR
 from handcal.search.space import Space, best_set
+from handcal.types import Parameter
 
 # Log odds of what stays in a set whatever else is chosen.
 STAYS = 1e6
+# A value nearer to zero than this, in its sigmas, may be none.
+NOTHING = 2.0
 
 
 @dataclass(frozen=True)
@@ -36,7 +44,8 @@ def shown(where: Space, chosen: frozenset[str]) -> dict[str, Shown]:
 
     Of sets of common effects the likeliest says which are causes, each at the odds of a name. A
     cause is found where the evidence falls without it, all other common effects present. Where
-    others do what it does, these are taken out with it, first what hides it best.
+    others do what it does, these are taken out with it, first what hides it best. What is found has
+    a parameter that stands out.
     """
     common = [i for i in sorted(chosen) if where.effects[i].common]
     rest = chosen.difference(common)
@@ -46,9 +55,30 @@ def shown(where: Space, chosen: frozenset[str]) -> dict[str, Shown]:
     out = {}
     for i in sorted(causes.difference(rest)):
         gain, beside = _lost(where, chosen, i, spare)
-        if gain + PRIOR > 0.0:
+        if gain + PRIOR > 0.0 and stands_out(parameters_in(where, where.effects[i], chosen)):
             out[i] = Shown(gain, beside, _rivals(where, chosen, causes, i), causes)
     return out
+
+
+def parameters_in(where: Space, effect: Effect, ids: frozenset[str]) -> tuple[Parameter, ...]:
+    """Parameters of an effect in a model of these effects."""
+    effects = [where.effects[i] for i in sorted(ids)]
+    index = np.concatenate([where.where[e.id] for e in effects])
+    q = where.quadratic
+    known = tailed(q, index, prior_root(q, effects, index))
+    at = [n for n, i in enumerate(index) if q.names[i][0] == effect.id]
+    sigma = np.sqrt(np.diag(known.covariance))
+    return tuple(
+        Parameter(name_of(effect.id), p.name, float(known.mean[k]) * p.prior_sigma,
+                  float(sigma[k]) * p.prior_sigma, p.unit, p.prior_sigma, None)
+        for k, p in zip(at, effect.parameters, strict=True)
+    )  # fmt: skip
+
+
+def stands_out(parameters: Iterable[Parameter]) -> bool:
+    """Whether the recording shows any of an effect's parameters, and shows it not to be nothing:
+    evidence that many of them share may be that of an error of another form."""
+    return any(p.shown and abs(p.value) > NOTHING * p.sigma for p in parameters)
 
 
 def names_of(where: Space, model: Model) -> frozenset[str]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import handcal
 from handcal import output
-from handcal.allan.analysis import CHANNELS, UNITS, Allan, Channel
+from handcal.allan.analysis import UNITS, Allan, Channel
 from handcal.allan.terms import LAWS
 from handcal.show.drawing import INK, MUTED, PURPLE, RC, RED, XYZ, Plot, canvas, legend, svg
 from handcal.show.html_page import page
@@ -135,7 +135,7 @@ def _context(result: Allan) -> dict[str, Any]:
                   (_time(result.longest_s), "longest averaging time"),
                   (f"{sum(len(c.terms) for c in result.channels)}", "coefficients seen")],
         "channels": rows, "suggested": suggested,
-        "walks": [SUGGESTED[f"{s}_bias_walk"] for s in SENSORS
+        "walks": [SUGGESTED[f"{s}_bias_walk"] for s in result.recording.sensors
                   if all(x.name != f"{s}_bias_walk" for x in result.suggested)],
         "too_short": too_short(result), "warnings": _warnings(result), "plots": draw(result),
     }  # fmt: skip
@@ -146,9 +146,8 @@ def draw(result: Allan) -> dict[str, list[Plot]]:
     import matplotlib as mpl
 
     with mpl.rc_context(RC):
-        both = [_sensor(result, s) for s in SENSORS]
-        order = [c for pair in zip(CHANNELS[:3], CHANNELS[3:], strict=True) for c in pair]
-        each = [_one(next(c for c in result.channels if c.name == name)) for name in order]
+        both = [_sensor(result, s) for s in result.recording.sensors]
+        each = [_one(c) for c in sorted(result.channels, key=lambda c: c.name[-1])]
     return {"sensors": both, "channels": each}
 
 

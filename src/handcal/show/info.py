@@ -34,12 +34,13 @@ TOLD = 0.6
 @dataclass(frozen=True)
 class Info:
     """A recording looked at: by which format it was read (half a sentence) and what that says of
-    units and signs, its numbers, and what it could teach."""
+    units and signs, its numbers, and what it could teach; rests_show: what few rests alone show."""
 
     read_as: str
     units: str
     overview: Overview
     seen: tuple[Seen, ...]
+    rests_show: str = ""
 
 
 def info_json(info: Info) -> dict[str, Any]:
@@ -63,6 +64,7 @@ def info_json(info: Info) -> dict[str, Any]:
                   "not_trusted": o.saturated},
         "rests": [{"from_s": r.start, "to_s": r.end, "still": r.still, "force": r.force.tolist(),
                    "gyro_noise": r.gyro_noise, "accel_noise": r.accel_noise} for r in o.rests],
+        "rests_show": info.rests_show,
         "turns": [{"axis": t.axis, "forward_rad": t.forward, "backward_rad": t.backward,
                    "fastest_rad_s": t.fastest} for t in o.turns],
         "could_teach": [
@@ -89,6 +91,10 @@ def unit_sentences(o: Overview) -> list[str]:
         f"accelerometer finds it; were its rates 57 times smaller or larger, {smaller} or {larger}."
     )
     return out
+
+
+def _rest_sentences(info: Info) -> list[str]:
+    return [rest_sentence(info.overview), *([info.rests_show] if info.rests_show else [])]
 
 
 def rest_sentence(o: Overview) -> str:
@@ -133,7 +139,7 @@ def print_info(info: Info, console: Console) -> None:
     console.print(_turn_table(o))
     console.print(_seen_table(info))
     sections = (
-        ("Rests", [rest_sentence(o)]),
+        ("Rests", _rest_sentences(info)),
         ("Units", [f"In the file: {info.units}.", *unit_sentences(o)]),
         ("Not shown", teach_sentences(info)),
         ("Warnings", list(o.recording.warnings)),
@@ -235,7 +241,7 @@ def write_info_report(info: Info, path: str | Path) -> None:
                   (str(len(o.rests)), "rests"),
                   (str(sum(s.gaps for s in o.streams)), "gaps")],
         "warnings": list(o.recording.warnings), "plots": draw(o), "tables": tables,
-        "sentences": [rest_sentence(o), *unit_sentences(o)], "blind": teach_sentences(info),
+        "sentences": [*_rest_sentences(info), *unit_sentences(o)], "blind": teach_sentences(info),
     }  # fmt: skip
     output.write_text(path, page("info.html.j2", context))
 

@@ -29,9 +29,14 @@ def scalar(
         Path, typer.Argument(metavar="FILE", help="A recording with rests in many attitudes.")
     ],
     effects: Annotated[
-        str,
-        typer.Option(metavar="ID,...", help="Effects to estimate beyond constant biases."),
-    ] = "accel_scale,accel_misalignment,gyro_scale,gyro_misalignment",
+        str | None,
+        typer.Option(
+            metavar="ID,...",
+            help="Effects to estimate beyond constant biases; if not given, accel_scale, "
+            "accel_misalignment, gyro_scale, gyro_misalignment, or those of the one sensor "
+            "that there is.",
+        ),
+    ] = None,
     gravity: Gravity = None,
     latitude: Latitude = None,
     height: Height = 0.0,
@@ -43,7 +48,8 @@ def scalar(
     """Calibrate against the size of gravity alone: rests in many attitudes, and turns between.
 
     No equipment is needed. Let the device lie still for some seconds in each of a dozen
-    attitudes, on sides, edges and slants, and turn it about all axes in between.
+    attitudes, on sides, edges and slants, and turn it about all axes in between. An accelerometer
+    alone is calibrated too.
     """
     from handcal.lab.scalar import halves_or_none, scalar
     from handcal.output import check_outputs
@@ -51,8 +57,8 @@ def scalar(
 
     g = gravity_of(gravity, latitude, height)
     check_outputs((json, report), (file,))
-    recording = load(file, topic, units)
-    ids = comma_separated(effects)
+    recording = load(file, topic, units, needs=("accel",))
+    ids = None if effects is None else comma_separated(effects)
     with progress(f"calibrating {file.name}"):
         result = scalar(recording, ids, g)
         halves = halves_or_none(result)

@@ -24,7 +24,7 @@ import numpy as np
 from handcal.documents import reading
 from handcal.recordings.inputs._cut import said_of_cuts
 from handcal.recordings.inputs._nearest import of_no_format
-from handcal.recordings.inputs._options import Options, checked_options, quantities
+from handcal.recordings.inputs._options import HALVES, Options, checked_options, quantities
 from handcal.recordings.inputs._repair import Columns, assemble, columns, nanoseconds
 from handcal.recordings.inputs._zip import check_crowd, listed_once
 from handcal.types import Array, InputError, Recording
@@ -61,17 +61,19 @@ def load(
     topics: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
     progress: Callable[[float], None] | None = None,
+    needs: tuple[str, ...] = HALVES,
 ) -> Recording:
     """Read a recording of any format that a module of this folder understands.
 
     topics: which MCAP topic is which stream ({"imu": "/phone/imu"}; "" leaves the stream
     out). units: of a quantity in the file ({"accel": "g", "gyro": "deg/s"}) where it is not
-    as the format states. progress: called with the fraction read so far, 0 to 1.
+    as the format states. progress: called with the fraction read so far, 0 to 1. needs: which of
+    "gyro" and "accel" there have to be; of what is not needed there may be none.
 
     Errors: InputError, one sentence, for whatever is wrong with the file or the options.
     """
     path = Path(path)
-    options = checked_options(topics, units, progress)
+    options = replace(checked_options(topics, units, progress), needs=needs)
     module = format_of(path)
     # Absurd numbers become infinite or NaN in conversion, and are dropped and told.
     with reading(path), said_of_cuts() as cut, np.errstate(over="ignore", invalid="ignore"):

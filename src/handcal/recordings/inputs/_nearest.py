@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
@@ -9,10 +10,22 @@ from types import ModuleType
 from handcal.recordings.inputs._zip import names_within
 
 MOST_NAMED = 4
+# Where in a file of its own handcal says what it is.
+BEGINNING = 4096
+_OWN = re.compile(rb'"?schema"?\s*[:=]\s*"handcal/([a-z-]+)/')
+_KINDS = {
+    "calibration": "the result of a calibration",
+    "explanation": "the result of handcal explain",
+    "allan": "the result of handcal allan",
+    "info": "the result of handcal info",
+    "device": "a device file",
+}
 
 
 def of_no_format(path: Path, formats: Sequence[ModuleType]) -> str:
     """The sentence for somebody whose file or folder fits none."""
+    if own := _of_handcal(path):
+        return own
     read = "; ".join(str(module.UNDERSTOOD) for module in formats)
     return f"{path} is of no known format. {_nearest(path, formats)}Understood are: {read}."
 
@@ -30,6 +43,21 @@ def _nearest(path: Path, formats: Sequence[ModuleType]) -> str:
     same = [m for m in formats if path.suffix.lower() in getattr(m, "ENDINGS", ())]
     marked = [f"{m.UNDERSTOOD}, but {m.MARK}" for m in same if getattr(m, "MARK", "")]
     return f"By its name it could be {' or '.join(marked)}. " if marked else ""
+
+
+def _of_handcal(path: Path) -> str:
+    """What to do with a file that handcal wrote; "" where it did not."""
+    if not path.is_file():
+        return ""
+    with path.open("rb") as file:
+        found = _OWN.search(file.read(BEGINNING))
+    if found is None:
+        return ""
+    kind = found[1].decode()
+    said = f"{path} is {_KINDS.get(kind, 'a result of handcal')} and no recording"
+    if kind in ("calibration", "explanation"):
+        return f"{said}: handcal apply RECORDING --from {path} takes what it says off one."
+    return f"{said}: name the recording that it was made of."
 
 
 def _members(module: ModuleType) -> set[str]:

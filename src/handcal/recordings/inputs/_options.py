@@ -9,6 +9,12 @@ from handcal.earth import STANDARD_GRAVITY
 from handcal.recordings.streams import DEGREE, STREAMS
 from handcal.types import InputError
 
+# The sensors of an IMU, each of which may be in a topic of its own.
+HALVES = ("gyro", "accel")
+ALONE = (
+    "Only handcal allan takes a gyroscope or an accelerometer alone, and handcal lab scalar an "
+    "accelerometer."
+)
 # Factors to SI; of time, to nanoseconds.
 _UNITS: Mapping[str, Mapping[str, float]] = {
     "time": {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0},
@@ -43,11 +49,13 @@ def quantities() -> Mapping[str, Mapping[str, float]]:
 
 @dataclass(frozen=True)
 class Options:
-    """What ``load`` was told. units: by quantity, as spelt in ``quantities``."""
+    """What ``load`` was told. units: by quantity, as spelt in ``quantities``. needs: which of gyro
+    and accelerometer there have to be."""
 
     topics: Mapping[str, str] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     progress: Callable[[float], None] = lambda _fraction: None
+    needs: tuple[str, ...] = HALVES
 
     def factor(self, quantity: str) -> float:
         """From the file's unit to SI: the unit the user named, else SI itself."""
@@ -72,8 +80,9 @@ def checked_options(
 ) -> Options:
     """Options with names and units that exist. Errors: InputError."""
     for stream in topics or {}:
-        if stream not in STREAMS:
-            raise InputError(f"--topic {stream}=...: the streams are {', '.join(STREAMS)}.")
+        if stream not in STREAMS and stream not in HALVES:
+            known_streams = ", ".join((*STREAMS, *HALVES))
+            raise InputError(f"--topic {stream}=...: the streams are {known_streams}.")
     known: dict[str, str] = {}
     known_units = quantities()
     for quantity, text in (units or {}).items():

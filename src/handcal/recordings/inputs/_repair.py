@@ -115,6 +115,32 @@ def assemble(
     return Recording(str(path), imu, series, start_ns, tuple(said))
 
 
+def assemble_alone(
+    path: Path,
+    sensor: str,
+    raw: Columns,
+    streams: Mapping[str, Columns],
+    warnings: tuple[str, ...] = (),
+) -> Recording:
+    """A Recording of one sensor (n, 3), "gyro" or "accel", on its stamps. Errors: InputError."""
+    said, name = list(warnings), {"gyro": "gyroscope", "accel": "accelerometer"}[sensor]
+    raw = _masked(_clean(raw, name, said), name, said)
+    t = (raw.ns - raw.ns[0]) / 1e9
+    _check_enough(path, t, said)
+    _check_clock(path, t)
+    value, none = np.ascontiguousarray(raw.value), np.zeros_like(raw.value)
+    if sensor == "accel":
+        said += check_accel_unit(value, 1 / float(np.median(np.diff(t))))
+    said += _gap_warning(t)
+    inside = int(raw.ns[0]), int(raw.ns[-1])
+    found = {n: _series(n, stream, *inside, said) for n, stream in streams.items()}
+    series = {n: one for n, one in found.items() if one is not None}
+    both = (value, none) if sensor == "gyro" else (none, value)
+    start_ns = inside[0] if inside[0] > 10**17 else 0
+    imu = Imu(t, *both, raw.valid)
+    return Recording(str(path), imu, series, start_ns, tuple(said), sensors=(sensor,))
+
+
 def _check_enough(path: Path, t: Array, said: list[str]) -> None:
     """Errors: InputError where readings at t (n,), s, are too few or too short."""
     if len(t) >= FEWEST and t[-1] >= SHORTEST_S:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,15 +18,14 @@ from handcal.recordings.inputs._messages import (
     joined,
     read_as,
 )
-from handcal.recordings.inputs._options import Options
-from handcal.recordings.inputs._repair import Columns, assemble, columns
-from handcal.recordings.streams import STREAMS, TWINS, Stream, message_of
+from handcal.recordings.inputs._options import ALONE, HALVES, Options
+from handcal.recordings.inputs._repair import Columns, assemble, assemble_alone, columns
+from handcal.recordings.inputs._which_topic import by_stream, chosen_topics, imu_topics
+from handcal.recordings.streams import STREAMS, Stream, message_of
 from handcal.types import Array, BoolArray, InputError, IntArray, Recording
 
 # What Imu.msg calls the two sensors, in the order of ``absent`` of its row.
 _SENSORS = (("angular velocity", "angular_velocity"), ("acceleration", "linear_acceleration"))
-# Of a name that says so: before a driver took anything off.
-_RAW = re.compile(r"(^|[/_.-])raw($|[/_.-])")
 
 
 @dataclass(frozen=True)
@@ -97,23 +95,33 @@ def recording_from_topics(
 ) -> Recording:
     """Assign the topics to streams and assemble them. Errors: InputError."""
     chosen, said = chosen_topics(path, topics, options)
-    held = {
-        stream: [topic for topic in topics if topic.name == name and topic.parts]
-        for stream, name in chosen.items()
-    }
-    messages = {stream: in_order(channels) for stream, channels in held.items()}
+    messages = {stream: in_order(own) for stream, own in by_stream(chosen, topics).items()}
     imu = messages.pop("imu")
     value = imu.value * _factors(STREAMS["imu"], options)
-    gyro, accel, flagged = both_sensors(path, chosen["imu"], imu.stamp, value, imu.lacking)
+    where = {**chosen, "imu": " + ".join(imu_topics(chosen))}
     streams = {}
     for stream, raw in messages.items():
         row = STREAMS[stream]
-        value = raw.value if row.decode is None else row.decode(raw.value)
+        others = raw.value if row.decode is None else row.decode(raw.value)
         if row.quantities:
-            value = value * _factors(row, options)
-        streams[stream] = columns(raw.stamp, value, np.logical_not(raw.lacking.any(axis=1)))
-    made = assemble(path, gyro, accel, streams, (*warnings, *said, *flagged))
-    return replace(made, topics={n: chosen[n] for n in ("imu", *streams) if n in chosen})
+            others = others * _factors(row, options)
+        streams[stream] = columns(raw.stamp, others, np.logical_not(raw.lacking.any(axis=1)))
+    alone = _alone(imu.lacking, options)
+    if alone is not None:
+        own = columns(imu.stamp, value[:, 3 * alone : 3 * alone + 3], ~imu.lacking[:, alone])
+        made = assemble_alone(path, HALVES[alone], own, streams, (*warnings, *said))
+    else:
+        gyro, accel, flagged = both_sensors(path, where["imu"], imu.stamp, value, imu.lacking)
+        made = assemble(path, gyro, accel, streams, (*warnings, *said, *flagged))
+    return replace(made, topics={n: where[n] for n in ("imu", *streams) if n in where})
+
+
+def _alone(lacking: BoolArray, options: Options) -> int | None:
+    """Which of gyro and accelerometer there is alone, the other being one that is not needed."""
+    none = lacking.all(axis=0)
+    if none.sum() != 1 or HALVES[int(np.argmax(none))] in options.needs:
+        return None
+    return int(np.argmin(none))
 
 
 def both_sensors(
@@ -125,7 +133,8 @@ def both_sensors(
         if len(ns) and lacking[:, k].all():
             raise InputError(
                 f"{path}: all {len(ns)} messages of {topic} say that they hold no {kind} "
-                f"({field}_covariance[0] is -1)."
+                f"({field}_covariance[0] is -1, or it is zero throughout). Where another topic "
+                f"does, choose it with --topic {HALVES[k]}=TOPIC. {ALONE}"
             )
     if len(ns) and lacking.any(axis=1).all():  # (they take turns)
         rate, force = ~lacking.T
@@ -157,90 +166,3 @@ def in_order(channels: Sequence[Topic]) -> Decoded:
     whole = joined([p.decoded for p in parts])
     stamp = whole.stamp if whole.stamp.any() else np.concatenate([p.log_ns for p in parts])
     return Decoded(stamp[order], whole.value[order], whole.lacking[order])
-
-
-def chosen_topics(
-    path: Path, topics: Sequence[Topic], options: Options
-) -> tuple[Mapping[str, str], list[str]]:
-    """Topic by stream, and where there was a choice, what was taken. Errors: InputError if there
-    is no IMU, or several that fit."""
-    said: list[str] = []
-    chosen = {s: name for s, name in options.topics.items() if name}
-    by_schema: dict[str, list[str]] = {}
-    exact = {topic.schema for topic in topics if topic.parts}
-    for topic in topics:
-        schema = read_as(topic.schema)
-        # What only holds a pose is one where there is no better, or where it is chosen.
-        if schema != topic.schema and schema in exact and topic.name not in chosen.values():
-            continue
-        names = by_schema.setdefault(schema, [])
-        if topic.parts and topic.name not in names:
-            names.append(topic.name)
-    for stream, name in chosen.items():
-        schema = STREAMS[stream].message.schema
-        if name not in by_schema.get(schema, ()):
-            raise InputError(
-                f"--topic {stream}={name}: {path} has no such topic with messages of "
-                f"{schema}; {_listing(topics)}."
-            )
-    # What models say was read, beside what was read, is taken only where it is chosen.
-    apart = tuple(f"{begin}/" for begin in TWINS)
-    # Those with a name first: what is left of their schema is then more easily the other.
-    for row in sorted(STREAMS.values(), key=lambda row: not row.named):
-        if row.name in options.topics:
-            continue
-        free = [n for n in by_schema.get(row.message.schema, ()) if n not in chosen.values()]
-        free = [n for n in free if not n.startswith(apart)]
-        fitting = _fitting(free, row, path)
-        if fitting is not None:
-            chosen[row.name] = fitting
-            said += _choice(row, fitting, free, topics)
-    if "imu" not in chosen:
-        raise InputError(
-            f"{path} has no IMU: no messages of sensor_msgs/msg/Imu in cdr or json; "
-            f"{_listing(topics)}."
-        )
-    return chosen, said
-
-
-def _choice(row: Stream, taken: str, free: list[str], topics: Sequence[Topic]) -> list[str]:
-    """Which of several topics was taken for a stream, and why."""
-    if row.named or len(free) < 2:
-        return []
-
-    def sized(name: str) -> str:
-        parts = [part for topic in topics if topic.name == name for part in topic.parts]
-        return f"{name} ({sum(len(part.order) for part in parts)} messages)"
-
-    why = "its usual name" if taken.endswith(row.topic) else "the raw one"
-    others = sorted(name for name in free if name != taken)
-    return [
-        f"{row.title}: of {len(free)} topics {sized(taken)} was taken, {why}; there "
-        f"{'are' if len(others) > 1 else 'is'} also {', '.join(map(sized, others))}; choose with "
-        f"--topic {row.name}={others[0]}."
-    ]
-
-
-def _fitting(free: list[str], row: Stream, path: Path) -> str | None:
-    """The one topic for a stream; by its usual name where several have the schema, else raw."""
-    usual, spare = row.topic, row.named and row.inertial  # (there must be one for the IMU)
-    for named in ([n for n in free if n == usual], [n for n in free if n.endswith(usual)]):
-        if len(named) == 1 and (len(free) > 1 or not spare):
-            return named[0]
-    if row.named or not free:
-        return None
-    raw = [n for n in free if _RAW.search(n)]
-    if len(free) == 1 or len(raw) == 1:
-        return (raw or free)[0]
-    raise InputError(
-        f"{path} has several topics that could be {row.name}: {', '.join(sorted(free))}; "
-        f"choose one with --topic {row.name}={sorted(free)[0]}."
-    )
-
-
-def _listing(topics: Sequence[Topic]) -> str:
-    if not topics:
-        return "it holds no topics"
-    held = sorted({f"{t.name} ({t.schema or 'no schema'}, {t.encoding})" for t in topics})
-    more = f" and {len(held) - 12} more" if len(held) > 12 else ""
-    return f"it holds {', '.join(held[:12])}{more}"

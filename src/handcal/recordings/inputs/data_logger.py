@@ -13,6 +13,7 @@ that has no time in common with the IMU is left out, and said.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from handcal.earth import STANDARD_GRAVITY
@@ -30,6 +31,11 @@ UNITS = (
     "rad/s, m/s^2, uT, stamps in ns; on iOS 9.81 to a g and Apple's sign, both put right; pose m, "
     "quaternion x y z w or 3x4 matrix in a world with y up, read into one with z up"
 )
+_POSE = "pose m, in a world with y up, read into one with z up"
+UNITS_OF = {
+    True: f"rad/s, uT, m/s^2 at 9.81 to a g and with Apple's sign, both put right; {_POSE}",
+    False: f"rad/s, m/s^2, uT; at rest +g on the axis up; {_POSE}",
+}
 STREAMS_READ = "IMU, magnetometer, pose (ARCore, ARKit)"
 TRIED = "files written by the layout that the apps' code has"
 MEMBERS = ("acce.txt", "gyro_uncalib.txt")  # (ios_logger has a gyro.txt too)
@@ -59,7 +65,8 @@ def read(path: Path, options: Options) -> Recording:
     options.progress(1.0)
     said = list(stated("The data logger", options))
     gyro, accel = (_first(path, held, names, said) for names in (_GYROS, _ACCELS))
-    factor = -STANDARD_GRAVITY / LOGGER_G if _is_apple(path, said) else 1.0
+    apple = _is_apple(path, said)
+    factor = -STANDARD_GRAVITY / LOGGER_G if apple else 1.0
     streams = {}
     mag = next((held[name] for name in _MAGS if name in held), None)
     if mag is not None:
@@ -71,7 +78,9 @@ def read(path: Path, options: Options) -> Recording:
         pose = held[_ARKIT]
         matrices = pose.value.reshape(-1, 3, 4)
         streams["pose"] = columns(pose.ns, z_up(pose_of_matrices(matrices)))
-    return assemble(path, gyro, columns(accel.ns, accel.value * factor), streams, tuple(said))
+    force = columns(accel.ns, accel.value * factor)
+    made = assemble(path, gyro, force, streams, tuple(said))
+    return replace(made, file_units=UNITS_OF[apple])
 
 
 def _any(content: bytes) -> bool:

@@ -13,6 +13,7 @@ apart, a rate from which iOS has taken its bias, and ARKit's 4x4 matrices, colum
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,12 @@ UNITS = (
     "right; newer versions for iOS g with Apple's sign; pose m, of the camera in a world with y "
     "up, read into one with z up"
 )
+_POSE = "pose m, of the camera in a world with y up, read into one with z up"
+UNITS_OF = {
+    "android": f"rad/s, m/s^2, stamps in ns; at rest +g on the axis up; {_POSE}",
+    "ios": f"rad/s, m/s^2 at 9.80 to a g, which is put right; at rest +g on the axis up; {_POSE}",
+    "motion": f"rad/s, s, g with Apple's sign; {_POSE}",
+}
 STREAMS_READ = "IMU, pose (ARCore, ARKit)"
 TRIED = "files written by the layout that the app's code has"
 MEMBERS = ("gyro_accel.csv", "arcore_poses.csv")
@@ -70,7 +77,14 @@ def read(path: Path, options: Options) -> Recording:
         streams["pose"] = _arcore(path, files[_POSES])
     elif files.get(_FRAMES, b"").strip():
         streams["pose"] = _arkit(path, files[_FRAMES])
-    return assemble(path, gyro, accel, streams, tuple(said))
+    system = "motion" if _OLD not in files else "ios" if _of_ios(files[_OLD]) else "android"
+    made = assemble(path, gyro, accel, streams, tuple(said))
+    return replace(made, file_units=UNITS_OF[system])
+
+
+def _of_ios(table: bytes) -> bool:
+    """Whether the app for iOS wrote it: there are blanks between the names."""
+    return b", gx" in table[:200]
 
 
 def _files(path: Path, options: Options) -> dict[str, bytes]:
@@ -87,7 +101,7 @@ def _files(path: Path, options: Options) -> dict[str, bytes]:
 def _of_both(path: Path, files: dict[str, bytes], said: list[str]) -> tuple[Columns, Columns]:
     """Gyro and specific force of gyro_accel.csv. Errors: InputError."""
     rows = _rows(path, _OLD, files[_OLD])
-    apple = b", gx" in files[_OLD][:200]
+    apple = _of_ios(files[_OLD])
     at, *others = places(rows, ("timestamp", *_IMU))
     ns, value = times(rows, at, 1.0), numbers(rows, others)
     if not apple:

@@ -29,10 +29,8 @@ from handcal.recordings.inputs._zip import LARGEST, beginnings, contents, listin
 from handcal.types import Array, InputError, IntArray, Recording
 
 UNDERSTOOD = "an export of the phyphox app (zip or folder of CSV, one CSV, or .xls)"
-UNITS = (
-    "as the header's brackets say (rad/s, m/s^2, uT); signs as Android's: at rest +g on the axis "
-    "up; of iOS 9.81 to a g, which is put right"
-)
+_SYSTEMS = "as the header's brackets say (rad/s, m/s^2, uT); at rest +g on the axis up"
+UNITS = f"{_SYSTEMS}; of iOS 9.81 to a g, which is put right"
 STREAMS_READ = "IMU, magnetometer"
 TRIED = (
     "two real exports (a zip of an iPhone, an .xls), their numbers compared, both refused with a "
@@ -132,7 +130,8 @@ def read(path: Path, options: Options) -> Recording:
     streams = {"mag": held["mag"]} if "mag" in held else {}
     made = assemble(path, held["gyro"], accel, streams, tuple(said))
     names = (export.device.get(k, "").strip() for k in ("deviceBrand", "deviceModel"))
-    return replace(made, model=" ".join(n for n in names if n))
+    own = {"apple": f"{_SYSTEMS}; 9.81 to a g, which is put right", "": ""}.get(brand, _SYSTEMS)
+    return replace(made, model=" ".join(n for n in names if n), file_units=own)
 
 
 def _held(path: Path, export: _Export) -> dict[str, Columns]:

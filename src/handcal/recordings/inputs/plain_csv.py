@@ -19,8 +19,14 @@ from typing import TextIO
 import numpy as np
 
 from handcal.recordings.inputs._cut import whole_lines
-from handcal.recordings.inputs._options import Options, parse_unit, quantities
-from handcal.recordings.inputs._repair import Columns, assemble, columns, nanoseconds
+from handcal.recordings.inputs._options import ALONE, Options, parse_unit, quantities
+from handcal.recordings.inputs._repair import (
+    Columns,
+    assemble,
+    assemble_alone,
+    columns,
+    nanoseconds,
+)
 from handcal.recordings.inputs._rows import parsed, stamps
 from handcal.recordings.streams import STREAMS, Stream
 from handcal.types import Array, InputError, IntArray, Recording
@@ -103,7 +109,7 @@ def of_table(
     table: of the places of the columns and the units, to stamps (n,) ns and all other columns
     (n, k) in the order of their places, as they are in the file. Errors: InputError.
     """
-    places, units, warnings = _understood(path, names)
+    places, units, warnings = _understood(path, names, options)
     units = {quantity: options.units.get(quantity, unit) for quantity, unit in units.items()}
     ns, values = table(places, units)
     taken = {quantity: values[:, at] for quantity, at in _slices(places).items()}
@@ -112,6 +118,10 @@ def of_table(
         value *= quantities()[quantity][units[quantity]]
         if quantity not in ("gyro", "accel"):
             streams[quantity] = _measured(quantity, columns(ns, value), warnings)
+    sensors = [sensor for sensor in _IMU if sensor in taken]
+    if len(sensors) == 1:
+        own = columns(ns, taken[sensors[0]])
+        return assemble_alone(path, sensors[0], own, streams, tuple(warnings))
     gyro, accel = columns(ns, taken["gyro"]), columns(ns, taken["accel"])
     return assemble(path, gyro, accel, streams, tuple(warnings))
 
@@ -134,7 +144,7 @@ def of_named(path: Path, named: Mapping[str, Array | IntArray], options: Options
 
 
 def _understood(
-    path: Path, names: list[str]
+    path: Path, names: list[str], options: Options
 ) -> tuple[dict[tuple[str, str], int], dict[str, str], list[str]]:
     """Column by quantity and axis, unit by quantity, warnings. Errors: InputError."""
     places: dict[tuple[str, str], int] = {}
@@ -153,13 +163,15 @@ def _understood(
                 f"neighbours'; the units of {key[0]} are {', '.join(choices[key[0]])}."
             )
         places[key], units[key[0]] = index, unit
-    missing = [f"{q} {axis}".strip() for q, axis in _wanted(places) if (q, axis) not in places]
+    missing = [
+        f"{q} {axis}".strip() for q, axis in _wanted(places, options) if (q, axis) not in places
+    ]
     listed = ", ".join(repr(name[:40]) for name in unknown[:12])
     if missing:
         others = f" Not understood: {listed}." if unknown else ""
         raise InputError(
             f"{path} lacks columns for {', '.join(missing)}.{others} Expected: {_expected()}, "
-            "each with its unit in brackets if it is not SI."
+            f"each with its unit in brackets if it is not SI.{_lone(places)}"
         )
     return places, units, [f"Columns not used: {listed}."] if unknown else []
 
@@ -169,10 +181,17 @@ def _split_unit(name: str) -> tuple[str, str | None]:
     return (match[1], match[2]) if match else (name, None)
 
 
-def _wanted(places: Places) -> list[tuple[str, str]]:
+def _lone(places: Places) -> str:
+    """Where one sensor alone is taken, if there is one alone."""
+    return f" {ALONE}" if len({q for q, _ in places} & set(_IMU)) == 1 else ""
+
+
+def _wanted(places: Places, options: Options) -> list[tuple[str, str]]:
     """Columns that must be there: time, gyro, accel; of a further stream all or nothing."""
     there = {quantity for quantity, _ in places}
-    wanted = [("time", "")] + [(sensor, axis) for sensor in _IMU for axis in "xyz"]
+    needed = set(options.needs) | (there & set(_IMU)) or set(_IMU)
+    wanted = [("time", "")] + [(sensor, axis) for sensor in _IMU for axis in "xyz"
+                               if sensor in needed]  # fmt: skip
     rows = [row for row in STREAMS.values() if row.name in there]
     return wanted + [(row.name, axis) for row in rows for axis in _axes(row)]
 

@@ -155,6 +155,8 @@ def _unpacked(path: Path, head: Mapping[bytes, bytes], data: bytes) -> bytes:
             out = lz4.frame.LZ4FrameDecompressor().decompress(data, size + 1)
         else:
             raise InputError(f"{path}: the compression {kind[:20]!r} of a chunk is unknown.")
+    except InputError:
+        raise
     except (OSError, EOFError, RuntimeError, ValueError) as error:
         raise InputError(f"{path} is damaged: a chunk cannot be decompressed.") from error
     if len(out) != size:

@@ -35,6 +35,11 @@ UNITS = (
     "rad/s, m/s^2, uT; of iOS the uncalibrated accelerometer in g, and signs turned: "
     "at rest -1 g on the axis up"
 )
+UNITS_OF = {
+    "android": "rad/s, m/s^2, uT; at rest +g on the axis up",
+    "ios": "rad/s, uT, the uncalibrated accelerometer in g; signs turned: at rest -1 g on the axis "
+    "up",
+}
 STREAMS_READ = "IMU, magnetometer"
 TRIED = (
     "real exports of iOS and Android, the second equal to its conversion by other hands; JSON and "
@@ -95,7 +100,10 @@ def read(path: Path, options: Options) -> Recording:
     mag = _first(export, MAGS, said)
     streams = {} if mag is None else {"mag": columns(mag.ns, mag.value * 1e-6)}
     made = assemble(path, gyro, accel, streams, tuple(said))
-    return replace(made, device=export.device, model=export.model)
+    signs = "android" if export.standardised else export.platform
+    return replace(
+        made, device=export.device, model=export.model, file_units=UNITS_OF.get(signs, "")
+    )
 
 
 def _first(export: _Export, names: tuple[str, str], said: list[str]) -> Columns | None:
