@@ -27,6 +27,16 @@ def real_recordings() -> Path:
     return folder
 
 
+@pytest.fixture(scope="session")
+def cases() -> Path:
+    """The folder of files as people have them, which are not part of the repository."""
+    beside = Path(__file__).resolve().parents[2] / "shared" / "cases"
+    folder = Path(os.environ.get("HANDCAL_CASES", beside))
+    if not folder.is_dir():
+        pytest.skip(f"no cases in {folder} (set HANDCAL_CASES)")
+    return folder
+
+
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
     from browsers import chromium

@@ -14,8 +14,8 @@ import numpy as np
 
 from handcal.recordings.inputs._magic import begins_with
 from handcal.recordings.inputs._options import Options
+from handcal.recordings.inputs._table import of_arrays
 from handcal.recordings.inputs._zip import LARGEST
-from handcal.recordings.inputs.plain_csv import of_named
 from handcal.types import Array, InputError, Recording
 
 UNDERSTOOD = "a Parquet table with columns t, gx, gy, gz, ax, ay, az (.parquet)"
@@ -24,6 +24,7 @@ STREAMS_READ = "IMU, magnetometer, temperature, heading"
 TRIED = "tables written by pyarrow"
 ENDINGS = (".parquet",)
 MARK = "it does not begin with PAR1"
+TABLE = True
 MOST_COLUMNS = 1000
 
 
@@ -58,7 +59,7 @@ def read(path: Path, options: Options) -> Recording:
     except (pa.ArrowException, KeyError, OSError, OverflowError, UnicodeDecodeError) as error:
         raise InputError(f"{path} is a damaged Parquet file: {error}.") from error
     options.progress(1.0)
-    return of_named(path, named, options)
+    return of_arrays(path, named, options)
 
 
 def _is_number(pa: object, kind: object) -> bool:
