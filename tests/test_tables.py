@@ -305,7 +305,7 @@ def test_import_takes_them_and_so_does_handcal_toml(tmp_path: Path) -> None:
     )
     done = run("info", path, "--config", config, "--json", "-")
     assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["rate_hz"] == pytest.approx(100.0)
+    assert json.loads(done.stdout)["recording"]["duration_s"] == pytest.approx(3.99)
 
 
 def test_explain_repeats_them_in_the_commands_that_come_next() -> None:

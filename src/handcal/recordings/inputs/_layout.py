@@ -11,8 +11,8 @@ from handcal.recordings.inputs._clock import is_clock, is_date
 from handcal.recordings.inputs._options import parse_unit, quantities
 from handcal.recordings.inputs._rows import BLANK, Rows, in_utf8, whole
 
-# Looked at, to know a table by: lines, and rows that have to be alike.
-_LINES, _ALIKE, _FEWEST = 400, 5, 3
+# Looked at, to know a table by: lines and bytes; rows that have to be alike, numbers in each.
+_LINES, _BYTES, _ALIKE, _FEWEST = 400, 2**18, 5, 3
 _SEPARATORS = "\t;,| "
 _NUMBER = re.compile(r"[+-]?(?:\d+(?:\.\d*|,\d+)?|[.,]\d+)(?:e[+-]?\d+)?|nan|[+-]?inf", re.I)
 _RATE = re.compile(
@@ -35,8 +35,8 @@ class Layout:
 def layout(content: bytes, where: str) -> Layout | None:
     """The table in a text; None where there are no rows of numbers in it."""
     content = in_utf8(content)
-    lines = content.split(b"\n", _LINES)
-    texts = [line.decode() for line in lines[:_LINES]]
+    lines = content[:_BYTES].split(b"\n")[:_LINES]
+    texts = [line.decode("utf-8", "ignore") for line in lines]
     begun = [(_values(texts, separator), separator) for separator in _SEPARATORS]
     (first, count), separator = max(begun, key=lambda one: one[0][1])
     if count < _FEWEST:
@@ -53,13 +53,13 @@ def layout(content: bytes, where: str) -> Layout | None:
     stated = [float(m[1].replace(",", ".")) * (1000.0 if m[2] else 1.0)
               for m in _RATE.finditer(said)]  # fmt: skip
     rate = next((hz for hz in stated if _RATES[0] <= hz <= _RATES[1]), None)
-    body = b"\n".join(lines[first:])
+    body = content[sum(len(line) + 1 for line in lines[:first]) :]
     return Layout(whole(Rows(where, names, body, separator, first + 1)), units, rate)
 
 
 def _cells(line: str, separator: str) -> list[str]:
     if separator == " ":
-        return line.split()
+        return re.split(" +", line.strip())
     try:
         cells = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
     except csv.Error:

@@ -40,9 +40,7 @@ def implausible(accel: Array) -> str | None:
     return f"the accelerometer reads {rest:.4g} at rest, and its unit is not stated"
 
 
-def refusal(
-    table: Table, known: Understood, options: Options, wrong: Sequence[str]
-) -> InputError:
+def refusal(table: Table, known: Understood, options: Options, wrong: Sequence[str]) -> InputError:
     """What is wrong with a table, and the options to type."""
     found = _guessed(table, known, options)
     words = []
@@ -117,7 +115,8 @@ def _guessed(table: Table, known: Understood, options: Options) -> _Guess:
             units["gyro"] = unit
     rate = not (options.rate_hz or table.rate_hz) and t is None
     lost = {one.split()[0] for one in known.missing} & {"gyro", "accel"}
-    new = not table.names or (lost and (names != before or UNKNOWN in names))
+    whole = _places(names, "a") and _places(names, "g") and names != before
+    new = not table.names or (lost and (whole or UNKNOWN in names))
     return _Guess(tuple(names) if new else (), rate, units)
 
 

@@ -11,7 +11,7 @@ from handcal.recordings.inputs._clock import of_clock
 from handcal.recordings.inputs._options import unit_factor
 from handcal.recordings.inputs._repair import nanoseconds
 from handcal.recordings.inputs._rows import is_exact
-from handcal.types import Array, InputError, IntArray
+from handcal.types import Array, IntArray
 
 Clock = Array | IntArray | Sequence[str]
 # Moments since 1970, s, of the years 2001 to 2100; and steps, s, as an IMU's are.

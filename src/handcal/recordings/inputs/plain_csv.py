@@ -12,6 +12,7 @@ columns in their order, ``--rate`` counts time.
 from __future__ import annotations
 
 import codecs
+from dataclasses import replace
 from pathlib import Path
 
 from handcal.recordings.inputs._clock import is_clock, is_date
@@ -26,9 +27,7 @@ from handcal.types import InputError, Recording
 UNDERSTOOD = (
     "plain CSV, or another table in text, with columns t, gx, gy, gz, ax, ay, az (.csv, .tsv, .txt)"
 )
-UNITS = (
-    "as the names or a second header say, else SI; signs as handcal's: at rest +g on the axis up"
-)
+UNITS = "as the names or a second header say, else SI; at rest +g on the axis up"
 STREAMS_READ = "IMU, magnetometer, temperature, heading"
 TRIED = "a real recording of an x-IMU3; layouts of many programs; tables made by hypothesis"
 ENDINGS = (".csv", ".tsv", ".txt", ".dat", ".log")
@@ -70,8 +69,9 @@ def read(path: Path, options: Options) -> Recording:
         raise InputError(f"{path} has a header but no rows.")
     first = rows.body.lstrip(b"\n").partition(b"\n")[0].decode()
     width = max(first.count(rows.separator) + 1, len(rows.names))
-    while width > len(rows.names) and not _any(rows, width - 1):
-        width -= 1
+    few = replace(rows, body=rows.body[:_BEGINNING].rpartition(b"\n")[0] or rows.body)
+    while width > len(rows.names) and not any(texts(few, width - 1)):
+        width -= 1  # (many a row ends with a comma)
     table = Table(
         path, rows.names, width, lambda places: numbers(rows, places),
         lambda place: _clock(rows, place), found.units, found.rate_hz,
@@ -79,11 +79,6 @@ def read(path: Path, options: Options) -> Recording:
     made = recording(table, options)
     options.progress(1.0)
     return made
-
-
-def _any(rows: Rows, place: int) -> bool:
-    """Whether a column holds anything: many a row ends with a comma."""
-    return any(texts(rows, place))
 
 
 def _clock(rows: Rows, place: int) -> Clock:
