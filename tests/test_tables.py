@@ -162,9 +162,24 @@ def written_by(producer: str, r: Recording) -> list[object]:
         return [counts(t, 1e6), *(w * frd).T, none, none, *(f * frd).T]
     if producer.endswith("ArduPilot, IMU"):
         return [t + 1.7e9, counts(t, 1e6), none, *(w * frd).T, *(f * frd).T, *[none] * 6]
+    if producer.endswith("HIGHRES_IMU"):
+        units = (f * frd, w * frd, mag * frd / 100)
+        return [t + 1.7e9, counts(t, 1e6), *(axis for some in units for axis in some.T), none]
     if producer.startswith("mavlogdump"):
         units = (f * frd / G * 1000, w * frd * 1000, mag * frd * 10)
-        return [t + 1.7e9, counts(t, 1e3), *(axis for some in units for axis in some.T)]
+        second = 1e3 if "SCALED" in producer else 1e6
+        return [t + 1.7e9, counts(t, second), *(axis for some in units for axis in some.T)]
+    if producer.endswith("the raw accelerometer"):
+        return [t, *(-f / G).T, *w.T]
+    if producer.startswith("bagpy"):
+        sec = np.floor(t).astype(int)
+        return [t + 0.004, none, 1_700_000_000 + sec, np.rint((t - sec) * 1e9).astype(int),
+                ["imu"] * len(t), *w.T, *f.T]  # fmt: skip
+    if producer == "WitMotion":
+        when = [f"2023-5-6 {one}" for one in clock(t)]
+        return [when, ["WT901"] * len(t), when, *(f / G).T, *(w / DEG).T, none, none, none, none]
+    if producer.startswith("EuRoC"):
+        return [counts(t, 1e9), *w.T, *f.T]
     if producer == "Apple CoreMotion":
         return [t, *(-0.9 * f / G).T, *(-0.1 * f / G).T, *w.T]
     if producer == "SensorLog of iOS":
@@ -326,3 +341,43 @@ def test_python_has_the_options_and_says_them_in_its_words(tmp_path: Path) -> No
     back = handcal.read(path, columns="gx,gy,gz,ax,ay,az", rate_hz=100.0,
                         units={"accel": "g/16384", "gyro": "deg/s/131"})  # fmt: skip
     assert back.rate_hz == pytest.approx(100.0)
+
+
+def test_a_name_that_is_of_another_language_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(text("Zeit;gx;gy;gz;ax;ay;az", columns_of(even()), ";"))
+    with pytest.raises(InputError, match=r"lacks columns for time .*'Zeit'"):
+        load(path)
+    check_same(read_as_told(path), even())
+
+
+def test_commas_of_two_kinds_are_said_to_be(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(text("t,gx,gy,gz,ax,ay,az", columns_of(even()), ";").replace(".", ","))
+    path.write_text(path.read_text().replace(";", ","))
+    with pytest.raises(InputError, match="Export it with semicolons"):
+        load(path)
+
+
+def test_numbers_of_any_writing(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(text("t,gx,gy,gz,ax,ay,az", columns_of(even()), digits="%+.9E"))
+    check_same(load(path), even())
+
+
+@pytest.mark.parametrize(
+    "upper", ["Time,Gyroscope,,,Accelerometer,,", "Time,Gyr,Gyr,Gyr,Acc,Acc,Acc"]
+)
+def test_a_sensor_may_stand_above_its_axes(tmp_path: Path, upper: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(text(f"{upper}\nTime,X,Y,Z,X,Y,Z", columns_of(even())))
+    check_same(load(path), even())
+
+
+def test_rows_may_be_labelled(tmp_path: Path) -> None:
+    """As a sketch prints them for the serial plotter; what it says between them is no row."""
+    names, table = ("t", "gx", "gy", "gz", "ax", "ay", "az"), columns_of(even())
+    rows = [" ".join(f"{n}:{x:.9f}," for n, x in zip(names, row, strict=True)) for row in table]
+    path = tmp_path / "a.txt"
+    path.write_text("\n".join(["MPU6050 found", *rows]) + "\n")
+    check_same(load(path), even())

@@ -20,6 +20,7 @@ _RATE = re.compile(
     r"[^\d\n]{0,12}?(\d+(?:[.,]\d+)?)\s*(k?)(?:hz)?",
     re.I,
 )
+_LABELLED = re.compile(r"([A-Za-z]\w*)\s*[:=]\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)")
 _RATES = 1.0, 20_000.0
 
 
@@ -40,7 +41,8 @@ def layout(content: bytes, where: str) -> Layout | None:
     begun = [(_values(texts, separator), separator) for separator in _SEPARATORS]
     (first, count), separator = max(begun, key=lambda one: one[0][1])
     if count < _FEWEST:
-        return None
+        unnamed = _unlabelled(content)
+        return None if unnamed is None else layout(unnamed, where)
     above = [k for k in range(first) if texts[k].strip()]
     width = len(_cells(texts[first], separator))
     units: tuple[str, ...] = ()
@@ -49,6 +51,8 @@ def layout(content: bytes, where: str) -> Layout | None:
         above.pop()
     if above and (names := _if_names(texts[above[-1]], separator, width)):
         above.pop()
+    if above and sum(name.lower() in ("x", "y", "z") for name in names) >= _FEWEST:
+        names = _under(_cells(texts[above[-1]], separator), names)
     said = "\n".join(texts[k] for k in above)
     stated = [float(m[1].replace(",", ".")) * (1000.0 if m[2] else 1.0)
               for m in _RATE.finditer(said)]  # fmt: skip
@@ -101,3 +105,24 @@ def _if_units(line: str, separator: str) -> tuple[str, ...]:
     filled = [cell for cell in cells if cell]
     units = [c for c in filled if any(parse_unit(q, c) is not None for q in quantities())]
     return tuple(cells) if len(units) >= _FEWEST and 2 * len(units) >= len(filled) else ()
+
+
+def _under(sensors: Sequence[str], axes: Sequence[str]) -> tuple[str, ...]:
+    """Names of two lines: a sensor above the first of its axes, or above each."""
+    out, last = [], ""
+    for k, axis in enumerate(axes):
+        last = (sensors[k] if k < len(sensors) else "") or last
+        out.append(f"{last} {axis}" if axis.lower() in ("x", "y", "z") else axis)
+    return tuple(out)
+
+
+def _unlabelled(content: bytes) -> bytes | None:
+    """The table of rows such as ``ax:0.1,ay:0.2``, as sketches for a serial plotter print them;
+    None where the text has none."""
+    found = [_LABELLED.findall(line) for line in content.decode().split("\n")]
+    names = next(([name for name, _ in pairs] for pairs in found if len(pairs) >= _FEWEST), None)
+    if names is None:
+        return None
+    rows = [",".join(value for _, value in pairs) for pairs in found
+            if [name for name, _ in pairs] == names]  # fmt: skip
+    return "\n".join([",".join(names), *rows, ""]).encode()

@@ -15,7 +15,8 @@ from handcal.recordings.streams import STREAMS
 ASIDE = "-"  # of a column that is not read
 _TOKENS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+|[^\W\d_]+")
 _TERM = re.compile(r"([+-]?)\s*([A-Za-z ]+?)\s*(?=[+(-]|$)")
-_SINGLE = ("time", "date", "temperature", "heading")
+_SINGLE = ("time", "nanos", "date", "temperature", "heading")
+_PATHS = 6  # names that have to begin alike, for what they begin with to say nothing
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class Producer:
     name: str
     columns: tuple[str, ...]
     units: Mapping[str, str]
-    axes: tuple[str, ...]
+    axes: Mapping[str, tuple[str, ...]]
     one_of: str
     header: str
 
@@ -76,7 +77,8 @@ def vocabulary() -> Vocabulary:
     table = tomllib.loads(text)
     names = {q: tuple(_name(q, text) for text in some) for q, some in table["columns"].items()}
     producers = tuple(
-        Producer(p["name"], tuple(p["columns"]), p.get("units", {}), tuple(p.get("axes", ())),
+        Producer(p["name"], tuple(p["columns"]), p.get("units", {}),
+                 {sensor: tuple(axes.split(",")) for sensor, axes in p.get("axes", {}).items()},
                  p.get("one_of", ""), p["header"]) for p in table["producer"]
     )  # fmt: skip
     return Vocabulary(names, frozenset(table["words"]["idle"]), producers)
@@ -103,7 +105,8 @@ def understood(names: Sequence[str], units: Sequence[str], needed: Sequence[str]
     """
     known = vocabulary()
     whole = ["".join(_tokens(name)) for name in names]
-    producer = next((p for p in known.producers if set(p.columns) <= set(whole)), None)
+    written = {name.strip() for name in names} | {_split_unit(name)[0].strip() for name in names}
+    producer = next((p for p in known.producers if set(p.columns) <= written), None)
     places: dict[str, dict[str, tuple[int, str]]] = {}  # by word and axis
     shared = _shared([_tokens(name) for name in names])
     for place, name in enumerate(names):
@@ -124,7 +127,7 @@ def understood(names: Sequence[str], units: Sequence[str], needed: Sequence[str]
         else:
             missing += _lacking(quantity, some, places, quantity in needed)
     used = {at for one in found.values() for _, some in one.terms for at in some}
-    one_of = whole.index(producer.one_of) if producer and producer.one_of else None
+    one_of = list(names).index(producer.one_of) if producer and producer.one_of else None
     unused = [n for k, n in enumerate(names) if k not in used and n.strip() not in ("", ASIDE)]
     return Understood(found, producer, one_of, tuple(unused), tuple(missing))
 
@@ -143,9 +146,9 @@ def _split_unit(name: str) -> tuple[str, str]:
 
 
 def _shared(all_tokens: Sequence[Sequence[str]]) -> int:
-    """How many first words all names have in common, such as a device's."""
-    named = [tokens for tokens in all_tokens if tokens]
-    if len(named) < 4:
+    """How many first words the long names have in common, such as a device's."""
+    named = [tokens for tokens in all_tokens if len(tokens) > 2]
+    if len(named) < _PATHS:
         return 0
     count = 0
     while all(len(t) > count + 1 and t[count] == named[0][count] for t in named):
@@ -156,9 +159,10 @@ def _shared(all_tokens: Sequence[Sequence[str]]) -> int:
 def _read(name: str, stated: str, known: Vocabulary, shared: int) -> tuple[str, str, str] | None:
     """Word, axis and unit of one name; None where it is none that is known."""
     bracketed = _split_unit(name)[1]
-    tokens = _tokens(name)[shared:]
+    tokens = _tokens(name)
+    tokens = tokens[shared:] if len(tokens) > 2 else tokens
     plain = [token for token in tokens if token not in known.idle]
-    for some in (tokens, plain):
+    for some in (tokens, plain, [token for token in plain if not token.isdigit()]):
         for axis, rest in _axis_apart(some):
             for count in range(len(rest), 0, -1):
                 word, tail = "".join(rest[:count]), "".join(rest[count:])

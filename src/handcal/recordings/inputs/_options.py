@@ -37,6 +37,14 @@ _SPELLINGS = {
     "rads^-1": "rad/s",
     "degs": "deg/s",
     "degps": "deg/s",
+    "degree/s": "deg/s",
+    "degrees/sec": "deg/s",
+    "degrees/second": "deg/s",
+    "deg/second": "deg/s",
+    "radians/sec": "rad/s",
+    "radians/second": "rad/s",
+    "rad/second": "rad/s",
+    "rps": "rad/s",
     "degsec": "deg/s",
     "degs-1": "deg/s",
     "degs^-1": "deg/s",
@@ -71,6 +79,7 @@ _SPELLINGS = {
     "nanoseconds": "ns",
     "c": "degc",
     "celsius": "degc",
+    "℃": "degc",
     "degrees": "deg",
     "radians": "rad",
 }
@@ -117,7 +126,7 @@ def parse_unit(quantity: str, text: str) -> str | None:
     mg*0.061); None if it is none of that quantity's."""
     unit = text.strip().lower().replace("µ", "u").replace("μ", "u").replace("micro", "u")
     unit = unit.replace("°", "deg").replace("²", "^2").replace("⁻", "-").replace("**", "^")
-    plain = re.sub(r"[\s_()·]", "", unit)
+    plain = re.sub(r"[\s_()·]|\.(?=[a-z])", "", unit)
     plain = _OF_ONE.get((quantity, plain), _SPELLINGS.get(plain, plain))
     if quantity in STREAMS:
         plain = STREAMS[quantity].spellings.get(plain, plain)

@@ -90,9 +90,9 @@ def _guessed(table: Table, known: Understood, options: Options) -> _Guess:
         for _, places in found.terms:
             for axis, at in zip(axes_of(quantity), places, strict=True):
                 names[at] = _SHORT.get(quantity, quantity) + axis
-    before = list(names)
     changing = [k for k in range(table.width) if np.ptp(numbers[:, k]) > 0]
     names = [ASIDE if n == UNKNOWN and k not in changing else n for k, n in enumerate(names)]
+    before = list(names)
     if "t" not in names and not (options.rate_hz or table.rate_hz):
         _name_time(names, numbers)
     t = _seconds(names, numbers, options.rate_hz or table.rate_hz)
@@ -116,7 +116,7 @@ def _guessed(table: Table, known: Understood, options: Options) -> _Guess:
     rate = not (options.rate_hz or table.rate_hz) and t is None
     lost = {one.split()[0] for one in known.missing} & {"gyro", "accel"}
     whole = _places(names, "a") and _places(names, "g") and names != before
-    new = not table.names or (lost and (whole or UNKNOWN in names))
+    new = not table.names or (known.missing and whole) or (lost and UNKNOWN in names)
     return _Guess(tuple(names) if new else (), rate, units)
 
 

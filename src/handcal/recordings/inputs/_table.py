@@ -13,7 +13,6 @@ from handcal.recordings.inputs import _proposal as proposal
 from handcal.recordings.inputs._names import ASIDE, Found, Understood, understood, unknown_columns
 from handcal.recordings.inputs._options import (
     SI,
-    TURNED,
     Options,
     parse_unit,
     permuted,
@@ -77,7 +76,7 @@ def recording(table: Table, options: Options) -> Recording:
         raise proposal.refusal(table, known, options, wrong)
     ns = _clock(table, known, units, options, said)
     kept = _of_first_sensor(table, known, len(ns), said)
-    held = {q: _value(table, known, q, units) for q in units if q not in ("time", "date")}
+    held = {q: _value(table, known, q, units) for q in units if q in ("gyro", "accel", *STREAMS)}
     if known.unused:
         listed = ", ".join(repr(name[:40]) for name in known.unused[:12])
         said.append(f"Columns not used: {listed}.")
@@ -125,11 +124,9 @@ def _units(
                 said.append(f"{quantity}: {doubt}; it was left out (--units {quantity}=...).")
             else:
                 wrong.append(f"{doubt}, which are {', '.join(quantities()[quantity])}")
-    if known.producer is not None and known.producer.axes and not set(options.axes) & set(TURNED):
-        said.append(
-            f"{known.producer.name}: its axes are taken for forward, right, down and were "
-            "turned to forward, left, up."
-        )
+    if known.producer is not None and known.producer.axes:
+        axes = "; ".join(f"{s} {','.join(some)}" for s, some in known.producer.axes.items())
+        said.append(f"This is taken for {known.producer.name}: its axes were turned ({axes}).")
     return units, said, wrong
 
 
@@ -145,10 +142,10 @@ def _doubts(table: Table, known: Understood, options: Options) -> list[str]:
     time, accel = known.found.get("time"), known.found.get("accel")
     if time and not (time.unit or options.units.get("time") or options.rate_hz):
         clock = table.clock(_place(time))
-        if isinstance(clock, np.ndarray) and is_counter(clock):
+        if isinstance(clock, np.ndarray) and is_counter(clock) and "nanos" not in known.found:
             wrong.append("time counts samples")
     if accel and not (accel.unit or options.units.get("accel")):
-        doubt = proposal.implausible(sum(s * table.numbers(some) for s, some in accel.terms))
+        doubt = proposal.implausible(_as_written(table, accel))
         wrong += [doubt] if doubt else []
     return wrong
 
@@ -174,6 +171,10 @@ def _clock(
     if date is not None and _place(date) != _place(found) and not isinstance(clock, np.ndarray):
         days = table.clock(_place(date))
         clock = [f"{day} {time}" for day, time in zip(days, clock, strict=True)]
+    nanos = known.found.get("nanos")
+    if nanos is not None and isinstance(clock, np.ndarray) and clock.dtype.kind == "i":
+        further = np.rint(table.numbers([_place(nanos)])[:, 0])
+        return clock.astype(np.int64) * 10**9 + further.astype(np.int64)
     stated = "time" in options.units or found.unit
     return stamped(str(table.path), clock, units["time"] if stated else "", said)
 
@@ -189,12 +190,17 @@ def _of_first_sensor(table: Table, known: Understood, size: int, said: list[str]
     return first
 
 
+def _as_written(table: Table, found: Found) -> Array:
+    """Readings (n, k) in the file's unit."""
+    value: Array = np.sum([sign * table.numbers(some) for sign, some in found.terms], axis=0)
+    return value
+
+
 def _value(table: Table, known: Understood, quantity: str, units: Mapping[str, str]) -> Array:
     """Readings (n, k) in SI, in forward, left, up where the producer's axes are known."""
-    value = sum(sign * table.numbers(some) for sign, some in known.found[quantity].terms)
-    value = np.asarray(value) * unit_factor(quantity, units[quantity])
-    if quantity in TURNED and known.producer is not None and known.producer.axes:
-        value = permuted(value, known.producer.axes)
+    value = _as_written(table, known.found[quantity]) * unit_factor(quantity, units[quantity])
+    if known.producer is not None and quantity in known.producer.axes:
+        value = permuted(value, known.producer.axes[quantity])
     return value
 
 

@@ -69,6 +69,11 @@ def read(path: Path, options: Options) -> Recording:
         raise InputError(f"{path} has a header but no rows.")
     first = rows.body.lstrip(b"\n").partition(b"\n")[0].decode()
     width = max(first.count(rows.separator) + 1, len(rows.names))
+    if rows.separator == "," and rows.names and width >= 2 * len(rows.names):
+        raise InputError(
+            f"{path}: commas divide its columns and are decimal signs too: {len(rows.names)} "
+            f"columns are named, and {width} are there. Export it with semicolons between them."
+        )
     few = replace(rows, body=rows.body[:_BEGINNING].rpartition(b"\n")[0] or rows.body)
     while width > len(rows.names) and not any(texts(few, width - 1)):
         width -= 1  # (many a row ends with a comma)
