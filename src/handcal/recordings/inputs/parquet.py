@@ -1,4 +1,4 @@
-"""Parquet tables, read with pyarrow where that is installed: columns as those of plain CSV.
+"""Parquet tables, read with pyarrow: columns as those of plain CSV.
 
 Names as in a CSV's header, with a unit in brackets or in SI: t, gx gy gz, ax ay az, mx my mz, temp,
 heading; at rest +g on the axis up, and gravity is asked whether the unit can be. A column of
@@ -34,14 +34,10 @@ def can_read(path: Path) -> bool:
 
 
 def read(path: Path, options: Options) -> Recording:
-    """Read the recording. Errors: InputError, also where pyarrow is not installed."""
-    try:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-    except ImportError as error:
-        raise InputError(
-            f"{path} is Parquet, which is read with pyarrow: pip install pyarrow."
-        ) from error
+    """Read the recording. Errors: InputError."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     try:
         with pq.ParquetFile(path) as file:
             schema = file.schema_arrow
