@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -13,6 +14,7 @@ from hypothesis import strategies as st
 from sample_recording import sample
 
 from handcal.recordings.inputs import load
+from handcal.types import InputError
 
 N, RATE = 240, 100.0
 DEG, G = np.pi / 180, 9.80665
@@ -168,3 +170,33 @@ def test_a_motion_in_any_layout_is_read_back(tmp_path: Path, layout: Layout) -> 
     np.testing.assert_allclose(back.imu.accel, r.accel, rtol=0, atol=1e-6)
     if "mag" in layout.sensors:
         np.testing.assert_allclose(back.streams["mag"].value, mag, rtol=0, atol=1e-9)
+
+
+MARKS = (",", ";", "\t", "\n", '"', "x", "1e308", "-", "nan", "12:00:00", "#", "()", "[0]", "/",
+         "2024-13-45 12:00:00", "µ", "\0")  # fmt: skip
+
+
+@settings(
+    deadline=None, max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    layout=layouts(),
+    cuts=st.lists(
+        st.tuples(st.floats(0, 1), st.integers(0, 9), st.sampled_from(MARKS)), max_size=9
+    ),
+    told=st.booleans(),
+)
+def test_damage_gives_a_recording_or_a_sentence(
+    tmp_path: Path, layout: Layout, cuts: list[tuple[float, int, str]], told: bool
+) -> None:
+    """Most of it where the names and units are."""
+    r = sample(n=60, streams=False).imu
+    t = np.arange(60) / RATE
+    text = written(layout, t, {"gyro": r.gyro, "accel": r.accel, "mag": 1e-5 * r.accel})
+    for where, lost, mark in cuts:
+        at = int(where**4 * len(text))
+        text = text[:at] + mark + text[at + lost :]
+    path = tmp_path / f"a{layout.ending}"
+    path.write_text(text)
+    with contextlib.suppress(InputError):
+        load(path, **(options(layout) if told else {}))

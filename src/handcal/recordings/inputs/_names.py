@@ -227,11 +227,14 @@ def _lacking(
 ) -> list[str]:
     """What is missing of a quantity: all of what has to be there, the rest of what is begun."""
     axes = axes_of(quantity)
-    begun = [places[word] for name in some for _, word in name.terms if word in places]
+    begun = [
+        [axis for axis in axes if any(axis not in places.get(word, {}) for _, word in name.terms)]
+        for name in some
+        if any(word in places for _, word in name.terms)
+    ]
     if not needed and not (begun and quantity in STREAMS):
         return []
-    most = max(begun, key=len, default={})
-    return [f"{quantity} {axis}".strip() for axis in axes if axis not in most]
+    return [f"{quantity} {axis}".strip() for axis in min(begun, key=len, default=axes)]
 
 
 def unknown_columns(columns: Sequence[str]) -> list[str]:

@@ -12,7 +12,7 @@ import numpy as np
 from handcal.earth import STANDARD_GRAVITY
 from handcal.recordings.inputs._checks import rest_magnitude, turning_mismatch
 from handcal.recordings.inputs._names import ASIDE, Understood, axes_of
-from handcal.recordings.inputs._options import SI, Options, unit_factor
+from handcal.recordings.inputs._options import SI, Options, parse_unit, unit_factor
 from handcal.recordings.inputs._stamps import is_counter, unit_of
 from handcal.types import Array, InputError
 
@@ -85,6 +85,8 @@ def _explained(found: _Guess) -> str:
 def _guessed(table: Table, known: Understood, options: Options) -> _Guess:
     """What its numbers say of a table."""
     numbers = _numbers(table)
+    if not len(numbers):
+        return _Guess((), False, {})
     names = [UNKNOWN] * table.width
     for quantity, found in known.found.items():
         for _, places in found.terms:
@@ -121,7 +123,9 @@ def _guessed(table: Table, known: Understood, options: Options) -> _Guess:
 
 
 def _stated(known: Understood, quantity: str) -> str:
-    return known.found[quantity].unit if quantity in known.found else ""
+    """The unit that the file states, as far as it is one."""
+    unit = known.found[quantity].unit if quantity in known.found else ""
+    return (parse_unit(quantity, unit) or "") if unit else ""
 
 
 def _numbers(table: Table) -> Array:
@@ -133,7 +137,11 @@ def _numbers(table: Table) -> Array:
         except InputError:
             out.append(None)
     size = max((len(one) for one in out if one is not None), default=0)
-    return np.column_stack([np.zeros(size) if one is None else one for one in out])
+    held = np.zeros((size, table.width))
+    for k, one in enumerate(out):
+        if one is not None:
+            held[:, k] = one
+    return held
 
 
 def _places(names: Sequence[str], short: str) -> list[int]:

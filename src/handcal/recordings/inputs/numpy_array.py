@@ -6,6 +6,7 @@ Names and units as those of a table in text. Arrays of Python objects are not re
 from __future__ import annotations
 
 from pathlib import Path
+from tokenize import TokenError
 
 import numpy as np
 
@@ -22,6 +23,9 @@ TRIED = "files written by numpy"
 ENDINGS = (".npy",)
 MARK = "it does not begin with NUMPY"
 TABLE = True
+# (numpy reads the header as Python does)
+_DAMAGED = (ValueError, EOFError, SyntaxError, OverflowError, TypeError, MemoryError, TokenError,
+            RecursionError)  # fmt: skip
 
 
 def can_read(path: Path) -> bool:
@@ -35,7 +39,7 @@ def read(path: Path, options: Options) -> Recording:
         raise InputError(f"{path} holds more than {LARGEST // 2**20} MiB: cut it into parts.")
     try:
         array = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (ValueError, EOFError, SyntaxError, OverflowError, TypeError, MemoryError) as error:
+    except _DAMAGED as error:
         raise InputError(f"{path} is a damaged NumPy file, or of objects: {error}.") from error
     options.progress(1.0)
     if array.dtype.names and array.ndim == 1:
