@@ -5,19 +5,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from handcal.earth import STANDARD_GRAVITY
+from handcal.recordings.inputs._cells import Table
 from handcal.recordings.inputs._checks import rest_magnitude, turning_mismatch
 from handcal.recordings.inputs._names import ASIDE, Understood, axes_of
 from handcal.recordings.inputs._options import SI, Options, parse_unit, unit_factor
 from handcal.recordings.inputs._stamps import is_counter, unit_of
 from handcal.types import Array, InputError
-
-if TYPE_CHECKING:
-    from handcal.recordings.inputs._table import Table
 
 UNKNOWN = "?"
 # By how much gravity at rest may be off in its unit; what holds for SI, m/s^2.

@@ -4,12 +4,13 @@ on which clock. All that is wrong with it is said at once, with the options that
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from handcal.recordings.inputs import _proposal as proposal
+from handcal.recordings.inputs._cells import Table
 from handcal.recordings.inputs._names import ASIDE, Found, Understood, understood, unknown_columns
 from handcal.recordings.inputs._options import (
     SI,
@@ -25,21 +26,6 @@ from handcal.recordings.streams import STREAMS
 from handcal.types import Array, BoolArray, InputError, IntArray, Recording
 
 NEEDED = ("time", "gyro", "accel")
-
-
-@dataclass(frozen=True)
-class Table:
-    """names: of the columns, () without a header; width: how many there are. numbers: of places,
-    to columns (n, k), NaN for empty cells; clock: of the place of a time, to stamps as they stand.
-    units: of a second header, () without; rate_hz: stated beside the table."""
-
-    path: Path
-    names: tuple[str, ...]
-    width: int
-    numbers: Callable[[Sequence[int]], Array]
-    clock: Callable[[int], Clock]
-    units: tuple[str, ...] = ()
-    rate_hz: float | None = None
 
 
 def of_arrays(path: Path, named: Mapping[str, Array | IntArray], options: Options) -> Recording:

@@ -15,12 +15,13 @@ import codecs
 from dataclasses import replace
 from pathlib import Path
 
+from handcal.recordings.inputs._cells import Table
 from handcal.recordings.inputs._clock import is_clock, is_date
 from handcal.recordings.inputs._layout import layout
 from handcal.recordings.inputs._options import Options
 from handcal.recordings.inputs._rows import Rows, numbers, texts, whole_numbers
 from handcal.recordings.inputs._stamps import Clock
-from handcal.recordings.inputs._table import Table, recording
+from handcal.recordings.inputs._table import recording
 from handcal.recordings.inputs._zip import LARGEST
 from handcal.types import InputError, Recording
 
