@@ -527,6 +527,15 @@ def parquet(r: Recording, **more: Any) -> bytes:
     return bytes(out.getvalue())
 
 
+def npy(r: Recording) -> bytes:
+    """By numpy: records with names."""
+    out, imu = io.BytesIO(), r.imu
+    names = ["t", *(f"{s}{axis}" for s in ("gyro_", "accel_") for axis in "xyz")]
+    table = np.column_stack([imu.t, imu.gyro, imu.accel])
+    np.save(out, np.rec.fromarrays(table.T, names=",".join(names)))
+    return out.getvalue()
+
+
 def _us(times: np.ndarray) -> list[int]:
     return [5_000_000 + round(t * 1e6) for t in times.tolist()]
 
@@ -558,6 +567,7 @@ WRITERS: dict[str, list[tuple[str, Callable[[Recording], bytes]]]] = {
     "px4_ulog": [(".ulg", ulog), (".ulg", lambda r: ulog(r, raw=False))],
     "matlab": [(".mat", mat), (".mat", lambda r: mat(r, compress=False))],
     "parquet": [(".parquet", parquet)],
+    "numpy_array": [(".npy", npy)],
     "xsens": [(".txt", mt_manager), (".csv", dot)],
 }
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import dataclasses
 import sqlite3
-import sys
 import tracemalloc
 import zipfile
 from collections.abc import Callable
@@ -294,15 +293,6 @@ def test_a_matlab_bomb_and_a_version_that_is_not_read(tmp_path: Path) -> None:
         load(written(tmp_path, ".mat", bomb))
     with pytest.raises(InputError, match="save it with '-v7'"):
         load(written(tmp_path, ".mat", b"MATLAB 7.3 MAT-file" + bytes(600)))
-
-
-def test_parquet_without_pyarrow_is_a_sentence(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = written(tmp_path, ".parquet", format_files.parquet(format_files.small()))
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(InputError, match="pip install pyarrow"):
-        load(path)
 
 
 def test_a_parquet_column_of_no_letters_is_a_sentence(tmp_path: Path) -> None:

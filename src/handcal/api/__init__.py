@@ -62,23 +62,35 @@ def read(
     *,
     topics: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
+    columns: Sequence[str] | str = (),
+    rate_hz: float | None = None,
+    axes: Mapping[str, str] | None = None,
     needs: tuple[str, ...] = HALVES,
 ) -> Recording:
     """A recording from a file of any format that the command line reads.
 
     topics: which topic is which stream ({"imu": "/phone/imu"}). units: where they are not as
-    the format states ({"accel": "g"}). needs: of gyro and accel those that there have to be; of
-    one alone ``allan`` makes something. Errors: InputError.
+    the format states ({"accel": "g"}, {"accel": "g/16384"}). columns: what those of a table are, in
+    their order ("t,gx,gy,gz,ax,ay,az", "-" leaves one aside). rate_hz: of a table without times.
+    axes: of gyro, accel or mag, which of its axes stand for the IMU's x, y, z ({"mag": "y,x,-z"}).
+    needs: of gyro and accel those that there have to be; of one alone ``allan`` makes something.
+    Errors: InputError.
     """
     if not isinstance(path, str | Path):
         raise InputError(f"read takes the path of a file, no {type(path).__name__}; {_OF_ARRAYS}")
     for name, given, example in (
         ("topics", topics, '{"imu": "/phone/imu"}'), ("units", units, '{"accel": "g"}'),
+        ("axes", axes, '{"mag": "y,x,-z"}'),
     ):  # fmt: skip
         for key, value in options.mapping(name, {} if given is None else given, example).items():
             if not isinstance(value, str):
                 raise InputError(f"{name}: {key} takes a name, as {example}, no {value!r:.40}.")
-    read = inputs.load(path, topics=topics, units=units, needs=needs)
+    if rate_hz is not None:
+        options.number("rate_hz", rate_hz, " (Hz)")
+    named = options.ids("columns", columns)
+    read = inputs.load(
+        path, topics=topics, units=units, columns=named, rate_hz=rate_hz, axes=axes, needs=needs
+    )
     return Recording.of(replace(read, warnings=tuple(map(in_python, read.warnings))))
 
 

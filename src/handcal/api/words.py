@@ -6,13 +6,27 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from handcal.recordings.inputs import quantities
+from handcal.recordings.inputs._options import SI, unit_factor
 from handcal.types import HandcalError
 
 _UNIT = r"--units (\w+)=(\.\.\.|[^\s;),:]+?)(?=\.?(?:[\s;),:]|$))"
+_SEVERAL = r"(\w+=[^\s;),:]+?(?:,\w+=[^\s;),:]+?)*)(?=[.,]?(?:[\s;),:]|$))"
+
+
+def _mapping(pairs: str) -> str:
+    """``accel=g,gyro=deg/s`` as a dict is written."""
+    said = ", ".join('"{}": "{}"'.format(*pair.split("=", 1)) for pair in pairs.split(","))
+    return f"{{{said}}}"
+
+
 _IN_PYTHON = (
     (r"--units (\w+)=\.\.\.", r'units={"\1": ...}'),
-    (_UNIT, r'units={"\1": "\2"}'),
+    (rf"--units {_SEVERAL}", lambda m: f"units={_mapping(m[1])}"),
+    (r"--axes (\w+)=((?:-?[xyz],){2}-?[xyz])", r'axes={"\1": "\2"}'),
+    (r"--columns ([^\s;:)]+?)(?=\.?(?:[\s;:)]|$))", r'columns="\1"'),
+    (r"--rate HZ", "rate_hz=HZ"),
+    (r"--rate\b", "rate_hz"),
+    (r"--(axes|columns)\b", r"\1"),
     (r"--units\b", "units"),
     (r"--topic (\w+)=\.\.\.", r'topics={"\1": ...}'),
     (r"--topic (\w+)=([^\s;:]+?)(?=[.:]?(?:[\s;:]|$))", r'topics={"\1": "\2"}'),
@@ -45,8 +59,7 @@ def of_arrays(text: str) -> str:
 
 
 def _converted(unit: re.Match[str]) -> str:
-    units = quantities()[unit[1]]
-    return f"multiply it by {units[unit[2]] / next(iter(units.values())):.6g}"
+    return f"multiply it by {unit_factor(unit[1], unit[2]) / unit_factor(unit[1], SI[unit[1]]):.6g}"
 
 
 @contextmanager

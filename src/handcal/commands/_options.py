@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from enum import StrEnum
 from functools import wraps
-from inspect import Parameter, signature
+from inspect import Parameter, Signature, signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -47,7 +48,33 @@ Topics = Annotated[
 Units = Annotated[
     str | None,
     typer.Option(
-        metavar="NAME=UNIT,...", help="Units in the file where they are not SI: accel=g,gyro=deg/s."
+        metavar="NAME=UNIT,...",
+        help="Units in the file where they are not SI: accel=g,gyro=deg/s; in counts "
+        "accel=g/16384,gyro=deg/s/131.",
+    ),
+]
+ColumnsOf = Annotated[
+    str | None,
+    typer.Option(
+        "--columns",
+        metavar="NAME,...",
+        help="What the columns of a table are, in their order: t,gx,gy,gz,ax,ay,az; - leaves one "
+        "aside.",
+    ),
+]
+Rate = Annotated[
+    float | None,
+    typer.Option(
+        "--rate", metavar="HZ", help="Of a table without times, or whose time counts samples."
+    ),
+]
+AxesOf = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--axes",
+        metavar="SENSOR=AXES",
+        help="Which axes of gyro, accel or mag stand for the IMU's x, y, z: mag=y,x,-z "
+        "(repeatable).",
     ),
 ]
 UnitsToo = Annotated[
@@ -56,7 +83,7 @@ UnitsToo = Annotated[
         metavar="si|UNIT,...|NAME=UNIT,...",
         help="Show numbers in these (si, or of deg, deg/h, mrad, rad, mg, g, m/s^2, percent, ppm, "
         "mm, ms; JSON is always SI); and NAME=UNIT: what is in the file where it is not SI "
-        "(accel=g).",
+        "(accel=g, accel=g/16384).",
     ),
 ]
 Effects = Annotated[
@@ -139,6 +166,17 @@ def say_what_runs(folder: Path) -> None:
     say(f"running the code of {names} in {folder}, as --effects-from asks")
 
 
+def _shaped(run: Callable[..., None], parameters: Sequence[Parameter]) -> Callable[..., None]:
+    """A function that the command line sees with these parameters."""
+    run.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
+    run.__annotations__ = {p.name: p.annotation for p in parameters}
+    return run
+
+
+def _option(name: str, annotation: object) -> Parameter:
+    return Parameter(name, Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
+
+
 def with_own_effects(command: Callable[..., None]) -> Callable[..., None]:
     """The command with the option --effects-from: it runs with those effects in the catalogue. One
     that has that option itself is told the folder."""
@@ -158,16 +196,72 @@ def with_own_effects(command: Callable[..., None]) -> Callable[..., None]:
         with user_effects.effects_from(effects_from):
             command(*arguments, **options)
 
-    option = Parameter("effects_from", Parameter.KEYWORD_ONLY, default=None, annotation=EffectsFrom)
-    others = [p for name, p in own.parameters.items() if name != option.name]
-    run_with.__signature__ = own.replace(parameters=[*others, option])  # type: ignore[attr-defined]
-    run_with.__annotations__ = {**command.__annotations__, "effects_from": EffectsFrom}
-    return run_with
+    others = [p for name, p in own.parameters.items() if name != "effects_from"]
+    return _shaped(run_with, [*others, _option("effects_from", EffectsFrom)])
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What was typed of the file of a recording."""
+
+    topic: list[str] | None = None
+    units: str | None = None
+    columns: str | None = None
+    rate: float | None = None
+    axes: list[str] | None = None
+
+    @property
+    def topics(self) -> dict[str, str]:
+        """Topic by stream. Errors: InputError."""
+        return pairs(self.topic or [], "--topic")
+
+    @property
+    def said(self) -> dict[str, Any]:
+        """The options as ``handcal.load`` takes them. Errors: InputError."""
+        return {
+            "topics": self.topics,
+            "units": pairs(comma_separated(self.units or ""), "--units"),
+            "columns": tuple(
+                word.strip() for word in (self.columns or "").split(",") if self.columns
+            ),
+            "rate_hz": self.rate,
+            "axes": pairs(self.axes or [], "--axes"),
+        }
+
+    @property
+    def typed(self) -> list[str]:
+        """The options as they were typed."""
+        one = [("--units", self.units), ("--columns", self.columns), ("--rate", self.rate)]
+        several = [("--topic", self.topic), ("--axes", self.axes)]
+        one += [(name, word) for name, words in several for word in words or ()]
+        return [word for name, value in one if value is not None for word in (name, str(value))]
+
+
+AS_IT_IS = Reading()
+_READING = {"topic": Topics, "units": Units, "columns": ColumnsOf, "rate": Rate, "axes": AxesOf}
+
+
+def reads_recordings(command: Callable[..., None]) -> Callable[..., None]:
+    """The command with the options that say what is in a file, which it gets as ``how``; one of
+    them that it has itself stays its own."""
+    own = signature(command, eval_str=True).parameters
+    names = [name for name in _READING if name not in own]
+
+    @wraps(command)
+    def run_reading(*arguments: Any, **options: Any) -> None:
+        how = Reading(**{name: options.pop(name, None) for name in names})
+        command(*arguments, how=how, **options)
+
+    others = [p.replace(kind=Parameter.KEYWORD_ONLY) for n, p in own.items() if n != "how"]
+    at = list(own).index("how")
+    added = [_option(name, _READING[name]) for name in names]
+    return _shaped(run_reading, [*others[:at], *added, *others[at:]])
 
 
 def in_units(command: Callable[..., None]) -> Callable[..., None]:
     """The command, showing its numbers in the units that --units asks for; what it says of the
     file (NAME=UNIT) is left to the command."""
+    own = signature(command, eval_str=True).parameters
 
     @wraps(command)
     def run_in(*arguments: Any, units: str | None = None, **options: Any) -> None:
@@ -178,7 +272,8 @@ def in_units(command: Callable[..., None]) -> Callable[..., None]:
         with showing([u for u in items if "=" not in u]):
             command(*arguments, units=",".join(of_file) or None, **options)
 
-    return run_in
+    shown = {"units": own["units"].replace(annotation=UnitsToo)}
+    return _shaped(run_in, list({**own, **shown}.values()))
 
 
 def comma_separated(text: str) -> tuple[str, ...]:
@@ -200,21 +295,15 @@ def pairs(items: Sequence[str], option: str) -> dict[str, str]:
 
 
 def load(
-    path: Path,
-    topics: list[str] | None,
-    units: str | None,
-    needs: tuple[str, ...] = ("gyro", "accel"),
+    path: Path, how: Reading = AS_IT_IS, needs: tuple[str, ...] = ("gyro", "accel")
 ) -> Recording:
     """A recording with the options as typed; needs: sensors that it has to hold. Errors:
     InputError."""
     import handcal
 
-    chosen = pairs(topics or [], "--topic")
-    said = pairs(comma_separated(units or ""), "--units")
+    said = how.said
     with progress(f"reading {path.name}") as report:
-        recording: Recording = handcal.load(
-            path, topics=chosen, units=said, progress=report, needs=needs
-        )
+        recording: Recording = handcal.load(path, **said, progress=report, needs=needs)
     return recording
 
 

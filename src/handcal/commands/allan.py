@@ -8,11 +8,20 @@ from typing import Annotated
 
 import typer
 
-from handcal.commands._options import Json, Report, Topics, UnitsToo, in_units, load
+from handcal.commands._options import (
+    AS_IT_IS,
+    Json,
+    Reading,
+    Report,
+    in_units,
+    load,
+    reads_recordings,
+)
 from handcal.commands._progress import progress
 
 
 @in_units
+@reads_recordings
 def allan(
     file: Annotated[
         Path, typer.Argument(metavar="FILE", help="A recording with a long rest: hours are best.")
@@ -21,8 +30,7 @@ def allan(
         str | None,
         typer.Option(metavar="FROM,TO", help="Stretch to analyse, s; else the longest rest."),
     ] = None,
-    topic: Topics = None,
-    units: UnitsToo = None,
+    how: Reading = AS_IT_IS,
     json: Json = None,
     report: Report = None,
 ) -> None:
@@ -34,7 +42,7 @@ def allan(
 
     check_outputs((json, report), (file,))
     chosen = _span(span)
-    recording = load(file, topic, units, needs=())
+    recording = load(file, how, needs=())
     with progress(f"analysing {file.name}"):
         result = analyse(recording, chosen)
     if report:

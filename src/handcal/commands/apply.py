@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from handcal.commands._options import Topics, Units, load, with_own_effects
+from handcal.commands._options import AS_IT_IS, Reading, load, reads_recordings, with_own_effects
 from handcal.commands._registry import say, tell
 
 if TYPE_CHECKING:
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 
 @with_own_effects
+@reads_recordings
 def apply(
     recording: Annotated[
         Path, typer.Argument(metavar="RECORDING", help="A recording of the same device.")
@@ -36,8 +37,7 @@ def apply(
             "--biases", help="Take off biases too, which are those of the recording explained."
         ),
     ] = False,
-    topic: Topics = None,
-    units: Units = None,
+    how: Reading = AS_IT_IS,
 ) -> None:
     """Take the errors that were found off a recording's readings.
 
@@ -52,7 +52,7 @@ def apply(
     check_outputs((out,), (recording, learnt_from))
     check_ending(out)
     learnt = read(learnt_from)
-    given = load(recording, topic, units)
+    given = load(recording, how)
     corrected = applied(given, learnt, biases=biases)
     left = _left(corrected, learnt)
     if not corrected.taken:

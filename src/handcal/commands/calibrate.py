@@ -16,6 +16,7 @@ from handcal.commands._device import (
     contradictions,
 )
 from handcal.commands._options import (
+    AS_IT_IS,
     Assume,
     Assumption,
     Effects,
@@ -28,14 +29,14 @@ from handcal.commands._options import (
     Latitude,
     NoiseUntil,
     Only,
+    Reading,
     ReferenceExact,
     Report,
     Rrd,
-    Topics,
-    UnitsToo,
     calibrated,
     in_units,
     load,
+    reads_recordings,
     with_own_effects,
 )
 
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
 
 @with_own_effects
 @in_units
+@reads_recordings
 def calibrate(
     files: Annotated[
         list[Path], typer.Argument(metavar="FILE...", help="Recordings of one device.")
@@ -67,8 +69,7 @@ def calibrate(
     assume: Assumption = Assume.auto,
     latitude: Latitude = None,
     height: Height = 0.0,
-    topic: Topics = None,
-    units: UnitsToo = None,
+    how: Reading = AS_IT_IS,
     ignore: Ignore = None,
     reference_exact: ReferenceExact = False,
     noise_until: NoiseUntil = None,
@@ -89,7 +90,7 @@ def calibrate(
 
     read = (*files, learnt_from, device, priors)
     check_outputs((json, report, rrd), read)
-    recordings = [load(path, topic, units) for path in files]
+    recordings = [load(path, how) for path in files]
     for several in (report, rrd):
         if several:
             check_outputs(beside(several, recordings), read)

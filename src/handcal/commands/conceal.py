@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from handcal.commands._options import Topics, Units, load, with_own_effects
+from handcal.commands._options import AS_IT_IS, Reading, load, reads_recordings, with_own_effects
 from handcal.commands._registry import tell
 
 if TYPE_CHECKING:
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 
 @with_own_effects
+@reads_recordings
 def conceal(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording, real ones too.")],
     effect: Annotated[
@@ -43,8 +44,7 @@ def conceal(
             min=0, help="The same seed gives the same file (drawn and printed if omitted)."
         ),
     ] = None,
-    topic: Topics = None,
-    units: Units = None,
+    how: Reading = AS_IT_IS,
 ) -> None:
     """Add an effect to a recording, to see whether it is found."""
     import secrets
@@ -59,7 +59,7 @@ def conceal(
     check_outputs((out,), (file, learnt_from))
     check_ending(out)
     seed = secrets.randbelow(2**31) if seed is None else seed
-    recording = load(file, topic, units)
+    recording = load(file, how)
     truth = None
     if learnt_from is not None:
         from handcal.device import apply as known

@@ -13,19 +13,20 @@ from typing import Annotated
 import typer
 
 from handcal.commands._options import (
+    AS_IT_IS,
     Assume,
     Assumption,
     HeadingSigma,
     Height,
     Json,
     Latitude,
+    Reading,
     Report,
     Rrd,
-    Topics,
-    Units,
     comma_separated,
     load,
     radians,
+    reads_recordings,
     with_own_effects,
 )
 from handcal.commands._progress import progress
@@ -141,6 +142,7 @@ def poses(
 
 @design.command()
 @with_own_effects
+@reads_recordings
 def motion(
     reduce: Annotated[
         str,
@@ -160,8 +162,7 @@ def motion(
     assume: Assumption = Assume.auto,
     latitude: Latitude = None,
     height: Height = 0.0,
-    topic: Topics = None,
-    units: Units = None,
+    how: Reading = AS_IT_IS,
     picture: Annotated[
         Path | None, typer.Option(metavar="FILE.png", help="Draw what each motion would bring.")
     ] = None,
@@ -183,7 +184,7 @@ def motion(
     if picture:
         check_ending(picture)
     wanted, others = comma_separated(reduce), comma_separated(beside)
-    recording = None if after is None else load(after, topic, units)
+    recording = None if after is None else load(after, how)
     with progress("asking each motion") as bar:
         found = plan(
             wanted, recording, beside=others, assume=str(assume),

@@ -16,6 +16,7 @@ from handcal.commands._device import (
     contradictions,
 )
 from handcal.commands._options import (
+    AS_IT_IS,
     Assume,
     Assumption,
     EffectsFrom,
@@ -24,14 +25,14 @@ from handcal.commands._options import (
     Ignore,
     Json,
     Latitude,
+    Reading,
     ReferenceExact,
     Report,
     Rrd,
-    Topics,
-    UnitsToo,
     in_units,
     load,
     radians,
+    reads_recordings,
     say_unused,
     with_own_effects,
 )
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
 
 @with_own_effects
 @in_units
+@reads_recordings
 def explain(
     files: Annotated[
         list[Path], typer.Argument(metavar="FILE...", help="Recordings of one device.")
@@ -88,8 +90,7 @@ def explain(
     assume: Assumption = Assume.auto,
     latitude: Latitude = None,
     height: Height = 0.0,
-    topic: Topics = None,
-    units: UnitsToo = None,
+    how: Reading = AS_IT_IS,
     ignore: Ignore = None,
     reference_exact: ReferenceExact = False,
     json: Json = None,
@@ -110,10 +111,10 @@ def explain(
     _check_names(twin, write_effect)
     law = write_effect if write_effect and write_effect.parent.is_dir() else None
     check_outputs((json, report, rrd, twin, law), read)
-    recordings = [load(path, topic, units) for path in files]
+    recordings = [load(path, how) for path in files]
     if twin:
         check_outputs(beside(twin, recordings), read)
-    others = [load(path, topic, units) for path in held_out or ()]
+    others = [load(path, how) for path in held_out or ()]
     settings: dict[str, Any] = {
         "heading_sigma": radians(heading_sigma), "latitude": radians(latitude), "height": height,
         "ignore": tuple(ignore or ()), "reference_exact": reference_exact,
@@ -131,7 +132,7 @@ def explain(
             progress=done, **settings,
         )  # fmt: skip
     explanation = _beside_the_device(explanation)
-    typed = _typed(assume, heading_sigma, latitude, height, ignore, reference_exact, topic, units,
+    typed = _typed(assume, heading_sigma, latitude, height, ignore, reference_exact, how,
                    device, held_out, budget, priors, model, effects_from)  # fmt: skip
     following = _following(explanation, files, typed, json)
     # (what took longest and cannot be made again from the rest is written first)
@@ -198,20 +199,20 @@ def _printed(explanation: Explanation, following: Sequence[str]) -> None:
 
 def _typed(
     assume: Assume, heading_sigma: float | None, latitude: float | None, height: float,
-    ignore: list[str] | None, reference_exact: bool, topic: list[str] | None, units: str | None,
+    ignore: list[str] | None, reference_exact: bool, how: Reading,
     device: Path | None = None, held_out: list[Path] | None = None, budget: float | None = None,
     priors: Path | None = None, model: str | None = None, effects_from: Path | None = None,
 ) -> list[str]:  # fmt: skip
     """The options that say what is found, as they were typed."""
     out = [] if assume is Assume.auto else ["--assume", str(assume)]
     for name, value in (("--heading-sigma", heading_sigma), ("--latitude", latitude),
-                        ("--height", height or None), ("--units", units), ("--device", device),
+                        ("--height", height or None), ("--device", device),
                         ("--budget", budget), ("--priors", priors),
                         ("--model", model), ("--effects-from", effects_from)):  # fmt: skip
         out += [] if value is None else [name, str(value)]
-    for name, values in (("--ignore", ignore), ("--topic", topic), ("--held-out", held_out)):
+    for name, values in (("--ignore", ignore), ("--held-out", held_out)):
         out += [word for value in values or () for word in (name, str(value))]
-    return out + (["--reference-exact"] if reference_exact else [])
+    return out + how.typed + (["--reference-exact"] if reference_exact else [])
 
 
 def _check_names(twin: Path | None, write_effect: Path | None) -> None:

@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from handcal.commands._options import Topics, Units, load, with_own_effects
+from handcal.commands._options import AS_IT_IS, Reading, load, reads_recordings, with_own_effects
 from handcal.commands._registry import say, tell
 
-
-class Axes(StrEnum):
-    """What the recording's axes are on a vehicle."""
-
-    flu = "flu"
-    frd = "frd"
+VEHICLE = ("flu", "frd")  # what the recording's axes are on a vehicle
 
 
 @with_own_effects
+@reads_recordings
 def export(
     result: Annotated[
         Path | None,
@@ -43,14 +40,15 @@ def export(
         typer.Option(metavar="ALLAN.json", help="Noise of the device at rest, by allan --json."),
     ] = None,
     axes: Annotated[
-        Axes | None,
+        list[str] | None,
         typer.Option(
-            help="px4, ardupilot: the recording's x, y, z are forward, left, up (flu) or forward, "
-            "right, down (frd). Default: flu."
+            metavar="flu|frd|SENSOR=AXES",
+            help="px4, ardupilot: the recording's x, y, z are forward, left, up (flu, the default) "
+            "or forward, right, down (frd); and which axes of gyro, accel or mag stand for the "
+            "IMU's x, y, z: mag=y,x,-z (repeatable).",
         ),
     ] = None,
-    topic: Topics = None,
-    units: Units = None,
+    how: Reading = AS_IT_IS,
 ) -> None:
     """Write a result in the format of another program.
 
@@ -73,9 +71,9 @@ def export(
     if result is None or out is None:
         raise InputError(f"export --to {to} needs RESULT.json and -o FILE.")
     output.check_outputs((out,), (result, recording, noise))
-    given = None if recording is None else load(recording, topic, units)
-    named = dict(pair.partition("=")[::2] for pair in topic or [])
-    made = contents(result, form, given, noise, named.get("imu"), axes and str(axes))
+    vehicle, how = _axes(axes or [], how)
+    given = None if recording is None else load(recording, how)
+    made = contents(result, form, given, noise, how.topics.get("imu"), vehicle)
     text = form.write(made)
     if str(out) == output.STANDARD_OUTPUT:
         print(text, end="")
@@ -85,3 +83,14 @@ def export(
         if line.startswith(("Not in this file", "All of that", "How much", "Warning: ")):
             say(line)
     tell(f"{out}: {form.line}")
+
+
+def _axes(words: Sequence[str], how: Reading) -> tuple[str | None, Reading]:
+    """Of --axes, what is of the vehicle and what is of the file. Errors: InputError."""
+    from handcal.types import InputError
+
+    of_file = [word for word in words if "=" in word]
+    others = [word for word in words if "=" not in word]
+    if len(others) > 1 or not set(others) <= set(VEHICLE):
+        raise InputError(f"--axes {' '.join(others)}: expected flu, frd, or mag=y,x,-z.")
+    return others[0] if others else None, replace(how, axes=of_file)

@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from handcal.commands._options import Topics, Units, load
+from handcal.commands._options import AS_IT_IS, Reading, load, reads_recordings
 from handcal.commands._registry import say, tell
 
 if TYPE_CHECKING:
     pass
 
 
+@reads_recordings
 def import_(
     source: Annotated[
         Path, typer.Argument(metavar="SOURCE", help="A phone log or any other format.")
@@ -21,8 +22,7 @@ def import_(
     out: Annotated[
         Path, typer.Option("-o", "--out", metavar="FILE.mcap", help="Recording to write.")
     ],
-    topic: Topics = None,
-    units: Units = None,
+    how: Reading = AS_IT_IS,
 ) -> None:
     """Turn a phone log or another format into an MCAP recording."""
     from handcal.output import check_outputs
@@ -30,7 +30,7 @@ def import_(
 
     check_outputs((out,), (source,))
     check_ending(out)
-    recording = load(source, topic, units)
+    recording = load(source, how)
     write_mcap(recording, out)
     for warning in recording.warnings:
         say(warning)

@@ -7,16 +7,24 @@ from typing import Annotated
 
 import typer
 
-from handcal.commands._options import Json, Report, Topics, UnitsToo, in_units, load
+from handcal.commands._options import (
+    AS_IT_IS,
+    Json,
+    Reading,
+    Report,
+    in_units,
+    load,
+    reads_recordings,
+)
 
 
 @in_units
+@reads_recordings
 def info(
     file: Annotated[
         Path, typer.Argument(metavar="FILE", help="A recording, of any format, or its folder.")
     ],
-    topic: Topics = None,
-    units: UnitsToo = None,
+    how: Reading = AS_IT_IS,
     json: Json = None,
     report: Report = None,
 ) -> None:
@@ -30,11 +38,11 @@ def info(
     from handcal.show.info import Info, info_json, print_info, write_info_report
 
     check_outputs((json, report), (file,))
-    recording = load(file, topic, units)
+    recording = load(file, how)
     form, found = format_of(file), overview(recording)
     stated = recording.file_units or getattr(form, "UNITS", "SI")
-    if units:
-        stated += f"; overruled by --units {units}"
+    if how.units:
+        stated += f"; overruled by --units {how.units}"
     result = Info(form.UNDERSTOOD, stated, found, seen(found), of_few_rests(recording))
     if report:
         write_info_report(result, report)

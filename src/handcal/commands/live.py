@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from handcal.commands._device import DeviceFile, ModelName, PriorsFile, before_of
-from handcal.commands._options import Effects, Rrd, Topics, Units, comma_separated, load, pairs
+from handcal.commands._options import (
+    AS_IT_IS,
+    Effects,
+    Reading,
+    Rrd,
+    comma_separated,
+    load,
+    reads_recordings,
+)
 from handcal.commands._registry import say, tell
 
 if TYPE_CHECKING:
@@ -23,6 +31,7 @@ if TYPE_CHECKING:
     from handcal.types import Prior, Recording
 
 
+@reads_recordings
 def live(
     out: Annotated[
         Path, typer.Option("--out", metavar="DIR", help="The folder to write to.")
@@ -71,8 +80,7 @@ def live(
     device: DeviceFile = None,
     priors: PriorsFile = None,
     model: ModelName = None,
-    topic: Topics = None,
-    units: Units = None,
+    how: Reading = AS_IT_IS,
     budget: Annotated[
         float | None,
         typer.Option(min=0.0, metavar="SECONDS", help="Time limit of the search, as of explain."),
@@ -95,10 +103,10 @@ def live(
     from handcal.live.recorder import opened
     from handcal.live.session import Session
 
-    places = _Places(lan, plain, port, source, speed, phyphox, follow, foxglove, topic, units)
+    places = _Places(lan, plain, port, source, speed, phyphox, follow, foxglove, how)
     places.check()
     _check_outputs(out, rrd, (source, follow, device, priors))
-    recording = None if source is None else load(source, topic, units)
+    recording = None if source is None else load(source, how)
     if recording is None:
         _check_installed()
     wanted = _wanted(effects, until, (device, priors, model), budget, places.is_page)
@@ -134,8 +142,7 @@ class _Places:
     phyphox: str | None
     follow: Path | None
     foxglove: str | None
-    topic: list[str] | None
-    units: str | None
+    how: Reading
 
     @property
     def is_page(self) -> bool:
@@ -275,7 +282,9 @@ def _pull(places: _Places) -> tuple[Pull | None, str]:
 def _options(places: _Places) -> Options:
     """What was said of the topics and units of a file."""
     from handcal.recordings.inputs._options import checked_options
+    from handcal.types import InputError
 
-    topics = pairs(places.topic or [], "--topic")
-    said = pairs(comma_separated(places.units or ""), "--units")
-    return checked_options(topics, said, None)
+    said = places.how.said
+    if said["columns"] or said["rate_hz"] or said["axes"]:
+        raise InputError("--columns, --rate and --axes are for the file of --source.")
+    return checked_options(said["topics"], said["units"], None)

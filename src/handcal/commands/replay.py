@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from handcal.commands._options import (
+    AS_IT_IS,
     Assume,
     Assumption,
     Effects,
@@ -19,12 +20,12 @@ from handcal.commands._options import (
     Ignore,
     Latitude,
     NoiseUntil,
+    Reading,
     Rrd,
-    Topics,
-    Units,
     calibrated,
     load,
     radians,
+    reads_recordings,
     with_own_effects,
 )
 from handcal.commands._registry import say
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 
 
 @with_own_effects
+@reads_recordings
 def replay(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording.")],
     speed: Annotated[
@@ -52,8 +54,7 @@ def replay(
     assume: Assumption = Assume.auto,
     latitude: Latitude = None,
     height: Height = 0.0,
-    topic: Topics = None,
-    units: Units = None,
+    how: Reading = AS_IT_IS,
     ignore: Ignore = None,
     noise_until: NoiseUntil = None,
     engine: EngineOption = Engine.compiled,
@@ -69,7 +70,7 @@ def replay(
     if no_viewer and rrd is None:
         raise InputError("--no-viewer without --rrd FILE.rrd leaves nothing to do.")
     check_outputs((rrd,), (file,))
-    recording = load(file, topic, units)
+    recording = load(file, how)
     if not (no_viewer or web):
         require_display()
     (result,) = calibrated(

@@ -92,7 +92,6 @@ class Stream:
     decode, encode: from the message's needed fields to the value and back, where they differ.
     quantities: of which ``--units`` applies to what a message holds, for equal shares of the
     columns; units: of its own quantity, factors to SI, SI first; spellings: other names for them.
-    csv: what its columns are called in the header of a table, the usual name first.
     observation: kind of observation that looks at it; without one it is known at any moment
     between two readings. circular: an angle, in (-pi, pi]. own_clock: its stamps are not the
     device's. planned_hz: in a planned motion it is read no more often than this.
@@ -110,7 +109,6 @@ class Stream:
     quantities: tuple[str, ...] = ()
     units: Mapping[str, float] = field(default_factory=dict)
     spellings: Mapping[str, str] = field(default_factory=dict)
-    csv: tuple[str, ...] = ()
     observation: str = ""
     circular: bool = False
     own_clock: bool = False
@@ -213,7 +211,7 @@ _TABLE = (
         "heading", QUATERNION, "/heading", ("yaw",), "rad", "heading", "map",
         yaw_of_quaternions, quaternions_of_yaw,
         units={"rad": 1.0, "deg": DEGREE, "rad-cw": -1.0, "deg-cw": -DEGREE},
-        spellings={"radcw": "rad-cw", "degcw": "deg-cw"}, csv=("heading", "yaw"),
+        spellings={"radcw": "rad-cw", "degcw": "deg-cw"},
         observation="heading", circular=True, planned_hz=10.0,
     ),
     # in body axes
@@ -221,12 +219,12 @@ _TABLE = (
         "mag", MAG, "/mag", ("x", "y", "z"), "tesla", "magnetometer", quantities=("mag",),
         units={"t": 1.0, "mt": 1e-3, "ut": 1e-6, "nt": 1e-9, "gauss": 1e-4, "mgauss": 1e-7},
         spellings={"g": "gauss", "mg": "mgauss"},
-        csv=("m", "mag", "magnetometer", "magneticfield"), observation="magnetometer",
+        observation="magnetometer",
         planned_hz=10.0,
     ),
     Stream(
         "temperature", TEMPERATURE, "/temperature", ("temperature",), "degC", "temperature",
-        quantities=("temperature",), units={"degc": 1.0}, csv=("temp", "temperature"),
+        quantities=("temperature",), units={"degc": 1.0},
     ),
     # position, and quaternion of C_wb: the marker's axes in the pose's world
     Stream(

@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from handcal.commands._options import (
+    AS_IT_IS,
     Height,
     Json,
     Latitude,
+    Reading,
     Report,
-    Topics,
-    Units,
     comma_separated,
     load,
+    reads_recordings,
     with_own_effects,
 )
 from handcal.commands._progress import progress
@@ -42,6 +43,7 @@ class Axes(StrEnum):
 
 
 @with_own_effects
+@reads_recordings
 def known_input(
     file: Annotated[
         Path,
@@ -79,8 +81,7 @@ def known_input(
     gravity: Gravity = None,
     latitude: Latitude = None,
     height: Height = 0.0,
-    topic: Topics = None,
-    units: Units = None,
+    how: Reading = AS_IT_IS,
     json: Json = None,
     report: Report = None,
 ) -> None:
@@ -101,7 +102,7 @@ def known_input(
     if file.suffix.lower() in (".csv", ".tsv"):
         tests, poses = steady_tests_csv.read(file, sequence, g)
     else:
-        recording = load(file, topic, units)
+        recording = load(file, how)
     if (angle_sigma or tilt_sigma) and poses is None:
         raise InputError("--angle-sigma and --tilt-sigma need the angles of the table (CSV).")
     with progress(f"calibrating {file.name}"):

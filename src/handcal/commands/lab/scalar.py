@@ -8,14 +8,15 @@ from typing import Annotated
 import typer
 
 from handcal.commands._options import (
+    AS_IT_IS,
     Height,
     Json,
     Latitude,
+    Reading,
     Report,
-    Topics,
-    Units,
     comma_separated,
     load,
+    reads_recordings,
     with_own_effects,
 )
 from handcal.commands._progress import progress
@@ -24,6 +25,7 @@ from handcal.commands.lab._results import write_results
 
 
 @with_own_effects
+@reads_recordings
 def scalar(
     file: Annotated[
         Path, typer.Argument(metavar="FILE", help="A recording with rests in many attitudes.")
@@ -40,8 +42,7 @@ def scalar(
     gravity: Gravity = None,
     latitude: Latitude = None,
     height: Height = 0.0,
-    topic: Topics = None,
-    units: Units = None,
+    how: Reading = AS_IT_IS,
     json: Json = None,
     report: Report = None,
 ) -> None:
@@ -57,7 +58,7 @@ def scalar(
 
     g = gravity_of(gravity, latitude, height)
     check_outputs((json, report), (file,))
-    recording = load(file, topic, units, needs=("accel",))
+    recording = load(file, how, needs=("accel",))
     ids = None if effects is None else comma_separated(effects)
     with progress(f"calibrating {file.name}"):
         result = scalar(recording, ids, g)

@@ -7,12 +7,22 @@ from typing import Annotated
 
 import typer
 
-from handcal.commands._options import Height, Json, Latitude, Report, Topics, Units, load
+from handcal.commands._options import (
+    AS_IT_IS,
+    Height,
+    Json,
+    Latitude,
+    Reading,
+    Report,
+    load,
+    reads_recordings,
+)
 from handcal.commands._progress import progress
 from handcal.commands.lab._gravity import Gravity, gravity_of
 from handcal.commands.lab._results import write_results
 
 
+@reads_recordings
 def size(
     file: Annotated[
         Path,
@@ -25,8 +35,7 @@ def size(
     gravity: Gravity = None,
     latitude: Latitude = None,
     height: Height = 0.0,
-    topic: Topics = None,
-    units: Units = None,
+    how: Reading = AS_IT_IS,
     json: Json = None,
     report: Report = None,
 ) -> None:
@@ -44,7 +53,7 @@ def size(
     g = gravity_of(gravity, latitude, height)
     check_outputs((json, report), (file,))
     table = file.suffix.lower() in (".csv", ".tsv")
-    recording = None if table else load(file, topic, units)
+    recording = None if table else load(file, how)
     with progress(f"calibrating {file.name}"):
         if recording is None:
             result = method.of_tests(steady_tests_csv.read(file, "ZXZ", g)[0])

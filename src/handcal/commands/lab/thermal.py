@@ -7,12 +7,22 @@ from typing import Annotated
 
 import typer
 
-from handcal.commands._options import Height, Json, Latitude, Report, Topics, Units, load
+from handcal.commands._options import (
+    AS_IT_IS,
+    Height,
+    Json,
+    Latitude,
+    Reading,
+    Report,
+    load,
+    reads_recordings,
+)
 from handcal.commands._progress import progress
 from handcal.commands.lab._gravity import Gravity, gravity_of
 from handcal.commands.lab._results import write_results
 
 
+@reads_recordings
 def thermal(
     files: Annotated[
         list[Path],
@@ -23,8 +33,7 @@ def thermal(
     gravity: Gravity = None,
     latitude: Latitude = None,
     height: Height = 0.0,
-    topic: Topics = None,
-    units: Units = None,
+    how: Reading = AS_IT_IS,
     json: Json = None,
     report: Report = None,
 ) -> None:
@@ -40,7 +49,7 @@ def thermal(
 
     g = gravity_of(gravity, latitude, height)
     check_outputs((json, report), files)
-    recordings = [load(file, topic, units) for file in files]
+    recordings = [load(file, how) for file in files]
     with progress("fitting curves") as bar:
         result = method.thermal(recordings, g, bar)
     name = files_title(files)

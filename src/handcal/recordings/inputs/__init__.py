@@ -6,7 +6,8 @@ to people whose file fits none. It may say more: ``UNITS``, a sentence on units 
 file; ``STREAMS_READ``, what is read of it; ``TRIED``, on which files (docs/formats.md is made of
 these); ``MARK``, what a file of another format shows that has one of the ``ENDINGS``;
 ``ENDINGS`` of its name and ``MEMBERS`` that a folder or zip holds, by which the nearest format is
-found for a file that fits none; ``LAST``, where other formats are to be asked first. Modules that
+found for a file that fits none; ``LAST``, where other formats are to be asked first; ``TABLE``,
+where the user may name columns and rate. Modules that
 begin with an underscore are shared.
 """
 
@@ -14,7 +15,7 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -61,27 +62,51 @@ def load(
     topics: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
     progress: Callable[[float], None] | None = None,
+    columns: Sequence[str] = (),
+    rate_hz: float | None = None,
+    axes: Mapping[str, str] | None = None,
     needs: tuple[str, ...] = HALVES,
 ) -> Recording:
     """Read a recording of any format that a module of this folder understands.
 
     topics: which MCAP topic is which stream ({"imu": "/phone/imu"}; "" leaves the stream
     out). units: of a quantity in the file ({"accel": "g", "gyro": "deg/s"}) where it is not
-    as the format states. progress: called with the fraction read so far, 0 to 1. needs: which of
-    "gyro" and "accel" there have to be; of what is not needed there may be none.
+    as the format states, also by a number ("g/16384"). progress: called with the fraction read so
+    far, 0 to 1. columns: of a table, in their order ("t", "gx", "-"). rate_hz: of a table without
+    times, or whose time counts samples. axes: of a sensor, which of its axes stand for the IMU's
+    x, y, z ({"mag": "y,x,-z"}). needs: which of "gyro" and "accel" there have to be; of what is not
+    needed there may be none.
 
     Errors: InputError, one sentence, for whatever is wrong with the file or the options.
     """
     path = Path(path)
-    options = replace(checked_options(topics, units, progress), needs=needs)
+    options = checked_options(topics, units, progress, columns, rate_hz, axes)
+    options = replace(options, needs=needs)
     module = format_of(path)
+    if (columns or rate_hz) and not getattr(module, "TABLE", False):
+        raise InputError(
+            f"{path} says itself what is in it and when: --columns and --rate are for tables."
+        )
     # Absurd numbers become infinite or NaN in conversion, and are dropped and told.
     with reading(path), said_of_cuts() as cut, np.errstate(over="ignore", invalid="ignore"):
-        recording: Recording = module.read(path, options)
+        recording: Recording = on_axes(module.read(path, options), options)
     if topics and not recording.topics:
         raise InputError(f"{path} has no topics, of which --topic could choose one.")
     # (a table that holds two sensors is read for both)
     return replace(recording, warnings=(*recording.warnings, *dict.fromkeys(cut)))
+
+
+def on_axes(recording: Recording, options: Options) -> Recording:
+    """The recording with gyro, accelerometer and magnetometer on the axes that the user names.
+    Errors: InputError for a sensor that it does not have."""
+    imu, streams = recording.imu, dict(recording.streams)
+    if "mag" in options.axes:
+        if "mag" not in streams:
+            raise InputError(f"{recording.path} has no magnetometer, for --axes mag=....")
+        mag = streams["mag"]
+        streams["mag"] = replace(mag, value=options.on_axes("mag", mag.value))
+    gyro, accel = options.on_axes("gyro", imu.gyro), options.on_axes("accel", imu.accel)
+    return replace(recording, imu=replace(imu, gyro=gyro, accel=accel), streams=streams)
 
 
 def of_arrays(

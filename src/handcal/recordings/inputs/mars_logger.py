@@ -21,7 +21,7 @@ import numpy as np
 from handcal.earth import STANDARD_GRAVITY
 from handcal.recordings.inputs._options import Options
 from handcal.recordings.inputs._repair import Columns, assemble, columns
-from handcal.recordings.inputs._rows import Rows, numbers, places, rows_of, times
+from handcal.recordings.inputs._rows import Rows, numbers, places, rows_of, texts, times
 from handcal.recordings.inputs._zip import LARGEST, beginnings, by_name, contents, listing, stated
 from handcal.recordings.inputs.ios_logger import pose_of_matrices, z_up
 from handcal.types import BoolArray, InputError, Recording
@@ -150,14 +150,13 @@ def _arkit(path: Path, content: bytes) -> Columns:
 
 
 def _where(rows: Rows, column: int, test: Callable[[str], bool]) -> BoolArray:
-    """In which rows (n,) the text of a column passes; the columns before it were read."""
-    cells = (line.split(rows.separator)[column : column + 1] for line in rows.lines)
-    return np.array([bool(cell) and test(cell[0].strip()) for cell in cells], dtype=np.bool_)
+    """In which rows (n,) the text of a column passes."""
+    return np.array([test(cell) for cell in texts(rows, column)], dtype=np.bool_)
 
 
 def _rows(path: Path, name: str, content: bytes) -> Rows:
     """Errors: InputError where there is not one row of numbers."""
     rows = rows_of(content, f"{path}: {name}", separator=",")
-    if not rows.lines:
+    if not rows.body:
         raise InputError(f"{path}: {name} has a header but no rows.")
     return rows

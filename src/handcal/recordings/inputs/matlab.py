@@ -3,9 +3,10 @@
 Further mag (n, 3), temp and heading (n,); the names are those of plain CSV's columns, one array for
 three axes or one for each, lying or standing. MATLAB states no units: they are SI (s, rad/s, m/s^2
 with +g on the axis up at rest, tesla, degC, rad) unless `--units` says otherwise, and gravity is
-asked whether that can be. Arrays of another length than the longest are not read. Version 7.3 is
-HDF5 and is not read. Parsed here as MathWorks documents the format, because scipy.io.loadmat ends
-in a segmentation fault on some damaged files.
+asked whether that can be. Arrays of another length than the longest are not read. Of one matrix
+alone, ``--columns`` names the columns. Version 7.3 is HDF5 and is not read. Parsed here as
+MathWorks documents the format, because scipy.io.loadmat ends in a segmentation fault on some
+damaged files.
 """
 
 from __future__ import annotations
@@ -20,11 +21,12 @@ import numpy as np
 
 from handcal.recordings.inputs._magic import begins_with
 from handcal.recordings.inputs._options import Options
+from handcal.recordings.inputs._table import of_arrays, of_matrix
 from handcal.recordings.inputs._zip import LARGEST, LARGEST_RATIO, RATIO_FROM
-from handcal.recordings.inputs.plain_csv import of_named
 from handcal.types import Array, InputError, Recording
 
-UNDERSTOOD = "a MATLAB file with arrays t, gyro, accel (.mat)"
+UNDERSTOOD = "a MATLAB file with arrays t, gyro, accel, or one matrix (.mat)"
+TABLE = True
 UNITS = "SI unless --units says otherwise (s, rad/s, m/s^2, tesla); at rest +g on the axis up"
 STREAMS_READ = "IMU, magnetometer, temperature, heading"
 TRIED = "files written by scipy.io, lying and standing, packed and not"
@@ -64,7 +66,12 @@ def read(path: Path, options: Options) -> Recording:
             axes = value.T if value.shape[1] == 3 else value
             named |= {f"{name}{axis}": one for axis, one in zip("xyz", axes, strict=True)}
     size = max((len(one) for one in named.values()), default=0)
-    return of_named(path, {n: one for n, one in named.items() if len(one) == size}, options)
+    tables = [m for m in arrays.values() if min(m.shape) > 3 and max(m.shape) >= size]
+    if options.columns:  # (which of several is meant, their number tells)
+        tables = [m for m in tables if min(m.shape) >= len(options.columns)]
+    if tables and (options.columns or not named):
+        return of_matrix(path, max(tables, key=np.size), options)
+    return of_arrays(path, {n: one for n, one in named.items() if len(one) == size}, options)
 
 
 def _arrays(path: Path) -> dict[str, Array]:

@@ -1,4 +1,4 @@
-"""Parquet tables, read with pyarrow where that is installed: columns as those of plain CSV.
+"""Parquet tables, read with pyarrow: columns as those of plain CSV.
 
 Names as in a CSV's header, with a unit in brackets or in SI: t, gx gy gz, ax ay az, mx my mz, temp,
 heading; at rest +g on the axis up, and gravity is asked whether the unit can be. A column of
@@ -14,8 +14,8 @@ import numpy as np
 
 from handcal.recordings.inputs._magic import begins_with
 from handcal.recordings.inputs._options import Options
+from handcal.recordings.inputs._table import of_arrays
 from handcal.recordings.inputs._zip import LARGEST
-from handcal.recordings.inputs.plain_csv import of_named
 from handcal.types import Array, InputError, Recording
 
 UNDERSTOOD = "a Parquet table with columns t, gx, gy, gz, ax, ay, az (.parquet)"
@@ -24,6 +24,7 @@ STREAMS_READ = "IMU, magnetometer, temperature, heading"
 TRIED = "tables written by pyarrow"
 ENDINGS = (".parquet",)
 MARK = "it does not begin with PAR1"
+TABLE = True
 MOST_COLUMNS = 1000
 
 
@@ -33,14 +34,10 @@ def can_read(path: Path) -> bool:
 
 
 def read(path: Path, options: Options) -> Recording:
-    """Read the recording. Errors: InputError, also where pyarrow is not installed."""
-    try:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-    except ImportError as error:
-        raise InputError(
-            f"{path} is Parquet, which is read with pyarrow: pip install pyarrow."
-        ) from error
+    """Read the recording. Errors: InputError."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     try:
         with pq.ParquetFile(path) as file:
             schema = file.schema_arrow
@@ -58,7 +55,7 @@ def read(path: Path, options: Options) -> Recording:
     except (pa.ArrowException, KeyError, OSError, OverflowError, UnicodeDecodeError) as error:
         raise InputError(f"{path} is a damaged Parquet file: {error}.") from error
     options.progress(1.0)
-    return of_named(path, named, options)
+    return of_arrays(path, named, options)
 
 
 def _is_number(pa: object, kind: object) -> bool:

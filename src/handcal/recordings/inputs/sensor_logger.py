@@ -21,10 +21,9 @@ from pathlib import Path
 import numpy as np
 
 from handcal.earth import STANDARD_GRAVITY
-from handcal.recordings.inputs._cut import whole_lines
 from handcal.recordings.inputs._options import Options
 from handcal.recordings.inputs._repair import Columns, assemble, columns, magnitude_at_rest
-from handcal.recordings.inputs._rows import parsed
+from handcal.recordings.inputs._rows import numbers, rows_of, whole_numbers
 from handcal.recordings.inputs._sqlite import is_database, opened, tables
 from handcal.recordings.inputs._zip import LARGEST, beginnings, contents, listing, stated
 from handcal.types import InputError, IntArray, Recording
@@ -184,11 +183,7 @@ def _from_files(path: Path, options: Options) -> _Export:
 def _from_texts(path: Path, texts: Mapping[str, bytes]) -> _Export:
     sensors = {}
     for name, content in texts.items():
-        table = (
-            None
-            if name == "Metadata"
-            else _table(path, name, content.decode("utf-8-sig", "replace"))
-        )
+        table = _table(path, name, content) if name != "Metadata" and content.strip() else None
         if table is not None:
             sensors[name] = table
     rows = csv.DictReader(io.StringIO(texts.get("Metadata", b"").decode("utf-8-sig", "replace")))
@@ -207,26 +202,18 @@ def _export(sensors: Mapping[str, Columns], metadata: Mapping[str, object]) -> _
     return _Export(sensors, known, standardised, device, model)
 
 
-def _table(path: Path, name: str, text: str) -> Columns | None:
+def _table(path: Path, name: str, content: bytes) -> Columns | None:
     """One sensor's CSV, or None if it has no rows. Errors: InputError."""
-    header, _, body = text.partition("\n")
-    names = [cell.strip().strip('"') for cell in header.split(",")]
-    lines = [line for line in body.splitlines() if line.strip()]
-    if not lines:
+    rows = rows_of(content, f"{path}: {name}.csv", separator=",")
+    if not rows.body:
         return None
-    if not body.endswith("\n"):
-        lines = whole_lines(lines, ",", f"{path}: {name}.csv")
-    if not {"time", "x", "y", "z"} <= set(names):
-        raise InputError(f"{path}: {name}.csv lacks one of the columns time, x, y, z.")
-    axes = [names.index(a) for a in "xyz"]
-    try:
-        ns = np.loadtxt(
-            lines, np.int64, delimiter=",", usecols=[names.index("time")], ndmin=1, comments=None
-        )
-    except ValueError as error:
-        problem = str(error).split(";")[0].rstrip(".")
-        raise InputError(f"{path}: {name}.csv is damaged: {problem[:200]}.") from error
-    value = parsed(lines, ",", axes, f"{path}: {name}.csv is damaged", 2)
+    if not {"time", "x", "y", "z"} <= set(rows.names):
+        raise InputError(f"{rows.where} lacks one of the columns time, x, y, z.")
+    rows = replace(rows, where=f"{rows.where} is damaged")
+    ns = whole_numbers(rows, rows.names.index("time"))
+    if ns is None:
+        raise InputError(f"{rows.where}: a time is no whole number.")
+    value = numbers(rows, [rows.names.index(axis) for axis in "xyz"])
     return columns(_checked_ns(path, ns), value)
 
 

@@ -12,8 +12,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from handcal.earth import STANDARD_GRAVITY
 from handcal.recordings.inputs._options import Options
 from handcal.recordings.inputs._repair import Columns, assemble, columns, magnitude_at_rest
@@ -66,7 +64,7 @@ def read(path: Path, options: Options) -> Recording:
 def _table(path: Path, name: str, content: bytes, wanted: tuple[str, ...]) -> Columns:
     """Stamps and the wanted columns. Errors: InputError."""
     rows = rows_of(content, f"{path}: {name}", separator=",")
-    if not np.size(rows.lines):
+    if not rows.body:
         raise InputError(f"{path}: {name} has a header but no rows.")
     at, *others = places(rows, ("timestamp", *wanted))
     return columns(times(rows, at, 1e9), numbers(rows, others))

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from handcal.recordings.inputs._options import Options, parse_unit, quantities
+from handcal.recordings.inputs._options import Options, parse_unit, unit_factor
 from handcal.recordings.inputs._repair import Columns, assemble, columns
 from handcal.recordings.inputs._rows import (
     Rows,
@@ -61,7 +61,7 @@ def read(path: Path, options: Options) -> Recording:
         unit = unit_in(rows.names[places(rows, wanted)[0]])
         if parse_unit(stream, unit) is None:
             said.append(f"{stream}: its unit is {unit or 'not stated'}; it was left out.")
-        elif rows.lines:
+        elif rows.body:
             streams[stream] = _sensor(rows, stream, wanted)
     return assemble(path, gyro, accel, streams, tuple(said))
 
@@ -82,7 +82,7 @@ def _sensor(rows: Rows, quantity: str, wanted: tuple[str, ...]) -> Columns:
     clock = parse_unit("time", unit_in(rows.names[time]))
     if unit is None or clock is None:
         raise InputError(f"{rows.where}: the unit of {wanted[0]} or of time is not understood.")
-    if not rows.lines:
+    if not rows.body:
         raise InputError(f"{rows.where} has a header but no rows.")
-    ns = times(rows, time, quantities()["time"][clock])
-    return columns(ns, numbers(rows, at) * quantities()[quantity][unit])
+    ns = times(rows, time, unit_factor("time", clock))
+    return columns(ns, numbers(rows, at) * unit_factor(quantity, unit))

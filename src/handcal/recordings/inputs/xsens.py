@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from handcal.recordings.inputs._options import Options, quantities
+from handcal.recordings.inputs._options import Options
 from handcal.recordings.inputs._repair import Columns, assemble, columns
 from handcal.recordings.inputs._rows import Rows, numbers, places, plain_name, rows_of
 from handcal.recordings.inputs._zip import LARGEST
@@ -60,12 +60,12 @@ def read(path: Path, options: Options) -> Recording:
     before = content[:at].decode("utf-8-sig", "replace")
     rows = rows_of(content[at:], str(path))
     options.progress(0.5)
-    if not rows.lines:
+    if not rows.body:
         raise InputError(f"{path} has a header but no rows.")
     dot = not before.lstrip().startswith("//") and bool(re.search(r"DeviceTag|DOT", before))
     ns, said = _clock(rows, before, dot)
-    unit = options.units.get("gyro", "deg/s" if dot else "rad/s")
-    gyro = numbers(rows, places(rows, ("gyr_x", "gyr_y", "gyr_z"))) * quantities()["gyro"][unit]
+    factor = options.factor("gyro", "deg/s" if dot else "rad/s")
+    gyro = numbers(rows, places(rows, ("gyr_x", "gyr_y", "gyr_z"))) * factor
     accel = numbers(rows, places(rows, ("acc_x", "acc_y", "acc_z"))) * options.factor("accel")
     plain = [plain_name(name) for name in rows.names]
     streams: dict[str, Columns] = {}
