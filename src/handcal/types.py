@@ -103,7 +103,8 @@ class Recording(Brief):
     warnings: what the reader repaired, in sentences. topics: of a bag or a log of PX4, by
     stream, where it was read. device, model: what the file itself says of the device, "" where it
     says nothing. bias_temperature: degC, at which temperature errors are zero; a fit takes the
-    recording's mean, so that biases are those at that temperature.
+    recording's mean, so that biases are those at that temperature. unfit: why a calibration with
+    these readings makes no sense, "" where nothing speaks against one.
     """
 
     path: str
@@ -115,6 +116,7 @@ class Recording(Brief):
     device: str = ""
     model: str = ""
     bias_temperature: float = 25.0
+    unfit: str = ""
 
     @property
     def duration_s(self) -> float:

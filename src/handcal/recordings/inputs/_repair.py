@@ -11,18 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
-from handcal.recordings.inputs._axes import check_axes, check_heading_sense
 from handcal.recordings.inputs._checks import (
-    check_accel_unit,
     check_alive,
-    check_gyro_unit,
-    check_heading_unit,
     rest_magnitude,
     saturated,
     slow_stamps,
     stuck,
     wrong_field,
 )
+from handcal.recordings.inputs._heading import check_heading_sense, check_heading_unit
 from handcal.recordings.inputs._range import at_range_end
 from handcal.recordings.streams import STREAMS
 from handcal.types import Array, BoolArray, Imu, InputError, IntArray, Recording, Series
@@ -137,15 +134,10 @@ def _doubts(path: Path, t: Array, gyro: Array, accel: Array) -> tuple[list[str],
         _check_clock(path, t)
     elif float(np.diff(t).max()) > LONGEST_GAP_S:
         raise InputError(slow)
-    said = [slow] if slow else []
-    said += check_alive(gyro, accel)
+    said = check_alive(gyro, accel)
     halts, frozen = stuck(t, gyro, accel)
-    rate_hz = 1 / float(np.median(np.diff(t)))
-    said += [*halts, *check_accel_unit(accel, rate_hz), *check_gyro_unit(t, gyro, accel)]
-    check_axes(t, gyro, accel)
-    # (after the units: a gyro in another one misses turns as well)
     ends, clipped = at_range_end(t, gyro, accel)
-    return [*said, *ends, *_gap_warning(t)], frozen | clipped
+    return [*said, *halts, *ends, *_gap_warning(t)], frozen | clipped
 
 
 def _check_clock(path: Path, t: Array) -> None:
