@@ -21,6 +21,7 @@ from handcal.recordings.inputs._checks import (
 )
 from handcal.recordings.inputs._heading import check_heading_sense, check_heading_unit
 from handcal.recordings.inputs._range import at_range_end
+from handcal.recordings.inputs._stamps import in_bursts, moved_along
 from handcal.recordings.streams import STREAMS
 from handcal.types import Array, BoolArray, Imu, InputError, IntArray, Recording, Series
 
@@ -82,6 +83,7 @@ def assemble(
     gyro, accel (n, 3); streams as in types.Series. Errors: InputError.
     """
     said = list(warnings)
+    gyro, accel, streams = _as_taken(gyro, accel, streams, said)
     if len(gyro.ns) == len(accel.ns) and np.array_equal(gyro.ns, accel.ns):
         both = columns(gyro.ns, np.hstack([gyro.value, accel.value]), gyro.valid & accel.valid)
         both = _masked(_clean(both, "IMU", said), "IMU", said)
@@ -110,6 +112,33 @@ def assemble(
     # Stamps before 1973 count from something else than 1970: boot, or the start.
     start_ns = int(ns[0]) if ns[0] > 10**17 else 0
     return Recording(str(path), imu, series, start_ns, tuple(said))
+
+
+def _as_taken(
+    gyro: Columns, accel: Columns, streams: Mapping[str, Columns], said: list[str]
+) -> tuple[Columns, Columns, Mapping[str, Columns]]:
+    """The same at the times at which readings were taken, where they are stamped on arrival."""
+    one = np.array_equal(gyro.ns, accel.ns)
+    streams, old = dict(streams), gyro.ns
+    found = in_bursts(gyro.ns, np.hstack([gyro.value, accel.value]) if one else gyro.value,
+                      "IMU" if one else "gyroscope")  # fmt: skip
+    if found is not None:
+        said.append(found.text)
+        gyro = replace(gyro, ns=found.ns)
+        accel = replace(accel, ns=found.ns) if one else accel
+    other = None if one else in_bursts(accel.ns, accel.value, "accelerometer")
+    if other is not None:
+        said.append(other.text)
+        accel = replace(accel, ns=other.ns)
+    for name, stream in streams.items():
+        ns = stream.ns if found is None else moved_along(stream.ns, old, found.ns)
+        own = None if STREAMS[name].own_clock or ns is not stream.ns else in_bursts(
+            ns, stream.value, name
+        )  # fmt: skip
+        if own is not None:
+            said.append(own.text)
+        streams[name] = replace(stream, ns=ns if own is None else own.ns)
+    return gyro, accel, streams
 
 
 def _check_enough(path: Path, t: Array, said: list[str]) -> None:
