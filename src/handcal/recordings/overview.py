@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from handcal.recordings.inputs._checks import rest_magnitude
+from handcal.recordings.inputs._field import turns_with_imu
 from handcal.recordings.inputs._turning import turning
 from handcal.recordings.segment import Rest, each_rest
 from handcal.types import Array, Recording
@@ -60,7 +61,8 @@ class Overview:
     trusted because a sensor sat at its full scale, or by the file's own word. rests: as
     ``segment.each_rest`` finds them. gravity: size of the specific force where stillest, m/s^2.
     turning: median angles by which gravity is missed at the end of a window, as the gyro turns it
-    and were there no turn, rad; empty where too little turns to tell.
+    and were there no turn, rad; empty where too little turns to tell. axes_told: whether that tells
+    the gyro's axes; field_told: whether the magnetometer's are seen to be the IMU's.
     """
 
     recording: Recording
@@ -71,6 +73,8 @@ class Overview:
     turns: tuple[Turned, ...]
     gravity: float
     turning: tuple[float, ...]
+    axes_told: bool = False
+    field_told: bool = False
 
 
 def overview(recording: Recording) -> Overview:
@@ -78,7 +82,7 @@ def overview(recording: Recording) -> Overview:
     imu = recording.imu
     found = tuple(each_rest(recording))
     gravity = rest_magnitude(imu.accel, recording.rate_hz)
-    missed = turning(imu, gravity, math.inf)
+    missed = turning(imu, gravity) if gravity > 0.0 else None
     streams = [_stamps("imu", imu.t)]
     streams += [_stamps(name, series.t) for name, series in recording.streams.items()]
     streams = [replace(s, topic=recording.topics.get(s.stream, "")) for s in streams]
@@ -91,6 +95,8 @@ def overview(recording: Recording) -> Overview:
         _turns(recording, found),
         gravity,
         () if missed is None else (missed.as_read, missed.still),
+        missed is not None and missed.sigma > 0.0 and not missed.alike,
+        turns_with_imu(recording),
     )
 
 

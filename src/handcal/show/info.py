@@ -88,10 +88,18 @@ def unit_sentences(o: Overview) -> list[str]:
         )
         return out
     right, still = (f"{math.degrees(e):.2g}°" for e in o.turning)
+    seen = "unit, full scale and axes are right" if o.axes_told else (
+        "unit and full scale are right; this motion does not tell all of its axes apart"
+    )  # fmt: skip
     out.append(
         f"Where gravity turns most, by {still}, the gyro carries the direction up to within "
-        f"{right} of where the accelerometer finds it: its unit, full scale and axes are right."
+        f"{right} of where the accelerometer finds it: its {seen}."
     )
+    if "mag" in o.recording.streams:
+        out.append(
+            "The magnetometer turns as the gyro says: its axes are right." if o.field_told else
+            "The motion does not tell whether the magnetometer's axes are the IMU's."
+        )  # fmt: skip
     return out
 
 

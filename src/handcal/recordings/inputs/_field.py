@@ -32,30 +32,55 @@ class _Pairs:
     up: Array
 
 
-def with_axes_of_imu(recording: Recording, stated: bool) -> Recording:
-    """The recording with its magnetometer turned to the IMU's axes, and that said, or left out
-    where they are others that the motion does not tell. stated: nothing is changed, but said."""
+@dataclass(frozen=True)
+class _Judged:
+    """Median by which the field is missed, tesla: as_read, and least with axes P (3, 3); what it
+    changes; told: whether no other axes do nearly as well."""
+
+    as_read: float
+    least: float
+    changes: float
+    P: Array
+    told: bool
+
+
+def turns_with_imu(recording: Recording) -> bool:
+    """Whether the motion shows that the magnetometer's axes are the IMU's."""
+    seen = _judged(recording)
+    good = seen is not None and seen.told and seen.as_read < CLEARLY * seen.changes
+    return good and seen is not None and seen.as_read == seen.least
+
+
+def _judged(recording: Recording) -> _Judged | None:
+    """Of all axes that a magnetometer may have; None where the device turns too little."""
     pairs = _pairs(recording)
     if pairs is None:
-        return recording
+        return None
     # (the negative of any explains a turn as well: the field's sense is the hemisphere's)
     proper = [P for P in SIGNED if np.linalg.det(P) > 0]
     left = sorted(((*_missed(pairs, P), P) for P in proper), key=lambda r: r[0])
     as_read, _ = _missed(pairs, np.eye(3))
     least, iron, P = left[0]
     changes = float(np.median(np.linalg.norm(pairs.after - pairs.before, axis=1)))
-    if least > CLEARLY * min(as_read, changes):
+    told = bool(left[1][0] > APART_BY * least)
+    return _Judged(as_read, least, changes, _with_its_sign(pairs, P, iron), told)
+
+
+def with_axes_of_imu(recording: Recording, stated: bool) -> Recording:
+    """The recording with its magnetometer turned to the IMU's axes, and that said, or left out
+    where they are others that the motion does not tell. stated: nothing is changed, but said."""
+    seen = _judged(recording)
+    if seen is None or seen.least > CLEARLY * min(seen.as_read, seen.changes):
         return recording
     streams = dict(recording.streams)
-    told = left[1][0] > APART_BY * least
-    if not told:
+    if not seen.told:
         text = ("The magnetometer does not turn as the gyroscope says: its axes are not the IMU's, "
                 "and this motion does not tell which they are. ")  # fmt: skip
         text += "It is used as stated." if stated else "It was left out; give --axes mag=..."
         if not stated:
             del streams["mag"]
         return replace(recording, streams=streams, warnings=(*recording.warnings, text))
-    P = _with_its_sign(pairs, P, iron)
+    P = seen.P
     axes, own = named(P), named(P.T)
     text = (
         f"The magnetometer's axes are ({', '.join(own)}) of the IMU's: with its "

@@ -58,7 +58,7 @@ class Windows:
 class Turning:
     """Median angles, rad, by which gravity is missed at the end of a window: as_read; still, were
     there no turn; mapped, with factor times axes (3, 3, a signed permutation) times the rate.
-    sigma: of the factor's logarithm."""
+    sigma: of the factor's logarithm. alike: whether other axes would do as well."""
 
     as_read: float
     still: float
@@ -66,6 +66,7 @@ class Turning:
     factor: float
     axes: Array
     sigma: float
+    alike: bool = False
 
 
 def named(A: Array) -> list[str]:
@@ -76,8 +77,8 @@ def named(A: Array) -> list[str]:
 def turning(imu: Imu, gravity: float, enough: float = 0.0) -> Turning | None:
     """What the motion says of the gyro; None where gravity does not turn, or nothing is calm.
 
-    gravity: what the accelerometer reads at rest; enough: no other map is looked for where less is
-    missed as read, rad.
+    gravity: what the accelerometer reads at rest; enough: where less than this is missed as read,
+    rad, no other map is looked for.
     """
     w = windows(imu, gravity)
     if len(w.dt) < FEWEST:
@@ -88,7 +89,8 @@ def turning(imu: Imu, gravity: float, enough: float = 0.0) -> Turning | None:
     if as_read < enough:
         return Turning(as_read, still, as_read, 1.0, one, 0.0)
     M, c, information = _fitted(w)
-    if _missed(w, M, c) > CLEARLY * min(as_read, still):  # (no factor and axes leave less)
+    if _missed(w, M, c) > CLEARLY * (min(as_read, still) if enough > 0.0 else still):
+        # (no factor and axes leave less)
         return Turning(as_read, still, as_read, 1.0, one, 0.0)
     near = sorted((_read_off(M, information, P) for P in SIGNED), key=lambda r: r[0])
     tried = [(_left(w, f * P), f, P, s) for cost, f, P, s in near
@@ -98,7 +100,7 @@ def turning(imu: Imu, gravity: float, enough: float = 0.0) -> Turning | None:
     if not as_good:
         return Turning(as_read, still, as_read, 1.0, one, 0.0)
     left, f, P, sigma = max(as_good, key=lambda r: (np.trace(r[2]), -r[0]))
-    return Turning(as_read, still, left, f, P, sigma)
+    return Turning(as_read, still, left, f, P, sigma, len(as_good) > 1)
 
 
 def _read_off(M: Array, information: Array, P: Array) -> tuple[float, float, Array, float]:
