@@ -16,8 +16,9 @@ import numpy as np
 from handcal.recordings.segment import gaps
 from handcal.types import Array, Imu, Recording, Series
 
-# A bridge takes so long, s; up before and after it is the mean over this long, s.
-BRIDGE_S, SIDE_S = 0.5, 0.2
+# A bridge takes so long, s: in it the doubt about the attitude grows to half a radian, which a
+# linearised filter can still take back. Up before and after it is the mean over this long, s.
+BRIDGE_S, SIDE_S = 0.2, 0.1
 
 
 def bridged(recording: Recording) -> Recording:

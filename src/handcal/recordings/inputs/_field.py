@@ -19,6 +19,8 @@ FEWEST, MOST, TURNED = 20, 150, 0.3
 CLEARLY, APART_BY = 0.35, 1.7
 # A field is downward or upward if it stands out so far from level (sine of the dip).
 DIPS = 0.2
+# Turns are about all axes if the least seen has this share of what the most seen has.
+ROUND = 0.1
 
 
 @dataclass(frozen=True)
@@ -99,11 +101,15 @@ def with_axes_of_imu(recording: Recording, stated: bool) -> Recording:
 
 
 def _with_its_sign(pairs: _Pairs, P: Array, iron: Array) -> Array:
-    """Of P and -P the one with the field downwards, as north of the equator; where it is level, a
-    rotation, as a chip is mounted."""
+    """Of P and -P the one with the field downwards, as north of the equator; where it is level, or
+    turns about one axis do not tell it from iron, the fewest changes."""
     field = pairs.before @ P.T - iron
     dip = np.median(np.sum(field * pairs.up, axis=1) / np.linalg.norm(field, axis=1))
-    return -P if dip > DIPS else P
+    J = np.eye(3) - pairs.R
+    least, _, most = np.linalg.eigvalsh(np.einsum("kij,kil->jl", J, J))
+    if least > ROUND * most and abs(dip) > DIPS:
+        return -P if dip > 0.0 else P
+    return max((P, -P), key=np.trace)
 
 
 def _missed(pairs: _Pairs, P: Array) -> tuple[float, Array]:

@@ -57,7 +57,7 @@ def in_bursts(ns: IntArray, value: Array, name: str) -> Bursts | None:
         return None
     if np.mean(np.any(np.diff(value, axis=0) != 0.0, axis=1)[~begins]) < 0.5:
         return None
-    taken, own = _on_lines(t, first, count, whole / usual)
+    taken, own = _on_lines(t, first, count, usual, whole)
     text = (
         f"{name}: the stamps are those of arrival, {usual} readings every {whole:.3g} s; they were "
         f"put at a steady {1.0 / own:.4g} Hz, on a line through the earliest arrivals."
@@ -76,16 +76,17 @@ def _begins(step: Array) -> BoolArray | None:
     return np.asarray(step > ordered[low + int(np.argmax(wider))])
 
 
-def _on_lines(t: Array, first: IntArray, count: IntArray, step: float) -> tuple[Array, float]:
+def _on_lines(
+    t: Array, first: IntArray, count: IntArray, usual: int, whole: float
+) -> tuple[Array, float]:
     """When readings were taken (n,), s, and their step: bursts begin at first (k,) and hold count
-    (k,); step: about so much, s."""
+    (k,), usual of them every whole, s."""
     number = np.arange(len(t))
     pause = np.diff(t[first])
     # (a burst that is missing leaves its numbers out)
-    missing = np.maximum(np.rint(pause / step).astype(np.int64) - count[:-1], 0)
-    missing[missing * step < 0.6 * float(np.median(pause))] = 0
+    missing = usual * np.maximum(np.rint(pause / whole).astype(np.int64) - 1, 0)
     number = number + np.repeat(np.r_[0, np.cumsum(missing)], count)
-    anew = np.r_[False, pause > PAUSE * float(np.median(pause))]
+    anew = np.r_[False, pause > PAUSE * whole]
     part = np.cumsum(anew)
     end = first + count - 1
     longest = int(np.argmax(np.bincount(part)))
