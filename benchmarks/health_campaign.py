@@ -149,15 +149,15 @@ def _mends(raw: Raw, kind: str, A: Array) -> Callable[[str], bool]:
 
     def right(text: str) -> bool:
         found = re.search(r"--axes (gyro|accel|mag)=([-xyz,]+)", text)
-        if found is None:
+        if found is None or (found[1] == "mag") != (kind == "mag"):
             return False
         B = next(P for P in SIGNED if ",".join(named(P)) == found[2].rstrip(",."))
         if kind == "mag":
-            return found[1] == "mag" and (np.array_equal(abs(B @ A), np.eye(3))
+            return bool(np.array_equal(abs(B @ A), np.eye(3))
                                           and abs(np.trace(B @ A)) == 3)  # fmt: skip
         try:
-            mended = replace(raw, **{found[1]: getattr(raw, found[1]) @ B.T}, tm=raw.tm[:2],
-                             mag=raw.mag[:2]).read()  # fmt: skip
+            spoilt = replace(raw, tm=raw.tm[:2], mag=raw.mag[:2])
+            mended = replace(spoilt, **{found[1]: getattr(spoilt, found[1]) @ B.T}).read()
         except HandcalError:
             return False
         return not mended.unfit

@@ -94,7 +94,7 @@ def test_a_magnetometer_whose_axes_one_turn_does_not_tell_is_left_out():
     assert read(t, values, (t, field)).warnings == ()
     back = read(t, values, (t, field[:, [1, 0, 2]]))
     assert "mag" not in back.streams
-    assert "does not tell which" in back.warnings[0]
+    assert "does not tell in which axes" in back.warnings[0]
     assert "--axes mag=" in back.warnings[0]
 
 

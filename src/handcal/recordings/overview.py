@@ -95,7 +95,7 @@ def overview(recording: Recording) -> Overview:
         _turns(recording, found),
         gravity,
         () if missed is None else (missed.as_read, missed.still),
-        missed is not None and missed.sigma > 0.0 and not missed.alike,
+        missed is not None and missed.tells,
         turns_with_imu(recording),
     )
 

@@ -3,6 +3,7 @@ iron on the device, moves in its axes as the gyro says."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -68,17 +69,26 @@ def _judged(recording: Recording) -> _Judged | None:
     return _Judged(as_read, least, changes, _with_its_sign(pairs, P, iron), told)
 
 
-def with_axes_of_imu(recording: Recording, stated: bool) -> Recording:
+def with_axes_of_imu(
+    recording: Recording, stated: bool, gyro_told: Callable[[], bool]
+) -> Recording:
     """The recording with its magnetometer turned to the IMU's axes, and that said, or left out
-    where they are others that the motion does not tell. stated: nothing is changed, but said."""
+    where they are others that the motion does not tell. stated: nothing is changed, but said;
+    gyro_told: whether gravity tells the gyro's axes, without which either may be wrong."""
     seen = _judged(recording)
     if seen is None or seen.least > CLEARLY * min(seen.as_read, seen.changes):
         return recording
     streams = dict(recording.streams)
-    if not seen.told:
-        text = ("The magnetometer does not turn as the gyroscope says: its axes are not the IMU's, "
-                "and this motion does not tell which they are. ")  # fmt: skip
-        text += "It is used as stated." if stated else "It was left out; give --axes mag=..."
+    if not (seen.told and gyro_told()):
+        text = (
+            "The magnetometer does not turn as the gyroscope says, and this motion does not tell "
+            "in which axes either counts. "
+        )
+        text += (
+            "It is used as stated."
+            if stated
+            else "It was left out; give --axes mag=... or gyro=..."
+        )
         if not stated:
             del streams["mag"]
         return replace(recording, streams=streams, warnings=(*recording.warnings, text))

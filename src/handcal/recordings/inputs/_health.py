@@ -64,7 +64,12 @@ def checked(recording: Recording, stated: Collection[str] = ()) -> Recording:
     recording = replace(recording, warnings=(*recording.warnings, *said), unfit=unfit)
     if motion is not None and another(motion):
         return recording
-    return with_axes_of_imu(recording, "mag" in stated)
+
+    def gyro_told() -> bool:
+        motion = turning(imu, gravity) if gravity > 0.0 else None
+        return motion is not None and motion.tells
+
+    return with_axes_of_imu(recording, "mag" in stated, gyro_told)
 
 
 def check_fit(recording: Recording) -> None:

@@ -68,6 +68,11 @@ class Turning:
     sigma: float
     alike: bool = False
 
+    @property
+    def tells(self) -> bool:
+        """Whether these axes, and no others, are seen to be the gyro's as read."""
+        return self.sigma > 0.0 and not self.alike and np.array_equal(self.axes, np.eye(3))
+
 
 def named(A: Array) -> list[str]:
     """The axes that the rows of a signed permutation (3, 3) take."""
