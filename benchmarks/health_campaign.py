@@ -210,9 +210,8 @@ def end_of(
             return "no matter", text
         told = unit_sentences(overview(recording))
         which = [s for s in told if ("magnetometer" in s) == (kind == "mag axes")]
-        silent = "--axes" not in text and "as far as the gyro" not in text
-        open_ = any(CANNOT in s for s in which) or (kind == "mag axes" and "mag" not in
-                                                    recording.streams)  # fmt: skip
+        silent = "It was turned so" not in text and "as far as the gyro" not in text
+        open_ = CANNOT in text or any(CANNOT in s for s in which)
         return ("cannot tell" if silent and open_ else "WRONG"), text
     if kind == "bursts" and not right(text):
         return "WRONG", text

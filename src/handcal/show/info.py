@@ -81,6 +81,11 @@ def unit_sentences(o: Overview) -> list[str]:
     out = [f"The accelerometer reads {o.gravity:.2f} m/s² where stillest; gravity is 9.8."]
     if o.recording.unfit:
         return out
+    if "mag" in o.recording.streams:
+        out.append(
+            "The magnetometer turns as the gyro says: its axes are right." if o.field_told else
+            "The motion does not tell whether the magnetometer's axes are the IMU's."
+        )  # fmt: skip
     if not o.turning or o.turning[0] > TOLD * o.turning[1]:
         out.append(
             "The motion does not tell whether the gyro's unit, full scale and axes are right: "
@@ -95,11 +100,6 @@ def unit_sentences(o: Overview) -> list[str]:
         f"Where gravity turns most, by {still}, the gyro carries the direction up to within "
         f"{right} of where the accelerometer finds it: its {seen}."
     )
-    if "mag" in o.recording.streams:
-        out.append(
-            "The magnetometer turns as the gyro says: its axes are right." if o.field_told else
-            "The motion does not tell whether the magnetometer's axes are the IMU's."
-        )  # fmt: skip
     return out
 
 
