@@ -15,7 +15,7 @@ INTRODUCTION = """# What handcal reads
 
 Every command that takes a recording takes any of these, a folder or zip as a whole; `handcal import` makes one file of it. The format is told by the content (a table of which nothing else is known by its name, .csv, or by its rows of numbers), without an option. Formats are asked in the order of this table.
 
-In SI, at rest the axis that points up reads +g, in every format after it is read. Where a file does not say its unit, gravity at rest is asked, and what was found is said; a unit that gravity contradicts is refused with the option that puts it right (`--units accel=g`). Compressed and foreign files are read within bounds: what would unpack to too much is refused unopened ([what was tried](reliability.md)).
+In SI, at rest the axis that points up reads +g, in every format after it is read. Where a file does not say its unit, gravity at rest is asked, and what was found is said; a unit that gravity contradicts is refused with the option that puts it right (`--units accel=g`), and one that is stated is used. Stamps of arrival in bursts are put where the readings were taken; a magnetometer on other axes is turned to the IMU's; both are said. Compressed and foreign files are read within bounds: what would unpack to too much is refused unopened ([what was tried](reliability.md)).
 
 This page is written by `make docs` from the files in `src/handcal/recordings/inputs/`: one file, one format. Axes and conventions of each stand in the first lines of the file of that name.
 

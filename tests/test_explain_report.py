@@ -118,7 +118,7 @@ def test_there_is_a_made_up_explanation_of_every_verdict():
 def test_the_json_has_the_contracts_keys_and_types(verdict):
     document = explanation_json(fake_explanation(verdict, recordings=1))
     schemas.check(document)
-    assert set(document) == CONTRACT | {"recording", "quality"}
+    assert set(document) == CONTRACT | {"recording", "quality", "trust", "trust_reasons"}
     assert document["schema"] == "handcal/explanation/1"
     assert document["verdict"] == verdict
     for name, fields in ENTRIES.items():

@@ -137,7 +137,9 @@ def test_what_it_says_is_shown_a_calibration_does_observe(seed: int) -> None:
 
 
 def test_units_are_doubted_where_the_motion_does_not_tell() -> None:
-    assert "57 times" in unit_sentences(overview(turned((X, 90.0), (Y, 90.0))))[1]
+    assert "full scale are right" in unit_sentences(overview(turned((X, 90.0), (Y, 90.0))))[1]
+    all_three = turned(*[(a, 90.0) for a in (X, Y, Z, X, Y, Z)])
+    assert "axes are right" in unit_sentences(overview(all_three))[1]
     assert "does not tell" in unit_sentences(overview(turned()))[1]
 
 

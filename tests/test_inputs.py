@@ -11,7 +11,8 @@ from sample_recording import sample
 
 from handcal.recordings.export import write_mcap
 from handcal.recordings.inputs import load
-from handcal.recordings.inputs._checks import check_gyro_unit, saturated
+from handcal.recordings.inputs._checks import saturated
+from handcal.recordings.inputs._health import checked
 from handcal.recordings.inputs._repair import Columns, assemble, columns
 from handcal.types import Imu, InputError, Recording
 
@@ -21,7 +22,7 @@ DEG, G = np.pi / 180, 9.80665
 def assembled(imu: Imu, ns: np.ndarray | None = None) -> Recording:
     stamps = np.rint(imu.t * 1e9).astype(np.int64) if ns is None else ns
     one = Columns(stamps, imu.gyro.copy(), imu.valid)
-    return assemble(Path("a"), one, replace(one, value=imu.accel.copy()), {})
+    return checked(assemble(Path("a"), one, replace(one, value=imu.accel.copy()), {}))
 
 
 def clipped_gyro() -> tuple[Imu, np.ndarray]:
@@ -179,11 +180,13 @@ def test_quantised_rest_and_steady_turning_are_not_saturated(
     ],
 )
 def test_real_gyros_are_judged_rightly(real_recordings: Path, name: str) -> None:
-    imu = load(real_recordings / f"{name}.mcap").imu
+    recording = load(real_recordings / f"{name}.mcap")
+    imu = recording.imu
+    assert checked(recording).unfit == ""
     with pytest.raises(InputError, match="gyro=deg/s"):
-        check_gyro_unit(imu.t, imu.gyro / DEG, imu.accel)
+        checked(replace(recording, imu=replace(imu, gyro=imu.gyro / DEG)))
     with pytest.raises(InputError, match="gyro=rad/s"):
-        check_gyro_unit(imu.t, imu.gyro * DEG, imu.accel)
+        checked(replace(recording, imu=replace(imu, gyro=imu.gyro * DEG)))
 
 
 def test_real_saturation(real_recordings: Path) -> None:

@@ -222,9 +222,19 @@ def moving():
     return np.column_stack([t, *readings])
 
 
-def test_stamps_that_are_rounded_are_said_to_be(tmp_path, moving):
+def test_stamps_that_are_rounded_are_put_at_a_steady_rate(tmp_path, moving):
+    true = moving[:, 0].copy()
+    moving[:, 0] = np.floor(10.0 * true + 1e-9) / 10.0
+    back = load(write_csv(tmp_path, HEADER, moving))
+    assert "10 readings every 0.1 s" in back.warnings[0]
+    np.testing.assert_allclose(back.imu.t, true, atol=1e-6)
+
+
+def test_readings_lost_to_unevenly_rounded_stamps_are_said(tmp_path, moving):
+    keep = np.random.default_rng(1).random(len(moving)) < 0.6
+    moving = np.vstack([moving[keep], moving[-1] + [1.0, *[0.0] * 6]])
     moving[:, 0] = np.round(moving[:, 0], 1)
-    with pytest.raises(InputError, match=r"rounded \(to 0\.1 s, where there are 10 readings\)"):
+    with pytest.raises(InputError, match=r"rounded \(to 0\.1 s, where there are \d readings\)"):
         load(write_csv(tmp_path, HEADER, moving))
 
 

@@ -231,7 +231,7 @@ class Explanation(Brief):
     untellable: what the recordings cannot show, with the sigma that they would leave of it;
     untried: what the search left out because it had only so much time, in words; covariance: of
     ``parameters``; device: what was known of the device; likelihood: what the one recording says
-    itself.
+    itself; trust: "good", "doubtful" or, with residuals that no hand makes, "none", and why.
     """
 
     verdict: str
@@ -254,3 +254,5 @@ class Explanation(Brief):
     covariance: Array | None = None
     device: Prior | None = None
     likelihood: Likelihood | None = None
+    trust: str = "good"
+    trust_reasons: tuple[str, ...] = ()

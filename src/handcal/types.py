@@ -107,6 +107,8 @@ class Recording(Brief):
     recording's mean, so that biases are those at that temperature. sensors: those of the IMU that
     were recorded, both but where one was asked for alone; the readings of the other are zero.
     file_units: units and signs in the file, in half a sentence, where its format has several.
+    unfit: why a calibration with these readings makes no sense, "" where nothing speaks against
+    one.
     """
 
     path: str
@@ -120,6 +122,7 @@ class Recording(Brief):
     bias_temperature: float = 25.0
     sensors: tuple[str, ...] = ("gyro", "accel")
     file_units: str = ""
+    unfit: str = ""
 
     @property
     def duration_s(self) -> float:

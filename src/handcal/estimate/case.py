@@ -17,6 +17,7 @@ from handcal.estimate.problem import Problem
 from handcal.estimate.start import Start, with_known_biases
 from handcal.observations.fixed_position import CREEPING
 from handcal.recordings import segment
+from handcal.recordings.bridged import bridged
 from handcal.signals import at_its_temperature
 from handcal.types import Array, HandcalError, Prior, Recording, Series
 
@@ -108,7 +109,7 @@ def case_of(
     read = replace(
         recording, streams={k: v for k, v in recording.streams.items() if k not in ignore}
     )
-    read = at_its_temperature(read)
+    read = bridged(at_its_temperature(read))
     recording = thinned(read)
     rests = segment.rests(recording)
     earth = local_earth(latitude, height)

@@ -17,6 +17,7 @@ from handcal.estimate.filter import State, initial_state
 from handcal.estimate.problem import Problem
 from handcal.estimate.start import Start, from_pose, from_rest, levelled
 from handcal.observations import Observation, Rows, Scene, catalogue
+from handcal.recordings.inputs._health import check_fit
 from handcal.recordings.streams import STREAMS
 from handcal.types import Array, HandcalError, InputError, Recording, Series
 
@@ -68,7 +69,8 @@ def choose(
 def check_options(
     recording: Recording, assume: str, heading_sigma: float | None, ignore: Sequence[str]
 ) -> None:
-    """Raises InputError, with the sentence a user needs, where an option makes no sense."""
+    """Raises InputError, with the sentence a user needs, where an option makes no sense, and
+    HandcalError where the readings are unfit for any calibration."""
     if assume not in ASSUMPTIONS:
         raise InputError(f"Unknown assumption '{assume}'. Known: {', '.join(ASSUMPTIONS)}.")
     if heading_sigma is not None and not 1e-4 <= heading_sigma <= 4.0:
@@ -77,6 +79,7 @@ def check_options(
         if name not in recording.streams:
             have = ", ".join(recording.streams) or "none"
             raise InputError(f"There is no stream '{name}' to ignore; the recording has: {have}.")
+    check_fit(recording)
 
 
 def check_apart(recordings: Sequence[Recording], held_out: Sequence[Recording] = ()) -> None:

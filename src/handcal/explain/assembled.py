@@ -22,6 +22,7 @@ from handcal.estimate.start import BIASES
 from handcal.explain import held_out as held
 from handcal.explain import importance, locate
 from handcal.explain.gauge import plainly, renamed
+from handcal.explain.impossible import impossible
 from handcal.explain.leaning import leaning
 from handcal.explain.moments import moments
 from handcal.explain.naming import (
@@ -152,7 +153,12 @@ def explanation_of(
     wrong = None if end.wrong is None or end.wrong.burst is not None else end.wrong
     fits = results(model, moments(found) if written is None else written.moments)
     learnt = {e.id: parameters_of(fits[0], e) for e in model.effects if e.process is None}
+    gravity = float(np.linalg.norm(model.parts[0].problem.g_n))
+    no_hand = impossible(plainest, fits[0].parameters, gravity)
     named = _named(end, learnt, wrong, not untried)
+    if no_hand:
+        named = _Named("unexplained", [], named.unnamed, {}, named.remarks)
+    doubts = _doubts(model, written)
     before, explained, mismatch = _compared(end, plainest, named.verdict, fits)
     excess = inflation(model)
     told = _weighed(end, named, judged, excess)
@@ -173,7 +179,9 @@ def explanation_of(
         noise(model.parts[0]),
         tuple(explained),
         (
-            *_warnings(base, model, missing, hypotheses, written, excess),
+            *no_hand,
+            *_warnings(base, model, missing, hypotheses, excess),
+            *doubts,
             *named.remarks,
             *_broken_off(untried),
         ),
@@ -184,6 +192,8 @@ def explanation_of(
         _covariance(fits[0], final),
         _before(model),
         fits[0].likelihood if len(fits) == 1 else None,
+        "none" if no_hand else "doubtful" if doubts else "good",
+        (*no_hand, *doubts),
     )
 
 
@@ -322,7 +332,6 @@ def _warnings(
     model: Model,
     missing: Sequence[Missing],
     hypotheses: Sequence[Hypothesis],
-    written: Specification | None,
     excess: Mapping[str, float],
 ) -> tuple[str, ...]:
     not_seen = {h.effect for h in hypotheses if h.expected < FAINT or h.final > 0.0}
@@ -332,6 +341,12 @@ def _warnings(
     for f in model.parts:
         out += leaning(f, model.effects, not_seen, unnamed, excess)
         out += [said] if (said := doubt(f)) else []
+    return tuple(dict.fromkeys(out))
+
+
+def _doubts(model: Model, written: Specification | None) -> tuple[str, ...]:
+    """Why the numbers of the final fit deserve less trust."""
+    out = []
     if not model.settled:
         out.append(
             "The final fit still moved after ten rounds of relinearisation; trust its numbers less."
@@ -347,4 +362,4 @@ def _warnings(
             "The final fit is reached by the way of the search alone, not from its own start: it "
             "cannot be repeated with --from, and its numbers deserve little trust."
         )
-    return tuple(dict.fromkeys(out))
+    return tuple(out)

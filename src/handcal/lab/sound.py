@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
+from handcal.recordings.inputs._health import check_fit
 from handcal.types import HandcalError, Recording
 from handcal.units import shown
 
@@ -21,8 +22,10 @@ NAMES = {"gyro": "gyroscope", "accel": "accelerometer"}
 
 
 def refuse_dead(recording: Recording) -> None:
-    """HandcalError where an axis never moves by one bit while another of that sensor does: a
-    number would come out of it, with hardly any noise."""
+    """HandcalError where the recording is unfit for any calibration, and where an axis never moves
+    by one bit while another of that sensor does: a number would come out of it, with hardly any
+    noise."""
+    check_fit(recording)
     for name, value in (("gyro", recording.imu.gyro), ("accel", recording.imu.accel)):
         still = np.ptp(value, axis=0) == 0.0
         if still.any() and not still.all():

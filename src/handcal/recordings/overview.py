@@ -8,7 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from handcal.recordings.inputs._checks import rest_magnitude, turning_mismatch
+from handcal.recordings.inputs._checks import rest_magnitude
+from handcal.recordings.inputs._field import turns_with_imu
+from handcal.recordings.inputs._turning import turning
 from handcal.recordings.segment import Rest, each_rest
 from handcal.types import Array, Recording
 
@@ -58,8 +60,9 @@ class Overview:
     largest: by channel of the IMU the largest size read, SI; saturated: samples that are not
     trusted because a sensor sat at its full scale, or by the file's own word. rests: as
     ``segment.each_rest`` finds them. gravity: size of the specific force where stillest, m/s^2.
-    turning: by what factor the gyro's turns explain those of gravity best, of 1, 57.3 and 1/57.3,
-    with the error at each, rad; empty where too little turns to tell.
+    turning: median angles by which gravity is missed at the end of a window, as the gyro turns it
+    and were there no turn, rad; empty where too little turns to tell. axes_told: whether that tells
+    the gyro's axes; field_told: whether the magnetometer's are seen to be the IMU's.
     """
 
     recording: Recording
@@ -70,12 +73,16 @@ class Overview:
     turns: tuple[Turned, ...]
     gravity: float
     turning: tuple[float, ...]
+    axes_told: bool = False
+    field_told: bool = False
 
 
 def overview(recording: Recording) -> Overview:
     """The numbers of a recording."""
     imu = recording.imu
     found = tuple(each_rest(recording))
+    gravity = rest_magnitude(imu.accel, recording.rate_hz)
+    missed = turning(imu, gravity) if gravity > 0.0 else None
     streams = [_stamps("imu", imu.t)]
     streams += [_stamps(name, series.t) for name, series in recording.streams.items()]
     streams = [replace(s, topic=recording.topics.get(s.stream, "")) for s in streams]
@@ -86,8 +93,10 @@ def overview(recording: Recording) -> Overview:
         int((~imu.valid).sum()),
         found,
         _turns(recording, found),
-        rest_magnitude(imu.accel, recording.rate_hz),
-        tuple(turning_mismatch(imu.t, imu.gyro, imu.accel)),
+        gravity,
+        () if missed is None else (missed.as_read, missed.still),
+        missed is not None and missed.tells,
+        turns_with_imu(recording),
     )
 
 

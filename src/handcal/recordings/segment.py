@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtri, fdtri
 
-from handcal.types import Array, BoolArray, Recording
+from handcal.types import Array, BoolArray, IntArray, Recording
 
 # Scatter is that of windows so long, s; a rest is longer than this, s.
 WINDOW_S = 0.5
@@ -58,6 +58,8 @@ FEWEST = 3
 # Between turns a device on a table may rest as briefly; windows in which that shows.
 MIN_PAUSE_S = 0.2
 PAUSE_WINDOW_S = 0.1
+# A gap is longer than this, s, and than so many usual steps.
+GAP_S, GAP = 0.5, 5.0
 # A turn at a constant rate ripples by less than this part of it, and by less than this.
 MAX_RIPPLE = 0.004
 MAX_STEADY_SPREAD = np.radians(2.5)
@@ -167,7 +169,10 @@ def _joined(recording: Recording, found: list[Rest], calm: BoolArray) -> list[Re
 
 
 def _one_pose(recording: Recording, a: Rest, b: Rest, calm: BoolArray) -> bool:
-    between = slice(*np.searchsorted(recording.imu.t, [a.end, b.start]))
+    t = recording.imu.t
+    between = slice(*np.searchsorted(t, [a.end, b.start]))
+    if len(gaps(t[between.start - 1 : between.stop + 1])):
+        return False
     brief = b.start - a.end < MIN_REST_S + WINDOW_S
     hand = not (a.still and b.still)
     return hand and brief and _same(a.force, b.force) and bool(calm[between].all())
@@ -337,7 +342,19 @@ def steady(recording: Recording) -> Array:
 
 
 def _runs(mask: BoolArray, t: Array, shortest: float) -> list[tuple[int, int]]:
-    """Half-open index runs where mask holds for at least ``shortest`` seconds."""
+    """Half-open index runs where mask holds for at least ``shortest`` seconds; none goes across a
+    gap."""
     edge = np.flatnonzero(np.diff(np.r_[0, mask.astype(np.int8), 0]))
-    pairs = edge.reshape(-1, 2)
+    inside = gaps(t) + 1
+    cuts = np.repeat(inside[mask[inside] & mask[inside - 1]], 2)
+    pairs = np.sort(np.r_[edge, cuts]).reshape(-1, 2)
     return [(int(a), int(b)) for a, b in pairs if t[b - 1] - t[a] >= shortest]
+
+
+def gaps(t: Array) -> IntArray:
+    """Readings (k,) behind which there is none for long: what was so before need not be so after.
+    t (n,) s."""
+    step = np.diff(t)
+    if not len(step):
+        return np.zeros(0, dtype=np.int64)
+    return np.flatnonzero(step > max(GAP_S, GAP * float(np.median(step))))

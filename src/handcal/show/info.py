@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 SCHEMA = "handcal/info/1"
 STRIP, BARS = 60, "▁▂▃▄▅▆▇█"
 CHANNELS = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in AXES)
-# The gyro's unit is told where gravity turns as it says, better by this than in another unit.
+# The gyro's unit is told where gravity turns as it says, better by this than without any turn.
 TOLD = 0.6
 
 
@@ -81,14 +81,26 @@ def info_json(info: Info) -> dict[str, Any]:
 def unit_sentences(o: Overview) -> list[str]:
     """Why the units are believed."""
     out = [f"The accelerometer reads {o.gravity:.2f} m/s² where stillest; gravity is 9.8."]
-    if not o.turning or o.turning[0] > TOLD * min(o.turning[1:]):
-        out.append("The motion does not tell whether the gyro's unit is right: too little turns, "
-                   "or the device is moved about too much.")  # fmt: skip
+    if o.recording.unfit:
         return out
-    right, smaller, larger = (f"{math.degrees(e):.2g}°" for e in o.turning)
+    if "mag" in o.recording.streams:
+        out.append(
+            "The magnetometer turns as the gyro says: its axes are right." if o.field_told else
+            "The motion does not tell whether the magnetometer's axes are the IMU's."
+        )  # fmt: skip
+    if not o.turning or o.turning[0] > TOLD * o.turning[1]:
+        out.append(
+            "The motion does not tell whether the gyro's unit, full scale and axes are right: "
+            "gravity turns too little, or the device is moved about too much."
+        )
+        return out
+    right, still = (f"{math.degrees(e):.2g}°" for e in o.turning)
+    seen = "unit, full scale and axes are right" if o.axes_told else (
+        "unit and full scale are right; this motion does not tell all of its axes apart"
+    )  # fmt: skip
     out.append(
-        f"The gyro carries the direction up over 0.4 s to within {right} of where the "
-        f"accelerometer finds it; were its rates 57 times smaller or larger, {smaller} or {larger}."
+        f"Where gravity turns most, by {still}, the gyro carries the direction up to within "
+        f"{right} of where the accelerometer finds it: its {seen}."
     )
     return out
 

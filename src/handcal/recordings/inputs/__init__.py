@@ -24,6 +24,7 @@ import numpy as np
 
 from handcal.documents import reading
 from handcal.recordings.inputs._cut import said_of_cuts
+from handcal.recordings.inputs._health import checked
 from handcal.recordings.inputs._nearest import of_no_format
 from handcal.recordings.inputs._options import HALVES, Options, checked_options, quantities
 from handcal.recordings.inputs._repair import Columns, assemble, columns, nanoseconds
@@ -93,7 +94,9 @@ def load(
     if topics and not recording.topics:
         raise InputError(f"{path} has no topics, of which --topic could choose one.")
     # (a table that holds two sensors is read for both)
-    return replace(recording, warnings=(*recording.warnings, *dict.fromkeys(cut)))
+    recording = replace(recording, warnings=(*recording.warnings, *dict.fromkeys(cut)))
+    stated = [*options.units, *(f"{sensor}'s axes" for sensor in options.axes)]
+    return checked(recording, [*stated, *(["time"] if rate_hz else [])])
 
 
 def on_axes(recording: Recording, options: Options) -> Recording:
@@ -123,7 +126,7 @@ def of_arrays(
     """
     imu = (_columns("gyro", t, gyro, 3), _columns("accel", t, accel, 3))
     further = {n: _pair(n, pair, width) for n, (pair, width) in streams.items()}
-    return assemble(Path(name), *imu, further)
+    return checked(assemble(Path(name), *imu, further))
 
 
 def _pair(name: str, pair: tuple[Array, Array], width: int) -> Columns:

@@ -4,13 +4,9 @@ saturation. Every refusal names the option that would put it right."""
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from handcal.earth import STANDARD_GRAVITY
-from handcal.recordings.streams import DEGREE
 from handcal.types import Array, BoolArray, InputError
-
-IntArray = NDArray[np.int64]
 
 # Sensors that stand still for longer are looked at, as many spans of each: a coarse one may do so
 # in every rest, if nothing moves.
@@ -19,13 +15,9 @@ LONGEST_STUCK_S, SPANS = 1.0, 20
 RESTING_RATE, TILTED = 0.2, 0.1
 # Hundreds of times the Earth's field, tesla: beyond any iron in a phone and any full scale.
 STRONGEST_T = 0.02
-FASTEST_GYRO = 40.0  # rad/s; beyond the full scale of nearly every consumer gyro
 # Hardly an IMU is read less often, s; and stamps that are further apart than a tenth of a second's
 # worth of ms, of us, are in the next smaller unit.
 SLOWEST_S, STEPS = 1.0, {"ms": 3e2, "us": 3e5}
-# A heading that was unwrapped may be many turns, rad, but no faster than the gyro by this factor,
-# from one second to the next; degrees are 57 times as many.
-FEW_TURNS, HEADING_FASTER = 6.0 * np.pi, 5.0
 
 
 def saturated(value: Array, smallest: float) -> BoolArray:
@@ -178,39 +170,6 @@ def wrong_field(value: Array) -> str:
     )
 
 
-def check_accel_unit(accel: Array, rate_hz: float) -> list[str]:
-    """Gravity must be there, in m/s^2. Returns warnings. Errors: InputError."""
-    rest = rest_magnitude(accel, rate_hz)
-    if 5.0 <= rest <= 20.0:
-        if 8.8 <= rest <= 10.8:
-            return []
-        return [f"The accelerometer reads {rest:.2f} m/s^2 when stillest; 9.8 is expected."]
-    if 0.8 <= rest <= 1.2:
-        raise InputError(
-            f"The accelerometer reads {rest:.2f} at rest: that is g, not m/s^2; "
-            "give --units accel=g."
-        )
-    if 800 <= rest <= 1200:
-        raise InputError(
-            f"The accelerometer reads {rest:.0f} at rest: that is mg, not m/s^2; "
-            "give --units accel=mg."
-        )
-    if 0.8 * STANDARD_GRAVITY**2 <= rest <= 1.2 * STANDARD_GRAVITY**2:
-        raise InputError(
-            f"The accelerometer reads {rest:.1f} m/s^2 at rest, gravity squared: "
-            "it is in m/s^2 already; give --units accel=m/s^2."
-        )
-    if rest < 5.0:
-        raise InputError(
-            f"The accelerometer reads {rest:.2f} m/s^2 at rest, where 9.8 is expected: "
-            "gravity seems to have been removed; the raw accelerometer is needed."
-        )
-    raise InputError(
-        f"The accelerometer reads {rest:.1f} m/s^2 at rest, where 9.8 is expected: "
-        "name its unit with --units accel=..."
-    )
-
-
 def turned(u: Array, rotation: Array) -> Array:
     """A direction fixed in space, seen from a body that turned by `rotation` (k, 3), rad."""
     angle = np.linalg.norm(rotation, axis=1, keepdims=True)
@@ -220,58 +179,6 @@ def turned(u: Array, rotation: Array) -> Array:
         u * np.cos(angle) - np.cross(axis, u) * np.sin(angle) + axis * along * (1 - np.cos(angle))
     )
     return turned
-
-
-def calm_windows(t: Array, gyro: Array, accel: Array) -> tuple[IntArray, int, Array, Array]:
-    """Windows of 0.4 s between moments without other acceleration than gravity.
-
-    First samples (k,), length, and the directions of gravity before and after (k, 3); of all
-    such windows those that turn most, whatever the gyro's unit.
-    """
-    step = float(np.median(np.diff(t)))
-    size, half = max(2, round(0.4 / step)), max(1, round(0.04 / step))
-    last = len(t) - size - half - 1
-    starts = np.unique(np.linspace(half, max(half, last), 1600).astype(np.int64))
-    starts = starts[starts <= last]
-    starts = starts[t[starts + size] - t[starts] < 1.5 * size * step]
-    sums = np.vstack([np.zeros(3), np.cumsum(accel, axis=0)])
-    before, after = (
-        (sums[at + half + 1] - sums[at - half]) / (2 * half + 1) for at in (starts, starts + size)
-    )
-    g0, g1 = np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1)
-    calm = (abs(g0 - STANDARD_GRAVITY) < 1.0) & (abs(g1 - STANDARD_GRAVITY) < 1.0)
-    starts, u0, u1 = starts[calm], (before.T / g0).T[calm], (after.T / g1).T[calm]
-    path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(gyro, axis=1))])
-    turn = path[starts + size] - path[starts]
-    most = turn >= 0.5 * np.quantile(turn, 0.98) if len(turn) else turn > 0
-    return starts[most], size, u0[most], u1[most]
-
-
-def between(u: Array, v: Array) -> float:
-    """Median angle between the rows, rad."""
-    return float(np.median(np.arccos(np.clip(np.sum(u * v, axis=1), -1, 1))))
-
-
-def turning_mismatch(
-    t: Array, gyro: Array, accel: Array, factors: tuple[float, ...] = (1.0, DEGREE, 1 / DEGREE)
-) -> list[float]:
-    """Median error, rad, of the gravity direction predicted by the gyro times each factor.
-
-    Empty where there are fewer than five windows to judge by.
-    """
-    starts, size, u0, u1 = calm_windows(t, gyro, accel)
-    if len(starts) < 5:
-        return []
-    return [between(turned_by(t, factor * gyro, starts, size, u0), u1) for factor in factors]
-
-
-def turned_by(t: Array, gyro: Array, starts: IntArray, size: int, u: Array) -> Array:
-    """Directions u (k, 3) that are fixed in space, so many samples after each start (k,)."""
-    dt = np.diff(t)
-    for k in range(size):
-        row = starts + k
-        u = turned(u, 0.5 * (gyro[row] + gyro[row + 1]) * dt[row, None])
-    return u
 
 
 def slow_stamps(t: Array) -> str | None:
@@ -284,55 +191,3 @@ def slow_stamps(t: Array) -> str | None:
         f"The IMU's stamps are {step:.3g} s apart: they seem to be in {unit}, not s; if so, give "
         f"--units time={unit}."
     )
-
-
-def check_gyro_unit(t: Array, gyro: Array, accel: Array) -> list[str]:
-    """The gyro must explain how the direction of gravity turns. accel in m/s^2.
-
-    Returns warnings. Errors: InputError if another unit explains it far better.
-    """
-    errors = turning_mismatch(t, gyro, accel)
-    if errors:
-        as_is, degrees, radians = errors
-        slow = slow_stamps(t)
-        if slow is not None and as_is > 0.5:
-            raise InputError(slow)
-        # Turning 57 times too fast ends anywhere, about a right angle off.
-        if as_is > 0.5 and degrees < 0.4 * as_is:
-            raise InputError(
-                "The gyroscope turns 57 times faster than gravity does: it is in deg/s, "
-                "not rad/s; give --units gyro=deg/s."
-            )
-        if as_is > 0.15 and radians < 0.4 * as_is:
-            raise InputError(
-                "Gravity turns 57 times faster than the gyroscope: it is in rad/s, "
-                "not deg/s; give --units gyro=rad/s."
-            )
-    fastest = float(np.abs(gyro).max())
-    if fastest > FASTEST_GYRO:
-        return [
-            f"The gyroscope reads up to {fastest:.0f} rad/s, more than most can measure: "
-            "check its unit (--units gyro=deg/s)."
-        ]
-    return []
-
-
-def check_heading_unit(t: Array, gyro: Array, when: Array, heading: Array) -> None:
-    """A heading must not turn faster than the device. t (n,) s, gyro (n, 3) rad/s; heading (m,)
-    as rad at when (m,) s, same clock. Errors: InputError where it seems to be in degrees."""
-    usable = (when >= t[0]) & (when <= t[-1]) & (np.abs(heading) < 1e7)
-    when, heading = when[usable], heading[usable]
-    most = float(np.quantile(np.abs(heading), 0.9)) if len(heading) else 0.0
-    if most <= FEW_TURNS:
-        return
-    rate = np.linalg.norm(gyro, axis=1)
-    turned = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(t))])
-    _, seconds = np.unique(np.floor(when), return_index=True)
-    own = float(np.abs(np.diff(heading[seconds])).sum())
-    device = float(np.diff(np.interp(when[seconds], t, turned)).sum())
-    if own > HEADING_FASTER * device or most > FEW_TURNS + 2.0 * float(turned[-1]):
-        raise InputError(
-            f"The heading is in degrees? It reads up to {np.abs(heading).max():.0f} rad and turns "
-            f"by {own:.0f} rad where the gyroscope turns by {device:.0f}; if so, give "
-            "--units heading=deg."
-        )

@@ -10,11 +10,12 @@ import numpy as np
 
 from handcal.earth import STANDARD_GRAVITY
 from handcal.recordings.inputs._cells import Table
-from handcal.recordings.inputs._checks import rest_magnitude, turning_mismatch
+from handcal.recordings.inputs._checks import rest_magnitude
 from handcal.recordings.inputs._names import ASIDE, Understood, axes_of
 from handcal.recordings.inputs._options import SI, Options, parse_unit, unit_factor
 from handcal.recordings.inputs._stamps import is_counter, unit_of
-from handcal.types import Array, InputError
+from handcal.recordings.inputs._turning import turning
+from handcal.types import Array, Imu, InputError
 
 UNKNOWN = "?"
 # By how much gravity at rest may be off in its unit; what holds for SI, m/s^2.
@@ -217,11 +218,12 @@ def _name_gyro(
     for places in choices:
         if t is None or force is None:
             break
-        factors = [unit_factor("gyro", one) for one in _GYRO]
-        errors = turning_mismatch(t, numbers[:, places], force, (0.0, *factors))
-        if errors and errors[0] > 0 and min(errors[1:]) < least * errors[0]:
-            least = min(errors[1:]) / errors[0]
-            best, unit = places, _GYRO[int(np.argmin(errors[1:]))]
+        sound = np.ones(len(t), dtype=np.bool_)
+        motion = turning(Imu(t, numbers[:, places], force, sound), STANDARD_GRAVITY)
+        if motion is not None and motion.mapped < least * motion.still:
+            least = motion.mapped / motion.still
+            off = [abs(np.log(unit_factor("gyro", one) / motion.factor)) for one in _GYRO]
+            best, unit = places, _GYRO[int(np.argmin(off))]
     if not best and len(choices) == 1 and force is not None:
         best = choices[0]
     for axis, at in zip("xyz", best, strict=False):

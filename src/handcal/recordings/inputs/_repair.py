@@ -11,18 +11,16 @@ from pathlib import Path
 
 import numpy as np
 
-from handcal.recordings.inputs._axes import check_axes, check_heading_sense
+from handcal.recordings.inputs._bursts import in_bursts, moved_along
 from handcal.recordings.inputs._checks import (
-    check_accel_unit,
     check_alive,
-    check_gyro_unit,
-    check_heading_unit,
     rest_magnitude,
     saturated,
     slow_stamps,
     stuck,
     wrong_field,
 )
+from handcal.recordings.inputs._heading import check_heading_sense, check_heading_unit
 from handcal.recordings.inputs._range import at_range_end
 from handcal.recordings.streams import STREAMS
 from handcal.types import Array, BoolArray, Imu, InputError, IntArray, Recording, Series
@@ -85,6 +83,7 @@ def assemble(
     gyro, accel (n, 3); streams as in types.Series. Errors: InputError.
     """
     said = list(warnings)
+    gyro, accel, streams = _as_taken(gyro, accel, streams, said)
     if len(gyro.ns) == len(accel.ns) and np.array_equal(gyro.ns, accel.ns):
         both = columns(gyro.ns, np.hstack([gyro.value, accel.value]), gyro.valid & accel.valid)
         both = _masked(_clean(both, "IMU", said), "IMU", said)
@@ -124,21 +123,49 @@ def assemble_alone(
 ) -> Recording:
     """A Recording of one sensor (n, 3), "gyro" or "accel", on its stamps. Errors: InputError."""
     said, name = list(warnings), {"gyro": "gyroscope", "accel": "accelerometer"}[sensor]
+    if (found := in_bursts(raw.ns, raw.value, name)) is not None:
+        said.append(found.text)
+        raw = replace(raw, ns=found.ns)
     raw = _masked(_clean(raw, name, said), name, said)
     t = (raw.ns - raw.ns[0]) / 1e9
     _check_enough(path, t, said)
     _check_clock(path, t)
     value, none = np.ascontiguousarray(raw.value), np.zeros_like(raw.value)
-    if sensor == "accel":
-        said += check_accel_unit(value, 1 / float(np.median(np.diff(t))))
     said += _gap_warning(t)
     inside = int(raw.ns[0]), int(raw.ns[-1])
-    found = {n: _series(n, stream, *inside, said) for n, stream in streams.items()}
-    series = {n: one for n, one in found.items() if one is not None}
+    kept = {n: _series(n, stream, *inside, said) for n, stream in streams.items()}
+    series = {n: one for n, one in kept.items() if one is not None}
     both = (value, none) if sensor == "gyro" else (none, value)
     start_ns = inside[0] if inside[0] > 10**17 else 0
     imu = Imu(t, *both, raw.valid)
     return Recording(str(path), imu, series, start_ns, tuple(said), sensors=(sensor,))
+
+
+def _as_taken(
+    gyro: Columns, accel: Columns, streams: Mapping[str, Columns], said: list[str]
+) -> tuple[Columns, Columns, Mapping[str, Columns]]:
+    """The same at the times at which readings were taken, where they are stamped on arrival."""
+    one = np.array_equal(gyro.ns, accel.ns)
+    streams, old = dict(streams), gyro.ns
+    found = in_bursts(gyro.ns, np.hstack([gyro.value, accel.value]) if one else gyro.value,
+                      "IMU" if one else "gyroscope")  # fmt: skip
+    if found is not None:
+        said.append(found.text)
+        gyro = replace(gyro, ns=found.ns)
+        accel = replace(accel, ns=found.ns) if one else accel
+    other = None if one else in_bursts(accel.ns, accel.value, "accelerometer")
+    if other is not None:
+        said.append(other.text)
+        accel = replace(accel, ns=other.ns)
+    for name, stream in streams.items():
+        ns = stream.ns if found is None else moved_along(stream.ns, old, found.ns)
+        own = None if STREAMS[name].own_clock or ns is not stream.ns else in_bursts(
+            ns, stream.value, name
+        )  # fmt: skip
+        if own is not None:
+            said.append(own.text)
+        streams[name] = replace(stream, ns=ns if own is None else own.ns)
+    return gyro, accel, streams
 
 
 def _check_enough(path: Path, t: Array, said: list[str]) -> None:
@@ -163,15 +190,10 @@ def _doubts(path: Path, t: Array, gyro: Array, accel: Array) -> tuple[list[str],
         _check_clock(path, t)
     elif float(np.diff(t).max()) > LONGEST_GAP_S:
         raise InputError(slow)
-    said = [slow] if slow else []
-    said += check_alive(gyro, accel)
+    said = check_alive(gyro, accel)
     halts, frozen = stuck(t, gyro, accel)
-    rate_hz = 1 / float(np.median(np.diff(t)))
-    said += [*halts, *check_accel_unit(accel, rate_hz), *check_gyro_unit(t, gyro, accel)]
-    check_axes(t, gyro, accel)
-    # (after the units: a gyro in another one misses turns as well)
     ends, clipped = at_range_end(t, gyro, accel)
-    return [*said, *ends, *_gap_warning(t)], frozen | clipped
+    return [*said, *halts, *ends, *_gap_warning(t)], frozen | clipped
 
 
 def _check_clock(path: Path, t: Array) -> None:

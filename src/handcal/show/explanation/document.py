@@ -37,6 +37,8 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
     document: dict[str, Any] = {
         "schema": EXPLANATION_SCHEMA,
         "verdict": e.verdict,
+        "trust": e.trust,
+        "trust_reasons": list(e.trust_reasons),
         "mismatch": [_mismatch_json(m, several) for m in e.mismatch],
         "missing": [_missing_json(m) for m in e.missing],
         "hand": {"id": e.hand.id, "probability": summary.finite(e.hand.probability)},

@@ -58,8 +58,11 @@ def commands(
 
     files: the recordings as typed; options: of ``explain``, as typed; json: where the explanation
     was written. Where it was not, it is made again with ``--json`` first: only the file holds what
-    was assumed of the hand, and which readings were left out.
+    was assumed of the hand, and which readings were left out. Of a fit that deserves no trust,
+    none.
     """
+    if e.trust == "none":
+        return []
     paths = list(files) or [r.recording.path for r in e.recordings]
     first = Path(paths[0])
     folder, options = _known_to(options, OWN), _known_to(options, OWN, others=True)

@@ -132,7 +132,8 @@ def verdict(explanation: Explanation) -> Verdict:
         # (what leaves the verdict open is that time ran out; what is named is told as it is)
         e = replace(e, verdict="explained")
     level, headline, sentences = _head(e)
-    good = how_good.sentences(e.parameters, e.covariance, e.device)
+    none = e.trust == "none"
+    good = [] if none else how_good.sentences(e.parameters, e.covariance, e.device)
     sentences[bool(e.untried) :] = [*good, *sentences[bool(e.untried) :]]
     if (first := matters(e)) is not None:
         # (what cannot be told apart comes first: the headline is about that; and what was a
@@ -163,7 +164,7 @@ def _head(e: Explanation) -> tuple[str, str, list[str]]:
         e.verdict, _explained if e.missing else _nothing
     )
     level, headline, sentences = head(e)
-    if not e.untried:
+    if not e.untried or e.trust == "none":
         return level, headline, sentences
     if not e.missing and not e.unnamed:
         headline = "Nothing was found by then."
@@ -211,6 +212,8 @@ def _unexplained(e: Explanation) -> tuple[str, str, list[str]]:
         if more := len(e.missing) - SHARED if len(e.missing) > SHARED else 0:
             named.append(f"{counted_word(more)} other{'s' * (more > 1)}")
         besides = f", besides {listed(named)}"
+    if e.trust == "none":
+        return "poor", "The final fit leaves what no hand makes.", list(e.trust_reasons)
     headline = f"Found: an error that no known effect accounts for{besides}."
     if not e.unnamed:
         return "poor", headline, ["No simple term in the measured signals accounts for it either."]
