@@ -88,10 +88,22 @@ def test_a_decimal_comma_is_a_decimal_point(tmp_path: Path, separator: str) -> N
 def test_what_is_no_number_is_shown_with_its_line(tmp_path: Path) -> None:
     path = write_csv(tmp_path, HEADER, rows_of(sample()))
     header, *rows = path.read_text().splitlines()
-    rows[6] = rows[6].replace(rows[6].split(",")[2], "broken", 1)
+    for k in range(6, 26):
+        rows[k] = rows[k].replace(rows[k].split(",")[2], "broken", 1)
     path.write_text("\n".join([header, *rows]))
     with pytest.raises(InputError, match="'broken' in line 8"):
         load(path)
+
+
+def test_a_line_that_a_link_has_torn_is_left_out_and_said(tmp_path: Path) -> None:
+    path = write_csv(tmp_path, HEADER, rows_of(sample()))
+    header, *rows = path.read_text().splitlines()
+    torn = {6: rows[6][: len(rows[6]) // 2], 9: "sensor restarted", 12: rows[12].replace(".", "#")}
+    path.write_text("\n".join([header, *(torn.get(k, row) for k, row in enumerate(rows))]))
+    back, whole = load(path), sample().imu
+    assert "3 broken lines were left out." in back.warnings
+    kept = np.delete(np.arange(len(whole.t)), sorted(torn))
+    np.testing.assert_allclose(back.imu.gyro, whole.gyro[kept], rtol=1e-13)
 
 
 def test_nanoseconds_since_1970_keep_their_last_digit(tmp_path: Path) -> None:

@@ -19,10 +19,12 @@ pytestmark = pytest.mark.prove
     [("array_1_imu5", (0.0189, 0.0, 0.0)), ("array_2_imu3", (0.0, -0.0189, 0.0))],
 )
 def test_the_arm_between_two_imus_is_found_untold(name, drawn, real_recordings: Path):
-    """Within 1.5 mm of the board's drawing, with the scale differences; residuals halved."""
+    """Within 1.5 mm of the board's drawing, with the scale differences; residuals halved. (Beside
+    an error of the gyro that goes with the rate its scale is shown, but not named.)"""
     found = explain([load(real_recordings / f"{name}.mcap")])
     missing = {m.effect: m for m in found.missing}
-    assert {"lever_arm", "accel_scale", "gyro_scale"} <= set(missing)
+    assert {"lever_arm", "accel_scale"} <= set(missing)
+    assert "gyro_scale" in {p.effect for p in found.parameters if p.shown}
     arm = np.array([p.value for p in missing["lever_arm"].parameters])
     print(f"{name}: {found.verdict}, arm {1e3 * arm} mm")
     assert np.linalg.norm(arm - drawn) < 0.0015

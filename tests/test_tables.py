@@ -22,6 +22,7 @@ from handcal.recordings.export import write_mcap
 from handcal.recordings.inputs import load
 from handcal.recordings.inputs._names import Producer, vocabulary
 from handcal.types import InputError, Recording
+from handcal_sim import simulate
 
 DEG, G = np.pi / 180, 9.80665
 LAYOUTS = (
@@ -121,6 +122,18 @@ def test_of_what_is_unknown_the_rest_is_filled_in(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text(text("", np.column_stack([np.arange(400) / 100, still])))
     with pytest.raises(InputError, match=re.escape("--columns t,?,?,?,?,?,?,ax,ay,az")):
+        load(path)
+
+
+def test_units_are_proposed_of_times_by_the_clock_too(tmp_path: Path) -> None:
+    world = simulate("free-hand", seed=0, duration_s=30.0)
+    t, read = world.imu.stamps, world.imu.values / [*[DEG] * 3, *[G] * 3]
+    moments = np.datetime64("2026-01-01T00:00:00") + np.round(1e6 * t).astype("timedelta64[us]")
+    lines = [f"{m}Z," + ",".join(f"{x:.6f}" for x in row)
+             for m, row in zip(moments, read, strict=True)]  # fmt: skip
+    path = tmp_path / "clock.csv"
+    path.write_text("\n".join(["timestamp,gx,gy,gz,ax,ay,az", *lines]))
+    with pytest.raises(InputError, match="give --units accel=g,gyro=deg/s"):
         load(path)
 
 

@@ -13,7 +13,7 @@ from handcal.recordings.inputs._cells import Table
 from handcal.recordings.inputs._checks import rest_magnitude
 from handcal.recordings.inputs._names import ASIDE, Understood, axes_of
 from handcal.recordings.inputs._options import SI, Options, parse_unit, unit_factor
-from handcal.recordings.inputs._stamps import is_counter, unit_of
+from handcal.recordings.inputs._stamps import is_counter, stamped, unit_of
 from handcal.recordings.inputs._turning import turning
 from handcal.types import Array, Imu, InputError
 
@@ -96,6 +96,12 @@ def _guessed(table: Table, known: Understood, options: Options) -> _Guess:
     if "t" not in names and not (options.rate_hz or table.rate_hz):
         _name_time(names, numbers)
     t = _seconds(names, numbers, options.rate_hz or table.rate_hz)
+    time = known.found.get("time")
+    if t is None and time is not None:
+        clock = table.clock(time.terms[0][1][0])
+        if not isinstance(clock, np.ndarray):
+            ns = stamped(str(table.path), clock, "", [])[: len(numbers)]
+            t = (ns - ns[0]) / 1e9
     units: dict[str, str] = {}
     accel = _places(names, "a")
     if not accel:

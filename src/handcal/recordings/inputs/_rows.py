@@ -18,6 +18,8 @@ from handcal.types import Array, InputError, IntArray
 # Cells of readings that were not taken, as pandas, R, MATLAB and databases write them.
 BLANK = ("", "nan", "na", "n/a", "null", "none", "-", "--")
 _REMARKS = ("#", "//", "%")
+# Rows that show what a column holds; the share of rows that may be broken.
+_TYPICAL, _BROKEN = 1000, 0.02
 _ENDS = (b"\n", b"\r")
 
 
@@ -216,6 +218,30 @@ def _evened(rows: Rows, width: int, last: int) -> bytes:
     return "\n".join(out).encode()
 
 
+def without_broken(rows: Rows) -> tuple[Rows, int]:
+    """The rows without those that a link has torn, and how many these are: other numbers of cells
+    than most have, or no number where the others have one. Where many are, none is left out."""
+    lines = [line for line in rows.body.decode().split("\n") if line.strip()]
+    cells = [[cell.strip().strip('"') for cell in line.split(rows.separator)] for line in lines]
+    width = int(np.bincount([len(row) for row in cells]).argmax())
+    told = [row for row in cells if len(row) == width][:_TYPICAL]
+    numeric = [k for k in range(width) if np.mean([_is_number(row[k]) for row in told]) > 0.9]
+    sound = [len(row) == width and all(_is_number(row[k]) for k in numeric) for row in cells]
+    broken = len(lines) - sum(sound)
+    if broken > _BROKEN * len(lines):
+        return rows, 0
+    kept = [line for line, good in zip(lines, sound, strict=True) if good]
+    return replace(rows, body="\n".join(kept).encode()), broken
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float("nan" if cell.lower() in BLANK else cell.replace(",", "."))
+    except ValueError:
+        return False
+    return True
+
+
 def _floats(rows: Rows, column: int, cells: Any) -> Array:
     """A column's numbers (n,). Errors: InputError."""
     import pyarrow as pa
@@ -239,9 +265,6 @@ def _offender(rows: Rows, column: int) -> str:
         cells = [cell.strip().strip('"') for cell in line.split(rows.separator)]
         if not line.strip() or len(cells) <= column:
             continue
-        cell = cells[column].replace(",", ".")
-        try:
-            float("nan" if cell.lower() in BLANK else cell)
-        except ValueError:
-            return f"{cell[:40]!r} in line {number}"
+        if not _is_number(cells[column]):
+            return f"{cells[column][:40]!r} in line {number}"
     return "unknown"

@@ -17,9 +17,9 @@ from pathlib import Path
 
 from handcal.recordings.inputs._cells import Table
 from handcal.recordings.inputs._clock import is_clock, is_date
-from handcal.recordings.inputs._layout import layout
+from handcal.recordings.inputs._layout import Layout, layout
 from handcal.recordings.inputs._options import Options
-from handcal.recordings.inputs._rows import Rows, numbers, texts, whole_numbers
+from handcal.recordings.inputs._rows import Rows, numbers, texts, whole_numbers, without_broken
 from handcal.recordings.inputs._stamps import Clock
 from handcal.recordings.inputs._table import recording
 from handcal.recordings.inputs._zip import LARGEST
@@ -75,6 +75,21 @@ def read(path: Path, options: Options) -> Recording:
             f"{path}: commas divide its columns and are decimal signs too: {len(rows.names)} "
             f"columns are named, and {width} are there. Export it with semicolons between them."
         )
+    try:
+        made = _recording(path, rows, width, found, options)
+    except InputError:
+        sound, broken = without_broken(rows)
+        if not broken:
+            raise
+        made = _recording(path, sound, width, found, options)
+        said = f"{broken} broken line{'s were' if broken > 1 else ' was'} left out."
+        made = replace(made, warnings=(said, *made.warnings))
+    options.progress(1.0)
+    return made
+
+
+def _recording(path: Path, rows: Rows, width: int, found: Layout, options: Options) -> Recording:
+    """The recording of rows of at most so many columns. Errors: InputError."""
     few = replace(rows, body=rows.body[:_BEGINNING].rpartition(b"\n")[0] or rows.body)
     while width > len(rows.names) and not any(texts(few, width - 1)):
         width -= 1  # (many a row ends with a comma)
@@ -82,9 +97,7 @@ def read(path: Path, options: Options) -> Recording:
         path, rows.names, width, lambda places: numbers(rows, places),
         lambda place: _clock(rows, place), found.units, found.rate_hz,
     )  # fmt: skip
-    made = recording(table, options)
-    options.progress(1.0)
-    return made
+    return recording(table, options)
 
 
 def _clock(rows: Rows, place: int) -> Clock:
