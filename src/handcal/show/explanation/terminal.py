@@ -69,8 +69,8 @@ def _print_verdict(e: Explanation, console: Console) -> None:
     colour = {"good": "green", "partly": "yellow", "poor": "red"}[judged.level]
     for r in e.recordings:
         console.print(
-            f"[bold]{escape(r.recording.path)}[/]  {r.recording.duration_s:.1f} s at "
-            f"{say.rate(r)}; {words.counted(len(r.rests), 'rest')}"
+            f"[bold]{escape(r.recording.path)}[/]  {r.as_read.duration_s:.1f} s at "
+            f"{r.as_read.rate_hz:.0f} Hz; {words.counted(len(r.rests), 'rest')}"
         )
     for assumed in verdict_text.assumptions(e):
         line(assumed, 0, "dim")

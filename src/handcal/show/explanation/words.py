@@ -87,14 +87,6 @@ def expected(hypothesis: Hypothesis) -> str:
     return number(max(hypothesis.expected, 0.0))
 
 
-def rate(explained: Explained) -> str:
-    """ "100 Hz", "400 Hz (averaged to 100)"."""
-    used = explained.recording.rate_hz
-    if explained.read_hz <= 1.2 * used:
-        return f"{used:.0f} Hz"
-    return f"{explained.read_hz:.0f} Hz (averaged to {used:.0f})"
-
-
 def change(before: float, after: float) -> str:
     """ "−44 %"; nothing to say where there is no before."""
     if not (math.isfinite(before) and math.isfinite(after) and before > 0):
