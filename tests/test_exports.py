@@ -1,6 +1,7 @@
 """Each export, read back and applied as its program documents it, does what `apply` does."""
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -50,7 +51,8 @@ def document(values, **more):
     ]  # fmt: skip
     noise = [{"name": "gyro_noise", "value": 2e-5, "unit": "rad/s/sqrt(Hz)"},
              {"name": "accel_noise", "value": 2e-3, "unit": "m/s^2/sqrt(Hz)"}]  # fmt: skip
-    recording = {"path": "turns.mcap", "duration_s": 10.0, "imu_rate_hz": 100.0, "sha256": "1f"}
+    recording = {"path": "turns.mcap", "duration_s": 10.0, "imu_rate_hz": 100.0, "sha256": "1f",
+                 "vehicle": OWN}  # fmt: skip
     return {"schema": "handcal/calibration/1", "version": "9.8.7", "recording": recording,
             "parameters": parameters, "noise": noise, "warnings": []} | more  # fmt: skip
 
@@ -203,29 +205,50 @@ def test_imucal_by_its_own_package(result, seed, tmp_path):
     assert "turns.mcap" in info.comment
 
 
+# The calibration that a vehicle had, by which readings were corrected before they were logged.
+PX4_OWN = {"CAL_GYRO1_ID": 7, "CAL_GYRO1_XOFF": 0.01, "CAL_GYRO1_YOFF": -0.02,
+           "CAL_GYRO1_ZOFF": 0.03, "CAL_ACC2_ID": 9, "CAL_ACC2_XOFF": 0.3, "CAL_ACC2_YOFF": -0.74,
+           "CAL_ACC2_ZOFF": 0.1, "CAL_ACC2_XSCALE": 0.98, "CAL_ACC2_YSCALE": 1.012,
+           "CAL_ACC2_ZSCALE": 1.03}  # fmt: skip
+PX4_NAMES = ("CAL_GYRO1_{}OFF", "CAL_ACC2_{}OFF", "CAL_ACC2_{}SCALE")
+INS_NAMES = ("INS_GYROFFS_{}", "INS_ACCOFFS_{}", "INS_ACCSCAL_{}")
+INS_OWN = {new.format(axis): PX4_OWN[old.format(axis)]
+           for old, new in zip(PX4_NAMES, INS_NAMES, strict=True) for axis in "XYZ"}  # fmt: skip
+OWN = PX4_OWN | INS_OWN
+
+
 def vehicle(parameters, names, given, axes):
-    """The readings in the vehicle's axes, corrected as both autopilots do it."""
+    """The readings in the vehicle's axes without its own correction, and then corrected as both
+    autopilots do it; what the file does not have the vehicle keeps."""
     turn = np.array([1.0, -1.0, -1.0]) if axes == "flu" else np.ones(3)
     gyro, accel = (x * turn for x in readings(given))
-    gyro_offset, accel_offset, scale = (
-        np.array([parameters[name.format(axis)] for axis in "XYZ"]) for name in names
+    before, after = (
+        [np.array([own[name.format(axis)] for axis in "XYZ"]) for name in names]
+        for own in (OWN, OWN | dict(parameters))
     )
-    return (gyro - gyro_offset) * turn, (accel - accel_offset) * scale * turn
+    raw_gyro, raw_accel = gyro + before[0], accel / before[2] + before[1]
+    return (raw_gyro - after[0]) * turn, (raw_accel - after[1]) * after[2] * turn
+
+
+def qgroundcontrol(text):
+    """Its loader's way (ParameterManager::readParametersFromStream): tabs, five fields."""
+    rows = [line.split("\t") for line in text.splitlines() if line and not line.startswith("#")]
+    assert {(len(r), r[0], r[1], r[4]) for r in rows} == {(5, "1", "1", "9")}
+    return {r[2]: float(r[3]) for r in rows}
 
 
 @pytest.mark.parametrize("axes", ["flu", "frd"])
 def test_px4(result, axes):
     given = recording()
-    path = result(drawn(0, DIAGONAL))
-    rows = [line.split("\t") for line in written(path, "px4", axes=axes).split("\n")
-            if line and not line.startswith("#")]  # fmt: skip
-    assert {(r[0], r[1], r[4]) for r in rows} == {("1", "1", "9")}
-    parameters = {r[2]: float(r[3]) for r in rows}
-    names = ("CAL_GYRO0_{}OFF", "CAL_ACC0_{}OFF", "CAL_ACC0_{}SCALE")
-    close(vehicle(parameters, names, given, axes), applied(path, given))
     values = drawn(0, DIAGONAL)
+    path = result(values)
+    parameters = qgroundcontrol(written(path, "px4", axes=axes))
+    assert set(parameters) == {name.format(axis) for name in PX4_NAMES for axis in "XYZ"}
+    close(vehicle(parameters, PX4_NAMES, given, axes), applied(path, given))
     sign = -1.0 if axes == "flu" else 1.0
-    assert parameters["CAL_GYRO0_ZOFF"] == pytest.approx(sign * values["gyro_bias"][2], abs=1e-11)
+    assert parameters["CAL_GYRO1_ZOFF"] == pytest.approx(
+        0.03 + sign * values["gyro_bias"][2], abs=1e-11
+    )
 
 
 @pytest.mark.parametrize("axes", ["flu", "frd"])
@@ -237,8 +260,7 @@ def test_ardupilot_by_pymavlink(result, axes, tmp_path):
     parameters = MAVParmDict()
     assert parameters.load(str(file), use_excludes=False)
     assert len(parameters) == 9
-    names = ("INS_GYROFFS_{}", "INS_ACCOFFS_{}", "INS_ACCSCAL_{}")
-    close(vehicle(parameters, names, given, axes), applied(path, given))
+    close(vehicle(parameters, INS_NAMES, given, axes), applied(path, given))
 
 
 def test_ardupilot_refuses_a_scale_that_it_does_not_take(result):
@@ -333,7 +355,7 @@ def test_header_says_what_from_which_and_by_whom(result, name):
         assert words in text
 
 
-@pytest.mark.parametrize("name", [n for n in formats() if n != "ros2"])
+@pytest.mark.parametrize("name", sorted(formats().keys() - {"ros2", "px4", "ardupilot"}))
 def test_a_result_that_says_the_least_is_enough(result, name):
     full = document(drawn(0, MATRICES))["parameters"]
     rows = [{k: p[k] for k in ("effect", "name", "value")} for p in full]
@@ -497,8 +519,10 @@ def test_hidden_axes_are_left_to_the_vehicle(result):
     path.write_text(json.dumps(found))
     text = written(path, "px4")
     assert "accel_bias z: not shown" in text
-    assert "\tCAL_ACC0_ZOFF\t" not in text
-    assert "\tCAL_ACC0_XOFF\t" in text
+    assert "\tCAL_ACC2_ZOFF\t" not in text
+    assert "\tCAL_ACC2_XOFF\t" in text
+    close(vehicle(qgroundcontrol(text), PX4_NAMES, recording(), "flu"),
+          applied(path, recording()))  # fmt: skip
     names = {}
     exec(written(path, "python"), names)
     assert names["ACCEL_BIAS"][2] == 0.0
@@ -640,3 +664,76 @@ def test_the_topic_is_that_of_the_recording(result, name):
     assert "rostopic: /phone/imu\n" in written(path, name, topic="/phone/imu")
     path = result(drawn(0, NO_G), recording=of | {"streams": {"imu": imu | {"topic": "/a: [b"}}})
     assert "rostopic: /imu\n" in written(path, name)
+
+
+def test_scales_that_were_not_found_are_left_to_the_vehicle(result):
+    path = result(drawn(0, BIASES) | {"accel_scale": [0.01, 0.0, 0.0]})
+    for name, scale in (("px4", "CAL_ACC2_{}SCALE"), ("ardupilot", "INS_ACCSCAL_{}")):
+        lines = [x for x in written(path, name).splitlines() if not x.startswith("#")]
+        found = [axis for axis in "XYZ" if any(scale.format(axis) in line for line in lines)]
+        assert found == ["X"]
+
+
+def own_result(result, **vehicle):
+    of = document({})["recording"] | {"vehicle": vehicle}
+    return result(drawn(0, DIAGONAL), recording=of)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (dict.fromkeys(PX4_OWN), "CAL_GYRO0_ID"),
+        ({"CAL_ACC2_YOFF": None}, "CAL_ACC2_YOFF"),
+        ({"CAL_ACC0_ID": 3}, "Log the topic sensor_selection"),
+        ({"CAL_ACC0_ID": 3, "sensor_selection.accel_device_id": 4}, "is 4"),
+        ({"SENS_BOARD_ROT": 2}, "SENS_BOARD_ROT 2"),
+        ({"CAL_ACC2_ROT": 6}, "CAL_ACC2_ROT 6"),
+        ({"sensor_accel.device_id": 9, "sensor_gyro.device_id": 7, "TC_A_ENABLE": 1}, "thermal"),
+    ],
+)
+def test_px4_refuses_what_it_cannot_combine(result, change, said):
+    """Residual errors stood in the file as if they were the whole calibration."""
+    own = {k: v for k, v in (PX4_OWN | change).items() if v is not None}
+    with pytest.raises(HandcalError, match=said):
+        written(own_result(result, **own), "px4")
+
+
+def test_px4_takes_the_sensor_that_was_read(result):
+    more = {"CAL_ACC0_ID": 3, "sensor_selection.accel_device_id": 9, "CAL_ACC2_ROT": -1}
+    assert "\tCAL_ACC2_XOFF\t" in written(own_result(result, **PX4_OWN, **more), "px4")
+    unsigned = {"CAL_ACC0_ID": -9, "sensor_selection.accel_device_id": 2**32 - 9}
+    unsigned |= {f"CAL_ACC0_{x}{n}": 1.0 for x in "XYZ" for n in ("OFF", "SCALE")}
+    assert "\tCAL_ACC0_XOFF\t" in written(own_result(result, **PX4_OWN, **unsigned), "px4")
+
+
+@pytest.mark.parametrize(
+    "line", ["{},{}", "{} {}", "1\t1\t{}\t{}\t9", "1700000000.5,52000,{},{},0.0"]
+)
+def test_the_vehicles_parameters_may_come_as_a_file(result, tmp_path, line):
+    file, given = tmp_path / "own.param", recording()
+    file.write_text("# of Monday\n" + "\n".join(line.format(k, v) for k, v in OWN.items()))
+    path = own_result(result)
+    for name, names in (("px4", PX4_NAMES), ("ardupilot", INS_NAMES)):
+        with pytest.raises(HandcalError, match="--parameters"):
+            written(path, name)
+        rows = [re.split(r"[\t,]", x) for x in written(path, name, parameters=file).splitlines()
+                if x and not x.startswith("#")]  # fmt: skip
+        found = {r[-3] if name == "px4" else r[0]: float(r[-2 if name == "px4" else -1])
+                 for r in rows}  # fmt: skip
+        close(vehicle(found, names, given, "flu"), applied(path, given))
+
+
+def test_ardupilot_refuses_what_it_cannot_combine(result, tmp_path):
+    with pytest.raises(HandcalError, match="AHRS_ORIENTATION 8"):
+        written(own_result(result, **INS_OWN, AHRS_ORIENTATION=8), "ardupilot")
+    file = tmp_path / "own.param"
+    for text, said in (("nothing", "no parameters"), ("INS_ACCOFFS_X,1e", "no number")):
+        file.write_text(text)
+        with pytest.raises(InputError, match=said):
+            written(own_result(result), "ardupilot", parameters=file)
+    # (a log in which a parameter changed says it with two values)
+    file.write_text("\n".join(f"{k},{v}" for k, v in INS_OWN.items()) + "\nINS_ACCOFFS_X,0.5\n")
+    with pytest.raises(HandcalError, match="INS_ACCOFFS_X"):
+        written(own_result(result), "ardupilot", parameters=file)
+    with pytest.raises(InputError, match="--parameters is for"):
+        written(own_result(result), "kalibr", parameters=file)

@@ -102,8 +102,10 @@ class Recording(Brief):
     only those present. start_ns: absolute time of t = 0, ns since 1970 (0 if unknown).
     warnings: what the reader repaired, in sentences. topics: of a bag or a log of PX4, by
     stream, where it was read. device, model: what the file itself says of the device, "" where it
-    says nothing. bias_temperature: degC, at which temperature errors are zero; a fit takes the
-    recording's mean, so that biases are those at that temperature.
+    says nothing. vehicle: of a log of PX4, parameters of the vehicle's own calibration by name
+    (CAL_*, SENS_BOARD_*, TC_*), and ids of the sensors as ``topic.field``. bias_temperature: degC,
+    at which temperature errors are zero; a fit takes the recording's mean, so that biases are
+    those at that temperature.
     """
 
     path: str
@@ -114,6 +116,7 @@ class Recording(Brief):
     topics: Mapping[str, str] = field(default_factory=dict)
     device: str = ""
     model: str = ""
+    vehicle: Mapping[str, float] = field(default_factory=dict)
     bias_temperature: float = 25.0
 
     @property

@@ -49,6 +49,14 @@ def export(
             "right, down (frd). Default: flu."
         ),
     ] = None,
+    parameters: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="px4, ardupilot: the vehicle's parameters when this was recorded, if the log "
+            "does not say them (.params, .param, mavlogdump's PARM table).",
+        ),
+    ] = None,
     topic: Topics = None,
     units: Units = None,
 ) -> None:
@@ -72,10 +80,10 @@ def export(
     form = format_of(to)
     if result is None or out is None:
         raise InputError(f"export --to {to} needs RESULT.json and -o FILE.")
-    output.check_outputs((out,), (result, recording, noise))
+    output.check_outputs((out,), (result, recording, noise, parameters))
     given = None if recording is None else load(recording, topic, units)
     named = dict(pair.partition("=")[::2] for pair in topic or [])
-    made = contents(result, form, given, noise, named.get("imu"), axes and str(axes))
+    made = contents(result, form, given, noise, named.get("imu"), axes and str(axes), parameters)
     text = form.write(made)
     if str(out) == output.STANDARD_OUTPUT:
         print(text, end="")

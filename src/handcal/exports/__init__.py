@@ -45,7 +45,8 @@ class Contents:
     the format holds them; hidden: axes of "gyro_bias" and "accel_bias" that were not shown
     (their bias counts as zero). has_bias: whether the result has biases at all. rate_hz: of the
     IMU, None if the result does not say. topic: of the Imu messages. axes: "flu" or "frd", what
-    the recording's axes are on a vehicle. parameters: rows of the result, as its JSON has them.
+    the recording's axes are on a vehicle. vehicle: parameters of its own calibration, by name.
+    parameters: rows of the result, as its JSON has them.
     """
 
     name: str
@@ -58,6 +59,7 @@ class Contents:
     rate_hz: float | None
     topic: str
     axes: str
+    vehicle: Mapping[str, float]
     parameters: Sequence[Mapping[str, Any]]
 
     def commented(self, sign: str = "# ") -> str:

@@ -21,6 +21,7 @@ from handcal.exports import Contents, Format, Noise, formats
 from handcal.exports import _correction as correction
 from handcal.exports._correction import NOTHING, Correction
 from handcal.exports._text import one_line
+from handcal.exports._vehicle import read_parameters
 from handcal.recordings.streams import TURNED_TO_FLU
 from handcal.types import Array, HandcalError, InputError, Recording
 
@@ -112,16 +113,17 @@ def _bias(
 
 def contents(
     path: Path, form: Format, recording: Recording | None = None, allan: Path | None = None,
-    topic: str | None = None, axes: str | None = None,
+    topic: str | None = None, axes: str | None = None, parameters: Path | None = None,
 ) -> Contents:  # fmt: skip
     """A result as a format is given it.
 
     recording: where what is left is measured. allan: a JSON of ``handcal allan``, for the noise.
-    topic: None for that of the recording. axes: "flu", "frd", or None for "flu". Errors:
-    InputError, HandcalError.
+    topic: None for that of the recording. axes: "flu", "frd", or None for "flu". parameters: of
+    the vehicle, None for those of the recording. Errors: InputError, HandcalError.
     """
     found = known(path, recording)
     _check_axes(found.document, form, axes)
+    vehicle = _vehicle(found.document, form, parameters)
     full = correction.together(list(found.matrices.values()), found.bias)
     kept = full if form.keep is None else form.keep(full)
     has_bias = bool(found.learnt.biases)
@@ -134,7 +136,7 @@ def contents(
     return Contents(
         one_line(path.name), header, kept, found.bias, found.hidden, has_bias, noise,
         _rate(found.document), topic or _topic(found.document), axes or "flu",
-        _parameters(found.document),
+        vehicle, _parameters(found.document),
     )  # fmt: skip
 
 
@@ -150,6 +152,22 @@ def _check_axes(document: Mapping[str, Any], form: Format, axes: str | None) -> 
             "--axes frd: this result is of a log whose axes were turned to forward, left, up when "
             "it was read; leave --axes away."
         )
+
+
+def _vehicle(
+    document: Mapping[str, Any], form: Format, parameters: Path | None
+) -> Mapping[str, float]:
+    """Parameters of the vehicle's own calibration when the recordings were made, in which all of
+    them agree. Errors: InputError for --parameters where they make no sense."""
+    said = [r.get("vehicle", {}) for r in _recordings(document)] or [{}]
+    agreed = {name: v for name, v in said[0].items() if all(r.get(name) == v for r in said)}
+    if parameters is None:
+        return agreed
+    if not form.vehicle:
+        known = ", ".join(name for name, one in formats().items() if one.vehicle)
+        raise InputError(f"--parameters is for {known}; {form.program} has none.")
+    ids = {name: v for name, v in agreed.items() if "." in name}
+    return {**ids, **read_parameters(parameters)}
 
 
 def warnings_of(document: Mapping[str, Any]) -> list[str]:

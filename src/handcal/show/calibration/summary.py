@@ -137,6 +137,7 @@ def recording_json(recording: Recording, assume: str) -> dict[str, Any]:
         "assume": assume,
         "sha256": digest(Path(recording.path)),
         **_day(recording),
+        **({"vehicle": dict(recording.vehicle)} if recording.vehicle else {}),
     }
 
 
