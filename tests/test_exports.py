@@ -330,22 +330,117 @@ def test_ros2_covariance_is_that_of_the_samples(result):
     assert text["orientation_covariance"] == [-1.0, *[0.0] * 8]
 
 
-def test_no_noise_no_densities(result, tmp_path):
-    path = result(drawn(0, MATRICES), noise=[{"name": "accel_beyond_noise", "value": 0.1}])
-    text = written(path, "kalibr")
-    assert "gyroscope_noise_density" not in yaml.safe_load(text)
-    assert "# gyroscope_noise_density: not in the result" in text
-    with pytest.raises(HandcalError, match="--noise"):
-        written(path, "ros2")
+def kalibr_reads(text):
+    """What Kalibr's reader asks of --imu (kalibr_common/ConfigReader.py, ImuParameters)."""
+    found = yaml.safe_load(text)
+    assert isinstance(found["rostopic"], str)
+    for key in ("update_rate", *STATISTICS):
+        assert isinstance(found[key], float), key  # (a word has no <=)
+        assert found[key] > 0.0
+    return found
+
+
+def openvins_reads(text):
+    """What OpenVINS asks of its IMU chain (VioManagerOptions.h, opencv_yaml_parse.h): all of these
+    keys, matrices as lists of rows, and the line by which OpenCV knows YAML."""
+    first, rest = text.split("\n", 1)
+    assert first == "%YAML:1.0"
+    found = yaml.safe_load(rest)["imu0"]
+    for key in STATISTICS:
+        assert isinstance(found[key], float)
+        assert found[key] > 0.0
+    for key, n in (("Tw", 3), ("Ta", 3), ("R_IMUtoACC", 3), ("R_IMUtoGYRO", 3), ("Tg", 3),
+                   ("T_i_b", 4)):  # fmt: skip
+        assert np.array(found[key]).shape == (n, n)
+        assert all(isinstance(v, float) for row in found[key] for v in row)
+    return found
+
+
+STATISTICS = ("accelerometer_noise_density", "accelerometer_random_walk",
+              "gyroscope_noise_density", "gyroscope_random_walk")  # fmt: skip
+CHAINS = {"kalibr": kalibr_reads, "openvins": openvins_reads, "openvins_rpng": openvins_reads}
+
+
+@pytest.mark.parametrize("name", CHAINS)
+def test_a_chain_is_loaded_whatever_noise_is_known(result, tmp_path, name):
+    """Kalibr refused every file of a device that had not lain still for hours."""
     allan = tmp_path / "allan.json"
-    suggested = [{"name": "gyro_noise", "value": 1e-4}, {"name": "gyro_bias_walk", "value": 3e-6}]
-    allan.write_text(json.dumps({"schema": "handcal/allan/1", "suggested": suggested}))
-    found = yaml.safe_load(written(path, "openvins", allan=allan).split("\n", 1)[1])["imu0"]
+    seen = [{"name": "gyro_noise", "value": 1e-4}, {"name": "gyro_bias_walk", "value": 3e-6}]
+    bounds = [{"channel": f"accel_{axis}", "not_seen": [{"name": "K", "at_most": most},
+                                                        {"name": "R", "at_most": 0.3}]}
+              for axis, most in zip("xyz", (1e-4, 4e-4, 2e-4), strict=True)]  # fmt: skip
+    said = {"schema": "handcal/allan/1", "suggested": seen, "channels": bounds}
+    allan.write_text(json.dumps(said))
+    for noise in ([], None):
+        more = {} if noise is None else {"noise": noise}
+        text = written(result(drawn(0, MATRICES), **more), name)
+        found = CHAINS[name](text)
+        defaults = [line for line in text.splitlines() if "DEFAULT, not measured" in line]
+        own = 0 if noise == [] else 2
+        assert len(defaults) == (4 - own) * (2 if name == "kalibr" else 1)
+        assert ("EuRoC data set: accel_bias_walk, gyro_bias_walk." in text) == (own == 2)
+        assert ("the data sheet's): accel_noise, gyro_noise." in text) == (own == 2)
+        if own:
+            assert found["gyroscope_noise_density"] == 2e-5
+    text = written(result(drawn(0, MATRICES)), name, allan=allan)
+    found = CHAINS[name](text)
     assert found["gyroscope_noise_density"] == 1e-4
     assert found["gyroscope_random_walk"] == 3e-6
-    assert "accelerometer_random_walk" not in found
+    assert found["accelerometer_random_walk"] == 4e-4
+    (line, *_) = [x for x in text.splitlines() if "accelerometer_random_walk" in x]
+    assert "at most, 95 %: not seen at rest (allan.json)" in line
+    assert "while the device moved" not in text
+    assert "EuRoC data set: accel_noise." in text
+
+
+def test_noise_that_is_needed_is_asked_for(result):
+    path = result(drawn(0, MATRICES), noise=[{"name": "accel_beyond_noise", "value": 0.1}])
+    with pytest.raises(HandcalError, match="--noise"):
+        written(path, "ros2")
     with pytest.raises(InputError, match="handcal allan"):
         written(path, "kalibr", allan=path)
+
+
+def test_the_rate_is_the_sensors(result):
+    """Of an older result, or one that says none, that of the recording."""
+    given = recording()
+    path = result(drawn(0, MATRICES), recording={"path": "turns.mcap"})
+    with pytest.raises(HandcalError, match="--recording"):
+        written(path, "kalibr")
+    assert kalibr_reads(written(path, "kalibr", recording=given))["update_rate"] == given.rate_hz
+    averaged = document({})["recording"] | {"imu_rate_hz": 50.0}
+    path = result(drawn(0, MATRICES), recording=averaged)
+    assert kalibr_reads(written(path, "kalibr", recording=given))["update_rate"] == given.rate_hz
+    text = yaml.safe_load(written(path, "ros2", recording=given))["/**"]["ros__parameters"]
+    assert text["angular_velocity_covariance"][0] == pytest.approx(2e-5**2 * 100.0)
+
+
+def of_sensor(lines):
+    return [line.split(" were not shown")[0].split()[-1] for line in lines]
+
+
+@pytest.mark.parametrize("name", [*CHAINS, "python", "imucal", "realsense", "fusion"])
+def test_no_identity_without_a_word(result, main, tmp_path, name):
+    both, one = "Nothing was calibrated: ", result(drawn(0, (*BIASES, "gyro_scale")))
+    header = contents(one, format_of(name)).header
+    assert of_sensor(x for x in header if x.startswith(both)) == ["accelerometer"]
+    path = result(drawn(0, BIASES))
+    status, _, said = main("export", path, "--to", name, "-o", tmp_path / "out")
+    assert (status, said.count(both)) == (0, 2)
+    for effect in ("gyro_scale", "accel_scale"):
+        assert catalogue()[effect].motion in said.replace("\n", " ")
+    path = result(drawn(0, NO_G))
+    assert both not in written(path, name)
+
+
+def test_nothing_at_all_is_refused_with_what_would_show_it(result):
+    rows = [
+        p | {"observable": False, "shown": False} for p in document(drawn(0, BIASES))["parameters"]
+    ]
+    path = result({}, parameters=rows)
+    for name in ("px4", "ardupilot", "python", "c"):
+        with pytest.raises(HandcalError, match=r"nothing was calibrated.*up and down for a while"):
+            written(path, name)
 
 
 @pytest.mark.parametrize("name", [n for n, form in formats().items()])
@@ -355,7 +450,7 @@ def test_header_says_what_from_which_and_by_whom(result, name):
         assert words in text
 
 
-@pytest.mark.parametrize("name", sorted(formats().keys() - {"ros2", "px4", "ardupilot"}))
+@pytest.mark.parametrize("name", sorted(formats().keys() - {"ros2", "px4", "ardupilot", "kalibr"}))
 def test_a_result_that_says_the_least_is_enough(result, name):
     full = document(drawn(0, MATRICES))["parameters"]
     rows = [{k: p[k] for k in ("effect", "name", "value")} for p in full]

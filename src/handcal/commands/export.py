@@ -11,6 +11,9 @@ import typer
 from handcal.commands._options import Topics, Units, load, with_own_effects
 from handcal.commands._registry import say, tell
 
+# What the header's lines begin with that are said in the terminal as well.
+SAID = ("Nothing was calibrated", "Not in this file", "All of that", "How much", "Warning: ")
+
 
 class Axes(StrEnum):
     """What the recording's axes are on a vehicle."""
@@ -90,6 +93,6 @@ def export(
         return
     output.write_text(out, text)
     for line in made.header:
-        if line.startswith(("Not in this file", "All of that", "How much", "Warning: ")):
+        if line.startswith(SAID):
             say(line)
     tell(f"{out}: {form.line}")
