@@ -8,7 +8,16 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from handcal.estimate.specification import Specification
-from handcal.types import Array, Brief, Likelihood, NoiseLevel, Parameter, Prior, Recording
+from handcal.types import (
+    Array,
+    Brief,
+    Likelihood,
+    MarkerRotation,
+    NoiseLevel,
+    Parameter,
+    Prior,
+    Recording,
+)
 
 VERDICTS = ("nothing_missing", "explained", "unexplained", "cannot_tell")
 
@@ -204,6 +213,7 @@ class Explained(Brief):
     lost in time bins ``bins`` (k + 1,) s against what the model expects of itself. twins: the
     recording as the baseline and as the final model say that it read. read: the recording as it
     was read, where ``recording`` may hold averages of it. drifts, moves: whether a held point does.
+    marker: None without a pose.
     """
 
     recording: Recording
@@ -219,6 +229,7 @@ class Explained(Brief):
     read: Recording | None = None
     drifts: bool = False
     moves: bool = False
+    marker: MarkerRotation | None = None
 
     @property
     def as_read(self) -> Recording:

@@ -298,6 +298,18 @@ class Standing(Brief):
 
 
 @dataclass(frozen=True, repr=False)
+class MarkerRotation(Brief):
+    """How the marker of a pose is turned on the device.
+
+    quaternion (4,): w x y z of the matrix that takes vectors in the IMU's axes to the marker's;
+    sigma (3,): rad, about the IMU's axes.
+    """
+
+    quaternion: Array
+    sigma: Array
+
+
+@dataclass(frozen=True, repr=False)
 class Result(Brief):
     """What ``calibrate`` learnt from one recording.
 
@@ -308,7 +320,7 @@ class Result(Brief):
     ``history``, each row given the whole recording. settled: relinearising had come to rest.
     model: what was fitted, as JSON holds it (contract); repeated: it was read from a result.
     before: what was known of the device. standing: where the estimate stands at the last epoch.
-    likelihood: of the recording alone.
+    likelihood: of the recording alone. marker: None without a pose.
     """
 
     recording: Recording
@@ -329,6 +341,7 @@ class Result(Brief):
     before: Prior | None = None
     standing: Standing | None = None
     likelihood: Likelihood | None = None
+    marker: MarkerRotation | None = None
 
     @property
     def observations(self) -> int:

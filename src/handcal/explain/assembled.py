@@ -260,6 +260,7 @@ def _explained(
         after.case.read,
         after.case.creeping,
         after.case.moves,
+        result.marker,
     )
 
 

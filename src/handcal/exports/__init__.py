@@ -46,7 +46,8 @@ class Contents:
     (their bias counts as zero). has_bias: whether the result has biases at all. rate_hz: of the
     IMU, None if the result does not say. topic: of the Imu messages, "" if not known. axes: "flu"
     or "frd", what the recording's axes are on a vehicle. vehicle: parameters of its own
-    calibration, by name. parameters: rows of the result, as its JSON has them.
+    calibration, by name. marker: of a pose, R (3, 3) from its axes to the IMU's, and its place in
+    them (3,), m, nan if that is not known. parameters: rows of the result, as its JSON has them.
     """
 
     name: str
@@ -60,6 +61,7 @@ class Contents:
     topic: str
     axes: str
     vehicle: Mapping[str, float]
+    marker: tuple[Array, Array] | None
     parameters: Sequence[Mapping[str, Any]]
 
     def commented(self, sign: str = "# ") -> str:

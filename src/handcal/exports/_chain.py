@@ -11,7 +11,7 @@ import numpy as np
 
 from handcal.exports import Contents
 from handcal.exports._correction import Correction
-from handcal.exports._text import number, row
+from handcal.exports._text import number, row, yaml_matrix
 
 KEYS = (
     ("accelerometer_noise_density", "accel_noise", "m/s^2/sqrt(Hz), white noise"),
@@ -59,4 +59,16 @@ def biases(contents: Contents) -> str:
     )
 
 
-IDENTITY = np.eye(4)
+def body(contents: Contents, indent: int) -> str:
+    """T_i_b (4, 4), which takes points in the body's axes to the IMU's: the body is the marker of a
+    pose where there is one, else the IMU itself."""
+    T, said = np.eye(4), ""
+    if contents.marker is not None:
+        T[:3, :3], place = contents.marker
+        known = bool(np.isfinite(place).all())
+        T[:3, 3] = place if known else 0.0
+        said = "# b: the marker of /pose" + (
+            "" if known else "; where it sits was not shown: zeros"
+        )
+    space = " " * indent
+    return (f"{space}{said}\n" if said else "") + yaml_matrix("T_i_b", T, indent)

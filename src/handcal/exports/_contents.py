@@ -7,6 +7,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from handcal.compiled import so3
 from handcal.effects import catalogue
 from handcal.exports import Contents, Format, formats
 from handcal.exports import _correction as correction
@@ -17,7 +20,7 @@ from handcal.exports._noise import noise_lines, noise_of
 from handcal.exports._text import one_line
 from handcal.exports._vehicle import read_parameters
 from handcal.recordings.streams import TURNED_TO_FLU
-from handcal.types import HandcalError, InputError, Recording
+from handcal.types import Array, HandcalError, InputError, Recording
 
 
 def contents(
@@ -46,7 +49,7 @@ def contents(
     return Contents(
         one_line(path.name), tuple(map(one_line, (*lines, *form.notes))), kept, found.bias,
         found.hidden, has_bias, noise, rate, topic or _topic(found.document), axes or "flu",
-        vehicle, _parameters(found.document),
+        vehicle, _marker(found), _parameters(found.document),
     )  # fmt: skip
 
 
@@ -98,6 +101,19 @@ def _topic(document: Mapping[str, Any]) -> str:
         if re.fullmatch(r"/[\w/.~-]+", topic):  # (of a file, and on its way into YAML)
             return topic
     return ""
+
+
+def _marker(found: Known) -> tuple[Array, Array] | None:
+    """How the marker of the first pose is turned, and where it sits as seen from the IMU."""
+    said = [found.document, *found.document.get("recordings", [])]
+    turned = next((d["marker_rotation"] for d in said if d.get("marker_rotation")), None)
+    if turned is None:
+        return None
+    q = np.asarray(turned["quaternion"], dtype=np.float64)
+    arm = found.learnt.values.get("lever_arm")
+    if arm is None or "lever_arm" in found.learnt.unsure:
+        arm = np.full(3, np.nan)
+    return so3.matrix_of(q[None])[0].T, -arm
 
 
 def _parameters(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:

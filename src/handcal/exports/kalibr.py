@@ -16,6 +16,8 @@ it is from: ``--noise ALLAN.json`` (``handcal allan`` of a record at rest; of a 
 short to see, the most that would have stayed hidden), else the recording's own, which hold what the
 motion adds and are inflated, else those of the ADIS16448 in the EuRoC data set, marked DEFAULT.
 ``update_rate`` is the sensor's, ``rostopic`` that of the recording or of ``--topic imu=/NAME``.
+``T_i_b`` takes points from the axes of a pose's marker (or camera) to the IMU's, where there was
+one; without, the body is the IMU.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ from __future__ import annotations
 import numpy as np
 
 from handcal.exports import Contents, Format
-from handcal.exports._chain import EUROC, IDENTITY, biases, noise, without_biases
+from handcal.exports._chain import EUROC, biases, body, noise, without_biases
 from handcal.exports._text import lower_accel, lower_times_turn, yaml_matrix
 from handcal.types import HandcalError
 
@@ -40,7 +42,7 @@ def write(contents: Contents) -> str:
     gyro, turn = lower_times_turn(np.linalg.inv(c.gyro))
     chain = "".join(
         [
-            yaml_matrix("T_i_b", IDENTITY, 2),
+            body(contents, 2),
             noise(contents, 2),
             "  time_offset: 0.0\n  model: scale-misalignment\n",
             "  accelerometers:\n",

@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from handcal.exports import Contents, Format
-from handcal.exports._chain import EUROC, IDENTITY, biases, noise, without_biases
+from handcal.exports._chain import EUROC, biases, body, noise, without_biases
 from handcal.exports._text import lower_accel, lower_times_turn, yaml_matrix
 from handcal.types import Array
 
@@ -43,7 +43,7 @@ def chain(
             contents.commented(),
             biases(contents),
             "imu0:\n",
-            yaml_matrix("T_i_b", IDENTITY, 2),
+            body(contents, 2),
             noise(contents, 2),
             f'  time_offset: 0.0\n  model: "{model}"\n',
             *(yaml_matrix(name, matrix, 2) for name, matrix in matrices.items()),

@@ -66,6 +66,7 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
     elif e.recordings:
         only = e.recordings[0]
         document["recording"] = summary.recording_json(only.as_read, only.assume)
+        document |= summary.marker_json(only.marker)
     return document
 
 
@@ -197,4 +198,5 @@ def _recording_json(r: Explained) -> dict[str, Any]:
         "recording": summary.recording_json(r.as_read, r.assume),
         "parameters": [summary.parameter_json(p) for p in r.parameters],
         "noise": _noise_json(r.noise),
+        **summary.marker_json(r.marker),
     }

@@ -169,7 +169,7 @@ def _beside(e: Explanation) -> list[str]:
     others = dict.fromkeys(p.effect for p in front if p.effect not in (*BIASES, *found))
     names = words.listed([words.effect_title(i).lower() for i in others]) if others else ""
     also = f"Shown too, though not found (values in the JSON): {names}." if others else ""
-    return [s for s in (also, *under_table(front, rest)) if s]
+    return [s for s in (also, *under_table(front, rest), *say.markers(e)) if s]
 
 
 def _bias_table(e: Explanation) -> Any:

@@ -87,6 +87,14 @@ def expected(hypothesis: Hypothesis) -> str:
     return number(max(hypothesis.expected, 0.0))
 
 
+def markers(e: Explanation) -> list[str]:
+    """How the marker of each recording's pose is turned on the device."""
+    told = [words.marker_sentence(r.marker) for r in e.recordings]
+    names = recording_names(e)
+    several = len(names) > 1
+    return [f"{n}: {s}" if several else s for n, s in zip(names, told, strict=True) if s]
+
+
 def change(before: float, after: float) -> str:
     """ "−44 %"; nothing to say where there is no before."""
     if not (math.isfinite(before) and math.isfinite(after) and before > 0):
