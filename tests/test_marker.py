@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import schemas
 import yaml
+from fake_explanation import fake_explanation
 from rich.console import Console
 from worlds import recording_of
 
@@ -20,6 +21,10 @@ from handcal.exports._contents import contents
 from handcal.show.calibration.report import render
 from handcal.show.calibration.summary import calibration_json
 from handcal.show.calibration.terminal import print_summary
+from handcal.show.explanation.document import explanation_json
+from handcal.show.explanation.report import render_explanation
+from handcal.show.explanation.terminal import print_explanation
+from handcal.types import MarkerRotation
 from handcal_sim import simulate
 from handcal_sim.companions import Pose
 from handcal_sim.phone import consumer_phone
@@ -74,6 +79,23 @@ def test_a_chain_has_it_as_its_body(found, tmp_path, name):
     # where the marker sits, as seen from the IMU
     np.testing.assert_allclose(T[:3, 3], [-0.1, 0.05, -0.2], atol=0.01)
     np.testing.assert_array_equal(T[3], [0.0, 0.0, 0.0, 1.0])
+
+
+def test_an_explanation_says_it_of_each_recording():
+    turned = MarkerRotation(np.array([0.5, 0.5, 0.5, 0.5]), np.radians([0.1, 0.2, 0.3]))
+    for count in (1, 2):
+        explained = fake_explanation("explained", recordings=count)
+        each = tuple(replace(r, marker=turned) for r in explained.recordings)
+        explained = replace(explained, recordings=each)
+        document = explanation_json(explained)
+        schemas.check(document | {"version": "1"})
+        for said in document["recordings"] if count > 1 else [document]:
+            assert said["marker_rotation"]["quaternion"] == [0.5, 0.5, 0.5, 0.5]
+        console = Console(width=200, record=True)
+        print_explanation(explained, console)
+        for text in (console.export_text(), render_explanation(explained)):
+            assert text.count("axes are turned by 120.00° about (0.58, 0.58, 0.58)") == count
+            assert text.count("± 0.3°.") == count
 
 
 def test_without_a_pose_there_is_none():

@@ -128,6 +128,17 @@ def test_what_px4_had_left_is_added_to_its_own_calibration(corrected, tmp_path, 
     np.testing.assert_allclose((accel - accel_off) * scale * FRD, wanted.accel, rtol=0, atol=1e-5)
 
 
+def test_what_is_left_in_a_corrected_recording_is_not_added_to_the_vehicles_own(
+    corrected, tmp_path
+):
+    """Between the two there is a correction that the vehicle does not have."""
+    recording = handcal.read(corrected[1]())
+    path = result_of(recording, tmp_path / "a.json")
+    once = device.apply(recording, device.read(path), biases=True).recording
+    with pytest.raises(HandcalError, match="--parameters FILE"):
+        written(result_of(once, tmp_path / "b.json"))
+
+
 def test_parameters_that_changed_in_the_log_are_not_taken_for_known(corrected, tmp_path):
     recording = handcal.read(corrected[1](later={"CAL_ACC0_YOFF": 0.5, "CAL_ACC0_XOFF": 0.3}))
     assert "PX4's calibration changed during the log: CAL_ACC0_YOFF." in recording.warnings
