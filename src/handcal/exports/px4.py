@@ -82,7 +82,7 @@ def _index(contents: Contents, sensor: str, raw: bool) -> int:
             "or give the vehicle's parameters as they were then with --parameters FILE."
         )
     if field in vehicle:
-        used = [k for k in used if known[k] == int(vehicle[field]) % 2**32]
+        used = [k for k in used if known[k] == vehicle[field]]
     if len(used) != 1:
         raise HandcalError(
             f"Which of the vehicle's sensors {contents.name} is of is not known: {field} is "
