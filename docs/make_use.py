@@ -27,6 +27,11 @@ SENSOR = {
     "accel_scale": [0.0, 0.0, 0.01],
     "accel_misalignment": [0.005, 0.0, 0.0],
 }
+# Raw readings of a PX4; and what ArduPilot corrected by no calibration at all.
+VEHICLE = {"CAL_GYRO0_ID": 1, "CAL_ACC0_ID": 1, "sensor_gyro.device_id": 1,
+           "sensor_accel.device_id": 1,
+           **{f"INS_{name}_{a}": float(name == "ACCSCAL") for a in "XYZ"
+              for name in ("GYROFFS", "ACCOFFS", "ACCSCAL")}}  # fmt: skip
 READ = ((1.03, 0.0, -0.02), (0.1, 0.0, 10.2047165))  # 1 rad/s about x, at rest on its back
 PAGE = """# Use the result in {program}
 
@@ -61,7 +66,12 @@ def document() -> dict[str, object]:
     return {
         "schema": "handcal/calibration/1",
         "version": handcal.__version__,
-        "recording": {"path": "turns.mcap", "duration_s": 84.0, "imu_rate_hz": 100.0},
+        "recording": {
+            "path": "turns.mcap",
+            "duration_s": 84.0,
+            "imu_rate_hz": 100.0,
+            "vehicle": VEHICLE,
+        },
         "parameters": parameters,
         "noise": [{"name": "gyro_noise", "value": 1.5e-4}, {"name": "accel_noise", "value": 2e-3}],
     }

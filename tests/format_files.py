@@ -456,9 +456,13 @@ def database(r: Recording) -> bytes:
         return file.read_bytes()
 
 
-def ulog(r: Recording, raw: bool = True) -> bytes:
+def ulog(
+    r: Recording, raw: bool = True, parameters: Mapping[str, float] | None = None,
+    later: Mapping[str, float] | None = None,
+) -> bytes:  # fmt: skip
     """A log of PX4: a header, formats, the topics subscribed to, their data, x forward, y right
-    and z down; raw also has a magnetometer (gauss) and a mocap's pose in a world with z down."""
+    and z down; raw also has a magnetometer (gauss) and a mocap's pose in a world with z down.
+    parameters: as they stand at its beginning; later: as they are set behind the data."""
     stamps, turn = "uint64_t timestamp;uint64_t timestamp_sample;", np.array([1.0, -1.0, -1.0])
     if raw:
         fields = stamps + "uint32_t device_id;float x;float y;float z;float temperature;"
@@ -486,7 +490,15 @@ def ulog(r: Recording, raw: bool = True) -> bytes:
         return struct.pack("<Hc", len(content), kind) + content
 
     out = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 5_000_000)
+
+    def parameter(name: str, value: float) -> bytes:
+        whole = isinstance(value, int)
+        key = f"{'int32_t' if whole else 'float'} {name}".encode()
+        number = struct.pack("<i" if whole else "<f", value)
+        return message(b"P", bytes([len(key)]) + key + number)
+
     out += message(b"B", bytes(40))
+    out += b"".join(parameter(*one) for one in (parameters or {}).items())
     for name, fields in formats.items():
         out += message(b"F", f"{name}:{fields}".encode())
     for id, name in enumerate(formats):
@@ -494,7 +506,7 @@ def ulog(r: Recording, raw: bool = True) -> bytes:
     for id, (table, layout) in enumerate(zip(data, layouts, strict=True)):
         for row in table:
             out += message(b"D", struct.pack("<H", id) + struct.pack(layout, *row))
-    return out
+    return out + b"".join(parameter(*one) for one in (later or {}).items())
 
 
 def _turned_alike(q: np.ndarray) -> np.ndarray:

@@ -26,6 +26,7 @@ from handcal.estimate.specification import Options, chosen_of
 from handcal.explain import assembled, explain
 from handcal.explain.leaning import leaning
 from handcal.explanation import Hypothesis
+from handcal.show.explanation.document import explanation_json
 from handcal.show.explanation.terminal import print_explanation
 from handcal.types import Array
 from handcal_sim import simulate
@@ -156,10 +157,16 @@ def test_a_warning_has_the_sigmas_of_the_table() -> None:
 
 
 def test_a_fast_imu_is_not_called_slow(capsys: pytest.CaptureFixture[str]) -> None:
-    """What was averaged is said beside the rate at which it was read."""
+    """Terminal and JSON have the sensor's rate (exports take densities to samples by it), not that
+    of the means that were fitted: they had half of it."""
     world = simulate("z-turn", seed=0, duration_s=12.0, phone=lambda r: with_rate(slow(r), 400.0))
-    print_explanation(explain([recording_of(world, "heading")]), Console())
-    assert "400 Hz (averaged to 100)" in capsys.readouterr().out
+    given = recording_of(world, "heading")
+    explained = explain([given])
+    print_explanation(explained, Console())
+    assert " s at 400 Hz;" in capsys.readouterr().out
+    said = explanation_json(explained)["recording"]
+    assert said["imu_rate_hz"] == pytest.approx(given.rate_hz)
+    assert said["streams"]["imu"]["samples"] == len(given.imu.t)
 
 
 @pytest.mark.prove

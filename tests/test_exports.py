@@ -1,6 +1,7 @@
 """Each export, read back and applied as its program documents it, does what `apply` does."""
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -50,7 +51,8 @@ def document(values, **more):
     ]  # fmt: skip
     noise = [{"name": "gyro_noise", "value": 2e-5, "unit": "rad/s/sqrt(Hz)"},
              {"name": "accel_noise", "value": 2e-3, "unit": "m/s^2/sqrt(Hz)"}]  # fmt: skip
-    recording = {"path": "turns.mcap", "duration_s": 10.0, "imu_rate_hz": 100.0, "sha256": "1f"}
+    recording = {"path": "turns.mcap", "duration_s": 10.0, "imu_rate_hz": 100.0, "sha256": "1f",
+                 "vehicle": OWN}  # fmt: skip
     return {"schema": "handcal/calibration/1", "version": "9.8.7", "recording": recording,
             "parameters": parameters, "noise": noise, "warnings": []} | more  # fmt: skip
 
@@ -203,29 +205,50 @@ def test_imucal_by_its_own_package(result, seed, tmp_path):
     assert "turns.mcap" in info.comment
 
 
+# The calibration that a vehicle had, by which readings were corrected before they were logged.
+PX4_OWN = {"CAL_GYRO1_ID": 7, "CAL_GYRO1_XOFF": 0.01, "CAL_GYRO1_YOFF": -0.02,
+           "CAL_GYRO1_ZOFF": 0.03, "CAL_ACC2_ID": 9, "CAL_ACC2_XOFF": 0.3, "CAL_ACC2_YOFF": -0.74,
+           "CAL_ACC2_ZOFF": 0.1, "CAL_ACC2_XSCALE": 0.98, "CAL_ACC2_YSCALE": 1.012,
+           "CAL_ACC2_ZSCALE": 1.03}  # fmt: skip
+PX4_NAMES = ("CAL_GYRO1_{}OFF", "CAL_ACC2_{}OFF", "CAL_ACC2_{}SCALE")
+INS_NAMES = ("INS_GYROFFS_{}", "INS_ACCOFFS_{}", "INS_ACCSCAL_{}")
+INS_OWN = {new.format(axis): PX4_OWN[old.format(axis)]
+           for old, new in zip(PX4_NAMES, INS_NAMES, strict=True) for axis in "XYZ"}  # fmt: skip
+OWN = PX4_OWN | INS_OWN
+
+
 def vehicle(parameters, names, given, axes):
-    """The readings in the vehicle's axes, corrected as both autopilots do it."""
+    """The readings in the vehicle's axes without its own correction, and then corrected as both
+    autopilots do it; what the file does not have the vehicle keeps."""
     turn = np.array([1.0, -1.0, -1.0]) if axes == "flu" else np.ones(3)
     gyro, accel = (x * turn for x in readings(given))
-    gyro_offset, accel_offset, scale = (
-        np.array([parameters[name.format(axis)] for axis in "XYZ"]) for name in names
+    before, after = (
+        [np.array([own[name.format(axis)] for axis in "XYZ"]) for name in names]
+        for own in (OWN, OWN | dict(parameters))
     )
-    return (gyro - gyro_offset) * turn, (accel - accel_offset) * scale * turn
+    raw_gyro, raw_accel = gyro + before[0], accel / before[2] + before[1]
+    return (raw_gyro - after[0]) * turn, (raw_accel - after[1]) * after[2] * turn
+
+
+def qgroundcontrol(text):
+    """Its loader's way (ParameterManager::readParametersFromStream): tabs, five fields."""
+    rows = [line.split("\t") for line in text.splitlines() if line and not line.startswith("#")]
+    assert {(len(r), r[0], r[1], r[4]) for r in rows} == {(5, "1", "1", "9")}
+    return {r[2]: float(r[3]) for r in rows}
 
 
 @pytest.mark.parametrize("axes", ["flu", "frd"])
 def test_px4(result, axes):
     given = recording()
-    path = result(drawn(0, DIAGONAL))
-    rows = [line.split("\t") for line in written(path, "px4", axes=axes).split("\n")
-            if line and not line.startswith("#")]  # fmt: skip
-    assert {(r[0], r[1], r[4]) for r in rows} == {("1", "1", "9")}
-    parameters = {r[2]: float(r[3]) for r in rows}
-    names = ("CAL_GYRO0_{}OFF", "CAL_ACC0_{}OFF", "CAL_ACC0_{}SCALE")
-    close(vehicle(parameters, names, given, axes), applied(path, given))
     values = drawn(0, DIAGONAL)
+    path = result(values)
+    parameters = qgroundcontrol(written(path, "px4", axes=axes))
+    assert set(parameters) == {name.format(axis) for name in PX4_NAMES for axis in "XYZ"}
+    close(vehicle(parameters, PX4_NAMES, given, axes), applied(path, given))
     sign = -1.0 if axes == "flu" else 1.0
-    assert parameters["CAL_GYRO0_ZOFF"] == pytest.approx(sign * values["gyro_bias"][2], abs=1e-11)
+    assert parameters["CAL_GYRO1_ZOFF"] == pytest.approx(
+        0.03 + sign * values["gyro_bias"][2], abs=1e-11
+    )
 
 
 @pytest.mark.parametrize("axes", ["flu", "frd"])
@@ -237,8 +260,7 @@ def test_ardupilot_by_pymavlink(result, axes, tmp_path):
     parameters = MAVParmDict()
     assert parameters.load(str(file), use_excludes=False)
     assert len(parameters) == 9
-    names = ("INS_GYROFFS_{}", "INS_ACCOFFS_{}", "INS_ACCSCAL_{}")
-    close(vehicle(parameters, names, given, axes), applied(path, given))
+    close(vehicle(parameters, INS_NAMES, given, axes), applied(path, given))
 
 
 def test_ardupilot_refuses_a_scale_that_it_does_not_take(result):
@@ -308,22 +330,117 @@ def test_ros2_covariance_is_that_of_the_samples(result):
     assert text["orientation_covariance"] == [-1.0, *[0.0] * 8]
 
 
-def test_no_noise_no_densities(result, tmp_path):
-    path = result(drawn(0, MATRICES), noise=[{"name": "accel_beyond_noise", "value": 0.1}])
-    text = written(path, "kalibr")
-    assert "gyroscope_noise_density" not in yaml.safe_load(text)
-    assert "# gyroscope_noise_density: not in the result" in text
-    with pytest.raises(HandcalError, match="--noise"):
-        written(path, "ros2")
+def kalibr_reads(text):
+    """What Kalibr's reader asks of --imu (kalibr_common/ConfigReader.py, ImuParameters)."""
+    found = yaml.safe_load(text)
+    assert isinstance(found["rostopic"], str)
+    for key in ("update_rate", *STATISTICS):
+        assert isinstance(found[key], float), key  # (a word has no <=)
+        assert found[key] > 0.0
+    return found
+
+
+def openvins_reads(text):
+    """What OpenVINS asks of its IMU chain (VioManagerOptions.h, opencv_yaml_parse.h): all of these
+    keys, matrices as lists of rows, and the line by which OpenCV knows YAML."""
+    first, rest = text.split("\n", 1)
+    assert first == "%YAML:1.0"
+    found = yaml.safe_load(rest)["imu0"]
+    for key in STATISTICS:
+        assert isinstance(found[key], float)
+        assert found[key] > 0.0
+    for key, n in (("Tw", 3), ("Ta", 3), ("R_IMUtoACC", 3), ("R_IMUtoGYRO", 3), ("Tg", 3),
+                   ("T_i_b", 4)):  # fmt: skip
+        assert np.array(found[key]).shape == (n, n)
+        assert all(isinstance(v, float) for row in found[key] for v in row)
+    return found
+
+
+STATISTICS = ("accelerometer_noise_density", "accelerometer_random_walk",
+              "gyroscope_noise_density", "gyroscope_random_walk")  # fmt: skip
+CHAINS = {"kalibr": kalibr_reads, "openvins": openvins_reads, "openvins_rpng": openvins_reads}
+
+
+@pytest.mark.parametrize("name", CHAINS)
+def test_a_chain_is_loaded_whatever_noise_is_known(result, tmp_path, name):
+    """Kalibr refused every file of a device that had not lain still for hours."""
     allan = tmp_path / "allan.json"
-    suggested = [{"name": "gyro_noise", "value": 1e-4}, {"name": "gyro_bias_walk", "value": 3e-6}]
-    allan.write_text(json.dumps({"schema": "handcal/allan/1", "suggested": suggested}))
-    found = yaml.safe_load(written(path, "openvins", allan=allan).split("\n", 1)[1])["imu0"]
+    seen = [{"name": "gyro_noise", "value": 1e-4}, {"name": "gyro_bias_walk", "value": 3e-6}]
+    bounds = [{"channel": f"accel_{axis}", "not_seen": [{"name": "K", "at_most": most},
+                                                        {"name": "R", "at_most": 0.3}]}
+              for axis, most in zip("xyz", (1e-4, 4e-4, 2e-4), strict=True)]  # fmt: skip
+    said = {"schema": "handcal/allan/1", "suggested": seen, "channels": bounds}
+    allan.write_text(json.dumps(said))
+    for noise in ([], None):
+        more = {} if noise is None else {"noise": noise}
+        text = written(result(drawn(0, MATRICES), **more), name)
+        found = CHAINS[name](text)
+        defaults = [line for line in text.splitlines() if "DEFAULT, not measured" in line]
+        own = 0 if noise == [] else 2
+        assert len(defaults) == (4 - own) * (2 if name == "kalibr" else 1)
+        assert ("EuRoC data set: accel_bias_walk, gyro_bias_walk." in text) == (own == 2)
+        assert ("the data sheet's): accel_noise, gyro_noise." in text) == (own == 2)
+        if own:
+            assert found["gyroscope_noise_density"] == 2e-5
+    text = written(result(drawn(0, MATRICES)), name, allan=allan)
+    found = CHAINS[name](text)
     assert found["gyroscope_noise_density"] == 1e-4
     assert found["gyroscope_random_walk"] == 3e-6
-    assert "accelerometer_random_walk" not in found
+    assert found["accelerometer_random_walk"] == 4e-4
+    (line, *_) = [x for x in text.splitlines() if "accelerometer_random_walk" in x]
+    assert "at most, 95 %: not seen at rest (allan.json)" in line
+    assert "while the device moved" not in text
+    assert "EuRoC data set: accel_noise." in text
+
+
+def test_noise_that_is_needed_is_asked_for(result):
+    path = result(drawn(0, MATRICES), noise=[{"name": "accel_beyond_noise", "value": 0.1}])
+    with pytest.raises(HandcalError, match="--noise"):
+        written(path, "ros2")
     with pytest.raises(InputError, match="handcal allan"):
         written(path, "kalibr", allan=path)
+
+
+def test_the_rate_is_the_sensors(result):
+    """Of an older result, or one that says none, that of the recording."""
+    given = recording()
+    path = result(drawn(0, MATRICES), recording={"path": "turns.mcap"})
+    with pytest.raises(HandcalError, match="--recording"):
+        written(path, "kalibr")
+    assert kalibr_reads(written(path, "kalibr", recording=given))["update_rate"] == given.rate_hz
+    averaged = document({})["recording"] | {"imu_rate_hz": 50.0}
+    path = result(drawn(0, MATRICES), recording=averaged)
+    assert kalibr_reads(written(path, "kalibr", recording=given))["update_rate"] == given.rate_hz
+    text = yaml.safe_load(written(path, "ros2", recording=given))["/**"]["ros__parameters"]
+    assert text["angular_velocity_covariance"][0] == pytest.approx(2e-5**2 * 100.0)
+
+
+def of_sensor(lines):
+    return [line.split(" were not shown")[0].split()[-1] for line in lines]
+
+
+@pytest.mark.parametrize("name", [*CHAINS, "python", "imucal", "realsense", "fusion"])
+def test_no_identity_without_a_word(result, main, tmp_path, name):
+    both, one = "Nothing was calibrated: ", result(drawn(0, (*BIASES, "gyro_scale")))
+    header = contents(one, format_of(name)).header
+    assert of_sensor(x for x in header if x.startswith(both)) == ["accelerometer"]
+    path = result(drawn(0, BIASES))
+    status, _, said = main("export", path, "--to", name, "-o", tmp_path / "out")
+    assert (status, said.count(both)) == (0, 2)
+    for effect in ("gyro_scale", "accel_scale"):
+        assert catalogue()[effect].motion in said.replace("\n", " ")
+    path = result(drawn(0, NO_G))
+    assert both not in written(path, name)
+
+
+def test_nothing_at_all_is_refused_with_what_would_show_it(result):
+    rows = [
+        p | {"observable": False, "shown": False} for p in document(drawn(0, BIASES))["parameters"]
+    ]
+    path = result({}, parameters=rows)
+    for name in ("px4", "ardupilot", "python", "c"):
+        with pytest.raises(HandcalError, match=r"nothing was calibrated.*up and down for a while"):
+            written(path, name)
 
 
 @pytest.mark.parametrize("name", [n for n, form in formats().items()])
@@ -333,7 +450,7 @@ def test_header_says_what_from_which_and_by_whom(result, name):
         assert words in text
 
 
-@pytest.mark.parametrize("name", [n for n in formats() if n != "ros2"])
+@pytest.mark.parametrize("name", sorted(formats().keys() - {"ros2", "px4", "ardupilot", "kalibr"}))
 def test_a_result_that_says_the_least_is_enough(result, name):
     full = document(drawn(0, MATRICES))["parameters"]
     rows = [{k: p[k] for k in ("effect", "name", "value")} for p in full]
@@ -497,8 +614,10 @@ def test_hidden_axes_are_left_to_the_vehicle(result):
     path.write_text(json.dumps(found))
     text = written(path, "px4")
     assert "accel_bias z: not shown" in text
-    assert "\tCAL_ACC0_ZOFF\t" not in text
-    assert "\tCAL_ACC0_XOFF\t" in text
+    assert "\tCAL_ACC2_ZOFF\t" not in text
+    assert "\tCAL_ACC2_XOFF\t" in text
+    close(vehicle(qgroundcontrol(text), PX4_NAMES, recording(), "flu"),
+          applied(path, recording()))  # fmt: skip
     names = {}
     exec(written(path, "python"), names)
     assert names["ACCEL_BIAS"][2] == 0.0
@@ -640,3 +759,76 @@ def test_the_topic_is_that_of_the_recording(result, name):
     assert "rostopic: /phone/imu\n" in written(path, name, topic="/phone/imu")
     path = result(drawn(0, NO_G), recording=of | {"streams": {"imu": imu | {"topic": "/a: [b"}}})
     assert "rostopic: /imu\n" in written(path, name)
+
+
+def test_scales_that_were_not_found_are_left_to_the_vehicle(result):
+    path = result(drawn(0, BIASES) | {"accel_scale": [0.01, 0.0, 0.0]})
+    for name, scale in (("px4", "CAL_ACC2_{}SCALE"), ("ardupilot", "INS_ACCSCAL_{}")):
+        lines = [x for x in written(path, name).splitlines() if not x.startswith("#")]
+        found = [axis for axis in "XYZ" if any(scale.format(axis) in line for line in lines)]
+        assert found == ["X"]
+
+
+def own_result(result, **vehicle):
+    of = document({})["recording"] | {"vehicle": vehicle}
+    return result(drawn(0, DIAGONAL), recording=of)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (dict.fromkeys(PX4_OWN), "CAL_GYRO0_ID"),
+        ({"CAL_ACC2_YOFF": None}, "CAL_ACC2_YOFF"),
+        ({"CAL_ACC0_ID": 3}, "Log the topic sensor_selection"),
+        ({"CAL_ACC0_ID": 3, "sensor_selection.accel_device_id": 4}, "is 4"),
+        ({"SENS_BOARD_ROT": 2}, "SENS_BOARD_ROT 2"),
+        ({"CAL_ACC2_ROT": 6}, "CAL_ACC2_ROT 6"),
+        ({"sensor_accel.device_id": 9, "sensor_gyro.device_id": 7, "TC_A_ENABLE": 1}, "thermal"),
+    ],
+)
+def test_px4_refuses_what_it_cannot_combine(result, change, said):
+    """Residual errors stood in the file as if they were the whole calibration."""
+    own = {k: v for k, v in (PX4_OWN | change).items() if v is not None}
+    with pytest.raises(HandcalError, match=said):
+        written(own_result(result, **own), "px4")
+
+
+def test_px4_takes_the_sensor_that_was_read(result):
+    more = {"CAL_ACC0_ID": 3, "sensor_selection.accel_device_id": 9, "CAL_ACC2_ROT": -1}
+    assert "\tCAL_ACC2_XOFF\t" in written(own_result(result, **PX4_OWN, **more), "px4")
+    unsigned = {"CAL_ACC0_ID": -9, "sensor_selection.accel_device_id": 2**32 - 9}
+    unsigned |= {f"CAL_ACC0_{x}{n}": 1.0 for x in "XYZ" for n in ("OFF", "SCALE")}
+    assert "\tCAL_ACC0_XOFF\t" in written(own_result(result, **PX4_OWN, **unsigned), "px4")
+
+
+@pytest.mark.parametrize(
+    "line", ["{},{}", "{} {}", "1\t1\t{}\t{}\t9", "1700000000.5,52000,{},{},0.0"]
+)
+def test_the_vehicles_parameters_may_come_as_a_file(result, tmp_path, line):
+    file, given = tmp_path / "own.param", recording()
+    file.write_text("# of Monday\n" + "\n".join(line.format(k, v) for k, v in OWN.items()))
+    path = own_result(result)
+    for name, names in (("px4", PX4_NAMES), ("ardupilot", INS_NAMES)):
+        with pytest.raises(HandcalError, match="--parameters"):
+            written(path, name)
+        rows = [re.split(r"[\t,]", x) for x in written(path, name, parameters=file).splitlines()
+                if x and not x.startswith("#")]  # fmt: skip
+        found = {r[-3] if name == "px4" else r[0]: float(r[-2 if name == "px4" else -1])
+                 for r in rows}  # fmt: skip
+        close(vehicle(found, names, given, "flu"), applied(path, given))
+
+
+def test_ardupilot_refuses_what_it_cannot_combine(result, tmp_path):
+    with pytest.raises(HandcalError, match="AHRS_ORIENTATION 8"):
+        written(own_result(result, **INS_OWN, AHRS_ORIENTATION=8), "ardupilot")
+    file = tmp_path / "own.param"
+    for text, said in (("nothing", "no parameters"), ("INS_ACCOFFS_X,1e", "no number")):
+        file.write_text(text)
+        with pytest.raises(InputError, match=said):
+            written(own_result(result), "ardupilot", parameters=file)
+    # (a log in which a parameter changed says it with two values)
+    file.write_text("\n".join(f"{k},{v}" for k, v in INS_OWN.items()) + "\nINS_ACCOFFS_X,0.5\n")
+    with pytest.raises(HandcalError, match="INS_ACCOFFS_X"):
+        written(own_result(result), "ardupilot", parameters=file)
+    with pytest.raises(InputError, match="--parameters is for"):
+        written(own_result(result), "kalibr", parameters=file)

@@ -8,7 +8,16 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from handcal.estimate.specification import Specification
-from handcal.types import Array, Brief, Likelihood, NoiseLevel, Parameter, Prior, Recording
+from handcal.types import (
+    Array,
+    Brief,
+    Likelihood,
+    MarkerRotation,
+    NoiseLevel,
+    Parameter,
+    Prior,
+    Recording,
+)
 
 VERDICTS = ("nothing_missing", "explained", "unexplained", "cannot_tell")
 
@@ -202,9 +211,9 @@ class Explained(Brief):
 
     parameters: biases and other things of its own; shortfall: for each channel (k,) nats
     lost in time bins ``bins`` (k + 1,) s against what the model expects of itself. twins: the
-    recording as the baseline and as the final model say that it read. read_hz: rate of the IMU,
-    of which ``recording`` may hold averages; 0 if that is not known. drifts, moves: whether a held
-    point does.
+    recording as the baseline and as the final model say that it read. read: the recording as it
+    was read, where ``recording`` may hold averages of it. drifts, moves: whether a held point does.
+    marker: None without a pose.
     """
 
     recording: Recording
@@ -217,9 +226,15 @@ class Explained(Brief):
     shortfall: Mapping[str, Array]
     rests: Array
     twins: tuple[Recording, Recording] | None = None
-    read_hz: float = 0.0
+    read: Recording | None = None
     drifts: bool = False
     moves: bool = False
+    marker: MarkerRotation | None = None
+
+    @property
+    def as_read(self) -> Recording:
+        """The recording with every reading of the sensor."""
+        return self.read or self.recording
 
 
 @dataclass(frozen=True, repr=False)

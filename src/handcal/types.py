@@ -103,12 +103,13 @@ class Recording(Brief):
     only those present. start_ns: absolute time of t = 0, ns since 1970 (0 if unknown).
     warnings: what the reader repaired, in sentences. topics: of a bag or a log of PX4, by
     stream, where it was read. device, model: what the file itself says of the device, "" where it
-    says nothing. bias_temperature: degC, at which temperature errors are zero; a fit takes the
-    recording's mean, so that biases are those at that temperature. sensors: those of the IMU that
-    were recorded, both but where one was asked for alone; the readings of the other are zero.
-    file_units: units and signs in the file, in half a sentence, where its format has several.
-    unfit: why a calibration with these readings makes no sense, "" where nothing speaks against
-    one.
+    says nothing. vehicle: of a log of PX4, parameters of the vehicle's own calibration by name
+    (CAL_*, SENS_BOARD_*, TC_*), and ids of the sensors as ``topic.field``. bias_temperature: degC,
+    at which temperature errors are zero; a fit takes the recording's mean, so that biases are
+    those at that temperature. sensors: those of the IMU that were recorded, both but where one was
+    asked for alone; the readings of the other are zero. file_units: units and signs in the file,
+    in half a sentence, where its format has several. unfit: why a calibration with these readings
+    makes no sense, "" where nothing speaks against one.
     """
 
     path: str
@@ -119,6 +120,7 @@ class Recording(Brief):
     topics: Mapping[str, str] = field(default_factory=dict)
     device: str = ""
     model: str = ""
+    vehicle: Mapping[str, float] = field(default_factory=dict)
     bias_temperature: float = 25.0
     sensors: tuple[str, ...] = ("gyro", "accel")
     file_units: str = ""
@@ -303,6 +305,18 @@ class Standing(Brief):
 
 
 @dataclass(frozen=True, repr=False)
+class MarkerRotation(Brief):
+    """How the marker of a pose is turned on the device.
+
+    quaternion (4,): w x y z of the matrix that takes vectors in the IMU's axes to the marker's;
+    sigma (3,): rad, about the IMU's axes.
+    """
+
+    quaternion: Array
+    sigma: Array
+
+
+@dataclass(frozen=True, repr=False)
 class Result(Brief):
     """What ``calibrate`` learnt from one recording.
 
@@ -313,7 +327,7 @@ class Result(Brief):
     ``history``, each row given the whole recording. settled: relinearising had come to rest.
     model: what was fitted, as JSON holds it (contract); repeated: it was read from a result.
     before: what was known of the device. standing: where the estimate stands at the last epoch.
-    likelihood: of the recording alone.
+    likelihood: of the recording alone. marker: None without a pose.
     """
 
     recording: Recording
@@ -334,6 +348,7 @@ class Result(Brief):
     before: Prior | None = None
     standing: Standing | None = None
     likelihood: Likelihood | None = None
+    marker: MarkerRotation | None = None
 
     @property
     def observations(self) -> int:

@@ -13,6 +13,8 @@ from handcal.commands._options import AS_IT_IS, Reading, load, reads_recordings,
 from handcal.commands._registry import say, tell
 
 VEHICLE = ("flu", "frd")  # what the recording's axes are on a vehicle
+# What the header's lines begin with that are said in the terminal as well.
+SAID = ("Nothing was calibrated", "Not in this file", "All of that", "How much", "Warning: ")
 
 
 @with_own_effects
@@ -48,6 +50,14 @@ def export(
             "IMU's x, y, z: mag=y,x,-z (repeatable).",
         ),
     ] = None,
+    parameters: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="px4, ardupilot: the vehicle's parameters when this was recorded, if the log "
+            "does not say them (.params, .param, mavlogdump's PARM table).",
+        ),
+    ] = None,
     how: Reading = AS_IT_IS,
 ) -> None:
     """Write a result in the format of another program.
@@ -70,17 +80,17 @@ def export(
     form = format_of(to)
     if result is None or out is None:
         raise InputError(f"export --to {to} needs RESULT.json and -o FILE.")
-    output.check_outputs((out,), (result, recording, noise))
+    output.check_outputs((out,), (result, recording, noise, parameters))
     vehicle, how = _axes(axes or [], how)
     given = None if recording is None else load(recording, how)
-    made = contents(result, form, given, noise, how.topics.get("imu"), vehicle)
+    made = contents(result, form, given, noise, how.topics.get("imu"), vehicle, parameters)
     text = form.write(made)
     if str(out) == output.STANDARD_OUTPUT:
         print(text, end="")
         return
     output.write_text(out, text)
     for line in made.header:
-        if line.startswith(("Not in this file", "All of that", "How much", "Warning: ")):
+        if line.startswith(SAID):
             say(line)
     tell(f"{out}: {form.line}")
 

@@ -119,7 +119,8 @@ def apply(recording: Recording, learnt: Learnt, *, biases: bool = False) -> Corr
             out = replace(out, streams={**out.streams, stream: series})
     acting = [e for e in taking if e.imu_error is not None and e.undo is None]
     about = _typical(learnt) if bias is None else bias
-    out = replace(out, imu=_imu(recording, acting, values, about, bias))
+    # (what is corrected here is no longer what the vehicle's parameters made of its sensors)
+    out = replace(out, imu=_imu(recording, acting, values, about, bias), vehicle={})
     for e in taking:
         if e.undo is not None:
             out = e.undo(values[e.id], out)

@@ -40,11 +40,11 @@ class Case:
 
     observed: kinds with their rows and constants; delays: s by which the readings of a kind
     are taken to come late, for linearising about; fixed: noise levels that are known;
-    constant: log-evidence of readings that are held to be outliers and left out; read_hz: rate
-    of the IMU, of which ``recording`` may hold averages; read: the recording as it was read;
-    noise_until: noise levels are found in what comes before, s; edits: what was made of the rows;
-    iron: hard iron (3,) with which the first trajectory begins, and its sigmas (3,), tesla.
-    before: what is known of the device.
+    constant: log-evidence of readings that are held to be outliers and left out; read: the
+    recording as it was read, of which ``recording`` may hold averages; noise_until: noise levels
+    are found in what comes before, s; edits: what was made of the rows; iron: hard iron (3,) with
+    which the first trajectory begins, and its sigmas (3,), tesla. before: what is known of the
+    device.
     """
 
     recording: Recording
@@ -57,7 +57,6 @@ class Case:
     fixed: Mapping[str, float] = field(default_factory=dict)
     delays: Mapping[str, float] = field(default_factory=dict)
     constant: float = 0.0
-    read_hz: float = 0.0
     read: Recording | None = None
     noise_until: float | None = None
     edits: tuple[Edit, ...] = ()
@@ -129,7 +128,6 @@ def case_of(
         with_known_biases(begin, before),
         (*recording.warnings, *choice.warnings),
         dict(fixed or {}),
-        read_hz=read.rate_hz,
         read=read,
         iron=_iron(recording) if "magnetometer" in choice.kinds else None,
         before=before,

@@ -8,14 +8,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from handcal.compiled import so3
 from handcal.effects import Effect, Param, catalogue, select
-from handcal.estimate.case import name_of
+from handcal.estimate.case import Case, name_of
 from handcal.estimate.evidence import reduced_pass
 from handcal.estimate.fit import believed
 from handcal.estimate.model import Model
 from handcal.estimate.pieces import reduced
 from handcal.estimate.quadratic import given, local
-from handcal.types import Array, Likelihood, Parameter
+from handcal.observations.pose import aligned
+from handcal.types import Array, Likelihood, MarkerRotation, Parameter
 
 # In the order of the filter's states.
 BIASES = tuple(
@@ -23,6 +25,10 @@ BIASES = tuple(
     for e in select(("gyro_bias", "accel_bias"))
     for p in e.parameters
 )
+
+
+# Rotation vector of the marker's axes against the IMU's, as the pose's constants have it.
+MARKER = tuple(("pose", f"marker_{axis}") for axis in "xyz")
 
 
 @dataclass(frozen=True)
@@ -36,11 +42,12 @@ class Moment:
 @dataclass(frozen=True)
 class Known:
     """Parameters of one recording's fit, biases first, and their covariance (m, m); column (m,):
-    which constant of the problem each is, biases counted (-1: a moment)."""
+    which constant of the problem each is, biases counted (-1: a moment); marker: of a pose."""
 
     parameters: tuple[Parameter, ...]
     covariance: Array
     column: tuple[int, ...]
+    marker: MarkerRotation | None = None
 
 
 def known(
@@ -81,7 +88,21 @@ def known(
         if k < 0:
             covariance[i], covariance[:, i] = 0.0, 0.0
             covariance[i, i] = parameters[i].sigma ** 2
-    return Known(tuple(parameters), covariance, tuple(column))
+    sigmas = np.sqrt(np.maximum(np.diag(C), 0.0)) * unit_of
+    marker = _marker(model.parts[part].case, owners, whole[6:], sigmas[6:])
+    return Known(tuple(parameters), covariance, tuple(column), marker)
+
+
+def _marker(
+    case: Case, owners: Sequence[tuple[str, str]], constants: Array, sigma: Array
+) -> MarkerRotation | None:
+    """The rough alignment that rows of the pose went through, with what was found beyond it."""
+    at = [owners.index(n) for n in MARKER if n in owners]
+    if len(at) < len(MARKER):
+        return None
+    R_bm, _ = aligned(case.recording, case.recording.streams["pose"])
+    q = so3.quaternion_of((so3.matrix_exp(constants[at]) @ R_bm).T[None])[0]
+    return MarkerRotation(q if q[0] >= 0.0 else -q, sigma[at])
 
 
 def _constants(model: Model, part: int) -> tuple[Array, Array, Array]:

@@ -93,6 +93,7 @@ def _result(model: Model, k: int, found: Known) -> Result:
         settled=model.settled,
         before=f.case.before,
         standing=standing,
+        marker=found.marker,
     )
 
 

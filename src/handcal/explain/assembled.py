@@ -267,9 +267,10 @@ def _explained(
         short,
         after.case.rests,
         (twin(before.linear), twin(after.linear)),
-        after.case.read_hz,
+        after.case.read,
         after.case.creeping,
         after.case.moves,
+        result.marker,
     )
 
 

@@ -26,14 +26,14 @@ GROUP = "handcal.exports"
 class Noise:
     """Noise of the IMU: density and bias walk of gyro and accelerometer, SI; None: not known.
 
-    source: a line about where they are from.
+    sources: where each is from, in words.
     """
 
     gyro_noise: float | None = None
     accel_noise: float | None = None
     gyro_bias_walk: float | None = None
     accel_bias_walk: float | None = None
-    source: str = ""
+    sources: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,10 @@ class Contents:
     what the format can hold of what is known. bias (6,): known biases, gyro first, whether or not
     the format holds them; hidden: axes of "gyro_bias" and "accel_bias" that were not shown
     (their bias counts as zero). has_bias: whether the result has biases at all. rate_hz: of the
-    IMU, None if the result does not say. topic: of the Imu messages. axes: "flu" or "frd", what
-    the recording's axes are on a vehicle. parameters: rows of the result, as its JSON has them.
+    IMU, None if the result does not say. topic: of the Imu messages, "" if not known. axes: "flu"
+    or "frd", what the recording's axes are on a vehicle. vehicle: parameters of its own
+    calibration, by name. marker: of a pose, R (3, 3) from its axes to the IMU's, and its place in
+    them (3,), m, nan if that is not known. parameters: rows of the result, as its JSON has them.
     """
 
     name: str
@@ -58,6 +60,8 @@ class Contents:
     rate_hz: float | None
     topic: str
     axes: str
+    vehicle: Mapping[str, float]
+    marker: tuple[Array, Array] | None
     parameters: Sequence[Mapping[str, Any]]
 
     def commented(self, sign: str = "# ") -> str:
@@ -78,7 +82,8 @@ class Format:
     None for a format that corrects nothing (a table). notes: lines for the header. needs_bias:
     writing zeros where there are no biases would be wrong. online: the program finds biases itself,
     so it is no fault that the format has none. vehicle: it has a vehicle's axes, which --axes
-    leads to.
+    leads to. noise: levels that it holds, by their names in ``Noise``, each with the value that it
+    has where none was measured; None for one that is needed.
     """
 
     program: str
@@ -89,6 +94,7 @@ class Format:
     needs_bias: bool = False
     online: bool = False
     vehicle: bool = False
+    noise: Mapping[str, float | None] = field(default_factory=dict)
 
 
 @cache

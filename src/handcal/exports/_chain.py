@@ -1,4 +1,9 @@
-"""What the YAML files of Kalibr and OpenVINS have in common: noise, rate, topic."""
+"""What the YAML files of Kalibr and OpenVINS have in common: noise, rate, topic.
+
+Both programs want all four noise levels, larger than zero. What was not measured is that of the
+ADIS16448 in the EuRoC data set (Burri et al., IJRR 35, 2016; imu0/sensor.yaml there), and is marked
+as such: what a device's bias does in minutes takes hours at rest to see.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +11,7 @@ import numpy as np
 
 from handcal.exports import Contents
 from handcal.exports._correction import Correction
-from handcal.exports._text import number, row
+from handcal.exports._text import number, row, yaml_matrix
 
 KEYS = (
     ("accelerometer_noise_density", "accel_noise", "m/s^2/sqrt(Hz), white noise"),
@@ -14,20 +19,23 @@ KEYS = (
     ("gyroscope_noise_density", "gyro_noise", "rad/s/sqrt(Hz), white noise"),
     ("gyroscope_random_walk", "gyro_bias_walk", "rad/s^2/sqrt(Hz), walk of the bias"),
 )
+EUROC: dict[str, float | None] = {
+    "accel_noise": 2e-3, "accel_bias_walk": 3e-3, "gyro_noise": 1.6968e-4,
+    "gyro_bias_walk": 1.9393e-5,
+}  # fmt: skip
+# ROS 2's usual name, which handcal gives to recordings of other formats as well.
+TOPIC = "/imu"
 
 
 def noise(contents: Contents, indent: int) -> str:
-    """The four noise levels, topic and rate; what the result does not have is left out and said."""
+    """The four noise levels, topic and rate."""
     space, lines = " " * indent, list[str]()
-    if any(getattr(contents.noise, name) for _, name, _ in KEYS):
-        lines.append(f"# Noise: {contents.noise.source}")
     for key, name, unit in KEYS:
-        value = getattr(contents.noise, name)
-        if value is None:
-            lines.append(f"# {key}: not in the result; from a record at rest: --noise ALLAN.json")
-        else:
-            lines.append(f"{key}: {number(value)}  # {unit}")
-    lines.append(f"rostopic: {contents.topic}")
+        source = contents.noise.sources[name]
+        lines.append(f"{key}: {number(getattr(contents.noise, name))}  # {unit}; {source}")
+    if not contents.topic:
+        lines.append("# rostopic: not in the recording, put in yours")
+    lines.append(f"rostopic: {contents.topic or TOPIC}")
     if contents.rate_hz is None:
         lines.append("# update_rate: not in the result")
     else:
@@ -51,4 +59,16 @@ def biases(contents: Contents) -> str:
     )
 
 
-IDENTITY = np.eye(4)
+def body(contents: Contents, indent: int) -> str:
+    """T_i_b (4, 4), which takes points in the body's axes to the IMU's: the body is the marker of a
+    pose where there is one, else the IMU itself."""
+    T, said = np.eye(4), ""
+    if contents.marker is not None:
+        T[:3, :3], place = contents.marker
+        known = bool(np.isfinite(place).all())
+        T[:3, 3] = place if known else 0.0
+        said = "# b: the marker of /pose" + (
+            "" if known else "; where it sits was not shown: zeros"
+        )
+    space = " " * indent
+    return (f"{space}{said}\n" if said else "") + yaml_matrix("T_i_b", T, indent)

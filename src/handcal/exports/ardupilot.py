@@ -13,12 +13,16 @@ axes (forward, left, up): y and z change sign; ``--axes frd`` is for a table of 
 axes. The gyro's offsets are found anew at each start unless INS_GYR_CAL is 0. Scales outside 0.8 to
 1.2 are refused by ArduPilot, and so are they here.
 
+What ArduPilot logs it has corrected by these parameters, so what handcal finds in it is what they
+left. ``--parameters FILE`` is the vehicle's parameters at that time: a file of Mission Planner,
+MAVProxy or QGroundControl, or the log's own (``mavlogdump.py --format csv --types PARM``). With
+them the file is right as it stands; without, it is refused. Parameters that the recording did not
+show are left out, so that the vehicle keeps its own.
+
 ArduPilot's own logs (.bin) are not read. The way round: its IMU messages as a table (pymavlink:
-``mavlogdump.py --format csv --types IMU``), of one instance I; columns ``t,gx,gy,gz,ax,ay,az`` from
-TimeUS (in s), Gyr and Acc, with the sign of y and z changed in both sensors (or as they are, and
-``--axes frd``). These are readings that ArduPilot has corrected and filtered already: with all
-INS_GYROFFS and INS_ACCOFFS zero and INS_ACCSCAL one they are raw but for the filter; otherwise what
-is found here is what those left, and the offsets add up.
+``mavlogdump.py --format csv --types IMU``), of the first instance (I is 0); columns
+``t,gx,gy,gz,ax,ay,az`` from TimeUS (in s), Gyr and Acc, with the sign of y and z changed in both
+sensors (or as they are, and ``--axes frd``).
 """
 
 from __future__ import annotations
@@ -26,25 +30,29 @@ from __future__ import annotations
 import numpy as np
 
 from handcal.exports import Contents, Format
-from handcal.exports._vehicle import keep, offsets, scales, told
+from handcal.exports._vehicle import keep, lines, offsets, own, refuse_turned, scales, told
 from handcal.types import HandcalError
 
 FACTOR = (0.8, 1.2)
+LINE = "{name},{value}"
 
 
 def write(contents: Contents) -> str:
-    """The file. Errors: HandcalError for a scale that ArduPilot does not take."""
-    found, factor, lines = offsets(contents), scales(contents), []
-    if factor.min() < FACTOR[0] or factor.max() > FACTOR[1]:
+    """The file. Errors: HandcalError for a scale that ArduPilot does not take, and where the
+    vehicle's own calibration is not known."""
+    vehicle, written = contents.vehicle, list[str]()
+    refuse_turned(vehicle, ("AHRS_ORIENTATION",))
+    for sensor, offset, scale in (
+        ("gyro", "INS_GYROFFS_{}", ""), ("accel", "INS_ACCOFFS_{}", "INS_ACCSCAL_{}"),
+    ):  # fmt: skip
+        before = own(vehicle, offset, scale)
+        written += lines(offset, offsets(contents, sensor, before), LINE)
+    factor = scales(contents, before)
+    taken = factor[~np.isnan(factor)]
+    if taken.size and (taken.min() < FACTOR[0] or taken.max() > FACTOR[1]):
         raise HandcalError(f"ArduPilot takes scales from {FACTOR[0]} to {FACTOR[1]}, not {factor}.")
-    for sensor, name in (("gyro", "INS_GYROFFS"), ("accel", "INS_ACCOFFS")):
-        for axis, value in zip("XYZ", found[sensor], strict=True):
-            if np.isnan(value):
-                lines.append(f"# {name}_{axis}: not shown, left as it is on the vehicle")
-            else:
-                lines.append(f"{name}_{axis},{value:.12f}")
-    lines += [f"INS_ACCSCAL_{a},{v:.12f}" for a, v in zip("XYZ", factor, strict=True)]
-    return f"{contents.commented()}{told(contents)}" + "\n".join(lines) + "\n"
+    written += lines(scale, factor, LINE)
+    return f"{contents.commented()}{told(contents, True)}" + "\n".join(written) + "\n"
 
 
 FORMAT = Format(

@@ -10,6 +10,14 @@ with M_a and M_g lower triangular, so the accelerometer's x axis is that of i, a
 them off in this order: a = inv(M_a) (read - b_a), then w = C_gyro_i^T inv(M_g) (read - b_g -
 A C_gyro_i a). The file has the keys of an ``imu.yaml`` (for ``--imu``) on top, and all of it again
 under ``imu0``, as Kalibr writes its own results. Biases are no part of it.
+
+Kalibr's reader wants a rate and all four noise levels, so the file always has them, each with where
+it is from: ``--noise ALLAN.json`` (``handcal allan`` of a record at rest; of a walk that it was too
+short to see, the most that would have stayed hidden), else the recording's own, which hold what the
+motion adds and are inflated, else those of the ADIS16448 in the EuRoC data set, marked DEFAULT.
+``update_rate`` is the sensor's, ``rostopic`` that of the recording or of ``--topic imu=/NAME``.
+``T_i_b`` takes points from the axes of a pose's marker (or camera) to the IMU's, where there was
+one; without, the body is the IMU.
 """
 
 from __future__ import annotations
@@ -17,18 +25,24 @@ from __future__ import annotations
 import numpy as np
 
 from handcal.exports import Contents, Format
-from handcal.exports._chain import IDENTITY, biases, noise, without_biases
+from handcal.exports._chain import EUROC, biases, body, noise, without_biases
 from handcal.exports._text import lower_accel, lower_times_turn, yaml_matrix
+from handcal.types import HandcalError
 
 
 def write(contents: Contents) -> str:
-    """The file. Errors: HandcalError where Kalibr's axes cannot be met."""
+    """The file. Errors: HandcalError where Kalibr's axes cannot be met, or no rate is known."""
+    if contents.rate_hz is None:
+        raise HandcalError(
+            f"{contents.name} does not say how often the IMU was read, which Kalibr needs; give "
+            "the recording with --recording FILE."
+        )
     c = contents.correction
     accel = lower_accel(np.linalg.inv(c.accel), "Kalibr")
     gyro, turn = lower_times_turn(np.linalg.inv(c.gyro))
     chain = "".join(
         [
-            yaml_matrix("T_i_b", IDENTITY, 2),
+            body(contents, 2),
             noise(contents, 2),
             "  time_offset: 0.0\n  model: scale-misalignment\n",
             "  accelerometers:\n",
@@ -51,4 +65,5 @@ FORMAT = Format(
         "Signs: reading = M a + b, and M C_gyro_i w + A C_gyro_i a + b; SI, axes of the recording",
     ),
     online=True,
+    noise=EUROC,
 )

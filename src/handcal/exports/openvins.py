@@ -9,7 +9,8 @@ Models"; keys as read in ov_msckf/src/core/VioManagerOptions.h):
 In the model "kalibr" only the lower triangles of inv(Tw) and inv(Ta) are used, and the IMU's axes
 are those of the accelerometer: R_IMUtoACC is the identity. Biases are part of its state. Copy the
 file over the ``kalibr_imu_chain.yaml`` of your configuration; with ``calib_imu_intrinsics``
-OpenVINS goes on from there.
+OpenVINS goes on from there. Noise levels, rate and topic are there as in the file of ``--to
+kalibr``, each level with where it is from.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from handcal.exports import Contents, Format
-from handcal.exports._chain import IDENTITY, biases, noise, without_biases
+from handcal.exports._chain import EUROC, biases, body, noise, without_biases
 from handcal.exports._text import lower_accel, lower_times_turn, yaml_matrix
 from handcal.types import Array
 
@@ -42,7 +43,7 @@ def chain(
             contents.commented(),
             biases(contents),
             "imu0:\n",
-            yaml_matrix("T_i_b", IDENTITY, 2),
+            body(contents, 2),
             noise(contents, 2),
             f'  time_offset: 0.0\n  model: "{model}"\n',
             *(yaml_matrix(name, matrix, 2) for name, matrix in matrices.items()),
@@ -57,4 +58,5 @@ FORMAT = Format(
     keep=without_biases,
     notes=("Signs: a = inv(Ta) (read - b_a); w = R_IMUtoGYRO^T inv(Tw) (read - Tg a - b_g); SI",),
     online=True,
+    noise=EUROC,
 )

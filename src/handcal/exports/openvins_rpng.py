@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from handcal.exports import Contents, Format
-from handcal.exports._chain import without_biases
+from handcal.exports._chain import EUROC, without_biases
 from handcal.exports._correction import Correction
 from handcal.exports._text import row, turn_times_upper
 from handcal.exports.openvins import chain
@@ -48,4 +48,5 @@ FORMAT = Format(
     notes=("Signs: a = R_IMUtoACC^T inv(Ta) (read - b_a); w = inv(Tw) (read - Tg a - b_g); SI",
            "The IMU's axes here are the gyro's: w = R_openvins_handcal w_handcal"),
     online=True,
+    noise=EUROC,
 )  # fmt: skip

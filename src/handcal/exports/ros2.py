@@ -27,7 +27,8 @@ def write(contents: Contents) -> str:
         )
     lines = [
         contents.commented(),
-        f"# Noise: {contents.noise.source}\n",
+        f"# Noise: gyro {contents.noise.sources['gyro_noise']}; accelerometer "
+        f"{contents.noise.sources['accel_noise']}\n",
         "/**:\n  ros__parameters:\n",
     ]
     lines.append(f"    orientation_covariance: [{row([-1.0, *[0.0] * 8])}]\n")
@@ -42,6 +43,7 @@ FORMAT = Format(
     line="ROS 2: covariances for the Imu messages, as parameters of a node",
     write=write,
     keep=None,
+    noise={"gyro_noise": None, "accel_noise": None},
     notes=("Variance of one sample: density^2 * rate; (rad/s)^2 and (m/s^2)^2, row by row",
            "A corrected bag: handcal apply RECORDING --from RESULT.json --biases -o FILE.mcap"),
 )  # fmt: skip

@@ -92,6 +92,9 @@ def _write(recordings: Mapping[str, Recording], path: str | Path) -> None:
         if recorded.device or recorded.model:
             about = {"id": recorded.device, "model": recorded.model}
             writer.add_metadata("device", about)
+        if recorded.vehicle:
+            said = {name: repr(float(value)) for name, value in recorded.vehicle.items()}
+            writer.add_metadata("vehicle", said)
 
 
 def _write_messages(writer: Writer, recordings: Mapping[str, Recording]) -> None:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from handcal.effects import catalogue
 from handcal.recordings.streams import STREAMS
-from handcal.types import Innovations, NoiseLevel, Parameter
+from handcal.types import Innovations, MarkerRotation, NoiseLevel, Parameter
 from handcal.units import DEG, Shown, shown
 
 NBSP = "\u00a0"
@@ -200,3 +200,18 @@ def noun_of(n: int, noun: str) -> str:
 def listed(items: Sequence[str], last: str = "and") -> str:
     """ "a, b and c"."""
     return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} {last} {items[-1]}"
+
+
+def marker_sentence(marker: MarkerRotation | None) -> str:
+    """How the marker of a pose is turned on the device; empty without a pose."""
+    if marker is None:
+        return ""
+    w, axis = marker.quaternion[0], marker.quaternion[1:]
+    length = math.hypot(*axis)
+    about = ", ".join(f"{v:.2f}" for v in axis / (length or 1.0))
+    degrees = math.degrees(2.0 * math.atan2(length, w))
+    sigma = math.degrees(float(marker.sigma.max()))
+    return (
+        f"The marker's axes are turned by {degrees:.2f}\N{DEGREE SIGN} about ({about}) against "
+        f"the IMU's, \N{PLUS-MINUS SIGN} {sigma:.2g}\N{DEGREE SIGN}."
+    )

@@ -7,9 +7,11 @@ memory is spent: 16 kB of hostile file can ask for a gigabyte.
 
 from __future__ import annotations
 
+import math
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from io import BytesIO
 from pathlib import Path
@@ -54,7 +56,8 @@ _DAMAGED = (struct.error, EndOfFile, UnicodeDecodeError, OverflowError)
 @dataclass
 class Walk:
     """What has been found in the file so far: found, by channel; base: bytes before the file;
-    device: what the metadata record of that name says, by ``id`` and ``model``."""
+    about: what the metadata records "device" (``id`` and ``model``) and "vehicle" (its parameters)
+    say."""
 
     path: Path
     schemas: dict[int, Schema] = field(default_factory=dict)
@@ -64,7 +67,7 @@ class Walk:
     messages: int = 0
     stated: int | None = None
     complete: bool = False
-    device: dict[str, str] = field(default_factory=dict)
+    about: dict[str, dict[str, str]] = field(default_factory=dict)
 
 
 def can_read(path: Path) -> bool:
@@ -77,8 +80,19 @@ def read(path: Path, options: Options) -> Recording:
     """Read the recording; truncated files as far as they go. Errors: InputError."""
     walk = walked(path, options)
     made = recording_from_topics(path, topics_of(walk), options, warnings_of(walk))
-    device, model = (walk.device.get(k, "").strip() for k in ("id", "model"))
-    return replace(made, device=device, model=model)
+    said = walk.about.get("device", {})
+    device, model = (said.get(k, "").strip() for k in ("id", "model"))
+    vehicle = _numbers(walk.about.get("vehicle", {}))
+    return replace(made, device=device, model=model, vehicle=vehicle)
+
+
+def _numbers(texts: Mapping[str, str]) -> dict[str, float]:
+    """Those of the texts that are finite numbers."""
+    out = {}
+    for name, text in texts.items():
+        with suppress(ValueError):
+            out[name] = float(text)
+    return {name: value for name, value in out.items() if math.isfinite(value)}
 
 
 def walked(path: Path, options: Options, base: int = 0) -> Walk:
@@ -142,7 +156,7 @@ def _records(file: BinaryIO, walk: Walk, options: Options) -> Iterator[tuple[int
         elif opcode == Opcode.METADATA and data_section and length <= LARGEST_METADATA:
             content = file.read(length)
             crc = zlib.crc32(content, zlib.crc32(head, crc))
-            walk.device |= _device(content)
+            _note(walk, content)
             content = b""
         elif data_section:
             crc = _skipped(file, length, zlib.crc32(head, crc))
@@ -188,13 +202,14 @@ def _check_data_crc(content: bytes, crc: int, walk: Walk) -> None:
         )
 
 
-def _device(content: bytes) -> dict[str, str]:
-    """What a metadata record says, if it is of the device."""
+def _note(walk: Walk, content: bytes) -> None:
+    """What a metadata record says."""
     try:
         record = Metadata.read(ReadDataStream(BytesIO(content)))
     except _DAMAGED:
-        return {}
-    return dict(record.metadata) if record.name == "device" else {}
+        return
+    if record.name in ("device", "vehicle"):
+        walk.about[record.name] = dict(record.metadata)
 
 
 def _statistics(content: bytes) -> int | None:

@@ -6,7 +6,8 @@ axes, forward, left, up, and that is said. The raw sensor_gyro and sensor_accel,
 are taken where they were logged as often as sensor_combined, which PX4 has corrected by a
 calibration of its own: that is said. The magnetometer, gauss, is sensor_mag beside the raw ones,
 else vehicle_magnetometer. Of a mocap's pose body and world, whose z is down, are turned alike.
-Stamps: us since boot.
+Stamps: us since boot. The parameters of PX4's own calibration go with the recording: exports add to
+them what is found in readings that they have corrected.
 """
 
 from __future__ import annotations
@@ -38,12 +39,17 @@ ENDINGS = (".ulg",)
 MARK = "it does not begin with ULog's magic bytes"
 MAGIC = b"ULog\x01\x12\x35"
 _TOPICS = ("sensor_gyro", "sensor_accel", "sensor_combined", "sensor_mag", "vehicle_magnetometer",
-           "vehicle_mocap_odometry")  # fmt: skip
+           "vehicle_mocap_odometry", "sensor_selection")  # fmt: skip
 HEADER = 16
 LARGEST_MESSAGE = 2**16
 _AT_ONCE = 50_000
 _KINDS = "BFIMPQARDLCSO"
-_DATA, _FLAGS, _FORMAT, _ADDED, _INFO = (ord(kind) for kind in "DBFAI")
+_DATA, _FLAGS, _FORMAT, _ADDED, _INFO, _PARAMETER = (ord(kind) for kind in "DBFAIP")
+# Parameters that say how PX4 corrects its readings (docs.px4.io, "Parameter Reference").
+_CALIBRATION = re.compile(
+    r"CAL_(ACC|GYRO)\d_(ID|ROT|[XYZ]OFF|[XYZ]SCALE)|SENS_BOARD_(ROT|[XYZ]_OFF)|TC_[AG]_ENABLE"
+)
+_NUMBERS = {"float": "<f", "int32_t": "<i"}
 _FIELD = re.compile(r"(\w+?)(?:\[(\d{1,5})\])? (\w+)")
 TURNED = np.array([1.0, -1.0, -1.0])  # forward, right, down to forward, left, up
 _SAID = f"PX4's axes (forward, right, down) were {TURNED_TO_FLU}."
@@ -61,9 +67,9 @@ def can_read(path: Path) -> bool:
 
 def read(path: Path, options: Options) -> Recording:
     """Read the recording. Errors: InputError."""
-    topics, said, told = _topics(path)
+    topics, said, log = _topics(path)
     options.progress(1.0)
-    said = [*stated("PX4", options), *said, _SAID]
+    said = [*stated("PX4", options), *said, *log.changes(), _SAID]
     whole = topics.get("sensor_combined", {})
     raw = all(name in topics for name in _TOPICS[:2]) and all(
         2 * len(topics[name]["timestamp"]) > len(whole.get("timestamp", ())) for name in _TOPICS[:2]
@@ -92,13 +98,26 @@ def read(path: Path, options: Options) -> Recording:
     }
     made = assemble(path, gyro, accel, streams, tuple(said))
     read_from = {s: names[s] for s in ("imu", *made.streams)}
-    return replace(made, topics=read_from, device=told.get("sys_uuid", ""),
-                   model=told.get("ver_hw", ""))  # fmt: skip
+    return replace(made, topics=read_from, device=log.told.get("sys_uuid", ""),
+                   model=log.told.get("ver_hw", ""),
+                   vehicle={**log.parameters, **_ids(topics, raw)})  # fmt: skip
 
 
-def _topics(path: Path) -> tuple[dict[str, _Fields], list[str], dict[str, str]]:
-    """Fields by topic, the first instance of each, warnings, and what the log says of its device.
-    Errors: InputError."""
+def _ids(topics: Mapping[str, _Fields], raw: bool) -> dict[str, float]:
+    """Of the sensors that were read, as ``topic.field``; not where another one took over."""
+    fields = (
+        [("sensor_gyro", "device_id"), ("sensor_accel", "device_id")]
+        if raw
+        else [("sensor_selection", f"{sensor}_device_id") for sensor in ("gyro", "accel")]
+    )
+    found = {f"{name}.{one}": np.unique(topics.get(name, {}).get(one, np.zeros(0)))
+             for name, one in fields}  # fmt: skip
+    return {name: float(ids[0]) for name, ids in found.items() if len(ids) == 1}
+
+
+def _topics(path: Path) -> tuple[dict[str, _Fields], list[str], _Log]:
+    """Fields by topic, the first instance of each, warnings, and what else the log says. Errors:
+    InputError."""
     if path.stat().st_size > LARGEST:
         raise InputError(f"{path} is too large to be read at once.")
     data = path.read_bytes()
@@ -117,15 +136,15 @@ def _topics(path: Path) -> tuple[dict[str, _Fields], list[str], dict[str, str]]:
         rows = np.concatenate(parts)
         topics[name] = {one: rows[one] for one in layout.names or ()}
     if log.whole:
-        return topics, [], log.told
+        return topics, [], log
     cut = f"The log ends early or is damaged: {log.messages} messages were recovered."
-    return topics, [cut], log.told
+    return topics, [cut], log
 
 
 @dataclass
 class _Log:
     """What a walk found: formats by topic; instance and topic, and places, by id; what the log says
-    of its device."""
+    of its device; parameters of its calibration, and those whose value changed."""
 
     formats: dict[str, str] = field(default_factory=dict)
     names: dict[int, tuple[int, str]] = field(default_factory=dict)
@@ -133,6 +152,24 @@ class _Log:
     messages: int = 0
     whole: bool = True
     told: dict[str, str] = field(default_factory=dict)
+    parameters: dict[str, float] = field(default_factory=dict)
+    changed: set[str] = field(default_factory=set)
+
+    def add_parameter(self, message: bytes) -> None:
+        """A parameter message; one that changes in a log is not known of all of its readings."""
+        key, value = _keyed(message)
+        kind, _, name = key.partition(" ")
+        if kind not in _NUMBERS or len(value) != 4 or not _CALIBRATION.fullmatch(name):
+            return
+        number = float(struct.unpack(_NUMBERS[kind], value)[0])
+        if name not in self.changed and self.parameters.setdefault(name, number) != number:
+            del self.parameters[name]
+            self.changed.add(name)
+
+    def changes(self) -> list[str]:
+        """A sentence about the parameters that changed, if any did."""
+        names = ", ".join(sorted(self.changed))
+        return [f"PX4's calibration changed during the log: {names}."] if names else []
 
 
 def _walked(path: Path, data: bytes) -> _Log:
@@ -157,6 +194,8 @@ def _walked(path: Path, data: bytes) -> _Log:
                 log.messages += 1
         elif kind == _INFO and length:
             log.told |= _told(data[begin:following])
+        elif kind == _PARAMETER and length:
+            log.add_parameter(data[begin:following])
         elif kind == _FLAGS and length >= 40:
             ends = _ends(path, data[begin:following], len(data))
         elif kind == _FORMAT:
@@ -172,11 +211,16 @@ def _walked(path: Path, data: bytes) -> _Log:
     return log
 
 
-def _told(message: bytes) -> dict[str, str]:
-    """A text about the device in an information message: length of its key, key (type and name),
-    value."""
+def _keyed(message: bytes) -> tuple[str, bytes]:
+    """Key (type and name) and value of a message: length of the key, key, value."""
     key, value = message[1 : 1 + message[0]], message[1 + message[0] :]
-    kind, _, name = key.decode("ascii", "replace").partition(" ")
+    return key.decode("ascii", "replace"), value
+
+
+def _told(message: bytes) -> dict[str, str]:
+    """A text about the device in an information message."""
+    key, value = _keyed(message)
+    kind, _, name = key.partition(" ")
     if not kind.startswith("char[") or name not in ("sys_uuid", "ver_hw"):
         return {}
     return {name: value.decode("utf-8", "replace").strip("\0 ")}

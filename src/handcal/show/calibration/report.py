@@ -53,7 +53,7 @@ def _context(result: Result) -> dict[str, Any]:
         "verdict": verdict_text.verdict(result),
         "facts": facts,
         "groups": _rows(front),
-        "notes": under_table(front, rest),
+        "notes": [*under_table(front, rest), *filter(None, [words.marker_sentence(result.marker)])],
         "not_shown": verdict_text.not_shown(result),
         "noise": [words.noise_line(n) for n in result.noise],
         "kinds": _kinds(result),

@@ -22,6 +22,7 @@ from handcal.types import (
     Array,
     Innovations,
     Likelihood,
+    MarkerRotation,
     Parameter,
     Prior,
     Recording,
@@ -137,6 +138,7 @@ def recording_json(recording: Recording, assume: str) -> dict[str, Any]:
         "assume": assume,
         "sha256": digest(Path(recording.path)),
         **_day(recording),
+        **({"vehicle": dict(recording.vehicle)} if recording.vehicle else {}),
     }
 
 
@@ -197,6 +199,7 @@ def calibration_json(result: Result | Sequence[Result]) -> dict[str, Any]:
         "warnings": list(all_warnings(result)),
         **quality_json(result.parameters, result.covariance, result.before),
         **device_json(result.before),
+        **marker_json(result.marker),
     }
 
 
@@ -226,6 +229,14 @@ def likelihood_json(likelihood: Likelihood | None) -> dict[str, Any]:
             "vector": likelihood.vector.tolist(),
         }
     }
+
+
+def marker_json(marker: MarkerRotation | None) -> dict[str, Any]:
+    """``marker_rotation``, or nothing without a pose."""
+    if marker is None:
+        return {}
+    turned = {"quaternion": marker.quaternion.tolist(), "sigma": marker.sigma.tolist()}
+    return {"marker_rotation": turned}
 
 
 def device_json(before: Prior | None) -> dict[str, Any]:

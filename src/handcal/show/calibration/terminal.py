@@ -34,7 +34,7 @@ def print_summary(result: Result, console: Console) -> None:
         console.print(Padding(escape(sentence), (0, 0, 0, 2)))
     front, rest = in_front(result.parameters)
     console.print(_parameter_table(front, prior=console.width >= WIDE))
-    for line in under_table(front, rest):
+    for line in filter(None, (*under_table(front, rest), words.marker_sentence(result.marker))):
         console.print(Padding(escape(line), (0, 0, 1, 2)), highlight=False)
     console.print(_kind_table(result))
     for heading, sentences in (

@@ -67,7 +67,8 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
         document["recordings"] = [_recording_json(r) for r in e.recordings]
     elif e.recordings:
         only = e.recordings[0]
-        document["recording"] = summary.recording_json(only.recording, only.assume)
+        document["recording"] = summary.recording_json(only.as_read, only.assume)
+        document |= summary.marker_json(only.marker)
     return document
 
 
@@ -196,7 +197,8 @@ def _noise_json(noise: Sequence[NoiseLevel]) -> list[dict[str, Any]]:
 
 def _recording_json(r: Explained) -> dict[str, Any]:
     return {
-        "recording": summary.recording_json(r.recording, r.assume),
+        "recording": summary.recording_json(r.as_read, r.assume),
         "parameters": [summary.parameter_json(p) for p in r.parameters],
         "noise": _noise_json(r.noise),
+        **summary.marker_json(r.marker),
     }

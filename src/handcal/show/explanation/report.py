@@ -59,7 +59,7 @@ def _context(e: Explanation, following: Sequence[str]) -> dict[str, Any]:
         "log": _scores(e.before.log_evidence, e.after.log_evidence),
         "held_out": _held_out(e),
         "groups": _groups(e),
-        "below": under_table(*in_front(e.parameters, _found(e))),
+        "below": [*under_table(*in_front(e.parameters, _found(e))), *say.markers(e)],
         "one_model": say.one_model(e),
         "more_apart": not say.one_model(e) and max(gains, default=0.0) > say.gain(e),
         "untold": verdict_text.untold(e),

@@ -69,8 +69,8 @@ def _print_verdict(e: Explanation, console: Console) -> None:
     colour = {"good": "green", "partly": "yellow", "poor": "red"}[judged.level]
     for r in e.recordings:
         console.print(
-            f"[bold]{escape(r.recording.path)}[/]  {r.recording.duration_s:.1f} s at "
-            f"{say.rate(r)}; {words.counted(len(r.rests), 'rest')}"
+            f"[bold]{escape(r.recording.path)}[/]  {r.as_read.duration_s:.1f} s at "
+            f"{r.as_read.rate_hz:.0f} Hz; {words.counted(len(r.rests), 'rest')}"
         )
     for assumed in verdict_text.assumptions(e):
         line(assumed, 0, "dim")
@@ -169,7 +169,7 @@ def _beside(e: Explanation) -> list[str]:
     others = dict.fromkeys(p.effect for p in front if p.effect not in (*BIASES, *found))
     names = words.listed([words.effect_title(i).lower() for i in others]) if others else ""
     also = f"Shown too, though not found (values in the JSON): {names}." if others else ""
-    return [s for s in (also, *under_table(front, rest)) if s]
+    return [s for s in (also, *under_table(front, rest), *say.markers(e)) if s]
 
 
 def _bias_table(e: Explanation) -> Any:

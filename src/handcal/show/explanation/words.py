@@ -87,12 +87,12 @@ def expected(hypothesis: Hypothesis) -> str:
     return number(max(hypothesis.expected, 0.0))
 
 
-def rate(explained: Explained) -> str:
-    """ "100 Hz", "400 Hz (averaged to 100)"."""
-    used = explained.recording.rate_hz
-    if explained.read_hz <= 1.2 * used:
-        return f"{used:.0f} Hz"
-    return f"{explained.read_hz:.0f} Hz (averaged to {used:.0f})"
+def markers(e: Explanation) -> list[str]:
+    """How the marker of each recording's pose is turned on the device."""
+    told = [words.marker_sentence(r.marker) for r in e.recordings]
+    names = recording_names(e)
+    several = len(names) > 1
+    return [f"{n}: {s}" if several else s for n, s in zip(names, told, strict=True) if s]
 
 
 def change(before: float, after: float) -> str:

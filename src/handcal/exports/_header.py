@@ -1,0 +1,207 @@
+"""The header of an export: what it is of, what the format cannot hold, how much that leaves."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import handcal
+from handcal.device import apply as device
+from handcal.device.apply import BIASES
+from handcal.effects import catalogue
+from handcal.exports import Format, formats
+from handcal.exports import _correction as correction
+from handcal.exports._correction import NOTHING, Correction
+from handcal.exports._known import Known, recordings_of, warnings_of
+from handcal.recordings.streams import TURNED_TO_FLU
+from handcal.types import Array, Recording
+
+UNITS = ("rad/s", "m/s^2")
+UNKNOWN = "how much is not known"
+# rad/s and m/s^2: to this all exports equal ``apply``; what is left below it is rounding.
+ROUNDING = 1e-9
+
+
+def same(a: Correction, b: Correction) -> bool:
+    return bool(np.allclose(a.numbers, b.numbers, rtol=0.0, atol=1e-15))
+
+
+def _rms(error: Array) -> tuple[float, float]:
+    """Over the three axes of the gyro and of the accelerometer, of (n, 6)."""
+    mean = np.sqrt((error**2).mean(axis=0).reshape(2, 3).mean(axis=1))
+    return float(mean[0]), float(mean[1])
+
+
+def _sized(rms: tuple[float, float] | None) -> str:
+    if rms is None:
+        return UNKNOWN
+    named = zip(("gyro", "accelerometer"), rms, UNITS, strict=True)
+    parts = [f"{name} {value:.3g} {unit}" for name, value, unit in named if value > ROUNDING]
+    return (", ".join(parts) + " RMS") if parts else "nothing in this recording"
+
+
+def left(found: Known, form: Format, recording: Recording | None) -> list[str]:
+    """What the format cannot hold, each with how much it leaves."""
+    keep = form.keep
+    if keep is None:
+        return []
+    sizes = {m.get("effect"): m["size"] for m in found.document.get("missing", []) if m.get("size")}
+    read = None if recording is None else _read(recording)
+    out = []
+    only = correction.together([], found.bias)
+    if not same(keep(only), only):
+        rest = _rms((keep(only).applied(_ZERO) - only.applied(_ZERO))[:1])
+        why = " (the program finds them itself)" if form.online else ""
+        out.append(f"constant biases{why}: {_sized(rest)}")
+    for i, part in found.matrices.items():
+        alone = correction.together([part], np.zeros(6))
+        if same(keep(alone), alone):
+            continue
+        some = "" if same(keep(alone), NOTHING) else " in part"
+        if read is None:
+            out.append(f"{i}{some}: {'at most ' if some and i in sizes else ''}{_said(sizes, i)}")
+        else:
+            out.append(
+                f"{i}{some}: {_sized(_rms(alone.applied(read) - keep(alone).applied(read)))}"
+            )
+    for i in found.others:
+        if i not in found.learnt.values:
+            out.append(f"{i}: it has no name, its size stands in {Path(found.learnt.path).name}")
+            continue
+        rms = None if recording is None else _without(found, i, recording)
+        if rms is None and recording is not None and i not in sizes:
+            out.append(f"{i}: no change of these readings that could be measured")
+        else:
+            out.append(f"{i}: {_said(sizes, i) if rms is None else _sized(rms)}")
+    return out
+
+
+_ZERO = np.zeros((1, 6))
+
+
+def _read(recording: Recording) -> Array:
+    valid = recording.imu.valid
+    return np.hstack([recording.imu.gyro, recording.imu.accel])[valid]
+
+
+def _without(found: Known, effect: str, recording: Recording) -> tuple[float, float] | None:
+    """What an effect that is no matrix does to the readings of a recording; None for one that
+    needs a stream which is not there, or changes stamps alone."""
+    values = found.of_readings()
+    with_it = correction.corrected(recording, values, found.bias)
+    del values[effect]
+    without = correction.corrected(recording, values, found.bias)
+    if with_it.shape != without.shape or np.array_equal(with_it, without):
+        return None
+    return _rms((with_it - without)[recording.imu.valid])
+
+
+def _said(sizes: Mapping[str, Mapping[str, float]], effect: str) -> str:
+    if effect not in sizes:
+        return _sized(None)
+    squares = [
+        [v**2 for c, v in sizes[effect].items() if c.startswith(s)] for s in ("gyro", "accel")
+    ]
+    gyro, accel = (math.sqrt(sum(s) / 3.0) for s in squares)
+    return _sized((gyro, accel)) if gyro or accel else _sized(None)
+
+
+# --- the header ---------------------------------------------------------------------------------
+
+
+def header(
+    path: Path, found: Known, form: Format, kept: Correction, recording: Recording | None
+) -> tuple[str, ...]:
+    version = found.document.get("version")
+    made = f"handcal {version}" if version else "an older handcal"
+    kind = str(found.document["schema"]).split("/")[1]
+    lines = [
+        f"{form.line}, written by handcal {handcal.__version__}",
+        f"From {path.name}, {kind} by {made}",
+    ]
+    for r in recordings_of(found.document):
+        digest = f", sha256 {r['sha256']}" if r.get("sha256") else ""
+        lines.append(f"Recording: {Path(str(r['path'])).name}{_length(r)}{digest}")
+    lines.append("Errors found: " + (", ".join((*(BIASES if found.bias_from else ()),
+                 *found.matrices, *found.others, *found.elsewhere)) or "none"))  # fmt: skip
+    if found.bias_from:
+        lines.append(f"{found.bias_from[:1].upper()}{found.bias_from[1:]}")
+    for i, axes in found.hidden.items():
+        lines.append(f"{i} {' '.join(axes)}: not shown by the recording, taken as zero")
+    if unsure := device.not_shown(found.learnt):
+        lines.append(unsure)
+    alike = any(m.get("indistinguishable_from") for m in found.document.get("missing", ()))
+    if found.document.get("verdict") == "cannot_tell" and alike:
+        lines.append("Warning: of some of these errors the recording cannot tell which it holds")
+    lines += not_calibrated(form, kept)
+    if form.keep is not None:
+        lines += _left_lines(found, form, kept, recording)
+    if any(line.endswith(UNKNOWN) for line in lines):
+        lines.append(_command(path, found.document, form))
+    warned = [said for said in warnings_of(found.document) if TURNED_TO_FLU not in said]
+    lines += [f"Warning: {said}" for said in warned]
+    return tuple(lines)
+
+
+# What shows the matrix of a sensor.
+SHOWN_BY = {"gyro": "gyro_scale", "accel": "accel_scale"}
+
+
+def not_calibrated(form: Format, kept: Correction) -> list[str]:
+    """Of each sensor whose matrix a program reads, and which stays the identity; with the motion
+    that would show it."""
+    if form.keep is None or form.vehicle:  # (a vehicle's file has a line for each parameter)
+        return []
+    holds = form.keep(replace(NOTHING, gyro=2.0 * np.eye(3), accel=2.0 * np.eye(3)))
+    out = []
+    for sensor, name in (("gyro", "gyro"), ("accel", "accelerometer")):
+        matrices = [getattr(c, sensor) for c in (holds, kept, NOTHING)]
+        if np.array_equal(matrices[1], matrices[2]) and not np.array_equal(matrices[0], np.eye(3)):
+            shown = catalogue()[SHOWN_BY[sensor]].motion
+            out.append(
+                f"Nothing was calibrated: scale and misalignment of the {name} were not shown, and "
+                f"its matrix here is the identity. What would show them: {shown}"
+            )
+    return out
+
+
+def _command(path: Path, document: Mapping[str, Any], form: Format) -> str:
+    """What would tell how much is left."""
+    name = next((n for n, one in formats().items() if one is form), "FORMAT")
+    files = [shlex.quote(Path(str(r["path"])).name) for r in recordings_of(document)]
+    return (
+        f"How much: handcal export {shlex.quote(path.name)} --to {name} "
+        f"--recording {(files or ['FILE'])[0]} -o FILE"
+    )
+
+
+def _length(r: Mapping[str, Any]) -> str:
+    if not (r.get("duration_s") and r.get("imu_rate_hz")):
+        return ""
+    return f", {float(r['duration_s']):.1f} s at {float(r['imu_rate_hz']):.0f} Hz"
+
+
+def _left_lines(
+    found: Known, form: Format, kept: Correction, recording: Recording | None
+) -> list[str]:
+    lines = [f"Not in this file, {line}" for line in left(found, form, recording)]
+    if found.others and found.bias_from:
+        lines.append(device.TOGETHER.format("what is not in this file"))
+    if recording is not None and lines:
+        done = correction.corrected(recording, found.of_readings(), found.bias)
+        read = np.hstack([recording.imu.gyro, recording.imu.accel])
+        if done.shape == read.shape:
+            rest = (kept.applied(read) - done)[recording.imu.valid]
+            but = " but for what has no name" if found.learnt.unnamed else ""
+            lines.append(
+                f"All of that together{but}, in {Path(recording.path).name}: {_sized(_rms(rest))}"
+            )
+    if found.elsewhere:
+        lines.append(f"No errors of gyro or accelerometer: {', '.join(found.elsewhere)}")
+    return lines or ["This file holds all of it"]
