@@ -313,7 +313,8 @@ class Result(Brief):
     ``history``, each row given the whole recording. settled: relinearising had come to rest.
     model: what was fitted, as JSON holds it (contract); repeated: it was read from a result.
     before: what was known of the device. standing: where the estimate stands at the last epoch.
-    likelihood: of the recording alone.
+    likelihood: of the recording alone. doubts: why its numbers deserve less trust, as far as only
+    the fit tells that.
     """
 
     recording: Recording
@@ -334,6 +335,7 @@ class Result(Brief):
     before: Prior | None = None
     standing: Standing | None = None
     likelihood: Likelihood | None = None
+    doubts: tuple[str, ...] = ()
 
     @property
     def observations(self) -> int:

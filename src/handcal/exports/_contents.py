@@ -22,6 +22,7 @@ from handcal.exports import _correction as correction
 from handcal.exports._correction import NOTHING, Correction
 from handcal.exports._text import one_line
 from handcal.recordings.streams import TURNED_TO_FLU
+from handcal.trust import check, of_document, said
 from handcal.types import Array, HandcalError, InputError, Recording
 
 # Names in a result's ``noise``, and in Allan's ``suggested``, of what ``Noise`` has.
@@ -112,15 +113,16 @@ def _bias(
 
 def contents(
     path: Path, form: Format, recording: Recording | None = None, allan: Path | None = None,
-    topic: str | None = None, axes: str | None = None,
+    topic: str | None = None, axes: str | None = None, *, anyway: bool = False,
 ) -> Contents:  # fmt: skip
     """A result as a format is given it.
 
     recording: where what is left is measured. allan: a JSON of ``handcal allan``, for the noise.
-    topic: None for that of the recording. axes: "flu", "frd", or None for "flu". Errors:
-    InputError, HandcalError.
+    topic: None for that of the recording. axes: "flu", "frd", or None for "flu". anyway:
+    also of a result that is not to be trusted. Errors: InputError, HandcalError.
     """
     found = known(path, recording)
+    check(path.name, found.learnt.trust, anyway)
     _check_axes(found.document, form, axes)
     full = correction.together(list(found.matrices.values()), found.bias)
     kept = full if form.keep is None else form.keep(full)
@@ -153,11 +155,13 @@ def _check_axes(document: Mapping[str, Any], form: Format, axes: str | None) -> 
 
 
 def warnings_of(document: Mapping[str, Any]) -> list[str]:
-    """What a result warns of, each once, on one line."""
-    found = [*document.get("warnings", [])]
+    """What a result warns of, its doubts first, each once, on one line."""
+    trust = of_document("the result", document)
+    found = [*said("This result", trust)]
+    found += [w for w in document.get("warnings", []) if w not in trust.reasons]
     for r in document.get("recordings", []):
-        found += r.get("warnings", [])
-    return list(dict.fromkeys(one_line(" ".join(str(said).split())) for said in found))
+        found += [w for w in r.get("warnings", []) if w not in trust.reasons]
+    return list(dict.fromkeys(one_line(" ".join(str(w).split())) for w in found))
 
 
 def _topic(document: Mapping[str, Any]) -> str:
@@ -339,8 +343,8 @@ def _header(
         lines += _left_lines(found, form, kept, recording)
     if any(line.endswith(UNKNOWN) for line in lines):
         lines.append(_command(path, found.document, form))
-    warned = [said for said in warnings_of(found.document) if TURNED_TO_FLU not in said]
-    lines += [f"Warning: {said}" for said in warned]
+    warned = [w for w in warnings_of(found.document) if TURNED_TO_FLU not in w]
+    lines += [f"Warning: {w}" for w in warned]
     return (*lines, *form.notes)
 
 
