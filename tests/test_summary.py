@@ -257,6 +257,14 @@ def test_rests_that_were_fallen_back_upon_are_no_good_verdict():
     assert told.level == "partly"
     assert "may be far off" in told.headline
     assert any("handcal explain" in s for s in told.sentences)
+    trust = doubts.of_calibration(found)
+    assert trust.level == "doubtful"
+    assert [
+        any(w in r for r in trust.reasons) for w in ("The hand travels", "sigmas hold only")
+    ] == [
+        True,
+        True,
+    ]
     assert not any("throughout" in w for w in found.warnings)
     asked = handcal.calibrate(recording_of(world), assume="rest-only", only=True)
     assert "far off" not in verdict_text.verdict(asked).headline
