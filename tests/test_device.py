@@ -219,7 +219,9 @@ def test_the_command_line_keeps_devices_apart(first, told, tmp_path, run):
         document["recording"]["sha256"] = name * 64
         write_json(document, tmp_path / f"{name}.json")
     added = run("device", "add", "phone.toml", "a.json", "b.json")
-    assert added == (0, "phone.toml: 2 sessions\n", "")
+    assert added[:2] == (0, "phone.toml: 2 sessions\n")
+    only = "its biases and gyro_scale."
+    assert [line.endswith(only) for line in added[2].splitlines()] == [True, True]
     for wrong, said in (
         (("phone.toml", "a.json"), "already"),
         (("phone.toml", "a.json", "--name", "other"), "mixed"),

@@ -142,7 +142,7 @@ def test_the_json_has_the_contracts_keys_and_types(verdict):
 def test_of_several_recordings_each_keeps_its_own(tmp_path):
     e = fake_explanation("explained", recordings=2)
     document = explanation_json(e)
-    assert set(document) == CONTRACT | {"recordings"}
+    assert set(document) == CONTRACT | {"recordings", "trust", "trust_reasons"}
     assert [m["recording"] for m in document["mismatch"]] == [0, 0, 1]
     assert {p["effect"] for p in document["parameters"]}.isdisjoint({"gyro_bias", "accel_bias"})
     for r in document["recordings"]:

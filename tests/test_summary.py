@@ -16,7 +16,7 @@ from worlds import recording_of
 import handcal
 from handcal import units
 from handcal.estimate.white import white_levels
-from handcal.show import words
+from handcal.show import doubts, words
 from handcal.show.calibration import shown, summary, verdict_text
 from handcal.show.calibration.plots import sizes
 from handcal.show.calibration.terminal import print_summary
@@ -45,7 +45,7 @@ def test_the_json_has_the_contracts_fields():
     schemas.check(document)
     assert set(document) == {
         "schema", "recording", "parameters", "noise", "fit", "untellable", "covariance", "model",
-        "warnings", "quality",
+        "warnings", "quality", "trust", "trust_reasons",
     }  # fmt: skip
     assert document["schema"] == "handcal/calibration/1"
     assert set(document["recording"]) == {
@@ -55,6 +55,7 @@ def test_the_json_has_the_contracts_fields():
         "streams",
         "assume",
         "sha256",
+        "read_noise",
     }
     assert document["recording"]["imu_rate_hz"] == pytest.approx(100)
     assert set(document["fit"]) == {"log_evidence", "observations", "nis", "whiteness"}
@@ -157,8 +158,10 @@ def test_digits_follow_sigma():
 )
 def test_nis_in_a_word(scale, word):
     i = innovations(scale)
-    assert verdict_text.nis_word(i) == word
-    assert (verdict_text.nis_sentence("position", i) is None) == (word == "consistent")
+    assert doubts.nis_word(i) == word
+    result = replace(fake_result(), innovations={"position": i})
+    assert bool(doubts.oversure(result)) == (word == "too confident")
+    assert bool(doubts.cautious(result)) == (word == "too cautious")
 
 
 def test_the_verdict_says_what_was_learnt_and_what_was_not():
@@ -254,6 +257,14 @@ def test_rests_that_were_fallen_back_upon_are_no_good_verdict():
     assert told.level == "partly"
     assert "may be far off" in told.headline
     assert any("handcal explain" in s for s in told.sentences)
+    trust = doubts.of_calibration(found)
+    assert trust.level == "doubtful"
+    assert [
+        any(w in r for r in trust.reasons) for w in ("The hand travels", "sigmas hold only")
+    ] == [
+        True,
+        True,
+    ]
     assert not any("throughout" in w for w in found.warnings)
     asked = handcal.calibrate(recording_of(world), assume="rest-only", only=True)
     assert "far off" not in verdict_text.verdict(asked).headline
@@ -261,13 +272,13 @@ def test_rests_that_were_fallen_back_upon_are_no_good_verdict():
 
 def test_an_estimate_that_strays_from_its_own_band_is_doubted():
     result = fake_result(extra=False)
-    assert verdict_text.strayed(result) == ()
+    assert doubts.strayed(result) == ()
     h = result.history
     ramp = np.where(h.t > 40, 20 * h.parameter_sigma[-1, 5] * (h.t[-1] - h.t) / h.t[-1], 0.0)
     moved = h.parameters.copy()
     moved[:, 5] += ramp
     result = replace(result, history=replace(h, parameters=moved))
-    (sentence,) = verdict_text.strayed(result)
+    (sentence,) = doubts.strayed(result)
     assert sentence.startswith("Accelerometer bias z moved by")
     assert verdict_text.verdict(result).level == "partly"
 
@@ -277,10 +288,10 @@ def test_noise_far_above_what_the_readings_show_is_doubted():
     honest = white_levels(result.recording)["gyro_noise"]
     for ratio, said in ((2, 0), (40, 1)):
         level = NoiseLevel("gyro_noise", ratio * honest, "rad/s/sqrt(Hz)", True)
-        sentences = verdict_text.inflated(replace(result, noise=(level,)))
+        sentences = doubts.inflated(replace(result, noise=(level,)))
         assert len(sentences) == said
     assert "40 times as large" in sentences[0]
-    assert verdict_text.inflated(replace(result, noise=(replace(level, estimated=False),))) == ()
+    assert doubts.inflated(replace(result, noise=(replace(level, estimated=False),))) == ()
 
 
 @pytest.mark.parametrize(("width", "columns"), [(80, 6), (120, 7)])

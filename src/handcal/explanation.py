@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -96,6 +96,16 @@ class Unnamed:
     constants: tuple[Parameter, ...] = ()
     made: tuple[str, tuple[float, ...]] | None = None
     coefficients: tuple[float, ...] = ()
+
+
+def broken_off(untried: Sequence[str]) -> str | None:
+    """That a search was cut short before it tried these; None where it was not."""
+    if not untried:
+        return None
+    return (
+        f"The search ended before all had been tried: {', '.join(untried)}. More time (a longer "
+        "--budget, or none) tells whether they change anything."
+    )
 
 
 def is_curve(formula: str) -> bool:
@@ -246,7 +256,8 @@ class Explanation(Brief):
     untellable: what the recordings cannot show, with the sigma that they would leave of it;
     untried: what the search left out because it had only so much time, in words; covariance: of
     ``parameters``; device: what was known of the device; likelihood: what the one recording says
-    itself; trust: "good", "doubtful" or, with residuals that no hand makes, "none", and why.
+    itself; impossible: residuals that no hand makes; doubts: why its numbers deserve less trust, as
+    far as only the fit tells that; each in sentences.
     """
 
     verdict: str
@@ -269,5 +280,5 @@ class Explanation(Brief):
     covariance: Array | None = None
     device: Prior | None = None
     likelihood: Likelihood | None = None
-    trust: str = "good"
-    trust_reasons: tuple[str, ...] = ()
+    impossible: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()

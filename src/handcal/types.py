@@ -327,7 +327,8 @@ class Result(Brief):
     ``history``, each row given the whole recording. settled: relinearising had come to rest.
     model: what was fitted, as JSON holds it (contract); repeated: it was read from a result.
     before: what was known of the device. standing: where the estimate stands at the last epoch.
-    likelihood: of the recording alone. marker: None without a pose.
+    likelihood: of the recording alone. marker: None without a pose. doubts: why its numbers deserve
+    less trust, as far as only the fit tells that.
     """
 
     recording: Recording
@@ -349,6 +350,7 @@ class Result(Brief):
     standing: Standing | None = None
     likelihood: Likelihood | None = None
     marker: MarkerRotation | None = None
+    doubts: tuple[str, ...] = ()
 
     @property
     def observations(self) -> int:

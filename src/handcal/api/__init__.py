@@ -188,17 +188,28 @@ def conceal(
 
 @spoken()
 def apply(
-    recording: Source, learnt: Result | ExplanationData | str | Path, *, biases: bool = False
+    recording: Source,
+    learnt: Result | ExplanationData | str | Path,
+    *,
+    biases: bool = False,
+    anyway: bool = False,
 ) -> Corrected:
     """A recording of the device without the errors that were learnt, for any other program.
 
     learnt: a calibration or an explanation, or the path of its JSON. biases: take off also what
-    differs from day to day. Errors: InputError, HandcalError.
+    differs from day to day. anyway: use also what is not to be trusted (trust "none"). Errors:
+    InputError, HandcalError.
     """
+    from handcal import trust
     from handcal.device import apply as device
+    from handcal.device.another import another
 
-    done = device.apply(_one(recording, "apply"), _learnt(learnt), biases=biases)
-    return Corrected(Recording.of(done.recording), done.taken, done.left)
+    known, given = _learnt(learnt), _one(recording, "apply")
+    trust.check(known.path, known.trust, anyway)
+    done = device.apply(given, known, biases=biases)
+    warnings = (*trust.said(known.path, known.trust), another(given, known))
+    said = tuple(in_python(w) for w in warnings if w)
+    return Corrected(Recording.of(done.recording), done.taken, done.left, said)
 
 
 @contextmanager

@@ -4,7 +4,7 @@ draw themselves, and write themselves to files."""
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, overload
 
@@ -15,6 +15,7 @@ from handcal.api import tables
 from handcal.api.recording import Recording, values_of
 from handcal.api.words import in_python
 from handcal.explanation import Explanation as ExplanationData
+from handcal.trust import Trust, said
 from handcal.types import Array, Parameter, Result
 
 if TYPE_CHECKING:
@@ -136,6 +137,22 @@ class Calibration(Result):
 
         return stamped(calibration_json(self))
 
+    @property
+    def trust(self) -> str:
+        """ "good", "doubtful" or "none"."""
+        return self._trust.level
+
+    @property
+    def trust_reasons(self) -> tuple[str, ...]:
+        """Why it is not "good", in sentences."""
+        return tuple(map(in_python, self._trust.reasons))
+
+    @property
+    def _trust(self) -> Trust:
+        from handcal.show.doubts import of_calibration
+
+        return of_calibration(self)
+
     def __repr__(self) -> str:
         from handcal.show.calibration import how_good, verdict_text
 
@@ -144,15 +161,18 @@ class Calibration(Result):
         good = how_good.sentences(self.parameters, self.covariance, self.before)
         table, below = _in_front(self.parameters)
         head = f"Calibration of {name}: {judged.headline}"
-        return "\n".join([head, *good, repr(table), *below])
+        doubts = said("This calibration", replace(self._trust, reasons=self.trust_reasons))
+        return "\n".join([head, *good, repr(table), *below, *doubts])
 
     def _repr_html_(self) -> str:
         from handcal.show.calibration import verdict_text
 
         judged = verdict_text.verdict(self)
-        said = tables.paragraphs(map(in_python, (judged.headline, *judged.sentences)))
+        doubts = said("This calibration", self._trust)
+        sentences = (judged.headline, *judged.sentences, *doubts)
+        text = tables.paragraphs(map(in_python, sentences))
         table, below = _in_front(self.parameters)
-        return said + table._repr_html_() + tables.paragraphs(below)
+        return text + table._repr_html_() + tables.paragraphs(below)
 
 
 class Explanation(ExplanationData):
@@ -199,6 +219,22 @@ class Explanation(ExplanationData):
         return stamped(explanation_json(self))
 
     @property
+    def trust(self) -> str:
+        """ "good", "doubtful" or "none"."""
+        return self._trust.level
+
+    @property
+    def trust_reasons(self) -> tuple[str, ...]:
+        """Why it is not "good", in sentences."""
+        return tuple(map(in_python, self._trust.reasons))
+
+    @property
+    def _trust(self) -> Trust:
+        from handcal.show.doubts import of_explanation
+
+        return of_explanation(self)
+
+    @property
     def _paths(self) -> list[Path]:
         return [Path(r.recording.path) for r in self.recordings]
 
@@ -219,6 +255,7 @@ class Explanation(ExplanationData):
             f"  {a}{f', probability {b}' if b else ''} (removing it costs {c})"
             for a, b, c in self._found()
         ]
+        lines += said("This explanation", replace(self._trust, reasons=self.trust_reasons))
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
@@ -226,23 +263,26 @@ class Explanation(ExplanationData):
         from handcal.show.explanation import verdict_text
 
         good = how_good.sentences(self.parameters, self.covariance, self.device)
-        said = tables.paragraphs([verdict_text.verdict(self).headline, *good])
+        doubts = said("This explanation", replace(self._trust, reasons=self.trust_reasons))
+        text = tables.paragraphs([verdict_text.verdict(self).headline, *good, *doubts])
         found = self._found()
         table = (
             tables.html_table(("found", "probability", "removing it costs"), found) if found else ""
         )
         front, below = _in_front(self.parameters, [m.effect for m in self.missing])
-        return said + table + front._repr_html_() + tables.paragraphs(below)
+        return text + table + front._repr_html_() + tables.paragraphs(below)
 
 
 @dataclass(frozen=True, repr=False)
 class Corrected:
     """A recording without the errors that were learnt; taken: ids of what was taken off; left:
-    other ids, by reason."""
+    other ids, by reason; warnings: what there is to doubt about what was learnt, and whether it is
+    of this device."""
 
     recording: Recording
     taken: tuple[str, ...]
     left: Mapping[str, tuple[str, ...]]
+    warnings: tuple[str, ...] = ()
 
     def write(self, path: str | Path) -> None:
         """Write the recording as MCAP."""
@@ -252,4 +292,5 @@ class Corrected:
         left = "".join(
             f"; left: {', '.join(ids)} ({in_python(why)})" for why, ids in self.left.items()
         )
-        return f"Corrected({self.recording!r}, without {', '.join(self.taken) or 'anything'}{left})"
+        text = f"Corrected({self.recording!r}, without {', '.join(self.taken) or 'anything'}{left})"
+        return "\n".join([text, *self.warnings])

@@ -37,7 +37,7 @@ _IN_PYTHON = (
     (r"--span FROM,TO", "span=(from, to)"),
     (r"--span ([^\s:]+),([^\s:]+):", r"span=(\1, \2):"),
     (r"--assume ([\w-]+)", r'assume="\1"'),
-    (r"--(biases|reference-exact)\b", lambda m: m[1].replace("-", "_") + "=True"),
+    (r"--(anyway|biases|reference-exact)\b", lambda m: m[1].replace("-", "_") + "=True"),
     (r"that --effects did not", "that the list of effects did not"),
     (r"--(effects|budget)\b", r"\1"),
     (r": handcal explain tries", ": handcal.explain tries"),

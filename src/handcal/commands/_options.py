@@ -140,6 +140,10 @@ NoiseUntil = Annotated[
 EngineOption = Annotated[
     Engine, typer.Option(help="compiled, or filterpy: slower, the same mathematics.")
 ]
+Anyway = Annotated[
+    bool,
+    typer.Option("--anyway", help="Use also a result of which nothing is to be trusted."),
+]
 Json = Annotated[
     Path | None,
     typer.Option(metavar="FILE", help="Write the numbers as JSON; - for standard output."),

@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from handcal.commands._options import AS_IT_IS, Reading, load, reads_recordings, with_own_effects
+from handcal.commands._options import (
+    AS_IT_IS,
+    Anyway,
+    Reading,
+    load,
+    reads_recordings,
+    with_own_effects,
+)
 from handcal.commands._registry import say, tell
 
 if TYPE_CHECKING:
@@ -37,12 +44,16 @@ def apply(
             "--biases", help="Take off biases too, which are those of the recording explained."
         ),
     ] = False,
+    anyway: Anyway = False,
     how: Reading = AS_IT_IS,
 ) -> None:
     """Take the errors that were found off a recording's readings.
 
-    What is no error of a sensor (where it sits, gravity, noise) stays, and is said.
+    What is no error of a sensor (where it sits, gravity, noise) stays, and is said. So is what
+    there is to doubt about the result, and where the recording seems to be of another device.
     """
+    from handcal import trust
+    from handcal.device.another import another
     from handcal.device.apply import TOGETHER, not_shown, read
     from handcal.device.apply import apply as applied
     from handcal.output import check_outputs
@@ -52,6 +63,7 @@ def apply(
     check_outputs((out,), (recording, learnt_from))
     check_ending(out)
     learnt = read(learnt_from)
+    trust.check(str(learnt_from), learnt.trust, anyway)
     given = load(recording, how)
     corrected = applied(given, learnt, biases=biases)
     left = _left(corrected, learnt)
@@ -61,7 +73,8 @@ def apply(
     write_mcap(corrected.recording, out)
     beside = f"{TOGETHER.format('what has no name')}: {_WRITE}" if biases and learnt.unnamed else ""
     unsure = not_shown(learnt)
-    for sentence in (*given.warnings, left, unsure, beside):
+    doubts = (*trust.said(str(learnt_from), learnt.trust), another(given, learnt))
+    for sentence in (*doubts, *given.warnings, left, unsure, beside):
         if sentence:
             say(sentence)
     tell(f"{out}: {', '.join(corrected.taken)} taken off {recording.name}")

@@ -9,7 +9,14 @@ from typing import Annotated
 
 import typer
 
-from handcal.commands._options import AS_IT_IS, Reading, load, reads_recordings, with_own_effects
+from handcal.commands._options import (
+    AS_IT_IS,
+    Anyway,
+    Reading,
+    load,
+    reads_recordings,
+    with_own_effects,
+)
 from handcal.commands._registry import say, tell
 
 VEHICLE = ("flu", "frd")  # what the recording's axes are on a vehicle
@@ -58,6 +65,7 @@ def export(
             "does not say them (.params, .param, mavlogdump's PARM table).",
         ),
     ] = None,
+    anyway: Anyway = False,
     how: Reading = AS_IT_IS,
 ) -> None:
     """Write a result in the format of another program.
@@ -83,7 +91,8 @@ def export(
     output.check_outputs((out,), (result, recording, noise, parameters))
     vehicle, how = _axes(axes or [], how)
     given = None if recording is None else load(recording, how)
-    made = contents(result, form, given, noise, how.topics.get("imu"), vehicle, parameters)
+    topic = how.topics.get("imu")
+    made = contents(result, form, given, noise, topic, vehicle, parameters, anyway=anyway)
     text = form.write(made)
     if str(out) == output.STANDARD_OUTPUT:
         print(text, end="")

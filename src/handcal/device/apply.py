@@ -34,6 +34,8 @@ from handcal.observations import NAV
 from handcal.observations import catalogue as observations
 from handcal.recordings.streams import STREAMS, Stream, observed_by
 from handcal.signals import at_its_temperature, of_recording, warmth_at
+from handcal.trust import Trust
+from handcal.trust import of_document as of_itself
 from handcal.types import (
     CALIBRATION_SCHEMA,
     EXPLANATION_SCHEMA,
@@ -67,7 +69,8 @@ class Learnt:
     biases: (recording, gyro and accelerometer (6,)) of each that the file is about; the
     recording is "" where the file does not say which it was. unnamed: formulas. hidden: axes of
     each bias that were not shown, by recording; unsure: names of each effect's parameters that
-    the recordings did not show.
+    the recordings did not show. trust: what it says of itself. made: of which recordings it is, as
+    its JSON has them.
     """
 
     path: str
@@ -76,6 +79,8 @@ class Learnt:
     unnamed: tuple[str, ...]
     hidden: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     unsure: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    trust: Trust = field(default_factory=Trust)
+    made: tuple[Mapping[str, Any], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -289,7 +294,9 @@ def _learnt(name: str, document: Mapping[str, Any]) -> Learnt:
     ]
     effects = {i: v for i, v in values.items() if i not in BIASES}
     unsure = {i: n for i, n in _untold(document["parameters"]).items() if i not in BIASES}
-    return Learnt(name, effects, tuple(biases), formulas, hidden, unsure)
+    made = [r["recording"] for r in recordings or [document] if "recording" in r]
+    trust = of_itself(name, document)
+    return Learnt(name, effects, tuple(biases), formulas, hidden, unsure, trust, tuple(made))
 
 
 def _untold(parameters: Sequence[Mapping[str, Any]]) -> dict[str, tuple[str, ...]]:

@@ -161,7 +161,7 @@ def _said_alone(told: Sequence[Result], effects: Sequence[Effect]) -> tuple[Resu
     """The results with a warning that nothing was estimated but biases and these effects."""
     names = ", ".join(e.id for e in effects)
     alone = f"{ONLY} and {names}." if names else f"{ONLY}."
-    return tuple(replace(r, warnings=(*r.warnings, alone)) for r in told)
+    return tuple(replace(r, warnings=(*r.warnings, alone), doubts=(*r.doubts, alone)) for r in told)
 
 
 def recalibrate(

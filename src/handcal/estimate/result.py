@@ -18,6 +18,7 @@ from handcal.estimate.model import Fitted, Model
 from handcal.estimate.parameters import Known, Moment, known, likelihood
 from handcal.estimate.pieces import is_long, known_reduced, reduced, starts
 from handcal.estimate.problem import Problem, constants_of
+from handcal.estimate.rest_only import DOUBTED, doubt
 from handcal.estimate.robust import inflation
 from handcal.estimate.sampling import interpolated
 from handcal.estimate.standing import known_as, standing_of
@@ -36,6 +37,10 @@ from handcal.types import (
     Standing,
 )
 
+MOVED = (
+    "The estimate still moved after ten rounds of relinearisation; the motion may be "
+    "too poor for all that was asked, so trust the sigmas less."
+)
 # Rows of a history: as many a second, and no more numbers in all its covariances.
 HISTORY_RATE, HISTORY_NUMBERS = 25.0, 4_000_000
 # Gravity that strays less than this from its mean stays along one axis.
@@ -92,6 +97,7 @@ def _result(model: Model, k: int, found: Known) -> Result:
         observed_heading=_observed_heading(dense),
         settled=model.settled,
         before=f.case.before,
+        doubts=tuple(_doubts(f)),
         standing=standing,
         marker=found.marker,
     )
@@ -165,10 +171,7 @@ def _warnings(
     """What there is to doubt about a recording's results, in sentences."""
     yield from f.case.warnings
     if not settled:
-        yield (
-            "The estimate still moved after ten rounds of relinearisation; the motion may be "
-            "too poor for all that was asked, so trust the sigmas less."
-        )
+        yield MOVED
     if problem.dropped:
         yield f"{problem.dropped} observations lie outside the IMU's time and were left out."
     for kind, i in innovations.items():
@@ -176,6 +179,13 @@ def _warnings(
             yield f"{i.skipped} observations of {kind} were skipped (body x near the vertical)."
     yield from _gravity_stays(f.trajectory.C, f.case.assume == "rest-only")
     yield from _contradicting_heading(problem, f.levels)
+
+
+def _doubts(f: Fitted) -> Iterator[str]:
+    """Why the hand may be another than was assumed."""
+    yield from (w for w in f.case.warnings if w.startswith(DOUBTED))
+    if said := doubt(f):
+        yield said
 
 
 def noise(f: Fitted) -> tuple[NoiseLevel, ...]:

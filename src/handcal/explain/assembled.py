@@ -10,12 +10,11 @@ import numpy as np
 
 from handcal.compiled.kernel import MAX_DIM
 from handcal.device.twin import twin
-from handcal.effects import catalogue
 from handcal.estimate.case import name_of
 from handcal.estimate.evidence import reduce, reduced_pass
+from handcal.estimate.impossible import strange
 from handcal.estimate.model import Fitted, Model
-from handcal.estimate.rest_only import doubt
-from handcal.estimate.result import noise, results
+from handcal.estimate.result import MOVED, noise, results
 from handcal.estimate.robust import inflation
 from handcal.estimate.specification import Specification
 from handcal.estimate.start import BIASES
@@ -51,6 +50,7 @@ from handcal.explanation import (
     Mismatch,
     Missing,
     Unnamed,
+    broken_off,
 )
 from handcal.search import outliers
 from handcal.search.climb.state import too_large
@@ -158,7 +158,7 @@ def explanation_of(
     named = _named(end, learnt, wrong, not untried)
     if no_hand:
         named = _Named("unexplained", [], named.unnamed, {}, named.remarks)
-    doubts = _doubts(model, written)
+    doubts = _doubts(model, written, fits)
     before, explained, mismatch = _compared(end, plainest, named.verdict, fits)
     excess = inflation(model)
     told = _weighed(end, named, judged, excess)
@@ -183,7 +183,7 @@ def explanation_of(
             *_warnings(base, model, missing, hypotheses, excess),
             *doubts,
             *named.remarks,
-            *_broken_off(untried),
+            *([] if (said := broken_off(untried)) is None else [said]),
         ),
         written,
         untellable(found, fits[0].parameters),
@@ -192,8 +192,8 @@ def explanation_of(
         _covariance(fits[0], final),
         _before(model),
         fits[0].likelihood if len(fits) == 1 else None,
-        "none" if no_hand else "doubtful" if doubts else "good",
-        (*no_hand, *doubts),
+        no_hand,
+        doubts,
     )
 
 
@@ -236,15 +236,6 @@ def _before(model: Model) -> Prior | None:
     names = tuple(before.names[i] for i in at)
     return replace(
         before, names=names, mean=before.mean[at], covariance=before.covariance[np.ix_(at, at)]
-    )
-
-
-def _broken_off(untried: Sequence[str]) -> tuple[str, ...]:
-    if not untried:
-        return ()
-    return (
-        f"The search ended before all had been tried: {', '.join(untried)}. More time (a longer "
-        "--budget, or none) tells whether they change anything.",
     )
 
 
@@ -341,26 +332,18 @@ def _warnings(
     unnamed = {e.id for e in model.effects if e.common and e.id not in named}
     for f in model.parts:
         out += leaning(f, model.effects, not_seen, unnamed, excess)
-        out += [said] if (said := doubt(f)) else []
     return tuple(dict.fromkeys(out))
 
 
-def _doubts(model: Model, written: Specification | None) -> tuple[str, ...]:
+def _doubts(model: Model, written: Specification | None, fits: Sequence[Result]) -> tuple[str, ...]:
     """Why the numbers of the final fit deserve less trust."""
-    out = []
-    if not model.settled:
-        out.append(
-            "The final fit still moved after ten rounds of relinearisation; trust its numbers less."
-        )
-    if large := too_large(model):
-        names = ", ".join(catalogue()[i].title.lower() for i in sorted(large & set(catalogue())))
-        out.append(
-            f"No device has as much of this as was found here: {names}. Something else that has no "
-            "name stands behind it; take its numbers for no more than a sign of that."
-        )
+    out = [said for fit in fits for said in fit.doubts]
+    out += [] if model.settled else [MOVED]
+    if large := strange(too_large(model)):
+        out.append(large)
     if written is None:
         out.append(
             "The final fit is reached by the way of the search alone, not from its own start: it "
             "cannot be repeated with --from, and its numbers deserve little trust."
         )
-    return tuple(out)
+    return tuple(dict.fromkeys(out))

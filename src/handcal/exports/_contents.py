@@ -20,20 +20,24 @@ from handcal.exports._noise import noise_lines, noise_of
 from handcal.exports._text import one_line
 from handcal.exports._vehicle import read_parameters
 from handcal.recordings.streams import TURNED_TO_FLU
+from handcal.trust import check
 from handcal.types import Array, HandcalError, InputError, Recording
 
 
 def contents(
     path: Path, form: Format, recording: Recording | None = None, allan: Path | None = None,
     topic: str | None = None, axes: str | None = None, parameters: Path | None = None,
+    *, anyway: bool = False,
 ) -> Contents:  # fmt: skip
     """A result as a format is given it.
 
     recording: where what is left is measured. allan: a JSON of ``handcal allan``, for the noise.
     topic: None for that of the recording. axes: "flu", "frd", or None for "flu". parameters: of
-    the vehicle, None for those of the recording. Errors: InputError, HandcalError.
+    the vehicle, None for those of the recording. anyway: also of a result that is not to be
+    trusted. Errors: InputError, HandcalError.
     """
     found = known(path, recording)
+    check(path.name, found.learnt.trust, anyway)
     _check_axes(found.document, form, axes)
     vehicle = _vehicle(found.document, form, parameters)
     full = correction.together(list(found.matrices.values()), found.bias)

@@ -15,6 +15,7 @@ from handcal.documents import read_json
 from handcal.effects import catalogue
 from handcal.exports import _correction as correction
 from handcal.exports._text import one_line
+from handcal.trust import of_document, said
 from handcal.types import Array, Recording
 
 
@@ -94,11 +95,13 @@ def _bias(
 
 
 def warnings_of(document: Mapping[str, Any]) -> list[str]:
-    """What a result warns of, each once, on one line."""
-    found = [*document.get("warnings", [])]
+    """What a result warns of, its doubts first, each once, on one line."""
+    trust = of_document("the result", document)
+    found = [*said("This result", trust)]
+    found += [w for w in document.get("warnings", []) if w not in trust.reasons]
     for r in document.get("recordings", []):
-        found += r.get("warnings", [])
-    return list(dict.fromkeys(one_line(" ".join(str(said).split())) for said in found))
+        found += [w for w in r.get("warnings", []) if w not in trust.reasons]
+    return list(dict.fromkeys(one_line(" ".join(str(w).split())) for w in found))
 
 
 def recordings_of(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:

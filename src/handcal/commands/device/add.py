@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from handcal.commands._options import Anyway
 from handcal.commands._registry import say, tell
 
 
@@ -35,6 +36,7 @@ def add(
         float | None,
         typer.Option(metavar="DEGC", help="How warm it was, where the result does not say so."),
     ] = None,
+    anyway: Anyway = False,
 ) -> None:
     """Add what results say of a device to its file, each as a session of its own.
 
@@ -42,6 +44,7 @@ def add(
     is said. A result that was made with --device counts for what its own recording said. Two
     devices are not mixed, and the same recording counts once.
     """
+    from handcal import trust
     from handcal.device import file as device_file
     from handcal.device.history import disagreements
     from handcal.device.left_out import not_kept, sentence
@@ -64,8 +67,12 @@ def add(
     when = None if date is None else date.replace(tzinfo=UTC)
     for path in results:
         document = device_file.read_result(path)
+        own = trust.of_document(str(path), document)
+        trust.check(str(path), own, anyway)
         session = device_file.session_of(path, document, device.name, when, temperature)
         device = device_file.added(device, session)
+        for doubt in trust.said(str(path), own):
+            say(doubt)
         if left := sentence(not_kept(document)):
             say(left if len(results) == 1 else f"{path}: {left}")
     device_file.write(device, file)

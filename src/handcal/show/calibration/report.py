@@ -15,6 +15,7 @@ from handcal.effects import catalogue
 from handcal.show import words
 from handcal.show.calibration import plots, summary, verdict_text
 from handcal.show.calibration.shown import in_front, not_drawn, under_table
+from handcal.show.doubts import nis_word
 from handcal.show.drawing import AXES
 from handcal.show.html_page import page
 from handcal.types import Array, Parameter, Result
@@ -108,7 +109,7 @@ def _kinds(result: Result) -> list[dict[str, Any]]:
                 "updates": i.t.size,
                 "skipped": i.skipped,
                 "nis": "–" if i.mean_nis is None else f"{i.mean_nis:.2f}",
-                "word": verdict_text.nis_word(i),
+                "word": nis_word(i),
                 "rho": "–" if rho is None else f"{round(rho, 2) + 0.0:+.2f}".replace("-", "−"),
             }
         )

@@ -14,9 +14,11 @@ import numpy as np
 
 import handcal
 from handcal import output
+from handcal.device.another import read_noise
 from handcal.estimate.parameters import given_model, with_shown
-from handcal.show import words
+from handcal.show import doubts, words
 from handcal.show.calibration.how_good import quality_json
+from handcal.trust import json_of, together
 from handcal.types import (
     CALIBRATION_SCHEMA,
     Array,
@@ -34,7 +36,7 @@ NOISE_NAMES = {"sway": "hand_sway"}
 # Parameters that every recording has of its own.
 OWN = ("gyro_bias", "accel_bias")
 # What several results of one fit say once, or not at all.
-_OF_ALL = ("model", "device", "priors", "likelihood")
+_OF_ALL = ("model", "device", "priors", "likelihood", "trust", "trust_reasons")
 
 
 def finite(value: float | None) -> float | None:
@@ -137,6 +139,8 @@ def recording_json(recording: Recording, assume: str) -> dict[str, Any]:
         },
         "assume": assume,
         "sha256": digest(Path(recording.path)),
+        **{k: v for k in ("device", "model") if (v := getattr(recording, k))},
+        **({"read_noise": noise} if (noise := read_noise(recording)) else {}),
         **_day(recording),
         **({"vehicle": dict(recording.vehicle)} if recording.vehicle else {}),
     }
@@ -175,9 +179,10 @@ def calibration_json(result: Result | Sequence[Result]) -> dict[str, Any]:
     """
     if not isinstance(result, Result):
         return calibration_json(result[0]) if len(result) == 1 else _together_json(result)
-    kinds = result.innovations
+    kinds, trust = result.innovations, doubts.of_calibration(result)
     return {
         "schema": CALIBRATION_SCHEMA,
+        **json_of(trust),
         "recording": recording_json(result.recording, result.assume),
         "parameters": parameters_json(
             result.parameters, result.covariance, with_shown(result.parameters)
@@ -196,7 +201,7 @@ def calibration_json(result: Result | Sequence[Result]) -> dict[str, Any]:
         "covariance": matrix_json(result.covariance),
         **likelihood_json(result.likelihood),
         "model": dict(result.model),
-        "warnings": list(all_warnings(result)),
+        "warnings": list(dict.fromkeys((*all_warnings(result), *trust.reasons))),
         **quality_json(result.parameters, result.covariance, result.before),
         **device_json(result.before),
         **marker_json(result.marker),
@@ -269,6 +274,7 @@ def _together_json(results: Sequence[Result]) -> dict[str, Any]:
     ]  # fmt: skip
     return {
         "schema": CALIBRATION_SCHEMA,
+        **json_of(together(map(doubts.of_calibration, results))),
         "parameters": parameters_json(
             shared, results[0].covariance[np.ix_(joint, joint)], with_shown(shared)
         ),
@@ -303,4 +309,4 @@ def write_json(document: Mapping[str, Any], path: str | Path) -> None:
 
 def all_warnings(result: Result) -> tuple[str, ...]:
     """What the reader repaired and what the filter remarked, each once."""
-    return tuple(dict.fromkeys((*result.recording.warnings, *result.warnings)))
+    return tuple(dict.fromkeys((*result.recording.warnings, *result.warnings, *result.doubts)))

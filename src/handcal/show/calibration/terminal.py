@@ -9,6 +9,7 @@ from handcal.show import words
 from handcal.show.calibration import verdict_text
 from handcal.show.calibration.shown import in_front, under_table
 from handcal.show.calibration.summary import all_warnings
+from handcal.show.doubts import nis_word
 from handcal.show.terminal import print_section, table
 from handcal.types import Parameter, Result
 
@@ -62,5 +63,5 @@ def _kind_table(result: Result) -> Any:
     rows = table("*observation", ">*updates", ">*NIS / dof", "*the filter is")
     for kind, i in result.innovations.items():
         nis = "–" if i.mean_nis is None else f"{i.mean_nis:.2f}"
-        rows.add_row(words.kind_title(kind), str(i.t.size), nis, verdict_text.nis_word(i))
+        rows.add_row(words.kind_title(kind), str(i.t.size), nis, nis_word(i))
     return rows

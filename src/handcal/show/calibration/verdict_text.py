@@ -3,112 +3,31 @@ was learnt, whether it can be trusted, and what the motion did not show."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 from handcal.estimate.rest_only import DOUBTED
-from handcal.estimate.white import white_levels
+from handcal.show import doubts
 from handcal.show.calibration import how_good
 from handcal.show.calibration.shown import BIASES, hardly_any, in_front, rest_motion
 from handcal.show.words import (
     NBSP,
     Verdict,
     by_effect,
-    deaf_heading,
     effect_motion,
     effect_title,
-    kind_title,
     listed,
-    noise_title,
     parameter_title,
     shown_group,
 )
-from handcal.types import Innovations, Parameter, Result
+from handcal.trust import NONE
+from handcal.types import Parameter, Result
 
-INFLATED = 5.0
-STRAYED = 6.0  # sigma; of thousands of looks at an honest estimate hardly one gets there
 # What shows the gyro's bias beside a reference, and what is to be said of both biases.
 _BESIDE = "rests"
 _REFERENCE_TOO = (
     ", for the reference has a bias of its own, which only rests show (--reference-exact where it "
     "has none)"
 )
-
-
-def nis_word(innovations: Innovations) -> str:
-    """Whether the filter's own error bounds agree with what it saw.
-
-    Thousands of updates make a chi-square test reject models that are perfectly
-    usable, so "consistent" is NIS per degree of freedom from 0.5 to 1.6: sigmas
-    right to about a quarter.
-    """
-    mean = innovations.mean_nis
-    if mean is None:
-        return "no data"
-    return "too confident" if mean > 1.6 else "too cautious" if mean < 0.5 else "consistent"
-
-
-def nis_sentence(kind: str, innovations: Innovations) -> str | None:
-    """What a NIS away from one means for the numbers above; None where it is consistent."""
-    word, mean = nis_word(innovations), innovations.mean_nis
-    if mean is None or word == "consistent":
-        return None
-    title = kind_title(kind)
-    if word == "too confident":
-        return (
-            f"The {title} observations scatter {math.sqrt(mean):.1f} times as far as the filter "
-            f"expects: true errors may be that much larger than the ± values."
-        )
-    return (
-        f"The {title} observations agree {1 / math.sqrt(mean):.1f} times better than the filter "
-        f"expects: the ± values are on the large side."
-    )
-
-
-def strayed(result: Result) -> tuple[str, ...]:
-    """A sentence for each effect whose estimate moved further than its own sigmas allow.
-
-    An estimate at t and the final one differ with the variance P(t) - P(end) if the model
-    holds (Hausman's test); looked at in the second half of the recording.
-    """
-    h, sentences = result.history, []
-    late = h.t >= 0.5 * (h.t[0] + h.t[-1])
-    for group in by_effect(result.parameters).values():
-        worst: tuple[float, Parameter, float] | None = None
-        for p in group:
-            c = result.parameters.index(p)
-            moved = abs(h.parameters[late, c] - h.parameters[-1, c])
-            floor = 0.5 * h.parameter_sigma[-1, c] ** 2
-            spread = (h.parameter_sigma[late, c] ** 2 - h.parameter_sigma[-1, c] ** 2).clip(floor)
-            ratio = moved / spread**0.5
-            at = int(ratio.argmax())
-            if p.shown and ratio[at] > STRAYED and (worst is None or ratio[at] > worst[0]):
-                worst = (float(ratio[at]), p, float(moved[at]))
-        if worst is not None:
-            _, p, moved_by = worst
-            unit = shown_group(group)
-            by = f"{unit.value(moved_by, p.sigma)}{NBSP}{unit.unit}"
-            sentences.append(
-                f"{parameter_title(p)} moved by {by} in the second half, more than its ± values "
-                f"allow: it changes, or it stands in for "
-                f"an effect that the model lacks."
-            )
-    return tuple(sentences)
-
-
-def inflated(result: Result) -> tuple[str, ...]:
-    """A sentence for each sensor whose noise had to be taken far above what its readings show."""
-    if result.recording.imu.t.size < 100:
-        return ()
-    shown_by_readings, sentences = white_levels(result.recording), []
-    for n in result.noise:
-        ratio = n.value / shown_by_readings.get(n.name, math.inf)
-        if n.estimated and ratio > INFLATED:
-            sentences.append(
-                f"{noise_title(n.name)} had to be taken {ratio:.0f} times as large as the readings "
-                f"show, to make up for something that the model lacks; the ± values include that."
-            )
-    return tuple(sentences)
 
 
 def _known_to(parameters: Sequence[Parameter]) -> str:
@@ -122,31 +41,29 @@ def verdict(result: Result) -> Verdict:
     front, rest = in_front(result.parameters)
     learnt = [p for p in front if p.shown]
     n, of = len(learnt), len(front)
-    doubts = [s for k, i in result.innovations.items() if (s := nis_sentence(k, i))]
-    lacking = [*strayed(result), *inflated(result)]
-    if (deaf := deaf_heading(result.noise)) is not None:
-        lacking.append(deaf)
-    if not result.settled:
-        lacking.append("The estimate had not come to rest when it was given up.")
-    doubts += lacking
-    overconfident = bool(lacking) or any(
-        nis_word(i) == "too confident" for i in result.innovations.values()
-    )
+    trust = doubts.of_calibration(result)
+    # (of the hand and of --only the warnings tell)
+    reasons = [r for r in trust.reasons if r not in result.doubts]
+    against = [*doubts.cautious(result), *(r for r in reasons if r not in result.warnings)]
     fell_back = any(w.startswith(DOUBTED) for w in result.warnings)
-    if hardly_any(result.parameters):
+    if trust.level == NONE:
+        level, headline = "poor", "The fit leaves what no hand makes."
+    elif hardly_any(result.parameters):
         level, headline = next_first(front)
     elif fell_back:
         level, headline = "partly", "These numbers are of the rests alone, and may be far off."
-    elif overconfident:
+    elif reasons:
         level, headline = "partly", "Something in this recording is not explained by the model."
     elif n < of:
         level, headline = "partly", f"{n} of {of} parameters were learnt from this motion."
     else:
         what = "All that this motion shows" if rest else "Every parameter"
         level, headline = "good", f"{what} was learnt, and the numbers hold together."
+    if trust.level == NONE:
+        return Verdict(level, headline, trust.reasons)
     more = how_good.sentences(result.parameters, result.covariance, result.before)
-    more += _sentences(result, learnt, doubts, fell_back)
-    if overconfident and not result.repeated:
+    more += _sentences(result, learnt, against, fell_back)
+    if reasons and not result.repeated:
         more.append(
             "Usual causes: a held point that moved, or an effect that --effects did not include: "
             "handcal explain tries them all."
@@ -164,7 +81,7 @@ def next_first(parameters: Sequence[Parameter]) -> tuple[str, str]:
 
 
 def _sentences(
-    result: Result, learnt: Sequence[Parameter], doubts: Sequence[str], fell_back: bool
+    result: Result, learnt: Sequence[Parameter], against: Sequence[str], fell_back: bool
 ) -> list[str]:
     """What is known, and what there is to doubt."""
     sentences: list[str] = []
@@ -180,9 +97,9 @@ def _sentences(
             "the same, and then they are in these biases, many times the ± values: handcal explain "
             "tells the two apart."
         )
-    elif result.innovations and not doubts:
+    elif result.innovations and not against:
         sentences.append("The residuals match the predicted uncertainty.")
-    return [*sentences, *doubts]
+    return [*sentences, *against]
 
 
 def not_shown(result: Result) -> tuple[str, ...]:

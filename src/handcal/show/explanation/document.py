@@ -17,11 +17,13 @@ from handcal.explanation import (
     Mismatch,
     Missing,
     Unnamed,
+    broken_off,
 )
-from handcal.show import words
+from handcal.show import doubts, words
 from handcal.show.calibration import summary
 from handcal.show.calibration.how_good import quality_json
 from handcal.show.explanation.words import weighed
+from handcal.trust import json_of
 from handcal.types import EXPLANATION_SCHEMA, NoiseLevel, Parameter
 
 
@@ -34,11 +36,11 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
     of one of the usual size.
     """
     e, several = explanation, len(explanation.recordings) > 1
+    trust = doubts.of_explanation(e)
     document: dict[str, Any] = {
         "schema": EXPLANATION_SCHEMA,
         "verdict": e.verdict,
-        "trust": e.trust,
-        "trust_reasons": list(e.trust_reasons),
+        **json_of(trust),
         "mismatch": [_mismatch_json(m, several) for m in e.mismatch],
         "missing": [_missing_json(m) for m in e.missing],
         "hand": {"id": e.hand.id, "probability": summary.finite(e.hand.probability)},
@@ -55,7 +57,7 @@ def explanation_json(explanation: Explanation) -> dict[str, Any]:
         "noise": _noise_json(e.noise),
         "untellable": summary.untellable_json(e.untellable),
         "model": {} if e.model is None else document_of(e.model),
-        "warnings": all_warnings(e),
+        "warnings": list(dict.fromkeys((*all_warnings(e), *trust.reasons))),
     }  # fmt: skip
     if e.covariance is not None:
         document |= summary.covariance_json(e.covariance, e.parameters, final_parameters(e))
@@ -113,7 +115,9 @@ def final_parameters(explanation: Explanation) -> list[Parameter]:
 def all_warnings(explanation: Explanation) -> list[str]:
     """What the readers repaired and what the explanation remarks, each once."""
     read = [w for r in explanation.recordings for w in r.recording.warnings]
-    return list(dict.fromkeys((*read, *explanation.warnings)))
+    cut = broken_off(explanation.untried)
+    said = (*read, *explanation.warnings, *explanation.doubts, *([cut] if cut else []))
+    return list(dict.fromkeys(said))
 
 
 def _numbers(values: Mapping[str, float]) -> dict[str, float]:

@@ -61,7 +61,7 @@ def commands(
     was assumed of the hand, and which readings were left out. Of a fit that deserves no trust,
     none.
     """
-    if e.trust == "none":
+    if e.impossible:
         return []
     paths = list(files) or [r.recording.path for r in e.recordings]
     first = Path(paths[0])

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from handcal.explanation import Explanation, Missing
 from handcal.show import words
 from handcal.show.calibration.shown import BIASES, in_front, under_table
+from handcal.show.doubts import held_out_gain
 from handcal.show.explanation import verdict_text
 from handcal.show.explanation import words as say
 from handcal.show.explanation.document import all_warnings
@@ -214,9 +215,7 @@ def fit_rows(e: Explanation) -> list[tuple[str, ...]]:
              "nats", _signed(say.gain(e)))]  # fmt: skip
     if (h := e.held_out) is not None and not say.one_model(e):
         scores = say.number(h.log_score_before), say.number(h.log_score_after)
-        rows.append(
-            ("score on unseen data", *scores, "nats", _signed(verdict_text.held_out_gain(e)))
-        )
+        rows.append(("score on unseen data", *scores, "nats", _signed(held_out_gain(e))))
     for channel in say.channels(before.residual_rms, after.residual_rms):
         pair = [f.residual_rms.get(channel, math.nan) for f in (before, after)]
         unit = say.channel_shown(channel, pair, small=True)

@@ -8,13 +8,13 @@ from dataclasses import replace
 
 from handcal.explanation import (
     Explanation,
-    Fit,
     Missing,
     NextMotion,
     Unnamed,
+    broken_off,
     hardly_shown,
 )
-from handcal.show import words
+from handcal.show import doubts, words
 from handcal.show.calibration import how_good
 from handcal.show.calibration.shown import hardly_any
 from handcal.show.calibration.verdict_text import next_first
@@ -34,10 +34,10 @@ from handcal.show.explanation.words import (
     whole_percent,
 )
 from handcal.show.words import NBSP, Verdict, listed
+from handcal.trust import DOUBTFUL
 
 MANY = 5  # names in a row
 MATTERS = 0.05  # share of the mismatch from which a cause is one that matters
-OVERSURE = 1.6  # mean NIS above which errors are clearly larger than the model allows
 SURE = 0.999  # from which a probability is said to be more than that
 SHARED = 3  # named effects from which a probability that all share is said once
 
@@ -132,8 +132,7 @@ def verdict(explanation: Explanation) -> Verdict:
         # (what leaves the verdict open is that time ran out; what is named is told as it is)
         e = replace(e, verdict="explained")
     level, headline, sentences = _head(e)
-    none = e.trust == "none"
-    good = [] if none else how_good.sentences(e.parameters, e.covariance, e.device)
+    good = [] if e.impossible else how_good.sentences(e.parameters, e.covariance, e.device)
     sentences[bool(e.untried) :] = [*good, *sentences[bool(e.untried) :]]
     if (first := matters(e)) is not None:
         # (what cannot be told apart comes first: the headline is about that; and what was a
@@ -145,17 +144,12 @@ def verdict(explanation: Explanation) -> Verdict:
     proof = held_out_sentence(e)
     if proof is not None and not one_model(e):
         sentences.append(proof)
-    doubts = left_over(e.after)
-    deaf = words.deaf_heading(n for r in e.recordings for n in r.noise)
-    if deaf is not None:
-        sentences.insert(0, deaf)
-        level = "partly" if level == "good" else level
-    if held_out_gain(e) < 0 and explanation.verdict != "nothing_missing":
-        level = "partly" if level == "good" else level
-    if doubts and explanation.verdict != "unexplained":
-        sentences += doubts
-        level = "partly" if level == "good" else level
-    return Verdict(level, headline, tuple(sentences))
+    trust = doubts.of_explanation(e)
+    if trust.level == DOUBTFUL and level == "good":
+        level = "partly"
+    # (what only the fit tells is among the warnings)
+    told = {*sentences, *e.warnings, *e.doubts, broken_off(e.untried)}
+    return Verdict(level, headline, (*sentences, *(r for r in trust.reasons if r not in told)))
 
 
 def _head(e: Explanation) -> tuple[str, str, list[str]]:
@@ -164,7 +158,7 @@ def _head(e: Explanation) -> tuple[str, str, list[str]]:
         e.verdict, _explained if e.missing else _nothing
     )
     level, headline, sentences = head(e)
-    if not e.untried or e.trust == "none":
+    if not e.untried or e.impossible:
         return level, headline, sentences
     if not e.missing and not e.unnamed:
         headline = "Nothing was found by then."
@@ -212,8 +206,8 @@ def _unexplained(e: Explanation) -> tuple[str, str, list[str]]:
         if more := len(e.missing) - SHARED if len(e.missing) > SHARED else 0:
             named.append(f"{counted_word(more)} other{'s' * (more > 1)}")
         besides = f", besides {listed(named)}"
-    if e.trust == "none":
-        return "poor", "The final fit leaves what no hand makes.", list(e.trust_reasons)
+    if e.impossible:
+        return "poor", "The final fit leaves what no hand makes.", list(e.impossible)
     headline = f"Found: an error that no known effect accounts for{besides}."
     if not e.unnamed:
         return "poor", headline, ["No simple term in the measured signals accounts for it either."]
@@ -271,32 +265,16 @@ def promise(n: NextMotion, explanation: Explanation) -> str:
     return f"{verb} {listed(titles) or 'it'}"
 
 
-def held_out_gain(explanation: Explanation) -> float:
-    """Nats of the final model over the baseline on unseen data; 0 where there were none."""
-    h = explanation.held_out
-    return h.log_score_after - h.log_score_before if h else 0.0
-
-
 def held_out_sentence(explanation: Explanation) -> str | None:
     """What data that the fit has not seen say of it; None where there were none."""
-    h, difference = explanation.held_out, held_out_gain(explanation)
+    h, difference = explanation.held_out, doubts.held_out_gain(explanation)
     if h is None or not math.isfinite(difference):
         return None
-    unseen = f"On data that the fit has not seen ({h.source})"
-    if abs(difference) < 1.0:
-        return f"{unseen} both models do equally well."
-    if difference < 0:
-        return f"{unseen} the final model does worse: do not rely on it yet."
-    return f"{unseen} the final model does better."
-
-
-def left_over(fit: Fit) -> list[str]:
-    """A sentence where the final model still expects too little of itself."""
-    return [
-        f"Even so, {words.kind_title(kind)} scatters {math.sqrt(nis):.1f} times as "
-        f"far as the final model expects: some of it is not accounted for."
-        for kind, nis in fit.nis.items() if math.isfinite(nis) and nis > OVERSURE
-    ]  # fmt: skip
+    if (worse := doubts.worse_unseen(explanation)) is not None:
+        return worse
+    better = difference >= doubts.WORSE
+    how = "the final model does better" if better else "both models do equally well"
+    return f"On data that the fit has not seen ({h.source}) {how}."
 
 
 def untold(explanation: Explanation) -> list[str]:

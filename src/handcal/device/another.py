@@ -1,0 +1,79 @@
+"""Whether a recording is evidently of another device than a result was made of."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from handcal.device.apply import BIASES, Learnt
+from handcal.estimate.white import white_levels
+from handcal.recordings.overview import rate_at_rest
+from handcal.recordings.segment import each_rest
+from handcal.types import Recording
+from handcal.units import DEG
+
+# Times that rate and noise of one device may differ from recording to recording; noise that is
+# read holds a little of the motion.
+OTHER_RATE, OTHER_NOISE = 1.3, 5.0
+# What a gyro's bias may change, rad/s: three times what is usual of a device.
+OTHER_BIAS = 3.0 / DEG
+_NAMES = {"gyro_noise": "gyro", "accel_noise": "accelerometer"}
+
+
+def read_noise(recording: Recording) -> dict[str, float]:
+    """Noise densities that the readings show of what was recorded, SI; empty of too few."""
+    if len(recording.imu.t) < 100:
+        return {}
+    shown = white_levels(recording)
+    return {f"{s}_noise": shown[f"{s}_noise"] for s in recording.sensors}
+
+
+def another(recording: Recording, learnt: Learnt) -> str:
+    """A sentence where the recording seems to be of another device; empty where it does not."""
+    # (of several recordings of the device one that is alike is enough)
+    signs = min((list(_signs(recording, made)) for made in learnt.made), key=len, default=[])
+    signs += _bias(recording, learnt)
+    if not signs:
+        return ""
+    return (
+        f"{Path(recording.path).name} seems to be of another device than {learnt.path}: "
+        f"{'; '.join(signs)}. What is right for one device makes the readings of another worse."
+    )
+
+
+def _signs(recording: Recording, made: Mapping[str, Any]) -> Iterator[str]:
+    """In what it differs from a recording that the result was made of."""
+    for what in ("device", "model"):
+        here, there = getattr(recording, what), str(made.get(what) or "")
+        if here and there and here != there:
+            yield f"its {what} is {here}, not {there}"
+    rate, learnt_at = recording.rate_hz, made.get("imu_rate_hz")
+    if learnt_at and _apart(rate, float(learnt_at)) > OTHER_RATE:
+        yield f"it has {rate:.0f} readings in a second, not {float(learnt_at):.0f}"
+    known = made.get("read_noise") or {}
+    for name, level in read_noise(recording).items():
+        if known.get(name) and _apart(level, float(known[name])) > OTHER_NOISE:
+            times = level / float(known[name])
+            yield f"the noise of its {_NAMES[name]} is {times:.2g} times as large"
+
+
+def _apart(a: float, b: float) -> float:
+    return max(a / b, b / a)
+
+
+def _bias(recording: Recording, learnt: Learnt) -> list[str]:
+    """That the gyro at rest reads what is far from each bias that was shown."""
+    rests = each_rest(recording)
+    if not rests or not learnt.biases:
+        return []
+    away = []
+    for of, bias in learnt.biases:
+        hidden = learnt.hidden.get(of, {}).get(BIASES[0], "")
+        off = np.abs(rate_at_rest(rests) - bias[:3])
+        away.append(max((x for x, a in zip(off, "xyz", strict=True) if a not in hidden), default=0))
+    if min(away) < OTHER_BIAS:
+        return []
+    return [f"at rest its gyro is {min(away) * DEG:.2g} deg/s away from the bias that was learnt"]
