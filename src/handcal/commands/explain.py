@@ -105,7 +105,7 @@ def explain(
     so far, as --budget does. The exit status is 0 with every verdict.
     """
     from handcal.explain import explain as explained
-    from handcal.output import beside, check_outputs
+    from handcal.output import STANDARD_OUTPUT, beside, check_outputs
 
     read = (*files, *(held_out or ()), device, priors)
     _check_names(twin, write_effect)
@@ -135,14 +135,18 @@ def explain(
     typed = _typed(assume, heading_sigma, latitude, height, ignore, reference_exact, how,
                    device, held_out, budget, priors, model, effects_from)  # fmt: skip
     following = _following(explanation, files, typed, json)
-    # (what took longest and cannot be made again from the rest is written first)
-    if json:
+    printed = str(json) == STANDARD_OUTPUT
+    # (first of the files the one that cannot be made again from the others)
+    if json and not printed:
         _documented(explanation, json)
     if write_effect:
         _write(explanation, write_effect)
-    if str(json) != "-":
-        _printed(explanation, following)
     _pictured(explanation, following, report, rrd, beside(twin, recordings) if twin else ())
+    # (and the output last: its reader may have had enough before its end)
+    if json and printed:
+        _documented(explanation, json)
+    else:
+        _printed(explanation, following)
 
 
 def _documented(explanation: Explanation, json: Path) -> None:
