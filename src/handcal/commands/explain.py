@@ -105,7 +105,7 @@ def explain(
     so far, as --budget does. The exit status is 0 with every verdict.
     """
     from handcal.explain import explain as explained
-    from handcal.output import STANDARD_OUTPUT, beside, check_outputs
+    from handcal.output import beside, check_outputs
 
     read = (*files, *(held_out or ()), device, priors)
     _check_names(twin, write_effect)
@@ -135,15 +135,25 @@ def explain(
     typed = _typed(assume, heading_sigma, latitude, height, ignore, reference_exact, how,
                    device, held_out, budget, priors, model, effects_from)  # fmt: skip
     following = _following(explanation, files, typed, json)
-    printed = str(json) == STANDARD_OUTPUT
-    # (first of the files the one that cannot be made again from the others)
-    if json and not printed:
+    twins = beside(twin, recordings) if twin else ()
+    _given_out(explanation, following, json, write_effect, report, rrd, twins)
+
+
+def _given_out(
+    explanation: Explanation, following: Sequence[str], json: Path | None,
+    write_effect: Path | None, report: Path | None, rrd: Path | None, twins: Iterable[Path],
+) -> None:  # fmt: skip
+    """All files, first the one that cannot be made again from the others; then the output, whose
+    reader may have had enough before its end."""
+    from handcal.output import STANDARD_OUTPUT
+
+    shown = str(json) == STANDARD_OUTPUT
+    if json and not shown:
         _documented(explanation, json)
     if write_effect:
         _write(explanation, write_effect)
-    _pictured(explanation, following, report, rrd, beside(twin, recordings) if twin else ())
-    # (and the output last: its reader may have had enough before its end)
-    if json and printed:
+    _pictured(explanation, following, report, rrd, twins)
+    if json and shown:
         _documented(explanation, json)
     else:
         _printed(explanation, following)
