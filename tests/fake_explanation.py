@@ -39,7 +39,7 @@ TRIED = (
     ("accel_misalignment", "Accelerometer misalignment", 270.0),
     ("size_effect", "Size effect", 41.0), ("accel_delay", "Accelerometer delay", 130.0),
     ("gyro_g_sensitivity", "Gyro g-sensitivity", 66.0),
-    ("gyro_quadratic", "Gyro quadratic error", 48.0), ("heading_delay", "Heading delay", 210.0),
+    ("gyro_quadratic", "Gyro quadratic error", 48.0), ("heading_delay", "Compass delay", 210.0),
     ("gyro_cross_products", "Gyro cross products", 75.0),
     ("accel_asymmetry", "Accelerometer asymmetry", 120.0),
     ("gyro_bandwidth", "Gyro bandwidth", 35.0),

@@ -36,6 +36,26 @@ def work(request):
         time.sleep(0.3)
     told = {"effect": "gyro_scale", "name": "x", "value": float(value or 0.0), "sigma": 0.001,
             "unit": "1", "prior_sigma": 0.01, "together": True}  # fmt: skip
+    every = [told]
+    if what == "worn":
+        # (in a hand and a room of its own, beside the device's own error)
+        for effect, unit, size in (("lever_arm", "m", 0.1), ("mag_hard_iron", "tesla", 5e-5),
+                                   ("mag_gradient", "tesla/m", 1e-5)):  # fmt: skip
+            name = "x" if effect != "mag_gradient" else "xx"
+            every.append(
+                told
+                | {
+                    "effect": effect,
+                    "name": name,
+                    "unit": unit,
+                    "sigma": size / 50,
+                    "value": size * float(value) / 0.01,
+                    "prior_sigma": size,
+                }
+            )
+    known = {"information": {"names": [], "b": "", "G": ""}, "laws": {"count": 0, "told": ""}}
+    if what == "untold":
+        known, every = {"untold": "No fit holds with what every device has."}, []
     return {
         "recording": {
             "path": request["path"], "duration_s": 20.0, "imu_rate_hz": 100.0, "streams": ["imu"],
@@ -43,7 +63,6 @@ def work(request):
         },
         "device": "", "model": "",
         "gravity": 9.8, "verdict": "explained", "named": [], "unnamed": [], "hypotheses": [],
-        "told": [told], "held_out": {}, "warnings": [], "explanation": {"stub": True},
-        "information": {"names": [], "b": "", "G": ""}, "laws": {"count": 0, "told": ""},
+        "told": every, "held_out": {}, "warnings": [], "explanation": {"stub": True},
         "fetched": sha256,
-    }  # fmt: skip
+    } | known  # fmt: skip

@@ -108,6 +108,11 @@ def test_a_calibration_is_that_of_the_command_and_shows_itself(
     assert json.loads((tmp_path / "a.json").read_text()) == found.document
     found.report(tmp_path / "a.html")
     assert "Gyro scale" in (tmp_path / "a.html").read_text()
+    opened = hc.open_result(tmp_path / "a.json")
+    assert opened.parameters.values.tolist() == found.parameters.values.tolist()
+    assert np.array_equal(opened.covariance, found.covariance)
+    found.rrd(tmp_path / "a.rrd")
+    assert (tmp_path / "a.rrd").stat().st_size > 1000
     other = hc.conceal(recording, {"gyro_scale": [0.001, 0.0, 0.0]})
     several = hc.calibrate([other, written])
     assert len(several) == 2
@@ -126,6 +131,23 @@ def test_what_was_explained_is_taken_off_and_written(
     assert why._repr_html_().count("<table>") == 2
     assert len(why.plot().axes) == 1
     why.save(tmp_path / "why.json")
+    again = hc.open_result(tmp_path / "why.json")
+    assert (again.kind, again.verdict, again.trust) == ("explanation", why.verdict, why.trust)
+    assert again.warnings == tuple(why.document["warnings"])
+    (one,), (other,) = again.missing, why.missing
+    assert (one.title, one.probability, one.size) == (other.title, other.probability, other.size)
+    assert [(p.value, p.sigma) for p in one.parameters] == [
+        (p.value, p.sigma) for p in other.parameters
+    ]
+    assert repr(again.path.name)[1:-1] in repr(again)
+    assert len(again.plot().axes) == 1
+    saved = hc.apply(written, again).recording.imu.gyro
+    assert np.array_equal(saved, hc.apply(written, why).recording.imu.gyro)
+    made = hc.export(again, "kalibr", tmp_path / "imu.yaml", noise=None)
+    assert (tmp_path / "imu.yaml").read_text() == made
+    assert hc.export(why, "csv").splitlines()[-1] == hc.export(again, "csv").splitlines()[-1]
+    why.rrd(tmp_path / "why.rrd")
+    assert (tmp_path / "why.rrd").stat().st_size > 1000
     done = hc.apply(written, why)
     assert "gyro_scale" in done.taken
     again = hc.apply(written, tmp_path / "why.json").recording
@@ -173,6 +195,11 @@ def test_misuse_is_one_sentence(recording: types.Recording, written: Path) -> No
         lambda: hc.Recording.from_arrays(imu.t, imu.gyro, imu.accel, heading=imu.t),
         lambda: hc.Recording.from_arrays(imu.t, imu.gyro),
         lambda: hc.read(imu.gyro),
+        lambda: hc.open_result(imu.gyro),
+        lambda: hc.open_result("no-such-file.json"),
+        lambda: hc.open_result(Path(__file__)),
+        lambda: hc.export(recording, "kalibr"),
+        lambda: hc.export("x.json", "calibr"),
         lambda: hc.read(written, units={"accel": 3}),
         lambda: hc.read(written, topics=["imu"]),
         lambda: hc.calibrate(recording, [3]),
@@ -261,6 +288,38 @@ def test_options_are_named_in_signatures() -> None:
     assert "budget" in said
 
 
+def test_a_device_is_simulated_and_swept_as_the_commands_do(tmp_path: Path) -> None:
+    asked = {"seed": 3, "effects": {"gyro_scale": [0.01, 0, 0]}, "duration_s": 12.0, "mag": True}
+    made = hc.simulate("free-hand", **asked)
+    command = "simulate free-hand --seed 3 --effect gyro_scale=0.01,0,0 --duration 12 --mag -o"
+    file = tmp_path / "typed.mcap"
+    subprocess.run([sys.executable, "-m", "handcal", *command.split(), str(file)], check=True)
+    typed = hc.read(file)
+    assert np.array_equal(made.imu.gyro, typed.imu.gyro)
+    assert set(made.streams) == set(typed.streams)
+    kept = hc.simulate("free-hand", path=tmp_path / "kept.mcap", **asked)
+    assert (tmp_path / "kept.mcap").read_bytes() == file.read_bytes()
+    assert kept.path.endswith("kept.mcap")
+    grid = tmp_path / "grid.toml"
+    grid.write_text("[[grid]]\nrate_hz = [20]\nheading_sigma_deg = [5]\n", encoding="utf-8")
+    done = hc.sweep(grid, seeds=1, jobs=1)
+    assert (done["schema"], done["seeds"], len(done["cells"])) == ("handcal-sim/sweep/1", 1, 1)
+    for wrong in (lambda: hc.simulate("free-hand", mags=True), lambda: hc.sweep("moon"),
+                  lambda: hc.simulate("nowhere")):  # fmt: skip
+        with pytest.raises(hc.InputError):
+            wrong()
+
+
+def test_error_bars_are_drawn_whole() -> None:
+    """Also those that are wider than what is usual."""
+    plain = fake_result()
+    wide = tuple(replace(p, sigma=1.2 * p.prior_sigma, value=0.0) for p in plain.parameters)
+    (axes,) = api.Calibration.of(replace(plain, parameters=wide)).plot().axes
+    low, high = axes.get_xlim()
+    assert low < -3.6
+    assert high > 3.6
+
+
 def test_noise_at_rest_is_that_of_the_command(tmp_path: Path) -> None:
     rng, t = np.random.default_rng(0), np.arange(0.0, 80.0, 0.01)
     noise = 1e-2 * rng.standard_normal((len(t), 6)) + [0, 0, 0, 0, 0, 9.8]
@@ -305,9 +364,10 @@ def test_importing_is_quick_and_help_says_all() -> None:
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     first, _, rest = run.stdout.partition("\n")
     assert first.startswith("False")
-    for name in ("Calibration", "Explanation", "Corrected", "Parameters"):
+    for name in ("Calibration", "Explanation", "Corrected", "Parameters", "Saved"):
         assert f"``{name}``" in rest
-    for name in ("read", "calibrate", "explain", "allan", "apply", "conceal", "Recording"):
+    for name in ("read", "calibrate", "explain", "allan", "apply", "conceal", "export",
+                 "simulate", "sweep", "open_result", "Recording"):  # fmt: skip
         assert name in first.split()
         assert f"hc.{name}" in rest
     assert "true minus estimated" in rest

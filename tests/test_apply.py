@@ -295,6 +295,15 @@ def test_command(plain, tmp_path, main):
     np.testing.assert_array_equal(read.streams["heading"].value, plain.streams["heading"].value)
 
 
+def test_a_law_of_the_model_that_the_verdict_does_not_count_is_left_and_said(tmp_path):
+    """A verdict may find it next to nothing: then it is in no list of what has no name."""
+    law = "gyro_xyz += g_i((T - 25))"
+    numbers = [{"effect": law, "name": f"{a}{k}", "value": 1e-5} for a in "xyz" for k in range(6)]
+    found = taken.read(written(tmp_path / "x.json", [*SCALE, *numbers], unnamed=[]))
+    assert list(found.values) == ["gyro_scale"]
+    assert found.unnamed == (law,)
+
+
 def test_command_refuses(plain, tmp_path, main):
     source, out = tmp_path / "a.mcap", tmp_path / "b.mcap"
     write_mcap(plain, source)

@@ -1,20 +1,23 @@
 """The command line from outside: statuses, one-line errors, files written."""
 
+import io
 import json
 import os
 import subprocess
 import sys
 from dataclasses import replace
+from importlib import import_module
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
+from fake_explanation import fake_explanation
 from fake_result import fake_frames, fake_result
 from lab_world import command
 
 import handcal
 from handcal import output
-from handcal.commands import _app, _registry, calibrate
+from handcal.commands import _app, _registry
 from handcal.commands._progress import progress
 from handcal.estimate import calibration
 from handcal.types import HandcalError, InputError
@@ -119,13 +122,36 @@ def test_calibrate_writes_what_it_is_asked_for(main, tmp_path):
     assert all((tmp_path / name).stat().st_size > 1000 for name in names.values())
 
 
-def test_files_are_written_before_anything_is_shown(main, monkeypatch, tmp_path):
-    def closed(_):
-        raise HandcalError("nobody reads this")
+class Closed(io.StringIO):
+    """An output whose reader has had enough at once."""
 
-    monkeypatch.setattr(calibrate, "_show", closed)
-    main("calibrate", "x", "--json", str(tmp_path / "x.json"), "--rrd", str(tmp_path / "x.rrd"))
-    assert {p.name for p in tmp_path.iterdir()} == {"x.json", "x.rrd"}
+    def write(self, _):
+        raise HandcalError("closed")
+
+
+@pytest.mark.parametrize(
+    ("command", "options"),
+    [
+        ("calibrate x", ("json", "report", "rrd")),
+        ("explain x", ("json", "report", "rrd")),
+        ("explain x --json -", ("report", "rrd")),
+        ("calibrate x --json -", ("report", "rrd")),
+        ("design motion --reduce gyro_bias", ("json", "report", "picture")),
+        ("design poses --n 4 --known pose --seed 0", ("json", "report", "picture", "rrd")),
+        ("effects", ("json",)),
+    ],
+)
+def test_files_are_written_before_anything_is_shown(main, monkeypatch, tmp_path, command, options):
+    endings = {"report": "html", "picture": "png"}
+    files = {o: tmp_path / f"x.{endings.get(o, o)}" for o in options}
+    found = fake_explanation("explained", recordings=1)
+    monkeypatch.setattr(import_module("handcal.explain"), "explain", lambda *_, **__: found)
+    monkeypatch.setattr(sys, "stdout", Closed())
+    asked = [word for o, path in files.items() for word in (f"--{o}", str(path))]
+    status, _, err = main(*command.split(), *asked)
+    assert status == 1
+    assert "closed" in err  # (it came to writing there)
+    assert all(path.stat().st_size > 500 for path in files.values())
 
 
 def test_json_on_standard_output_is_nothing_but_json(main):

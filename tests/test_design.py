@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 from dataclasses import replace
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 from typer.testing import CliRunner
 
 from handcal.commands._app import app
@@ -28,7 +30,7 @@ from handcal.effects import select
 from handcal.estimate.calibration import calibrate
 from handcal.estimate.case import case_of, problem_with
 from handcal.motions import MOTIONS, recording_of
-from handcal.show.design.motion_report import sentences
+from handcal.show.design.motion_report import print_motions, sentences
 from handcal.show.design.picture import save_picture
 from handcal.show.design.words import attitude_of, instruction
 from handcal.types import Array, HandcalError, Imu, InputError, Recording, Series
@@ -357,6 +359,43 @@ def test_after_a_recording_nothing_becomes_less_certain() -> None:
     # x is known: what remains is y and z, and the motions that show them come first
     assert known.best.sigma.max() < 1e-3
     assert sentences(known)[0] == known.best.motion.sentence
+
+
+def test_after_a_recording_with_a_magnetometer() -> None:
+    """Its iron is in every fit, so it is in what a motion would tell too."""
+    like_mag = np.tile([0.0, 2e-5, -4e-5], (250, 1))
+    like = Recording("like", _still(), {"mag": Series(np.arange(250) * 0.02, like_mag)})
+    tumble = next(m for m in MOTIONS if "Tumble" in m.sentence)
+    recording = recording_of(tumble, like, np.array([0.0, 0.0, -STANDARD_GRAVITY]))
+    rng_ = rng()
+    imu, mag = recording.imu, recording.streams["mag"]
+    noisy = replace(
+        recording,
+        imu=replace(
+            imu,
+            gyro=imu.gyro + 0.001 * rng_.standard_normal(imu.gyro.shape),
+            accel=imu.accel + 0.01 * rng_.standard_normal(imu.accel.shape),
+        ),
+        streams={
+            "mag": replace(mag, value=mag.value + 1e-7 * rng_.standard_normal(mag.value.shape))
+        },
+    )
+    known = plan(["gyro_scale"], noisy, assume="fixed-point")
+    assert {w.effect for w in known.wanted} == {"gyro_scale"}
+    before = np.array([w.sigma for w in known.wanted])
+    for p in known.prospects:
+        assert (p.sigma <= before * (1.0 + 1e-9)).all()
+    assert known.best.times > 1.2
+
+
+def test_an_effect_has_one_unit_wherever_it_is_written(nothing_yet: Plan) -> None:
+    """Of a gyro's scale: per cent before, and per cent after, in sentences and in the table."""
+    (scale,) = [s for s in sentences(nothing_yet) if s.startswith("Gyro scale")]
+    assert " % before" in scale
+    assert " % after" in scale
+    console = Console(width=200, record=True, file=io.StringIO())
+    print_motions(nothing_yet, console)
+    assert "gyro scale, %" in console.export_text()
 
 
 @pytest.mark.parametrize(

@@ -115,7 +115,7 @@ def test_a_bias_that_holds_only_without_a_drift_says_so() -> None:
     (said,) = sentences("z-turn", 30.0, {"heading_drift"})
     assert "gyro's bias" in said
     assert "z: " in said
-    assert "heading drift" in said
+    assert "compass drift" in said
     assert sentences("free-hand", 60.0, {"heading_drift"}) == []
     assert sentences("z-turn", 30.0, set()) == []
 
@@ -127,7 +127,7 @@ def test_an_absence_that_nothing_speaks_for_is_assumed_too() -> None:
     model = fitted([started(case.case_of(recording_of(world, "heading")))], ())
     written = chosen_of(model, Options(None, 0.0, {}, ()), {})
     for gained, said in ((1.0, 1), (-1.0, 0)):
-        drift = Hypothesis("heading_drift", "Heading drift", 0.0, gained, 100.0, 0.1, "")
+        drift = Hypothesis("heading_drift", "Compass drift", 0.0, gained, 100.0, 0.1, "")
         told = assembled._warnings(model, model, [], [drift], written, inflation(model))
         assert sum("gyro's bias" in x for x in told) == said
 

@@ -17,6 +17,7 @@ import schemas
 from typer.testing import CliRunner
 
 from handcal.commands._app import app
+from handcal.device import priors
 from handcal.fleet import dataset, store
 from handcal.fleet.record import Options, Source, digest, key
 from handcal.fleet.results import write_all
@@ -174,6 +175,37 @@ def test_the_same_readings_count_once(tmp_path):
     written = write_all(members, place)
     assert (written.done, written.failed) == (1, 1)
     assert "which count once" in written.fleet.failures[0][2]
+
+
+def test_a_recording_that_tells_nothing_of_its_model_is_explained_and_named(tmp_path):
+    """Two phones that `explain` explains have no fit with what every device has."""
+    sources = files(tmp_path / "in", a="fine 0.01", odd="untold 0.5", wrong="refuse")
+    records, members, place = made(sources, tmp_path / "out")
+    schemas.check(records["odd"])
+    written = write_all(members, place)
+    assert (written.done, written.failed) == (2, 1)
+    assert any(s.startswith("odd.csv is explained") for s in written.said)
+    assert any(s.startswith("wrong.csv: ") for s in written.said)
+    document = json.loads((tmp_path / "out/fleet.json").read_text())
+    schemas.check(document)
+    assert [Path(u["path"]).name for u in document["untold"]] == ["odd.csv"]
+    assert document["verdicts"] == {"explained": 2}
+    assert [m["recordings"] for m in document["models"]] == [1]
+    assert "odd.csv" in (tmp_path / "out/fleet.html").read_text()
+
+
+def test_priors_are_of_devices_and_of_no_room_or_hand(tmp_path):
+    values = (-0.003, -0.0015, 0.0005, 0.001, 0.0022, 0.0035)
+    sources = files(tmp_path / "in", **{f"d{i}": f"worn {v}" for i, v in enumerate(values)})
+    _, members, place = made(sources, tmp_path / "out")
+    write_all(members, place)
+    (model,) = json.loads((tmp_path / "out/fleet.json").read_text())["models"]
+    of = {p["effect"]: p["of"] for p in model["populations"]}
+    assert of == {"gyro_scale": "device", "lever_arm": "occasion", "mag_hard_iron": "occasion",
+                  "mag_gradient": "occasion"}  # fmt: skip
+    assert {p["effect"] for p in model["populations"] if p["told"]} == set(of)
+    learned = priors.read(tmp_path / "out/priors.toml").models["m"]
+    assert set(learned) == {("gyro_scale", "x")}
 
 
 def test_a_key_depends_on_bytes_version_and_options_but_not_on_limits(tmp_path):

@@ -246,7 +246,9 @@ def test_the_score_says_what_is_asked_beside_what_was_measured():
     show(proof, Console(file=text, width=160))
     assert "named 75.0 %" in text.getvalue()
     assert "asked +-8 %: 68 % met" in text.getvalue()
-    fine = score.score([trials[0]], 1)["further"][SUITE]
+    few = score.score([trials[0]], 1)["further"][SUITE]
+    assert few["names_asked"]["false_rare"]["met"] is None
+    fine = score.score([trials[0]] * 40, 1)["further"][SUITE]
     assert fine["names_asked"]["found"]["met"] is True
     assert fine["names_asked"]["false_rare"]["met"] is True
 

@@ -110,4 +110,9 @@ def test_the_score_allows_names_of_north_where_iron_passed_and_no_others():
     text = io.StringIO()
     show(proof, Console(file=text, width=200))
     assert "swivels 1 of 1 (lever_arm)" in text.getvalue()
-    assert score.suites(trials[:3])[0]["met"] is True
+    assert score.suites(trials[:3])[0]["met"] is None
+    assert score.suites(trials[:3] * 40)[0]["met"] is True
+    text = io.StringIO()
+    show(score.score(trials[:3], 1), Console(file=text, width=200))
+    assert "100.0 % (43.8 to 100.0)" in text.getvalue()
+    assert "too few to say" in text.getvalue()

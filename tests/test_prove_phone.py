@@ -111,7 +111,9 @@ def test_the_score_counts_parameters_and_impossible_claims():
     show(proof, Console(file=text, width=160))
     assert "lever_arm 1 of 1" in text.getvalue()
     assert "1 of 3 recordings claim" in text.getvalue()
-    fine = score.score(trials[:1], 1)["further"]["phone"]
+    few = score.score(trials[:1], 1)["further"]["phone"]
+    assert few["asked"]["met"] is None
+    fine = score.score(trials[:1] * 20, 1)["further"]["phone"]
     assert fine["asked"]["met"] is True
     assert fine["impossible"]["count"] == 0
 

@@ -30,14 +30,21 @@ From Python:
     hc.conceal(rec, {"gyro_scale": [0.01, 0, 0]}).write("worse.mcap")
     hc.apply(rec, why).write("corrected.mcap")
     hc.allan("still.mcap")                    # noise of a device at rest: N, B, K
+    why.save("why.json")                      # and another day:
+    why = hc.open_result("why.json")
+    hc.export(why, "kalibr", "imu.yaml")      # for another program
+    hc.simulate("free-hand", seed=0, effects={"gyro_scale": [0.01, 0, 0]})
+    hc.sweep("turns", seeds=10)               # Monte Carlo over noise and settings
     with hc.effects_from("my-effects"): ...   # inside, with effects of your own
 
 ``help(hc.explain)`` and so on say more of each. What they give back shows itself as a table:
 
 - ``Recording``: ``imu``, ``streams``, ``warnings``; ``write("file.mcap")``
 - ``Calibration``: ``parameters``, ``noise``, ``innovations``; ``plot()``, ``report("page.html")``,
-  ``save("numbers.json")``
-- ``Explanation``: ``verdict``, ``missing``, ``unnamed``, ``parameters``; the same three
+  ``rrd("viewer.rrd")``, ``save("numbers.json")``
+- ``Explanation``: ``verdict``, ``missing``, ``unnamed``, ``parameters``; the same four
+- ``Saved``: ``parameters``, ``covariance``, ``verdict``, ``missing``, ``warnings``, ``trust``;
+  ``plot()``, ``document``
 - ``Allan``: ``channels`` (``tau``, ``deviation``, ``terms``), ``suggested``; ``to_pandas()``,
   ``report``, ``save``
 - ``Corrected``: ``recording``, ``taken``, ``left``; ``write("file.mcap")``
@@ -63,14 +70,19 @@ __all__ = [
     "InputError",
     "Parameters",
     "Recording",
+    "Saved",
     "allan",
     "apply",
     "calibrate",
     "conceal",
     "effects_from",
     "explain",
+    "export",
     "load",
+    "open_result",
     "read",
+    "simulate",
+    "sweep",
 ]
 
 if TYPE_CHECKING:
@@ -82,12 +94,15 @@ if TYPE_CHECKING:
         Explanation,
         Parameters,
         Recording,
+        Saved,
         allan,
         apply,
         calibrate,
         conceal,
         effects_from,
         explain,
+        export,
+        open_result,
         read,
     )
     from handcal.recordings.inputs import load
@@ -97,6 +112,9 @@ _HOME = {
     "HandcalError": "handcal.types",
     "InputError": "handcal.types",
     "load": "handcal.recordings.inputs",
+    # (a program of its own, as behind the commands of these names)
+    "simulate": "handcal_sim.commands._from_python",
+    "sweep": "handcal_sim.commands._from_python",
 }
 
 

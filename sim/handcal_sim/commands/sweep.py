@@ -76,8 +76,8 @@ def sweep(
     check_outputs((out, json_file, csv_file, report), (Path(grid),))
     try:
         with wrong_use():
-            plan = Plan(_cells(grid, choose_r_h, settle), seeds, seed, _thresholds(threshold))
-            results = _run(plan, executor, jobs or os.cpu_count() or 1, out)
+            plan = Plan(cells(grid, choose_r_h, settle), seeds, seed, _thresholds(threshold))
+            results = run_plan(plan, executor, jobs or os.cpu_count() or 1, out)
     except WorkersDied as problem:
         say(str(problem))
         raise typer.Exit(1) from None
@@ -111,21 +111,22 @@ def _write(
         write_page(whole, report)
 
 
-def _cells(grid: str, choose_r_h: bool, settle: bool) -> list[Cell]:
+def cells(grid: str, choose_r_h: bool = False, settle: bool = False) -> list[Cell]:
+    """What to run, by the name of a grid or its file. Errors: SimulationError, InputError."""
     from handcal.documents import reading
     from handcal_sim.errors import SimulationError
     from handcal_sim.sweep import grid as sweep_grid
 
     if grid in (PAPER, TURNS):
-        cells = sweep_grid.paper() if grid == PAPER else sweep_grid.turns()
+        found = sweep_grid.paper() if grid == PAPER else sweep_grid.turns()
     elif grid.endswith(".toml"):
         with reading(Path(grid)):
-            cells = sweep_grid.read_grid(Path(grid))
+            found = sweep_grid.read_grid(Path(grid))
     else:
         raise SimulationError(f"--grid {grid}: there are {PAPER}, {TURNS} and FILE.toml")
     if settle or choose_r_h:
-        cells = [replace(cell, settle=True) for cell in cells]
-    return sweep_grid.with_evidence(cells) if choose_r_h else cells
+        found = [replace(cell, settle=True) for cell in found]
+    return sweep_grid.with_evidence(found) if choose_r_h else found
 
 
 def _thresholds(text: str) -> dict[str, float]:
@@ -140,7 +141,8 @@ def _thresholds(text: str) -> dict[str, float]:
     return dict(zip(UNITS, values, strict=False))
 
 
-def _run(plan: Plan, executor: str, jobs: int, out: Path | None) -> list[Any]:
+def run_plan(plan: Plan, executor: str, jobs: int, out: Path | None) -> list[Any]:
+    """The cells of a plan, finished ones from the file; None for each that was interrupted."""
     from handcal.workers import opened
     from handcal_sim.sweep.run import Kept, chunk_of, run
 

@@ -29,7 +29,7 @@ from handcal_sim.prove import (
 )
 from handcal_sim.prove.suites import SUITES, Answer
 from handcal_sim.prove.terms import formula_fits
-from handcal_sim.prove.trial import Trial, covered, matched, named, off, share
+from handcal_sim.prove.trial import Trial, covered, matched, met, named, off, share
 
 OUTCOMES = ("exact", "right_set", "too_faint", "missed", "false", "wrong", "unexplained", "failed")
 LIMIT = 5.0
@@ -139,7 +139,7 @@ def suites(trials: Sequence[Trial]) -> list[dict[str, Any]]:
             "suite": name, "group": group, "title": suite.title, "n": len(members),
             "outcomes": {kind: counts[kind] for kind in OUTCOMES},
             "right": judged, "target": target,
-            "met": None if target is None or not judged["n"] else judged["share"] >= target,
+            "met": None if target is None else met(judged, target),
             "mean_set_size": float(np.mean([len(s) for s in sets])) if sets else None,
         })  # fmt: skip
     return rows

@@ -15,7 +15,7 @@ from typing import Any
 
 from handcal_sim.prove.ordinary_devices import SPREADS
 from handcal_sim.prove.ordinary_numbers import DRAWN, asked, coverage, deviations, rare
-from handcal_sim.prove.trial import Trial, named, share
+from handcal_sim.prove.trial import Trial, met, named, share
 
 # So many sigmas make an effect that every device has, and what few have, clear.
 CLEAR, CLEARLY_RARE = 5.0, 10.0
@@ -82,15 +82,9 @@ def score(trials: Sequence[Trial]) -> dict[str, Any]:
         "numbers_asked": asked(covered, drawing_priors=False),
         **shares,
         "names_asked": {
-            name: {"asked": limit, "met": _met(name, shares[name]["share"], limit)}
+            name: {"asked": limit, "met": met(shares[name], limit, name == "false_rare")}
             for name, limit in limits.items()
         },
         "not_found": dict(Counter(effect for effect, there in found if not there)),
         "false_names": dict(Counter(name for names in wrong for name in names)),
     }
-
-
-def _met(name: str, measured: float | None, limit: float) -> bool | None:
-    if measured is None:
-        return None
-    return measured <= limit if name == "false_rare" else measured >= limit

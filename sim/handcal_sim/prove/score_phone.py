@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from handcal_sim.prove.trial import Trial, share, together
+from handcal_sim.prove.trial import Trial, met, share, together
 
 ASKED = 0.95
 REPORTED = frozenset({
@@ -30,9 +30,8 @@ def impossible(trial: Trial) -> bool:
 def score(trials: Sequence[Trial]) -> dict[str, Any]:
     """Coverage of the reported parameters against ASKED; how many recordings claim too much."""
     parameters = together(trials, REPORTED)
-    within = parameters["all"]["within_3_sigma"]["share"]
     return {
         "parameters": parameters,
-        "asked": {"target": ASKED, "met": None if within is None else within >= ASKED},
+        "asked": {"target": ASKED, "met": met(parameters["all"]["within_3_sigma"], ASKED)},
         "impossible": share(sum(impossible(trial) for trial in trials), len(trials)),
     }

@@ -10,7 +10,7 @@ from rich.table import Table
 
 from handcal_sim.prove.score import OUTCOMES
 from handcal_sim.prove.show_further import FURTHER
-from handcal_sim.prove.show_parts import new_table, percent
+from handcal_sim.prove.show_parts import marked, new_table, percent
 
 Row = Mapping[str, Any]
 
@@ -48,7 +48,7 @@ def _suites(rows: list[Row]) -> Table:
     table = new_table("Blind trial", "suite", "n", *titles, "right", "asked", "")
     for row in rows:
         asked = "-" if row["target"] is None else f"{100.0 * row['target']:g} %"
-        verdict = {None: "", True: "[green]met[/]", False: "[red]not met[/]"}[row["met"]]
+        verdict = marked(row["met"]).strip() if row["target"] is not None else ""
         counts = [str(row["outcomes"][kind] or "") for kind in shown]
         name = row["suite"] + (f" ({row['group']})" if row["group"] else "")
         table.add_row(name, str(row["n"]), *counts, percent(row["right"]), asked, verdict)

@@ -21,7 +21,7 @@ def percent(share: Row) -> str:
 
 def marked(met: bool | None) -> str:
     """Whether what is asked is met, behind the sentence that says it."""
-    return {None: "", True: " [green]met[/]", False: " [red]not met[/]"}[met]
+    return {None: " too few to say", True: " [green]met[/]", False: " [red]not met[/]"}[met]
 
 
 def new_table(title: str, *columns: str) -> Table:

@@ -50,6 +50,19 @@ def share(successes: int, n: int) -> dict[str, Any]:
             "interval": [low, high]}  # fmt: skip
 
 
+def met(measured: Mapping[str, Any], target: float, at_most: bool = False) -> bool | None:
+    """Whether a share is as large as is asked (at_most: as small); None where the trials are so few
+    that one which is barely good enough would be expected to show no single failure."""
+    if not measured["n"]:
+        return None
+    if at_most:
+        good, spared = measured["share"] <= target, target
+    else:
+        good, spared = measured["share"] >= target, 1.0 - target
+    # (rounding: a twentieth of twenty is one)
+    return (True if spared * measured["n"] > 1.0 - 1e-9 else None) if good else False
+
+
 def named(document: Document) -> Named:
     """What was named: for each missing effect its name and then the others of its set."""
     return [[m["effect"], *m.get("indistinguishable_from", [])] for m in document["missing"]]

@@ -13,17 +13,19 @@ from contextlib import contextmanager
 from dataclasses import replace
 from numbers import Real
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Unpack, overload
 
 import numpy as np
 
-from handcal import user_effects
+from handcal import output, user_effects
 from handcal.allan import analysis
 from handcal.api import options
 from handcal.api.noise import Allan
 from handcal.api.options import CalibrateOptions, ExplainOptions
 from handcal.api.recording import Recording
 from handcal.api.results import Calibration, Corrected, Explanation, Parameters
+from handcal.api.saved import Saved, opened
 from handcal.api.words import in_python, spoken
 from handcal.estimate.calibration import calibrate_together
 from handcal.explain import pipeline
@@ -43,16 +45,20 @@ __all__ = [
     "Explanation",
     "Parameters",
     "Recording",
+    "Saved",
     "allan",
     "apply",
     "calibrate",
     "conceal",
     "effects_from",
     "explain",
+    "export",
+    "open_result",
     "read",
 ]
 
 Source = RecordingData | str | Path
+Found = Result | ExplanationData | Saved | str | Path
 _OF_ARRAYS = "of arrays make one by handcal.Recording.from_arrays(t, gyro, accel)."
 
 
@@ -188,17 +194,13 @@ def conceal(
 
 @spoken()
 def apply(
-    recording: Source,
-    learnt: Result | ExplanationData | str | Path,
-    *,
-    biases: bool = False,
-    anyway: bool = False,
+    recording: Source, learnt: Found, *, biases: bool = False, anyway: bool = False
 ) -> Corrected:
     """A recording of the device without the errors that were learnt, for any other program.
 
-    learnt: a calibration or an explanation, or the path of its JSON. biases: take off also what
-    differs from day to day. anyway: use also what is not to be trusted (trust "none"). Errors:
-    InputError, HandcalError.
+    learnt: a calibration or an explanation, new or saved, or the path of its JSON. biases: take off
+    also what differs from day to day. anyway: use also what is not to be trusted (trust "none").
+    Errors: InputError, HandcalError.
     """
     from handcal import trust
     from handcal.device import apply as device
@@ -212,6 +214,78 @@ def apply(
     return Corrected(Recording.of(done.recording), done.taken, done.left, said)
 
 
+@spoken()
+def open_result(path: str | Path) -> Saved:
+    """A calibration or an explanation that ``save`` or the command line wrote as JSON: its numbers,
+    verdict and doubts, for ``apply`` and ``export`` too. Errors: InputError."""
+    if not isinstance(path, str | Path):
+        raise InputError(f"open_result takes the path of a JSON, no {type(path).__name__}.")
+    return opened(Path(path))
+
+
+@spoken()
+def export(
+    learnt: Found,
+    to: str,
+    path: str | Path | None = None,
+    *,
+    recording: Source | None = None,
+    noise: Allan | str | Path | None = None,
+    topic: str | None = None,
+    axes: str | None = None,
+    parameters: str | Path | None = None,
+    anyway: bool = False,
+) -> str:
+    """What was learnt in the format of another program ("kalibr", "px4", ...): its text, which is
+    written to ``path`` too if that is given.
+
+    recording: where what the format cannot hold is measured. noise: of the device at rest, by
+    ``allan``. topic: of the Imu messages, where not that of the recording. axes: "flu" or "frd",
+    what the recording's axes are on a vehicle; parameters: a file of the vehicle's own. anyway:
+    also of a result that is not to be trusted. Errors: InputError, HandcalError.
+    """
+    from handcal.exports import format_of
+    from handcal.exports._contents import contents
+
+    form = format_of(to)
+    given = None if recording is None else _one(recording, "export")
+    with TemporaryDirectory() as folder:
+        source, allan_file = _file(learnt, Path(folder)), None
+        if isinstance(noise, Allan):
+            allan_file = Path(folder) / "allan.json"
+            noise.save(allan_file)
+        elif noise is not None:
+            allan_file = Path(noise)
+        if path is not None:
+            output.check_outputs((Path(path),), (source, allan_file))
+        own = None if parameters is None else Path(parameters)
+        made = contents(source, form, given, allan_file, topic, axes, own, anyway=anyway)
+        text = form.write(made)
+    if path is not None:
+        output.write_text(path, text)
+    return text
+
+
+def _file(learnt: Found, folder: Path) -> Path:
+    """The JSON of what was learnt, of a new result in the folder. Errors: InputError."""
+    if isinstance(learnt, str | Path):
+        return Path(learnt)
+    if isinstance(learnt, Saved):
+        return learnt.path
+    if isinstance(learnt, Result):
+        written = folder / "calibration.json"
+        Calibration.of(learnt).save(written)
+        return written
+    if isinstance(learnt, ExplanationData):
+        written = folder / "explanation.json"
+        Explanation.of(learnt).save(written)
+        return written
+    raise InputError(
+        "export takes what was learnt first: a calibration, an explanation, or the path of its "
+        f"JSON, no {type(learnt).__name__}."
+    )
+
+
 @contextmanager
 def effects_from(folder: str | Path) -> Iterator[None]:
     """``with handcal.effects_from("my-effects"):`` inside, the catalogue has the effects of a
@@ -222,9 +296,11 @@ def effects_from(folder: str | Path) -> Iterator[None]:
         yield
 
 
-def _learnt(learnt: Result | ExplanationData | str | Path) -> device.Learnt:
+def _learnt(learnt: Found) -> device.Learnt:
     from handcal.device import apply as device
 
+    if isinstance(learnt, Saved):
+        return device.of_document(str(learnt.path), learnt.document)
     if isinstance(learnt, str | Path):
         return device.read(Path(learnt))
     if isinstance(learnt, Result):

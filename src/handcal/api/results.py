@@ -130,6 +130,13 @@ class Calibration(Result):
         output.check_outputs((Path(path),), (Path(self.recording.path),))
         write_json(self.document, path)
 
+    def rrd(self, path: str | Path) -> None:
+        """Write the file for Rerun's viewer of ``handcal calibrate --rrd``."""
+        from handcal.show.dashboard import save_rrd
+
+        output.check_outputs((Path(path),), (Path(self.recording.path),))
+        save_rrd(self, Path(path))
+
     @property
     def document(self) -> Mapping[str, Any]:
         """What ``handcal calibrate --json`` writes."""
@@ -209,6 +216,13 @@ class Explanation(ExplanationData):
 
         output.check_outputs((Path(path),), self._paths)
         write_json(self.document, path)
+
+    def rrd(self, path: str | Path) -> None:
+        """Write the file for Rerun's viewer of ``handcal explain --rrd``."""
+        from handcal.show.dashboard import save_explanation_rrd
+
+        output.check_outputs((Path(path),), self._paths)
+        save_explanation_rrd(self, Path(path))
 
     @property
     def document(self) -> Mapping[str, Any]:

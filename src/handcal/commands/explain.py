@@ -135,14 +135,28 @@ def explain(
     typed = _typed(assume, heading_sigma, latitude, height, ignore, reference_exact, how,
                    device, held_out, budget, priors, model, effects_from)  # fmt: skip
     following = _following(explanation, files, typed, json)
-    # (what took longest and cannot be made again from the rest is written first)
-    if json:
+    twins = beside(twin, recordings) if twin else ()
+    _given_out(explanation, following, json, write_effect, report, rrd, twins)
+
+
+def _given_out(
+    explanation: Explanation, following: Sequence[str], json: Path | None,
+    write_effect: Path | None, report: Path | None, rrd: Path | None, twins: Iterable[Path],
+) -> None:  # fmt: skip
+    """All files, first the one that cannot be made again from the others; then the output, whose
+    reader may have had enough before its end."""
+    from handcal.output import STANDARD_OUTPUT
+
+    shown = str(json) == STANDARD_OUTPUT
+    if json and not shown:
         _documented(explanation, json)
     if write_effect:
         _write(explanation, write_effect)
-    if str(json) != "-":
+    _pictured(explanation, following, report, rrd, twins)
+    if json and shown:
+        _documented(explanation, json)
+    else:
         _printed(explanation, following)
-    _pictured(explanation, following, report, rrd, beside(twin, recordings) if twin else ())
 
 
 def _documented(explanation: Explanation, json: Path) -> None:

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 DEADLINE_S = 900.0
 # `explain` of ten minutes at 100 Hz needs about 1 GB.
 MEMORY_MB = 4000.0
+# Recordings of which the terminal says why they are no part of the fleet.
+MOST_SAID = 20
 
 
 def fleet(
@@ -195,6 +197,10 @@ def _written(members: Sequence[Member], store: Store) -> None:
     )
     tell(f"{told.done} recordings explained, {told.failed} without a result: "
          f"{store.shown}/fleet.html")  # fmt: skip
+    for sentence in told.said[:MOST_SAID]:
+        say(sentence)
+    if len(told.said) > MOST_SAID:
+        say(f"and {len(told.said) - MOST_SAID} more: {store.shown}/fleet.json has them all")
     for m in told.fleet.models:
         learned = sum(c.told for c in m.common)
         found = [words.effect_title(s.effect) for s in m.stacks if s.probability > FOUND]

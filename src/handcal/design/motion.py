@@ -15,6 +15,7 @@ import numpy as np
 
 from handcal.earth import STANDARD_GRAVITY
 from handcal.effects import Effect, select
+from handcal.estimate.baseline import always
 from handcal.estimate.calibration import calibrate
 from handcal.estimate.case import Case, applicable, case_of
 from handcal.explain.next_motion import motion_pass
@@ -119,9 +120,14 @@ def plan(
         before = result.covariance
         case = case_of(recording, result.assume, latitude, height)
     _check(case, effects)
+    # (those of every fit, of a magnetometer its iron, are unknown after the motion as well)
+    own = {e.id for e in effects}
+    effects = (*(e for e in always([case]) if e.id not in own), *effects)
     informations, parameters = _informations(case, levels, effects, lambda f: report(0.8 + 0.2 * f))
     if result is not None:
-        parameters = result.parameters
+        have = [(p.effect, p.name) for p in result.parameters]
+        at = [have.index((p.effect, p.name)) for p in parameters]
+        parameters, before = tuple(result.parameters[i] for i in at), before[np.ix_(at, at)]
     scale = np.array([p.prior_sigma for p in parameters])
     known = np.eye(len(scale)) if result is None else before / np.outer(scale, scale)
     index = [i for w in dict.fromkeys(wanted) for i, p in enumerate(parameters) if p.effect == w]

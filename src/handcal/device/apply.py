@@ -277,7 +277,10 @@ def _learnt(name: str, document: Mapping[str, Any]) -> Learnt:
             f"{name} holds {len(recordings)} calibrations, each on its own; "
             "calibrate one recording, or explain several together."
         )
-    formulas = tuple(str(u["formula"]) for u in document.get("unnamed", []))
+    # (a law that is too little for the verdict is in the model and its numbers alone)
+    told = [str(u["formula"]) for u in document.get("unnamed", [])]
+    laws = [str(p["effect"]) for p in document["parameters"] if " += " in str(p["effect"])]
+    formulas = tuple(dict.fromkeys((*told, *laws)))
     other = {*observations(), *formulas}
     values = _values(name, document["parameters"], other)
     found, hidden = {"": values}, {"": _hidden(document["parameters"])}

@@ -1,4 +1,4 @@
-"""Heading delay: the heading (or the magnetometer) tells of a slightly different moment."""
+"""Compass delay: the heading (or the magnetometer) tells of a slightly different moment."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from handcal.effects._delay import LATE
 
 EFFECT = Effect(
     id="heading_delay",
-    title="Heading delay",
+    title="Compass delay",
     parameters=(Param("delay", "s", 0.15),),
-    story="While the device turns, the heading tells of another moment than the gyro: of one that "
-    "has passed (a delay above zero), or of one that the gyro only tells of later (below).",
+    story="While the device turns, the heading or the magnetometer tells of another moment than "
+    "the gyro: of one that has passed (a delay above zero), or of one that the gyro only tells of "
+    "later (below).",
     source="contract of this project",
     motion="A turn and its reverse.",
     validated="the simulator's injection",

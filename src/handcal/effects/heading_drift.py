@@ -1,4 +1,4 @@
-"""Heading drift: the heading's north turns away at a steady rate."""
+"""Compass drift: the heading's north turns away at a steady rate."""
 
 from __future__ import annotations
 
@@ -26,9 +26,10 @@ def _magnetometer(nav: Any, rate: Any, z: Any, r: Any) -> int:
 
 EFFECT = Effect(
     id="heading_drift",
-    title="Heading drift",
+    title="Compass drift",
     parameters=(Param("rate", "rad/s", 0.005),),
-    story="The heading creeps away at a steady rate, as one does that comes from another gyro.",
+    story="The heading, or the field by which it is known, creeps away at a steady rate, "
+    "as one does that comes from another gyro.",
     source="contract of this project",
     motion="Turns about at least two axes: with the z axis always up, this is a gyro bias.",
     validated="the simulator's injection",

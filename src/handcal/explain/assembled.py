@@ -38,7 +38,6 @@ from handcal.explain.naming import (
     unnamed_of,
 )
 from handcal.explain.next_motion import next_motions
-from handcal.explain.stream_words import for_streams
 from handcal.explain.untellable import untellable
 from handcal.explanation import (
     Evidence,
@@ -163,12 +162,11 @@ def explanation_of(
     excess = inflation(model)
     told = _weighed(end, named, judged, excess)
     hypotheses = renamed(model, told, hypotheses_of(found, told, wrong, named.alone))
-    missing, hypotheses = for_streams(told, hypotheses, [f.case for f in model.parts])
     final = _in_order(explained, learnt, fits[0])
     return Explanation(
         named.verdict,
         tuple(mismatch),
-        missing,
+        tuple(told),
         tuple(named.unnamed),
         hypotheses,
         _fit(base, before),
@@ -180,7 +178,7 @@ def explanation_of(
         tuple(explained),
         (
             *no_hand,
-            *_warnings(base, model, missing, hypotheses, excess),
+            *_warnings(base, model, told, hypotheses, excess),
             *doubts,
             *named.remarks,
             *([] if (said := broken_off(untried)) is None else [said]),

@@ -36,6 +36,14 @@ class Written:
     failed: int
     fleet: Fleet
 
+    @property
+    def said(self) -> list[str]:
+        """A sentence for each recording that has no result, or tells nothing of its model."""
+        return [f"{Path(path).name}: {reason}" for path, _, reason in self.fleet.failures] + [
+            f"{Path(path).name} is explained, and tells nothing of its model. {reason}"
+            for path, reason in self.fleet.untold
+        ]
+
 
 def write_all(
     members: Sequence[Member], store: Store, report: Callable[[str], None] = lambda _: None
@@ -44,17 +52,21 @@ def write_all(
     report: called with the name of each model before its devices are looked at. Errors:
     HandcalError."""
     readings, failures, verdicts = list[Reading](), list[tuple[str, str, str]](), Counter[str]()
+    untold: list[tuple[str, str]] = []
     unused: dict[str, dict[str, list[str]]] = {}
 
     def seen() -> Iterator[tuple[Source, Document]]:
         for source, record in rows(members, store):
             if record["status"] == DONE:
-                readings.append(reading_of(source, record))
+                if "untold" in record:
+                    untold.append((source.shown, record["untold"]))
+                else:
+                    readings.append(reading_of(source, record))
                 verdicts[str(record.get("verdict"))] += 1
             else:
                 failures.append((source.shown, record["status"], record["reason"]))
             if source.device:
-                why = record["reason"] if record["status"] == FAILED else ""
+                why = record["reason"] if record["status"] == FAILED else record.get("untold", "")
                 of_model = unused.setdefault(source.model or dataset.UNKNOWN, {})
                 of_model.setdefault(source.device, []).append(why)
             yield source, record
@@ -62,7 +74,8 @@ def write_all(
     dataset.write(store.folder, seen())
     known = [replace(m, odd=(*refused(unused[m.name]), *m.odd)) if m.name in unused else m
              for m in models(readings, asked(), report)]  # fmt: skip
-    fleet = Fleet(tuple(known), tuple(failures), dict(verdicts), len(readings))
+    done = len(readings) + len(untold)
+    fleet = Fleet(tuple(known), tuple(failures), dict(verdicts), done, tuple(untold))
     document = fleet_json(fleet) | {"version": handcal.__version__}
     text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False)
     json_file, priors, page = told_files(store.folder)
@@ -72,7 +85,7 @@ def write_all(
     write_page(fleet, page)
     for written in (dataset.FOLDER, *(p.name for p in (priors, json_file, page))):
         store.send(written)
-    return Written(len(readings), len(failures), fleet)
+    return Written(done, len(failures), fleet)
 
 
 def reading_of(source: Source, record: Document) -> Reading:
@@ -118,7 +131,8 @@ def _write_laws(store: Store, known: Sequence[Model]) -> None:
 
 def _write_priors(path: Path, known: Sequence[Model]) -> None:
     learned: dict[str, dict[Name, Learned]] = {
-        m.name: {(c.effect, c.name): learned_of(c) for c in m.common if c.told} for m in known
+        m.name: {(c.effect, c.name): learned_of(c) for c in m.common if c.told and c.own}
+        for m in known
     }
     origin = {m.name: {"recordings": m.recordings, "devices": m.devices} for m in known}
     write(path, learned, origin, [f"By handcal {handcal.__version__}."])

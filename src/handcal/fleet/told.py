@@ -64,7 +64,7 @@ class Telling:
 
 def told(recording: Recording, found: Specification | None = None) -> Telling:
     """Biases, the effects of ``ALWAYS`` and every other that acts here; found: the explanation's
-    model, if it has one. Errors: HandcalError where no fit could be made."""
+    model, if it has one. Errors: HandcalError where there is no fit with those of ``ALWAYS``."""
     model = _model(recording, found)
     case = model.parts[0].case
     have = {e.id for e in model.effects}

@@ -21,7 +21,7 @@ from handcal.population.joint import Information
 from handcal.recordings.inputs import load
 from handcal.show.calibration.summary import stamped
 from handcal.show.explanation.document import explanation_json
-from handcal.types import Array, Prior, Recording
+from handcal.types import Array, HandcalError, Prior, Recording
 
 
 def explained(request: Mapping[str, Any]) -> Document:
@@ -37,15 +37,20 @@ def explained(request: Mapping[str, Any]) -> Document:
         document = stamped(explanation_json(explanation))
     if sha256 is not None:
         document["recording"] |= {"path": shown(request["path"]), "sha256": sha256}
-    telling = told(recording, explanation.model)
-    out = summary(recording, explanation, document, telling)
+    try:
+        telling, untold = told(recording, explanation.model), ""
+    except HandcalError as error:
+        telling, untold = None, str(error)
+    out = summary(recording, explanation, document, telling, untold)
     return out | {"explanation": document, "fetched": sha256}
 
 
 def summary(
-    recording: Recording, explanation: Explanation, document: Document, telling: Telling
-) -> Document:
-    """What is kept of a recording beside its explanation: some tens of kilobytes."""
+    recording: Recording, explanation: Explanation, document: Document, telling: Telling | None,
+    untold: str = "",
+) -> Document:  # fmt: skip
+    """What is kept of a recording beside its explanation: some tens of kilobytes. untold: why it
+    tells nothing of the devices of its model, where ``telling`` is None."""
     named = [
         {k: m[k] for k in ("effect", "probability", "log_evidence_gain", "indistinguishable_from",
                            "parameters")}
@@ -61,12 +66,18 @@ def summary(
         "unnamed": [u["formula"] for u in document["unnamed"]],
         "hypotheses": [{k: h[k] for k in ("effect", "alone", "probability")}
                        for h in document["hypotheses"]],
+        "told": [],
+        "held_out": document["held_out"],
+        "warnings": document["warnings"],
+    } | ({"untold": untold} if telling is None else _told_json(telling))  # fmt: skip
+
+
+def _told_json(telling: Telling) -> Document:
+    return {
         "told": [asdict(t) for t in telling.values],
         "information": information_json(telling.information),
         "laws": laws_json(telling.laws),
-        "held_out": document["held_out"],
-        "warnings": document["warnings"],
-    }  # fmt: skip
+    }
 
 
 def information_json(q: Quadratic) -> Document:

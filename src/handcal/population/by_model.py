@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from handcal.device.file import Name, persistent, unit_of, usual_of
+from handcal.device.file import Name, kept, persistent, unit_of, usual_of
 from handcal.effects import catalogue
 from handcal.population import joint, odd
 from handcal.population.deconvolved import LEAST, Population, population
@@ -20,8 +20,6 @@ from handcal.population.odd import Odd
 from handcal.population.stacked import FOUND, Stack, stack
 from handcal.types import Array, IntArray
 
-# What is another in every hand, though a device file keeps it for boards that are mounted.
-OF_THE_HAND = ("lever_arm",)
 # Effects that are looked for one after the other in a model of device.
 MOST = 4
 # A spread is told where the ends of its interval are no further apart than this factor; else the
@@ -80,6 +78,12 @@ class Common:
     sigma: Array
 
     @property
+    def own(self) -> bool:
+        """Whether it is of the device, as its file would keep it: of no room, no hand and no stream
+        beside the IMU's own."""
+        return kept((self.effect, self.name)) and not _of_the_world(self.effect)
+
+    @property
     def told(self) -> bool:
         """Whether the recordings tell the spread, or at least that a new device is better known by
         them than by the usual size."""
@@ -106,7 +110,12 @@ class Model:
 
 def stays(effect: str) -> bool:
     """Whether a device keeps an effect's parameters from one recording to the next."""
-    return persistent(catalogue()[effect]) and effect not in OF_THE_HAND
+    return persistent(catalogue()[effect]) and not _of_the_world(effect)
+
+
+def _of_the_world(effect: str) -> bool:
+    # (a device file keeps the arm of a board that is mounted; in a hand it is another every time)
+    return catalogue()[effect].world
 
 
 def models(
@@ -184,7 +193,7 @@ def _populations(
     told = {
         (c.effect, c.name): (c.population, *_aligned(c, devices))
         for c in common
-        if c is not None and c.effect not in OF_THE_HAND
+        if c is not None and not _of_the_world(c.effect)
     }
     unlike = odd.devices(devices, told)
     out = frozenset(o.who for o in unlike if o.left_out)
@@ -225,11 +234,11 @@ def _law(
 def _changes(
     readings: Sequence[Reading], table: Mapping[Name, tuple[Array, Array]], names: Sequence[str]
 ) -> tuple[Change, ...]:
-    """Of every parameter but those of the hand."""
+    """Of every parameter but those of the hand and the place."""
     started, warm = (
         np.array([getattr(r, k) for r in readings]) for k in ("started", "temperature")
     )
-    looked_at = [n for n in table if n[0] not in OF_THE_HAND]
+    looked_at = [n for n in table if not _of_the_world(n[0])]
     out = []
     for n in looked_at:
         value, sigma = table[n]

@@ -35,12 +35,14 @@ MOST_DRAWN = 300
 @dataclass(frozen=True)
 class Fleet:
     """models; failures: path, status and reason of each recording without a result; verdicts: how
-    often each; done: recordings with a result."""
+    often each; done: recordings with a result; untold: path and reason of each of these that tells
+    nothing of the devices of its model."""
 
     models: tuple[Model, ...]
     failures: tuple[tuple[str, str, str], ...]
     verdicts: Mapping[str, int]
     done: int
+    untold: tuple[tuple[str, str], ...] = ()
 
 
 def fleet_json(fleet: Fleet) -> dict[str, Any]:
@@ -51,6 +53,7 @@ def fleet_json(fleet: Fleet) -> dict[str, Any]:
         "verdicts": dict(fleet.verdicts),
         "models": [_model_json(m) for m in fleet.models],
         "failures": [{"path": p, "status": s, "reason": r} for p, s, r in fleet.failures],
+        "untold": [{"path": p, "reason": r} for p, r in fleet.untold],
     }
 
 
@@ -83,6 +86,7 @@ def _population_json(c: Common) -> dict[str, Any]:
         "spread": finite(p.spread), "spread_from": finite(p.low), "spread_to": finite(p.high),
         "tail": "normal" if math.isinf(p.dof) else "student_t", "dof": finite(p.dof),
         "turn_on": finite(p.apart) if not c.stays else None, "usual": c.usual, "told": c.told,
+        "of": "device" if c.own else "occasion",
     }  # fmt: skip
 
 
@@ -130,6 +134,7 @@ def write_page(fleet: Fleet, path: Path) -> None:
                   (str(models), words.noun_of(models, "model"))],
         "models": [_section(m) for m in fleet.models],
         "failures": [(Path(p).name, s, r) for p, s, r in fleet.failures[:MOST_ROWS]],
+        "untold": [(Path(p).name, r) for p, r in fleet.untold[:MOST_ROWS]],
         "more": max(0, len(fleet.failures) - MOST_ROWS),
     }  # fmt: skip
     output.write_text(path, page("fleet.html.j2", context))
@@ -166,8 +171,12 @@ def _row(c: Common) -> tuple[str, ...]:
         f"{unit.value(p.mean, p.mean_sigma, sign=True)} ± {unit.value(p.mean_sigma, p.mean_sigma)}",
         unit.value(p.spread, 0.25 * (p.high - p.low)),
         f"{unit.value(p.low, p.low)} to {unit.value(p.high, p.high)}",
-        tail, apart, unit.value(c.usual), unit.unit, str(p.count), "yes" if c.told else "no",
+        tail, apart, unit.value(c.usual), unit.unit, str(p.count), _in_priors(c),
     )  # fmt: skip
+
+
+def _in_priors(c: Common) -> str:
+    return ("yes" if c.told else "no") if c.own else "no: of the occasion"
 
 
 def _stack_row(s: Stack) -> tuple[str, ...]:

@@ -111,7 +111,7 @@ def parameter_name(p: Parameter) -> str:
 
 
 def parameter_title(p: Parameter) -> str:
-    """ "Gyro bias x", "Heading delay", "k of gyro_x += k * omega_y"."""
+    """ "Gyro bias x", "Compass delay", "k of gyro_x += k * omega_y"."""
     if " += " in p.effect:
         return f"{p.name} of {p.effect}"
     return f"{effect_title(p.effect)} {parameter_name(p)}".rstrip()

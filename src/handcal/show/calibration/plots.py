@@ -227,7 +227,7 @@ def _sizes(parameters: Sequence[Parameter], colours: Mapping[str, str]) -> Figur
         amount = f"{unit.value(p.value, p.sigma, sign=True)} ± {unit.value(p.sigma, p.sigma)}"
         ax.text(1.015, row, f"{amount} {unit.unit}".rstrip(), va="center", fontsize=10, color=INK,
                 transform=ax.get_yaxis_transform())  # fmt: skip
-        reach = max(reach, 1.1 * (abs(value) + min(3 * sigma, 2.0)))
+        reach = max(reach, 1.1 * (abs(value) + 3 * sigma))
     ax.set(xlim=(-reach, reach), ylim=(len(shown) - 0.4, -0.6),
            xlabel="value, in what is usual for such a device")  # fmt: skip
     ax.set_yticks(range(len(shown)), [words.parameter_title(p) for p, _ in shown])

@@ -97,16 +97,11 @@ def sentences(plan: Plan) -> list[str]:
         ]
     out = [best.motion.sentence]
     for effect, index in _effects(plan).items():
-        before = np.array([plan.wanted[i].sigma for i in index])
-        unit = units.shown(plan.wanted[index[0]].unit, before)
-        low, high = float(best.sigma[index].min()), float(best.sigma[index].max())
-        after = units.shown(plan.wanted[index[0]].unit, [high])
-        least, most = after.value(low), after.value(high)
-        now = most if least == most else f"{least} to {most}"
+        before, unit = _before(plan, index), _unit(plan, index)
         factor = float(np.exp(np.log(before / best.sigma[index]).mean()))
         out.append(
             f"{words.effect_title(effect)}: uncertain by {_span(unit, before)} {unit.unit} before, "
-            f"by {now} {after.unit} after: {factor:.3g} times less."
+            f"by {_span(unit, best.sigma[index])} {unit.unit} after: {factor:.3g} times less."
         )
     blind = [words.parameter_title(w).lower() for w, s in zip(plan.wanted, best.sigma, strict=True)
              if s > w.sigma / LITTLE]  # fmt: skip
@@ -116,7 +111,7 @@ def sentences(plan: Plan) -> list[str]:
 
 
 def _span(unit: units.Shown, values: Array) -> str:
-    low, high = unit.value(float(values.min())), unit.value(float(values.max()))
+    low, high = (_two(float(v) * unit.factor) for v in (values.min(), values.max()))
     return low if low == high else f"{low} to {high}"
 
 
@@ -138,7 +133,7 @@ def _asked(plan: Plan) -> str:
 def _columns(plan: Plan) -> list[str]:
     out = ["motion", "takes"]
     for effect, index in _effects(plan).items():
-        unit = units.shown(plan.wanted[index[0]].unit, _worst_shown(plan, index))
+        unit = _unit(plan, index)
         title = words.effect_title(effect).lower()
         out.append(f"{title}, {unit.unit}".rstrip(", "))
     return [*out, "less by"]
@@ -161,7 +156,7 @@ def _cells(plan: Plan, sigma: Array) -> list[str]:
     """Sigmas of each effect: all of them up to three, else the worst."""
     out = []
     for index in _effects(plan).values():
-        unit = units.shown(plan.wanted[index[0]].unit, _worst_shown(plan, index))
+        unit = _unit(plan, index)
         values = [float(sigma[i]) for i in index]
         shown = values if len(values) <= 3 else [max(values)]
         out.append(" / ".join(_two(v * unit.factor) for v in shown))
@@ -169,11 +164,16 @@ def _cells(plan: Plan, sigma: Array) -> list[str]:
 
 
 def _two(x: float) -> str:
-    return f"{x:.0f}" if x >= 10.0 else f"{x:.2g}"
+    return f"{x:.0f}" if x >= 10.0 else units.plain(x, 2)
 
 
-def _worst_shown(plan: Plan, index: list[int]) -> list[float]:
-    return [float(plan.best.sigma[index].max())]
+def _before(plan: Plan, index: list[int]) -> Array:
+    return np.array([plan.wanted[i].sigma for i in index])
+
+
+def _unit(plan: Plan, index: list[int]) -> units.Shown:
+    """The one unit of an effect, wherever it is written: that of what is known now."""
+    return units.shown(plan.wanted[index[0]].unit, [float(_before(plan, index).max())])
 
 
 def _figure(plan: Plan) -> Figure:
@@ -185,7 +185,7 @@ def _figure(plan: Plan) -> Figure:
     axes = figure.subplots(1, len(effects), sharey=True, squeeze=False)[0]
     place = np.arange(len(shown))[::-1]
     for ax, (effect, index) in zip(axes, effects.items(), strict=True):
-        unit = units.shown(plan.wanted[index[0]].unit, _worst_shown(plan, index))
+        unit = _unit(plan, index)
         several = len(index) <= 3
         for n, i in enumerate(index):
             colour = XYZ[n % 3] if several else INK
