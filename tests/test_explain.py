@@ -268,6 +268,7 @@ def test_the_command_writes_json_and_a_twin(file: Path, two: list[World], tmp_pa
         "schema", "version", "verdict", "mismatch", "missing", "unnamed", "hypotheses", "fit",
         "held_out", "recording", "covariance", "likelihood", "quality",
         "next_motion", "parameters", "noise", "untellable", "model", "warnings", "hand",
+        "trust", "trust_reasons",
     }  # fmt: skip
     assert (document["schema"], document["verdict"]) == ("handcal/explanation/1", "explained")
     assert set(document["mismatch"][0]) == {"channel", "from_s", "to_s", "share", "when"}

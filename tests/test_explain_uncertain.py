@@ -22,7 +22,6 @@ from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
 from handcal.estimate.noise_levels import Curvature
 from handcal.estimate.robust import inflation
-from handcal.estimate.specification import Options, chosen_of
 from handcal.explain import assembled, explain
 from handcal.explain.leaning import leaning
 from handcal.explanation import Hypothesis
@@ -125,10 +124,9 @@ def test_an_absence_that_nothing_speaks_for_is_assumed_too() -> None:
     which of its usual size promised fifteen."""
     world = simulate("z-turn", seed=0, duration_s=30.0, phone=slow)
     model = fitted([started(case.case_of(recording_of(world, "heading")))], ())
-    written = chosen_of(model, Options(None, 0.0, {}, ()), {})
     for gained, said in ((1.0, 1), (-1.0, 0)):
         drift = Hypothesis("heading_drift", "Compass drift", 0.0, gained, 100.0, 0.1, "")
-        told = assembled._warnings(model, model, [], [drift], written, inflation(model))
+        told = assembled._warnings(model, model, [], [drift], inflation(model))
         assert sum("gyro's bias" in x for x in told) == said
 
 

@@ -14,6 +14,7 @@ from fake_explanation import fake_explanation
 from rich.console import Console
 
 from handcal.commands import _registry
+from handcal.commands._options import AS_IT_IS, Reading
 from handcal.commands.explain import Assume, _typed
 from handcal.effects import catalogue, with_effects
 from handcal.estimate.specification import Specification
@@ -46,7 +47,8 @@ def fitted():
 
 
 def test_what_was_written_is_repeated_and_taken_off():
-    typed = _typed(Assume.rest_only, 3.0, 48.1, 520.0, ["mag"], True, ["imu=/a b"], "gyro=deg/s",
+    how = Reading(["imu=/a b"], "gyro=deg/s")
+    typed = _typed(Assume.rest_only, 3.0, 48.1, 520.0, ["mag"], True, how,
                    Path("d.json"), [Path("o.mcap")], 60.0)  # fmt: skip
     first, second, third = commands(fitted(), ["my turns.mcap"], typed, "out/why.json")
     given = understood(first)
@@ -79,7 +81,8 @@ def test_what_is_of_no_device_is_not_kept_in_its_file():
 
 
 def test_what_was_not_written_is_written_first_as_it_was_found():
-    typed = _typed(Assume.rest_only, 3.0, 48.1, 520.0, ["mag"], True, ["imu=/a b"], "gyro=deg/s",
+    how = Reading(["imu=/a b"], "gyro=deg/s")
+    typed = _typed(Assume.rest_only, 3.0, 48.1, 520.0, ["mag"], True, how,
                    Path("d.json"), [Path("o.mcap")], 60.0)  # fmt: skip
     first, second, third, _ = commands(fitted(), ["a.mcap"], typed)
     given = understood(first)
@@ -98,7 +101,7 @@ def test_what_was_not_written_is_written_first_as_it_was_found():
 def test_effects_of_ones_own_are_read_from_where_they_were(typed, folder):
     e = fitted()
     e = replace(e, missing=(replace(e.missing[0], effect="gyro_odd"), *e.missing[1:]))
-    options = _typed(Assume.auto, None, None, 0.0, None, False, None, None,
+    options = _typed(Assume.auto, None, None, 0.0, None, False, AS_IT_IS,
                      effects_from=typed and Path(typed))  # fmt: skip
     with with_effects([("gyro_odd.py", replace(catalogue()["gyro_scale"], id="gyro_odd"))]):
         lines = commands(e, ["a.mcap"], options)
@@ -108,7 +111,7 @@ def test_effects_of_ones_own_are_read_from_where_they_were(typed, folder):
 
 
 def test_a_fit_that_cannot_be_repeated_is_made_again_of_its_effects():
-    typed = _typed(Assume.rest_only, 3.0, None, 0.0, None, False, None, None, None, None, 60.0)
+    typed = _typed(Assume.rest_only, 3.0, None, 0.0, None, False, AS_IT_IS, None, None, 60.0)
     first, *_ = commands(fake_explanation("explained", 1), ["a.mcap"], typed, "why.json")
     given = understood(first)
     assert (given["effects"], given["learnt_from"]) == ("gyro_scale,lever_arm", None)
@@ -116,7 +119,7 @@ def test_a_fit_that_cannot_be_repeated_is_made_again_of_its_effects():
 
 
 def test_nothing_typed_nothing_said():
-    assert _typed(Assume.auto, None, None, 0.0, None, False, None, None) == []
+    assert _typed(Assume.auto, None, None, 0.0, None, False, AS_IT_IS) == []
     (only,) = commands(fake_explanation("nothing_missing", recordings=1), ["a.mcap"], json="b.json")
     assert only == "handcal calibrate a.mcap --report a-calibration.html"
 

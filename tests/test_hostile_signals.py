@@ -86,7 +86,7 @@ DOUBTFUL: dict[str, Attack] = {
     "accel saturated a little": lambda t, g, a: (t, g, np.clip(a, -9, 9)),
 }
 SAID = {
-    "10 % NaN": "NaN", "10 % infinite": "infinite", "repeated stamps": "repeated",
+    "10 % NaN": "NaN", "10 % infinite": "infinite", "repeated stamps": "2 readings every",
     "1 s gap": "", "60 s gap": "",
     "accel saturated a little": "end of its measuring range",
     "gyro of one axis dead": "gyroscope's x never moves", "gyro stuck": "gyroscope reads one value",

@@ -93,7 +93,9 @@ def _named(
     learnt: Mapping[str, tuple[Parameter, ...]],
     wrong: outliers.Wrong | None,
     whole: bool,
+    no_hand: bool,
 ) -> _Named:
+    """no_hand: what the fit leaves is no hand's, and nothing is named."""
     found, burst_of = end.found, None if end.wrong is None else end.wrong.burst
     entries, unsure = entries_of(found, found.model.chosen, learnt, wrong)
     cases = [f.case for f in found.model.parts]
@@ -107,8 +109,9 @@ def _named(
         counts = True
     alone = standing_out(found.model)
     missing, remarks = likely(entries, alone), [hand_remark(u) for u in lent]
-    if counts:
-        return _Named("unexplained", missing, unnamed, alone, remarks)
+    if counts or no_hand:
+        told = [] if no_hand else missing
+        return _Named("unexplained", told, unnamed, {} if no_hand else alone, remarks)
     missing = likely(entries, {})
     # (that this is all only a search says that was not broken off)
     settled = "explained" if missing else "nothing_missing"
@@ -152,17 +155,15 @@ def explanation_of(
     wrong = None if end.wrong is None or end.wrong.burst is not None else end.wrong
     fits = results(model, moments(found) if written is None else written.moments)
     learnt = {e.id: parameters_of(fits[0], e) for e in model.effects if e.process is None}
-    gravity = float(np.linalg.norm(model.parts[0].problem.g_n))
-    no_hand = impossible(plainest, fits[0].parameters, gravity)
-    named = _named(end, learnt, wrong, not untried)
-    if no_hand:
-        named = _Named("unexplained", [], named.unnamed, {}, named.remarks)
+    no_hand = impossible(plainest, fits[0].parameters, gravity_of(model))
+    named = _named(end, learnt, wrong, not untried, bool(no_hand))
     doubts = _doubts(model, written, fits)
     before, explained, mismatch = _compared(end, plainest, named.verdict, fits)
     excess = inflation(model)
     told = _weighed(end, named, judged, excess)
     hypotheses = renamed(model, told, hypotheses_of(found, told, wrong, named.alone))
     final = _in_order(explained, learnt, fits[0])
+    said = *no_hand, *_warnings(base, model, told, hypotheses, excess), *doubts, *named.remarks
     return Explanation(
         named.verdict,
         tuple(mismatch),
@@ -176,13 +177,7 @@ def explanation_of(
         final,
         noise(model.parts[0]),
         tuple(explained),
-        (
-            *no_hand,
-            *_warnings(base, model, told, hypotheses, excess),
-            *doubts,
-            *named.remarks,
-            *([] if (said := broken_off(untried)) is None else [said]),
-        ),
+        (*said, *_broken_off(untried)),
         written,
         untellable(found, fits[0].parameters),
         hand_of(model.parts[0], end.surely),
@@ -331,6 +326,16 @@ def _warnings(
     for f in model.parts:
         out += leaning(f, model.effects, not_seen, unnamed, excess)
     return tuple(dict.fromkeys(out))
+
+
+def _broken_off(untried: tuple[str, ...]) -> list[str]:
+    said = broken_off(untried)
+    return [] if said is None else [said]
+
+
+def gravity_of(model: Model) -> float:
+    """Gravity where the first recording was made, m/s^2."""
+    return float(np.linalg.norm(model.parts[0].problem.g_n))
 
 
 def _doubts(model: Model, written: Specification | None, fits: Sequence[Result]) -> tuple[str, ...]:

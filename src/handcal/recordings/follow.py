@@ -13,8 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
+from handcal.recordings.inputs._messages import Topic
 from handcal.recordings.inputs._options import HALVES, Options
-from handcal.recordings.inputs._topics import Topic, in_order
+from handcal.recordings.inputs._topics import in_order
 from handcal.recordings.inputs._which_topic import by_stream, chosen_topics
 from handcal.recordings.inputs.mcap import (
     LARGEST_CHUNK,

@@ -92,6 +92,7 @@ class Stream:
     decode, encode: from the message's needed fields to the value and back, where they differ.
     quantities: of which ``--units`` applies to what a message holds, for equal shares of the
     columns; units: of its own quantity, factors to SI, SI first; spellings: other names for them.
+    csv: what a table calls it, where columns.toml does not say.
     observation: kind of observation that looks at it; without one it is known at any moment
     between two readings. circular: an angle, in (-pi, pi]. own_clock: its stamps are not the
     device's. planned_hz: in a planned motion it is read no more often than this.
@@ -108,6 +109,7 @@ class Stream:
     encode: Callable[[Array], Array] | None = None
     quantities: tuple[str, ...] = ()
     units: Mapping[str, float] = field(default_factory=dict)
+    csv: tuple[str, ...] = ()
     spellings: Mapping[str, str] = field(default_factory=dict)
     observation: str = ""
     circular: bool = False

@@ -23,8 +23,8 @@ from handcal.live.sources.mcap import record
 from handcal.live.sources.pairing import Pairing
 from handcal.recordings.follow import Arriving
 from handcal.recordings.inputs import Options
-from handcal.recordings.inputs._messages import schema_key
-from handcal.recordings.inputs._topics import Topic, parts_of, readable
+from handcal.recordings.inputs._messages import Topic, schema_key
+from handcal.recordings.inputs._topics import parts_of, readable
 from handcal.types import InputError
 
 # By the specification's first edition, and by the SDK that followed it.

@@ -70,7 +70,7 @@ def _begins(step: Array) -> BoolArray | None:
     sizes; None where there is no such gap."""
     ordered = np.sort(np.maximum(step, INSTANT))
     low, high = int(0.45 * len(ordered)), len(ordered) - len(ordered) // (LARGEST + 1)
-    wider = ordered[low + 1 : high + 1] / ordered[low:high]
+    wider = ordered[low + 1 : high + 1] / ordered[low : min(high, len(ordered) - 1)]
     if not len(wider) or wider.max() < LONGER:
         return None
     return np.asarray(step > ordered[low + int(np.argmax(wider))])

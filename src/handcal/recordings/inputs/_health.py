@@ -56,8 +56,8 @@ def checked(recording: Recording, stated: Collection[str] = ()) -> Recording:
     gravity = rest_magnitude(imu.accel, recording.rate_hz)
     both = len(recording.sensors) == 2 and gravity > 0.0
     motion = turning(imu, gravity, MISSED) if both else None
-    found = [*_gyro(recording, motion), *_temperature(recording)]
-    found += _accel(gravity) if "accel" in recording.sensors else []
+    found = _accel(gravity) if "accel" in recording.sensors else []
+    found += [*_gyro(recording, motion), *_temperature(recording)]
     refused = [f.text for f in found if f.refused and f.quantity not in stated]
     if refused:
         raise InputError(" ".join(refused))

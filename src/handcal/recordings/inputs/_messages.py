@@ -174,3 +174,22 @@ def _integer(value: object, topic: str) -> int:
     if isinstance(value, int) and abs(value) < 10**18:
         return value
     raise InputError(f"A message on {topic} has no whole number in header.stamp.")
+
+
+@dataclass(frozen=True)
+class Part:
+    """Some messages of a topic. order (n,): where in the file; log_ns (n,)."""
+
+    order: IntArray
+    log_ns: IntArray
+    decoded: Decoded
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A channel of the file. schema as in a row of STREAMS; parts: empty if not decoded."""
+
+    name: str
+    schema: str
+    encoding: str
+    parts: tuple[Part, ...]

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from importlib.resources import files
 
 from handcal.did_you_mean import did_you_mean
-from handcal.recordings.inputs._options import SI, parse_unit
+from handcal.recordings.inputs._options import parse_unit, si
 from handcal.recordings.streams import STREAMS
 
 ASIDE = "-"  # of a column that is not read
 _TOKENS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+|[^\W\d_]+")
 _TERM = re.compile(r"([+-]?)\s*([A-Za-z ]+?)\s*(?=[+(-]|$)")
-_SINGLE = ("time", "nanos", "date", "temperature", "heading")
+_CLOCK = ("time", "nanos", "date")
 _PATHS = 6  # names that have to begin alike, for what they begin with to say nothing
 
 
@@ -75,7 +75,8 @@ def vocabulary() -> Vocabulary:
     """The table of names."""
     text = files("handcal.recordings.inputs").joinpath("columns.toml").read_text(encoding="utf-8")
     table = tomllib.loads(text)
-    names = {q: tuple(_name(q, text) for text in some) for q, some in table["columns"].items()}
+    called = {row.name: row.csv for row in STREAMS.values() if row.csv} | table["columns"]
+    names = {q: tuple(_name(q, text) for text in some) for q, some in called.items()}
     producers = tuple(
         Producer(p["name"], tuple(p["columns"]), p.get("units", {}),
                  {sensor: tuple(axes.split(",")) for sensor, axes in p.get("axes", {}).items()},
@@ -95,7 +96,12 @@ def _name(quantity: str, text: str) -> Name:
 
 def axes_of(quantity: str) -> tuple[str, ...]:
     """What follows the name in a header: nothing where there is one column."""
-    return ("",) if quantity in _SINGLE else ("x", "y", "z")
+    return ("",) if _is_single(quantity) else ("x", "y", "z")
+
+
+def _is_single(quantity: str) -> bool:
+    row = STREAMS.get(quantity)
+    return quantity in _CLOCK or (row is not None and len(row.columns) == 1)
 
 
 def understood(names: Sequence[str], units: Sequence[str], needed: Sequence[str]) -> Understood:
@@ -195,7 +201,7 @@ def _of_word(word: str, known: Vocabulary, axis: bool) -> list[str]:
     return [
         quantity
         for quantity, some in known.names.items()
-        if (quantity not in _SINGLE) == axis
+        if _is_single(quantity) != axis
         and any(word == term for name in some for _, term in name.terms)
     ]
 
@@ -216,7 +222,7 @@ def _found(
         cells = [places[word][axis] for axis in axes_of(quantity)]
         terms.append((sign, tuple(place for place, _ in cells)))
         units += [unit for _, unit in cells]
-    known = {parse_unit(quantity, unit) or unit if quantity in SI else "" for unit in units}
+    known = {parse_unit(quantity, unit) or unit if si(quantity) else "" for unit in units}
     unit = next(iter(known)) if len(known) == 1 else " and ".join(sorted(known))
     implied = name.unit or (producer.units.get(quantity, "") if producer else "")
     return Found(tuple(terms), unit or implied, name.text)

@@ -22,8 +22,6 @@ _UNITS: Mapping[str, Mapping[str, float]] = {
     "gyro": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": DEGREE, "mdeg/s": DEGREE * 1e-3},
     "accel": {"m/s^2": 1.0, "g": STANDARD_GRAVITY, "mg": STANDARD_GRAVITY * 1e-3},
 }
-SI = {**{quantity: next(iter(units)) for quantity, units in _UNITS.items()},
-      **{row.name: next(iter(row.units)) for row in STREAMS.values() if row.units}}  # fmt: skip
 TURNED = ("gyro", "accel", "mag")
 _NUMBER = r"\d*\.?\d+(?:e[+-]?\d+)?"
 # Other names of units, without blanks, brackets and lines below.
@@ -116,11 +114,16 @@ class Options:
 
     def factor(self, quantity: str, usual: str = "") -> float:
         """From the file's unit to SI: the unit that the user names, else the usual, else SI."""
-        return unit_factor(quantity, self.units.get(quantity) or usual or SI[quantity])
+        return unit_factor(quantity, self.units.get(quantity) or usual or si(quantity))
 
     def on_axes(self, sensor: str, value: Array) -> Array:
         """Readings (n, 3) of a sensor on the IMU's axes."""
         return permuted(value, self.axes[sensor]) if sensor in self.axes else value
+
+
+def si(quantity: str) -> str:
+    """The SI unit of a quantity; "" of what has none."""
+    return next(iter(quantities().get(quantity, {"": 1.0})))
 
 
 def permuted(value: Array, axes: Sequence[str]) -> Array:

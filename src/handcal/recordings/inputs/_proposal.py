@@ -12,7 +12,7 @@ from handcal.earth import STANDARD_GRAVITY
 from handcal.recordings.inputs._cells import Table
 from handcal.recordings.inputs._checks import rest_magnitude
 from handcal.recordings.inputs._names import ASIDE, Understood, axes_of
-from handcal.recordings.inputs._options import SI, Options, parse_unit, unit_factor
+from handcal.recordings.inputs._options import Options, parse_unit, si, unit_factor
 from handcal.recordings.inputs._stamps import is_counter, stamped, unit_of
 from handcal.recordings.inputs._turning import turning
 from handcal.types import Array, Imu, InputError
@@ -96,12 +96,7 @@ def _guessed(table: Table, known: Understood, options: Options) -> _Guess:
     if "t" not in names and not (options.rate_hz or table.rate_hz):
         _name_time(names, numbers)
     t = _seconds(names, numbers, options.rate_hz or table.rate_hz)
-    time = known.found.get("time")
-    if t is None and time is not None:
-        clock = table.clock(time.terms[0][1][0])
-        if not isinstance(clock, np.ndarray):
-            ns = stamped(str(table.path), clock, "", [])[: len(numbers)]
-            t = (ns - ns[0]) / 1e9
+    t = _by_clock(table, known, len(numbers)) if t is None else t
     units: dict[str, str] = {}
     accel = _places(names, "a")
     if not accel:
@@ -110,20 +105,30 @@ def _guessed(table: Table, known: Understood, options: Options) -> _Guess:
     if accel:
         unit = _unit_of_gravity(_rest(numbers[:, accel]))
         stated = options.units.get("accel") or (_stated(known, "accel"))
-        if unit and not stated and unit != SI["accel"]:
+        if unit and not stated and unit != si("accel"):
             units["accel"] = unit
         chosen = stated or unit
         force = numbers[:, accel] * unit_factor("accel", chosen) if chosen else None
     gyro_unit = options.units.get("gyro") or _stated(known, "gyro")
     if not gyro_unit:
         unit = _name_gyro(names, numbers, t, force, "/" in units.get("accel", ""))
-        if unit and unit != SI["gyro"]:
+        if unit and unit != si("gyro"):
             units["gyro"] = unit
     rate = not (options.rate_hz or table.rate_hz) and t is None
     lost = {one.split()[0] for one in known.missing} & {"gyro", "accel"}
     whole = _places(names, "a") and _places(names, "g") and names != before
     new = not table.names or (known.missing and whole) or (lost and UNKNOWN in names)
     return _Guess(tuple(names) if new else (), rate, units)
+
+
+def _by_clock(table: Table, known: Understood, size: int) -> Array | None:
+    """Times (n,), s, of a table whose times are the clock's; None where they are none."""
+    time = known.found.get("time")
+    clock = None if time is None else table.clock(time.terms[0][1][0])
+    if clock is None or isinstance(clock, np.ndarray):
+        return None
+    ns = stamped(str(table.path), clock, "", [])[:size]
+    return np.asarray((ns - ns[0]) / 1e9)
 
 
 def _stated(known: Understood, quantity: str) -> str:

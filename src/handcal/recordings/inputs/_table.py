@@ -15,11 +15,11 @@ from handcal.recordings.inputs._names import ASIDE, Found, Understood, understoo
 from handcal.recordings.inputs._options import (
     ALONE,
     HALVES,
-    SI,
     Options,
     parse_unit,
     permuted,
     quantities,
+    si,
     unit_factor,
 )
 from handcal.recordings.inputs._repair import Columns, assemble, assemble_alone, columns
@@ -107,8 +107,8 @@ def _units(
     said, wrong = [], []
     for quantity, found in known.found.items():
         unit = options.units.get(quantity) or found.unit
-        if quantity not in SI or not unit:
-            units[quantity] = SI.get(quantity, "")
+        if not si(quantity) or not unit:
+            units[quantity] = si(quantity)
         elif parsed := parse_unit(quantity, unit):
             units[quantity] = parsed
         elif quantity == "time" and not isinstance(table.clock(_place(found)), np.ndarray):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,8 @@ from handcal.recordings.inputs._messages import (
     POSE_LIKE,
     ByteArray,
     Decoded,
+    Part,
+    Topic,
     decode_cdr,
     decode_json,
     decode_ros1,
@@ -26,25 +28,6 @@ from handcal.types import Array, BoolArray, InputError, IntArray, Recording
 
 # What Imu.msg calls the two sensors, in the order of ``absent`` of its row.
 _SENSORS = (("angular velocity", "angular_velocity"), ("acceleration", "linear_acceleration"))
-
-
-@dataclass(frozen=True)
-class Part:
-    """Some messages of a topic. order (n,): where in the file; log_ns (n,)."""
-
-    order: IntArray
-    log_ns: IntArray
-    decoded: Decoded
-
-
-@dataclass(frozen=True)
-class Topic:
-    """A channel of the file. schema as in a row of STREAMS; parts: empty if not decoded."""
-
-    name: str
-    schema: str
-    encoding: str
-    parts: tuple[Part, ...]
 
 
 def readable(topic: Topic) -> bool:

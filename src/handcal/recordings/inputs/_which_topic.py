@@ -10,15 +10,11 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from handcal.recordings.inputs._messages import read_as
+from handcal.recordings.inputs._messages import Topic, read_as
 from handcal.recordings.inputs._options import HALVES, Options
 from handcal.recordings.streams import STREAMS, TWINS, Stream
 from handcal.types import InputError
-
-if TYPE_CHECKING:
-    from handcal.recordings.inputs._topics import Topic
 
 # Of a name that says so: before a driver took anything off.
 _RAW = re.compile(r"(^|[/_.-])raw($|[/_.-])")

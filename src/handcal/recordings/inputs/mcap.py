@@ -26,11 +26,9 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, DataEnd, Metadata, Schema, Statistics
 
 from handcal.recordings.inputs._magic import begins_with
-from handcal.recordings.inputs._messages import ByteArray, schema_key
+from handcal.recordings.inputs._messages import ByteArray, Part, Topic, schema_key
 from handcal.recordings.inputs._options import Options
 from handcal.recordings.inputs._topics import (
-    Part,
-    Topic,
     parts_of,
     readable,
     recording_from_topics,

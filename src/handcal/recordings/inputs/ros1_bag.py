@@ -19,9 +19,9 @@ import lz4.frame
 import numpy as np
 
 from handcal.recordings.inputs._magic import begins_with
-from handcal.recordings.inputs._messages import schema_key
+from handcal.recordings.inputs._messages import Part, Topic, schema_key
 from handcal.recordings.inputs._options import Options
-from handcal.recordings.inputs._topics import Part, Topic, parts_of, readable, recording_from_topics
+from handcal.recordings.inputs._topics import parts_of, readable, recording_from_topics
 from handcal.recordings.inputs.mcap import LARGEST_CHUNK, LARGEST_RATIO, RATIO_FROM
 from handcal.types import InputError, Recording
 

@@ -16,10 +16,10 @@ import numpy as np
 import zstandard
 
 from handcal.recordings.inputs import mcap
-from handcal.recordings.inputs._messages import schema_key
+from handcal.recordings.inputs._messages import Part, Topic, schema_key
 from handcal.recordings.inputs._options import Options
 from handcal.recordings.inputs._sqlite import is_database, opened, tables
-from handcal.recordings.inputs._topics import Part, Topic, parts_of, readable, recording_from_topics
+from handcal.recordings.inputs._topics import parts_of, readable, recording_from_topics
 from handcal.types import InputError, IntArray, Recording
 
 UNDERSTOOD = "a ROS 2 bag (a folder with .db3 or .mcap, or .db3)"
