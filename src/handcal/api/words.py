@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from handcal.recordings.inputs._options import SI, unit_factor
+from handcal.recordings.inputs._options import si, unit_factor
 from handcal.types import HandcalError
 
 _UNIT = r"--units (\w+)=(\.\.\.|[^\s;),:]+?)(?=\.?(?:[\s;),:]|$))"
@@ -59,7 +59,7 @@ def of_arrays(text: str) -> str:
 
 
 def _converted(unit: re.Match[str]) -> str:
-    return f"multiply it by {unit_factor(unit[1], unit[2]) / unit_factor(unit[1], SI[unit[1]]):.6g}"
+    return f"multiply it by {unit_factor(unit[1], unit[2]) / unit_factor(unit[1], si(unit[1])):.6g}"
 
 
 @contextmanager
