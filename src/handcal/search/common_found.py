@@ -20,8 +20,6 @@ from handcal.types import Parameter
 
 # Log odds of what stays in a set whatever else is chosen.
 STAYS = 1e6
-# A value nearer to zero than this, in its sigmas, may be none.
-NOTHING = 2.0
 
 
 @dataclass(frozen=True)
@@ -76,9 +74,9 @@ def parameters_in(where: Space, effect: Effect, ids: frozenset[str]) -> tuple[Pa
 
 
 def stands_out(parameters: Iterable[Parameter]) -> bool:
-    """Whether the recording shows any of an effect's parameters, and shows it not to be nothing:
-    evidence that many of them share may be that of an error of another form."""
-    return any(p.shown and abs(p.value) > NOTHING * p.sigma for p in parameters)
+    """Whether the recording shows any of an effect's parameters. (Evidence may be shared by several
+    of which none stands out alone.)"""
+    return any(p.shown for p in parameters)
 
 
 def names_of(where: Space, model: Model) -> frozenset[str]:
