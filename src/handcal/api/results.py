@@ -96,7 +96,25 @@ def _in_front(parameters: Parameters, found: Iterable[str] = ()) -> tuple[Parame
     return Parameters(front), under_table(front, rest)
 
 
-class Calibration(Result):
+class Doubted:
+    """What says of itself how far it is to be trusted."""
+
+    @property
+    def _trust(self) -> Trust:
+        raise NotImplementedError
+
+    @property
+    def trust(self) -> str:
+        """ "good", "doubtful" or "none"."""
+        return self._trust.level
+
+    @property
+    def trust_reasons(self) -> tuple[str, ...]:
+        """Why it is not "good", in sentences."""
+        return tuple(map(in_python, self._trust.reasons))
+
+
+class Calibration(Doubted, Result):
     """What ``calibrate`` learnt from one recording: ``parameters`` with their ``covariance``,
     ``noise``, ``innovations``, ``history`` and ``smoothed``, ``log_evidence``, ``warnings``."""
 
@@ -145,16 +163,6 @@ class Calibration(Result):
         return stamped(calibration_json(self))
 
     @property
-    def trust(self) -> str:
-        """ "good", "doubtful" or "none"."""
-        return self._trust.level
-
-    @property
-    def trust_reasons(self) -> tuple[str, ...]:
-        """Why it is not "good", in sentences."""
-        return tuple(map(in_python, self._trust.reasons))
-
-    @property
     def _trust(self) -> Trust:
         from handcal.show.doubts import of_calibration
 
@@ -182,7 +190,7 @@ class Calibration(Result):
         return text + table._repr_html_() + tables.paragraphs(below)
 
 
-class Explanation(ExplanationData):
+class Explanation(Doubted, ExplanationData):
     """What ``explain`` says: ``verdict``, ``missing`` (effects with their parameters and
     probability), ``unnamed`` (laws), ``hypotheses``, ``parameters``, ``warnings``."""
 
@@ -231,16 +239,6 @@ class Explanation(ExplanationData):
         from handcal.show.explanation.document import explanation_json
 
         return stamped(explanation_json(self))
-
-    @property
-    def trust(self) -> str:
-        """ "good", "doubtful" or "none"."""
-        return self._trust.level
-
-    @property
-    def trust_reasons(self) -> tuple[str, ...]:
-        """Why it is not "good", in sentences."""
-        return tuple(map(in_python, self._trust.reasons))
 
     @property
     def _trust(self) -> Trust:
