@@ -37,10 +37,12 @@ _LOOK_S = 0.05
 class Explainer(Workers):
     """A new process for each recording, of so many at once; says what it has spent as well."""
 
-    def __init__(self, program: Path, timeout_s: float, count: int) -> None:
+    def __init__(
+        self, program: Path, timeout_s: float, count: int, keep: Path | None = None
+    ) -> None:
         # (on one thread of algebra however many there are, so that times compare)
         super().__init__([str(program), "explain"], max(count, 2))
-        self.timeout_s = timeout_s
+        self.timeout_s, self.keep = timeout_s, keep
         self.environment.pop("PYTHONPATH", None)
         if program.is_dir():
             self.command = [sys.executable, "-m", "handcal", "explain"]
@@ -83,6 +85,8 @@ class Explainer(Workers):
             lines = said.read_text(encoding="utf-8", errors="replace").strip().splitlines()
             last = lines[-1] if lines else f"status {process.returncode}"
             return {"error": last.replace(str(path), path.name)[:300], **spent}, taken
+        if self.keep is not None:
+            write_text(self.keep / f"{path.stem}.json", out.read_text(encoding="utf-8"))
         return {**json.loads(out.read_text(encoding="utf-8")), **spent}, taken
 
 
@@ -151,6 +155,8 @@ def main() -> None:
                         help="what explains: a checkout's folder, or a program")  # fmt: skip
     parser.add_argument("--shared", type=Path, default=ROOT.parent / "shared")
     parser.add_argument("--seed", type=int, default=SEED)
+    parser.add_argument("--keep", type=Path, metavar="FOLDER",
+                        help="keep each explanation: what hand_over.py tries")  # fmt: skip
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--timeout", type=float, default=TIMEOUT_S, help="s")
     options = parser.parse_args()
@@ -166,7 +172,9 @@ def main() -> None:
     asked = [case for case in asked if case.suite in (options.suite or (case.suite,))]
     rows = read(options.table) if options.table.exists() else {}
     options.table.absolute().parent.mkdir(parents=True, exist_ok=True)
-    explain = Explainer(options.handcal.absolute(), options.timeout, options.jobs)
+    if options.keep is not None:
+        options.keep.mkdir(parents=True, exist_ok=True)
+    explain = Explainer(options.handcal.absolute(), options.timeout, options.jobs, options.keep)
     run(asked, explain, options.jobs, options.table, rows)
     names = {case.name for case in asked}
     figures = judge_compare.compared({n: r for n, r in rows.items() if n in names}, other)
