@@ -32,7 +32,7 @@ from handcal.search.climb import sequence, subset_steps
 from handcal.search.climb.state import Climb, likelier
 from handcal.search.multistart import astray, leading
 from handcal.search.space import Space, gains
-from handcal.types import InputError, Recording, Series
+from handcal.types import HandcalError, InputError, Recording, Series
 from handcal_sim import simulate
 from handcal_sim.motion import Start
 from handcal_sim.motion_wild import wild
@@ -572,6 +572,15 @@ def test_an_error_of_one_axis_has_its_name(effect: dict[str, list[float]]) -> No
     found = explain([recording_of(world_of(effect, 0, 40.0), "heading")])
     assert names(found) == list(effect)
     assert found.unnamed == ()
+
+
+def test_where_no_model_fits_the_recording_is_refused() -> None:
+    """A gyro that reads 40 deg/s too much, and no rest: the search found nothing to fit, and
+    writing its model down ended in a traceback (seen on a drawn ordinary device)."""
+    recording = recording_of(world_of({}, 0, 20.0), "heading")
+    off = replace(recording.imu, gyro=recording.imu.gyro + np.array([0.0, 0.0, 0.7]))
+    with pytest.raises(HandcalError, match="diverged"):
+        explain([replace(recording, imu=off)])
 
 
 @pytest.mark.prove

@@ -7,9 +7,12 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Literal
+
+import numpy as np
 
 from handcal.estimate.baseline import baseline, dense, plain, started
-from handcal.estimate.case import Case, case_of
+from handcal.estimate.case import Case, case_of, no_fit
 from handcal.estimate.fit import TOLERANCE, fitted
 from handcal.estimate.forked import in_parallel
 from handcal.estimate.model import Model
@@ -89,9 +92,14 @@ def explain(
     report(0.03, "fitting the baseline")
     base = dense(begun(cases))
     time_left = after(began, budget, stop)
-    end = _searched(base, time_left, _so_far(report, SEARCHING, base, 0.1, 0.6))
+    # (about a baseline without a fit, sums overflow)
+    overflow: Literal["ignore"] | None = None if math.isfinite(base.log_evidence) else "ignore"
+    with np.errstate(over=overflow, invalid=overflow):
+        end = _searched(base, time_left, _so_far(report, SEARCHING, base, 0.1, 0.6))
     if assume == "auto":
         end = _by_the_rests(cases, end, options, time_left, report)
+    if not math.isfinite(end.found.model.log_evidence):
+        raise no_fit(recordings)
     report(0.75, "fitting the model that was found")
     end, chosen = _finished(end, options, time_left, report)
     end = replace(end, base=plain(end.base))
