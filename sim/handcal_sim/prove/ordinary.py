@@ -102,6 +102,9 @@ def _one(number: int, asked: Asked, folder: Path, workers: Workers) -> Trial | N
         further = ordinary_apply.left(
             case, corrected if corrected.exists() else of_kind / AGAIN / name
         )
+        foreseen = corrected.with_suffix(".json")
+        if foreseen.exists():
+            further |= json.loads(foreseen.read_text(encoding="utf-8"))
     return Trial(f"{number:04d}", answer, document, taken, further=further)
 
 

@@ -60,7 +60,9 @@ def rows(trials: Sequence[Trial]) -> list[dict[str, Any]]:
 
 def score(trials: Sequence[Trial]) -> list[dict[str, Any]]:
     """By sensor, of all errors but the bias and of what varies: root mean squares before and after,
-    the median share of a mean square that is left, and how many recordings were made worse."""
+    the median share of a mean square that is left, and how many recordings were made worse; of the
+    first also how much is left over what the posteriors expect, in the mean, and how many
+    recordings they expect to be made worse."""
     rows = []
     told = [t.further for t in trials if "gyro_before" in t.further]
     for sensor in SENSORS:
@@ -68,10 +70,19 @@ def score(trials: Sequence[Trial]) -> list[dict[str, Any]]:
             pairs = [(f[f"{sensor}_before{what}"], f[f"{sensor}_after{what}"]) for f in told]
             if pairs:
                 before, after = (math.sqrt(sum(x) / len(x)) for x in zip(*pairs, strict=True))
-                rows.append({
+                row = {
                     "sensor": sensor, "what": "what varies" if what else "all but the bias",
                     "before": before, "after": after,
                     "median_left": float(np.median([b / max(a, 1e-30) for a, b in pairs])),
                     "worse": share(sum(b > SAME * a for a, b in pairs), len(pairs)),
-                })  # fmt: skip
+                }  # fmt: skip
+                foreseen = [f for f in told if f"{sensor}_expected" in f]
+                if foreseen and not what:
+                    over = [f[f"{sensor}_after"] / f[f"{sensor}_expected"] for f in foreseen]
+                    row["left_over_expected"] = float(np.mean(over))
+                    row["median_over_expected"] = float(np.median(over))
+                    row["worse_expected"] = float(
+                        np.mean([f[f"{sensor}_expected_worse"] for f in foreseen])
+                    )
+                rows.append(row)
     return rows

@@ -1,7 +1,8 @@
 """The process that calibrates recordings for `ordinary`, each told by its path alone.
 
 `priors.toml` in a recording's folder is what is known of its class. Where `again` holds another
-recording of the same name, what was learnt is taken off it, and `corrected` holds what comes of it.
+recording of the same name, what was learnt is taken off it, and `corrected` holds what comes of it,
+with what the posterior expects of that.
 """
 
 from __future__ import annotations
@@ -9,16 +10,23 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from handcal_sim.prove.ordinary_devices import COMMON, shows
 from handcal_sim.prove.workers import serve
 
+if TYPE_CHECKING:
+    from handcal.types import Recording
+
 # All that every device has, as far as a recording's streams can show it.
 ALL_COMMON = "common"
 PRIORS, AGAIN, CORRECTED = "priors.toml", "again", "corrected"
+DRAWS = 64
 
 
 def calibrated(effects: str, path: str) -> Mapping[str, Any]:
@@ -55,6 +63,40 @@ def _corrected(again: Path, learnt: Path, out: Path) -> None:
     except HandcalError as error:
         # (nothing that could be taken off: it stays as it is)
         out.with_suffix(".txt").write_text(str(error), encoding="utf-8")
+    else:
+        foreseen = expected(again, learnt)
+        out.with_suffix(".json").write_text(json.dumps(foreseen), encoding="utf-8")
+
+
+def expected(again: Path, learnt: Path) -> dict[str, float]:
+    """What the posterior expects of a correction, by devices drawn from it: the mean square of
+    each sensor that is left, and the share of devices of which more is left than there was."""
+    import handcal
+    from handcal.device.apply import apply, read
+
+    document = json.loads(learnt.read_text(encoding="utf-8"))
+    names = [(p["effect"], p["name"]) for p in document["parameters"]]
+    mean = np.array([p["value"] for p in document["parameters"]])
+    covariance, known, raw = np.array(document["covariance"]), read(learnt), handcal.load(again)
+    own = {e: [names.index((e, n)) for f, n in names if f == e] for e in known.values}
+    draws = np.random.default_rng(0).multivariate_normal(mean, covariance, DRAWS, method="eigh")
+
+    def readings(recording: Recording) -> np.ndarray[Any, np.dtype[np.float64]]:
+        return np.stack([recording.imu.gyro, recording.imu.accel])
+
+    corrected = readings(apply(raw, known).recording)
+    left, before = [], []
+    for x in draws:
+        device = replace(known, values={e: x[own[e]] for e in known.values})
+        true = readings(apply(raw, device).recording)
+        left.append(np.mean((corrected - true) ** 2, axis=(1, 2)))
+        before.append(np.mean((readings(raw) - true) ** 2, axis=(1, 2)))
+    worse = np.mean(np.array(left) > np.array(before), axis=0)
+    return {
+        f"{sensor}_{what}": float(value)
+        for k, sensor in enumerate(("gyro", "accel"))
+        for what, value in (("expected", np.mean(left, axis=0)[k]), ("expected_worse", worse[k]))
+    }
 
 
 if __name__ == "__main__":

@@ -55,12 +55,21 @@ def applied(rows: Sequence[Row]) -> Iterator[RenderableType]:
     """What corrections leave, if that was asked."""
     if not rows:
         return
-    columns = ("sensor", "what", "rms before", "after", "median left", "made worse")
+    columns = ("sensor", "what", "rms before", "after", "median left", "made worse",
+               "expected worse", "left over expected (mean, median)")  # fmt: skip
     table = new_table("Another recording of the device, corrected", *columns)
     for row in rows:
         table.add_row(row["sensor"], row["what"], f"{row['before']:.3g}", f"{row['after']:.3g}",
-                      f"{100.0 * row['median_left']:.0f} %", percent(row["worse"]))  # fmt: skip
+                      f"{100.0 * row['median_left']:.0f} %", percent(row["worse"]),
+                      *_foreseen(row))  # fmt: skip
     yield table
+
+
+def _foreseen(row: Row) -> tuple[str, str]:
+    if "worse_expected" not in row:
+        return "", ""
+    over = f"{row['left_over_expected']:.2f}, {row['median_over_expected']:.2f}"
+    return f"{100.0 * row['worse_expected']:.0f} %", over
 
 
 def bounds(rows: Sequence[Row]) -> Iterator[str]:
