@@ -63,6 +63,7 @@ def work(request):
         },
         "device": "", "model": "",
         "gravity": 9.8, "verdict": "explained", "named": [], "unnamed": [], "hypotheses": [],
-        "told": every, "held_out": {}, "warnings": [], "explanation": {"stub": True},
+        "told": every, "held_out": {}, "warnings": [], "trust": "good",
+        "trust_reasons": [], "explanation": {"stub": True},
         "fetched": sha256,
     } | known  # fmt: skip

@@ -509,6 +509,57 @@ def ulog(
     return out + b"".join(parameter(*one) for one in (later or {}).items())
 
 
+def dataflash(
+    r: Recording, raw: bool = False, parameters: Mapping[str, float] | None = None,
+    later: Mapping[str, float] | None = None,
+) -> bytes:  # fmt: skip
+    """A log of ArduPilot: a format of each message, parameters, the messages of two IMUs, the
+    second of which reads nothing, x forward, y right, z down; raw: GYR and ACC at full rate, and
+    of IMU every fourth."""
+    layouts = {
+        "FMT": (128, "BBnNZ", "Type,Length,Name,Format,Columns"),
+        "PARM": (64, "QNff", "TimeUS,Name,Value,Default"),
+        "MSG": (65, "QZ", "TimeUS,Message"),
+        "ATT": (66, "QccCE", "TimeUS,Roll,Pitch,Yaw,Far"),
+        "GYR": (67, "QBQfff", "TimeUS,I,SampleUS,GyrX,GyrY,GyrZ"),
+        "ACC": (68, "QBQfff", "TimeUS,I,SampleUS,AccX,AccY,AccZ"),
+        "MAG": (69, "QBfff", "TimeUS,I,MagX,MagY,MagZ"),
+        "IMU": (70, "QBffffffIIfBBHH",
+                "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ,EG,EA,T,GH,AH,GHz,AHz"),
+    }  # fmt: skip
+    codes = {"n": "4s", "N": "16s", "Z": "64s", "c": "h", "C": "H", "E": "I"}
+
+    def message(name: str, *values: Any) -> bytes:
+        kind, types, _ = layouts[name]
+        texts = [v.encode() if isinstance(v, str) else v for v in values]
+        form = "<" + "".join(codes.get(t, t) for t in types)
+        return b"\xa3\x95" + bytes([kind]) + struct.pack(form, *texts)
+
+    def size(types: str) -> int:
+        return 3 + struct.calcsize("<" + "".join(codes.get(t, t) for t in types))
+
+    out = [message("FMT", kind, size(types), name, types, labels)
+           for name, (kind, types, labels) in layouts.items()]  # fmt: skip
+    out += [message("PARM", 1, *one, 0.0) for one in (parameters or {}).items()]
+    out.append(message("MSG", 2, "ArduCopter V4.5.7"))
+    turn = np.array([1.0, -1.0, -1.0])
+    gyro, accel = ((value * turn).tolist() for value in (r.imu.gyro, r.imu.accel))
+    for k, (us, g, f) in enumerate(zip(_us(r.imu.t), gyro, accel, strict=True)):
+        if raw:
+            out += [message("GYR", us + 90, 0, us, *g), message("ACC", us + 90, 0, us, *f)]
+        if not raw or k % 4 == 0:
+            rest = (0, 0, 31.5, 1, 1, 1000, 1000)
+            out += [message("IMU", us, 0, *g, *f, *rest),
+                    message("IMU", us + 1, 1, *([0.0] * 6), *rest)]  # fmt: skip
+        if k % 20 == 0:
+            out.append(message("ATT", us, 1, -2, 3, 4))
+    if r.streams:
+        mag = r.streams["mag"]
+        table = zip(_us(mag.t), (mag.value * turn * 1e7).tolist(), strict=True)
+        out += [message("MAG", us, 0, *v) for us, v in table]
+    return b"".join([*out, *(message("PARM", 9, *one, 0.0) for one in (later or {}).items())])
+
+
 def _turned_alike(q: np.ndarray) -> np.ndarray:
     """Attitudes w x y z where the axes of both body and world are turned by 180 deg about x."""
     turn = np.diag([1.0, -1.0, -1.0])
@@ -577,6 +628,7 @@ WRITERS: dict[str, list[tuple[str, Callable[[Recording], bytes]]]] = {
     "ros1_bag": [(".bag", ros1_bag)],
     "ros2_bag": [(".db3", database)],
     "px4_ulog": [(".ulg", ulog), (".ulg", lambda r: ulog(r, raw=False))],
+    "ardupilot_bin": [(".bin", dataflash), (".bin", lambda r: dataflash(r, raw=True))],
     "matlab": [(".mat", mat), (".mat", lambda r: mat(r, compress=False))],
     "parquet": [(".parquet", parquet)],
     "numpy_array": [(".npy", npy)],

@@ -322,8 +322,22 @@ def test_c_header_compiled(result, tmp_path):
     close((found[:, :3], found[:, 3:]), applied(path, given))
 
 
+def ros2_reads(text):
+    """What ROS 2's reader of parameter files takes (rcl_yaml_param_parser, README): a node, then
+    ros__parameters, of which each is a scalar or a list of scalars of one type."""
+    ((node, own),) = yaml.safe_load(text).items()
+    assert (node, set(own)) == ("/**", {"ros__parameters"})
+    for key, value in own["ros__parameters"].items():
+        kinds = {type(one) for one in (value if isinstance(value, list) else [value])}
+        assert len(kinds) == 1, key
+        assert kinds <= {bool, int, float, str}, key
+        if key.endswith("_covariance"):
+            assert (len(value), kinds) == (9, {float}), key
+    return own["ros__parameters"]
+
+
 def test_ros2_covariance_is_that_of_the_samples(result):
-    text = yaml.safe_load(written(result(drawn(0, MATRICES)), "ros2"))["/**"]["ros__parameters"]
+    text = ros2_reads(written(result(drawn(0, MATRICES)), "ros2"))
     for name, density in (("angular_velocity", 2e-5), ("linear_acceleration", 2e-3)):
         covariance = np.reshape(text[f"{name}_covariance"], (3, 3))
         np.testing.assert_allclose(covariance, np.eye(3) * density**2 * 100.0)
@@ -411,7 +425,7 @@ def test_the_rate_is_the_sensors(result):
     averaged = document({})["recording"] | {"imu_rate_hz": 50.0}
     path = result(drawn(0, MATRICES), recording=averaged)
     assert kalibr_reads(written(path, "kalibr", recording=given))["update_rate"] == given.rate_hz
-    text = yaml.safe_load(written(path, "ros2", recording=given))["/**"]["ros__parameters"]
+    text = ros2_reads(written(path, "ros2", recording=given))
     assert text["angular_velocity_covariance"][0] == pytest.approx(2e-5**2 * 100.0)
 
 

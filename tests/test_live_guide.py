@@ -128,6 +128,36 @@ def test_the_guide_asks_waits_and_says_what_a_motion_brought():
     assert "little that was new" in brought(look(better), look(better), "x")
 
 
+def test_a_motion_that_gets_no_further_gives_way_to_the_one_that_is_best():
+    """A recording that is fed does not do what is asked: it had one instruction in 35 s."""
+    guide, bias = Guide(), parameter("gyro_bias", "z", 0.01, "rad/s")
+    said = []
+    for k in range(35):
+        ns = k * 10**9 + np.arange(int(RATE)) * round(1e9 / RATE)
+        guide.saw(ns, np.full((int(RATE), 3), 0.5))
+        guide.learned(look(bias, end_s=k + 1.0, following=CHOICE[0].name))
+        said.append((guide.told()["turn"]["say"], guide.open))
+    sentences = list(dict.fromkeys(sentence for sentence, _ in said))
+    assert sentences[0] == FIRST.motion.sentence
+    assert sentences[1].startswith("Turn it once all the way round")
+    assert guide.asked[0] == CHOICE[0].name
+    assert said[3][1] == "“lie still” is 0 % done."
+    assert "100 % done" not in {far for _, far in said}
+
+
+def test_a_motion_that_gets_on_slowly_is_waited_for():
+    guide = Guide()
+    own = rates(CHOICE[0].motion, faster=0.1)
+    slow = np.repeat(own, 10, axis=0)[: int(30 * RATE)]
+    guide.saw(np.arange(int(5 * RATE)) * round(1e9 / RATE), np.zeros((int(5 * RATE), 3)))
+    bias = parameter("gyro_bias", "z", 0.01, "rad/s")
+    guide.learned(look(bias, end_s=5.0, following=CHOICE[0].name))
+    for k, rate in enumerate(slow):
+        guide.saw(5 * 10**9 + np.array([(k + 1) * round(1e9 / RATE)]), rate[None])
+        guide.learned(look(bias, end_s=5.0 + k / RATE, following=CHOICE[1].name))
+    assert guide.asked == [CHOICE[0].name]
+
+
 def test_without_an_estimate_turns_are_asked_for_all_the_same():
     guide = Guide()
     for k in range(30):

@@ -111,21 +111,28 @@ def result_of(recording, path):
     return path
 
 
+def check_both_ways(raw, log, as_mcap, folder, found_in):
+    """Raw readings (gyro, accel, forward right down) by what ``found_in`` reads of a result, and
+    those of the log by `apply`."""
+    recording = handcal.read(log)
+    if as_mcap:
+        write_mcap(recording, folder / "again.mcap")
+        recording = handcal.read(folder / "again.mcap")
+    path = result_of(recording, folder / "a.json")
+    gyro_off, accel_off, scale = found_in(path)
+    wanted = device.apply(recording, device.read(path), biases=True).recording.imu
+    # (the log is in single precision)
+    for got, same in (((raw[0] - gyro_off) * FRD, wanted.gyro),
+                      ((raw[1] - accel_off) * scale * FRD, wanted.accel)):  # fmt: skip
+        np.testing.assert_allclose(got, same, rtol=0, atol=1e-5)
+
+
 @pytest.mark.parametrize("as_mcap", [False, True])
 def test_what_px4_had_left_is_added_to_its_own_calibration(corrected, tmp_path, as_mcap):
     """Raw readings, once by the file, are those of the log, once by `apply`. The file had the
     residual errors as the whole calibration: 0.74 m/s^2 and 3 % off."""
-    (gyro, accel), write = corrected
-    recording = handcal.read(write())
-    if as_mcap:
-        write_mcap(recording, tmp_path / "again.mcap")
-        recording = handcal.read(tmp_path / "again.mcap")
-    path = result_of(recording, tmp_path / "a.json")
-    gyro_off, accel_off, scale = by_axis(written(path))
-    wanted = device.apply(recording, device.read(path), biases=True).recording.imu
-    # (the log is in single precision)
-    np.testing.assert_allclose((gyro - gyro_off) * FRD, wanted.gyro, rtol=0, atol=1e-5)
-    np.testing.assert_allclose((accel - accel_off) * scale * FRD, wanted.accel, rtol=0, atol=1e-5)
+    raw, write = corrected
+    check_both_ways(raw, write(), as_mcap, tmp_path, lambda path: by_axis(written(path)))
 
 
 def test_what_is_left_in_a_corrected_recording_is_not_added_to_the_vehicles_own(

@@ -11,8 +11,10 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
+import fleet_stub
 import numpy as np
 import pytest
+import schemas
 from fake_explanation import fake_explanation
 from fake_result import fake_result
 from rich.console import Console
@@ -22,6 +24,10 @@ from handcal.api.words import in_python
 from handcal.commands import _app
 from handcal.device import another
 from handcal.device import apply as device
+from handcal.fleet import store
+from handcal.fleet.record import DONE, RECORD_SCHEMA, Source
+from handcal.fleet.results import write_all
+from handcal.fleet.run import Member
 from handcal.recordings.export import write_mcap
 from handcal.show.calibration.report import render
 from handcal.show.calibration.summary import calibration_json, write_json
@@ -163,8 +169,10 @@ def run(monkeypatch, capsys, tmp_path):
     return call
 
 
+NEW = ("--effect", "gyro_scale=0.01,0,0", "--seed", "0")
 COMMANDS = {
     "apply": ("apply", "hand.mcap", "--from", "made.json", "-o", "out.mcap", "--biases"),
+    "conceal": ("conceal", "hand.mcap", *NEW, "--from", "made.json", "-o", "out.mcap"),
     "export": ("export", "made.json", "--to", "csv", "-o", "out.csv"),
     "device add": ("device", "add", "out.toml", "made.json", "--date", "2026-05-01"),
 }
@@ -208,6 +216,64 @@ def test_whoever_is_handed_it_hears_it_or_is_refused(doubted, command, run, tmp_
         assert (status, part in said) == (0, True), said
     if command == "export":
         assert part in flat((tmp_path / "out.csv").read_text("utf-8"))
+
+
+def test_a_fit_is_repeated_with_the_reasons_or_refused(doubted, run, tmp_path):
+    made, level, part = doubted
+    # (without a model nothing is fitted, which is said after the doubts)
+    (tmp_path / "made.json").write_text(json.dumps(document_of(made) | {"model": None}))
+    write_mcap(plain().recording, tmp_path / "hand.mcap")
+    words = ("calibrate", "hand.mcap", "--from", "made.json")
+    status, _, said = run(*words)
+    assert part in said
+    assert ("--anyway" in said, "holds no model" in said) == (level == "none", level != "none")
+    assert status == (1 if level == "none" else 2)
+    _, _, said = run(*words, "--anyway")
+    assert part in said
+    assert "holds no model" in said
+
+
+def test_a_live_session_ends_with_the_reasons_and_exports_what_is_to_be_trusted(
+    doubted, run, tmp_path, monkeypatch
+):
+    made, level, part = doubted
+    explanation, result = (found(), made) if isinstance(made, Result) else (made, plain())
+    monkeypatch.setattr("handcal.explain.explain", lambda *_, **__: explanation)
+    monkeypatch.setattr("handcal.estimate.calibration.calibrate", lambda *_, **__: result)
+    write_mcap(plain().recording, tmp_path / "hand.mcap")
+    for more in ((), ("--anyway",)) if level == "none" else ((),):
+        words = ("live", "--from", "hand.mcap", "--speed", "0", "--out", f"out{len(more)}")
+        status, out, said = run(*words, *more)
+        assert status == 0, said
+        assert part in flat(out)
+        refused = level == "none" and not more
+        assert ("--anyway" in out) == refused
+        assert bool(list(tmp_path.glob(f"out{len(more)}/exports/*"))) != refused
+
+
+@pytest.mark.parametrize("anyway", [False, True])
+def test_a_fleet_names_it_and_learns_of_what_is_to_be_trusted(doubted, anyway, tmp_path):
+    made, level, part = doubted
+    own = {k: v for k, v in document_of(made).items() if k in ("trust", "trust_reasons")}
+    place, members = store.opened(tmp_path / "out"), []
+    for name, more in (("fine", {}), ("doubted", own)):
+        file = tmp_path / f"{name}.csv"
+        file.write_text("fine 0.01")
+        record = fleet_stub.work({"path": str(file)}) | more
+        record |= {"schema": RECORD_SCHEMA, "status": DONE, "reason": "", "sha256": name,
+                   "key": name}  # fmt: skip
+        place.keep(name, json.dumps(record), "")
+        members.append(Member(Source(str(file), "m", name), name))
+    written = write_all(members, place, anyway=anyway)
+    used = level != "none" or anyway
+    assert sum(m.recordings for m in written.fleet.models) == 1 + used
+    (sentence,) = (s for s in written.said if part in flat(s))
+    assert sentence.startswith("doubted.csv")
+    assert ("--anyway" in sentence) != used
+    document = json.loads((tmp_path / "out/fleet.json").read_text("utf-8"))
+    schemas.check(document)
+    assert part in flat(json.dumps(document["doubted" if used else "untold"], ensure_ascii=False))
+    assert part in flat((tmp_path / "out/fleet.html").read_text("utf-8"))
 
 
 def test_python_applies_it_with_the_reasons_or_refuses(doubted):

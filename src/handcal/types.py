@@ -101,10 +101,11 @@ class Recording(Brief):
 
     path: where it came from. streams: by name (rows of ``streams.STREAMS``),
     only those present. start_ns: absolute time of t = 0, ns since 1970 (0 if unknown).
-    warnings: what the reader repaired, in sentences. topics: of a bag or a log of PX4, by
+    warnings: what the reader repaired, in sentences. topics: of a bag or an autopilot's log, by
     stream, where it was read. device, model: what the file itself says of the device, "" where it
-    says nothing. vehicle: of a log of PX4, parameters of the vehicle's own calibration by name
-    (CAL_*, SENS_BOARD_*, TC_*), and ids of the sensors as ``topic.field``. bias_temperature: degC,
+    says nothing. vehicle: of an autopilot's log, parameters of the vehicle's own calibration by
+    name (CAL_*, SENS_BOARD_*, TC_*; INS_*, AHRS_ORIENTATION), and ids of the sensors as
+    ``topic.field``. bias_temperature: degC,
     at which temperature errors are zero; a fit takes the recording's mean, so that biases are
     those at that temperature. sensors: those of the IMU that were recorded, both but where one was
     asked for alone; the readings of the other are zero. file_units: units and signs in the file,

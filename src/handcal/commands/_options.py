@@ -18,6 +18,7 @@ from handcal.commands._progress import progress
 from handcal.commands._registry import say
 
 if TYPE_CHECKING:
+    from handcal.trust import Trust
     from handcal.types import Prior, Recording, Result
 
 
@@ -311,6 +312,15 @@ def load(
     return recording
 
 
+def heard(path: Path, own: Trust, anyway: bool) -> None:
+    """Say what a result doubts of itself. Errors: HandcalError where it is not to be trusted."""
+    from handcal import trust
+
+    trust.check(str(path), own, anyway)
+    for doubt in trust.said(str(path), own):
+        say(doubt)
+
+
 def say_unused(recordings: Sequence[Recording], given: Mapping[str, Any]) -> None:
     """Say which options are left aside, being for something that is not there."""
     there = {name for r in recordings for name in r.streams} - set(given["ignore"] or ())
@@ -329,7 +339,7 @@ def radians(degrees: float | None) -> float | None:
 
 def calibrated(
     recordings: list[Recording], effects: str, learnt_from: Path | None = None,
-    before: Prior | None = None, **settings: Any,
+    before: Prior | None = None, anyway: bool = False, **settings: Any,
 ) -> tuple[Result, ...]:  # fmt: skip
     """Run the filter with the options as typed: angles in degrees, enums, None for unset."""
     from handcal.estimate.calibration import calibrate_together, recalibrate
@@ -349,7 +359,9 @@ def calibrated(
     if learnt_from is None:
         with progress(f"calibrating {names}") as report, compiled_ahead():
             return calibrate_together(recordings, ids, progress=report, before=before, **settings)
+    from handcal.documents import read_json
     from handcal.explain.model_file import read
+    from handcal.trust import of_document
 
     usual = {"assume": "auto", "engine": "compiled", "height": 0.0, "ignore": (),
              "reference_exact": False, "only": False}  # fmt: skip
@@ -357,6 +369,7 @@ def calibrated(
     if ids or own:
         said = ", ".join(f"--{n.replace('_', '-')}" for n in (["effects"] if ids else []) + own)
         raise InputError(f"--from holds the model with its options; leave out {said}.")
+    heard(learnt_from, of_document(str(learnt_from), read_json(learnt_from)), anyway)
     chosen = read(learnt_from)
     with progress(f"calibrating {names}") as report, compiled_ahead():
         return recalibrate(recordings, chosen, report, before)

@@ -11,6 +11,7 @@ from handcal.commands._options import (
     AS_IT_IS,
     Anyway,
     Reading,
+    heard,
     load,
     reads_recordings,
     with_own_effects,
@@ -52,7 +53,6 @@ def apply(
     What is no error of a sensor (where it sits, gravity, noise) stays, and is said. So is what
     there is to doubt about the result, and where the recording seems to be of another device.
     """
-    from handcal import trust
     from handcal.device.another import another
     from handcal.device.apply import TOGETHER, not_shown, read
     from handcal.device.apply import apply as applied
@@ -63,7 +63,7 @@ def apply(
     check_outputs((out,), (recording, learnt_from))
     check_ending(out)
     learnt = read(learnt_from)
-    trust.check(str(learnt_from), learnt.trust, anyway)
+    heard(learnt_from, learnt.trust, anyway)
     given = load(recording, how)
     corrected = applied(given, learnt, biases=biases)
     left = _left(corrected, learnt)
@@ -73,8 +73,7 @@ def apply(
     write_mcap(corrected.recording, out)
     beside = f"{TOGETHER.format('what has no name')}: {_WRITE}" if biases and learnt.unnamed else ""
     unsure = not_shown(learnt)
-    doubts = (*trust.said(str(learnt_from), learnt.trust), another(given, learnt))
-    for sentence in (*doubts, *given.warnings, left, unsure, beside):
+    for sentence in (another(given, learnt), *given.warnings, left, unsure, beside):
         if sentence:
             say(sentence)
     tell(f"{out}: {', '.join(corrected.taken)} taken off {recording.name}")

@@ -17,6 +17,7 @@ from handcal.commands._device import (
 )
 from handcal.commands._options import (
     AS_IT_IS,
+    Anyway,
     Assume,
     Assumption,
     Effects,
@@ -62,6 +63,7 @@ def calibrate(
             "of others, estimate the same effects.",
         ),
     ] = None,
+    anyway: Anyway = False,
     device: DeviceFile = None,
     priors: PriorsFile = None,
     model: ModelName = None,
@@ -98,7 +100,7 @@ def calibrate(
     results = calibrated(
         recordings, effects, learnt_from, heading_sigma=heading_sigma, assume=assume,
         latitude=latitude, height=height, ignore=ignore, reference_exact=reference_exact,
-        noise_until=noise_until, engine=engine, before=before, only=only,
+        noise_until=noise_until, engine=engine, before=before, only=only, anyway=anyway,
     )  # fmt: skip
     results = tuple(
         replace(r, warnings=(*r.warnings, *contradictions(r.before, r.parameters, r.covariance)))

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from handcal.commands._options import AS_IT_IS, Reading, load, reads_recordings, with_own_effects
+from handcal.commands._options import (
+    AS_IT_IS,
+    Anyway,
+    Reading,
+    heard,
+    load,
+    reads_recordings,
+    with_own_effects,
+)
 from handcal.commands._registry import tell
-
-if TYPE_CHECKING:
-    pass
 
 
 @with_own_effects
@@ -44,6 +49,7 @@ def conceal(
             min=0, help="The same seed gives the same file (drawn and printed if omitted)."
         ),
     ] = None,
+    anyway: Anyway = False,
     how: Reading = AS_IT_IS,
 ) -> None:
     """Add an effect to a recording, to see whether it is found."""
@@ -64,6 +70,8 @@ def conceal(
     if learnt_from is not None:
         from handcal.device import apply as known
 
-        truth = known.apply(recording, known.read(learnt_from), biases=True).recording.imu
+        learnt = known.read(learnt_from)
+        heard(learnt_from, learnt.trust, anyway)
+        truth = known.apply(recording, learnt, biases=True).recording.imu
     write_mcap(hidden.conceal(recording, values, np.random.default_rng(seed), truth), out)
     tell(f"{out}: {', '.join(values)} concealed in {Path(recording.path).name}, seed {seed}")

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from handcal.commands._ending import INTERRUPTED
+from handcal.commands._options import Anyway
 from handcal.commands._registry import say, tell
 
 if TYPE_CHECKING:
@@ -77,6 +78,7 @@ def fleet(
         float | None,
         typer.Option(min=0.0, metavar="SECONDS", help="As of `explain`, for each recording."),
     ] = None,
+    anyway: Anyway = False,
 ) -> None:
     """Explain every recording of many devices, and say what the devices of a model have in common.
 
@@ -98,7 +100,7 @@ def fleet(
         _announced(listed, left_out)
         prior_of = _prior_of(priors, listed)
         members = _run(listed, store, options, executor, workers or os.cpu_count() or 1, prior_of)
-        _written(members, store)
+        _written(members, store, anyway)
 
 
 def _listed(
@@ -186,14 +188,17 @@ class _Line:
             say(progress.line(now))
 
 
-def _written(members: Sequence[Member], store: Store) -> None:
+def _written(members: Sequence[Member], store: Store, anyway: bool) -> None:
     """All that is told of the fleet."""
     from handcal.fleet.results import write_all
     from handcal.population.stacked import FOUND
     from handcal.show import words
 
     told = write_all(
-        members, store, lambda m: say(f"what the devices of {m or 'no model'} have in common")
+        members,
+        store,
+        lambda m: say(f"what the devices of {m or 'no model'} have in common"),
+        anyway,
     )
     tell(f"{told.done} recordings explained, {told.failed} without a result: "
          f"{store.shown}/fleet.html")  # fmt: skip

@@ -13,6 +13,7 @@ import typer
 from handcal.commands._device import DeviceFile, ModelName, PriorsFile, before_of
 from handcal.commands._options import (
     AS_IT_IS,
+    Anyway,
     Effects,
     Reading,
     Rrd,
@@ -85,6 +86,7 @@ def live(
         float | None,
         typer.Option(min=0.0, metavar="SECONDS", help="Time limit of the search, as of explain."),
     ] = None,
+    anyway: Anyway = False,
     dashboard: Annotated[
         bool, typer.Option("--dashboard", help="Show it in the Rerun viewer as it goes.")
     ] = False,
@@ -109,7 +111,8 @@ def live(
     recording = None if source is None else load(source, how)
     if recording is None:
         _check_installed()
-    wanted = _wanted(effects, until, (device, priors, model), budget, places.is_page)
+    wanted = _wanted(effects, until, (device, priors, model), budget, places.is_page,
+                     anyway)  # fmt: skip
     pull, named = _pull(places)
     out.mkdir(parents=True, exist_ok=True)
     session = Session(opened(out / "recording.mcap"), source=named)
@@ -173,7 +176,7 @@ def _check_outputs(out: Path, rrd: Path | None, read: tuple[Path | None, ...]) -
 
 def _wanted(
     effects: str, until: str, known: tuple[Path | None, Path | None, str | None],
-    budget: float | None, is_page: bool,
+    budget: float | None, is_page: bool, anyway: bool,
 ) -> Wanted:  # fmt: skip
     """What was asked for. Errors: InputError."""
     from handcal.effects import select
@@ -197,7 +200,8 @@ def _wanted(
         if value is not None
         for word in (option, str(value))
     ]
-    return Wanted(ids, before, goals, budget, is_page, renewed, typed=tuple(typed))
+    return Wanted(ids, before, goals, budget, is_page, renewed, typed=tuple(typed),
+                  anyway=anyway)  # fmt: skip
 
 
 @contextlib.contextmanager

@@ -14,15 +14,15 @@ axes. The gyro's offsets are found anew at each start unless INS_GYR_CAL is 0. S
 1.2 are refused by ArduPilot, and so are they here.
 
 What ArduPilot logs it has corrected by these parameters, so what handcal finds in it is what they
-left. ``--parameters FILE`` is the vehicle's parameters at that time: a file of Mission Planner,
-MAVProxy or QGroundControl, or the log's own (``mavlogdump.py --format csv --types PARM``). With
-them the file is right as it stands; without, it is refused. Parameters that the recording did not
-show are left out, so that the vehicle keeps its own.
+left. A log (.bin) has the parameters too, and they go with the recording: the file is right as it
+stands. Of a table ``--parameters FILE`` is the vehicle's parameters at that time: a file of Mission
+Planner, MAVProxy or QGroundControl, or ``mavlogdump.py --format csv --types PARM``. Refused:
+readings whose parameters are not known, or changed in the log; a board that is turned
+(AHRS_ORIENTATION). Parameters that the recording did not show are left out, so that the vehicle
+keeps its own.
 
-ArduPilot's own logs (.bin) are not read. The way round: its IMU messages as a table (pymavlink:
-``mavlogdump.py --format csv --types IMU``), of the first instance (I is 0); columns
-``t,gx,gy,gz,ax,ay,az`` from TimeUS (in s), Gyr and Acc, with the sign of y and z changed in both
-sensors (or as they are, and ``--axes frd``).
+A log needs the IMU at full rate, also before arming: LOG_BITMASK with *Fast IMU* or *Raw IMU*, and
+LOG_DISARMED 1 (ardupilot.org, "Complete Parameter List"). The first IMU is read.
 """
 
 from __future__ import annotations

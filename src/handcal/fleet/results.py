@@ -26,6 +26,8 @@ from handcal.fleet.work import information_of
 from handcal.population.by_model import Common, Model, Reading, models
 from handcal.population.odd import refused
 from handcal.show.fleet import Fleet, fleet_json, write_page
+from handcal.trust import GOOD, Trust, check, of_document, said
+from handcal.types import HandcalError
 
 
 @dataclass(frozen=True)
@@ -39,34 +41,42 @@ class Written:
     @property
     def said(self) -> list[str]:
         """A sentence for each recording that has no result, or tells nothing of its model."""
-        return [f"{Path(path).name}: {reason}" for path, _, reason in self.fleet.failures] + [
-            f"{Path(path).name} is explained, and tells nothing of its model. {reason}"
-            for path, reason in self.fleet.untold
-        ]
+        return [
+            *(f"{Path(path).name}: {reason}" for path, _, reason in self.fleet.failures),
+            *(f"{Path(path).name} is explained, and tells nothing of its model. {reason}"
+              for path, reason in self.fleet.untold),
+            *(sentence for path, own in self.fleet.doubted.items()
+              for sentence in said(Path(path).name, own)),
+        ]  # fmt: skip
 
 
 def write_all(
-    members: Sequence[Member], store: Store, report: Callable[[str], None] = lambda _: None
-) -> Written:
+    members: Sequence[Member], store: Store, report: Callable[[str], None] = lambda _: None,
+    anyway: bool = False,
+) -> Written:  # fmt: skip
     """The data set, fleet.json, priors.toml and fleet.html of a folder, from what is kept in it;
-    report: called with the name of each model before its devices are looked at. Errors:
-    HandcalError."""
+    report: called with the name of each model before its devices are looked at; anyway: what is not
+    to be trusted tells of its model too. Errors: HandcalError."""
     readings, failures, verdicts = list[Reading](), list[tuple[str, str, str]](), Counter[str]()
-    untold: list[tuple[str, str]] = []
+    untold, doubted = list[tuple[str, str]](), dict[str, Trust]()
     unused: dict[str, dict[str, list[str]]] = {}
 
     def seen() -> Iterator[tuple[Source, Document]]:
         for source, record in rows(members, store):
+            own = of_document(source.shown, record)
+            why_not = _untold(Path(source.shown).name, record, own, anyway)
             if record["status"] == DONE:
-                if "untold" in record:
-                    untold.append((source.shown, record["untold"]))
+                if why_not:
+                    untold.append((source.shown, why_not))
                 else:
                     readings.append(reading_of(source, record))
+                    if own.level != GOOD:
+                        doubted[source.shown] = own
                 verdicts[str(record.get("verdict"))] += 1
             else:
                 failures.append((source.shown, record["status"], record["reason"]))
             if source.device:
-                why = record["reason"] if record["status"] == FAILED else record.get("untold", "")
+                why = record["reason"] if record["status"] == FAILED else why_not
                 of_model = unused.setdefault(source.model or dataset.UNKNOWN, {})
                 of_model.setdefault(source.device, []).append(why)
             yield source, record
@@ -75,7 +85,8 @@ def write_all(
     known = [replace(m, odd=(*refused(unused[m.name]), *m.odd)) if m.name in unused else m
              for m in models(readings, asked(), report)]  # fmt: skip
     done = len(readings) + len(untold)
-    fleet = Fleet(tuple(known), tuple(failures), dict(verdicts), done, tuple(untold))
+    fleet = Fleet(tuple(known), tuple(failures), dict(verdicts), done, tuple(untold),
+                  doubted)  # fmt: skip
     document = fleet_json(fleet) | {"version": handcal.__version__}
     text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False)
     json_file, priors, page = told_files(store.folder)
@@ -86,6 +97,15 @@ def write_all(
     for written in (dataset.FOLDER, *(p.name for p in (priors, json_file, page))):
         store.send(written)
     return Written(done, len(failures), fleet)
+
+
+def _untold(name: str, record: Document, own: Trust, anyway: bool) -> str:
+    """Why a recording tells nothing of the devices of its model; empty where it does."""
+    try:
+        check(name, own, anyway)
+    except HandcalError as error:
+        return str(error)
+    return str(record.get("untold", ""))
 
 
 def reading_of(source: Source, record: Document) -> Reading:

@@ -69,6 +69,7 @@ def summary(
         "told": [],
         "held_out": document["held_out"],
         "warnings": document["warnings"],
+        "trust": document["trust"], "trust_reasons": document["trust_reasons"],
     } | ({"untold": untold} if telling is None else _told_json(telling))  # fmt: skip
 
 

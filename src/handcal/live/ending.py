@@ -15,6 +15,7 @@ from handcal.live.rounding import TOO_SURE, rounded
 from handcal.live.session import Session
 from handcal.live.sources.browser import APIS, Convention, told
 from handcal.recordings.export import Pieces
+from handcal.trust import check, together
 from handcal.types import Array, HandcalError, Parameter, Prior, Recording
 
 FILES = ("recording.mcap", "calibration.json", "explanation.json", "report.html")
@@ -36,7 +37,8 @@ class Wanted:
     effects: to calibrate, instead of those that are found; before: what is known of the device;
     until: sigmas, SI, by effect; budget: s; checked: axes and sign are a browser's, to be told by
     turns and the first rest; renewed: what is known before the recording, by when it was made;
-    stop: says whether to end the search with what it has; typed: the options that say so.
+    stop: says whether to end the search with what it has; typed: the options that say so; anyway:
+    export also what is not to be trusted.
     """
 
     effects: tuple[str, ...] = ()
@@ -47,6 +49,7 @@ class Wanted:
     renewed: Callable[[Recording], Prior | None] | None = None
     stop: Callable[[], bool] | None = None
     typed: tuple[str, ...] = ()
+    anyway: bool = False
 
 
 @dataclass(frozen=True)
@@ -202,6 +205,7 @@ def _explained(recording: Recording, out: Path, wanted: Wanted, progress: Progre
     """Explain and calibrate; of what is written the exports are told as files."""
     from handcal.estimate.calibration import calibrate
     from handcal.explain import explain
+    from handcal.show import doubts
     from handcal.show.calibration.summary import calibration_json, write_json
     from handcal.show.explanation import verdict_text
     from handcal.show.explanation.document import all_warnings, explanation_json
@@ -228,8 +232,14 @@ def _explained(recording: Recording, out: Path, wanted: Wanted, progress: Progre
     write_json(calibration_json(result), out / FILES[1])
     verdict = verdict_text.verdict(explanation)
     said = (*verdict.sentences, *said_of(result.parameters, wanted.until))
-    warnings = dict.fromkeys((*all_warnings(explanation), *result.warnings))
-    return Ended(verdict.headline, said, tuple(exported(out)), tuple(warnings))
+    # (what is calibrated is what was found, so a doubt about either is one about both)
+    own = together((doubts.of_explanation(explanation), doubts.of_calibration(result)))
+    warnings = dict.fromkeys((*all_warnings(explanation), *result.warnings, *own.reasons))
+    try:
+        check(FILES[1], own, wanted.anyway)
+    except HandcalError as error:
+        return Ended(verdict.headline, said, (), (*warnings, str(error)))
+    return Ended(verdict.headline, said, tuple(exported(out, wanted.anyway)), tuple(warnings))
 
 
 def _contradicting(
@@ -243,8 +253,9 @@ def _contradicting(
     return surprise_sentences(wanted.before, parameters, covariance)
 
 
-def exported(out: Path) -> Iterator[str]:
-    """Write the calibration in other programs' formats; the names of what could be written."""
+def exported(out: Path, anyway: bool = False) -> Iterator[str]:
+    """Write the calibration in other programs' formats; the names of what could be written.
+    anyway: also of one that is not to be trusted."""
     from handcal import output
     from handcal.exports import format_of
     from handcal.exports._contents import contents
@@ -252,9 +263,7 @@ def exported(out: Path) -> Iterator[str]:
     (out / EXPORTED).mkdir(exist_ok=True)
     for form, name in EXPORTS:
         try:
-            text = format_of(form).write(
-                contents(out / FILES[1], format_of(form), None, None, None, None)
-            )
+            text = format_of(form).write(contents(out / FILES[1], format_of(form), anyway=anyway))
         except HandcalError:  # (a format that cannot hold what was found)
             continue
         output.write_text(out / EXPORTED / name, text)

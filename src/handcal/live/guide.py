@@ -14,7 +14,8 @@ from handcal.types import Array, IntArray, Parameter
 
 WAIT = "Hold it where it is: working out what to do next."
 ENOUGH = "That is enough: press Stop, or go on turning to know more."
-# Without an estimate after this long, s of recording, turns are asked for one after the other.
+# A motion that has got no further for this long, s of recording, gives way to the one that is now
+# best; and without an estimate for this long, turns are asked for one after the other.
 PATIENCE_S = 15.0
 # An improvement below a tenth is not worth a word.
 BETTER = 0.9
@@ -27,7 +28,8 @@ LONGEST_STEP_S = 0.1
 @dataclass
 class Guide:
     """watched: the motion that is asked for; before: the look when it was asked for; brought: what
-    the last one did; over_ns: when the last motion was over, None while one is being done."""
+    the last one did; over_ns: when the last motion was over, None while one is being done; most,
+    since_ns: how far this one has come, and when it last got further."""
 
     watched: Watched = field(default_factory=lambda: Watched(FIRST))
     look: Look | None = None
@@ -35,6 +37,8 @@ class Guide:
     brought: str = ""
     asked: list[str] = field(default_factory=list)
     over_ns: int | None = None
+    most: float = 0.0
+    since_ns: int | None = None
     last_ns: int | None = None
     enough: bool = False
 
@@ -49,10 +53,21 @@ class Guide:
         if self.over_ns is None:
             bias = self.look.bias if self.look is not None else 0.0
             self.watched.saw(gyro - bias, step)
+            if self.watched.done > self.most or self.since_ns is None:
+                self.most, self.since_ns = self.watched.done, self.last_ns
             if self.watched.over:
                 self.over_ns = self.last_ns
+            elif self.last_ns - self.since_ns > PATIENCE_S * 1e9:
+                self._ask(self._best)
         elif self.last_ns - self.over_ns > PATIENCE_S * 1e9:
             self._ask(CHOICE[len(self.asked) % len(CHOICE)])
+
+    @property
+    def _best(self) -> Asked:
+        """By the last look; without one they follow one another."""
+        if self.look is not None and self.look.next is not None:
+            return asked_for(self.look.next.name)
+        return CHOICE[len(self.asked) % len(CHOICE)]
 
     def learned(self, look: Look) -> None:
         """A new look: it says what the last motion brought, and which is next."""
@@ -66,7 +81,16 @@ class Guide:
 
     def _ask(self, asked: Asked) -> None:
         self.watched, self.before, self.over_ns = Watched(asked), self.look, None
+        self.most, self.since_ns = 0.0, None
         self.asked.append(asked.name)
+
+    @property
+    def open(self) -> str:
+        """How far the motion is that is asked for; empty between two."""
+        if self.over_ns is not None or self.enough:
+            return ""
+        far = f"“{self.watched.asked.name}” is {100 * self.watched.done:.0f} % done"
+        return f"{far}. {self.watched.hint}" if self.watched.hint else f"{far}."
 
     def told(self) -> dict[str, Any]:
         """What the page, the terminal and the dashboard are told."""

@@ -32,6 +32,8 @@ from handcal.types import (
 EXPLAIN_S, EXPLAIN_AGAIN = 20.0, 1.6
 # Its time limit while somebody waits, s; at the end there is none.
 BEHIND_S = 20.0
+# So often, s of recording, the terminal says how far what is asked for is, if nothing else is new.
+AGAIN_S = 5.0
 # Letters of a whole bar in the terminal.
 BAR = 20
 
@@ -95,6 +97,7 @@ class Live:
     attitude: tuple[int, Array] | None = None
     drawn_ns: int = -1
     said: str = ""
+    said_s: float = 0.0
     told_brought: str = ""
     following: Following = field(init=False)
     looked_as: Convention = field(default_factory=Convention)
@@ -260,8 +263,13 @@ class Live:
                     self.say(line)
                 for line in checks(self.session.told.get("filter")):
                     self.say(line)
-            self.said = say
+            self.said, self.said_s = say, self.session.recorder.seconds
             self.say(say)
+        elif self.session.recorder.seconds - self.said_s >= AGAIN_S:
+            self.said_s = self.session.recorder.seconds
+            rows = self.session.told.get("parameters", [])
+            for line in filter(None, (self.guide.open, least_known(rows))):
+                self.say(line)
 
     def _draw(self, ns: IntArray, value: Array) -> None:
         self.drawn_ns = int(ns[-1])
@@ -286,6 +294,12 @@ def bars(rows: Sequence[Mapping[str, Any]]) -> list[str]:
         + ("enough" if row["good"] else "█" * max(1, round(BAR * row["left"])))
         for row in rows
     ]
+
+
+def least_known(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Of which parameter most is left to learn, for the terminal; empty where all is known."""
+    row = max(rows, key=lambda row: float(row["left"]), default=None)
+    return "" if row is None or row["good"] else f"Least known: {row['name']}, {row['text']}."
 
 
 def checks(filtered: Mapping[str, Any] | None) -> list[str]:

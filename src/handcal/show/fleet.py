@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from handcal.show.changes import change_json, histories, rows_of, steps_of
 from handcal.show.common_law import law_json
 from handcal.show.drawing import RC, SHADE, XYZ, Plot, canvas, svg, thin
 from handcal.show.html_page import page
+from handcal.trust import Trust, json_of
 from handcal.units import Shown, shown
 
 SCHEMA = "handcal/fleet/1"
@@ -36,13 +37,14 @@ MOST_DRAWN = 300
 class Fleet:
     """models; failures: path, status and reason of each recording without a result; verdicts: how
     often each; done: recordings with a result; untold: path and reason of each of these that tells
-    nothing of the devices of its model."""
+    nothing of the devices of its model; doubted: by path, of what tells of them in spite of it."""
 
     models: tuple[Model, ...]
     failures: tuple[tuple[str, str, str], ...]
     verdicts: Mapping[str, int]
     done: int
     untold: tuple[tuple[str, str], ...] = ()
+    doubted: Mapping[str, Trust] = field(default_factory=dict)
 
 
 def fleet_json(fleet: Fleet) -> dict[str, Any]:
@@ -54,6 +56,7 @@ def fleet_json(fleet: Fleet) -> dict[str, Any]:
         "models": [_model_json(m) for m in fleet.models],
         "failures": [{"path": p, "status": s, "reason": r} for p, s, r in fleet.failures],
         "untold": [{"path": p, "reason": r} for p, r in fleet.untold],
+        "doubted": [{"path": p} | json_of(own) for p, own in fleet.doubted.items()],
     }
 
 
@@ -135,6 +138,8 @@ def write_page(fleet: Fleet, path: Path) -> None:
         "models": [_section(m) for m in fleet.models],
         "failures": [(Path(p).name, s, r) for p, s, r in fleet.failures[:MOST_ROWS]],
         "untold": [(Path(p).name, r) for p, r in fleet.untold[:MOST_ROWS]],
+        "doubted": [(Path(p).name, own.level, " ".join(own.reasons))
+                    for p, own in [*fleet.doubted.items()][:MOST_ROWS]],
         "more": max(0, len(fleet.failures) - MOST_ROWS),
     }  # fmt: skip
     output.write_text(path, page("fleet.html.j2", context))

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from handcal.commands._options import Anyway
+from handcal.commands._options import Anyway, heard
 from handcal.commands._registry import say, tell
 
 
@@ -67,12 +67,9 @@ def add(
     when = None if date is None else date.replace(tzinfo=UTC)
     for path in results:
         document = device_file.read_result(path)
-        own = trust.of_document(str(path), document)
-        trust.check(str(path), own, anyway)
         session = device_file.session_of(path, document, device.name, when, temperature)
         device = device_file.added(device, session)
-        for doubt in trust.said(str(path), own):
-            say(doubt)
+        heard(path, trust.of_document(str(path), document), anyway)
         if left := sentence(not_kept(document)):
             say(left if len(results) == 1 else f"{path}: {left}")
     device_file.write(device, file)

@@ -17,16 +17,24 @@ import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from handcal.recordings.inputs._autopilot import (
+    TURNED,
+    Fields,
+    Parameters,
+    floats,
+    nanoseconds,
+    rows,
+    vector,
+)
 from handcal.recordings.inputs._magic import begins_with
 from handcal.recordings.inputs._options import Options
 from handcal.recordings.inputs._repair import Columns, assemble, columns
 from handcal.recordings.inputs._zip import LARGEST, stated
 from handcal.recordings.streams import TURNED_TO_FLU
-from handcal.types import Array, InputError, Recording
+from handcal.types import InputError, Recording
 
 UNDERSTOOD = "a log of PX4 (.ulg)"
 UNITS = (
@@ -42,7 +50,6 @@ _TOPICS = ("sensor_gyro", "sensor_accel", "sensor_combined", "sensor_mag", "vehi
            "vehicle_mocap_odometry", "sensor_selection")  # fmt: skip
 HEADER = 16
 LARGEST_MESSAGE = 2**16
-_AT_ONCE = 50_000
 _KINDS = "BFIMPQARDLCSO"
 _DATA, _FLAGS, _FORMAT, _ADDED, _INFO, _PARAMETER = (ord(kind) for kind in "DBFAIP")
 # Parameters that say how PX4 corrects its readings (docs.px4.io, "Parameter Reference").
@@ -51,13 +58,11 @@ _CALIBRATION = re.compile(
 )
 _NUMBERS = {"float": "<f", "int32_t": "<i"}
 _FIELD = re.compile(r"(\w+?)(?:\[(\d{1,5})\])? (\w+)")
-TURNED = np.array([1.0, -1.0, -1.0])  # forward, right, down to forward, left, up
 _SAID = f"PX4's axes (forward, right, down) were {TURNED_TO_FLU}."
 _TYPES = {
     **{f"{sign}int{8 * n}_t": f"<{sign or 'i'}{n}" for sign in ("", "u") for n in (1, 2, 4, 8)},
     "float": "<f4", "double": "<f8", "bool": "<u1", "char": "<u1",
 }  # fmt: skip
-_Fields = Mapping[str, Array]
 
 
 def can_read(path: Path) -> bool:
@@ -69,7 +74,7 @@ def read(path: Path, options: Options) -> Recording:
     """Read the recording. Errors: InputError."""
     topics, said, log = _topics(path)
     options.progress(1.0)
-    said = [*stated("PX4", options), *said, *log.changes(), _SAID]
+    said = [*stated("PX4", options), *said, *log.parameters.changes("PX4"), _SAID]
     whole = topics.get("sensor_combined", {})
     raw = all(name in topics for name in _TOPICS[:2]) and all(
         2 * len(topics[name]["timestamp"]) > len(whole.get("timestamp", ())) for name in _TOPICS[:2]
@@ -100,10 +105,10 @@ def read(path: Path, options: Options) -> Recording:
     read_from = {s: names[s] for s in ("imu", *made.streams)}
     return replace(made, topics=read_from, device=log.told.get("sys_uuid", ""),
                    model=log.told.get("ver_hw", ""),
-                   vehicle={**log.parameters, **_ids(topics, raw)})  # fmt: skip
+                   vehicle={**log.parameters.values, **_ids(topics, raw)})  # fmt: skip
 
 
-def _ids(topics: Mapping[str, _Fields], raw: bool) -> dict[str, float]:
+def _ids(topics: Mapping[str, Fields], raw: bool) -> dict[str, float]:
     """Of the sensors that were read, as ``topic.field``; not where another one took over."""
     fields = (
         [("sensor_gyro", "device_id"), ("sensor_accel", "device_id")]
@@ -115,26 +120,20 @@ def _ids(topics: Mapping[str, _Fields], raw: bool) -> dict[str, float]:
     return {name: float(ids[0]) for name, ids in found.items() if len(ids) == 1}
 
 
-def _topics(path: Path) -> tuple[dict[str, _Fields], list[str], _Log]:
+def _topics(path: Path) -> tuple[dict[str, Fields], list[str], _Log]:
     """Fields by topic, the first instance of each, warnings, and what else the log says. Errors:
     InputError."""
     if path.stat().st_size > LARGEST:
         raise InputError(f"{path} is too large to be read at once.")
     data = path.read_bytes()
     log = _walked(path, data)
-    topics: dict[str, _Fields] = {}
-    buffer = np.frombuffer(data, dtype=np.uint8)
+    topics: dict[str, Fields] = {}
     for id, (_, name) in sorted(log.names.items(), key=lambda one: one[1][0]):
         layout = _layout(log.formats.get(name, ""))
         starts = [at for at, length in log.places.get(id, ()) if length >= layout.itemsize]
         if name in topics or not starts or "timestamp" not in (layout.names or ()):
             continue
-        parts = []
-        for k in range(0, len(starts), _AT_ONCE):  # (what places of bytes take is eightfold)
-            places = np.array(starts[k : k + _AT_ONCE])[:, None] + np.arange(layout.itemsize)
-            parts.append(buffer[places].view(layout)[:, 0])
-        rows = np.concatenate(parts)
-        topics[name] = {one: rows[one] for one in layout.names or ()}
+        topics[name] = rows(data, starts, layout)
     if log.whole:
         return topics, [], log
     cut = f"The log ends early or is damaged: {log.messages} messages were recovered."
@@ -152,24 +151,15 @@ class _Log:
     messages: int = 0
     whole: bool = True
     told: dict[str, str] = field(default_factory=dict)
-    parameters: dict[str, float] = field(default_factory=dict)
-    changed: set[str] = field(default_factory=set)
+    parameters: Parameters = field(default_factory=Parameters)
 
     def add_parameter(self, message: bytes) -> None:
-        """A parameter message; one that changes in a log is not known of all of its readings."""
+        """A parameter message."""
         key, value = _keyed(message)
         kind, _, name = key.partition(" ")
         if kind not in _NUMBERS or len(value) != 4 or not _CALIBRATION.fullmatch(name):
             return
-        number = float(struct.unpack(_NUMBERS[kind], value)[0])
-        if name not in self.changed and self.parameters.setdefault(name, number) != number:
-            del self.parameters[name]
-            self.changed.add(name)
-
-    def changes(self) -> list[str]:
-        """A sentence about the parameters that changed, if any did."""
-        names = ", ".join(sorted(self.changed))
-        return [f"PX4's calibration changed during the log: {names}."] if names else []
+        self.parameters.add(name, float(struct.unpack(_NUMBERS[kind], value)[0]))
 
 
 def _walked(path: Path, data: bytes) -> _Log:
@@ -254,7 +244,7 @@ def _layout(fields: str) -> np.dtype[np.void]:
     return np.dtype(list(dict(found).items()))
 
 
-def _further(topics: Mapping[str, _Fields], raw: bool) -> dict[str, Columns]:
+def _further(topics: Mapping[str, Fields], raw: bool) -> dict[str, Columns]:
     """The streams beside the IMU."""
     streams = {}
     if raw and "sensor_mag" in topics:
@@ -263,32 +253,26 @@ def _further(topics: Mapping[str, _Fields], raw: bool) -> dict[str, Columns]:
         streams["mag"] = _vector(topics["vehicle_magnetometer"], "magnetometer_ga", 1e-4)
     if raw and "temperature" in topics["sensor_accel"]:
         fields = topics["sensor_accel"]
-        streams["temperature"] = columns(_stamps(fields), _floats(fields["temperature"])[:, None])
+        streams["temperature"] = columns(
+            nanoseconds(fields[_stamp(fields)]), floats(fields["temperature"])[:, None]
+        )
     if "vehicle_mocap_odometry" in topics:
         fields = topics["vehicle_mocap_odometry"]
         place, q = (
-            np.column_stack([_floats(fields[f"{name}[{k}]"]) for k in range(n)])
+            np.column_stack([floats(fields[f"{name}[{k}]"]) for k in range(n)])
             for name, n in (("position", 3), ("q", 4))
         )
         turned = np.hstack([place * TURNED, q[:, :2], -q[:, 2:]])
-        streams["pose"] = columns(_stamps(fields), turned)
+        streams["pose"] = columns(nanoseconds(fields[_stamp(fields)]), turned)
     return streams
 
 
-def _vector(fields: _Fields, name: str, factor: float) -> Columns:
+def _vector(fields: Fields, name: str, factor: float) -> Columns:
     """A vector (n, 3) in forward, left, up."""
     names = [f"{name}[{k}]" for k in range(3)] if name else ["x", "y", "z"]
-    value = np.column_stack([_floats(fields[n]) for n in names])
-    return columns(_stamps(fields), factor * TURNED * value)
+    return vector(fields, names, _stamp(fields), factor)
 
 
-def _floats(field: Array) -> Array:
-    return np.asarray(field, dtype=np.float64)
-
-
-def _stamps(fields: _Fields) -> Any:
-    """When the sample was taken, else when it was published; ns since boot."""
-    us = fields.get("timestamp_sample", fields["timestamp"])
-    if us.dtype.kind not in "iu" or np.any(us > 9 * 10**15):
-        raise InputError("A time stamp of the log is no number of microseconds since boot.")
-    return us.astype(np.int64) * 1000
+def _stamp(fields: Fields) -> str:
+    """The field that says when the sample was taken, else when it was published."""
+    return "timestamp_sample" if "timestamp_sample" in fields else "timestamp"
