@@ -29,7 +29,6 @@ live: .venv/.installed-live ## install what serves the page of `handcal live` to
 docs: .venv/.installed-dev ## write the catalogue and draw the figures of docs/ anew
 	$(BIN)/python docs/make_effects.py
 	$(BIN)/python docs/make_formats.py
-	$(BIN)/python docs/make_constants.py
 	$(BIN)/python docs/make_layers.py
 	$(BIN)/python docs/make_use.py
 	$(BIN)/python docs/make_licences.py
