@@ -4,7 +4,7 @@
 .DEFAULT_GOAL := help
 .PHONY: help setup demo live docs site gallery stories test lint format prove fuzz fuzz-guided soak rough pairs trial judge bench bench-check fleet-scale dist size audit clean clean-cache
 
-BIN := .venv/bin
+BIN := $(if $(filter Windows_NT,$(OS)),.venv/Scripts,.venv/bin)
 # Of `make trial`: which suites, how many explanations at a time; SEED=N repeats a trial, and
 # AGAINST=../older/.venv/bin/handcal has another version explain the same recordings.
 SUITES := nothing one mixed unknown turn faint reference large phone odometry people budget wild strange axis walks ordinary

@@ -28,7 +28,9 @@ def said(name: str) -> str:
     folder = SOURCE / name
     file = folder / "__init__.py" if folder.is_dir() else folder.with_suffix(".py")
     text = ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or ""
-    return " ".join(text.split("\n\n")[0].split()).replace("``", "").split(". ")[0]
+    return (
+        " ".join(text.split("\n\n")[0].split()).replace("``", "").split(". ")[0].rstrip(".") + "."
+    )
 
 
 def picture() -> str:

@@ -114,7 +114,11 @@ def test_the_picture_of_the_code_is_what_the_layers_are():
     assert script.PICTURE.read_text(encoding="utf-8") == script.picture()
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+# The changelog names files of older versions, contributing those of its examples.
+OF_NOW = [p for p in PAGES if p.name not in ("CHANGELOG.md", "CONTRIBUTING.md")]
+
+
+@pytest.mark.parametrize("page", OF_NOW, ids=lambda p: p.name)
 def test_files_that_the_documents_name_exist(page):
     named = set(re.findall(r"`([a-z_/]+\.py)`", page.read_text(encoding="utf-8")))
     places = [ROOT, ROOT / "docs", ROOT / "src/handcal", *(ROOT / "src/handcal").glob("estimate"),
