@@ -4,7 +4,7 @@
 .DEFAULT_GOAL := help
 .PHONY: help setup demo live docs site gallery stories test lint format prove fuzz fuzz-guided soak rough pairs trial judge bench bench-check fleet-scale dist size audit clean clean-cache
 
-BIN := .venv/bin
+BIN := $(if $(filter Windows_NT,$(OS)),.venv/Scripts,.venv/bin)
 # Of `make trial`: which suites, how many explanations at a time; SEED=N repeats a trial, and
 # AGAINST=../older/.venv/bin/handcal has another version explain the same recordings.
 SUITES := nothing one mixed unknown turn faint reference large phone odometry people budget wild strange axis walks ordinary
@@ -29,7 +29,6 @@ live: .venv/.installed-live ## install what serves the page of `handcal live` to
 docs: .venv/.installed-dev ## write the catalogue and draw the figures of docs/ anew
 	$(BIN)/python docs/make_effects.py
 	$(BIN)/python docs/make_formats.py
-	$(BIN)/python docs/make_constants.py
 	$(BIN)/python docs/make_layers.py
 	$(BIN)/python docs/make_use.py
 	$(BIN)/python docs/make_licences.py

@@ -34,7 +34,7 @@ A table in text, of MATLAB, NumPy or Parquet is read at once where its header sa
 | `--units` | its units, also in counts | `--units accel=g/16384,gyro=deg/s/131,mag=uT/0.15` |
 | `--axes` | that a sensor has other axes than the IMU: which of its own stand for x, y, z | `--axes mag=y,x,-z` |
 
-Every command that reads a recording has them, `import` too, and [handcal.toml](../README.md) per command; `--units` and `--axes` work for every format. In Python: `handcal.read(path, columns=..., rate_hz=..., units=..., axes=...)`.
+Every command that reads a recording has them, `import` too, and [handcal.toml](commands.md#options-in-a-file) per command; `--units` and `--axes` work for every format. In Python: `handcal.read(path, columns=..., rate_hz=..., units=..., axes=...)`.
 
 Names, of several the first; a sign and a sum are meant as such (`src/handcal/recordings/inputs/columns.toml`, where further ones are added):
 

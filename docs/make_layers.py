@@ -1,15 +1,18 @@
-"""Writes the map of the code into README.md: the layers that the import linter checks, and what the
-packages say of themselves; `make docs` runs it."""
+"""Draws docs/images/layers.svg, the packages in the layers that the import linter checks, with what
+each says of itself; `make docs` runs it."""
 
 from __future__ import annotations
 
 import ast
+import textwrap
 from configparser import ConfigParser
+from html import escape
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-README, SOURCE = ROOT / "README.md", ROOT / "src" / "handcal"
-BEGIN, END = "<!-- layers: written by make docs -->\n", "<!-- end of layers -->\n"
+SOURCE, PICTURE = ROOT / "src" / "handcal", ROOT / "docs" / "images" / "layers.svg"
+LINE, GAP, WIDE, NAME = 18, 10, 900, 150  # px
+LETTERS = 105  # that fit beside a name
 
 
 def layers() -> list[list[str]]:
@@ -25,23 +28,40 @@ def said(name: str) -> str:
     folder = SOURCE / name
     file = folder / "__init__.py" if folder.is_dir() else folder.with_suffix(".py")
     text = ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or ""
-    return " ".join(text.split("\n\n")[0].split())
+    return (
+        " ".join(text.split("\n\n")[0].split()).replace("``", "").split(". ")[0].rstrip(".") + "."
+    )
 
 
-def table() -> str:
-    """The map: one line a package, layers apart."""
-    parts = []
-    for layer in layers():
-        shown = [n + "/" if (SOURCE / n).is_dir() else n + ".py" for n in layer]
-        parts.append("\n".join(f"{s:<16}{said(n)}" for s, n in zip(shown, layer, strict=True)))
-    return "```\n" + "\n\n".join(parts[1:]) + "\n```\n"
+def picture() -> str:
+    """The picture: one box a layer, one row a package, from the command line down."""
+    parts, y = [], GAP
+    for layer in layers()[1:]:
+        top, y = y, y + GAP // 2
+        rows = []
+        for name in layer:
+            shown = name + "/" if (SOURCE / name).is_dir() else name + ".py"
+            lines = textwrap.wrap(said(name), LETTERS)
+            rows.append(text(GAP * 2, y, shown, "name"))
+            rows += [text(NAME, y + n * LINE, line, "what") for n, line in enumerate(lines)]
+            y += LINE * max(1, len(lines))
+        y += GAP // 2
+        parts.append(f'<rect x="{GAP}" y="{top}" width="{WIDE - 2 * GAP}" height="{y - top}"/>')
+        parts += rows
+        y += GAP // 2
+    return "\n".join((HEAD.format(width=WIDE, height=y + GAP // 2), *parts, "</svg>\n"))
 
 
-def written(text: str) -> str:
-    """The page with the map in its place."""
-    before, rest = text.split(BEGIN)
-    return before + BEGIN + table() + END + rest.split(END)[1]
+def text(x: int, top: int, words: str, kind: str) -> str:
+    return f'<text x="{x}" y="{top + 14}" class="{kind}">{escape(words)}</text>'
+
+
+# (its own background, so that it can be read on a dark page)
+HEAD = """<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}">
+<style>text {{ font: 13px sans-serif; fill: #1a202c }} .name {{ font: bold 13px monospace }}
+rect {{ fill: #fff; stroke: #a0aec0 }}</style>
+<rect width="{width}" height="{height}" style="fill: #f5f7fa; stroke: none"/>"""
 
 
 if __name__ == "__main__":
-    README.write_text(written(README.read_text(encoding="utf-8")), encoding="utf-8")
+    PICTURE.write_text(picture(), encoding="utf-8")

@@ -20,7 +20,9 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
 ROOT = Path(__file__).resolve().parents[1]
-OF_THE_ROOT = {"readme.md", "changelog.md", "contributing.md"}
+OF_THE_ROOT = {
+    "readme.md", "changelog.md", "contributing.md", "security.md", "code-of-conduct.md",
+}  # fmt: skip
 
 
 def listed(nav) -> list[str]:
@@ -37,7 +39,9 @@ def test_every_page_and_notebook_is_in_the_navigation():
     nav = listed(yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))["nav"])
     docs = ROOT / "docs"
     pages = {p.relative_to(docs).as_posix() for p in docs.rglob("*.md")}
-    pages -= {p for p in pages if p.startswith("gallery/")} - {"gallery/index.md"}
+    for folder in ("gallery", "dev/decisions"):
+        listed_there = {p for p in pages if p.startswith(f"{folder}/")}
+        pages -= listed_there - {f"{folder}/index.md"}
     notebooks = {p.with_suffix(".md").name for p in docs.glob("*.ipynb")}
     assert set(nav) == pages | notebooks | OF_THE_ROOT
 

@@ -1,4 +1,4 @@
-"""What the site (mkdocs.yml) takes from outside docs/: README, changelog and contributing become
+"""What the site (mkdocs.yml) takes from outside docs/: README, changelog and others become
 pages, and each notebook one, with the outputs that it was kept with; the schemas come along."""
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).resolve().parents[2]
 OF_THE_ROOT = {"README.md": "readme.md", "CHANGELOG.md": "changelog.md",
-               "CONTRIBUTING.md": "contributing.md"}  # fmt: skip
+               "CONTRIBUTING.md": "contributing.md", "SECURITY.md": "security.md",
+               "CODE_OF_CONDUCT.md": "code-of-conduct.md"}  # fmt: skip
 SCHEMAS = ("src/handcal/schemas", "sim/handcal_sim/schemas")
 LINK = re.compile(r"(\]\(|src=\"|href=\")([^)\"\s]+)")
 

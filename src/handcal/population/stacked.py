@@ -20,7 +20,7 @@ from handcal.types import Array
 # Probability from which an effect is said to be there: contract, `missing`.
 FOUND = 0.5
 # By how much sigmas may be too small: of parameters of simulated people's recordings within three
-# sigma are 96 to 99 % (CHANGELOG), which a factor of 1.0 to 1.45 makes of a normal density.
+# sigma are 96 to 99 %, which a factor of 1.0 to 1.45 makes of a normal density.
 HONEST = np.array([1.0, 1.2, 1.45])
 # Spreads on trial, in usual sizes of the effect; their prior is flat from nothing to one.
 SPREADS = np.r_[0.0, np.geomspace(0.003, 1.0, 30)]
