@@ -2,6 +2,7 @@
 calibration, concealed about and exported beside."""
 
 import json
+import math
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -15,10 +16,18 @@ import handcal as hc
 from handcal.commands import _app
 from handcal.compiled import so3
 from handcal.estimate.calibration import recalibrate
+from handcal.estimate.case import case_of
+from handcal.estimate.fit import fitted
+from handcal.estimate.scan import scan
 from handcal.estimate.specification import Options, Specification, document_of
+from handcal.explain import pipeline
+from handcal.explain.assembled import End
 from handcal.explain.model_file import laws_of, of_document
 from handcal.laws import law_effect, shapes, terms
 from handcal.recordings.export import write_mcap
+from handcal.search.drifting_point import begun
+from handcal.search.multistart import Found
+from handcal.search.space import space
 from handcal.signals import of_recording
 from handcal.types import InputError
 from handcal_sim import simulate
@@ -190,3 +199,26 @@ def test_hand_over_tells_what_went_through(folder, tmp_path):
     file = tmp_path / "lost.json"
     file.write_text(json.dumps(lost))
     assert hand_over.FAILED in {w for _, _, w, _ in hand_over.handed(case, file, tmp_path)}
+
+
+@pytest.mark.parametrize("counts", [False, True])
+def test_a_law_that_does_not_count_is_in_no_model(counts):
+    """Found in the readings or next to nothing of it: in the one case it is told, in the other it
+    leaves the model, and is said."""
+    effects = {"gyro_scale": [0.1, 0.1, 0.1]}
+    read = recording_of(simulate("free-hand", seed=0, duration_s=40.0, effects=effects), "heading")
+    read = bent(read, CUBE) if counts else read
+    base = pipeline.dense(begun([case_of(read)]))
+    model = fitted(base.parts, [*base.effects, CUBE])
+    candidates = [e for e in model.effects if not e.always]
+    where = space(scan(model, candidates), candidates, {})
+    end = End(base, Found(model, where, {}, {}), None, math.nan)
+    done, chosen = pipeline._counted(end, None, Options())
+    assert (CUBE.id in done.found.model.ids) == counts
+    assert (CUBE.id in done.found.space.effects) == counts
+    if counts:
+        assert done.left == ()
+    else:
+        assert CUBE.id not in {e.id for e in chosen.effects}
+        assert {e.id for e in chosen.effects} == set(base.ids)
+        assert f"Besides, {CUBE.id} gains" in done.left[0]
