@@ -287,7 +287,7 @@ def test_command(plain, tmp_path, main):
     assert "gyro_scale taken off a.mcap" in shown
     assert said == (
         "handcal: Left as it is: lever_arm (no error of a sensor); "
-        "accel_x += k * omega_y (without a name in the catalogue).\n"
+        "accel_x += k * omega_y (the model has no law of it).\n"
     )
     read = handcal.load(out)
     np.testing.assert_allclose(read.imu.gyro, plain.imu.gyro / 1.01, rtol=1e-5, atol=1e-9)

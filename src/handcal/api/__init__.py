@@ -14,7 +14,7 @@ from dataclasses import replace
 from numbers import Real
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, Unpack, overload
+from typing import Any, Unpack, overload
 
 import numpy as np
 
@@ -27,16 +27,14 @@ from handcal.api.recording import Recording
 from handcal.api.results import Calibration, Corrected, Explanation, Parameters
 from handcal.api.saved import Saved, opened
 from handcal.api.words import in_python, spoken
-from handcal.estimate.calibration import calibrate_together
-from handcal.explain import pipeline
+from handcal.documents import read_json
+from handcal.estimate.calibration import calibrate_together, recalibrate
+from handcal.explain import model_file, pipeline
 from handcal.explanation import Explanation as ExplanationData
 from handcal.recordings import inputs
 from handcal.recordings.inputs._options import ALONE, HALVES
 from handcal.types import InputError, Result
 from handcal.types import Recording as RecordingData
-
-if TYPE_CHECKING:
-    from handcal.device import apply as device
 
 __all__ = [
     "Allan",
@@ -102,26 +100,32 @@ def read(
 
 @overload
 def calibrate(  # type: ignore[overload-overlap]
-    recording: Source, effects: Sequence[str] | str = (), **more: Unpack[CalibrateOptions]
+    recording: Source,
+    effects: Sequence[str] | str = (),
+    learnt: Found | None = None,
+    **more: Unpack[CalibrateOptions],
 ) -> Calibration: ...
 @overload
 def calibrate(
     recording: Sequence[Source],
     effects: Sequence[str] | str = (),
+    learnt: Found | None = None,
     **more: Unpack[CalibrateOptions],
 ) -> tuple[Calibration, ...]: ...
 @spoken()
 def calibrate(
     recording: Source | Sequence[Source],
     effects: Sequence[str] | str = (),
+    learnt: Found | None = None,
     **more: Unpack[CalibrateOptions],
 ) -> Calibration | tuple[Calibration, ...]:
     """Sensor errors of a device from a recording, or from several together, and how well they are
     known.
 
     effects: ids of the catalogue beyond what every device has ("gravity"); only: these and biases
-    alone. assume: "auto",
-    "fixed-point" or "rest-only". heading_sigma (rad), if known; latitude (rad) and height (m) of
+    alone. learnt: an explanation or a calibration, new or saved, whose fit is repeated; of other
+    recordings, the same effects and laws are estimated. assume: "auto", "fixed-point" or
+    "rest-only". heading_sigma (rad), if known; latitude (rad) and height (m) of
     the place; ignore: streams to leave out; reference_exact: a reference has no bias; before: what
     is known of the device. observations: kinds to use instead; noise: levels to keep fixed, SI, by
     name; noise_until (s): where the part ends of which the others are found; start; engine;
@@ -130,7 +134,17 @@ def calibrate(
     """
     chosen = options.checked("calibrate", more, CalibrateOptions)
     wanted = options.ids("effects", effects)
-    done = calibrate_together(_recordings(recording, "calibrate"), wanted, **chosen)
+    recordings = _recordings(recording, "calibrate")
+    if learnt is None:
+        done = calibrate_together(recordings, wanted, **chosen)
+    else:
+        own = [*(["effects"] if wanted else []), *(chosen.keys() - {"before", "progress"})]
+        if own:
+            raise InputError(
+                f"learnt holds the model with its options; leave out {', '.join(own)}."
+            )
+        model = model_file.of_document(*_document("calibrate", learnt))
+        done = recalibrate(recordings, model, chosen.get("progress"), chosen.get("before"))
     results = tuple(Calibration.of(r) for r in done)
     return results[0] if isinstance(recording, RecordingData | str | Path) else results
 
@@ -172,11 +186,16 @@ def allan(recording: Source, span: tuple[float, float] | None = None) -> Allan:
 
 @spoken()
 def conceal(
-    recording: Source, effects: Mapping[str, Sequence[float] | float], seed: int = 0
+    recording: Source,
+    effects: Mapping[str, Sequence[float] | float],
+    seed: int = 0,
+    learnt: Found | None = None,
 ) -> Recording:
     """The recording as a device with further errors would have made it: {"gyro_scale": [0.01, 0,
     0]}, values in the order of the catalogue's parameters, SI; a number of an effect that has but
-    one. Errors: InputError, HandcalError."""
+    one. learnt: what was learnt of this recording as it is, whose errors are no part of the motion
+    on which depends what is added. Errors: InputError, HandcalError."""
+    from handcal.device import apply as known
     from handcal.device import conceal as device
 
     values: dict[str, Any] = {}
@@ -189,7 +208,12 @@ def conceal(
     if not isinstance(seed, int | np.integer) or seed < 0:
         raise InputError(f"conceal: the seed is a whole number from 0 on, not {seed!r:.40}.")
     one = _one(recording, "conceal")
-    return Recording.of(device.conceal(one, values, np.random.default_rng(seed)))
+    truth = None
+    if learnt is not None:
+        name, document = _document("conceal", learnt)
+        with model_file.laws_of(name, document):
+            truth = known.apply(one, known.of_document(name, document), biases=True).recording.imu
+    return Recording.of(device.conceal(one, values, np.random.default_rng(seed), truth))
 
 
 @spoken()
@@ -206,9 +230,11 @@ def apply(
     from handcal.device import apply as device
     from handcal.device.another import another
 
-    known, given = _learnt(learnt), _one(recording, "apply")
-    trust.check(known.path, known.trust, anyway)
-    done = device.apply(given, known, biases=biases)
+    name, document = _document("apply", learnt)
+    with model_file.laws_of(name, document):
+        known, given = device.of_document(name, document), _one(recording, "apply")
+        trust.check(known.path, known.trust, anyway)
+        done = device.apply(given, known, biases=biases)
     warnings = (*trust.said(known.path, known.trust), another(given, known))
     said = tuple(in_python(w) for w in warnings if w)
     return Corrected(Recording.of(done.recording), done.taken, done.left, said)
@@ -259,8 +285,9 @@ def export(
         if path is not None:
             output.check_outputs((Path(path),), (source, allan_file))
         own = None if parameters is None else Path(parameters)
-        made = contents(source, form, given, allan_file, topic, axes, own, anyway=anyway)
-        text = form.write(made)
+        with model_file.laws_of(str(source), read_json(source)):
+            made = contents(source, form, given, allan_file, topic, axes, own, anyway=anyway)
+            text = form.write(made)
     if path is not None:
         output.write_text(path, text)
     return text
@@ -296,20 +323,20 @@ def effects_from(folder: str | Path) -> Iterator[None]:
         yield
 
 
-def _learnt(learnt: Found) -> device.Learnt:
-    from handcal.device import apply as device
-
+def _document(caller: str, learnt: Found) -> tuple[str, Any]:
+    """What was learnt as its JSON has it; before it, its name. Errors: InputError."""
     if isinstance(learnt, Saved):
-        return device.of_document(str(learnt.path), learnt.document)
+        return str(learnt.path), learnt.document
     if isinstance(learnt, str | Path):
-        return device.read(Path(learnt))
+        return str(learnt), read_json(Path(learnt))
     if isinstance(learnt, Result):
-        return device.of_document("this calibration", Calibration.of(learnt).document)
+        return "this calibration", Calibration.of(learnt).document
     if isinstance(learnt, ExplanationData):
-        return device.of_document("this explanation", Explanation.of(learnt).document)
+        return "this explanation", Explanation.of(learnt).document
+    where = "second" if caller == "apply" else "as learnt"
     raise InputError(
-        "apply takes what was learnt second: a calibration, an explanation, or the path of its "
-        f"JSON, no {type(learnt).__name__}."
+        f"{caller} takes what was learnt {where}: a calibration, an explanation, or the path of "
+        f"its JSON, no {type(learnt).__name__}."
     )
 
 

@@ -54,37 +54,38 @@ def apply(
     there is to doubt about the result, and where the recording seems to be of another device.
     """
     from handcal.device.another import another
-    from handcal.device.apply import TOGETHER, not_shown, read
+    from handcal.device.apply import TOGETHER, not_shown, of_document
     from handcal.device.apply import apply as applied
+    from handcal.documents import read_json
+    from handcal.explain.model_file import laws_of
     from handcal.output import check_outputs
     from handcal.recordings.export import check_ending, write_mcap
     from handcal.types import HandcalError
 
     check_outputs((out,), (recording, learnt_from))
     check_ending(out)
-    learnt = read(learnt_from)
-    heard(learnt_from, learnt.trust, anyway)
-    given = load(recording, how)
-    corrected = applied(given, learnt, biases=biases)
+    document = read_json(learnt_from)
+    with laws_of(str(learnt_from), document):
+        learnt = of_document(str(learnt_from), document)
+        heard(learnt_from, learnt.trust, anyway)
+        given = load(recording, how)
+        corrected = applied(given, learnt, biases=biases)
+        unsure = not_shown(learnt)
     left = _left(corrected, learnt)
     if not corrected.taken:
         nothing = f"{learnt_from} has nothing that could be taken off {recording.name}"
         raise HandcalError(f"{nothing}. {left}" if left else f"{nothing}.")
     write_mcap(corrected.recording, out)
-    beside = f"{TOGETHER.format('what has no name')}: {_WRITE}" if biases and learnt.unnamed else ""
-    unsure = not_shown(learnt)
+    beside = f"{TOGETHER.format(', '.join(learnt.unnamed))}." if biases and learnt.unnamed else ""
     for sentence in (another(given, learnt), *given.warnings, left, unsure, beside):
         if sentence:
             say(sentence)
     tell(f"{out}: {', '.join(corrected.taken)} taken off {recording.name}")
 
 
-_WRITE = "write the law out (explain --write-effect), explain with it (--effects-from), apply that."
-
-
 def _left(corrected: Corrected, learnt: Learnt) -> str:
     """One sentence about what is left in the readings; empty if nothing is."""
     parts = [f"{', '.join(ids)} ({reason})" for reason, ids in corrected.left.items()]
     if learnt.unnamed:
-        parts.append(f"{', '.join(learnt.unnamed)} (without a name in the catalogue)")
+        parts.append(f"{', '.join(learnt.unnamed)} (the model has no law of it)")
     return f"Left as it is: {'; '.join(parts)}." if parts else ""

@@ -73,6 +73,8 @@ def export(
     The file's header says what is in it, and what the format cannot hold and how much that leaves.
     """
     from handcal import output
+    from handcal.documents import read_json
+    from handcal.explain.model_file import laws_of
     from handcal.exports import format_of, formats
     from handcal.exports._contents import contents
     from handcal.types import InputError
@@ -92,8 +94,9 @@ def export(
     vehicle, how = _axes(axes or [], how)
     given = None if recording is None else load(recording, how)
     topic = how.topics.get("imu")
-    made = contents(result, form, given, noise, topic, vehicle, parameters, anyway=anyway)
-    text = form.write(made)
+    with laws_of(str(result), read_json(result)):
+        made = contents(result, form, given, noise, topic, vehicle, parameters, anyway=anyway)
+        text = form.write(made)
     if str(out) == output.STANDARD_OUTPUT:
         print(text, end="")
         return

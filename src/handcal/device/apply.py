@@ -67,8 +67,9 @@ class Learnt:
 
     path: of the file. values: of each effect, in the order of the catalogue's parameters, SI.
     biases: (recording, gyro and accelerometer (6,)) of each that the file is about; the
-    recording is "" where the file does not say which it was. unnamed: formulas. hidden: axes of
-    each bias that were not shown, by recording; unsure: names of each effect's parameters that
+    recording is "" where the file does not say which it was. unnamed: formulas of what has no name
+    and is not in the catalogue (``model_file.laws_of``), as what goes with the motion. hidden: axes
+    of each bias that were not shown, by recording; unsure: names of each effect's parameters that
     the recordings did not show. trust: what it says of itself. made: of which recordings it is, as
     its JSON has them.
     """
@@ -277,10 +278,9 @@ def _learnt(name: str, document: Mapping[str, Any]) -> Learnt:
             f"{name} holds {len(recordings)} calibrations, each on its own; "
             "calibrate one recording, or explain several together."
         )
-    # (a law that is too little for the verdict is in the model and its numbers alone)
     told = [str(u["formula"]) for u in document.get("unnamed", [])]
     laws = [str(p["effect"]) for p in document["parameters"] if " += " in str(p["effect"])]
-    formulas = tuple(dict.fromkeys((*told, *laws)))
+    formulas = tuple(i for i in dict.fromkeys((*told, *laws)) if i not in catalogue())
     other = {*observations(), *formulas}
     values = _values(name, document["parameters"], other)
     found, hidden = {"": values}, {"": _hidden(document["parameters"])}
@@ -296,7 +296,8 @@ def _learnt(name: str, document: Mapping[str, Any]) -> Learnt:
         if all(i in own for i in BIASES)
     ]
     effects = {i: v for i, v in values.items() if i not in BIASES}
-    unsure = {i: n for i, n in _untold(document["parameters"]).items() if i not in BIASES}
+    whole = {*BIASES, *laws}
+    unsure = {i: n for i, n in _untold(document["parameters"]).items() if i not in whole}
     made = [r["recording"] for r in recordings or [document] if "recording" in r]
     trust = of_itself(name, document)
     return Learnt(name, effects, tuple(biases), formulas, hidden, unsure, trust, tuple(made))
@@ -328,14 +329,16 @@ def _hidden(parameters: Sequence[Mapping[str, Any]]) -> dict[str, str]:
 def _values(
     name: str, parameters: Sequence[Mapping[str, Any]], other: Set[str]
 ) -> dict[str, Array]:
-    """By id, of effects of which something is shown; what is not shown is zero. other: what is no
-    effect (formulas, how a marker is turned). Errors: InputError."""
+    """By id, of effects of which something is shown; what is not shown is zero, but for biases and
+    laws, which are found whole. other: what is no effect (formulas, how a marker is turned).
+    Errors: InputError."""
     said: dict[str, dict[str, float]] = {}
-    shown = {*BIASES, *(p["effect"] for p in parameters if p.get("shown", True))}
+    whole = {i for i in (str(p["effect"]) for p in parameters) if i in BIASES or "+=" in i}
+    shown = {*whole, *(p["effect"] for p in parameters if p.get("shown", True))}
     for p in parameters:
         if p["effect"] not in shown:
             continue
-        value = p["value"] if p["effect"] in BIASES or p.get("shown", True) else 0.0
+        value = p["value"] if p["effect"] in whole or p.get("shown", True) else 0.0
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             value = math.nan
         said.setdefault(p["effect"], {})[p["name"]] = value

@@ -383,6 +383,16 @@ def with_effects(more: Iterable[tuple[str, Effect]]) -> Iterator[None]:
         _LARGER.reset(token)
 
 
+@contextmanager
+def with_laws(laws: Iterable[Effect]) -> Iterator[None]:
+    """Inside, the catalogue has these laws too, under their formulas."""
+    token = _LARGER.set(Catalogue({**catalogue(), **{law.id: law for law in laws}}))
+    try:
+        yield
+    finally:
+        _LARGER.reset(token)
+
+
 def _joined(known: Catalogue, more: Iterable[tuple[str, Effect]]) -> Catalogue:
     out, origin = Catalogue(known), dict.fromkeys(known, "the catalogue")
     for where, effect in more:

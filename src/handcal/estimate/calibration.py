@@ -173,8 +173,8 @@ def recalibrate(
     """A model that was written down (``explain`` and ``calibrate`` say theirs), fitted again.
 
     To the recordings that it is of (known by the number of their samples): equal to the fit that
-    it was written down of. To others of the device: its effects, without what happened at one
-    moment only, observations and hand chosen anew.
+    it was written down of. To others of the device: its effects and its laws without a name, but
+    for what happened at one moment or goes with time; observations and hand chosen anew.
 
     before: what is known of the device. Errors as of ``calibrate``.
     """
@@ -185,7 +185,7 @@ def recalibrate(
     if [len(r.imu.t) for r in recordings] == theirs:
         cases = [seen(r, v, options) for r, v in zip(recordings, chosen.views, strict=True)]
     else:
-        effects = tuple(e for e in chosen.effects if e.id in known())
+        effects = tuple(e for e in chosen.effects if e.id in known() or _law_of_device(e))
         cases = [
             case_of(
                 r, "auto", options.latitude, options.height,
@@ -262,6 +262,11 @@ def _check_calibrates(effects: Sequence[Effect]) -> None:
                 f"The effect '{e.id}' cannot be calibrated: the filter believes every reading. "
                 "'explain' can find it; leave it out here."
             )
+
+
+def _law_of_device(effect: Effect) -> bool:
+    """Whether this is a law without a name that another recording of the device may have too."""
+    return "+=" in effect.id and not effect.of_one_day
 
 
 def _check_effects(effects: Sequence[Effect], kinds: Sequence[str], recording: Recording) -> None:

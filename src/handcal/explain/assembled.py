@@ -66,7 +66,8 @@ class End:
     """Where a search ended. base: the baseline; wrong: the headings that are merely wrong; surely:
     nats by which its hand is better than what was tried instead, NaN if nothing was; rests:
     whether some hand travels, so that its rests alone count; moves: whether the baseline is of a
-    hand that moves, and was begun from fits of one that does not."""
+    hand that moves, and was begun from fits of one that does not; left: what was found of laws that
+    do not count, and were taken out of the model, in sentences."""
 
     base: Model
     found: Found
@@ -74,18 +75,47 @@ class End:
     surely: float
     rests: bool = False
     moves: bool = False
+    left: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class _Named:
     """What has a name and what has none, and the verdict; alone: probability of each effect that
-    it is no part of what has none; remarks: what without a name is too little for one."""
+    it is no part of what has none; remarks: of the hand's part."""
 
     verdict: str
     missing: list[Missing]
     unnamed: list[Unnamed]
     alone: Mapping[str, float]
     remarks: list[str]
+
+
+def uncounted(end: End) -> dict[str, str]:
+    """Laws of the model that do not count, each with a sentence about it, by id: they add next to
+    nothing, and nothing without a name adds more."""
+    found = end.found
+    if all("+=" not in e.id for e in found.model.effects):
+        return {}
+    fit = results(found.model, moments(found))[0]
+    learnt = {e.id: parameters_of(fit, e) for e in found.model.effects if e.process is None}
+    laws, _ = _without_name(found, learnt)
+    counts = end.wrong is not None and end.wrong.burst is not None
+    if counts or not all(next_to_nothing(found.model, u) for u in laws):
+        return {}
+    return {u.formula: remark(u) for u in laws}
+
+
+def _without_name(
+    found: Found, learnt: Mapping[str, tuple[Parameter, ...]]
+) -> tuple[list[Unnamed], list[Unnamed]]:
+    """What has no name, and what of it may as well be the hand. (That stays in the model, as the
+    rest of what the hand does: without it numbers were 4 sigma off, and a name was wrong.)"""
+    cases = [f.case for f in found.model.parts]
+    unnamed: list[Unnamed] = []
+    lent: list[Unnamed] = []
+    for u in unnamed_of(found, found.model.chosen, learnt):
+        (lent if by_the_hand(u, cases) else unnamed).append(u)
+    return unnamed, lent
 
 
 def _named(
@@ -98,25 +128,21 @@ def _named(
     """no_hand: what the fit leaves is no hand's, and nothing is named."""
     found, burst_of = end.found, None if end.wrong is None else end.wrong.burst
     entries, unsure = entries_of(found, found.model.chosen, learnt, wrong)
-    cases = [f.case for f in found.model.parts]
-    unnamed: list[Unnamed] = []
-    lent: list[Unnamed] = []
-    for u in unnamed_of(found, found.model.chosen, learnt):
-        (lent if by_the_hand(u, cases) else unnamed).append(u)
-    counts = any(not next_to_nothing(found.model, u) for u in unnamed)
+    unnamed, lent = _without_name(found, learnt)
+    remarks = [hand_remark(u) for u in lent]
     if end.wrong is not None and burst_of is not None:
         unnamed.append(burst(end.base, end.wrong, burst_of))
-        counts = True
-    alone = standing_out(found.model)
-    missing, remarks = likely(entries, alone), [hand_remark(u) for u in lent]
-    if counts or no_hand:
-        told = [] if no_hand else missing
-        return _Named("unexplained", told, unnamed, {} if no_hand else alone, remarks)
+    if no_hand:
+        return _Named("unexplained", [], unnamed, {}, remarks)
+    if unnamed:
+        alone = standing_out(found.model)
+        missing = likely(entries, alone)
+        return _Named("unexplained", missing, unnamed, alone, remarks)
     missing = likely(entries, {})
     # (that this is all only a search says that was not broken off)
     settled = "explained" if missing else "nothing_missing"
     verdict = settled if whole and not unsure else "cannot_tell"
-    return _Named(verdict, missing, [], {}, [*remarks, *(remark(u) for u in unnamed)])
+    return _Named(verdict, missing, [], {}, remarks)
 
 
 def _compared(
@@ -163,7 +189,8 @@ def explanation_of(
     told = _weighed(end, named, judged, excess)
     hypotheses = renamed(model, told, hypotheses_of(found, told, wrong, named.alone))
     final = _in_order(explained, learnt, fits[0])
-    said = *no_hand, *_warnings(base, model, told, hypotheses, excess), *doubts, *named.remarks
+    warnings = _warnings(base, model, told, hypotheses, excess)
+    said = *no_hand, *warnings, *doubts, *named.remarks, *end.left
     return Explanation(
         named.verdict,
         tuple(mismatch),

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,30 +11,54 @@ from typing import Any
 import numpy as np
 
 from handcal.documents import read_json
-from handcal.effects import Effect, catalogue
+from handcal.effects import Effect, catalogue, with_laws
 from handcal.estimate.case import HELD, Edit, frozen_at, name_of
 from handcal.estimate.parameters import Moment
 from handcal.estimate.specification import BASELINE, ONLINE, Options, Specification, View
 from handcal.laws import law_effect, shapes, terms, with_motion
+from handcal.laws.curve import drivers_of
 from handcal.observations import catalogue as observations
 from handcal.types import InputError
 
 
 def read(path: Path) -> Specification:
     """The model in a result. Errors: InputError."""
-    document = read_json(path)
+    return of_document(str(path), read_json(path))
+
+
+def of_document(name: str, document: Any) -> Specification:
+    """The same of what was read already; name: of it, in messages."""
     model = document.get("model") if isinstance(document, dict) else None
     if not isinstance(model, dict):
         raise InputError(
-            f"{path} holds no model; `handcal explain --json` and `handcal calibrate --json` "
+            f"{name} holds no model; `handcal explain --json` and `handcal calibrate --json` "
             "write one."
         )
-    try:
+    with _in_words(name):
         return chosen_from(model)
+
+
+@contextmanager
+def laws_of(name: str, document: Any) -> Iterator[None]:
+    """Inside, the catalogue has the laws without a name of a result's model, so that they are taken
+    off and exported like effects. name: of the result. Errors: InputError."""
+    model = document.get("model") if isinstance(document, dict) else None
+    with _in_words(name):
+        entries = model["effects"] if model else ()
+        laws = [_effect(entry) for entry in entries if "+=" in str(entry["id"])]
+    with with_laws(laws):
+        yield
+
+
+@contextmanager
+def _in_words(name: str) -> Iterator[None]:
+    """What is wrong with a model, in a sentence. Errors: InputError."""
+    try:
+        yield
     except InputError as error:
-        raise InputError(f"The model in {path}: {error}") from None
+        raise InputError(f"The model in {name}: {error}") from None
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
-        raise InputError(f"The model in {path} is damaged or unknown here ({error}).") from None
+        raise InputError(f"The model in {name} is damaged or unknown here ({error}).") from None
 
 
 def chosen_from(model: Mapping[str, Any]) -> Specification:
@@ -83,7 +108,9 @@ def _effect(entry: Mapping[str, Any]) -> Effect:
         effect = terms.again(name, float(entry["prior"]))
     else:
         effect = _known(name)
-    return replace(effect, id=name, last=bool(entry.get("last", True)))
+    # (what goes with time is of the recording in which it was found)
+    one_day = effect.of_one_day or ("+=" in name and "t" in drivers_of(name))
+    return replace(effect, id=name, last=bool(entry.get("last", True)), of_one_day=one_day)
 
 
 def _noise(name: str) -> Effect:

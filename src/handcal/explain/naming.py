@@ -331,7 +331,7 @@ def remark(u: Unnamed) -> str:
     """What a term is that is too little to count."""
     return (
         f"Besides, {u.formula} gains {u.log_evidence_gain:.0f} nats: it adds next to nothing to "
-        "the readings beside what is named there, and is not counted."
+        "the readings beside what is named there, and is left out of the model."
     )
 
 

@@ -31,7 +31,7 @@ from handcal.estimate.specification import (
 )
 from handcal.explain import held_out as held
 from handcal.explain import importance
-from handcal.explain.assembled import End, explanation_of
+from handcal.explain.assembled import End, explanation_of, uncounted
 from handcal.explain.moments import moments
 from handcal.explanation import (
     Explanation,
@@ -101,7 +101,7 @@ def explain(
     if not math.isfinite(end.found.model.log_evidence):
         raise no_fit(recordings)
     report(0.75, "fitting the model that was found")
-    end, chosen = _finished(end, options, time_left, report)
+    end, chosen = _counted(*_finished(end, options, time_left, report), options)
     end = replace(end, base=plain(end.base))
     told = _told(end.found)
     report(0.8, "predicting what was not seen")
@@ -145,6 +145,22 @@ def _finished(
             found, chosen = replace(again, alone=end.found.alone), written
             end = replace(end, base=base, wrong=None)
     return replace(end, found=found), chosen
+
+
+def _counted(
+    end: End, chosen: Specification | None, options: Options
+) -> tuple[End, Specification | None]:
+    """The end without the laws that do not count: a model holds nothing that is not said of it."""
+    left = uncounted(end)
+    if not left:
+        return end, chosen
+    found, model = end.found, end.found.model
+    kept = [e for e in model.effects if e.id not in left]
+    others = {i: e for i, e in found.space.effects.items() if i not in left}
+    found = replace(found, space=replace(found.space, effects=others))
+    found = _with(found, fitted(model.parts, kept, noise_rounds=2, tolerance=TOLERANCE))
+    found, chosen = _refitted(end, found, options)
+    return replace(end, found=found, left=tuple(left.values())), chosen
 
 
 def _told(found: Found) -> Model:
