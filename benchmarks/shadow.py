@@ -1,0 +1,190 @@
+"""The search on one matrix beside today's `search()`: names, noise, score, fits and seconds.
+
+    python benchmarks/shadow.py [FILE ...] [--drawn SUITE:N ...] [--alone] [--loud]
+
+Each recording is fitted with what every device has; both searches begin there. The one on a
+matrix: response, select, one fit. The fit is kept if, and only if, the score rises; else half of
+its changes are tried. Seconds are processor time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+from judge_cases import Case, written
+
+from handcal.effects import Effect
+from handcal.estimate import fit
+from handcal.estimate.baseline import baseline, dense
+from handcal.estimate.case import case_of, name_of
+from handcal.estimate.fit import fitted
+from handcal.estimate.model import Fitted, Model
+from handcal.estimate.transfer import moved_to
+from handcal.model_score import better, of_use, prior
+from handcal.recordings import inputs
+from handcal.search.climb.state import sensible
+from handcal.search.multistart import search
+from handcal.search.noise_scan import all_noise, looks_of
+from handcal.search.response import response
+from handcal.search.select import Priors, missed, select
+
+TURNS = 30
+# Nats below the model's score down to which a rival of the beam is fitted; and that noise of a
+# short memory must gain at a look of the filter.
+CLOSE, LOOK = 3.0, 10.0
+Coming = tuple[Effect, Mapping[str, float]]
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Change:
+    """Effects that come, with their noise levels, the surest first; and ids of those that go."""
+
+    come: Sequence[Coming]
+    go: frozenset[str]
+
+    def of(self, model: Model, worth: float) -> Model:
+        """The model with it, fitted."""
+        effects = [*(e for e in model.effects if e.id not in self.go), *(e for e, _ in self.come)]
+        levels = {k: v for _, own in self.come for k, v in own.items()}
+        begin = (moved_to(f, effects) for f in model.parts)
+        parts = [replace(f, levels={**f.levels, **levels}) for f in begin]
+        return fitted(parts, effects, of_use=of_use(model, effects, worth))
+
+    def half(self) -> Change | None:
+        """Half of it: what comes goes on alone at last; None of a single change."""
+        if len(self.come) > 1:
+            return Change(self.come[: len(self.come) // 2], self.go)
+        return Change(self.come, frozenset()) if self.come and self.go else None
+
+    def __str__(self) -> str:
+        return " ".join([*(f"+{e.id}" for e, _ in self.come), *(f"-{i}" for i in sorted(self.go))])
+
+
+def climbed(model: Model, say: Say) -> Model:
+    """The end of the search on matrices from a fit."""
+    refused: frozenset[str] = frozenset()
+    for _ in range(TURNS):
+        better_one, failed = _turn(model, refused, say)
+        if better_one is None and not failed:
+            return model
+        model, refused = (
+            (model, refused | failed) if better_one is None else (better_one, frozenset())
+        )
+    return model
+
+
+def _turn(model: Model, refused: frozenset[str], say: Say) -> tuple[Model | None, frozenset[str]]:
+    """A better model, or what was fitted in vain and alone."""
+    cases = [f.case for f in model.parts]
+    r = response(model)
+    kept = [e for e in model.effects if e.process is None]
+    always = frozenset(e.id for e in kept if e.common or e.id in refused)
+    priors = Priors(partial(prior, cases=cases), refused - set(model.ids), always)
+    first, best = select(r, priors, model.chosen)
+    say(f"  {model.log_evidence:.1f}, matrix {first.score:.1f}, {len(r.quadratic.b)} columns")
+    worth, have = r.quadratic.worth, {*model.chosen, *r.levels}
+    failed: set[str] = set()
+    for choice in best:
+        if choice.score < first.score - CLOSE or choice.ids == have:
+            continue
+        lost = missed(r, priors, choice)
+        new = sorted(choice.ids - have, key=lambda i: -lost[i])
+        change: Change | None = Change(
+            [choice.effects[i] for i in new], frozenset(have - choice.ids)
+        )
+        while change is not None:
+            tried = change.of(model, worth)
+            rises = sensible(tried) and better(tried, model, worth) > worth * tried.swing
+            got = better(tried, model, worth)
+            say(f"    {change}: {choice.score - first.score:.1f} promised, {got:.1f}")
+            if rises:
+                return tried, frozenset()
+            last, change = change, change.half()
+        failed |= {name_of(e.id) for e, _ in last.come} or last.go
+    if failed:
+        return None, frozenset(failed - refused)
+    out = [e for e in all_noise() if e.id not in {*model.ids, *refused}]
+    looks = [x for x in looks_of(model.parts, model.effects, out, 1) if x.gain > LOOK]
+    for look in looks:
+        tried = fitted(look.parts, look.effects)
+        say(f"    look +{look.effects[-1].id}: {look.gain:.1f}, {better(tried, model, worth):.1f}")
+        if sensible(tried) and better(tried, model, worth) > worth * tried.swing:
+            return tried, frozenset()
+        return None, frozenset({look.effects[-1].id})
+    return None, frozenset()
+
+
+@dataclass(frozen=True)
+class End:
+    """Where a search ended, with how many fits, in how many seconds of the processor."""
+
+    model: Model
+    fits: int
+    seconds: float
+
+
+def _measured(search_from: Callable[[], Model]) -> End:
+    began, fits = time.process_time(), []
+    plain = fit.begun
+
+    def counted(f: Fitted, effects: Sequence[Effect]) -> Fitted:
+        fits.append(f)
+        return plain(f, effects)
+
+    fit.begun = counted
+    try:
+        end = search_from()
+    finally:
+        fit.begun = plain
+    return End(end, len(fits), time.process_time() - began)
+
+
+def compared(file: Path, alone: bool, say: Say) -> str:
+    """A row: what either search found, score of the matrix's end less today's, fits, seconds."""
+    base = dense(baseline([case_of(inputs.load(file))]))
+    new = _measured(lambda: climbed(base, say))
+    if alone:
+        return f"{file.stem}: {_said(new, base)}"
+    old = _measured(lambda: search(base).model)
+    worth = response(old.model).quadratic.worth
+    apart = better(new.model, old.model, worth)
+    nats = new.model.log_evidence - old.model.log_evidence
+    same = "same" if set(new.model.ids) == set(old.model.ids) else "DIFFERENT"
+    return (
+        f"{file.stem}: {same}, score {apart:+.1f}, evidence {nats:+.1f}"
+        f"\n  matrix {_said(new, base)}\n  today  {_said(old, base)}"
+    )
+
+
+def _said(end: End, base: Model) -> str:
+    found = [i for i in end.model.ids if i not in base.ids]
+    return f"{end.fits} fits, {end.seconds:.1f} s: {', '.join(found) or 'nothing'}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("file", type=Path, nargs="*")
+    parser.add_argument("--drawn", nargs="*", default=[], metavar="SUITE:N")
+    parser.add_argument("--alone", action="store_true", help="leave today's search out")
+    parser.add_argument("--loud", action="store_true", help="say what is fitted")
+    given = parser.parse_args()
+    say: Say = partial(print, flush=True) if given.loud else lambda _: None
+    # (one process: its fits are counted, and its seconds are all: on one core there are no copies)
+    os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+    with tempfile.TemporaryDirectory() as folder:
+        drawn = (d.split(":") for d in given.drawn)
+        cases = [Case(f"{suite}_{n}", suite, quick=False, number=int(n)) for suite, n in drawn]
+        for file in [*given.file, *(written(c, Path(folder))[0] for c in cases)]:
+            print(compared(file, given.alone, say), flush=True)
+
+
+if __name__ == "__main__":
+    main()
