@@ -27,6 +27,8 @@ from handcal.estimate.case import case_of, name_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.transfer import moved_to
+from handcal.laws import short_windows
+from handcal.laws.over_drivers import signals_of
 from handcal.model_score import better, of_use, prior
 from handcal.recordings import inputs
 from handcal.search.climb.state import sensible
@@ -34,11 +36,13 @@ from handcal.search.multistart import search
 from handcal.search.noise_scan import all_noise, looks_of
 from handcal.search.response import response
 from handcal.search.select import Priors, missed, select
+from handcal.search.select_laws import best_laws, courses_on
 
 TURNS = 30
 # Nats below the model's score down to which a rival of the beam is fitted; and that noise of a
-# short memory must gain at a look of the filter.
-CLOSE, LOOK = 3.0, 10.0
+# short memory must gain at a look of the filter, and a law.
+CLOSE, LOOK, LAW = 3.0, 10.0, 0.5
+Courses = dict[int, list[short_windows.Courses]]
 Coming = tuple[Effect, Mapping[str, float]]
 Say = Callable[[str], None]
 
@@ -71,8 +75,9 @@ class Change:
 def climbed(model: Model, say: Say) -> Model:
     """The end of the search on matrices from a fit."""
     refused: frozenset[str] = frozenset()
+    courses: Courses = {}
     for _ in range(TURNS):
-        better_one, failed = _turn(model, refused, say)
+        better_one, failed = _turn(model, refused, courses, say)
         if better_one is None and not failed:
             return model
         model, refused = (
@@ -81,44 +86,70 @@ def climbed(model: Model, say: Say) -> Model:
     return model
 
 
-def _turn(model: Model, refused: frozenset[str], say: Say) -> tuple[Model | None, frozenset[str]]:
+def _turn(
+    model: Model, refused: frozenset[str], courses: Courses, say: Say
+) -> tuple[Model | None, frozenset[str]]:
     """A better model, or what was fitted in vain and alone."""
     cases = [f.case for f in model.parts]
     r = response(model)
+    worth, have = r.quadratic.worth, {*model.chosen, *r.levels}
     kept = [e for e in model.effects if e.process is None]
     always = frozenset(e.id for e in kept if e.common or e.id in refused)
     priors = Priors(partial(prior, cases=cases), refused - set(model.ids), always)
     first, best = select(r, priors, model.chosen)
     say(f"  {model.log_evidence:.1f}, matrix {first.score:.1f}, {len(r.quadratic.b)} columns")
-    worth, have = r.quadratic.worth, {*model.chosen, *r.levels}
+
+    def tried(come: Mapping[str, Coming], ids: frozenset[str], promised: float) -> Model | Change:
+        """The better model with these effects, or the smallest change that was fitted in vain."""
+        change: Change | None = Change(list(come.values()), frozenset(have - ids))
+        while change is not None:
+            new = change.of(model, worth)
+            gained = better(new, model, worth)
+            say(f"    {change}: {promised - first.score:.1f} promised, {gained:.1f}")
+            if sensible(new) and gained > worth * new.swing:
+                return new
+            last, change = change, change.half()
+        return last
+
     failed: set[str] = set()
     for choice in best:
         if choice.score < first.score - CLOSE or choice.ids == have:
             continue
         lost = missed(r, priors, choice)
         new = sorted(choice.ids - have, key=lambda i: -lost[i])
-        change: Change | None = Change(
-            [choice.effects[i] for i in new], frozenset(have - choice.ids)
-        )
-        while change is not None:
-            tried = change.of(model, worth)
-            rises = sensible(tried) and better(tried, model, worth) > worth * tried.swing
-            got = better(tried, model, worth)
-            say(f"    {change}: {choice.score - first.score:.1f} promised, {got:.1f}")
-            if rises:
-                return tried, frozenset()
-            last, change = change, change.half()
-        failed |= {name_of(e.id) for e, _ in last.come} or last.go
-    if failed:
-        return None, frozenset(failed - refused)
+        end = tried({i: choice.effects[i] for i in new}, choice.ids, choice.score)
+        if isinstance(end, Model):
+            return end, frozenset()
+        failed |= {name_of(e.id) for e, _ in end.come} or end.go
+    if failed - refused:
+        return None, frozenset(failed)
+    signals = signals_of(model.parts[0])
+    if not courses:
+        courses |= courses_on(signals, r.windows)
+    for law in best_laws(r, priors, best[0], signals, courses):
+        if law.score > best[0].score + LAW:
+            ids = law.beside.ids | {law.effect.id}
+            come = {law.effect.id: (law.effect, {})}
+            end = tried(come, ids, law.score)
+            if isinstance(end, Model):
+                return end, frozenset()
+            failed.add(law.effect.id)
+    return (None, frozenset(failed)) if failed - refused else _by_a_look(model, refused, worth, say)
+
+
+def _by_a_look(
+    model: Model, refused: frozenset[str], worth: float, say: Say
+) -> tuple[Model | None, frozenset[str]]:
+    """The same of noise, of which some is too short for windows."""
     out = [e for e in all_noise() if e.id not in {*model.ids, *refused}]
-    looks = [x for x in looks_of(model.parts, model.effects, out, 1) if x.gain > LOOK]
-    for look in looks:
-        tried = fitted(look.parts, look.effects)
-        say(f"    look +{look.effects[-1].id}: {look.gain:.1f}, {better(tried, model, worth):.1f}")
-        if sensible(tried) and better(tried, model, worth) > worth * tried.swing:
-            return tried, frozenset()
-        return None, frozenset({look.effects[-1].id})
+    for look in looks_of(model.parts, model.effects, out, 1):
+        if look.gain > LOOK:
+            new, added = fitted(look.parts, look.effects), look.effects[-1].id
+            gained = better(new, model, worth)
+            say(f"    look +{added}: {look.gain:.1f} promised, {gained:.1f}")
+            if sensible(new) and gained > worth * new.swing:
+                return new, frozenset()
+            return None, frozenset({added})
     return None, frozenset()
 
 

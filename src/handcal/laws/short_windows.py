@@ -66,12 +66,14 @@ def windows_of(t: Array, all_: Array, width: float = WINDOW) -> IntArray:
     return np.asarray(np.minimum(((t - all_[0]) / width).astype(np.int64), last))
 
 
-def courses_of(drivers: Sequence[Driver], signals: Signals, sensor: int = 0) -> list[Courses]:
+def courses_of(
+    drivers: Sequence[Driver], signals: Signals, sensor: int = 0, width: float = WINDOW
+) -> list[Courses]:
     """Those of them that have a course, for a sensor (either IMU sensor alike), each kind of law
-    together."""
+    together, in windows of this width, s."""
     rate = len(signals.t) / max(float(signals.t[-1] - signals.t[0]), 1e-9)
     fewer = some(signals, np.arange(0, len(signals.t), max(1, round(rate / RATE)), dtype=np.int64))
-    window = windows_of(fewer.t, signals.t)
+    window = windows_of(fewer.t, signals.t, width)
     first = np.flatnonzero(np.r_[True, np.diff(window) > 0])
     count = np.diff(np.r_[first, len(fewer.t)])
     axes = len(AXES_OF[sensor])
@@ -84,7 +86,7 @@ def courses_of(drivers: Sequence[Driver], signals: Signals, sensor: int = 0) -> 
                 out.append(None)
                 continue
             # (of a window without a reading there is no mean, and nothing depends on it)
-            means: Array = np.zeros((*x.shape[:2], count_of(signals.t)))
+            means: Array = np.zeros((*x.shape[:2], count_of(signals.t, width)))
             means[:, :, window[first]] = np.add.reduceat(x, first, axis=2) / count
             out.append((means, roots))
         return out
