@@ -29,14 +29,14 @@ from handcal.estimate.model import Fitted, Model
 from handcal.estimate.transfer import moved_to
 from handcal.laws import short_windows
 from handcal.laws.over_drivers import signals_of
-from handcal.model_score import better, of_use, prior
+from handcal.model_score import better, of_use, prior, score
 from handcal.recordings import inputs
 from handcal.search.climb.state import sensible
 from handcal.search.multistart import search
-from handcal.search.noise_scan import all_noise, looks_of
-from handcal.search.response import response
+from handcal.search.noise_scan import Look, all_noise, looks_of
+from handcal.search.response import Response, held, response
 from handcal.search.select import Priors, missed, select
-from handcal.search.select_laws import best_laws, courses_on
+from handcal.search.select_laws import best_laws, confirmed, courses_on
 
 TURNS = 30
 # Nats below the model's score down to which a rival of the beam is fitted; and that noise of a
@@ -111,9 +111,18 @@ def _turn(
             last, change = change, change.half()
         return last
 
+    look = _look(model, refused, r)
+    if look is not None and worth * look.gain > best[0].score - first.score:
+        new, added = fitted(look.parts, look.effects), look.effects[-1].id
+        gained = better(new, model, worth)
+        say(f"    look +{added}: {worth * look.gain:.1f} promised, {gained:.1f}")
+        if sensible(new) and gained > worth * new.swing:
+            return new, frozenset()
+        return None, frozenset({added})
     failed: set[str] = set()
     for choice in best:
-        if choice.score < first.score - CLOSE or choice.ids == have:
+        vain = {name_of(i) for i in choice.ids ^ have} & failed
+        if choice.score < first.score - CLOSE or choice.ids == have or vain:
             continue
         lost = missed(r, priors, choice)
         new = sorted(choice.ids - have, key=lambda i: -lost[i])
@@ -126,31 +135,30 @@ def _turn(
     signals = signals_of(model.parts[0])
     if not courses:
         courses |= courses_on(signals, r.windows)
-    for law in best_laws(r, priors, best[0], signals, courses):
-        if law.score > best[0].score + LAW:
-            ids = law.beside.ids | {law.effect.id}
-            come = {law.effect.id: (law.effect, {})}
-            end = tried(come, ids, law.score)
-            if isinstance(end, Model):
-                return end, frozenset()
-            failed.add(law.effect.id)
-    return (None, frozenset(failed)) if failed - refused else _by_a_look(model, refused, worth, say)
+    for rivals in best_laws(r, priors, best[0], signals, courses):
+        ends = []
+        for law in rivals:
+            surely = law.score - law.nats + confirmed(model, law, worth)
+            if min(law.score, surely) > best[0].score + LAW:
+                come = {law.effect.id: (law.effect, dict[str, float]())}
+                ends.append(tried(come, law.beside.ids | come.keys(), surely))
+                failed.add(law.effect.id)
+        models = [end for end in ends if isinstance(end, Model)]
+        if models:
+            return max(models, key=lambda m: score(m, worth)), frozenset()
+    return None, frozenset(failed - refused)
 
 
-def _by_a_look(
-    model: Model, refused: frozenset[str], worth: float, say: Say
-) -> tuple[Model | None, frozenset[str]]:
-    """The same of noise, of which some is too short for windows."""
+def _look(model: Model, refused: frozenset[str], r: Response) -> Look | None:
+    """The likeliest noise by a look of the filter, if it has a level too short for windows."""
     out = [e for e in all_noise() if e.id not in {*model.ids, *refused}]
-    for look in looks_of(model.parts, model.effects, out, 1):
-        if look.gain > LOOK:
-            new, added = fitted(look.parts, look.effects), look.effects[-1].id
-            gained = better(new, model, worth)
-            say(f"    look +{added}: {look.gain:.1f} promised, {gained:.1f}")
-            if sensible(new) and gained > worth * new.swing:
-                return new, frozenset()
-            return None, frozenset({added})
-    return None, frozenset()
+    looks = looks_of(model.parts, model.effects, out, len(out))
+    for look in looks:
+        e = look.effects[-1]
+        levels = {lv.name: look.parts[0].levels[lv.name] for lv in e.levels}
+        if look.gain > LOOK and not (e in r.noise and held(e, levels, r.windows)):
+            return look
+    return None
 
 
 @dataclass(frozen=True)

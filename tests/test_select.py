@@ -63,7 +63,7 @@ def _response(
     rate = 1.0 + np.sin(t)
     noise = [catalogue()[i] for i in NOISE] + [with_motion.effect("gyro", (0, 1, 2), "attitude")]
     q = Quadratic(tuple(names), 0.0, J.T @ y, J.T @ J)
-    return Response(q, tuple(effects), tuple(noise), {}, (), Windows(t, rate, at)), shapes
+    return Response(q, tuple(effects), tuple(noise), {}, (), Windows(t, rate, at, {})), shapes
 
 
 def _named(seed: int, sizes: Mapping[int, float]) -> Response:

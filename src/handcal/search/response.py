@@ -12,7 +12,7 @@ Noise whose memory is short against a window is no combination of windows: it st
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -37,6 +37,10 @@ GYRO, HEADING = 0, 2
 # Of the correlation of a process between neighbouring windows, the least that windows can hold:
 # that of a memory of three windows.
 HELD = math.exp(-1.0 / 3.0)
+# Nats that may be lost of what changes within a window, where a sensor is read at once.
+LOST = 3.0
+# Nats of evidence of what changes within a window that may be lost, where it is seen at once.
+LOST = 3.0
 # Eigenvectors of a process's covariance at the most, and the share of the largest variance below
 # which one is left out.
 MODES, LEAST = 60, 1e-5
@@ -48,11 +52,13 @@ STEPS = {"gyro_bias_step": GYRO}
 class Windows:
     """Short windows of time: their middles t (n,), s after the first sample, the mean rate of
     turning in each (n,), rad/s, and the places (n,) of their constants in the quadratic, by sensor
-    and axis, in units of the sensor's ``SIZE``."""
+    and axis, in units of the sensor's ``SIZE``. told: by sensor, of those that are read at once
+    and not integrated, how well each constant is known in these units, (n,)."""
 
     t: Array
     rate: Array
     at: Mapping[tuple[int, int], IntArray]
+    told: Mapping[int, Array]
 
     @property
     def width(self) -> float:
@@ -116,14 +122,16 @@ def response(model: Model, worth: float | None = None) -> Response:
     worth = 1.0 / excess(about[0].done, frozenset(model.ids)) if worth is None else worth
     named = _named(model, candidates(model.parts, model.effects, about[0].done))
     windows, constant = _windows(signals, part.case.kinds)
-    levels = _levels_held(model, windows)
+    at_once = [k for k in windows.sensors if k == HEADING or part.problem.compared]
+    levels = _levels_held(model, windows, at_once)
     kept = tuple(e for e in model.effects if e.id not in levels)
     if levels:
-        model = replace(model, effects=kept, parts=(moved_to(part, kept),))
+        model = without(model, levels)
         about = grounds(model)
     q = scan(model, [*named, *constant], about, 1.0)
     owners = np.array([owner for owner, _ in q.names])
     at = {key: np.flatnonzero(owners == e.id) for key, e in zip(windows.at, constant, strict=True)}
+    told = {k: np.diag(q.G)[at[k, 0]] for k in at_once}
     shown = [e for e in all_noise() if applicable(part.case, e)]
     return Response(
         Quadratic(q.names, q.a, worth * q.b, worth * q.G, worth),
@@ -131,8 +139,14 @@ def response(model: Model, worth: float | None = None) -> Response:
         tuple(e for e in shown if sensor_of(e) in windows.sensors),
         levels,
         tuple(e for e in kept if e.process is not None),
-        replace(windows, at=at),
+        replace(windows, at=at, told=told),
     )
+
+
+def without(model: Model, ids: Container[str]) -> Model:
+    """The model about the same trajectory without some noise."""
+    kept = tuple(e for e in model.effects if e.id not in ids)
+    return replace(model, effects=kept, parts=tuple(moved_to(f, kept) for f in model.parts))
 
 
 def _named(model: Model, on_trial: Sequence[Effect]) -> list[Effect]:
@@ -156,19 +170,28 @@ def _windows(signals: Signals, kinds: Sequence[str]) -> tuple[Windows, list[Effe
     keys = [(k, axis) for k in sensors for axis in AXES_OF[k]]
     nowhere = np.zeros(0, dtype=np.int64)
     middles: Array = np.asarray((np.arange(n) + 0.5) * width)
-    windows = Windows(middles, rate, dict.fromkeys(keys, nowhere))
+    windows = Windows(middles, rate, dict.fromkeys(keys, nowhere), {})
     return windows, [constants(k, axis, n, width) for k, axis in keys]
 
 
-def _levels_held(model: Model, windows: Windows) -> dict[str, Mapping[str, float]]:
+def _levels_held(
+    model: Model, windows: Windows, at_once: Sequence[int]
+) -> dict[str, Mapping[str, float]]:
     """The levels of each noise process of the model that windows can hold."""
     out: dict[str, Mapping[str, float]] = {}
+    (part,) = model.parts
     for e in model.effects:
-        if e.process is not None and sensor_of(e) in windows.sensors:
-            levels = {lv.name: model.parts[0].levels[lv.name] for lv in e.levels}
-            if held(e, levels, windows):
-                out[e.id] = levels
-    return out
+        sensor = -1 if e.process is None else sensor_of(e)
+        if sensor in windows.sensors:
+            out[e.id] = {lv.name: part.levels[lv.name] for lv in e.levels}
+    mine = {k for e in model.effects if e.id in out and (k := sensor_of(e)) in at_once}
+    if mine:
+        axes = [constants(k, 0, len(windows.t), windows.width) for k in mine]
+        G = np.diag(scan(without(model, out), axes, None, 1.0).G)[-len(mine) * len(windows.t) :]
+        told = dict(zip(mine, G.reshape(len(mine), -1), strict=True))
+        windows = replace(windows, told=told)
+    own = {e.id: e for e in model.effects}
+    return {i: levels for i, levels in out.items() if held(own[i], levels, windows)}
 
 
 def sensor_of(e: Effect) -> int:
@@ -199,10 +222,16 @@ def covariance(e: Effect, levels: Mapping[str, float], windows: Windows) -> Arra
 
 
 def held(e: Effect, levels: Mapping[str, float], windows: Windows) -> bool:
-    """Whether windows can hold a noise process: its values in neighbouring windows are alike."""
+    """Whether windows can hold a noise process: where it is integrated, if its values in
+    neighbouring windows are alike; where it is seen at once, if what changes within a window is
+    lost among the readings."""
     K = covariance(e, levels, windows)
-    size = float(np.mean(np.diag(K)))
-    return float(np.mean(np.diag(K, 1))) >= HELD * size
+    size, beside = np.diag(K), np.diag(K, 1)
+    if (told := windows.told.get(sensor_of(e))) is None:
+        return float(np.mean(beside)) >= HELD * float(np.mean(size))
+    # (of a walk, a sixth of what it gains from window to window)
+    change = (size[1:] + size[:-1] - 2.0 * beside) / 6.0 / SIZE[sensor_of(e)] ** 2
+    return 0.5 * float(np.log1p(change * told[1:]).sum()) < LOST
 
 
 def modes(e: Effect, levels: Mapping[str, float], windows: Windows) -> Array:

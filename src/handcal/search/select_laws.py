@@ -9,33 +9,43 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 
 from handcal.effects import Effect, Signals
+from handcal.estimate.model import Model
+from handcal.estimate.prior_root import root_of
+from handcal.estimate.scan import scan
+from handcal.laws.best_law import is_composed
 from handcal.laws.compositions import composed, composed_headings
-from handcal.laws.drivers import DRIVERS, HEADING, usable
+from handcal.laws.drivers import DRIVERS, HEADING, Driver, usable
 from handcal.laws.law_effect import AXES_OF, SENSORS, SIZE, Law, effect_of
 from handcal.laws.over_drivers import best_of_block, over, tuned, written_out
 from handcal.laws.short_windows import Courses, courses_of, gains_of, windows_of
 from handcal.laws.vocabulary import further
-from handcal.laws.weighing import Beside
-from handcal.search.response import Response, Windows, sensor_of
+from handcal.laws.weighing import Beside, beside, gains
+from handcal.search.response import Response, Windows, sensor_of, without
 from handcal.search.select import Choice, Priors, chosen, windows_beside
 from handcal.types import Array, IntArray
 
-# Drivers of a sensor that are looked at as formulas, the likeliest.
-CLOSER = 4
+# Drivers of a sensor that are looked at as formulas, the likeliest of all and of those that
+# are no composition.
+CLOSER, PLAIN = 3, 2
+# Nats below the best law of a sensor within which one is its rival.
+NEAR = 10.0
 # Names that gain less may stand in for a law.
 WEAK = 100.0
 
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """A law as an effect; beside: the choice it is added to; score: of both, nats."""
+    """A law as an effect; beside: the choice it is added to; nats: that it gains there; score:
+    of both."""
 
     effect: Effect
     beside: Choice
+    nats: float
     score: float
 
 
@@ -104,9 +114,10 @@ def best_laws(
     choice: Choice,
     signals: Signals,
     courses: dict[int, list[Courses]],
-) -> list[Found]:
-    """The best law of each sensor beside a choice, or in the place of what may stand in for it, the
-    best first."""
+) -> list[list[Found]]:
+    """The best laws of each sensor beside a choice, or in the place of what may stand in for them,
+    the best sensor first; a fit decides between those that are near, one that is no composition
+    among them."""
     window = windows_of(signals.t, signals.t, r.windows.width)
     out = []
     for sensor, of in courses.items():
@@ -117,9 +128,18 @@ def best_laws(
             for law, nats in _laws(looked, of):
                 e = effect_of(law)
                 if e.id not in {*priors.refused, *choice.names}:
-                    own.append(Found(e, other, other.score + nats + priors.of(e)))
-        out += sorted(own, key=lambda f: -f.score)[:1]
-    return sorted(out, key=lambda f: -f.score)
+                    own.append(Found(e, other, nats, other.score + nats + priors.of(e)))
+        if own:
+            out.append(_near(own))
+    return sorted(out, key=lambda some: -some[0].score)
+
+
+def _near(found: Sequence[Found]) -> list[Found]:
+    """The best of these and the best plain one near it, each another law."""
+    best = sorted(found, key=lambda f: -f.score)
+    plain = [f for f in best if not is_composed(f.effect)]
+    rivals = [f for f in (*best[1:2], *plain[:1]) if f.score > best[0].score - NEAR]
+    return list({f.effect.id: f for f in (best[0], *rivals)}.values())
 
 
 def _bases(r: Response, priors: Priors, choice: Choice, sensor: int) -> Iterator[Choice]:
@@ -151,13 +171,8 @@ def _laws(looked: _InWindows, courses: Sequence[Courses]) -> Iterator[tuple[Law,
         ),
         key=lambda x: -x[0],
     )
-    kinds: set[str] = set()
-    for _, driver in ranked:
-        if len(kinds) == CLOSER:
-            return
-        if driver.kind in kinds:
-            continue
-        kinds.add(driver.kind)
+    plain = [d for _, d in ranked if not d.composed]
+    for driver in _each_kind([*(d for _, d in ranked)], CLOSER) | _each_kind(plain, PLAIN):
         for block in over(driver, looked.signals, (looked.sensor,)):
             ends = list(best_of_block(block, looked.seen([block.effect])))
             for law, nats in sorted(ends, key=lambda end: -end[1])[:1]:
@@ -166,3 +181,24 @@ def _laws(looked: _InWindows, courses: Sequence[Courses]) -> Iterator[tuple[Law,
                 yield law, nats
                 if law.form.smooth:
                     yield from ((x, v + x.form.cost) for x, v in written_out(looked, law))
+
+
+def _each_kind(drivers: Sequence[Driver], most: int) -> dict[Driver, None]:
+    """The first of these, each of another kind."""
+    kinds = dict.fromkeys(d.kind for d in drivers)
+    firsts = (next(d for d in drivers if d.kind == kind) for kind in islice(kinds, most))
+    return dict.fromkeys(firsts)
+
+
+def confirmed(model: Model, found: Found, worth: float) -> float:
+    """Nats that a law gains by a scan of its own beside the names of a choice.
+
+    (Of what is nearly a named effect, windows may promise what they are coarser by.)
+    """
+    gone = {e.id for e in model.effects if e.process is not None} - found.beside.noise.keys()
+    about = without(model, gone) if gone else model
+    known = [e for e in about.effects if e.id in found.beside.names]
+    q = scan(about, [found.effect], None, worth)
+    seen = beside(q, known, [found.effect])
+    root = root_of([(found.effect.id, p.name) for p in found.effect.parameters], [found.effect])
+    return float(gains(seen.b[None], seen.G[None], None if root is None else root[None])[0])
