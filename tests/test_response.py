@@ -36,8 +36,6 @@ from handcal_sim import simulate
 # Nats within which the matrix says what a pass of its own does: of walks and steps, which are
 # smooth in a window or begin with one; and of what changes in it, as the motion does.
 SLOW, QUICK = 0.5, 2.5
-# And of an error in proportion to the rate, which has a memory of some windows, as a share.
-TURNING = 0.18
 STEP, AT = "gyro_bias_step", 30.0
 PLAIN = Priors(lambda _: 0.0)
 
@@ -88,8 +86,7 @@ def test_noise_is_what_a_look_of_the_filter_says(model: Model, matrix: Response)
                 continue
             gain = _evidence(matrix, model, noise_columns(matrix, e, levels)) - without
             near = QUICK if with_motion.is_with_motion(e.id) else SLOW
-            share = TURNING if e.id.endswith("|omega|") else 0.0
-            assert gain == pytest.approx(look.gain, abs=near, rel=share), e.id
+            assert gain == pytest.approx(look.gain, abs=near), e.id
             told.append(look.gain)
     assert max(told) > 20.0
     assert len(told) >= 4
@@ -106,6 +103,25 @@ def test_a_walk_at_any_level(model: Model, matrix: Response, factor: float) -> N
     gain = with_it - reduced_pass(reduce(plain.linear), plain.levels).log_evidence
     told = _evidence(matrix, model, noise_columns(matrix, walk, levels)) - _evidence(matrix, model)
     assert told == pytest.approx(gain, abs=SLOW)
+
+
+@pytest.mark.parametrize("kind", ["turning", "attitude"])
+@pytest.mark.parametrize("sensor", ["gyro", "accel"])
+def test_an_error_with_the_motion_of_any_memory(
+    model: Model, matrix: Response, sensor: str, kind: str
+) -> None:
+    """Where it is integrated, also of a memory that is short against a window."""
+    e = with_motion.effect(sensor, (0, 1, 2), kind)
+    size, memory = e.levels
+    wide, plain = moved_to(model.parts[0], (*model.effects, e)), model.parts[0]
+    plain = moved_to(plain, model.effects)
+    passes, without = reduce(wide.linear), _evidence(matrix, model)
+    base = reduced_pass(reduce(plain.linear), plain.levels).log_evidence
+    for times in (0.3, 1.0, 3.0, 10.0):
+        levels = {size.name: 0.3 * size.initial, memory.name: times * memory.initial}
+        gain = reduced_pass(passes, {**wide.levels, **levels}).log_evidence - base
+        told = _evidence(matrix, model, noise_columns(matrix, e, levels)) - without
+        assert told == pytest.approx(gain, abs=QUICK), times
 
 
 @pytest.mark.parametrize("edge", [20, 90, 150])

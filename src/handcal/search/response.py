@@ -209,7 +209,7 @@ def covariance(e: Effect, levels: Mapping[str, float], windows: Windows) -> Arra
     axis = int(np.argmax(np.diagonal(Q, axis1=1, axis2=2).sum(axis=0)))
     phi, q = Phi[:, axis, axis], Q[:, axis, axis]
     P = np.empty(len(q))
-    last = e.process.start(levels, float(np.sqrt(np.mean(windows.rate**2))))[axis, axis]
+    last = e.process.start(levels, float(windows.rate[0]))[axis, axis]
     for k in range(len(q)):
         last = phi[k] ** 2 * last + q[k]
         P[k] = last
