@@ -28,7 +28,6 @@ from handcal.estimate.fit import fitted
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.transfer import moved_to
 from handcal.laws import short_windows
-from handcal.laws.over_drivers import signals_of
 from handcal.model_score import better, of_use, prior, score
 from handcal.recordings import inputs
 from handcal.search.climb.state import sensible
@@ -132,10 +131,9 @@ def _turn(
         failed |= {name_of(e.id) for e, _ in end.come} or end.go
     if failed - refused:
         return None, frozenset(failed)
-    signals = signals_of(model.parts[0])
     if not courses:
-        courses |= courses_on(signals, r.windows)
-    for rivals in best_laws(r, priors, best[0], signals, courses):
+        courses |= courses_on(r)
+    for rivals in best_laws(r, priors, best[0], courses):
         ends = []
         for law in rivals:
             surely = law.score - law.nats + confirmed(model, law, worth)

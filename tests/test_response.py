@@ -19,7 +19,6 @@ from handcal.estimate.scan import scan
 from handcal.estimate.transfer import moved_to
 from handcal.laws import with_motion
 from handcal.laws.law_effect import SIZE
-from handcal.laws.over_drivers import signals_of
 from handcal.laws.short_windows import windows_of
 from handcal.search.noise_scan import all_noise, looks_of
 from handcal.search.response import (
@@ -30,7 +29,8 @@ from handcal.search.response import (
     response,
     step_columns,
 )
-from handcal.search.select import Priors, select, space_beside
+from handcal.search.select import Priors, chosen, select, space_beside
+from handcal.search.select_laws import best_laws, confirmed, courses_on
 from handcal_sim import simulate
 
 # Nats within which the matrix says what a pass of its own does: of walks and steps, which are
@@ -141,7 +141,7 @@ def test_a_law_is_its_means_in_the_windows(model: Model, matrix: Response, name:
     effect = catalogue()[name]
     q = matrix.quadratic
     whole = log_evidence(q, _places(q, {*model.chosen, name}))
-    signals = signals_of(model.parts[0])
+    signals = matrix.motion
     slopes = imu_jacobian(effect, np.zeros(len(effect.parameters)), signals) * effect.prior_sigma
     window = windows_of(signals.t, signals.t, matrix.windows.width)
     count = np.bincount(window)
@@ -181,6 +181,17 @@ def test_both_are_found_at_once(model: Model) -> None:
     assert set(found) == {STEP, "accel_bias_walk"}
     assert float(found[STEP].split("@")[1]) == pytest.approx(AT, abs=1.0)
     assert best[0].score > first.score
+
+
+def test_a_law_by_its_windows_is_what_a_scan_of_it_says(model: Model) -> None:
+    """Of the best of thousands, where whatever windows get wrong would stand out."""
+    r = response(model)
+    priors = Priors(lambda e: -e.cost, always=model.chosen)
+    choice = chosen(r, priors, model.chosen, {})
+    found = [f for rivals in best_laws(r, priors, choice, courses_on(r)) for f in rivals]
+    assert {f.effect.id.split("_")[0].split(" ")[0] for f in found} == {"gyro", "accel", "heading"}
+    for law in found:
+        assert law.nats == pytest.approx(confirmed(model, law, r.quadratic.worth), abs=QUICK)
 
 
 def test_several_recordings_are_refused(model: Model) -> None:

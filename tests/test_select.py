@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from handcal.effects import Effect, Param, catalogue
+from handcal.effects import Effect, Param, Signals, catalogue
 from handcal.estimate.quadratic import Quadratic
 from handcal.laws import with_motion
 from handcal.laws.law_effect import SIZE
@@ -63,7 +63,10 @@ def _response(
     rate = 1.0 + np.sin(t)
     noise = [catalogue()[i] for i in NOISE] + [with_motion.effect("gyro", (0, 1, 2), "attitude")]
     q = Quadratic(tuple(names), 0.0, J.T @ y, J.T @ J)
-    return Response(q, tuple(effects), tuple(noise), {}, (), Windows(t, rate, at, {})), shapes
+    told = {k: np.zeros(3) for k in (0, 1)}
+    still = Signals(t, np.zeros((COUNT, 3)), np.zeros((COUNT, 3)))
+    windows = Windows(t, rate, at, told)
+    return Response(q, tuple(effects), tuple(noise), {}, (), windows, still), shapes
 
 
 def _named(seed: int, sizes: Mapping[int, float]) -> Response:

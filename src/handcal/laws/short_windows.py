@@ -5,7 +5,7 @@ the price of a product with a matrix. (A scan of a thousand courses takes as lon
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -164,6 +164,23 @@ def constants(sensor: int, axis: int, count: int, width: float = WINDOW) -> Effe
         out[np.arange(len(signals.t)), windows_of(signals.t, signals.t, width)] = 1.0
         return out
 
+    return _added("windows", sensor, axis, count, columns)
+
+
+def halves(sensor: int, axis: int, some: IntArray, width: float) -> Effect:
+    """An error of a channel that changes its sign in the middle of each of some windows (k,)."""
+
+    def columns(signals: Signals) -> Array:
+        passed = (signals.t - signals.t[0]) / width
+        there = np.floor(passed)[:, None] == some
+        return np.asarray(there * np.where(passed % 1.0 < 0.5, 1.0, -1.0)[:, None])
+
+    return _added("halves", sensor, axis, len(some), columns)
+
+
+def _added(
+    name: str, sensor: int, axis: int, count: int, columns: Callable[[Signals], Array]
+) -> Effect:
     physics: dict[str, Any] = {"seen": {SENSORS[HEADING]: columns}}
     if sensor != HEADING:
 
@@ -172,7 +189,7 @@ def constants(sensor: int, axis: int, count: int, width: float = WINDOW) -> Effe
 
         physics = {"imu_error": added(features), "features": features}
     return Effect(
-        id=f"windows: {sensor} {axis}", title="", story="", source="", motion="", validated="",
+        id=f"{name}: {sensor} {axis}", title="", story="", source="", motion="", validated="",
         parameters=tuple(Param(f"w{n}", "", SIZE[sensor]) for n in range(count)), **physics,
     )  # fmt: skip
 

@@ -11,7 +11,6 @@ Noise whose memory is short against a window is no combination of windows: it st
 
 from __future__ import annotations
 
-import math
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -20,6 +19,8 @@ import numpy as np
 
 from handcal.effects import Effect, Signals
 from handcal.estimate.case import applicable, name_of
+from handcal.estimate.columns import Ground
+from handcal.estimate.linear import motion_of
 from handcal.estimate.model import Model
 from handcal.estimate.quadratic import Quadratic
 from handcal.estimate.robust import excess
@@ -27,20 +28,16 @@ from handcal.estimate.scan import grounds, scan
 from handcal.estimate.transfer import moved_to
 from handcal.laws.law_effect import AXES_OF, SENSORS, SIZE
 from handcal.laws.over_drivers import signals_of
-from handcal.laws.short_windows import MOST_WINDOWS, WINDOW, constants, count_of, windows_of
+from handcal.laws.short_windows import MOST_WINDOWS, WINDOW, constants, count_of, halves, windows_of
 from handcal.laws.with_motion import channels, is_with_motion
 from handcal.search.climb.candidates import candidates
 from handcal.search.noise_scan import all_noise
 from handcal.types import Array, IntArray
 
 GYRO, HEADING = 0, 2
-# Of the correlation of a process between neighbouring windows, the least that windows can hold:
-# that of a memory of three windows.
-HELD = math.exp(-1.0 / 3.0)
-# Nats that may be lost of what changes within a window, where a sensor is read at once.
-LOST = 3.0
-# Nats of evidence of what changes within a window that may be lost, where it is seen at once.
-LOST = 3.0
+# Nats of evidence of what changes within a window that may be lost; windows that are looked at for
+# that.
+LOST, LOOKED = 3.0, 40
 # Eigenvectors of a process's covariance at the most, and the share of the largest variance below
 # which one is left out.
 MODES, LEAST = 60, 1e-5
@@ -52,8 +49,8 @@ STEPS = {"gyro_bias_step": GYRO}
 class Windows:
     """Short windows of time: their middles t (n,), s after the first sample, the mean rate of
     turning in each (n,), rad/s, and the places (n,) of their constants in the quadratic, by sensor
-    and axis, in units of the sensor's ``SIZE``. told: by sensor, of those that are read at once
-    and not integrated, how well each constant is known in these units, (n,)."""
+    and axis, in units of the sensor's ``SIZE``. told: by sensor, what a window tells of a change
+    of sign within it on each axis (a,), in these units."""
 
     t: Array
     rate: Array
@@ -78,7 +75,8 @@ class Windows:
 class Response:
     """What additive errors would do to a fit. quadratic: of the constants of effects and windows,
     at its worth; effects: those with a name; noise: processes on trial that windows can hold;
-    levels: of those that the model has; filtered: noise of the model that is in the filter."""
+    levels: of those that the model has; filtered: noise of the model that is in the filter;
+    motion: signals as they excite an error, without the sway of a hand."""
 
     quadratic: Quadratic
     effects: tuple[Effect, ...]
@@ -86,6 +84,7 @@ class Response:
     levels: Mapping[str, Mapping[str, float]]
     filtered: tuple[Effect, ...]
     windows: Windows
+    motion: Signals
 
     @cached_property
     def named(self) -> IntArray:
@@ -122,24 +121,28 @@ def response(model: Model, worth: float | None = None) -> Response:
     worth = 1.0 / excess(about[0].done, frozenset(model.ids)) if worth is None else worth
     named = _named(model, candidates(model.parts, model.effects, about[0].done))
     windows, constant = _windows(signals, part.case.kinds)
-    at_once = [k for k in windows.sensors if k == HEADING or part.problem.compared]
-    levels = _levels_held(model, windows, at_once)
-    kept = tuple(e for e in model.effects if e.id not in levels)
-    if levels:
-        model = without(model, levels)
+    on_windows = [e for e in model.effects if e.process and sensor_of(e) in windows.sensors]
+    every = {e.id: {lv.name: part.levels[lv.name] for lv in e.levels} for e in on_windows}
+    if every:
+        model = without(full := model, every)
+        about = grounds(model)
+    windows = replace(windows, told=_told(model, about, windows))
+    levels = {e.id: every[e.id] for e in on_windows if held(e, every[e.id], windows)}
+    if len(levels) < len(every):
+        model = without(full, levels)
         about = grounds(model)
     q = scan(model, [*named, *constant], about, 1.0)
     owners = np.array([owner for owner, _ in q.names])
     at = {key: np.flatnonzero(owners == e.id) for key, e in zip(windows.at, constant, strict=True)}
-    told = {k: np.diag(q.G)[at[k, 0]] for k in at_once}
     shown = [e for e in all_noise() if applicable(part.case, e)]
     return Response(
         Quadratic(q.names, q.a, worth * q.b, worth * q.G, worth),
         tuple(named),
         tuple(e for e in shown if sensor_of(e) in windows.sensors),
         levels,
-        tuple(e for e in kept if e.process is not None),
-        replace(windows, at=at, told=told),
+        tuple(e for e in model.effects if e.process is not None),
+        replace(windows, at=at),
+        motion_of(about[0].excited),
     )
 
 
@@ -174,24 +177,17 @@ def _windows(signals: Signals, kinds: Sequence[str]) -> tuple[Windows, list[Effe
     return windows, [constants(k, axis, n, width) for k, axis in keys]
 
 
-def _levels_held(
-    model: Model, windows: Windows, at_once: Sequence[int]
-) -> dict[str, Mapping[str, float]]:
-    """The levels of each noise process of the model that windows can hold."""
-    out: dict[str, Mapping[str, float]] = {}
-    (part,) = model.parts
-    for e in model.effects:
-        sensor = -1 if e.process is None else sensor_of(e)
-        if sensor in windows.sensors:
-            out[e.id] = {lv.name: part.levels[lv.name] for lv in e.levels}
-    mine = {k for e in model.effects if e.id in out and (k := sensor_of(e)) in at_once}
-    if mine:
-        axes = [constants(k, 0, len(windows.t), windows.width) for k in mine]
-        G = np.diag(scan(without(model, out), axes, None, 1.0).G)[-len(mine) * len(windows.t) :]
-        told = dict(zip(mine, G.reshape(len(mine), -1), strict=True))
-        windows = replace(windows, told=told)
-    own = {e.id: e for e in model.effects}
-    return {i: levels for i, levels in out.items() if held(own[i], levels, windows)}
+def _told(model: Model, about: Sequence[Ground], windows: Windows) -> dict[int, Array]:
+    """See ``Windows``: by a scan of some windows."""
+    n = len(windows.t)
+    some = np.unique(np.linspace(0, n - 1, min(n, LOOKED)).astype(np.int64))
+    looked = [halves(k, axis, some, windows.width) for k, axis in windows.at]
+    q = scan(model, looked, about, 1.0)
+    told: dict[int, list[float]] = {}
+    for (sensor, _), e in zip(windows.at, looked, strict=True):
+        own = [i for i, (owner, _) in enumerate(q.names) if owner == e.id]
+        told.setdefault(sensor, []).append(float(np.mean(np.diag(q.G)[own])))
+    return {sensor: np.array(values) for sensor, values in told.items()}
 
 
 def sensor_of(e: Effect) -> int:
@@ -222,16 +218,13 @@ def covariance(e: Effect, levels: Mapping[str, float], windows: Windows) -> Arra
 
 
 def held(e: Effect, levels: Mapping[str, float], windows: Windows) -> bool:
-    """Whether windows can hold a noise process: where it is integrated, if its values in
-    neighbouring windows are alike; where it is seen at once, if what changes within a window is
-    lost among the readings."""
-    K = covariance(e, levels, windows)
-    size, beside = np.diag(K), np.diag(K, 1)
-    if (told := windows.told.get(sensor_of(e))) is None:
-        return float(np.mean(beside)) >= HELD * float(np.mean(size))
+    """Whether windows can hold a noise process: what changes within them is lost among the
+    readings, or in what is integrated of them."""
+    K, sensor = covariance(e, levels, windows), sensor_of(e)
     # (of a walk, a sixth of what it gains from window to window)
-    change = (size[1:] + size[:-1] - 2.0 * beside) / 6.0 / SIZE[sensor_of(e)] ** 2
-    return 0.5 * float(np.log1p(change * told[1:]).sum()) < LOST
+    change = np.diag(K)[1:] + np.diag(K)[:-1] - 2.0 * np.diag(K, 1)
+    told = windows.told[sensor][list(axes_of(e))] / 6.0 / SIZE[sensor] ** 2
+    return 0.5 * float(np.log1p(np.outer(change, told)).sum()) < LOST
 
 
 def modes(e: Effect, levels: Mapping[str, float], windows: Windows) -> Array:

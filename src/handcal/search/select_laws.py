@@ -7,9 +7,8 @@ decides on.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import islice
 
 import numpy as np
 
@@ -25,7 +24,7 @@ from handcal.laws.over_drivers import best_of_block, over, tuned, written_out
 from handcal.laws.short_windows import Courses, courses_of, gains_of, windows_of
 from handcal.laws.vocabulary import further
 from handcal.laws.weighing import Beside, beside, gains
-from handcal.search.response import Response, Windows, sensor_of, without
+from handcal.search.response import Response, sensor_of, without
 from handcal.search.select import Choice, Priors, chosen, windows_beside
 from handcal.types import Array, IntArray
 
@@ -89,35 +88,56 @@ def means(e: Effect, sensor: int, signals: Signals, window: IntArray, count: int
     features = (
         [(0, 0, e.seen[SENSORS[HEADING]](signals))]
         if sensor == HEADING
-        else [(c - 3 * sensor, k, x) for c, k, x in (e.features or (lambda _: []))(signals)]
+        else [
+            (c - 3 * sensor, k, x)
+            for c, k, x in (e.features or (lambda _: []))(signals)
+            if c // 3 == sensor
+        ]
     )
     for axis, k, x in features:
         out[axis, window[first], k : k + x.shape[1]] += np.add.reduceat(x, first) / many
     return out.reshape(-1, len(e.parameters)) * e.prior_sigma / SIZE[sensor]
 
 
-def courses_on(signals: Signals, windows: Windows) -> dict[int, list[Courses]]:
+def courses_on(r: Response) -> dict[int, list[Courses]]:
     """The courses of all drivers of each sensor, once a recording."""
+    signals, windows = r.motion, r.windows
+    sensors = sorted(windows.sensors)
+    by_name = {k: {d.name: d for d in _drivers(signals, k) if d.only in (None, k)} for k in sensors}
+    # (the means of a driver are the same for both sensors of an IMU)
+    imu = {name: d for k in sensors if k != HEADING for name, d in by_name[k].items()}
     out = {}
-    for sensor in sorted(windows.sensors):
-        usual = [d for d in DRIVERS.values() if sensor != HEADING and usable(d, signals)]
-        many = composed_headings(signals) if sensor == HEADING else composed(signals)
-        drivers = [*usual, *further(signals, sensor), *many]
-        mine = [d for d in drivers if d.only in (None, sensor)]
-        out[sensor] = courses_of(mine, signals, sensor, windows.width)
+    if imu:
+        both = courses_of(list(imu.values()), signals, 0, windows.width)
+        out = {k: [_some(c, by_name[k]) for c in both] for k in sensors if k != HEADING}
+    if HEADING in by_name:
+        mine = list(by_name[HEADING].values())
+        out[HEADING] = courses_of(mine, signals, HEADING, windows.width)
     return out
+
+
+def _drivers(signals: Signals, sensor: int) -> list[Driver]:
+    usual = [d for d in DRIVERS.values() if sensor != HEADING and usable(d, signals)]
+    many = composed_headings(signals) if sensor == HEADING else composed(signals)
+    return [*usual, *further(signals, sensor), *many]
+
+
+def _some(of: Courses, names: Container[str]) -> Courses:
+    """The courses of drivers of these names."""
+    at = [n for n, d in enumerate(of.drivers) if d.name in names]
+    return Courses([of.drivers[n] for n in at], of.means[at], of.roots)
 
 
 def best_laws(
     r: Response,
     priors: Priors,
     choice: Choice,
-    signals: Signals,
     courses: dict[int, list[Courses]],
 ) -> list[list[Found]]:
     """The best laws of each sensor beside a choice, or in the place of what may stand in for them,
     the best sensor first; a fit decides between those that are near, one that is no composition
     among them."""
+    signals = r.motion
     window = windows_of(signals.t, signals.t, r.windows.width)
     out = []
     for sensor, of in courses.items():
@@ -185,9 +205,12 @@ def _laws(looked: _InWindows, courses: Sequence[Courses]) -> Iterator[tuple[Law,
 
 def _each_kind(drivers: Sequence[Driver], most: int) -> dict[Driver, None]:
     """The first of these, each of another kind."""
-    kinds = dict.fromkeys(d.kind for d in drivers)
-    firsts = (next(d for d in drivers if d.kind == kind) for kind in islice(kinds, most))
-    return dict.fromkeys(firsts)
+    firsts: dict[str, Driver] = {}
+    for driver in drivers:
+        firsts.setdefault(driver.kind, driver)
+        if len(firsts) == most:
+            break
+    return dict.fromkeys(firsts.values())
 
 
 def confirmed(model: Model, found: Found, worth: float) -> float:
