@@ -26,6 +26,7 @@ from handcal.estimate.quadratic import Quadratic
 from handcal.estimate.robust import excess
 from handcal.estimate.scan import grounds, scan
 from handcal.estimate.transfer import moved_to
+from handcal.laws.drivers import HEADING
 from handcal.laws.law_effect import AXES_OF, SENSORS, SIZE
 from handcal.laws.over_drivers import signals_of
 from handcal.laws.short_windows import MOST_WINDOWS, WINDOW, constants, count_of, halves, windows_of
@@ -34,7 +35,6 @@ from handcal.search.climb.candidates import candidates
 from handcal.search.noise_scan import all_noise
 from handcal.types import Array, IntArray
 
-GYRO, HEADING = 0, 2
 # Nats of evidence of what changes within a window that may be lost; windows that are looked at for
 # that.
 LOST, LOOKED = 3.0, 40
@@ -42,7 +42,7 @@ LOST, LOOKED = 3.0, 40
 # which one is left out.
 MODES, LEAST = 60, 1e-5
 # Steps that are sums of windows, and of which sensor they are.
-STEPS = {"gyro_bias_step": GYRO}
+STEPS = {"gyro_bias_step": 0}
 
 
 @dataclass(frozen=True, eq=False)
