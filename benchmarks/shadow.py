@@ -94,7 +94,7 @@ def _turn(
     worth, have = r.quadratic.worth, {*model.chosen, *r.levels}
     kept = [e for e in model.effects if e.process is None]
     always = frozenset(e.id for e in kept if e.common or e.id in refused)
-    priors = Priors(partial(prior, cases=cases), refused - set(model.ids), always)
+    priors = Priors(partial(prior, cases=cases), refused - {name_of(i) for i in model.ids}, always)
     first, best = select(r, priors, model.chosen)
     say(f"  {model.log_evidence:.1f}, matrix {first.score:.1f}, {len(r.quadratic.b)} columns")
 
