@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
+from typing import Protocol
 
 import numpy as np
 
@@ -169,6 +170,17 @@ def best_of_block(block: Block, seen: Beside) -> Iterator[tuple[Law, float]]:
             yield law, top + math.log(np.mean(np.exp(found - top)))
 
 
+class Weighing(Protocol):
+    """Where laws are weighed: with these signals, beside something."""
+
+    @property
+    def signals(self) -> Signals: ...
+
+    def seen(self, absent: Sequence[Effect]) -> Beside:
+        """What is known there of absent effects."""
+        ...
+
+
 @dataclass(frozen=True)
 class About:
     """Where laws are weighed: about a model (``grounds`` for its scans), beside its known effects,
@@ -186,7 +198,7 @@ class About:
         return beside(q, self.known, absent)
 
 
-def written_out(about_: About, law: Law) -> list[tuple[Law, float]]:
+def written_out(about_: Weighing, law: Law) -> list[tuple[Law, float]]:
     """The law as the formulas that gain most over the model, and what they gain: of one function,
     of two, and of two with the same numbers; with their numbers adjusted."""
     driver = law.driver
@@ -196,7 +208,7 @@ def written_out(about_: About, law: Law) -> list[tuple[Law, float]]:
     return [_adjusted(about_, *end) for end in _tried(about_, law, parts)]
 
 
-def _adjusted(about_: About, law: Law, gain: float) -> tuple[Law, float]:
+def _adjusted(about_: Weighing, law: Law, gain: float) -> tuple[Law, float]:
     """The formula with the numbers near its own that gain most, and what it gains."""
     for share in FINER if law.form.numbers else ():
         for _ in range(TURNS):
@@ -210,7 +222,7 @@ def _adjusted(about_: About, law: Law, gain: float) -> tuple[Law, float]:
     return law, gain
 
 
-def _tried(about_: About, law: Law, parts: Sequence[Part]) -> list[tuple[Law, float]]:
+def _tried(about_: Weighing, law: Law, parts: Sequence[Part]) -> list[tuple[Law, float]]:
     """The best of these functions in the law's place, the best sum of two, and of two with the same
     numbers; what they gain."""
     forms = [formula([part]) for part in parts]
@@ -289,7 +301,7 @@ def _sets(some: Sequence[int], parts: Sequence[Part]) -> list[tuple[list[tuple[i
     return [(sets, alike) for sets, alike in ((one, False), (two, False), (same, True)) if sets]
 
 
-def tuned(about_: About, law: Law, gain: float) -> tuple[Law, float]:
+def tuned(about_: Weighing, law: Law, gain: float) -> tuple[Law, float]:
     """The law with the time or half width of its driver that gains most, and what it gains."""
     for shares in NEARER:
         at, number = law.driver.at, law.driver.number

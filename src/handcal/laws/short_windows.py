@@ -5,7 +5,7 @@ the price of a product with a matrix. (A scan of a thousand courses takes as lon
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -52,24 +52,28 @@ class Courses:
 
 def fits_in(signals: Signals) -> bool:
     """Whether there are not too many windows."""
-    return _count(signals.t) <= MOST_WINDOWS
+    return count_of(signals.t) <= MOST_WINDOWS
 
 
-def _count(t: Array) -> int:
-    return max(1, math.floor(float(t[-1] - t[0]) / WINDOW))
+def count_of(t: Array, width: float = WINDOW) -> int:
+    """How many windows of this width, s, there are in times t (n,)."""
+    return max(1, math.floor(float(t[-1] - t[0]) / width))
 
 
-def _windows(t: Array, all_: Array) -> IntArray:
+def windows_of(t: Array, all_: Array, width: float = WINDOW) -> IntArray:
     """The window of each of some times t (n,) of all."""
-    return np.asarray(np.minimum(((t - all_[0]) / WINDOW).astype(np.int64), _count(all_) - 1))
+    last = count_of(all_, width) - 1
+    return np.asarray(np.minimum(((t - all_[0]) / width).astype(np.int64), last))
 
 
-def courses_of(drivers: Sequence[Driver], signals: Signals, sensor: int = 0) -> list[Courses]:
+def courses_of(
+    drivers: Sequence[Driver], signals: Signals, sensor: int = 0, width: float = WINDOW
+) -> list[Courses]:
     """Those of them that have a course, for a sensor (either IMU sensor alike), each kind of law
-    together."""
+    together, in windows of this width, s."""
     rate = len(signals.t) / max(float(signals.t[-1] - signals.t[0]), 1e-9)
     fewer = some(signals, np.arange(0, len(signals.t), max(1, round(rate / RATE)), dtype=np.int64))
-    window = _windows(fewer.t, signals.t)
+    window = windows_of(fewer.t, signals.t, width)
     first = np.flatnonzero(np.r_[True, np.diff(window) > 0])
     count = np.diff(np.r_[first, len(fewer.t)])
     axes = len(AXES_OF[sensor])
@@ -82,7 +86,7 @@ def courses_of(drivers: Sequence[Driver], signals: Signals, sensor: int = 0) -> 
                 out.append(None)
                 continue
             # (of a window without a reading there is no mean, and nothing depends on it)
-            means: Array = np.zeros((*x.shape[:2], _count(signals.t)))
+            means: Array = np.zeros((*x.shape[:2], count_of(signals.t, width)))
             means[:, :, window[first]] = np.add.reduceat(x, first, axis=2) / count
             out.append((means, roots))
         return out
@@ -134,13 +138,13 @@ def likeliest(
     if not courses:
         return []
     axes = AXES_OF[sensor]
-    windows = [_constant(sensor, axis, courses[0].means.shape[3]) for axis in axes]
+    windows = [constants(sensor, axis, courses[0].means.shape[3]) for axis in axes]
     q = scan(model, windows, base, 1.0)
     seen = beside(q, known, windows)
     at = [seen.at[e.id] for e in windows]
     out: list[Driver] = []
     for of in courses:
-        gain = _gains(of, seen, at)
+        gain = gains_of(of, seen, at)
         kinds: dict[str, int] = {}
         room = LIKELIEST
         for n in np.argsort(-gain, kind="stable"):
@@ -152,14 +156,31 @@ def likeliest(
     return out
 
 
-def _constant(sensor: int, axis: int, count: int) -> Effect:
-    """An error of a channel that is another constant in each window."""
+def constants(sensor: int, axis: int, count: int, width: float = WINDOW) -> Effect:
+    """An error of a channel that is another constant in each of so many windows."""
 
     def columns(signals: Signals) -> Array:
         out = np.zeros((len(signals.t), count))
-        out[np.arange(len(signals.t)), _windows(signals.t, signals.t)] = 1.0
+        out[np.arange(len(signals.t)), windows_of(signals.t, signals.t, width)] = 1.0
         return out
 
+    return _added("windows", sensor, axis, count, columns)
+
+
+def halves(sensor: int, axis: int, some: IntArray, width: float) -> Effect:
+    """An error of a channel that changes its sign in the middle of each of some windows (k,)."""
+
+    def columns(signals: Signals) -> Array:
+        passed = (signals.t - signals.t[0]) / width
+        there = np.floor(passed)[:, None] == some
+        return np.asarray(there * np.where(passed % 1.0 < 0.5, 1.0, -1.0)[:, None])
+
+    return _added("halves", sensor, axis, len(some), columns)
+
+
+def _added(
+    name: str, sensor: int, axis: int, count: int, columns: Callable[[Signals], Array]
+) -> Effect:
     physics: dict[str, Any] = {"seen": {SENSORS[HEADING]: columns}}
     if sensor != HEADING:
 
@@ -168,12 +189,12 @@ def _constant(sensor: int, axis: int, count: int) -> Effect:
 
         physics = {"imu_error": added(features), "features": features}
     return Effect(
-        id=f"windows: {sensor} {axis}", title="", story="", source="", motion="", validated="",
+        id=f"{name}: {sensor} {axis}", title="", story="", source="", motion="", validated="",
         parameters=tuple(Param(f"w{n}", "", SIZE[sensor]) for n in range(count)), **physics,
     )  # fmt: skip
 
 
-def _gains(of: Courses, seen: Beside, at: Sequence[IntArray]) -> Array:
+def gains_of(of: Courses, seen: Beside, at: Sequence[IntArray]) -> Array:
     """Nats (d,) that a law over each driver gains, on an axis or on all of them alike."""
     axes = range(of.means.shape[1])
     G = {(a, o): seen.G[np.ix_(at[a], at[o])] for a in axes for o in axes[a:]}

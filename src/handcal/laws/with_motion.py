@@ -90,6 +90,12 @@ def fewer(of: Effect) -> list[Effect]:
     ]
 
 
+def on_axes(of: Effect, axes: tuple[int, ...]) -> Effect:
+    """The same on these axes."""
+    sensor, _, kind = _parts(of.id)
+    return effect(sensor, axes, kind)
+
+
 @cache
 def effect(sensor: str, axes: tuple[int, ...], kind: str) -> Effect:
     """The error of a sensor's axes that goes with the motion in this way."""

@@ -1,0 +1,377 @@
+"""What explains a recording best, by its matrix alone: sets of names, steps and noise.
+
+A choice is a set of effects with a name (steps among them) and of noise processes at certain
+levels. Its score is evidence plus log prior odds: noise is integrated out of the matrix, tails and
+sparse groups of the names are as in every fit. The search goes uphill, in turn over names, three
+sets at a time, so that of two that are alike both are gone on with, and over noise. Nothing is
+fitted: a choice is a proposal, which a fit decides on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from handcal.effects import Effect, catalogue
+from handcal.estimate.case import frozen_at, name_of
+from handcal.estimate.quadratic import Quadratic
+from handcal.laws import with_motion
+from handcal.laws.law_effect import AXES_OF, SIZE
+from handcal.laws.weighing import gains, wide_root
+from handcal.search.response import (
+    STEPS,
+    Columns,
+    Response,
+    held,
+    modes,
+    noise_columns,
+    products,
+    sensor_of,
+    step_columns,
+)
+from handcal.search.space import Space, space
+from handcal.types import Array
+
+# Sets of names that are gone on with; processes and moments of a step that are weighed exactly, the
+# likeliest by a look.
+BEAM, EXACT = 3, 3
+# Nats that a change must gain.
+GAINED = 0.5
+# Log odds of what no fit wanted.
+REFUSED = -1e6
+# Times the first guess of its level at which noise is looked at.
+SIZES = 10.0 ** np.arange(-2.0, 2.01, 0.25)
+MEMORIES = (0.3, 1.0, 3.0, 10.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """names: ids of the effects with a name; noise: by its id each process as columns; score:
+    evidence at its worth and log prior odds, nats; steps: that were on trial; where: all names that
+    were."""
+
+    names: frozenset[str]
+    noise: Mapping[str, Columns]
+    score: float
+    steps: Sequence[Columns]
+    where: Space
+
+    @property
+    def ids(self) -> frozenset[str]:
+        """Ids of all effects."""
+        return self.names | self.noise.keys()
+
+    @property
+    def effects(self) -> dict[str, tuple[Effect, Mapping[str, float]]]:
+        """Each effect by its id, and its noise levels."""
+        named = {i: (self.where.effects[i], dict[str, float]()) for i in sorted(self.names)}
+        return {**named, **{i: (c.effect, c.levels) for i, c in self.noise.items()}}
+
+
+@dataclass(frozen=True)
+class Priors:
+    """of: log prior odds of an effect; refused: names and ids of noise that no fit wanted; always:
+    ids of effects that every set has."""
+
+    of: Callable[[Effect], float]
+    refused: frozenset[str] = frozenset()
+    always: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True, eq=False)
+class _Process:
+    """Noise on trial, on all axes: its levels at the first guess of its size, and its columns."""
+
+    effect: Effect
+    levels: Mapping[str, float]
+    F: Array
+
+
+def select(
+    r: Response, priors: Priors, start: Iterable[str] = (), beam: int = BEAM
+) -> tuple[Choice, list[Choice]]:
+    """The choice at the start (these names, and noise of the model), and the best ones that the
+    search from it ends with, the best first."""
+    own = {e.id: e for e in r.noise}
+    noise = {
+        i: noise_columns(r, own[i] if i in own else with_motion.again(i), levels)
+        for i, levels in r.levels.items()
+    }
+    processes = _processes(r)
+    names = frozenset(start)
+    first = chosen(r, priors, names, noise)
+    best = _over_names(r, priors, noise, names, beam)
+    while True:
+        # (moments of steps are looked for anew)
+        names = best[0].names & {e.id for e in r.effects}
+        tried = [
+            _over_names(r, priors, other, names, beam)
+            for other in _other_noise(r, priors, best[0], processes)
+        ]
+        top = max(tried, key=lambda found: found[0].score, default=best)
+        if top[0].score <= best[0].score + GAINED:
+            return first, best
+        best = top
+
+
+# --- Names ---------------------------------------------------------------------------------------
+
+
+def space_beside(
+    r: Response, priors: Priors, noise: Mapping[str, Columns], steps: Sequence[Columns] = ()
+) -> Space:
+    """The names on trial, steps at these moments among them, with noise integrated out."""
+    q, m = r.quadratic, r.named
+    b = np.concatenate([q.b[m], *(s.b for s in steps)])
+    G = np.block(
+        [
+            [q.G[np.ix_(m, m)], *(s.named.T for s in steps)],
+            *([s.named, *(products(r, s, t) for t in steps)] for s in steps),
+        ]
+    )
+    a = q.a
+    if noise:
+        some = list(noise.values())
+        A = np.block([[products(r, x, y) for y in some] for x in some])
+        X = np.block([[x.named, *(products(r, x, s) for s in steps)] for x in some])
+        root = np.linalg.cholesky(A + np.eye(len(A)))
+        h = np.linalg.solve(root, np.column_stack([np.concatenate([x.b for x in some]), X]))
+        a += 0.5 * float(h[:, 0] @ h[:, 0]) - float(np.log(np.diag(root)).sum())
+        b, G = b - h[:, 1:].T @ h[:, 0], G - h[:, 1:].T @ h[:, 1:]
+    names = [q.names[i] for i in m]
+    names += [(s.effect.id, p.name) for s in steps for p in s.effect.parameters]
+    effects = [*r.effects, *(s.effect for s in steps)]
+    odds = {e.id: priors.of(e) for e in effects}
+    odds |= {i: REFUSED for i in odds if name_of(i) in priors.refused}
+    return space(Quadratic(tuple(names), a, b, G, q.worth), effects, odds)
+
+
+def chosen(
+    r: Response,
+    priors: Priors,
+    names: frozenset[str],
+    noise: Mapping[str, Columns],
+    steps: Sequence[Columns] = (),
+) -> Choice:
+    """These names, of which some may be steps, and this noise as a choice."""
+    return _choice(space_beside(r, priors, noise, steps), priors, names, noise, steps)
+
+
+def _choice(
+    where: Space,
+    priors: Priors,
+    names: frozenset[str],
+    noise: Mapping[str, Columns],
+    steps: Sequence[Columns],
+) -> Choice:
+    odds = sum(priors.of(c.effect) for c in noise.values())
+    return Choice(names, noise, where.score(names) + odds, steps, where)
+
+
+def missed(r: Response, priors: Priors, choice: Choice) -> dict[str, float]:
+    """Nats of score that a choice loses without each of its effects."""
+    out = {
+        i: choice.where.score(choice.names) - choice.where.score(choice.names - {i})
+        for i in choice.names
+    }
+    for i in choice.noise:
+        rest = {k: c for k, c in choice.noise.items() if k != i}
+        out[i] = choice.score - chosen(r, priors, choice.names, rest, choice.steps).score
+    return out
+
+
+def _over_names(
+    r: Response,
+    priors: Priors,
+    noise: Mapping[str, Columns],
+    start: frozenset[str],
+    beam: int,
+) -> list[Choice]:
+    """The best sets of names beside some noise, the best first: moments of steps are looked at
+    beside the best set without them."""
+    where = space_beside(r, priors, noise)
+    sets = best_sets(where, [start], priors.always, beam)
+    steps = _steps(r, priors, sets[0], noise)
+    if steps:
+        where = space_beside(r, priors, noise, steps)
+        sets = best_sets(where, sets, priors.always, beam)
+    return [_choice(where, priors, names, noise, steps) for names in sets]
+
+
+def best_sets(
+    where: Space, starts: Sequence[frozenset[str]], always: frozenset[str], beam: int = BEAM
+) -> list[frozenset[str]]:
+    """The best sets of effects that are found from these, as many as the beam is wide, the best
+    first: by adding, dropping and exchanging those that are not always there."""
+    best = sorted(set(starts), key=where.score, reverse=True)[:beam]
+    gone_on: set[frozenset[str]] = set()
+    while new := [s for s in best if s not in gone_on]:
+        gone_on.update(new)
+        found = {n for s in new for n in _neighbours(where, s, always)}
+        # (in an order that is the same in every run)
+        ranked = sorted(sorted({*best, *found}, key=sorted), key=where.score, reverse=True)
+        best = ranked[:beam]
+    return best
+
+
+def _neighbours(
+    where: Space, chosen: frozenset[str], always: frozenset[str]
+) -> Iterator[frozenset[str]]:
+    others = [i for i in where.effects if i not in chosen]
+    for i in others:
+        yield chosen | {i}
+    for j in sorted(chosen - always):
+        yield chosen - {j}
+        for i in others:
+            yield (chosen - {j}) | {i}
+
+
+# --- Windows -------------------------------------------------------------------------------------
+
+
+def windows_beside(
+    r: Response, names: frozenset[str], noise: Mapping[str, Columns], sensor: int
+) -> tuple[Array, Array]:
+    """b (a, n) and G (a, n, a, n) of a sensor's windows, axis by axis, with these names and this
+    noise integrated out."""
+    q, w = r.quadratic, r.windows.of(sensor)
+    effects = [e for e in r.effects if e.id in names]
+    own = {e.id for e in effects}
+    index = np.flatnonzero([owner in own for owner, _ in q.names])
+    V = [(index, wide_root(q, effects, index))]
+    V += [(i, c.F) for c in noise.values() for i in c.at]
+    b = np.concatenate([F.T @ q.b[i] for i, F in V])
+    X = np.hstack([q.G[np.ix_(w, i)] @ F for i, F in V])
+    A = np.block([[F.T @ q.G[np.ix_(i, j)] @ K for j, K in V] for i, F in V])
+    root = np.linalg.cholesky(A + np.eye(len(A)))
+    h = np.linalg.solve(root, np.column_stack([b, X.T]))
+    axes, n = len(AXES_OF[sensor]), len(r.windows.t)
+    left = q.b[w] - h[:, 1:].T @ h[:, 0]
+    return left.reshape(axes, n), (q.G[np.ix_(w, w)] - h[:, 1:].T @ h[:, 1:]).reshape(
+        axes, n, axes, n
+    )
+
+
+def _steps(
+    r: Response, priors: Priors, names: frozenset[str], noise: Mapping[str, Columns]
+) -> list[Columns]:
+    """Steps at the likeliest edges of windows, beside these names and this noise."""
+    out = []
+    known, have = catalogue(), {name_of(e.id) for e in r.effects}
+    for name, sensor in STEPS.items():
+        if name in have or name in priors.refused or sensor not in r.windows.sensors:
+            continue
+        effect = known[name]
+        b, G = windows_beside(r, names, noise, sensor)
+        nats = step_gains(b, G, effect.prior_sigma[0] / SIZE[sensor])
+        for edge in _summits(nats)[:EXACT]:
+            moment = np.zeros(len(effect.parameters))
+            moment[-1] = edge * r.windows.width
+            out.append(step_columns(r, frozen_at(effect, moment), edge))
+    return out
+
+
+def step_gains(b: Array, G: Array, size: float) -> Array:
+    """Nats (n,) that a step from each window on gains, of this size on each axis in units of the
+    windows, given b (a, n) and G (a, n, a, n)."""
+    n = b.shape[1]
+    after = size * np.cumsum(b[:, ::-1], axis=1)[:, ::-1]
+    both = np.cumsum(G[:, ::-1], axis=1)[:, ::-1]
+    both = size**2 * np.cumsum(both[:, :, :, ::-1], axis=3)[:, :, :, ::-1]
+    at = np.arange(n)
+    nats = gains(after.T, both[:, at, :, at])
+    # (from the first window on it is a bias)
+    nats[0] = -np.inf
+    return nats
+
+
+def _summits(nats: Array) -> list[int]:
+    """Where these (n,) are higher than beside, the highest first."""
+    beside = np.r_[-np.inf, nats, -np.inf]
+    top = np.flatnonzero((nats > beside[:-2]) & (nats >= beside[2:]))
+    return [int(i) for i in top[np.argsort(-nats[top], kind="stable")]]
+
+
+# --- Noise ---------------------------------------------------------------------------------------
+
+
+def _processes(r: Response) -> list[_Process]:
+    """The processes on trial at several memories, those that windows can hold."""
+    out = []
+    for e in r.noise:
+        size, *others = e.levels
+        for times in product(*[MEMORIES] * len(others)):
+            levels = {size.name: size.initial}
+            for lv, by in zip(others, times, strict=True):
+                levels[lv.name] = min(max(by * lv.initial, lv.lower), lv.upper)
+            if held(e, levels, r.windows):
+                out.append(_Process(e, levels, modes(e, levels, r.windows)))
+    return out
+
+
+def _other_noise(
+    r: Response, priors: Priors, choice: Choice, processes: Sequence[_Process]
+) -> Iterator[dict[str, Columns]]:
+    """Without each process of a choice, with another one in its place, and with one more."""
+    noise = dict(choice.noise)
+    for i in noise:
+        rest = {k: c for k, c in noise.items() if k != i}
+        yield rest
+        yield from _one_more(r, priors, choice.names, rest, processes, 1)
+    yield from _one_more(r, priors, choice.names, noise, processes, EXACT)
+
+
+def _one_more(
+    r: Response,
+    priors: Priors,
+    names: frozenset[str],
+    noise: dict[str, Columns],
+    processes: Sequence[_Process],
+    most: int,
+) -> Iterator[dict[str, Columns]]:
+    """This noise and one process more beside these names, the likeliest by a look."""
+    have = {_family(i) for i in (*noise, *(e.id for e in r.filtered))}
+    looked: dict[str, tuple[float, Effect, dict[str, float]]] = {}
+    for sensor in sorted(r.windows.sensors):
+        mine = [p for p in processes if sensor_of(p.effect) == sensor]
+        mine = [p for p in mine if _family(p.effect.id) not in have]
+        if not mine:
+            continue
+        b, G = windows_beside(r, names, noise, sensor)
+        for p in mine:
+            nats, e, levels = _look(p, b, G)
+            value = nats + priors.of(e)
+            if e.id not in priors.refused and value > looked.get(p.effect.id, (0.0,))[0]:
+                looked[p.effect.id] = value, e, levels
+    for _, e, levels in sorted(looked.values(), key=lambda x: -x[0])[:most]:
+        yield {**noise, e.id: noise_columns(r, e, levels)}
+
+
+def _look(p: _Process, b: Array, G: Array) -> tuple[float, Effect, dict[str, float]]:
+    """Nats that a process gains at its best size on the axes where it gains, each axis alone; that
+    process, and its levels."""
+    size = p.effect.levels[0]
+    sizes = np.clip(SIZES * size.initial, size.lower, size.upper) / size.initial
+    nats = np.empty((len(b), len(sizes)))
+    for a in range(len(b)):
+        info, along = np.linalg.eigh(p.F.T @ G[a, :, a] @ p.F)
+        told = (along.T @ (p.F.T @ b[a])) ** 2
+        wide = 1.0 + sizes[:, None] ** 2 * np.maximum(info, 0.0)
+        each = sizes[:, None] ** 2 * told / wide - np.log(wide)
+        nats[a] = 0.5 * each.sum(axis=1)
+    narrow = with_motion.is_with_motion(p.effect.id) and len(b) > 1
+    whole = np.maximum(nats, 0.0).sum(axis=0) if narrow else nats.sum(axis=0)
+    k = int(np.argmax(whole))
+    axes = tuple(int(a) for a in np.flatnonzero(nats[:, k] > 0.0))
+    e = with_motion.on_axes(p.effect, axes) if narrow and axes else p.effect
+    values = [float(sizes[k] * size.initial), *list(p.levels.values())[1:]]
+    return float(whole[k]), e, {lv.name: v for lv, v in zip(e.levels, values, strict=True)}
+
+
+def _family(effect_id: str) -> str:
+    """Sensor and kind of a noise process, whatever its axes."""
+    channel, _, kind = effect_id.partition(" += ")
+    return f"{channel.partition('_')[0]} += {kind}" if kind else effect_id
