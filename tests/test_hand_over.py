@@ -29,7 +29,7 @@ from handcal.search.drifting_point import begun
 from handcal.search.multistart import Found
 from handcal.search.space import space
 from handcal.signals import of_recording
-from handcal.types import InputError
+from handcal.types import Imu, InputError
 from handcal_sim import simulate
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -175,6 +175,22 @@ def test_another_recording_of_the_device_tells_the_law_anew(turns, folder):
     assert [p["value"] for p in written["parameters"]] == [p.value for p in again.parameters]
     with pytest.raises(InputError, match="leave out effects, only"):
         hc.calibrate(turns, "gravity", learnt=file, only=True)
+
+
+def test_a_recording_with_a_gap_is_known_again(turns):
+    """And keeps what happened at one moment of it, which another recording has no part of."""
+    imu = turns.imu
+    kept = (imu.t < 8.0) | (imu.t > 11.0)
+    parts = (imu.t, imu.gyro, imu.accel, imu.valid)
+    holed = replace(turns, imu=Imu(*(x[kept] for x in parts)))
+    first = hc.calibrate(holed)
+    assert any("starts again behind a gap" in w for w in first.warnings)
+    written = json.loads(json.dumps(first.document))
+    written["model"]["effects"].append(document_of(Specification((BUMP,), ()))["effects"][0])
+    (again,) = recalibrate([holed], of_document("x", written))
+    assert BUMP.id in {p.effect for p in again.parameters}
+    (other,) = recalibrate([turns], of_document("x", written))
+    assert BUMP.id not in {p.effect for p in other.parameters}
 
 
 @pytest.mark.parametrize("damage", [{"effects": 3}, {"effects": [{"id": "gyro_x += 1"}]}, 3])

@@ -34,6 +34,7 @@ from handcal.estimate.specification import (
 )
 from handcal.estimate.start import Start
 from handcal.observations import catalogue
+from handcal.recordings.bridged import bridged
 from handcal.types import InputError, Prior, Recording, Result
 
 Progress = Callable[[float], None]
@@ -182,7 +183,7 @@ def recalibrate(
     options = replace(chosen.options, before=before)
     chosen = replace(chosen, options=options)
     theirs = [v.samples for v in chosen.views]
-    if [len(r.imu.t) for r in recordings] == theirs:
+    if [len(bridged(r).imu.t) for r in recordings] == theirs:
         cases = [seen(r, v, options) for r, v in zip(recordings, chosen.views, strict=True)]
     else:
         effects = tuple(e for e in chosen.effects if e.id in known() or _law_of_device(e))
