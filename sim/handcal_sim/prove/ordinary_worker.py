@@ -84,13 +84,13 @@ def expected(again: Path, learnt: Path) -> dict[str, float]:
     def readings(recording: Recording) -> np.ndarray[Any, np.dtype[np.float64]]:
         return np.stack([recording.imu.gyro, recording.imu.accel])
 
-    corrected = readings(apply(raw, known).recording)
+    uncorrected, corrected = readings(raw), readings(apply(raw, known).recording)
     left, before = [], []
     for x in draws:
         device = replace(known, values={e: x[own[e]] for e in known.values})
         true = readings(apply(raw, device).recording)
         left.append(np.mean((corrected - true) ** 2, axis=(1, 2)))
-        before.append(np.mean((readings(raw) - true) ** 2, axis=(1, 2)))
+        before.append(np.mean((uncorrected - true) ** 2, axis=(1, 2)))
     worse = np.mean(np.array(left) > np.array(before), axis=0)
     return {
         f"{sensor}_{what}": float(value)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import wraps
@@ -18,6 +19,7 @@ from handcal.commands._progress import progress
 from handcal.commands._registry import say
 
 if TYPE_CHECKING:
+    from handcal.device.apply import Learnt
     from handcal.trust import Trust
     from handcal.types import Prior, Recording, Result
 
@@ -319,6 +321,21 @@ def heard(path: Path, own: Trust, anyway: bool) -> None:
     trust.check(str(path), own, anyway)
     for doubt in trust.said(str(path), own):
         say(doubt)
+
+
+@contextlib.contextmanager
+def learnt_in(path: Path, anyway: bool) -> Iterator[Learnt]:
+    """What a result holds of a device, its laws in the catalogue meanwhile; what it doubts of
+    itself is said. Errors: InputError, HandcalError where it is not to be trusted."""
+    from handcal.device.apply import of_document
+    from handcal.documents import read_json
+    from handcal.explain.model_file import laws_of
+
+    document = read_json(path)
+    with laws_of(str(path), document):
+        learnt = of_document(str(path), document)
+        heard(path, learnt.trust, anyway)
+        yield learnt
 
 
 def say_unused(recordings: Sequence[Recording], given: Mapping[str, Any]) -> None:

@@ -11,7 +11,7 @@ from handcal.commands._options import (
     AS_IT_IS,
     Anyway,
     Reading,
-    heard,
+    learnt_in,
     load,
     reads_recordings,
     with_own_effects,
@@ -54,20 +54,15 @@ def apply(
     there is to doubt about the result, and where the recording seems to be of another device.
     """
     from handcal.device.another import another
-    from handcal.device.apply import TOGETHER, not_shown, of_document
+    from handcal.device.apply import TOGETHER, not_shown
     from handcal.device.apply import apply as applied
-    from handcal.documents import read_json
-    from handcal.explain.model_file import laws_of
     from handcal.output import check_outputs
     from handcal.recordings.export import check_ending, write_mcap
     from handcal.types import HandcalError
 
     check_outputs((out,), (recording, learnt_from))
     check_ending(out)
-    document = read_json(learnt_from)
-    with laws_of(str(learnt_from), document):
-        learnt = of_document(str(learnt_from), document)
-        heard(learnt_from, learnt.trust, anyway)
+    with learnt_in(learnt_from, anyway) as learnt:
         given = load(recording, how)
         corrected = applied(given, learnt, biases=biases)
         unsure = not_shown(learnt)

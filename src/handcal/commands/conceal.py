@@ -11,7 +11,7 @@ from handcal.commands._options import (
     AS_IT_IS,
     Anyway,
     Reading,
-    heard,
+    learnt_in,
     load,
     reads_recordings,
     with_own_effects,
@@ -69,13 +69,8 @@ def conceal(
     truth = None
     if learnt_from is not None:
         from handcal.device import apply as known
-        from handcal.documents import read_json
-        from handcal.explain.model_file import laws_of
 
-        document = read_json(learnt_from)
-        with laws_of(str(learnt_from), document):
-            learnt = known.of_document(str(learnt_from), document)
-            heard(learnt_from, learnt.trust, anyway)
+        with learnt_in(learnt_from, anyway) as learnt:
             truth = known.apply(recording, learnt, biases=True).recording.imu
     write_mcap(hidden.conceal(recording, values, np.random.default_rng(seed), truth), out)
     tell(f"{out}: {', '.join(values)} concealed in {Path(recording.path).name}, seed {seed}")

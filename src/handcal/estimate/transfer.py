@@ -3,7 +3,7 @@ trajectory."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +13,7 @@ from handcal.effects import Effect
 from handcal.estimate import noise_levels
 from handcal.estimate.case import problem_with
 from handcal.estimate.linear import About
-from handcal.estimate.model import Fitted
+from handcal.estimate.model import Fitted, Model
 from handcal.estimate.pieces import is_long
 from handcal.estimate.problem import Problem
 from handcal.estimate.sampling import interpolated
@@ -81,6 +81,14 @@ def begun(f: Fitted, effects: Sequence[Effect]) -> Fitted:
     new = [e for e in effects if e.id not in have and e.imu_inverse is not None]
     usual = {(e.id, p.name): p.prior_sigma for e in new for p in e.parameters if p.positive}
     return at_constants(moved_to(f, effects), effects, usual)
+
+
+def without(model: Model, ids: Container[str]) -> Model:
+    """The model without some of its effects, about the trajectory and the sensor noise that there
+    are with all of them: fitted without them, what they held would be noise, in which no law
+    shows."""
+    rest = tuple(e for e in model.effects if e.id not in ids)
+    return replace(model, effects=rest, parts=tuple(moved_to(f, rest) for f in model.parts))
 
 
 def at_constants(

@@ -14,6 +14,7 @@ from handcal.estimate.case import name_of
 from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.impossible import strange
 from handcal.estimate.model import Fitted, Model
+from handcal.estimate.parameters import known
 from handcal.estimate.result import MOVED, noise, results
 from handcal.estimate.robust import inflation
 from handcal.estimate.specification import Specification
@@ -96,7 +97,7 @@ def uncounted(end: End) -> dict[str, str]:
     found = end.found
     if all("+=" not in e.id for e in found.model.effects):
         return {}
-    fit = results(found.model, moments(found))[0]
+    fit = known(found.model, 0, inflation(found.model), moments(found)).parameters
     learnt = {e.id: parameters_of(fit, e) for e in found.model.effects if e.process is None}
     laws, _ = _without_name(found, learnt)
     counts = end.wrong is not None and end.wrong.burst is not None
@@ -180,7 +181,9 @@ def explanation_of(
     found, base, model = end.found, end.base, end.found.model
     wrong = None if end.wrong is None or end.wrong.burst is not None else end.wrong
     fits = results(model, moments(found) if written is None else written.moments)
-    learnt = {e.id: parameters_of(fits[0], e) for e in model.effects if e.process is None}
+    learnt = {
+        e.id: parameters_of(fits[0].parameters, e) for e in model.effects if e.process is None
+    }
     no_hand = impossible(plainest, fits[0].parameters, gravity_of(model))
     named = _named(end, learnt, wrong, not untried, bool(no_hand))
     doubts = _doubts(model, written, fits)
@@ -190,7 +193,7 @@ def explanation_of(
     hypotheses = renamed(model, told, hypotheses_of(found, told, wrong, named.alone))
     final = _in_order(explained, learnt, fits[0])
     warnings = _warnings(base, model, told, hypotheses, excess)
-    said = *no_hand, *warnings, *doubts, *named.remarks, *end.left
+    said = *no_hand, *warnings, *doubts, *named.remarks, *end.left, broken_off(untried)
     return Explanation(
         named.verdict,
         tuple(mismatch),
@@ -204,7 +207,7 @@ def explanation_of(
         final,
         noise(model.parts[0]),
         tuple(explained),
-        (*said, *_broken_off(untried)),
+        tuple(filter(None, said)),
         written,
         untellable(found, fits[0].parameters),
         hand_of(model.parts[0], end.surely),
@@ -353,11 +356,6 @@ def _warnings(
     for f in model.parts:
         out += leaning(f, model.effects, not_seen, unnamed, excess)
     return tuple(dict.fromkeys(out))
-
-
-def _broken_off(untried: tuple[str, ...]) -> list[str]:
-    said = broken_off(untried)
-    return [] if said is None else [said]
 
 
 def gravity_of(model: Model) -> float:

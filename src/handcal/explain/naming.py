@@ -23,7 +23,7 @@ from handcal.search.climb.exchange_steps import ALIKE, akin
 from handcal.search.common_found import Shown, parameters_in, shown, stands_out
 from handcal.search.multistart import Found
 from handcal.search.space import Space, expected_gain, gains, probabilities, rivals
-from handcal.types import Parameter, Result
+from handcal.types import Parameter
 
 # What is missing is likelier than not; a rival is listed when it has that share of its set.
 LIKELY = 0.5
@@ -335,6 +335,6 @@ def remark(u: Unnamed) -> str:
     )
 
 
-def parameters_of(result: Result, effect: Effect) -> tuple[Parameter, ...]:
-    """Those of a result that are an effect's."""
-    return tuple(p for p in result.parameters if p.effect == name_of(effect.id))
+def parameters_of(fit: Sequence[Parameter], effect: Effect) -> tuple[Parameter, ...]:
+    """Those of a fit that are an effect's."""
+    return tuple(p for p in fit if p.effect == name_of(effect.id))

@@ -11,7 +11,7 @@ Noise whose memory is short against a window is no combination of windows: it st
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -25,7 +25,7 @@ from handcal.estimate.model import Model
 from handcal.estimate.quadratic import Quadratic
 from handcal.estimate.robust import excess
 from handcal.estimate.scan import grounds, scan
-from handcal.estimate.transfer import moved_to
+from handcal.estimate.transfer import without
 from handcal.laws.drivers import HEADING
 from handcal.laws.law_effect import AXES_OF, SENSORS, SIZE
 from handcal.laws.over_drivers import signals_of
@@ -144,12 +144,6 @@ def response(model: Model, worth: float | None = None) -> Response:
         replace(windows, at=at),
         motion_of(about[0].excited),
     )
-
-
-def without(model: Model, ids: Container[str]) -> Model:
-    """The model about the same trajectory without some noise."""
-    kept = tuple(e for e in model.effects if e.id not in ids)
-    return replace(model, effects=kept, parts=tuple(moved_to(f, kept) for f in model.parts))
 
 
 def _named(model: Model, on_trial: Sequence[Effect]) -> list[Effect]:

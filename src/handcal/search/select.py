@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from handcal.effects import Effect, catalogue
 from handcal.estimate.case import frozen_at, name_of
@@ -137,10 +138,8 @@ def space_beside(
         some = list(noise.values())
         A = np.block([[products(r, x, y) for y in some] for x in some])
         X = np.block([[x.named, *(products(r, x, s) for s in steps)] for x in some])
-        root = np.linalg.cholesky(A + np.eye(len(A)))
-        h = np.linalg.solve(root, np.column_stack([np.concatenate([x.b for x in some]), X]))
-        a += 0.5 * float(h[:, 0] @ h[:, 0]) - float(np.log(np.diag(root)).sum())
-        b, G = b - h[:, 1:].T @ h[:, 0], G - h[:, 1:].T @ h[:, 1:]
+        gained, b, G = _beside(A, np.concatenate([x.b for x in some]), X, b, G)
+        a += gained
     names = [q.names[i] for i in m]
     names += [(s.effect.id, p.name) for s in steps for p in s.effect.parameters]
     effects = [*r.effects, *(s.effect for s in steps)]
@@ -246,13 +245,20 @@ def windows_beside(
     b = np.concatenate([F.T @ q.b[i] for i, F in V])
     X = np.hstack([q.G[np.ix_(w, i)] @ F for i, F in V])
     A = np.block([[F.T @ q.G[np.ix_(i, j)] @ K for j, K in V] for i, F in V])
-    root = np.linalg.cholesky(A + np.eye(len(A)))
-    h = np.linalg.solve(root, np.column_stack([b, X.T]))
     axes, n = len(AXES_OF[sensor]), len(r.windows.t)
-    left = q.b[w] - h[:, 1:].T @ h[:, 0]
-    return left.reshape(axes, n), (q.G[np.ix_(w, w)] - h[:, 1:].T @ h[:, 1:]).reshape(
-        axes, n, axes, n
-    )
+    _, b, G = _beside(A, b, X.T, q.b[w], q.G[np.ix_(w, w)])
+    return b.reshape(axes, n), G.reshape(axes, n, axes, n)
+
+
+def _beside(A: Array, own: Array, X: Array, b: Array, G: Array) -> tuple[float, Array, Array]:
+    """A quadratic of others, b (k,) and G (k, k), with constants under priors of one integrated
+    out: their matrix A (m, m), vector own (m,) and products X (m, k). Before it, what they gain,
+    nats."""
+    root = np.linalg.cholesky(A + np.eye(len(A)))
+    h = solve_triangular(root, np.column_stack([own, X]), lower=True)
+    first, rest = h[:, 0], h[:, 1:]
+    gained = 0.5 * float(first @ first) - float(np.log(np.diag(root)).sum())
+    return gained, b - rest.T @ first, G - rest.T @ rest
 
 
 def _steps(

@@ -16,6 +16,7 @@ from handcal.effects import Effect, Signals
 from handcal.estimate.model import Model
 from handcal.estimate.prior_root import root_of
 from handcal.estimate.scan import scan
+from handcal.estimate.transfer import without
 from handcal.laws.best_law import is_composed
 from handcal.laws.compositions import composed, composed_headings
 from handcal.laws.drivers import DRIVERS, HEADING, Driver, usable
@@ -24,7 +25,7 @@ from handcal.laws.over_drivers import best_of_block, over, tuned, written_out
 from handcal.laws.short_windows import Courses, courses_of, gains_of, windows_of
 from handcal.laws.vocabulary import further
 from handcal.laws.weighing import Beside, beside, gains
-from handcal.search.response import Response, sensor_of, without
+from handcal.search.response import Response, sensor_of
 from handcal.search.select import Choice, Priors, chosen, windows_beside
 from handcal.types import Array, IntArray
 

@@ -36,6 +36,11 @@ class Parameters:
         return [f"{program}'s calibration changed during the log: {names}."] if names else []
 
 
+def cut(messages: int) -> str:
+    """Of a log of which not all could be read."""
+    return f"The log ends early or is damaged: {messages} messages were recovered."
+
+
 def rows(data: bytes, starts: Sequence[int], layout: np.dtype[np.void]) -> dict[str, Array]:
     """Fields (n,) of messages that begin at these places and lie within the data."""
     buffer, parts = np.frombuffer(data, dtype=np.uint8), []

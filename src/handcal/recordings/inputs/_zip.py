@@ -136,6 +136,13 @@ def by_name(files: Mapping[str, bytes]) -> Mapping[str, bytes]:
     return {PurePosixPath(name).name.lower(): files[name] for name in deepest_first}
 
 
+def whole(path: Path) -> bytes:
+    """All of a file. Errors: InputError where it is too large to be read at once."""
+    if path.stat().st_size > LARGEST:
+        raise InputError(f"{path} is too large to be read at once.")
+    return path.read_bytes()
+
+
 def stated(program: str, options: Options) -> tuple[str, ...]:
     """The warning to somebody who gives units of a format that states its own."""
     return (f"{program} states its units: --units was ignored.",) if options.units else ()

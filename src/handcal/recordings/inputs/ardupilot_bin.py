@@ -23,6 +23,7 @@ import numpy as np
 from handcal.recordings.inputs._autopilot import (
     Fields,
     Parameters,
+    cut,
     floats,
     nanoseconds,
     rows,
@@ -31,7 +32,7 @@ from handcal.recordings.inputs._autopilot import (
 from handcal.recordings.inputs._magic import begins_with
 from handcal.recordings.inputs._options import Options
 from handcal.recordings.inputs._repair import assemble, columns
-from handcal.recordings.inputs._zip import LARGEST, stated
+from handcal.recordings.inputs._zip import stated, whole
 from handcal.recordings.streams import TURNED_TO_FLU
 from handcal.types import InputError, Recording
 
@@ -68,9 +69,7 @@ def can_read(path: Path) -> bool:
 
 def read(path: Path, options: Options) -> Recording:
     """Read the recording. Errors: InputError."""
-    if path.stat().st_size > LARGEST:
-        raise InputError(f"{path} is too large to be read at once.")
-    messages, said = _messages(path.read_bytes())
+    messages, said = _messages(whole(path))
     options.progress(1.0)
     imu, gyr, acc = (messages.get(name, {}) for name in ("IMU", "GYR", "ACC"))
     raw = min(_count(gyr), _count(acc)) > _count(imu)
@@ -107,12 +106,12 @@ def _messages(data: bytes) -> tuple[dict[str, Fields], list[str]]:
     """Fields by name of message, of the first instance, and what is to be said of the file."""
     lengths, places = {_FORMAT: _FORMAT_LENGTH}, dict[int, list[int]]()
     named: dict[int, _Named] = {}
-    at, count, whole = 0, 0, True
+    at, count, complete = 0, 0, True
     while 0 <= at < len(data):
         kind = data[at + 2] if at + 2 < len(data) else -1
         length = lengths.get(kind, 0)
         if not length or not data.startswith(HEAD, at) or at + length > len(data):
-            at, whole = data.find(HEAD, at + 1), False
+            at, complete = data.find(HEAD, at + 1), False
             continue
         if kind == _FORMAT:
             _described(data[at + 3 : at + length], lengths, named)
@@ -120,8 +119,8 @@ def _messages(data: bytes) -> tuple[dict[str, Fields], list[str]]:
             places.setdefault(kind, []).append(at + 3)
         at, count = at + length, count + 1
     found = {named[kind][0]: rows(data, starts, named[kind][1]) for kind, starts in places.items()}
-    cut = f"The log ends early or is damaged: {count} messages were recovered."
-    return {n: one for n, f in found.items() if _count(one := _first(f))}, [] if whole else [cut]
+    firsts = {name: one for name, f in found.items() if _count(one := _first(f))}
+    return firsts, [] if complete else [cut(count)]
 
 
 def _described(message: bytes, lengths: dict[int, int], named: dict[int, _Named]) -> None:

@@ -22,7 +22,7 @@ import numpy as np
 from handcal.recordings.inputs._magic import begins_with
 from handcal.recordings.inputs._options import Options
 from handcal.recordings.inputs._table import of_arrays, of_matrix
-from handcal.recordings.inputs._zip import LARGEST, LARGEST_RATIO, RATIO_FROM
+from handcal.recordings.inputs._zip import LARGEST, LARGEST_RATIO, RATIO_FROM, whole
 from handcal.types import Array, InputError, Recording
 
 UNDERSTOOD = "a MATLAB file with arrays t, gyro, accel, or one matrix (.mat)"
@@ -76,9 +76,7 @@ def read(path: Path, options: Options) -> Recording:
 
 def _arrays(path: Path) -> dict[str, Array]:
     """Matrices of real numbers by name. Errors: InputError."""
-    if path.stat().st_size > LARGEST:
-        raise InputError(f"{path} is too large to be read at once.")
-    data = path.read_bytes()
+    data = whole(path)
     if not data.startswith(b"MATLAB 5.0"):
         raise InputError(f"{path} is not of MATLAB's versions 5 to 7: save it with '-v7'.")
     order = ">" if data[126:128] == b"MI" else "<"

@@ -25,7 +25,7 @@ from handcal.recordings.inputs._magic import begins_with
 from handcal.recordings.inputs._options import Options
 from handcal.recordings.inputs._repair import Columns, assemble, columns, nanoseconds
 from handcal.recordings.inputs._rows import numbers, rows_of, unit_in
-from handcal.recordings.inputs._zip import LARGEST, beginnings, contents, listing, stated
+from handcal.recordings.inputs._zip import beginnings, contents, listing, stated, whole
 from handcal.types import Array, InputError, IntArray, Recording
 
 UNDERSTOOD = "an export of the phyphox app (zip or folder of CSV, one CSV, or .xls)"
@@ -177,10 +177,8 @@ def _of_files(path: Path, options: Options) -> _Export:
     """Of a zip or folder, or of one table. Errors: InputError."""
     if listing(path) is not None:
         files = contents(path, lambda name: name.lower().endswith(".csv"), options)
-    elif path.stat().st_size > LARGEST:
-        raise InputError(f"{path} is too large to be read at once.")
     else:
-        files = {path.name: path.read_bytes()}
+        files = {path.name: whole(path)}
     sheets, texts = [], []
     for name, content in sorted(files.items()):
         if _header(content):

@@ -24,6 +24,7 @@ from handcal.recordings.inputs._autopilot import (
     TURNED,
     Fields,
     Parameters,
+    cut,
     floats,
     nanoseconds,
     rows,
@@ -32,7 +33,7 @@ from handcal.recordings.inputs._autopilot import (
 from handcal.recordings.inputs._magic import begins_with
 from handcal.recordings.inputs._options import Options
 from handcal.recordings.inputs._repair import Columns, assemble, columns
-from handcal.recordings.inputs._zip import LARGEST, stated
+from handcal.recordings.inputs._zip import stated, whole
 from handcal.recordings.streams import TURNED_TO_FLU
 from handcal.types import InputError, Recording
 
@@ -123,9 +124,7 @@ def _ids(topics: Mapping[str, Fields], raw: bool) -> dict[str, float]:
 def _topics(path: Path) -> tuple[dict[str, Fields], list[str], _Log]:
     """Fields by topic, the first instance of each, warnings, and what else the log says. Errors:
     InputError."""
-    if path.stat().st_size > LARGEST:
-        raise InputError(f"{path} is too large to be read at once.")
-    data = path.read_bytes()
+    data = whole(path)
     log = _walked(path, data)
     topics: dict[str, Fields] = {}
     for id, (_, name) in sorted(log.names.items(), key=lambda one: one[1][0]):
@@ -136,8 +135,7 @@ def _topics(path: Path) -> tuple[dict[str, Fields], list[str], _Log]:
         topics[name] = rows(data, starts, layout)
     if log.whole:
         return topics, [], log
-    cut = f"The log ends early or is damaged: {log.messages} messages were recovered."
-    return topics, [cut], log
+    return topics, [cut(log.messages)], log
 
 
 @dataclass

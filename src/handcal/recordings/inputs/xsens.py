@@ -19,7 +19,7 @@ import numpy as np
 from handcal.recordings.inputs._options import Options
 from handcal.recordings.inputs._repair import Columns, assemble, columns
 from handcal.recordings.inputs._rows import Rows, numbers, places, plain_name, rows_of
-from handcal.recordings.inputs._zip import LARGEST
+from handcal.recordings.inputs._zip import whole
 from handcal.types import Array, InputError, IntArray, Recording
 
 UNDERSTOOD = "a text export of Xsens or Movella, MT Manager or DOT (.txt, .csv)"
@@ -53,9 +53,7 @@ def _header(start: bytes) -> int | None:
 
 def read(path: Path, options: Options) -> Recording:
     """Read the recording. Errors: InputError."""
-    if path.stat().st_size > LARGEST:
-        raise InputError(f"{path} is too large to be read at once.")
-    content = path.read_bytes()
+    content = whole(path)
     at = _header(content[:_HEAD]) or 0
     before = content[:at].decode("utf-8-sig", "replace")
     rows = rows_of(content[at:], str(path))

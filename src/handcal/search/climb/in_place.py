@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence, Set
-from dataclasses import replace
 from functools import partial
 
 from handcal.effects import Effect, catalogue
 from handcal.estimate.case import name_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
-from handcal.estimate.transfer import fit_of, moved_to
+from handcal.estimate.transfer import fit_of, without
 from handcal.laws.best_law import ENOUGH, Survey, Term, best_terms, survey
 from handcal.laws.law_effect import SENSORS, channels_of
 from handcal.model_score import better, of_use, score
@@ -229,14 +228,6 @@ def late_ones(effects: Sequence[Effect]) -> frozenset[str]:
     """Those by which readings of whatever sensor come late or early."""
     alike = {i for e in catalogue().values() if e.akin for i in (e.id, *e.akin)}
     return frozenset(e.id for e in effects if e.lateness or e.id in alike)
-
-
-def without(model: Model, ids: Set[str]) -> Model:
-    """The model without some of its effects, about the trajectory and the sensor noise that there
-    are with all of them: fitted without them, what they held would be noise, in which no law
-    shows."""
-    rest = tuple(e for e in model.effects if e.id not in ids)
-    return replace(model, effects=rest, parts=tuple(moved_to(f, rest) for f in model.parts))
 
 
 def with_term(

@@ -5,9 +5,9 @@ from __future__ import annotations
 from handcal.estimate.case import name_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
+from handcal.estimate.transfer import without
 from handcal.model_score import MOMENTS, PRIOR, better, score
 from handcal.search.climb.candidates import fitted_with, scanned_about
-from handcal.search.climb.in_place import without
 from handcal.search.climb.state import (
     FEW,
     HOPELESS,
