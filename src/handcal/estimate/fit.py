@@ -94,8 +94,9 @@ def believed(model: Model, excess: Mapping[str, float]) -> Model:
     q = model.quadratic
     s = np.array([1.0 / math.sqrt(excess.get(i, 1.0)) for i, _ in q.names])
     G = q.G * np.outer(s, s)
-    best = np.linalg.lstsq(q.G, q.b, rcond=None)[0]
-    found = _posterior(Quadratic(q.names, q.a, G @ best, G), model.effects, model.known)
+    # (about where the fit is: the likeliest values may be anywhere along what is hardly shown)
+    b = G @ model.u + s**2 * (q.b - q.G @ model.u)
+    found = _posterior(Quadratic(q.names, q.a, b, G), model.effects, model.known)
     return replace(model, u=found.mean, covariance=found.covariance)
 
 
