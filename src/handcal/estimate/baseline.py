@@ -21,6 +21,7 @@ from handcal.estimate.linear import About, known_linear, linearise_about
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.observed import first_state
 from handcal.estimate.pieces import is_long
+from handcal.estimate.start import with_wide_gyro_bias
 from handcal.types import HandcalError
 
 # Standard deviations of a prior by which a parameter moves at once where longer steps lead astray,
@@ -87,7 +88,8 @@ def _better(model: Model) -> tuple[bool, float]:
 def baseline(cases: Sequence[Case], engine: str = "compiled") -> Model:
     """The fit with no effect but those that every model has, where every other begins.
 
-    A magnetometer's hard iron is tried from all that its readings may lie around.
+    A magnetometer's hard iron is tried from all that its readings may lie around. A gyro bias
+    beyond the usual has a prior of its scale: the usual one would give it to rarer errors.
     """
     effects = always(cases)
     ways = [tuple(cases)]
@@ -96,8 +98,11 @@ def baseline(cases: Sequence[Case], engine: str = "compiled") -> Model:
 
     def begun(way: Sequence[Case]) -> Model:
         # (written down, as what was found is)
-        first = (started(c, effects, engine) for c in way)
-        return fitted(first, effects, noise_rounds=2, tolerance=TOLERANCE)
+        first = [started(c, effects, engine) for c in way]
+        found = fitted(first, effects, noise_rounds=2, tolerance=TOLERANCE)
+        wide = [_with_wide_gyro_bias(f) for f in found.parts]
+        same = all(f.case is case for f, case in zip(found.parts, wide, strict=True))
+        return found if same else begun(wide)
 
     if len(ways) == 1:
         return begun(cases)
@@ -108,6 +113,15 @@ def baseline(cases: Sequence[Case], engine: str = "compiled") -> Model:
         elif k == len(ways) - 1 and not fits:
             raise tried
     return max(fits, key=lambda m: m.log_evidence)
+
+
+def _with_wide_gyro_bias(f: Fitted) -> Case:
+    """The case with a prior for a gyro bias as large as that of its fit; the same where that is the
+    usual one, or the fit is none. (An accelerometer's bias may be a tilt that is not known.)"""
+    bias = f.trajectory.bg
+    start = with_wide_gyro_bias(f.case.start, bias) if np.isfinite(bias).all() else f.case.start
+    same = np.array_equal(start.bias_sigma, f.case.start.bias_sigma)
+    return f.case if same else replace(f.case, start=start)
 
 
 def _attempt(begun: Callable[[Sequence[Case]], Model], way: Sequence[Case]) -> Model | HandcalError:

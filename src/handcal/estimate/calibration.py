@@ -20,6 +20,7 @@ from handcal.estimate.baseline import baseline, common, dense
 from handcal.estimate.case import Case, case_of
 from handcal.estimate.filter import ENGINES
 from handcal.estimate.model import Model
+from handcal.estimate.noise_look import EVIDENT, drifting
 from handcal.estimate.observed import check_apart, check_options
 from handcal.estimate.pieces import by_pieces
 from handcal.estimate.rest_only import resting, travels
@@ -41,6 +42,10 @@ Progress = Callable[[float], None]
 
 # Noise levels are found in no less, s.
 LEAST_NOISE_S = 2.0
+DRIFTING = (
+    "The biases drift within the recording: the fit follows them as random walks, and says their "
+    "means."
+)
 ONLY = "These sigmas hold only if the device has no errors but its biases"
 
 
@@ -155,6 +160,8 @@ def _calibrated(
         ]
         model, chosen = _fitted(cases, wanted, options, engine, only, report)
     told = _told(model, chosen, report)
+    if {e.id for e in chosen.effects if e.walks} - {e.id for e in wanted}:
+        told = tuple(replace(r, warnings=(*r.warnings, DRIFTING)) for r in told)
     return _said_alone(told, wanted) if only else told
 
 
@@ -231,7 +238,13 @@ def _fitted(
     report(0.5)
     effects = _with_those_of_all(effects, base)
     chosen = Specification(effects, tuple(view_of(c) for c in cases), options)
-    return settled(base, chosen, engine), chosen
+    model = settled(base, chosen, engine)
+    if not only and (walks := drifting(model)):
+        wider = replace(chosen, effects=(*effects, *walks))
+        other = settled(base, wider, engine)
+        if other.log_evidence > model.log_evidence + EVIDENT:
+            return other, wider
+    return model, chosen
 
 
 def _with_those_of_all(effects: Sequence[Effect], base: Model) -> tuple[Effect, ...]:

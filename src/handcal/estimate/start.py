@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from handcal.compiled import so3
+from handcal.estimate.prior_scales import LOG_SHARES, SCALES
 from handcal.types import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Array, Prior, Recording
 
 # In the order of the states.
@@ -95,6 +96,17 @@ def with_known_biases(start: Start, before: Prior | None) -> Start:
             at = before.names.index(name)
             mean[i], sigma[i] = before.mean[at], math.sqrt(before.covariance[at, at])
     return replace(start, bias_mean=mean, bias_sigma=sigma)
+
+
+def with_wide_gyro_bias(start: Start, bias: Array) -> Start:
+    """The start with the scale of the prior's mixture (``prior_scales``) at which this bias (3,) of
+    the gyro, rad/s, is likeliest; where the bias was known before, it stays as it is."""
+    usual, sigma = usual_biases(), start.bias_sigma.copy()
+    if np.array_equal(sigma[:3], usual[:3]):
+        squares = float(((bias / usual[:3]) ** 2).sum())
+        shares = LOG_SHARES - 3.0 * np.log(SCALES) - 0.5 * squares / SCALES**2
+        sigma[:3] *= SCALES[int(np.argmax(shares))]
+    return replace(start, bias_sigma=sigma)
 
 
 def levelled(force: Array, yaw: float) -> Array:

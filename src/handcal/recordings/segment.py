@@ -247,16 +247,18 @@ def _rest(recording: Recording, start: float, end: float) -> Rest:
 
 
 def _still(gyro: Array, rate_hz: float) -> bool:
-    """Whether means of windows of readings (n, 3) scatter no more than white noise makes them;
-    fewer than three windows cannot show it."""
+    """Whether means of neighbouring windows of readings (n, 3) differ no more than white noise does
+    (by the Allan variance, to which a drift over minutes adds little); fewer than three windows
+    cannot show it."""
     width = max(4, round(WINDOW_S * rate_hz))
     k = len(gyro) // width
     if k < FEWEST:
         return False
     blocks = gyro[: k * width].reshape(k, width, 3)
     own = float(blocks.var(axis=1, ddof=1).mean())
-    between = width * float(blocks.mean(axis=1).var(axis=0, ddof=1).mean())
-    most = FLICKER * float(fdtri(3 * (k - 1), 3 * k * (width - 1), 1.0 - STILL_ALARM))
+    between = 0.5 * width * float((np.diff(blocks.mean(axis=1), axis=0) ** 2).mean())
+    # (neighbouring differences are correlated: two thirds of the degrees of freedom are left)
+    most = FLICKER * float(fdtri(2 * (k - 1), 3 * k * (width - 1), 1.0 - STILL_ALARM))
     return between <= most * own
 
 

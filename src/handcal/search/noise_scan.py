@@ -2,28 +2,23 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
-from itertools import product
-
-import numpy as np
 
 from handcal.effects import Effect, catalogue
 from handcal.estimate.case import applicable
 from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.fit import fitted
 from handcal.estimate.forked import in_parallel
-from handcal.estimate.linear import beside
 from handcal.estimate.model import Fitted, Model
+from handcal.estimate.noise_look import with_noise
 from handcal.estimate.transfer import fit_of, moved_to
 from handcal.laws import with_motion
 from handcal.model_score import better, prior
 
-# Nats that a noise effect must gain beyond its own levels' freedom, at a first look; and times the
-# first guess of each level at which that is taken (a memory, not the smallest of them).
-LOOK, TIMES = 3.0, (0.1, 0.3, 1.0, 3.0)
+# Nats that a noise effect must gain beyond its own levels' freedom, at a first look.
+LOOK = 3.0
 
 
 def all_noise() -> list[Effect]:
@@ -47,12 +42,9 @@ def looks_of(
     """The effects with one noise effect each that the recordings can show, those of the highest
     score (``most`` at the most), the best first."""
     plain = [fit_of(f, effects) for f in parts]
-    here = as_they_are(plain)
 
     def look(e: Effect) -> Look:
-        wide = [_at_best(_with(f, moved_to(f, (*effects, e))), e) for f in plain]
-        there = sum(value for _, value in wide)
-        return Look((*effects, e), tuple(f for f, _ in wide), there - here)
+        return Look((*effects, e), *with_noise(plain, effects, e))
 
     def scored(found: Look) -> float:
         return found.gain + prior(found.effects[-1], [f.case for f in parts])
@@ -61,36 +53,6 @@ def looks_of(
     best: list[Look] = []
     for found in in_parallel(partial(look, e) for e in shown):
         best = sorted([*best, found], key=scored, reverse=True)[:most]
-    return best
-
-
-def as_they_are(parts: Sequence[Fitted]) -> float:
-    """Log-evidence about the trajectories and noise levels that there are."""
-    return sum(reduced_pass(reduce(f.linear), f.levels).log_evidence for f in parts)
-
-
-def _with(f: Fitted, wide: Fitted) -> Fitted:
-    """The fit with a noise effect besides, which changes nothing of what is between the epochs."""
-    same = len(wide.problem.slots) == len(f.problem.slots) and np.array_equal(wide.t, f.t)
-    return replace(wide, about=beside(f.linear, wide.problem, wide.trajectory)) if same else wide
-
-
-def _at_best(f: Fitted, e: Effect) -> tuple[Fitted, float]:
-    """With the levels of a noise effect at the best of a few times their first guesses."""
-    reduction, best = reduce(f.linear), (f.bare, -math.inf)
-    size, *others = e.levels
-    for times in product(*[TIMES[1:]] * len(others)):
-        before = -math.inf
-        for factor in TIMES:
-            levels = dict(f.levels)
-            for level, by in zip((size, *others), (factor, *times), strict=True):
-                levels[level.name] = min(max(by * level.initial, level.lower), level.upper)
-            value = reduced_pass(reduction, levels).log_evidence
-            if value > best[1]:
-                best = replace(f.bare, levels=levels), value
-            if value < before:  # (over a size, evidence has one summit)
-                break
-            before = value
     return best
 
 

@@ -10,6 +10,7 @@ from handcal.effects import Effect, catalogue
 from handcal.estimate.case import name_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
+from handcal.estimate.noise_look import as_they_are
 from handcal.estimate.transfer import fit_of, without
 from handcal.laws.best_law import ENOUGH, Survey, Term, best_terms, survey
 from handcal.laws.law_effect import SENSORS, channels_of
@@ -26,7 +27,6 @@ from handcal.search.climb.state import (
     likelier,
     sensible,
 )
-from handcal.search.noise_scan import as_they_are
 from handcal.search.space import best_set, gains
 
 # Effects to which a term is added, its formula, and what it is made of.
