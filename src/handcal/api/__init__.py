@@ -260,6 +260,8 @@ def export(
     topic: str | None = None,
     axes: str | None = None,
     parameters: str | Path | None = None,
+    readings: str = "",
+    instance: Mapping[str, int] | None = None,
     anyway: bool = False,
 ) -> str:
     """What was learnt in the format of another program ("kalibr", "px4", ...): its text, which is
@@ -267,8 +269,10 @@ def export(
 
     recording: where what the format cannot hold is measured. noise: of the device at rest, by
     ``allan``. topic: of the Imu messages, where not that of the recording. axes: "flu" or "frd",
-    what the recording's axes are on a vehicle; parameters: a file of the vehicle's own. anyway:
-    also of a result that is not to be trusted. Errors: InputError, HandcalError.
+    what the recording's axes are on a vehicle; parameters: a file of the vehicle's own;
+    readings: "raw" or "corrected" by the vehicle, where the recording does not say it; instance:
+    which of its sensors was read ({"gyro": 1, "accel": 1}). anyway: also of a result that is not to
+    be trusted. Errors: InputError, HandcalError.
     """
     from handcal.exports import format_of
     from handcal.exports._contents import contents
@@ -286,7 +290,10 @@ def export(
             output.check_outputs((Path(path),), (source, allan_file))
         own = None if parameters is None else Path(parameters)
         with model_file.laws_of(str(source), read_json(source)):
-            made = contents(source, form, given, allan_file, topic, axes, own, anyway=anyway)
+            made = contents(
+                source, form, given, allan_file, topic, axes, own,
+                readings=readings, instance=instance, anyway=anyway,
+            )  # fmt: skip
             text = form.write(made)
     if path is not None:
         output.write_text(path, text)
