@@ -257,6 +257,7 @@ def test_of_a_log_of_ardupilot_too(tmp_path):
     own = INS_OWN | {"AHRS_ORIENTATION": 8.0}
     path.write_bytes(format_files.dataflash(sample(n=300, streams=False), parameters=own))
     assert ["AHRS_ORIENTATION 8" in line for line in refusals(handcal.read(path))] == [True]
+    assert any("only the first is read" in said for said in handcal.read(path).warnings)
     assert refusals(sample(n=300, streams=False)) == []
 
 

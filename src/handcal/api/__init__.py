@@ -271,8 +271,8 @@ def export(
     ``allan``. topic: of the Imu messages, where not that of the recording. axes: "flu" or "frd",
     what the recording's axes are on a vehicle; parameters: a file of the vehicle's own;
     readings: "raw" or "corrected" by the vehicle, where the recording does not say it; instance:
-    which of its sensors was read (1, or {"gyro": 1, "accel": 2}). anyway: also of a result that is not to
-    be trusted. Errors: InputError, HandcalError.
+    which of its sensors was read (1, or {"gyro": 1, "accel": 2}). anyway: also of a result that is
+    not to be trusted. Errors: InputError, HandcalError.
     """
     from handcal.exports import format_of
     from handcal.exports._contents import contents

@@ -116,14 +116,17 @@ def _scale_errors(contents: Contents) -> tuple[BoolArray, Array]:
     return np.array([axis in rows for axis in "xyz"]), np.array(sigma, dtype=np.float64)
 
 
-def lines(found: Sequence[Parameter], line: str) -> list[str]:
-    """Of each parameter what is said of it, and its line where it is written."""
+def lines(contents: Contents, found: Sequence[Parameter], line: str) -> str:
+    """Of each parameter what is said of it, and its line where it is written. Errors: HandcalError
+    where none is."""
+    if not any(p.written for p in found):
+        raise HandcalError(f"{contents.name}: nothing to write. {'. '.join(left(found))}.")
     out = []
     for p in found:
         out.append(p.comment)
         if p.written:
             out.append(line.format(name=p.name, value=f"{p.now:.12f}"))
-    return out
+    return "\n".join(out) + "\n"
 
 
 def left(found: Sequence[Parameter]) -> list[str]:
@@ -135,12 +138,6 @@ def left(found: Sequence[Parameter]) -> list[str]:
            f"{', '.join(near)}"] if near else []  # fmt: skip
     return out + ([f"Left as the vehicle has them, for they were not shown: {', '.join(lost)}"]
                   if lost else [])  # fmt: skip
-
-
-def refuse_none(contents: Contents, found: Sequence[Parameter]) -> None:
-    """Errors: HandcalError where no parameter is to be written."""
-    if not any(p.written for p in found):
-        raise HandcalError(f"{contents.name}: nothing to write. {'. '.join(left(found))}.")
 
 
 def readings_of(said: Mapping[str, float]) -> str:

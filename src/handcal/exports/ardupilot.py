@@ -39,7 +39,6 @@ from handcal.exports._vehicle import (
     left,
     lines,
     parameters,
-    refuse_none,
     refuse_turned,
     told,
 )
@@ -59,8 +58,7 @@ def write(contents: Contents) -> str:
     if wrong:
         said = ", ".join(f"{p.name} {p.now:.4g}" for p in wrong)
         raise HandcalError(f"ArduPilot takes scales from {FACTOR[0]} to {FACTOR[1]}, not {said}.")
-    refuse_none(contents, found)
-    return f"{contents.commented()}{told(contents)}" + "\n".join(lines(found, LINE)) + "\n"
+    return f"{contents.commented()}{told(contents)}" + lines(contents, found, LINE)
 
 
 def _parameters(contents: Contents) -> list[Parameter]:

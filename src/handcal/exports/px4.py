@@ -46,7 +46,6 @@ from handcal.exports._vehicle import (
     lines,
     parameters,
     readings_of,
-    refuse_none,
     refuse_turned,
     told,
 )
@@ -67,10 +66,9 @@ def write(contents: Contents) -> str:
     """The file. Errors: HandcalError where the vehicle's own calibration is not known, InputError
     for an instance that is another sensor's."""
     found = _parameters(contents)
-    refuse_none(contents, found)
     columns = "# Vehicle-Id Component-Id Name Value Type"
     head = f"{contents.commented()}{told(contents)}#\n{columns}\n"
-    return head + "\n".join(lines(found, LINE)) + "\n"
+    return head + lines(contents, found, LINE)
 
 
 def _parameters(contents: Contents) -> list[Parameter]:
