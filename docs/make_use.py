@@ -27,9 +27,11 @@ SENSOR = {
     "accel_scale": [0.0, 0.0, 0.01],
     "accel_misalignment": [0.005, 0.0, 0.0],
 }
-# Raw readings of a PX4; and what ArduPilot corrected by no calibration at all.
+# Raw readings of a PX4 without offsets; and what ArduPilot corrected by no calibration at all.
 VEHICLE = {"CAL_GYRO0_ID": 1, "CAL_ACC0_ID": 1, "sensor_gyro.device_id": 1,
            "sensor_accel.device_id": 1,
+           **{f"CAL_{sensor}0_{a}{name}": float(name == "SCALE") for a in "XYZ"
+              for sensor in ("GYRO", "ACC") for name in ("OFF", "SCALE")},
            **{f"INS_{name}_{a}": float(name == "ACCSCAL") for a in "XYZ"
               for name in ("GYROFFS", "ACCOFFS", "ACCSCAL")}}  # fmt: skip
 READ = ((1.03, 0.0, -0.02), (0.1, 0.0, 10.2047165))  # 1 rad/s about x, at rest on its back

@@ -458,11 +458,12 @@ def database(r: Recording) -> bytes:
 
 def ulog(
     r: Recording, raw: bool = True, parameters: Mapping[str, float] | None = None,
-    later: Mapping[str, float] | None = None,
+    later: Mapping[str, float] | None = None, second: Recording | None = None,
 ) -> bytes:  # fmt: skip
     """A log of PX4: a header, formats, the topics subscribed to, their data, x forward, y right
     and z down; raw also has a magnetometer (gauss) and a mocap's pose in a world with z down.
-    parameters: as they stand at its beginning; later: as they are set behind the data."""
+    parameters: as they stand at its beginning; later: as they are set behind the data. second: of
+    raw topics the second instance, whose ids are 2."""
     stamps, turn = "uint64_t timestamp;uint64_t timestamp_sample;", np.array([1.0, -1.0, -1.0])
     if raw:
         fields = stamps + "uint32_t device_id;float x;float y;float z;float temperature;"
@@ -501,8 +502,22 @@ def ulog(
     out += b"".join(parameter(*one) for one in (parameters or {}).items())
     for name, fields in formats.items():
         out += message(b"F", f"{name}:{fields}".encode())
-    for id, name in enumerate(formats):
-        out += message(b"A", struct.pack("<BH", 0, id) + name.encode())
+    subscribed = [(name, 0) for name in formats]
+    for name, value in (
+        ()
+        if second is None
+        else (("sensor_gyro", second.imu.gyro), ("sensor_accel", second.imu.accel))
+    ):
+        subscribed.append((name, 1))
+        layouts.append("<QQI4f")
+        data.append(
+            [
+                (us, us, 2, *v, 31.5)
+                for us, v in zip(_us(second.imu.t), (value * turn).tolist(), strict=True)
+            ]
+        )
+    for id, (name, instance) in enumerate(subscribed):
+        out += message(b"A", struct.pack("<BH", instance, id) + name.encode())
     for id, (table, layout) in enumerate(zip(data, layouts, strict=True)):
         for row in table:
             out += message(b"D", struct.pack("<H", id) + struct.pack(layout, *row))

@@ -44,7 +44,7 @@ def drawn(seed, ids):
 def document(values, **more):
     """What `calibrate --json` writes, with these values."""
     parameters = [
-        {"effect": i, "name": p.name, "value": v, "sigma": p.prior_sigma / 20.0, "unit": p.unit,
+        {"effect": i, "name": p.name, "value": v, "sigma": p.prior_sigma / 2000.0, "unit": p.unit,
          "observable": True, "converged_at_s": 30.0}
         for i, own in values.items()
         for p, v in zip(catalogue()[i].parameters, own, strict=True)
@@ -677,8 +677,8 @@ def test_tables(result):
     assert latex.count(r" \\") == len(rows) + 1
     assert r"gyro\_bias" in latex
     value, sigma = (float(rows[0][k]) for k in ("value", "sigma"))
-    assert f"${value:.5f}$ & ${sigma:.5f}$" in latex  # 0.00087: two digits
-    assert f"| {value:.5f} | {sigma:.5f} |" in written(path, "markdown")
+    assert f"${value:.7f}$ & ${sigma:.7f}$" in latex  # 0.0000087: two digits
+    assert f"| {value:.7f} | {sigma:.7f} |" in written(path, "markdown")
 
 
 def test_packages_bring_formats_of_their_own(tmp_path, monkeypatch):
@@ -791,9 +791,9 @@ def own_result(result, **vehicle):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (dict.fromkeys(PX4_OWN), "CAL_GYRO0_ID"),
+        (dict.fromkeys(PX4_OWN), "--readings raw"),
         ({"CAL_ACC2_YOFF": None}, "CAL_ACC2_YOFF"),
-        ({"CAL_ACC0_ID": 3}, "Log the topic sensor_selection"),
+        ({"CAL_ACC0_ID": 3}, "--instance 0 or --instance 2, or log the topic sensor_selection"),
         ({"CAL_ACC0_ID": 3, "sensor_selection.accel_device_id": 4}, "is 4"),
         ({"SENS_BOARD_ROT": 2}, "SENS_BOARD_ROT 2"),
         ({"CAL_ACC2_ROT": 6}, "CAL_ACC2_ROT 6"),
@@ -825,8 +825,9 @@ def test_the_vehicles_parameters_may_come_as_a_file(result, tmp_path, line):
     for name, names in (("px4", PX4_NAMES), ("ardupilot", INS_NAMES)):
         with pytest.raises(HandcalError, match="--parameters"):
             written(path, name)
-        rows = [re.split(r"[\t,]", x) for x in written(path, name, parameters=file).splitlines()
-                if x and not x.startswith("#")]  # fmt: skip
+        text = written(path, name, parameters=file, readings="corrected")
+        kept = [x for x in text.splitlines() if x and not x.startswith("#")]
+        rows = [re.split(r"[\t,]", x) for x in kept]
         found = {r[-3] if name == "px4" else r[0]: float(r[-2 if name == "px4" else -1])
                  for r in rows}  # fmt: skip
         close(vehicle(found, names, given, "flu"), applied(path, given))
@@ -843,6 +844,6 @@ def test_ardupilot_refuses_what_it_cannot_combine(result, tmp_path):
     # (a log in which a parameter changed says it with two values)
     file.write_text("\n".join(f"{k},{v}" for k, v in INS_OWN.items()) + "\nINS_ACCOFFS_X,0.5\n")
     with pytest.raises(HandcalError, match="INS_ACCOFFS_X"):
-        written(own_result(result), "ardupilot", parameters=file)
+        written(own_result(result), "ardupilot", parameters=file, readings="corrected")
     with pytest.raises(InputError, match="--parameters is for"):
         written(own_result(result), "kalibr", parameters=file)

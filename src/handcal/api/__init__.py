@@ -260,6 +260,8 @@ def export(
     topic: str | None = None,
     axes: str | None = None,
     parameters: str | Path | None = None,
+    readings: str = "",
+    instance: int | Mapping[str, int] | None = None,
     anyway: bool = False,
 ) -> str:
     """What was learnt in the format of another program ("kalibr", "px4", ...): its text, which is
@@ -267,13 +269,16 @@ def export(
 
     recording: where what the format cannot hold is measured. noise: of the device at rest, by
     ``allan``. topic: of the Imu messages, where not that of the recording. axes: "flu" or "frd",
-    what the recording's axes are on a vehicle; parameters: a file of the vehicle's own. anyway:
-    also of a result that is not to be trusted. Errors: InputError, HandcalError.
+    what the recording's axes are on a vehicle; parameters: a file of the vehicle's own;
+    readings: "raw" or "corrected" by the vehicle, where the recording does not say it; instance:
+    which of its sensors was read (1, or {"gyro": 1, "accel": 2}). anyway: also of a result that is
+    not to be trusted. Errors: InputError, HandcalError.
     """
     from handcal.exports import format_of
     from handcal.exports._contents import contents
 
     form = format_of(to)
+    which = dict.fromkeys(HALVES, instance) if isinstance(instance, int) else instance
     given = None if recording is None else _one(recording, "export")
     with TemporaryDirectory() as folder:
         source, allan_file = _file(learnt, Path(folder)), None
@@ -286,7 +291,10 @@ def export(
             output.check_outputs((Path(path),), (source, allan_file))
         own = None if parameters is None else Path(parameters)
         with model_file.laws_of(str(source), read_json(source)):
-            made = contents(source, form, given, allan_file, topic, axes, own, anyway=anyway)
+            made = contents(
+                source, form, given, allan_file, topic, axes, own,
+                readings=readings, instance=which, anyway=anyway,
+            )  # fmt: skip
             text = form.write(made)
     if path is not None:
         output.write_text(path, text)

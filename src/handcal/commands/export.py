@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import replace
+from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -19,9 +21,16 @@ from handcal.commands._options import (
 )
 from handcal.commands._registry import say, tell
 
+
+class Readings(StrEnum):
+    raw = "raw"
+    corrected = "corrected"
+
+
 VEHICLE = ("flu", "frd")  # what the recording's axes are on a vehicle
 # What the header's lines begin with that are said in the terminal as well.
-SAID = ("Nothing was calibrated", "Not in this file", "All of that", "How much", "Warning: ")
+SAID = ("Nothing was calibrated", "Not in this file", "The biases were found", "All of that",
+        "How much", "Warning: ")  # fmt: skip
 
 
 @with_own_effects
@@ -65,6 +74,21 @@ def export(
             "does not say them (.params, .param, mavlogdump's PARM table).",
         ),
     ] = None,
+    readings: Annotated[
+        Readings | None,
+        typer.Option(
+            help="px4, ardupilot: of a table, whether its readings are raw or were corrected by "
+            "the vehicle's own calibration. A log says it itself."
+        ),
+    ] = None,
+    instance: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="K|SENSOR=K",
+            help="px4: which of the vehicle's sensors was read, 1 for CAL_GYRO1 and CAL_ACC1, or "
+            "gyro=1 and accel=2 (repeatable), where the recording does not say it.",
+        ),
+    ] = None,
     anyway: Anyway = False,
     how: Reading = AS_IT_IS,
 ) -> None:
@@ -73,7 +97,6 @@ def export(
     The file's header says what is in it, and what the format cannot hold and how much that leaves.
     """
     from handcal import output
-    from handcal.documents import read_json
     from handcal.explain.model_file import laws_of
     from handcal.exports import format_of, formats
     from handcal.exports._contents import contents
@@ -94,17 +117,51 @@ def export(
     vehicle, how = _axes(axes or [], how)
     given = None if recording is None else load(recording, how)
     topic = how.topics.get("imu")
-    with laws_of(str(result), read_json(result)):
-        made = contents(result, form, given, noise, topic, vehicle, parameters, anyway=anyway)
+    with laws_of(str(result), _read(result)):
+        made = contents(
+            result, form, given, noise, topic, vehicle, parameters,
+            readings=readings or "", instance=_instance(instance or []), anyway=anyway,
+        )  # fmt: skip
         text = form.write(made)
     if str(out) == output.STANDARD_OUTPUT:
         print(text, end="")
         return
     output.write_text(out, text)
-    for line in made.header:
-        if line.startswith(SAID):
-            say(line)
+    for line in [line for line in made.header if line.startswith(SAID)] + [*form.says(made)]:
+        say(line)
     tell(f"{out}: {form.line}")
+
+
+def _read(result: Path) -> Any:
+    """Of a result, its JSON. Errors: InputError, for a recording with what makes a result of it."""
+    from handcal.documents import read_json
+    from handcal.recordings.inputs import format_of
+    from handcal.types import InputError
+
+    try:
+        return read_json(result)
+    except InputError as error:
+        refused = error
+    try:
+        kind = format_of(result).UNDERSTOOD
+    except InputError:
+        raise refused from None
+    command = shlex.join(["handcal", "explain", str(result), "--json", f"{result.stem}.json"])
+    raise InputError(f"{result} is a recording, {kind}, and no result yet: {command} makes one.")
+
+
+def _instance(words: Sequence[str]) -> dict[str, int]:
+    """By sensor. Errors: InputError."""
+    from handcal.recordings.inputs._options import HALVES
+    from handcal.types import InputError
+
+    out = dict[str, int]()
+    for word in words:
+        sensor, _, number = word.rpartition("=")
+        if sensor not in ("", *HALVES) or not (number.isascii() and number.isdigit()):
+            raise InputError(f"--instance {word}: expected 1, or gyro=1 and accel=2.")
+        out |= dict.fromkeys([sensor] if sensor else HALVES, int(number))
+    return out
 
 
 def _axes(words: Sequence[str], how: Reading) -> tuple[str | None, Reading]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -30,6 +31,7 @@ def info(
 ) -> None:
     """What a file holds: streams, rates, gaps, units, rests, turns, and what it could teach."""
     from handcal.design.seen import seen
+    from handcal.exports import refusals
     from handcal.lab.scalar import of_few_rests
     from handcal.output import check_outputs
     from handcal.recordings.inputs import format_of
@@ -39,6 +41,7 @@ def info(
 
     check_outputs((json, report), (file,))
     recording = load(file, how)
+    recording = replace(recording, warnings=(*recording.warnings, *refusals(recording)))
     form, found = format_of(file), overview(recording)
     stated = recording.file_units or getattr(form, "UNITS", "SI")
     if how.units:

@@ -17,7 +17,7 @@ from typing import Any
 
 from handcal.did_you_mean import did_you_mean
 from handcal.exports._correction import Correction
-from handcal.types import Array, InputError
+from handcal.types import Array, InputError, Recording
 
 GROUP = "handcal.exports"
 
@@ -42,11 +42,13 @@ class Contents:
 
     name: of the result's file. header: lines of text without any sign of a comment. correction:
     what the format can hold of what is known. bias (6,): known biases, gyro first, whether or not
-    the format holds them; hidden: axes of "gyro_bias" and "accel_bias" that were not shown
-    (their bias counts as zero). has_bias: whether the result has biases at all. rate_hz: of the
-    IMU, None if the result does not say. topic: of the Imu messages, "" if not known. axes: "flu"
-    or "frd", what the recording's axes are on a vehicle. vehicle: parameters of its own
-    calibration, by name. marker: of a pose, R (3, 3) from its axes to the IMU's, and its place in
+    the format holds them, and bias_sigma (6,), nan where the result does not say it; hidden: axes
+    of "gyro_bias" and "accel_bias" that were not shown (their bias counts as zero). has_bias:
+    whether the result has biases at all. rate_hz: of the IMU, None if the result does not say.
+    topic: of the Imu messages, "" if not known. axes: "flu" or "frd", what the recording's axes are
+    on a vehicle. vehicle: parameters of its own calibration, by name. readings: "raw", "corrected"
+    by these, or "" if nothing says it; instance: which of the vehicle's sensors "gyro" and "accel"
+    were, as the user says. marker: of a pose, R (3, 3) from its axes to the IMU's, and its place in
     them (3,), m, nan if that is not known. parameters: rows of the result, as its JSON has them.
     """
 
@@ -54,6 +56,7 @@ class Contents:
     header: tuple[str, ...]
     correction: Correction
     bias: Array
+    bias_sigma: Array
     hidden: Mapping[str, str]
     has_bias: bool
     noise: Noise
@@ -61,6 +64,8 @@ class Contents:
     topic: str
     axes: str
     vehicle: Mapping[str, float]
+    readings: str
+    instance: Mapping[str, int]
     marker: tuple[Array, Array] | None
     parameters: Sequence[Mapping[str, Any]]
 
@@ -81,9 +86,11 @@ class Format:
     write(contents): the text. keep(correction): the part of a correction that the format can hold,
     None for a format that corrects nothing (a table). notes: lines for the header. needs_bias:
     writing zeros where there are no biases would be wrong. online: the program finds biases itself,
-    so it is no fault that the format has none. vehicle: it has a vehicle's axes, which --axes
-    leads to. noise: levels that it holds, by their names in ``Noise``, each with the value that it
-    has where none was measured; None for one that is needed.
+    so it is no fault that the format has none. vehicle: of a program that flies a
+    vehicle, with what the names in its logs begin. says(contents): what of the text is said in the
+    terminal too, beside the header. lacks(vehicle): of a log's parameters, why its result could
+    not be written. noise: levels that it holds, by their names in ``Noise``, each with the value
+    that it has where none was measured; None for one that is needed.
     """
 
     program: str
@@ -93,7 +100,9 @@ class Format:
     notes: tuple[str, ...] = field(default=())
     needs_bias: bool = False
     online: bool = False
-    vehicle: bool = False
+    vehicle: tuple[str, ...] = ()
+    says: Callable[[Contents], Sequence[str]] = lambda _contents: ()
+    lacks: Callable[[Mapping[str, float]], Sequence[str]] = lambda _vehicle: ()
     noise: Mapping[str, float | None] = field(default_factory=dict)
 
 
@@ -123,3 +132,21 @@ def format_of(name: str) -> Format:
         near = did_you_mean(name, formats())
         raise InputError(f"Unknown format '{name}'.{near} Known: {', '.join(sorted(formats()))}.")
     return formats()[found]
+
+
+def fitting(names: Sequence[str]) -> str:
+    """The format for the vehicle in whose logs these names are; "" for none."""
+    vehicles = {name: one.vehicle for name, one in formats().items() if one.vehicle}
+    return next((v for v, own in vehicles.items() if any(n.startswith(own) for n in names)), "")
+
+
+def of_vehicle(recording: Recording) -> str:
+    """The format for the vehicle whose log a recording is; "" for none."""
+    return fitting([*recording.vehicle, recording.topics.get("imu", "")])
+
+
+def refusals(recording: Recording) -> list[str]:
+    """Why a result of an autopilot's log could not be written for its vehicle, in sentences."""
+    name = of_vehicle(recording)
+    why = formats()[name].lacks(recording.vehicle) if name else ()
+    return [f"handcal export --to {name} would refuse this log: {said}" for said in why]

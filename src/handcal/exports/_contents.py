@@ -11,14 +11,14 @@ import numpy as np
 
 from handcal.compiled import so3
 from handcal.effects import catalogue
-from handcal.exports import Contents, Format, formats
+from handcal.exports import Contents, Format, fitting, formats
 from handcal.exports import _correction as correction
 from handcal.exports._correction import NOTHING
 from handcal.exports._header import header, same
 from handcal.exports._known import Known, known, recordings_of, warnings_of
 from handcal.exports._noise import noise_lines, noise_of
 from handcal.exports._text import one_line
-from handcal.exports._vehicle import read_parameters
+from handcal.exports._vehicle import CORRECTED, RAW, read_parameters, readings_of
 from handcal.recordings.streams import TURNED_TO_FLU
 from handcal.trust import check
 from handcal.types import Array, HandcalError, InputError, Recording
@@ -27,19 +27,24 @@ from handcal.types import Array, HandcalError, InputError, Recording
 def contents(
     path: Path, form: Format, recording: Recording | None = None, allan: Path | None = None,
     topic: str | None = None, axes: str | None = None, parameters: Path | None = None,
-    *, anyway: bool = False,
+    *, readings: str = "", instance: Mapping[str, int] | None = None, anyway: bool = False,
 ) -> Contents:  # fmt: skip
     """A result as a format is given it.
 
     recording: where what is left is measured. allan: a JSON of ``handcal allan``, for the noise.
     topic: None for that of the recording. axes: "flu", "frd", or None for "flu". parameters: of
-    the vehicle, None for those of the recording. anyway: also of a result that is not to be
-    trusted. Errors: InputError, HandcalError.
+    the vehicle, None for those of the recording. readings: "raw", or "corrected" by the vehicle's
+    own calibration, of recordings that do not say it. instance: which of the vehicle's sensors
+    "gyro" and "accel" were, where the recording does not say it. anyway: also of a result that is
+    not to be trusted. Errors: InputError, HandcalError.
     """
     found = known(path, recording)
     check(path.name, found.learnt.trust, anyway)
     _check_axes(found.document, form, axes)
-    vehicle = _vehicle(found.document, form, parameters)
+    options = {"--parameters": parameters, "--readings": readings, "--instance": instance}
+    _check_vehicle(path, found.document, form, options)
+    vehicle = _vehicle(found.document, parameters)
+    readings = _readings(found.document, readings)
     full = correction.together(list(found.matrices.values()), found.bias)
     kept = full if form.keep is None else form.keep(full)
     has_bias = bool(found.learnt.biases)
@@ -52,8 +57,9 @@ def contents(
     rate = _rate(found.document) if recording is None else recording.rate_hz
     return Contents(
         one_line(path.name), tuple(map(one_line, (*lines, *form.notes))), kept, found.bias,
-        found.hidden, has_bias, noise, rate, topic or _topic(found.document), axes or "flu",
-        vehicle, _marker(found), _parameters(found.document),
+        found.bias_sigma, found.hidden, has_bias, noise, rate, topic or _topic(found.document),
+        axes or "flu", vehicle, readings, instance or {}, _marker(found),
+        _parameters(found.document),
     )  # fmt: skip
 
 
@@ -82,20 +88,57 @@ def _check_axes(document: Mapping[str, Any], form: Format, axes: str | None) -> 
         )
 
 
-def _vehicle(
-    document: Mapping[str, Any], form: Format, parameters: Path | None
-) -> Mapping[str, float]:
-    """Parameters of the vehicle's own calibration when the recordings were made, in which all of
-    them agree. Errors: InputError for --parameters where they make no sense."""
+def _check_vehicle(
+    path: Path, document: Mapping[str, Any], form: Format, options: Mapping[str, object]
+) -> None:
+    """Errors: InputError for options of a vehicle that make no sense, and for another vehicle's
+    log."""
+    if options["--readings"] not in ("", RAW, CORRECTED):
+        raise InputError(f"--readings {options['--readings']}: expected {RAW} or {CORRECTED}.")
+    asked = next((name for name, value in options.items() if value), "")
+    if asked and not form.vehicle:
+        known = ", ".join(name for name, one in formats().items() if one.vehicle)
+        raise InputError(f"{asked} is for {known}; {form.program} has none.")
+    names = [*_agreed(document)]
+    if form.vehicle and names and not any(name.startswith(form.vehicle) for name in names):
+        other = fitting(names)
+        raise InputError(
+            f"{path.name} is of a log of {formats()[other].program}, whose readings and parameters "
+            f"are not {form.program}'s: use --to {other}."
+        )
+
+
+def _agreed(document: Mapping[str, Any]) -> dict[str, float]:
+    """What all recordings say of the vehicle."""
     said = [r.get("vehicle", {}) for r in recordings_of(document)] or [{}]
-    agreed = {name: v for name, v in said[0].items() if all(r.get(name) == v for r in said)}
+    return {name: v for name, v in said[0].items() if all(r.get(name) == v for r in said)}
+
+
+def _vehicle(document: Mapping[str, Any], parameters: Path | None) -> Mapping[str, float]:
+    """Parameters of the vehicle's own calibration when the recordings were made, in which all of
+    them agree. Errors: InputError."""
+    agreed = _agreed(document)
     if parameters is None:
         return agreed
-    if not form.vehicle:
-        known = ", ".join(name for name, one in formats().items() if one.vehicle)
-        raise InputError(f"--parameters is for {known}; {form.program} has none.")
     ids = {name: v for name, v in agreed.items() if "." in name}
     return {**ids, **read_parameters(parameters)}
+
+
+def _readings(document: Mapping[str, Any], asked: str) -> str:
+    """What the recordings say of their readings, else what the user says. Errors: InputError."""
+    said = {readings_of(r.get("vehicle", {})) for r in recordings_of(document)} or {""}
+    logs = said - {""}
+    if len(logs) > 1:
+        raise InputError(
+            "Some of these recordings are raw and some were corrected by the vehicle: calibrate "
+            "each kind by itself."
+        )
+    if asked and logs - {asked}:
+        raise InputError(
+            f"--readings {asked}: the log says itself that its readings are {logs.pop()}; leave "
+            "--readings away."
+        )
+    return asked if "" in said else logs.pop()
 
 
 def _topic(document: Mapping[str, Any]) -> str:

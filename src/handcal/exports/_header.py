@@ -24,6 +24,7 @@ from handcal.types import Array, Recording
 
 UNITS = ("rad/s", "m/s^2")
 UNKNOWN = "how much is not known"
+LEFT = "Not in this file, "
 # rad/s and m/s^2: to this all exports equal ``apply``; what is left below it is rounding.
 ROUNDING = 1e-9
 
@@ -119,11 +120,11 @@ def header(
     path: Path, found: Known, form: Format, kept: Correction, recording: Recording | None
 ) -> tuple[str, ...]:
     version = found.document.get("version")
-    made = f"handcal {version}" if version else "an older handcal"
+    made = f"by handcal {version}" if version else "that does not say what wrote it"
     kind = str(found.document["schema"]).split("/")[1]
     lines = [
         f"{form.line}, written by handcal {handcal.__version__}",
-        f"From {path.name}, {kind} by {made}",
+        f"From {path.name}, {kind} {made}",
     ]
     for r in recordings_of(found.document):
         digest = f", sha256 {r['sha256']}" if r.get("sha256") else ""
@@ -142,7 +143,9 @@ def header(
     lines += not_calibrated(form, kept)
     if form.keep is not None:
         lines += _left_lines(found, form, kept, recording)
-    if any(line.endswith(UNKNOWN) for line in lines):
+    unknown = [line for line in lines if line.startswith(LEFT)
+               and (line.endswith(UNKNOWN) or not form.online)]  # fmt: skip
+    if recording is None and unknown:
         lines.append(_command(path, found.document, form))
     warned = [said for said in warnings_of(found.document) if TURNED_TO_FLU not in said]
     lines += [f"Warning: {said}" for said in warned]
@@ -176,7 +179,8 @@ def _command(path: Path, document: Mapping[str, Any], form: Format) -> str:
     name = next((n for n, one in formats().items() if one is form), "FORMAT")
     files = [shlex.quote(Path(str(r["path"])).name) for r in recordings_of(document)]
     return (
-        f"How much: handcal export {shlex.quote(path.name)} --to {name} "
+        f"How much{'' if form.online else ', and whether the biases hold without it'}: "
+        f"handcal export {shlex.quote(path.name)} --to {name} "
         f"--recording {(files or ['FILE'])[0]} -o FILE"
     )
 
@@ -187,17 +191,25 @@ def _length(r: Mapping[str, Any]) -> str:
     return f", {float(r['duration_s']):.1f} s at {float(r['imu_rate_hz']):.0f} Hz"
 
 
+def _as_large(rest: Array, found: Known, kept: Correction) -> bool:
+    """Whether what is left in readings (n, 6) is, on an axis whose bias is in the file, as large as
+    that bias's sigma."""
+    size = np.sqrt((rest**2).mean(axis=0))
+    held = np.concatenate([kept.gyro_bias, kept.accel_bias]) != 0.0
+    return bool((held & (size > ROUNDING) & (size >= found.bias_sigma)).any())
+
+
 def _left_lines(
     found: Known, form: Format, kept: Correction, recording: Recording | None
 ) -> list[str]:
-    lines = [f"Not in this file, {line}" for line in left(found, form, recording)]
-    if found.others and found.bias_from:
-        lines.append(device.TOGETHER.format("what is not in this file"))
+    lines = [f"{LEFT}{line}" for line in left(found, form, recording)]
     if recording is not None and lines:
         done = correction.corrected(recording, found.of_readings(), found.bias)
         read = np.hstack([recording.imu.gyro, recording.imu.accel])
         if done.shape == read.shape:
             rest = (kept.applied(read) - done)[recording.imu.valid]
+            if _as_large(rest, found, kept):
+                lines.append(device.TOGETHER.format("what is not in this file"))
             but = " but for what has no name" if found.learnt.unnamed else ""
             lines.append(
                 f"All of that together{but}, in {Path(recording.path).name}: {_sized(_rms(rest))}"

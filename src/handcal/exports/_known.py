@@ -30,6 +30,7 @@ class Known:
     learnt: Learnt
     document: Mapping[str, Any]
     bias: Array
+    bias_sigma: Array
     bias_from: str
     hidden: Mapping[str, str]
     matrices: Mapping[str, tuple[Array, Array]]
@@ -60,7 +61,8 @@ def known(path: Path, recording: Recording | None) -> Known:
             (others if effect.misreads else elsewhere).append(i)
     held = {i: learnt.values[i] for i in matrices}
     correction.check(correction.together(list(matrices.values()), bias), held, bias)
-    return Known(learnt, document, bias, words, hidden, matrices, (*others, *learnt.unnamed),
+    sigma = _bias_sigma(document, recording)
+    return Known(learnt, document, bias, sigma, words, hidden, matrices, (*others, *learnt.unnamed),
                  tuple(elsewhere))  # fmt: skip
 
 
@@ -92,6 +94,28 @@ def _bias(
         spread = np.abs(table - mean)[there].max()
         words = f"biases: mean of {names}, up to {spread:.2g} away (another day they are others)"
     return mean, words, {i: a for i, a in zip(BIASES, axes, strict=True) if a}
+
+
+def _bias_sigma(document: Mapping[str, Any], recording: Recording | None) -> Array:
+    """Sigmas of the biases (6,), nan where none is said; of several recordings, whose biases are
+    averaged, with what they differ by."""
+    days = document.get("recordings", [])
+    if recording is not None:
+        name = Path(recording.path).name
+        days = [d for d in days if Path(d["recording"]["path"]).name == name] or days
+    out = np.full(6, np.nan)
+    for k, (effect, axis) in enumerate((i, a) for i in BIASES for a in "xyz"):
+        own = [
+            (p["value"], p["sigma"])
+            for d in days or [document]
+            for p in d["parameters"]
+            if (p["effect"], p["name"]) == (effect, axis) and p.get("sigma")
+            and p.get("observable") is not False
+        ]  # fmt: skip
+        if own:
+            values, sigmas = np.array(own, dtype=np.float64).T
+            out[k] = np.sqrt((sigmas**2).mean() + values.var())
+    return out
 
 
 def warnings_of(document: Mapping[str, Any]) -> list[str]:

@@ -56,7 +56,8 @@ _TYPES = {
     "Q": "<u8", "g": "<f2", "f": "<f4", "d": "<f8", "n": "S4", "N": "S16", "Z": "S64", "c": "V2",
     "C": "V2", "e": "V4", "E": "V4", "L": "V4", "a": "V64",
 }  # fmt: skip
-_WANTED = ("IMU", "GYR", "ACC", "MAG", "PARM")
+_IMU = ("IMU", "GYR", "ACC")
+_WANTED = (*_IMU, "MAG", "PARM")
 _CALIBRATION = re.compile(r"INS_(GYROFFS|ACCOFFS|ACCSCAL)_[XYZ]|AHRS_ORIENTATION")
 _Named = tuple[str, np.dtype[np.void]]  # a message's name and its fields
 _GYRO, _ACCEL, _MAG = ([f"{name}{a}" for a in "XYZ"] for name in ("Gyr", "Acc", "Mag"))
@@ -71,7 +72,7 @@ def read(path: Path, options: Options) -> Recording:
     """Read the recording. Errors: InputError."""
     messages, said = _messages(whole(path))
     options.progress(1.0)
-    imu, gyr, acc = (messages.get(name, {}) for name in ("IMU", "GYR", "ACC"))
+    imu, gyr, acc = (messages.get(name, {}) for name in _IMU)
     raw = min(_count(gyr), _count(acc)) > _count(imu)
     if not raw and not imu:
         raise InputError(f"{path} has neither IMU nor GYR and ACC messages of a first IMU.")
@@ -120,7 +121,10 @@ def _messages(data: bytes) -> tuple[dict[str, Fields], list[str]]:
         at, count = at + length, count + 1
     found = {named[kind][0]: rows(data, starts, named[kind][1]) for kind, starts in places.items()}
     firsts = {name: one for name, f in found.items() if _count(one := _first(f))}
-    return firsts, [] if complete else [cut(count)]
+    said = [] if complete else [cut(count)]
+    if any(_count(firsts.get(name, {})) < _count(found[name]) for name in _IMU if name in found):
+        said.append("The log has further IMUs; of ArduPilot only the first is read.")
+    return firsts, said
 
 
 def _described(message: bytes, lengths: dict[int, int], named: dict[int, _Named]) -> None:

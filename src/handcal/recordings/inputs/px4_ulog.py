@@ -4,10 +4,11 @@ Rate in rad/s and specific force in m/s^2 in the autopilot's axes: x forward, y 
 down, so that a level vehicle at rest reads -9.81 on z. All of it is turned about x to handcal's
 axes, forward, left, up, and that is said. The raw sensor_gyro and sensor_accel, the first of each,
 are taken where they were logged as often as sensor_combined, which PX4 has corrected by a
-calibration of its own: that is said. The magnetometer, gauss, is sensor_mag beside the raw ones,
-else vehicle_magnetometer. Of a mocap's pose body and world, whose z is down, are turned alike.
-Stamps: us since boot. The parameters of PX4's own calibration go with the recording: exports add to
-them what is found in readings that they have corrected.
+calibration of its own: that is said. ``--topic gyro=sensor_gyro_1 --topic accel=sensor_accel_1``
+takes another instance, named as ulog2csv names it. The magnetometer, gauss, is sensor_mag beside
+the raw ones, else vehicle_magnetometer. Of a mocap's pose body and world, whose z is down, are
+turned alike. Stamps: us since boot. The parameters of PX4's own calibration go with the recording:
+exports add to them what is found in readings that they have corrected.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from handcal.recordings.inputs._autopilot import (
     vector,
 )
 from handcal.recordings.inputs._magic import begins_with
-from handcal.recordings.inputs._options import Options
+from handcal.recordings.inputs._options import HALVES, Options
 from handcal.recordings.inputs._repair import Columns, assemble, columns
 from handcal.recordings.inputs._zip import stated, whole
 from handcal.recordings.streams import TURNED_TO_FLU
@@ -59,6 +60,11 @@ _CALIBRATION = re.compile(
 )
 _NUMBERS = {"float": "<f", "int32_t": "<i"}
 _FIELD = re.compile(r"(\w+?)(?:\[(\d{1,5})\])? (\w+)")
+LACKS = (
+    "has neither sensor_combined nor sensor_gyro and sensor_accel. PX4 logs sensor_combined by its "
+    "default profile (SDLOG_PROFILE 1), and the raw ones at full rate by lines 'sensor_gyro 0 0' "
+    "and 'sensor_accel 0 0' in etc/logging/logger_topics.txt on the card (docs.px4.io, Logging)."
+)
 _SAID = f"PX4's axes (forward, right, down) were {TURNED_TO_FLU}."
 _TYPES = {
     **{f"{sign}int{8 * n}_t": f"<{sign or 'i'}{n}" for sign in ("", "u") for n in (1, 2, 4, 8)},
@@ -73,31 +79,32 @@ def can_read(path: Path) -> bool:
 
 def read(path: Path, options: Options) -> Recording:
     """Read the recording. Errors: InputError."""
-    topics, said, log = _topics(path)
+    asked = {f"sensor_{s}": options.topics[s] for s in HALVES if options.topics.get(s)}
+    topics, said, log = _topics(path, asked)
     options.progress(1.0)
     said = [*stated("PX4", options), *said, *log.parameters.changes("PX4"), _SAID]
     whole = topics.get("sensor_combined", {})
-    raw = all(name in topics for name in _TOPICS[:2]) and all(
+    raw = all(name in topics for name in _TOPICS[:2]) and (bool(asked) or all(
         2 * len(topics[name]["timestamp"]) > len(whole.get("timestamp", ())) for name in _TOPICS[:2]
-    )
+    ))  # fmt: skip
     try:
         if raw:
             gyro, accel = (_vector(topics[name], "", 1.0) for name in _TOPICS[:2])
-        elif whole:
+        elif whole and not asked:
             said.append("sensor_combined: PX4 has corrected it by a calibration of its own.")
             gyro = _vector(whole, "gyro_rad", 1.0)
             accel = _vector(whole, "accelerometer_m_s2", 1.0)
             late = whole["accelerometer_timestamp_relative"].astype(np.int64) * 1000
             accel = columns(accel.ns + late, accel.value)
         else:
-            raise InputError(
-                f"{path} has neither sensor_combined nor sensor_gyro and sensor_accel."
-            )
+            raise InputError(f"{path} {LACKS}")
         streams = _further(topics, raw)
     except KeyError as error:
         raise InputError(f"{path}: a topic of its IMU lacks the field {error}.") from error
     names = {
-        "imu": "sensor_gyro, sensor_accel" if raw else "sensor_combined",
+        "imu": ", ".join(asked.get(name, name) for name in _TOPICS[:2])
+        if raw
+        else "sensor_combined",
         "mag": "sensor_mag" if raw else "vehicle_magnetometer",
         "temperature": "sensor_accel",
         "pose": "vehicle_mocap_odometry",
@@ -110,7 +117,8 @@ def read(path: Path, options: Options) -> Recording:
 
 
 def _ids(topics: Mapping[str, Fields], raw: bool) -> dict[str, float]:
-    """Of the sensors that were read, as ``topic.field``; not where another one took over."""
+    """Of the sensors that were read, as ``topic.field``; where another one took over, 0 of raw
+    readings, which are known by it, and else none."""
     fields = (
         [("sensor_gyro", "device_id"), ("sensor_accel", "device_id")]
         if raw
@@ -118,24 +126,37 @@ def _ids(topics: Mapping[str, Fields], raw: bool) -> dict[str, float]:
     )
     found = {f"{name}.{one}": np.unique(topics.get(name, {}).get(one, np.zeros(0)))
              for name, one in fields}  # fmt: skip
-    return {name: float(ids[0]) for name, ids in found.items() if len(ids) == 1}
+    one = {name: float(ids[0]) for name, ids in found.items() if len(ids) == 1}
+    return dict.fromkeys(found, 0.0) | one if raw else one
 
 
-def _topics(path: Path) -> tuple[dict[str, Fields], list[str], _Log]:
-    """Fields by topic, the first instance of each, warnings, and what else the log says. Errors:
-    InputError."""
+def _topics(path: Path, asked: Mapping[str, str]) -> tuple[dict[str, Fields], list[str], _Log]:
+    """Fields by topic, the first instance of each or the one that is asked for, warnings, and what
+    else the log says. Errors: InputError."""
     data = whole(path)
     log = _walked(path, data)
     topics: dict[str, Fields] = {}
-    for id, (_, name) in sorted(log.names.items(), key=lambda one: one[1][0]):
+    there: dict[str, list[str]] = {}
+    for id, (instance, name) in sorted(log.names.items(), key=lambda one: one[1][0]):
         layout = _layout(log.formats.get(name, ""))
         starts = [at for at, length in log.places.get(id, ()) if length >= layout.itemsize]
-        if name in topics or not starts or "timestamp" not in (layout.names or ()):
+        if not starts or "timestamp" not in (layout.names or ()):
             continue
-        topics[name] = rows(data, starts, layout)
-    if log.whole:
-        return topics, [], log
-    return topics, [cut(log.messages)], log
+        own = f"{name}_{instance}"
+        there.setdefault(name, []).append(own)
+        if name not in topics and asked.get(name, own) in (own, "" if instance else name):
+            topics[name] = rows(data, starts, layout)
+    for name, one in asked.items():
+        if name not in topics:
+            known = ", ".join(there.get(name, [f"no {name}"]))
+            raise InputError(f"--topic {name[7:]}={one}: {path} has {known}.")
+    said = [] if log.whole else [cut(log.messages)]
+    further = [(name[7:], own[-1]) for name, own in there.items()
+               if name in _TOPICS[:2] and name not in asked and len(own) > 1]  # fmt: skip
+    if further:
+        options = " ".join(f"--topic {sensor}={own}" for sensor, own in further)
+        said.append(f"The log has further IMUs, of which the first was read; another: {options}.")
+    return topics, said, log
 
 
 @dataclass

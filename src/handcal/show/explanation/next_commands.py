@@ -11,9 +11,10 @@ from handcal.device.apply import removable
 from handcal.device.file import kept
 from handcal.effects import catalogue, installed
 from handcal.explanation import Explanation
+from handcal.exports import of_vehicle
 from handcal.show.explanation.document import final_parameters
 from handcal.show.explanation.words import lawless
-from handcal.types import Parameter
+from handcal.types import Parameter, Recording
 
 # Options of ``explain`` that ``apply`` has too, that go with ``calibrate --from``, and that go with
 # ``calibrate --effects``.
@@ -27,6 +28,8 @@ OWN = ("--effects-from",)
 # What a device file is called that nobody has named, and a folder of laws.
 DEVICE = "my-device.toml"
 LAWS = "my-effects"
+# Of the files that other programs load.
+ENDINGS = {"px4": ".params", "ardupilot": ".param", "ros2": ".yaml"}
 
 
 def named(e: Explanation) -> list[str]:
@@ -53,8 +56,8 @@ def biases_of(e: Explanation) -> str:
 def commands(
     e: Explanation, files: Sequence[str] = (), options: Sequence[str] = (), json: str = ""
 ) -> list[str]:
-    """Lines to copy into a terminal: repeat what was found, take it off, and keep it for the
-    device's next recording.
+    """Lines to copy into a terminal: repeat what was found, take it off, give it to the
+    program that the recording is from, and keep it for the device's next recording.
 
     files: the recordings as typed; options: of ``explain``, as typed; json: where the explanation
     was written. Where it was not, it is made again with ``--json`` first: only the file holds what
@@ -83,6 +86,10 @@ def commands(
         corrected = ["--from", json, *_known_to(options, READS), *own]
         corrected += ["-o", f"{first.stem}-corrected.mcap"]
         out.append(["handcal", "apply", str(first), *corrected])
+    if form := _format(e.recordings[0].recording):
+        reads = ["--recording", str(first), *_known_to(options, READS), *own]
+        file = f"{first.stem}-calibration{ENDINGS[form]}"
+        out.append(["handcal", "export", json, "--to", form, *reads, "-o", file])
     if any(not lawless(u) for u in e.unnamed):
         name = re.sub(r"\W", "_", first.stem, flags=re.ASCII)
         file, again = f"{LAWS}/law_of_{name}.py", [*paths, *options]
@@ -92,6 +99,14 @@ def commands(
         device = [*_known_to(options, ("--device",))[1:], DEVICE][0]
         out.append(["handcal", "device", "add", device, json])
     return [shlex.join(words) for words in out]
+
+
+def _format(recording: Recording) -> str:
+    """Of whose program a recording is: an autopilot or ROS 2; "" for others."""
+    topic = recording.topics.get("imu", "")
+    # (handcal's own recordings are bags too, with this topic)
+    own = Path(recording.path).suffix == ".mcap" and topic == "/imu"
+    return of_vehicle(recording) or ("ros2" if topic.startswith("/") and not own else "")
 
 
 def _known_to(options: Sequence[str], names: Collection[str], *, others: bool = False) -> list[str]:
