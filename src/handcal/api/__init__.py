@@ -228,14 +228,16 @@ def apply(
     """
     from handcal import trust
     from handcal.device import apply as device
-    from handcal.device.another import another
+    from handcal.device.another import another, check_corrected, corrected_otherwise
 
     name, document = _document("apply", learnt)
     with model_file.laws_of(name, document):
         known, given = device.of_document(name, document), _one(recording, "apply")
         trust.check(known.path, known.trust, anyway)
+        check_corrected(given, known, anyway)
         done = device.apply(given, known, biases=biases)
-    warnings = (*trust.said(known.path, known.trust), another(given, known))
+    warnings = (*trust.said(known.path, known.trust), another(given, known),
+                corrected_otherwise(given, known))  # fmt: skip
     said = tuple(in_python(w) for w in warnings if w)
     return Corrected(Recording.of(done.recording), done.taken, done.left, said)
 

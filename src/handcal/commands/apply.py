@@ -53,7 +53,7 @@ def apply(
     What is no error of a sensor (where it sits, gravity, noise) stays, and is said. So is what
     there is to doubt about the result, and where the recording seems to be of another device.
     """
-    from handcal.device.another import another
+    from handcal.device.another import another, check_corrected, corrected_otherwise
     from handcal.device.apply import TOGETHER, not_shown
     from handcal.device.apply import apply as applied
     from handcal.output import check_outputs
@@ -64,6 +64,7 @@ def apply(
     check_ending(out)
     with learnt_in(learnt_from, anyway) as learnt:
         given = load(recording, how)
+        check_corrected(given, learnt, anyway)
         corrected = applied(given, learnt, biases=biases)
         unsure = not_shown(learnt)
     left = _left(corrected, learnt)
@@ -72,7 +73,14 @@ def apply(
         raise HandcalError(f"{nothing}. {left}" if left else f"{nothing}.")
     write_mcap(corrected.recording, out)
     beside = f"{TOGETHER.format(', '.join(learnt.unnamed))}." if biases and learnt.unnamed else ""
-    for sentence in (another(given, learnt), *given.warnings, left, unsure, beside):
+    for sentence in (
+        another(given, learnt),
+        corrected_otherwise(given, learnt),
+        *given.warnings,
+        left,
+        unsure,
+        beside,
+    ):
         if sentence:
             say(sentence)
     tell(f"{out}: {', '.join(corrected.taken)} taken off {recording.name}")

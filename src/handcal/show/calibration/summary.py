@@ -143,6 +143,7 @@ def recording_json(recording: Recording, assume: str) -> dict[str, Any]:
         **({"read_noise": noise} if (noise := read_noise(recording)) else {}),
         **_day(recording),
         **({"vehicle": dict(recording.vehicle)} if recording.vehicle else {}),
+        **({"corrected": dict(recording.corrected)} if recording.corrected else {}),
     }
 
 
