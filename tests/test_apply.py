@@ -366,3 +366,13 @@ def test_a_file_cannot_put_words_into_the_terminal_as_its_correction(plain, tmp_
     bad = {"f" * 64: "\x1b[31mred", "no digest": "x.json"}
     write_mcap(dataclasses.replace(plain, corrected=bad), path)
     assert handcal.load(path).corrected == {"f" * 64: "?[31mred"}
+
+
+def test_what_was_shown_but_not_found_is_taken_off_and_said(plain, tmp_path, main):
+    source, out = tmp_path / "a.mcap", tmp_path / "b.mcap"
+    write_mcap(plain, source)
+    own = [*SCALE, *({**p, "effect": "accel_scale"} for p in SCALE)]
+    found = written(tmp_path / "x.json", own, missing=[{"effect": "gyro_scale"}])
+    status, shown, said = main(source, "--from", found, "-o", out)
+    assert (status, "gyro_scale, accel_scale taken off" in shown) == (0, True)
+    assert "not found: accel_scale." in said

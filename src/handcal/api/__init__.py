@@ -253,7 +253,7 @@ def open_result(path: str | Path) -> Saved:
 
 @spoken()
 def export(
-    learnt: Found,
+    learnt: Found | Allan,
     to: str,
     path: str | Path | None = None,
     *,
@@ -265,7 +265,7 @@ def export(
     anyway: bool = False,
 ) -> str:
     """What was learnt in the format of another program ("kalibr", "px4", ...): its text, which is
-    written to ``path`` too if that is given.
+    written to ``path`` too if that is given. Of ``allan`` the noise alone.
 
     recording: where what the format cannot hold is measured. noise: of the device at rest, by
     ``allan``. topic: of the Imu messages, where not that of the recording. axes: "flu" or "frd",
@@ -295,7 +295,7 @@ def export(
     return text
 
 
-def _file(learnt: Found, folder: Path) -> Path:
+def _file(learnt: Found | Allan, folder: Path) -> Path:
     """The JSON of what was learnt, of a new result in the folder. Errors: InputError."""
     if isinstance(learnt, str | Path):
         return Path(learnt)
@@ -304,6 +304,10 @@ def _file(learnt: Found, folder: Path) -> Path:
     if isinstance(learnt, Result):
         written = folder / "calibration.json"
         Calibration.of(learnt).save(written)
+        return written
+    if isinstance(learnt, Allan):
+        written = folder / "noise.json"
+        learnt.save(written)
         return written
     if isinstance(learnt, ExplanationData):
         written = folder / "explanation.json"

@@ -4,6 +4,7 @@ readings corrected before."""
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from handcal.device.apply import BIASES, Learnt
 from handcal.estimate.white import white_levels
 from handcal.recordings.overview import rate_at_rest
 from handcal.recordings.segment import each_rest
-from handcal.types import HandcalError, Recording
+from handcal.types import HandcalError, Imu, Recording
 from handcal.units import DEG
 
 # Times that rate and noise of one device may differ from recording to recording; noise that is
@@ -30,6 +31,17 @@ def read_noise(recording: Recording) -> dict[str, float]:
         return {}
     shown = white_levels(recording)
     return {f"{s}_noise": shown[f"{s}_noise"] for s in recording.sensors}
+
+
+def rest_noise(recording: Recording) -> dict[str, float]:
+    """The same of the longest rest; empty where there is none of 100 readings."""
+    imu = recording.imu
+    rest = max(each_rest(recording), key=lambda r: r.seconds, default=None)
+    if rest is None:
+        return {}
+    k = (imu.t >= rest.start) & (imu.t <= rest.end)
+    still = Imu(imu.t[k], imu.gyro[k], imu.accel[k], imu.valid[k])
+    return read_noise(replace(recording, imu=still, streams={}))
 
 
 def another(recording: Recording, learnt: Learnt) -> str:

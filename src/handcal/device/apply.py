@@ -73,7 +73,9 @@ class Learnt:
     and is not in the catalogue (``model_file.laws_of``), as what goes with the motion. hidden: axes
     of each bias that were not shown, by recording; unsure: names of each effect's parameters that
     the recordings did not show. trust: what it says of itself. made: of which recordings it is, as
-    its JSON has them. sha256: of what the file holds, however it is spaced.
+    its JSON has them. sha256: of what the file holds, however it is spaced. found: of an
+    explanation, ids and formulas of what it found (other errors are estimated beside it); None of a
+    calibration.
     """
 
     path: str
@@ -85,6 +87,7 @@ class Learnt:
     trust: Trust = field(default_factory=Trust)
     made: tuple[Mapping[str, Any], ...] = ()
     sha256: str = ""
+    found: frozenset[str] | None = None
 
 
 @dataclass(frozen=True)
@@ -270,7 +273,7 @@ def of_document(name: str, document: Any) -> Learnt:
     if schema not in (EXPLANATION_SCHEMA, CALIBRATION_SCHEMA):
         raise InputError(
             f"{name} is not what `explain`, `calibrate`, `lab scalar`, `lab known-input` or `lab "
-            "size` writes with --json."
+            "size` writes with --json (`export` takes that of `allan` too, for its noise)."
         )
     try:
         return _learnt(name, document)
@@ -308,8 +311,10 @@ def _learnt(name: str, document: Mapping[str, Any]) -> Learnt:
     made = [r["recording"] for r in recordings or [document] if "recording" in r]
     trust = of_itself(name, document)
     sha256 = hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()
+    found_ids = (str(m["effect"]) for m in document.get("missing", []))
+    of = frozenset((*found_ids, *told)) if "missing" in document else None
     return Learnt(
-        name, effects, tuple(biases), formulas, hidden, unsure, trust, tuple(made), sha256
+        name, effects, tuple(biases), formulas, hidden, unsure, trust, tuple(made), sha256, of
     )
 
 
