@@ -39,7 +39,7 @@ PAGE = """# Use the result in {program}
 
 `handcal export RESULT.json --to {name} -o {file}`
 
-{text}
+{text}{raw}
 
 ## A worked sensor
 
@@ -48,6 +48,9 @@ Its gyro reads 0.01 rad/s too much about x and 0.02 too little about z, every tu
 ```{language}
 {written}```
 """  # noqa: E501
+RAW = """
+
+The numbers are for raw readings, not for a recording that `handcal apply` wrote."""
 FILES = {"kalibr": "imu.yaml", "openvins": "kalibr_imu_chain.yaml",
          "openvins_rpng": "kalibr_imu_chain.yaml", "fusion": "calibration.h",
          "imucal": "ferraris.json", "px4": "handcal.params", "ardupilot": "handcal.param",
@@ -99,6 +102,7 @@ def _page(name: str, form: Format, result: Path) -> str:
     w, a = (", ".join(f"{v:.4f}".rstrip("0").rstrip(".") for v in x) for x in READ)
     file = FILES.get(name, f"calibration.{name}")
     return PAGE.format(
+        raw="" if form.vehicle else RAW,
         program=form.program, name=name, file=file, text=_docstring(name), w=w, a=a,
         corrected=corrected, language=LANGUAGES.get(Path(file).suffix[1:], ""),
         written=form.write(made).replace(f"handcal {handcal.__version__}", f"handcal {VERSION}"),

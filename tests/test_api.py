@@ -325,6 +325,8 @@ def test_noise_at_rest_is_that_of_the_command(tmp_path: Path) -> None:
     noise = 1e-2 * rng.standard_normal((len(t), 6)) + [0, 0, 0, 0, 0, 9.8]
     still = hc.Recording.from_arrays(t, noise[:, :3], noise[:, 3:], name="still")
     found = hc.allan(still)
+    chain = hc.export(found, "kalibr")
+    assert f"gyroscope_noise_density: {found.suggested[0].value}" in chain
     assert found.channels[0].term("N").value == pytest.approx(1e-3, rel=0.1)
     assert found.document["channels"][0]["tau_s"] == found.channels[0].tau.tolist()
     assert list(found.to_pandas().name[:1]) == ["N"]

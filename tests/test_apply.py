@@ -17,7 +17,7 @@ from handcal.commands.apply import apply as command
 from handcal.compiled import so3
 from handcal.device import apply as taken
 from handcal.recordings.export import write_mcap
-from handcal.show.calibration.summary import calibration_json, write_json
+from handcal.show.calibration.summary import calibration_json, recording_json, write_json
 from handcal.show.explanation.document import explanation_json
 from handcal.types import HandcalError, InputError, Series
 
@@ -325,3 +325,54 @@ def test_command_refuses(plain, tmp_path, main):
         assert says in said
         assert said.count("\n") == 1
     assert not out.exists()
+
+
+def test_what_was_corrected_is_not_corrected_again(plain, tmp_path, main):
+    """`apply` took every error off a second time without a word."""
+    source, once, twice = (tmp_path / f"{n}.mcap" for n in ("a", "b", "c"))
+    write_mcap(plain, source)
+    found = written(tmp_path / "x.json", SCALE)
+    assert main(source, "--from", found, "-o", once)[0] == 0
+    read = handcal.load(once)
+    assert list(read.corrected.values()) == ["x.json"]
+    assert any("corrected by x.json" in said for said in read.warnings)
+    status, _, said = main(once, "--from", found, "-o", twice)
+    assert (status, twice.exists()) == (1, False)
+    assert "b.mcap was corrected by x.json already" in said
+    with pytest.raises(HandcalError, match=r"already.*anyway=True"):
+        handcal.apply(once, found)
+    # (of another result of the raw readings as much is in them)
+    other = written(tmp_path / "y.json", SCALE, recording={"path": "a.mcap"})
+    status, _, said = main(once, "--from", other, "-o", twice)
+    assert (status, "taken off twice" in said) == (1, True)
+    assert main(once, "--from", found, "-o", twice, "--anyway")[0] == 0
+    np.testing.assert_allclose(handcal.load(twice).imu.gyro, plain.imu.gyro / 1.01**2)
+
+
+def test_the_rest_that_a_correction_left_is_taken_off(plain, tmp_path, main):
+    source, once, twice = (tmp_path / f"{n}.mcap" for n in ("a", "b", "c"))
+    write_mcap(plain, source)
+    main(source, "--from", written(tmp_path / "x.json", SCALE), "-o", once)
+    of = recording_json(handcal.load(once), "auto")
+    rest = written(tmp_path / "rest.json", SCALE, recording=of)
+    status, _, said = main(source, "--from", rest, "-o", twice)
+    assert (status, "apply x.json first" in said) == (1, True)
+    assert main(once, "--from", rest, "-o", twice)[0] == 0
+    assert list(handcal.load(twice).corrected.values()) == ["x.json", "rest.json"]
+
+
+def test_a_file_cannot_put_words_into_the_terminal_as_its_correction(plain, tmp_path):
+    path = tmp_path / "a.mcap"
+    bad = {"f" * 64: "\x1b[31mred", "no digest": "x.json"}
+    write_mcap(dataclasses.replace(plain, corrected=bad), path)
+    assert handcal.load(path).corrected == {"f" * 64: "?[31mred"}
+
+
+def test_what_was_shown_but_not_found_is_taken_off_and_said(plain, tmp_path, main):
+    source, out = tmp_path / "a.mcap", tmp_path / "b.mcap"
+    write_mcap(plain, source)
+    own = [*SCALE, *({**p, "effect": "accel_scale"} for p in SCALE)]
+    found = written(tmp_path / "x.json", own, missing=[{"effect": "gyro_scale"}])
+    status, shown, said = main(source, "--from", found, "-o", out)
+    assert (status, "gyro_scale, accel_scale taken off" in shown) == (0, True)
+    assert "not found: accel_scale." in said

@@ -667,6 +667,16 @@ def test_what_has_no_name_is_drawn_in_the_viewer_and_said_for_what_it_is(tmp_pat
     assert "It errs." in printed(e)
 
 
+def test_a_law_that_was_found_is_not_called_shown_but_not_found() -> None:
+    e = fake_explanation("unexplained")
+    formula = e.unnamed[0].formula
+    rows = [Parameter(i, "k", 0.1, 0.001, "1", 0.1, None) for i in (formula, "accel_scale")]
+    (said,) = [x for x in printed(replace(e, parameters=tuple(rows)), 2000).splitlines()
+               if "though not found" in x]  # fmt: skip
+    assert "accelerometer scale" in said
+    assert formula not in said
+
+
 def test_signs_of_a_formula_are_told_and_no_others() -> None:
     said = meanings(["gyro_x += k * (stick(0.1 rad/s) of omega_y - omega_y)"])
     assert "omega: " in said

@@ -393,7 +393,7 @@ def test_a_chain_is_loaded_whatever_noise_is_known(result, tmp_path, name):
         own = 0 if noise == [] else 2
         assert len(defaults) == (4 - own) * (2 if name == "kalibr" else 1)
         assert ("EuRoC data set: accel_bias_walk, gyro_bias_walk." in text) == (own == 2)
-        assert ("the data sheet's): accel_noise, gyro_noise." in text) == (own == 2)
+        assert ("of the motion: accel_noise, gyro_noise." in text) == (own == 2)
         if own:
             assert found["gyroscope_noise_density"] == 2e-5
     text = written(result(drawn(0, MATRICES)), name, allan=allan)
@@ -403,8 +403,135 @@ def test_a_chain_is_loaded_whatever_noise_is_known(result, tmp_path, name):
     assert found["accelerometer_random_walk"] == 4e-4
     (line, *_) = [x for x in text.splitlines() if "accelerometer_random_walk" in x]
     assert "at most, 95 %: not seen at rest (allan.json)" in line
-    assert "while the device moved" not in text
+    assert "of the fit" not in text
     assert "EuRoC data set: accel_noise." in text
+
+
+def allan_json(path, name="still.mcap", rate=100.0):
+    levels = [("gyro_noise", 1e-4), ("accel_noise", 2e-3), ("gyro_bias_walk", 3e-6)]
+    imu = {"samples": 60_000, "topic": "/imu/raw"}
+    document = {
+        "schema": "handcal/allan/1", "version": "9.8.7", "channels": [], "warnings": ["It hums."],
+        "suggested": [{"name": n, "value": v} for n, v in levels],
+        "recording": {"path": name, "duration_s": 600.0, "imu_rate_hz": rate,
+                      "streams": {"imu": imu}},
+    }  # fmt: skip
+    path.write_text(json.dumps(document), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("name", CHAINS)
+def test_the_noise_of_a_rest_alone_makes_a_chain(tmp_path, name, main):
+    """A Kalibr user's commonest need was refused."""
+    allan, out = allan_json(tmp_path / "allan.json", rate=200.0000000001819), tmp_path / "out.yaml"
+    status, _, said = main("export", allan, "--to", name, "-o", out)
+    assert (status, "Nothing was calibrated" in said) == (0, True)
+    text = out.read_text()
+    found = CHAINS[name](text)
+    assert found["gyroscope_noise_density"] == 1e-4
+    assert found["gyroscope_random_walk"] == 3e-6
+    assert "accelerometer_random_walk: 0.003  # m/s^3/sqrt(Hz), walk of the bias; DEFAULT" in text
+    assert (found["rostopic"], found["update_rate"]) == ("/imu/raw", 200.0)
+    for said in (
+        "at rest, allan.json of still.mcap",
+        "Warning: It hums.",
+        "From allan.json, allan",
+    ):
+        assert said in text
+    covariances = ros2_reads(written(allan, "ros2"))
+    assert covariances["angular_velocity_covariance"][0] == pytest.approx(1e-8 * 200.0)
+
+
+def test_noise_alone_is_refused_where_it_has_no_place(tmp_path, result):
+    allan = allan_json(tmp_path / "allan.json")
+    for name in formats().keys() - {*CHAINS, "ros2"}:
+        with pytest.raises(InputError, match=r"noise alone.*kalibr, openvins"):
+            written(allan, name)
+    with pytest.raises(InputError, match="leave --noise away"):
+        written(allan, "kalibr", allan=allan)
+    with pytest.raises(InputError, match=r"explain.*lab scalar.*allan"):
+        written(result({}, schema="handcal/info/1"), "kalibr")
+
+
+def test_noise_of_another_rate_is_pointed_out(tmp_path, result):
+    path = result(drawn(0, NO_G))
+    for rate, said in ((100.2, False), (200.0, True)):
+        allan = allan_json(tmp_path / "allan.json", rate=rate)
+        assert ("measured at 200 Hz, and the rate here is 100 Hz" in
+                written(path, "kalibr", allan=allan)) == said  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("rest", "said"),
+    [({"gyro_noise": 1.9e-5}, "about that of its rest"), ({"gyro_noise": 1e-6}, "20 times that"),
+     ({}, "without a rest")],
+)  # fmt: skip
+def test_noise_of_a_fit_stands_beside_that_of_the_rest(result, rest, said):
+    """What drones do was told to devices that lay still."""
+    of = document({})["recording"] | {"rest_noise": rest}
+    text = written(result(drawn(0, NO_G), recording=of), "kalibr")
+    (line, *_) = [x for x in text.splitlines() if x.startswith("gyroscope_noise_density")]
+    assert said in line
+    (warned,) = [x for x in text.splitlines() if "noise of the fit" in x]
+    assert ("gyro_noise" in warned) == (said != "about that of its rest")
+
+
+def test_rate_and_topic_are_of_one_recording(result):
+    """Those of a recording by which errors were measured stood beside the result's."""
+    imu = {"imu": {"samples": 1000, "topic": "/imu/raw"}}
+    path = result(drawn(0, MATRICES), recording=document({})["recording"] | {"streams": imu})
+    given = recording()
+    other = Recording("other.mcap", Imu(given.imu.t / 2.0, *readings(given), given.imu.valid), {},
+                      topics={"imu": "/imu/other"})  # fmt: skip
+    found = kalibr_reads(text := written(path, "kalibr", recording=other))
+    assert (found["rostopic"], found["update_rate"]) == ("/imu/raw", 100.0)
+    assert "other.mcap has 200 Hz on /imu/other" in text
+    assert "other.mcap seems to be of another device" in text
+    assert "Warning: turns.mcap" not in written(path, "kalibr", recording=given)
+
+
+@pytest.mark.parametrize(
+    ("typed", "read", "found"),
+    [("cam0/imu", "", "/cam0/imu"), ("cam0/imu", "cam0/imu", "cam0/imu"),
+     ("/cam0/imu", "cam0/imu", "/cam0/imu"), (None, "cam0/imu", "cam0/imu")],
+)  # fmt: skip
+def test_a_topic_is_as_the_bag_has_it_or_as_ros_resolves_it(result, typed, read, found):
+    streams = {"imu": {"samples": 1000, "topic": read}}
+    path = result(drawn(0, NO_G), recording=document({})["recording"] | {"streams": streams})
+    assert kalibr_reads(written(path, "kalibr", topic=typed))["rostopic"] == found
+
+
+def test_which_errors_a_file_corrects_and_which_of_them_were_found(result):
+    missing = [{"effect": "gyro_scale"}]
+    path = result(drawn(0, (*DIAGONAL, "gyro_scale", "gyro_bandwidth", "lever_arm")),
+                  schema="handcal/explanation/1", missing=missing)  # fmt: skip
+    header = contents(path, format_of("kalibr")).header
+    assert "Errors that this file corrects: accel_scale, gyro_scale" in header
+    (line,) = [x for x in header if x.startswith("Of these explain found")]
+    assert line.split(": ", 1)[1].startswith("gyro_scale; ")
+    assert line.endswith("not found: accel_scale")
+    header = contents(path, format_of("python")).header
+    assert f"Errors that this file corrects: {', '.join(BIASES)}, accel_scale, gyro_scale" in header
+
+
+def test_of_which_readings_the_numbers_are(result):
+    of = document({})["recording"] | {"corrected": {"ab": "why.json"}}
+    for name in (*CHAINS, "ros2", "c", "python"):
+        assert "For raw readings, not for" in written(result(drawn(0, NO_G)), name)
+        text = written(result(drawn(0, NO_G), recording=of), name)
+        assert "For readings that why.json had corrected" in text
+
+
+def test_sizes_say_of_which_readings_they_are(result):
+    """A delay left 0.02 m/s^2 without --recording and 0.6 with it."""
+    missing = [{"effect": "gyro_bandwidth", "size": {"gyro_x": 0.03}}]
+    path = result(drawn(0, (*MATRICES, "gyro_bandwidth")), missing=missing)
+    text = written(path, "python")
+    assert "gyro 0.0173 rad/s RMS in the steps of the fit" in text
+    assert "--recording turns.mcap" in text
+    (line,) = [x for x in written(path, "python", recording=recording()).splitlines()
+               if "Not in this file, gyro_bandwidth" in x]  # fmt: skip
+    assert line.endswith("RMS in the readings of turns.mcap")
 
 
 def test_noise_that_is_needed_is_asked_for(result):
@@ -421,30 +548,34 @@ def test_the_rate_is_the_sensors(result):
     path = result(drawn(0, MATRICES), recording={"path": "turns.mcap"})
     with pytest.raises(HandcalError, match="--recording"):
         written(path, "kalibr")
-    assert kalibr_reads(written(path, "kalibr", recording=given))["update_rate"] == given.rate_hz
+    assert kalibr_reads(written(path, "kalibr", recording=given))["update_rate"] == 100.0
     averaged = document({})["recording"] | {"imu_rate_hz": 50.0}
     path = result(drawn(0, MATRICES), recording=averaged)
-    assert kalibr_reads(written(path, "kalibr", recording=given))["update_rate"] == given.rate_hz
+    assert kalibr_reads(written(path, "kalibr", recording=given))["update_rate"] == 100.0
     text = ros2_reads(written(path, "ros2", recording=given))
     assert text["angular_velocity_covariance"][0] == pytest.approx(2e-5**2 * 100.0)
 
 
-def of_sensor(lines):
-    return [line.split(" were not shown")[0].split()[-1] for line in lines]
+def unknown(lines):
+    """Sensors of which a file says that they were not calibrated."""
+    return [line.split(" nothing was calibrated")[0].split()[-1] for line in lines
+            if " nothing was calibrated" in line]  # fmt: skip
 
 
 @pytest.mark.parametrize("name", [*CHAINS, "python", "imucal", "realsense", "fusion"])
 def test_no_identity_without_a_word(result, main, tmp_path, name):
-    both, one = "Nothing was calibrated: ", result(drawn(0, (*BIASES, "gyro_scale")))
-    header = contents(one, format_of(name)).header
-    assert of_sensor(x for x in header if x.startswith(both)) == ["accelerometer"]
+    one = result(drawn(0, (*BIASES, "gyro_scale")))
+    assert unknown(contents(one, format_of(name)).header) == ["accelerometer"]
     path = result(drawn(0, BIASES))
     status, _, said = main("export", path, "--to", name, "-o", tmp_path / "out")
-    assert (status, said.count(both)) == (0, 2)
+    assert (status, unknown(said.splitlines())) == (0, ["gyro", "accelerometer"])
+    assert said.count("nothing was calibrated but the bias: ") == 2
     for effect in ("gyro_scale", "accel_scale"):
         assert catalogue()[effect].motion in said.replace("\n", " ")
-    path = result(drawn(0, NO_G))
-    assert both not in written(path, name)
+    assert unknown(written(result(drawn(0, NO_G)), name).splitlines()) == []
+    path = result(drawn(0, ("gyro_scale",)))  # (an accelerometer of which not even a bias is known)
+    (line,) = [x for x in contents(path, format_of(name)).header if "nothing was calibrated" in x]
+    assert "nothing was calibrated: scale" in line
 
 
 def test_nothing_at_all_is_refused_with_what_would_show_it(result):

@@ -56,6 +56,7 @@ def test_the_json_has_the_contracts_fields():
         "assume",
         "sha256",
         "read_noise",
+        "rest_noise",
     }
     assert document["recording"]["imu_rate_hz"] == pytest.approx(100)
     assert set(document["fit"]) == {"log_evidence", "observations", "nis", "whiteness"}

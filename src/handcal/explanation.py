@@ -98,13 +98,20 @@ class Unnamed:
     coefficients: tuple[float, ...] = ()
 
 
+# Of what was not tried, so much in a warning; the verdict and ``untried`` have all.
+NAMED = 3
+
+
 def broken_off(untried: Sequence[str]) -> str | None:
     """That a search was cut short before it tried these; None where it was not."""
     if not untried:
         return None
+    some = ", ".join(untried[:NAMED])
+    if (more := len(untried) - NAMED) > 0:
+        some += f" and {more} more"
     return (
-        f"The search ended before all had been tried: {', '.join(untried)}. More time (a longer "
-        "--budget, or none) tells whether they change anything."
+        f"The search ended before all had been tried: {some}. More time (a longer --budget, or "
+        "none) tells whether they change anything."
     )
 
 

@@ -105,7 +105,8 @@ class Recording(Brief):
     stream, where it was read. device, model: what the file itself says of the device, "" where it
     says nothing. vehicle: of an autopilot's log, parameters of the vehicle's own calibration by
     name (CAL_*, SENS_BOARD_*, TC_*; INS_*, AHRS_ORIENTATION), and ids of the sensors as
-    ``topic.field``. bias_temperature: degC,
+    ``topic.field``. corrected: of readings from which ``handcal apply`` took errors off, the names
+    of the results by the sha256 of each. bias_temperature: degC,
     at which temperature errors are zero; a fit takes the recording's mean, so that biases are
     those at that temperature. sensors: those of the IMU that were recorded, both but where one was
     asked for alone; the readings of the other are zero. file_units: units and signs in the file,
@@ -122,6 +123,7 @@ class Recording(Brief):
     device: str = ""
     model: str = ""
     vehicle: Mapping[str, float] = field(default_factory=dict)
+    corrected: Mapping[str, str] = field(default_factory=dict)
     bias_temperature: float = 25.0
     sensors: tuple[str, ...] = ("gyro", "accel")
     file_units: str = ""

@@ -228,14 +228,16 @@ def apply(
     """
     from handcal import trust
     from handcal.device import apply as device
-    from handcal.device.another import another
+    from handcal.device.another import another, check_corrected, corrected_otherwise
 
     name, document = _document("apply", learnt)
     with model_file.laws_of(name, document):
         known, given = device.of_document(name, document), _one(recording, "apply")
         trust.check(known.path, known.trust, anyway)
+        check_corrected(given, known, anyway)
         done = device.apply(given, known, biases=biases)
-    warnings = (*trust.said(known.path, known.trust), another(given, known))
+    warnings = (*trust.said(known.path, known.trust), another(given, known),
+                corrected_otherwise(given, known))  # fmt: skip
     said = tuple(in_python(w) for w in warnings if w)
     return Corrected(Recording.of(done.recording), done.taken, done.left, said)
 
@@ -251,7 +253,7 @@ def open_result(path: str | Path) -> Saved:
 
 @spoken()
 def export(
-    learnt: Found,
+    learnt: Found | Allan,
     to: str,
     path: str | Path | None = None,
     *,
@@ -265,7 +267,7 @@ def export(
     anyway: bool = False,
 ) -> str:
     """What was learnt in the format of another program ("kalibr", "px4", ...): its text, which is
-    written to ``path`` too if that is given.
+    written to ``path`` too if that is given. Of ``allan`` the noise alone.
 
     recording: where what the format cannot hold is measured. noise: of the device at rest, by
     ``allan``. topic: of the Imu messages, where not that of the recording. axes: "flu" or "frd",
@@ -301,7 +303,7 @@ def export(
     return text
 
 
-def _file(learnt: Found, folder: Path) -> Path:
+def _file(learnt: Found | Allan, folder: Path) -> Path:
     """The JSON of what was learnt, of a new result in the folder. Errors: InputError."""
     if isinstance(learnt, str | Path):
         return Path(learnt)
@@ -310,6 +312,10 @@ def _file(learnt: Found, folder: Path) -> Path:
     if isinstance(learnt, Result):
         written = folder / "calibration.json"
         Calibration.of(learnt).save(written)
+        return written
+    if isinstance(learnt, Allan):
+        written = folder / "noise.json"
+        learnt.save(written)
         return written
     if isinstance(learnt, ExplanationData):
         written = folder / "explanation.json"

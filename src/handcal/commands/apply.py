@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -20,6 +21,7 @@ from handcal.commands._registry import say, tell
 
 if TYPE_CHECKING:
     from handcal.device.apply import Corrected, Learnt
+    from handcal.types import Recording
 
 
 @with_own_effects
@@ -53,7 +55,7 @@ def apply(
     What is no error of a sensor (where it sits, gravity, noise) stays, and is said. So is what
     there is to doubt about the result, and where the recording seems to be of another device.
     """
-    from handcal.device.another import another
+    from handcal.device.another import another, check_corrected, corrected_otherwise
     from handcal.device.apply import TOGETHER, not_shown
     from handcal.device.apply import apply as applied
     from handcal.output import check_outputs
@@ -64,18 +66,58 @@ def apply(
     check_ending(out)
     with learnt_in(learnt_from, anyway) as learnt:
         given = load(recording, how)
+        check_corrected(given, learnt, anyway)
         corrected = applied(given, learnt, biases=biases)
-        unsure = not_shown(learnt)
+        unsure, laws = not_shown(learnt), _laws(given, learnt, corrected, biases)
     left = _left(corrected, learnt)
     if not corrected.taken:
         nothing = f"{learnt_from} has nothing that could be taken off {recording.name}"
         raise HandcalError(f"{nothing}. {left}" if left else f"{nothing}.")
     write_mcap(corrected.recording, out)
     beside = f"{TOGETHER.format(', '.join(learnt.unnamed))}." if biases and learnt.unnamed else ""
-    for sentence in (another(given, learnt), *given.warnings, left, unsure, beside):
+    other = another(given, learnt), corrected_otherwise(given, learnt)
+    for sentence in (
+        *other,
+        *given.warnings,
+        _beside(corrected, learnt),
+        laws,
+        left,
+        unsure,
+        beside,
+    ):
         if sentence:
             say(sentence)
     tell(f"{out}: {', '.join(corrected.taken)} taken off {recording.name}")
+
+
+def _laws(given: Recording, learnt: Learnt, corrected: Corrected, biases: bool) -> str:
+    """One sentence about how much each law without a name changed the readings; empty if none."""
+    from handcal.device.apply import apply as applied
+    from handcal.exports._header import readings, rms, sized
+
+    done, parts = readings(corrected.recording), []
+    for law in (i for i in corrected.taken if " += " in i):
+        others = {i: v for i, v in learnt.values.items() if i != law}
+        rest = readings(applied(given, replace(learnt, values=others), biases=biases).recording)
+        size = rms(done - rest) if rest.shape == done.shape else None
+        if size is None or any(size):  # (else it is a law of another stream)
+            parts.append(f"{law}: {sized(size)}")
+    return f"Laws without a name that are taken off, {'; '.join(parts)}." if parts else ""
+
+
+def _beside(corrected: Corrected, learnt: Learnt) -> str:
+    """One sentence about errors that were taken off though an explanation did not find them."""
+    from handcal.device.apply import BIASES
+
+    if learnt.found is None:
+        return ""
+    others = [i for i in corrected.taken if i not in (*BIASES, *learnt.found)]
+    if not others:
+        return ""
+    return (
+        "All errors that were shown are taken off; of these estimated beside, but not found: "
+        f"{', '.join(others)}."
+    )
 
 
 def _left(corrected: Corrected, learnt: Learnt) -> str:

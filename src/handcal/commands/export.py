@@ -29,8 +29,16 @@ class Readings(StrEnum):
 
 VEHICLE = ("flu", "frd")  # what the recording's axes are on a vehicle
 # What the header's lines begin with that are said in the terminal as well.
-SAID = ("Nothing was calibrated", "Not in this file", "The biases were found", "All of that",
-        "How much", "Warning: ")  # fmt: skip
+SAID = (
+    "Nothing was calibrated",
+    "Of the gyro",
+    "Of the accelerometer",
+    "Not in this file",
+    "The biases were found",
+    "All of that",
+    "How much",
+    "Warning: ",
+)
 
 
 @with_own_effects
@@ -39,7 +47,8 @@ def export(
     result: Annotated[
         Path | None,
         typer.Argument(
-            metavar="RESULT.json", help="What calibrate, explain or lab wrote with --json."
+            metavar="RESULT.json",
+            help="What calibrate, explain, lab or, for the noise alone, allan wrote with --json.",
         ),
     ] = None,
     to: Annotated[

@@ -1,8 +1,10 @@
-"""Whether a recording is evidently of another device than a result was made of."""
+"""Whether a recording is evidently another than a result was made of: of another device, or its
+readings corrected before."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,7 @@ from handcal.device.apply import BIASES, Learnt
 from handcal.estimate.white import white_levels
 from handcal.recordings.overview import rate_at_rest
 from handcal.recordings.segment import each_rest
-from handcal.types import Recording
+from handcal.types import HandcalError, Imu, Recording
 from handcal.units import DEG
 
 # Times that rate and noise of one device may differ from recording to recording; noise that is
@@ -31,6 +33,17 @@ def read_noise(recording: Recording) -> dict[str, float]:
     return {f"{s}_noise": shown[f"{s}_noise"] for s in recording.sensors}
 
 
+def rest_noise(recording: Recording) -> dict[str, float]:
+    """The same of the longest rest; empty where there is none of 100 readings."""
+    imu = recording.imu
+    rest = max(each_rest(recording), key=lambda r: r.seconds, default=None)
+    if rest is None:
+        return {}
+    k = (imu.t >= rest.start) & (imu.t <= rest.end)
+    still = Imu(imu.t[k], imu.gyro[k], imu.accel[k], imu.valid[k])
+    return read_noise(replace(recording, imu=still, streams={}))
+
+
 def another(recording: Recording, learnt: Learnt) -> str:
     """A sentence where the recording seems to be of another device; empty where it does not."""
     # (of several recordings of the device one that is alike is enough)
@@ -42,6 +55,38 @@ def another(recording: Recording, learnt: Learnt) -> str:
         f"{Path(recording.path).name} seems to be of another device than {learnt.path}: "
         f"{'; '.join(signs)}. What is right for one device makes the readings of another worse."
     )
+
+
+def corrected_otherwise(recording: Recording, learnt: Learnt) -> str:
+    """A sentence where a recording's readings were corrected before and those of the result were
+    not, or the other way round; empty where a result is of readings like these."""
+    here, name = recording.corrected, Path(recording.path).name
+    said = [m.get("corrected") for m in learnt.made] or [None]
+    made = [dict(s) if isinstance(s, Mapping) else {} for s in said]
+    if learnt.sha256 in here:
+        return f"{name} was corrected by {here[learnt.sha256]} already, which is this result."
+    if any(here.keys() == own.keys() for own in made):
+        return ""
+    before = [here[k] for k in here if all(k not in own for own in made)]
+    if before:
+        return (
+            f"{name} was corrected by {', '.join(before)} already, and {learnt.path} is of "
+            "readings that were not: errors would be taken off twice. What is left in it "
+            f"`handcal explain {name}` finds."
+        )
+    first = ", ".join(str(v) for k, v in made[0].items() if k not in here)
+    return (
+        f"{learnt.path} is what {first} had left in its readings, and {name} was not corrected by "
+        f"that: apply {first} first."
+    )
+
+
+def check_corrected(recording: Recording, learnt: Learnt, anyway: bool) -> None:
+    """Errors: HandcalError where errors would be taken off twice, or the rest of them without what
+    comes first, unless that is wanted anyway."""
+    why = corrected_otherwise(recording, learnt)
+    if why and not anyway:
+        raise HandcalError(f"{why} With --anyway it is done all the same.")
 
 
 def _signs(recording: Recording, made: Mapping[str, Any]) -> Iterator[str]:

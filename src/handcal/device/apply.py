@@ -7,6 +7,8 @@ Where the sensor sits, how strong gravity is and how large the noise is stay as 
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
@@ -32,7 +34,7 @@ from handcal.effects._stamps import shifted
 from handcal.estimate.corrected import substituted
 from handcal.observations import NAV
 from handcal.observations import catalogue as observations
-from handcal.recordings.streams import STREAMS, Stream, observed_by
+from handcal.recordings.streams import STREAMS, Stream, as_corrected, observed_by
 from handcal.signals import at_its_temperature, of_recording, warmth_at
 from handcal.trust import Trust
 from handcal.trust import of_document as of_itself
@@ -71,7 +73,9 @@ class Learnt:
     and is not in the catalogue (``model_file.laws_of``), as what goes with the motion. hidden: axes
     of each bias that were not shown, by recording; unsure: names of each effect's parameters that
     the recordings did not show. trust: what it says of itself. made: of which recordings it is, as
-    its JSON has them.
+    its JSON has them. sha256: of what the file holds, however it is spaced. found: of an
+    explanation, ids and formulas of what it found (other errors are estimated beside it); None of a
+    calibration.
     """
 
     path: str
@@ -82,6 +86,8 @@ class Learnt:
     unsure: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     trust: Trust = field(default_factory=Trust)
     made: tuple[Mapping[str, Any], ...] = ()
+    sha256: str = ""
+    found: frozenset[str] | None = None
 
 
 @dataclass(frozen=True)
@@ -127,6 +133,9 @@ def apply(recording: Recording, learnt: Learnt, *, biases: bool = False) -> Corr
     about = _typical(learnt) if bias is None else bias
     # (what is corrected here is no longer what the vehicle's parameters made of its sensors)
     out = replace(out, imu=_imu(recording, acting, values, about, bias), vehicle={})
+    if learnt.sha256:
+        by = {**recording.corrected, learnt.sha256: Path(learnt.path).name}
+        out = as_corrected(out, by)
     for e in taking:
         if e.undo is not None:
             out = e.undo(values[e.id], out)
@@ -263,7 +272,8 @@ def of_document(name: str, document: Any) -> Learnt:
     schema = document.get("schema") if isinstance(document, dict) else None
     if schema not in (EXPLANATION_SCHEMA, CALIBRATION_SCHEMA):
         raise InputError(
-            f"{name} is not what `handcal explain --json` or `handcal calibrate --json` writes."
+            f"{name} is not what `explain`, `calibrate`, `lab scalar`, `lab known-input` or `lab "
+            "size` writes with --json (`export` takes that of `allan` too, for its noise)."
         )
     try:
         return _learnt(name, document)
@@ -300,7 +310,12 @@ def _learnt(name: str, document: Mapping[str, Any]) -> Learnt:
     unsure = {i: n for i, n in _untold(document["parameters"]).items() if i not in whole}
     made = [r["recording"] for r in recordings or [document] if "recording" in r]
     trust = of_itself(name, document)
-    return Learnt(name, effects, tuple(biases), formulas, hidden, unsure, trust, tuple(made))
+    sha256 = hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()
+    found_ids = (str(m["effect"]) for m in document.get("missing", []))
+    of = frozenset((*found_ids, *told)) if "missing" in document else None
+    return Learnt(
+        name, effects, tuple(biases), formulas, hidden, unsure, trust, tuple(made), sha256, of
+    )
 
 
 def _untold(parameters: Sequence[Mapping[str, Any]]) -> dict[str, tuple[str, ...]]:

@@ -62,13 +62,12 @@ def biases(contents: Contents) -> str:
 def body(contents: Contents, indent: int) -> str:
     """T_i_b (4, 4), which takes points in the body's axes to the IMU's: the body is the marker of a
     pose where there is one, else the IMU itself."""
-    T, said = np.eye(4), ""
+    T, said = np.eye(4), "the body is the IMU itself, as it is of Kalibr's imu0"
     if contents.marker is not None:
         T[:3, :3], place = contents.marker
         known = bool(np.isfinite(place).all())
         T[:3, 3] = place if known else 0.0
-        said = "# b: the marker of /pose" + (
-            "" if known else "; where it sits was not shown: zeros"
+        said = "the body is the marker of /pose, where Kalibr's imu0 has the identity" + (
+            "" if known else "; where the marker sits was not shown: zeros"
         )
-    space = " " * indent
-    return (f"{space}{said}\n" if said else "") + yaml_matrix("T_i_b", T, indent)
+    return f"{' ' * indent}# T_i_b: {said}\n{yaml_matrix('T_i_b', T, indent)}"

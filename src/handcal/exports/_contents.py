@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,18 +11,23 @@ from typing import Any
 import numpy as np
 
 from handcal.compiled import so3
+from handcal.device.another import another, corrected_otherwise
+from handcal.documents import read_json
 from handcal.effects import catalogue
 from handcal.exports import Contents, Format, fitting, formats
 from handcal.exports import _correction as correction
 from handcal.exports._correction import NOTHING
-from handcal.exports._header import header, same
+from handcal.exports._header import header, noise_header, same
 from handcal.exports._known import Known, known, recordings_of, warnings_of
-from handcal.exports._noise import noise_lines, noise_of
+from handcal.exports._noise import allan_document, is_allan, noise_lines, noise_of
 from handcal.exports._text import one_line
 from handcal.exports._vehicle import CORRECTED, RAW, read_parameters, readings_of
 from handcal.recordings.streams import TURNED_TO_FLU
 from handcal.trust import check
 from handcal.types import Array, HandcalError, InputError, Recording
+
+# As a part of it, to which two rates are one.
+SAME_RATE = 0.01
 
 
 def contents(
@@ -29,7 +35,7 @@ def contents(
     topic: str | None = None, axes: str | None = None, parameters: Path | None = None,
     *, readings: str = "", instance: Mapping[str, int] | None = None, anyway: bool = False,
 ) -> Contents:  # fmt: skip
-    """A result as a format is given it.
+    """A result as a format is given it; of what ``handcal allan`` wrote, its noise alone.
 
     recording: where what is left is measured. allan: a JSON of ``handcal allan``, for the noise.
     topic: None for that of the recording. axes: "flu", "frd", or None for "flu". parameters: of
@@ -38,6 +44,8 @@ def contents(
     "gyro" and "accel" were, where the recording does not say it. anyway: also of a result that is
     not to be trusted. Errors: InputError, HandcalError.
     """
+    if is_allan(read_json(path)):
+        return _of_noise(path, form, allan, topic)
     found = known(path, recording)
     check(path.name, found.learnt.trust, anyway)
     _check_axes(found.document, form, axes)
@@ -53,14 +61,78 @@ def contents(
     if form.keep is not None and not form.online and same(kept, NOTHING):
         raise HandcalError(_nothing(path, found))
     noise = noise_of(found.document, allan, form)
-    lines = [*header(path, found, form, kept, recording), *noise_lines(noise, form)]
-    rate = _rate(found.document) if recording is None else recording.rate_hz
+    rate, read, apart = _of_imu(found, recording)
+    lines = [*header(path, found, form, kept, recording), *noise_lines(noise, form), *apart]
+    if allan is not None and form.noise:
+        lines += _other_rate(allan, rate)
     return Contents(
         one_line(path.name), tuple(map(one_line, (*lines, *form.notes))), kept, found.bias,
-        found.bias_sigma, found.hidden, has_bias, noise, rate, topic or _topic(found.document),
+        found.bias_sigma, found.hidden, has_bias, noise, rate, _resolved(topic, read),
         axes or "flu", vehicle, readings, instance or {}, _marker(found),
         _parameters(found.document),
     )  # fmt: skip
+
+
+def _of_noise(path: Path, form: Format, allan: Path | None, topic: str | None) -> Contents:
+    """The noise of a device at rest, and nothing that was calibrated. Errors: InputError."""
+    if not form.noise:
+        known = ", ".join(name for name, one in formats().items() if one.noise)
+        raise InputError(
+            f"{path} holds noise alone, for which {form.program} has no place. Noise goes to "
+            f"{known}."
+        )
+    if allan is not None:
+        raise InputError(f"{path} holds the noise itself; leave --noise away.")
+    document, noise = allan_document(path), noise_of({}, path, form)
+    lines = [*noise_header(path, document, form), *noise_lines(noise, form), *form.notes]
+    return Contents(
+        one_line(path.name), tuple(map(one_line, lines)), NOTHING, np.zeros(6), np.full(6, np.nan),
+        {}, False, noise, _rate(document), _resolved(topic, _topic(document)), "flu", {}, "", {},
+        None, [],
+    )  # fmt: skip
+
+
+def _of_imu(found: Known, recording: Recording | None) -> tuple[float | None, str, list[str]]:
+    """Rate and topic, both of one recording: the result's own; and what there is to say of another
+    one by which errors were measured."""
+    rate, topic = _rate(found.document), _topic(found.document)
+    if recording is None:
+        return rate, topic, []
+    name, own = Path(recording.path).name, recordings_of(found.document)
+    here = _rounded(recording.rate_hz), recording.topics.get("imu", "")
+    if rate is None or name in [Path(str(r["path"])).name for r in own]:
+        return here[0], here[1] or topic, []
+    said = [another(recording, found.learnt), corrected_otherwise(recording, found.learnt)]
+    apart = [f"Warning: {sentence}" for sentence in said if sentence]
+    if not math.isclose(rate, here[0], rel_tol=SAME_RATE) or (topic and here[1] not in (topic, "")):
+        apart.append(
+            f"Warning: {name} has {here[0]:g} Hz{' on ' + here[1] if here[1] else ''}; rate and "
+            f"topic of this file are those of {Path(str(own[0]['path'])).name}"
+        )
+    return rate, topic, apart
+
+
+def _other_rate(allan: Path, rate: float | None) -> list[str]:
+    """That noise was measured at another rate, if it was."""
+    measured = _rate(allan_document(allan))
+    if rate is None or measured is None or math.isclose(rate, measured, rel_tol=SAME_RATE):
+        return []
+    return [
+        f"Warning: the noise of {allan.name} was measured at {measured:g} Hz, and the rate here is "
+        f"{rate:g} Hz: a sensor that filters otherwise at that rate has another noise density"
+    ]
+
+
+def _resolved(typed: str | None, read: str) -> str:
+    """The topic as typed, else as read; one that the recording does not have as ROS resolves it."""
+    if not typed:
+        return read
+    return typed if typed == read or typed.startswith(("/", "~")) else f"/{typed}"
+
+
+def _rounded(rate: float) -> float:
+    """A rate to the digits that clocks are good for."""
+    return float(f"{rate:.6g}")
 
 
 def _nothing(path: Path, found: Known) -> str:
@@ -145,7 +217,7 @@ def _topic(document: Mapping[str, Any]) -> str:
     """Where the Imu messages of the first recording were read, if it was a bag."""
     for r in recordings_of(document):
         topic = str(r.get("streams", {}).get("imu", {}).get("topic", ""))
-        if re.fullmatch(r"/[\w/.~-]+", topic):  # (of a file, and on its way into YAML)
+        if re.fullmatch(r"[\w/~][\w/.~-]*", topic):  # (of a file, and on its way into YAML)
             return topic
     return ""
 
@@ -174,4 +246,4 @@ def _parameters(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 def _rate(document: Mapping[str, Any]) -> float | None:
     rates = [r.get("imu_rate_hz") for r in recordings_of(document)]
     rates += [m.get("imu_rate_hz") for m in [document] if m.get("imu_rate_hz")]
-    return next((float(r) for r in rates if r), None)
+    return next((_rounded(float(r)) for r in rates if r), None)

@@ -11,13 +11,20 @@ them off in this order: a = inv(M_a) (read - b_a), then w = C_gyro_i^T inv(M_g) 
 A C_gyro_i a). The file has the keys of an ``imu.yaml`` (for ``--imu``) on top, and all of it again
 under ``imu0``, as Kalibr writes its own results. Biases are no part of it.
 
-Kalibr's reader wants a rate and all four noise levels, so the file always has them, each with where
-it is from: ``--noise ALLAN.json`` (``handcal allan`` of a record at rest; of a walk that it was too
-short to see, the most that would have stayed hidden), else the recording's own, which hold what the
-motion adds and are inflated, else those of the ADIS16448 in the EuRoC data set, marked DEFAULT.
-``update_rate`` is the sensor's, ``rostopic`` that of the recording or of ``--topic imu=/NAME``.
-``T_i_b`` takes points from the axes of a pose's marker (or camera) to the IMU's, where there was
-one; without, the body is the IMU.
+Kalibr itself reads six keys of the file as ``--imu``: ``rostopic``, ``update_rate`` and four noise
+levels. It reads none of the matrices: they are for what corrects readings afterwards. For a bag
+that ``handcal apply`` corrected take its model ``--imu-models calibrated`` (the default: biases and
+nothing else); for the raw one ``--imu-models scale-misalignment``, which estimates the matrices
+anew.
+
+The six keys are always there, each noise level with where it is from: ``--noise ALLAN.json``
+(``handcal allan`` of a record at rest; of a walk that it was too short to see, the most that would
+have stayed hidden), else the fit's own, which hold what the motion adds and stand beside those of
+the recording's longest rest, else those of the ADIS16448 in the EuRoC data set, marked DEFAULT.
+``handcal export ALLAN.json --to kalibr`` writes the noise alone. ``update_rate`` is the sensor's,
+``rostopic`` that of the recording or of ``--topic imu=/NAME``. ``T_i_b`` takes points from the axes
+of a pose's marker (or camera) to the IMU's, where there was one; without, the body is the IMU, as
+Kalibr has it for imu0.
 """
 
 from __future__ import annotations

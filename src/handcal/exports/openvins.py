@@ -10,7 +10,8 @@ In the model "kalibr" only the lower triangles of inv(Tw) and inv(Ta) are used, 
 are those of the accelerometer: R_IMUtoACC is the identity. Biases are part of its state. Copy the
 file over the ``kalibr_imu_chain.yaml`` of your configuration; with ``calib_imu_intrinsics``
 OpenVINS goes on from there. Noise levels, rate and topic are there as in the file of ``--to
-kalibr``, each level with where it is from.
+kalibr``, each level with where it is from; ``handcal export ALLAN.json --to openvins`` writes them
+alone.
 """
 
 from __future__ import annotations

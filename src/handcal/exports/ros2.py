@@ -44,6 +44,7 @@ FORMAT = Format(
     write=write,
     keep=None,
     noise={"gyro_noise": None, "accel_noise": None},
-    notes=("Variance of one sample: density^2 * rate; (rad/s)^2 and (m/s^2)^2, row by row",
+    notes=("One variance for the three axes of a sensor, whose noise is known as one level",
+           "Variance of one sample: density^2 * rate; (rad/s)^2 and (m/s^2)^2, row by row",
            "A corrected bag: handcal apply RECORDING --from RESULT.json --biases -o FILE.mcap"),
 )  # fmt: skip

@@ -95,6 +95,8 @@ def _write(recordings: Mapping[str, Recording], path: str | Path) -> None:
         if recorded.vehicle:
             said = {name: repr(float(value)) for name, value in recorded.vehicle.items()}
             writer.add_metadata("vehicle", said)
+        if recorded.corrected:
+            writer.add_metadata("corrected", dict(recorded.corrected))
 
 
 def _write_messages(writer: Writer, recordings: Mapping[str, Recording]) -> None:

@@ -7,18 +7,20 @@ and signals made by what the row says. ``value`` is what ``types.Series`` holds,
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
-from handcal.types import Array
+from handcal.types import Array, Recording
 
 DEGREE = np.pi / 180
 # Beginning of the topics that hold what a model before and one after `explain` says was read.
 TWINS = ("/before", "/after")
 # What a warning of a recording says whose axes were not those of ``handcal``.
 TURNED_TO_FLU = "turned to forward, left, up"
+# How the warning begins of one that ``apply`` corrected.
+CORRECTED = "Its readings were corrected by "
 
 # Definitions of the parts of messages, as ROS 2 has them.
 TYPES: Mapping[str, str] = {
@@ -245,3 +247,15 @@ def message_of(schema: str) -> Message | None:
 def observed_by(kind: str) -> Stream | None:
     """The stream that a kind of observation looks at; None for a pseudo-observation."""
     return next((s for s in STREAMS.values() if s.observation == kind), None)
+
+
+def as_corrected(recording: Recording, corrected: Mapping[str, str]) -> Recording:
+    """The recording as one from which errors were taken off, which its warnings say; corrected:
+    names of the results by sha256, none for a raw one."""
+    others = [said for said in recording.warnings if not said.startswith(CORRECTED)]
+    if corrected:
+        names = ", ".join(corrected.values())
+        others.append(
+            f"{CORRECTED}{names} (`handcal apply`): what is found in them is what that left."
+        )
+    return replace(recording, corrected=corrected, warnings=tuple(others))

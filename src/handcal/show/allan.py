@@ -9,6 +9,7 @@ import handcal
 from handcal import output
 from handcal.allan.analysis import UNITS, Allan, Channel
 from handcal.allan.terms import LAWS
+from handcal.show.calibration.summary import digest
 from handcal.show.drawing import INK, MUTED, PURPLE, RC, RED, XYZ, Plot, canvas, legend, svg
 from handcal.show.html_page import page
 from handcal.show.terminal import print_section, table
@@ -41,10 +42,13 @@ def write_allan_report(result: Allan, path: str | Path) -> None:
 def allan_json(result: Allan) -> dict[str, Any]:
     """``allan --json``. Coefficients that were not seen have an upper bound (95 %)."""
     recording = result.recording
+    topic = {"topic": recording.topics["imu"]} if "imu" in recording.topics else {}
     return {
         "schema": SCHEMA,
         "recording": {"path": recording.path, "duration_s": recording.duration_s,
-                      "imu_rate_hz": result.rate_hz},
+                      "imu_rate_hz": result.rate_hz,
+                      "streams": {"imu": {"samples": len(recording.imu.t), **topic}},
+                      "sha256": digest(Path(recording.path))},
         "span_s": list(result.span),
         "channels": [
             {"channel": c.name, "unit": READING[c.sensor], "tau_s": c.tau.tolist(),

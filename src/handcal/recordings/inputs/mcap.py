@@ -8,6 +8,7 @@ memory is spent: 16 kB of hostile file can ask for a gigabyte.
 from __future__ import annotations
 
 import math
+import re
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
@@ -34,6 +35,7 @@ from handcal.recordings.inputs._topics import (
     recording_from_topics,
     rows_of,
 )
+from handcal.recordings.streams import as_corrected
 from handcal.types import InputError, IntArray, Recording
 
 UNDERSTOOD = "MCAP with ROS 2 messages (.mcap)"
@@ -47,6 +49,8 @@ TOGETHER = 2**21  # bytes of chunks that are decoded at once
 LARGEST_METADATA = 2**20  # bytes: of a device there are two short texts
 # Beyond a few MiB nothing that sensors write shrinks to a thousandth.
 LARGEST_RATIO, RATIO_FROM = 1000, 4 * 2**20
+NOTED = ("device", "vehicle", "corrected")
+_SHA256 = re.compile("[0-9a-f]{64}")
 _MESSAGE = int(Opcode.MESSAGE)  # compared once a message: an enum is slow
 _DAMAGED = (struct.error, EndOfFile, UnicodeDecodeError, OverflowError)
 
@@ -54,8 +58,8 @@ _DAMAGED = (struct.error, EndOfFile, UnicodeDecodeError, OverflowError)
 @dataclass
 class Walk:
     """What has been found in the file so far: found, by channel; base: bytes before the file;
-    about: what the metadata records "device" (``id`` and ``model``) and "vehicle" (its parameters)
-    say."""
+    about: what the metadata records of ``NOTED`` say: of the device ``id`` and ``model``, of the
+    vehicle its parameters, by which results the readings were corrected."""
 
     path: Path
     schemas: dict[int, Schema] = field(default_factory=dict)
@@ -78,10 +82,21 @@ def read(path: Path, options: Options) -> Recording:
     """Read the recording; truncated files as far as they go. Errors: InputError."""
     walk = walked(path, options)
     made = recording_from_topics(path, topics_of(walk), options, warnings_of(walk))
-    said = walk.about.get("device", {})
+    return with_notes(made, walk.about)
+
+
+def with_notes(recording: Recording, about: Mapping[str, Mapping[str, str]]) -> Recording:
+    """The recording with what the metadata records of its files say."""
+    said = about.get("device", {})
     device, model = (said.get(k, "").strip() for k in ("id", "model"))
-    vehicle = _numbers(walk.about.get("vehicle", {}))
-    return replace(made, device=device, model=model, vehicle=vehicle)
+    vehicle = _numbers(about.get("vehicle", {}))
+    corrected = {
+        sha256: "".join(c if c.isprintable() else "?" for c in name)[:100]
+        for sha256, name in about.get("corrected", {}).items()
+        if _SHA256.fullmatch(sha256)
+    }
+    made = replace(recording, device=device, model=model, vehicle=vehicle)
+    return as_corrected(made, corrected)
 
 
 def _numbers(texts: Mapping[str, str]) -> dict[str, float]:
@@ -206,7 +221,7 @@ def _note(walk: Walk, content: bytes) -> None:
         record = Metadata.read(ReadDataStream(BytesIO(content)))
     except _DAMAGED:
         return
-    if record.name in ("device", "vehicle"):
+    if record.name in NOTED:
         walk.about[record.name] = dict(record.metadata)
 
 

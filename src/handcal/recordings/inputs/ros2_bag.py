@@ -67,17 +67,19 @@ def read(path: Path, options: Options) -> Recording:
         )
     topics: list[Topic] = []
     said: list[str] = []
+    about: dict[str, dict[str, str]] = {}
     base = 0
     for file in files:
         if file.suffix == ".mcap":
             walk = mcap.walked(file, options, base)
             found, warnings = mcap.topics_of(walk), mcap.warnings_of(walk)
+            about |= walk.about
         else:
             found, warnings = _of_database(file, options, base)
         topics += found
         said += warnings
         base += 2 * file.stat().st_size + 1
-    return recording_from_topics(path, topics, options, tuple(said))
+    return mcap.with_notes(recording_from_topics(path, topics, options, tuple(said)), about)
 
 
 def _of_database(path: Path, options: Options, base: int) -> tuple[list[Topic], tuple[str, ...]]:

@@ -14,7 +14,7 @@ import numpy as np
 
 import handcal
 from handcal import output
-from handcal.device.another import read_noise
+from handcal.device.another import read_noise, rest_noise
 from handcal.estimate.parameters import given_model, with_shown
 from handcal.show import doubts, words
 from handcal.show.calibration.how_good import quality_json
@@ -140,10 +140,17 @@ def recording_json(recording: Recording, assume: str) -> dict[str, Any]:
         "assume": assume,
         "sha256": digest(Path(recording.path)),
         **{k: v for k in ("device", "model") if (v := getattr(recording, k))},
-        **({"read_noise": noise} if (noise := read_noise(recording)) else {}),
+        **_noise_read(recording),
         **_day(recording),
         **({"vehicle": dict(recording.vehicle)} if recording.vehicle else {}),
+        **({"corrected": dict(recording.corrected)} if recording.corrected else {}),
     }
+
+
+def _noise_read(recording: Recording) -> dict[str, Any]:
+    """White noise of the readings, moving and at rest, where there are enough of them."""
+    noise = read_noise(recording)
+    return {"read_noise": noise, "rest_noise": rest_noise(recording)} if noise else {}
 
 
 def _day(recording: Recording) -> dict[str, Any]:

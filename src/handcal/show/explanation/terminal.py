@@ -165,7 +165,7 @@ def _missing_table(m: Missing) -> Any:
 
 def _beside(e: Explanation) -> list[str]:
     """What else is in the final model."""
-    found = [m.effect for m in e.missing]
+    found = [*(m.effect for m in e.missing), *(u.formula for u in e.unnamed)]
     front, rest = in_front(e.parameters, found)
     others = dict.fromkeys(p.effect for p in front if p.effect not in (*BIASES, *found))
     names = words.listed([words.effect_title(i).lower() for i in others]) if others else ""
