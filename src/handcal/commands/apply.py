@@ -58,21 +58,27 @@ def apply(
     from handcal.device.apply import apply as applied
     from handcal.output import check_outputs
     from handcal.recordings.export import check_ending, write_mcap
+    from handcal.recordings.same_bag import bag_of, write_bag
     from handcal.types import HandcalError
 
     check_outputs((out,), (recording, learnt_from))
     check_ending(out)
     with learnt_in(learnt_from, anyway) as learnt:
         given = load(recording, how)
-        corrected = applied(given, learnt, biases=biases)
+        bag = bag_of(recording, given)
+        corrected = applied(given, learnt, biases=biases, in_place=bag is not None)
         unsure = not_shown(learnt)
     left = _left(corrected, learnt)
     if not corrected.taken:
         nothing = f"{learnt_from} has nothing that could be taken off {recording.name}"
         raise HandcalError(f"{nothing}. {left}" if left else f"{nothing}.")
-    write_mcap(corrected.recording, out)
+    changed = tuple[str, ...]()
+    if bag is None:
+        write_mcap(corrected.recording, out)
+    else:
+        changed = write_bag(bag, given, corrected.recording, out)
     beside = f"{TOGETHER.format(', '.join(learnt.unnamed))}." if biases and learnt.unnamed else ""
-    for sentence in (another(given, learnt), *given.warnings, left, unsure, beside):
+    for sentence in (another(given, learnt), *given.warnings, *changed, left, unsure, beside):
         if sentence:
             say(sentence)
     tell(f"{out}: {', '.join(corrected.taken)} taken off {recording.name}")
