@@ -27,7 +27,7 @@ from handcal.recordings.inputs._messages import ALIGNED, POSE_LIKE, Decoded, Top
 from handcal.recordings.inputs._options import HALVES, Options
 from handcal.recordings.inputs._sqlite import is_database
 from handcal.recordings.inputs._topics import in_order
-from handcal.recordings.streams import STREAMS, Message
+from handcal.recordings.streams import STREAMS
 from handcal.types import Array, BoolArray, HandcalError, IntArray, Recording, Series
 
 WHY = "a stamp that repeats or lies outside the IMU's time, or a reading that is not trusted"
@@ -67,29 +67,32 @@ def bag_of(path: Path, recording: Recording) -> Bag | None:
         return None
     files = ros2_bag.files_of(path)
     topics, _ = ros2_bag.topics_in(files, Options())
-    used = {name for names in recording.topics.values() for name in names.split(" + ")}
+    used = {n for name in recording.topics.values() for n in _apart(name, topics)}
     if any(topic.encoding != "cdr" for topic in topics if topic.name in used and topic.parts):
         return None
     return Bag(tuple(files), tuple(topics))
+
+
+def _apart(name: str, topics: Sequence[Topic]) -> list[str]:
+    """The topic of a stream, or those of the IMU's two sensors."""
+    return [name] if any(topic.name == name for topic in topics) else name.split(" + ")
 
 
 def write_bag(bag: Bag, given: Recording, corrected: Recording, out: Path) -> tuple[str, ...]:
     """Write the bag with the corrected readings, which are as many as those given; sentences about
     what was left out. Errors: HandcalError, InputError."""
     changes, said = _changes(bag, given, corrected)
-    notes = metadata(corrected)
+    own = metadata(corrected)
     with begun(out) as writer:
         copy = _Copy(writer, changes)
         for file in bag.files:
             for record in ros2_bag.records(file) if is_database(file) else _in_mcap(file):
-                if isinstance(record, Metadata):
-                    # (of what was corrected the vehicle's own calibration is none any more)
-                    if record.name != "vehicle":
-                        notes[record.name] = {**record.metadata, **notes.get(record.name, {})}
+                if isinstance(record, Metadata) and record.name in own:
+                    own[record.name] = {**record.metadata, **own[record.name]}
                 else:
                     copy.take(record)
             copy.end_file()
-        for name, text in notes.items():
+        for name, text in own.items():
             writer.add_metadata(name, text)
     if any(copy.seen.get(name, 0) != len(c.out) for name, c in changes.items()):
         raise HandcalError(f"{bag.files[0]} holds other messages than were read of it.")
@@ -153,41 +156,46 @@ def _of_stamps(name: str, late: IntArray, stamped: bool) -> str:
 
 def _of_imu(bag: Bag, given: Recording, corrected: Recording) -> dict[str, Change]:
     """Changes of the one topic of the IMU, or of those of its two sensors."""
-    out = {}
-    names = given.topics["imu"].split(" + ")
-    first = bag.raw(names[0])[0].stamp[given.rows["gyro"][0]]
-    for own, name in enumerate(names):
-        raw, strings, _ = bag.raw(name)
-        held = ~raw.lacking
-        if len(names) > 1:
-            held[:, 1 - own] = False
-        halves = [_of_sensor(sensor, raw, int(first), given, corrected) for sensor in HALVES]
-        value = np.where(np.repeat(held, 3, axis=1), np.hstack(halves), np.nan)
-        without = np.any(np.isnan(value).reshape(-1, 2, 3).any(axis=2) & held, axis=1)
-        message: Message = STREAMS["imu"].message
-        moved = np.zeros(len(value), dtype=np.int64)
-        out[name] = Change(message.index(message.needed), strings, value, moved, without)
-    return out
+    names = _apart(given.topics["imu"], bag.topics)
+    channels = [topic for topic in bag.topics if topic.name in names and topic.parts]
+    raw = in_order(channels)
+    parts = [(part, names.index(topic.name)) for topic in channels for part in topic.parts]
+    order = np.concatenate([part.order for part, _ in parts])
+    of = np.repeat([k for _, k in parts], [len(part.order) for part, _ in parts])
+    of = of[np.argsort(order, kind="stable")]
+    held = ~raw.lacking
+    if len(names) > 1:
+        held &= of[:, None] == [0, 1]
+    halves = [_of_sensor(k, raw, held[:, k], given, corrected) for k in range(2)]
+    value = np.where(np.repeat(held, 3, axis=1), np.hstack(halves), np.nan)
+    without = np.any(np.isnan(value).reshape(-1, 2, 3).any(axis=2) & held, axis=1)
+    moved, message = np.zeros(len(value), dtype=np.int64), STREAMS["imu"].message
+    at = message.index(message.needed)
+    return {
+        name: Change(at, 0, value[of == k], moved[of == k], without[of == k])
+        for k, name in enumerate(names)
+    }
 
 
 def _of_sensor(
-    sensor: str, raw: Decoded, first: int, given: Recording, corrected: Recording
+    k: int, raw: Decoded, held: BoolArray, given: Recording, corrected: Recording
 ) -> Array:
-    """What a sensor's messages read (n, 3), corrected; NaN where there is no such reading. first:
-    stamp of the recording's first sample, ns."""
-    k = 3 * HALVES.index(sensor)
-    read, valid, t = raw.value[:, k : k + 3], corrected.imu.valid, given.imu.t
+    """What the messages of gyro (k = 0) or accelerometer read (n, 3), corrected; NaN where there is
+    no such reading, of which held (n,) are any."""
+    sensor, read = HALVES[k], raw.value[:, 3 * k : 3 * k + 3]
+    out, valid, t = np.full_like(read, np.nan), corrected.imu.valid, given.imu.t
     old, new = getattr(given.imu, sensor), getattr(corrected.imu, sensor)
     if sensor in given.rows:
-        out, rows = np.full_like(read, np.nan), given.rows[sensor]
+        rows = given.rows[sensor]
         out[rows[valid]] = _in_file(read[rows], old, new)[valid]
         return out
     # The recording has the accelerometer at the gyro's stamps: its error is taken off at its own.
-    own = (raw.stamp - first) / 1e9
+    own = (raw.stamp[held] - raw.stamp[given.rows["gyro"][0]]) / 1e9
     order = np.argsort(own, kind="stable")
-    beside = _at(t, own[order], read[order])
+    beside = _at(t, own[order], read[held][order])
     error = np.where(valid[:, None], beside - _in_file(beside, old, new), np.nan)
-    return np.asarray(read - _at(own, t, error))
+    out[held] = read[held] - _at(own, t, error)
+    return out
 
 
 def _at(wanted: Array, t: Array, value: Array) -> Array:
@@ -258,16 +266,30 @@ class _Copy:
                 self.empty[record.name] = None
             self.schemas[record.id] = self.known[one]
         elif isinstance(record, Channel):
-            about, schema = record.metadata, self.schemas[record.schema_id]
-            key = record.topic, record.message_encoding, schema, tuple(sorted(about.items()))
-            if key not in self.known:
-                self.known[key] = self.writer.register_channel(*key[:3], dict(about))
-            self.channels[record.id] = self.known[key], record.topic
+            if record.id not in self.channels:
+                self.channels[record.id] = self._channel(record), record.topic
+        elif isinstance(record, Metadata):
+            # (of what was corrected the vehicle's own calibration is none any more)
+            if record.name != "vehicle":
+                self.writer.add_metadata(record.name, dict(record.metadata))
         elif isinstance(record, Attachment):
             a = record
             self.writer.add_attachment(a.create_time, a.log_time, a.name, a.media_type, a.data)
 
+    def _channel(self, c: Channel) -> int:
+        """The channel of the next file is that of the last: the first of those alike is the
+        first."""
+        key = c.topic, c.message_encoding, self.schemas.get(c.schema_id, 0)
+        about, nth = tuple(sorted(c.metadata.items())), 0
+        while (id := self.known.get((key, about, nth))) in [i for i, _ in self.channels.values()]:
+            nth += 1
+        if id is None:
+            id = self.known[key, about, nth] = self.writer.register_channel(*key, dict(about))
+        return id
+
     def _message(self, m: Record) -> None:
+        if m.channel_id not in self.channels:
+            return
         channel, name = self.channels[m.channel_id]
         k, change, data = self.seen.get(name, 0), self.changes.get(name), m.data
         self.seen[name] = k + 1
