@@ -58,6 +58,7 @@ NO_SENSOR = "no error of a sensor"
 TOGETHER = "The biases were found together with {}, and without it may be worse than none"
 NOT_ASKED = "of one day, taken off with --biases"
 NOT_KNOWN = "not known well enough"
+BIASES_TOO = "--biases takes off the biases too, which are those of this recording alone."
 CLOCK = "other topics of the bag go by the same clock"
 NO_STREAM = "no stream here from which it could be taken off"
 

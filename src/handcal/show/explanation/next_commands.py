@@ -7,7 +7,7 @@ import shlex
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
-from handcal.device.apply import removable
+from handcal.device.apply import BIASES_TOO, removable
 from handcal.device.file import kept
 from handcal.effects import catalogue, installed
 from handcal.explanation import Explanation
@@ -92,6 +92,11 @@ def commands(
         device = [*_known_to(options, ("--device",))[1:], DEVICE][0]
         out.append(["handcal", "device", "add", device, json])
     return [shlex.join(words) for words in out]
+
+
+def beside(following: Sequence[str]) -> str:
+    """A sentence about an option that the commands do not have; empty where there is none."""
+    return BIASES_TOO if any(line.startswith("handcal apply ") for line in following) else ""
 
 
 def _known_to(options: Sequence[str], names: Collection[str], *, others: bool = False) -> list[str]:
