@@ -16,11 +16,12 @@ from rich.console import Console
 from handcal.commands import _registry
 from handcal.commands._options import AS_IT_IS, Reading
 from handcal.commands.explain import Assume, _typed
+from handcal.device.apply import BIASES_TOO
 from handcal.effects import catalogue, with_effects
 from handcal.estimate.specification import Specification
 from handcal.show.explanation import plots
 from handcal.show.explanation.document import explanation_json
-from handcal.show.explanation.next_commands import applicable, commands
+from handcal.show.explanation.next_commands import applicable, beside, commands
 from handcal.show.explanation.report import render_explanation
 from handcal.show.explanation.terminal import print_explanation
 from handcal.types import Parameter, Series
@@ -139,7 +140,19 @@ def test_in_the_terminal_last_and_in_one_line():
     )
     out = StringIO()
     print_explanation(e, Console(file=out, width=80), lines)
-    assert out.getvalue().rstrip("\n").split("\n")[-len(lines) - 1 :] == ["Next", *lines]
+    last = ["Next", *lines, f"  {BIASES_TOO}"]
+    assert out.getvalue().rstrip("\n").split("\n")[-len(last) :] == last
+
+
+def test_what_biases_is_for_is_said_where_apply_comes_next():
+    """Guides type `apply --biases`, these commands do not (a ROS 2 user asked which)."""
+    assert beside(["handcal calibrate a.mcap"]) == ""
+    assert beside(["handcal calibrate a", "handcal apply a --from b"]) == BIASES_TOO
+    following = commands(fitted(), ["a.mcap"], [], "b.json")
+    assert any(line.startswith("handcal apply") for line in following)
+    assert BIASES_TOO in unescape(render_explanation(fitted(), following))
+    guide = Path(__file__).parent.parent / "docs" / "guides" / "ros2-bag.md"
+    assert BIASES_TOO.removeprefix("--biases ") in guide.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("verdict", ["explained", "nothing_missing", "unexplained", "cannot_tell"])

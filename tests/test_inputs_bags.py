@@ -139,6 +139,32 @@ def test_which_pose_is_taken(tmp_path: Path) -> None:
     same(load(path, topics={"pose": "/vicon/somewhere"}), expected, atol=1e-12)
 
 
+def test_a_topic_of_another_type(tmp_path: Path) -> None:
+    """All types are named of which a pose is read, and that of the topic; --topic pose=/tf was
+    answered with PoseStamped alone."""
+    path = ros2_bag(tmp_path / "bag", sample(n=300), odometry=ODOMETRY)
+    needed = f"geometry_msgs/msg/PoseStamped or {ODOMETRY} or {TRANSFORM} or "
+    with pytest.raises(InputError, match="its messages are sensor_msgs/msg/Imu") as refused:
+        load(path, topics={"pose": "/phone/imu"})
+    assert needed in str(refused.value)
+    with pytest.raises(InputError, match="has no such topic") as refused:
+        load(path, topics={"pose": "/phone"})
+    assert needed in str(refused.value)
+    assert f"/vicon/somewhere ({ODOMETRY}, cdr)" in str(refused.value)
+
+
+@pytest.mark.parametrize("storage", ["SQLITE3", "MCAP"])
+def test_the_file_that_describes_a_bag_names_its_folder(tmp_path: Path, storage: str) -> None:
+    bag = ros2_bag(tmp_path / "a bag", sample(n=300), storage)
+    with pytest.raises(InputError, match=r"is a part of a ROS 2 bag") as refused:
+        load(bag / "metadata.yaml")
+    assert str(refused.value).endswith(f"read by its folder: handcal info '{bag}'.")
+    alone = tmp_path / "metadata.yaml"
+    alone.write_bytes((bag / "metadata.yaml").read_bytes())
+    with pytest.raises(InputError, match="of no known format"):
+        load(alone)
+
+
 # --- gyro and accelerometer in topics of their own (issue 75) -----------------------------------
 
 

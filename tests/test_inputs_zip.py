@@ -85,6 +85,16 @@ def test_the_nearest_format_is_named_with_what_it_lacks(tmp_path: Path) -> None:
         load(folder)
 
 
+def test_an_empty_folder_or_zip_is_said_to_be_empty(tmp_path: Path) -> None:
+    """A ROS 2 user read of a folder that holds nothing "which are no files of any of them"."""
+    folder = tmp_path / "holiday"
+    folder.mkdir()
+    for path in (folder, zipped(tmp_path / "a.zip", {})):
+        with pytest.raises(InputError) as refused:
+            load(path)
+        assert str(refused.value) == f"{path} holds no recording: it is empty."
+
+
 def test_a_folder_is_listed_once_for_all_formats(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

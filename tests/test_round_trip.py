@@ -108,7 +108,7 @@ def told_of(recording, strange, world, folder) -> Told:
     said = explain([recording])
     path = folder / "said.json"
     path.write_text(json.dumps(explanation_json(said)))
-    corrected = apply(recording, read(path), biases=True).recording
+    corrected = apply(recording, read(path), biases=True, in_place=True).recording
     if strange.channel == "heading":
         taken = so3.wrap(recording.streams["heading"].value - corrected.streams["heading"].value)
         # (a constant offset of the heading is nobody's to know)

@@ -110,7 +110,9 @@ class Recording(Brief):
     at which temperature errors are zero; a fit takes the recording's mean, so that biases are
     those at that temperature. sensors: those of the IMU that were recorded, both but where one was
     asked for alone; the readings of the other are zero. file_units: units and signs in the file,
-    in half a sentence, where its format has several. unfit: why a calibration with these readings
+    in half a sentence, where its format has several. rows: of each stream, and of gyro and accel
+    where they are stamped by themselves, which of the file's readings each is, in the order of the
+    file. unfit: why a calibration with these readings
     makes no sense, "" where nothing speaks against one.
     """
 
@@ -128,6 +130,7 @@ class Recording(Brief):
     sensors: tuple[str, ...] = ("gyro", "accel")
     file_units: str = ""
     unfit: str = ""
+    rows: Mapping[str, IntArray] = field(default_factory=dict)
 
     @property
     def duration_s(self) -> float:

@@ -60,6 +60,7 @@ def apply(
     from handcal.device.apply import apply as applied
     from handcal.output import check_outputs
     from handcal.recordings.export import check_ending, write_mcap
+    from handcal.recordings.same_bag import bag_of, write_bag
     from handcal.types import HandcalError
 
     check_outputs((out,), (recording, learnt_from))
@@ -67,18 +68,24 @@ def apply(
     with learnt_in(learnt_from, anyway) as learnt:
         given = load(recording, how)
         check_corrected(given, learnt, anyway)
-        corrected = applied(given, learnt, biases=biases)
+        bag = bag_of(recording, given)
+        corrected = applied(given, learnt, biases=biases, in_place=bag is not None)
         unsure, laws = not_shown(learnt), _laws(given, learnt, corrected, biases)
     left = _left(corrected, learnt)
     if not corrected.taken:
         nothing = f"{learnt_from} has nothing that could be taken off {recording.name}"
         raise HandcalError(f"{nothing}. {left}" if left else f"{nothing}.")
-    write_mcap(corrected.recording, out)
+    changed = tuple[str, ...]()
+    if bag is None:
+        write_mcap(corrected.recording, out)
+    else:
+        changed = write_bag(bag, given, corrected.recording, out)
     beside = f"{TOGETHER.format(', '.join(learnt.unnamed))}." if biases and learnt.unnamed else ""
     other = another(given, learnt), corrected_otherwise(given, learnt)
     for sentence in (
         *other,
         *given.warnings,
+        *changed,
         _beside(corrected, learnt),
         laws,
         left,

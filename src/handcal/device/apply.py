@@ -60,6 +60,8 @@ NO_SENSOR = "no error of a sensor"
 TOGETHER = "The biases were found together with {}, and without it may be worse than none"
 NOT_ASKED = "of one day, taken off with --biases"
 NOT_KNOWN = "not known well enough"
+BIASES_TOO = "--biases takes off the biases too, which are those of this recording alone."
+CLOCK = "other topics of the bag go by the same clock"
 NO_STREAM = "no stream here from which it could be taken off"
 
 
@@ -99,13 +101,16 @@ class Corrected:
     left: Mapping[str, tuple[str, ...]]
 
 
-def apply(recording: Recording, learnt: Learnt, *, biases: bool = False) -> Corrected:
+def apply(
+    recording: Recording, learnt: Learnt, *, biases: bool = False, in_place: bool = False
+) -> Corrected:
     """The recording without the errors that were learnt.
 
     biases: take off also what differs from day to day; without them, of temperature errors what
-    changes within the recording. Readings that are no measurements (saturated) stay as they are.
-    Raises InputError where biases are asked for and the file has none for this recording,
-    HandcalError where an error cannot be undone.
+    changes within the recording. in_place: every reading is kept, also of a late stream what then
+    comes before the IMU's first; and the clock stays, by which other messages go too. Readings
+    that are no measurements (saturated) stay as they are. Raises InputError where biases are asked
+    for and the file has none for this recording, HandcalError where an error cannot be undone.
     """
     recording = at_its_temperature(recording)
     known = [*(BIASES if learnt.biases else ()), *learnt.values]
@@ -127,7 +132,9 @@ def apply(recording: Recording, learnt: Learnt, *, biases: bool = False) -> Corr
     for e in taking:
         stream = _delayed(e, recording)
         if stream:
-            series = shifted(out.streams[stream], -float(values[e.id][0]), recording.imu)
+            series, delay = out.streams[stream], float(values[e.id][0])
+            earlier = replace(series, t=series.t - delay)
+            series = earlier if in_place else shifted(series, -delay, recording.imu)
             out = replace(out, streams={**out.streams, stream: series})
     acting = [e for e in taking if e.imu_error is not None and e.undo is None]
     about = _typical(learnt) if bias is None else bias
@@ -138,7 +145,11 @@ def apply(recording: Recording, learnt: Learnt, *, biases: bool = False) -> Corr
         out = as_corrected(out, by)
     for e in taking:
         if e.undo is not None:
-            out = e.undo(values[e.id], out)
+            undone = e.undo(values[e.id], out)
+            if in_place and not np.array_equal(undone.imu.t, out.imu.t):
+                why[e.id] = CLOCK
+            else:
+                out = undone
     left: dict[str, tuple[str, ...]] = {}
     for i, reason in why.items():
         if reason:

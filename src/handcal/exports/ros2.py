@@ -5,6 +5,9 @@ all zeros mean "unknown", -1 in the first place of ``orientation_covariance`` "n
 White noise of density N gives a sample, at f samples a second, the variance N^2 f. What a bias
 may have changed since is not in it. ROS 2 has no message for a calibration; ``handcal apply
 RECORDING.mcap --from RESULT.json --biases -o corrected.mcap`` writes a corrected bag.
+The parameters are for a node of your own, which declares them and writes them into its messages; a
+driver calls them by names of its own. ``--biases`` takes off the biases too, which are those of
+this recording alone.
 """
 
 from __future__ import annotations
@@ -40,11 +43,14 @@ def write(contents: Contents) -> str:
 
 FORMAT = Format(
     program="ROS 2",
-    line="ROS 2: covariances for the Imu messages, as parameters of a node",
+    line="ROS 2: covariances for the Imu messages, as parameters of a node of your own",
     write=write,
     keep=None,
     noise={"gyro_noise": None, "accel_noise": None},
     notes=("One variance for the three axes of a sensor, whose noise is known as one level",
            "Variance of one sample: density^2 * rate; (rad/s)^2 and (m/s^2)^2, row by row",
+           "The node declares these parameters and writes them into its messages: "
+           "ros2 run PACKAGE NODE --ros-args --params-file FILE.yaml",
+           "A driver calls them by names of its own: copy the numbers into its file of parameters",
            "A corrected bag: handcal apply RECORDING --from RESULT.json --biases -o FILE.mcap"),
 )  # fmt: skip

@@ -36,13 +36,13 @@ def write_pieces(pieces: Iterable[Pieces], path: str | Path) -> None:
     stamps (n,) ns and values (n, d), all valid, in the order of time within a piece. Errors as of
     ``write_mcap``."""
     known: dict[str, tuple[int, int]] = {}
-    with _begun(path) as writer:
+    with begun(path) as writer:
         for some in pieces:
             _write_piece(writer, some, known)
 
 
 @contextmanager
-def _begun(path: str | Path) -> Iterator[Writer]:
+def begun(path: str | Path) -> Iterator[Writer]:
     """A file that is being written, and is ended with the context."""
     with output.whole(path) as place, place.open("wb") as file:
         writer = Writer(file, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD)
@@ -86,17 +86,23 @@ def write_twin(recorded: Recording, before: Recording, after: Recording, path: s
 
 
 def _write(recordings: Mapping[str, Recording], path: str | Path) -> None:
-    recorded = recordings[""]
-    with _begun(path) as writer:
+    with begun(path) as writer:
         _write_messages(writer, recordings)
-        if recorded.device or recorded.model:
-            about = {"id": recorded.device, "model": recorded.model}
-            writer.add_metadata("device", about)
-        if recorded.vehicle:
-            said = {name: repr(float(value)) for name, value in recorded.vehicle.items()}
-            writer.add_metadata("vehicle", said)
-        if recorded.corrected:
-            writer.add_metadata("corrected", dict(recorded.corrected))
+        for name, about in metadata(recordings[""]).items():
+            writer.add_metadata(name, about)
+
+
+def metadata(recording: Recording) -> dict[str, dict[str, str]]:
+    """Metadata records of a recording, by name: what it says of the device, the vehicle, and
+    by which results it was corrected."""
+    out = {}
+    if recording.device or recording.model:
+        out["device"] = {"id": recording.device, "model": recording.model}
+    if recording.vehicle:
+        out["vehicle"] = {name: repr(float(v)) for name, v in recording.vehicle.items()}
+    if recording.corrected:
+        out["corrected"] = dict(recording.corrected)
+    return out
 
 
 def _write_messages(writer: Writer, recordings: Mapping[str, Recording]) -> None:

@@ -126,7 +126,7 @@ def _topic(channel: Topic, messages: list[tuple[int, bytes]]) -> Topic:
     lengths = np.array([len(data) for _, data in messages], dtype=np.int64)
     starts = np.cumsum(lengths) - lengths
     log = np.array([min(ns, 2**62) for ns, _ in messages], dtype=np.int64)
-    parts = parts_of(buffer, starts, lengths, log, 0, channel)
+    parts = parts_of(buffer, starts, lengths, log, starts, channel)
     return Topic(channel.name, channel.schema, channel.encoding, tuple(parts))
 
 

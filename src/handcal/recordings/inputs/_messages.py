@@ -19,6 +19,8 @@ from handcal.types import Array, BoolArray, InputError, IntArray
 
 ByteArray = NDArray[np.uint8]
 
+# To how many bytes CDR aligns lengths and numbers.
+ALIGNED = 4, 8
 # Messages that begin as a stamped pose does, but for so many strings behind the header.
 POSE_LIKE = {
     "nav_msgs/msg/Odometry": 1,
@@ -67,7 +69,7 @@ def decode_cdr(
         raise InputError(f"A message on {topic} is not encoded as plain CDR.")
     for marker, order in ((1, "<"), (0, ">")):
         same = np.flatnonzero(block[:, 1] == marker)
-        for rows, start in _starts(block[same], order, strings, (4, 8), topic):
+        for rows, start in starts(block[same], order, strings, ALIGNED, topic):
             yield same[rows], _decode_same(block[same[rows]], order, start, layout, topic)
 
 
@@ -77,11 +79,11 @@ def decode_ros1(
     """The same of ROS 1: little endian, nothing aligned, a counter where CDR has its own head."""
     if block.shape[1] < 16:
         raise InputError(f"A message on {topic} is too short for its schema.")
-    for rows, start in _starts(block, "<", strings, (1, 1), topic):
+    for rows, start in starts(block, "<", strings, (1, 1), topic):
         yield rows, _decode_same(block[rows], "<", start, layout, topic)
 
 
-def _starts(
+def starts(
     block: ByteArray, order: str, strings: int, aligned: tuple[int, int], topic: str
 ) -> Iterator[tuple[IntArray, int]]:
     """Rows alike in the lengths of their strings, frame_id the first, and where numbers begin.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
@@ -24,8 +25,10 @@ _KINDS = {
 
 def of_no_format(path: Path, formats: Sequence[ModuleType]) -> str:
     """The sentence for somebody whose file or folder fits none."""
-    if own := _of_handcal(path):
+    if own := _of_handcal(path) or _of_folder(path, formats):
         return own
+    if names_within(path) == set():
+        return f"{path} holds no recording: it is empty."
     read = "; ".join(str(module.UNDERSTOOD) for module in formats)
     return f"{path} is of no known format. {_nearest(path, formats)}Understood are: {read}."
 
@@ -36,7 +39,7 @@ def _nearest(path: Path, formats: Sequence[ModuleType]) -> str:
     if names is not None:
         found = max(formats, key=lambda m: len(_members(m) & names), default=None)
         if found is None or not _members(found) & names:
-            held = ", ".join(sorted(names)[:MOST_NAMED]) or "nothing"
+            held = ", ".join(sorted(names)[:MOST_NAMED])
             return f"It holds {held}, which are no files of any of them. "
         lacks = ", ".join([n for n in found.MEMBERS if n.lower() not in names][:MOST_NAMED])
         return f"Nearest is {found.UNDERSTOOD}: it lacks {lacks}. "
@@ -58,6 +61,20 @@ def _of_handcal(path: Path) -> str:
     if kind in ("calibration", "explanation"):
         return f"{said}: handcal apply RECORDING --from {path} takes what it says off one."
     return f"{said}: name the recording that it was made of."
+
+
+def _of_folder(path: Path, formats: Sequence[ModuleType]) -> str:
+    """What to do with a file that is a part of a recording; "" where it is none."""
+    if not path.is_file():
+        return ""
+    name, folder = path.name.lower(), path.parent
+    found = next((m for m in formats if name in _members(m) and m.can_read(folder)), None)
+    if found is None:
+        return ""
+    return (
+        f"{path} is a part of {found.UNDERSTOOD}, which is read by its folder: handcal info "
+        f"{shlex.quote(str(folder))}."
+    )
 
 
 def _members(module: ModuleType) -> set[str]:

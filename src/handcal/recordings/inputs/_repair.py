@@ -39,20 +39,23 @@ class Columns:
     """One sensor as the file gave it, in SI.
 
     ns: (n,) stamps, ns since 1970 or since any other moment; value: (n, d);
-    valid: (n,) False where the file itself says that this is no measurement.
+    valid: (n,) False where the file itself says that this is no measurement; row: (n,) which of
+    the file's readings each is.
     """
 
     ns: IntArray
     value: Array
     valid: BoolArray
+    row: IntArray
 
     def rows(self, which: BoolArray | IntArray) -> Columns:
-        return Columns(self.ns[which], self.value[which], self.valid[which])
+        return Columns(self.ns[which], self.value[which], self.valid[which], self.row[which])
 
 
 def columns(ns: IntArray, value: Array, valid: BoolArray | None = None) -> Columns:
     """Columns, all of them valid unless told."""
-    return Columns(ns, value, np.ones(len(ns), dtype=np.bool_) if valid is None else valid)
+    valid = np.ones(len(ns), dtype=np.bool_) if valid is None else valid
+    return Columns(ns, value, valid, np.arange(len(ns)))
 
 
 def nanoseconds(seconds: Array, factor: float = 1e9) -> IntArray:
@@ -88,11 +91,12 @@ def assemble(
         both = columns(gyro.ns, np.hstack([gyro.value, accel.value]), gyro.valid & accel.valid)
         both = _masked(_clean(both, "IMU", said), "IMU", said)
         ns, rates, force, valid = both.ns, both.value[:, :3], both.value[:, 3:], both.valid
+        rows = {"gyro": gyro.row[both.row], "accel": accel.row[both.row]}
     else:
         gyro = _masked(_clean(gyro, "gyroscope", said), "gyroscope", said)
         accel = _masked(_clean(accel, "accelerometer", said), "accelerometer", said)
         gyro, force, valid = _on_gyro_stamps(gyro, accel, said)
-        ns, rates = gyro.ns, gyro.value
+        ns, rates, rows = gyro.ns, gyro.value, {"gyro": gyro.row}
     t = (ns - ns[0]) / 1e9
     _check_enough(path, t, said)
     doubts, frozen = _doubts(path, t, rates, force)
@@ -107,11 +111,12 @@ def assemble(
             check_heading_sense(t, rates, force, when, stream.value[:, 0])
     inside = int(ns[0]), int(ns[-1])
     found = {name: _series(name, stream, *inside, said) for name, stream in streams.items()}
-    series = {name: one for name, one in found.items() if one is not None}
+    series = {name: one for name, (one, _) in found.items() if one is not None}
+    rows |= {name: row for name, (_, row) in found.items() if name in series}
     imu = Imu(t, np.ascontiguousarray(rates), np.ascontiguousarray(force), valid)
     # Stamps before 1973 count from something else than 1970: boot, or the start.
     start_ns = int(ns[0]) if ns[0] > 10**17 else 0
-    return Recording(str(path), imu, series, start_ns, tuple(said))
+    return Recording(str(path), imu, series, start_ns, tuple(said), rows=rows)
 
 
 def assemble_alone(
@@ -134,7 +139,7 @@ def assemble_alone(
     said += _gap_warning(t)
     inside = int(raw.ns[0]), int(raw.ns[-1])
     kept = {n: _series(n, stream, *inside, said) for n, stream in streams.items()}
-    series = {n: one for n, one in kept.items() if one is not None}
+    series = {n: one for n, (one, _) in kept.items() if one is not None}
     both = (value, none) if sensor == "gyro" else (none, value)
     start_ns = inside[0] if inside[0] > 10**17 else 0
     imu = Imu(t, *both, raw.valid)
@@ -326,15 +331,19 @@ def _gap_warning(t: Array) -> list[str]:
     ]
 
 
-def _series(name: str, raw: Columns, first_ns: int, last_ns: int, said: list[str]) -> Series | None:
-    """A further stream over the IMU's time, or None if nothing of it is left."""
+def _series(
+    name: str, raw: Columns, first_ns: int, last_ns: int, said: list[str]
+) -> tuple[Series | None, IntArray]:
+    """A further stream over the IMU's time, or None if nothing of it is left; and of which of the
+    file's readings."""
+    none = None, np.zeros(0, dtype=np.int64)
     raw = raw.rows(raw.valid)
     if not np.all(np.abs(raw.value) < IMPOSSIBLE, axis=1).any():
         said.append(f"{name}: not one usable reading; the stream was left out.")
-        return None
+        return none
     if name == "mag" and (wrong := wrong_field(raw.value)):
         said.append(wrong)
-        return None
+        return none
     raw = _clean(raw, name, said)
     row = STREAMS[name]
     if row.inertial:
@@ -343,7 +352,7 @@ def _series(name: str, raw: Columns, first_ns: int, last_ns: int, said: list[str
     inside = (raw.ns >= first_ns) & (raw.ns <= last_ns)
     if not inside.any():
         said.append(f"{name}: no reading within the IMU's time; the stream was left out.")
-        return None
+        return none
     raw = raw.rows(inside)
     value = raw.value
     if row.circular:
@@ -351,8 +360,8 @@ def _series(name: str, raw: Columns, first_ns: int, last_ns: int, said: list[str
     if row.posed:
         raw, value = _unit_quaternions(name, raw, said)
         if not len(value):
-            return None
-    return Series((raw.ns - first_ns) / 1e9, np.ascontiguousarray(value))
+            return none
+    return Series((raw.ns - first_ns) / 1e9, np.ascontiguousarray(value)), raw.row
 
 
 def _unit_quaternions(name: str, raw: Columns, said: list[str]) -> tuple[Columns, Array]:

@@ -32,13 +32,14 @@ def tables(path: Path) -> set[str]:
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[sqlite3.Connection]:
-    """The database. Errors: InputError for whatever SQLite says while it is read."""
+def opened(path: Path, largest: int = LARGEST_VALUE) -> Iterator[sqlite3.Connection]:
+    """The database; largest: bytes of a value. Errors: InputError for whatever SQLite says while
+    it is read."""
     steps = iter(range(MOST_STEPS))
     try:
         uri = f"file:{quote(str(path.resolve()))}?mode=ro&immutable=1"
         with closing(sqlite3.connect(uri, uri=True)) as database:
-            database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_VALUE)
+            database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, largest)
             database.execute("PRAGMA trusted_schema = OFF")
             database.execute("PRAGMA cell_size_check = ON")
             database.set_progress_handler(lambda: next(steps, None) is None, 100_000)

@@ -40,10 +40,11 @@ def parts_of(
     starts: IntArray,
     lengths: IntArray,
     log_ns: IntArray,
-    base: int,
+    order: IntArray,
     topic: Topic,
 ) -> list[Part]:
-    """Messages of a topic that lie in a buffer, decoded; base: where in the file it begins.
+    """Messages of a topic that lie in a buffer, decoded; order (n,): by which they follow each
+    other in the file.
 
     Empty where nothing reads that schema or encoding. Errors: InputError.
     """
@@ -54,7 +55,7 @@ def parts_of(
         texts = [buffer[s : s + n].tobytes() for s, n in zip(starts, lengths, strict=True)]
         nested = topic.schema in POSE_LIKE
         decoded = joined([decode_json(text, layout, topic.name, nested) for text in texts])
-        return [Part(base + starts, log_ns, decoded)]
+        return [Part(order, log_ns, decoded)]
     if topic.encoding not in ("cdr", "bag"):
         return []
     decode = decode_cdr if topic.encoding == "cdr" else decode_ros1
@@ -64,7 +65,7 @@ def parts_of(
         block = rows_of(buffer, starts[same], int(length))
         for rows, decoded in decode(block, layout, topic.name, POSE_LIKE.get(topic.schema, 0)):
             of = same[rows]
-            parts.append(Part(base + starts[of], log_ns[of], decoded))
+            parts.append(Part(order[of], log_ns[of], decoded))
     return parts
 
 
@@ -121,8 +122,7 @@ def both_sensors(
             )
     if len(ns) and lacking.any(axis=1).all():  # (they take turns)
         rate, force = ~lacking.T
-        gyro, accel = columns(ns[rate], value[rate, :3]), columns(ns[force], value[force, 3:])
-        return gyro, accel, ()
+        return columns(ns, value[:, :3]).rows(rate), columns(ns, value[:, 3:]).rows(force), ()
     valid = np.logical_not(lacking.any(axis=1))
     parts = [(none, kind) for none, (kind, _) in zip(lacking.T, _SENSORS, strict=True)]
     if np.array_equal(*lacking.T):

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from handcal.recordings.inputs._messages import Topic, read_as
+from handcal.recordings.inputs._messages import POSE_LIKE, Topic, read_as
 from handcal.recordings.inputs._options import HALVES, Options
 from handcal.recordings.streams import STREAMS, TWINS, Stream
 from handcal.types import InputError
@@ -33,10 +33,7 @@ def chosen_topics(
     for stream, name in chosen.items():
         schema = STREAMS["imu" if stream in HALVES else stream].message.schema
         if name not in by_schema.get(schema, ()):
-            raise InputError(
-                f"--topic {stream}={name}: {path} has no such topic with messages of "
-                f"{schema}; {_listing(topics)}."
-            )
+            raise InputError(f"--topic {stream}={name}: {_no_such(path, name, schema, topics)}")
     # What models say was read, beside what was read, is taken only where it is chosen.
     apart = tuple(f"{begin}/" for begin in TWINS)
     # Those with a name first: what is left of their schema is then more easily the other.
@@ -58,6 +55,18 @@ def chosen_topics(
             said += _choice(row, fitting, free, topics)
     _check_imu(path, topics, chosen, options)
     return chosen, said
+
+
+def _no_such(path: Path, name: str, schema: str, topics: Sequence[Topic]) -> str:
+    """Why a topic cannot be a stream whose messages are of this schema."""
+    types = " or ".join([schema, *(other for other in POSE_LIKE if read_as(other) == schema)])
+    own = [topic for topic in topics if topic.name == name]
+    if not own:
+        return f"{path} has no such topic; {types} is needed, and {_listing(topics)}."
+    if all(read_as(topic.schema) != schema for topic in own):
+        held = own[0].schema or "no schema"
+        return f"its messages are {held}; {types} is needed, and {_listing(topics)}."
+    return f"it holds no messages in cdr or json; {_listing(topics)}."
 
 
 def _names(topics: Sequence[Topic], chosen: Mapping[str, str]) -> dict[str, list[str]]:

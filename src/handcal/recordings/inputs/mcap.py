@@ -118,13 +118,13 @@ def walked(path: Path, options: Options, base: int = 0) -> Walk:
         loose: list[bytes] = []
         some = _Together()
         for opcode, content in _records(file, walk, options):
-            if opcode == Opcode.CHUNK:
-                some.take(unpacked(walk, content), walk)
-            else:
+            if opcode != Opcode.CHUNK:
                 loose.append(struct.pack("<BQ", opcode, len(content)) + content)
             if len(loose) > 4000 or (loose and opcode in (Opcode.CHUNK, Opcode.DATA_END)):
                 some.take(b"".join(loose), walk)
                 loose = []
+            if opcode == Opcode.CHUNK:
+                some.take(unpacked(walk, content), walk)
         some.take(b"".join(loose), walk)
         some.decode(walk)
     return walk
@@ -347,7 +347,7 @@ def _decode(buffer: ByteArray, id: int, starts: IntArray, lengths: IntArray, wal
     log = rows_of(buffer, starts - 16, 8).view("<u8")[:, 0]
     if np.any(log > 9 * 10**18):
         raise InputError(f"A log time on {channel.topic} is further away than 280 years.")
-    parts = parts_of(buffer, starts, lengths, log.astype(np.int64), walk.base, topic)
+    parts = parts_of(buffer, starts, lengths, log.astype(np.int64), walk.base + starts, topic)
     walk.found.setdefault(id, []).extend(parts)
 
 

@@ -189,7 +189,8 @@ def _take(data: bytes, walk: _Walk) -> None:
     for connection, found in places.items():
         if connection in walk.topics and readable(walk.topics[connection]):
             starts, lengths, log_ns = np.array(found, dtype=np.int64).T
-            parts = parts_of(buffer, starts, lengths, log_ns, walk.base, walk.topics[connection])
+            order, topic = walk.base + starts, walk.topics[connection]
+            parts = parts_of(buffer, starts, lengths, log_ns, order, topic)
             walk.found.setdefault(connection, []).extend(parts)
     walk.base += end
 

@@ -7,7 +7,7 @@ import shlex
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
-from handcal.device.apply import removable
+from handcal.device.apply import BIASES_TOO, removable
 from handcal.device.file import kept
 from handcal.effects import catalogue, installed
 from handcal.explanation import Explanation
@@ -107,6 +107,11 @@ def _format(recording: Recording) -> str:
     # (handcal's own recordings are bags too, with this topic)
     own = Path(recording.path).suffix == ".mcap" and topic == "/imu"
     return of_vehicle(recording) or ("ros2" if topic.startswith("/") and not own else "")
+
+
+def beside(following: Sequence[str]) -> str:
+    """A sentence about an option that the commands do not have; empty where there is none."""
+    return BIASES_TOO if any(line.startswith("handcal apply ") for line in following) else ""
 
 
 def _known_to(options: Sequence[str], names: Collection[str], *, others: bool = False) -> list[str]:

@@ -17,7 +17,7 @@ from handcal.show.drawing import PALETTE
 from handcal.show.explanation import document, frames, plots, verdict_text
 from handcal.show.explanation import words as say
 from handcal.show.explanation.evidence_curves import effect_styles
-from handcal.show.explanation.next_commands import applicable, biases_of, commands
+from handcal.show.explanation.next_commands import applicable, beside, biases_of, commands
 from handcal.show.explanation.symbols import meanings
 from handcal.show.html_page import page
 from handcal.types import Parameter
@@ -73,6 +73,7 @@ def _context(e: Explanation, following: Sequence[str]) -> dict[str, Any]:
         "apply": how_to_apply(applicable(e)),
         "biases_of": biases_of(e),
         "following": following,
+        "beside": beside(following),
     }  # fmt: skip
 
 

@@ -16,6 +16,7 @@ from handcal.show.explanation import verdict_text
 from handcal.show.explanation import words as say
 from handcal.show.explanation.document import all_warnings
 from handcal.show.explanation.frames import told_mismatch
+from handcal.show.explanation.next_commands import beside
 from handcal.show.explanation.symbols import meanings
 from handcal.show.terminal import table
 
@@ -45,6 +46,8 @@ def print_explanation(
         _heading(console, "Next")
         for command in following:
             console.print(escape(command), soft_wrap=True, highlight=False)
+        if said := beside(following):
+            _line(console, said)
 
 
 def _line(console: Console, text: str, indent: int = 2, style: str = "", bullet: str = "") -> None:
