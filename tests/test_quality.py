@@ -210,3 +210,13 @@ def test_of_an_explanation_too_but_not_of_several_recordings():
     assert explained.verdict(one).sentences[: len(said)] == tuple(said)
     assert len(said) == 3
     assert how_good.sentences(two.parameters, two.covariance, two.device) == []
+
+
+@pytest.mark.parametrize(("after", "better"), [(0.1, True), (0.5, False)])
+def test_no_correction_is_promised_that_makes_it_worse(after, better, monkeypatch):
+    """Of 12 deg that were "corrected, 28 deg"."""
+    drift = q.Drift(0.2, 0.1, 0.3, after, 0.5)
+    monkeypatch.setattr(how_good, "quality_of", lambda *_: q.Quality(drift, drift))
+    said = how_good.sentences((), None, None)[:2]
+    assert ["corrected," in s for s in said] == [better, better]
+    assert [how_good.NOT_BETTER in s for s in said] == [not better, not better]

@@ -275,6 +275,8 @@ def hypotheses_of(
         together = sum(p for k, p in probable.items() if name_of(k) == name)
         if where.effects[i].common:  # (whether or not it is in the model, which it is)
             together = probability(final[i])
+        if name in named:  # (it may be named in the place of a common one, which the model has)
+            together = max(together, named[name].probability)
         out[name] = Hypothesis(
             name, catalogue()[name].title, gained, final[i],
             expected_gain(where, i, chosen, ones),

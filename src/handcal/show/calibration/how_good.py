@@ -13,6 +13,8 @@ from handcal.show.words import NBSP
 from handcal.types import Array, Parameter, Prior
 from handcal.units import plain, shown
 
+NOT_BETTER = "this motion does not show it well enough to correct it"
+
 
 def quality_of(
     parameters: Sequence[Parameter], covariance: Array | None, before: Prior | None
@@ -52,11 +54,12 @@ def sentences(
 
 
 def _size(d: Drift, si: str) -> str:
-    """ "4.1 deg (3.2 to 5.0); corrected, 0.3 deg"."""
+    """ "4.1 deg (3.2 to 5.0); corrected, 0.3 deg", or that nothing is gained by correcting."""
     of = shown(si, [d.before])
     before, low, high, after = (plain(of.factor * x, 2) for x in (d.before, d.low, d.high, d.after))
     span = f" ({low} to {high})" if low != high else ""
-    return f"{before}{NBSP}{of.unit}{span}; corrected, {after}{NBSP}{of.unit}"
+    left = f"corrected, {after}{NBSP}{of.unit}" if d.after < d.before else NOT_BETTER
+    return f"{before}{NBSP}{of.unit}{span}; {left}"
 
 
 def quality_json(
