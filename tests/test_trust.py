@@ -282,6 +282,8 @@ def test_python_applies_it_with_the_reasons_or_refuses(doubted):
     if level == "none":
         with pytest.raises(HandcalError, match="anyway=True"):
             handcal.apply(recording, made)
+        with pytest.raises(HandcalError, match="anyway=True"):
+            handcal.conceal(recording, {"gyro_scale": [0.01, 0.0, 0.0]}, learnt=made)
     done = handcal.apply(recording, made, anyway=level == "none")
     assert any(part in flat(w) for w in done.warnings)
     assert part in flat(repr(done))

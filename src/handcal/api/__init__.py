@@ -190,11 +190,15 @@ def conceal(
     effects: Mapping[str, Sequence[float] | float],
     seed: int = 0,
     learnt: Found | None = None,
+    *,
+    anyway: bool = False,
 ) -> Recording:
     """The recording as a device with further errors would have made it: {"gyro_scale": [0.01, 0,
     0]}, values in the order of the catalogue's parameters, SI; a number of an effect that has but
     one. learnt: what was learnt of this recording as it is, whose errors are no part of the motion
-    on which depends what is added. Errors: InputError, HandcalError."""
+    on which depends what is added. anyway: also of a result that is not to be trusted. Errors:
+    InputError, HandcalError."""
+    from handcal import trust
     from handcal.device import apply as known
     from handcal.device import conceal as device
 
@@ -212,7 +216,9 @@ def conceal(
     if learnt is not None:
         name, document = _document("conceal", learnt)
         with model_file.laws_of(name, document):
-            truth = known.apply(one, known.of_document(name, document), biases=True).recording.imu
+            own = known.of_document(name, document)
+            trust.check(own.path, own.trust, anyway)
+            truth = known.apply(one, own, biases=True).recording.imu
     return Recording.of(device.conceal(one, values, np.random.default_rng(seed), truth))
 
 
