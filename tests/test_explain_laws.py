@@ -1,4 +1,4 @@
-"""Laws that nobody named: their drivers, their forms, and that they are found and told."""
+"""Laws without a name: their drivers, their forms, and that they are found and told."""
 
 from __future__ import annotations
 

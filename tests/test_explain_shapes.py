@@ -1,4 +1,4 @@
-"""Courses over time and over direction that nobody named, found from a spline."""
+"""Courses over time and over direction without a name, found from a spline."""
 
 from __future__ import annotations
 

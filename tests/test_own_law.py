@@ -1,4 +1,4 @@
-"""A law that nobody named, found, written out, read in: then it is one like all others."""
+"""A law without a name, found, written out, read in: then it is one like all others."""
 
 from __future__ import annotations
 

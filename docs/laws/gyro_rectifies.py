@@ -1,4 +1,4 @@
-"""A law that nobody catalogued, for docs/stories.md: a gyro's z axis takes in the size of
+"""A law outside the catalogue, for docs/stories.md: a gyro's z axis takes in the size of
 the turning about x."""
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Sealed recordings: `python -m handcal_sim.seal DIR`.
 
 A dozen small recordings with hidden errors, under names that tell nothing, and one file with
-the answers: for whoever wants to try `explain` without having seen the truth. The order, and
+the answers: for those who want to try `explain` without having seen the truth. The order, and
 what is hidden, comes from the system's entropy unless a seed is given; nothing is printed but
 the files' names and sizes.
 """

@@ -43,7 +43,7 @@ MOTIONS: Mapping[str, tuple[Callable[[float, np.random.Generator], Scenario], fl
 }  # fmt: skip
 STREAMS = ("heading", "mag", "pose", "none")
 _STREAM_SHARES = (0.35, 0.3, 0.15, 0.2)
-# Devices with one effect that few have, and with a law that nobody wrote down.
+# Devices with one effect that few have, and with a law outside the catalogue.
 RARE_SHARE, LAW_SHARE = 0.15, 0.10
 # Not of the device: gravity, the Earth's rate, and what defines time itself.
 RARE = tuple(n for n in SIZES if n not in (*COMMON, "gravity", "earth_rate", "clock_rate"))

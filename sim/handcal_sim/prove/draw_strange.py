@@ -1,4 +1,4 @@
-"""The suite `strange`: one or two laws that nobody wrote down, beside none to two known effects."""
+"""The suite `strange`: one or two laws outside the catalogue, beside none to two known effects."""
 
 from __future__ import annotations
 

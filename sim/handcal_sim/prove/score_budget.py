@@ -50,5 +50,5 @@ def score(trials: Sequence[Trial]) -> dict[str, Any]:
 
 
 def _near(left: float, told: float, asked: float) -> bool:
-    """Whether no more is left than asked, or hardly more than nobody could avoid."""
+    """Whether no more is left than asked, or hardly more than could be avoided."""
     return left <= max(asked, BESIDE_TOLD * told)

@@ -1,4 +1,4 @@
-"""The suite `strange`: is a law that nobody wrote down told, and not called by another's name?
+"""The suite `strange`: is a law outside the catalogue told, and not called by another's name?
 
 Outcomes: exact (unexplained, on the right channels, by the right drivers), right_set (the same but
 for the drivers), false (either, with a catalogue name that is not there), wrong (unexplained

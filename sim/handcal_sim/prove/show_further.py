@@ -81,7 +81,7 @@ def _budget(figures: Row) -> list[RenderableType]:
 
 
 def _strange(figures: Row) -> list[RenderableType]:
-    table = Table(title="Laws that nobody wrote down", title_justify="left", box=box.SIMPLE_HEAD,
+    table = Table(title="Laws outside the catalogue", title_justify="left", box=box.SIMPLE_HEAD,
                   pad_edge=False)  # fmt: skip
     for column in ("recording", "law", "on", "verdict", "channel", "driver", "false", "left",
                    "if told", "but numbers", "truth"):  # fmt: skip

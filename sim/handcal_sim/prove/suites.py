@@ -88,7 +88,7 @@ IN_PART = (
     "gyro_temperature",
     "accel_temperature",
 )
-# Noise that wanders: alone, a law that nobody wrote down could stand in for it.
+# Noise that wanders: alone, a law outside the catalogue could stand in for it.
 WALKS = ("gyro_bias_walk", "accel_bias_walk", "heading_correlated_noise")
 # What shows only beside another: the field changes with place where the device goes about an arm.
 BESIDE = {"mag_gradient": "lever_arm"}
@@ -129,7 +129,7 @@ SUITES: dict[str, Suite] = {
     "people": Suite("sound sensors while people do things", 100, ("exact",), 0.99),
     "budget": Suite("8 to 12 errors at once, two recordings", 60, ("exact", "right_set"), None),
     "wild": Suite("0 to 3 effects, wild motion", 100, ("exact", "right_set"), 0.95),
-    "strange": Suite("one or two laws nobody wrote down", 150, ("exact",), 0.90),
+    "strange": Suite("one or two laws outside the catalogue", 150, ("exact",), 0.90),
     "axis": Suite(
         "one effect on one axis, 84 s about three", 4 * len(IN_PART), ("exact", "right_set"), 0.98
     ),

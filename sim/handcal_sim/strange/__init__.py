@@ -1,4 +1,4 @@
-"""The laboratory of strange laws: errors of sensors that nobody put in a catalogue.
+"""The laboratory of strange laws: errors of sensors outside the catalogue.
 
 They are written without a look at what a search can express, each from a thing that could
 be the matter with a device. `still`, `memory`, `over_time`, `others`, `beyond` and `yet_more`

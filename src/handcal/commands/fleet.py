@@ -128,10 +128,10 @@ def _announced(listed: Sequence[Source], left_out: Sequence[str]) -> None:
         say(f"{len(left_out)} files that are no recordings by their names are left out: {names}")
     nameless = sum(not s.device for s in listed)
     if nameless:
-        say(f"nobody says of which device {nameless} of {len(listed)} recordings are: each counts "
+        say(f"the device of {nameless} of {len(listed)} recordings is not known: each counts "
             "as a device of its own (--manifest says it)")  # fmt: skip
     if any(not s.model for s in listed):
-        say("nobody says the model of some recordings: they are taken for one population, unknown")
+        say("the model of some recordings is not known: they are taken for one population, unknown")
 
 
 def _prior_of(priors: Path | None, listed: Sequence[Source]) -> Callable[[Source], Document | None]:

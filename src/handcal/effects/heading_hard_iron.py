@@ -28,7 +28,7 @@ EFFECT = Effect(
     motion="A full turn about the vertical, back and forth.",
     validated="the simulator's injection",
     common="headings of phones and boards come from magnetometers: 5 to 20 deg "
-    "of iron where nobody has calibrated them",
+    "of iron where they were never calibrated",
     observation_error={"heading": residual_function(_heading)},
     instead="mag_hard_iron",
 )

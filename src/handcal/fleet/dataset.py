@@ -26,7 +26,7 @@ COLUMNS: Mapping[str, tuple[tuple[str, str, str], ...]] = {
         ("key", "string", "of its JSON in recordings/ and explanations/; empty: never read"),
         ("path", "string", "as it was read; an address without password and what follows a ?"),
         ("sha256", "string", "of its bytes"),
-        ("device", "string", "as the manifest says; empty: nobody says"),
+        ("device", "string", "as the manifest says; empty: not known"),
         ("started", "string", "ISO 8601, of the manifest or of the recording"),
         ("status", "string", "done, failed, timed_out, out_of_memory, unreachable, killed, "
          "crashed"),

@@ -22,7 +22,7 @@ Document = dict[str, Any]
 
 @dataclass(frozen=True)
 class Source:
-    """One recording: path on this machine, or address; model and device ("" where nobody says),
+    """One recording: path on this machine, or address; model and device ("" if not known),
     started (ISO, or ""), what else the manifest says of it, and of an address what stands for its
     bytes (``remote.Found.identity``)."""
 

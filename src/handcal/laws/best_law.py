@@ -1,4 +1,4 @@
-"""The best of all that nobody named: every look beside a model, and the law or course
+"""The best of all laws without a name: every look beside a model, and the law or course
 that gains most."""
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What may drive an error that nobody named: the vocabulary of response curves.
+"""What may drive an error without a name: the vocabulary of response curves.
 
 A driver is a signal for each axis of a sensor. In its name {i} is the sensor's own axis, {j} and
 {k} are the two that follow it; what has none of them is the same for all axes.

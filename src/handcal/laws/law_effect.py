@@ -1,4 +1,4 @@
-"""A law that nobody named, as an effect: what a sensor reads too much, as a form of a driver."""
+"""A law without a name, as an effect: what a sensor reads too much, as a form of a driver."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Physics that nobody named and that no product of signals gives: a course over time, or over
+"""Physics without a name that no product of signals gives: a course over time, or over
 the direction of the heading.
 
 A channel is given a cubic spline, whose coefficients one pass of the filter judges

@@ -1,4 +1,4 @@
-"""A measured heading's laws that nobody named: functions of the attitude, the rate and of time.
+"""A measured heading's laws without a name: functions of the attitude, the rate and of time.
 
 What the catalogue covers is left out, so that a term found here has no name.
 """

@@ -116,7 +116,7 @@ def effect(sensor: str, axes: tuple[int, ...], kind: str) -> Effect:
         source="first-order Gauss-Markov process whose size is the rate, or whose clock is the "
         "angle turned",
         motion="Any motion with rests in it.",
-        validated="laws that nobody wrote down",
+        validated="laws outside the catalogue",
         observation_error=observed,
         process=WithMotion(kind, size, memory, axes, 1 if observed else 3),
         levels=(Level(size, unit, *sizes), Level(memory, span, *memories)),

@@ -35,7 +35,7 @@ HORIZON_S = 60.0
 SHORTEST_S = 4.0
 # A window is closed in the next rest after so long, s, and anyhow after so long.
 CLOSE_S, ANYHOW_S = 120.0, 240.0
-# Estimated beside biases where nobody says what: scale errors, which every sensor has.
+# Estimated beside biases unless others are asked for: scale errors, which every sensor has.
 USUAL = ("gyro_scale", "accel_scale")
 # By so much biases may have moved from one window to the next: what consumer-grade sensors do in
 # two minutes of warming up (3 deg/h; 0.2 mg).

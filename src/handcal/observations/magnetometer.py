@@ -2,10 +2,10 @@
 
 Predicted is the field where the device is, in its axes: C_nb' (0, h, u), for north (+y of n) is
 where the field's horizontal part points. How strong that is (h) and how strong the upward part
-(u), nobody knows beforehand: ``theta`` holds by how much they differ from a first guess.
+(u), are not known beforehand: ``theta`` holds by how much they differ from a first guess.
 
-Rooms bend the field, motors and currents change it, and no sensor is free of errors that nobody
-has named. All that lasts as long as the device does and changes as it turns: were it taken for
+Rooms bend the field, motors and currents change it, and no sensor is free of errors without
+a name. All that lasts as long as the device does and changes as it turns: were it taken for
 white noise, a hundred readings would seem to know the attitude ten times better than one. So the
 noise from one reading to the next is what neighbours show, and the rest is a Markov state of each
 axis, whose clock is the angle turned. (At rest hardly anything changes: for a phone in a hand

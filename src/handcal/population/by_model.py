@@ -29,10 +29,10 @@ TOLD = 4.0
 
 @dataclass(frozen=True)
 class Reading:
-    """What one recording tells: its label, model and device ("" where nobody says); value and sigma
+    """What one recording tells: its label, model and device ("" if not known); value and sigma
     of each parameter, SI, and which of them were estimated together; gravity m/s^2; what it tells
     of all parameters at once, where that is known; started: s since 1970, temperature: degC, nan
-    where nobody says; laws: value and sigma (k,) of the constants of those without a name, if it
+    if not known; laws: value and sigma (k,) of the constants of those without a name, if it
     was asked about these."""
 
     label: str

@@ -86,7 +86,7 @@ def drift(
     names: Sequence[str], trials: int = 1,
 ) -> Drift | None:  # fmt: skip
     """Of recordings' values (n,) with sigmas (n,), of devices owner (n,), begun at ``started`` (n,)
-    s since 1970 (nan: nobody says), at ``temperature`` (n,) degC (nan). usual: the catalogue's
+    s since 1970 (nan: not known), at ``temperature`` (n,) degC (nan). usual: the catalogue's
     size; names (n,): of the recordings' devices; trials: parameters that are looked at. None where
     too few devices were seen twice."""
     d = _gathered(value, sigma, owner, started, temperature)

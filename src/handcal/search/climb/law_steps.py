@@ -45,7 +45,7 @@ MIXED = 0.5
 
 
 def name_term(c: Climb) -> Model | None:
-    """The model with a term that nobody named in the place of its noise effects, which hide
+    """The model with a term without a name in the place of its noise effects, which hide
     whatever has no name, or beside them; or as it is chosen anew with a further term on trial."""
     if not _room(c):
         return None
