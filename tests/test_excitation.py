@@ -18,7 +18,7 @@ from handcal.effects import Param, Signals, select
 from handcal.estimate.baseline import baseline
 from handcal.estimate.case import case_of, creeping
 from handcal.estimate.corrected import corrected_readings
-from handcal.estimate.derivatives import _calmed, differentiated
+from handcal.estimate.derivatives import _calmed, _windows, differentiated
 from handcal.estimate.exciting import _wandering
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
@@ -63,7 +63,7 @@ def test_what_is_averaged_adds_up_to_what_it_did(lengths: list[int], seed: int) 
     rng = np.random.default_rng(seed)
     x = rng.standard_normal((sum(lengths), 2))
     quiet = np.repeat(np.arange(len(lengths)) % 2 == 0, lengths)
-    means = _calmed(np.ascontiguousarray(x.T), 20.0, quiet).T
+    means = _calmed(np.ascontiguousarray(x.T), _windows(20.0, quiet)).T
     first = np.r_[0, np.cumsum(lengths)[:-1]]
     whole, found = (np.add.reduceat(y, first, axis=0) for y in (x, means))
     assert np.allclose(found, whole, atol=1e-9)

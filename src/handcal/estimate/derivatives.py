@@ -76,8 +76,8 @@ def differentiated(
     if swinging and C_nb is not None:
         parts = _turned(parts, swinging, C_nb)
     if noise is not None:
-        rate = recording.rate_hz
-        parts = [(c, k, _calmed(x[None], rate, quiet)[0]) for c, k, x in parts]
+        whiles = _windows(recording.rate_hz, quiet)
+        parts = [(c, k, _calmed(x[None], whiles)[0]) for c, k, x in parts]
     if swinging and C_nb is not None:
         parts = _turned(parts, swinging, C_nb.transpose(0, 2, 1))
     channels, columns = (np.array([p[k] for p in parts], dtype=np.int64) for k in (0, 1))
@@ -86,7 +86,7 @@ def differentiated(
     values = np.empty((len(nodes.t), len(parts)))
     for s in range(len(parts)):  # (a column at a time, and each is gone then: they are large)
         _, _, x = parts.pop(0)
-        values[:, s] = x[right - 1] * (1.0 - share) + x[right] * share
+        _between(x, right, share, values[:, s])
     return replace(
         problem,
         nodes=nodes._replace(J=np.zeros((len(nodes.t), 6, 0))),
@@ -271,19 +271,24 @@ def _signs(n: int) -> Array:
     return np.where(np.bitwise_count(k & (k >> np.uint64(1))) & 1, -1.0, 1.0)
 
 
-def _calmed(J: Array, rate: float, quiet: BoolArray) -> Array:
-    """J (k, n) averaged over a short time, and over a longer one within each quiet while.
+def _calmed(J: Array, whiles: Sequence[tuple[int, IntArray]]) -> Array:
+    """J (k, n) averaged over a short time, and over a longer one within each quiet while; whiles:
+    as of ``_windows``.
 
     Neither reaches beyond its while, and each sample weighs as much as any other: what is averaged
     adds up to what it did before. A delay's derivative is noise that adds up to nothing; where the
-    end of a rest weighed more, it told of velocities that nobody had.
+    end of a rest weighed more, it told of velocities that no device had.
     """
-    moving, resting = _widths(rate)
     out = np.empty_like(J)
-    for width, whiles in ((moving, _whiles(~quiet)), (resting, _whiles(quiet))):
-        for a, b in whiles:
-            _mean_within(J, a, b, width, out)
+    for width, spans in whiles:
+        _means_within(J, spans, width, out)
     return out
+
+
+def _windows(rate: float, quiet: BoolArray) -> list[tuple[int, IntArray]]:
+    """Samples over which is averaged, and the whiles (k, 2) in which: in motion, and in rest."""
+    moving, resting = _widths(rate)
+    return [(moving, _whiles(~quiet)), (resting, _whiles(quiet))]
 
 
 def _widths(rate: float) -> tuple[int, int]:
@@ -335,19 +340,29 @@ def _running_mean(x: Array, width: int, out: Array) -> None:
 
 
 @njit
-def _mean_within(x: Array, begin: int, end: int, width: int, out: Array) -> None:
-    """Means over ``width`` samples of x (k, n) about each from begin to end, these mirrored at both
-    ends: the matrix of that is symmetric, so that columns add up to what they did."""
-    n = end - begin
-    reach = min(width // 2, n - 1)
-    for c in range(len(x)):
-        total = 0.0
-        for j in range(-reach, reach + 1):
-            total += x[c, begin + _mirrored(j, n)]
-        for i in range(n):
-            out[c, begin + i] = total / (2 * reach + 1)
-            old, new = _mirrored(i - reach, n), _mirrored(i + reach + 1, n)
-            total += x[c, begin + new] - x[c, begin + old]
+def _between(x: Array, right: IntArray, share: Array, out: Array) -> None:
+    """x (n,) between its samples before ``right`` (k,) and these, at a share of the way (k,)."""
+    for i in range(len(right)):
+        j = right[i]
+        out[i] = x[j - 1] * (1.0 - share[i]) + x[j] * share[i]
+
+
+@njit
+def _means_within(x: Array, spans: IntArray, width: int, out: Array) -> None:
+    """Means over ``width`` samples of x (k, n) about each of the spans (m, 2), from the first to
+    before the last, which is mirrored at both ends: the matrix of that is symmetric, so that
+    columns add up to what they did."""
+    for s in range(len(spans)):
+        begin, n = spans[s, 0], spans[s, 1] - spans[s, 0]
+        reach = min(width // 2, n - 1)
+        for c in range(len(x)):
+            total = 0.0
+            for j in range(-reach, reach + 1):
+                total += x[c, begin + _mirrored(j, n)]
+            for i in range(n):
+                out[c, begin + i] = total / (2 * reach + 1)
+                old, new = _mirrored(i - reach, n), _mirrored(i + reach + 1, n)
+                total += x[c, begin + new] - x[c, begin + old]
 
 
 @njit
