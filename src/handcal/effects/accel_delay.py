@@ -13,17 +13,25 @@ def imu_error(delay: Array, signals: Signals) -> Array:
     """``f(t - delay) - f(t)`` on the accelerometer; delay (1,) s, result (n, 6)."""
     out = np.zeros((len(signals.t), 6))
     if delay[0] != 0.0:
-        from scipy.interpolate import CubicSpline  # (slow to import, and most never need it)
+        from scipy.interpolate import PPoly  # (slow to import, and most never need it)
 
         # (straight lines between samples would average their noise, and less noise would
         # speak for half a sample's delay)
         then = np.clip(signals.t - delay[0], signals.t[0], signals.t[-1])
         if not np.isfinite(signals.accel).all():
-            # (a fit that ran away; whoever made it finds that out)
+            # (a fit that ran away, which its maker finds out)
             out[:, 3:] = np.nan
             return out
-        out[:, 3:] = CubicSpline(signals.t, signals.accel)(then) - signals.accel
+        pieces = signals.once((_cubic,), lambda: _cubic(signals))
+        out[:, 3:] = PPoly.construct_fast(pieces, signals.t)(then) - signals.accel
     return out
+
+
+def _cubic(signals: Signals) -> Array:
+    """Coefficients (4, n - 1, 3) of a cubic spline through the specific force."""
+    from scipy.interpolate import CubicSpline
+
+    return np.asarray(CubicSpline(signals.t, signals.accel).c)
 
 
 def imu_inverse(delay: Array, readings: Signals) -> Array:
