@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import handcal
+from handcal.laws.with_motion import is_with_motion
 from handcal.recordings import segment
 from handcal.recordings.inputs import of_arrays
 
@@ -64,3 +65,16 @@ def test_a_large_bias_of_the_gyro_is_a_bias(seed):
     value, sigma, shown = biases(handcal.calibrate(recording))
     assert shown[:3].all()
     assert (np.abs(value - true) / sigma)[:3].max() < 4.0
+
+
+@pytest.mark.prove
+def test_nothing_goes_with_a_motion_that_is_none():
+    """A walk of the gyro was called an error that is as large as it turns."""
+    recording, true = lying(
+        0, 120.0, (0.01, -0.02, 0.005), (0.3, 0.1, -0.04), gyro_walk=4e-5, accel_walk=5e-4
+    )
+    found = handcal.explain(recording)
+    assert not any(is_with_motion(u.formula) for u in found.unnamed)
+    assert {m.effect for m in found.missing} & {"gyro_bias_walk", "accel_bias_walk"}
+    value, sigma, _ = biases(found)
+    assert (np.abs(value - true) / sigma).max() < 4.0

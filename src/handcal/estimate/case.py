@@ -21,6 +21,9 @@ from handcal.recordings.bridged import bridged
 from handcal.signals import at_its_temperature
 from handcal.types import Array, HandcalError, Prior, Recording, Series
 
+# A recording of which no more than this lies outside its rests is one of a device that lies, s.
+BESIDE_S = 1.0
+
 
 @dataclass(frozen=True)
 class Edit:
@@ -286,10 +289,18 @@ def applicable(case: Case, effect: Effect) -> bool:
         return bool(set(case.kinds) & effect.acts_on)
     if effect.id == "earth_rate" and bool(np.any(case.earth[1])):
         return False
+    if effect.passing and effect.process is not None and _lies(case):
+        return False
     kinds = set(case.kinds)
     if effect.imu_error is not None or effect.walks:
         return True
     return bool(kinds & (effect.acts_on | set(effect.outliers)))
+
+
+def _lies(case: Case) -> bool:
+    """Whether the device rests all the while, so that no error can go with its motion."""
+    still = float(np.diff(case.rests, axis=1).sum()) if len(case.rests) else 0.0
+    return still > case.recording.duration_s - BESIDE_S
 
 
 def frozen_at(effect: Effect, moment: Array) -> Effect:

@@ -13,6 +13,8 @@ from handcal.show.words import NBSP
 from handcal.types import Array, Parameter, Prior
 from handcal.units import plain, shown
 
+# Of what is expected, more than this share left is nothing gained.
+WORTH = 0.9
 NOT_BETTER = "this motion does not show it well enough to correct it"
 
 
@@ -58,7 +60,7 @@ def _size(d: Drift, si: str) -> str:
     of = shown(si, [d.before])
     before, low, high, after = (plain(of.factor * x, 2) for x in (d.before, d.low, d.high, d.after))
     span = f" ({low} to {high})" if low != high else ""
-    left = f"corrected, {after}{NBSP}{of.unit}" if d.after < d.before else NOT_BETTER
+    left = f"corrected, {after}{NBSP}{of.unit}" if d.after < WORTH * d.before else NOT_BETTER
     return f"{before}{NBSP}{of.unit}{span}; {left}"
 
 
