@@ -1074,6 +1074,21 @@ def test_where_an_error_jumps_no_other_sample_suffers() -> None:
     np.testing.assert_allclose(found[~lost], asked[~lost], atol=1e-5)
 
 
+def test_an_error_that_undoes_what_it_acts_on_leaves_the_readings() -> None:
+    """A sensor that reads no turn in one direction: from that no step leads to the rate."""
+    t = np.arange(0.0, 4.0, 0.01)
+    rate = np.tile([0.5, 0.0, 0.5], (len(t), 1))
+
+    def dead(k: np.ndarray, signals: Signals) -> np.ndarray:
+        return np.hstack([-k[0] * np.abs(signals.gyro), np.zeros_like(signals.accel)])
+
+    law = _acting(dead, "k")
+    read = Signals(t, rate, np.tile([0.0, 0.0, 9.8], (len(t), 1)))
+    found = substituted([law], np.array([1.0]), read)
+    assert found.shape == (len(t), 6)
+    assert np.isfinite(found).all()
+
+
 @pytest.mark.parametrize("late", [0.02, -0.06, -0.095])
 def test_a_delay_of_many_samples_is_undone_beside_a_steep_law(late: float) -> None:
     """An accelerometer that is late, though not by what else is read, as wide as twelve samples of

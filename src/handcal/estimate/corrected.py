@@ -238,7 +238,10 @@ def _without(
         if bands is None or left[-1][0] > STALE * left[-2][0]:
             bands = _bands(partial(added, whole=False), own, here, small)
         rest[~np.isfinite(rest)] = 0.0
-        step = [solve_banded((1, 1), bands[c], rest[:, c]) for c in range(6)]
+        try:
+            step = [solve_banded((1, 1), bands[c], rest[:, c]) for c in range(6)]
+        except np.linalg.LinAlgError:  # (of a law that undoes what it acts on)
+            break
         # (each sample for itself: too far, half as far; not a number any more, back)
         own = np.where(nearer, own - np.stack(step, axis=1), 0.5 * (own + nearest))
         own = np.where(np.isfinite(own), own, nearest)
