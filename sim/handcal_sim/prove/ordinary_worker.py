@@ -70,15 +70,19 @@ def _corrected(again: Path, learnt: Path, out: Path) -> None:
 
 def expected(again: Path, learnt: Path) -> dict[str, float]:
     """What the posterior expects of a correction, by devices drawn from it: the mean square of
-    each sensor that is left, and the share of devices of which more is left than there was."""
+    each sensor that is left, what is not shown and not taken off included, and the share of devices
+    of which more is left than there was."""
     import handcal
     from handcal.device.apply import apply, read
+    from handcal.effects import catalogue
 
     document = json.loads(learnt.read_text(encoding="utf-8"))
     names = [(p["effect"], p["name"]) for p in document["parameters"]]
     mean = np.array([p["value"] for p in document["parameters"]])
     covariance, known, raw = np.array(document["covariance"]), read(learnt), handcal.load(again)
-    own = {e: [names.index((e, n)) for f, n in names if f == e] for e in known.values}
+    ids = dict.fromkeys(e for e, _ in names if e in catalogue())
+    errors = [e for e in ids if catalogue()[e].imu_error and not catalogue()[e].baseline]
+    own = {e: [names.index((e, n)) for f, n in names if f == e] for e in errors}
     draws = np.random.default_rng(0).multivariate_normal(mean, covariance, DRAWS, method="eigh")
 
     def readings(recording: Recording) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -87,7 +91,7 @@ def expected(again: Path, learnt: Path) -> dict[str, float]:
     uncorrected, corrected = readings(raw), readings(apply(raw, known).recording)
     left, before = [], []
     for x in draws:
-        device = replace(known, values={e: x[own[e]] for e in known.values})
+        device = replace(known, values={e: x[at] for e, at in own.items()})
         true = readings(apply(raw, device).recording)
         left.append(np.mean((corrected - true) ** 2, axis=(1, 2)))
         before.append(np.mean((uncorrected - true) ** 2, axis=(1, 2)))
