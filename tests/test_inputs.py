@@ -21,7 +21,7 @@ DEG, G = np.pi / 180, 9.80665
 
 def assembled(imu: Imu, ns: np.ndarray | None = None) -> Recording:
     stamps = np.rint(imu.t * 1e9).astype(np.int64) if ns is None else ns
-    one = Columns(stamps, imu.gyro.copy(), imu.valid)
+    one = Columns(stamps, imu.gyro.copy(), imu.valid, np.arange(len(stamps)))
     return checked(assemble(Path("a"), one, replace(one, value=imu.accel.copy()), {}))
 
 

@@ -23,6 +23,8 @@ from handcal.commands._registry import say, tell
 
 
 class Readings(StrEnum):
+    """What a vehicle had done to the readings of a recording."""
+
     raw = "raw"
     corrected = "corrected"
 

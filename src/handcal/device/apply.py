@@ -123,19 +123,7 @@ def apply(
         bias = np.where([a in hidden.get(i, "") for i in BIASES for a in "xyz"], 0.0, bias)
         why |= {i: NOT_KNOWN for i, axes in hidden.items() if axes == "xyz"}
     taking = [catalogue()[i] for i in values]
-    out = recording
-    for row in STREAMS.values():
-        own = [e for e in taking if _read_off(e, row)]
-        if own and row.name in out.streams:
-            series = _heading(out, row, own, values)
-            out = replace(out, streams={**out.streams, row.name: series})
-    for e in taking:
-        stream = _delayed(e, recording)
-        if stream:
-            series, delay = out.streams[stream], float(values[e.id][0])
-            earlier = replace(series, t=series.t - delay)
-            series = earlier if in_place else shifted(series, -delay, recording.imu)
-            out = replace(out, streams={**out.streams, stream: series})
+    out = _streams(recording, taking, values, in_place)
     acting = [e for e in taking if e.imu_error is not None and e.undo is None]
     about = _typical(learnt) if bias is None else bias
     # (what is corrected here is no longer what the vehicle's parameters made of its sensors)
@@ -158,6 +146,26 @@ def apply(
             left[NOT_KNOWN] = (*left.get(NOT_KNOWN, ()), f"{i} ({' and '.join(hidden[i])})")
     taken = tuple(i for i in known if not why[i])
     return Corrected(out, taken, left)
+
+
+def _streams(
+    recording: Recording, taking: Sequence[Effect], values: Mapping[str, Array], in_place: bool
+) -> Recording:
+    """The recording with what the other streams read too much, and their delays, taken off."""
+    out = recording
+    for row in STREAMS.values():
+        own = [e for e in taking if _read_off(e, row)]
+        if own and row.name in out.streams:
+            series = _heading(out, row, own, values)
+            out = replace(out, streams={**out.streams, row.name: series})
+    for e in taking:
+        stream = _delayed(e, recording)
+        if stream:
+            series, delay = out.streams[stream], float(values[e.id][0])
+            earlier = replace(series, t=series.t - delay)
+            series = earlier if in_place else shifted(series, -delay, recording.imu)
+            out = replace(out, streams={**out.streams, stream: series})
+    return out
 
 
 def removable(effect: str, recording: Recording) -> bool:

@@ -86,7 +86,7 @@ def differentiated(
     values = np.empty((len(nodes.t), len(parts)))
     for s in range(len(parts)):  # (a column at a time, and each is gone then: they are large)
         _, _, x = parts.pop(0)
-        _between(x, right, share, values[:, s])
+        values[:, s] = x[right - 1] * (1.0 - share) + x[right] * share
     return replace(
         problem,
         nodes=nodes._replace(J=np.zeros((len(nodes.t), 6, 0))),
@@ -337,14 +337,6 @@ def _running_mean(x: Array, width: int, out: Array) -> None:
         old, new = max(i - width // 2, 0), min(i + width - width // 2, n - 1)
         for c in range(k):
             total[c] += x[new, c] - x[old, c]
-
-
-@njit
-def _between(x: Array, right: IntArray, share: Array, out: Array) -> None:
-    """x (n,) between its samples before ``right`` (k,) and these, at a share of the way (k,)."""
-    for i in range(len(right)):
-        j = right[i]
-        out[i] = x[j - 1] * (1.0 - share[i]) + x[j] * share[i]
 
 
 @njit
