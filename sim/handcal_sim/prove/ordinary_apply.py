@@ -76,8 +76,7 @@ def score(trials: Sequence[Trial]) -> list[dict[str, Any]]:
                     "median_left": float(np.median([b / max(a, 1e-30) for a, b in pairs])),
                     "worse": share(sum(b > SAME * a for a, b in pairs), len(pairs)),
                 }  # fmt: skip
-                # (nothing is expected to be left of a sensor of which nothing is taken off)
-                foreseen = [f for f in told if f.get(f"{sensor}_expected", 0.0) > 0.0]
+                foreseen = [f for f in told if f"{sensor}_expected" in f]
                 if foreseen and not what:
                     over = [f[f"{sensor}_after"] / f[f"{sensor}_expected"] for f in foreseen]
                     row["left_over_expected"] = float(np.mean(over))

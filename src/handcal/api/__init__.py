@@ -234,7 +234,7 @@ def apply(
     """
     from handcal import trust
     from handcal.device import apply as device
-    from handcal.device.another import another, check_corrected, corrected_otherwise
+    from handcal.device.another import check_corrected, unlike
 
     name, document = _document("apply", learnt)
     with model_file.laws_of(name, document):
@@ -242,9 +242,8 @@ def apply(
         trust.check(known.path, known.trust, anyway)
         check_corrected(given, known, anyway)
         done = device.apply(given, known, biases=biases)
-    warnings = (*trust.said(known.path, known.trust), another(given, known),
-                corrected_otherwise(given, known))  # fmt: skip
-    said = tuple(in_python(w) for w in warnings if w)
+    warnings = *trust.said(known.path, known.trust), *unlike(given, known)
+    said = tuple(in_python(w) for w in warnings)
     return Corrected(Recording.of(done.recording), done.taken, done.left, said)
 
 

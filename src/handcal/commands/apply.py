@@ -55,7 +55,7 @@ def apply(
     What is no error of a sensor (where it sits, gravity, noise) stays, and is said. So is what
     there is to doubt about the result, and where the recording seems to be of another device.
     """
-    from handcal.device.another import another, check_corrected, corrected_otherwise
+    from handcal.device.another import check_corrected, unlike
     from handcal.device.apply import TOGETHER, not_shown
     from handcal.device.apply import apply as applied
     from handcal.output import check_outputs
@@ -81,9 +81,8 @@ def apply(
     else:
         changed = write_bag(bag, given, corrected.recording, out)
     beside = f"{TOGETHER.format(', '.join(learnt.unnamed))}." if biases and learnt.unnamed else ""
-    other = another(given, learnt), corrected_otherwise(given, learnt)
     for sentence in (
-        *other,
+        *unlike(given, learnt),
         *given.warnings,
         *changed,
         _beside(corrected, learnt),

@@ -44,6 +44,12 @@ def rest_noise(recording: Recording) -> dict[str, float]:
     return read_noise(replace(recording, imu=still, streams={}))
 
 
+def unlike(recording: Recording, learnt: Learnt) -> list[str]:
+    """Sentences about both, where there is anything to say."""
+    said = another(recording, learnt), corrected_otherwise(recording, learnt)
+    return [sentence for sentence in said if sentence]
+
+
 def another(recording: Recording, learnt: Learnt) -> str:
     """A sentence where the recording seems to be of another device; empty where it does not."""
     # (of several recordings of the device one that is alike is enough)

@@ -28,7 +28,8 @@ def drifting(model: Model) -> tuple[Effect, ...]:
     walks = [e for e in catalogue().values() if e.walks and any(applicable(c, e) for c in cases)]
     new = [e for e in walks if e.id not in model.ids]
     plain = [fit_of(f, model.effects) for f in model.parts]
-    evident = any(with_noise(plain, model.effects, e)[1] > EVIDENT for e in new)
+    enough = as_they_are(plain) + EVIDENT
+    evident = any(with_noise(plain, model.effects, e)[1] > enough for e in new)
     return tuple(new) if evident else ()
 
 
@@ -36,9 +37,9 @@ def with_noise(
     parts: Sequence[Fitted], effects: Sequence[Effect], e: Effect
 ) -> tuple[tuple[Fitted, ...], float]:
     """The recordings, fitted with these effects, with one noise effect at the best of a few levels,
-    and the nats by which they are likelier than without."""
+    and their log-evidence there."""
     wide = [_at_best(_beside(f, moved_to(f, (*effects, e))), e) for f in parts]
-    return tuple(f for f, _ in wide), sum(value for _, value in wide) - as_they_are(parts)
+    return tuple(f for f, _ in wide), sum(value for _, value in wide)
 
 
 def as_they_are(parts: Sequence[Fitted]) -> float:

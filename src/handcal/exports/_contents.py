@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from handcal.compiled import so3
-from handcal.device.another import another, corrected_otherwise
+from handcal.device.another import unlike
 from handcal.documents import read_json
 from handcal.effects import catalogue
 from handcal.exports import Contents, Format, fitting, formats
@@ -102,8 +102,7 @@ def _of_imu(found: Known, recording: Recording | None) -> tuple[float | None, st
     here = _rounded(recording.rate_hz), recording.topics.get("imu", "")
     if rate is None or name in [Path(str(r["path"])).name for r in own]:
         return here[0], here[1] or topic, []
-    said = [another(recording, found.learnt), corrected_otherwise(recording, found.learnt)]
-    apart = [f"Warning: {sentence}" for sentence in said if sentence]
+    apart = [f"Warning: {sentence}" for sentence in unlike(recording, found.learnt)]
     if not math.isclose(rate, here[0], rel_tol=SAME_RATE) or (topic and here[1] not in (topic, "")):
         apart.append(
             f"Warning: {name} has {here[0]:g} Hz{' on ' + here[1] if here[1] else ''}; rate and "

@@ -12,7 +12,7 @@ from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.fit import fitted
 from handcal.estimate.forked import in_parallel
 from handcal.estimate.model import Fitted, Model
-from handcal.estimate.noise_look import with_noise
+from handcal.estimate.noise_look import as_they_are, with_noise
 from handcal.estimate.transfer import fit_of, moved_to
 from handcal.laws import with_motion
 from handcal.model_score import better, prior
@@ -42,9 +42,11 @@ def looks_of(
     """The effects with one noise effect each that the recordings can show, those of the highest
     score (``most`` at the most), the best first."""
     plain = [fit_of(f, effects) for f in parts]
+    here = as_they_are(plain)
 
     def look(e: Effect) -> Look:
-        return Look((*effects, e), *with_noise(plain, effects, e))
+        wide, there = with_noise(plain, effects, e)
+        return Look((*effects, e), wide, there - here)
 
     def scored(found: Look) -> float:
         return found.gain + prior(found.effects[-1], [f.case for f in parts])
