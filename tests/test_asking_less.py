@@ -24,16 +24,12 @@ from handcal.laws.drivers import Driver, by
 from handcal.laws.grammar import formula, shorter
 from handcal.laws.law_effect import COMPOSED, SIZE, Law, effect_of
 from handcal.laws.over_drivers import (
-    best_of_block,
-    blocks,
     is_product,
     of_one_signal,
     over,
-    promising,
     signals_of,
 )
 from handcal.laws.vocabulary import driver_of
-from handcal.laws.weighing import Beside
 from handcal.model_score import GAINED, PRIOR, better, of_use, prior
 from handcal.search import multistart
 from handcal.search.budget import Budget
@@ -47,7 +43,6 @@ from handcal.search.climb import (
     state,
     subset_steps,
 )
-from handcal.signals import probe
 from handcal_sim import simulate
 
 # Nats that a law has to gain.
@@ -150,45 +145,6 @@ def test_no_start_of_the_final_fit_is_asked_for_after_one_that_is_as_good(
     assert (written.begin or "exact") == begun[best]
     worse = 2.0 * pipeline.SAME + 1.0 if good is None else 0.0
     assert told.model.log_evidence == base.log_evidence - worse
-
-
-@pytest.fixture(scope="module")
-def some_blocks():
-    """Of every kind that there is: lines, curves of several sizes."""
-    return blocks(probe())[::5]
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_no_law_is_lost_that_gains_enough(some_blocks, seed):
-    """Where a bound says that none of a block can, none does; and it says so of most that are not
-    there."""
-    rng = np.random.default_rng(seed)
-    at, first = {}, 0
-    for block in some_blocks:
-        size = len(block.effect.parameters)
-        at[block.effect.id] = np.arange(first, first + size)
-        first += size
-    rows = rng.normal(size=(2 * first, first)) * 10.0 ** rng.uniform(-2, 2, first)
-    strong = np.where(rng.random(first) < 0.01, 3.0, 0.0) / np.maximum(
-        1.0, np.abs(rows).max(axis=0)
-    )
-    noise = rng.normal(size=2 * first)
-    seen = Beside(rows.T @ (rows @ strong + noise), rows.T @ rows, at)
-    kept = {block.effect.id for block in promising(some_blocks, seen, LEAST)}
-    gained = {
-        block.effect.id: max((g for _, g in best_of_block(block, seen)), default=-np.inf)
-        for block in some_blocks
-    }
-    assert {i for i, g in gained.items() if g > LEAST} <= kept
-    assert any(g > LEAST for g in gained.values())
-    assert len(kept) < len(some_blocks)
-
-
-def test_what_is_no_number_is_looked_at(some_blocks):
-    block = some_blocks[0]
-    size = len(block.effect.parameters)
-    seen = Beside(np.full(size, np.nan), np.eye(size), {block.effect.id: np.arange(size)})
-    assert promising([block], seen, LEAST) == [block]
 
 
 def test_a_sum_without_each_of_its_functions():

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
 from worlds import recording_of
 
-from handcal.effects import Effect, select
+from handcal.effects import Effect, Param, Signals, select
+from handcal.effects._linear import added
 from handcal.estimate import columns
 from handcal.estimate.baseline import baseline
 from handcal.estimate.case import case_of
@@ -19,7 +22,9 @@ from handcal.estimate.quadratic import Quadratic, local
 from handcal.estimate.robust import excess
 from handcal.estimate.scan import grounds, scan
 from handcal.estimate.transfer import moved_to
-from handcal.laws import over_drivers
+from handcal.laws import over_drivers, short_windows, vocabulary
+from handcal.laws.drivers import DRIVERS, HEADING, usable
+from handcal.laws.law_effect import SIZE
 from handcal.search.climb.candidates import candidates
 from handcal_sim import simulate
 from handcal_sim.phone import (
@@ -71,12 +76,14 @@ def _whole(model: Model, absent: list[Effect]) -> Quadratic:
 def test_columns_are_what_a_pass_with_them_has(model: Model) -> None:
     have = set(model.ids)
     signals = over_drivers.signals_of(model.parts[0])
-    laws = [b.effect for b in over_drivers.blocks(signals)[::5]]
+    imu = [d for d in DRIVERS.values() if usable(d, signals)]
+    laws = [b.effect for d in imu for b in over_drivers.over(d, signals, (0, 1))][::5]
     (ground,) = grounds(model)
     named = [e for e in candidates(model.parts, model.effects, ground.done) if e.id not in have]
     past = []
     if "heading" in model.parts[0].case.kinds:
-        past = [b.effect for b in over_drivers.further_blocks(signals, "heading")]
+        drivers = vocabulary.further(signals, HEADING)
+        past = [b.effect for d in drivers for b in over_drivers.over(d, signals, (HEADING,))]
     for absent in (named, laws, past[::20]) if past else (named, laws):
         whole, found = _whole(model, absent), scan(model, absent, grounds(model))
         at = [found.names.index(n) for n in whole.names]
@@ -89,6 +96,38 @@ def test_columns_are_what_a_pass_with_them_has(model: Model) -> None:
         # (what has no effect at all would be the same in any way)
         new = [i for i, n in enumerate(whole.names) if n[0] not in have]
         assert np.mean(np.diag(whole.G)[new] > 1e-3) > 0.7
+
+
+def test_constants_of_each_window_add_up_to_what_acts_throughout(model: Model) -> None:
+    """From any window on they do what a constant does that begins there, and all of them what one
+    does that is always there."""
+    (ground,) = grounds(model)
+    windows = short_windows.windows_about(ground)
+    count, t = len(windows.phase), windows.edges
+    for sensor in (0, 1):
+        q = short_windows.looked_at(model, ground, windows, sensor)
+        for axis, begin in product(range(3), (0, count // 3, count // 2)):
+            own = {(f"windows: {sensor} {axis}", f"w{n}") for n in range(begin, count)}
+            at = [n for n, name in enumerate(q.names) if name in own]
+            step = _from(sensor, axis, t[begin])
+            whole = scan(model, [step], [ground], 1.0)
+            assert len(at) == count - begin
+            G, b = q.G[np.ix_(at, at)].sum(), q.b[at].sum()
+            assert pytest.approx(whole.G[-1, -1], rel=0.02) == G
+            assert abs(b - whole.b[-1]) < 0.05 * math.sqrt(1.0 + whole.G[-1, -1])
+
+
+def _from(sensor: int, axis: int, begin: float) -> Effect:
+    """A constant error of a channel from a time on, as large as that of a window."""
+
+    def features(signals: Signals) -> list[tuple[int, int, np.ndarray]]:
+        return [(3 * sensor + axis, 0, 1.0 * (signals.t >= begin)[:, None])]
+
+    return Effect(
+        id="from", title="", story="", source="", motion="", validated="",
+        parameters=(Param("size", "", SIZE[sensor]),), features=features,
+        imu_error=added(features),
+    )  # fmt: skip
 
 
 def test_few_at_once_come_to_the_same(model: Model, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,6 +4,7 @@ short windows promises is what a scan says."""
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,19 +12,29 @@ from hypothesis import given
 from hypothesis import strategies as st
 from worlds import recording_of
 
-from handcal.effects import Signals
+from handcal.effects import Effect, Signals
 from handcal.estimate.baseline import baseline
 from handcal.estimate.case import case_of
-from handcal.estimate.linear import motion_of
+from handcal.estimate.columns import Ground
+from handcal.estimate.model import Model
 from handcal.estimate.scan import grounds, scan
 from handcal.laws import operators
 from handcal.laws.compositions import composed, composed_headings
 from handcal.laws.driver_code import HELPERS, steps_to
 from handcal.laws.drivers import DRIVERS, HEADING, LINE, RATES, Driver, operated, times
+from handcal.laws.first_look import COMPOSED as COMPOSED_ONES
+from handcal.laws.first_look import HEADINGS, Vocabulary, first_look
 from handcal.laws.grammar import formula
 from handcal.laws.law_effect import COMPOSED, Law
 from handcal.laws.over_drivers import Block, best_of_block, over, signals_of
-from handcal.laws.short_windows import MOST_WINDOWS, WINDOW, courses_of, fits_in, likeliest
+from handcal.laws.short_windows import (
+    MOST_WINDOWS,
+    WINDOW,
+    count_of,
+    courses_of,
+    fits_in,
+    windows_of,
+)
 from handcal.laws.vocabulary import driver_of
 from handcal.laws.weighing import Beside, beside
 from handcal.signals import probe
@@ -90,23 +101,27 @@ def test_a_look_at_short_windows_says_what_a_scan_does(
     assert fits_in(signals)
     every = list((composed_headings if sensor == HEADING else composed)(signals))
     base, known = grounds(model), [e for e in model.effects if e.process is None]
-    courses = courses_of(every, motion_of(base[0].excited), sensor)
-    best = likeliest(model, base, known, sensor, courses)
-    blocks = [b for d in best for b in over(d, signals, (sensor,))]
-    q = scan(model, [b.effect for b in blocks], base, 1.0)
-    seen = beside(q, known, [b.effect for b in blocks])
-    told = np.array([_most(b, seen) for b in blocks])
-    others = every[:: len(every) // 60]
-    rest = [b for d in others for b in over(d, signals, (sensor,))]
-    q = scan(model, [b.effect for b in rest], base, 1.0)
-    seen = beside(q, known, [b.effect for b in rest])
-    usual = np.array([_most(b, seen) for b in rest])
+    name = HEADINGS if sensor == HEADING else COMPOSED_ONES
+    best = first_look(model, base).likeliest(name, sensor, known, signals, Vocabulary())
+    told, kinds = _scanned(model, base, known, sensor, best)
+    usual, _ = _scanned(model, base, known, sensor, every[:: len(every) // 60])
     # In windows that are short against a turn, hardly anything of a course is lost.
     assert told.max() > 20.0
     assert told.max() > 0.85 * usual.max()
     assert np.median(told) > np.quantile(usual, 0.9)
-    first = {(b.driver.knots, b.driver.round): n for n, b in reversed(list(enumerate(blocks)))}
+    first = {kind: n for n, kind in reversed(list(enumerate(kinds)))}
     assert told[list(first.values())].max() > 0.85 * told.max()
+
+
+def _scanned(
+    model: Model, base: list[Ground], known: list[Effect], sensor: int, drivers: list[Driver]
+) -> tuple[np.ndarray, list[tuple[int, bool]]]:
+    """Nats that the best law over each of these drivers gains, and the kind of its course."""
+    blocks = [b for d in drivers for b in over(d, signals_of(model.parts[0]), (sensor,))]
+    q = scan(model, [b.effect for b in blocks], base, 1.0)
+    seen = beside(q, known, [b.effect for b in blocks])
+    nats = np.array([_most(b, seen) for b in blocks])
+    return nats, [(b.driver.knots, b.driver.round) for b in blocks]
 
 
 def _most(block: Block, seen: Beside) -> float:
@@ -118,7 +133,9 @@ def test_a_gap_leaves_its_windows_empty_and_every_other_in_its_place() -> None:
     t = np.arange(0.0, 12.0, 0.01)
     t = t[(t < 4.0) | (t > 7.0)]
     turns = np.column_stack([np.sin(t), np.cos(t), np.ones_like(t)])
-    (found,) = courses_of([replace(RATES[2], knots=LINE)], Signals(t, turns, turns))
+    windows = partial(windows_of, all_=t)
+    driver = replace(RATES[2], knots=LINE)
+    (found,) = courses_of([driver], Signals(t, turns, turns), 0, count_of(t), windows)
     means = found.means[0, :, 0] * np.sqrt(np.mean(turns[:, 0] ** 2 + turns[:, 1] ** 2 + 1) / 3)
     middle = (np.arange(means.shape[1]) + 0.5) * WINDOW
     there = (middle < 3.8) | (middle > 7.2)

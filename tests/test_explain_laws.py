@@ -522,7 +522,8 @@ def test_a_rise_is_told_with_its_place_and_its_width(place: float, width: float)
         )
 
     law = law_over("omega_{i}", grammar.curve(Range(-3.0, 3.0, 0.5), 9, 1.0, 1.0), (2,))
-    ends = over_drivers.written_out(SimpleNamespace(signals=s, seen=seen), law)
+    here = SimpleNamespace(signals=s, seen=seen)
+    ends = over_drivers.written_out(here, law, here)
     rise, _ = max(ends, key=lambda end: end[1])
     assert rise.form.kind == "rise"
     assert rise.form.numbers == pytest.approx((place, width), rel=0.25, abs=0.03)

@@ -13,10 +13,8 @@ from handcal.estimate.case import case_of
 from handcal.estimate.first_part import LEAST_S, MOST, first_part
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
-from handcal.laws import first_look
-from handcal.laws.best_law import Vocabulary, survey
-from handcal.laws.drivers import LINE
-from handcal.laws.over_drivers import blocks, signals_of
+from handcal.laws.best_law import survey
+from handcal.laws.drivers import DRIVERS, usable
 from handcal.types import Series
 from handcal_sim import simulate
 from handcal_sim.phone import Phone, consumer_phone, with_rate
@@ -60,22 +58,14 @@ def test_the_first_part_is_that_of_the_whole() -> None:
     assert np.abs(moved.parts[0].trajectory.C[:n] - f.trajectory.C[:n]).max() < 0.02
 
 
-def test_a_law_that_is_there_is_among_those_that_the_whole_is_asked_about(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(first_look, "FEWEST", 2)
-    base = _base(100.0, law=True)
-    # (of all blocks those of straight lines, which have few columns)
-    made = blocks(signals_of(base.parts[0]))
-    lines = [b for b in made if b.driver.knots == LINE and not b.driver.free]
-    slow = next(b for b in made if b.driver.free)
-    about = survey(base, Vocabulary({"": [*lines, slow]}))
+def test_a_law_that_is_there_is_among_those_that_the_whole_is_asked_about() -> None:
+    about = survey(_base(100.0, law=True))
     looks = [look for look, _ in about.of((), [])]
     asked = {e.id for look in looks for e in look.effects}
-    own = {b.effect.id for b in lines if b.driver.name == "omega_{j} * f_{k}" and not b.sensor}
-    assert len(own) == 1
-    assert own <= asked
-    assert slow.effect.id in asked
-    assert len(asked & {b.effect.id for b in lines}) < 0.3 * len(lines)
+    assert "basis: 0 0 omega_{j} * f_{k}" in asked
+    # (what is slow a first part does not show)
+    assert any(i.startswith("basis: 0 ") and i.endswith("f_{i} * t") for i in asked)
+    usual = [d for d in DRIVERS.values() if usable(d, about.signals)]
+    assert len([i for i in asked if i.startswith("basis: 0 ")]) < 0.5 * len(usual)
     # what was scanned is not scanned again
     assert [look for look, _ in about.of((), [])] == looks

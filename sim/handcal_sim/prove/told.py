@@ -84,18 +84,24 @@ def _ordinary(
 ) -> dict[str, float]:
     """By how many sigmas what few devices have would show if all names were told
     ("rare_sigmas"). Of a heading's law: beside white noise alone."""
+    from handcal.types import InputError
+
     given = answer.circumstances
     common = [n for n in answer.effects if n != given["rare"] and _told_of(n, given)]
     sigmas = None
-    if given["rare"]:
-        sigmas = _of_rare(answer.effects[given["rare"]], given["rare"], common, file)
-    elif answer.stranger:
-        (law,) = answer.stranger["laws"]
-        if law["channels"] == ["heading"]:
-            noise = math.radians(given["heading_sigma_deg"])
-            sigmas = law["left"][0] / noise * math.sqrt(given["duration_s"] * given["heading_hz"])
-        else:
-            sigmas = _of_law(draw_ordinary.case_of(ticket), common, file)
+    try:
+        if given["rare"]:
+            sigmas = _of_rare(answer.effects[given["rare"]], given["rare"], common, file)
+        elif answer.stranger:
+            (law,) = answer.stranger["laws"]
+            if law["channels"] == ["heading"]:
+                noise = math.radians(given["heading_sigma_deg"])
+                seen = given["duration_s"] * given["heading_hz"]
+                sigmas = law["left"][0] / noise * math.sqrt(seen)
+            else:
+                sigmas = _of_law(draw_ordinary.case_of(ticket), common, file)
+    except InputError:  # (a pose that was left out has no delay to be told of)
+        return {}
     return {} if sigmas is None else {"rare_sigmas": sigmas}
 
 

@@ -245,35 +245,37 @@ def followed(
     driven: tuple[Array, Array, Array],
     nu: Array,
     work: FollowedWork,
+    epochs: tuple[int, int],
 ) -> None:
-    """Innovations nu (s, c) of further columns beside a pass that has been made already.
+    """Innovations nu (s, c) of further columns beside a pass that has been made already, from one
+    epoch up to another, of which this is called one after the other.
 
-    gain (s, m): of that pass; driven: D (K, v, c) and g (s, c), as in ``Reduced``, and what they
-    are multiplied by (c,).
+    gain (s, m): of that pass; driven: D (K, v, c) and g (s, c) of these epochs, as in ``Reduced``,
+    and what they are multiplied by (c,). What is carried on is work.X.
     """
     scale = driven[2]
     X, m, columns = work.X, len(work.X), nu.shape[1]
-    e = a.Phi_e.shape[1]
-    for j in range(len(a.first) - 1):
+    e, before = a.Phi_e.shape[1], a.first[epochs[0]]
+    for j in range(epochs[0], epochs[1]):
         if j > 0:
             list_entries(a.A[j], a.B[j], a.Phi_e[j], a.Phi_psi[j], work.entries)
             times_entries(work.entries, X, work.carried)
             copy2(work.carried, X)
             for i in range(m - e):
                 for c in range(columns):
-                    X[i, c] += scale[c] * driven[0][j, i, c]
+                    X[i, c] += scale[c] * driven[0][j - epochs[0], i, c]
         begin, last = a.first[j], a.first[j + 1]
         while begin < last:
             end = min(last, begin + len(work.some))
             for q in range(begin, end):
                 own = work.some[q - begin]
                 for c in range(columns):
-                    own[c] = scale[c] * driven[1][q, c]
+                    own[c] = scale[c] * driven[1][q - before, c]
                 innovation(a, q, begin, X, gain, work.some, 0, work.entries)
                 for i in range(m):
                     work.gains[i, q - begin] = gain[q, i]
                 for c in range(columns):
-                    nu[q, c] = own[c]
+                    nu[q - before, c] = own[c]
             add_product(work.gains, work.some, end - begin, X)
             begin = end
 

@@ -29,6 +29,8 @@ T = TypeVar("T")
 # Constants at nodes whose slopes are worked out together (each has one to three, in three arrays:
 # 100 MB and more).
 SLOPES = 5e6
+# Numbers of innovations that are worked out at a time: 16 MB.
+PIECE = 2e6
 
 
 @dataclass(frozen=True)
@@ -135,26 +137,82 @@ def widened(about: Ground, effects: Sequence[Effect], seen: Problem | None = Non
     slots = slots_of(effects)
     scale = np.array([s.prior_sigma for s in slots])
     D, g = _driven(about, effects, [(s.owner, s.name) for s in slots], seen)
-    m, c = done.gain.shape[1], len(slots)
-    nu, width = np.empty((len(done.S), c)), padded(c)
-    work = kernel.FollowedWork(
+    nu, work = np.empty((len(done.S), len(slots))), _work(done, len(slots))
+    kernel.followed(done.arrays, done.gain, (D, g, scale), nu, work, (0, len(done.arrays.A)))
+    return Wider(_with(done, effects), done.nu, nu, done.S, _likelihood(done, nu))
+
+
+def _work(done: ReducedPass, columns: int) -> kernel.FollowedWork:
+    m, width = done.gain.shape[1], padded(columns)
+    return kernel.FollowedWork(
         no_entries(m, TOGETHER), blank(m, width), blank(m, width), blank(TOGETHER, width),
         blank(m, TOGETHER),
     )  # fmt: skip
-    kernel.followed(done.arrays, done.gain, (D, g, scale), nu, work)
-    reduction, linear = done.reduction, done.reduction.linear
+
+
+def _with(done: ReducedPass, effects: Sequence[Effect]) -> Reduction:
+    """What was reduced, with the constants of effects that it does not have."""
+    slots, reduction = slots_of(effects), done.reduction
+    linear = reduction.linear
     problem = replace(
         linear.problem,
         slots=(*linear.problem.slots, *slots),
         effects=(*linear.problem.effects, *effects),
     )
-    wider = replace(
+    return replace(
         reduction,
         linear=replace(linear, problem=problem),
-        scale=np.r_[reduction.scale, scale],
-        w0=np.r_[reduction.w0, np.zeros(c)],
+        scale=np.r_[reduction.scale, [s.prior_sigma for s in slots]],
+        w0=np.r_[reduction.w0, np.zeros(len(slots))],
     )
-    return Wider(wider, done.nu, nu, done.S, _likelihood(done, nu))
+
+
+@dataclass(frozen=True)
+class Spread:
+    """What a pass says of its constants and of others in each epoch."""
+
+    reduction: Reduction
+    log_likelihood: tuple[float, Array, Array]
+
+
+def spread(
+    about: Ground, pattern: Sequence[Effect], effects: Sequence[Effect], place: IntArray
+) -> Spread:
+    """The pass with columns for constants that are others in each epoch.
+
+    pattern: effects that say what c constants do; place (K, c): which constant of ``effects`` each
+    is from epoch k to the next. A column is zero until its epoch, and the pass goes in pieces, so
+    that thousands of them take little memory.
+    """
+    done, names = about.done, [(s.owner, s.name) for s in slots_of(pattern)]
+    D_one, g_one = _driven(about, pattern, names, None)
+    scale = np.array([s.prior_sigma for s in slots_of(effects)])
+    columns, first = len(scale), done.reduction.first
+    epoch = np.searchsorted(first, np.arange(len(done.S)), side="right") - 1
+    work, known = _work(done, columns), 1 + len(done.log_likelihood[1])
+    gram: Array = np.zeros((columns, known + columns))
+    step = max(1, int(PIECE / max(columns, 1) * len(place) / max(len(done.S), 1)))
+    for a in range(0, len(place), step):
+        b = min(a + step, len(place))
+        s, k = slice(first[a], first[b]), np.arange(max(a, 1), b)
+        D = np.zeros((b - a, D_one.shape[1], columns))
+        g = np.zeros((first[b] - first[a], columns))
+        for c in range(place.shape[1]):
+            D[k - a, :, place[k - 1, c]] += D_one[k, :, c]
+            g[np.arange(len(g)), place[epoch[s], c]] += g_one[s, c]
+        nu = np.empty_like(g)
+        kernel.followed(done.arrays, done.gain, (D, g, scale), nu, work, (a, b))
+        # (of a variance that ran away the sums are none either way)
+        weight = 1.0 / np.sqrt(np.abs(done.S[s]))[:, None]
+        # (a column is zero until its epoch)
+        begun = np.flatnonzero(nu.any(axis=0))
+        some = weight * nu[:, begun]
+        gram[begun, :known] += some.T @ (weight * done.nu[s])
+        gram[np.ix_(begun, known + begun)] += some.T @ some
+    a0, b0, G0 = done.log_likelihood
+    mixed, own = gram[:, :known], gram[:, known:]
+    whole = np.block([[G0, mixed[:, 1:].T], [mixed[:, 1:], own]])
+    return Spread(_with(done, effects), (a0, np.r_[b0, -mixed[:, 0]], whole))
 
 
 def _likelihood(done: ReducedPass, nu: Array) -> tuple[float, Array, Array]:

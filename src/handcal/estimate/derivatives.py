@@ -23,6 +23,8 @@ from handcal.types import ACCEL_BIAS_PRIOR, GYRO_BIAS_PRIOR, Array, BoolArray, I
 AVERAGE_S = (0.05, 2.0)
 # Steps of the differences by gyro and accelerometer biases: a tenth of their priors.
 STEPS = 0.1 * np.repeat([GYRO_BIAS_PRIOR, ACCEL_BIAS_PRIOR], 3)
+# Columns that are worked out between samples at a time.
+TOGETHER = 32
 # Changes that differ by such a share of the largest are the same.
 SAME = 1e-6
 # The stream of a second IMU on the same body.
@@ -84,14 +86,27 @@ def differentiated(
     right = np.clip(np.searchsorted(imu.t, nodes.t), 1, len(imu.t) - 1)
     share = (nodes.t - imu.t[right - 1]) / (imu.t[right] - imu.t[right - 1])
     values = np.empty((len(nodes.t), len(parts)))
-    for s in range(len(parts)):  # (a column at a time, and each is gone then: they are large)
-        _, _, x = parts.pop(0)
-        values[:, s] = x[right - 1] * (1.0 - share) + x[right] * share
+    for s in range(0, len(parts), TOGETHER):  # (some at a time, gone then: they are large)
+        some = np.stack([x for _, _, x in parts[:TOGETHER]])
+        del parts[:TOGETHER]
+        _at_nodes(some, right, share, values[:, s : s + len(some)])
     return replace(
         problem,
         nodes=nodes._replace(J=np.zeros((len(nodes.t), 6, 0))),
         slopes=Slopes(values, channels, columns),
     )
+
+
+@njit
+def _at_nodes(x: Array, right: IntArray, share: Array, out: Array) -> None:
+    """Columns x (k, n) between samples: out (m, k), at a share of the way to the sample ``right``.
+    (A few nodes at a time, whose rows stay in the processor's cache.)"""
+    for begin in range(0, len(right), 32):
+        end = min(begin + 32, len(right))
+        for k in range(len(x)):
+            for i in range(begin, end):
+                r, f = right[i], share[i]
+                out[i, k] = x[k, r - 1] * (1.0 - f) + x[k, r] * f
 
 
 def _parts(problem: Problem, read: Signals, truth: Array) -> list[tuple[int, int, Array]]:

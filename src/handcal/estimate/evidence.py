@@ -176,20 +176,24 @@ def scalars_of(linear: Linear, scale: Array, v: int = 9) -> Scalars:
     return Scalars(first, g, h, linear.kind[row] * MAX_DIM + channel)
 
 
-class Likelihood(Protocol):
+class OfConstants(Protocol):
     """What a pass says of constants (see ``ReducedPass``)."""
 
     @property
     def reduction(self) -> Reduction: ...
 
     @property
+    def log_likelihood(self) -> tuple[float, Array, Array]: ...
+
+
+class Likelihood(OfConstants, Protocol):
+    """The same with every innovation."""
+
+    @property
     def nu(self) -> Array: ...
 
     @property
     def S(self) -> Array: ...
-
-    @property
-    def log_likelihood(self) -> tuple[float, Array, Array]: ...
 
 
 @dataclass(frozen=True)

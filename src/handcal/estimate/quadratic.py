@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handcal.estimate.evidence import Likelihood
+from handcal.estimate.evidence import OfConstants
 from handcal.types import Array, IntArray
 
 
@@ -54,7 +54,7 @@ class Local:
         return w
 
 
-def local(done: Likelihood, shared_owners: frozenset[str]) -> Local:
+def local(done: OfConstants, shared_owners: frozenset[str]) -> Local:
     """The quadratic of one recording: what belongs to ``shared_owners`` stays, the rest goes."""
     problem = done.reduction.linear.problem
     keep = np.array([s.owner in shared_owners for s in problem.slots], dtype=bool)

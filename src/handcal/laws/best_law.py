@@ -14,31 +14,26 @@ import numpy as np
 from handcal.effects import Effect, Signals
 from handcal.estimate.columns import Ground, columns_of, in_groups
 from handcal.estimate.forked import in_parallel
-from handcal.estimate.linear import motion_of
 from handcal.estimate.model import Fitted, Model
 from handcal.estimate.quadratic import Quadratic
 from handcal.estimate.scan import grounds, scan
 from handcal.laws import shapes, terms
-from handcal.laws.compositions import composed, composed_headings
 from handcal.laws.course_numbers import ROUGHLY, nearer
 from handcal.laws.courses import COURSES
 from handcal.laws.drivers import HEADING, Driver
-from handcal.laws.first_look import FirstLook, first_look
+from handcal.laws.first_look import USUAL, FirstLook, Vocabulary, first_look, vocabularies
 from handcal.laws.grammar import formula
 from handcal.laws.law_effect import SENSORS, Law, channel_of, effect_of, law_of
 from handcal.laws.over_drivers import (
     About,
     Block,
+    Weighing,
     best_of_block,
-    blocks,
-    further_blocks,
     over,
-    promising,
     signals_of,
     tuned,
     written_out,
 )
-from handcal.laws.short_windows import Courses, courses_of, fits_in, likeliest
 from handcal.laws.vocabulary import CURVED
 from handcal.laws.weighing import beside, gains, weighed, wide_root
 from handcal.model_score import TERM_PRIOR
@@ -60,16 +55,6 @@ Asked = tuple[tuple[str, ...], frozenset[str]]
 
 
 @dataclass(frozen=True, eq=False)
-class Vocabulary:
-    """Blocks of the usual vocabulary ("") and of the further one of each sensor, and the courses of
-    all drivers that are made of several, of an IMU (False) and of a heading, as far as they were
-    asked for."""
-
-    blocks: dict[str, list[Block]] = field(default_factory=dict)
-    composed: dict[bool, list[Courses]] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, eq=False)
 class Term:
     """Something without a name, and the nats that it gains at the likelihood's full worth;
     others: the same law in other forms, which a scan likes less."""
@@ -82,46 +67,33 @@ class Term:
 @dataclass(frozen=True, eq=False)
 class Survey:
     """All that is looked at beside a model: its ``grounds``, the signals of its first recording;
-    vocabulary, looks (under "" and each sensor, as of blocks), and what their scans showed. first:
-    of the first part of long recordings, which says what is looked at in the whole. worth: what
-    evidence counts for (None: as the scans have it, about this model). found: what was found, by
-    what was asked."""
+    vocabulary, looks (under "" and each sensor), and what their scans showed. first: which drivers
+    are looked at. worth: what evidence counts for (None: as the scans have it, about this model).
+    found: what was found, by what was asked."""
 
     model: Model
     base: Sequence[Ground]
     signals: Signals
     vocabulary: Vocabulary
     scanned: dict[str, list[tuple[Look, Quadratic]]]
-    first: FirstLook | None
+    first: FirstLook
     worth: float | None = None
     found: dict[Asked, tuple[About, list[Term]]] = field(default_factory=dict)
 
     def of(self, beyond: Collection[str], known: Sequence[Effect]) -> list[tuple[Look, Quadratic]]:
         """Looks and their scans, of the usual vocabulary and of these sensors' further one; known:
         effects beside which laws are looked for."""
-        for name in ("", *beyond):
+        for name in (USUAL, *beyond):
             self._scan(name, known)
-        return [pair for name in ("", *beyond) for pair in self.scanned[name]]
+        return [pair for name in (USUAL, *beyond) for pair in self.scanned[name]]
 
     def _scan(self, name: str, known: Sequence[Effect]) -> None:
         """Look through a vocabulary, as far as that has not been done."""
         f = self.model.parts[0]
-        every, s = self.vocabulary.blocks, self.signals
-        if name not in every:
-            every[name] = list(further_blocks(s, name) if name else blocks(s))
-        wanted = every[name]
-        if self.first is not None:
-            wanted = self.first.likeliest(
-                name, list(in_groups(wanted, _columns, MOST_COLUMNS)), known
-            )
-        looks: list[Look] = []
-        if name not in self.scanned:
-            looks += _others(f, name)
-            if name:
-                wanted = [*wanted, *self._composed(SENSORS.index(name), known)]
+        looks = [] if name in self.scanned else list(_others(f, name))
         done = self.scanned.setdefault(name, [])
         have = {e.id for look, _ in done for e in look.effects}
-        new = [b for b in wanted if b.effect.id not in have]
+        new = [b for b in self._blocks(name, known) if b.effect.id not in have]
         room = min(max(NUMBERS / (PER_EPOCH * len(f.t)), LEAST_COLUMNS), MOST_COLUMNS)
         looks += [
             Look([b.effect for b in chunk], partial(_laws, chunk))
@@ -129,28 +101,23 @@ class Survey:
         ]
         done += _scans(self.model, looks, self.base, self.worth)
 
-    def _composed(self, sensor: int, known: Sequence[Effect]) -> list[Block]:
-        """Blocks over those drivers made of several signals that promise most here."""
-        if len(self.model.parts) > 1 or not fits_in(self.signals):
-            return []
-        made, of_heading = self.vocabulary.composed, sensor == HEADING
-        if of_heading not in made:
-            drivers = (composed_headings if of_heading else composed)(self.signals)
-            motion = motion_of(self.base[0].excited)
-            made[of_heading] = courses_of(list(drivers), motion, sensor)
-        best = likeliest(self.model, self.base, known, sensor, made[of_heading])
-        return [b for d in best for b in over(d, self.signals, (sensor,))]
+    def _blocks(self, name: str, known: Sequence[Effect]) -> Iterator[Block]:
+        """Laws over the drivers that promise most."""
+        for words in vocabularies(name, self.signals):
+            for sensor in [SENSORS.index(name)] if name else range(HEADING):
+                asked = sensor, known, self.signals, self.vocabulary
+                for driver in self.first.likeliest(words, *asked):
+                    yield from over(driver, self.signals, (sensor,))
 
 
 def survey(
     model: Model, vocabulary: Vocabulary | None = None, worth: float | None = None
 ) -> Survey:
-    """Of this model, with nothing looked at yet; vocabulary: blocks of the same recordings, made
+    """Of this model, with nothing looked at yet; vocabulary: courses of the same recordings, made
     about another model, and those that will be made; worth: what evidence counts for, if that is
     known."""
-    made = Vocabulary() if vocabulary is None else vocabulary
-    first = first_look(model, worth)
-    return Survey(model, grounds(model), signals_of(model.parts[0]), made, {}, first, worth)
+    made, base = Vocabulary() if vocabulary is None else vocabulary, grounds(model)
+    return Survey(model, base, signals_of(model.parts[0]), made, {}, first_look(model, base), worth)
 
 
 def _scans(
@@ -204,13 +171,16 @@ def _found(
         end for look, q in pairs for end in look.best(weighed(q, worth), known) if end[1] > ENOUGH
     ]
     about_ = About(where.model, where.base, known, where.signals, worth)
-    found = _nameless(about_, [(e, gain) for e, gain in ends if isinstance(e, Effect)])
-    told = in_parallel(partial(_as_told, about_, *end) for end in _closer(ends, beyond))
+    quick = partial(where.first.weighing, known=known, signals=where.signals, worth=worth)
+    found = _nameless(about_, [(e, gain) for e, gain in ends if isinstance(e, Effect)], quick)
+    told = in_parallel(partial(_as_told, about_, *end, quick) for end in _closer(ends, beyond))
     found += [_first_of(about_, [(effect_of(law), nats) for law, nats in some]) for some in told]
     return about_, sorted(found, key=lambda t: -t.gain)
 
 
-def _nameless(about_: About, ends: Sequence[tuple[Effect, float]]) -> list[Term]:
+def _nameless(
+    about_: About, ends: Sequence[tuple[Effect, float]], quick: Callable[[int], Weighing]
+) -> list[Term]:
     """Courses, and terms and curves of the heading, with what they gain. With the curve that gains
     most, the formulas that it may have; with the course, those of other families on its channel (a
     scan sees all of them through a grid of seconds, on which a saw is nearly a wave)."""
@@ -219,7 +189,8 @@ def _nameless(about_: About, ends: Sequence[tuple[Effect, float]]) -> list[Term]
     driven = ((end, driver) for end in ends if (driver := _driver_of(end[0])) is not None)
     for curve, driver in islice(driven, 1):
         law = Law(HEADING, (0,), False, driver, formula([("line", ())]), (1.0,))
-        several.append([curve, *((effect_of(x), gain) for x, gain in written_out(about_, law))])
+        formulas = written_out(about_, law, quick(HEADING))
+        several.append([curve, *((effect_of(x), gain) for x, gain in formulas)])
     courses = [end for end in ends if end[0].made is not None and end[0].made[0] in COURSES]
     if courses:
         several.append(
@@ -268,12 +239,14 @@ def _driver_of(effect: Effect) -> Driver | None:
     return CURVED.get(kind.removeprefix(terms.CURVE)) if kind.startswith(terms.CURVE) else None
 
 
-def _as_told(about_: About, law: Law, gain: float) -> list[tuple[Law, float]]:
+def _as_told(
+    about_: About, law: Law, gain: float, quick: Callable[[int], Weighing]
+) -> list[tuple[Law, float]]:
     """The formulas that the law may have, where it is a curve, and itself, with what they gain."""
     if law.driver.number:
         law, gain = tuned(about_, law, gain)
         gain -= law.cost
-    ends = written_out(about_, law) if law.form.smooth else []
+    ends = written_out(about_, law, quick(law.sensor)) if law.form.smooth else []
     return [*ends, (law, gain)]
 
 
@@ -312,7 +285,7 @@ def _columns(block: Block) -> int:
 
 def _laws(chunk: Sequence[Block], q: Quadratic, known: Sequence[Effect]) -> list[End]:
     seen = beside(q, known, [b.effect for b in chunk])
-    return [end for b in promising(chunk, seen, ENOUGH) for end in best_of_block(b, seen)]
+    return [end for b in chunk for end in best_of_block(b, seen)]
 
 
 def _closer(ends: Sequence[End], beyond: Collection[str]) -> list[tuple[Law, float]]:

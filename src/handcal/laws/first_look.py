@@ -1,91 +1,185 @@
-"""Which of all blocks of laws a long recording is asked about: those that do well in its first
-part. (What a law does to a recording it does to a fourth of it too; and there a scan of all takes a
-fourth of the time.)"""
+"""Over which drivers laws are looked for: those that promise most by what errors in short windows
+of time would do.
+
+One scan of a constant in each window shows the law over any driver, as its means in the windows.
+Of a long recording that is done in the first part: what a law does to a recording it does to a
+fourth of its turning too.
+"""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from functools import partial
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from handcal.effects import Effect
+from handcal.effects import Effect, Signals
 from handcal.estimate.columns import Ground
 from handcal.estimate.first_part import first_part
-from handcal.estimate.forked import in_parallel
+from handcal.estimate.linear import motion_of
 from handcal.estimate.model import Model
 from handcal.estimate.quadratic import Quadratic
-from handcal.estimate.scan import grounds, scan
-from handcal.laws.drivers import TIME, WARM, Driver
+from handcal.estimate.scan import grounds
+from handcal.laws.compositions import composed, composed_headings
+from handcal.laws.drivers import DRIVERS, HEADING, TIME, WARM, Driver, usable
 from handcal.laws.law_effect import AXES_OF, SENSORS
-from handcal.laws.over_drivers import Block, ways
-from handcal.laws.weighing import Beside, beside, gains, weighed
+from handcal.laws.short_windows import (
+    Courses,
+    Windows,
+    constants,
+    courses_of,
+    fits_in,
+    gains_of,
+    looked_at,
+    means,
+    windows_about,
+)
+from handcal.laws.vocabulary import further
+from handcal.laws.weighing import Beside, beside
+from handcal.types import Array, IntArray
 
-# Of the blocks of each sensor, the share that is looked at in the whole of a long recording, and
-# how many at the least.
-LIKELIEST, FEWEST = 0.15, 10
+# Constants of the laws over one kind of course that are handed on, at the most (a scan's work goes
+# as these), and laws that differ in times and widths alone.
+LIKELIEST, OF_A_KIND = 30, 2
+# Vocabularies: the usual one of an IMU, and what is made of several signals, of an IMU and of a
+# heading. Further drivers are each sensor's own and have its name.
+USUAL, COMPOSED, HEADINGS = "", "composed", "composed heading"
+
+
+@dataclass(frozen=True, eq=False)
+class Vocabulary:
+    """Courses of the drivers of each vocabulary, in each recording's windows, as far as they were
+    asked for."""
+
+    courses: dict[tuple[str, int, bytes], list[Courses]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
 class FirstLook:
-    """The first part of the recordings about a model, and scans of blocks there, by vocabulary;
-    worth: what evidence counts for (None: as the scans have it)."""
+    """Recordings one by one about a model, as a whole or in their first parts; share: of
+    all readings that are in these; scanned: windows of each and of each sensor."""
 
-    model: Model
-    base: Sequence[Ground]
-    worth: float | None
-    scanned: dict[str, list[tuple[list[Block], Quadratic]]] = field(default_factory=dict)
+    parts: Sequence[tuple[Model, Ground]]
+    windows: Sequence[Windows]
+    share: float
+    scanned: dict[tuple[int, int], Quadratic] = field(default_factory=dict)
 
     def likeliest(
-        self, name: str, chunks: Sequence[list[Block]], known: Sequence[Effect]
-    ) -> list[Block]:
-        """Blocks of a vocabulary that may gain most in the whole beside these effects: those that
-        gain most here, of each sensor, and what is slow, of which this does not show all."""
-        if name not in self.scanned:
-            looks = (
-                partial(scan, self.model, [b.effect for b in c], self.base, self.worth)
-                for c in chunks
-            )
-            self.scanned[name] = list(zip(chunks, in_parallel(looks), strict=True))
-        pairs = self.scanned[name]
-        worth = float(np.median([q.worth for _, q in pairs])) if pairs else 1.0
+        self, name: str, sensor: int, known: Sequence[Effect], signals: Signals, made: Vocabulary
+    ) -> list[Driver]:
+        """Drivers of a sensor in a vocabulary over which a law gains most beside these effects, of
+        each kind of course; and what is slow, of which a first part does not show all."""
         gain: dict[str, float] = {}
-        for chunk, q in pairs:
-            seen = beside(weighed(q, worth), known, [b.effect for b in chunk])
-            gain |= {b.effect.id: _most(b, seen) for b in chunk}
-        all_ = [b for chunk in chunks for b in chunk]
-        out = [b for b in all_ if _slow(b.driver)]
-        for sensor in range(len(SENSORS)):
-            own = [b for b in all_ if b.sensor == sensor and not _slow(b.driver)]
-            own.sort(key=lambda b: -gain[b.effect.id])
-            out += own[: max(FEWEST, math.ceil(LIKELIEST * len(own)))]
+        by_kind: dict[tuple[int, bool], dict[str, tuple[Driver, int]]] = {}
+        for of, windows in enumerate(self.windows):
+            key = name, of, windows.edges.tobytes()
+            if key not in made.courses:
+                made.courses[key] = self._courses(list(_drivers(name, signals)), sensor, of)
+            for alike in made.courses[key]:
+                nats = self._gains(of, sensor, known, alike)
+                for driver, more in zip(alike.drivers, nats, strict=True):
+                    gain[driver.name] = gain.get(driver.name, 0.0) + float(more)
+                    kind = by_kind.setdefault((driver.knots, driver.round), {})
+                    kind[driver.name] = driver, alike.means.shape[2]
+        out: list[Driver] = []
+        for found in by_kind.values():
+            mine = [end for end in found.values() if end[0].only in (None, sensor)]
+            slow = [] if self.share == 1.0 else [d for d, _ in mine if _slow(d)]
+            mine.sort(key=lambda end: -gain[end[0].name])
+            out += [*slow, *_first_of((d, many) for d, many in mine if d not in slow)]
         return out
 
+    def _courses(self, drivers: Sequence[Driver], sensor: int, of: int) -> list[Courses]:
+        """Of one of the recordings."""
+        motion, windows = motion_of(self.parts[of][1].excited), self.windows[of]
+        return courses_of(drivers, motion, sensor, len(windows.phase), windows.of)
 
-def first_look(model: Model, worth: float | None = None) -> FirstLook | None:
-    """About this model; None where its recordings have no first part."""
+    def _gains(self, of: int, sensor: int, known: Sequence[Effect], courses: Courses) -> Array:
+        """Nats that a law over each driver gains in one of the recordings."""
+        seen = self._seen(of, sensor, known)
+        return gains_of(courses, seen, list(seen.at.values()))
+
+    def _seen(self, of: int, sensor: int, known: Sequence[Effect]) -> Beside:
+        """The windows of one of the recordings beside these effects, axis by axis."""
+        if (of, sensor) not in self.scanned:
+            self.scanned[of, sensor] = looked_at(*self.parts[of], self.windows[of], sensor)
+        count = len(self.windows[of].phase)
+        windows = [constants(sensor, axis, count) for axis in AXES_OF[sensor]]
+        return beside(self.scanned[of, sensor], known, windows)
+
+    def weighing(
+        self, sensor: int, known: Sequence[Effect], signals: Signals, worth: float
+    ) -> InWindows:
+        """Where laws of a sensor may be weighed beside these effects, by the windows alone; worth:
+        what evidence counts for. (A first part stands for the whole.)"""
+        of = range(len(self.parts))
+        seen = [self._seen(n, sensor, known) for n in of]
+        motions = [motion_of(self.parts[n][1].excited) for n in of]
+        places = [(m, self.windows[n].of(m.t)) for n, m in zip(of, motions, strict=True)]
+        return InWindows(signals, sensor, list(zip(seen, places, strict=True)), worth / self.share)
+
+
+@dataclass(frozen=True, eq=False)
+class InWindows:
+    """Windows of each recording as they are beside what is known, with the signals there and the
+    window of each sample; worth: what their evidence counts for."""
+
+    signals: Signals
+    sensor: int
+    parts: Sequence[tuple[Beside, tuple[Signals, IntArray]]]
+    worth: float
+
+    def seen(self, absent: Sequence[Effect]) -> Beside:
+        """What the windows say of effects that act on this sensor alone."""
+        many = [len(e.parameters) for e in absent]
+        b, G = np.zeros(sum(many)), np.zeros((sum(many), sum(many)))
+        for windows, (signals, place) in self.parts:
+            count = len(windows.b) // len(windows.at)
+            C = np.hstack([means(e, self.sensor, signals, place, count) for e in absent])
+            b += C.T @ windows.b
+            G += C.T @ windows.G @ C
+        ends = np.cumsum([0, *many])
+        at = {e.id: np.arange(*ends[n : n + 2]) for n, e in enumerate(absent)}
+        return Beside(self.worth * b, self.worth * G, at)
+
+
+def first_look(model: Model, base: Sequence[Ground]) -> FirstLook:
+    """About this model and its ``grounds``."""
     part = first_part(model)
-    return None if part is None else FirstLook(part, grounds(part), worth)
+    about, here = (model, base) if part is None else (part, grounds(part))
+    each = [(replace(about, parts=(f,)), own) for f, own in zip(about.parts, here, strict=True)]
+    read, all_ = (sum(len(g.done.S) for g in of) for of in (here, base))
+    return FirstLook(each, [windows_about(own) for own in here], read / all_)
+
+
+def vocabularies(name: str, signals: Signals) -> list[str]:
+    """The usual vocabulary, or a sensor's further one, with what is composed of several signals
+    where that is not too much."""
+    if not name or not fits_in(signals):
+        return [name]
+    return [name, HEADINGS if name == SENSORS[HEADING] else COMPOSED]
+
+
+def _drivers(name: str, signals: Signals) -> Iterable[Driver]:
+    if name == USUAL:
+        return (d for d in DRIVERS.values() if usable(d, signals))
+    if name in SENSORS:
+        return further(signals, SENSORS.index(name))
+    return (composed if name == COMPOSED else composed_headings)(signals)
+
+
+def _first_of(drivers: Iterable[tuple[Driver, int]]) -> list[Driver]:
+    """The first of these, with their counts of constants, for which there is room."""
+    out: list[Driver] = []
+    kinds, room = dict[str, int](), LIKELIEST
+    for driver, many in drivers:
+        kinds[driver.kind] = kinds.get(driver.kind, 0) + 1
+        if room > 0 and kinds[driver.kind] <= OF_A_KIND:
+            out.append(driver)
+            room -= many
+    return out
 
 
 def _slow(driver: Driver) -> bool:
-    """Whether a driver goes with time or warmth, of which a part of a recording does not show
-    all."""
+    """Whether a driver goes with time or warmth."""
     return driver.free or WARM in driver.name or driver.over == TIME.name
-
-
-def _most(block: Block, seen: Beside) -> float:
-    """About what a block gains: as a law of one axis, of all alike, or of each its own. (Whether
-    that has a name takes longer to find out.)"""
-    tried = [(b, G) for _, each, b, G in ways(block, seen) if not each]
-    one, roots, axes = block.forms[0].constants, block.roots, len(AXES_OF[block.sensor])
-    many = (len(tried), *roots.shape)
-    found = gains(
-        np.broadcast_to(np.stack([b for b, _ in tried])[:, None], many[:3]).reshape(-1, one),
-        np.broadcast_to(np.stack([G for _, G in tried])[:, None], many).reshape(-1, one, one),
-        np.broadcast_to(roots, many).reshape(-1, one, one),
-    )
-    best = found.reshape(many[:2]).max(axis=1)
-    return float(max(best.max(), np.maximum(best[:axes], 0.0).sum()))

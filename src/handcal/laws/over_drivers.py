@@ -21,7 +21,6 @@ from handcal.laws.drivers import (
     BY,
     COURSELESS,
     DRIVERS,
-    HEADING,
     LINE,
     NEARER,
     Driver,
@@ -38,13 +37,15 @@ from handcal.laws.grammar import (
     parts_for,
     range_of,
 )
-from handcal.laws.law_effect import AXES_OF, SENSORS, SIZE, Law, effect_of, named
-from handcal.laws.vocabulary import driver_of, further
+from handcal.laws.law_effect import AXES_OF, SIZE, Law, effect_of, named
+from handcal.laws.vocabulary import driver_of
 from handcal.laws.weighing import Beside, beside, gains
-from handcal.types import Array, BoolArray
+from handcal.types import Array
 
 # Shares of the way to a formula's next numbers on trial at which it is tried once more, in turn.
 FINER = (0.5, 0.2, 0.06)
+# Formulas of each kind that are looked at closely, of all on the grid.
+LIKELY = 4
 # Turns at each of these at the most (what is moved and narrowed in turn goes on as far as that
 # leads), and nats for which there is another.
 TURNS, NEARLY = 12, 0.5
@@ -65,24 +66,6 @@ class Block:
         """Square roots (f, k, k) of the prior covariance of each form's constants."""
         one = self.forms[0].constants
         return np.stack([np.eye(one) if f.root is None else f.root for f in self.forms])
-
-    @cached_property
-    def widest(self) -> float:
-        """Largest variance that a form's prior has in any direction."""
-        return float(np.linalg.norm(self.roots, 2, axis=(1, 2)).max()) ** 2
-
-
-def blocks(signals: Signals) -> list[Block]:
-    """Every sensor with every driver of the usual vocabulary of which this recording has a
-    course."""
-    usual = [d for d in DRIVERS.values() if usable(d, signals)]
-    return [b for d in usual for b in over(d, signals, range(HEADING))]
-
-
-def further_blocks(signals: Signals, sensor: str) -> list[Block]:
-    """A sensor with every further driver of which this recording has a course."""
-    n = SENSORS.index(sensor)
-    return [b for d in further(signals, n) for b in over(d, signals, (n,))]
 
 
 def over(driver: Driver, signals: Signals, sensors: Iterable[int]) -> list[Block]:
@@ -124,28 +107,6 @@ def ways(block: Block, seen: Beside) -> Iterator[tuple[tuple[int, ...], bool, Ar
         yield (0, 1, 2), False, b.sum(axis=0), G.sum(axis=(0, 2))
         if block.driver.own and not block.driver.free:
             yield (0, 1, 2), True, b.ravel(), G.reshape(b.size, b.size)
-
-
-def promising(blocks_: Sequence[Block], seen: Beside, least: float) -> list[Block]:
-    """Those of which some law may gain more than ``least`` nats: with a prior of the widest
-    variance in each direction, and nothing paid for it, they would."""
-    by_size: dict[int, list[Block]] = {}
-    for block in blocks_:
-        by_size.setdefault(len(seen.at[block.effect.id]), []).append(block)
-    lost: set[str] = set()
-    for size, some in by_size.items():
-        at = np.stack([seen.at[block.effect.id] for block in some])
-        b, G = seen.b[at], seen.G[at[:, :, None], at[:, None]]
-        told = np.logical_and(np.isfinite(b).all(axis=1), np.isfinite(G).all(axis=(1, 2)))
-        # (one law of all axes has each of its constants as often as there are axes)
-        loose = np.array([len(AXES_OF[block.sensor]) * block.widest for block in some])
-        A = np.where(told[:, None, None], G, 0.0) + np.eye(size) / loose[:, None, None]
-        b = np.where(told[:, None], b, 0.0)
-        most = 0.5 * (b * np.linalg.solve(A, b[:, :, None])[:, :, 0]).sum(axis=1)
-        # (of numbers that are none, or negative by rounding, that says nothing)
-        few: BoolArray = told & (most >= 0.0) & (most <= least)
-        lost |= {block.effect.id for block, no in zip(some, few, strict=True) if no}
-    return [block for block in blocks_ if block.effect.id not in lost]
 
 
 def best_of_block(block: Block, seen: Beside) -> Iterator[tuple[Law, float]]:
@@ -198,14 +159,18 @@ class About:
         return beside(q, self.known, absent)
 
 
-def written_out(about_: Weighing, law: Law) -> list[tuple[Law, float]]:
+def written_out(about_: Weighing, law: Law, quick: Weighing) -> list[tuple[Law, float]]:
     """The law as the formulas that gain most over the model, and what they gain: of one function,
-    of two, and of two with the same numbers; with their numbers adjusted."""
+    of two, and of two with the same numbers; with their numbers adjusted, as ``quick`` weighs
+    them."""
     driver = law.driver
     x = np.stack([driver.course(about_.signals, axis) for axis in range(3)])
     ends = range_of(x, driver.signed)
     parts = parts_for(ends, driver.signed, driver.round, driver.factor is not None)
-    return [_adjusted(about_, *end) for end in _tried(about_, law, parts)]
+    found = _tried(quick, law, parts, LIKELY)
+    near = [_adjusted(quick, *end) for end in found]
+    likely = dict.fromkeys(part for x, _ in (*found, *near) for part in x.form.parts)
+    return _tried(about_, law, list(likely))
 
 
 def _adjusted(about_: Weighing, law: Law, gain: float) -> tuple[Law, float]:
@@ -222,9 +187,11 @@ def _adjusted(about_: Weighing, law: Law, gain: float) -> tuple[Law, float]:
     return law, gain
 
 
-def _tried(about_: Weighing, law: Law, parts: Sequence[Part]) -> list[tuple[Law, float]]:
+def _tried(
+    about_: Weighing, law: Law, parts: Sequence[Part], most: int = 1
+) -> list[tuple[Law, float]]:
     """The best of these functions in the law's place, the best sum of two, and of two with the same
-    numbers; what they gain."""
+    numbers, so many of each; what they gain."""
     forms = [formula([part]) for part in parts]
     sizes = np.array([rms_of(law, form, about_.signals) for form in forms])
     some = np.flatnonzero(sizes > 1e-9)
@@ -236,17 +203,18 @@ def _tried(about_: Weighing, law: Law, parts: Sequence[Part]) -> list[tuple[Law,
         for n in some
     ]
     seen = about_.seen(effects)
-    out = []
+    out: list[tuple[Law, float]] = []
     for sets, same in _sets([int(n) for n in some], parts):
         index = [np.concatenate([seen.at[f"basis: {n}"] for n in chosen]) for chosen in sets]
         costs = [cost_of([parts[n] for n in chosen], same) for chosen in sets]
-        values = seen.gains(np.array(index)) - costs
+        values, wanted = seen.gains(np.array(index)) - costs, len(out) + most
         for k in np.argsort(-values, kind="stable"):
             sigmas = tuple(float(SIZE[law.sensor] / sizes[n]) for n in sets[k])
             form = formula([parts[n] for n in sets[k]], same)
             candidate = _plainly(replace(law, form=form, sigmas=sigmas))
             if not named(candidate):
                 out.append((candidate, float(values[k])))
+            if len(out) == wanted:
                 break
     return out
 

@@ -14,14 +14,14 @@ import numpy as np
 
 from handcal.effects import Effect, Param, Signals
 from handcal.effects._linear import added
-from handcal.estimate.columns import Ground
+from handcal.estimate.columns import Ground, spread
 from handcal.estimate.forked import in_parallel
 from handcal.estimate.model import Model
-from handcal.estimate.scan import scan
+from handcal.estimate.quadratic import Quadratic, local
 from handcal.laws.drivers import COURSELESS, HEADING, LINE, Driver
 from handcal.laws.grammar import curves, range_of
 from handcal.laws.law_effect import AXES_OF, SENSORS, SIZE
-from handcal.laws.weighing import Beside, beside, gains
+from handcal.laws.weighing import Beside, gains
 from handcal.signals import some
 from handcal.types import Array, IntArray
 
@@ -30,9 +30,6 @@ from handcal.types import Array, IntArray
 WINDOW, MOST_WINDOWS = 1.0 / 3.0, 450
 # Courses are worked out so many times a second: in a hand, hardly anything is faster.
 RATE = 40.0
-# Constants of the laws over one kind of course that are handed on, at the most (a scan's work goes
-# as these), and laws that differ in times and widths alone.
-LIKELIEST, OF_A_KIND = 36, 2
 # A signal that changes by less than this share of its size says of none how much it is felt.
 CHANGING = 0.3
 # Courses that are worked out and weighed at a time.
@@ -48,6 +45,89 @@ class Courses:
     drivers: Sequence[Driver]
     means: Array
     roots: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """Windows that lie within epochs of a filter, or hold several whole ones. edges (K + 1,), s;
+    first (E,): the window that each epoch begins in; within: how many there are in an epoch at the
+    most; phase (K,): which of those in its epoch each is."""
+
+    edges: Array
+    first: IntArray
+    within: int
+    phase: IntArray
+
+    def of(self, t: Array) -> IntArray:
+        """The window of each time t (n,)."""
+        at = np.searchsorted(self.edges, t, side="right") - 1
+        return np.asarray(np.clip(at, 0, len(self.phase) - 1))
+
+
+def windows_about(about: Ground) -> Windows:
+    """Windows of the recording of which this is the ground."""
+    t = about.linear.problem.nodes.t
+    begin, end = t[about.windows[0]], t[about.windows[1]]
+    width = max(WINDOW, float(end[-1] - begin[0]) / MOST_WINDOWS)
+    edges, first, phase = [float(begin[0])], list[int](), list[int]()
+    room = 0.0
+    for a, b in zip(begin, end, strict=True):
+        many = max(1, round((b - a) / width))
+        if many == 1 and b - a < 1.01 * room:  # (in the window of the epoch before)
+            first.append(len(phase) - 1)
+            edges[-1] = float(b)
+        else:
+            first.append(len(phase))
+            phase += range(many)
+            edges += np.linspace(a, b, many + 1)[1:].tolist()
+            room = width if many == 1 else 0.0
+        room -= b - a
+    return Windows(np.array(edges), np.array(first), max(phase) + 1, np.array(phase))
+
+
+def looked_at(model: Model, about: Ground, windows: Windows, sensor: int) -> Quadratic:
+    """The quadratic of a model's effects and of a constant in each window on each axis of a sensor,
+    whose names are those of ``constants``."""
+    axes, count = AXES_OF[sensor], len(windows.phase)
+    pattern = [_phases(sensor, axis, windows) for axis in axes]
+    own = windows.first[:, None] + np.arange(windows.within)
+    own = np.minimum(own, count - 1)
+    place = np.hstack([own + count * n for n in range(len(axes))])
+    every = [constants(sensor, axis, count) for axis in axes]
+    done = spread(about, pattern, every, place)
+    return local(done, frozenset([*model.ids, *(e.id for e in every)])).quadratic
+
+
+def means(e: Effect, sensor: int, signals: Signals, window: IntArray, count: int) -> Array:
+    """What each parameter of an effect adds to a sensor's windows, (axes * count, k), in units of
+    its prior and of theirs. window (m,): of each sample."""
+    axes = AXES_OF[sensor]
+    out = np.zeros((len(axes), count, len(e.parameters)))
+    first = np.flatnonzero(np.r_[True, np.diff(window) > 0])
+    many = np.diff(np.r_[first, len(window)])[:, None]
+    features = (
+        [(0, 0, e.seen[SENSORS[HEADING]](signals))]
+        if sensor == HEADING
+        else [
+            (c - 3 * sensor, k, x)
+            for c, k, x in (e.features or (lambda _: []))(signals)
+            if c // 3 == sensor
+        ]
+    )
+    for axis, k, x in features:
+        out[axis, window[first], k : k + x.shape[1]] += np.add.reduceat(x, first) / many
+    return out.reshape(-1, len(e.parameters)) * e.prior_sigma / SIZE[sensor]
+
+
+def _phases(sensor: int, axis: int, windows: Windows) -> Effect:
+    """An error of a channel that is another constant in each phase of an epoch."""
+
+    def columns(signals: Signals) -> Array:
+        out = np.zeros((len(signals.t), windows.within))
+        out[np.arange(len(signals.t)), windows.phase[windows.of(signals.t)]] = 1.0
+        return out
+
+    return _added("phases", sensor, axis, windows.within, columns)
 
 
 def fits_in(signals: Signals) -> bool:
@@ -67,15 +147,19 @@ def windows_of(t: Array, all_: Array, width: float = WINDOW) -> IntArray:
 
 
 def courses_of(
-    drivers: Sequence[Driver], signals: Signals, sensor: int = 0, width: float = WINDOW
+    drivers: Sequence[Driver],
+    signals: Signals,
+    sensor: int,
+    count: int,
+    windows: Callable[[Array], IntArray],
 ) -> list[Courses]:
     """Those of them that have a course, for a sensor (either IMU sensor alike), each kind of law
-    together, in windows of this width, s."""
+    together, in so many windows; windows: which one a time t (n,) is in."""
     rate = len(signals.t) / max(float(signals.t[-1] - signals.t[0]), 1e-9)
     fewer = some(signals, np.arange(0, len(signals.t), max(1, round(rate / RATE)), dtype=np.int64))
-    window = windows_of(fewer.t, signals.t, width)
+    window = windows(fewer.t)
     first = np.flatnonzero(np.r_[True, np.diff(window) > 0])
-    count = np.diff(np.r_[first, len(fewer.t)])
+    many = np.diff(np.r_[first, len(fewer.t)])
     axes = len(AXES_OF[sensor])
 
     def worked_out(chunk: Sequence[Driver]) -> list[tuple[Array, Array] | None]:
@@ -86,8 +170,8 @@ def courses_of(
                 out.append(None)
                 continue
             # (of a window without a reading there is no mean, and nothing depends on it)
-            means: Array = np.zeros((*x.shape[:2], count_of(signals.t, width)))
-            means[:, :, window[first]] = np.add.reduceat(x, first, axis=2) / count
+            means: Array = np.zeros((*x.shape[:2], count))
+            means[:, :, window[first]] = np.add.reduceat(x, first, axis=2) / many
             out.append((means, roots))
         return out
 
@@ -124,36 +208,6 @@ def _columns(driver: Driver, signals: Signals, axes: int) -> tuple[Array, Array]
 
 def _rms(x: Array) -> float:
     return math.sqrt(float(np.mean(x**2)))
-
-
-def likeliest(
-    model: Model,
-    base: Sequence[Ground],
-    known: Sequence[Effect],
-    sensor: int,
-    courses: Sequence[Courses],
-) -> list[Driver]:
-    """The drivers over which a law gains most about a model, of each kind of course, on one axis or
-    alike on all of them, the best first."""
-    if not courses:
-        return []
-    axes = AXES_OF[sensor]
-    windows = [constants(sensor, axis, courses[0].means.shape[3]) for axis in axes]
-    q = scan(model, windows, base, 1.0)
-    seen = beside(q, known, windows)
-    at = [seen.at[e.id] for e in windows]
-    out: list[Driver] = []
-    for of in courses:
-        gain = gains_of(of, seen, at)
-        kinds: dict[str, int] = {}
-        room = LIKELIEST
-        for n in np.argsort(-gain, kind="stable"):
-            driver = of.drivers[n]
-            kinds[driver.kind] = kinds.get(driver.kind, 0) + 1
-            if room > 0 and kinds[driver.kind] <= OF_A_KIND:
-                out.append(driver)
-                room -= of.means.shape[2]
-    return out
 
 
 def constants(sensor: int, axis: int, count: int, width: float = WINDOW) -> Effect:
@@ -195,7 +249,8 @@ def _added(
 
 
 def gains_of(of: Courses, seen: Beside, at: Sequence[IntArray]) -> Array:
-    """Nats (d,) that a law over each driver gains, on an axis or on all of them alike."""
+    """Nats (d,) that a law over each driver gains, on an axis, on all of them alike, or on each its
+    own (beside which the others change little)."""
     axes = range(of.means.shape[1])
     G = {(a, o): seen.G[np.ix_(at[a], at[o])] for a in axes for o in axes[a:]}
     out = []
@@ -210,8 +265,12 @@ def gains_of(of: Courses, seen: Beside, at: Sequence[IntArray]) -> Array:
         }
         both = [x if a == o else x + x.transpose(0, 2, 1) for (a, o), x in felt.items()]
         ways = [*((b[a], felt[a, a]) for a in axes), (np.sum(b, axis=0), np.sum(both, axis=0))]
-        ends = [
-            gains(*way, np.broadcast_to(root, way[1].shape)) for way in ways for root in of.roots
-        ]
-        out.append(np.max(ends, axis=0))
+        ends = np.stack(
+            [
+                [gains(*way, np.broadcast_to(root, way[1].shape)) for root in of.roots]
+                for way in ways
+            ]
+        ).max(axis=1)
+        each = np.maximum(ends[: len(axes)], 0.0).sum(axis=0)
+        out.append(np.maximum(ends.max(axis=0), each))
     return np.concatenate(out)

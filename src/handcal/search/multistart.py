@@ -16,7 +16,8 @@ from handcal.estimate.evidence import reduce, reduced_pass
 from handcal.estimate.fit import fitted
 from handcal.estimate.forked import in_parallel
 from handcal.estimate.model import Model
-from handcal.laws.best_law import Term, Vocabulary, best_term, survey
+from handcal.laws.best_law import Term, best_term, survey
+from handcal.laws.first_look import Vocabulary
 from handcal.model_score import better
 from handcal.search.budget import Budget
 from handcal.search.climb.candidates import scanned

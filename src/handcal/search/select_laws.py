@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -20,9 +21,9 @@ from handcal.estimate.transfer import without
 from handcal.laws.best_law import is_composed
 from handcal.laws.compositions import composed, composed_headings
 from handcal.laws.drivers import DRIVERS, HEADING, Driver, usable
-from handcal.laws.law_effect import AXES_OF, SENSORS, SIZE, Law, effect_of
+from handcal.laws.law_effect import Law, effect_of
 from handcal.laws.over_drivers import best_of_block, over, tuned, written_out
-from handcal.laws.short_windows import Courses, courses_of, gains_of, windows_of
+from handcal.laws.short_windows import Courses, courses_of, gains_of, means, windows_of
 from handcal.laws.vocabulary import further
 from handcal.laws.weighing import Beside, beside, gains
 from handcal.search.response import Response, sensor_of
@@ -79,27 +80,6 @@ class _InWindows:
         return Beside(C.T @ whole.b, C.T @ whole.G @ C, at)
 
 
-def means(e: Effect, sensor: int, signals: Signals, window: IntArray, count: int) -> Array:
-    """What each parameter of an effect adds to a sensor's windows, (axes * count, k), in units of
-    its prior and of theirs. window (m,): of each sample."""
-    axes = AXES_OF[sensor]
-    out = np.zeros((len(axes), count, len(e.parameters)))
-    first = np.flatnonzero(np.r_[True, np.diff(window) > 0])
-    many = np.diff(np.r_[first, len(window)])[:, None]
-    features = (
-        [(0, 0, e.seen[SENSORS[HEADING]](signals))]
-        if sensor == HEADING
-        else [
-            (c - 3 * sensor, k, x)
-            for c, k, x in (e.features or (lambda _: []))(signals)
-            if c // 3 == sensor
-        ]
-    )
-    for axis, k, x in features:
-        out[axis, window[first], k : k + x.shape[1]] += np.add.reduceat(x, first) / many
-    return out.reshape(-1, len(e.parameters)) * e.prior_sigma / SIZE[sensor]
-
-
 def courses_on(r: Response) -> dict[int, list[Courses]]:
     """The courses of all drivers of each sensor, once a recording."""
     signals, windows = r.motion, r.windows
@@ -107,13 +87,14 @@ def courses_on(r: Response) -> dict[int, list[Courses]]:
     by_name = {k: {d.name: d for d in _drivers(signals, k) if d.only in (None, k)} for k in sensors}
     # (the means of a driver are the same for both sensors of an IMU)
     imu = {name: d for k in sensors if k != HEADING for name, d in by_name[k].items()}
+    here = len(windows.t), partial(windows_of, all_=signals.t, width=windows.width)
     out = {}
     if imu:
-        both = courses_of(list(imu.values()), signals, 0, windows.width)
+        both = courses_of(list(imu.values()), signals, 0, *here)
         out = {k: [_some(c, by_name[k]) for c in both] for k in sensors if k != HEADING}
     if HEADING in by_name:
         mine = list(by_name[HEADING].values())
-        out[HEADING] = courses_of(mine, signals, HEADING, windows.width)
+        out[HEADING] = courses_of(mine, signals, HEADING, *here)
     return out
 
 
@@ -201,7 +182,7 @@ def _laws(looked: _InWindows, courses: Sequence[Courses]) -> Iterator[tuple[Law,
                     law, nats = tuned(looked, law, nats)
                 yield law, nats
                 if law.form.smooth:
-                    yield from ((x, v + x.form.cost) for x, v in written_out(looked, law))
+                    yield from ((x, v + x.form.cost) for x, v in written_out(looked, law, looked))
 
 
 def _each_kind(drivers: Sequence[Driver], most: int) -> dict[Driver, None]:

@@ -10,7 +10,8 @@ from typing import TypeVar
 from handcal.estimate.case import name_of
 from handcal.estimate.forked import in_parallel
 from handcal.estimate.model import Model
-from handcal.laws.best_law import Survey, Term, Vocabulary
+from handcal.laws.best_law import Survey, Term
+from handcal.laws.first_look import Vocabulary
 from handcal.model_score import PRIOR, better, log_prior, score
 from handcal.search.budget import Budget
 from handcal.search.space import Space
