@@ -35,8 +35,8 @@ FEW = 3
 FAR = 0.7
 # Nats that a step has to gain.
 NEARLY = 0.1
-# Halvings in which a step of that share is found.
-HALVINGS = 40
+# Halvings in which a step of that share is found, at so many moments a second.
+HALVINGS, EACH_SECOND = 20, 20.0
 
 
 def adjusted(model: Model, effect: Effect) -> Effect | None:
@@ -58,6 +58,7 @@ def nearer(about_: About, effect: Effect, shares: Sequence[float]) -> tuple[Effe
         return effect, 0.0
     basis, family, numbers = found
     t = about_.signals.t - about_.signals.t[0]
+    t = t[:: max(1, round(len(t) / (EACH_SECOND * max(float(t[-1]), 1.0))))]
     begun = family.values(numbers, t)
 
     def gained(options: Sequence[Array]) -> Array:
