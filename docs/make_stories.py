@@ -227,7 +227,7 @@ def main() -> None:
     stories = new + stories[len(new) :]
     head = """# Three stories
 
-What happens when `explain` meets something outside the catalogue. All numbers and pictures come from the commands shown (`make stories`).
+*Explanation.* Three recordings in which `explain` meets something outside the catalogue. All numbers and pictures come from the commands shown (`make stories`).
 
 """
     text = head + "\n".join(part.rstrip() + "\n" for part in stories)
