@@ -245,7 +245,7 @@ def improved(document: Document) -> str:
 def open_points(
     entry: Document, document: Document, rows: list[Document], kept: dict[str, Document]
 ) -> str:
-    """What nobody knows, what does not agree, and what the motion did not show."""
+    """What is unknown, what does not agree, and what the motion did not show."""
     facts = {r["effect"] for r in rows}
     alone = [
         words.effect_title(m["effect"]) for m in document["missing"] if m["effect"] not in facts
