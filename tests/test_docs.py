@@ -110,6 +110,16 @@ def test_the_glossary_is_short_and_in_order():
     assert terms == sorted(terms, key=str.casefold)
 
 
+def test_the_paper_has_its_pictures_and_cites_what_its_references_have():
+    text = (ROOT / "paper" / "paper.md").read_text(encoding="utf-8")
+    references = (ROOT / "paper" / "paper.bib").read_text(encoding="utf-8")
+    cited = set(re.findall(r"@(\w+)", text))
+    assert cited == set(re.findall(r"^@\w+\{(\w+),", references, re.M))
+    pictures = re.findall(r"\]\((\.\./[^)]+)\)", text)
+    assert pictures
+    assert all((ROOT / "paper" / p).exists() for p in pictures)
+
+
 def test_pictures_are_small():
     for picture in (ROOT / "docs" / "images").iterdir():
         assert picture.stat().st_size < 200_000, picture.name
