@@ -1,5 +1,6 @@
 """Are probabilities frequencies? `python benchmarks/reliability.py TABLE...` counts the claims of
-judge tables (`judge-out/judge.json`) by their probability; `--draw FILE` draws them."""
+judge tables (`judge-out/judge.json`) by their probability, and shows each table's right outcomes
+by suite; `--draw FILE` draws the claims."""
 
 from __future__ import annotations
 
@@ -8,6 +9,9 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+
+import judge_compare
+from rich.console import Console
 
 from handcal_sim.prove.score import reliability
 
@@ -50,6 +54,9 @@ def main() -> None:
         if row["n"]:
             print(f"{row['claimed']:.4f} claimed: {row['count']} of {row['n']} there "
                   f"({row['interval'][0]:.3f} to {row['interval'][1]:.3f})")  # fmt: skip
+    for path in typed.tables:
+        table = {row["name"]: row for row in json.loads(path.read_text(encoding="utf-8"))}
+        judge_compare.show(judge_compare.compared(table, None), Console(highlight=False))
     if typed.draw:
         draw(rows, typed.draw)
 

@@ -12,7 +12,7 @@ from handcal.show.catalogue import grouped, needs, usual
 FILE = Path(__file__).with_name("effects.md")
 INTRODUCTION = """# The catalogue of effects
 
-What a sensor may read besides the truth. `handcal explain` tries all of these, as far as the recording has the streams for them; `handcal calibrate` estimates the common ones, and with `--effects gyro_quadratic,gravity` those that are named; `handcal simulate` and `handcal conceal` put them in: `--effect gyro_scale=0.008,-0.006,0.01`, values in SI units and in the order given here.
+*Reference.* The errors that handcal knows, sensor by sensor. `handcal explain` tries all of these, as far as the recording has the streams for them; `handcal calibrate` estimates the common ones, and with `--effects gyro_quadratic,gravity` those that are named; `handcal simulate` and `handcal conceal` put them in: `--effect gyro_scale=0.008,-0.006,0.01`, values in SI units and in the order given here.
 
 Errors add to the reading: a scale error of +0.01 reads 1 % too much. In `xy` the first letter is the axis that reads, the second whose rate, force or place it is; `x_yz` is what x reads of the product of y and z. *Usual* is one standard deviation of what is assumed of a consumer's device, the scale of a density with wide tails. *Common* is what every device has: every fit of a recording that could show it estimates it, and `explain` names it where the evidence asks for it. *Rare* effects are tried beside those.
 

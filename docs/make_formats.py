@@ -13,7 +13,7 @@ from handcal.recordings.inputs._names import vocabulary
 FILE = Path(__file__).with_name("formats.md")
 INTRODUCTION = """# What handcal reads
 
-Every command that takes a recording takes any of these, a folder or zip as a whole; `handcal import` makes one file of it. The format is told by the content (a table of which nothing else is known by its name, .csv, or by its rows of numbers), without an option. Formats are asked in the order of this table.
+*Reference.* Every command that takes a recording reads all of these formats; a folder or a zip file is read as a whole. `handcal import` makes one file of it. The format is recognised by the content, without an option; a table without known columns by its name (.csv) or by its rows of numbers. Formats are tried in the order of this list.
 
 In SI, at rest the axis that points up reads +g, in every format after it is read. Where a file does not say its unit, gravity at rest is asked, and what was found is said; a unit that gravity contradicts is refused with the option that puts it right (`--units accel=g`), and one that is stated is used. Stamps of arrival in bursts are put where the readings were taken; a magnetometer on other axes is turned to the IMU's; both are said. Compressed and foreign files are read within bounds: what would unpack to too much is refused unopened ([what was tried](reliability.md)).
 

@@ -245,7 +245,7 @@ def improved(document: Document) -> str:
 def open_points(
     entry: Document, document: Document, rows: list[Document], kept: dict[str, Document]
 ) -> str:
-    """What nobody knows, what does not agree, and what the motion did not show."""
+    """What is unknown, what does not agree, and what the motion did not show."""
     facts = {r["effect"] for r in rows}
     alone = [
         words.effect_title(m["effect"]) for m in document["missing"] if m["effect"] not in facts
@@ -310,7 +310,7 @@ def page(entry: Document, document: Document, report: str, kept: dict[str, Docum
     seconds, rate = (document["recording"][k] for k in ("duration_s", "imu_rate_hz"))
     parts = [
         f"# {entry['title']}",
-        f"{entry['what']} {seconds:.0f} s, {rate:.0f} readings a second. Source: {entry['source']}. Explained in {document['processor_s']:,} s of processor time; the figures are handcal's.",
+        f"*Reference.* {entry['what']} {seconds:.0f} s, {rate:.0f} readings a second. Source: {entry['source']}. Explained in {document['processor_s']:,} s of processor time; the figures are handcal's.",
         f"**{headline}** {' '.join(sentences)}",
         "## Where simulation and recording differed", differed(document), *shown_[:1],
         "## What was missing", missing(document), *shown_[1:],
@@ -325,7 +325,7 @@ def page(entry: Document, document: Document, report: str, kept: dict[str, Docum
 
 INTRODUCTION = """# Gallery: recordings of real devices
 
-What `handcal explain`, told nothing, says of other people's recordings, beside what is known from elsewhere; misses are shown as such. *Right* counts numbers within the tolerance to which somebody else's are to be believed, with a sigma below it; *missed* those outside; the rest this motion could not tell, or found too small to be named. *Unseen blocks*: nats by which the model predicts later blocks better than biases alone, fitted to earlier ones.
+*Reference.* `handcal explain` on other people's recordings, without a hint, beside what is known of the devices from elsewhere. Misses are shown. *Right* counts numbers within the tolerance to which somebody else's are to be believed, with a sigma below it; *missed* those outside; the rest this motion could not tell, or found too small to be named. *Unseen blocks*: nats by which the model predicts later blocks better than biases alone, fitted to earlier ones.
 
 """
 CLOSING = """

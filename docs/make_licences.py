@@ -13,7 +13,7 @@ from dependencies import closure, direct, extras, package, plain  # noqa: E402
 PAGE = ROOT / "docs" / "licences.md"
 TEXT = """# Licences
 
-handcal is under the MIT licence. What follows is under its own; nothing of it is copied into handcal or altered. Written by `make docs` from what the packages themselves state; the versions are those of `constraints.txt`.
+*Reference.* handcal is under the MIT licence. The packages below are under their own licences; nothing of them is copied into handcal or altered. `make docs` writes this page from what the packages state, in the versions of `constraints.txt`.
 
 ## What `pip install .` brings
 

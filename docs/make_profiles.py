@@ -13,7 +13,7 @@ from handcal.bench.timing import shares
 FILE = Path(__file__).resolve().parent / "profiles.md"
 INTRODUCTION = """# Where the time of each command goes
 
-`make bench` writes this page: while a command runs, its first thread is looked at every 5 ms (groups {groups} of `handcal bench`). *At work* is the module of handcal that the processor is in, compiled functions and numpy within it included; *for* is the step that asked. `estimate.forked` is waiting for the copy of the process that does other work meanwhile ([the second core](dev/performance.md#what-made-it-faster)). Parts below {least} % are left out. What the next factor of two would take stands in [How fast](dev/performance.md).
+*Reference.* `make bench` writes this page. It samples the first thread of each running command every 5 ms (groups {groups} of `handcal bench`). *At work* is the module of handcal that the processor is in, compiled functions and numpy within it included; *for* is the step that asked. `estimate.forked` is waiting for the copy of the process that does other work meanwhile ([the second core](dev/performance.md#what-made-it-faster)). Parts below {least} % are left out. What the next factor of two would take stands in [How fast](dev/performance.md).
 
 handcal {handcal}, numba {numba}, numpy {numpy}, Python {python}, {cores} cores.
 """  # noqa: E501

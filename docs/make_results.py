@@ -13,7 +13,7 @@ FOLDERS = (ROOT / "src/handcal/schemas", ROOT / "sim/handcal_sim/schemas")
 FILE = ROOT / "docs/results.md"
 INTRODUCTION = """# Results as JSON
 
-What `--json FILE` writes (`-` is standard output), command by command. Every result says in `schema` what it is; the number at its end changes when something is taken away or changes its meaning, and not when something is added. Numbers are SI unless their names or texts say otherwise; `null` stands for a number that there is not, and lists are never null. What stands here as a [part](#parts) is described once, below.
+*Reference.* The results that `--json FILE` writes, command by command (`-` is standard output). Every result says in `schema` what it is; the number at its end changes when something is taken away or changes its meaning, and not when something is added. Numbers are SI unless their names or texts say otherwise; `null` stands for a number that there is not, and lists are never null. What stands here as a [part](#parts) is described once, below.
 
 The schemas themselves (JSON Schema, draft 2020-12) are in [`src/handcal/schemas`](../src/handcal/schemas) and [`sim/handcal_sim/schemas`](../sim/handcal_sim/schemas), one file a command; each needs no other, and allows nothing but what it names, so a result of a newer handcal may be refused by the schema of an older one. Results written before something was added lack it and are valid all the same.
 

@@ -155,7 +155,7 @@ Now its gyro has the same law, 0.02 |omega_x| on z, which is added to the readin
 
 {made}
 
-{told(after)} That is the law that was put in, on its channel, written out: {found}, where 0.02 was concealed. The tracker's delay is worth a hundred times as many nats and more, but adds nothing to a gyro; so it does not hide it. (Until lately `explain` said that something errs with the rate, and no more: `gyro_cross_products` came first, nine numbers of which all had to be paid for.) Whoever has the law in a catalogue gets its name and its size; what else may be told beside it, of some tens of nats, is not what was concealed:
+{told(after)} That is the law that was put in, on its channel, written out: {found}, where 0.02 was concealed. The tracker's delay is worth a hundred times as many nats and more, but adds nothing to a gyro; so it does not hide it. With the law in the catalogue, `explain` gives its name and its size. What else it may name beside it, at some tens of nats, was not concealed:
 
 {named}
 
@@ -191,7 +191,7 @@ def phone(folder: Path) -> str:
     other = listed([k for k, v in apart_by.items() if v >= 3.0])
     return f"""## A real phone, twice
 
-One phone was swung by hand, twice, its magnetometer raw. Nobody knows its errors; but what is of the phone has to come out alike both times.
+One phone was swung by hand, twice, its magnetometer raw. Its errors are not known. But the phone's own errors have to come out alike both times.
 
 {commands}
 
@@ -227,7 +227,7 @@ def main() -> None:
     stories = new + stories[len(new) :]
     head = """# Three stories
 
-What happens when `explain` meets something outside the catalogue. All numbers and pictures come from the commands shown (`make stories`).
+*Explanation.* Three recordings in which `explain` meets something outside the catalogue. All numbers and pictures come from the commands shown (`make stories`).
 
 """
     text = head + "\n".join(part.rstrip() + "\n" for part in stories)

@@ -37,7 +37,7 @@ VEHICLE = {"CAL_GYRO0_ID": 1, "CAL_ACC0_ID": 1, "sensor_gyro.device_id": 1,
 READ = ((1.03, 0.0, -0.02), (0.1, 0.0, 10.2047165))  # 1 rad/s about x, at rest on its back
 PAGE = """# Use the result in {program}
 
-`handcal export RESULT.json --to {name} -o {file}`
+*How-to.* Type `handcal export RESULT.json --to {name} -o {file}`.
 
 {text}{raw}
 

@@ -1,6 +1,7 @@
 """What is written by code is what the code would write now, and links lead somewhere."""
 
 import importlib.util
+import json
 import re
 import sys
 from pathlib import Path
@@ -86,6 +87,37 @@ def test_nothing_says_to_install_from_an_index_that_does_not_have_it():
     said = re.compile(r"pip install [^`\n]*\bhandcal\b(?!/)|install `handcal\[")
     found = [p for p in (*PAGES, *code) if said.search(p.read_text("utf-8"))]
     assert [p for p in found if p != Path(__file__)] == []
+
+
+KIND = re.compile(r"\*(For developers: )?(tutorial|how-to|explanation|reference)\.\*", re.I)
+
+
+def test_every_page_says_first_which_kind_it_is():
+    """Tutorial, how-to, explanation or reference, in the first line below the title."""
+    docs = ROOT / "docs"
+    pages = {p: p.read_text(encoding="utf-8") for p in docs.rglob("*.md")}
+    for path in docs.glob("*.ipynb"):
+        first = json.loads(path.read_text(encoding="utf-8"))["cells"][0]
+        pages[path] = "".join(first["source"])
+    below = {p: text.partition("\n\n")[2] for p, text in pages.items()}
+    assert [p.name for p, text in below.items() if not KIND.match(text)] == []
+
+
+def test_the_glossary_is_short_and_in_order():
+    text = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
+    terms = re.findall(r"^\| ([^|]+?) \|", text, re.M)[2:]
+    assert 30 < len(terms) <= 60
+    assert terms == sorted(terms, key=str.casefold)
+
+
+def test_the_paper_has_its_pictures_and_cites_what_its_references_have():
+    text = (ROOT / "paper" / "paper.md").read_text(encoding="utf-8")
+    references = (ROOT / "paper" / "paper.bib").read_text(encoding="utf-8")
+    cited = set(re.findall(r"@(\w+)", text))
+    assert cited == set(re.findall(r"^@\w+\{(\w+),", references, re.M))
+    pictures = re.findall(r"\]\((\.\./[^)]+)\)", text)
+    assert pictures
+    assert all((ROOT / "paper" / p).exists() for p in pictures)
 
 
 def test_pictures_are_small():

@@ -195,7 +195,7 @@ def test_the_page_says_what_the_held_point_does() -> None:
         for c in (case, creeping(case), moved, creeping(moved))
     }
     assert len(said) == 4
-    assert sum("but for the moves" in s for s in said) == 2
+    assert sum("apart from the moves" in s for s in said) == 2
     assert sum("drifts" in s for s in said) == 2
 
 

@@ -123,7 +123,7 @@ def is_curve(formula: str) -> bool:
 @dataclass(frozen=True)
 class Hand:
     """What the hand does: "held" (a point, but for sway), "creeping" (that point drifts),
-    "carried" (still in its rests alone), "" (nobody asked: a pose or a reference tells); and the
+    "carried" (still in its rests alone), "" (not asked: a pose or a reference tells); and the
     probability of that against what else was tried."""
 
     id: str

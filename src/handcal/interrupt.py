@@ -6,14 +6,14 @@ import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-# What is said to whoever presses it while a search goes on.
+# What is said when it is pressed during a search.
 ENDING = "ending with the best model so far (Ctrl-C again: leave with nothing)"
 
 
 @contextmanager
 def asked(told: Callable[[str], None]) -> Iterator[Callable[[], bool]]:
     """What says whether Ctrl-C was pressed: the first one asks for an end, and is told so; the next
-    one ends the program as ever. (Unless whoever started it said no.) In the main thread."""
+    one ends the program as ever. (Unless the parent process ignores it.) In the main thread."""
     pressed = False
     before = signal.getsignal(signal.SIGINT)
 

@@ -41,7 +41,7 @@ def probability(gain: float) -> float:
 def prior(effect: Effect, cases: Sequence[Case]) -> float:
     """Log prior odds of an effect in these recordings.
 
-    Noise pays for levels that nobody knows. A step shares its odds over the moments on trial; where
+    Noise pays for its unknown levels. A step shares its odds over the moments on trial; where
     it was put at the reading that was least expected, all readings were looked at. What a hand that
     turns the device about no single point can lend to an effect counts where only that point's rest
     tells of it. A law without a name pays for what its form was chosen from. What every

@@ -22,7 +22,7 @@ if sys.platform != "win32":
     import fcntl
 
 STANDARD_OUTPUT = "-"
-# s; a part that nobody holds is left by a process that was killed, or was begun just now.
+# s; a part without a lock was left by a process that was killed, or was begun just now.
 LEFT_AFTER_S = 60.0
 # What is read besides, within ``not_over``.
 _READ: ContextVar[tuple[Path, ...]] = ContextVar("read", default=())
@@ -125,8 +125,8 @@ def _part(place: Path) -> Iterator[Path]:
 
 
 def _held(handle: int) -> bool:
-    """Hold a file against whoever takes away what was left; False where the disk knows no locks,
-    or another holds it."""
+    """Lock a file, so that no cleaning up removes it; False where the disk knows no locks, or
+    another process has locked it."""
     if sys.platform == "win32":
         return False
     try:

@@ -112,7 +112,7 @@ def done(
     """Tasks with what comes of them, as they are done; those of a process that died are given out
     again. tasks are asked for only as they can be given out.
 
-    Errors: WorkersDied where processes die again and again, or nobody is there any more; what a
+    Errors: WorkersDied where processes die again and again, or no worker is left; what a
     task itself raises.
     """
     source, again, running = iter(tasks), deque[T](), dict[Future[R], T]()
@@ -126,7 +126,7 @@ def done(
         while _filled(running, again, source, executor, submit, AHEAD * workers.count):
             finished, _ = wait(running, timeout=LOOK_S, return_when=FIRST_COMPLETED)
             if not (finished or workers.there()):
-                running.clear()  # (nobody is there to be told)
+                running.clear()  # (no scheduler is left to tell)
                 raise WorkersDied("The scheduler is gone; with --out the same command goes on.")
             broken = False
             # (in the order in which they were given out)
@@ -199,7 +199,7 @@ def processes(jobs: int) -> Executor:
 
 def _alone() -> None:
     """In a new process: an interrupt is for the parent to deal with, with whom it ends (a parent
-    that was killed tells nobody: its processes would wait for work for ever)."""
+    that was killed cannot tell its processes: they would wait for work for ever)."""
     from multiprocessing import parent_process
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -124,7 +124,7 @@ def _proved(
 
 
 def _drawn(seed: int | None) -> int:
-    """The seed that was asked for, or one that nobody chose."""
+    """The seed that was asked for, or a random one."""
     from numpy.random import SeedSequence
 
     return int(SeedSequence().generate_state(1)[0]) if seed is None else seed

@@ -1,4 +1,4 @@
-"""The draws of a blind trial: a recording, and the answer that nobody may see beforehand.
+"""The draws of a blind trial: a recording, and the answer, which stays hidden until the end.
 
 A recording is drawn from its seed, suite and number alone. What a suite is for, and which
 share of right answers it asks for, stands in `prove_suites`.

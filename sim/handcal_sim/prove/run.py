@@ -109,7 +109,7 @@ def each(
 
 
 def write_answers(trials: Sequence[Trial], seed: int, file: Path) -> None:
-    """The answers, once nobody has to guess them any more."""
+    """Write the answers, after all explanations are done."""
     from handcal.output import write_text
 
     answers = {trial.name: dataclasses.asdict(trial.answer) for trial in trials}

@@ -17,7 +17,7 @@ from handcal_sim.strange.memory import followed, lagged, passed, stuck
 from handcal_sim.strange.words import of_channel
 from handcal_sim.strangers import Scene
 
-# Slower than this (rad/s) a device is not being turned, to whoever speaks of the last turn.
+# Slower than this (rad/s) a device does not turn, for laws of the time since the last turn.
 TURNING = 0.2
 # Temperature above which drivers have it, degC.
 ROOM = 25.0

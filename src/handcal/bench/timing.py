@@ -265,7 +265,7 @@ def _run(command: Sequence[str], shown: str, environment: Mapping[str, str]) -> 
         try:
             ran = _ended(child, begin)
         finally:
-            # (whoever waits was interrupted: nobody wants it any more)
+            # (the wait was interrupted: the result is not wanted any more)
             if child.returncode is None:
                 child.terminate()
                 child.wait()

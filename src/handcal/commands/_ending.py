@@ -41,7 +41,7 @@ def at_once(number: int, _frame: object) -> NoReturn:
 
 
 def listen(handler: Callable[[int, object], NoReturn]) -> None:
-    """Let this handler hear what ends the program, unless whoever started it said no (nohup)."""
+    """Let this handler hear what ends the program, unless the parent process ignores it (nohup)."""
     for number in SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, handler)
@@ -49,6 +49,6 @@ def listen(handler: Callable[[int, object], NoReturn]) -> None:
 
 def over() -> None:
     """All is done, and the status known: while Python takes itself down, what ends the program
-    would only give it another status (a signal's own, as nobody hears it any more)."""
+    would only give it another status (a signal's own, as it has no handler any more)."""
     for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)

@@ -1,5 +1,5 @@
-"""Modules that are imported by what handcal imports, and that nobody asks for anything: loaded
-where somebody does."""
+"""Modules that handcal's dependencies import, and that handcal hardly ever needs: loaded on first
+use."""
 
 from __future__ import annotations
 

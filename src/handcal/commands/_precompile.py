@@ -13,7 +13,7 @@ from contextlib import contextmanager
 def compiled_ahead() -> Iterator[None]:
     """Where nothing is compiled yet, another process compiles what a fit needs last.
 
-    It needs a core of its own. It says nothing, its failure is nobody's, and it ends with the
+    It needs a core of its own. It prints nothing, its failure is ignored, and it ends with the
     block.
     """
     helper = _begun() if _cores() > 1 and _first_run() else None

@@ -191,7 +191,7 @@ def plain_signs(error: UnicodeError) -> tuple[str, int]:
 
 def _show_what_can_be_shown() -> None:
     for name in ("stdin", "stdout", "stderr"):
-        # Closed by whoever started this: nothing is to take its place.
+        # Closed by the parent process: nothing is to take its place.
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, "r+", encoding="utf-8"))  # noqa: SIM115
     codecs.register_error("handcal", plain_signs)
@@ -229,7 +229,7 @@ def run(app: typer.Typer) -> NoReturn:
             status = command.main(arguments, prog_name="handcal", standalone_mode=False)
         finally:
             sys.stdout.flush()
-    except BrokenPipeError:  # whoever read the output has had enough
+    except BrokenPipeError:  # the reader of the output has closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         status = 1
     except (KeyboardInterrupt, typer.Abort):  # before or after the command itself

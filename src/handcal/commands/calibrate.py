@@ -120,7 +120,7 @@ def calibrate(
         from handcal.show.calibration.summary import calibration_json, write_json
 
         write_json(calibration_json(results), json)
-    if str(json) != "-":  # last: whoever reads this may have had enough before its end
+    if str(json) != "-":  # last: the reader may close it before its end
         for result in results:
             _show(result)
 

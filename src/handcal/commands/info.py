@@ -29,7 +29,7 @@ def info(
     json: Json = None,
     report: Report = None,
 ) -> None:
-    """What a file holds: streams, rates, gaps, units, rests, turns, and what it could teach."""
+    """What a file holds: streams, rates, gaps, units, rests, turns; and which errors it shows."""
     from handcal.design.seen import seen
     from handcal.exports import refusals
     from handcal.lab.scalar import of_few_rests

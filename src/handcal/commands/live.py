@@ -45,7 +45,7 @@ def live(
     plain: Annotated[
         bool,
         typer.Option("--plain", help="With --lan, not encrypted: for apps that push and know no "
-                     "new certificates. Whoever is in the network can read along."),
+                     "new certificates. Everyone in the network can read along."),
     ] = False,
     port: Annotated[
         int | None, typer.Option(min=1, max=65535, help="Port of the page; any free one.")

@@ -40,7 +40,7 @@ except ImportError:  # (Windows)
 _DAMAGED = (OSError, EOFError, pickle.UnpicklingError, ValueError, TypeError, AttributeError,
             ImportError, IndexError, KeyError)  # fmt: skip
 
-# Longer than this no function takes; then whoever waits compiles it himself.
+# Longer than this no function takes; then a process that waits compiles it itself.
 LONGEST_S, LOOK_S = 60.0, 0.02
 
 
@@ -163,7 +163,7 @@ class _WholeCache(_Cache):
     _turn: tuple[str, int] | None = None
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """As numba's; waits for whoever compiles the same, else it is this process's turn."""
+        """As numba's; waits where another process compiles the same, else takes the turn."""
         found = super().load_overload(sig, target_context)
         if found is not None or fcntl is None:
             return found

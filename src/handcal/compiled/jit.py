@@ -23,7 +23,7 @@ from handcal.types import Array, IntArray
 F = TypeVar("F", bound=Callable[..., Any])
 
 # Numba's default, 3, takes a third longer to compile, and the filter comes out slower; what is
-# compiled is kept on disk for whoever comes next, so the level must be the same for all.
+# compiled is kept on disk for later processes, so the level must be the same for all.
 if "NUMBA_OPT" not in os.environ:
     numba.config.OPT = type(numba.config.OPT)(2)  # type: ignore[attr-defined]
 
@@ -33,7 +33,7 @@ def _short_vectors() -> None:
 
     They are short (3 to 15 numbers), and most of a wide vector would be remainder. LLVM does so
     by itself for Intel's processors, not for AMD's: there the filter takes a sixth less. What is
-    written in blocks of eight keeps 512 bits. As for the level, whoever asked otherwise is obeyed.
+    written in blocks of eight keeps 512 bits. Settings of the environment stand.
     """
     if "NUMBA_CPU_NAME" in os.environ or "NUMBA_CPU_FEATURES" in os.environ:
         return

@@ -27,9 +27,8 @@ def kept() -> None:
 
 
 def emptied() -> None:
-    """Give back what was freed, once: before a copy of the process is made. What both have, whoever
-    writes to it first copies page by page, which takes longer than to be given it anew. Only glibc
-    is asked."""
+    """Give back what was freed, once: before a copy of the process is made. Shared pages are copied
+    one by one on the first write, which takes longer than new memory. Only glibc is asked."""
     trim = _glibc("malloc_trim")
     if trim is not None:
         trim(0)

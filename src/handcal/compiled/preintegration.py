@@ -58,7 +58,7 @@ def preintegrate(
 ) -> None:
     """Phi (k, 9, 15), d and the three Q of every epoch but the first, into ``out`` (see
     ``Linear``), and what an error of the readings over each interval makes of the state at the
-    next epoch, into W (n, 9, 6), or (0, 9, 6) where nobody asks.
+    next epoch, into W (n, 9, 6), or (0, 9, 6) if not asked for.
 
     biases: of gyro and of accelerometer from each epoch on (k, 3). Within an epoch it goes
     backwards: noise and errors are carried to its end, which needs no covariance on the way.

@@ -1,4 +1,4 @@
-"""What a recording could teach, without a fit, and in well under a second.
+"""Which errors a recording can show, without a fit, and in well under a second.
 
 The rows of a linear problem are put down and only its covariance is asked for. Known is that at
 rest the specific force has the size of gravity and the rate is zero; that from rest to rest the

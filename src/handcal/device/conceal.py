@@ -4,8 +4,8 @@ Nothing here goes through the estimator's linearised model: what an effect adds 
 (``effects``), delays shift stamps, noise is drawn, and an effect may bring a way of its own: lever
 arms move the marker or swing the accelerometer, filters filter. What an error depends on, the true
 rate and force, is known as well as the recording tells: its readings, less the biases of a
-calibration where they would count as motion, or readings that whoever knows more of the device has
-corrected. Of attitude and magnetic north the same calibration tells.
+calibration where they would count as motion, or readings that were corrected by one who knows more
+of the device. Of attitude and magnetic north the same calibration tells.
 """
 
 from __future__ import annotations

@@ -54,8 +54,8 @@ def sphere(recording: Recording) -> tuple[Array, Array]:
 def spheres(recording: Recording) -> tuple[Sphere, ...]:
     """Spheres on which the readings may lie, the likeliest first.
 
-    An iron may be stronger than the Earth's field, and before it is known nobody knows where
-    north is: so this is where a fit begins. A sphere has the Earth's field for a radius; a motion
+    An iron may be stronger than the Earth's field, and until it is known north is unknown too:
+    so this is where a fit begins. A sphere has the Earth's field for a radius; a motion
     about one axis shows a circle of it, with two centres, one on either side. As whatever bends
     the field lasts, many readings make the sigmas no smaller than the readings' own distance from
     the sphere. Robust least squares (a soft absolute value) in centre and radius.

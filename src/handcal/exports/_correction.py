@@ -1,8 +1,8 @@
 """What is taken off a reading, as far as matrices can say it.
 
 It is found by probing, not effect by effect: an effect whose error is linear in the readings of one
-moment comes out as a matrix, whoever wrote it; all others do not. That the matrices do what
-``handcal apply`` does is checked each time.
+moment comes out as a matrix, effects of your own included; all others do not. That the matrices do
+what ``handcal apply`` does is checked each time.
 """
 
 from __future__ import annotations

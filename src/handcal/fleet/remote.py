@@ -1,6 +1,6 @@
 """Recordings and results at addresses (``s3://``, ``gs://``, ``https://``, ``sftp://``), by fsspec.
 
-Whoever asks for a fleet lists addresses and reads no recording; the worker that explains one
+The process that asks for a fleet only lists addresses; the worker that explains a recording
 fetches it, in parts, holds it while it is explained, and lets it go.
 """
 

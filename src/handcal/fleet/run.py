@@ -203,8 +203,8 @@ def rows(members: Sequence[Member], store: Store) -> Iterator[tuple[Source, Docu
 
 
 def as_told(source: Source, record: Document) -> Source:
-    """A source, and where nobody said when it began, or of which device or model it is, what its
-    file itself says. A model of the manifest stands, since it may be another word for it."""
+    """A source; where the manifest lacks the time, the device or the model, those that its file
+    states. A model of the manifest stands, since it may be another word for it."""
     started = source.started or (record.get("recording") or {}).get("recorded") or ""
     device = source.device or str(record.get("device") or "")
     model = source.model or ("" if source.device else str(record.get("model") or ""))

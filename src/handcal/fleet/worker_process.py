@@ -3,8 +3,8 @@
 
 A request is a line of JSON on standard input, an answer a line on standard output. The recording's
 process is a copy of this one (fork), so it begins at once; it has a deadline and a limit of memory,
-and whatever becomes of it, this process sees it from outside and says it. When nobody asks any more
-(the end of standard input), both end.
+and whatever becomes of it, this process sees it from outside and says it. At the end of
+standard input both end.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
 def main() -> None:
-    """Answer until nobody asks."""
+    """Answer until standard input ends."""
     asked, told = os.dup(0), os.dup(1)
     null = os.open(os.devnull, os.O_RDWR)
     os.dup2(null, 0)
@@ -140,7 +140,7 @@ def _told(status: int, data: bytes, words: str) -> Document:
 def _work(request: Mapping[str, Any], send: int, said: IO[bytes]) -> NoReturn:
     """In the new process: the work, and what came of it into the pipe."""
     os.dup2(said.fileno(), 2)
-    if sys.platform == "linux":  # (whoever watches may be killed)
+    if sys.platform == "linux":  # (the parent may be killed)
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     status = 0
     try:
@@ -166,7 +166,7 @@ def _answer(request: Mapping[str, Any]) -> Document:
 
 
 def _as_texts(result: Document) -> Document:
-    """What travels: JSON that whoever asked writes as it is, and what he has to know of it."""
+    """What travels: JSON that the asking process writes as it is, and what it must know of it."""
     explanation, fetched = result.pop("explanation"), result.pop("fetched")
     kept, explained = (json.dumps(d, allow_nan=False, ensure_ascii=False)
                        for d in (result, explanation))  # fmt: skip

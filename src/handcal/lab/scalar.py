@@ -148,7 +148,7 @@ def from_poses(
     reading: Array, effects: Sequence[str] = DEFAULT[:2], gravity: float = STANDARD_GRAVITY,
     sigma: float = PERFECT,
 ) -> tuple[tuple[Unknown, ...], Array, Array]:  # fmt: skip
-    """Parameters of the accelerometer from its mean readings (r, 3) in poses that nobody measured.
+    """Parameters of the accelerometer from its mean readings (r, 3) in unmeasured poses.
 
     sigma: of a mean reading, m/s^2. Returns what the parameters are, their values x (k,), the
     biases first, and covariance (k, k). Errors: as ``scalar``.

@@ -168,7 +168,7 @@ class Following:
         except (HandcalError, np.linalg.LinAlgError):  # (the next look may know better)
             self.lost = True
             return None
-        # (the first innovations are of a place that nobody knew yet: they say nothing)
+        # (the first innovations are of a place that was not known yet: they say nothing)
         return self._fresh(replace(frame, observed=()))
 
     def _stepped(self, piece: Recording, told: bool = True) -> Fresh | None:

@@ -1,4 +1,4 @@
-"""The link to the page: a token that nobody guesses, kept for the session's folder."""
+"""The link to the page: a token that cannot be guessed, kept for the session's folder."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def own_address() -> str:
     """This machine's address in its network. Nothing is sent to find it."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as s:
         try:
-            s.connect(("192.0.2.1", 9))  # (an address that nobody has: it only picks the way out)
+            s.connect(("192.0.2.1", 9))  # (an unused address: it only picks the interface)
             return str(s.getsockname()[0])
         except OSError:
             raise InputError("--lan: this machine is in no network.") from None

@@ -222,8 +222,8 @@ async def listening(served: Served) -> web.AppRunner:
 
 
 def _few(runner: web.AppRunner) -> Callable[[], asyncio.BaseProtocol]:
-    """Makes what answers a connection; of too many the oldest is closed, so that whoever opens a
-    thousand of them shuts nobody out."""
+    """Makes what answers a connection; of too many the oldest is closed, so that a client which
+    opens a thousand of them shuts no other out."""
 
     def made() -> asyncio.BaseProtocol:
         server = runner.server

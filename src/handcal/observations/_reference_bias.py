@@ -52,7 +52,7 @@ class _Rests:
 def of_rests(t: Array, value: Array, rests: Array, gravity: float, earth_rate: float) -> Bias:
     """The bias of a reference that reads rate and force (n, 6) at times t (n,) s.
 
-    rests (r, 2) s; gravity m/s^2; earth_rate: rad/s, of which nobody knows where it points.
+    rests (r, 2) s; gravity m/s^2; earth_rate: rad/s, in an unknown direction.
     """
     seen = _means(t, value, rests)
     if seen is None:

@@ -1,7 +1,7 @@
 """How an error changes from one recording of a device to the next: what differs at every switching
 on, what wanders with age, what goes with temperature, and steps (a knock, an update).
 
-Of each device the recordings' values are normal about the device's own mean, which nobody knows
+Of each device the recordings' values are normal about the device's own mean, which is unknown
 (restricted likelihood; Patterson & Thompson, Biometrika 58, 1971): their own sigmas, a turn-on of
 one size for all devices, a random walk in time, and a slope by temperature, common to all and of
 each device. The sizes maximise the product over devices; one that the likelihood does not ask for

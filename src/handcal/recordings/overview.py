@@ -127,7 +127,7 @@ def _turns(recording: Recording, found: Sequence[Rest]) -> tuple[Turned, ...]:
     moving = np.linalg.norm(rate, axis=1) > TURNING
     for r in found:
         moving[slice(*np.searchsorted(imu.t, [r.start, r.end]))] = False
-    # (nobody knows what it did in a gap)
+    # (what it did in a gap is unknown)
     step = np.minimum(np.diff(imu.t, append=imu.t[-1]), GAP / recording.rate_hz)
     angle = rate * (step * moving)[:, None]
     return tuple(

@@ -28,7 +28,7 @@ MIN_REST_S = 0.8
 MAX_RATE = np.radians(8.0)
 MAX_RATE_SPREAD = np.radians(5.0)
 MAX_FORCE_SPREAD = 1.5
-# Less scatter than this is nobody's motion (and simulated sensors may have none).
+# No hand scatters less than this (and simulated sensors may have no scatter).
 MIN_RATE_SPREAD = np.radians(0.25)
 MIN_FORCE_SPREAD = 0.035
 # Physiological tremor is a band of 4 Hz: noise of that width has 2 * 4 * 0.5 degrees of freedom
@@ -268,7 +268,7 @@ def _stays(recording: Recording, rest: Rest, offset: Array) -> bool:
     part = min(WINDOW_S, 0.5 * rest.seconds)
     ends = [(rest.start, rest.start + part), (rest.end - part, rest.end)]
     first, last = (_within(recording, a, b)[1] for a, b in ends)
-    if not (len(first) and len(last)):  # (a hole in what was read: nobody knows)
+    if not (len(first) and len(last)):  # (a gap in the readings: unknown)
         return False
     first, last = first.mean(axis=0), last.mean(axis=0)
     return turned < MAX_DRIFT + HOLD_ANGLE / rest.seconds and _same(first, last)

@@ -34,7 +34,7 @@ TOLD = 0.6
 @dataclass(frozen=True)
 class Info:
     """A recording looked at: by which format it was read (half a sentence) and what that says of
-    units and signs, its numbers, and what it could teach; rests_show: what few rests alone show."""
+    units and signs, its numbers, and what it can show; rests_show: what few rests alone show."""
 
     read_as: str
     units: str
@@ -139,7 +139,7 @@ def teach_sentences(info: Info) -> list[str]:
 
 
 def print_info(info: Info, console: Console) -> None:
-    """Streams, motion, units, what it could teach."""
+    """Streams, motion, units, and which errors it can show."""
     from rich.markup import escape
 
     o = info.overview
@@ -174,7 +174,7 @@ def _table(columns: Sequence[str], rows: Sequence[Sequence[str]], wraps: str = "
 STAMP_S = 1e-9
 STREAM_COLUMNS = ("stream", "topic", "readings", "rate", "jitter", "gaps", "longest gap")
 TURN_COLUMNS = ("turned about", "forward", "back", "fastest", "largest force")
-SEEN_COLUMNS = ("could teach", "shown", "sigma", "usual")
+SEEN_COLUMNS = ("error it can show", "shown", "sigma", "usual")
 
 
 def _stream_table(o: Overview) -> Any:
@@ -243,7 +243,7 @@ def write_info_report(info: Info, path: str | Path) -> None:
     tables: list[tuple[str, tuple[str, ...], list[tuple[str, ...]]]] = [
         ("Streams", STREAM_COLUMNS, [stream_row(s) for s in o.streams]),
         ("Turns", TURN_COLUMNS, turn_rows(o)),
-        ("What it could teach", SEEN_COLUMNS, seen_rows(info)),
+        ("Which errors it can show", SEEN_COLUMNS, seen_rows(info)),
     ]
     context = {
         "name": Path(o.recording.path).name, "version": handcal.__version__,

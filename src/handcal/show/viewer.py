@@ -5,7 +5,7 @@ started with ``--bind 127.0.0.1`` and ends with the command that started it.
 
 By itself it would also send usage statistics and ask for newer versions. It keeps no
 statistics where it finds the variable CI, and asks through a proxy where one is named:
-here that is a port of this machine at which nobody listens, so nothing leaves it. Its page
+here that is a port of this machine on which nothing listens, so nothing leaves it. Its page
 in a browser is kept to this machine by ``viewer_page``.
 """
 
@@ -31,7 +31,7 @@ from handcal.types import HandcalError, InputError
 
 LOOPBACK = "127.0.0.1"
 START_S = 30.0
-NOWHERE = f"http://{LOOPBACK}:9"  # the port of the discard service, which nobody runs
+NOWHERE = f"http://{LOOPBACK}:9"  # the port of the discard service, which is off by default
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def _port(wanted: int | None) -> int:
 
 
 def _environment() -> dict[str, str]:
-    """This process's variables, but for a viewer that talks to nobody else."""
+    """This process's variables, changed so that the viewer makes no other connections."""
     mine = {k: v for k, v in os.environ.items() if k != "FORCE_RERUN_ANALYTICS"}
     proxies = ("ALL_PROXY", "HTTPS_PROXY", "HTTP_PROXY")
     names = (name for proxy in proxies for name in (proxy, proxy.lower()))

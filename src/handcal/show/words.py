@@ -183,7 +183,7 @@ def assume_sentence(
     if assume != "fixed-point" or not (drifts or moves):
         return f"It was assumed that {_ASSUME.get(assume, assume)}."
     place = "drifts smoothly" if drifts else "stayed in its place"
-    but = " but for the moves that the warnings list" if moves else ""
+    but = ", apart from the moves in the warnings" if moves else ""
     return f"It was assumed that the held point {place}{but}."
 
 

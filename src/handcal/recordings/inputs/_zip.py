@@ -1,7 +1,7 @@
 """Zip files and folders as sets of small files, read within bounds.
 
 Nothing is ever written, so a member's path is only its name; one that climbs out of its folder
-is refused all the same, for nobody's export has it. What a zip says of itself is checked before
+is refused all the same, for no app exports one. What a zip says of itself is checked before
 memory or time is spent on it: sizes, how far it would unpack, compression, encryption. A zip
 inside a zip is not looked into.
 """

@@ -236,7 +236,7 @@ def _told(message: bytes) -> dict[str, str]:
 
 
 def _ends(path: Path, flags: bytes, size: int) -> list[int]:
-    """Where what was written at one go ends. Errors: InputError for what nobody knows yet."""
+    """Where each part that was written at once ends. Errors: InputError for unknown flags."""
     if flags[8] & ~1 or any(flags[9:16]):
         raise InputError(f"{path} needs what this reader of ULog does not know.")
     appended = struct.unpack_from("<3Q", flags, 16) if flags[8] & 1 else ()

@@ -85,7 +85,7 @@ def save(path: str | Path, plan: rrb.Blueprint, log: Callable[[rr.RecordingStrea
 @contextlib.contextmanager
 def begun() -> Iterator[rr.RecordingStream]:
     """A stream that is disconnected in the end, however that comes: left open, it would wait at
-    the program's end for whoever reads it."""
+    the program's end for a reader."""
     rec = rr.RecordingStream(APPLICATION)
     try:
         yield rec

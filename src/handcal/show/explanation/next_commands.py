@@ -25,7 +25,7 @@ CALIBRATES = (*REPEATS, "--assume", "--heading-sigma", "--latitude", "--height",
 
 # The one that has a folder of one's own effects.
 OWN = ("--effects-from",)
-# What a device file is called that nobody has named, and a folder of laws.
+# Default names of a device file and of a folder of laws.
 DEVICE = "my-device.toml"
 LAWS = "my-effects"
 # Of the files that other programs load.

@@ -49,7 +49,7 @@ def counted_word(n: int) -> str:
 
 
 def percent(share: float) -> str:
-    """A share or probability; never a certainty that nobody has."""
+    """A share or probability, never rounded to 0 or 100 %."""
     p = 100 * share
     if not math.isfinite(p):
         return "–"
