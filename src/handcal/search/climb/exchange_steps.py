@@ -8,12 +8,16 @@ from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
 from functools import partial
 
-from handcal.effects import Effect, catalogue
+from handcal.effects import Effect, Param, Signals, catalogue
+from handcal.effects._linear import added
 from handcal.estimate.case import applicable, name_of
 from handcal.estimate.fit import fitted
 from handcal.estimate.model import Model
+from handcal.estimate.scan import scan
 from handcal.laws.best_law import Term
 from handcal.laws.chosen_again import with_other
+from handcal.laws.weighing import beside
+from handcal.laws.weighing import gains as gains_of
 from handcal.model_score import NAMED, PRIOR, better, of_use
 from handcal.search.climb.candidates import fitted_with, scanned_about
 from handcal.search.climb.state import (
@@ -28,6 +32,7 @@ from handcal.search.climb.state import (
     sensible,
 )
 from handcal.search.space import best_set, gains, rivals
+from handcal.types import Array
 
 # A rival that would do so much of what an effect does is fitted in its place.
 NEARLY = 0.4
@@ -157,7 +162,7 @@ def hidden(c: Climb) -> Model | None:
         late = [catalogue()[i] for i in e.akin if i not in have]
         wanted = [x for x in (e, *late) if any(applicable(case, x) for case in cases)]
         held = any(x.delays or akin(e.id, x.id) for x in model.effects)
-        if held and e in wanted:
+        if held and e in wanted and _promised(model, e, c.worth) > 0.0:
             ways.append(wanted)
     refused = c.dropped | c.beyond
     calls = (partial(_beside_delays, model, w, c.unnamed, refused, c.worth) for w in ways)
@@ -170,6 +175,26 @@ def hidden(c: Climb) -> Model | None:
         if short > 0.0 and (tried is None or tried.one_sided):
             fell_short(c, (hidden.__name__, e.id), short)
     return None
+
+
+def _promised(model: Model, effect: Effect, worth: float) -> float:
+    """Nats that a filter gains by a scan of what it does at its usual size, delays and all else
+    that the model has being free: of that the part shows which no delay makes up for. (A fit gains
+    twice as much.)"""
+    error, usual = effect.imu_error, effect.prior_sigma
+    assert error is not None
+
+    def features(signals: Signals) -> list[tuple[int, int, Array]]:
+        felt = error(usual, signals)
+        return [(k, 0, felt[:, k, None]) for k in range(6) if felt[:, k].any()]
+
+    whole = replace(
+        effect, id=f"basis: {effect.id}", parameters=(Param("share", "", 1.0),), imu_inverse=None,
+        features=features, imu_error=added(features),
+    )  # fmt: skip
+    known = [e for e in model.effects if e.process is None]
+    seen = beside(scan(model, [whole], None, worth), known, [whole])
+    return float(gains_of(seen.b[None], seen.G[None])[0])
 
 
 def _beside_delays(
