@@ -466,6 +466,12 @@ def test_a_course_that_is_not_there_does_not_shrink_to_a_sample() -> None:
             assert np.mean((after - before) ** 2) < np.mean(before**2)
 
 
+def test_a_course_that_begins_after_the_end_stays_as_it_is() -> None:
+    base = baseline([case_of(held(0, 20.0, lambda imu: np.zeros((len(imu.t), 6))))])
+    effect = shapes.again("gyro_z", ("fade", (20.8, 1.2)))
+    assert course_numbers.adjusted(fitted(base.parts, [effect]), effect) is None
+
+
 @pytest.mark.prove
 def test_friction_at_zero_rate_is_told_by_its_own_axis() -> None:
     found = explain([strange("gyro", friction)])

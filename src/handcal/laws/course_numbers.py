@@ -60,6 +60,8 @@ def nearer(about_: About, effect: Effect, shares: Sequence[float]) -> tuple[Effe
     t = about_.signals.t - about_.signals.t[0]
     t = t[:: max(1, round(len(t) / (EACH_SECOND * max(float(t[-1]), 1.0))))]
     begun = family.values(numbers, t)
+    if not begun.any():  # (on a grid of seconds one may begin after the end)
+        return effect, 0.0
 
     def gained(options: Sequence[Array]) -> Array:
         # (one of them at least: the first is what there is)
@@ -71,8 +73,8 @@ def nearer(about_: About, effect: Effect, shares: Sequence[float]) -> tuple[Effe
             replace(_as_seen(effect, basis.channel, family.values, options[k]), id=f"basis: {k}")
             for k in near
         ]
-        seen = about_.seen(some)
         nats = np.full(len(options), -np.inf)
+        seen = about_.seen(some)
         nats[near] = seen.gains(np.array([seen.at[e.id] for e in some]))
         return nats
 
