@@ -28,6 +28,8 @@ from handcal.types import Array, IntArray
 # How long a window is, s: as far apart as a held point is looked at; and windows at the most, with
 # the square of which the work grows.
 WINDOW, MOST_WINDOWS = 1.0 / 3.0, 450
+# Where more is observed in between, windows may be as short as this, s.
+FINEST = 0.1
 # Courses are worked out so many times a second: in a hand, hardly anything is faster.
 RATE = 40.0
 # A signal that changes by less than this share of its size says of none how much it is felt.
@@ -68,7 +70,8 @@ def windows_about(about: Ground) -> Windows:
     """Windows of the recording of which this is the ground."""
     t = about.linear.problem.nodes.t
     begin, end = t[about.windows[0]], t[about.windows[1]]
-    width = max(WINDOW, float(end[-1] - begin[0]) / MOST_WINDOWS)
+    often = max(FINEST, min(float(np.median(end - begin)), WINDOW))
+    width = max(often, float(end[-1] - begin[0]) / MOST_WINDOWS)
     edges, first, phase = [float(begin[0])], list[int](), list[int]()
     room = 0.0
     for a, b in zip(begin, end, strict=True):
