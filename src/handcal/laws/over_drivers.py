@@ -42,7 +42,7 @@ from handcal.laws.vocabulary import driver_of
 from handcal.laws.weighing import Beside, beside, gains
 from handcal.types import Array
 
-# Refinement of a formula's numbers: shares of the spacing of their grid, used in turn.
+# Refinement of a formula's numbers: relative changes, used in turn.
 FINER = (0.5, 0.2, 0.06)
 # Formulas of each kind on the grid whose numbers are refined.
 LIKELY = 4

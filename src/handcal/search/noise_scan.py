@@ -22,7 +22,7 @@ LOOK = 3.0
 
 
 def all_noise() -> list[Effect]:
-    """Noise effects of the catalogue, and errors that go with the motion."""
+    """Noise effects of the catalogue, and motion-dependent errors."""
     return [e for e in (*catalogue().values(), *with_motion.effects()) if e.process is not None]
 
 

@@ -61,13 +61,13 @@ class Vain:
 class Climb:
     """The present model of a climb, and the record of what was tried.
 
-    needed: terms that the first scan must choose. kept: ids of the first model, which no step
-    removes. unnamed: terms so far. where: the last scan. alone: gains of the catalogue's effects in
-    the first scan. noise: gain of each noise effect of the model, nats; stale: those out of date.
-    swaps: (effect, rival) to the nats lost with the rival fitted instead. dropped: names that were
-    removed, or made a fit fail; beyond: names that came out implausibly large beside the present
-    effects. everything: whether all effects were fitted at once. survey: of laws, beside the last
-    model that needed one; vocabulary: courses of drivers, filled on demand. barred: failed
+    needed: terms that the first scan must choose. kept: ids of the first model, which nothing takes
+    the place of. unnamed: terms so far. where: the last scan. alone: gains of the catalogue's
+    effects in the first scan. noise: gain of each noise effect of the model, nats; stale: those out
+    of date. swaps: (effect, rival) to the nats lost with the rival fitted instead. dropped: names
+    that were removed, or made a fit fail; beyond: names that came out implausibly large beside the
+    present effects. everything: whether all effects were fitted at once. survey: of laws, beside
+    the last model that needed one; vocabulary: courses of drivers, filled on demand. barred: failed
     searches for laws, by sensor. named: the model before this climb's search for laws; rival: that
     of another climb. vain: failed trials. fruitless: steps of law search that failed, with the ids
     of the model, to its log-evidence; shared by all climbs.
