@@ -1,4 +1,4 @@
-"""A recording made ready for explaining: what is observed, which effects it could show."""
+"""A recording prepared for a fit: its observations, and the effects that it could show."""
 
 from __future__ import annotations
 

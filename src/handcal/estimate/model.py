@@ -1,4 +1,4 @@
-"""What a fit is: of one recording, and of all recordings of a device together."""
+"""Types of a fit: of one recording, and of all recordings of a device together."""
 
 from __future__ import annotations
 

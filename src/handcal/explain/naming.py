@@ -33,7 +33,7 @@ RIVAL = 0.05
 LEFT = 0.0025
 # Largest gain of a motion-dependent accelerometer error that the hand may have caused, nats. Among
 # 28 simulated people without any error two, both in a lift, had 12 to 35 although drifting and
-# moving hands were on trial.
+# moving hands were on trial. (To others the lift gave 93 and 551, beyond this limit.)
 LENT = 40.0
 
 

@@ -1,4 +1,4 @@
-"""The search for what is missing: where its climbs begin, and which end counts."""
+"""The search for missing physics: the starts of its climbs, and the choice of the best end."""
 
 from __future__ import annotations
 

@@ -190,7 +190,7 @@ def _burst(base: Model, masks: Sequence[BoolArray | None]) -> tuple[float, float
         told = _told(f, rows) | mask
         t, mask = rows.t[told], mask[told]
         beside = np.r_[False, mask[:-1]] | np.r_[mask[1:], False]
-        # of outliers at random, one in 1 / (2 share) has an outlying neighbour
+        # (of random outliers, a share of twice their frequency has an outlier as a neighbour)
         if (mask & beside).sum() > mask.sum() * (2.0 * mask.mean() + 0.4):
             return float(t[mask & beside][0]), float(t[mask & beside][-1])
     return None

@@ -144,8 +144,8 @@ def _pair(where: Space, chosen: frozenset[str], value: float) -> frozenset[str] 
 def probabilities(where: Space, chosen: frozenset[str], most: float = math.inf) -> dict[str, float]:
     """Posterior probability of each effect, over the sets near the best.
 
-    most: score beyond which a set is left out. (A climb fits such sets, and ends only if none of
-    those fits reaches the score of its scan.)
+    most: score beyond which a set is left out. (A climb ends if no fit beats the model. Sets with a
+    higher score in the scan were fitted and failed, so they support none of their effects.)
     """
     # (a fixed order keeps sums reproducible)
     scores = {s: where.score(s) for s in (chosen, *_neighbours(where, chosen))}

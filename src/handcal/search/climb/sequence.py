@@ -71,12 +71,12 @@ def _taken(c: Climb, step: Callable[[Climb], Model | None]) -> Model | None:
 
 
 def _beside(c: Climb, step: Callable[[Climb], Model | None]) -> tuple[str, frozenset[str]]:
-    """A step, and the effects beside which it is taken."""
+    """The key of ``fruitless``: a step and the ids of the model's effects."""
     return step.__name__, frozenset(c.model.ids)
 
 
 # The steps in their order, the cheap ones first, each with the words for what is left untried
-# without it. Laws come after all names and noise have settled.
+# without it. The search for new laws comes last, after names and noise have settled.
 _STEPS: dict[Callable[[Climb], Model | None], str] = {
     everything: "the fit of all effects at once",
     noise_or_step: "noise in the place of steps",
